@@ -12,7 +12,7 @@ repair: $(READY)
 # By the wall clock a test fails too where the machine itself stalls: it is tried again, which is printed.
 test: $(READY)
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not realtime"
-	$(BIN)/python -m pytest -n 2 -m realtime --reruns 2 -rR
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m realtime --reruns 2 -rR
 
 # The wheel in a fresh environment without extras: it deploys, and names the extra that other commands need.
 wheel-test: $(READY)
@@ -37,7 +37,7 @@ docs: $(VENV)/docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 bench: $(VENV)/bench
-	$(BIN)/python -m benchmarks $(if $(LOGS),--logs "$(LOGS)")
+	$(if $(LOGS),REJOINT_SO101="$(LOGS)") $(BIN)/python -m benchmarks
 
 format: $(READY)
 	$(BIN)/ruff format .
@@ -46,7 +46,7 @@ format: $(READY)
 # A half-made environment has no `ready` file and is made again.
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[train,report,logs,camera,feetech,gpu,history,fleet,live,dev]"
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[train,report,logs,camera,feetech,history,fleet,live,dev]"
 	touch $(READY)
 
 # What builds the site; nothing else needs it.

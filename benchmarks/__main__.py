@@ -1,38 +1,21 @@
-"""`make bench`: every benchmark in one run. Ratios within a run are what counts; machines differ.
+"""`make bench`: every benchmark that needs no arguments, in one run. Ratios within a run count; machines differ.
 
-Run one of them alone with `python -m benchmarks plant`. Identification takes the logs of a real SO-101 with
-`--logs FOLDER` (or `make bench LOGS=FOLDER`, or the environment variable REJOINT_SO101), else an emulated one's.
+Run one of them alone with `python -m benchmarks plant`, with its options by `python -m benchmarks.plant --help`.
 """
 
-from __future__ import annotations
-
-import argparse
+import sys
 from importlib import import_module
-from pathlib import Path
 
 BENCHMARKS = (
-    "plant", "step", "gpu", "control", "guard", "following", "training", "rivals", "agents", "policy", "diagnosis",
-    "identification", "truth", "emulator", "serve", "hostile", "journal", "kills", "family", "seeing", "feetech",
-    "moving", "shelf", "racing", "payload", "posing", "years", "again", "history", "fleet", "live",
+    "plant", "step", "control", "guard", "following", "training", "rivals", "agents", "policy", "diagnosis",
+    "identification", "truth", "emulator", "serve", "hostile", "kills", "seeing", "feetech", "moving", "shelf",
+    "elimination", "payload", "years", "again", "fleet",
 )  # fmt: skip
-"""Modules beside this one; each has a `main`, that of `identification` takes a folder of logs."""
+"""Modules beside this one; each has a `main`"""
 
-
-def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks", description="Speeds, side by side in one run.")
-    parser.add_argument("names", nargs="*", help=f"which to run, all by default: {', '.join(BENCHMARKS)}")
-    parser.add_argument("--logs", type=Path, help="folder of a real SO-101's SAGE motions; by default emulated ones")
-    options = parser.parse_args()
-    unknown = set(options.names) - set(BENCHMARKS)
-    if unknown:
-        parser.error(f"no benchmark is called {', '.join(sorted(unknown))}; known: {', '.join(BENCHMARKS)}")
-    for name in options.names or BENCHMARKS:
-        print(f"\n== {name} ==")
-        module = import_module(f"benchmarks.{name}")
-        if name == "identification":
-            module.bench(options.logs)
-        else:
-            module.main()
-
-
-main()
+names = sys.argv[1:]
+if unknown := {*names} - {*BENCHMARKS}:
+    sys.exit(f"no benchmark is called {', '.join(sorted(unknown))}; known: {', '.join(BENCHMARKS)}")
+for name in names or BENCHMARKS:
+    print(f"\n== {name} ==")
+    import_module(f"benchmarks.{name}").main()

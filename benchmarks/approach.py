@@ -14,17 +14,18 @@ the best that an aim could make of the approach; and the true error where arms w
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass, replace
 
 import numpy as np
+import typer
 
+from benchmarks.frame import cell
 from rejoint.arms import Arm, Array, mycobot280, solve_position, tcp_position
 from rejoint.control.catalogue import make_controller
-from rejoint.control.comparison.targets import draw_targets
 from rejoint.control.controller import ControlInput, Controller
 from rejoint.control.loop import Schedule, run
 from rejoint.control.robot import Mask
+from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.fit import fit
 from rejoint.diagnosis.calibration.measurements import Measurements
@@ -153,40 +154,27 @@ def held(robot: EmulatedRobot, controller: str, approach: Approach, aims: Array)
     return lie, off, tool, position
 
 
-def within(lie: Array) -> float:
-    """Return the standard deviation of places (A, K) around the mean of each arm, which a calibration can take out."""
-    return float(np.sqrt(np.nanvar(lie, axis=1, ddof=1).mean()))
-
-
-def main() -> None:
+def main(arms: int = 24, family: int = 0, controller: str = "feedforward") -> None:
     """Print a row for each variant."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.approach", description="A last approach by one side.")
-    parser.add_argument("--arms", type=int, default=24)
-    parser.add_argument("--family", type=int, default=0)
-    parser.add_argument("--controller", default="feedforward")
-    options, _ = parser.parse_known_args()
-    arm, family = mycobot280(), ArmFamily(arms=options.arms, targets=TARGETS, seed=options.family)
+    arm, drawn = mycobot280(), ArmFamily(arms=arms, targets=TARGETS, seed=family)
     print("beyond deg, deg/s, side: seconds | link mean, spread, within | encoders | true error | best of it | alike")
-    measured = measure(open_condition(arm, CONDITIONS[0], family, 1), suggest(arm, POINTS, sigma=SIGMA), family.seed)
-    usual = [fit(arm, measured.first(i, POINTS)) for i in range(options.arms)]
-    targets = draw_targets(arm, sets=options.arms, count=TARGETS, seed=9 + options.family)
+    measured = measure(open_condition(arm, CONDITIONS[0], drawn, 1), suggest(arm, POINTS, sigma=SIGMA), family)
+    usual = [fit(arm, measured.first(i, POINTS)) for i in range(arms)]
+    targets = draw_targets(arm, sets=arms, count=TARGETS, seed=9 + family)
     for one in VARIANTS:
-        robot = open_condition(arm, CONDITIONS[0], family, 1)
-        aims = aimed(arm, usual, targets, Approach())
-        lie, off, tool, _ = held(robot, options.controller, one, aims)
-        half = 0.5 * robot.plant.joints["play"][:, :1]
-        best = turned(tool, -np.nanmean(lie) * half)
-        found = measured_alike(arm, family, options.controller, one)
-        robot = open_condition(arm, CONDITIONS[0], family, 1)
-        alike = held(robot, options.controller, one, aimed(arm, found, targets, one))[2]
+        robot = open_condition(arm, CONDITIONS[0], drawn, 1)
+        lie, off, tool, _ = held(robot, controller, one, aimed(arm, usual, targets, Approach()))
+        best = turned(tool, -np.nanmean(lie) * 0.5 * robot.plant.joints["play"][:, :1])
+        found = measured_alike(arm, drawn, controller, one)
+        robot = open_condition(arm, CONDITIONS[0], drawn, 1)
+        alike = held(robot, controller, one, aimed(arm, found, targets, one))[2]
         errors = (1e3 * np.linalg.norm(place - targets, axis=-1) for place in (tool, best, alike))
-        cells = (f"{np.nanmean(value):.2f} / {np.nanquantile(value, 0.95):.2f}" for value in (1e3 * off, *errors))
+        within = np.sqrt(np.nanvar(lie, axis=1, ddof=1).mean())
         print(
-            f"{one.beyond:3g} {one.speed:4g} {one.side:+g}: {one.seconds:5.1f} | "
-            f"{np.nanmean(lie):+.2f}, {np.nanstd(lie):.2f}, {within(lie):.2f} | {' | '.join(cells)}",
-            flush=True,
-        )
+            f"{one.beyond:3g} {one.speed:4g} {one.side:+g}: {one.seconds:5.1f} | {np.nanmean(lie):+.2f}, "
+            f"{np.nanstd(lie):.2f}, {within:.2f} | {' | '.join(map(cell, (1e3 * off, *errors)))}", flush=True,
+        )  # fmt: skip
 
 
 if __name__ == "__main__":
-    main()
+    typer.run(main)

@@ -6,8 +6,8 @@ import numpy as np
 
 from rejoint.arms import mycobot280
 from rejoint.diagnosis.diagnosis import judge, ringing_most
+from rejoint.diagnosis.excitation import record
 from rejoint.diagnosis.healthy import load_healthy
-from rejoint.diagnosis.record import record
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.lab.plant.wear import Wear, load_wear
 

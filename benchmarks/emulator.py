@@ -17,11 +17,8 @@ import numpy as np
 
 from benchmarks.virtual import START, VirtualClient
 from rejoint.arms import mycobot280
-from rejoint.arms.wire.commands import answer
-from rejoint.arms.wire.frames import MAX_PAYLOAD, Decoder, Frame, encode
-from rejoint.arms.wire.orders import ORDERS, SWITCHES
-from rejoint.arms.wire.states import QUESTIONS, STATES
-from rejoint.arms.wire.values import pack_angles
+from rejoint.arms.wire.orders import ORDERS, QUESTIONS, STATES, SWITCHES, answer
+from rejoint.arms.wire.values import MAX_PAYLOAD, Decoder, Frame, encode, pack_angles
 from rejoint.robots.lab.emulator import Firmware, Server, Timing, build_firmware, serve_tcp
 
 FRAMES, CONNECTIONS, SOAK = 1_000_000, 10_000, 3600.0

@@ -7,7 +7,7 @@ the system's, and what the driver takes beyond that is its own and that of the m
 With the recordings of a real SO-101, `python -m benchmarks.feetech LOGS [EVERY]`, how well the plant on the law of its
 servos predicts them, all or every so many: open loop, from the first measured pose, with the acceleration that LeRobot
 sets. With `gains` instead of LOGS, what gains of the servos leave of the error at ten targets, in virtual time. With
-`joints ADDRESS RUN`, how near an arm comes to joint goals that a program sends: as they are, and through `PosedArm`.
+`joints ADDRESS RUN`, how near an arm comes to joint goals that a program sends: as they are, and through a session.
 """
 
 import os
@@ -22,30 +22,29 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from rejoint.arms import load_arm, solve_position, tcp_position
-from rejoint.control.default import DefaultController
-from rejoint.control.integrator import IntegratorController
+from rejoint.control.classical import DefaultController, IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.logs import import_logs
 from rejoint.robots import place_of
 from rejoint.robots.emulated import EmulatedRobot
-from rejoint.robots.feetech.block import BLOCK, PRESENT
 from rejoint.robots.feetech.bus import GOAL, FeetechBus
-from rejoint.robots.feetech.wire import FRAME
-from rejoint.robots.lab.emulator.feetech.arm import build_arm
-from rejoint.robots.lab.emulator.feetech.bus import BYTE, ServoBus
-from rejoint.robots.lab.emulator.feetech.packets import (
+from rejoint.robots.feetech.wire import BLOCK, FRAME, PRESENT
+from rejoint.robots.lab.emulator.feetech import (
+    ADAPTER,
     BROADCAST,
+    BYTE,
     SYNC_READ,
     SYNC_WRITE,
     Packet,
     PacketFinder,
+    ServoBus,
+    build_arm,
     encode,
 )
-from rejoint.robots.lab.emulator.feetech.session import ADAPTER
 from rejoint.robots.lab.plant.plant import Plant
-from rejoint.robots.lab.plant.stsplant import StsPlant
+from rejoint.robots.lab.plant.sts3215 import StsPlant
 from rejoint.robots.lab.plant.wear import load_wear
-from rejoint.runs.stages.posing import PosedArm
+from rejoint.runs.connect import connect
 from rejoint.system.errors import NoReplyError
 from rejoint.twin.judge import judge_paths
 from rejoint.twin.judgement import NO_TWIN
@@ -119,7 +118,6 @@ def on_the_wire(ids):
 
 def main():
     command = [sys.executable, "-m", "rejoint", "emulate", "--arm", "so101", "--pty"]
-    busy = os.getloadavg()[0]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as emulator:
         try:
             address = next(word for line in emulator.stdout for word in line.split() if word.startswith("feetech:"))
@@ -136,8 +134,6 @@ def main():
         for who, times in (("driver", taken[:, 0, column]), ("without", taken[:, 1, column])):
             shown = ", ".join(f"p{share} {np.nanpercentile(times, share):.2f}" for share in (10, 50, 90, 99))
             print(f"{name:10s} {who:8s} {shown} ms" + f" (at most {most} ms is asked for)" * (who == "driver"))
-    late = np.isnan(taken[:, 0, 0]).sum()
-    print(f"late answers: {late} of {len(taken)}; jobs running {busy:.1f} before and {os.getloadavg()[0]:.1f} after")
 
 
 def predict(folder, every=1):
@@ -204,11 +200,11 @@ def joints(address, run):
         print("as they are:", streamed(lambda goal: robot.step(goal[None]), lambda: robot.read().position[0]))
 
     def send(goal):
-        posed.send(goal)
+        posed.send_joints(goal)
         time.sleep(1 / 30)
 
-    with PosedArm(address, run) as posed:
-        print("through rejoint:", streamed(send, lambda: posed.position))
+    with connect(address, run=run) as posed:
+        print("through rejoint:", streamed(send, lambda: posed.state.joints_rad))
 
 
 def replay(plant, log):

@@ -1,4 +1,4 @@
-"""True errors of emulated arms before and after `rejoint calibrate --camera emulated`, with rendered pictures.
+"""True errors of emulated arms before and after `rejoint calibrate --measure camera=emulated`, with rendered pictures.
 
     python -m benchmarks.filming --arms 8 --first 700
 
@@ -8,44 +8,44 @@ corrected (where the gate allows it), 8 s at each: mean and 95th percentile of t
 
 from __future__ import annotations
 
-import argparse
 import time
 
 import numpy as np
+import typer
 
 import rejoint
+from benchmarks.frame import cell
 from rejoint.arms import mycobot280
 from rejoint.arms.camera.board import ON_TABLE, ON_TOOL
 from rejoint.diagnosis.calibration.camera.filming import POSTURES, CameraGauge
-from rejoint.robots.emulatedcamera import watching
+from rejoint.robots.cameras import watching
 
 DWELL = 8.0
 
 
-def main() -> None:
-    """Print a row for each arm, and what they come to."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.filming", description="True errors by a film.")
-    parser.add_argument("--arms", type=int, default=4)
-    parser.add_argument("--first", type=int, default=700, help="seed of the first arm")
-    parser.add_argument("--profile", default="worn")
-    parser.add_argument("--count", type=int, default=POSTURES, help="postures beyond those about the rest posture")
-    parser.add_argument("--targets", type=int, default=4)
-    parser.add_argument("--carried", default="board", help="what the tool carries: board or camera")
-    options, _ = parser.parse_known_args()
-    arm, board = mycobot280(), ON_TOOL if options.carried == "board" else ON_TABLE
+def main(
+    arms: int = 4, first: int = 700, profile: str = "worn", count: int = POSTURES, targets: int = 4,
+    carried: str = "board",
+) -> None:  # fmt: skip
+    """Print a row for each arm; ``count`` postures beyond those at rest, the tool carries the board or the camera."""
+    arm, board = mycobot280(), ON_TOOL if carried == "board" else ON_TABLE
     before, after, inside, used, left, pictures = [], [], [], 0, 0, 0
     began = time.perf_counter()
-    for seed in range(options.first, options.first + options.arms):
-        address = f"emulated:{options.profile}?seed={seed}"
-        gauge = CameraGauge(camera=watching(board, options.carried, seed), board=board, carried=options.carried)
-        found = rejoint.calibrate(address, gauge=gauge, count=options.count, seed=seed)
-        targets = arm.targets.sample(np.random.default_rng(seed), (options.targets,))
+    for seed in range(first, first + arms):
+        address = f"emulated:{profile}?seed={seed}"
+        gauge = CameraGauge(camera=watching(board, carried, seed), board=board, carried=carried)
+        found = rejoint.calibrate(address, gauge=gauge, count=count, settings=rejoint.Settings(seed=seed))
+        goals = arm.targets.sample(np.random.default_rng(seed), (targets,))
         for errors, calibration in ((before, "none"), (after, found.calibration)):
-            done = rejoint.deploy(address, "integrator", targets, calibration=calibration, dwell=DWELL, seed=seed + 1)
+            done = rejoint.deploy(
+                address,
+                goals,
+                settings=rejoint.Settings(controller="integrator", calibration=calibration, dwell=DWELL, seed=seed + 1),
+            )
             errors.append([1e3 * visit.true_error.value for visit in done.visits])
             if calibration != "none":
                 position, truth = done.log.position, done.log.true_tcp
-                ends = np.searchsorted(done.log.time - done.log.time[0], DWELL * np.arange(1, options.targets + 1)) - 1
+                ends = np.searchsorted(done.log.time - done.log.time[0], DWELL * np.arange(1, targets + 1)) - 1
                 low = found.calibration.interval(position[ends], truth[ends])[0]
                 inside += [low == 0.0]
         used, left = used + found.calibration.used, left + len(found.filmed.left_out)
@@ -54,12 +54,12 @@ def main() -> None:
             f"{address}: {np.mean(before[-1]):.2f} -> {np.mean(after[-1]):.2f}, used {found.calibration.used}",
             flush=True,
         )
-    print(f"{options.arms} arms, {time.perf_counter() - began:.0f} s; {used} corrected; {left} of {pictures} left out")
+    print(f"{arms} arms, {time.perf_counter() - began:.0f} s; {used} corrected; {left} of {pictures} left out")
     for name, errors in (("not calibrated", before), ("by film", after)):
-        print(f"{name:16} {np.mean(errors):5.2f} / {np.quantile(errors, 0.95):.2f}")
+        print(f"{name:16} {cell(errors)}")
     worse = np.mean(after, axis=1) - np.mean(before, axis=1)
     print(f"arms that became worse: {int((worse > 0.2).sum())}; the tool within the interval: {np.mean(inside):.0%}")
 
 
 if __name__ == "__main__":
-    main()
+    typer.run(main)

@@ -1,19 +1,13 @@
 """Many emulated arms in one call: processes killed at random, the call itself killed once, beside two plain processes.
 
     python -m benchmarks fleet
-    python -m benchmarks.fleet --checks 0 --repairs 30 --kills 2 --alone 6 --disturbed
     python -m benchmarks.fleet --checks 300 --repairs 0 --kills 0 --alone 6
-    python -m benchmarks.fleet --checks 0 --repairs 0 --memory 12,300
 
 Every check and every repair must end as one by one, to the bit, with nothing left and nothing done twice. Training is
-cut down (`--quick` of `rejoint repair`), so that what Ray adds counts for more than it does in a real repair; with
-`--whole` repairs are as `rejoint repair` does them by default. Beside
-the time by the clock stands that of the processors, which others on the machine do not lengthen, and the share of time
-in which a call had work for both. `--disturbed` leaves the undisturbed call out, `--alone 6`
-does six arms plainly instead of all.
+cut down (`--quick` of `rejoint repair`), so that what Ray adds counts for more than it does in a real repair.
+`--alone 6` does six arms plainly instead of all.
 """
 
-import argparse
 import os
 import re
 import signal
@@ -23,24 +17,25 @@ import tempfile
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import typer
 
-from benchmarks.processes import below, memory
 from rejoint.logs.history.rows import SUMMARY, read_rows
 from rejoint.logs.runlog import RunLog
 
 CHECKS, REPAIRS, KILLS = 12, 3, 2
 PROCESSES = 2
-LOOK = 75.0
-"""[s] for which a call is looked at that is not waited for"""
 REJOINT = [sys.executable, "-m", "rejoint"]
 CODES = (0, 5, 6, 7)
 """Exit codes of calls in which nothing failed"""
 FEW = {"quick": True, "sets": 1, "repetitions": 1, "controllers": ("integrator", "policy")}
 """Arguments of repairs that are cut down"""
+WORDS = ["--quick", "--sets", "1", "--repetitions", "1", "--controllers", "integrator,policy"]
+"""The same on the command line"""
 STEPS = ("diagnosis.json", "twin.toml", "policy.onnx", "comparison.json", "finished.json")
 """Files that the steps of a repair leave"""
 FILES = ("diagnosis.json", "twin.toml", "policy.onnx", "logs/excitation.parquet", "logs/targets.parquet")
@@ -70,6 +65,45 @@ def write_fleet(folder: Path, count: int) -> Path:
     return path
 
 
+@dataclass(frozen=True)
+class Process:
+    """One process of this machine."""
+
+    parent: int
+    name: str
+
+
+def processes() -> dict[int, Process]:
+    """All processes of this machine."""
+    found = {}
+    for entry in Path("/proc").glob("[0-9]*"):
+        try:
+            fields = (entry / "stat").read_text().rpartition(")")[2].split()
+            name = (entry / "cmdline").read_bytes().split(b"\0")[0].decode()
+        except OSError:  # it has ended
+            continue
+        found[int(entry.name)] = Process(int(fields[1]), name)
+    return found
+
+
+def below(root: int) -> dict[int, Process]:
+    """Return a process and all that it has started."""
+    known = processes()
+    found = {root}
+    while more := {child for child, one in known.items() if one.parent in found} - found:
+        found |= more
+    return {one: known[one] for one in found if one in known}
+
+
+def memory(process: int) -> float:
+    """[MB] that a process has for itself: shared libraries count by their share."""
+    try:
+        text = (Path("/proc") / str(process) / "smaps_rollup").read_text()
+    except OSError:
+        return 0.0
+    return int(re.search(r"^Pss:\s+(\d+) kB", text, re.MULTILINE)[1]) / 1e3  # type: ignore[index]
+
+
 class Watch(threading.Thread):
     """Looks at a call twice a second: memory, processor, who is at work, and whom to kill.
 
@@ -82,20 +116,14 @@ class Watch(threading.Thread):
         super().__init__(daemon=True)
         self.process, self.done, self.kills, self.end = process, done, sorted(kills), end
         self.over = threading.Event()
-        self.most, self.work, self.killed = 0.0, [0.0], 0
-        self.spent: dict[int, float] = {}
-        self.at_work: list[int] = []
+        self.most, self.killed = 0.0, 0
 
     def run(self) -> None:
         """Look until it is over."""
         while not self.over.wait(0.5):
             tree = below(self.process.pid)
             at_work = [one for one, process in tree.items() if re.match(r"ray::arm-\d+:", process.name)]
-            self.at_work.append(len(at_work))
-            self.spent |= {one: process.spent for one, process in tree.items()}
-            sizes = {one: memory(one) for one in tree}
-            self.most = max(self.most, sum(sizes.values()))
-            self.work += [sizes[one] for one in at_work]
+            self.most = max(self.most, sum(map(memory, tree)))
             share = self.done()
             if self.end is not None and share >= self.end:
                 self.process.kill()
@@ -104,39 +132,10 @@ class Watch(threading.Thread):
                 os.kill(at_work[self.killed % len(at_work)], signal.SIGKILL)
                 self.killed += 1
 
-    @property
-    def processor(self) -> float:
-        """[s] of processor that the call and all that it has started took."""
-        return sum(self.spent.values())
 
-    @property
-    def filled(self) -> float:
-        """[%] of the time for which as many were at work as can be."""
-        return 100.0 * float(np.mean(np.minimum(self.at_work, PROCESSES))) / PROCESSES
-
-
-def as_words(given: Mapping[str, object]) -> list[str]:
-    """Return arguments of a repair as the command line takes them."""
-    words = []
-    for name, value in given.items():
-        words += (
-            [f"--{name}"]
-            if value is True
-            else [f"--{name}", ",".join(value) if isinstance(value, tuple) else str(value)]
-        )
-    return words
-
-
-def call(
-    verb: str,
-    given: Mapping[str, object],
-    file: Path,
-    kills: list[float],
-    end: float | None = None,
-    limit: float | None = None,
-) -> tuple[float, Watch, str]:
-    """Run the command and kill as `Watch` says, or after ``limit`` [s]; returns its time [s] and output."""
-    words = [*REJOINT, "fleet", verb, str(file), *as_words(given)]
+def call(verb: str, file: Path, kills: list[float], end: float | None = None) -> tuple[float, Watch, str]:
+    """Run the command and kill as `Watch` says; returns its time [s] and output."""
+    words = [*REJOINT, "fleet", verb, str(file), *(WORDS if verb == "repair" else [])]
     arms = file.read_text().count("[[arm]]")
     steps = [f"checks/*/*/{SUMMARY}"] if verb == "check" else [f"repairs/*/*/{file}" for file in STEPS]
     began = time.monotonic()
@@ -148,31 +147,26 @@ def call(
 
         watch = Watch(process, share, kills, end)
         watch.start()
-        if limit is not None:
-            try:
-                process.wait(limit)
-            except subprocess.TimeoutExpired:
-                process.kill()
         text = process.stdout.read() if process.stdout else ""
     watch.over.set()
     watch.join()
-    if process.returncode != -signal.SIGKILL if end is not None else limit is None and process.returncode not in CODES:
+    if process.returncode not in (CODES if end is None else (-signal.SIGKILL,)):
         raise WrongError(f"it ended with {process.returncode}: {text}")
     return time.monotonic() - began, watch, text
 
 
-def plain(folder: Path, verb: str, given: Mapping[str, object], count: int, of: int) -> tuple[float, float]:
-    """Do the same in two processes, one arm after the other in each, and what that would be for ``of`` arms.
+def plain(folder: Path, verb: str, count: int, of: int) -> float:
+    """Do ``count`` arms in two processes, one after the other in each; returns the time [s] that ``of`` arms take.
 
-    Returns the time [s] and that of processors [s]. Where fewer than all arms are done, the first of each process has
-    its start in it, and those left out count as the others do.
+    Where fewer than all arms are done, the first of each process has its start in it, and those left out count as the
+    others do.
     """
-    code = "import os, sys, time, rejoint\nfor words in sys.argv[1:]:\n name, robot = words.split('=', 1)\n"
+    code = "import sys, time, rejoint\nfor words in sys.argv[1:]:\n name, robot = words.split('=', 1)\n"
     code += {
         "check": f" rejoint.check(robot, history={str(folder)!r}, name=name)\n",
-        "repair": f" rejoint.repair(robot, run={str(folder)!r} + '/' + name, **{dict(given)!r})\n",
+        "repair": f" rejoint.repair(robot, run={str(folder)!r} + '/' + name, **{FEW!r})\n",
     }[verb]
-    code += " print(time.monotonic(), sum(os.times()[:4]))\n"
+    code += " print(time.monotonic())\n"
     given = [f"{name}={address(number)}" for number, name in enumerate(names(count))]
     began = time.monotonic()
     running = [
@@ -182,14 +176,12 @@ def plain(folder: Path, verb: str, given: Mapping[str, object], count: int, of: 
     told = [process.communicate()[0] for process in running]
     if any(process.returncode for process in running):
         raise WrongError("a plain process failed")
-    took, spent = [], []
+    took = []
     for k, text in enumerate(told):
-        clock = np.array([line.split() for line in text.splitlines()], dtype=float) - [began, 0.0]
+        clock = np.array(text.split(), dtype=float) - began
         more = len(range(k, of, PROCESSES)) - len(clock)
-        each = (clock[-1] - clock[0]) / max(len(clock) - 1, 1)
-        took.append(clock[-1, 0] + more * each[0])
-        spent.append(clock[-1, 1] + more * each[1])
-    return max(took), sum(spent)
+        took.append(clock[-1] + more * (clock[-1] - clock[0]) / max(len(clock) - 1, 1))
+    return max(took)
 
 
 def check_same(verb: str, fleet: Path, alone: Path, count: int, same: int) -> None:
@@ -215,82 +207,41 @@ def check_same(verb: str, fleet: Path, alone: Path, count: int, same: int) -> No
                 raise WrongError(f"{file} of {name} is another than alone")
 
 
-def bench(
-    verb: str, given: Mapping[str, object], count: int, same: int, kills: int, work: Path, rng: np.random.Generator, *,
-    quiet: bool,
-) -> None:  # fmt: skip
+def bench(verb: str, count: int, same: int, kills: int, work: Path, rng: np.random.Generator) -> None:
     """Do ``same`` arms plainly, all undisturbed, then with kills; print what that took."""
-    alone, spent = plain(work / f"plain-{verb}", verb, given, same, count)
-    print(
-        f"{verb} of {count} arms: {PROCESSES} plain processes {alone:.0f} s, {spent:.0f} s of processor"
-        f"{'' if same == count else f' (by {same} of the arms)'}", flush=True,
-    )  # fmt: skip
-    if quiet:
-        file = write_fleet(work / f"quiet-{verb}", count)
-        took, watch, _ = call(verb, given, file, [])
+    alone = plain(work / f"plain-{verb}", verb, same, count)
+    print(f"{verb} of {count} arms: {PROCESSES} plain processes {alone:.0f} s (by {same} of the arms)", flush=True)
+
+    def tell(what: str, took: float, most: float) -> None:
         check_same(verb, file.parent, work / f"plain-{verb}", count, same)
-        print(
-            f"  one fleet {took:.0f} s ({100 * alone / took:.0f} % of their throughput), {watch.processor:.0f} s of "
-            f"processor ({100 * spent / watch.processor:.0f} %), work for all {watch.filled:.0f} % of the time; "
-            f"memory {watch.most:.0f} MB in all, {np.max(watch.work):.0f} MB for a process that works on an arm",
-            flush=True,
-        )
+        share = 100 * alone / took
+        print(f"  {what}: {took:.0f} s ({share:.0f} % of their throughput); memory {most:.0f} MB in all", flush=True)
+
+    file = write_fleet(work / f"quiet-{verb}", count)
+    took, watch, _ = call(verb, file, [])
+    tell("one fleet", took, watch.most)
     if not kills:
         return
     file, began = write_fleet(work / f"killed-{verb}", count), time.monotonic()
-    _, first, before = call(verb, given, file, list(rng.uniform(0.0, 0.5, kills - kills // 2)), end=0.6)
-    _, second, text = call(verb, given, file, list(rng.uniform(0.6, 0.9, kills // 2)))
-    took = time.monotonic() - began
-    check_same(verb, file.parent, work / f"plain-{verb}", count, same)
-    twice = [
-        step for step, n in Counter(re.findall(r"^(arm-\d+: \w+) done", before + text, re.MULTILINE)).items() if n > 1
-    ]
-    if twice:
+    _, first, before = call(verb, file, list(rng.uniform(0.0, 0.5, kills - kills // 2)), end=0.6)
+    _, second, text = call(verb, file, list(rng.uniform(0.6, 0.9, kills // 2)))
+    done = Counter(re.findall(r"^(arm-\d+: \w+) done", before + text, re.MULTILINE))
+    if twice := [step for step, times in done.items() if times > 1]:
         raise WrongError(f"done twice: {', '.join(twice)}")
-    lost = Counter(re.findall(r"^arm-\d+: (\w+) lost", text, re.MULTILINE))
-    both = first.processor + second.processor
-    print(
-        f"  with {first.killed + second.killed} processes killed, and the command itself with 60 % done: {took:.0f} s "
-        f"({100 * alone / took:.0f} %), {both:.0f} s of processor ({100 * spent / both:.0f} %), work for all "
-        f"{first.filled:.0f} and {second.filled:.0f} % of the time; nothing lost, nothing twice, all as alone; the "
-        f"second call saw {dict(lost)} killed; memory {max(first.most, second.most):.0f} MB in all", flush=True,
-    )  # fmt: skip
-
-
-def look(count: int, work: Path) -> None:
-    """Print what memory a call for so many arms takes while it checks the first of them."""
-    _, watch, text = call("check", {}, write_fleet(work / f"look-{count}", count), [], limit=LOOK)
-    done = len(re.findall(r"^arm-\d+: check done", text, re.MULTILINE))
-    print(f"a call for {count} arms: {watch.most:.0f} MB in all in its first {LOOK:.0f} s, in which it checked {done}")
+    what = f"{first.killed + second.killed} processes killed, and the command with 60 % done; nothing lost or twice"
+    tell(what, time.monotonic() - began, max(first.most, second.most))
 
 
 def main(
-    checks: int = CHECKS, repairs: int = REPAIRS, kills: int = KILLS, seed: int = 0, memory_of: tuple[int, ...] = (),
-    *, alone: int | None = None, quiet: bool = True, whole: bool = False,
-) -> None:  # fmt: skip
+    checks: int = CHECKS, repairs: int = REPAIRS, kills: int = KILLS, seed: int = 0, alone: int | None = None
+) -> None:
+    """Check and repair so many arms; ``alone`` are done plainly as well, by default all."""
     rng = np.random.default_rng(seed)
     with tempfile.TemporaryDirectory() as name:
         for verb, count in (("check", checks), ("repair", repairs)):
             if count:
-                given = {} if whole or verb == "check" else FEW
-                bench(verb, given, count, min(alone or count, count), kills, Path(name), rng, quiet=quiet)
-        for count in memory_of:
-            look(count, Path(name))
+                bench(verb, count, min(alone or count, count), kills, Path(name), rng)
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.fleet")
-    parser.add_argument("--checks", type=int, default=CHECKS)
-    parser.add_argument("--repairs", type=int, default=REPAIRS)
-    parser.add_argument("--kills", type=int, default=KILLS)
-    parser.add_argument("--alone", type=int, help="arms that are done plainly as well; all by default")
-    parser.add_argument("--disturbed", action="store_true", help="leave out the call in which nothing is killed")
-    parser.add_argument("--whole", action="store_true", help="repair as the command does by default")
-    parser.add_argument("--memory", default="", help="numbers of arms whose calls are only looked at: 12,300")
-    parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args()
-    sizes = tuple(int(one) for one in options.memory.split(",") if one)
-    main(
-        options.checks, options.repairs, options.kills, options.seed, sizes,
-        alone=options.alone, quiet=not options.disturbed, whole=options.whole,
-    )  # fmt: skip
+    typer.run(main)

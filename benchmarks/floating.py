@@ -11,21 +11,22 @@ miss, what the links of joint 1 and of all joints add by chance, and encoders an
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
+import typer
 
+from benchmarks.frame import cell
 from rejoint.arms import Arm, Array, gravity_torque, mycobot280, tcp_position
 from rejoint.arms.displacement import FLOATING, direction
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.rotations import rotation_about
-from rejoint.control.catalogue import make_controller
-from rejoint.control.comparison.targets import draw_targets
+from rejoint.control.catalogue import make_controller, shelf_controller
 from rejoint.control.controller import Controller
 from rejoint.control.loop import Schedule, run
-from rejoint.control.shelf import shelf_controller
+from rejoint.control.targets import draw_targets
 from rejoint.research.evaluation.calibrating import HOLD, find_condition, open_condition
 from rejoint.research.evaluation.family import FAMILY_SIZE, ArmFamily
 from rejoint.robots.emulated import EmulatedRobot
@@ -54,31 +55,25 @@ def by_chance(arm: Arm, read: Array, beyond: Array, tilt: float) -> Array:
     return left
 
 
-def main() -> None:
-    """Print a row."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.floating")
-    parser.add_argument("--arms", type=int, default=40)
-    parser.add_argument("--targets", type=int, default=20, help="for each arm: four terms are fitted to them")
-    parser.add_argument("--family", type=int, default=0)
-    parser.add_argument("--slope", type=float, default=0.0, help="degrees by which the base is raised on one side")
-    parser.add_argument("--controller", default="feedforward", help="shelf, or the name of a law")
-    options = parser.parse_args()
-    arm, family = mycobot280(), ArmFamily(arms=options.arms, targets=options.targets, seed=options.family)
-    targets = draw_targets(arm, sets=family.arms, count=family.targets, seed=FAMILY_SIZE * (family.seed + 1) + 1)
-    tilt, known = np.radians(options.slope), options.controller
-    robot = open_condition(arm, replace(find_condition("worn"), tilt=tilt), family, 1)
-    read, beyond = held(robot, shelf_controller if known == "shelf" else lambda it: make_controller(known, it), targets)
+def main(
+    arms: int = 40, targets: int = 20, family: int = 0, slope: float = 0.0, controller: str = "feedforward"
+) -> None:
+    """Print what chance leaves; ``slope`` [deg] raises the base on one side."""
+    arm, drawn = mycobot280(), ArmFamily(arms=arms, targets=targets, seed=family)
+    places = draw_targets(arm, sets=arms, count=targets, seed=FAMILY_SIZE * (family + 1) + 1)
+    tilt, make = np.radians(slope), shelf_controller if controller == "shelf" else partial(make_controller, controller)
+    robot = open_condition(arm, replace(find_condition("worn"), tilt=tilt), drawn, 1)
+    read, beyond = held(robot, make, places)
     left, reached = by_chance(arm, read, beyond, tilt), tcp_position(arm, read)
     first = np.concatenate([left[..., :1], np.zeros_like(left[..., 1:])], axis=-1)
     for name, off in {
-        "encoders": reached - targets,
+        "encoders": reached - places,
         "joint 1 by chance": tcp_position(arm, read + first) - reached,
         "all joints by chance": tcp_position(arm, read + left) - reached,
-        "encoders and joints": tcp_position(arm, read + left) - targets,
+        "encoders and joints": tcp_position(arm, read + left) - places,
     }.items():
-        error = 1e3 * np.linalg.norm(off, axis=-1)
-        print(f"{name:22s} {error.mean():.2f} / {np.quantile(error, 0.95):.2f}", flush=True)
+        print(f"{name:22s} {cell(1e3 * np.linalg.norm(off, axis=-1))}", flush=True)
 
 
 if __name__ == "__main__":
-    main()
+    typer.run(main)

@@ -1,6 +1,6 @@
 """Joints that do not follow: how soon frozen and blind encoders are noticed, and whether others are taken for them.
 
-    python -m benchmarks.following --arms 64 --first 0 --keep FOLDER
+    python -m benchmarks.following --arms 64 --first 0
 
 Arms are drawn, driven through their diagnosis, and then by every controller to targets of their own; where encoders
 break, once more with the same noise and a fault. Four monitors look on and stop nothing, so that all of them see the
@@ -8,36 +8,31 @@ same motion: one that knows what a run folder tells of its arm, the lines of loa
 stand by its own diagnosis; one that knows the same of an arm whose servos tell no load; one that is told the load, but
 knows nothing; one that is told nothing but positions.
 
-With ``--keep`` what came of every wire and kind of arm is written into a folder when it is done, and what lies there
-is not driven again; the tables add up all that lies there. ``--first`` is added to all seeds: constants are chosen with
+``--first`` is added to all seeds: constants are chosen with
 other draws than those that judge them.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import time
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
+import typer
 from numpy.typing import NDArray
 
 from rejoint.arms import Array, mycobot280
-from rejoint.control.bands import standing_bands
-from rejoint.control.catalogue import make_controller
+from rejoint.control.catalogue import SHELF, make_controller
 from rejoint.control.controller import ControlInput
-from rejoint.control.following import Bands, Following, Knowledge
+from rejoint.control.goal import nearest_postures
 from rejoint.control.guard import GuardLimits, guard, warm_up
-from rejoint.control.lines import servo_lines
+from rejoint.control.monitor import Bands, Following, Knowledge, servo_lines, standing_bands
 from rejoint.control.robot import Mask
-from rejoint.control.shelf import SHELF
-from rejoint.diagnosis.record import DiagnosisLogs, record
+from rejoint.diagnosis.excitation import DiagnosisLogs, record
 from rejoint.robots.emulated import EmulatedRobot
-from rejoint.robots.lab.plant.channel import Channel, Delays, Interval
-from rejoint.robots.lab.plant.streams import Keys
+from rejoint.robots.lab.plant.servo import Channel, Delays, Interval, Keys
 from rejoint.robots.lab.plant.wear import Wear, load_wear
 from rejoint.system.errors import GuardTripError
 
@@ -217,7 +212,7 @@ def drive(wears: list[Wear], name: str, wire: str, seed: int, known: Diagnosed, 
     trip, joint = np.full((len(watchers), count), np.inf), np.full((len(watchers), count), -1)
     done, aimed, speed = np.zeros(count, bool), np.ones(count, bool), np.zeros_like(sent)
     index, begun, period = np.full(count, -1), np.full(count, -np.inf), np.full(count, 0.02)
-    path, clock = [], []
+    path, clock, posture = [], [], sent.copy()
     while (state.time < TARGETS * DWELL).any():
         renewed = (state.time - begun >= DWELL) & (index < TARGETS - 1)
         index, begun = index + renewed, np.where(renewed, state.time, begun)
@@ -227,9 +222,10 @@ def drive(wears: list[Wear], name: str, wire: str, seed: int, known: Diagnosed, 
             if bad is not None:
                 new = bad.any(axis=-1) & np.isinf(trip[m])
                 trip[m, new], joint[m, new] = state.time[new], bad.argmax(axis=-1)[new]
-        inputs = ControlInput(state=state, target=goals[np.arange(count), index], sent=sent,
+        inputs = ControlInput(state=state, target=goals[np.arange(count), index], goal=posture, sent=sent,
                               since_target=state.time - begun)  # fmt: skip
         if renewed.any():
+            posture[renewed] = nearest_postures(ARM, goals[renewed, index[renewed]], sent[renewed])
             controller.reset(inputs, renewed)
         sent, _, speed = guard(LIMITS, controller.command(inputs), sent, speed, state, period)
         if faults is not None:
@@ -293,28 +289,16 @@ def say(seen: list[Seen]) -> None:
                 )  # fmt: skip
 
 
-def main(arms: int = 64, first: int = 0, keep: Path | None = None, wires: tuple[str, ...] = tuple(WIRES)) -> None:
-    """Drive ``arms`` of each kind; see above."""
+def main(arms: int = 64, first: int = 0, wires: str = ",".join(WIRES)) -> None:
+    """Drive ``arms`` of each kind; ``first`` is added to all seeds."""
     warm_up(LIMITS)
     seen = []
-    for wire, kind in ((wire, kind) for wire in wires for kind in KINDS):
-        kept = keep / f"{wire}-{kind}-{arms}-{first}.json" if keep else None
-        if kept and kept.exists():
-            continue
+    for wire, kind in product(wires.split(","), KINDS):
         start, found = time.perf_counter(), watched(wire, kind, arms, first)
         print(f"{wire} {kind}: {len(found)} runs in {time.perf_counter() - start:.0f} s", flush=True)
         seen += found
-        if kept:
-            kept.parent.mkdir(parents=True, exist_ok=True)
-            kept.write_text(json.dumps([asdict(one) for one in found]))
-    say([Seen(**one) for path in sorted(keep.glob("*.json")) for one in json.loads(path.read_text())] if keep else seen)
+    say(seen)
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.following", description="Joints that do not follow.")
-    parser.add_argument("--arms", type=int, default=64, help="of each kind")
-    parser.add_argument("--first", type=int, default=0, help="added to all seeds; other draws from 10 000 on")
-    parser.add_argument("--keep", type=Path, help="folder of what is done already")
-    parser.add_argument("--wires", nargs="+", default=list(WIRES), choices=WIRES)
-    given = parser.parse_args()
-    main(given.arms, given.first, given.keep, tuple(given.wires))
+    typer.run(main)

@@ -2,29 +2,21 @@
 
 The laws, and a geometry of their own, are those of the tests (tests/control/guard_laws.py). Half of the cases belong to
 the arms of the catalogue, half to chains that nobody built, a new one every now and then. Ten million of them:
-`python -c "from benchmarks.guard import millions; millions(10**7)"`. What the acceleration limit does to a policy:
-`python -c "from benchmarks.guard import ramps; ramps('RUN/policy.onnx')"`.
+`python -c "from benchmarks.guard import millions; millions(10**7)"`.
 """
 
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from rejoint.arms import Array, mycobot280, so101
-from rejoint.control.catalogue import make_controller
-from rejoint.control.comparison.protocols import KINDS, Kind, measure_crossings, measure_holds, schedule
-from rejoint.control.comparison.result import Protocol
-from rejoint.control.guard import RAMP, GuardLimits, Reason, guard, reason_names
-from rejoint.control.loop import run
+from rejoint.arms import mycobot280, so101
+from rejoint.control.guard import GuardLimits, Reason, guard, reason_names
 from rejoint.control.robot import JointState
-from rejoint.robots.emulated import EmulatedRobot
-from rejoint.robots.lab.plant.wear import draw_wear, load_wear
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "control"))
+sys.path.extend(str(Path(__file__).parents[1] / "tests" / room) for room in ("", "control"))
 
 from guard_laws import check, draw_cases, random_chain
 
@@ -32,7 +24,6 @@ CASES = 1_000_000
 BATCH, CALLS = 1000, 5000
 GARBAGE = (0.0, 0.1, 0.5)
 """Shares of arms with numbers that are none"""
-ARMS, RAMPS = 16, (1e-6, RAMP, 0.03, 0.06)
 CHAIN_BATCHES = 5
 """Twice so many batches of each chain"""
 
@@ -82,27 +73,3 @@ def _arms(rng: np.random.Generator) -> Iterator[GuardLimits]:
         chain = GuardLimits.of(random_chain(rng))
         for _ in range(CHAIN_BATCHES):
             yield from (*known, chain, chain)
-
-
-def ramps(policy: str, period: tuple[float, float] = (0.020, 0.030), name: str = "policy") -> None:
-    """Print what a controller does on worn myCobot arms, by the time [s] that commands take to full speed."""
-    arm, protocol = mycobot280(), Protocol()
-    wears = [draw_wear(load_wear("worn", arm), arm, seed) for seed in range(ARMS)]
-    targets = arm.targets.sample(np.random.default_rng(7), (ARMS, 5))
-    before: dict[Kind, Array] = {}
-    for ramp in RAMPS:
-        limits = replace(GuardLimits.of(arm), max_acceleration=arm.max_speed / ramp)
-        for kind in KINDS:
-            robot = EmulatedRobot(arm, wears, seed=1, period=period)
-            rule = schedule(kind, protocol, keep_going=True)
-            recording = run(robot, make_controller(name, arm, policy=Path(policy)), targets, rule, limits=limits)
-            if kind == "crossing":
-                what, found = "10 mm crossed after [ms]", measure_crossings(arm, recording, targets, protocol).time
-            else:
-                what, found = "settled at [um]", 1e3 * measure_holds(arm, recording, targets, protocol).settled
-            mean = 1e3 * found.mean(axis=-1)
-            change = mean - before.setdefault(kind, mean)
-            held = (recording.reasons[recording.active] & np.uint16(Reason.ACCELERATION) > 0).mean()
-            half = 1.96 * change.std(ddof=1) / np.sqrt(ARMS)
-            told = f"{what} {mean.mean():.0f}, change {change.mean():+.1f} +- {half:.1f}"
-            print(f"ramp {ramp:g} s: {told}, held back in {held:.2%} of the cycles")

@@ -1,50 +1,90 @@
 """Identification on the logs of an SO-101, and its speed beside MuJoCo's own tools.
 
-    python -m benchmarks.identification LOGS [folds] [one] [halves] [wall] [sysid] [rollout]
+    python -m benchmarks.identification --logs LOGS --sections folds,sysid,rollout
 
-LOGS is a folder of SAGE motions (github.com/isaac-sim2real/sage, output/real/so101/custom). Without names
-everything is run. `make bench` runs the last two, on real logs where it is given some, else on those of an
-emulated arm. Times are processor seconds of the whole process, so they hardly depend on other load; but for those of
-`wall`, which wants two idle cores.
+LOGS is a folder of SAGE motions (github.com/isaac-sim2real/sage, output/real/so101/custom), by default that of the
+environment variable REJOINT_SO101, else motions of an emulated arm. Times are processor seconds of the whole process.
 """
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import io
-import itertools
+import os
+import sys
+import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import mujoco
 import mujoco.rollout
 import numpy as np
+import typer
 
-from benchmarks import logs as sources
 from rejoint.arms import Arm, load_arm
+from rejoint.control.start import move, play
+from rejoint.logs import import_logs
 from rejoint.logs.exclusions import find_exclusions, table_height
 from rejoint.logs.runlog import RunLog
-from rejoint.twin.fit import SCALES, Fit, Problem, fit
+from rejoint.robots.emulated import EmulatedRobot
+from rejoint.robots.lab.plant.wear import load_wear
+from rejoint.twin.batch import friction_solref, twin_spec
+from rejoint.twin.fit import SCALES, Problem, fit
 from rejoint.twin.fromlogs import FITTED, identify_logs
-from rejoint.twin.holdout import HoldOut
-from rejoint.twin.holdout import folds as fold_numbers
-from rejoint.twin.judge import NO_TWIN, TIMESTEP, Candidate, Errors, judge
-from rejoint.twin.model import friction_solref, twin_spec
-from rejoint.twin.motionfit import LogSettings, fit_motions, independent
-from rejoint.twin.parameters import Layout, TwinParameters, pack, unpack, vector_names
+from rejoint.twin.judge import TIMESTEP, Candidate, Errors, judge
+from rejoint.twin.motionfit import HoldOut, LogSettings, free_windows, thin
+from rejoint.twin.motionfit import folds as fold_numbers
+from rejoint.twin.parameters import TwinParameters, pack, unknown_prior, unpack, vector_names
 from rejoint.twin.replay import Replay
-from rejoint.twin.segments import free_windows, thin
 from rejoint.twin.structure import LIMITS, rough_fit, simplest
-from rejoint.twin.uncertainty import uncertainty
-from rejoint.twin.unknown import unknown_prior
+
+VARIABLE = "REJOINT_SO101"
+"""Environment variable that names the folder of a real SO-101's SAGE motions"""
+
+MOTIONS, SECONDS = 12, 20.0
+"""How many motions the emulated arm makes, and how long [s] each of them is"""
+
+
+def find_logs(given: Path | None, arm: Arm) -> tuple[str, list[RunLog]]:
+    """Return what the logs are, in words, and the logs: of the folder, of `VARIABLE`'s folder, or emulated ones."""
+    folder = given or (Path(os.environ[VARIABLE]) if VARIABLE in os.environ else None)
+    if folder is not None:
+        if not folder.is_dir():
+            sys.exit(f"{folder}: no folder of SAGE motions; give another one, or none for an emulated arm")
+        return f"real logs in {folder}", read_logs(folder, arm)
+    said = f"an emulated SO-101 (for a real one: make bench LOGS=FOLDER, or {VARIABLE}=FOLDER)"
+    return said, emulated(arm)
+
+
+def read_logs(folder: Path, arm: Arm) -> list[RunLog]:
+    """Import a folder of SAGE motions."""
+    with tempfile.TemporaryDirectory() as place:
+        return sorted(import_logs(folder, arm, out=Path(place) / "logs").logs, key=lambda log: log.label)
+
+
+def emulated(arm: Arm, seed: int = 0) -> list[RunLog]:
+    """Record motions of the emulated SO-101: slow sums of sines, then steps."""
+    robot = EmulatedRobot(arm, [load_wear("so101", arm)], seed=seed, address="emulated:so101")
+    logs = []
+    for motion in range(MOTIONS):
+        rng = np.random.default_rng([seed, motion])
+        centre = np.array([0.0, -0.4, 0.2, 0.3, 0.0]) + rng.uniform(-0.25, 0.25, arm.joints)
+        frequency = np.array([0.07, 0.19, 0.41]) * rng.uniform(0.8, 1.2, (arm.joints, 3))
+        phase, height = rng.uniform(0, 2 * np.pi, (arm.joints, 3)), 0.3 * np.array([1.0, 0.6, 0.3])
+        postures = centre + rng.uniform(-0.3, 0.3, (int(SECONDS), arm.joints))
+
+        def command(time, centre=centre, frequency=frequency, phase=phase, height=height, postures=postures):
+            t = np.asarray(time)[:, None]
+            waves = (height * np.sin(2 * np.pi * frequency * t[..., None] + phase)).sum(-1) * np.minimum(t, 1.0)
+            return np.where(t < 0.7 * SECONDS, centre + waves, postures[(t[:, 0] / 1.5).astype(int)])
+
+        move(robot, centre)
+        logs.append(play(robot, command, SECONDS).log(0, f"motion{motion:02}"))
+    return logs
+
 
 FOLDS = 4
-HALVINGS = 4
-GIVEN = LogSettings(threads=1, stictions=(1.25,))
-"""For `halves`: how much joints stick is given"""
 
 
 def mm_deg(errors: Errors) -> str:
@@ -57,114 +97,24 @@ HEADER = f"{'':28} free mm    deg | contact    deg | all mm    deg"
 
 def folds(arm: Arm, logs: Sequence[RunLog]) -> None:
     """Every motion is held out once."""
-    whole, per_motion, number = [], {"free": [], "contact": [], "all": []}, fold_numbers(arm, logs, FOLDS)
+    errors, number = {"free": [], "contact": [], "all": []}, fold_numbers(arm, logs, FOLDS)
     for k in range(FOLDS):
-        start, stages = time.process_time(), []
-
-        def note(_share: float, stage: str, start: float = start, stages: list = stages) -> None:
-            stages.append((stage, time.process_time() - start))
-
         names = tuple(log.label for log, own in zip(logs, number, strict=True) if own == k)
-        settings = LogSettings(threads=1, hold_out=HoldOut(names=names))
-        found = identify_logs(arm, logs, settings, note)
-        mean = found.judgement.mean
-        at = dict(stages)
-        judged = at["done"] - at["held-out motions"]
-        print(f"\nfold {k}: {len(found.fitted)} motions fitted in {at['done'] - judged:.1f} s of one core, "
-              f"stiction {found.twin.stiction:g}, {found.twin.table}")  # fmt: skip
-        for name in ("stiffness", "damping", "coulomb", "armature", "offset", "delay"):
-            print(f"  {name:10} {np.array2string(np.atleast_1d(getattr(found.twin.parameters, name)), precision=4)}")
+        start = time.process_time()
+        found = identify_logs(arm, logs, LogSettings(threads=1, hold_out=HoldOut(names=names)))
+        seconds = time.process_time() - start
+        print(f"\nfold {k}: {len(found.fitted)} motions fitted, the others judged in {seconds:.1f} s of one core")
         print(HEADER)
         for motion in found.judgement.motions:
             print(f"{motion.motion:28} {mm_deg(motion.errors[FITTED])}")
-        for name, errors in mean.items():
-            print(f"{'mean, ' + name:28} {mm_deg(errors)}", flush=True)
-        whole.append(mean[FITTED])
-        for part, errors in per_motion.items():
-            errors += [getattr(m.errors[FITTED], part) for m in found.judgement.motions]
-    for part, errors in per_motion.items():
-        tcp = 1e3 * np.array([e.tcp for e in errors if e is not None])
-        deg = np.degrees([e.joint for e in errors if e is not None])
+            for part, some in errors.items():
+                some.append(getattr(motion.errors[FITTED], part))
+        for name, mean in found.judgement.mean.items():
+            print(f"{'mean, ' + name:28} {mm_deg(mean)}", flush=True)
+    for part, some in errors.items():
+        tcp, deg = np.array([(1e3 * e.tcp, np.degrees(e.joint)) for e in some if e is not None]).T
         print(f"\n{part}, {len(tcp)} motions, each held out once: TCP {tcp.mean():.2f} mm "
               f"(median {np.median(tcp):.2f}), joints {deg.mean():.3f} deg (median {np.median(deg):.3f})")  # fmt: skip
-    for k, errors in enumerate(whole):
-        print(f"fold {k}: {mm_deg(errors)}")
-
-
-def wall(arm: Arm, logs: Sequence[RunLog]) -> None:
-    """How long one waits for a fit on two cores, stage by stage, without the judgement."""
-    stages = [("exclusions", time.perf_counter())]
-
-    def note(_share: float, stage: str) -> None:
-        if stages[-1][0] != stage:
-            stages.append((stage, time.perf_counter()))
-
-    identify_logs(arm, logs, LogSettings(threads=2), note)
-    judged = [name for name, _ in stages].index("held-out motions")
-    for (name, start), (_, end) in itertools.pairwise(stages[: judged + 1]):
-        print(f"{name:40} {end - start:5.1f} s")
-    print(f"{'together':40} {stages[judged][1] - stages[0][1]:5.1f} s")
-
-
-def one(arm: Arm, logs: Sequence[RunLog]) -> None:
-    """Fit the multisine motion alone, judge on all the others."""
-    alone = [log for log in logs if log.label == "multisine"]
-    others = [log for log in logs if log.label != "multisine"]
-    start = time.process_time()
-    found = identify_logs(arm, alone, LogSettings(threads=1))
-    seconds = time.process_time() - start
-    judgement = judge(arm, [Candidate.of(FITTED, found.twin)], others)
-    print(f"multisine alone: {seconds:.1f} s of one core, stiction {found.twin.stiction:g}, {len(others)} others")
-    print(HEADER)
-    for name in (NO_TWIN, FITTED):
-        print(f"{'mean, ' + name:28} {mm_deg(judgement.mean[name])}")
-    tcp = [1e3 * m.errors[FITTED].free.tcp for m in judgement.motions if m.errors[FITTED].free]
-    print(f"median over the motions: {np.median(tcp):.2f} mm; worst: {judgement.worst.motion}, {max(tcp):.1f} mm")
-    known = judgement.repeatability
-    if known is not None:
-        print(f"the arm's own repeatability: {1e3 * known.tcp:.2f} mm ({1e3 * known.lowest:.2f} to "
-              f"{1e3 * known.highest:.2f}) in {len(known.motions)} motions that repeat")  # fmt: skip
-
-
-def halves(arm: Arm, logs: Sequence[RunLog]) -> None:
-    """Whether intervals from disjoint halves of the motions agree as often as they claim."""
-    rng, agree, plain, tests = np.random.default_rng(2), 0, 0, 0  # seeds 0, 1, 10, 11 have served to choose the method
-    names, by_kind = vector_names(arm.joint_names), {}
-    for _ in range(HALVINGS):
-        order = rng.permutation(len(logs))
-        sides = []
-        for part in (order[::2], order[1::2]):
-            chosen = [logs[i] for i in sorted(part)]
-            problem, found, _ = fit_motions(arm, chosen, find_exclusions(arm, chosen, table_height(arm, chosen)), GIVEN)
-            knowledge = uncertainty(problem, found, independent(problem))
-            sides.append((found.vector, knowledge, independent_rows(problem, found)))
-        (x, a, u), (y, b, v) = sides
-        stiffness = Layout(arm.joints).at("stiffness")
-        group = float(np.exp(np.mean(x[stiffness]) - np.mean(y[stiffness])))
-        print(f"  mean stiffness of one half over the other: {group:.3f}")
-        known = a.identified & b.identified
-        gap, sigma = np.abs(x - y), np.sqrt(np.diag(a.covariance) + np.diag(b.covariance))
-        agree += int((gap < 1.96 * sigma)[known].sum())
-        plain += int((gap < 1.96 * np.sqrt(u + v))[known].sum())
-        tests += int(known.sum())
-        for i in np.flatnonzero(known):
-            by_kind.setdefault(names[i].partition(".")[0], []).append((gap[i] / sigma[i], sigma[i] / np.sqrt(2)))
-        print(f"  {agree} of {tests} so far", flush=True)
-    print(f"95 % intervals of disjoint halves agree in {agree} of {tests} tests: {100 * agree / tests:.0f} %")
-    print(f"the same with every row taken as independent: {100 * plain / tests:.0f} %")
-    for kind, values in by_kind.items():
-        z, sigma = np.array(values).T
-        print(f"  {kind:10} {100 * np.mean(z < 1.96):4.0f} % of {len(z)}, median 1 sigma {np.median(sigma):.4f}")
-
-
-def independent_rows(problem: Problem, found: Fit) -> np.ndarray:
-    """Variances (k,) by the inverse curvature alone, every row taken as independent of the others."""
-    x, up = found.vector, problem.inward(found.vector, np.ones(len(found.vector)))
-    residuals = problem.residuals(np.vstack([x, problem.perturbations(x, up)]))
-    jacobian = problem.jacobian(residuals[0], residuals[1:], up)
-    weights = replace(found.weights, correlation=np.ones(problem.joints))
-    curvature, _ = problem.system(jacobian, residuals[0], weights)
-    return np.diag(np.linalg.inv(curvature + problem.prior.precision))
 
 
 def sysid(arm: Arm, logs: Sequence[RunLog], seconds: float = 80.0) -> None:
@@ -284,7 +234,7 @@ def rollout(arm: Arm, logs: Sequence[RunLog]) -> None:
         replay.predict(candidates)
         taken = time.process_time() - start
         print(f"ours, stiction {stiction:4}: {count * replay.steps * TIMESTEP * len(windows) / taken:6.0f} s/s")
-    from rejoint.twin.model import twin_model
+    from rejoint.twin.batch import twin_model
 
     model = twin_model(arm, parameters, TIMESTEP)
     sims = count * len(windows)
@@ -300,29 +250,17 @@ def rollout(arm: Arm, logs: Sequence[RunLog]) -> None:
     print(f"mujoco.rollout:      {sims * replay.steps * TIMESTEP / taken:6.0f} s/s (simulation alone)")
 
 
-SECTIONS = {"folds": folds, "one": one, "halves": halves, "wall": wall, "sysid": sysid, "rollout": rollout}
+SECTIONS = {"folds": folds, "sysid": sysid, "rollout": rollout}
 
 
-def bench(given: Path | None) -> None:
-    """Run what stands beside MuJoCo's tools, on the best logs there are."""
+def main(logs: Path | None = None, sections: str = "sysid,rollout") -> None:
+    """Run ``sections`` on a folder of a real SO-101's motions, by default on those of an emulated one."""
     arm = load_arm("so101")
-    said, logs = sources.find(given, arm)
-    print(f"{len(logs)} motions of {said}; errors in mm and degrees: free space | contact | all samples", flush=True)
-    for section in (sysid, rollout):
-        section(arm, logs)
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description="Identification on the logs of a real SO-101.")
-    parser.add_argument("logs", type=Path, help="folder of SAGE motions")
-    parser.add_argument("sections", nargs="*", choices=[*SECTIONS, []], help="what to run; all by default")
-    options = parser.parse_args()
-    arm = load_arm("so101")
-    logs = sources.read(options.logs, arm)
-    for name in options.sections or SECTIONS:
-        print(f"\n== {name} ==", flush=True)
-        SECTIONS[name](arm, logs)
+    said, found = find_logs(logs, arm)
+    print(f"{len(found)} motions of {said}; errors in mm and degrees: free space | contact | all samples", flush=True)
+    for name in sections.split(","):
+        SECTIONS[name](arm, found)
 
 
 if __name__ == "__main__":
-    main()
+    typer.run(main)

@@ -8,7 +8,6 @@ disturbed, to the bit. Excitation, identification and training are cut down, so 
 not the longest alone. Every process is forked from this one, which has imported everything and started no thread.
 """
 
-import argparse
 import mmap
 import os
 import re
@@ -22,9 +21,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import pyarrow.parquet as pq
+import typer
 
 import rejoint.diagnosis.diagnosis
 import rejoint.diagnosis.excitation
@@ -172,7 +173,7 @@ def kill_trainings(work: Path, kills: int, rng: np.random.Generator) -> None:
     good, folder, out = work / "good", work / "run", work / "out.txt"
     began = time.monotonic()
     for path, times in ((good, 0), (folder, kills)):
-        words = ["train", str(path), "--broad"]
+        words = ["train", str(path), "--generic"]
         took = time.monotonic() - began
         for _ in range(times):
             kill(start(words, out, small), rng.uniform(0.2, 1.0) * took)
@@ -234,37 +235,35 @@ def kill_deployments(work: Path, kills: int, rng: np.random.Generator) -> list[f
     return lost
 
 
-def main(kills: int = KILLS, stages: tuple[str, ...] = (*STAGES, "deploy"), seed: int = 0) -> None:
-    rng = np.random.default_rng(seed)
+def main(
+    kills: Annotated[int, typer.Argument()] = KILLS, stages: str = ",".join((*STAGES, "deploy")), seed: int = 0
+) -> None:
+    """Kill so many times, the same number in each of the stages."""
+    rng, chosen = np.random.default_rng(seed), stages.split(",")
     with tempfile.TemporaryDirectory() as name:
         work = Path(name)
         (work / "points.csv").write_text(TARGETS)
         met: Counter[str] = Counter()
-        if set(stages) & set(STAGES):
+        if set(chosen) & set(STAGES):
             began = time.time()
             if wait(repair(work / "good", work / "good.txt")) != 0:
                 raise WrongError((work / "good.txt").read_text())
             ends = [(work / "good" / files[0]).stat().st_mtime for files in STAGES.values()]
             took = dict(zip(STAGES, np.diff([began, *ends]), strict=True))
             print("undisturbed: " + ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in took.items()))
-            for stage in [stage for stage in STAGES if stage in stages]:
-                met += kill_repairs(work, stage, round(kills / len(stages)), took[stage], rng)
+            for stage in [stage for stage in STAGES if stage in chosen]:
+                met += kill_repairs(work, stage, round(kills / len(chosen)), took[stage], rng)
             told = ", ".join(f"{met[stage]} in {stage}" for stage in STAGES)
             print(f"repairs: {met.total()} kills ({told}); each came to the end of the undisturbed one, nothing left")
-        if "broad" in stages:
-            kill_trainings(work, round(kills / len(stages)), rng)
-        if "deploy" in stages:
-            lost = kill_deployments(work, round(kills / len(stages)), rng)
+        if "broad" in chosen:
+            kill_trainings(work, round(kills / len(chosen)), rng)
+        if "deploy" in chosen:
+            lost = kill_deployments(work, round(kills / len(chosen)), rng)
             print(
-                f"deployments over TCP: {round(kills / len(stages))} kills, {len(lost)} of them while it moved; "
+                f"deployments over TCP: {round(kills / len(chosen))} kills, {len(lost)} of them while it moved; "
                 f"the log lacks {np.median(lost):.2f} s in the middle, {np.max(lost):.2f} s at most"
             )
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.kills")
-    parser.add_argument("kills", nargs="?", type=int, default=KILLS)
-    parser.add_argument("--stages", default=",".join((*STAGES, "deploy")))
-    parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args()
-    main(options.kills, tuple(options.stages.split(",")), options.seed)
+    typer.run(main)

@@ -1,4 +1,4 @@
-"""How well worn arms follow where `rejoint evaluate --family --follow` does not look, and what a control cycle costs.
+"""How well worn arms follow where `rejoint evaluate --family --follow` does not look.
 
 Each arm is diagnosed and identified first. Errors are root mean squares by the encoders, in mm, mean over the arms.
 """
@@ -15,18 +15,14 @@ import numpy as np
 from rejoint.arms import mycobot280
 from rejoint.control.loop import Schedule, follow
 from rejoint.control.moving.drive import judge
-from rejoint.control.moving.posture import PathPostures
-from rejoint.control.moving.routes import LAG, LEAD_IN, Ahead, Routes, Stream, played
-from rejoint.control.moving.servos import Servos
-from rejoint.control.moving.standard import STANDARD, standard_path
+from rejoint.control.moving.posture import PathPostures, Servos
+from rejoint.control.moving.reference import LAG, LEAD_IN, STANDARD, Ahead, Routes, Stream, played, standard_path
 from rejoint.control.moving.tracker import Tracker
 from rejoint.control.recording import Recording
 from rejoint.logs.runfolder.folder import RunFolder
-from rejoint.research.evaluation.identification import identify_arm
+from rejoint.research.evaluation.trials import own_twin
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.lab.plant.wear import load_wear
-from rejoint.system.progress import no_progress
-from rejoint.twin.file import read_twin
 from rejoint.twin.parameters import TwinParameters, healthy_parameters
 
 ARM = mycobot280()
@@ -83,7 +79,6 @@ def main() -> None:
     weak, known = [f"worn?seed={seed}" for seed in WEAK], identified(WEAK)
     show("weak motors, at rest", weak, known, fold=False)
     show("weak motors, folded", weak, known)
-    cycle()
 
 
 def identified(seeds: Sequence[int]) -> list[TwinParameters]:
@@ -91,30 +86,8 @@ def identified(seeds: Sequence[int]) -> list[TwinParameters]:
     with TemporaryDirectory() as place:
         for seed in seeds:
             folder = RunFolder(Path(place) / str(seed))
-            identify_arm(ARM, seed, folder, 0, no_progress)
-            twins.append(read_twin(folder.twin, ARM).parameters)
+            twins.append(own_twin(ARM, seed, folder, 0).parameters)
     return twins
-
-
-def cycle() -> None:
-    """Print what a control cycle of one arm costs."""
-    path = PATHS[1]
-    start = PathPostures(ARM, path.place[:1]).last
-    own = healthy_parameters(ARM).repeat(1)
-    controller = Tracker(ARM, Servos(**{name: getattr(own, name) for name in Servos.__dataclass_fields__}))
-    robot = EmulatedRobot(ARM, [load_wear("healthy", ARM)], start=start)
-    took: list[float] = []
-    command = controller.command
-
-    def timed(inputs):
-        begun = perf_counter()
-        wanted = command(inputs)
-        took.append(perf_counter() - begun)
-        return wanted
-
-    controller.command = timed
-    follow(robot, controller, Routes([Ahead(path=path)]), Schedule(dwell=6.0, sent=start))
-    print(f"a control cycle of the tracker, one arm: {1e3 * np.median(took):.2f} ms in the middle")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """What a load at the tool costs worn arms, told and untold: holds by three controllers, paths by the tracker, in mm.
 
     python -m benchmarks payload
-    python -m benchmarks.payload --load 0.05 --seeds 60007 60015 --controllers feedforward --cases empty told
+    python -m benchmarks.payload --load 0.05 --seeds 60007,60015 --controllers feedforward --cases empty,told
 
 Each arm is diagnosed and identified with an empty hand, or its twin is in ``FOLDER/SEED/twin.toml``. Only targets that
 are not said to be too heavy count; of the others it is printed how many were missed by more than 2 mm. As before every
@@ -11,38 +11,35 @@ may stick there for good (arm 50000 with its load missed the first target by 17 
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from itertools import product
 from pathlib import Path as FilePath
 from tempfile import TemporaryDirectory
 
 import numpy as np
+import typer
 
 from rejoint.arms import Arm, Array, gravity_torque, mycobot280, tcp_position
-from rejoint.arms.loaded import loaded
+from rejoint.arms.inertia import loaded
 from rejoint.arms.posing import find_postures
-from rejoint.control.comparison.targets import draw_targets
+from rejoint.control.catalogue import shelf_controller
 from rejoint.control.controller import Controller
 from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.loop import Schedule, follow, run
-from rejoint.control.moving.drive import approach, judge
+from rejoint.control.moving.drive import judge
 from rejoint.control.moving.posture import PathPostures
-from rejoint.control.moving.routes import LEAD_IN, Ahead, Routes
-from rejoint.control.moving.standard import standard_path
+from rejoint.control.moving.reference import LEAD_IN, Ahead, Routes, standard_path
 from rejoint.control.moving.tracker import Tracker
-from rejoint.control.shelf import shelf_controller
-from rejoint.control.start import begin
+from rejoint.control.start import begin, move
+from rejoint.control.targets import draw_targets
 from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.research.evaluation.contestants import planned
 from rejoint.research.evaluation.family import FAMILY_SIZE
-from rejoint.research.evaluation.identification import identify_arm
+from rejoint.research.evaluation.trials import own_twin
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.lab.plant.wear import load_wear
-from rejoint.runs.stages.loads import heavy, noticed_load
-from rejoint.runs.stages.pathdrive import servos_of
-from rejoint.system.progress import no_progress
-from rejoint.twin.file import read_twin
+from rejoint.session.paths import servos_of
+from rejoint.session.payload import heavy, noticed_load
 from rejoint.twin.twin import Twin
 
 LOAD = 0.1  # [kg]
@@ -52,31 +49,30 @@ PATH = "circle-8s"
 CONTROLLERS: dict[str, Callable[[Arm, Twin], Controller]] = {
     "feedforward": lambda arm, twin: FeedforwardController(arm, twin.parameters.stiffness),
     "shelf": lambda arm, _: shelf_controller(arm),
-    "predictive": planned,
+    "predictive": lambda arm, twin: planned(arm, [twin]),
 }
 CASES = {"empty": (False, False), "untold": (True, False), "told": (True, True)}
 """Whether there is a load, and whether that is told"""
 
 
 def main(
-    seeds: Sequence[int] = tuple(SEEDS), twins: FilePath | None = None, *, load: float = LOAD,
-    names: Sequence[str] = tuple(CONTROLLERS), cases: Sequence[str] = tuple(CASES),
+    seeds: str = ",".join(map(str, SEEDS)), twins: FilePath | None = None, load: float = LOAD,
+    controllers: str = ",".join(CONTROLLERS), cases: str = ",".join(CASES),
 ) -> None:  # fmt: skip
-    """Print a row for each arm, controller and case, and the middle over the arms."""
+    """Print a row for each arm, controller and case, and the mean over the arms; ``load`` [kg]."""
+    names, chosen = controllers.split(","), cases.split(",")
     arm, rows, judged = mycobot280(), list[tuple[str, str, list[float]]](), np.zeros((2, 2), int)
     targets = draw_targets(arm, sets=1, seed=3)
     heads = f"{'settled':>8} {'time s':>7} {'seems g':>8} {'too heavy':>10} {'joint3 %':>8} {'joint4 %':>8} {PATH:>10}"
     print(f"{'arm':>6} {'driven by':>11} {'case':>7} {heads}")
     with TemporaryDirectory() as folder:
-        for seed in seeds:
+        for seed in map(int, seeds.split(",")):
             place = RunFolder((twins or FilePath(folder)) / str(seed))
-            if not place.twin.exists():
-                identify_arm(arm, seed, place, seed // FAMILY_SIZE - 1, no_progress)
-            twin = read_twin(place.twin, arm)
+            twin = own_twin(arm, seed, place, seed // FAMILY_SIZE - 1)
             too_heavy = heavy(loaded(arm, load), twin, targets[0]).any(axis=1)
             light = ~too_heavy
-            needs = {case: 100.0 * _needed(arm, seed, load * CASES[case][0], targets[0]) for case in cases}
-            for case, name in product(cases, names):
+            needs = {case: 100.0 * _needed(arm, seed, load * CASES[case][0], targets[0]) for case in chosen}
+            for case, name in product(chosen, names):
                 true, told = (load * given for given in CASES[case])
                 settled, time, seems = _hold(arm, seed, twin, CONTROLLERS[name], targets, true, told)
                 row = [1e3 * settled[light].mean(), time[light].mean()] if light.any() else [np.nan] * 2
@@ -90,7 +86,7 @@ def main(
                 if case == "told" and first:
                     for said, off in zip(too_heavy, settled > 2e-3, strict=True):
                         judged[int(said), int(off)] += 1
-    for name, case in product(names, cases):
+    for name, case in product(names, chosen):
         own = np.array([row for one, other, row in rows if (one, other) == (name, case)])
         print(f"{'mean':>6} {name:>11} {case:>7} {np.nanmean(own[:, 0]):8.2f} {np.nanmean(own[:, 1]):7.2f}")
     for said, name in enumerate(("not said to be too heavy", "said to be too heavy")):
@@ -135,18 +131,13 @@ def _follow(arm: Arm, seed: int, twin: Twin, true: float, told: float) -> float:
     robot, sent = _robot(arm, seed, true, told)
     guide = Ahead(path=path)
     tracker = Tracker(robot.arm, servos_of(twin))
-    sent = approach(robot, PathPostures(robot.arm, path.place[:1], home=tracker.home).last[0], sent).command[-1]
+    sent = move(
+        robot, PathPostures(robot.arm, path.place[:1], home=tracker.home).last[0], sent=sent, settle=0.5
+    ).command[-1]
     schedule = Schedule(dwell=LEAD_IN + path.duration, sent=sent)
     recording = follow(robot, tracker, Routes([guide]), schedule)
     return judge(arm, recording, guide).encoder.rms
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description="What a load costs worn arms.")
-    parser.add_argument("--seeds", type=int, nargs="+", default=list(SEEDS))
-    parser.add_argument("--twins", type=FilePath, help="folder of twins by seed; by default they are identified")
-    parser.add_argument("--load", type=float, default=LOAD, help="in kg")
-    parser.add_argument("--controllers", nargs="+", choices=CONTROLLERS, default=list(CONTROLLERS))
-    parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES))
-    options = parser.parse_args()
-    main(options.seeds, options.twins, load=options.load, names=options.controllers, cases=options.cases)
+    typer.run(main)

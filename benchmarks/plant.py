@@ -1,10 +1,10 @@
 """How much faster than reality the worn arm is simulated."""
 
 from functools import partial
+from timeit import repeat
 
 import numpy as np
 
-from benchmarks.timing import best_of
 from rejoint.arms import mycobot280
 from rejoint.robots.lab.plant.plant import Plant
 from rejoint.robots.lab.plant.wear import load_wear
@@ -17,6 +17,6 @@ def main() -> None:
         plant = Plant(arm, [load_wear(f"worn?seed={i}", arm) for i in range(count)], seed=0, threads=threads)
         plant.reset(np.tile(arm.rest, (count, 1)))
         duration = 5.0 if count == 1 else 0.5
-        wall = best_of(3, partial(plant.advance, np.full(count, duration)))
+        wall = min(repeat(partial(plant.advance, np.full(count, duration)), number=1, repeat=4)[1:])
         speed = count * duration / wall
         print(f"{count:>6} {threads:>8} {speed:>15.0f}x {speed / threads:>8.0f}x")

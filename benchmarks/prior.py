@@ -10,16 +10,16 @@ and the share of targets whose error lies in the interval of the calibration wit
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
+import typer
 
-from rejoint.arms import Arm, Array, mycobot280
+from benchmarks.frame import corrected
+from rejoint.arms import mycobot280
 from rejoint.control.catalogue import make_controller
-from rejoint.control.comparison.targets import draw_targets
-from rejoint.control.controller import Controller
-from rejoint.diagnosis.calibration.calibration import Calibration
+from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.calibration.fit import fit
 from rejoint.diagnosis.calibration.postures import suggest
 from rejoint.research.evaluation.calibrating import CONDITIONS, SIGMA, measure, open_condition, try_found
@@ -43,44 +43,26 @@ def changed(change: str, family: ArmFamily) -> EmulatedRobot:
     return robot
 
 
-def main() -> None:
-    """Print a table for each change."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.prior", description="Calibrating for a second time.")
-    parser.add_argument("--arms", type=int, default=20)
-    parser.add_argument("--points", type=int, nargs="+", default=[3], help="of the second calibration")
-    parser.add_argument("--changes", nargs="+", default=list(CHANGES), choices=CHANGES)
-    options, _ = parser.parse_known_args()
-    arm, family = mycobot280(), ArmFamily(arms=options.arms, targets=TARGETS, seed=0)
-    plan = suggest(arm, FIRST, visits=2, sigma=SIGMA)
-    begun = measure(changed("nothing", family), plan, family.seed)
-    first = [fit(arm, begun.first(i, FIRST)) for i in range(options.arms)]
-    targets = draw_targets(arm, sets=options.arms, count=TARGETS, seed=11)
-    for change in options.changes:
-        measured = measure(changed(change, family), suggest(arm, max(options.points), visits=1, sigma=SIGMA, seed=1), 1)
-        print(f"{change}, {options.arms} arms")
-        say("first calibration as it is", change, first, family, targets)
-        for count in options.points:
-            alone = [fit(arm, measured.first(i, count)) for i in range(options.arms)]
-            after = [fit(arm, measured.first(i, count), prior=first[i]) for i in range(options.arms)]
-            say(f"{count} points alone", change, alone, family, targets)
-            say(f"{count} points after the first", change, after, family, targets)
-
-
-def say(name: str, change: str, found: list[Calibration], family: ArmFamily, targets: Array) -> None:
-    """Drive all arms to their targets, and print the errors."""
-    tried = try_found(changed(change, family), found, controller, targets, 0)
-    error, inside = 1e3 * tried.error, tried.inside[np.isfinite(tried.error)]
-    print(
-        f"{name:28} {np.nanmean(error):5.2f} / {np.nanquantile(error, 0.95):.2f}   inside {inside.mean():.0%}"
-        f"   used {tried.used.mean():.0%}",
-        flush=True,
-    )
-
-
-def controller(arm: Arm) -> Controller:
-    """Return that of the family evaluation."""
-    return make_controller("feedforward", arm)
+def main(arms: int = 20, points: str = "3", changes: str = ",".join(CHANGES)) -> None:
+    """Print a table for each change; ``points`` of the second calibration."""
+    arm, family, counts = mycobot280(), ArmFamily(arms=arms, targets=TARGETS, seed=0), [*map(int, points.split(","))]
+    begun = measure(changed("nothing", family), suggest(arm, FIRST, visits=2, sigma=SIGMA), family.seed)
+    first = [fit(arm, begun.first(i, FIRST)) for i in range(arms)]
+    targets = draw_targets(arm, sets=arms, count=TARGETS, seed=11)
+    for change in changes.split(","):
+        measured = measure(changed(change, family), suggest(arm, max(counts), visits=1, sigma=SIGMA, seed=1), 1)
+        found = {"first calibration as it is": first}
+        for count in counts:
+            parts = [measured.first(i, count) for i in range(arms)]
+            found[f"{count} points alone"] = [fit(arm, part) for part in parts]
+            found[f"{count} points after the first"] = [
+                fit(arm, part, prior=one) for part, one in zip(parts, first, strict=True)
+            ]
+        print(f"{change}, {arms} arms")
+        for name, calibrations in found.items():
+            drive = partial(make_controller, "feedforward")
+            corrected(name, try_found(changed(change, family), calibrations, drive, targets, 0))
 
 
 if __name__ == "__main__":
-    main()
+    typer.run(main)

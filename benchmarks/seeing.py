@@ -8,29 +8,28 @@ mean / 95th percentile over all targets [mm], each the mean of the last 0.2 s be
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import numpy as np
+import typer
 
 import rejoint
+from benchmarks.frame import cell
 from rejoint.arms import Arm, Displacement, mycobot280
 from rejoint.control.catalogue import make_controller
 from rejoint.control.controller import Controller
 from rejoint.control.correction import Modelled
 from rejoint.control.loop import Schedule, run
-from rejoint.control.playback import move
 from rejoint.control.recording import Recording
-from rejoint.robots.eye import EmulatedEye
-from rejoint.runs.stages.eyes import watched
+from rejoint.control.start import move
+from rejoint.robots.cameras import EmulatedEye
+from rejoint.session.eyes import watched
 
 TIMES = (2.0, 3.0, 3.95)
 WINDOW = 0.2
 CASES: dict[str, dict[str, float] | None] = {
     "model only": None,
     "camera": {},
-    "camera, 30 1/s, 0.06 s": {"rate": 30.0, "late": 0.06},
-    "camera, 10 1/s, 0.15 s": {"rate": 10.0, "late": 0.15},
 }
 """What watches: nothing, or an emulated eye with these settings"""
 
@@ -49,7 +48,7 @@ def errors(recording: Recording) -> np.ndarray:
 
 def driven(arm: Arm, seed: int, controller: Controller, known: Displacement, eye: dict[str, float] | None, count: int):
     """Return the true errors (times, targets) [mm] of the arm of one ``seed``."""
-    robot = rejoint.connect(f"emulated:worn?seed={seed}")
+    robot = rejoint.open_robot(f"emulated:worn?seed={seed}")
     start = move(robot, arm.rest)
     correction: Modelled = Modelled(arm, known)
     if eye is not None:
@@ -59,29 +58,21 @@ def driven(arm: Arm, seed: int, controller: Controller, known: Displacement, eye
     return errors(run(robot, controller, targets, schedule, correction=correction))
 
 
-def main() -> None:
-    """Print one row for each case."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.seeing", description="True errors by a camera.")
-    parser.add_argument("--arms", type=int, default=4)
-    parser.add_argument("--first", type=int, default=1000, help="seed of the first arm")
-    parser.add_argument("--targets", type=int, default=8)
-    parser.add_argument("--policy", type=Path, help="policy file; the integrator without one")
-    parser.add_argument("--cases", type=int, default=len(CASES), help="how many of them, from the first")
-    options, _ = parser.parse_known_args()
-    arm, name = mycobot280(), "integrator" if options.policy is None else "policy"
-    found: dict[str, list[np.ndarray]] = {case: [] for case in list(CASES)[: options.cases]}
-    for seed in range(options.first, options.first + options.arms):
+def main(arms: int = 4, first: int = 1000, targets: int = 8, policy: Path | None = None) -> None:
+    """Print one row for each case; the integrator drives where there is no policy file."""
+    arm, name = mycobot280(), "integrator" if policy is None else "policy"
+    found: dict[str, list[np.ndarray]] = {case: [] for case in CASES}
+    for seed in range(first, first + arms):
         fit = rejoint.calibrate(f"emulated:worn?seed={seed}", count=10).calibration
         known = fit.displacement if fit.used else Displacement.none(arm)
         for case, rows in found.items():
-            controller = make_controller(name, arm, policy=options.policy)
-            rows.append(driven(arm, seed, controller, known, CASES[case], options.targets))
-    print(f"{options.arms} arms, {options.targets} targets each, {name}; after {', '.join(map(str, TIMES))} s")
+            controller = make_controller(name, arm, policy=policy)
+            rows.append(driven(arm, seed, controller, known, CASES[case], targets))
+    print(f"{arms} arms, {targets} targets each, {name}; after {', '.join(map(str, TIMES))} s")
     for case, rows in found.items():
         table = np.concatenate(rows, axis=1)
-        cells = (f"{row.mean():.2f} / {np.quantile(row, 0.95):.2f}" for row in table)
-        print(f"{case:24} | {' | '.join(cells)}")
+        print(f"{case:24} | {' | '.join(map(cell, table))}")
 
 
 if __name__ == "__main__":
-    main()
+    typer.run(main)

@@ -8,7 +8,6 @@ first, which takes minutes. Then a client of the second kind: reconnects, garbag
 the middle of a motion; at the end the arm must hold, and the log must be whole. A test runs a short version.
 """
 
-import argparse
 import json
 import multiprocessing
 import os
@@ -25,15 +24,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import typer
 
 import rejoint
 from rejoint.arms import Array, mycobot280, tcp_pose
-from rejoint.arms.wire.frames import Frame, encode
-from rejoint.arms.wire.values import pack_angles, to_coords
+from rejoint.arms.rotations import to_coords
+from rejoint.arms.wire.values import Frame, encode, pack_angles
 from rejoint.robots.lab.emulator import Timing, build_firmware, serve_tcp
-from rejoint.robots.vendor import MyCobot280Socket
-from rejoint.runs.stages.serve import Serving
-from rejoint.twin.twin import Twin
+from rejoint.robots.mycobot import MyCobot280Socket
+from rejoint.session.serving import Serving
 
 ARM = mycobot280()
 SPEED = 50
@@ -144,9 +143,23 @@ def _turn(here: Array, step: Step) -> float:
     return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
+class _Announced(rejoint.Observer):
+    """Hands on where the arm is served, and keeps messages."""
+
+    def __init__(self, announce: Callable[[str], object], said: list[str] | None) -> None:
+        self._announce, self._said = announce, said
+
+    def served(self, address: str) -> None:
+        self._announce(address)
+
+    def message(self, line: str) -> None:
+        if self._said is not None:
+            self._said.append(line)
+
+
 @contextmanager
-def served(robot: str, run: Path, **options: Any) -> Iterator[tuple[str, list[Serving]]]:
-    """Serve ``robot`` in a thread: its address, and at the end what it was served for."""
+def served(robot: str, run: Path, said: list[str] | None = None, **options: Any) -> Iterator[tuple[str, list[Serving]]]:
+    """Serve ``robot`` in a thread: its address, and at the end what it was served for; ``said`` gets the messages."""
     stop, ready = threading.Event(), threading.Event()
     address: list[str] = []
     ends: list[Serving] = []
@@ -158,7 +171,7 @@ def served(robot: str, run: Path, **options: Any) -> Iterator[tuple[str, list[Se
 
     def work() -> None:
         try:
-            ends.append(rejoint.serve(robot, run, stop=stop, on_address=announce, **options))
+            ends.append(rejoint.serve(robot, run, stop=stop, **options, observer=_Announced(announce, said)))
         except BaseException as error:  # noqa: BLE001 - raised again below
             errors.append(error)
         finally:
@@ -195,7 +208,7 @@ def _jog(address: str) -> None:
     time.sleep(60.0)
 
 
-def abuse(address: str, duration: float, seed: int = 0) -> int:
+def attack(address: str, duration: float, seed: int = 0) -> int:
     """Connect, send garbage, half frames and orders, break off, be killed, for ``duration`` [s]; returns how often."""
     rng, until, count = np.random.default_rng(seed), time.monotonic() + duration, 0
     spawn = multiprocessing.get_context("spawn")
@@ -273,12 +286,13 @@ def prepare(run: Path) -> None:
     rejoint.identify(run=run)
 
 
-def main(run: Path | None = None, duration: float = ABUSE, twin: Twin | None = None) -> None:
+def main(run: Path | None = None, abuse: float = ABUSE) -> None:
+    """Play the script, then abuse the arm for so many seconds."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "run"
-        if run is None and twin is None:
+        if run is None:
             prepare(folder)
-        elif run is not None:
+        else:
             folder.mkdir()
             for file in ("run.json", "twin.toml"):
                 shutil.copy(run / file, folder / file)
@@ -288,23 +302,19 @@ def main(run: Path | None = None, duration: float = ABUSE, twin: Twin | None = N
             bare, bare_reads = play(client), read_times(client)
         with (
             serve_tcp(build_firmware(ARM, "worn"), port=0, timing=Timing()) as emulator,
-            served(emulator.address, folder, listen="127.0.0.1:0", twin=twin) as (address, ends),
+            served(emulator.address, folder, listen="127.0.0.1:0") as (address, ends),
         ):
             with connected(address) as client:
                 through, reads = play(client), read_times(client)
             print(table(bare, through))
             print(f"reads: bare {np.median(bare_reads):.1f} ms, 99 % within {np.quantile(bare_reads, 0.99):.1f}; "
                   f"served {np.median(reads):.1f} ms, 99 % within {np.quantile(reads, 0.99):.1f}")  # fmt: skip
-            count = abuse(address, duration)
+            count = attack(address, abuse)
             time.sleep(0.5)
             with connected(address) as client:
-                print(f"{count} clients in {duration:.0f} s, every twentieth killed; the arm holds: {holds(client)}")
+                print(f"{count} clients in {abuse:.0f} s, every twentieth killed; the arm holds: {holds(client)}")
         print(f"log: {check_log(Path(ends[0].log))} orders, whole")
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.serve")
-    parser.add_argument("--run", type=Path)
-    parser.add_argument("--abuse", type=float, default=ABUSE)
-    options = parser.parse_args()
-    main(options.run, options.abuse)
+    typer.run(main)

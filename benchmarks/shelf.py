@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from rejoint.arms import load_arm
+from rejoint.control.catalogue import shelf_arms, shelf_path
 from rejoint.control.comparison.protocols import Protocol
 from rejoint.control.policy import load_policy
-from rejoint.control.shelf import shelf_arms, shelf_path
 from rejoint.research.evaluation.family import ArmFamily, find_variant
 from rejoint.research.evaluation.outcome import Outcome
 from rejoint.research.evaluation.trials import TrialSettings, try_controller
@@ -22,7 +22,7 @@ from rejoint.training.shelf import make_shelf_policy
 ARMS, TARGETS = 20, 3
 FARTHER, LATER = 0.15e-3, 1.2
 """[m] by which the new one may settle farther, and how many times as long it may take to stay within 2 mm (chosen: what
-trainings of three seeds differ by, docs/rivals.md)"""
+trainings of three seeds differ by, docs/research.md)"""
 
 
 def tried(name: str, file: Path) -> Outcome:

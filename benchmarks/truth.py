@@ -7,11 +7,11 @@ Arms around a worn one move as in a diagnosis; readings are rounded to encoder s
 themselves, with links of other masses than the fit assumes, so that only the fit is judged, not the twin's structure.
 """
 
-import argparse
 import time
 from dataclasses import replace
 
 import numpy as np
+import typer
 
 from rejoint.arms import Arm, mycobot280
 from rejoint.diagnosis.excitation import plan_excitation
@@ -98,9 +98,4 @@ def main(arms: int = 6, masses: float = 0.15, seed: int = 0) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.truth")
-    parser.add_argument("--arms", type=int, default=6)
-    parser.add_argument("--masses", type=float, default=0.15, help="standard deviation of the logarithm of masses")
-    parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args()
-    main(options.arms, options.masses, options.seed)
+    typer.run(main)

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 
 from rejoint.robots.lab.emulator import Faults, Firmware, Timing
-from rejoint.robots.lab.emulator.session import Session
+from rejoint.robots.lab.emulator.servers import WireSession
 
 START = 1e6
 """[s] that the clock shows at first: as large as that of a machine that has been up for twelve days (chosen)"""
@@ -19,7 +19,7 @@ class VirtualClient:
         self.now = START
         self.end = math.inf
         """when [s] the session ends by itself"""
-        self.session = Session(
+        self.session = WireSession(
             firmware, timing=timing or Timing(), seed=seed, faults=faults or Faults(),
             clock=lambda: self.now, await_data=self._await,
         )  # fmt: skip

@@ -6,28 +6,28 @@ the same for every policy. Twins and policies are kept in FOLDER. ``--updates 12
 of them, ``--starts random`` from one beginning.
 """
 
-import argparse
 import tempfile
 import time
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
+import typer
 
+from benchmarks.frame import holds
 from benchmarks.predictive import ARM, TARGETS, know
+from rejoint.control.catalogue import shelf_path
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.policy import load_policy
-from rejoint.control.shelf import shelf_path
 from rejoint.research.evaluation.family import ArmFamily
 from rejoint.research.evaluation.identification import bench_of, one_arm
 from rejoint.research.evaluation.trials import TrialSettings, try_on
-from rejoint.system.statistics import paired_difference
 from rejoint.training.presets import DEFAULT, SCRATCH
 from rejoint.training.train import TrainingOptions, train
 from rejoint.twin.twin import Twin
 
 PRESETS = {"shelf": DEFAULT, "random": SCRATCH}
-NARROW = int(np.argmin(Protocol().within))
 
 
 def trained(twin: Twin, start: str, updates: int, seed: int, file: Path) -> float | None:
@@ -51,47 +51,30 @@ def held(file: Path, wear_seed: int) -> tuple[np.ndarray, np.ndarray]:
     return found.settled[0], found.stay[0]
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.warmstart")
-    parser.add_argument("--arms", type=int, default=16)
-    parser.add_argument("--family", type=int, default=0, help="family of arms; settings were chosen on 1")
-    parser.add_argument("--twins", type=Path, default=Path("runs/twins"), help="folder that keeps twins and policies")
-    parser.add_argument("--updates", default=str(DEFAULT.warm.iterations if DEFAULT.warm else DEFAULT.ppo.iterations))
-    parser.add_argument("--starts", default="shelf,random")
-    parser.add_argument("--seed", type=int, default=0, help="of the trainings")
-    options = parser.parse_args()
-    family = ArmFamily(arms=options.arms, targets=TARGETS, seed=options.family)
-    twins, seeds = know(family, options.twins), [family.wear_seed(i) for i in range(family.arms)]
-    kinds = [(start, int(n)) for start in options.starts.split(",") for n in options.updates.split(",")]
-    untrained = [held(shelf_path(ARM.name), seed) for seed in seeds]
-    show("shelf, as it comes", untrained, untrained, [])
-    for start, updates in kinds:
-        files = [options.twins / str(seed) / f"{start}-{updates}-{options.seed}.onnx" for seed in seeds]
-        times = [trained(twin, start, updates, options.seed, file) for twin, file in zip(twins, files, strict=True)]
-        found = [held(file, seed) for file, seed in zip(files, seeds, strict=True)]
-        size = updates * DEFAULT.ppo.agents * DEFAULT.ppo.rollout
-        show(f"{start}, {updates} updates, {size / 1e6:.2f} million", found, untrained, times)
+def main(
+    arms: int = 16, family: int = 0, twins: Path = Path("runs/twins"), updates: str = "",
+    starts: str = "shelf,random", seed: int = 0,
+) -> None:  # fmt: skip
+    """Print a row for each beginning and number of updates; ``twins`` keeps twins and policies."""
+    drawn = ArmFamily(arms=arms, targets=TARGETS, seed=family)
+    own, seeds = know(drawn, twins), [drawn.wear_seed(i) for i in range(arms)]
+    usual = (DEFAULT.warm or DEFAULT.ppo).iterations
+    shelf = together([held(shelf_path(ARM.name), one) for one in seeds])
+    holds("shelf, as it comes", *shelf, None)
+    for start, count in product(starts.split(","), map(int, (updates or str(usual)).split(","))):
+        files = [twins / str(one) / f"{start}-{count}-{seed}.onnx" for one in seeds]
+        times = [trained(twin, start, count, seed, file) for twin, file in zip(own, files, strict=True)]
+        size = count * DEFAULT.ppo.agents * DEFAULT.ppo.rollout / 1e6
+        found = together([held(file, one) for file, one in zip(files, seeds, strict=True)])
+        holds(f"{start}, {count} updates, {size:.2f} million", *found, shelf)
+        if spent := [one for one in times if one is not None]:
+            print(f"  trained in {np.median(spent):.0f} s of processor time")
 
 
-def show(name: str, found: list, against: list, times: list[float | None]) -> None:
-    """Print one line; pairs are the same hold of the same arm, and intervals resample arms."""
-    settled, other = (np.stack([one[0] for one in some]) for some in (found, against))
-    stay, shelf = (np.stack([one[1] for one in some]) for some in (found, against))
-    arms = np.repeat(np.arange(len(settled)), settled.shape[1])
-    apart = paired_difference(settled.ravel(), other.ravel(), arms)
-    nearer = "" if apart is None or apart.low is None else (
-        f"; against shelf {1e3 * apart.value:+.2f} mm ({1e3 * apart.low:+.2f} to {1e3 * apart.high:+.2f}), "
-        f"{np.median(stay[..., NARROW]) / np.median(shelf[..., NARROW]):.2f} of its time"
-    )  # fmt: skip
-    known = [one for one in times if one is not None]
-    spent = f"; trained in {np.median(known):.0f} s of processor time" if known else ""
-    print(
-        f"{name:34s} settled {1e3 * np.nanmean(settled):.2f} mm (95 %: {1e3 * np.nanpercentile(settled, 95):.2f}), "
-        f"farther than 1 mm {100 * np.mean(~(settled < 1e-3)):.1f} %, stays within "
-        f"{' / '.join(f'{np.median(stay[..., w]):.2f}' for w in range(stay.shape[-1]))} s{nearer}{spent}",
-        flush=True,
-    )
+def together(found: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+    """Stack what was found of each arm."""
+    return np.stack([settled for settled, _ in found]), np.stack([stay for _, stay in found])
 
 
 if __name__ == "__main__":
-    main()
+    typer.run(main)

@@ -3,30 +3,23 @@
 An arm is checked five times in its first week and then once a month, in a room whose warmth goes with the seasons and
 from day to day. Half of the arms age by `HOURS` of use a month, the others stay as they are. What is judged is what an
 owner of a real arm would see: the encoders alone, with the true error hidden. The true errors are then compared at the
-same warmth. REJOINT_YEARS=20 takes fewer arms of each kind, REJOINT_YEARS_MONTHS=15
-fewer months. REJOINT_YEARS_FILE=FILE keeps what was measured there, date by date, so that the next call goes on;
-REJOINT_YEARS_ONLY=1 reports what is there already. REJOINT_YEARS_BASE=1000 takes other arms: those on
-which limits are chosen are not those on which they are judged.
+same warmth.
 """
 
 from __future__ import annotations
 
-import os
-import pickle
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta
-from itertools import product, takewhile
-from pathlib import Path
 
 import numpy as np
+import typer
 
 from rejoint.arms import load_arm
 from rejoint.diagnosis.monitoring.charts import FEWEST
 from rejoint.diagnosis.monitoring.judge import PastCheck, outlook
 from rejoint.diagnosis.monitoring.measures import CheckMeasures, measure_check
-from rejoint.diagnosis.monitoring.record import record_check
+from rejoint.diagnosis.monitoring.routine import record_check
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.lab.plant.wear import load_wear
 
@@ -34,68 +27,34 @@ ARMS = 100
 """Of each kind"""
 SIDE_BY_SIDE = 25
 """Arms of one batch (chosen: of fifty a check takes 0.5 s of processor, of twelve 0.7 s, and more are little faster)"""
-MONTHS = int(os.environ.get("REJOINT_YEARS_MONTHS", "24"))
+MONTHS = 24
 HOURS = 6.0
 """[h] of use a month (chosen: the tool's true error then grows by about a millimetre in eight months)"""
 FIRST_WEEK = [0.15 * index / (FEWEST - 1) for index in range(FEWEST)]
 DATES = [*FIRST_WEEK, *(float(month) for month in range(1, MONTHS + 1))]
 """[months] of all checks of an arm"""
-BASE = int(os.environ.get("REJOINT_YEARS_BASE", "100"))
-BASES = {BASE: HOURS, BASE + 100: 0.0}
-"""Hours of use a month, by the first seed of such arms: those that age, and those that stay as they are"""
 GROWN = 1.0
 """[mm] of true error before which an arm is to be flagged"""
 TOLERANCE = 1.5
 """[mm] above the first error: what the owner can bear"""
 BEGIN = datetime(2027, 1, 1)
 
-Measured = list[list[CheckMeasures]]
+Measured = list[tuple[CheckMeasures, ...]]
 """Checks of one arm after the other"""
-Known = dict[tuple[int, int, int], list[CheckMeasures]]
-"""Checks of a batch of arms, by their `BASES`, the first arm and the number of the date"""
 
 
-def main() -> None:
-    count, kept = int(os.environ.get("REJOINT_YEARS", ARMS)), os.environ.get("REJOINT_YEARS_FILE")
-    only = bool(os.environ.get("REJOINT_YEARS_ONLY"))
-    known: Known = {}
-    if kept and Path(kept).exists():
-        known = pickle.loads(Path(kept).read_bytes())  # written below, on this machine
-    begun, checks = time.process_time(), 0
-    for first in range(0, count, SIDE_BY_SIDE):
-        for number, (base, hours) in product(range(len(DATES)), BASES.items()):
-            if only or (base, first, number) in known:
-                continue
-            found = checked(range(first, min(first + SIDE_BY_SIDE, count)), number, hours, base)
-            checks, known[base, first, number] = checks + len(found), found
-            if kept:
-                keep(Path(kept), known)
-            print(f"{checks} checks, {(time.process_time() - begun) / checks:.2f} s of processor each", flush=True)
-    through = min(len(dates_of(known, base, 0)) for base in BASES)
-    if through <= FEWEST:
-        raise SystemExit(f"{through} dates are through, more than {FEWEST} are needed")
-    report(*(by_arm(known, base, through) for base in BASES))
-
-
-def dates_of(known: Known, base: int, first: int) -> list[list[CheckMeasures]]:
-    """Return the checks of a batch, date by date, up to the first that is not there."""
-    return [known[base, first, n] for n in takewhile(lambda n: (base, first, n) in known, range(len(DATES)))]
-
-
-def by_arm(known: Known, base: int, through: int) -> Measured:
-    """Return the checks of all arms that have been checked at ``through`` dates, that many of each."""
-    found: Measured = []
-    for first in sorted({one[1] for one in known if one[0] == base}):
-        dates = dates_of(known, base, first)
-        found += [list(one) for one in zip(*dates[:through], strict=True)] if len(dates) >= through else []
-    return found
-
-
-def keep(path: Path, known: Known) -> None:
-    """Write what was measured, whole."""
-    part = path.with_suffix(".part")
-    part.write_bytes(pickle.dumps(known))
-    part.replace(path)
+def main(arms: int = ARMS, base: int = 100) -> None:
+    """Check ``arms`` of each kind; ``base`` is the seed of the first: limits are judged on arms not chosen on."""
+    report(*(
+        [
+            each for first in range(0, arms, SIDE_BY_SIDE)
+            for each in zip(
+                *(checked(range(first, min(first + SIDE_BY_SIDE, arms)), k, hours, seed) for k in range(len(DATES))),
+                strict=True,
+            )
+        ]
+        for seed, hours in ((base, HOURS), (base + 100, 0.0))
+    ))  # fmt: skip
 
 
 def checked(arms: range, number: int, hours: float, base: int) -> list[CheckMeasures]:
@@ -210,3 +169,7 @@ def _ambient(seed: int, number: int, month: float) -> float:
     phase = np.random.default_rng([seed, 9]).integers(12)
     season = 23.0 + 5.0 * np.sin(2.0 * np.pi * (month + phase) / 12.0)
     return float(np.clip(season + np.random.default_rng([seed, number, 3]).normal(0.0, 1.5), -10.0, 50.0))
+
+
+if __name__ == "__main__":
+    typer.run(main)

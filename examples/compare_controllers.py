@@ -17,14 +17,16 @@ chosen = options.parse_args()
 arm = rejoint.load_arm("mycobot280")
 policy = rejoint.Policy.load(chosen.policy) if chosen.policy else rejoint.train(arm=arm, quick=chosen.quick)
 targets = [[0.17, 0.0, 0.20], [0.18, 0.03, 0.21]] if chosen.quick else None  # metres; None: ten are drawn
-found = rejoint.compare("emulated:worn", ["default", "integrator", policy], targets, sets=1, repetitions=1)
+found = rejoint.compare(
+    "emulated:worn", ["default", "integrator", policy], targets, plan=rejoint.TrialPlan(sets=1, repetitions=1)
+)
 
 figure, axis = plt.subplots()
 for name in found.comparison.controllers:
     log = found.logs[f"hold/{name}/0/0"]
     error = np.linalg.norm(tcp_position(arm, log.position) - log.target, axis=1)
     axis.semilogy(log.time - log.time[0], 1e3 * error, label=name)
-    settled = found.comparison.row(name).hold.settled
+    settled = found.comparison.row(name).settled
     print(f"{name:12} settles at {1e3 * settled.mean.value:6.2f} mm")
 axis.set(xlabel="time s", ylabel="encoder error mm")
 axis.legend()

@@ -11,7 +11,9 @@ options.add_argument("--dwell", type=float, default=4.0, help="seconds per targe
 chosen = options.parse_args()
 
 targets = [[0.17, 0.00, 0.20], [0.18, 0.03, 0.21], [0.16, -0.05, 0.18]]  # metres
-done = rejoint.deploy(chosen.robot, chosen.controller, targets, dwell=chosen.dwell)
+done = rejoint.deploy(
+    chosen.robot, targets, settings=rejoint.Settings(controller=chosen.controller, dwell=chosen.dwell)
+)
 for visit in done.visits:
     x, y, z = (1e3 * value for value in visit.target)
     said = "reached" if visit.reached else f"missed: {visit.remark}"

@@ -14,7 +14,7 @@ options.add_argument("--robot", default="emulated:worn", help="address of an emu
 options.add_argument("--seconds", type=float, default=60.0, help="length of the motion")
 chosen = options.parse_args()
 
-robot = rejoint.connect(chosen.robot)
+robot = rejoint.open_robot(chosen.robot)
 state, rest = robot.read(), robot.arm.rest
 time, command, position = [], [], []
 while state.time[0] < chosen.seconds:

@@ -27,7 +27,7 @@ print("Use:", best)
 
 figure, axis = plt.subplots()
 for name, label in (("default", "before"), (best, f"after, with {best}")):
-    settled = 1e3 * result.comparison.row(name).outcomes.array("settled").mean(axis=(0, 1))
+    settled = 1e3 * result.comparison.array("settled", name).mean(axis=(0, 1))
     axis.bar(np.arange(len(settled)) + (0.4 if name == best else 0.0), settled, width=0.4, label=label)
 axis.set(xlabel="target", ylabel="settled encoder error mm")
 axis.legend()

@@ -2,11 +2,14 @@
 
 import os
 import signal
+from collections.abc import Iterator
 
 # As many tests run side by side as there are cores: threads of one would only wait for those of the others. Small
 # matrices gain nothing from threads either.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import mujoco
+import pytest
 from hypothesis import HealthCheck, settings
 
 # The same cases in every run, and no test fails since the machine was slow.
@@ -16,3 +19,13 @@ settings.load_profile("rejoint")
 # A shell lets what it starts in the background ignore Ctrl-C; what tests start would inherit that.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(autouse=True)
+def stable_simulations() -> Iterator[None]:
+    """A simulation that diverges fails its test; MuJoCo itself would only write it into a file."""
+    warnings: list[str] = []
+    mujoco.set_mju_user_warning(warnings.append)
+    yield
+    mujoco.set_mju_user_warning(None)
+    assert not warnings, f"MuJoCo warned {len(warnings)} times: {warnings[0]}"

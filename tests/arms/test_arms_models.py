@@ -19,8 +19,6 @@ from rejoint.arms import (
     Arm,
     Box,
     Loaded,
-    clearances,
-    frames,
     gravity_torque,
     jacobian,
     read_arm,
@@ -29,10 +27,8 @@ from rejoint.arms import (
     tcp_pose,
 )
 from rejoint.arms.chain import cut
-from rejoint.arms.draft import DEFAULT_SPEED, finish
+from rejoint.arms.draft import finish
 from rejoint.arms.modelfile import read_tree
-from rejoint.control.guard import GuardLimits
-from rejoint.diagnosis.excitation import plan_excitation
 
 ROBOPAL = "assets/models/manipulators"
 FILES = {
@@ -140,36 +136,9 @@ def test_two_authors_urdf_and_mjcf_of_one_mechanism_agree() -> None:
     np.testing.assert_allclose(gravity_torque(urdf, q), gravity_torque(mjcf, q), atol=2e-3)
 
 
-def test_the_urdfs_own_limits_are_kept_and_its_speeds_read() -> None:
-    arm = arm_of("ur5e-urdf")
-    np.testing.assert_allclose(arm.upper, np.radians([360, 360, 180, 360, 360, 360]))
-    np.testing.assert_allclose(arm.max_speed, np.pi)
-    loaded = loaded_of("panda")
-    assert (loaded.arm.max_speed == DEFAULT_SPEED).all()
-    assert any(note.startswith("speed: no limit for joint1, joint2") for note in loaded.notes)
-
-
 def jaco() -> Arm:
     """Read an arm whose thin wrist has capsules that overlap at its targets."""
     return read_arm(str(file_of("jaco")), base=MORE["jaco"][2], tip=MORE["jaco"][3]).arm
-
-
-@pytest.mark.parametrize("name", [*FILES, "jaco"])
-def test_no_arm_is_kept_from_its_work_by_the_thickness_that_its_links_are_guessed_to_have(name: str) -> None:
-    arm = jaco() if name == "jaco" else arm_of(name)
-    limits, targets = GuardLimits.of(arm), arm.targets.sample(np.random.default_rng(8), (300,))
-    plan = plan_excitation(arm, seed=0)
-    driven = plan.command(np.arange(0.0, plan.duration, 0.03))
-    for q in (solve_position(arm, targets, arm.rest).q, driven):
-        assert (clearances(arm, q, limits.floors) >= 0.0).all()
-
-
-def test_base_and_tip_are_found_where_there_is_one_choice() -> None:
-    loaded = read_arm(str(file_of("ur5e-urdf")))
-    assert any("tool0 taken, the end of the longest chain" in note for note in loaded.notes)
-    assert any("base_link taken" in note for note in loaded.notes)
-    q = np.random.default_rng(5).uniform(-1, 1, (20, 6))
-    np.testing.assert_allclose(tcp_pose(loaded.arm, q), tcp_pose(arm_of("ur5e-urdf"), q), atol=1e-15)
 
 
 @pytest.mark.skipif(not MODEL.exists(), reason=NO_MODEL)
@@ -182,32 +151,3 @@ def test_the_catalogues_so101_is_its_makers() -> None:
     for field in ("lower", "upper", "mass", "com"):
         np.testing.assert_allclose(getattr(ours, field), getattr(theirs, field), atol=1e-12, err_msg=field)
     np.testing.assert_allclose(ours.inertia, theirs.inertia, atol=1e-10)
-
-
-@pytest.mark.skipif(not MODEL.exists(), reason=NO_MODEL)
-def test_the_gripper_is_frozen_with_its_mass() -> None:
-    model = mujoco.MjModel.from_xml_path(str(MODEL))
-    arm = so101()
-    assert arm.mass.sum() == pytest.approx(model.body_subtreemass[2])
-    data = mujoco.MjData(model)
-    for q in np.random.default_rng(7).uniform(arm.lower, arm.upper, (20, 5)):
-        data.qpos[:5], data.qpos[5] = q, 0.0
-        mujoco.mj_forward(model, data)
-        np.testing.assert_allclose(gravity_torque(arm, q), data.qfrc_bias[:5], atol=1e-9)
-        # the inertia seen by each joint on its own: what lumping must not lose
-        mass = np.zeros((6, 6))
-        mujoco.mj_fullM(model, data, mass)
-        np.testing.assert_allclose(np.diag(mass)[:5] - model.dof_armature[:5], seen_inertia(arm, q), atol=1e-9)
-
-
-def seen_inertia(arm: Arm, q: np.ndarray) -> np.ndarray:
-    """Moment of inertia about each joint's axis of all that moves with it (parallel-axis theorem)."""
-    f = frames(arm, q)
-    result = np.zeros(arm.joints)
-    for i in range(arm.joints):
-        axis = f.rotation[i] @ arm.axis[i]
-        for k in range(i, arm.joints):
-            lever = np.cross(axis, f.position[k] + f.rotation[k] @ arm.com[k] - f.position[i])
-            own = f.rotation[k] @ arm.inertia[k] @ f.rotation[k].T
-            result[i] += axis @ own @ axis + arm.mass[k] * (lever @ lever)
-    return result

@@ -15,13 +15,13 @@ from rejoint.arms import (
     solve_position,
     tcp_position,
 )
-from rejoint.arms.room import derive_workspace
 from rejoint.arms.workspace import (
     AXIS_CLEARANCE,
     EDGES,
     LIMIT_MARGIN,
     REST_HEIGHT,
     derive_targets,
+    derive_workspace,
     reach,
     rising_frames,
 )
@@ -60,15 +60,6 @@ def test_every_target_is_reached_with_margins_and_above_the_floor(derived: Arm) 
     check_targets(derived)
 
 
-def test_near_limits_cut_the_region() -> None:
-    arm = so101()
-    play = np.radians([15.0, 25, 30, 30, 40])
-    tight = replace(arm, lower=arm.rest - play, upper=arm.rest + play)
-    tight = replace(tight, targets=derive_targets(tight))
-    assert ((tight.targets.upper - tight.targets.lower)[:2] < 0.7 * EDGES[:2] * reach(arm)).all()
-    check_targets(tight)
-
-
 def test_a_stretched_arm_cuts_the_region() -> None:
     forward, upward = [15.0, -50, -45, -20, 0, 0], [15.0, -15, -20, -15, 0, 0]
     for posture, axis in ((forward, 0), (upward, 2)):
@@ -104,27 +95,6 @@ def test_the_region_of_a_mycobot_is_much_like_the_papers() -> None:
     _, found = derive_workspace(arm)
     common = np.minimum(found.upper, arm.targets.upper) - np.maximum(found.lower, arm.targets.lower)
     assert common.prod() > 0.5 * (arm.targets.upper - arm.targets.lower).prod()
-
-
-def test_the_same_arm_gives_the_same_workspace() -> None:
-    arm = so101()
-    rest, targets = derive_workspace(arm)
-    again, box = derive_workspace(so101())
-    np.testing.assert_array_equal(rest, again)
-    np.testing.assert_array_equal([targets.lower, targets.upper], [box.lower, box.upper])
-
-
-def test_a_given_rest_posture_keeps_its_place_in_the_region() -> None:
-    arm = replace(mycobot280(), rest=np.radians([40.0, 10, -80, -10, 10, 0]))
-    targets = derive_targets(arm)
-    assert targets.contains(tcp_position(arm, arm.rest))
-
-
-def test_the_catalogues_so101_has_the_derived_workspace() -> None:
-    arm = so101()
-    rest, targets = derive_workspace(arm)
-    np.testing.assert_allclose(np.degrees(arm.rest), np.degrees(rest), atol=2.0)
-    np.testing.assert_allclose([arm.targets.lower, arm.targets.upper], [targets.lower, targets.upper], atol=0.02)
 
 
 def test_an_arm_that_cannot_move_in_space_is_refused() -> None:

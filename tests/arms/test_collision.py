@@ -5,8 +5,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from rejoint.arms import clearances, collides, frames, mycobot280, segment_distance, so101, solve_position
+from rejoint.arms import Box, clearances, collides, frames, mycobot280, so101, solve_position
 from rejoint.arms.collision import collision_shape
+from segments import segments_apart
 
 ARM = mycobot280()
 POINT = st.tuples(*[st.floats(-1.0, 1.0)] * 3).map(np.array)
@@ -63,7 +64,7 @@ def test_the_broad_test_hides_nothing():
     ends = np.concatenate([np.zeros((400, 1, 3)), f.position, f.tcp_position[:, None]], axis=1)
     expected = (ends[:, shape.grounded, 2] < shape.radius).any(axis=1)
     for i, j in shape.pairs:
-        expected |= segment_distance(ends[:, i], ends[:, i + 1], ends[:, j], ends[:, j + 1]) < 2 * shape.radius
+        expected |= segments_apart(ends[:, i], ends[:, i + 1], ends[:, j], ends[:, j + 1]) < 2 * shape.radius
     found = collides(ARM, f)
     np.testing.assert_array_equal(found, expected)
     assert 0.2 < found.mean() < 0.95
@@ -76,7 +77,7 @@ def test_clearances_are_distances_and_contacts_are_those_below_zero(arm):
     shape, f = collision_shape(arm), frames(arm, postures)
     ends = np.concatenate([np.zeros((300, 1, 3)), f.position, f.tcp_position[:, None]], axis=1)
     i, j = shape.pairs.T
-    apart = segment_distance(ends[:, i], ends[:, i + 1], ends[:, j], ends[:, j + 1]) - 2 * shape.radius
+    apart = segments_apart(ends[:, i], ends[:, i + 1], ends[:, j], ends[:, j + 1]) - 2 * shape.radius
     floors = 0.01 * np.arange(arm.joints)
     found = clearances(arm, postures, floors)
     wanted = np.concatenate([ends[:, 2:, 2] - floors, apart, ends[:, shape.grounded, 2] - shape.radius], axis=-1)
@@ -96,31 +97,38 @@ def test_the_plane_under_an_arm_is_its_floor_where_that_is_lower():
 @given(POINT, POINT, POINT, POINT)
 @example(np.array([0.0, 0.0, 1e-10]), np.zeros(3), np.zeros(3), np.zeros(3))
 @settings(max_examples=60)
-def test_segment_distance_is_the_smallest_over_all_points(a, b, c, d):
+def test_the_reference_distance_is_the_smallest_over_all_points(a, b, c, d):
     share = np.linspace(0.0, 1.0, 81)
     one, other = a + share[:, None] * (b - a), c + share[:, None] * (d - c)
     sampled = np.linalg.norm(one[:, None] - other[None], axis=-1).min()
-    exact = float(segment_distance(a, b, c, d))
+    exact = float(segments_apart(a, b, c, d))
     tolerance = 1e-6  # segments shorter than 3e-8 m count as points, those turned by less than 3e-7 as parallel
     assert exact <= sampled + tolerance
     assert exact >= sampled - (np.linalg.norm(b - a) + np.linalg.norm(d - c)) / 160 - tolerance
 
 
-def test_segment_distance_of_points_and_parallels():
+def test_the_reference_distance_of_points_and_parallels():
     x, y = np.array([1.0, 0, 0]), np.array([0.0, 1, 0])
     zero = np.zeros(3)
-    assert segment_distance(zero, zero, 3 * x, 3 * x) == pytest.approx(3.0)
-    assert segment_distance(zero, x, 2 * y, 2 * y + x) == pytest.approx(2.0)
-    assert segment_distance(zero, x, 3 * x, 4 * x) == pytest.approx(2.0)
-    assert segment_distance(-x, x, -y, y) == pytest.approx(0.0)
+    assert segments_apart(zero, zero, 3 * x, 3 * x) == pytest.approx(3.0)
+    assert segments_apart(zero, x, 2 * y, 2 * y + x) == pytest.approx(2.0)
+    assert segments_apart(zero, x, 3 * x, 4 * x) == pytest.approx(2.0)
+    assert segments_apart(-x, x, -y, y) == pytest.approx(0.0)
 
 
-def test_a_longer_arm_has_thicker_links():
-    longer = dataclasses.replace(ARM, offset=_stretched(ARM.offset), tip=_stretched(ARM.tip))
-    assert collision_shape(longer).radius == pytest.approx(2 * collision_shape(ARM).radius)
-
-
-def _stretched(pose):
-    scaled = pose.copy()
-    scaled[..., :3, 3] *= 2.0
-    return scaled
+@pytest.mark.parametrize("arm", [mycobot280(), so101()], ids=lambda arm: arm.name)
+def test_links_keep_out_of_boxes(arm):
+    rng = np.random.default_rng(4)
+    boxes = tuple(Box(lower=low, upper=low + rng.uniform(0.02, 0.2, 3)) for low in rng.uniform(-0.3, 0.3, (2, 3)))
+    boxed = dataclasses.replace(arm, keep_out=boxes)
+    postures = rng.uniform(arm.lower, arm.upper, (40, arm.joints))
+    shape, f = collision_shape(boxed), frames(arm, postures)
+    ends = np.concatenate([np.zeros((40, 1, 3)), f.position, f.tcp_position[:, None]], axis=1)
+    links = shape.moving
+    points = ends[:, links, None] + np.linspace(0, 1, 401)[:, None] * (ends[:, links + 1] - ends[:, links])[:, :, None]
+    apart = [np.linalg.norm(np.maximum(points - b.upper, 0) + np.maximum(b.lower - points, 0), axis=-1) for b in boxes]
+    sampled = np.concatenate([one.min(axis=-1) for one in apart], axis=1) - shape.radius
+    free, found = clearances(arm, postures, np.zeros(arm.joints)), clearances(boxed, postures, np.zeros(arm.joints))
+    np.testing.assert_array_equal(found[:, : free.shape[1]], free)
+    np.testing.assert_allclose(found[:, free.shape[1] :], sampled, atol=5e-4)
+    np.testing.assert_array_equal((found[:, arm.joints :] < 0.0).any(axis=-1), collides(boxed, f))

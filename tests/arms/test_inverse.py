@@ -3,8 +3,8 @@
 import numpy as np
 
 from rejoint.arms import clip_norm, dls, mycobot280, position_kinematics, solve_position, tcp_position
-from rejoint.arms.inverse import rotation_error
 from rejoint.arms.kinematics import tcp_pose
+from rejoint.arms.rotations import rotation_error
 
 ARM = mycobot280()
 

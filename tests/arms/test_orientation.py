@@ -6,10 +6,19 @@ import numpy as np
 import pytest
 
 from rejoint.arms import Arm, collides, frames, mycobot280, position_kinematics, so101, solve_position
-from rejoint.arms.loaded import loaded
-from rejoint.arms.orientation import WEIGHT, Orientation, stacked, task, tool_axis
+from rejoint.arms.inertia import loaded
 from rejoint.arms.posing import NEAR, TURNED, find_postures, missed_pose, solve_pose
-from rejoint.arms.rotations import quaternion_of, rotation_about, rotation_of, same_side
+from rejoint.arms.rotations import (
+    WEIGHT,
+    Orientation,
+    quaternion_of,
+    rotation_about,
+    rotation_of,
+    same_side,
+    stacked,
+    task,
+    tool_axis,
+)
 
 ARMS = (mycobot280(), so101())
 KINDS = [(arm, whole) for arm in ARMS for whole in (True, False)]

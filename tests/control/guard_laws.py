@@ -13,6 +13,7 @@ from rejoint.arms import Arm, Box, tcp_position
 from rejoint.arms.collision import collision_shape
 from rejoint.control.guard import RAMP, TRIPS, Guarded, GuardLimits, Reason, guard
 from rejoint.control.robot import JointState
+from segments import segments_apart
 
 STEP_ROUNDING = 1e-12  # [rad]
 HEIGHT_ROUNDING = 3e-9  # [m] what the guard tolerates where the arm is too low or in contact already, and rounding
@@ -166,32 +167,6 @@ def link_ends(arm: Arm, q: np.ndarray) -> np.ndarray:
         pose = pose @ offset @ turn
         ends.append(pose[:, :3, 3])
     return np.stack([*ends, (pose @ arm.tip)[:, :3, 3]], axis=1)
-
-
-def segments_apart(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """Distance of segments a-b and c-d (..., 3): the least of four ends from a segment, or zero gap of their planes."""
-    ends = [_point_apart(a, c, d), _point_apart(b, c, d), _point_apart(c, a, b), _point_apart(d, a, b)]
-    normal = np.cross(b - a, d - c)
-    area = _dot(normal, normal)
-    solid = area > 1e-14
-    safe = np.where(solid, area, 1.0)
-    s = _dot(np.cross(c - a, d - c), normal) / safe
-    t = _dot(np.cross(c - a, b - a), normal) / safe
-    inside = solid & (s >= 0.0) & (s <= 1.0) & (t >= 0.0) & (t <= 1.0)
-    across = np.abs(_dot(c - a, normal)) / np.sqrt(safe)
-    return np.minimum(np.min(ends, axis=0), np.where(inside, across, np.inf))
-
-
-def _point_apart(point: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    way = end - start
-    length = _dot(way, way)
-    share = np.clip(_dot(point - start, way) / np.where(length > 0.0, length, 1.0), 0.0, 1.0)
-    gap = point - start - share[..., None] * way
-    return np.sqrt(_dot(gap, gap))
-
-
-def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return np.einsum("...i,...i->...", a, b)
 
 
 def _check_holds(limits: GuardLimits, case: Case, out: Guarded, tripped: np.ndarray) -> None:

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280
-from rejoint.control.accuracy import NOT_KNOWN, TrueError, mean_modelled, modelled
-from rejoint.control.comparison.compare import Settings, compare
+from rejoint.control.classical import DefaultController
+from rejoint.control.comparison.compare import Settings, TrialRunner
 from rejoint.control.comparison.result import Protocol
-from rejoint.control.default import DefaultController
-from rejoint.control.deployment import Deployment, deploy
+from rejoint.control.correction import NOT_KNOWN, TrueError, mean_modelled, modelled
+from rejoint.control.deployment import Deployment
 from rejoint.robots import open_robot
-from rejoint.system.statistics import Estimate
+from targetdrive import deploy
 
 ARM = mycobot280()
 TARGETS = ARM.targets.sample(np.random.default_rng(2), (2,))
@@ -38,15 +38,6 @@ class Blind:
 
     def true_tcp(self):
         return np.full((self._robot.count, 3), np.nan)
-
-
-def test_words_tell_the_value_its_interval_and_where_it_comes_from():
-    assert str(NOT_KNOWN) == "not known: calibrate"
-    assert str(TrueError(how="known", value=12.34e-3)) == "12.3 mm, known"
-    assert str(TrueError(how="modelled", value=0.456e-3, low=0.1e-3, high=1.26e-3)) == "0.46 mm, modelled (0.1 to 1.3)"
-    assert TrueError.of("known", Estimate(5.0, 4.0, None), unit=1e-3) == TrueError(
-        how="known", value=5e-3, low=4e-3, high=None
-    )
 
 
 def test_the_mean_of_modelled_errors_has_the_means_of_their_ends():
@@ -86,11 +77,11 @@ def test_a_comparison_models_only_what_nobody_knows(blind):
         return Blind(robot) if blind else robot
 
     settings = Settings(repetitions=2, seed=1, batched=True, protocol=QUICK)
-    found = compare(connect, {"default": DefaultController}, TARGETS[None], settings, model=Model())
-    hold = found.rows[0].hold
+    found = TrialRunner(connect, {"default": DefaultController}, TARGETS[None], settings, model=Model()).compare()
+    hold = found.rows[0]
     if blind:
         assert hold.settled_true is None
-        assert hold.poses_true is None
+        assert hold.accuracy_true is None
         assert hold.true_error == hold.settled_modelled
         np.testing.assert_allclose(
             [hold.true_error.value, hold.true_error.low, hold.true_error.high], [2e-3, 1e-3, 4e-3]

@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 
 from rejoint.arms import gravity_torque, mycobot280
-from rejoint.control.bands import standing_bands
 from rejoint.control.catalogue import make_controller
-from rejoint.control.following import Bands, Following, states_of
 from rejoint.control.guard import GuardLimits, Reason
 from rejoint.control.loop import Schedule, run
-from rejoint.diagnosis.excitation import SHORT
-from rejoint.diagnosis.record import record
+from rejoint.control.monitor import Bands, Following, standing_bands, states_of
+from rejoint.diagnosis.excitation import SHORT, record
 from rejoint.logs.runlog import RunLog
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.lab.plant.wear import load_wear
@@ -115,7 +113,7 @@ def test_dead_encoders_of_worn_arms_that_tell_no_load_are_noticed(worn, blind):
         last = trip[0] + 1 if len(trip) else len(mine[0])
         off = broken.true_tcp[mine[0][:last], b] - whole.true_tcp[mine[1][:last], b]
         near += np.linalg.norm(off, axis=-1).max() < 0.030
-    assert near >= (4 if blind else 6), "docs/safety.md has the figures of many"
+    assert near >= (4 if blind else 6), "docs/faults.md has the figures of many"
     assert np.count_nonzero(broken.tripped) >= 5
 
 

@@ -9,19 +9,19 @@ import pytest
 import rejoint
 from rejoint.arms import mycobot280
 from rejoint.control.catalogue import make_controller
-from rejoint.control.default import DefaultController
-from rejoint.control.deployment import Deployment, deploy, deployed_of, judge
-from rejoint.control.guard import Reason
+from rejoint.control.classical import DefaultController
+from rejoint.control.deployment import Deployment, deployed_of, judge
 from rejoint.control.recording import recording_of
 from rejoint.control.start import Stance
 from rejoint.logs.runlog import write_log
 from rejoint.robots import open_robot
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.runs.run import Run
-from rejoint.runs.stages.known import guard_limits
+from rejoint.session.context import guard_limits
 from rejoint.system.errors import ContractError, GuardTripError, InputError, NotReadyError
 from rejoint.training.presets import DEFAULT
 from rejoint.training.train import policy_contract
+from targetdrive import deploy
 
 ARM = mycobot280()
 NEAR = np.array([[0.17, 0.0, 0.2], [0.18, 0.03, 0.21]])
@@ -107,28 +107,6 @@ def test_a_policy_is_refused_by_the_period_that_was_measured():
     assert done.visits[0].error is not None
 
 
-def test_a_gap_in_the_answers_is_told_where_it_was():
-    recording, _ = drive(NEAR)
-    row = int(np.flatnonzero(recording.target_index[:, 0] == 1)[5])
-    reasons, time = recording.reasons.copy(), recording.time.copy()
-    reasons[row] |= np.uint16(Reason.GAP.value)
-    time[row:] += 1.8
-    done = judge(ARM, replace(recording, reasons=reasons, time=time), job(NEAR))
-    assert done.gaps == (pytest.approx(1.8, abs=0.04),)
-    assert done.visits[0].remark == ""
-    assert done.visits[1].remark == "no answers for 1.8 s"
-
-
-def test_the_period_that_was_measured_is_the_middle_one():
-    recording, _ = drive(NEAR[:1])
-    assert recording.usual_period() == pytest.approx(np.median(np.diff(recording.time[:, 0])))
-
-
-def test_nothing_is_reached_within_no_distance():
-    with pytest.raises(InputError, match="within a positive distance"):
-        job(NEAR, within=0.0)
-
-
 def test_a_stage_that_drives_knows_at_which_pushes_the_joints_of_this_arm_stand(tmp_path, monkeypatch):
     run = Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
     assert guard_limits(run, ARM, "emulated:worn").bands is None, "no diagnosis, nothing known"
@@ -167,6 +145,6 @@ def test_what_a_run_knows_of_its_joints_is_used_for_its_own_arm_only(tmp_path, o
 
 def test_targets_out_of_reach_are_refused_before_anything_moves():
     robot = open_robot("emulated:worn")
-    with pytest.raises(InputError, match=r"targets: number 2: \(900, 0, 200\) mm is out of reach, \d+ mm too far"):
-        rejoint.deploy(robot, "integrator", [[0.17, 0.0, 0.2], [0.9, 0.0, 0.2]])
+    with pytest.raises(InputError, match=r"target 2 \(900, 0, 200\) mm: out of reach by \d+.* mm; the nearest"):
+        rejoint.deploy(robot, [[0.17, 0.0, 0.2], [0.9, 0.0, 0.2]], settings=rejoint.Settings(controller="integrator"))
     assert robot.read().time == 0.0

@@ -5,13 +5,11 @@ from collections import deque
 import numpy as np
 import pytest
 
-from rejoint.arms import Displacement, mycobot280, tcp_position
-from rejoint.control.default import DefaultController
-from rejoint.control.finishing import CALM, WIDEST, Finishing
+from rejoint.arms import Displacement, mycobot280
+from rejoint.control.classical import IntegratorController
 from rejoint.control.guard import TRIPS
-from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import Schedule, run
-from rejoint.control.seeing import Seen, Sighting
+from rejoint.control.seeing import CALM, WIDEST, Finishing, Seen, Sighting
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.lab.plant.wear import load_wear
 
@@ -113,18 +111,3 @@ def test_commands_pass_the_guard_and_swing_no_wider_than_said():
     step = np.abs(np.diff(recording.command[:, 0], axis=0))[fine]
     assert step.max() < 2.0 * WIDEST + np.radians(2.0)
     assert not (recording.reasons & np.uint16(TRIPS.value)).any()
-
-
-def test_a_perfect_arm_that_is_misjudged_is_corrected_without_friction():
-    class Ideal(EmulatedRobot):
-        """Tools 3 mm beside where the encoders see them."""
-
-        def true_tcp(self):
-            return tcp_position(ARM, self.read().position) + np.array([0.0, 0.002, -0.002])
-
-    robot = Ideal(ARM, [load_wear("healthy", ARM)], seed=0)
-    seen = Seen(ARM, Displacement.none(ARM), eye=Watching(robot))
-    recording = run(
-        robot, Finishing(ARM, DefaultController(ARM), seen), TARGETS, Schedule(dwell=DWELL), correction=seen
-    )
-    assert true_errors(recording).mean() < 0.7e-3

@@ -6,18 +6,17 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280, position_kinematics
-from rejoint.control import watching
+from rejoint.control import compiled
 from rejoint.control.catalogue import make_controller
-from rejoint.control.following import EXCUSED, TRAVEL, Bands, Following, Knowledge
 from rejoint.control.guard import GuardLimits, Reason
-from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import RELEASE_CYCLES, Schedule, run
-from rejoint.control.playback import play
+from rejoint.control.monitor import EXCUSED, TRAVEL, Bands, Following, Knowledge
 from rejoint.control.recording import recording_of
 from rejoint.control.robot import JointState
+from rejoint.control.start import play
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.lab.plant.wear import load_wear
-from rejoint.system.errors import GuardTripError, InputError
+from rejoint.system.errors import GuardTripError
 
 ARM = mycobot280()
 REST = ARM.rest
@@ -85,7 +84,7 @@ def test_every_dead_encoder_trips_and_hardly_any_tool_is_off_its_way_by_then(bli
         cycle = np.flatnonzero(broken.reasons[mine, b] & Reason.NOT_FOLLOWING)[0]
         assert broken.time[mine[cycle], b] >= at[b], "not before it broke"
         off.append(np.linalg.norm(broken.true_tcp[mine[cycle], b] - whole.true_tcp[cycle, b]))
-    # Blind servos are noticed late by some, see docs/benchmarks.md; frozen ones are not.
+    # Blind servos are noticed late by some, see docs/faults.md; frozen ones are not.
     assert np.count_nonzero(np.array(off) > 0.030) <= (8 if blind else 0)
     assert np.median(off) < 0.015
 
@@ -286,32 +285,6 @@ def test_a_repeated_answer_is_no_news():
     assert (watch._tracks == before).all()
 
 
-def test_every_arm_is_watched_as_if_it_were_alone():
-    rng = np.random.default_rng(0)
-    state = JointState(time=np.zeros(4), position=np.tile(REST, (4, 1)), age=np.zeros(4))
-    together = Following(ARM, state, state.position)
-    alone = [Following(ARM, replace(state, time=np.zeros(1), position=REST[None]), REST[None]) for _ in range(4)]
-    for k in range(1, 40):
-        sent, load = REST + rng.normal(0.0, 0.05, (4, 6)), rng.uniform(-1.0, 1.0, (4, 6))
-        position = REST + ARM.encoder_step * rng.integers(0, 2, (4, 6)) * (k % 5 == 0)
-        now = replace(state, time=np.full(4, 0.03 * k), position=position, load=load)
-        together.check(now, sent, np.ones(4, dtype=bool))
-        for b, one in enumerate(alone):
-            row = slice(b, b + 1)
-            one.check(
-                replace(now, time=now.time[row], position=position[row], load=load[row]),
-                sent[row],
-                np.ones(1, dtype=bool),
-            )
-            assert (one._tracks[0] == together._tracks[b]).all()
-    assert (together._verdict <= watching.TURNING).all()
-
-
-def test_gains_that_make_no_sense_are_refused():
-    with pytest.raises(InputError, match="must be positive"):
-        Knowledge(gain=np.array([1.0, 0.0]))
-
-
 def bands_of(width_deg, **changes):
     flat = {"slope": np.zeros(6), "offset": np.zeros(6), "reach": np.full(6, np.inf)}
     return Bands(**{**flat, **changes}, width=np.full(6, np.radians(width_deg)))
@@ -336,14 +309,14 @@ def pushed(lead_deg, bands, *, before_deg=0.0, period=0.025, cycles=200, moves=(
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("period", [0.02, 0.05])
 def test_a_joint_that_stands_is_overdue_the_sooner_the_harder_it_is_pushed(sign, period):
-    allowed = np.degrees(watching.MOST * np.radians(1.0) + watching.AND)
+    allowed = np.degrees(compiled.MOST * np.radians(1.0) + compiled.AND)
     assert pushed(sign * (allowed - 0.01), bands_of(1.0), period=period)[0] == np.inf
     times = [pushed(sign * (allowed + more), bands_of(1.0), period=period)[0] for more in (0.1, 0.5, 2.0, 10.0)]
     assert np.isfinite(times).all()
     assert (np.diff(times) <= 0.0).all()
     assert times[0] > times[-1]
     # Twice the integral of an excess of 0.5 over a band of 1 is 0.05^2 after 0.1 s, and the command has to arrive.
-    late, arrived = np.sqrt(2.0 * watching.PATIENCE**2 / 0.5), max(watching.SETTLE, (watching.AFTER + 1) * period)
+    late, arrived = np.sqrt(2.0 * compiled.PATIENCE**2 / 0.5), max(compiled.SETTLE, (compiled.AFTER + 1) * period)
     assert arrived + late <= times[1] + 1e-9
     assert times[1] <= arrived + late + 2.0 * period + 1e-9
 
@@ -375,41 +348,6 @@ def test_readings_that_change_and_joints_of_which_nothing_is_known_are_never_ove
     assert pushed(10.0, bands_of(1.0, reach=np.full(6, np.radians(1.5))))[0] == np.inf, (
         "no servo pushes beyond its reach"
     )
-
-
-def test_the_balance_counts_and_the_message_tells_the_push():
-    held = bands_of(1.0, offset=np.full(6, np.radians(4.0)) * (np.arange(6) == 2))
-    assert pushed(5.5, held, before_deg=4.0)[0] == np.inf
-    time, said = pushed(-0.5, held, before_deg=4.0)
-    assert np.isfinite(time)
-    assert "at a push of 4.5 deg, and in its diagnosis it stood up to 1.0" in said
-    assert "no load tells whether it is stuck, held or loaded more than in its diagnosis" in said
-
-
-def test_bands_that_make_no_sense_are_refused():
-    with pytest.raises(InputError, match="must be numbers, reach and width positive"):
-        bands_of(-1.0)
-
-
-def trip_of_a_frozen_arm(bands):
-    """When [s] a frozen second joint ends a run in which no load is told, infinite if it does not; and the message."""
-    robot = EmulatedRobot(ARM, [load_wear("worn", ARM)], seed=3, tells_load=False)
-    robot.plant.freeze(np.arange(6)[None] == 1)
-    targets = np.array([[[0.2, 0.06, 0.16], [0.15, -0.06, 0.24]]])
-    try:
-        run(robot, IntegratorController(ARM), targets, Schedule(dwell=4.0), limits=replace(LIMITS, bands=bands))
-    except GuardTripError as error:
-        return recording_of(error).time[-1, 0], str(error)
-    return np.inf, ""
-
-
-def test_what_is_known_of_an_arm_makes_a_dead_encoder_known_sooner():
-    slope = 1.0 / load_wear("worn", ARM).position_gain
-    sooner, said = trip_of_a_frozen_arm(bands_of(2.0, slope=slope))
-    later, _ = trip_of_a_frozen_arm(None)
-    assert "joint2" in said
-    assert sooner < 1.5
-    assert sooner < later
 
 
 def stands_after_a_step(joints, late, *, cycles=12, period=0.05):

@@ -5,15 +5,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rejoint.control.classical import DefaultController
 from rejoint.control.contract import PolicyContract
 from rejoint.control.controller import ControlInput
-from rejoint.control.default import DefaultController
-from rejoint.control.following import Bands, Knowledge
-from rejoint.control.gainsearch import SHAKES, _RoundWatch, search
-from rejoint.control.geared import Geared
 from rejoint.control.guard import GuardLimits
+from rejoint.control.monitor import Bands, Knowledge
 from rejoint.control.robot import JointState
-from rejoint.control.servogains import limits_under, require_gains, stiffness_under, under_gains
+from rejoint.control.servogains import (
+    SHAKES,
+    Geared,
+    _RoundWatch,
+    limits_under,
+    require_gains,
+    search,
+    stiffness_under,
+    under_gains,
+)
 from rejoint.robots.feetech.gains import LIMIT, for_all, steps
 from rejoint.system.errors import ContractError, GuardTripError, InputError, NotReadyError, RobotError
 from servorobot import ARM, ServoRobot
@@ -95,7 +102,13 @@ def test_a_joint_that_shakes_labours_or_gets_warm_ends_the_round(joint, seen):
     ended = [
         bool(
             watch.bad(
-                ControlInput(state=seen(t), target=np.zeros((1, 3)), sent=ARM.rest[None], since_target=np.array([t]))
+                ControlInput(
+                    state=seen(t),
+                    target=np.zeros((1, 3)),
+                    goal=ARM.rest[None],
+                    sent=ARM.rest[None],
+                    since_target=np.array([t]),
+                )
             )
         )
         for t in np.arange(0.0, 2.5, 0.02)

@@ -14,13 +14,12 @@ from guard_laws import (
     draw_cases,
     link_ends,
     random_chain,
-    segments_apart,
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from rejoint.arms import Arm, frames, mycobot280, segment_distance, so101
+from rejoint.arms import Arm, frames, mycobot280, so101
 from rejoint.control.guard import TRIPS, GuardLimits, Reason, guard
 from rejoint.control.robot import JointState
 from rejoint.diagnosis.excitation import plan_excitation
@@ -199,5 +198,3 @@ def test_the_checker_s_geometry_is_that_of_the_arm(seed):
     f, ends = frames(arm, q), link_ends(arm, q)
     np.testing.assert_allclose(ends[:, 1:-1], f.position, atol=1e-12)
     np.testing.assert_allclose(ends[:, -1], f.tcp_position, atol=1e-12)
-    a, b, c, d = rng.normal(size=(4, 50, 3))
-    np.testing.assert_allclose(segments_apart(a, b, c, d), segment_distance(a, b, c, d), atol=1e-9)

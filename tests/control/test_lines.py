@@ -1,21 +1,16 @@
 """The lines of load over error that the logs of an arm's own motion tell."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280
-from rejoint.control import watching
-from rejoint.control.following import Bands, Following, Knowledge
-from rejoint.control.lines import FEWEST, servo_lines
-from rejoint.control.playback import play
+from rejoint.control import compiled
+from rejoint.control.monitor import Bands, Following, Knowledge, servo_lines
 from rejoint.control.robot import JointState
-from rejoint.diagnosis.record import record
-from rejoint.logs.runlog import RunLog, read_log, write_log
+from rejoint.diagnosis.excitation import record
+from rejoint.logs.runlog import RunLog
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.lab.plant.wear import load_wear
-from rejoint.system.errors import InputError
 
 ARM = mycobot280()
 STEP = ARM.encoder_step
@@ -56,26 +51,6 @@ def test_the_noise_of_loads_is_told_and_makes_a_line_less_sure():
     assert (np.abs(noisy.gain / gain - 1.0) < noisy.within).all()
 
 
-def test_joints_that_hardly_lead_tell_little_or_too_seldom_are_left_unknown():
-    log = standing_log(noise=0.002)
-    short = replace(log, servo_load=np.where(np.arange(len(log))[:, None] < FEWEST // 2, log.servo_load, np.nan))
-    assert servo_lines(ARM, [short]) is None
-    assert servo_lines(ARM, [replace(log, servo_load=None)]) is None
-    still = replace(log, command=np.where(np.arange(6) == 2, log.position, log.command))
-    assert np.isinf(servo_lines(ARM, [still]).within).tolist() == [False, False, True, False, False, False]
-    scatter = replace(
-        log, servo_load=np.where(np.arange(6) == 4, np.sin(np.arange(len(log)))[:, None] * 0.3, log.servo_load)
-    )
-    assert np.isinf(servo_lines(ARM, [scatter]).within).tolist() == [False, False, False, False, True, False]
-
-
-def test_a_joint_whose_own_log_looks_like_turning_is_left_unknown():
-    log = standing_log()
-    load = log.servo_load.copy()
-    load[200:206, 1] -= 0.2  # for longer than the monitor allows, for too short to bend the line
-    assert np.isinf(servo_lines(ARM, [replace(log, servo_load=load)]).within).tolist() == [False, True] + [False] * 4
-
-
 @pytest.mark.parametrize(("kind", "known"), [("worn", 12), ("healthy", 4)])
 def test_a_diagnosis_tells_the_lines_of_joints_that_sag_or_stick(kind, known):
     wears, logs = worn_logs(kind)
@@ -88,25 +63,6 @@ def test_a_diagnosis_tells_the_lines_of_joints_that_sag_or_stick(kind, known):
         assert (np.abs(off[sure]) < found.within[sure]).all()
         assert sure[1], "the joint that carries most"
     assert count >= known
-
-
-def test_loads_survive_the_disk_and_logs_without_them_stay_as_they_were(tmp_path):
-    log = standing_log()
-    write_log(tmp_path / "a.parquet", log)
-    np.testing.assert_array_equal(read_log(tmp_path / "a.parquet").servo_load, log.servo_load)
-    write_log(tmp_path / "b.parquet", replace(log, servo_load=None))
-    assert read_log(tmp_path / "b.parquet").servo_load is None
-    with pytest.raises(InputError, match="servo_load has shape"):
-        replace(log, servo_load=log.servo_load[:, :2])
-
-
-@pytest.mark.parametrize("tells_load", [True, False])
-def test_a_recording_keeps_what_servos_told(tells_load):
-    robot = EmulatedRobot(ARM, [load_wear("worn", ARM)], seed=1, tells_load=tells_load)
-    log = play(robot, lambda time: np.tile(ARM.rest, (len(time), 1)), 0.5).log(0, "still")
-    assert (log.servo_load is not None) == tells_load
-    if tells_load:
-        assert np.ptp(log.servo_load[:, 1]) > 0.0
 
 
 def bands_of(sticks):
@@ -139,8 +95,8 @@ def test_a_load_on_its_line_is_believed_and_one_off_it_the_sooner_the_farther_it
     assert watch(lambda _: line) is None
     assert watch(lambda k: line if k < after else line - 0.12) == after
     assert watch(lambda k: line if k < after else line - 0.12, sticks=np.radians(5.0)) == after + 1
-    assert watch(lambda k: line if k < after else line - 0.06) == after + watching.STRIKES - 1
-    assert watch(lambda k: line if k < after else line - 0.03) == after + watching.STEADY - 1
+    assert watch(lambda k: line if k < after else line - 0.06) == after + compiled.STRIKES - 1
+    assert watch(lambda k: line if k < after else line - 0.03) == after + compiled.STEADY - 1
     assert watch(lambda k: line if k != after else line - 0.06) is None, "one cycle is an accident"
 
 
@@ -167,19 +123,3 @@ def test_a_joint_of_a_learned_line_may_be_off_it_for_a_cycle():
     """It breaks loose, and its reading comes a cycle later than its load."""
     assert learned(0) == learned(1) == learned(2, breaks_loose=True) == []
     assert learned(4)[0] == [False, True, False, False, False, False]
-
-
-def test_a_load_that_was_not_told_says_nothing():
-    assert watch(lambda _: np.nan) is None
-    assert watch(lambda k: 0.2 if k < 10 else (np.nan, 0.08)[k % 2]) in (10, 11)
-
-
-def test_nothing_is_said_before_the_first_command_has_arrived():
-    """Which command was in force before, nobody knows: an arm that sags holds by another one than its position."""
-    assert watch(lambda _: 0.6, cycles=4) is None
-    assert watch(lambda _: 0.6) <= 6
-
-
-def test_knowledge_of_no_noise_is_refused():
-    with pytest.raises(InputError, match="noises must be positive"):
-        Knowledge(gain=np.ones(6), noise=0.0)

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280, tcp_position
+from rejoint.control.classical import IntegratorController
 from rejoint.control.guard import RAMP, GuardLimits, Reason
-from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import Schedule, run
-from rejoint.control.playback import move, play
 from rejoint.control.recording import recording_of
-from rejoint.control.robot import JointState, Robot
+from rejoint.control.robot import JointState
+from rejoint.control.start import move, play
 from rejoint.system.errors import GuardTripError, InputError, NoReplyError
 
 ARM = mycobot280()
@@ -78,10 +78,6 @@ class Straight:
     def command(self, inputs):
         self.since.append(inputs.since_target.copy())
         return inputs.state.position.copy()
-
-
-def test_the_test_robot_is_a_robot():
-    assert isinstance(LaggingRobot([0.02]), Robot)
 
 
 def test_no_control_cycle_waits_for_compiled_loops():
@@ -304,18 +300,6 @@ def test_log_drops_repeated_answers():
     log = run(robot, Straight(), TARGETS[:1], Schedule(dwell=0.2)).log(0, "stutter")
     assert (np.diff(log.time) > 0).all()
     assert len(log) == robot.steps[0] + 1
-
-
-@pytest.mark.parametrize("shape", [(2, 3), (3, 2, 3), (2, 0, 3), (2, 2, 2)])
-def test_targets_of_a_wrong_shape_are_named(shape):
-    with pytest.raises(InputError, match=r"expected \(2, K, 3\)"):
-        run(LaggingRobot([0.02, 0.02]), Straight(), np.zeros(shape), Schedule(dwell=1.0))
-
-
-@pytest.mark.parametrize("settings", [{"dwell": 0.0}, {"dwell": np.nan}, {"dwell": 1.0, "stop_below": -1.0}])
-def test_bad_schedules_are_refused(settings):
-    with pytest.raises(InputError, match="schedule"):
-        Schedule(**settings)
 
 
 class PausingRobot(LaggingRobot):

@@ -6,19 +6,17 @@ import numpy as np
 import pytest
 
 import rejoint
+from hearing import Hears
 from rejoint.arms import Displacement, frames, mycobot280, so101
-from rejoint.arms.orientation import tool_axis
 from rejoint.arms.posing import missed_pose
-from rejoint.arms.rotations import quaternion_of, rotation_of
-from rejoint.control.accuracy import NOT_KNOWN
-from rejoint.control.comparison.targets import read_targets, require_reachable
+from rejoint.arms.rotations import quaternion_of, rotation_of, tool_axis
 from rejoint.control.correction import Modelled
-from rejoint.control.deployment import Deployment, Visit, deploy
+from rejoint.control.deployment import Deployment
 from rejoint.control.feedforward import FeedforwardController
-from rejoint.control.loop import Schedule, run
-from rejoint.control.poses import Pose, in_words, placed
+from rejoint.control.targets import Pose, in_words, placed, read_targets
 from rejoint.robots import open_robot
-from rejoint.system.errors import FileError, InputError
+from rejoint.system.errors import InputError
+from targetdrive import deploy
 
 ARM = mycobot280()
 DOWN = "direction 0.00 0.00 -1.00"
@@ -52,25 +50,6 @@ def test_a_direction_is_where_the_tool_points(arm, direction):
     np.testing.assert_allclose(turn.rotation[0] @ tool_axis(arm), wanted / np.linalg.norm(wanted), atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        ({"direction": [0, 0, 0]}, "direction is zero"),
-        ({"direction": [0, 0, 1], "quaternion": [1, 0, 0, 0]}, "one of them"),
-        ({"quaternion": [1, 0, 0]}, "4 finite numbers"),
-        ({"angles_rad": [0, 0, np.nan]}, "3 finite numbers"),
-        (
-            {"angles_rad": [180, 0, -70]},
-            r"an angle of 180 rad \(10313 deg\), beyond two turns; angles_rad is in radians",
-        ),
-        ({"direction": [0, 0, 1], "weight_m": -1.0}, "a weight"),
-    ],
-)
-def test_what_is_no_pose_is_refused(given, words):
-    with pytest.raises(InputError, match=words):
-        Pose(place_m=[0.18, 0.0, 0.2], **given)
-
-
 def test_targets_of_a_file_have_orientations_in_degrees_and_points_among_them(tmp_path):
     file = tmp_path / "poses.csv"
     file.write_text("X,Y,Z,dx,dy,dz,weight\n180,0,200,0,0,-5,1.0\n170,10,200,,,,\n")
@@ -84,33 +63,6 @@ def test_targets_of_a_file_have_orientations_in_degrees_and_points_among_them(tm
     assert in_words(read_targets(file, ARM)[1][0]) == "rx ry rz 180.0 0.0 0.0 deg"
     file.write_text("x,y,z\n180,0,200\n")
     assert read_targets(file, ARM)[1] is None
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("x,y,z,rx\n180,0,200,0\n", "expected 'x,y,z'; name the columns so, .* dx,dy,dz or rx,ry,rz"),
-        ("x,y,z,dx,dy,dz\n180,0,200,0,0\n", "line 2: '180,0,200,0,0' is not six finite numbers"),
-        ("x,y,z,dx,dy,dz\n180,0,200,0,0,\n", "line 2: '180,0,200,0,0,' holds no numbers"),
-        ("x,y,z,dx,dy,dz\n180,0,200,0,0,0\n", "line 2: .* direction is zero"),
-        (
-            "x,y,z,dx,dy,dz\n180,0,200,0,0,-1\n229,99,249,-1,-1,0.3\n",
-            r"line 3: at \(229, 99, 249\) mm the tool cannot have direction -0.69 -0.69 0.21: at best \d+ mm and",
-        ),
-    ],
-)
-def test_bad_files_and_orientations_out_of_reach_name_the_line(tmp_path, text, message):
-    file = tmp_path / "poses.csv"
-    file.write_text(text)
-    with pytest.raises(FileError, match=message):
-        read_targets(file, ARM)
-
-
-def test_what_five_joints_cannot_do_is_refused_with_what_they_can():
-    pose = Pose(place_m=[0.33, 0.0, 0.22], angles_rad=np.radians([90.0, 0.0, 90.0]))
-    points, turns = placed(so101(), [pose])
-    with pytest.raises(InputError, match="an arm of 5 joints has a direction dx,dy,dz at most"):
-        require_reachable(so101(), points[None], turns[None])
 
 
 def test_poses_are_reached_and_points_among_them_as_ever():
@@ -130,15 +82,6 @@ def test_poses_are_reached_and_points_among_them_as_ever():
     assert np.isnan(recording.turned[recording.target_index == 2]).all()
 
 
-def test_json_tells_degrees_where_they_were_asked_for_and_nothing_of_them_else():
-    from rejoint.cli.console import results_of
-
-    point = Visit(target=(0.18, 0.0, 0.2), error=1e-3, true_error=NOT_KNOWN, reached=True, remark="")
-    posed = replace(point, orientation=DOWN, turned=0.0)
-    assert set(results_of(posed)) - set(results_of(point)) == {"orientation", "turned"}
-    assert results_of(posed)["turned"] == 0.0
-
-
 def test_a_pose_is_missed_where_only_its_place_is_reached():
     points, turns = placed(ARM, POSES[:1])
     free = replace(turns, weight=np.array([1e-9]))  # asked for, and as good as not weighed
@@ -148,17 +91,6 @@ def test_a_pose_is_missed_where_only_its_place_is_reached():
     assert done.visits[0].error < job.within
     assert done.missed == (1,)
     assert "deg off" in done.visits[0].remark
-
-
-def test_orientations_of_no_weight_drive_like_points():
-    points, turns = placed(ARM, POSES[:2])
-    found = []
-    for asked in (None, replace(turns, weight=np.zeros(2))[None]):
-        robot = open_robot("emulated:worn?seed=10001")
-        schedule = Schedule(dwell=1.0, sent=ARM.rest[None])
-        found.append(run(robot, FeedforwardController(ARM), points[None], schedule, turns=asked))
-    assert np.isnan(found[1].turned).all()
-    np.testing.assert_allclose(found[0].command, found[1].command, atol=np.radians(0.2))
 
 
 def test_a_calibration_turns_the_aim_back_by_what_lies_behind_the_encoders():
@@ -177,29 +109,11 @@ def test_a_calibration_turns_the_aim_back_by_what_lies_behind_the_encoders():
     assert (turns.angle(really.tcp_rotation) < np.radians(0.05)).all()
 
 
-def test_who_turns_no_tool_does_not_take_poses():
-    with pytest.raises(InputError, match="shelf brings the tool to its place and does not turn it"):
-        rejoint.deploy("emulated:worn", "shelf", list(POSES))
+def test_who_turns_no_tool_leaves_poses_to_the_feedforward():
+    said = []
+    settings = rejoint.Settings(controller="shelf", dwell=3.0)
+    done = rejoint.deploy("emulated:worn", POSES[:1], settings=settings, observer=Hears(message=said.append))
+    assert done.controller == "feedforward"
+    assert any("shelf does not turn the tool" in line for line in said)
     with pytest.raises(InputError, match="camera"):
-        rejoint.deploy("emulated:worn", targets=list(POSES), eye="emulated")
-
-
-def test_a_comparison_of_poses_has_degrees_and_one_of_points_has_none():
-    from rejoint.control.comparison.result import Protocol
-    from rejoint.pages.report.tables import comparison_table
-
-    quick = Protocol(dwell=4.0, hold=2.0)
-    names = ["default", "feedforward"]
-    of_points, of_poses = (
-        rejoint.compare("emulated:worn?seed=10001", names, targets, repetitions=1, protocol=quick).comparison
-        for targets in ([[0.18, 0.0, 0.2], [0.19, 0.03, 0.19]], list(POSES))
-    )
-    assert of_poses.orientations[0][2] == ""
-    assert not of_points.orientations
-    headers, rows = comparison_table(of_poses)
-    column = headers.index("orientation, encoders [deg]")
-    default, good = (float(row[column]) for row in rows)
-    assert good < 1.5 < default
-    assert of_poses.row("feedforward").outcomes.turned[2] is None
-    assert "orientation, encoders [deg]" not in comparison_table(of_points)[0]
-    assert of_points.row("feedforward").hold.turned is None
+        rejoint.deploy("emulated:worn", list(POSES), settings=rejoint.Settings(eye="emulated"))

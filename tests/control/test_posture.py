@@ -9,9 +9,9 @@ from rejoint.arms import frames, mycobot280, tcp_position
 from rejoint.control.controller import ControlInput
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import Schedule, run
-from rejoint.control.playback import move
 from rejoint.control.posture import PostureController, PostureGains, Wanted, _without
 from rejoint.control.robot import JointState
+from rejoint.control.start import move
 from rejoint.robots import open_robot
 from rejoint.robots.lab.plant.wear import load_wear
 
@@ -87,7 +87,9 @@ class Stay:
 
 def told(position: np.ndarray, sent: np.ndarray, time: float = 0.0) -> ControlInput:
     state = JointState(time=np.array([time]), position=position[None], age=np.zeros(1))
-    return ControlInput(state=state, target=np.full((1, 3), np.nan), sent=sent, since_target=np.array([time]))
+    return ControlInput(
+        state=state, target=np.full((1, 3), np.nan), goal=sent, sent=sent, since_target=np.array([time])
+    )
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.02])

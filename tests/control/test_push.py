@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from rejoint.arms import load_arm, tcp_position
-from rejoint.control.catalogue import CONTROLLERS, PUSH, contenders, make_controller
 from rejoint.control.controller import ControlInput
-from rejoint.control.feedforward import FeedforwardController
-from rejoint.control.push import PushController, PushGains
+from rejoint.control.feedforward import FeedforwardController, PushController, PushGains
+from rejoint.control.goal import nearest_postures
 from rejoint.control.robot import JointState
 from rejoint.system.errors import InputError
 
@@ -20,12 +19,14 @@ PERIOD = 0.02
 
 def inputs(position, target, time):
     state = JointState(time=np.full(1, time), position=position, age=np.zeros(1))
-    return ControlInput(state=state, target=target, sent=position, since_target=np.full(1, time))
+    goal = nearest_postures(ARM, target, position)
+    return ControlInput(state=state, target=target, goal=goal, sent=position, since_target=np.full(1, time))
 
 
 def led(positions, target, gains=GAINS, friction=FRICTION):
     """By how much the push leads the feed-forward [rad], at each of ``positions`` (k, n) one period after another."""
-    plain, pushed = FeedforwardController(ARM, STIFFNESS), PushController(ARM, STIFFNESS, friction, gains)
+    plain = FeedforwardController(ARM, STIFFNESS, loosen=0.0)
+    pushed = PushController(ARM, STIFFNESS, friction, gains)
     found = []
     for k, position in enumerate(positions):
         seen = inputs(position[None], target, PERIOD * k)
@@ -64,12 +65,3 @@ def test_a_friction_beyond_belief_is_held_to_five_degrees():
     assert np.abs(lead).max() <= (GAINS.push + GAINS.dither) * GAINS.most
     with pytest.raises(InputError, match="friction must not be negative"):
         PushController(ARM, STIFFNESS, -FRICTION)
-
-
-def test_it_takes_part_by_name_alone_and_needs_a_twin():
-    assert CONTROLLERS.index("feedforward") < CONTROLLERS.index(PUSH) < CONTROLLERS.index("shelf")
-    assert PUSH not in contenders(real=True, shelf=True, policy=True, twin=True)
-    assert PUSH not in contenders(real=False, shelf=True, policy=True, twin=True)
-    with pytest.raises(InputError, match="'push' needs the twin"):
-        make_controller(PUSH, ARM)
-    assert make_controller(PUSH, ARM, stiffness=STIFFNESS, friction=FRICTION).name == PUSH

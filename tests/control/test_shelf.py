@@ -5,15 +5,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from rejoint.arms import CATALOGUE, load_arm, so101
-from rejoint.control.catalogue import make_controller
+from rejoint.arms import CATALOGUE, load_arm
+from rejoint.control.catalogue import SHELF, make_controller, shelf_arms, shelf_path, shelf_policy
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.contract import check_period
-from rejoint.control.shelf import SHELF, shelf_arms, shelf_path, shelf_policy
 from rejoint.research.evaluation.family import ArmFamily, find_variant
 from rejoint.research.evaluation.trials import TrialSettings, try_controller
 from rejoint.robots import place_of
-from rejoint.runs.stages.controllers import make_factories
+from rejoint.session.controllers import make_factories
 from rejoint.system.errors import ContractError
 from rejoint.training.shelf import RECIPES
 
@@ -30,16 +29,6 @@ def test_it_is_for_any_unit_of_its_build_at_every_period_of_its_wires(name):
     for address in ("tcp://arm", "serial:///dev/arm", "emulated:worn", "feetech:///dev/arm"):
         check_period(contract, np.mean(place_of(address).default_period))
     assert shelf_path(name).stat().st_size < 150e3
-
-
-def test_other_arms_are_refused_in_a_line():
-    arm = load_arm("mycobot280")
-    heavier = dataclasses.replace(arm, mass=1.1 * arm.mass)
-    with pytest.raises(ContractError, match=r"another mass; train a policy for this arm"):
-        make_controller(SHELF, heavier)
-    stranger = dataclasses.replace(so101(), name="mine")
-    with pytest.raises(ContractError, match=r"no policy comes with rejoint for the arm 'mine', only for mycobot280"):
-        make_controller(SHELF, stranger)
 
 
 def test_it_takes_part_wherever_it_suits():

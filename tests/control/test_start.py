@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from rejoint.arms import gravity_torque, mycobot280
+from rejoint.control.loop import say_faulty
 from rejoint.control.robot import JointState
 from rejoint.control.start import STANCE, Stance, begin, check_ready
-from rejoint.control.trips import say_faulty
 from rejoint.logs.runlog import RunLog, write_log
 from rejoint.robots import open_robot
 from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.runs.run import Run
-from rejoint.runs.stages.known import stance_of
+from rejoint.session.context import stance_of
 from rejoint.system.errors import NotReadyError
 
 ARM = mycobot280()

@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 
 from rejoint.arms import gravity_torque, mycobot280, tcp_position
+from rejoint.control.classical import DefaultController
 from rejoint.control.comparison.protocols import STANDS_FOR, measure_crossings, schedule
 from rejoint.control.comparison.result import Protocol
-from rejoint.control.default import DefaultController
-from rejoint.control.loop import Schedule, run
+from rejoint.control.loop import Schedule, Stillness, run
 from rejoint.control.robot import JointState
-from rejoint.control.stillness import Stillness
 
 ARM = mycobot280()
 STEP = ARM.encoder_step
@@ -91,10 +90,10 @@ def test_a_missed_target_counts_as_waited_for():
     plan = schedule("crossing", PROTOCOL, keep_going=True, wait=False)
     recording = run(Sagging([0.025] * 3), DefaultController(ARM), TARGETS, plan)
     found = measure_crossings(ARM, recording, TARGETS, PROTOCOL)
-    assert (found.crossed == 0.0).any()
-    for b, k in np.argwhere(found.crossed == 0.0):
-        assert found.time[b, k] == pytest.approx(PROTOCOL.dwell, abs=1e-5)
-        assert found.error[b, k] >= PROTOCOL.threshold
+    assert (found["crossed"] == 0.0).any()
+    for b, k in np.argwhere(found["crossed"] == 0.0):
+        assert found["crossing_time"][b, k] == pytest.approx(PROTOCOL.dwell, abs=1e-5)
+        assert found["crossing_error"][b, k] >= PROTOCOL.threshold
         rows = recording.active[:, b] & (recording.target_index[:, b] == k)
         taken = np.ptp(recording.time[rows, b])
         assert STANDS_FOR < taken < 0.5 * PROTOCOL.dwell

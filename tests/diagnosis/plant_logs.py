@@ -7,7 +7,7 @@ import numpy as np
 
 from rejoint.arms import so101
 from rejoint.control.guard import GuardLimits
-from rejoint.control.playback import move, play
+from rejoint.control.start import move, play
 from rejoint.diagnosis.healthy import ARMS_ON_DEMAND, measure_healthy
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.lab.plant.wear import load_wear

@@ -93,21 +93,6 @@ def test_the_tolerance_is_reached_in_the_interval() -> None:
     assert 0.7 <= held / made <= 0.95
 
 
-def test_many_checks_say_the_same_as_their_means() -> None:
-    """A check every hour for a year: neighbours are put together, and the work does not grow with the cube of them."""
-    rng = np.random.default_rng(6)
-    use = np.arange(9000.0)
-    error = 1.0 + 4e-4 * use + SCATTER * rng.normal(size=9000)
-    warm = seasons(rng, 9000)
-    left = remaining(use, error, warm, 6.4, scatter=SCATTER, per_degree=0.1)
-    assert left is not None
-    assert left.early < 4500.0 < left.late
-    means = (part.reshape(-1, 45).mean(axis=1) for part in (use, error, warm))
-    few = remaining(*means, 6.4, scatter=SCATTER / 45**0.5, per_degree=0.1)
-    assert few is not None
-    assert left.middle == pytest.approx(few.middle, rel=0.05)
-
-
 def test_an_arm_that_does_not_wear_is_given_no_date() -> None:
     rng = np.random.default_rng(5)
     told = [

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from log_samples import ARM, Sample, sample
 
-from rejoint.logs.joining import to_log
+from rejoint.logs.importing import to_log
 from rejoint.logs.runlog import Array, RunLog
 from rejoint.logs.track import RecordedMotion, Track
 from rejoint.system.errors import FileError
@@ -60,14 +60,6 @@ def test_a_clock_that_goes_back_is_refused():
         check(changed(time=time))
 
 
-def test_a_gap_is_told():
-    time = sample(rows=200).time.copy()
-    time[120:] += 1.0
-    assert (
-        "1 gap(s) longer than 5 periods of 0.02 s, the longest 1.02 s before line 122" in check(changed(time=time))[1]
-    )
-
-
 @pytest.mark.parametrize("factor", [1e3, 1e6, 1e-3])
 def test_a_wrong_time_unit_shows_in_the_rate(factor: float):
     with pytest.raises(FileError, match=r"one sample in .* s, expected 1 to 10000 Hz; set the time unit"):
@@ -77,12 +69,6 @@ def test_a_wrong_time_unit_shows_in_the_rate(factor: float):
 def test_two_clocks_are_refused():
     with pytest.raises(FileError, match="not one clock"):
         check(changed(), command_time=sample(rows=200).time + 1.7e9)
-
-
-def test_a_clock_from_1970_is_shortened():
-    log, _ = check(changed(time=sample(rows=200).time + 1_700_000_000.25))
-    np.testing.assert_allclose(log.time, sample(rows=200).time + 0.25, atol=3e-7)
-    assert log.extra["clock_origin_s"] == "1700000000"
 
 
 def test_swapped_columns_of_states_are_refused():
@@ -105,22 +91,8 @@ def test_joints_outside_their_limits():
         f"beyond the limits of joint shoulder_lift in {(position[:, 1] > ARM.upper[1]).sum()} samples"
         in check(changed(position=position))[1]
     )
-    with pytest.raises(FileError, match=r"shoulder_lift is mostly outside the limits .*check unit, joint order"):
+    with pytest.raises(FileError, match=r"shoulder_lift is far outside the limits .*check unit, joint order"):
         check(changed(position=sample(rows=200).position + np.array([0, np.pi, 0, 0, 0])))
-
-
-def test_frozen_readings_are_told_but_not_rest():
-    position = sample(rows=200).position.copy()
-    position[60:110] = position[60]
-    assert (
-        "the readings freeze 1 time(s) while the command moves on, longest for 0.98 s from 1.2 s"
-        in check(changed(position=position))[1]
-    )
-    resting = np.zeros((200, 5))
-    step = np.where(np.arange(200)[:, None] < 195, 0.0, 0.3) * np.ones(5)
-    notes = check(changed(position=resting, command=step))[1]
-    assert "freeze" not in notes
-    assert "no joint moves" in notes
 
 
 def test_too_little_is_refused():

@@ -57,7 +57,7 @@ MAKERS: dict[str, tuple[Callable[[Path], Path], str, ImportOptions]] = {
     "sage-state": (lambda f: write_sage(f / "m", sample()), "state_motor.csv", ImportOptions()),
     "sage-control": (lambda f: write_sage(f / "m", sample()), "control.csv", ImportOptions()),
     "sage-joints": (lambda f: write_sage(f / "m", sample()), "joint_list.txt", ImportOptions()),
-    "csv": (lambda f: write_table(f / "m.csv", sample()), "", ImportOptions()),
+    "table": (lambda f: write_table(f / "m.csv", sample()), "", ImportOptions()),
     "mcap-cdr": (lambda f: write_ros2(f / "m.mcap", sample()), "", ImportOptions()),
     "mcap-json": (lambda f: write_json(f / "m.mcap", sample()), "", ImportOptions()),
     "mcap-protobuf": (lambda f: write_foxglove(f / "m.mcap", sample()), "", ImportOptions()),

@@ -3,21 +3,18 @@
 import json
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from log_samples import ARM, Sample, worn_sample, write_table
-from test_logs_bare import healthy_twin
 from test_logs_checks import motion
 
-import rejoint
 from real_so101 import FOLDER, NO_RECORDINGS, recorded
 from rejoint.logs import ImportOptions, import_logs
-from rejoint.logs.doubts import forced_reasons
-from rejoint.logs.joining import to_log
+from rejoint.logs.consistency import forced_reasons
+from rejoint.logs.importing import to_log
 from rejoint.logs.sage import motions
 from rejoint.system.errors import FileError
 
@@ -56,21 +53,12 @@ def test_states_on_another_clock_are_refused(rows: int, said: str, stepping: boo
 @pytest.mark.skipif(not recorded(), reason=NO_RECORDINGS)
 @pytest.mark.parametrize("name", ["multisine", "circular_motion", "step_response", "single_joint_wrist_pitch"])
 def test_a_real_arm_answers_in_time_and_not_before(name: str):
-    (found,) = motions(FOLDER / name, ARM, ImportOptions())[1]
+    ((_, read),) = motions(FOLDER / name, ARM, ImportOptions())
+    found = read()
     to_log(found, ARM)
     for shift in (0.3, 0.5, -0.5):
         with pytest.raises(FileError, match="follow their commands best"):
             to_log(replace(found, state=found.state.shifted(shift)), ARM)
-
-
-def test_a_coarse_clock_is_named_with_what_it_loses():
-    found = worn_sample()
-    coarse = replace(found, time=np.floor(found.time / 0.1 + 1e-9) * 0.1)
-    with pytest.raises(FileError, match=r"clock counts in steps of 0.1 s, and 800 of 1000 samples \(80 %\)"):
-        to_log(motion(coarse), ARM)
-    log, _ = to_log(motion(coarse), ARM, FORCE)
-    assert len(log) == 200
-    assert any("steps of 0.1 s" in reason for reason in forced_reasons(log.extra))
 
 
 @pytest.mark.parametrize("lag", [-1, 0, 1, 4])
@@ -85,14 +73,6 @@ def test_states_that_are_commands_are_refused(lag: int):
         to_log(motion(replace(found, position=one)), ARM)
 
 
-def test_a_slow_recorder_is_refused():
-    slow = worn_sample(seconds=60, period=1 / 3)
-    with pytest.raises(FileError, match="3 samples in a second, expected at least 10"):
-        to_log(motion(slow), ARM)
-    to_log(motion(worn_sample(seconds=60, period=0.1)), ARM)
-    assert "3 samples in a second" in forced_reasons(to_log(motion(slow), ARM, FORCE)[0].extra)[0]
-
-
 def test_one_joint_in_another_unit_is_refused():
     found = worn_sample()
     mixed = found.position * np.array([1, 1, np.pi / 180, 1, 1])
@@ -103,21 +83,6 @@ def test_one_joint_in_another_unit_is_refused():
         to_log(motion(replace(found, position=smooth)), ARM)
     with pytest.raises(FileError, match=r"state.wrist_flex is 5. deg from its command"):
         to_log(motion(replace(found, position=found.position + np.array([0, 0, 0, 1.0, 0]))), ARM)
-
-
-def test_turns_are_no_radians():
-    found = worn_sample()
-    turns = Sample(time=found.time, position=found.position / (2 * np.pi), command=found.command / (2 * np.pi))
-    with pytest.raises(FileError, match="as if turns were read as radians"):
-        to_log(motion(turns), ARM)
-
-
-def test_a_reading_that_jumps_out_and_back_is_named():
-    found = worn_sample()
-    position = found.position.copy()
-    position[77, 3] += 0.4
-    _, notes = to_log(motion(replace(found, position=position)), ARM)
-    assert "1 single reading(s) jump out and back, the farthest by 0.401 rad in line 79, state.wrist" in notes[0]
 
 
 def dataset(folder: Path, scale: np.ndarray, found: Sample) -> Path:
@@ -176,44 +141,9 @@ def test_degrees_declared_as_normalised_and_the_reverse(tmp_path: Path):
             path.unlink()
 
 
-def test_units_that_nothing_tells_apart_are_said(tmp_path: Path):
-    found = worn_sample()
-    smooth = replace(found, position=found.position + 1e-3 * np.random.default_rng(0).normal(size=(1000, 5)))
-    source = dataset(tmp_path / "deg", np.full(5, 180 / np.pi), smooth)
-    notes = import_logs(source, ARM, out=tmp_path / "logs", options=ImportOptions(angle_unit="deg")).notes
-    assert any(
-        "nothing in the file tells degrees from normalised" in n and "shoulder_pan -30 to 39" in n for n in notes
-    )
-
-
-def test_values_that_stop_at_a_hundred_are_normalised(tmp_path: Path):
-    found = worn_sample()
-    wide = np.clip(found.position * 200, -100, 100)
-    source = dataset(
-        tmp_path / "norm",
-        np.ones(5),
-        Sample(
-            time=found.time,
-            position=wide + (np.abs(wide) < 98.9) * np.random.default_rng(0).uniform(size=wide.shape),
-            command=wide * 0.99,
-        ),
-    )
-    with pytest.raises(FileError, match=r"normalised values .* of them are exactly 100 or -100, and none is beyond"):
-        import_logs(source, ARM, out=tmp_path / "logs", options=ImportOptions(angle_unit="deg"))
-
-
 def test_what_is_forced_is_kept_in_the_file(tmp_path: Path):
     found = shifted(worn_sample(), 20)
     source = write_table(tmp_path / "wave.csv", found)
     imported = import_logs(source, ARM, out=tmp_path / "logs", options=FORCE)
     assert "before them" in forced_reasons(imported.logs[0].extra)[0]
     assert any(note.startswith("wave: imported by force, although the states") for note in imported.notes)
-
-
-def test_later_stages_repeat_what_was_forced(monkeypatch: pytest.MonkeyPatch):
-    log, _ = to_log(motion(shifted(worn_sample(seconds=40), 20)), ARM, FORCE)
-    said = "motion was imported by force, although the states follow their commands best"
-    assert rejoint.diagnose(log, arm=ARM).diagnosis.unseen[-1].startswith(said)
-    found = SimpleNamespace(twin=healthy_twin(), judgement=None, fitted=())
-    monkeypatch.setattr("rejoint.twin.fromlogs.identify_logs", lambda *_: found)
-    assert rejoint.identify(log, arm=ARM).notes[-1].startswith(said)

@@ -7,7 +7,7 @@ import pytest
 
 from rejoint.arms import load_arm
 from rejoint.logs.homing import corrected_homing, write_homing
-from rejoint.system.errors import FileError, InputError
+from rejoint.system.errors import InputError
 
 ARM = load_arm("so101")
 NAMES = (*ARM.joint_names, "gripper")
@@ -57,20 +57,3 @@ def test_what_is_written_is_corrected_back_to_what_was_read(source, tmp_path):
 def test_an_offset_that_a_servo_cannot_hold_is_refused(source):
     with pytest.raises(InputError, match=r"homing offset of -?\d+ counts, expected at most 2047"):
         corrected_homing(source, ARM, np.full(5, np.radians(359.0)))
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda motors: motors["elbow_flex"].update(drive_mode=1), "drive_mode"),
-        (lambda motors: motors["elbow_flex"].pop("homing_offset"), "not a calibration of LeRobot"),
-        (lambda motors: motors["elbow_flex"].update(homing_offset="4"), "whole number"),
-        (lambda motors: motors.pop("elbow_flex"), "elbow_flex"),
-    ],
-)
-def test_a_file_that_cannot_be_used_is_refused(source, change, message):
-    motors = json.loads(source.read_bytes())
-    change(motors)
-    source.write_text(json.dumps(motors), encoding="utf-8")
-    with pytest.raises(FileError, match=message):
-        corrected_homing(source, ARM, np.zeros(5))

@@ -1,6 +1,5 @@
 """Bags of ros2_control, in MCAP and sqlite3: commands as its controllers take them; written by rosbags."""
 
-import sqlite3
 from pathlib import Path
 
 import numpy as np
@@ -78,9 +77,9 @@ def test_arrays_are_commands_in_the_order_of_the_controller(tmp_path: Path, stor
     sent = [(ARRAYS, round(1e9 * t), array(u[order])) for t, u in zip(found.time, found.command, strict=True)]
     source = write(tmp_path / "bag", storage, states(found) + sent)
     assert detect(source) == detect(source.parent) == storage
-    with pytest.raises(FileError, match=r"command topic /forward.*, message 1: 0 names for 5 positions; set --order"):
+    with pytest.raises(FileError, match=r"topic /forward.*, message 1: 0 names for 5 commands; set --order"):
         import_logs(source, ARM, out=tmp_path / "logs")
-    options = ImportOptions(joint_order=tuple(ARM.joint_names[i] for i in order))
+    options = ImportOptions(names=tuple(ARM.joint_names[i] for i in order))
     imported = import_logs(source.parent, ARM, out=tmp_path / "logs", options=options)
     log = imported.logs[0]
     assert log.position.tolist() == found.position.tolist()
@@ -108,74 +107,8 @@ def test_trajectories_are_followed_between_their_points(tmp_path: Path, storage:
     np.testing.assert_array_equal(log.position, position)
 
 
-def test_a_goal_starts_where_the_joints_are_and_replaces_the_one_before(tmp_path: Path):
-    time = 0.02 * np.arange(250)
-    position = np.zeros((250, 5))
-    position[:, 1] = -0.4
-    ones = np.ones((1, 5))
-    goals = [
-        (TRAJECTORIES, 10**9, trajectory([1.0], 0.4 * ones)),
-        (TRAJECTORIES, 15 * 10**8, trajectory([2.0], -0.2 * ones, names=list(ARM.joint_names)[::-1])),
-    ]
-    still = Sample(time=time, position=position, command=position)
-    log = import_logs(
-        write(tmp_path / "bag", "rosbag", states(still) + goals), ARM, out=tmp_path / "logs",
-        options=ImportOptions(force=True),
-    ).logs[0]  # fmt: skip
-    t = log.time - log.time[0]  # from the first goal on
-    assert t[-1] == pytest.approx(3.98)
-    for joint, start in ((0, 0.0), (1, -0.4)):
-        first = start + (0.4 - start) * t
-        second = start + (-0.2 - start) * np.minimum((t - 0.5) / 2.0, 1.0)
-        np.testing.assert_allclose(log.command[:, joint], np.where(t < 0.5 - 1e-9, first, second), atol=1e-6)
-
-
-def test_several_controllers_are_told_apart_by_the_user(tmp_path: Path):
-    found = worn_sample(seconds=6)
-    goals = [(TRAJECTORIES, 0, trajectory([5.0], found.command[-1:]))]
-    sent = [(ARRAYS, round(1e9 * t), array(u)) for t, u in zip(found.time, found.command, strict=True)]
-    grip = [("/gripper_controller/commands", 0, array(np.zeros(1)))]
-    source = write(tmp_path / "bag", "rosbag", states(found) + goals + sent + grip)
-    with pytest.raises(FileError, match=r"no topic /joint_commands; found /forward.*50 Hz\), /grip.*--command-topic"):
-        import_logs(source, ARM, out=tmp_path / "logs")
-    options = ImportOptions(command_topic=ARRAYS, joint_order=ARM.joint_names)
-    assert len(import_logs(source, ARM, out=tmp_path / "logs", options=options).logs[0]) == 300
-
-
-def test_a_bag_without_commands_is_one_of_states(tmp_path: Path):
-    imported = import_logs(
-        write(tmp_path / "bag", "rosbag", states(worn_sample(seconds=6))), ARM, out=tmp_path / "logs"
-    )
-    assert not imported.logs[0].commanded
-    assert any("no topic with commands; found /joint_states (sensor_msgs/msg/JointState" in n for n in imported.notes)
-
-
-@pytest.mark.parametrize(
-    ("goal", "said"),
-    [
-        (trajectory([1.0, 0.5], np.zeros((2, 5))), "its points are not one after another in time"),
-        (trajectory([], np.zeros((0, 5))), "it has no points"),
-        (trajectory([1.0], np.zeros((1, 4))), "5 names, but 4 positions"),
-        (trajectory([1.0], np.zeros((1, 5)), names=[*"abcde"]), "no column for joint shoulder_pan"),
-    ],
-)
-def test_a_goal_that_is_none_is_named(tmp_path: Path, goal: object, said: str):
-    source = write(tmp_path / "bag", "rosbag", [*states(worn_sample(seconds=6)), (TRAJECTORIES, 10**9, goal)])
-    with pytest.raises(FileError, match=said):
-        import_logs(source, ARM, out=tmp_path / "logs")
-    assert not (tmp_path / "logs").exists()
-
-
 def test_a_bag_that_was_not_closed_is_refused(tmp_path: Path):
     source = write(tmp_path / "bag", "rosbag", states(worn_sample(seconds=6)))
     source.with_name(f"{source.name}-wal").write_bytes(b"rest")
     with pytest.raises(FileError, match=r"was not closed: part of it is still in .*db3-wal"):
         import_logs(source, ARM, out=tmp_path / "logs")
-
-
-def test_another_database_is_no_bag(tmp_path: Path):
-    with sqlite3.connect(tmp_path / "a.db3") as database:
-        database.execute("CREATE TABLE joints (q REAL)")
-    database.close()
-    with pytest.raises(FileError, match=r"damaged or not readable \(ReaderError: .*missing tables"):
-        import_logs(tmp_path / "a.db3", ARM, out=tmp_path / "logs")

@@ -4,12 +4,9 @@ from datetime import datetime
 from pathlib import Path
 
 import pytest
-from benchmarks.browser import CHROMIUM, chromium
+from browser import CHROMIUM, chromium
 
-from rejoint.runs.fleet.page import write_page
-from rejoint.runs.fleet.result import FleetResult, FleetRow
-
-pytest.importorskip("websockets")
+from rejoint.runs.fleet.call import FleetResult, FleetRow, write_page
 
 pytestmark = [
     pytest.mark.realtime,

@@ -6,9 +6,8 @@ import torch
 
 from rejoint.arms import mycobot280
 from rejoint.control.policy import load_policy
-from rejoint.research.offpolicy import ALGORITHMS, OffPolicySettings, algorithm, noise_at, train_offpolicy
-from rejoint.system.errors import InputError
-from rejoint.training.actorcritic import ActionCritic, BoundedActor, SquashedActor
+from rejoint.research.offpolicy import ALGORITHMS, OffPolicySettings, algorithm, train_offpolicy
+from rejoint.training.actorcritic import BoundedActor, SquashedActor
 from rejoint.training.export import policy_graph
 
 ARM = mycobot280()
@@ -61,27 +60,3 @@ def test_the_exported_network_is_the_mean_policy(kind):
     mean, _ = actor.compute({"observations": torch.from_numpy(x)})
     mean = mean if kind is BoundedActor else torch.tanh(mean)
     np.testing.assert_allclose(session.run(None, {"observation": x})[0], mean.detach().numpy(), atol=1e-6)
-
-
-def test_an_untrained_actor_leaves_the_classical_law_alone():
-    for actor in (BoundedActor(10, 6, (16, 8)), SquashedActor(10, 6, (16, 8))):
-        with torch.no_grad():
-            assert float(actor.network()(torch.randn(100, 10)).abs().max()) < 0.05
-
-
-def test_the_critic_sees_action_and_privileged_observation():
-    critic = ActionCritic(4, 3, 2, (8,))
-    parts = {"observations": torch.zeros(1, 4), "states": torch.zeros(1, 3), "taken_actions": torch.zeros(1, 2)}
-    before = critic.compute(parts)[0].item()
-    for name, size in (("states", 3), ("taken_actions", 2)):
-        assert critic.compute(parts | {name: torch.ones(1, size)})[0].item() != before
-
-
-def test_the_noise_falls_to_its_end():
-    settings = OffPolicySettings(algorithm="td3", cycles=100, noise=(0.3, 0.1))
-    assert [round(noise_at(settings, cycle), 3) for cycle in (0, 50, 100, 200)] == [0.3, 0.2, 0.1, 0.1]
-
-
-def test_unknown_learners_are_refused():
-    with pytest.raises(InputError, match="sac, td3, ddpg"):
-        algorithm("a3c")

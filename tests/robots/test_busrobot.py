@@ -11,7 +11,7 @@ import pytest
 from rejoint.arms import mycobot280
 from rejoint.control.robot import Robot
 from rejoint.robots import Bus, BusRobot, Clock, Reading, Vitals
-from rejoint.robots.link import ATTEMPTS, TIMEOUT
+from rejoint.robots.bus import ATTEMPTS, TIMEOUT
 from rejoint.system import stopping
 from rejoint.system.errors import (
     AddressError,
@@ -222,45 +222,6 @@ def test_an_answer_of_another_number_of_servos_is_named(name):
         robot.read()
 
 
-def test_an_answer_may_be_lists_and_the_same_array_each_time():
-    """A bus that fills one buffer would else be compared with itself, and no jump be seen."""
-    robot, bus = opened()
-    buffer = np.zeros(6)
-
-    def read():
-        bus.tell("read")
-        buffer[:] = bus.position
-        return Reading(position=buffer, load=[0.5] * 6)
-
-    bus.read = read
-    first, _ = robot.read(), robot.read()
-    bus.position = ARM.rest + 0.5
-    bus.done = []
-    with pytest.raises(ImpossibleReplyError, match="cannot have jumped"):
-        robot.read()
-    assert "resynchronise" in bus.done
-    np.testing.assert_array_equal(first.position[0], ARM.rest)
-    np.testing.assert_array_equal(first.load, np.full((1, 6), 0.5))
-
-
-def test_a_bus_may_reckon_in_place_also_where_it_is_asked_again():
-    robot, bus = opened()
-    sent = []
-
-    def send(goal):
-        goal *= 2.0
-        sent.append(goal.copy())
-        bus.tell("send")
-
-    bus.send = send
-    robot.read()
-    bus.faults = [TimeoutError("late")]
-    command = ARM.rest[None].copy()
-    robot.step(command)
-    np.testing.assert_array_equal(sent, [2.0 * ARM.rest] * 2)
-    np.testing.assert_array_equal(command[0], ARM.rest)
-
-
 def test_a_jump_is_asked_for_again():
     robot, bus = opened()
     robot.read()
@@ -344,15 +305,6 @@ def test_a_wish_to_end_is_heard_between_two_attempts_and_the_arm_is_still_stoppe
     bus.done, bus.faults = [], [TimeoutError()]
     robot.stop()
     assert bus.done == ["stop", "resynchronise", "stop"]
-
-
-def test_a_closed_robot_says_so():
-    robot, bus = opened()
-    robot.close()
-    bus.done = []
-    with pytest.raises(ConnectionLostError, match="open the robot again"):
-        robot.read()
-    assert bus.done == []
 
 
 @pytest.mark.skipif(not hasattr(time, "CLOCK_BOOTTIME"), reason="this system has no clock that tells its sleep")

@@ -5,7 +5,6 @@ from rejoint.arms import mycobot280, so101, tcp_position
 from rejoint.control.robot import Robot
 from rejoint.robots import open_robot, place_of
 from rejoint.robots.emulated import EmulatedRobot
-from rejoint.robots.lab.plant import plant
 from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.system.errors import InputError, ProfileError
 
@@ -29,22 +28,6 @@ def test_it_is_a_robot():
     assert state.position.shape == state.temperature.shape == (4, 6)
     assert state.time.shape == state.age.shape == (4,)
     assert (state.age == 0).all()
-
-
-def test_the_same_seed_gives_the_same_run_bit_for_bit_at_any_number_of_threads(monkeypatch):
-    monkeypatch.setattr(plant, "ARMS_PER_THREAD", 1)
-    one, two, other = (
-        drive(EmulatedRobot(ARM, FAMILY, seed=seed, threads=threads), np.arange(4))
-        for seed, threads in ((5, 1), (5, 2), (6, 1))
-    )
-    np.testing.assert_array_equal(one, two)
-    assert (one[-1, :, 0] != other[-1, :, 0]).all()
-
-
-def test_an_arm_in_a_batch_is_the_same_arm_alone_bit_for_bit():
-    batch = drive(EmulatedRobot(ARM, FAMILY, seed=5), np.arange(4))
-    alone = drive(EmulatedRobot(ARM, FAMILY[2:3], seed=5, first=2), np.array([2]))
-    np.testing.assert_array_equal(alone[:, 0], batch[:, 2])
 
 
 def test_an_arm_does_not_notice_that_others_stopped():

@@ -5,17 +5,16 @@ import pytest
 
 import rejoint
 from rejoint.arms import load_arm
-from rejoint.control.servogains import gains_in_force
-from rejoint.robots import open_robot, place_of
+from rejoint.robots import open_robot
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.feetech.gains import for_all
-from rejoint.robots.lab.emulator.feetech.arm import build_arm
+from rejoint.robots.lab.emulator.feetech import build_arm
 from rejoint.robots.lab.plant.sts3215 import SETTING
 from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.runs.run import Run
 from rejoint.runs.stages import gains as stage
 from rejoint.runs.stages.gains import keep_gains
-from rejoint.system.errors import AddressError, InputError, RobotError
+from rejoint.system.errors import InputError, RobotError
 
 ARM = load_arm("so101")
 PROMPT = {"period": (0.02, 0.02), "command_latency": (0.0, 0.0), "readback_age": (0.0, 0.0)}
@@ -104,21 +103,9 @@ def test_a_search_runs_in_virtual_time_and_its_gains_can_be_compared_but_not_kep
     run = Run.create(tmp_path / "run", address, ARM)
     found = rejoint.gains(address, run)
     assert found.with_alone.tool < found.before.tool
-    compared = rejoint.compare(address, ["servo-gains"], [[0.33, 0.05, 0.22]], run=run, repetitions=1)
-    assert compared.comparison.rows[0].hold.settled.mean.value < found.before.tool
+    compared = rejoint.compare(
+        address, ["servo-gains"], [[0.33, 0.05, 0.22]], run=run, plan=rejoint.TrialPlan(repetitions=1)
+    )
+    assert compared.comparison.rows[0].settled.mean.value < found.before.tool
     with pytest.raises(InputError, match="forgets its gains"):
         keep_gains(address, run, found.alone)
-
-
-def test_arms_with_other_servos_have_no_gains():
-    assert place_of("emulated:worn").tunable(ARM)
-    assert not place_of("emulated:worn").tunable(load_arm("mycobot280"))
-    other = open_robot("emulated:worn")
-    assert gains_in_force(other) is None
-    assert other.rungs() == ()
-    with pytest.raises(InputError, match="an SO-101 has"):
-        other.tune(for_all({"p": 32}, 6))
-    with pytest.raises(InputError, match="give --arm so101"):
-        open_robot("emulated:worn?p=32")
-    with pytest.raises(AddressError, match="p=N with N from 8 to 64"):
-        place_of("emulated:so101?p=3")

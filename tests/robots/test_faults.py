@@ -1,4 +1,4 @@
-"""Faults against reactions, row by row as in docs/safety.md: the driver and the loop on an emulated arm, over TCP.
+"""Faults against reactions, row by row as in docs/faults.md: the driver and the loop on an emulated arm, over TCP.
 
 The vendor's client is slow to give up: what takes its whole patience is tried once here.
 """
@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280
+from rejoint.control.classical import IntegratorController
 from rejoint.control.guard import Reason
-from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
 from rejoint.robots import (
+    mycobot,  # noqa: F401 - imports the client without the deprecation that it raises
     open_robot,
-    vendor,  # noqa: F401 - imports the client without the deprecation that it raises
 )
 from rejoint.robots.bus import Bus, Clock, Reading, Vitals
 from rejoint.robots.busrobot import BusRobot
@@ -91,7 +91,7 @@ def test_a_link_that_was_gone_and_is_back_is_taken_up_again():
 
 
 def test_a_link_that_stays_away_ends_the_run_and_keeps_the_log(monkeypatch):
-    monkeypatch.setattr("rejoint.robots.link.TIMEOUT", 2.0)
+    monkeypatch.setattr("rejoint.robots.bus.TIMEOUT", 2.0)
     recording, error = drive("gone=0.5/60")
     assert isinstance(error, ConnectionLostError)
     assert len(recording.time) > 1

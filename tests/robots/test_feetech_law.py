@@ -5,9 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rejoint.robots.feetech.gains import KNOBS, way
-from rejoint.robots.feetech.law import DutyLaw
-from rejoint.robots.lab.plant.bareservo import BareServos
+from rejoint.robots.feetech.gains import KNOBS, DutyLaw, way
+from rejoint.robots.lab.plant.sts3215 import BareServos
 
 
 @given(

@@ -1,9 +1,10 @@
 """The maker's client on a line whose other end answers with bytes that were written down before."""
 
+import itertools
 import os
 import pty
 import socket
-import threading
+import time
 import tty
 from contextlib import closing, contextmanager
 
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 
 from rejoint.robots.feetech.wire import Wire
-from rejoint.robots.lab.emulator.feetech.packets import Packet, encode
+from rejoint.robots.lab.emulator.feetech import Packet, encode
 
 READ_56 = "FF FF FE 07 82 38 02 01 02 03 38"
 """A synchronous read of two registers from 56 on, of the servos 1 to 3"""
@@ -22,24 +23,27 @@ DATA = {servo: bytes([servo, 8]) for servo in (1, 2, 3)}
 
 
 @contextmanager
-def wire_to(*answers):
-    """Open a line on which each request gets the next of ``answers``; yields it and the requests that came."""
+def wire_to(*answers, part=4096):
+    """Open a line on which each request gets the next of ``answers`` at once, at most ``part`` bytes per look.
+
+    Yields the line and the requests that came. No thread answers: on a busy machine it would be late.
+    """
     own, client = pty.openpty()
     tty.setraw(client)
-    requests = []
+    requests, left, write, read = [], iter(answers), os.write, os.read
 
-    def answer():
-        for data in answers:
-            requests.append(os.read(own, 4096))
-            os.write(own, data)
+    def answered(line, data):
+        count = write(line, data)
+        requests.append(read(own, 4096))
+        write(own, next(left))
+        return count
 
-    thread = threading.Thread(target=answer, daemon=True)
-    thread.start()
     try:
-        with closing(Wire(os.ttyname(client), 1_000_000)) as wire:
+        with pytest.MonkeyPatch.context() as patch, closing(Wire(os.ttyname(client), 1_000_000)) as wire:
+            patch.setattr(os, "write", answered)
+            patch.setattr(os, "read", lambda line, size: read(line, min(size, part)))
             yield wire, requests
     finally:
-        thread.join(1.0)
         os.close(client)
         os.close(own)
 
@@ -48,8 +52,6 @@ def test_the_bytes_of_a_cycle_are_those_of_the_protocol():
     with wire_to(b"".join(ANSWERS.values()), b"") as (wire, requests):
         assert wire.read_all((1, 2, 3), 56, 2) == DATA
         wire.write_all((1, 2), 42, [bytes.fromhex("73 08"), bytes.fromhex("1A 04")])
-        while len(requests) < 2:
-            pass
     assert requests == [bytes.fromhex(READ_56), bytes.fromhex(WRITE_42)]
 
 
@@ -112,25 +114,11 @@ def test_an_answer_of_another_size_is_no_answer():
         wire.read(1, 33, 1)
 
 
-def test_answers_that_come_in_parts_are_put_together():
-    """A USB adapter hands over what it has every millisecond or so."""
-    own, client = pty.openpty()
-    tty.setraw(client)
-    rest = b"".join(ANSWERS.values())
-
-    def answer():
-        os.read(own, 4096)
-        for start in range(0, len(rest), 5):
-            os.write(own, rest[start : start + 5])
-            threading.Event().wait(0.002)
-
-    thread = threading.Thread(target=answer)
-    thread.start()
-    with closing(Wire(os.ttyname(client), 1_000_000)) as wire:
+def test_answers_that_come_in_parts_are_put_together(monkeypatch):
+    """A USB adapter hands over what it has every millisecond or so: the clock here goes on by as much at each look."""
+    with wire_to(b"".join(ANSWERS.values()), part=5) as (wire, _):
+        monkeypatch.setattr(time, "time", itertools.count(step=0.001).__next__)
         assert wire.read_all((1, 2, 3), 56, 2) == DATA
-    thread.join()
-    os.close(client)
-    os.close(own)
 
 
 def test_a_line_that_ends_is_a_broken_one():

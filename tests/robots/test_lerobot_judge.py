@@ -9,9 +9,7 @@ from pathlib import Path
 import pytest
 
 from rejoint.arms import load_arm
-from rejoint.robots.lab.emulator.feetech.arm import HOMING, NAMES, build_arm
-from rejoint.robots.lab.emulator.feetech.emulate import serve_bus
-from rejoint.robots.lab.emulator.feetech.session import BusSession
+from rejoint.robots.lab.emulator.feetech import HOMING, NAMES, BusSession, build_arm, serve_bus
 
 JUDGE = Path(os.environ.get("REJOINT_JUDGE", Path(__file__).parents[2] / ".judge"))
 

@@ -13,11 +13,9 @@ import pytest
 
 from rejoint.arms import load_arm
 from rejoint.control.guard import GuardLimits
-from rejoint.robots.lab.emulator.feetech.arm import build_arm
-from rejoint.robots.lab.emulator.feetech.emulate import serve_bus
-from rejoint.robots.lab.emulator.feetech.session import BusSession
+from rejoint.robots.lab.emulator.feetech import BusSession, build_arm, serve_bus
+from rejoint.runs.connect import connect
 from rejoint.runs.run import Run
-from rejoint.runs.stages.posing import PosedArm
 from rejoint.system.errors import InputError
 
 ARM = load_arm("so101")
@@ -46,16 +44,16 @@ def never_dropped(arm):
 
 def test_an_arm_follows_joint_goals_and_holds_where_it_is_before_and_after(tmp_path):
     with serving(tmp_path) as server:
-        with PosedArm(server.address, server.run) as arm:
-            start = arm.position
-            goal = arm.send(ARM.rest + np.radians([40.0, 6.0, -6.0, 8.0, 10.0]))
+        with connect(server.address, run=server.run) as arm:
+            start = arm.state.joints_rad
+            goal = arm.send_joints(ARM.rest + np.radians([40.0, 6.0, -6.0, 8.0, 10.0]))
             time.sleep(3.0)
-            end = arm.position
-            limited = arm.send(np.full(5, 9.0))
-            assert (limited == ARM.upper).all()
+            end = arm.state.joints_rad
+            limited = arm.send_joints([*end[:4], 9.0])
+            assert limited[4] == ARM.upper[4]
             with pytest.raises(InputError, match="beyond two turns; give radians"):
-                arm.send(np.full(5, 30.0))
-            arm.send(end)
+                arm.send_joints(np.full(5, 30.0))
+            arm.send_joints(end)
         assert np.degrees(start - ARM.rest) == pytest.approx(np.zeros(5), abs=6.0)
         assert np.degrees(end - goal) == pytest.approx(np.zeros(5), abs=1.2)
         goals = [int.from_bytes(data, "little") for address, data in server.arm.servos[0].writes if address == 42]

@@ -5,7 +5,6 @@ import os
 import pty
 import socket
 import struct
-import sys
 import threading
 import time
 from contextlib import suppress
@@ -16,14 +15,13 @@ import pytest
 
 from rejoint.arms import mycobot280, solve_position, tcp_position
 from rejoint.control.robot import Robot
-from rejoint.robots import link as link_module
+from rejoint.robots import bus as link_module
 from rejoint.robots import mycobot as mycobot_module
 from rejoint.robots import open_robot
-from rejoint.robots.address import SerialAddress, TcpAddress
 from rejoint.robots.bus import Clock
+from rejoint.robots.family import SerialAddress, TcpAddress
 from rejoint.robots.lab.emulator import Timing, build_firmware, serve_pty, serve_tcp
 from rejoint.robots.mycobot import MyCobotBus
-from rejoint.robots.vendor import common, silenced
 from rejoint.system.errors import (
     AddressError,
     ConnectionLostError,
@@ -194,25 +192,6 @@ def test_the_clients_side_effects_are_undone(start):
     assert logging.getLogger().handlers == before
 
 
-def test_faults_are_not_printed(start, capsys):
-    robot, _ = start()
-    assert robot.read().fault.any()
-    assert capsys.readouterr().out == ""
-
-
-def test_what_a_program_prints_meanwhile_is_printed(capsys):
-    with silenced():
-        other = threading.Thread(target=print, args=("from another thread",))
-        other.start()
-        other.join()
-        sys.stdout.write("from this one\n")
-        common.print("from the client")
-    common.print("as the owner's own client says it")
-    assert capsys.readouterr().out.splitlines() == [
-        "from another thread", "from this one", "as the owner's own client says it",
-    ]  # fmt: skip
-
-
 @pytest.mark.parametrize(
     "fault",
     [
@@ -342,14 +321,6 @@ def test_an_inactive_arm_is_left_alone(start):
     state = robot.read()
     assert robot.step(np.zeros((1, 6)), np.array([False])) is state
     assert SEND not in fake.seen
-
-
-def test_a_closed_robot_says_so(start):
-    robot, _ = start()
-    robot.close()
-    with pytest.raises(ConnectionLostError):
-        robot.read()
-    robot.close()
 
 
 def test_something_else_behind_the_port_is_named(awake):

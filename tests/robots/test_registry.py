@@ -53,15 +53,6 @@ def test_a_family_of_another_package_is_found_by_its_scheme(install):
         place.open(count=2)
 
 
-def test_what_nobody_asks_for_is_not_imported(install):
-    install("robot-x", "x")
-    install("robot-y", "y")
-    place_of("emulated:worn")
-    place_of("y:1")
-    assert "robot_y" in sys.modules
-    assert "robot_x" not in sys.modules
-
-
 def test_an_unknown_scheme_lists_the_forms_of_all_families_and_who_is_broken(install):
     install("robot-x", "x")
     install("robot-broken", "broken", "import no_such_module_of_anybody")
@@ -79,50 +70,10 @@ def test_an_unknown_scheme_lists_the_forms_of_all_families_and_who_is_broken(ins
         place_of("broken:1")
 
 
-@pytest.mark.parametrize(
-    ("code", "says"),
-    [
-        ("FAMILY = 3", "expected a Family of the scheme z, found a int"),
-        (GOOD.format(scheme="other"), "found the family of other:"),
-        ("", "AttributeError"),
-        ("raise SystemError('a\\nb')", r"SystemError: a\)"),
-    ],
-)
-def test_what_is_no_family_of_its_scheme_is_refused(install, code, says):
-    install("robot-z", "z", code)
-    with pytest.raises(AddressError, match=says) as caught:
-        place_of("z:1")
-    assert "robot-z 1.2" in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
-def test_a_bug_in_a_driver_is_named_as_its_packages(install):
-    install("robot-x", "x", GOOD.format(scheme="x") + "\n\ndef step():\n    return 1 / 0\n")
-    place_of("x:1")
-    with pytest.raises(ZeroDivisionError) as caught:
-        sys.modules["robot_x"].step()
-    assert registry.driver_of(caught.value) == "the package robot-x 1.2 (driver of x:)"
-    assert registry.driver_of(ValueError("of nobody's")) is None
-
-
 def test_a_scheme_of_ours_cannot_be_taken(install):
     install("robot-thief", "tcp")
     assert place_of("tcp://robot.local").detail.host == "robot.local"
     assert "robot_thief" not in sys.modules
-    with pytest.raises(AddressError, match=r"robot-thief 1\.2 .*refused: tcp: is one of rejoint's own schemes"):
-        place_of("carrier-pigeon:1")
-
-
-def test_a_scheme_that_two_packages_bring_is_refused_for_both(install):
-    install("robot-a", "both", GOOD.format(scheme="both"))
-    install("robot-b", "both", GOOD.format(scheme="both"))
-    with pytest.raises(
-        AddressError, match=r"robot-[ab] 1\.2 .*refused: the package robot-[ab] 1\.2 brings both: as well"
-    ):
-        place_of("both:1")
-    with pytest.raises(AddressError) as caught:
-        place_of("carrier-pigeon:1")
-    assert str(caught.value).count("is refused") == 2
 
 
 @pytest.mark.parametrize(

@@ -5,9 +5,9 @@ import pytest
 
 from rejoint.control.robot import Robot
 from rejoint.robots import open_robot, place_of
-from rejoint.robots.address import SerialAddress, TcpAddress
-from rejoint.robots.own import EmulatedAddress
-from rejoint.system.errors import AddressError, InputError, MissingExtraError
+from rejoint.robots.family import SerialAddress, TcpAddress
+from rejoint.robots.registry import EmulatedAddress
+from rejoint.system.errors import InputError
 
 KNOWN = [
     ("emulated:worn", EmulatedAddress(profile="worn")),
@@ -27,32 +27,6 @@ def test_known_addresses(text, detail):
     assert place.virtual == text.startswith("emulated:")
 
 
-@pytest.mark.parametrize(
-    "address",
-    [
-        "", "worn", "emulated", "emulated:", "tcp:", "tcp://", "tcp://host:port", "tcp://host:99999", "tcp://host:0",
-        "tcp://host:1/x", "serial:", "serial://", "serial:///", "serial://ttyAMA0", "serial:///dev/x?baud=fast",
-        "serial:///dev/x?speed=1", "http://host:9000", "serial:///dev/x?baud", "tcp://[::1",
-    ],
-)  # fmt: skip
-def test_malformed_addresses_name_their_form_once_or_all_of_them(address):
-    forms = {"emulated": r"emulated:PROFILE", "tcp": r"tcp://HOST:PORT", "serial": r"serial:///dev/DEVICE",
-             "feetech": r"feetech:///dev/DEVICE or feetech://HOST:PORT"}  # fmt: skip
-    scheme, colon, _ = address.partition(":")
-    expected = [form for name, form in forms.items() if not (colon and scheme in forms) or name == scheme]
-    with pytest.raises(AddressError) as caught:
-        open_robot(address)
-    assert [str(caught.value).count(form) for form in forms.values()] == [int(f in expected) for f in forms.values()]
-    assert len(str(caught.value)) < 160
-
-
-@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "tcp://nosuchhost.invalid:9000", "serial:///dev/nosuchport"])
-def test_where_nothing_is_the_error_is_one_line(address):
-    with pytest.raises(AddressError, match="nothing answers at") as caught:
-        open_robot(address)
-    assert "\n" not in str(caught.value)
-
-
 @pytest.mark.parametrize("arguments", [{"count": 0}, {"count": 2}, {"period": (0.0, 0.1)}, {"period": (0.2, 0.1)}])
 def test_what_a_single_arm_cannot_do_is_refused_before_connecting(arguments):
     with pytest.raises(InputError):
@@ -66,15 +40,3 @@ def test_emulated_robots_are_opened_as_a_batch():
     before = robot.read()
     after = robot.step(before.position)
     np.testing.assert_allclose(after.time - before.time, 0.05)
-
-
-def test_a_missing_extra_is_named(monkeypatch):
-    monkeypatch.setattr("rejoint.system.extras.find_spec", lambda _: None)
-    with pytest.raises(MissingExtraError, match=r"emulated:worn needs .*mujoco.*pip install 'rejoint\[train\]'"):
-        open_robot("emulated:worn")
-
-
-def test_periods_that_nobody_asked_for():
-    for text, period in (("tcp://127.0.0.1:9000", 0.05), ("serial:///dev/ttyAMA0", 0.05)):
-        assert place_of(text).default_period == (period, period)
-    assert place_of("emulated:worn").default_period == (0.02, 0.03)

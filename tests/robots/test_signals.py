@@ -13,7 +13,7 @@ import pytest
 
 from rejoint.arms import mycobot280
 from rejoint.arms.wire.orders import SWITCHES
-from rejoint.control.integrator import IntegratorController
+from rejoint.control.classical import IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
 from rejoint.robots import open_robot

@@ -17,10 +17,10 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280
-from rejoint.arms.wire.frames import Decoder, encode
+from rejoint.arms.wire.values import Decoder, encode
 from rejoint.robots import open_robot
 from rejoint.robots.lab.emulator import build_firmware, serve_pty
-from rejoint.robots.vendor import MyCobot280Socket
+from rejoint.robots.mycobot import MyCobot280Socket
 
 pytestmark = pytest.mark.realtime
 

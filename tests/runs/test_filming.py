@@ -11,26 +11,20 @@ import pytest
 
 import rejoint
 from rejoint.arms import Displacement, mycobot280, tcp_pose
-from rejoint.arms.camera.board import ON_TOOL, write_board
-from rejoint.arms.camera.rigfile import write_rig
+from rejoint.arms.camera.board import ON_TOOL
+from rejoint.arms.camera.rig import write_rig
 from rejoint.cli import main
-from rejoint.cli.console import Terminal
-from rejoint.cli.measuring import gauge_by_word
 from rejoint.control.robot import JointState
+from rejoint.diagnosis.calibration.calibration import read_calibration
 from rejoint.diagnosis.calibration.camera import filming
-from rejoint.diagnosis.calibration.camera.filmfile import read_film, read_folder
-from rejoint.diagnosis.calibration.camera.filming import CameraGauge, FilmDrive, UnseenBoardError
-from rejoint.diagnosis.calibration.file import read_calibration
-from rejoint.robots.emulatedcamera import EmulatedCamera
-from rejoint.robots.lab.camera.rendering import Looks
+from rejoint.diagnosis.calibration.camera.film import read_film, read_folder
+from rejoint.diagnosis.calibration.camera.filming import CameraGauge
+from rejoint.robots.cameras import EmulatedCamera
 from rejoint.robots.lab.camera.scene import beside
-from rejoint.robots.livecamera import LiveCamera
 from rejoint.runs.run import Run
-from rejoint.runs.stages.eyes import opened_eye
-from rejoint.runs.stages.filming import film_of
-from rejoint.runs.stages.liveeye import LiveEye
+from rejoint.runs.stages.calibrate import film_of
+from rejoint.session.eyes import LiveEye, opened_eye
 from rejoint.system.errors import InputError
-from rejoint.system.extras import EXTRAS
 
 ARM = mycobot280()
 SCENE = beside(ARM)
@@ -84,7 +78,8 @@ class Cut(EmulatedCamera):
 
 def film(robot, camera, run, **options):
     gauge = CameraGauge(camera=lambda _: nullcontext(camera), board=ON_TOOL)
-    return film_of(robot, gauge, run, None, 1, 2, lambda *_: None, **options)
+    with rejoint.Session(robot, run=run) as session:
+        return film_of(session, session.robot, gauge, 1, 2, lambda *_: None, **options)
 
 
 def test_an_interrupted_film_goes_on_to_the_same_end(tmp_path, monkeypatch):
@@ -108,33 +103,15 @@ def test_an_interrupted_film_goes_on_to_the_same_end(tmp_path, monkeypatch):
     assert len(list(runs[1].folder.pictures.glob("*.jpg"))) == len(found)
     anew = Cut(robot := Still(), last=1)
     with pytest.raises(InputError, match="check its cable"):
-        film(robot, anew, runs[1], afresh=True)
+        film(robot, anew, runs[1], fresh=True)
     assert len(read_film(runs[1].folder.views, ARM)[0]) == 1
-    assert read_film(runs[1].folder.views, ARM)[0].afresh
-    with pytest.raises(InputError, match="check its cable") as stopped:  # without --afresh, and still so
+    assert read_film(runs[1].folder.views, ARM)[0].fresh
+    with pytest.raises(InputError, match="check its cable") as stopped:  # without --fresh, and still so
         film(robot := Still(), Cut(robot, last=2), runs[1])
-    assert "the same command without --afresh goes on there" in stopped.value.__notes__[0]
+    assert "the same command without --fresh goes on there" in stopped.value.__notes__[0]
     kept, _ = read_film(runs[1].folder.views, ARM)
-    assert (len(kept), kept.afresh) == (2, True)
+    assert (len(kept), kept.fresh) == (2, True)
     assert list(runs[1].path.glob("views-*.parquet"))
-
-
-def test_a_board_that_is_not_seen_at_rest_is_a_line_before_anything_else_moves(tmp_path):
-    run = Run.create(tmp_path / "run", "test:still", ARM)
-    camera = Cut(robot := Still(), looks=Looks(hidden=0.95))
-    with pytest.raises(UnseenBoardError, match="in the rest posture, where the arm stands now"):
-        film(robot, camera, run)
-    assert camera.taken == [1]
-    np.testing.assert_allclose(robot.position[0], ARM.rest, atol=1e-6)
-    assert not run.folder.views.exists()  # camera or board will be moved
-
-
-def test_a_board_that_is_hardly_seen_is_a_line(monkeypatch):
-    monkeypatch.setattr(filming, "SCOUTS", 3)
-    camera = Cut(robot := Still())
-    drive = FilmDrive(robot=robot, camera=camera, film=filming.Film(board=ON_TOOL, carried="board"))
-    with pytest.raises(UnseenBoardError, match="in 3 of the 3 pictures about the rest posture, expected at least 6"):
-        drive.take(1)
 
 
 def run_cli(words, capsys, monkeypatch):
@@ -147,7 +124,7 @@ def run_cli(words, capsys, monkeypatch):
 
 def test_an_emulated_arm_is_calibrated_by_rendered_pictures(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    words = ("calibrate", "emulated:worn", "run", "--camera", "emulated", "--count", "2", "--once")
+    words = ("calibrate", "emulated:worn", "run", "--measure", "camera=emulated", "--count", "2", "--once")
     code, out, err = run_cli(words, capsys, monkeypatch)
     assert code == 0, err
     assert "14 pictures: 12 about the rest posture" in err
@@ -157,7 +134,7 @@ def test_an_emulated_arm_is_calibrated_by_rendered_pictures(tmp_path, capsys, mo
     assert "The correction clearly helps" in out
     kept, ended = read_film(run.folder.views, ARM)
     assert ended
-    robot = rejoint.connect("emulated:worn")
+    robot = rejoint.open_robot("emulated:worn")
     position, truth = robot.read().position, robot.true_tcp()
     assert np.linalg.norm(found.tool(position) - truth) < 0.5 * np.linalg.norm(
         tcp_pose(ARM, position)[0, :3, 3] - truth
@@ -166,50 +143,6 @@ def test_an_emulated_arm_is_calibrated_by_rendered_pictures(tmp_path, capsys, mo
     for one, other in zip(again.usable, kept.usable, strict=True):
         np.testing.assert_allclose(one.position, other.position, atol=1e-7)
         assert np.sqrt(np.mean((one.seen.pixel - other.seen.pixel) ** 2)) < 0.1
-
-
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (("--camera", "0"), "cannot see emulated:worn; watch an emulated arm with --camera emulated"),
-        (("--camera", "emulated", "--board-on", "wall"), "expected one of tool, table"),
-        (("--camera", "emulated=truth.csv"), "truth.csv: no such file"),
-        (("--camera", "pictures"), "which board is it?"),
-        (("--camera", "pictures", "--board", "board.toml"), "no such pictures"),
-        (("--camera", "emulated", "--touch"), "one of --touch, --tracker FILE, --camera WORD and --points FILE"),
-        (("--board", "board.toml"), "go with --camera"),
-    ],
-)
-def test_what_cannot_be_is_a_line(words, says, tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    if "--board" in words:
-        write_board(tmp_path / "board.toml", ON_TOOL)
-    code, _, err = run_cli(("calibrate", "emulated:worn", "run", *words), capsys, monkeypatch)
-    assert code == 2
-    assert says in err
-    assert len(err.strip().splitlines()) == 1
-    assert not (tmp_path / "run").exists()
-
-
-def test_without_opencv_a_line_says_what_to_install(tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setitem(EXTRAS, "camera", ("cv3",))
-    code, _, err = run_cli(("calibrate", "emulated:worn", "run", "--camera", "emulated"), capsys, monkeypatch)
-    assert code == 2
-    assert err.startswith("error: rejoint calibrate --camera needs more than the base installation (missing: cv3)")
-    assert "pip install 'rejoint[camera]'" in err
-
-
-def test_a_repair_is_told_of_a_camera_by_a_word(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert isinstance(gauge_by_word(Terminal(), "emulated:worn", "camera", 0), CameraGauge)
-    with pytest.raises(InputError, match="which board is it"):
-        gauge_by_word(Terminal(), "tcp://10.0.0.1:9000", "camera=1", 0)
-    write_board(tmp_path / "board.toml", ON_TOOL)
-    gauge = gauge_by_word(Terminal(), "tcp://10.0.0.1:9000", "camera=1", 0)
-    camera = gauge.camera(None)
-    assert isinstance(camera, LiveCamera)
-    assert (camera.number, gauge.board) == (1, ON_TOOL)
 
 
 class FakeCapture:
@@ -242,6 +175,7 @@ def wait_for(condition, seconds=20.0):
     assert condition()
 
 
+@pytest.mark.realtime
 def test_a_camera_watches_a_real_arm_until_its_cable_is_pulled(tmp_path, monkeypatch, caplog):
     robot, run = Still(), Run.create(tmp_path / "run", "test:still", ARM)
     device = FakeCapture(robot)
@@ -262,6 +196,7 @@ def test_a_camera_watches_a_real_arm_until_its_cable_is_pulled(tmp_path, monkeyp
     assert "camera 0: camera 0 gives no pictures any more; check its cable" in caplog.text
 
 
+@pytest.mark.realtime
 def test_a_camera_that_hangs_is_not_believed(caplog):
     """It told for ever that the tool stood where it was, and the arm was pulled after it."""
     robot = Still()
@@ -277,22 +212,3 @@ def test_a_camera_that_hangs_is_not_believed(caplog):
         wait_for(lambda: eye.sighting(100.0).time - 100.0 + time.monotonic() > before + 0.05)
         wait_for(lambda: "same picture for ever" in eye.why)
     assert "camera 0: gives the same picture for ever; plug it in again; the arm was driven by" in caplog.text
-
-
-def test_a_camera_with_other_pictures_or_before_an_emulated_arm_is_refused(tmp_path, monkeypatch):
-    robot, run = Still(), Run.create(tmp_path / "run", "test:still", ARM)
-    write_rig(run.folder.camera, ARM, SCENE.rig, np.full(19, 1e-3))
-    small = SimpleNamespace(
-        isOpened=lambda: True, set=lambda *_: None, release=lambda: None,
-        read=lambda: (True, np.zeros((480, 640, 3), np.uint8)),
-    )  # fmt: skip
-    monkeypatch.setattr(cv2, "VideoCapture", lambda _: small)
-    with pytest.raises(InputError, match="pictures of 640 x 480 px, it was calibrated with 1920 x 1080"), \
-            opened_eye("0", robot, run, 0):  # fmt: skip
-        pass
-    with pytest.raises(InputError, match="watch an emulated arm with --camera emulated"), \
-            opened_eye("0", rejoint.connect("emulated:worn"), run, 0):  # fmt: skip
-        pass
-    with pytest.raises(InputError, match="expected the number of a camera, or emulated"), \
-            opened_eye("webcam", robot, run, 0):  # fmt: skip
-        pass

@@ -13,19 +13,14 @@ import rejoint
 from rejoint.cli import main
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.contract import decode_contract, encode_contract
-from rejoint.control.gainsearch import GainsFound, Round
-from rejoint.control.geared import Geared
-from rejoint.control.servogains import under_gains
+from rejoint.control.servogains import GainsFound, Round
 from rejoint.logs.runfolder.effort import read_effort
 from rejoint.robots import place_of
 from rejoint.robots.feetech.gains import for_all
-from rejoint.robots.lab.emulator.feetech.arm import build_arm
-from rejoint.robots.lab.emulator.feetech.emulate import serve_bus
-from rejoint.robots.lab.emulator.feetech.session import BusSession
+from rejoint.robots.lab.emulator.feetech import BusSession, build_arm, serve_bus
 from rejoint.runs.run import Run
-from rejoint.runs.stages import controllers, known
 from rejoint.runs.stages import gains as stage
-from rejoint.runs.stages.gains import gains_to_keep
+from rejoint.session import context, controllers
 from rejoint.system.errors import ContractError, FileError, InputError
 from rejoint.system.files import read_json, write_json
 from rejoint.training.presets import DEFAULT
@@ -53,7 +48,9 @@ def test_what_a_search_finds_takes_part_in_the_comparison(tmp_path, monkeypatch)
     monkeypatch.setattr(stage, "TARGETS", 1)
     robot, run = ServoRobot(), Run.create(tmp_path / "run", "emulated:so101", ARM)
     with pytest.raises(FileError, match=r"run `rejoint gains ROBOT"):
-        rejoint.compare(robot, ["servo-gains"], [[0.3, 0.05, 0.2]], run=run, sets=1, repetitions=1)
+        rejoint.compare(
+            robot, ["servo-gains"], [[0.3, 0.05, 0.2]], run=run, plan=rejoint.TrialPlan(sets=1, repetitions=1)
+        )
     before = robot.servo_gains()
     found = rejoint.gains(robot, run)
     spent = read_effort(run.folder)
@@ -63,13 +60,12 @@ def test_what_a_search_finds_takes_part_in_the_comparison(tmp_path, monkeypatch)
     assert read_json(run.folder.gains, GainsFound) == found
     robot.history.clear()
     targets = np.array([[0.33, 0.05, 0.22], [0.31, -0.05, 0.20]])
-    compared = rejoint.compare(
-        robot, ["default", "servo-gains", "servo-gains+integrator"], targets, run=run, sets=1, repetitions=1,
-        protocol=Protocol(dwell=3.0, hold=3.0),
-    )  # fmt: skip
+    plan = rejoint.TrialPlan(sets=1, repetitions=1, protocol=Protocol(dwell=3.0, hold=3.0))
+    names = ["default", "servo-gains", "servo-gains+integrator"]
+    compared = rejoint.compare(robot, names, targets, run=run, plan=plan)
     assert robot.servo_gains() == before
     assert all(gains in robot.history for gains in (found.alone, found.under))
-    settled = {row.controller: row.hold.settled.mean.value for row in compared.comparison.rows}
+    settled = {row.controller: row.settled.mean.value for row in compared.comparison.rows}
     assert settled["servo-gains"] < settled["default"]
 
 
@@ -80,22 +76,9 @@ def test_an_arm_that_tells_no_gains_is_not_driven_under_any(tmp_path):
     assert not place_of("emulated:worn").tunable(arm)
     assert place_of("feetech:///dev/ttyACM0").tunable(arm)
     with pytest.raises(InputError, match="no servo gains"):
-        rejoint.deploy("emulated:worn", "servo-gains", [[0.3, 0.05, 0.2]], run=run)
-
-
-def test_only_the_gains_of_what_is_recommended_are_kept(tmp_path, monkeypatch):
-    run = Run.create(tmp_path / "run", "emulated:so101", ARM)
-    with pytest.raises(FileError, match=r"run `rejoint gains ROBOT"):
-        gains_to_keep(run)
-    found = found_by(run)
-    assert gains_to_keep(run) == found.alone
-    run.folder.comparison.write_text("{}")
-    for best, expected in (("servo-gains", found.alone), ("servo-gains+integrator", found.under)):
-        monkeypatch.setattr(stage, "recommended", lambda _, best=best: best)
-        assert gains_to_keep(run) == expected
-    monkeypatch.setattr(stage, "recommended", lambda _: "policy")
-    with pytest.raises(InputError, match="recommends policy"):
-        gains_to_keep(run)
+        rejoint.deploy(
+            "emulated:worn", [[0.3, 0.05, 0.2]], run=run, settings=rejoint.Settings(controller="servo-gains")
+        )
 
 
 def test_the_memory_of_the_servos_is_written_after_a_yes_alone(tmp_path, monkeypatch, capsys):
@@ -132,8 +115,10 @@ def test_a_policy_is_trained_for_the_gains_of_the_diagnosis(tmp_path, monkeypatc
     run = Run.create(tmp_path / "run", "emulated:so101", ARM)
     monkeypatch.setattr("rejoint.training.train.train", learn)
     monkeypatch.setattr(Run, "diagnosis", SimpleNamespace(servo_gains=FOUND))
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(rejoint.InputError, match=r"no twin.toml; run `rejoint identify .* --generic"):
         rejoint.train(run=run)
+    with pytest.raises(KeyboardInterrupt):
+        rejoint.train(run=run, settings=rejoint.TrainSettings(generic=True))
     assert asked == [FOUND]
     contract = replace(policy_contract(ARM, None, DEFAULT, 0), servo_gains=FOUND)
     text = encode_contract(contract)
@@ -150,7 +135,7 @@ def tuned_run(path, monkeypatch, policy=True):
     stiff = replace(nominal_parameters(ARM), stiffness=np.full(5, 20.0))
     twin = SimpleNamespace(parameters=stiff, digest=lambda: "0" * 16)
     monkeypatch.setattr(Run, "twin", twin)
-    monkeypatch.setattr(known, "replace", lambda one, **changes: SimpleNamespace(**(vars(one) | changes)))
+    monkeypatch.setattr(context, "replace", lambda one, **changes: SimpleNamespace(**(vars(one) | changes)))
     if policy:
         run.folder.policy.write_bytes(b"")
         contract = SimpleNamespace(servo_gains=found.under)
@@ -182,45 +167,9 @@ def test_what_a_run_made_for_tuned_gains_is_driven_under_them_and_not_under_thos
         "without a twin"
     )
     assert not {"policy", "predictive", "shelf"} & set(names), "on a real arm the own policy takes the shelf's place"
-    assert controllers.recommended(run) == controllers.usual_controller(run) == "servo-gains+policy"
+    assert controllers.recommended(run) == "servo-gains+policy"
     run.policy.contract.servo_gains = found.found  # trained before the search, as runs used to be
     assert "policy" in controllers._contenders(ARM, 0.02, run, run.twin, real=True, posed=False)
-    assert controllers.usual_controller(run) == "policy"
+    assert controllers.recommended(run) == "policy"
     with pytest.raises(ContractError, match=r"no policy for the gains that its search found \(p 40/48/48/40/32"):
         controllers.make_factories(["servo-gains+policy"], ARM, (0.02, 0.02), run=run)
-
-
-def test_a_push_is_as_small_as_the_servos_are_stiff_under_tuned_gains(tmp_path, monkeypatch):
-    run, found = tuned_run(tmp_path / "run", monkeypatch, policy=False)
-    leads = []
-    for name in ("push", "servo-gains+push"):
-        controller = controllers.make_factories([name], ARM, (0.02, 0.02), run=run, twin=run.twin)[name](ARM)
-        leads.append(getattr(controller, "_controller", controller)._lead)
-    np.testing.assert_allclose(leads[0], run.twin.parameters.coulomb / 20.0)
-    np.testing.assert_allclose(leads[1], leads[0] * FOUND["p"][0] / found.under["p"])
-
-
-def test_a_policy_that_brings_its_gains_is_not_refused_for_those_that_are_there():
-    robot = ServoRobot()
-    gains = FOUND | {"p": (48,) * 5}
-    contract = replace(policy_contract(ARM, None, DEFAULT, 0), servo_gains=gains)
-    plain = SimpleNamespace(name="policy", contract=contract)
-    with pytest.raises(ContractError, match="trained for servos with p=48"), under_gains(robot, plain):
-        pass
-    with under_gains(robot, Geared(plain, gains)):
-        assert robot.servo_gains()["p"] == (48,) * 5
-    with pytest.raises(ContractError, match="trained for servos with p=48"), under_gains(robot, Geared(plain, FOUND)):
-        pass
-    assert robot.servo_gains() == FOUND
-
-
-def test_the_page_shows_controllers_under_tuned_gains(tmp_path):
-    robot, run = ServoRobot(), Run.create(tmp_path / "run", "emulated:so101", ARM)
-    found_by(run)
-    compared = rejoint.compare(
-        robot, ["servo-gains", "servo-gains+integrator"], [[0.33, 0.05, 0.22]], run=run, sets=1, repetitions=1,
-        protocol=Protocol(dwell=1.0, hold=2.0),
-    )  # fmt: skip
-    assert compared.comparison.controllers == ("servo-gains", "servo-gains+integrator")
-    page = rejoint.report(run).read_text(encoding="utf-8")
-    assert "target sent once, under better gains of the servos themselves" in page

@@ -13,17 +13,16 @@ import pytest
 import rejoint
 from rejoint.arms import mycobot280
 from rejoint.control.comparison.compare import Settings
+from rejoint.control.comparison.ledger import HelperLostError
 from rejoint.control.comparison.result import Protocol
-from rejoint.control.comparison.sharing import HelperLostError
 from rejoint.control.guard import GuardLimits
-from rejoint.control.integrator import IntegratorController
-from rejoint.runs.stages import comparing
+from rejoint.runs.stages import compare as comparing
 from rejoint.runs.stages.helper import HelperProcess, Job
 
 ARM = mycobot280()
 QUICK = Protocol(dwell=1.0, hold=0.8, window=0.4)
 JOB = Job(
-    robot="emulated:worn", arm=ARM, run=None, twin=None, period=None, names=("default", "integrator", "shelf"),
+    robot="emulated:worn", arm=ARM, run=None, twin=None, period=None,
     targets=ARM.targets.sample(np.random.default_rng(3), (1, 2)), turns=None,
     settings=Settings(repetitions=2, seed=1, batched=True, protocol=QUICK), limits=GuardLimits.of(ARM), correct=None,
 )  # fmt: skip
@@ -38,8 +37,8 @@ def helper():
 
 
 def test_it_drives_the_same_to_the_bit(helper):
-    runner = JOB.runner()
     for task in (("integrator", "hold"), ("shelf", "crossing")):
+        runner = JOB.runner(task[0])
         driven, recording = helper.drive(task, PLACES)
         own, seen = runner.drive_batch(runner.open_batch(PLACES), *task, PLACES)
         assert (driven.key, driven.cycles, driven.reasons) == (own.key, own.cycles, own.reasons)
@@ -47,6 +46,18 @@ def test_it_drives_the_same_to_the_bit(helper):
         assert first.position.shape[1] == 1 < seen.position.shape[1]
         for field in fields(seen):
             np.testing.assert_array_equal(getattr(recording, field.name), getattr(first, field.name))
+
+
+def test_what_it_does_ahead_is_the_same(helper):
+    first, second = ("default", "hold"), ("integrator", "hold")
+    ahead = HelperProcess(JOB, [first])
+    try:
+        for task in (first, second):
+            driven, wanted = ahead.drive(task, PLACES)[0], helper.drive(task, PLACES)[0]
+            for name, column in wanted.columns.items():
+                np.testing.assert_array_equal(driven.columns[name], column)
+    finally:
+        ahead.close()
 
 
 def test_one_that_is_gone_or_cannot_is_lost(helper):
@@ -73,8 +84,8 @@ def started(monkeypatch):
     found = []
 
     class Kept(HelperProcess):
-        def __init__(self, job: Job) -> None:
-            super().__init__(job)
+        def __init__(self, job: Job, ahead=()) -> None:
+            super().__init__(job, ahead)
             found.append(self)
 
     monkeypatch.setattr(comparing, "HelperProcess", Kept)
@@ -85,7 +96,7 @@ def started(monkeypatch):
 
 
 def compared(*controllers):
-    return rejoint.compare("emulated:worn", controllers, sets=1, repetitions=1, protocol=QUICK)
+    return rejoint.compare("emulated:worn", controllers, plan=rejoint.TrialPlan(sets=1, repetitions=1, protocol=QUICK))
 
 
 def test_a_comparison_with_a_helper_finds_what_it_finds_without(started, monkeypatch):
@@ -100,21 +111,6 @@ def test_a_comparison_with_a_helper_finds_what_it_finds_without(started, monkeyp
     assert set(found.logs) == set(alone.logs)
     for label, log in found.logs.items():
         np.testing.assert_array_equal(log.position, alone.logs[label].position)
-
-
-def test_who_is_limited_to_one_core_has_no_helper(started, monkeypatch):
-    monkeypatch.setenv("OMP_NUM_THREADS", "1")
-    compared("default", "integrator")
-    monkeypatch.delenv("OMP_NUM_THREADS")
-    monkeypatch.setattr(os, "cpu_count", lambda: 1)
-    compared("default", "integrator")
-    assert not started
-
-
-def test_controllers_that_have_no_name_are_driven_here_alone(started):
-    compared("default", IntegratorController)
-    rejoint.compare("emulated:worn", {"mine": "integrator"}, sets=1, repetitions=1, protocol=QUICK)
-    assert not started
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")

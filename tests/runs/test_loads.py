@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import rejoint
+from hearing import Hears
 from rejoint.arms import (
     Displacement,
     gravity_torque,
@@ -16,21 +17,19 @@ from rejoint.arms import (
     tcp_pose,
     tcp_position,
 )
+from rejoint.arms.inertia import Payload, bare, loaded
 from rejoint.arms.kinematics import GRAVITY
-from rejoint.arms.loaded import Payload, bare, loaded
 from rejoint.control.controller import ControlInput
 from rejoint.control.feedforward import FeedforwardController
+from rejoint.control.goal import nearest_postures
 from rejoint.control.robot import JointState
-from rejoint.diagnosis.calibration.calibration import Calibration
-from rejoint.diagnosis.calibration.file import write_calibration
+from rejoint.diagnosis.calibration.calibration import Calibration, write_calibration
 from rejoint.diagnosis.calibration.parameters import DisplacementLayout
 from rejoint.robots import open_robot, place_of
-from rejoint.robots.own import unloaded
-from rejoint.runs.given import as_calibration
+from rejoint.robots.registry import unloaded
 from rejoint.runs.run import Run
-from rejoint.runs.stages.known import guard_limits
-from rejoint.runs.stages.loads import say_heavy
-from rejoint.twin.parameters import Layout
+from rejoint.session.context import guard_limits
+from rejoint.session.inputs import as_calibration
 from runs.test_connect import a_twin
 from runs.test_exporting import write_policy
 
@@ -78,33 +77,44 @@ def test_an_emulated_arm_carries_what_its_address_says_whatever_was_told() -> No
         place_of("emulated:worn?payload=much")
 
 
-def test_a_tool_is_where_an_emulated_arm_really_has_it() -> None:
-    told = loaded(ARM, tool=[0.0, 0.0, 0.05])
-    robot, plain = open_robot("emulated:healthy", arm=told), open_robot("emulated:healthy", arm=ARM)
-    away = np.linalg.norm(robot.true_tcp() - plain.true_tcp())
-    assert abs(away - 0.05) < 1e-3
-
-
 def test_an_untold_load_is_noticed_and_a_told_one_is_not(run: Path) -> None:
     said, targets = {}, [*TARGETS, [0.2, 0.05, 0.15], [0.13, 0.1, 0.1]]
     for payload in (None, 0.1):
         said[payload] = list[str]()
         rejoint.deploy(
-            "emulated:worn?payload=0.1", "feedforward", targets, run=run, dwell=3.0, payload=payload,
-            say=said[payload].append,
+            "emulated:worn?payload=0.1", targets, run=run, observer=Hears(message=said[payload].append),
+            settings=rejoint.Settings(controller="feedforward", dwell=6.0, payload=payload),
         )  # fmt: skip
     assert any("as if the hand carried" in line for line in said[None])
     assert not any("as if the hand carried" in line for line in said[0.1])
     quiet = list[str]()
-    rejoint.deploy("emulated:worn", "feedforward", TARGETS, run=run, dwell=3.0, say=quiet.append)
-    rejoint.deploy("emulated:worn", "feedforward", targets[-1:], run=run, dwell=3.0, say=quiet.append)
+    rejoint.deploy(
+        "emulated:worn",
+        TARGETS,
+        run=run,
+        settings=rejoint.Settings(controller="feedforward", dwell=3.0),
+        observer=Hears(message=quiet.append),
+    )
+    rejoint.deploy(
+        "emulated:worn",
+        targets[-1:],
+        run=run,
+        settings=rejoint.Settings(controller="feedforward", dwell=3.0),
+        observer=Hears(message=quiet.append),
+    )
     assert quiet == [], "in a single posture friction seems to carry 160 g of this arm"
 
 
 def test_a_told_load_raises_commands_by_what_a_servo_gives_way() -> None:
     state = JointState(time=np.zeros(1), position=ARM.rest[None], age=np.zeros(1))
     target = np.array(TARGETS[:1])
-    inputs = ControlInput(state=state, target=target, sent=ARM.rest[None], since_target=np.zeros(1))
+    inputs = ControlInput(
+        state=state,
+        target=target,
+        goal=nearest_postures(ARM, target, ARM.rest[None]),
+        sent=ARM.rest[None],
+        since_target=np.zeros(1),
+    )
     commands = []
     for arm in (ARM, loaded(ARM, 0.1)):
         controller = FeedforwardController(arm, 7.0)
@@ -116,30 +126,14 @@ def test_a_told_load_raises_commands_by_what_a_servo_gives_way() -> None:
     assert np.abs(expected).max() > np.radians(1.0)
 
 
-def test_a_load_that_no_motor_lifts_is_said_before_the_arm_tries(run: Path) -> None:
-    said = list[str]()
-    with rejoint.connect("emulated:worn", run=run, payload=0.4, say=said.append) as arm:
-        assert said == []
-        with pytest.raises(rejoint.NotReachedError):
+def test_a_load_that_no_motor_lifts_is_refused_before_anything_moves(run: Path) -> None:
+    with rejoint.connect("emulated:worn", run=run, settings=rejoint.Settings(payload=0.4)) as arm:
+        with pytest.raises(rejoint.InputError, match=r"too heavy: joint2 needs .* per cent .* the nearest place"):
             arm.move_to([0.2, 0.0, 0.12], timeout_s=0.5)
-    assert "Too heavy for the motor of joint2" in said[0]
+        assert arm.state.time_s == 0.0
+    settings = rejoint.Settings(controller="feedforward", payload=0.1)
     with pytest.raises(rejoint.InputError, match="address"):
-        rejoint.deploy(open_robot("emulated:worn"), "feedforward", TARGETS, run=run, payload=0.1)
-    with pytest.raises(rejoint.InputError, match="need a run"):
-        rejoint.connect("emulated:worn", payload=0.1)
-
-
-def test_of_a_motor_whose_limit_was_never_seen_it_is_said_that_the_load_is_perhaps_too_heavy() -> None:
-    twin, said = a_twin(), list[str]()
-    unseen = twin.identified.copy()
-    unseen[Layout(ARM.joints).at("torque_limit")] = False
-    target = np.array([[0.2, 0.0, 0.12]])
-    for one in (twin, replace(twin, identified=unseen)):
-        say_heavy(loaded(ARM, 0.4), one, target, said.append)
-        say_heavy(ARM, one, target, said.append)  # nothing is said of an empty hand
-    assert len(said) == 2
-    assert said[0].startswith("Too heavy for the motor of joint2")
-    assert said[1].startswith("Perhaps too heavy for the motor of joint2")
+        rejoint.deploy(open_robot("emulated:worn"), TARGETS, run=run, settings=settings)
 
 
 def test_a_policy_drives_its_arm_with_a_told_load_and_guard_and_calibration_are_those_of_the_arm(run: Path) -> None:
@@ -170,7 +164,12 @@ def test_a_calibrated_arm_takes_a_tool_and_a_payload_and_aims_by_them(run: Path,
         assert found is not None
         assert found.arm is told, "it says where this tool is"
         assert np.linalg.norm(found.tool(ARM.rest) - tcp_position(told, ARM.rest + askew.offset)) < 1e-9
-    done = rejoint.deploy("emulated:worn", "feedforward", TARGETS[:1], run=run, dwell=2.0, tool=[0.0, 0.0, 0.02])
+    done = rejoint.deploy(
+        "emulated:worn",
+        TARGETS[:1],
+        run=run,
+        settings=rejoint.Settings(controller="feedforward", dwell=2.0, tool=[0.0, 0.0, 0.02]),
+    )
     shift = done.log.aim[-1] - done.log.target[-1]
     assert 1e-3 < np.linalg.norm(shift) < 5e-3
     own.require(told)

@@ -7,8 +7,8 @@ import pytest
 
 import rejoint
 from rejoint.arms import mycobot280
-from rejoint.diagnosis.calibration.gauges import EmulatedGauge, TouchGauge
-from rejoint.diagnosis.calibration.measurementfile import read_interrupted, read_measurements
+from rejoint.diagnosis.calibration.measurementfile import read_interrupted
+from rejoint.diagnosis.calibration.procedure import TouchGauge
 from rejoint.runs.run import Run
 from rejoint.system.errors import FileError, InputError, UnsavedError
 
@@ -34,8 +34,9 @@ class Hand:
         return "" if stop.number == 2 else f"{x + 3:.2f} {y - 2:.2f} {z - 5:.2f}"
 
 
-def calibrate(run, hand, **options):
-    return rejoint.calibrate(ROBOT, run=run, gauge=hand.gauge(), **({"count": COUNT} | options))
+def calibrate(run, hand, calibration=None, **options):
+    settings = rejoint.Settings(calibration=calibration)
+    return rejoint.calibrate(ROBOT, run=run, gauge=hand.gauge(), settings=settings, **({"count": COUNT} | options))
 
 
 @pytest.fixture
@@ -49,7 +50,7 @@ def test_what_was_typed_is_not_asked_for_again(run, caplog):
         calibrate(run, Hand(3))
     assert "the same command goes on there" in stopped.value.__notes__[-1]
     kept, session = read_interrupted(run.folder.measurements, ARM)
-    assert (len(kept), session.answered, session.afresh) == (2, 3, False)
+    assert (len(kept), session.answered, session.fresh) == (2, 3, False)
 
     found = calibrate(run, hand := Hand())
     assert hand.asked == [4, 5, 6]  # what was left out stays out
@@ -62,16 +63,6 @@ def test_what_was_typed_is_not_asked_for_again(run, caplog):
     calibrate(run, hand := Hand())  # that one was at its end
     assert hand.asked == list(range(1, TOTAL + 1))
     assert len(list(run.path.glob("measurements-*.parquet"))) == 1
-
-
-def test_a_fit_that_is_missing_is_made_without_moving_the_arm(run, monkeypatch):
-    with monkeypatch.context() as broken:
-        broken.setattr("rejoint.runs.stages.calibrate.fit", lambda *_, **__: (_ for _ in ()).throw(MemoryError))
-        with pytest.raises(MemoryError):
-            calibrate(run, Hand())
-    monkeypatch.setattr("rejoint.diagnosis.calibration.procedure.move", None)
-    assert calibrate(run, hand := Hand()).calibration.points == TOTAL - 1
-    assert hand.asked == []
 
 
 def test_a_calibration_that_could_not_be_written_is_made_again_from_what_was_typed(run, monkeypatch):
@@ -92,30 +83,18 @@ def test_another_session_is_refused_and_begun_anew_where_that_is_asked_for(run, 
     with pytest.raises(InputError, match="the answers ended"):
         calibrate(run, Hand(3))
     before = run.folder.measurements.read_bytes()
-    with pytest.raises(InputError, match="begin anew with --afresh"):
+    with pytest.raises(InputError, match="begin again with --fresh"):
         rejoint.calibrate(ROBOT, run=run, **({"gauge": Hand(0).gauge(), "count": COUNT} | other))
     assert run.folder.measurements.read_bytes() == before
-    calibrate(run, hand := Hand(), prior="none")
+    calibrate(run, hand := Hand(), calibration="none")
     assert hand.asked[0] == 1
     assert next(run.path.glob("measurements-*.parquet")).read_bytes() == before
-
-
-def test_a_session_begun_afresh_goes_on_without_the_earlier_calibration(run):
-    calibrate(run, Hand(), count=5)
-    with pytest.raises(InputError, match="the answers ended") as stopped:
-        calibrate(run, Hand(4), prior="none")
-    assert "the same command without --afresh goes on there" in stopped.value.__notes__[-1]
-    assert stopped.value.__notes__[-1].endswith("--afresh")  # what fits it without the rest
-    found = calibrate(run, hand := Hand())
-    assert hand.asked == [5, 6]
-    alone = rejoint.calibrate(run=run, points=found.measurements, prior="none")
-    np.testing.assert_array_equal(found.calibration.covariance, alone.calibration.covariance)
 
 
 def test_what_was_interrupted_can_be_fitted_as_it_is_and_is_at_its_end_then(run):
     with pytest.raises(InputError, match="the answers ended"):
         calibrate(run, Hand(5))
-    found = rejoint.calibrate(run=run, points=run.folder.measurements)
+    found = rejoint.calibrate(run=run, gauge=run.folder.measurements)
     assert found.calibration.points == 4
     assert read_interrupted(run.folder.measurements, ARM) is None
 
@@ -128,21 +107,5 @@ def test_a_damaged_session_is_one_line_and_no_guess(run):
     run.folder.measurements.write_bytes(whole[: at + 12] + b"5" + whole[at + 13 :])
     with pytest.raises(FileError, match="digest is another") as refused:
         calibrate(run, Hand())
-    assert "--afresh" in refused.value.__notes__[-1]
-    calibrate(run, Hand(), prior="none")
-
-
-def test_what_an_emulator_tells_is_measured_anew_and_gives_the_same(tmp_path):
-    class Cut(EmulatedGauge):
-        def measure(self, robot, stop):
-            if stop.number == 4:
-                raise InputError("cut")
-            return super().measure(robot, stop)
-
-    whole, cut = (Run.create(tmp_path / name, ROBOT, ARM) for name in ("whole", "cut"))
-    rejoint.calibrate(ROBOT, run=whole, count=COUNT)
-    with pytest.raises(InputError, match="cut"):
-        rejoint.calibrate(ROBOT, run=cut, count=COUNT, gauge=Cut())
-    rejoint.calibrate(ROBOT, run=cut, count=COUNT)
-    points = [read_measurements(run.folder.measurements, ARM).point for run in (whole, cut)]
-    np.testing.assert_array_equal(*points)
+    assert "--fresh" in refused.value.__notes__[-1]
+    calibrate(run, Hand(), calibration="none")

@@ -1,6 +1,5 @@
 """Run folders: which one is gone on with, who may work in it, and what a killed process leaves there."""
 
-import logging
 import os
 import sys
 from dataclasses import replace
@@ -9,25 +8,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import rejoint
-from modelfiles import ur5e
-from rejoint.arms import load_arm, mycobot280, write_arm_toml
-from rejoint.arms.loaded import loaded
+from rejoint.arms import mycobot280
 from rejoint.cli import main
-from rejoint.logs.journal import Journal
-from rejoint.logs.runfolder.folder import FORMAT, LOGS, RunFolder, RunInfo, locked
+from rejoint.logs.runfolder.folder import LOGS, RunFolder, RunInfo, locked
 from rejoint.logs.runlog import RunLog, write_log
-from rejoint.robots.emulated import EmulatedRobot
-from rejoint.runs.run import Run, exclusive, finish, is_finished, mark_quick, newest_or_new, require_same_pace
-from rejoint.system.errors import FileError, InputError, NotReadyError
+from rejoint.runs.run import Run, exclusive
+from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import write_json
 
 ARM = mycobot280()
-STAGES = ("diagnosis.json", "twin.toml", "policy.onnx", "comparison.json")
 
 
-def folder_of(path: Path, robot: str = "emulated:worn", version: int = FORMAT) -> RunFolder:
-    info = RunInfo(robot=robot, arm="mycobot280", seed=0, version="1", created="now", format=version)
+def folder_of(path: Path, robot: str = "emulated:worn") -> RunFolder:
+    info = RunInfo(robot=robot, arm="mycobot280", seed=0, version="1", created="now")
     write_json(path / "run.json", info)
     return RunFolder(path)
 
@@ -37,39 +30,6 @@ def leave(folder: RunFolder, *names: str) -> None:
     for age, name in enumerate(reversed(names)):
         (folder.path / name).write_text("done")
         os.utime(folder.path / name, (0, 1_000_000_000 - age))
-
-
-def test_a_report_alone_is_no_end(tmp_path: Path) -> None:
-    folder = folder_of(tmp_path)
-    for count in range(len(STAGES)):
-        leave(folder, *STAGES[:count], "report.html")
-        assert not is_finished(folder)
-    leave(folder, *STAGES, "report.html")
-    assert is_finished(folder)
-
-
-def test_a_report_of_before_the_last_stage_is_no_end(tmp_path: Path) -> None:
-    folder = folder_of(tmp_path)
-    leave(folder, *STAGES[:3], "report.html", STAGES[3])
-    assert not is_finished(folder)
-    finish(Run(folder=folder, info=RunInfo(robot="", arm="", seed=0, version="", created=""), arm=ARM))
-    assert is_finished(folder)
-
-
-def test_runs_of_before_repair_noted_its_end_stay_finished(tmp_path: Path) -> None:
-    folder = folder_of(tmp_path, version=1)
-    leave(folder, *STAGES[:3], "report.html", STAGES[3])
-    assert is_finished(folder)
-    folder.comparison.unlink()
-    assert not is_finished(folder)
-
-
-def test_a_run_of_logs_ends_with_its_twin_and_the_report(tmp_path: Path) -> None:
-    folder = folder_of(tmp_path, robot=f"{LOGS}here")
-    leave(folder, "diagnosis.json", "report.html")
-    assert not is_finished(folder)
-    leave(folder, "diagnosis.json", "twin.toml", "judgement.json", "report.html")
-    assert is_finished(folder)
 
 
 def test_a_run_that_was_killed_while_it_was_begun_is_begun_again(tmp_path: Path) -> None:
@@ -86,25 +46,6 @@ def test_a_run_that_was_killed_while_it_was_begun_is_begun_again(tmp_path: Path)
         Run.create(other, "emulated:worn", arm, 0)
 
 
-def test_a_corrected_description_does_not_go_on_in_the_run_of_the_old_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    arm = replace(ur5e(), name="mine")
-    heavier = replace(arm, mass=1.2 * arm.mass)
-    first, _ = newest_or_new("emulated:worn", arm, 0)
-    run = Run.create(first, "emulated:worn", arm, 0)
-    write_arm_toml(tmp_path / "same.toml", arm)
-    for same in (arm, load_arm(tmp_path / "same.toml"), loaded(arm, payload=0.5)):  # written and read, and a full hand
-        assert Run.plan(first, "emulated:worn", same, 0).arm.name == "mine"
-        assert run.is_of("emulated:worn", same)
-    with pytest.raises(InputError, match=r"another description of mine \(it differs in mass\); give another"):
-        Run.plan(first, "emulated:worn", heavier, 0)
-    assert not run.is_of("emulated:worn", heavier)
-    assert newest_or_new("emulated:worn", arm, 0) == (first, True)
-    assert newest_or_new("emulated:worn", heavier, 0) == (first.with_name("002"), False)
-
-
 def test_what_killed_writers_left_is_removed_and_nothing_else(tmp_path: Path) -> None:
     folder, kept = folder_of(tmp_path), {"run.json", ".lock", "notes.partial", ".hidden.settings"}
     for place in (tmp_path, tmp_path / "logs", folder.outputs.folder, folder.figures):
@@ -115,19 +56,6 @@ def test_what_killed_writers_left_is_removed_and_nothing_else(tmp_path: Path) ->
     with locked(folder):
         pass
     assert {path.name for path in tmp_path.rglob("*") if path.is_file()} == kept
-
-
-def test_a_log_that_was_cut_short_is_told_of(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    folder = folder_of(tmp_path)
-    row = (np.zeros(1), np.zeros(1), np.zeros(3), np.zeros(3))
-    journal = Journal.begin(folder.log("deploy-1"), arm="x", joint_names=("a",), robot="tcp://x", label="deploy/policy")
-    journal.append(0.0, *row)
-    journal.close()
-    with caplog.at_level(logging.WARNING, logger="rejoint"), locked(folder):
-        pass
-    assert [record.getMessage() for record in caplog.records] == [
-        f"A run that was cut short is kept: {folder.log('deploy-1-cut-short')}"
-    ]
 
 
 def example() -> RunLog:
@@ -200,30 +128,3 @@ def test_a_stage_that_fails_leaves_no_folder_that_it_has_not_begun(tmp_path: Pat
     with pytest.raises(FileError, match="nothing to work on"):
         stage(begun)
     assert begun.folder.info.exists()
-
-
-def test_a_full_repair_does_not_build_on_a_quick_one(tmp_path: Path) -> None:
-    run = Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
-    mark_quick(run, quick=False)
-    require_same_pace(run, quick=False)
-    mark_quick(run, quick=True)
-    require_same_pace(run, quick=True)
-    with pytest.raises(InputError, match="a quick try, which is no result; give another --run"):
-        rejoint.repair(run=run)
-    assert sorted(path.name for path in run.path.iterdir()) == ["quick.json", "run.json"], "nothing has been begun"
-
-
-@pytest.mark.parametrize(
-    ("what", "error"), [("read", NotReadyError), ("read", ZeroDivisionError), ("__init__", ZeroDivisionError)]
-)
-def test_a_first_contact_that_fails_leaves_nothing(
-    what: str, error: type[Exception], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(*_: object, **__: object) -> None:
-        raise error("made for this test")
-
-    monkeypatch.setattr(EmulatedRobot, what, fail)
-    for run in (tmp_path / "one", Run.create(tmp_path / "two", "emulated:worn", ARM)):
-        with pytest.raises(error):
-            rejoint.diagnose("emulated:worn", run=run)
-    assert not list(tmp_path.iterdir())

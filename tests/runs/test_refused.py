@@ -9,9 +9,7 @@ import pytest
 
 import rejoint
 from rejoint.arms import Displacement, mycobot280, so101
-from rejoint.control.comparison.targets import draw_targets
-from rejoint.diagnosis.calibration.calibration import Calibration
-from rejoint.diagnosis.calibration.file import write_calibration
+from rejoint.diagnosis.calibration.calibration import Calibration, write_calibration
 from rejoint.diagnosis.calibration.parameters import DisplacementLayout
 from rejoint.runs.run import Run
 from runs.test_connect import a_twin
@@ -32,57 +30,7 @@ def run(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("wrong", [{"dwell": np.inf}, {"dwell": 0.0}, {"within": 5.0}, {"within": np.nan}], ids=str)
 def test_a_deployment_without_end_or_measure(run: Path, wrong: dict[str, float]) -> None:
     with pytest.raises(rejoint.InputError, match=r"deployment: .* positive"):
-        rejoint.deploy(NOBODY, "integrator", TARGETS, run=run, **wrong)
-
-
-@pytest.mark.parametrize("rate", [0.0, -1.0, np.nan, np.inf])
-def test_a_path_at_no_rate(run: Path, rate: float) -> None:
-    with pytest.raises(rejoint.InputError, match="between 1 and 1000 Hz"):
-        rejoint.follow(NOBODY, "circle-8s", run=run, rate=rate)
-
-
-@pytest.mark.parametrize("within", [0.0, np.nan, np.inf, 5.0])
-def test_a_path_within_no_distance(run: Path, within: float) -> None:
-    with pytest.raises(rejoint.InputError, match="within a positive distance"):
-        rejoint.follow(NOBODY, "circle-8s", run=run, within=within)
-
-
-def test_a_stream_for_ever(run: Path) -> None:
-    stream = rejoint.Stream()
-    stream.put(TARGETS[0], 0.0)
-    with pytest.raises(rejoint.InputError, match="a stream needs a duration"):
-        rejoint.follow(NOBODY, stream, run=run, duration=np.inf)
-
-
-def test_a_stream_that_no_arm_can_begin(run: Path) -> None:
-    for place, why in (([0.6, 0.0, 0.2], "out of reach"), ([0.18, 0.0, -0.1], "higher places")):
-        stream = rejoint.Stream()
-        stream.put(place)
-        with pytest.raises(rejoint.InputError, match=why):
-            rejoint.follow(NOBODY, stream, run=run, duration=3.0)
-    with pytest.raises(rejoint.InputError, match="nothing has come yet"):
-        rejoint.follow(NOBODY, rejoint.Stream(), run=run, duration=3.0)
-
-
-def test_what_a_stream_or_a_path_does_not_have(run: Path) -> None:
-    stream = rejoint.Stream()
-    stream.put(TARGETS[0])
-    with pytest.raises(rejoint.InputError, match="a stream has that of its targets"):
-        rejoint.follow(NOBODY, stream, run=run, duration=3.0, rate=30.0)
-    with pytest.raises(rejoint.InputError, match="a duration is of a stream"):
-        rejoint.follow(NOBODY, "circle-8s", run=run, duration=3.0)
-    with pytest.raises(rejoint.InputError, match="a duration in seconds, found text"):
-        rejoint.follow(NOBODY, stream, run=run, duration="3 s")
-    for repeat in (0, 1.5, "2"):
-        with pytest.raises(rejoint.InputError, match="repeated at least once"):
-            rejoint.follow(NOBODY, "circle-8s", run=run, repeat=repeat)
-
-
-def test_more_trials_than_any_memory_holds(run: Path) -> None:
-    with pytest.raises(rejoint.InputError, match="1 to 10000 sets"):
-        draw_targets(ARM, sets=10**9)
-    with pytest.raises(rejoint.InputError, match="at most 10000"):
-        rejoint.compare("emulated:worn", ["default"], run=run, sets=2, repetitions=10**9)
+        rejoint.deploy(NOBODY, TARGETS, run=run, settings=rejoint.Settings(controller="integrator", **wrong))
 
 
 def test_a_calibration_that_shifts_a_tool_farther_than_any_wear(run: Path) -> None:
@@ -94,7 +42,7 @@ def test_a_calibration_that_shifts_a_tool_farther_than_any_wear(run: Path) -> No
     )  # fmt: skip
     write_calibration(run / "calibration.toml", calibration)
     drives = (
-        lambda: rejoint.deploy(NOBODY, "integrator", TARGETS, run=run),
+        lambda: rejoint.deploy(NOBODY, TARGETS, run=run, settings=rejoint.Settings(controller="integrator")),
         lambda: rejoint.follow(NOBODY, "circle-8s", run=run),
         lambda: rejoint.compare(NOBODY, ["default", "integrator"], run=run),
         lambda: rejoint.serve(NOBODY, run, listen="127.0.0.1:0"),
@@ -120,14 +68,8 @@ def test_a_calibration_that_shifts_a_tool_farther_than_any_wear(run: Path) -> No
 def test_a_repair_whose_comparison_or_training_cannot_be(tmp_path: Path, wrong: dict[str, Any], why: str) -> None:
     """It would be found out after minutes of motion and a training."""
     with pytest.raises((rejoint.InputError, rejoint.FileError), match=why):
-        rejoint.repair(NOBODY, run=tmp_path / "run", quick=True, **wrong)
+        rejoint.repair(NOBODY, run=tmp_path / "run", quick=True, plan=rejoint.RepairPlan(**wrong))
     assert not (tmp_path / "run").exists()
-
-
-def test_what_a_run_makes_for_itself_is_no_reason_to_refuse_its_repair(tmp_path: Path) -> None:
-    names = ["default", "push", "shelf", "policy", "predictive"]
-    with pytest.raises(rejoint.AddressError):  # that nobody answers is the first thing that is wrong
-        rejoint.repair(NOBODY, run=tmp_path / "run", controllers=names, quick=True)
 
 
 def test_an_arm_without_the_wire_that_is_served(tmp_path: Path) -> None:

@@ -3,10 +3,8 @@
 import errno
 import os
 import re
-import shutil
 import subprocess
 import sys
-from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
@@ -22,8 +20,8 @@ from rejoint.logs.runfolder.folder import RunFolder, locked
 from rejoint.logs.runlog import RunLog, read_log, write_log
 from rejoint.robots import open_robot
 from rejoint.runs.run import Run
-from rejoint.runs.stages import keeping
-from rejoint.system.errors import FileError, InputError, UnsavedError
+from rejoint.session import recorder
+from rejoint.system.errors import FileError
 from rejoint.system.files import read_json, set_aside, write_json, write_whole
 
 
@@ -46,16 +44,6 @@ def test_a_log_survives_the_disk_bit_for_bit(tmp_path: Path) -> None:
     assert (back.arm, back.joint_names, back.robot, back.label, back.extra) == (
         log.arm, log.joint_names, log.robot, log.label, log.extra,
     )  # fmt: skip
-
-
-def test_a_log_refuses_time_that_stands_still() -> None:
-    with pytest.raises(InputError, match="time must increase, row 2"):
-        replace(example(), time=np.array([0.0, 1.0, 1.0, 2.0, 3.0]))
-
-
-def test_a_log_refuses_positions_that_are_not_finite() -> None:
-    with pytest.raises(InputError, match="position holds values that are not finite"):
-        replace(example(), position=np.full((5, 2), np.nan))
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow], max_examples=60)
@@ -157,36 +145,18 @@ def test_under_a_clock_that_stands_still_no_log_takes_the_place_of_another(tmp_p
         def now(cls, tz=None):
             return cls(2026, 1, 1, 12, 0, 5, tzinfo=tz)
 
-    monkeypatch.setattr(keeping, "datetime", Stopped)
+    monkeypatch.setattr(recorder, "datetime", Stopped)
     run = Run.create(tmp_path / "run", "emulated:worn", mycobot280(), 0)
     for _ in range(2):
-        rejoint.deploy("emulated:worn", "integrator", [[0.17, 0.0, 0.2]], run=run.path, dwell=0.5)
+        rejoint.deploy(
+            "emulated:worn",
+            [[0.17, 0.0, 0.2]],
+            run=run.path,
+            settings=rejoint.Settings(controller="integrator", dwell=0.5),
+        )
     assert set(run.folder.logs()) == {"deploy-20260101-120005", "deploy-20260101-120005-2"}
-    whole = keeping.start_journal(run, "deploy", open_robot("emulated:worn"), "deploy/killed")
+    whole = recorder.start_journal(run, "deploy", open_robot("emulated:worn"), "deploy/killed")
     whole.append(0.0, *np.zeros((2, 6)), *np.zeros((2, 3)))
     whole.close()  # as `kill -9` leaves it
     (found,) = recover(run.path / "logs")
     assert found.stem == f"deploy-20260101-120005-3-{CUT_SHORT}"
-
-
-@pytest.mark.parametrize("what", ["removed", "exchanged"])
-def test_a_diagnosis_whose_folder_goes_meanwhile_is_one_of_its_own_or_told(tmp_path: Path, what: str) -> None:
-    run = Run.create(tmp_path / "run", "emulated:worn", mycobot280(), 0)
-    other = replace(run, folder=RunFolder(tmp_path / "other"), info=replace(run.info, created="2020-02-02T02:02:02"))
-    other.begin()
-    left = [other.path] if what == "exchanged" else []
-
-    def meddle(share: float, _: str) -> None:
-        if share > 0.2 and (run.path / "logs").exists():
-            shutil.rmtree(run.path)
-            for path in left:
-                path.rename(run.path)
-
-    if what == "removed":
-        rejoint.diagnose("emulated:worn", run=run, quick=True, on_progress=meddle)
-        assert Run.open(run.path).diagnosis is not None
-        return
-    with pytest.raises(UnsavedError, match="another run's folder") as lost:
-        rejoint.diagnose("emulated:worn", run=run, quick=True, on_progress=meddle)
-    assert lost.value.result.verdict
-    assert Run.open(run.path).diagnosis is None

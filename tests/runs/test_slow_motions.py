@@ -11,7 +11,6 @@ from rejoint.control.robot import Robot
 from rejoint.robots import open_robot
 from rejoint.runs.run import Run
 from runs.test_connect import a_twin
-from servorobot import ServoRobot
 
 ARM = mycobot280()
 
@@ -35,8 +34,16 @@ def failing(robot: Robot, steps: int) -> Robot:
         (20, "follow/begin/stopped", lambda robot, run: rejoint.follow(robot, "circle-8s", run=run)),
         (20, "serve/begin/stopped", lambda robot, run: rejoint.serve(robot, run, listen="127.0.0.1:0")),
         (20, "calibrate/begin/stopped", lambda robot, run: rejoint.calibrate(robot, run=run, count=2)),
-        (20, "compare/begin/stopped", lambda robot, run: rejoint.compare(robot, ["default"], run=run, sets=1)),
-        (150, "compare/default/stopped", lambda robot, run: rejoint.compare(robot, ["default"], run=run, sets=1)),
+        (
+            20,
+            "compare/begin/stopped",
+            lambda robot, run: rejoint.compare(robot, ["default"], run=run, plan=rejoint.TrialPlan(sets=1)),
+        ),
+        (
+            150,
+            "compare/default/stopped",
+            lambda robot, run: rejoint.compare(robot, ["default"], run=run, plan=rejoint.TrialPlan(sets=1)),
+        ),
     ],
 )
 def test_what_an_arm_did_is_kept_where_a_stage_ends_early(
@@ -50,35 +57,3 @@ def test_what_an_arm_did_is_kept_where_a_stage_ends_early(
     assert log.label == label
     assert 1 < len(log) <= steps + 1
     assert any("What was recorded until then" in note for note in failed.value.__notes__)
-
-
-def test_what_an_arm_did_is_kept_where_a_search_for_gains_ends_early(tmp_path: Path) -> None:
-    robot = ServoRobot()
-    run = Run.create(tmp_path / "run", "emulated:so101", robot.arm)
-    with pytest.raises(rejoint.RobotError, match="made for this test"):
-        rejoint.gains(failing(robot, 150), run)
-    (log,) = run.logs.values()
-    assert log.label == "gains/default/stopped"
-
-
-class Fails:
-    """A gauge that measures once."""
-
-    sigma, frame, source, left = 5e-4, "base", "touch", 1
-
-    def measure(self, robot, stop):  # noqa: ARG002 - as every gauge
-        if not self.left:
-            raise rejoint.RobotError("made for this test")
-        self.left -= 1
-        return stop.believed
-
-
-def test_the_line_that_fits_what_was_measured_is_given_whole(tmp_path: Path) -> None:
-    folder = tmp_path / "my run"
-    Run.create(folder, "emulated:worn", ARM, 0)
-    with pytest.raises(rejoint.RobotError, match="made for this test") as failed:
-        rejoint.calibrate("emulated:worn", run=folder, gauge=Fails(), count=1)
-    points = folder / "measurements.parquet"
-    assert points.exists()
-    line = f"rejoint calibrate emulated:worn '{folder}' --points '{points}'"
-    assert any(note.endswith(line) for note in failed.value.__notes__)

@@ -7,17 +7,28 @@ from pathlib import Path
 
 import pytest
 
-from rejoint.cli import main
 from rejoint.system import extras
 from rejoint.system.errors import MissingExtraError
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
-BASE = {"msgspec", "numba", "numpy", "onnxruntime", "pyarrow", "pymycobot", "serial", "rich", "tomlkit", "typer"}
+BASE = {
+    "msgspec",
+    "numba",
+    "numpy",
+    "onnxruntime",
+    "pyarrow",
+    "pymycobot",
+    "serial",
+    "rich",
+    "scipy",
+    "tomlkit",
+    "typer",
+}
 NAMED_OTHERWISE = {"serial": "pyserial", "PIL": "pillow", "mcap_protobuf": "mcap-protobuf-support",
                    "mcap_ros2": "mcap-ros2-support", "cv2": "opencv-python-headless",
-                   "scservo_sdk": "ftservo-python-sdk", "warp": "warp-lang"}  # fmt: skip
+                   "scservo_sdk": "ftservo-python-sdk"}  # fmt: skip
 USED_BY_OTHERS = {"serial", "tensorboard"}  # by the vendor's client and by skrl
 ONLY_WITH_OTHERS = {"markupsafe"}  # comes with jinja2, whose absence is told
 
@@ -72,22 +83,3 @@ def test_what_is_missing_and_how_to_get_it(missing, needs, line, monkeypatch):
         extras.require("rejoint anything", *needs)
     assert str(refused.value).startswith("rejoint anything needs more than the base installation ")
     assert line in str(refused.value)
-
-
-def test_an_import_that_nobody_foresaw_is_a_line_too(monkeypatch, capsys):
-    def broken(*_):
-        raise ModuleNotFoundError("No module named 'mcap.reader'", name="mcap.reader")
-
-    monkeypatch.setattr("rejoint.cli.foreign.read_log", broken)
-    monkeypatch.setattr(sys, "argv", ["rejoint", "export", "a.parquet", "a.csv"])
-    with pytest.raises(SystemExit) as stopped:  # it is installed: something else is wrong, and where it is must be seen
-        main()
-    assert stopped.value.code == 1
-    assert "ModuleNotFoundError: No module named 'mcap.reader'; where it is: " in capsys.readouterr().err
-    without(monkeypatch, "mcap")
-    with pytest.raises(SystemExit) as stopped:
-        main()
-    assert stopped.value.code == 2
-    assert capsys.readouterr().err.splitlines() == [
-        "error: this needs more than the base installation (missing: mcap); add it with: pip install 'rejoint[logs]'"
-    ]

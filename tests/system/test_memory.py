@@ -5,10 +5,10 @@ import sys
 
 import pytest
 
-from rejoint.system import memory
+from rejoint.system import shell as memory
 
 LEFT = """
-from rejoint.system.memory import give_back
+from rejoint.system.shell import give_back
 
 def resident():
     with open("/proc/self/status") as status:

@@ -9,7 +9,6 @@ import pytest
 
 from rejoint.logs.runlog import RunLog
 from rejoint.runs.fleet import rayexecutor
-from rejoint.system.extras import installed
 
 PRELUDE = """
 import ctypes, os, signal, sys, time
@@ -66,7 +65,6 @@ sys.meta_path.insert(0, Late())
 
 def test_a_signal_while_arrow_imports_pandas_is_heard(tmp_path):
     """Arrow took it for a missing pandas, and whatever read the first log of its process went on to the end."""
-    pytest.importorskip("pandas")
     log = RunLog.of(np.arange(3.0), np.zeros((3, 6)), np.zeros((3, 6)), arm="mycobot280")
     log.save(tmp_path / "one.parquet")
     ended = run(
@@ -188,7 +186,6 @@ def test_whoever_drives_hears_signals_also_where_another_thread_drives_already()
     assert ended.stdout.splitlines() == ["interrupted by SIGTERM", "other interrupted by SIGTERM True"], ended.stderr
 
 
-@pytest.mark.skipif(not installed("ray"), reason="needs the extra fleet")
 @pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_wish_to_end_while_ray_starts_is_met_when_it_has_started(signum):
     """Raised in between it ended in a segmentation fault, by Ray's own handler with the exit code 15 and no line."""
@@ -199,7 +196,7 @@ def test_a_wish_to_end_while_ray_starts_is_met_when_it_has_started(signum):
         f"    os.kill(os.getpid(), {int(signum)})\n    time.sleep(0.01)\n    print('started', flush=True)\n"
         "    return Ray()\n"
         "rayexecutor._started = started\n"
-        "def app(**_):\n    rayexecutor.RayTasks()\n"
+        "def app(**_):\n    rayexecutor._begun(None, None, {})\n"
         "cli.app = app\nsys.argv = ['rejoint']\ncli.main()\n"
     )
     assert (ended.returncode, ended.stderr) == (128 + signum, f"error: interrupted by {signum.name}\n")

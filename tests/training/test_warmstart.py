@@ -1,19 +1,17 @@
 """Trainings that begin at the policy from the shelf."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from test_ranges import make_twin
 
 from rejoint.arms import load_arm
+from rejoint.control.catalogue import shelf_path, shelf_policy
 from rejoint.control.contract import probe_observations
 from rejoint.control.policy import Policy
-from rejoint.control.shelf import shelf_path, shelf_policy
-from rejoint.logs.runfolder.outputs import Outputs
+from rejoint.logs.runfolder.folder import Outputs
 from rejoint.system.errors import FileError
-from rejoint.training.presets import DEFAULT, PAPER, SCRATCH, Preset
-from rejoint.training.train import TrainingOptions, know_stiffness, train
+from rejoint.training.presets import DEFAULT
+from rejoint.training.train import TrainingOptions, train
 from rejoint.training.warmstart import network_weights, shelf_start
 
 ARM = load_arm("mycobot280")
@@ -78,51 +76,11 @@ def test_it_is_a_function_of_its_seed_also_when_interrupted(tmp_path):
     assert other.policy.read_bytes() != whole.policy.read_bytes()
 
 
-def changed(**law) -> Preset:
-    return dataclasses.replace(
-        DEFAULT, task=dataclasses.replace(DEFAULT.task, law=dataclasses.replace(DEFAULT.task.law, **law))
-    )
-
-
-@pytest.mark.parametrize(
-    "recipe",
-    [
-        SCRATCH,
-        PAPER,
-        changed(step_gain=0.9),
-        changed(load_penalty=2.0),
-        dataclasses.replace(DEFAULT, task=dataclasses.replace(DEFAULT.task, layout="equation-16")),
-        dataclasses.replace(DEFAULT, task=dataclasses.replace(DEFAULT.task, max_period=0.1)),
-        dataclasses.replace(DEFAULT, warm=dataclasses.replace(DEFAULT.warm, actor_layers=(64, 64))),
-    ],
-)
-def test_a_recipe_that_the_shelf_was_not_trained_by_begins_at_random(recipe):
-    assert shelf_start(ARM, DEFAULT) is not None
-    assert shelf_start(ARM, recipe) is None
-
-
-def test_what_a_law_believes_of_a_single_arm_does_not_matter():
-    twin = make_twin()
-    damped = dataclasses.replace(twin.parameters, damping=4.0 * twin.parameters.damping)
-    for known in (twin, dataclasses.replace(twin, parameters=damped)):
-        recipe = know_stiffness(DEFAULT, ARM, known)
-        assert recipe.task.law != DEFAULT.task.law
-        assert shelf_start(ARM, recipe) is not None
-    so101 = load_arm("so101")
-    assert shelf_start(so101, DEFAULT) is not None
-    assert shelf_start(so101, DEFAULT).digest != shelf_start(ARM, DEFAULT).digest
-
-
-def test_an_arm_that_the_shelf_does_not_know_begins_at_random():
-    assert shelf_start(dataclasses.replace(ARM, name="another"), DEFAULT) is None
-    assert shelf_start(dataclasses.replace(ARM, mass=1.1 * ARM.mass), DEFAULT) is None
-
-
 def test_a_damaged_shelf_is_named(tmp_path, monkeypatch):
     broken = tmp_path / "mycobot280.onnx"
     data = bytearray(shelf_path(ARM.name).read_bytes())
     data[len(data) // 2] ^= 1
     broken.write_bytes(data)
-    monkeypatch.setattr("rejoint.control.shelf.shelf_path", lambda _: broken)
+    monkeypatch.setattr("rejoint.control.catalogue.shelf_path", lambda _: broken)
     with pytest.raises(FileError, match=r"mycobot280\.onnx"):
         shelf_start(ARM, DEFAULT)

@@ -7,8 +7,7 @@ import numpy as np
 from rejoint.arms import so101
 from rejoint.logs.runlog import RunLog
 from rejoint.twin.parameters import TwinParameters
-from rejoint.twin.profile import Profile
-from rejoint.twin.reference import Reference
+from rejoint.twin.reference import Profile, Reference
 from rejoint.twin.simulation import Draw, Simulation
 
 ARM = replace(so101(), servos=())  # its truths are drawn for each joint by itself
@@ -36,14 +35,6 @@ def wandering(seed, seconds, centre=(0.0, -0.4, 0.2, 0.3, 0.0), size=0.25):
     for k in range(half, len(time)):
         command[k] = command[k - 1] + (command[k] - command[k - 1]) * PERIOD / 0.15
     return time, command
-
-
-def chirp(seed, seconds, highest=3.6, size=0.13, centre=(0.0, -0.4, 0.2, 0.3, 0.0)):
-    """Commands (T, n) of sines that get faster, up to ``highest`` [Hz], each joint with its own phase."""
-    time = np.arange(0.0, seconds, PERIOD)
-    phase = 2 * np.pi * (0.3 * time + (highest - 0.3) * time**2 / (2 * seconds))
-    start = np.random.default_rng(seed).uniform(0, 6.3, ARM.joints)
-    return time, centre + size * np.sin(phase[:, None] + start) * np.minimum(time, 1.0)[:, None]
 
 
 def record(label, time, command, truth=TRUTH, stiction=1.25, table=None, acceleration=np.inf, own=ARM):

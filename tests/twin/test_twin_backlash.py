@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280
-from rejoint.control.residual import CommandLaw
 from rejoint.training.ranges import BroadRanges
-from rejoint.training.task import ReachTask, TaskSettings
 from rejoint.twin.backlash import RESTITUTION, Backlash
 from rejoint.twin.friction import dry_friction, friction_terms
 
@@ -115,12 +113,6 @@ def test_joints_that_carry_weight_and_arms_without_play_are_left_alone():
     assert not speeds.any()
 
 
-def test_a_motor_sticks_below_its_friction_at_rest():
-    stuck = push(make(stiction=2.0), 0.039, 200)  # 0.39 N m against 2 * 0.2 N m
-    assert not stuck[1].any()
-    assert push(make(stiction=2.0), 0.045, 2000)[1][:, 0].any()
-
-
 def test_friction_stops_a_motor_and_does_not_turn_it_back():
     backlash = make(backlash=1.0, armature=0.02)
     push(backlash, 0.1, 100)
@@ -131,19 +123,3 @@ def test_friction_stops_a_motor_and_does_not_turn_it_back():
     # v' = -(f + d v) / m stops after m/d (v - f/d ln(1 + d v / f))
     way = 0.02 / 2.0 * (speed - 0.1 * np.log1p(speed / 0.1))
     assert backlash._ahead[0, 0] - start == pytest.approx(way, rel=0.1)
-
-
-def test_joints_of_a_task_never_leave_the_play_of_their_motors():
-    law = CommandLaw(anchor="goal", stiffness=(6.0,) * 6)
-    ranges = BroadRanges(arm=ARM, backlash=(0.005, 0.02), backlash_free=0.0, frictionless=0.0)
-    task = ReachTask(ARM, ranges, 32, TaskSettings(law=law), seed=0)
-    task.reset()
-    rng, free = np.random.default_rng(1), []
-    for _ in range(60):
-        task.step(rng.normal(size=(32, 6)))
-        assert (np.abs(task.simulation.backlash._ahead) <= task.simulation.backlash._half + 1e-12).all()
-        free.append((task.simulation.backlash._touch == 0)[:, [0, 4, 5]].mean())
-        assert (task.simulation.backlash._touch[:, 1:4] == 1).all()
-    assert 0.05 < np.mean(free) < 0.95
-    assert np.isfinite(task.simulation.twins.qpos).all()
-    assert np.abs(task.simulation.twins.qvel).max() < 20.0

@@ -2,13 +2,10 @@
 
 import mujoco
 import numpy as np
-import pytest
 
 from rejoint.arms import mycobot280, tcp_position
-from rejoint.system.errors import InputError
-from rejoint.twin.batch import TwinBatch
-from rejoint.twin.model import TCP_SITE, twin_model
-from rejoint.twin.parameters import nominal_parameters, pack, prior, unpack
+from rejoint.twin.batch import TCP_SITE, TwinBatch, twin_model
+from rejoint.twin.parameters import nominal_parameters, prior, unpack
 
 ARM = mycobot280()
 
@@ -65,19 +62,6 @@ def test_partial_write_equals_full_write_and_leaves_the_others_alone():
     assert partial.timestep.tolist() == [0.004] * 5
 
 
-def test_rollout_equals_steps():
-    rng = np.random.default_rng(5)
-    control = ARM.rest + rng.normal(0, 0.05, (2, 30, ARM.joints))
-    a, b = TwinBatch(ARM, 2), TwinBatch(ARM, 2)
-    a.restart(np.tile(ARM.rest, (2, 1)))
-    b.restart(np.tile(ARM.rest, (2, 1)))
-    recorded = a.rollout(control)
-    for k in range(30):
-        b.ctrl[:] = control[:, k]
-        b.step()
-        np.testing.assert_array_equal(recorded[:, k], b.qpos)
-
-
 def test_tcp_site_agrees_with_the_arms_kinematics():
     model = twin_model(ARM, nominal_parameters(ARM))
     data = mujoco.MjData(model)
@@ -86,18 +70,3 @@ def test_tcp_site_agrees_with_the_arms_kinematics():
         data.qpos[:] = q
         mujoco.mj_kinematics(model, data)
         np.testing.assert_allclose(data.site(TCP_SITE).xpos, tcp_position(ARM, q), atol=1e-9)
-
-
-def test_pack_and_unpack_are_inverse():
-    parameters = random_parameters(np.random.default_rng(1), 4)
-    np.testing.assert_allclose(pack(unpack(pack(parameters), 6)), pack(parameters), rtol=1e-13, atol=1e-15)
-    assert unpack(pack(parameters), 6).shape == (4,)
-    np.testing.assert_allclose(unpack(pack(parameters), 6).coulomb, parameters.coulomb, rtol=1e-12)
-
-
-def test_wrong_shapes_are_refused():
-    batch = TwinBatch(ARM, 3)
-    with pytest.raises(InputError, match="expected \\(3, 6\\)"):
-        batch.write(random_parameters(np.random.default_rng(0), 2))
-    with pytest.raises(InputError, match="one twin"):
-        twin_model(ARM, random_parameters(np.random.default_rng(0), 2))

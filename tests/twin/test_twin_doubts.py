@@ -7,16 +7,14 @@ import numpy as np
 import pytest
 from motion_logs import ARM, STEP, TRUTH, as_log, record, wandering
 
-from rejoint.pages.report.trust import answer
-from rejoint.twin.doubts import command_lag
+from rejoint.pages.report.tables import answer
 from rejoint.twin.fit import Problem, fit
 from rejoint.twin.fromlogs import _hard_to_follow
-from rejoint.twin.judge import Candidate, judge
+from rejoint.twin.judge import Candidate, command_lag, judge
 from rejoint.twin.motionfit import FREEDOM
-from rejoint.twin.parameters import healthy_parameters, pack, unpack
+from rejoint.twin.parameters import healthy_parameters, pack, unknown_prior, unpack
 from rejoint.twin.replay import Replay, cut
 from rejoint.twin.structure import simplest
-from rejoint.twin.unknown import unknown_prior
 
 LOGS = [record(f"motion{k}", *wandering(k, 10.0)) for k in range(4)]
 TWIN = Candidate(name="twin", parameters=TRUTH, stiction=1.25)

@@ -5,8 +5,8 @@ import pytest
 from motion_logs import ARM, as_log, pressing, record, wandering
 
 from rejoint.arms import tcp_position
-from rejoint.logs.exclusions import MARGIN, RECOVERY, find_exclusions, free_runs, table_height
-from rejoint.twin.segments import by_motion, contact_windows, free_windows, thin
+from rejoint.logs.exclusions import MARGIN, RECOVERY, find_exclusions, table_height
+from rejoint.twin.motionfit import by_motion, contact_windows, free_windows
 from rejoint.twin.table import TablePlane
 
 TABLE = TablePlane(height=-0.02, slope_x=0.0, slope_y=0.0, stiffness=2e4, friction=0.2)
@@ -32,12 +32,6 @@ def test_the_table_is_found_where_the_tip_is_held_up(touching, free):
 def test_without_contact_there_is_no_table(free):
     assert table_height(ARM, [free]) is None
     assert find_exclusions(ARM, [free])[0].free.all()
-
-
-def test_an_arm_that_goes_as_low_in_free_space_has_no_table():
-    log = record("low", *pressing())
-    assert tcp_position(ARM, log.position)[:, 2].min() < TABLE.height - 0.02
-    assert table_height(ARM, [log]) is None
 
 
 def test_contact_rows_and_the_seconds_after_are_masked(touching):
@@ -76,21 +70,6 @@ def test_dead_readings_are_found(free):
     assert not rows.stale[420 + round(RECOVERY / 0.02) + 2 :].any()
 
 
-def test_a_resting_arm_is_not_dead(free):
-    still = np.tile(free.command[:1], (len(free), 1))
-    rows = find_exclusions(ARM, [as_log("still", free.time, still, still)])[0]
-    assert rows.free.all()
-
-
-def test_runs_end_at_gaps_in_time():
-    time = np.arange(100) * 0.02
-    time[60:] += 1.0
-    free = np.ones(100, dtype=bool)
-    free[20] = False
-    assert free_runs(free, time, 0.1) == [(0, 20), (21, 60), (60, 100)]
-    assert free_runs(free, time, 0.5) == [(21, 60), (60, 100)]
-
-
 def test_windows_hold_free_rows_only_and_contacts_apart(touching, free):
     logs = [touching, free]
     rows = find_exclusions(ARM, logs, TABLE.height)
@@ -107,13 +86,3 @@ def test_windows_hold_free_rows_only_and_contacts_apart(touching, free):
     contacts = np.concatenate([np.arange(w.first, w.last) for w in contact_windows(logs, rows, 4.0)])
     assert {w.log for w in contact_windows(logs, rows, 4.0)} == {0}
     assert set(np.flatnonzero(rows[0].contact)) <= set(contacts)
-
-
-def test_thinning_keeps_the_share_and_spreads_it(free):
-    logs = [free] * 6
-    rows = find_exclusions(ARM, logs)
-    windows = free_windows(logs, rows, 4.0)
-    kept = thin(windows, logs, 48.0)
-    assert sum(free.time[w.last - 1] - free.time[w.first] for w in kept) == pytest.approx(48.0, abs=4.5)
-    assert {w.log for w in kept} == set(range(6))
-    assert thin(windows, logs, 1e6) == windows

@@ -8,10 +8,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rejoint.arms import mycobot280
-from rejoint.system.errors import ContractError, FileError, InputError
+from rejoint.system.errors import FileError
 from rejoint.twin.file import read_twin, write_twin
+from rejoint.twin.judgement import PredictionError
 from rejoint.twin.parameters import pack, prior, unpack
-from rejoint.twin.prediction import PredictionError
 from rejoint.twin.twin import HeldOut, Twin
 
 ARM = mycobot280()
@@ -23,7 +23,7 @@ def make_twin(seed=0):
     root = np.diag(belief.sigma) @ rng.normal(0, 0.1, (k, k))
     covariance = root @ root.T + np.diag((0.05 * belief.sigma) ** 2)
     covariance = 0.5 * (covariance + covariance.T)
-    errors = [PredictionError(joints=rng.uniform(0, 0.1, 6), joint=0.03, tcp=0.002) for _ in range(3)]
+    errors = [PredictionError(joints=tuple(rng.uniform(0, 0.1, 6).tolist()), joint=0.03, tcp=0.002) for _ in range(3)]
     return Twin(
         arm=ARM.name,
         joint_names=ARM.joint_names,
@@ -59,14 +59,6 @@ def test_round_trip_is_exact(tmp_path, seed):
     np.testing.assert_array_equal(back.held_out.no_twin.joints, twin.held_out.no_twin.joints)
 
 
-def test_file_is_readable_by_people(path):
-    text = path.read_text()
-    assert "# N m/rad: servo torque" in text
-    assert "mm" in text
-    assert "[stiffness]" in text
-    assert max(map(len, text.splitlines())) < 1500
-
-
 def test_digest_follows_what_decides_the_draws():
     twin = make_twin()
     assert twin.digest() == make_twin().digest()
@@ -74,13 +66,6 @@ def test_digest_follows_what_decides_the_draws():
     assert replace(twin, arm="other").digest() != twin.digest()
     assert replace(twin, identified=~twin.identified).digest() != twin.digest()
     assert replace(twin, notes=()).digest() == twin.digest()
-
-
-def test_missing_file_and_other_arm(path, tmp_path):
-    with pytest.raises(FileError, match="no such file"):
-        read_twin(tmp_path / "none.toml")
-    with pytest.raises(ContractError, match="mycobot280"):
-        read_twin(path, replace(ARM, name="so101"))
 
 
 def test_an_edited_value_is_noticed(path, tmp_path):
@@ -112,27 +97,3 @@ def test_a_changed_byte_is_named_or_harmless(path, tmp_path, place, byte):
     except FileError:
         return
     assert digest == make_twin().digest()
-
-
-@given(text=st.text(max_size=200))
-@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
-def test_any_text_is_refused_with_a_name(tmp_path, text):
-    (tmp_path / "t.toml").write_text(text, encoding="utf-8")
-    with pytest.raises(FileError):
-        read_twin(tmp_path / "t.toml")
-
-
-def test_impossible_twins_are_refused():
-    twin = make_twin()
-    skewed = twin.covariance.copy()
-    skewed[0, 1] += 1.0
-    for bad in (
-        {"covariance": -twin.covariance},
-        {"covariance": skewed},
-        {"covariance": twin.covariance[:3, :3]},
-        {"lower": twin.upper},
-        {"narrowing": np.full(38, np.nan)},
-        {"narrowing": np.zeros(38)},
-    ):
-        with pytest.raises(InputError, match="twin"):
-            replace(twin, **bad)

@@ -4,21 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from motion_logs import ARM, PERIOD, STEP, TRUTH, chirp, pressing, record, wandering
+from motion_logs import ARM, STEP, TRUTH, pressing, record, wandering
 
 from rejoint.arms import tcp_position
-from rejoint.system.errors import InputError
 from rejoint.twin.file import read_twin, write_twin
 from rejoint.twin.fit import Problem
-from rejoint.twin.fromlogs import FITTED, HEALTHY, REFITTED, UNJUDGED, identify_logs
-from rejoint.twin.holdout import HoldOut, folds, part
+from rejoint.twin.fromlogs import FITTED, HEALTHY, REFITTED, identify_logs
 from rejoint.twin.judgement import NO_TWIN
-from rejoint.twin.motionfit import LogSettings
-from rejoint.twin.parameters import pack, unpack, vector_names
+from rejoint.twin.motionfit import HoldOut, LogSettings
+from rejoint.twin.parameters import pack, unknown_prior, vector_names
 from rejoint.twin.replay import Replay, cut
 from rejoint.twin.structure import EARLIER, find_acceleration, simplest
 from rejoint.twin.table import TablePlane
-from rejoint.twin.unknown import unknown_prior
 
 TABLE = TablePlane(height=-0.02, slope_x=0.02, slope_y=0.0, stiffness=3000.0, friction=0.2)
 QUICK = LogSettings(coarse_seconds=40.0, fit_seconds=96.0, contact_seconds=24.0, threads=1)
@@ -58,9 +55,6 @@ def test_once_judged_the_twin_is_fitted_to_all_motions(found, logs):
     held = identify_logs(ARM, chosen, replace(few, hold_out=HoldOut(names=("motion3",))))
     assert held.twin.fit_seconds > 1.2 * 60.0 < fitted
     assert REFITTED in held.twin.notes
-    seen = identify_logs(ARM, chosen, replace(few, hold_out=HoldOut(names=())))
-    assert UNJUDGED in seen.twin.notes
-    assert sorted(seen.fitted) == [motion.motion for motion in seen.judgement.motions]
 
 
 def test_the_intervals_hold_the_truth_at_the_rate_they_claim(found):
@@ -107,28 +101,6 @@ def test_a_twin_with_a_table_survives_its_file(found, tmp_path):
     assert read_twin(tmp_path / "limited.toml", ARM).acceleration == 39.0
 
 
-def test_a_slow_ramp_is_noticed():
-    truth = replace(TRUTH, ramp_speed=0.7)
-    logs = [record(f"motion{k}", *wandering(k, 16.0), truth=truth) for k in range(5)]
-    settings = replace(QUICK, stictions=(1.25,), hold_out=HoldOut(names=("motion4",)), fit_seconds=60.0)
-    found = identify_logs(ARM, logs, settings)
-    assert found.twin.parameters.ramp_speed == pytest.approx(0.7, rel=0.1)
-    assert found.judgement.mean[FITTED].free.tcp < 2e-3
-
-
-def test_a_limited_acceleration_is_noticed():
-    slow = [record(f"motion{k}", *wandering(k, 16.0), acceleration=38.0) for k in range(3)]
-    fast = [record(f"chirp{k}", *chirp(k, 16.0), acceleration=38.0) for k in range(2)]
-    settings = replace(
-        QUICK, stictions=(1.25,), hold_out=HoldOut(names=("chirp1", "motion2")), fit_seconds=48.0, fast_seconds=16.0
-    )
-    found = identify_logs(ARM, [*slow, *fast], settings)
-    assert found.twin.acceleration == pytest.approx(38.0, rel=0.06)
-    errors = {motion.motion: motion.errors[FITTED].free for motion in found.judgement.motions}
-    assert errors["chirp1"].joint < np.radians(0.5)
-    assert errors["motion2"].tcp < 2e-3
-
-
 def test_what_is_known_of_the_servos_holds_where_the_logs_do_not_tell():
     """An arm that stands still shows no limit of its acceleration; one that moves may show that there is none."""
     assert pytest.approx(38.963, abs=1e-3) == ARM.servo_acceleration  # 254 * 100 counts of a 4096th turn
@@ -148,33 +120,6 @@ def test_what_is_known_of_the_servos_holds_where_the_logs_do_not_tell():
             assert find_acceleration(problem, simple, start).acceleration == expected
 
 
-def test_a_joint_moves_alike_when_its_torques_and_inertia_are_scaled(logs):
-    replay = Replay(ARM, logs, cut(logs[:1], 8.0), STEP, 1, 1.25)
-    structure = simplest(unknown_prior(ARM), 1.25)
-    problem = Problem(replay, structure.prior, structure.frozen)
-    truth = np.clip(pack(TRUTH), structure.prior.lower, structure.prior.upper)
-    for factor, vector in zip((0.8, 1.5), problem.rescaled(truth, (0.8, 1.5)), strict=True):
-        twin = unpack(vector, ARM.joints)
-        for name in ("stiffness", "damping", "coulomb"):
-            np.testing.assert_allclose(getattr(twin, name), factor * getattr(TRUTH, name))
-        inertia = problem.link_inertia + np.stack([twin.armature, TRUTH.armature])
-        np.testing.assert_allclose(inertia[0], factor * inertia[1])
-        rest = [p.offset - problem.gravity / p.stiffness for p in (twin, TRUTH)]
-        np.testing.assert_allclose(rest[0], rest[1], atol=1e-12)
-    rms = np.sqrt(np.mean(problem.residuals(problem.rescaled(truth, (1.5,)))[0] ** 2, axis=0))
-    stiffer = truth + np.log(1.5) * (np.arange(len(truth)) < ARM.joints)
-    alone = np.sqrt(np.mean(problem.residuals(stiffer[None])[0] ** 2, axis=0))
-    assert (rms < 0.25 * alone).all()
-
-
-def test_rows_within_the_memory_count_as_one(logs):
-    replay = Replay(ARM, logs, cut(logs[:1], 8.0), STEP, 1, 1.25)
-    noise = np.random.default_rng(0).standard_normal((len(np.concatenate(replay.measured())), ARM.joints))
-    weights = [Problem(replay, unknown_prior(ARM), memory=m).weights(noise) for m in (0.0, 3.0)]
-    assert (weights[0].correlation < 2.0).all()
-    np.testing.assert_allclose(weights[1].correlation, 3.0 / PERIOD)
-
-
 def test_threads_do_not_change_what_is_found(logs):
     few = LogSettings(
         coarse_seconds=8.0, fit_seconds=8.0, fast_seconds=8.0, contact_seconds=8.0, hold_out=HoldOut(names=("press1",))
@@ -183,47 +128,3 @@ def test_threads_do_not_change_what_is_found(logs):
     one, two = (identify_logs(ARM, chosen, replace(few, threads=threads)).twin for threads in (1, 2))
     assert one.digest() == two.digest()
     assert one.table == two.table
-
-
-def test_a_stickier_arm_is_noticed():
-    logs = [record(f"motion{k}", *wandering(k, 16.0), stiction=2.0) for k in range(4)]
-    settings = replace(QUICK, hold_out=HoldOut(names=("motion3",)), stictions=(1.25, 2.0), fit_seconds=32.0)
-    assert identify_logs(ARM, logs, settings).twin.stiction == 2.0
-
-
-def test_what_is_held_out(logs):
-    seen, unseen = part(ARM, logs, HoldOut())
-    assert len(unseen) == 3
-    assert len(seen) + len(unseen) == len(logs)
-    again = part(ARM, logs[::-1], HoldOut())
-    assert [log.label for log in again[1]] == [log.label for log in unseen]
-    seen, unseen = part(ARM, logs[:1], HoldOut())
-    assert len(seen[0]) == 3 * len(unseen[0])
-    assert seen[0].time[-1] < unseen[0].time[0]
-    assert unseen[0].label == "motion0 (end)"
-    seen, unseen = part(ARM, logs, HoldOut(names=()))
-    assert [log.label for log in seen] == [log.label for log in unseen] == sorted(log.label for log in logs)
-    for names in (("nowhere",), tuple(log.label for log in logs)):
-        with pytest.raises(InputError, match="hold out"):
-            part(ARM, logs, HoldOut(names=names))
-    with pytest.raises(InputError, match="same label"):
-        part(ARM, [logs[0], logs[0]], HoldOut())
-
-
-def test_names_do_not_decide_what_is_held_out(logs):
-    """Renaming motions changes no fold, each fold has motions of every kind, and a seed another draw."""
-    number = folds(ARM, logs, 4)
-    renamed = [replace(log, label=f"x{97 * i % 101}") for i, log in enumerate(logs)]
-    np.testing.assert_array_equal(folds(ARM, renamed, 4), number)
-    assert [np.sum(number == k) for k in range(4)] == [3, 3, 3, 3]
-    assert not any(set(number[-2:]) == {k} for k in range(4))  # the two in contact are never held out together
-    assert any((folds(ARM, logs, 4, seed=seed) != number).any() for seed in (1, 2))
-
-
-def test_too_little_free_motion_is_refused(logs):
-    with pytest.raises(
-        InputError, match=r"s of free motion in stretches of 2 s .*, expected at least 10 s; record longer motions"
-    ):
-        identify_logs(ARM, [logs[0].rows(slice(600))], QUICK)
-    with pytest.raises(InputError, match="so101"):
-        identify_logs(ARM, [replace(log, arm="other") for log in logs], QUICK)

@@ -4,16 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from motion_logs import ARM, TRUTH, as_log, pressing, record, wandering
+from motion_logs import ARM, TRUTH, pressing, record, wandering
 
 from rejoint.arms import tcp_position
-from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import read_json, write_json
-from rejoint.twin.judge import Candidate, judge
+from rejoint.twin.judge import Candidate, judge, read_published
 from rejoint.twin.judgement import NO_TWIN, Judgement
 from rejoint.twin.parameters import healthy_parameters
-from rejoint.twin.published import read_published
-from rejoint.twin.repeatability import repeatability
 from rejoint.twin.table import TablePlane
 
 TABLE = TablePlane(height=-0.02, slope_x=0.0, slope_y=0.0, stiffness=3000.0, friction=0.2)
@@ -61,62 +58,9 @@ def test_contact_counts_apart_and_needs_the_table(judgement):
     assert judgement.table_height == pytest.approx(TABLE.height, abs=0.011)
 
 
-def test_means_are_over_motions_that_have_such_rows(judgement):
-    for name, mean in judgement.mean.items():
-        errors = [m.errors[name] for m in judgement.motions]
-        assert mean.free.tcp == pytest.approx(np.mean([e.free.tcp for e in errors]))
-        assert mean.contact.tcp == pytest.approx(errors[2].contact.tcp)
-
-
-def test_the_worst_motion_is_traced(judgement, logs):
-    worst = max(judgement.motions, key=lambda m: m.errors["truth"].free.tcp)
-    assert judgement.worst.motion == worst.motion
-    log = next(log for log in logs if log.label == worst.motion)
-    assert len(judgement.worst.time) == min(len(log), 2000)
-    assert set(judgement.worst.tcp) == set(judgement.mean)
-    assert np.shape(judgement.worst.joints) == (ARM.joints, len(judgement.worst.time))
-
-
 def test_a_judgement_survives_its_file(judgement, tmp_path):
     write_json(tmp_path / "replay.json", judgement)
     assert read_json(tmp_path / "replay.json", Judgement) == judgement
-
-
-def test_order_and_company_change_nothing(logs, judgement):
-    alone = judge(ARM, [Candidate(name="truth", parameters=TRUTH, stiction=1.25)], logs[1:2], table=TABLE.height)
-    assert alone.motions[0].errors["truth"].all == judgement.motions[1].errors["truth"].all
-
-
-def test_unusable_questions_are_refused(logs):
-    truth = Candidate(name="truth", parameters=TRUTH)
-    with pytest.raises(InputError, match="0 logs"):
-        judge(ARM, [truth], [])
-    with pytest.raises(InputError, match="truth, truth"):
-        judge(ARM, [truth, truth], logs)
-
-
-def _repeated(noise, rng, count=4):
-    time = np.arange(0.0, 6.0 * count, 0.02)
-    wave = 0.3 * np.sin(2 * np.pi * time / 6.0)
-    command = np.stack([wave, 0.5 * wave, wave, -wave, 0.2 * wave], axis=1)
-    cycle = (time // 6.0).astype(int)
-    shift = rng.normal(0.0, noise, (count, ARM.joints))
-    return as_log("cycles", time, command + shift[cycle], command), shift
-
-
-def test_repeatability_is_the_spread_of_the_cycles():
-    log, shift = _repeated(0.004, np.random.default_rng(0))
-    found = repeatability(ARM, [log], [np.ones(len(log), dtype=bool)])
-    later = np.diff(shift[1:], axis=0)  # the first cycle has no period of the same commands before it
-    assert found.joint == pytest.approx(np.sqrt(np.mean(later**2) / 2), rel=0.05)
-    assert found.motions == ("cycles",)
-    assert found.lowest == found.highest == found.tcp > 0
-
-
-def test_nothing_repeats_in_noise_or_at_rest():
-    log = record("free", *wandering(1, 14.0))
-    still = as_log("still", log.time, log.command[:1].repeat(len(log), 0), log.command[:1].repeat(len(log), 0))
-    assert repeatability(ARM, [log, still], [np.ones(len(log), dtype=bool)] * 2) is None
 
 
 def test_a_published_set_is_read(tmp_path):
@@ -135,20 +79,3 @@ def test_the_published_sets_of_the_documentation_are_usable(path, logs):
     found = read_published(path, ARM)
     judgement = judge(ARM, [found], logs[:1])
     assert 1e-3 < judgement.mean[found.name].all.tcp < 0.2  # another arm's numbers: neither right nor absurd
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("stiffness = 17.0\n", "no damping"),
-        ("stiffness = [1, 2]\ndamping = 1\ncoulomb = 1\narmature = 1\n", "a list of 5"),
-        ("stiffness = -1\ndamping = 1\ncoulomb = 1\narmature = 1\n", "above zero"),
-        ("stiffness = 1\ndamping = 1\ncoulomb = 1\narmature = 1\nkp = 3\n", "unknown kp"),
-        ("stiffness = 1\ndamping = 1\ncoulomb = 1\narmature = 1\nstiction = 0.5\n", "at least 1"),
-        ("stiffness = ", "not a readable TOML"),
-    ],
-)
-def test_a_bad_published_set_is_named(tmp_path, text, message):
-    (tmp_path / "bad.toml").write_text(text)
-    with pytest.raises(FileError, match=message):
-        read_published(tmp_path / "bad.toml", ARM)

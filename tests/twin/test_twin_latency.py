@@ -1,7 +1,6 @@
 import numpy as np
 
-from rejoint.twin.latency import Latency
-from rejoint.twin.reference import approach, follow
+from rejoint.twin.reference import Latency, approach, follow
 
 
 def test_commands_are_in_force_after_their_delay():
@@ -42,20 +41,11 @@ def test_positions_are_as_old_as_the_delay_says():
         np.testing.assert_allclose(latency.read(time), then[:, None] * speed, atol=1e-12)
 
 
-def test_clearing_one_arm_leaves_the_others():
-    latency = Latency(count=2, joints=1, substeps=2)
-    latency.clear(np.ones(2, dtype=bool), np.zeros((2, 1)), np.zeros((2, 1)))
-    latency.send(np.ones((2, 1)), np.zeros(2))
-    latency.record(np.array([[0.01, 0.02]] * 2), np.full((2, 2, 1), 3.0))
-    latency.clear(np.array([True, False]), np.array([[7.0]]), np.array([[8.0]]))
-    np.testing.assert_array_equal(latency.in_force(np.full((2, 1), 0.02))[:, 0, 0], [7.0, 1.0])
-    np.testing.assert_array_equal(latency.read(np.array([0.0, 0.02]))[:, 0], [8.0, 3.0])
-
-
 def test_servos_follow_step_by_step_as_the_twin_s_reference_does():
     rng = np.random.default_rng(0)
     start, goals, reach = rng.normal(size=(5, 3)), rng.normal(size=(5, 4, 3)), rng.uniform(0.0, 0.5, 5)
-    path, now = follow(start, goals, reach), start
+    never, unlimited = np.zeros(goals.shape, dtype=bool), np.full(5, np.inf)
+    path, now = follow(start, np.zeros_like(start), goals, never, reach, unlimited, np.ones(5))[0], start
     for k in range(4):
         now = approach(now, goals[:, k], reach[:, None])
         np.testing.assert_array_equal(path[:, k], now)

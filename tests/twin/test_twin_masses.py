@@ -4,13 +4,11 @@ import numpy as np
 from motion_logs import ARM, STEP, TRUTH, record, wandering
 
 from rejoint.twin.fit import Fit, Problem, fit
-from rejoint.twin.masses import COMMON, _other_arms, mass_covariance
-from rejoint.twin.masses import STEP as CHANGE
-from rejoint.twin.parameters import Layout, pack
+from rejoint.twin.parameters import Layout, pack, unknown_prior
 from rejoint.twin.replay import Replay, cut
 from rejoint.twin.structure import simplest
-from rejoint.twin.uncertainty import _central_differences
-from rejoint.twin.unknown import unknown_prior
+from rejoint.twin.uncertainty import COMMON, _central_differences, _other_arms, mass_covariance
+from rejoint.twin.uncertainty import STEP as CHANGE
 
 LAYOUT = Layout(ARM.joints)
 LOGS = [record(f"motion{k}", *wandering(k, 10.0)) for k in range(2)]

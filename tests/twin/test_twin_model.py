@@ -4,8 +4,7 @@ import mujoco
 import numpy as np
 
 from rejoint.arms import gravity_torque
-from rejoint.twin.batch import TwinBatch
-from rejoint.twin.model import twin_model
+from rejoint.twin.batch import TwinBatch, twin_model
 from rejoint.twin.parameters import PARAMETERS, healthy_parameters, nominal_parameters, prior, unpack, vector_names
 from rejoint.twin.simulation import Draw, Simulation
 
@@ -95,18 +94,6 @@ def test_a_joint_at_rest_sticks_under_a_load_that_a_moving_one_yields_to(arm):
         moved.append(np.abs(simulation.rollout(np.tile(arm.rest + lead, (1, 100, 1)))[0, -1, 5] - arm.rest[5]))
     assert moved[0] > 1e-3
     assert moved[1] < 1e-5
-
-
-def test_changing_the_time_step_equals_writing_with_it(arm):
-    batch, other = TwinBatch(arm, 3), TwinBatch(arm, 3)
-    steps = np.array([0.003, 0.005, 0.009])
-    batch.set_timestep(steps)
-    other.write(nominal_parameters(arm), timestep=steps)
-    for each in (batch, other):
-        each.restart(np.tile(arm.rest, (3, 1)))
-        each.ctrl[:] += 0.2
-        each.step(50)
-    np.testing.assert_array_equal(batch.qpos, other.qpos)
 
 
 def test_prior_scales_with_the_arm_and_contains_its_twins(arm):

@@ -7,11 +7,14 @@ import pytest
 
 from rejoint.arms import Arm, Box, gravity_torque, mycobot280, so101
 from rejoint.logs.runlog import RunLog
-from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.twin.fit import Problem
-from rejoint.twin.parameters import Layout, healthy_parameters, nominal_parameters, prior, unpack
+from rejoint.twin.parameters import (
+    Layout,
+    healthy_parameters,
+    nominal_parameters,
+    unknown_prior,
+)
 from rejoint.twin.replay import Replay, cut
-from rejoint.twin.unknown import UNKNOWN_PARAMETERS, unknown_prior
 
 ARM = mycobot280()
 
@@ -39,50 +42,6 @@ def test_the_prior_of_a_resized_arm_has_the_dimensions_of_its_quantities(length,
         assert (new.delay, new.ramp_speed) == (old.delay, old.ramp_speed)
         sag = [gravity_torque(arm, ARM.rest) / twin.stiffness for arm, twin in ((ARM, old), (other, new))]
         np.testing.assert_allclose(sag[1], sag[0], rtol=1e-9, atol=1e-15)
-
-
-def test_a_faster_arm_is_believed_to_ramp_faster():
-    fast = dataclasses.replace(ARM, max_speed=2.0 * ARM.max_speed)
-    assert nominal_parameters(fast).ramp_speed == pytest.approx(2.0 * nominal_parameters(ARM).ramp_speed)
-
-
-@pytest.mark.parametrize("profile", ["worn", "healthy", "so101"])
-def test_the_bounds_of_the_so101_hold_the_plants_it_may_meet(profile):
-    """Not only inside, but with a factor of 1.5 to spare: a parameter at its bound has no gradient."""
-    arm = so101()
-    belief, wear = prior(arm), load_wear(profile, arm)
-    lower, upper = unpack(belief.lower, arm.joints), unpack(belief.upper, arm.joints)
-    damping = wear.damping_gain + wear.torque_limit / 5.0
-    truth = {
-        "stiffness": wear.position_gain, "coulomb": wear.coulomb, "armature": wear.reflected_inertia,
-        "torque_limit": wear.torque_limit, "damping": damping,
-    }  # fmt: skip
-    for name, value in truth.items():
-        assert (value > 1.5 * getattr(lower, name)).all(), name
-        assert (1.5 * value < getattr(upper, name)).all(), name
-    assert (np.abs(wear.offset) < 0.5 * upper.offset).all()
-
-
-def test_joints_with_servos_of_one_kind_share_what_a_kind_determines():
-    """Two of a kind differ by its spread; each by itself is as uncertain as a joint of which nothing is known."""
-    arm = dataclasses.replace(so101(), servos=("big", "big", "", "big", "small"))
-    belief, alone = unknown_prior(arm), unknown_prior(dataclasses.replace(arm, servos=()))
-    np.testing.assert_array_equal(belief.sigma, alone.sigma)
-    np.testing.assert_array_equal(belief.groups(5), [0, 0, 2, 0, 4])
-    np.testing.assert_array_equal(alone.groups(5), np.arange(5))
-    np.testing.assert_allclose(alone.precision, np.diag(alone.sigma**-2), rtol=1e-12)
-    covariance, layout = np.linalg.inv(belief.precision), Layout(5)
-    for p in UNKNOWN_PARAMETERS:
-        own = covariance[layout.at(p.name), layout.at(p.name)]
-        np.testing.assert_allclose(np.diag(own), p.sigma**2, rtol=1e-9)
-        if p.per_joint and p.alike is not None:
-            apart = own[0, 0] + own[1, 1] - 2 * own[0, 1]
-            assert apart == pytest.approx(2 * p.alike**2)
-            assert own[0, 3] == pytest.approx(own[0, 1])
-            own[np.ix_([0, 1, 3], [0, 1, 3])] = 0.0
-        np.testing.assert_allclose(own - np.diag(np.diag(own)), 0.0, atol=1e-12)
-    assert {p.name for p in UNKNOWN_PARAMETERS if p.alike} == {"stiffness", "damping", "armature", "torque_limit"}
-    assert prior(arm).correlation is None  # an excitation tells the joints of a worn arm apart by itself
 
 
 def test_costs_of_a_joint_and_of_its_group_are_those_of_moving_them():

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rejoint.twin.profile import Profile, advance
+from rejoint.twin.reference import Profile, advance
 
 NO_DELAY = np.array([0.0])
 
@@ -62,12 +62,6 @@ def test_delay_shifts():
     both = profile.sample(at, np.array([0.0, 0.013, 0.0]))
     np.testing.assert_array_equal(both[0], both[2])
     np.testing.assert_allclose(both[1], profile.sample(at - 0.013, NO_DELAY)[0], atol=1e-12)
-
-
-def test_without_an_effective_limit_it_is_the_command():
-    time, command = np.arange(5) * 0.1, np.random.default_rng(0).normal(0.0, 0.3, (5, 2))
-    seen = Profile(time, command, 1e9).sample(time + 0.05, NO_DELAY)[0]
-    np.testing.assert_allclose(seen, command, atol=1e-6)
 
 
 def test_a_fast_sine_is_followed_to_its_limit_and_no_further():

@@ -7,8 +7,7 @@ import pytest
 
 from rejoint.arms import mycobot280
 from rejoint.twin.parameters import nominal_parameters
-from rejoint.twin.profile import Profile
-from rejoint.twin.reference import Reference
+from rejoint.twin.reference import Profile, Reference
 from rejoint.twin.simulation import SUBSTEPS, Draw, Simulation
 
 ARM = mycobot280()
@@ -53,25 +52,6 @@ def test_a_closed_loop_and_the_replay_of_its_commands_are_the_same_motion(accele
     assert np.ptp(path, axis=0).max() > 0.3
 
 
-def test_some_arms_limit_their_speed_and_others_their_acceleration():
-    pair, start, command = TWIN.repeat(2), np.tile(ARM.rest, (2, 1)), commands()
-    both = Simulation(ARM, 2)
-    draw = dataclasses.replace(Draw.of(pair), acceleration=np.array([np.inf, 25.0]))
-    both.place(draw, start, start)
-    alone = [Simulation(ARM, 1) for _ in range(2)]
-    for i, simulation in enumerate(alone):
-        simulation.place(draw.rows(np.array([i])), start[:1], start[:1])
-    for row in command:
-        for simulation in (both, *alone):
-            count = len(simulation.time)
-            simulation.send(np.tile(row, (count, 1)))
-            simulation.advance(np.full(count, PERIOD))
-    for i, simulation in enumerate(alone):
-        np.testing.assert_array_equal(both.reference.position[i], simulation.reference.position[0])
-        np.testing.assert_array_equal(both.twins.qpos[i], simulation.twins.qpos[0])
-    assert np.abs(both.reference.velocity[0]).max() == 0.0
-
-
 def test_an_exchanged_arm_begins_anew_and_the_others_go_on():
     start = np.tile(ARM.rest, (3, 1))
     draw = dataclasses.replace(Draw.of(TWIN.repeat(3), 1.5), backlash=np.full((3, 6), 0.02))
@@ -92,20 +72,6 @@ def test_an_exchanged_arm_begins_anew_and_the_others_go_on():
     np.testing.assert_array_equal(exchanged.twins.qpos[[0, 2]], whole.twins.qpos[[0, 2]])
     np.testing.assert_array_equal(exchanged.measured[[0, 2]], whole.measured[[0, 2]])
     assert (exchanged.twins.qpos[1] != whole.twins.qpos[1]).any()
-
-
-def test_a_joint_at_rest_sticks_where_a_moving_one_slides():
-    # The servo of the base pushes with 0.15 N m: between friction in motion and at rest.
-    twin = dataclasses.replace(TWIN, coulomb=np.full(6, 0.1), torque_limit=np.full(6, 9.0))
-    draw = dataclasses.replace(Draw.of(twin.repeat(2), 2.0), gravity_scale=np.zeros(2))
-    start, simulation = np.tile(ARM.rest, (2, 1)), Simulation(ARM, 2)
-    lead = np.array([0.15, 0.0, 0.0, 0.0, 0.0, 0.0]) / twin.stiffness
-    simulation.place(draw, start, start + lead)
-    simulation.twins.qvel[1, 0] = 0.3
-    simulation.advance(np.full(2, 0.03))
-    moved = simulation.twins.qpos[:, 0] - ARM.rest[0]
-    assert abs(moved[0]) < 1e-4
-    assert moved[1] > 2e-3
 
 
 def test_a_simulation_goes_on_from_its_state_bit_for_bit():

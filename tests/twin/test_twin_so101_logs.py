@@ -11,10 +11,8 @@ from rejoint.arms import so101
 from rejoint.logs import import_logs
 from rejoint.logs.exclusions import find_exclusions, table_height
 from rejoint.twin.fromlogs import FITTED, HEALTHY, identify_logs
-from rejoint.twin.holdout import HoldOut
 from rejoint.twin.judgement import NO_TWIN
-from rejoint.twin.motionfit import LogSettings
-from rejoint.twin.repeatability import repeatability
+from rejoint.twin.motionfit import HoldOut, LogSettings
 
 ARM = so101()
 
@@ -49,13 +47,6 @@ def test_the_wrist_runs_into_a_stop(tmp_path):
     assert blocked.any()
     assert (rows.stop | rows.stale)[blocked].all()
     assert rows.free.mean() > 0.5
-
-
-def test_the_arm_repeats_itself_to_a_millimetre(tmp_path):
-    cycles = load(("repetitive_motion", "coupled_joints"), tmp_path)
-    found = repeatability(ARM, cycles, [rows.free for rows in find_exclusions(ARM, cycles, -0.0365)])
-    assert found.motions == ("repetitive_motion", "coupled_joints")
-    assert 0.5e-3 < found.tcp < 1.6e-3
 
 
 def test_motions_that_the_fit_never_saw_are_predicted(logs):

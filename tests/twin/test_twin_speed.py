@@ -4,8 +4,7 @@ import mujoco
 import numpy as np
 
 from rejoint.arms import mycobot280
-from rejoint.twin.batch import TwinBatch, stop_clock
-from rejoint.twin.model import twin_model
+from rejoint.twin.batch import twin_model
 from rejoint.twin.parameters import nominal_parameters
 
 ARM = mycobot280()
@@ -30,17 +29,3 @@ def test_both_solvers_of_dry_friction_agree_far_below_an_encoder_step():
     newton = swing(mujoco.mjtSolver.mjSOL_NEWTON)
     assert np.ptp(newton, axis=0).min() > 0.05
     assert np.abs(ours - newton).max() < 1e-3 * ARM.encoder_step
-
-
-def test_a_batch_reads_no_clock():
-    stop_clock.cache_clear()
-    mujoco.set_mjcb_time(None)  # the default clock of the Python bindings
-    model = twin_model(ARM, nominal_parameters(ARM))
-    timed, untimed = mujoco.MjData(model), mujoco.MjData(model)
-    mujoco.mj_step(model, timed)
-    TwinBatch(ARM, 1)
-    mujoco.mj_step(model, untimed)
-    step = mujoco.mjtTimer.mjTIMER_STEP
-    assert timed.timer[step].duration > 0.0
-    assert untimed.timer[step].duration == 0.0
-    np.testing.assert_array_equal(timed.qpos, untimed.qpos)

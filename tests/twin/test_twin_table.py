@@ -9,8 +9,8 @@ from rejoint.arms.kinematics import position_kinematics
 from rejoint.logs.exclusions import find_exclusions
 from rejoint.system.errors import InputError
 from rejoint.twin.batch import TwinBatch
+from rejoint.twin.motionfit import contact_windows
 from rejoint.twin.replay import Replay
-from rejoint.twin.segments import contact_windows
 from rejoint.twin.table import TablePlane
 from rejoint.twin.tablefit import fit_table
 
@@ -60,15 +60,8 @@ def test_the_fit_finds_the_table():
     truth = TablePlane(height=-0.02, slope_x=0.03, slope_y=-0.02, stiffness=1500.0, friction=0.25)
     logs = [record("press", *pressing(), table=truth), record("aside", *pressing(18.0, 0.55), table=truth)]
     rows = find_exclusions(ARM, logs, truth.height)
-    replay = Replay(ARM, logs, contact_windows(logs, rows, 8.0), 0.01, 1, 1.25, on_table=True)
+    replay = Replay(ARM, logs, contact_windows(logs, rows, 8.0), 0.01, 1, 1.25)
     found = fit_table(replay, TRUTH, height=-0.03)
     points = tcp_position(ARM, np.concatenate([log.position[r.contact] for log, r in zip(logs, rows, strict=True)]))
     assert np.abs(found.surface(points) - truth.surface(points)).max() < 0.002
     assert found.stiffness == pytest.approx(truth.stiffness, rel=0.3)
-
-
-def test_impossible_tables_are_refused():
-    with pytest.raises(InputError, match="stiffness above 0"):
-        smooth(stiffness=0.0)
-    with pytest.raises(InputError, match="finite"):
-        smooth(height=np.nan)

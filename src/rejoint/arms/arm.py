@@ -1,8 +1,8 @@
-"""What an arm is: a serial chain of fixed transforms and revolute axes, with limits and masses.
+"""A serial arm: fixed transforms and revolute axes, limits and masses.
 
-Frame convention. Joint i has the frame ``offset[i] @ Rot(axis[i], q[i])`` in the frame of joint
-i-1 (joint 0: in the base). Link i moves with joint i; its centre of mass and inertia are given in
-the frame of joint i. The tool centre point (TCP) is ``tip`` in the frame of the last joint.
+Joint i has the frame ``offset[i] @ Rot(axis[i], q[i])`` in the frame of joint i-1 (joint 0: the base). Link i moves
+with joint i; its centre of mass and inertia are in the frame of joint i. ``tip`` is the tool centre point (TCP) in the
+last frame.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Box:
         return rng.uniform(self.lower, self.upper, (*shape, 3))
 
     def contains(self, points: Array) -> NDArray[np.bool_]:
-        """Tell for ``(..., 3)`` [m] points whether they lie inside; returns ``(...)``."""
+        """Whether points (..., 3) [m] are inside; (...)."""
         return np.all((points >= self.lower) & (points <= self.upper), axis=-1)
 
 
@@ -74,10 +74,11 @@ class Arm:
     encoder_step: float
     """[rad] resolution of the joint encoders"""
     servo_acceleration: float = np.inf
-    """[rad/s^2] to which servos of this kind are known to limit that of their reference; infinite where nothing is"""
+    """[rad/s^2] at which the servos limit their reference; infinite: not known"""
     servos: tuple[str, ...] = ()
-    """(n,) type and gains of each joint's servo, in words of one's own; joints with the same words have servos that are
-    alike. Empty words where it is not known, () where it is not known of any joint"""
+    """(n,) type and gains of each servo; joints with the same text have equal servos. Empty: not known"""
+    keep_out: tuple[Box, ...] = ()
+    """boxes in the base frame that no moving part may enter"""
 
     def __post_init__(self) -> None:
         _freeze(self)
@@ -108,9 +109,11 @@ class Arm:
 
 
 def differing(one: Arm, other: Arm) -> tuple[str, ...]:
-    """Name the fields in which two descriptions of an arm differ by more than being written and read again explains."""
+    """Name the fields in which two descriptions differ beyond the rounding of a file; `Arm.keep_out` does not count."""
     found = []
     for entry in fields(Arm):
+        if entry.name == "keep_out":
+            continue
         first, second = (_plain(getattr(arm, entry.name)) for arm in (one, other))
         if isinstance(first, np.ndarray) and isinstance(second, np.ndarray):
             same = first.shape == second.shape and np.allclose(first, second, rtol=1e-6, atol=1e-12)
@@ -122,7 +125,6 @@ def differing(one: Arm, other: Arm) -> tuple[str, ...]:
 
 
 def _plain(value: object) -> object:
-    """Return a field as what can be compared: an array, or text."""
     if isinstance(value, Box):
         return np.stack([value.lower, value.upper])
     return value if isinstance(value, str | tuple) else np.asarray(value, dtype=float)
@@ -130,7 +132,7 @@ def _plain(value: object) -> object:
 
 @dataclass(frozen=True, kw_only=True)
 class DhRow:
-    """One row of a standard Denavit-Hartenberg table: Rz(q + offset) Tz(d) Tx(a) Rx(alpha)."""
+    """A row of a standard Denavit-Hartenberg table: Rz(q + offset) Tz(d) Tx(a) Rx(alpha)."""
 
     d: float
     """[m]"""
@@ -162,7 +164,6 @@ def _rotation_z(angle: float) -> Array:
 
 
 def _freeze(instance: object) -> None:
-    """Copy every array of a frozen dataclass and make the copy read-only."""
     for field in fields(instance):  # type: ignore[arg-type]
         value = getattr(instance, field.name)
         if isinstance(value, np.ndarray | list):

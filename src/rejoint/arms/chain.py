@@ -1,25 +1,27 @@
-"""Cut a serial chain out of a tree of bodies, and freeze everything else that hangs on it."""
+"""Cut a serial chain out of a tree of bodies; everything that hangs on it is frozen."""
 
 from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from rejoint.arms.arm import Array
 from rejoint.arms.draft import Draft
-from rejoint.arms.ends import body_called, longest, root_of, tip_called
 from rejoint.arms.inertia import SpatialInertia, combined
 from rejoint.arms.rotations import inverse, pose_of, rotation_about
-from rejoint.arms.tree import WORLD, Joint, Tree
 from rejoint.system.errors import InputError
 
 
 def cut(tree: Tree, base: str | None, tip: str | None) -> Draft:
     """Make a draft of the chain from the body ``base`` to the body or site ``tip``.
 
-    Without ``tip`` it is the last link of the longest chain of hinges, a gripper's left out, without ``base`` the
-    root that the tip hangs on. Slides of the chain are held where they are; bodies beside it are frozen where they
-    are and add their mass to the link that carries them. InputError when a name is unknown, the choice is
-    ambiguous, or a joint of the chain can be neither driven nor held.
+    Default ``tip``: the last link of the longest chain of hinges without a gripper; default ``base``: the root above.
+    Slides are held, other bodies add their mass to the link that carries them. InputError for unknown names, an
+    ambiguous choice, or a joint that can be neither driven nor held.
     """
     notes = list(tree.notes)
     start = None if base is None else body_called(tree, base)
@@ -68,7 +70,6 @@ def _draft(tree: Tree, joints: list[Joint], frame: Array, tip: Array, notes: lis
 
 
 def _links(tree: Tree, joints: list[Joint], poses: list[Array]) -> tuple[SpatialInertia, ...]:
-    """Everything that moves with each joint of the chain and not with the next, in the joint frames."""
     carriers = {joint.body: i for i, joint in enumerate(joints)}  # of several joints of a body the last carries it
     owner: dict[int, int] = {}
     pieces: list[list[SpatialInertia]] = [[] for _ in joints]
@@ -84,7 +85,6 @@ def _links(tree: Tree, joints: list[Joint], poses: list[Array]) -> tuple[Spatial
 
 
 def _hinges(tree: Tree, joints: list[Joint], between: str, notes: list[str]) -> list[Joint]:
-    """Joints that are driven; those that are held instead are noted."""
     driven = [joint for joint in joints if joint.kind == "hinge"]
     for joint in joints:
         if joint.kind == "slide":
@@ -118,3 +118,219 @@ def _slide_held(joint: Joint) -> str:
         f"joint {joint.name} slides{span} and is not driven, only revolute joints are; it is taken as fixed at {place} "
         f"mm, which the arm has to keep; if it stands elsewhere: --hold {joint.name}={place}mm"
     )
+
+
+_GRIPPER = re.compile("grip|jaw|finger|claw", re.IGNORECASE)
+"""Names of joints of grippers (URDFs of SO-100, WidowX, Koch)"""
+
+_FLANGE = "tool0"
+"""Frame at the flange in URDFs of ROS-Industrial"""
+
+_TOOL = re.compile(r"tool|tcp|grasp|end_?effector|(^|_)eef?(_|$)", re.IGNORECASE)
+"""Names of frames of tools (URDFs of Universal Robots, Kinova, PAL, Franka Emika)"""
+
+_ACROSS = 1e-6
+"""Largest product of unit vectors that are at right angles (rounding)."""
+
+
+def body_called(tree: Tree, name: str) -> int:
+    """Index of a body; InputError with the names there are."""
+    names = [body.name for body in tree.bodies]
+    if name not in names:
+        raise InputError(unknown(name, "body", names))
+    return names.index(name)
+
+
+def tip_called(tree: Tree, name: str) -> tuple[int, Array]:
+    """Body that a tip (body or site) is on, and the tip's pose (4, 4) in the world."""
+    names = [body.name for body in tree.bodies]
+    if name in names:
+        return names.index(name), tree.bodies[names.index(name)].pose
+    for site in tree.sites:
+        if site.name == name:
+            return site.body, site.pose
+    raise InputError(unknown(name, "body or site", names + [site.name for site in tree.sites]))
+
+
+def root_of(tree: Tree, end: int, notes: list[str]) -> int:
+    """Body at which the arm that ends at ``end`` begins.
+
+    The root, what a mobile base carries, or the world for a root on a hinge.
+    """
+    path = tree.path(end)
+    moving = _mobile_base(tree.joints_of(path))
+    if moving:
+        root = moving[-1].body
+        names = ", ".join(joint.name for joint in moving)
+        notes.append(f"base: none given; {tree.bodies[root].name} taken; {names} before it move all of it")
+        return root
+    first = path[0] if path else WORLD
+    root = WORLD if any(joint.kind not in ("free", "slide") for joint in tree.joints_of([first])) else first
+    notes.append(f"base: none given; {tree.bodies[root].name} taken, the root of the tree")
+    return root
+
+
+def longest(tree: Tree, start: int | None, notes: list[str]) -> tuple[int, Array]:
+    """Last link of the only longest chain of hinges below ``start`` (None: anywhere), and its pose.
+
+    Grippers do not count.
+    """
+    hinges, slid = _chains(tree, start)
+    parents = {tree.bodies[index].parent for index in hinges if index not in (start, WORLD) and not slid[index]}
+    leaves = [index for index in hinges if index not in parents and not slid[index]]
+    most = max((hinges[index] for index in leaves), default=0)
+    ends = [index for index in leaves if hinges[index] == most]
+    if most == 0:
+        found = tree.names(index for index in hinges if not slid[index])
+        raise InputError(f"{tree.name}: no chain of hinges was found; the bodies are: {found}")
+    carriers = {index: _carrier(tree, index) for index in ends}
+    if len(set(carriers.values())) > 1:
+        chosen = [_frame(tree, [i for i in ends if carriers[i] == body]) for body in dict.fromkeys(carriers.values())]
+        names = tree.names(chosen)
+        raise InputError(
+            f"{tree.name}: several links could be the tip of the arm ({most} joints each): {names}; name the tip"
+        )
+    end = _frame(tree, ends)
+    others = [tree.bodies[index].name for index in ends if index != end]
+    others += [site.name for site in tree.sites if site.body in (end, *ends)]
+    more = f" (beside it are {', '.join(others)}, which can be named instead)" if others else ""
+    notes.append(f"tip: none given; {tree.bodies[end].name} taken, the end of the longest chain{more}")
+    beyond = [
+        joint.name for joint in tree.joints if joint.kind == "hinge" and tree.bodies[joint.body].parent in (end, *ends)
+    ]
+    if beyond:
+        notes.append(f"tip: {', '.join(beyond)} behind it taken for a gripper's and held; name a tip to drive it")
+    return end, tree.bodies[end].pose
+
+
+def unknown(name: str, kind: str, names: Sequence[str]) -> str:
+    """Say that a model has no such name, and which it has."""
+    close = difflib.get_close_matches(name, names, n=1)
+    hint = f"did you mean {close[0]}? " if close else ""
+    shown = [known for known in names if known][:40]
+    return f"the model has no {kind} called {name!r}; {hint}it has: {', '.join(shown)}"
+
+
+def _chains(tree: Tree, start: int | None) -> tuple[dict[int, int], dict[int, bool]]:
+    hinges: dict[int, int] = {}
+    slid: dict[int, bool] = {}
+    for index, body in enumerate(tree.bodies):
+        if index in (WORLD, start):
+            if start is None or index == start:
+                hinges[index], slid[index] = 0, False
+            continue
+        own = tree.joints_of([index])
+        floating = start is None and body.parent == WORLD and [joint.kind for joint in own] == ["free"]
+        if body.parent in hinges and (floating or all(map(_passable, own))):
+            hinges[index] = hinges[body.parent] + sum(joint.kind == "hinge" for joint in own)
+            slid[index] = own[-1].kind == "slide" if own else slid[body.parent]
+    return hinges, slid
+
+
+def _passable(joint: Joint) -> bool:
+    if joint.kind == "held":
+        return True
+    return joint.kind in ("hinge", "slide") and not joint.drives and not _GRIPPER.search(joint.name)
+
+
+def _carrier(tree: Tree, end: int) -> int:
+    return next((index for index in tree.path(end)[::-1] if tree.joints_of([index])), WORLD)
+
+
+def _frame(tree: Tree, ends: list[int]) -> int:
+    names = [tree.bodies[index].name for index in ends]
+    if _FLANGE in names:
+        return ends[names.index(_FLANGE)]
+    tools = [index for index, name in zip(ends, names, strict=True) if _TOOL.search(name)]
+    if len(ends) == 1 or len(tools) == 1:
+        return (tools or ends)[0]
+    return [bodies[0] for bodies in zip(*map(tree.path, ends), strict=False) if len(set(bodies)) == 1][-1]
+
+
+def _mobile_base(joints: list[Joint]) -> list[Joint]:
+    moving: list[Joint] = []
+    for joint in joints:
+        across = all(abs(float(joint.axis @ other.axis)) < _ACROSS for other in moving)
+        if not across or joint.kind not in (("slide", "hinge") if len(moving) == 2 else ("slide",)):
+            break
+        moving.append(joint)
+    return moving if len(moving) > 1 else []
+
+
+WORLD = 0
+"""Index of the world, the parent of every root body."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Body:
+    """A rigid body of a tree."""
+
+    name: str
+    parent: int
+    pose: Array
+    """(4, 4) in the world, in the posture of the tree's joints"""
+    content: SpatialInertia
+    """mass, centre and inertia in the body's frame"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Joint:
+    """A joint between a body and its parent."""
+
+    name: str
+    kind: str
+    """``hinge``, ``slide``, ``ball``, ``free``, ``coupled`` (follows another joint) or ``held`` (by the user)"""
+    body: int
+    anchor: Array
+    """(3,) [m] a point of the axis, in the world"""
+    axis: Array
+    """(3,) unit vector in the world"""
+    position: float
+    """[rad] joint position in the tree's posture; [m] of a slide"""
+    lower: float
+    upper: float
+    """[rad] limits, NaN where there is none; [m] of a slide"""
+    speed: float
+    """[rad/s] speed limit, NaN where there is none"""
+    follows: str = ""
+    """joint that it follows, or empty"""
+    drives: bool = False
+    """whether joints of other branches follow it, such as fingers"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Site:
+    """A named frame on a body."""
+
+    name: str
+    body: int
+    pose: Array
+    """(4, 4) in the world"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Tree:
+    """A model in one posture; body 0 is the world, parents come first."""
+
+    name: str
+    bodies: tuple[Body, ...]
+    joints: tuple[Joint, ...]
+    """in the order in which they act on their body"""
+    sites: tuple[Site, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def path(self, body: int) -> list[int]:
+        """Bodies from a root down to ``body``, without the world."""
+        found = []
+        while body != WORLD:
+            found.append(body)
+            body = self.bodies[body].parent
+        return found[::-1]
+
+    def joints_of(self, bodies: Iterable[int]) -> list[Joint]:
+        """Joints of the given bodies, in their order."""
+        return [joint for body in bodies for joint in self.joints if joint.body == body]
+
+    def names(self, bodies: Iterable[int]) -> str:
+        """Names of bodies, for a message."""
+        return ", ".join(self.bodies[index].name for index in bodies)

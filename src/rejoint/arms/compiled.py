@@ -1,7 +1,4 @@
-"""The loops of forward kinematics, compiled: for one arm, calls of NumPy on a few numbers cost four times as much.
-
-Signatures are given, so that everything is compiled, or read from disk, when this module is imported.
-"""
+"""Forward kinematics and distances, compiled by Numba when imported."""
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
 from __future__ import annotations
@@ -14,7 +11,7 @@ ROWS1, ROWS2 = (types.Array(int64, dimensions, "C", readonly=True) for dimension
 OUT2, OUT3, OUT4 = float64[:, ::1], float64[:, :, ::1], float64[:, :, :, ::1]
 
 POINT = 1e-15
-"""[m^2] squared lengths, and products of them, below which segments count as points or as parallel (chosen)"""
+"""[m^2] squared lengths below which segments count as points or parallel (chosen)"""
 
 
 @njit(OUT3(IN3, IN2, IN2), cache=True, nogil=True, fastmath={"contract"})
@@ -31,10 +28,9 @@ def _steps(terms, sine, cosine):  # noqa: ANN001, ANN202
 
 @njit(void(IN3, IN2, IN2, IN2, int64, OUT4), cache=True, nogil=True)
 def fill_poses(terms, tip, sine, cosine, first, poses):  # noqa: ANN001, ANN201
-    """Fill ``poses`` (n + 1, r, 4, B): r rows, from row ``first`` on, of the frames of the joints and of the TCP.
+    """Fill ``poses`` (n + 1, r, 4, B): r rows from ``first`` on of the frames of joints and TCP.
 
-    ``terms`` (n, 16, 3) are the joints' constants, ``tip`` (4, 4) is the TCP in the last frame, ``sine`` and ``cosine``
-    (n, B) are those of the joint positions.
+    ``terms`` (n, 16, 3) as `joint_terms`, ``tip`` (4, 4), ``sine`` and ``cosine`` (n, B) of the joint positions.
     """
     steps = _steps(terms, sine, cosine)
     joints, rows, postures = len(steps), poses.shape[1], poses.shape[3]
@@ -61,10 +57,7 @@ def fill_poses(terms, tip, sine, cosine, first, poses):  # noqa: ANN001, ANN201
 
 @njit(void(IN2, IN4, OUT3), cache=True, nogil=True)
 def fill_columns(axes, poses, columns):  # noqa: ANN001, ANN201
-    """Fill ``columns`` (3, n, B) with what each joint moves the TCP by per radian.
-
-    ``poses`` (n + 1, 3, 4, B) are those of `fill_poses`, ``axes`` (n, 3) the joint axes in the joint frames.
-    """
+    """Fill ``columns`` (3, n, B) with the TCP's motion per radian, from `fill_poses` and ``axes`` (n, 3)."""
     _, joints, postures = columns.shape
     axis, lever = np.empty(3), np.empty(3)
     for i in range(joints):
@@ -99,15 +92,51 @@ def _axis_distance(ends, i, j):  # noqa: ANN001, ANN202
     return np.sqrt(square)
 
 
-@njit(void(IN4, IN1, ROWS2, ROWS1, float64, float64, OUT2), cache=True, nogil=True)
-def fill_clearances(poses, floors, pairs, grounded, radius, ground, out):  # noqa: ANN001, ANN201
-    """Fill ``out`` (B, n + P + G) [m] with heights above the ``floors`` (n,) and with how far capsules are apart.
+@njit(float64(IN2, int64, IN1, float64), cache=True, nogil=True)
+def _box_slope(ends, link, box, t):  # noqa: ANN001, ANN202
+    """Half the derivative, by ``t``, of the squared distance between a box (6,) and the point at ``t`` of a link."""
+    slope = 0.0
+    for r in range(3):
+        along = ends[link + 1, r] - ends[link, r]
+        place = ends[link, r] + t * along
+        slope += along * (max(place - box[3 + r], 0.0) - max(box[r] - place, 0.0))
+    return slope
 
-    The heights are those of the second joint frame to the TCP; the capsules those of the ``pairs`` (P, 2) of links,
-    then those of the ends ``grounded`` (G,), the base's lower one being 0, from the ``ground`` [m]. ``poses``
-    (n + 1, 3, 4, B) are those of `fill_poses`.
+
+@njit(float64(IN2, int64, IN1), cache=True, nogil=True)
+def box_distance(ends, link, box):  # noqa: ANN001, ANN201
+    """Distance [m] between a ``link`` axis of ``ends`` (n + 2, 3) and a ``box`` (6,)."""
+    low, high = 0.0, 1.0
+    for side in range(6):
+        r = side % 3
+        along = ends[link + 1, r] - ends[link, r]
+        if abs(along) < POINT:
+            continue
+        t = (box[side] - ends[link, r]) / along
+        if low < t < high:
+            if _box_slope(ends, link, box, t) < 0.0:
+                low = t
+            else:
+                high = t
+    first, last = _box_slope(ends, link, box, low), _box_slope(ends, link, box, high)
+    t = low if first >= 0.0 else high if last <= 0.0 else low + (high - low) * first / (first - last)
+    square = 0.0
+    for r in range(3):
+        place = ends[link, r] + t * (ends[link + 1, r] - ends[link, r])
+        gap = max(place - box[3 + r], 0.0) + max(box[r] - place, 0.0)
+        square += gap * gap
+    return np.sqrt(square)
+
+
+@njit(void(IN4, IN1, ROWS2, ROWS1, float64, float64, ROWS1, IN2, OUT2), cache=True, nogil=True)
+def fill_clearances(poses, floors, pairs, grounded, radius, ground, links, boxes, out):  # noqa: ANN001, ANN201
+    """Fill ``out`` (B, n + P + G + L K) [m] as `collision.clearances` returns it.
+
+    From ``poses`` (n + 1, 3, 4, B), ``floors`` (n,), ``pairs`` (P, 2), ends ``grounded`` (G,), moving ``links`` (L,)
+    and ``boxes`` (K, 6).
     """
     joints, first = poses.shape[0], len(floors) + len(pairs)
+    boxed = first + len(grounded)
     ends = np.zeros((joints + 1, 3))
     for b in range(len(out)):
         for i in range(joints):
@@ -119,3 +148,6 @@ def fill_clearances(poses, floors, pairs, grounded, radius, ground, out):  # noq
             out[b, len(floors) + k] = _axis_distance(ends, pairs[k, 0], pairs[k, 1]) - 2.0 * radius
         for k in range(len(grounded)):
             out[b, first + k] = ends[grounded[k], 2] - ground - radius
+        for k in range(len(boxes)):
+            for j in range(len(links)):
+                out[b, boxed + k * len(links) + j] = box_distance(ends, links[j], boxes[k]) - radius

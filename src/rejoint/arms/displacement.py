@@ -1,13 +1,7 @@
-"""Where joints and tool really are: displacements that the encoders do not see.
+"""Displacements that the encoders do not see: play, flex, zero errors, links, a tilted base.
 
-Behind the encoder of a worn joint lie its play, the flex of gear and link, and the error of its zero. A joint with
-weight on it is pressed to one side of its play and bent by that weight, both by as much every time it stands there, so
-the displacement can be computed from the posture; a joint without weight floats in its play, and at most its last
-motion tells on which side: it runs ahead of its motor, or stays behind. Besides, the links themselves may differ from
-their description, and the base may stand askew, so that gravity pulls along another direction.
-
-The model of compliance and play is the usual one of elasto-geometric calibration (Khalil and Dombre, Modeling,
-Identification and Control of Robots, 2002, chapter 11), with the smooth sign of the torque for the side of the play.
+Weight presses a joint to one side of its play and bends it, the same at every visit; a joint without weight floats, and
+only its last motion tells the side. Model: Khalil and Dombre 2002, chapter 11, with a smooth sign of the torque.
 """
 
 from __future__ import annotations
@@ -21,52 +15,51 @@ from rejoint.arms.kinematics import GRAVITY, gravity_torque, tcp_pose, tcp_posit
 from rejoint.arms.rotations import rotation_about
 
 FLOATING = 0.001
-"""[N m] torque within which a joint is not sure to lie on one side of its play (chosen on emulated worn arms)"""
+"""[N m] torque within which the side of the play is not sure (chosen)"""
 
 CARRIED = np.radians(1.0)
-"""[rad] length of a joint's last motion from which its direction counts (chosen: about the play)"""
+"""[rad] length of the last motion from which its direction counts (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Displacement:
-    """What lies behind the encoders of an arm of n joints; zeros mean that nothing does."""
+    """What lies behind the encoders of n joints; zeros: nothing."""
 
     offset: Array
-    """(n,) [rad] added to what the encoders say: the error of their zeros"""
+    """(n,) [rad] error of the encoders' zeros"""
     compliance: Array
     """(n,) [rad/(N m)] of gear and link"""
     play: Array
     """(n,) [rad] whole width"""
     twist: Array
-    """(n + 1, 6) small errors of the fixed transforms to each joint frame and to the TCP, in the frame before it:
-    translation [m] and rotation vector [rad]"""
+    """(n + 1, 6) errors [m, rad] of the fixed transforms to the joints and the TCP"""
     gravity: Array
-    """(3,) [m/s^2] in the frame of the base: askew where the base is"""
+    """(3,) [m/s^2] in the base frame"""
     mass: Array = field(default_factory=lambda: np.ones(()))
-    """(n,) or () factor between the masses of the links and their description"""
+    """(n,) or () factor on the described masses"""
     carry: Array = field(default_factory=lambda: np.zeros(()))
-    """(n,) or () share of half the play by which a joint that floats runs ahead of its last motion"""
+    """(n,) or () share of half the play by which a floating joint runs ahead"""
 
     def __post_init__(self) -> None:
         _freeze(self)
 
     @classmethod
     def none(cls, arm: Arm) -> Displacement:
-        """Displacement of an arm that stands upright and is what its encoders say."""
+        """Displacement of an upright arm with true encoders."""
         n = arm.joints
         return cls(
             offset=np.zeros(n), compliance=np.zeros(n), play=np.zeros(n), twist=np.zeros((n + 1, 6)), gravity=GRAVITY
         )
 
     def torque(self, arm: Arm, position: Array) -> Array:
-        """Torques (..., n) [N m] that hold ``arm`` against gravity where its encoders say ``position`` (..., n)."""
+        """Torques (..., n) [N m] against gravity at encoder ``position`` (..., n)."""
         loaded = arm if (self.mass == 1.0).all() else replace(arm, mass=arm.mass * self.mass)
         return gravity_torque(loaded, position, self.gravity)
 
     def joints(self, arm: Arm, position: Array, approach: Array | None = None) -> Array:
-        """Where the links (..., n) [rad] are while the encoders say ``position`` (..., n) [rad], at rest.
+        """Where the links (..., n) [rad] are at rest, with encoders at ``position`` (..., n) [rad].
 
-        ``approach`` (..., n) [rad] is where the encoders were before the last motion; NaN, or None, where nobody knows.
+        ``approach`` (..., n) [rad] is where they were before the last motion; NaN or None: not known.
         """
         torque = self.torque(arm, position)
         side = np.tanh(torque / FLOATING)
@@ -74,16 +67,12 @@ class Displacement:
         return np.asarray(position + self.offset - self.compliance * torque - 0.5 * self.play * side)
 
     def rigid(self, arm: Arm, position: Array) -> Displacement:
-        """Return what of it links without play and flex have: their mean over ``position`` (M, n) goes to `offset`.
-
-        A joint that weight always presses to the same side stands off by about as much everywhere, so that this is most
-        of it.
-        """
+        """Return it without play and flex: their mean over ``position`` (M, n) goes to `offset`."""
         shift = (self.joints(arm, position) - position).mean(axis=0)
         return replace(self, offset=shift, compliance=np.zeros(arm.joints), play=np.zeros(arm.joints))
 
     def moved(self, arm: Arm) -> Arm:
-        """Return the arm with its links as they are: the same but for `twist`."""
+        """Arm with `twist` in its links."""
         if not self.twist.any():
             return arm
         fixed = np.concatenate([arm.offset, arm.tip[None]])
@@ -97,7 +86,7 @@ class Displacement:
         return replace(arm, offset=fixed[:-1], tip=fixed[-1])
 
     def tool(self, arm: Arm, position: Array, approach: Array | None = None) -> Array:
-        """Where the tool (..., 3) [m] is while the encoders say ``position`` (..., n) [rad], at rest; see `joints`."""
+        """Where the tool (..., 3) [m] is with encoders at ``position`` (..., n) [rad]; see `joints`."""
         return tcp_position(self.moved(arm), self.joints(arm, position, approach))
 
     def tool_pose(self, arm: Arm, position: Array, approach: Array | None = None) -> Array:
@@ -106,7 +95,7 @@ class Displacement:
 
 
 def direction(position: Array, approach: Array | None) -> Array:
-    """Return where joints came from (..., n): 1 upwards, -1 downwards, 0 for a short motion or an unknown one."""
+    """Directions (..., n) that joints came from: 1 upwards, -1 downwards, 0 unknown or short."""
     if approach is None:
         return np.zeros_like(position)
     return np.tanh(np.where(np.isfinite(approach), position - approach, 0.0) / CARRIED)

@@ -1,8 +1,4 @@
-"""An arm as far as a file describes it, and the completion of what the file leaves out.
-
-Every value that is filled in is named in a note, so that the owner can judge it and write a better
-one into the arm's TOML file.
-"""
+"""An arm as far as a file describes it, and its completion; a note names each assumed value."""
 
 from __future__ import annotations
 
@@ -15,31 +11,29 @@ from numpy.typing import NDArray
 from rejoint.arms.arm import Arm, Array, Box
 from rejoint.arms.inertia import SpatialInertia, link_ends, plausible_links
 from rejoint.arms.kinematics import tcp_position
-from rejoint.arms.room import derive_workspace
-from rejoint.arms.workspace import NoPostureError, derive_targets, on_a_surface, reach
+from rejoint.arms.workspace import NoPostureError, derive_targets, derive_workspace, on_a_surface, reach
 from rejoint.system.errors import InputError
 
 DEFAULT_SPEED = np.radians(90.0)
-"""[rad/s] speed limit of a joint without one (chosen: slower than any arm that we know of can move)"""
+"""[rad/s] speed limit of a joint without one (chosen)"""
 
 DEFAULT_ENCODER_STEP = 2 * np.pi / 4096
-"""[rad] URDF and MJCF say nothing about encoders; 12 bits a turn, as hobby servos have (chosen)"""
+"""[rad] 12 bits a turn, as hobby servos have (chosen)"""
 
 MOST_TURN = 4 * 2 * np.pi
-"""[rad] limits that are further are not believed (chosen: no arm's cables bear more turns)"""
+"""[rad] larger limits are ignored (chosen)"""
 
 FASTEST = 10 * 2 * np.pi
-"""[rad/s] speeds beyond are not believed (chosen: the fastest joints of arms turn six times a second; files have 100,
-1000 and 10000 where nobody knew, and some have degrees, all of which would leave the guard without a limit)"""
+"""[rad/s] larger speeds are ignored (chosen)"""
 
 LONGEST = 30.0
-"""[m] summed link lengths beyond which a file is not believed (chosen: the largest industrial arms have 5)"""
+"""[m] a larger reach is refused (chosen)"""
 
 POINT = 1e-3
-"""[m] around the resting TCP: the targets of an arm that has no region of them (chosen)"""
+"""[m] targets around the resting TCP of an arm without a region (chosen)"""
 
 FLOOR_RATIO = 0.04
-"""Default floor above the base's origin by the summed link lengths (chosen: 20 mm for a myCobot 280)"""
+"""Default floor over the reach (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,11 +42,11 @@ class Loaded:
 
     arm: Arm
     notes: tuple[str, ...] = ()
-    """one sentence for each value that the file did not give, or gave wrongly"""
+    """one sentence for each missing or wrong value"""
 
 
 class UnfinishedArmError(NoPostureError):
-    """An arm that its file describes, but for a rest posture and targets, which could not be derived."""
+    """An arm whose rest posture and targets could not be derived."""
 
     def __init__(self, error: NoPostureError, arm: Arm, notes: Sequence[str]) -> None:
         super().__init__(str(error))
@@ -63,7 +57,7 @@ class UnfinishedArmError(NoPostureError):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Draft:
-    """The fields of an arm, with NaN or None where the file is silent; see :class:`Arm` for shapes and units."""
+    """The fields of an arm, NaN or None where the file is silent; see `Arm`."""
 
     name: str
     joint_names: tuple[str, ...]
@@ -74,21 +68,19 @@ class Draft:
     upper: Array
     max_speed: Array
     links: tuple[SpatialInertia, ...]
-    """one for each joint, in the joint's frame; zero mass where unknown"""
+    """one for each joint, in its frame; zero mass: unknown"""
     rest: Array | None = None
     targets: Box | None = None
     floor: float | None = None
     encoder_step: float | None = None
     servo_acceleration: float = np.inf
     servos: tuple[str, ...] = ()
+    keep_out: tuple[Box, ...] = ()
     notes: tuple[str, ...] = ()
 
 
 def finish(draft: Draft) -> Loaded:
-    """Complete a draft, by sampling (:mod:`rejoint.arms.workspace`) where it says too little.
-
-    UnfinishedArmError when no rest posture or target region can be found.
-    """
+    """Complete a draft (`rejoint.arms.workspace`); UnfinishedArmError without rest posture or targets."""
     notes = list(draft.notes)
     lower, upper = _limits(draft, notes)
     links, repairs = plausible_links(draft.joint_names, draft.links, link_ends(draft.offset, draft.tip))
@@ -115,6 +107,7 @@ def finish(draft: Draft) -> Loaded:
         encoder_step=step,
         servo_acceleration=draft.servo_acceleration,
         servos=draft.servos,
+        keep_out=draft.keep_out,
     )
     if reach(arm) > LONGEST:
         raise InputError(

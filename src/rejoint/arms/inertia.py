@@ -1,42 +1,39 @@
-"""Masses and inertias of links: lumping bodies, judging what a file says, estimating what it does not.
+"""Masses and inertias of links: lumping, judging and estimating; payload and tool of the hand.
 
-Many published models carry no inertias, zeros, or placeholders (a kilogram and a kg m^2 for each
-link). A number that no piece of matter can have is replaced by that of a solid cylinder along the
-link, and named.
+Numbers that no matter can have are replaced by those of a solid cylinder along the link, with a note.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from rejoint.arms.arm import Array
+from rejoint.arms.arm import Arm, Array
 from rejoint.system.errors import InputError
+from rejoint.system.numbers import as_floats
 
 LINK_RADIUS_RATIO = 1 / 20
-"""Radius of the estimating cylinder by the summed link lengths (chosen: 26 mm for a myCobot 280, 63 mm for a UR5,
-70 mm for a Panda, as their housings are)"""
+"""Radius of the estimating cylinder over the reach (chosen)"""
 
 LINK_DENSITY = 1000.0
-"""[kg/m^3] of the estimating cylinder (chosen: motors and aluminium with hollow space; within a factor of two of the
-masses that Universal Robots publishes for the UR5)"""
+"""[kg/m^3] of that cylinder (chosen)"""
 
 DENSEST = 20000.0
-"""[kg/m^3] no link is denser (tungsten has 19300): bounds inertia from below, since among all bodies of a mass and
-a largest density the ball has the smallest moments"""
+"""[kg/m^3] no link is denser (tungsten: 19300): the ball bounds its inertia from below"""
 
 IMPLAUSIBLE_MASS_RATIO = 100.0
-"""a mass this many times the estimate, or below its inverse square, is taken for a placeholder (chosen)"""
+"""a mass this many times the estimate, or below its inverse square, is a placeholder (chosen)"""
 
 ROUNDING = 0.05
-"""relative violation of the triangle inequality that printing few digits explains (chosen)"""
+"""relative error of the triangle inequality by rounding (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SpatialInertia:
-    """Mass, centre of mass and inertia of one rigid piece, in any one frame."""
+    """Mass, centre and inertia of a rigid piece in some frame."""
 
     mass: float
     """[kg]"""
@@ -45,10 +42,10 @@ class SpatialInertia:
     inertia: Array
     """(3, 3) [kg m^2] about the centre of mass"""
     doubtful: bool = False
-    """whether the inertia was not usable and more than half of the mass is without one"""
+    """whether most of the mass has no usable inertia"""
 
     def seen_from(self, pose: Array) -> SpatialInertia:
-        """Express the piece, given in the frame ``pose`` (4, 4), in the frame that the pose is given in."""
+        """Express the piece, given in the frame ``pose`` (4, 4), in that pose's frame."""
         turn = pose[:3, :3]
         return SpatialInertia(
             mass=self.mass,
@@ -84,18 +81,18 @@ def cylinder(mass: float, end: Array, radius: float) -> Array:
 
 
 def inertia_matrix(values: Sequence[float] | Array) -> Array:
-    """Build an inertia (3, 3) from its six values in the order xx, yy, zz, xy, xz, yz (MuJoCo's ``fullinertia``)."""
+    """Inertia (3, 3) from xx, yy, zz, xy, xz, yz (MuJoCo's ``fullinertia``)."""
     xx, yy, zz, xy, xz, yz = values
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 def inertia_values(inertia: Array) -> Array:
-    """Give the six values (6,) of an inertia (3, 3) in the order of :func:`inertia_matrix`."""
+    """Six values (6,) of an inertia (3, 3), as `inertia_matrix` takes them."""
     return inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
 
 def ball(mass: float) -> Array:
-    """Inertia (3, 3) [kg m^2] of a ball of the estimating density, for a side piece without an inertia."""
+    """Inertia (3, 3) [kg m^2] of a ball of the estimating density."""
     return _ball_moment(mass, LINK_DENSITY) * np.eye(3)
 
 
@@ -105,7 +102,7 @@ def ball_radius(mass: float) -> float:
 
 
 def usable(inertia: Array) -> bool:
-    """Tell whether (3, 3) [kg m^2] can belong to any rigid body: positive, and no moment above the other two's sum."""
+    """Whether (3, 3) [kg m^2] can belong to a rigid body."""
     if not np.isfinite(inertia).all() or not np.abs(inertia - inertia.T).max() <= 1e-6 * np.abs(inertia).max():
         return False
     small, middle, large = np.linalg.eigvalsh(inertia)
@@ -113,17 +110,14 @@ def usable(inertia: Array) -> bool:
 
 
 def link_ends(offset: Array, tip: Array) -> Array:
-    """Where each link meets the next: (n, 3) [m] in the joint frames, from ``offset`` (n, 4, 4) and ``tip`` (4, 4)."""
+    """Return the ends (n, 3) [m] of the links in the joint frames, from ``offset`` (n, 4, 4) and ``tip`` (4, 4)."""
     return np.concatenate([offset[1:, :3, 3], tip[None, :3, 3]])
 
 
 def plausible_links(
     names: Sequence[str], links: Sequence[SpatialInertia], ends: Array
 ) -> tuple[list[SpatialInertia], list[str]]:
-    """Replace what no link of such an arm can have; returns the links and a note for each replacement.
-
-    ``ends`` is (n, 3) [m], see :func:`link_ends`; ``names`` are what the notes call the links.
-    """
+    """Replace what no link can have; returns the links and a note for each replacement; ``ends`` (n, 3) [m]."""
     reach = float(np.linalg.norm(ends, axis=1).sum())
     if reach == 0.0:
         raise InputError(
@@ -180,7 +174,6 @@ def _wrong_size(mass: float, inertia: Array, reach: float) -> str:
 
 
 def _thick(end: Array, reach: float) -> Array:
-    """Lengthen a link whose joints (nearly) meet in one point to the thickness of its housing."""
     length, least = float(np.linalg.norm(end)), 2 * reach * LINK_RADIUS_RATIO
     if length >= least:
         return end
@@ -188,7 +181,6 @@ def _thick(end: Array, reach: float) -> Array:
 
 
 def _balanced(inertia: Array) -> Array:
-    """Cut the largest moment to the sum of the others, where rounding in a file has left it above."""
     moments, axes = np.linalg.eigh(inertia)
     if moments[2] <= moments[0] + moments[1]:
         return inertia
@@ -198,3 +190,76 @@ def _balanced(inertia: Array) -> Array:
 
 def _ball_moment(mass: float, density: float) -> float:
     return float(0.4 * mass * (3 * mass / (4 * np.pi * density)) ** (2 / 3))
+
+
+LONGEST_TOOL = 0.5
+"""[m] (chosen: longer is a number in millimetres)"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Payload:
+    """What a hand carries, as a point mass."""
+
+    mass: float
+    """[kg]"""
+    com: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """[m] centre of mass from the bare arm's TCP, in its axes"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LoadedArm(Arm):
+    """An arm with a payload or tool; policies of the bare arm hold for it."""
+
+    bare: Arm
+
+
+def bare(arm: Arm) -> Arm:
+    """Arm without what was told of its hand."""
+    return arm.bare if isinstance(arm, LoadedArm) else arm
+
+
+def loaded(arm: Arm, payload: Payload | float | None = None, tool: ArrayLike | None = None) -> Arm:
+    """Return ``arm`` with a payload (a number: kg at the TCP), its TCP moved by ``tool`` (3,) [m] in the TCP frame.
+
+    InputError for a mass or length that no such arm carries.
+    """
+    carried = payload if payload is None or isinstance(payload, Payload) else Payload(mass=_mass(payload))
+    if (carried is None or carried.mass == 0.0) and tool is None:
+        return arm
+    carried = carried or Payload(mass=0.0)
+    whole = float(arm.mass.sum())
+    if not 0.0 <= carried.mass <= whole:
+        raise InputError(f"payload: {carried.mass:g} kg, expected 0 to the {whole:.2g} kg of the arm itself")
+    com = _lengths("payload: the centre of mass", carried.com)
+    tip = arm.tip.copy()
+    if tool is not None:
+        tip[:3, 3] += tip[:3, :3] @ _lengths("tool", tool)
+    link = SpatialInertia(mass=float(arm.mass[-1]), com=arm.com[-1], inertia=arm.inertia[-1])
+    place = arm.tip[:3, 3] + arm.tip[:3, :3] @ com
+    joined = combined([link, SpatialInertia(mass=carried.mass, com=place, inertia=np.zeros((3, 3)))])
+    fields = {name: getattr(arm, name) for name in Arm.__dataclass_fields__}
+    found = LoadedArm(**fields, bare=bare(arm))
+    return replace(
+        found,
+        tip=tip,
+        mass=np.append(arm.mass[:-1], joined.mass),
+        com=np.vstack([arm.com[:-1], joined.com]),
+        inertia=np.concatenate([arm.inertia[:-1], joined.inertia[None]]),
+    )
+
+
+def _mass(given: ArrayLike) -> float:
+    mass = as_floats("payload", given, "a mass in kg, or a Payload")
+    if mass.shape != ():
+        raise InputError(f"payload: expected a mass in kg, or a Payload, got {given!r}")
+    return float(mass)
+
+
+def _lengths(what: str, given: ArrayLike) -> Array:
+    lengths = as_floats(what, given, f"x, y, z of at most {LONGEST_TOOL:g} m")
+    if (
+        lengths.shape != (3,)
+        or not np.abs(lengths).max(initial=np.inf if lengths.shape != (3,) else 0.0) <= LONGEST_TOOL
+    ):
+        raise InputError(f"{what}: expected x, y, z of at most {LONGEST_TOOL:g} m, got {given!r}")
+    return lengths

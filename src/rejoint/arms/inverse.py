@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms.arm import Arm, Array
 from rejoint.arms.kinematics import frames, position_kinematics
+from rejoint.arms.rotations import rotation_error
 
 DAMPING = 0.05
 """Damping factor lambda [m] of the paper (its section III-C), with positions in metres."""
@@ -46,23 +47,6 @@ def clip_norm(step: Array, limit: float | Array) -> Array:
     """Scale whole vectors (..., n) down so that no element exceeds ``limit``, a number or (..., 1), in size."""
     largest = np.maximum.reduce(np.abs(step), axis=-1, keepdims=True)
     return step * np.minimum(1.0, limit / np.maximum(largest, 1e-12))
-
-
-def rotation_error(current: Array, wanted: Array) -> Array:
-    """Rotation vector (..., 3) [rad] in the base frame that turns ``current`` into ``wanted``."""
-    relative = wanted @ np.swapaxes(current, -1, -2)
-    skew = np.stack(
-        [
-            relative[..., 2, 1] - relative[..., 1, 2],
-            relative[..., 0, 2] - relative[..., 2, 0],
-            relative[..., 1, 0] - relative[..., 0, 1],
-        ],
-        axis=-1,
-    )
-    sine = 0.5 * np.linalg.norm(skew, axis=-1, keepdims=True)
-    cosine = 0.5 * (np.trace(relative, axis1=-2, axis2=-1)[..., None] - 1.0)
-    angle = np.arctan2(sine, cosine)
-    return skew * np.where(sine > 1e-9, angle / np.maximum(2.0 * sine, 1e-12), 0.5)
 
 
 def solve_position(

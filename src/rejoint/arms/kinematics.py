@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from rejoint.arms.arm import Arm, Array
-from rejoint.system.late import Late
+from rejoint.system.shell import Late
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
-"""[m/s^2] in the base frame; MuJoCo's default value, so that models agree."""
+"""[m/s^2] in the base frame; MuJoCo's default."""
 
 
 class Frames(NamedTuple):
@@ -35,8 +35,8 @@ _CYCLE = np.array([1, 2, 0, 1])  # coordinates in the order of a vector product:
 
 
 @lru_cache(maxsize=32)
-def _joint_terms(arm: Arm) -> Array:
-    """Constants (n, 16, 3) A | B | C of the joints: a 4 x 4 frame in the one before is A + B sin q + C cos q."""
+def joint_terms(arm: Arm) -> Array:
+    """Constants (n, 16, 3) A, B, C: a frame in the one before is A + B sin q + C cos q."""
     cross = np.zeros((arm.joints, 3, 3))
     x, y, z = arm.axis.T
     cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -z, y, -x
@@ -50,16 +50,13 @@ def _joint_terms(arm: Arm) -> Array:
 
 
 def all_poses(arm: Arm, q: Array, rows: slice) -> Array:
-    """Compute r ``rows`` of the frames of joints and TCP, (n + 1, r, 4, B), at B postures ``q`` (..., n).
-
-    Postures come last, so that the inner loops run over them.
-    """
+    """Compute ``rows`` of the frames of joints and TCP, (n + 1, r, 4, B), at B postures ``q`` (..., n)."""
     angles = q.reshape(-1, arm.joints).T
     waves = np.empty((2, *angles.shape))
     np.sin(angles, out=waves[0])
     np.cos(angles, out=waves[1])
     poses = np.empty((arm.joints + 1, rows.stop - rows.start, 4, angles.shape[1]))
-    compiled.fill_poses(_joint_terms(arm), arm.tip, waves[0], waves[1], rows.start, poses)
+    compiled.fill_poses(joint_terms(arm), arm.tip, waves[0], waves[1], rows.start, poses)
     return poses
 
 
@@ -75,17 +72,17 @@ def frames(arm: Arm, q: Array) -> Frames:
 
 
 def heights(arm: Arm, q: Array) -> Array:
-    """Heights (..., n + 1) [m] of the joint frames and the TCP at ``q`` (..., n) [rad]: the z of `frames`."""
+    """Heights (..., n + 1) [m] of joint frames and TCP at ``q`` (..., n) [rad]."""
     return all_poses(arm, q, slice(2, 3))[:, 0, 3].T.reshape(*q.shape[:-1], arm.joints + 1)
 
 
 def tcp_position(arm: Arm, q: Array) -> Array:
-    """TCP position (..., 3) [m] at joint positions ``q`` (..., n) [rad]."""
+    """TCP positions (..., 3) [m] at ``q`` (..., n) [rad]."""
     return all_poses(arm, q, slice(0, 3))[arm.joints, :, 3].T.reshape(*q.shape[:-1], 3)
 
 
 def tcp_pose(arm: Arm, q: Array) -> Array:
-    """TCP pose (..., 4, 4) at joint positions ``q`` (..., n) [rad]."""
+    """TCP poses (..., 4, 4) at ``q`` (..., n) [rad]."""
     f = frames(arm, q)
     pose = np.zeros((*q.shape[:-1], 4, 4))
     pose[..., :3, :3], pose[..., :3, 3], pose[..., 3, 3] = f.tcp_rotation, f.tcp_position, 1.0
@@ -93,7 +90,7 @@ def tcp_pose(arm: Arm, q: Array) -> Array:
 
 
 def position_kinematics(arm: Arm, q: Array) -> tuple[Array, Array]:
-    """TCP position (..., 3) [m] and its derivative (..., 3, n) [m/rad] at joint positions ``q`` (..., n) [rad]."""
+    """TCP positions (..., 3) [m] and derivatives (..., 3, n) [m/rad] at ``q`` (..., n) [rad]."""
     n, lead = arm.joints, q.shape[:-1]
     poses = all_poses(arm, q, slice(0, 3))
     columns = np.empty((3, n, poses.shape[-1]))
@@ -102,12 +99,12 @@ def position_kinematics(arm: Arm, q: Array) -> tuple[Array, Array]:
 
 
 def jacobian(arm: Arm, q: Array) -> Array:
-    """Geometric Jacobian (..., 6, n): linear velocity [m/rad] above angular velocity, base frame."""
+    """Geometric Jacobian (..., 6, n) in the base frame: linear above angular velocity."""
     return np.concatenate([position_kinematics(arm, q)[1], np.swapaxes(frames(arm, q).axis, -1, -2)], axis=-2)
 
 
 def gravity_torque(arm: Arm, q: Array, gravity: Array = GRAVITY) -> Array:
-    """Torque (..., n) [N m] with which the motors hold the arm against ``gravity`` (3,) [m/s^2] at ``q`` (..., n)."""
+    """Torques (..., n) [N m] that hold the arm against ``gravity`` (3,) [m/s^2] at ``q`` (..., n)."""
     f = frames(arm, q)
     com = f.position + np.einsum("...nij,nj->...ni", f.rotation, arm.com)
     # Of all that hangs on each joint: mass, and mass times lever.
@@ -117,7 +114,7 @@ def gravity_torque(arm: Arm, q: Array, gravity: Array = GRAVITY) -> Array:
 
 
 def link_inertia(arm: Arm, q: Array) -> Array:
-    """Moments of inertia (n,) [kg m^2] of all that hangs on each joint, about its axis, at posture ``q`` (n,) [rad]."""
+    """Moments of inertia (n,) [kg m^2] about each joint axis of all that hangs on it, at ``q`` (n,) [rad]."""
     f = frames(arm, q)
     com = f.position + np.einsum("nij,nj->ni", f.rotation, arm.com)
     inertia = f.rotation @ arm.inertia @ np.swapaxes(f.rotation, -1, -2)

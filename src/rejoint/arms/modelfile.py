@@ -1,15 +1,13 @@
-"""Read a URDF or an MJCF file into a tree of bodies, through MuJoCo's own loader.
+"""Read a URDF or MJCF file into a tree of bodies through MuJoCo's loader, which is imported when needed.
 
-MuJoCo is imported when a file is read, not before: running a policy on the arm's own computer needs
-the modules beside this one, and no simulator. Meshes, textures, actuators, sensors, tendons and
-constraints are removed before compiling, so that the files they name need not be there. Of a URDF only joints and
-masses are handed to MuJoCo at all.
+Only kinematics and masses are compiled, so that meshes need not be there.
 """
 
 from __future__ import annotations
 
 import re
 import warnings
+import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
@@ -20,26 +18,24 @@ from typing import Any
 import numpy as np
 
 from rejoint.arms.arm import Array
-from rejoint.arms.ends import unknown
+from rejoint.arms.chain import Body, Joint, Site, Tree, unknown
 from rejoint.arms.inertia import NOTHING, SpatialInertia, ball, ball_radius, inertia_matrix, usable
-from rejoint.arms.modeltext import bare, parse, urdf_speeds
 from rejoint.arms.rotations import pose_of, rotation_of
-from rejoint.arms.tree import Body, Joint, Site, Tree
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.extras import require
+from rejoint.system.files import MODEL_MOST, read_bounded
 
 _KINDS = {0: "free", 1: "ball", 2: "slide", 3: "hinge"}
 """mjtJoint"""
 
 LEAST_MOMENT = 1e-12
-"""[kg m^2] below, MuJoCo takes an inertia for none (its bound is 1e-14; frames of sensors have 1e-22)"""
+"""[kg m^2] below, MuJoCo takes an inertia for none"""
 
 
 def read_tree(path: Path, hold: Mapping[str, float] | None = None) -> Tree:
-    """Read a URDF or MJCF file, with the joints of ``hold`` held at those positions, [rad] or [m].
+    """Read a URDF or MJCF file, with the joints of ``hold`` held at those positions [rad] or [m].
 
-    FileError names what is wrong with the file, InputError a joint that cannot be held, MissingExtraError a
-    missing installation.
+    FileError names what is wrong with the file, InputError a joint that cannot be held.
     """
     root, hold = parse(path), hold or {}
     mujoco = _mujoco()
@@ -49,8 +45,7 @@ def read_tree(path: Path, hold: Mapping[str, float] | None = None) -> Tree:
         try:
             spec = mujoco.MjSpec.from_string(bare(root)) if urdf else mujoco.MjSpec.from_file(str(path))
         except (ValueError, mujoco.FatalError) as error:
-            said = _in_the_file(mujoco, path, error) if urdf else _line(error)
-            raise FileError(path, f"MuJoCo cannot read it: {said}", "correct the file") from error
+            raise FileError(path, f"MuJoCo cannot read it: {_line(error)}", "correct the file") from error
         try:  # names that are there twice are noticed as soon as the model is touched
             coupled = _coupled(mujoco, spec)
             _strip(mujoco, spec, every_geom=urdf, notes=notes)
@@ -81,7 +76,6 @@ def _mujoco() -> ModuleType:
 
 @contextmanager
 def _warnings_noted(mujoco: ModuleType, notes: list[str]) -> Iterator[None]:
-    """Make notes of what MuJoCo warns of, which it otherwise prints and writes to a file in the working folder."""
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda text: notes.append(f"MuJoCo: {' '.join(text.split())}"))
     try:
@@ -93,19 +87,7 @@ def _warnings_noted(mujoco: ModuleType, notes: list[str]) -> Iterator[None]:
         mujoco.set_mju_user_warning(before)
 
 
-def _in_the_file(mujoco: ModuleType, path: Path, error: BaseException) -> str:
-    """Say what is wrong with a URDF, with the line of its file where MuJoCo finds the same there."""
-    line = re.compile(r",? line \d+")
-    said = line.sub("", _line(error))
-    try:
-        mujoco.MjSpec.from_file(str(path))
-    except (ValueError, mujoco.FatalError) as other:
-        return _line(other) if line.sub("", _line(other)) == said else said
-    return said
-
-
 def _strip(mujoco: ModuleType, spec: Any, *, every_geom: bool, notes: list[str]) -> None:  # noqa: ANN401
-    """Remove what is not kinematics or mass; the mass of primitive shapes stays."""
     for kind in ("keys", "sensors", "actuators", "tendons", "equalities", "pairs", "excludes", "skins", "flexes"):
         for element in list(getattr(spec, kind)):
             spec.delete(element)
@@ -136,22 +118,15 @@ def _strip(mujoco: ModuleType, spec: Any, *, every_geom: bool, notes: list[str])
 
 
 def _as_ball(mujoco: ModuleType, geom: Any) -> None:  # noqa: ANN401
-    """Put a ball of its mass in place of a mesh that the file gives a mass."""
     geom.type, geom.meshname, geom.material = mujoco.mjtGeom.mjGEOM_SPHERE, "", ""
     geom.size = np.array([ball_radius(float(geom.mass)), 0.0, 0.0])
 
 
 def _massless(geom: Any) -> bool:  # noqa: ANN401
-    """Whether a shape is there to be seen alone."""
     return bool(geom.mass == 0.0 or (not geom.mass > 0.0 and geom.density == 0.0))
 
 
 def _contents(spec: Any, notes: list[str]) -> dict[str, SpatialInertia | None]:  # noqa: ANN401
-    """Judge each body's mass and inertia; None where the compiled model's are good.
-
-    A body whose numbers MuJoCo would refuse gets harmless ones for compiling; its chain link is
-    completed later.
-    """
     result: dict[str, SpatialInertia | None] = {}
     for index, body in enumerate(spec.bodies):
         body.name = body.name or f"body{index}"
@@ -181,12 +156,10 @@ def _contents(spec: Any, notes: list[str]) -> dict[str, SpatialInertia | None]: 
 
 
 def _coupled(mujoco: ModuleType, spec: Any) -> dict[str, str]:  # noqa: ANN401
-    """Joints that follow another one (URDF ``mimic``, MJCF ``equality/joint``), and which; "" where they are held."""
     return {equality.name1: equality.name2 for equality in spec.equalities if equality.type == mujoco.mjtEq.mjEQ_JOINT}
 
 
 def _drives(model: Any, coupled: dict[str, str]) -> set[str]:  # noqa: ANN401
-    """Joints that another one follows which does not hang below them."""
     body = {model.joint(j).name: int(model.jnt_bodyid[j]) for j in range(model.njnt)}
 
     def hangs_below(lower: int, upper: int) -> bool:
@@ -204,7 +177,6 @@ def _bodies(
     contents: dict[str, SpatialInertia | None],
     hold: Mapping[str, float],
 ) -> tuple[tuple[Body, ...], Any]:
-    """Bodies in the reference posture, or the nearest within the limits, and MuJoCo's data of that posture."""
     data = mujoco.MjData(model)
     for j in range(model.njnt):
         if model.jnt_limited[j] and _KINDS[int(model.jnt_type[j])] in ("hinge", "slide"):
@@ -298,3 +270,86 @@ def _moments(inertia: Array) -> str:
 
 def _line(error: BaseException) -> str:
     return " ".join(str(error).split())
+
+
+_JOINT_PARTS = ("parent", "child", "origin", "axis", "limit", "mimic")
+"""What of a URDF's joint is read."""
+
+_EXPRESSION = re.compile(r"\$[{(]")
+"""Beginning of what xacro computes"""
+
+_NO_INERTIA = dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "0")
+
+_PREFIX = re.compile(rb"(</?|\s)([A-Za-z_][\w.-]*):(?=[A-Za-z_][\w.-]*[\s=/>])")
+"""namespace prefix of an element or attribute"""
+
+
+def parse(path: Path) -> ET.Element:
+    """Root of a whole model; FileError for anything else."""
+    try:
+        text = read_bounded(path, MODEL_MOST, "check the path of the arm")
+        # Prefixes such as drake: are often used without being declared, which MuJoCo does not mind.
+        root = ET.fromstring(_PREFIX.sub(rb"\1\2_", text))  # noqa: S314 - expat expands no external entities
+    except FileNotFoundError as error:
+        raise FileError(path, "there is no such file", "check the path of the arm") from error
+    except OSError as error:
+        raise FileError(path, f"it cannot be read ({error})", "check the path of the arm") from error
+    except (UnicodeError, LookupError) as error:
+        raise FileError(
+            path, f"it is not in the encoding that it declares, or UTF-8 ({error})", "save it as UTF-8"
+        ) from error
+    except ET.ParseError as error:
+        raise FileError(path, f"it is not XML: {error}", "correct the file") from error
+    if root.tag == "mujocoinclude":
+        raise FileError(path, "it is a fragment that other MJCF files include", "give a whole one")
+    if root.tag not in ("robot", "mujoco"):
+        raise FileError(path, f"its root element is <{root.tag}>", "give a URDF (<robot>) or an MJCF (<mujoco>) file")
+    if _is_template(root):
+        raise xacro_error(path)
+    return root
+
+
+def _is_template(root: ET.Element) -> bool:
+    used = {element.tag for element in root.iter() if element.tag.startswith("xacro_")}
+    return bool(used - {"xacro_property"}) or (bool(used) and _EXPRESSION.search(bare(root)) is not None)
+
+
+def xacro_error(path: Path) -> FileError:
+    """Error for a xacro file, with the command that makes a URDF."""
+    name = path.name.split(".")[0]
+    made = f"{name}.urdf" if path.suffix == ".xacro" else f"{name}-expanded.urdf"
+    return FileError(
+        path,
+        "it is a xacro file, from which a URDF is made",
+        f"make that and give it: xacro {path.name} > {made} (xacro comes with ROS, or with: pip install xacro)",
+    )
+
+
+def bare(root: ET.Element) -> str:
+    """Keep links with masses and joints of a URDF, as text."""
+    kept = ET.Element("robot", {"name": root.get("name") or "robot"})
+    for element in root:
+        if element.tag not in ("link", "joint", "mujoco"):
+            continue
+        copy = ET.SubElement(kept, element.tag, element.attrib)
+        for part in element:
+            if element.tag == "link" and (part.tag != "inertial" or part.find("mass") is None):
+                continue
+            if element.tag != "joint" or part.tag in _JOINT_PARTS:
+                copy.append(part)
+            if part.tag == "inertial" and part.find("inertia") is None:  # MuJoCo wants one; zeros are estimated later
+                copy[-1] = ET.Element("inertial", part.attrib)
+                copy[-1].extend([*part, ET.Element("inertia", _NO_INERTIA)])
+    return ET.tostring(kept, encoding="unicode")
+
+
+def urdf_speeds(root: ET.Element) -> dict[str, float]:
+    """Speed limits [rad/s] by joint; MuJoCo does not read them."""
+    result = {}
+    for joint in root.findall("joint"):
+        limit = joint.find("limit")
+        try:
+            result[joint.get("name", "")] = float(limit.get("velocity", "nan")) if limit is not None else np.nan
+        except ValueError:
+            result[joint.get("name", "")] = np.nan
+    return result

@@ -1,10 +1,22 @@
-"""Rotations, poses and quaternions (w, x, y, z)."""
+"""Rotations, poses, quaternions (w, x, y, z) over any leading shape; orientations that a tool is to have.
+
+The *direction* of a tool is the axis of its frame along which it stands off the last joint. Orientation errors are
+rotation vectors in the base frame. A radian counts as many metres as the weight says.
+"""
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
-from rejoint.arms.arm import Array
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from rejoint.arms.arm import Arm, Array
+from rejoint.arms.inertia import bare
+from rejoint.arms.kinematics import frames, position_kinematics
 
 
 def cross_matrix(vector: Array) -> Array:
@@ -13,41 +25,55 @@ def cross_matrix(vector: Array) -> Array:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
+def turned(vector: Array) -> Array:
+    """Rotations (..., 3, 3) by rotation vectors (..., 3) [rad]."""
+    return np.asarray(Rotation.from_rotvec(np.reshape(vector, (-1, 3))).as_matrix().reshape(*np.shape(vector), 3))
+
+
 def rotation_about(axis: Array, angle: float) -> Array:
-    """Rotation (3, 3) by ``angle`` [rad] about the unit vector ``axis`` (3,), after Rodrigues."""
-    cross = cross_matrix(axis)
-    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+    """Rotation (3, 3) by ``angle`` [rad] about the unit ``axis`` (3,)."""
+    return turned(angle * np.asarray(axis))
+
+
+def rotation_vector(rotation: Array) -> Array:
+    """Rotation vectors (..., 3) [rad] of rotations (..., 3, 3); NaN of NaN."""
+    flat = np.reshape(rotation, (-1, 3, 3))
+    found, known = np.full((len(flat), 3), np.nan), np.isfinite(flat).all(axis=(1, 2))
+    found[known] = Rotation.from_matrix(flat[known]).as_rotvec()
+    return found.reshape(np.shape(rotation)[:-1])
+
+
+def rotation_error(current: Array, wanted: Array) -> Array:
+    """Rotation vectors (..., 3) [rad] that turn ``current`` into ``wanted`` (..., 3, 3)."""
+    return rotation_vector(wanted @ np.swapaxes(current, -1, -2))
+
+
+def between_directions(current: Array, wanted: Array) -> Array:
+    """Smallest rotation vectors (..., 3) [rad] that turn unit vectors ``current`` into ``wanted`` (..., 3)."""
+    cross = np.cross(current, wanted)
+    sine, cosine = np.linalg.norm(cross, axis=-1, keepdims=True), (current * wanted).sum(axis=-1, keepdims=True)
+    vector = cross * np.where(sine > 1e-9, np.arctan2(sine, cosine) / np.maximum(sine, 1e-12), 1.0)
+    side = np.cross(current, np.where(np.abs(current[..., :1]) < 0.7, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]))
+    half = np.pi * side / np.maximum(np.linalg.norm(side, axis=-1, keepdims=True), 1e-12)
+    return np.where((sine <= 1e-9) & (cosine < 0.0), half, vector)
 
 
 def rotation_of(quaternion: Array) -> Array:
-    """Rotation (3, 3) of a quaternion (4,) of any length but zero."""
-    w, *vector = quaternion / np.linalg.norm(quaternion)
-    cross = cross_matrix(np.array(vector))
-    return np.eye(3) + 2 * w * cross + 2 * cross @ cross
+    """Rotations (..., 3, 3) of quaternions (..., 4) of any length."""
+    flat = Rotation.from_quat(np.reshape(quaternion, (-1, 4)), scalar_first=True)
+    return np.asarray(flat.as_matrix().reshape(*np.shape(quaternion)[:-1], 3, 3))
 
 
 def quaternion_of(rotation: Array) -> Array:
-    """Find the unit quaternion (4,) of a rotation (3, 3).
-
-    Each row of the matrix below is four times the quaternion times one of its components; the row of
-    the largest component loses no digits.
-    """
-    r = rotation
-    xx, yy, zz = r.diagonal()
-    products = np.array([
-        [1 + xx + yy + zz, r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]],
-        [r[2, 1] - r[1, 2], 1 + xx - yy - zz, r[0, 1] + r[1, 0], r[0, 2] + r[2, 0]],
-        [r[0, 2] - r[2, 0], r[0, 1] + r[1, 0], 1 - xx + yy - zz, r[1, 2] + r[2, 1]],
-        [r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], 1 - xx - yy + zz],
-    ])  # fmt: skip
-    row = products[np.argmax(products.diagonal())]
-    return row / np.linalg.norm(row)
+    """Find the unit quaternions (..., 4) of rotations (..., 3, 3)."""
+    flat = Rotation.from_matrix(np.reshape(rotation, (-1, 3, 3)))
+    return np.asarray(flat.as_quat(scalar_first=True).reshape(*np.shape(rotation)[:-2], 4))
 
 
 def same_side(quaternions: Array) -> Array:
-    """Return quaternions (K, 4), each with the sign that is nearer to the one before it: both signs mean the same."""
-    turned = (quaternions[1:] * quaternions[:-1]).sum(axis=-1) < 0.0
-    return quaternions * np.concatenate([[1.0], np.cumprod(np.where(turned, -1.0, 1.0))])[:, None]
+    """Quaternions (K, 4), each with the sign nearer to the one before."""
+    opposite = (quaternions[1:] * quaternions[:-1]).sum(axis=-1) < 0.0
+    return quaternions * np.concatenate([[1.0], np.cumprod(np.where(opposite, -1.0, 1.0))])[:, None]
 
 
 def pose_of(rotation: Array, position: Array) -> Array:
@@ -58,6 +84,131 @@ def pose_of(rotation: Array, position: Array) -> Array:
 
 
 def inverse(pose: Array) -> Array:
-    """Inverse (4, 4) of a pose (4, 4)."""
-    turn = pose[:3, :3].T
-    return pose_of(turn, -turn @ pose[:3, 3])
+    """Inverses (..., 4, 4) of poses (..., 4, 4)."""
+    return np.asarray(np.linalg.inv(pose))
+
+
+def moved(pose: Array, change: Array) -> Array:
+    """Poses (..., 4, 4) shifted [m] and turned on the spot [rad] by ``change`` (..., 6)."""
+    new = np.array(np.broadcast_to(pose, (*np.broadcast_shapes(pose.shape[:-2], change.shape[:-1]), 4, 4)))
+    new[..., :3, :3] = turned(change[..., 3:]) @ pose[..., :3, :3]
+    new[..., :3, 3] = pose[..., :3, 3] + change[..., :3]
+    return new
+
+
+def difference(seen: Array, told: Array) -> Array:
+    """Shift [m] and turn [rad] (..., 6), base axes, from poses ``told`` to ``seen`` (..., 4, 4)."""
+    turn = rotation_error(told[..., :3, :3], seen[..., :3, :3])
+    return np.concatenate([seen[..., :3, 3] - told[..., :3, 3], turn], axis=-1)
+
+
+WEIGHT = 0.05
+"""[m/rad] default weight of an orientation (chosen: a degree counts 0.9 mm)"""
+REACHED_TURN = float(np.radians(5.0))
+"""[rad] within which an orientation counts as reached (chosen)"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Orientation:
+    """Wanted orientations of tools; leading shape (...)."""
+
+    rotation: Array
+    """(..., 3, 3) tool frame in the base frame"""
+    whole: NDArray[np.bool_]
+    """(...) whether the turn about the tool's own axis counts"""
+    weight: Array
+    """(...) [m/rad] 0: any orientation"""
+    axis: Array
+    """(3,) direction of the tool in its own frame, see `tool_axis`"""
+
+    def __getitem__(self, index: Any) -> Orientation:  # noqa: ANN401 - whatever arrays take
+        """Return some of them, by an index of the leading shape."""
+        return replace(self, rotation=self.rotation[index], whole=self.whole[index], weight=self.weight[index])
+
+    @property
+    def flat(self) -> Orientation:
+        """The same in one row."""
+        rotation = self.rotation.reshape(-1, 3, 3)
+        return replace(self, rotation=rotation, whole=self.whole.ravel(), weight=self.weight.ravel())
+
+    @property
+    def counts(self) -> NDArray[np.bool_]:
+        """(...) where an orientation is asked for at all."""
+        return np.asarray(self.weight > 0.0)
+
+    def error(self, rotation: Array) -> Array:
+        """Rotation vectors (..., 3) [rad] that turn tools of ``rotation`` (..., 3, 3) as wanted."""
+        about = between_directions(rotation @ self.axis, self.rotation @ self.axis)
+        return np.where(self.whole[..., None], rotation_error(rotation, self.rotation), about)
+
+    def angle(self, rotation: Array) -> Array:
+        """Orientation errors (...) [rad]; NaN where none is asked for."""
+        size = np.linalg.norm(self.error(rotation), axis=-1)
+        return np.where(self.counts, size, np.nan)
+
+    def rows(self, axes: Array) -> Array:
+        """Tool turns per joint motion (..., 3, n), minus the error's derivatives; ``axes`` (..., n, 3)."""
+        columns = np.swapaxes(axes, -1, -2)
+        own = np.broadcast_to(self.rotation @ self.axis, (*self.weight.shape, 3))
+        along = own[..., :, None] * (own[..., None, :] @ columns)
+        return columns - np.where(self.whole[..., None, None], 0.0, along)
+
+
+def stacked(parts: Sequence[Orientation], axis: int) -> Orientation:
+    """Stack orientations along a new leading ``axis``."""
+    return Orientation(
+        rotation=np.stack([one.rotation for one in parts], axis),
+        whole=np.stack([one.whole for one in parts], axis),
+        weight=np.stack([one.weight for one in parts], axis),
+        axis=parts[0].axis,
+    )
+
+
+def tool_axis(arm: Arm) -> Array:
+    """Direction (3,) of a tool in its own frame."""
+    tip = bare(arm).tip
+    off = tip[:3, :3].T @ tip[:3, 3]
+    if np.linalg.norm(off) < 1e-9:
+        return np.array([0.0, 0.0, 1.0])
+    found = np.zeros(3)
+    largest = int(np.argmax(np.abs(off)))
+    found[largest] = np.sign(off[largest])
+    return found
+
+
+def task(arm: Arm, q: Array, target: Array, turn: Orientation | None) -> tuple[Array, Array]:
+    """Return what is missed at ``q`` (..., n) [rad], (..., k) [m], and minus its derivatives (..., k, n).
+
+    k is 3 for the place ``target`` (..., 3) [m], 6 with a ``turn`` (weighted radians).
+    """
+    tcp, jacobian = position_kinematics(arm, q)
+    if turn is None:
+        return target - tcp, jacobian
+    f, weight = frames(arm, q), turn.weight[..., None]
+    error = np.concatenate([target - tcp, weight * turn.error(f.tcp_rotation)], axis=-1)
+    return error, np.concatenate([jacobian, weight[..., None] * turn.rows(f.axis)], axis=-2)
+
+
+def to_coords(pose: Array) -> Array:
+    """Pose (4, 4) to position [m] and rx, ry, rz [rad], R = Rz Ry Rx, (6,); rx is 0 at ry = +-90 deg."""
+    r = pose[:3, :3]
+    cosine = np.hypot(r[0, 0], r[1, 0])
+    ry = np.arctan2(-r[2, 0], cosine)
+    if cosine > 1e-9:
+        rx, rz = np.arctan2(r[2, 1], r[2, 2]), np.arctan2(r[1, 0], r[0, 0])
+    else:
+        rx, rz = 0.0, np.arctan2(-r[0, 1], r[1, 1])
+    return np.array([*pose[:3, 3], rx, ry, rz])
+
+
+def to_pose(coords: Array) -> Array:
+    """Inverse of `to_coords`."""
+    (sx, sy, sz), (cx, cy, cz) = np.sin(coords[3:]), np.cos(coords[3:])
+    pose = np.eye(4)
+    pose[:3, :3] = [
+        [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],
+        [sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx],
+        [-sy, cy * sx, cy * cx],
+    ]
+    pose[:3, 3] = coords[:3]
+    return pose

@@ -1,22 +1,10 @@
-"""Where an arm works well: a rest posture and a region of reachable targets, derived by sampling.
+"""Where an arm works: its size, a rest posture and targets by sampling, and room for a diagnosis.
 
-Rest. Postures are drawn uniformly within the joint limits with a fixed seed. Those with the TCP in
-front of the base (x > 0, the axis that REP 103 calls forward) and well above the floor, every joint frame that can rise
-clear of the floor and every joint clear of its limits are scored by the sum of five terms between 0 and 1:
-manipulability (Yoshikawa 1985, det(JJ')^1/2 over the largest seen), nearness to mid-range, an elbow
-above the TCP, a TCP straight ahead, and little holding torque against gravity. Weights are equal
-(chosen). The best are improved by a random local search and then by one in whole degrees. Which of them is taken is
-decided in :mod:`rejoint.arms.room`.
-
-Targets. Inverse kinematics is solved from the rest posture on a grid around the rest TCP. A grid
-point is good when it is reached, every joint keeps a margin from its limits, the rising joint
-frames are clear of the floor, the TCP stays away from the base's axis and no joint is near
-the arm's largest holding torque. The region is the largest box of good points that holds the rest
-TCP and has at most the edges that Park et al. 2024 (section IV-A) use, in proportion to the arm:
-0.2 x 0.4 x 0.2 of the summed link lengths, rounded inwards to millimetres. It is verified on another
-grid, and drawn towards the rest TCP until that holds. For the myCobot 280 this finds
-x 145..248, y -107..100, z 120..224 mm, where the paper has 130..230, -100..100, 150..250 (measured).
-Self-collision is not looked at.
+Rest: random postures in front of the base, clear of floor and limits, scored by manipulability (Yoshikawa 1985),
+mid-range, elbow height, heading and holding torque; the best are improved in whole degrees and tried for room. Targets:
+the largest box of points that inverse kinematics reaches with margins, at most 0.2 x 0.4 x 0.2 of the reach (Park et
+al. 2024, section IV-A). A posture is safe for a diagnosis away from limits, floor and column, and loaded no more than
+at the heaviest target. Constants in N m or mm hold for a myCobot 280 and scale with load or reach.
 """
 
 from __future__ import annotations
@@ -30,61 +18,56 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms.arm import Arm, Array, Box
+from rejoint.arms.catalogue import mycobot280
 from rejoint.arms.inertia import LINK_RADIUS_RATIO, link_ends
 from rejoint.arms.inverse import solve_position
-from rejoint.arms.kinematics import Frames, frames, gravity_torque, position_kinematics
+from rejoint.arms.kinematics import Frames, frames, gravity_torque, position_kinematics, tcp_position
 from rejoint.system.errors import InputError
 
 SAMPLES = 4096
-"""postures drawn (chosen; the best score changes by less than 1 % with the seed or four times as many, measured)"""
+"""postures drawn (chosen)"""
 
 EDGES = np.array([0.2, 0.4, 0.2])
-"""largest edges of the target region by the summed link lengths (Park et al. 2024, section IV-A: 100 x 200 x 100 mm
-on an arm of 521 mm)"""
+"""largest edges of the target region over the reach (Park et al. 2024, section IV-A)"""
 
 STEPS = 6
 """grid steps to an edge of the largest region (chosen)"""
 
 LIMIT_MARGIN = 0.05
-"""part of a joint's range that targets keep from each limit (chosen)"""
+"""part of its range that a joint keeps from each limit at targets (chosen)"""
 
 REST_MARGIN = 0.15
-"""the same for the rest posture (chosen: targets around it need room)"""
+"""the same at rest (chosen)"""
 
 REST_HEIGHT = 0.18
-"""least height of the rest posture's TCP above the floor by the summed link lengths (chosen: steps of 0.2 rad in a
-shoulder half of that length away lower the TCP by half of it)"""
+"""least height of the resting TCP above the floor over the reach (chosen)"""
 
 AXIS_CLEARANCE = 0.15
-"""least distance of targets from the base's vertical axis, by the summed link lengths (chosen: outside the column)"""
+"""least distance of targets from the base's axis over the reach (chosen)"""
 
 TORQUE_SHARE = 0.9
 """part of the largest holding torque that targets may need (chosen)"""
 
 _RISING = 0.2
-"""Share of postures that lifts a joint frame that is to be above the floor (chosen: frames beyond a shoulder have 0.3
-and more on the 53 arms of `python -m benchmarks.arms`, those that a waist can tilt by some degrees have less)"""
+"""Share of postures that must lift a joint frame for it to count (chosen)"""
 
 _FLAT = 1e-6
-"""manipulability by the cube of the summed link lengths below which no posture moves the TCP in space (rounding)"""
+"""manipulability over the cubed reach below which the TCP moves on a surface (rounding)"""
 
 _CANDIDATES, _SPREAD = 8, 16
-"""start postures of the search, and their distance in rank, so that they lie apart"""
+"""start postures of the search, and their distance in rank"""
 _CLIMB = 200
-"""steps of the search in whole degrees; it ends earlier, at the top"""
+"""most steps of the search in whole degrees"""
 
 
 def reach(arm: Arm) -> float:
-    """Add up the link lengths [m] from the first joint to the TCP."""
+    """Sum of the link lengths [m] from the first joint to the TCP."""
     return float(np.linalg.norm(link_ends(arm.offset, arm.tip), axis=1).sum())
 
 
 @lru_cache(maxsize=32)
 def rising_frames(arm: Arm, above: float = -np.inf) -> NDArray[np.bool_]:
-    """Tell which joint frames (n,) have a height that depends on the posture: a shoulder on a column has not.
-
-    Only those count that a fair share of postures lifts ``above`` a height [m]: of the others that cannot be asked.
-    """
+    """Which joint frames (n,) change their height, and lie ``above`` a height [m] in a fair share of postures."""
     postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (64, arm.joints))
     height = frames(arm, postures).position[..., 2]
     rising: NDArray[np.bool_] = (np.ptp(height, axis=0) > 1e-6) & ((height > above).mean(axis=0) > _RISING)
@@ -93,13 +76,13 @@ def rising_frames(arm: Arm, above: float = -np.inf) -> NDArray[np.bool_]:
 
 
 def on_a_surface(arm: Arm, seed: int = 0) -> bool:
-    """Tell whether the joints move the TCP on a line or a surface only: then there is no region of targets."""
+    """Whether the joints move the TCP on a line or surface only."""
     survey = _survey(arm, seed)
     return survey.manipulability < _FLAT * survey.reach**3
 
 
 def derive_targets(arm: Arm, seed: int = 0) -> Box:
-    """Find the region of reachable targets around the TCP of ``arm.rest``; InputError if there is none."""
+    """Find the region of targets around the TCP at rest; InputError if there is none."""
     found = _largest_box(_survey(arm, seed))
     if found is None:
         raise NoPostureError(
@@ -112,11 +95,10 @@ def derive_targets(arm: Arm, seed: int = 0) -> Box:
 def workspaces(
     arm: Arm, seed: int = 0, *, apart: float = 0.0, margin: float = 0.0
 ) -> Iterator[tuple[Array, Box, bool]]:
-    """Rest postures (n,) [rad] with their regions of targets, the best-scored first, and whether a region is wide.
+    """Rest postures (n,) [rad], their targets and whether those are wide, the best-scored first.
 
-    A wide region has at least half of the largest edges. Postures keep farther from the floor, by ``apart`` of the
-    summed link lengths, and ``margin`` [rad] from the limits of every joint. InputError where the arm cannot move its
-    TCP in space, or has no such posture.
+    Postures keep ``apart`` (of the reach) farther from the floor and ``margin`` [rad] from the limits. InputError where
+    there is none.
     """
     survey = replace(_survey(arm, seed), apart=apart, margin=margin)
     if survey.manipulability < _FLAT * survey.reach**3:
@@ -131,7 +113,7 @@ def workspaces(
 
 
 class NoPostureError(InputError):
-    """No rest posture with a region of targets could be derived; an owner who knows one can give it."""
+    """No rest posture with targets was found; the owner may give one."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -191,11 +173,13 @@ def _score(survey: _Survey, q: Array) -> Array:
     load = np.abs(gravity_torque(arm, q)).max(axis=-1)
     score = (
         _manipulability(arm, q) / max(survey.manipulability, 1e-12)
-        + 1.0 - (((q - middle) / half) ** 2).mean(axis=-1)
+        + 1.0
+        - (((q - middle) / half) ** 2).mean(axis=-1)
         + np.clip(elbow / (0.15 * survey.reach), 0.0, 1.0)
         + tcp[..., 0] / np.maximum(distance, 1e-9)
-        + 1.0 - load / max(survey.torque, 1e-12)
-    )  # fmt: skip
+        + 1.0
+        - load / max(survey.torque, 1e-12)
+    )
     ahead = (tcp[..., 0] > 0) & (distance > 2 * AXIS_CLEARANCE * survey.reach)
     most = np.minimum((1 - 2 * REST_MARGIN) * half, np.maximum(half - survey.margin, 2 * LIMIT_MARGIN * half))
     inside = (np.abs(q - middle) <= most).all(axis=-1)
@@ -278,11 +262,7 @@ def _largest_box(survey: _Survey) -> Box | None:
 
 
 def _largest_span(good: NDArray[np.bool_]) -> tuple[NDArray[np.int_], NDArray[np.int_]] | None:
-    """First and last index (3,) of the largest all-good box of a (2S+1)^3 grid that holds its middle point.
-
-    Edges are at most S steps and at least one. Of equally large boxes the one whose middle is nearest
-    to the grid's is taken.
-    """
+    """First and last index (3,) of the largest all-good box of a (2S+1)^3 grid that holds its middle point."""
     total = np.zeros(tuple(np.array(good.shape) + 1), dtype=int)
     total[1:, 1:, 1:] = good.cumsum(0).cumsum(1).cumsum(2)
     intervals = [(i, j) for i in range(STEPS + 1) for j in range(STEPS, 2 * STEPS + 1) if 1 <= j - i <= STEPS]
@@ -299,7 +279,224 @@ def _largest_span(good: NDArray[np.bool_]) -> tuple[NDArray[np.int_], NDArray[np
 
 
 def _count(total: NDArray[np.int_], a: tuple[int, int], b: tuple[int, int], c: tuple[int, int]) -> int:
-    """Good points of a box of the grid, from the running totals (inclusion and exclusion)."""
     corners = product((0, 1), repeat=3)
     ends = ((a[0], a[1] + 1), (b[0], b[1] + 1), (c[0], c[1] + 1))
     return int(sum((-1) ** (3 - i - j - k) * total[ends[0][i], ends[1][j], ends[2][k]] for i, j, k in corners))
+
+
+UNLOADED = 0.03
+"""Share of the largest load below which a joint carries no weight (chosen)"""
+
+
+LEAST_LEVER = 0.02
+"""Share of the reach per radian below which a joint only turns the tool (chosen)"""
+
+
+METRES = 5e-3
+"""[m] coordinates in millimetres below it were given in metres (chosen)"""
+
+
+def in_metres(places: Array) -> bool:
+    """Whether places (..., 3) [m], read in millimetres, were given in metres."""
+    known = np.abs(places[np.isfinite(places)])
+    return known.size > 0 and bool((known < METRES).all())
+
+
+@lru_cache(maxsize=32)
+def heaviest_load(arm: Arm, per_edge: int = 2) -> Array:
+    """Largest gravity torque (n,) [N m] of each joint over a grid of targets."""
+    load: Array = np.abs(gravity_torque(arm, _postures(arm, per_edge))).max(axis=0)
+    load.setflags(write=False)
+    return load
+
+
+def _postures(arm: Arm, per_edge: int) -> Array:
+    """Postures (per_edge^3, n) [rad] that a grid of targets needs."""
+    axes = [np.linspace(low, high, per_edge) for low, high in zip(arm.targets.lower, arm.targets.upper, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    return solve_position(arm, grid, arm.rest).q
+
+
+@lru_cache(maxsize=32)
+def unloaded_joints(arm: Arm) -> NDArray[np.bool_]:
+    """Which joints (n,) carry no weight at any target."""
+    load = heaviest_load(arm)
+    mask: NDArray[np.bool_] = load < UNLOADED * load.max()
+    mask.setflags(write=False)
+    return mask
+
+
+@lru_cache(maxsize=32)
+def moves_tool(arm: Arm) -> NDArray[np.bool_]:
+    """Which joints (n,) move the TCP at targets; the others only turn the tool."""
+    lever = np.linalg.norm(position_kinematics(arm, _postures(arm, 2))[1], axis=-2).max(axis=0)
+    mask: NDArray[np.bool_] = lever > LEAST_LEVER * reach(arm)
+    mask.setflags(write=False)
+    return mask
+
+
+@lru_cache(maxsize=32)
+def torque_size(arm: Arm) -> float:
+    """Largest joint load over that of a myCobot 280."""
+    return float(heaviest_load(arm).max() / heaviest_load(reference_arm()).max())
+
+
+@lru_cache(maxsize=32)
+def length_size(arm: Arm) -> float:
+    """Reach of an arm by that of a myCobot 280."""
+    return reach(arm) / reach(reference_arm())
+
+
+@lru_cache(maxsize=1)
+def reference_arm() -> Arm:
+    """Arm that constants were chosen on."""
+    return mycobot280()
+
+
+SAFE_MARGIN = np.radians(10.0)
+"""[rad] from the joint limits (chosen: a worn arm overshoots)"""
+
+CLEARANCE = 0.05
+"""[m] of joint frames and TCP above the floor (chosen)"""
+
+COLUMN = 0.4
+"""Share of the resting reach that the TCP keeps from the base axis (chosen)"""
+
+LOAD_MARGIN = 0.02
+"""[N m] that counts as no load (chosen)"""
+
+EXCURSION = 0.25
+"""[rad] motion of all joints about rest in an excitation (chosen)"""
+
+HOLD_SPREAD, HOLD_OFFSET = 0.7, 0.15
+"""[rad] distance of held postures from rest, and of their approaches (chosen)"""
+
+POSTURES = 400
+"""Postures around rest among which those to hold are chosen (chosen)"""
+
+_LEAST = 0.25
+"""Share of the excursions that must be safe about rest (chosen)"""
+
+_LEAST_HOLDS = 0.1
+"""Share of the postures around rest that must be safe (chosen)"""
+
+_CORNERS = 128
+"""Most corners of the excursion that are tried (chosen)"""
+
+_SEARCHES = ((0.0, 0.0), (0.05, 0.3), (0.1, 0.3))
+"""Added distances from floor (over the reach) and limits [rad] of the searches in turn (chosen)"""
+
+_STEPS = 0.8 ** np.arange(8)
+"""Shares that are tried (chosen)"""
+
+
+def is_safe(arm: Arm, q: Array) -> NDArray[np.bool_]:
+    """Whether a diagnosis may go to postures (..., n) [rad]; (...)."""
+    f = frames(arm, q)
+    floor = arm.floor + CLEARANCE * length_size(arm)
+    # Frames that never rise or sink, such as a shoulder on its column, may be anywhere.
+    height = np.where(rising_frames(arm, floor), f.position[..., 2], np.inf).min(axis=-1)
+    lowest = np.minimum(height, f.tcp_position[..., 2])
+    reach = np.linalg.norm(f.tcp_position[..., :2], axis=-1)
+    rest_reach = np.linalg.norm(tcp_position(arm, arm.rest)[:2])
+    inside = ((q >= arm.lower + SAFE_MARGIN) & (q <= arm.upper - SAFE_MARGIN)).all(axis=-1)
+    light = (np.abs(gravity_torque(arm, q)) <= _most_load(arm)).all(axis=-1)
+    return np.asarray(inside & light & (lowest >= floor) & (reach >= COLUMN * rest_reach))
+
+
+def line_is_safe(arm: Arm, start: Array, goal: Array) -> NDArray[np.bool_]:
+    """Whether straight joint motions (..., n) from ``start`` to ``goal`` stay safe; (...)."""
+    share = np.linspace(0.0, 1.0, 12)[:, None]
+    return np.asarray(is_safe(arm, start[..., None, :] + share * (goal - start)[..., None, :]).all(axis=-1))
+
+
+def unsafe(arm: Arm, q: Array) -> str:
+    """Say why a posture (n,) [rad] is not safe; empty: it is."""
+    f = frames(arm, q)
+    floor = arm.floor + CLEARANCE * length_size(arm)
+    low = rising_frames(arm, floor) & (f.position[:, 2] < floor)
+    near = (q < arm.lower + SAFE_MARGIN) | (q > arm.upper - SAFE_MARGIN)
+    heavy = np.abs(gravity_torque(arm, q)) > _most_load(arm)
+    names = np.array(arm.joint_names)
+    causes = [
+        (near.any(), f"{', '.join(names[near])} within {np.degrees(SAFE_MARGIN):.0f} deg of a limit"),
+        (low.any(), f"the frame of {', '.join(names[low])} less than {1e3 * floor:.0f} mm above the base"),
+        (f.tcp_position[2] < floor, f"the TCP less than {1e3 * floor:.0f} mm above the base"),
+        (heavy.any(), f"more load on {', '.join(names[heavy])} than at any target"),
+        (
+            np.linalg.norm(f.tcp_position[:2]) < COLUMN * np.linalg.norm(tcp_position(arm, arm.rest)[:2]),
+            "the TCP too near to the base's vertical axis",
+        ),
+    ]
+    return ", ".join(cause for holds, cause in causes if holds)
+
+
+def room(arm: Arm, seed: int = 0) -> tuple[float, float]:
+    """Safe shares (0 to 1) of the excursion about rest and of the spread around it.
+
+    The second is 0 where the first is too small.
+    """
+    corners = np.array(list(product((-1.0, 1.0), repeat=min(arm.joints, 7))))
+    if arm.joints > 7:
+        corners = np.random.default_rng(seed).choice((-1.0, 1.0), (_CORNERS, arm.joints))
+    whole = is_safe(arm, arm.rest + EXCURSION * _STEPS[:, None, None] * corners).all(axis=-1)
+    excursion = float(max(_STEPS[whole], default=0.0))
+    if excursion < _LEAST:
+        return excursion, 0.0
+    held = (
+        share
+        for share in _STEPS
+        if len(postures_to_hold(arm, np.random.default_rng(seed), spread=share * HOLD_SPREAD))
+        >= _LEAST_HOLDS * POSTURES
+    )
+    return excursion, float(next(held, 0.0))
+
+
+def postures_to_hold(
+    arm: Arm, rng: np.random.Generator, *, spread: float = HOLD_SPREAD, offset: float = HOLD_OFFSET
+) -> Array:
+    """Draw postures (k, n) [rad] around rest that can be approached from both sides, and from rest."""
+    q = arm.rest + spread * rng.uniform(-1.0, 1.0, (POSTURES, arm.joints))
+    for side in (-offset, offset):
+        q = q[line_is_safe(arm, arm.rest, q + side) & line_is_safe(arm, q, q + side)]
+    return q
+
+
+def derive_workspace(arm: Arm, seed: int = 0) -> tuple[Array, Box]:
+    """Find a rest posture (n,) [rad] and targets with room for an excitation; InputError if no posture has any."""
+    best: tuple[float, Array, Box] | None = None
+    why = ""
+    for rest, box, wide in _tried(arm, seed):
+        trial = replace(arm, rest=rest, targets=box)
+        share, spread = room(trial, seed)
+        if wide and share >= _LEAST and spread == 1.0:
+            return rest, box
+        why = why or unsafe(trial, rest) or "most postures around it are not safe"
+        if min(share, spread) >= _LEAST:
+            value = share * spread * float((box.upper - box.lower).prod())
+            best = (value, rest, box) if best is None or value > best[0] else best
+    if best is None:
+        lack = f"has room for an excitation (of the best one: {why})" if why else "has a region of reachable targets"
+        raise NoPostureError(
+            f"arm {arm.name}: no posture with the TCP in front of the base (x > 0) {lack}; give rest_deg in the arm's "
+            "TOML file"
+        )
+    return best[1], best[2]
+
+
+def _tried(arm: Arm, seed: int) -> Iterator[tuple[Array, Box, bool]]:
+    found, refused = False, None
+    for apart, margin in _SEARCHES:
+        try:
+            for candidate in workspaces(arm, seed, apart=apart, margin=margin):
+                found = True
+                yield candidate
+        except NoPostureError as error:
+            refused = refused or error
+    if refused is not None and not found:
+        raise refused
+
+
+def _most_load(arm: Arm) -> Array:
+    """Load (n,) [N m] that joints may bear."""
+    return heaviest_load(arm) + LOAD_MARGIN * torque_size(arm)

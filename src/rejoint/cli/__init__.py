@@ -16,42 +16,112 @@ import signal
 import sys
 import tempfile
 import traceback
-from collections.abc import Callable
-from typing import Annotated, TextIO
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Annotated, Any, NamedTuple, TextIO
 
 import msgspec
 import typer
+from typer.core import TyperCommand, TyperGroup
 
-from rejoint.cli import (
-    boards,
-    chain,
-    evaluation,
-    fleet,
-    foreign,
-    gains,
-    measuring,
-    monitoring,
-    offline,
-    reproducing,
-    serving,
-    stages,
-)  # fmt: skip
-from rejoint.cli.console import into_nothing, notes
-from rejoint.cli.live import with_place
-from rejoint.cli.options import with_home
+from rejoint.cli.console import into_nothing, notes, with_place
 from rejoint.system import compiling
 from rejoint.system.errors import RejointError, first_line
 from rejoint.system.extras import explain
+from rejoint.system.shell import __version__
 from rejoint.system.stopping import Interrupted, close, install, interruption
-from rejoint.system.version import __version__
 
 BUG = 1
 """Exit code for what should never happen"""
 
 HELP = {"help_option_names": ["-h", "--help"]}
 
+REPAIR, DRIVE, WATCH, FILES, TRY = (
+    "Repair an arm", "Drive an arm", "Watch arms over months", "Files", "Without an arm of your own"
+)  # fmt: skip
+
+
+class LazyCommand(NamedTuple):
+    """A command before its module is loaded."""
+
+    panel: str
+    module: str
+    """in this package, with a function of the command's name"""
+    help: str
+    """its line in the list of commands"""
+    settings: dict[str, Any] = {}  # noqa: RUF012 - never written
+
+
+COMMANDS = {
+    "repair": LazyCommand(REPAIR, "chain", "The whole chain: from the diagnosis to the report."),
+    "diagnose": LazyCommand(REPAIR, "stages", "Find out what is wrong with an arm."),
+    "calibrate": LazyCommand(REPAIR, "measuring", "Measure where the tool really is, and correct for it."),
+    "identify": LazyCommand(REPAIR, "stages", "Fit a digital twin to the run's logs, or to any logs."),
+    "train": LazyCommand(REPAIR, "stages", "Train a policy on randomised copies of the twin."),
+    "gains": LazyCommand(REPAIR, "stages", "Search for better gains of an SO-101's own servos."),
+    "compare": LazyCommand(REPAIR, "stages", "Try every controller on the same arm with the same targets."),
+    "report": LazyCommand(REPAIR, "stages", "Write the report of a run as one page."),
+    "goto": LazyCommand(  # -120 is a place and no option
+        DRIVE, "stages", "Move the tool to one point, and hold it there.", {"ignore_unknown_options": True}
+    ),
+    "deploy": LazyCommand(DRIVE, "stages", "Drive an arm to targets."),
+    "follow": LazyCommand(DRIVE, "stages", "Drive an arm along a path."),
+    "serve": LazyCommand(DRIVE, "serving", "Let programs written for the arm drive it through the best controller."),
+    "check": LazyCommand(WATCH, "monitoring", "See whether an arm has become worse, and how long it will still do."),
+    "history": LazyCommand(WATCH, "monitoring", "Show all arms of a folder, the worst first."),
+    "fleet": LazyCommand(WATCH, "monitoring", "Check or repair many arms."),
+    "import": LazyCommand(FILES, "offline", "Turn logs of other programs into run logs."),
+    "export": LazyCommand(FILES, "offline", "Write a run log, or what a run has found, for other programs."),
+    "replay": LazyCommand(FILES, "offline", "Judge a twin by logs: predict every motion."),
+    "board": LazyCommand(FILES, "measuring", "Write a board to print, for measuring with a camera."),
+    "emulate": LazyCommand(TRY, "serving", "Serve an emulated arm over TCP, or on a serial line."),
+    "evaluate": LazyCommand(TRY, "evaluation", "Try controllers on a hundred arms on which nothing was chosen."),
+    "tune": LazyCommand(TRY, "evaluation", "Tune classical rivals on randomised twins."),
+    "reproduce": LazyCommand(TRY, "evaluation", "Run the paper's experiments again."),
+}
+"""All commands; the module of one is loaded when that command is called or asked for its help"""
+
+
+class CommandGroup(TyperGroup):
+    """Lists `COMMANDS`, and loads a command's module when that command is wanted."""
+
+    _listing = False
+
+    def __init__(self, **words: Any) -> None:  # noqa: ANN401
+        super().__init__(**words)
+        self.commands = dict.fromkeys(COMMANDS)  # type: ignore[assignment]
+
+    def list_commands(self, ctx: object) -> list[str]:  # noqa: ARG002
+        """Return the names of all commands, in the order of the list."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: object, cmd_name: str) -> Any:  # noqa: ANN401, ARG002 - the framework's own kind
+        """Return a command; while they are listed, only its name and its line; None for another name."""
+        entry = COMMANDS.get(cmd_name)
+        if entry is None:
+            return None
+        if self._listing:
+            return TyperCommand(cmd_name, help=entry.help, rich_help_panel=entry.panel)
+        if self.commands[cmd_name] is None:
+            module = import_module(f"{__name__}.{entry.module}")
+            function = getattr(module, cmd_name, None) or getattr(module, f"{cmd_name}_")
+            alone = typer.Typer(add_completion=False, rich_markup_mode="markdown")
+            alone.command(cmd_name, context_settings=HELP | entry.settings)(function)
+            self.commands[cmd_name] = typer.main.get_command(alone)
+        return self.commands[cmd_name]
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401
+        """Write the list of commands without loading one."""
+        self._listing = True
+        try:
+            super().format_help(ctx, formatter)
+        finally:
+            self._listing = False
+
+
 app = typer.Typer(
     name="rejoint",
+    cls=CommandGroup,
     help="Give a worn robot arm its accuracy back: diagnose it, fit a digital twin, train a policy, prove the gain.",
     no_args_is_help=True,
     add_completion=False,
@@ -59,14 +129,6 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     context_settings=HELP,
 )
-COMMANDS: tuple[Callable[..., None], ...] = (
-    chain.repair, monitoring.check, monitoring.history, fleet.fleet, stages.diagnose, stages.identify, stages.train,
-    measuring.calibrate, gains.gains, stages.compare, stages.deploy, stages.follow, stages.report, boards.board,
-    offline.replay, foreign.import_, foreign.export, serving.emulate, serving.serve, reproducing.reproduce,
-    evaluation.evaluate, evaluation.tune,
-)  # fmt: skip
-for command in COMMANDS:
-    app.command(command.__name__.rstrip("_"), context_settings=HELP)(command)
 
 
 def _version(asked: bool) -> None:
@@ -88,7 +150,7 @@ def main() -> None:
     json = "--json" in sys.argv
     _fill_closed()
     _bear_any_text(sys.stdout)
-    if os.environ.get("COLUMNS") == "0":  # nobody knows how wide it is; Rich would print nothing at all
+    if os.environ.get("COLUMNS") == "0":  # its width is unknown; Rich would print nothing at all
         del os.environ["COLUMNS"]
     install()
     try:
@@ -108,7 +170,7 @@ def main() -> None:
         code = _fail(_misused(error), "UsageError", 2, json=json)
     except BrokenPipeError:
         into_nothing(sys.stdout)
-        code = 0  # whoever read our output has seen enough
+        code = 0  # the reader of our output has seen enough
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         told = f"{where}{error.strerror or error}; check the path, its permissions and the space left"
@@ -123,7 +185,6 @@ def main() -> None:
 
 
 def _misused(error: typer.TyperException) -> str:
-    """Say what is wrong with the words of a command, and where it says which it has."""
     told = getattr(error, "format_message", error.__str__)()  # names the option, which str() does not
     context = getattr(error, "ctx", None)
     told = told.rstrip(".") or "no command given"
@@ -136,10 +197,6 @@ _DECIMAL_COMMA = re.compile(r"(--[a-z-]+=)?-?\d+,\d+")
 
 
 def _fill_closed() -> None:
-    """Put nothing in place of closed standard streams: the next file that is opened would take their numbers.
-
-    Then a library that complains on standard error writes into a run log. There stays no `sys.stdin` to ask at.
-    """
     if sys.stdin is None:
         os.open(os.devnull, os.O_RDONLY)
     if sys.stdout is None:
@@ -149,9 +206,18 @@ def _fill_closed() -> None:
 
 
 def _bear_any_text(file: TextIO) -> None:
-    """Let what the console's encoding lacks, as umlauts in a path, be written as its number instead of ending all."""
     if isinstance(file, io.TextIOWrapper):
         file.reconfigure(errors="backslashreplace")
+
+
+_HOME = re.compile(r"(?P<option>--[a-z-]+=)?(?P<path>~(/.*)?)", re.DOTALL)
+
+
+def with_home(words: Sequence[str]) -> list[str]:
+    """Replace ``~`` where the shell left it: quoted, or right after an option, as in ``--run=~/mine``."""
+    found = [(word, _HOME.fullmatch(word)) for word in words]
+    home = os.path.expanduser  # that of Path fails where there is no home folder
+    return [f"{at['option'] or ''}{home(at['path'])}" if at else word for word, at in found]
 
 
 RESUMED = ("repair", "train", "compare", "fleet")
@@ -179,7 +245,6 @@ def _unforeseen(error: Exception, *, json: bool) -> int:
 
 
 def _bug(error: Exception, *, json: bool) -> int:
-    """Say in one line whose bug it is, and write where it is into a file."""
     from rejoint.robots.registry import driver_of
 
     with tempfile.NamedTemporaryFile(
@@ -205,7 +270,7 @@ def _fail(message: str, kind: str, code: int, *, json: bool) -> int:
         try:
             sys.stdout.write(line + "\n")
             sys.stdout.flush()
-        except OSError:  # nobody reads it, or its disk is full: what is left in its buffer has nowhere to go either
+        except OSError:  # no reader, or its disk is full: what is left in its buffer has nowhere to go either
             into_nothing(sys.stdout)
     return code
 

@@ -12,12 +12,14 @@ import typer
 import rejoint
 from rejoint.cli import options as opt
 from rejoint.cli import show
-from rejoint.cli.console import Terminal
-from rejoint.cli.live import live_view, shared
+from rejoint.cli.console import Terminal, live_view
 from rejoint.cli.measuring import gauge_by_word
-from rejoint.diagnosis.calibration.gauges import TouchGauge
+from rejoint.control.observer import Observer
+from rejoint.control.robot import Robot
+from rejoint.diagnosis.calibration.procedure import TouchGauge
 from rejoint.logs.runfolder.effort import read_effort
 from rejoint.runs.run import Run, newest_or_new
+from rejoint.session.settings import Settings
 from rejoint.system.errors import UnsavedError
 from rejoint.system.extras import require
 from rejoint.system.progress import Progress, no_progress
@@ -37,29 +39,29 @@ TITLES = {
 """Heading of each stage, and what is being done meanwhile"""
 
 
+@opt.with_arm
+@opt.with_settings("period")
 def repair(
     robot: opt.Robot = "emulated:worn",
     run: opt.RunOption = None,
-    arm: opt.ArmOption = None,
-    base: opt.Base = None,
-    tip: opt.Tip = None,
-    hold: opt.Hold = None,
     preset: opt.Preset = "default",
     targets: opt.Targets = None,
     controllers: opt.Controllers = "all",
-    calibrate: opt.Calibrate = None,
+    measure: opt.Measure = None,
     sets: opt.RepairSets = None,
     repetitions: opt.RepairRepetitions = None,
     full: opt.Full = False,
-    period: opt.Period = None,
     seed: opt.Seed = 0,
     live: opt.Live = None,
     quick: opt.Quick = False,
-    afresh: Annotated[
+    fresh: Annotated[
         bool,
-        typer.Option("--afresh", help="Keep no twin and policy of this arm's last repair, even if they still hold."),
+        typer.Option("--fresh", help="Keep no twin and policy of this arm's last repair, even if they still hold."),
     ] = False,
     json: opt.Json = False,
+    *,
+    pick: opt.ArmPick,
+    settings: Settings,
 ) -> None:
     """Diagnose an arm, fit its twin, train a policy, compare every controller on the arm, and write the report.
 
@@ -69,25 +71,24 @@ def repair(
     """
     require("rejoint repair", "train", "report")
     terminal = Terminal(json=json)
-    chosen = opt.choose_arm(terminal, arm, base, tip, robot, hold)
+    chosen = opt.choose_arm(terminal, pick, robot)
     path, resumed = (run, run.exists()) if run else newest_or_new(robot, chosen, seed)
     job = Run.plan(path, robot, chosen, seed)
     terminal.say(f"{'Going on with' if resumed else 'Starting'} the repair of {robot} in {path}")
-    gauge = gauge_by_word(terminal, robot, calibrate, seed)
+    gauge = gauge_by_word(terminal, robot, measure, seed)
+    plan = rejoint.RepairPlan(
+        preset=preset, controllers=opt.controller_names(controllers), targets=targets, gauge=gauge,
+        fresh=fresh or None, trials=rejoint.TrialPlan(sets=sets, repetitions=repetitions, full=full),
+    )  # fmt: skip
     with (
         live_view(terminal, live, "repair") as view,
         _Narrator(terminal, view, asking=isinstance(gauge, TouchGauge)) as narrator,
     ):
-        found = rejoint.repair(
-            robot, run=job, preset=preset, controllers=opt.controller_names(controllers), targets=targets, sets=sets,
-            repetitions=repetitions, full=full, period=opt.period_seconds(period), quick=quick, gauge=gauge,
-            afresh=afresh or None, on_stage=narrator.tell, on_progress=narrator.progress, live=view,
-        )  # fmt: skip
+        found = rejoint.repair(robot, run=job, quick=quick, plan=plan, settings=settings, observer=narrator)
     page = Path(os.path.relpath(found.page))
     if quick:
         terminal.say("A quick try: little of everything was done, so none of this is a result.")
-    from rejoint.pages.report.contents import read_contents
-    from rejoint.pages.report.errors import before_after
+    from rejoint.pages.report.contents import before_after, read_contents
 
     errors = before_after(read_contents(path), found.recommendation.controller)
     spent = read_effort(job.folder)
@@ -100,11 +101,10 @@ def repair(
     })  # fmt: skip
 
 
-class _Narrator:
-    """Shows the stages of a repair as they come: a heading, a bar while one lasts, and its result."""
-
+class _Narrator(Observer):
     def __init__(self, terminal: Terminal, view: LiveView | None, *, asking: bool) -> None:
         self._terminal, self._view, self._bar, self._asking = terminal, view, ExitStack(), asking
+        self.shows = view is not None
         self._stage: rejoint.Stage | None = None
         self._update: Progress = no_progress
 
@@ -116,8 +116,13 @@ class _Narrator:
         if isinstance(error, UnsavedError) and self._stage is not None:
             show.stage(self._terminal, self._stage.name, error.result)
 
-    def tell(self, stage: rejoint.Stage) -> None:
+    def message(self, line: str) -> None:
+        """Print a sentence."""
+        self._terminal.say(line)
+
+    def stage(self, stage: object) -> None:
         """Show how a stage stands."""
+        assert isinstance(stage, rejoint.Stage)  # noqa: S101 - for the type checker
         self._bar.close()
         heading, doing = TITLES[stage.name]
         if stage.state != "done":
@@ -129,11 +134,20 @@ class _Narrator:
         if stage.state == "started":
             asking = self._asking and stage.name == "calibrate"  # a bar would write over the questions
             bar = nullcontext(no_progress) if asking else self._terminal.progress(doing)
-            self._stage, self._update = stage, shared(self._bar.enter_context(bar), self._view)
+            self._stage, self._update = stage, self._bar.enter_context(bar)
         else:
             show.stage(self._terminal, stage.name, stage.result)
+
+    def watch(
+        self, robot: Robot, *, twin: object = None, within: float | None = None, paced: bool | None = None
+    ) -> Robot:
+        """Show the arm on the page, where there is one."""
+        return robot if self._view is None else self._view.watch(robot, twin=twin, within=within, paced=paced)
 
     def progress(self, share: float, what: str) -> None:
         """Show how far the stage is, given how far all of them are."""
         if self._stage is not None:
-            self._update(self._stage.total * share - (self._stage.number - 1), what)
+            share = self._stage.total * share - (self._stage.number - 1)
+            self._update(share, what)
+            if self._view is not None:
+                self._view.progress(share, what)

@@ -1,18 +1,20 @@
-"""What the person at the terminal sees: stages, progress, tables, errors.
+"""What the user sees at the terminal: stages, progress, tables, errors.
 
-Results go to standard output, everything else to standard error, so that results can be piped.
+Results on standard output, the rest on standard error.
 """
 
 from __future__ import annotations
 
 import errno
 import os
+import re
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from ipaddress import ip_address
 from pathlib import Path
-from typing import IO, Any, Literal, TextIO, cast
+from typing import IO, TYPE_CHECKING, Any, Literal, TextIO, cast
 
 import msgspec
 import numpy as np
@@ -22,25 +24,28 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from rejoint.system.errors import UnsavedError
+from rejoint.control.observer import Observer, Observers
+from rejoint.system.errors import InputError, UnsavedError
+from rejoint.system.extras import require
 from rejoint.system.progress import Progress
 from rejoint.system.stopping import raise_again
 
+if TYPE_CHECKING:
+    from rejoint.pages.live.view import LiveView
+
 WIDTH = 80
 """Characters of a line of a table where the terminal does not say its own"""
+# Characters of a cell up to which it stands on one line (chosen)
 _CELL = 24
-"""Characters of a cell up to which it stands on one line (chosen)"""
 _PLAIN_INTERVAL = 10.0  # [s] between lines where the output is a file and a bar would only be noise
 
 
 class _NoteFile:
-    """Standard error as a file whose disk may be full: what is only told must not end what an arm does."""
-
     def __init__(self, file: TextIO) -> None:
         self._file = file
 
     def write(self, text: str) -> int:
-        """Write ``text``, or lose it where there is no space; BrokenPipeError where nobody reads any more."""
+        """Write ``text``, or lose it where there is no space; BrokenPipeError where the reader is gone."""
         try:
             return self._file.write(text)
         except BrokenPipeError:
@@ -62,15 +67,13 @@ class _NoteFile:
 
 
 class _ResultFile(_NoteFile):
-    """Standard output, which a terminal that was closed leaves as a pipe that nobody reads."""
-
     def write(self, text: str) -> int:
-        """Write ``text``; BrokenPipeError where nobody reads any more."""
+        """Write ``text``; BrokenPipeError where the reader is gone."""
         with _left():
             return self._file.write(text)
 
     def flush(self) -> None:
-        """Flush; BrokenPipeError where nobody reads any more."""
+        """Flush; BrokenPipeError where the reader is gone."""
         with _left():
             self._file.flush()
 
@@ -87,7 +90,7 @@ def _left() -> Iterator[None]:
 
 
 class _Output(Console):
-    """A console whose reader may leave, as ``head`` does: the rest is lost, and the command goes on to its own end."""
+    """A console whose reader may leave, as ``head`` does: the rest is lost, and the command goes on."""
 
     def on_broken_pipe(self) -> None:
         """Print nothing from now on; Rich would end the program, with the exit code of a bug."""
@@ -96,7 +99,7 @@ class _Output(Console):
 
 
 def into_nothing(file: IO[str]) -> None:
-    """Let what is still written to a ``file`` that takes nothing any more be lost, also at the end of the program."""
+    """Lose what is still written to a ``file`` that takes nothing any more."""
     with suppress(OSError, ValueError):  # no file of the system
         os.dup2(os.open(os.devnull, os.O_WRONLY), file.fileno())
 
@@ -107,8 +110,36 @@ def notes() -> Console:
 
 
 def _results() -> TextIO:
-    """Return standard output; while Rich shows a bar, what it puts there leads to the bar's own console."""
     return cast(TextIO, _ResultFile(getattr(sys.stdout, "rich_proxied_file", sys.stdout)))
+
+
+class ConsoleObserver(Observer):
+    """Shows at the terminal what an arm does; ``partial`` and ``served`` take what a command shows in its own way."""
+
+    def __init__(
+        self, terminal: Terminal, progress: Progress | None = None, *, partial: Callable[[Any], object] | None = None,
+        served: Callable[[str], object] | None = None,
+    ) -> None:  # fmt: skip
+        self._terminal, self._progress, self._partial, self._served = terminal, progress, partial, served
+
+    def message(self, line: str) -> None:
+        """Print a sentence."""
+        self._terminal.say(line)
+
+    def progress(self, share: float, what: str) -> None:
+        """Move the bar."""
+        if self._progress is not None:
+            self._progress(share, what)
+
+    def partial(self, result: object) -> None:
+        """Print what was done until an error."""
+        if self._partial is not None:
+            self._partial(result)
+
+    def served(self, address: str) -> None:
+        """Print where a served arm is."""
+        if self._served is not None:
+            self._served(address)
 
 
 class Terminal:
@@ -132,7 +163,7 @@ class Terminal:
         self.results.print(text, markup=False)
 
     def table(self, title: str, headers: Sequence[str], rows: Sequence[Sequence[str]], bold: int | None = None) -> None:
-        """Print a table; the row ``bold`` is set off. One that is too wide is parted, its first column in each part."""
+        """Print a table with the row ``bold`` set off; a wide one is split, its first column in each part."""
         width = self.results.width if self.results.is_terminal else WIDTH
         page = _Output(file=_results(), width=width, highlight=False)
         for part, widths in _parts(headers, rows, width):
@@ -205,12 +236,10 @@ def _parts(headers: Sequence[str], rows: Sequence[Sequence[str]], most: int) -> 
 
 
 def _across(widths: Sequence[int]) -> int:
-    """Characters of a table with columns of these widths: a blank on both sides of each, and lines between."""
     return sum(width + 3 for width in widths) + 1
 
 
 def _least(cells: Sequence[str]) -> int:
-    """Width that a column needs: words of its title and of long cells may stand below one another."""
     words = [cell_len(word) for cell in cells for word in cell.split()]
     whole = [wide for wide in map(cell_len, cells[1:]) if wide <= _CELL]
     return min(max([*words, *whole], default=1), WIDTH // 2)
@@ -229,12 +258,10 @@ def results_of(value: object, *traces: str) -> Any:  # noqa: ANN401 - plain data
 
 
 def _unasked(key: str, value: object) -> bool:
-    """Tell whether something is about orientations that nobody asked for: points are told as ever."""
     return key in ("turned", "orientation", "orientations") and not value and value != 0.0
 
 
 def _plain(value: object) -> object:
-    """Turn what JSON does not know into what it does."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if isinstance(value, Path):
@@ -253,3 +280,66 @@ def _plain_progress(terminal: Terminal, title: str) -> Progress:
             terminal.say(f"{title}: {100 * share:.0f} % {what}".rstrip())
 
     return update
+
+
+OPTION = "--live"
+HERE = "127.0.0.1:8080"
+"""Where the page is unless something else is said: this computer alone reaches it"""
+_PLACE = re.compile(r"(?P<host>[A-Za-z0-9_.-]+):(?P<port>\d{1,5})")
+
+
+def with_place(words: Sequence[str]) -> list[str]:
+    """Give a bare ``--live`` its place: what follows belongs to it only where it reads HOST:PORT."""
+    return [
+        f"{OPTION}={HERE}" if word == OPTION and not _PLACE.fullmatch("".join(words[k + 1 : k + 2])) else word
+        for k, word in enumerate(words)
+    ]
+
+
+@contextmanager
+def live_view(terminal: Terminal, place: str | None, title: str) -> Iterator[LiveView | None]:
+    """Serve the page at ``place`` while a command, called ``title``, does its work; None where it is not wanted."""
+    if place is None:
+        yield None
+        return
+    require(f"rejoint {title} {OPTION}", "live")
+    from rejoint.pages.live.view import LiveView
+
+    host, port = host_and_port(place)
+    view = LiveView(host, port)
+    with view:
+        terminal.say(f"Live view: {view.address}")
+        if not _loopback(host):
+            terminal.say(
+                "Anyone who reaches this computer can look and press the button there: there is no password. "
+                f"Better use {OPTION} alone, and on the computer with the browser: ssh -L {port}:127.0.0.1:{port} HOST"
+            )
+        view.begin(title)
+        yield view
+    if view.failure:
+        terminal.say(f"The live view ended early ({view.failure}); the arm was driven all the same.")
+
+
+@contextmanager
+def watched(
+    terminal: Terminal, title: str, doing: str, live: str | None, partial: Callable[[Any], object] | None = None
+) -> Iterator[Observer]:
+    """Show a motion at the terminal, where it is ``doing`` something, and on the page where one is asked for."""
+    with live_view(terminal, live, title) as view, terminal.progress(doing) as update:
+        console = ConsoleObserver(terminal, update, partial=partial)
+        yield console if view is None else Observers(console, view)
+
+
+def host_and_port(place: str) -> tuple[str, int]:
+    """Read HOST:PORT; InputError for anything else."""
+    found = _PLACE.fullmatch(place)
+    if found is None or int(found["port"]) > 65535:
+        raise InputError(f"{OPTION} {place!r}: expected HOST:PORT, such as {HERE}, or nothing")
+    return found["host"], int(found["port"])
+
+
+def _loopback(host: str) -> bool:
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"

@@ -1,17 +1,19 @@
-"""Commands about the controllers themselves rather than about one arm."""
+"""Commands about the controllers themselves rather than about one arm.
+
+The paper's experiments as one command.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rejoint.arms import load_arm
+from rejoint.arms import load_arm, mycobot280
 from rejoint.cli.console import Terminal
-from rejoint.cli.options import Json, OnRay, RayAddress, Seed, controller_names, require_ray
+from rejoint.cli.options import ArmOption, Json, Seed, controller_names
 from rejoint.runs.run import Run
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
@@ -20,19 +22,16 @@ from rejoint.system.progress import Progress, part
 
 if TYPE_CHECKING:
     from rejoint.arms import Arm
-    from rejoint.research.evaluation.evaluate import TrialCell
     from rejoint.research.evaluation.family import ArmFamily
-    from rejoint.research.evaluation.result import Evaluation
+    from rejoint.research.evaluation.summary import Evaluation
+    from rejoint.research.reproduction.experiment import Experiment, Finished
 
 OUT = Path("runs") / "family"
-
-
-FAMILY_ONLY = ("controllers", "variants", "arms", "gains", "calibrate", "follow", "on", "address")
-"""Options of `evaluate` that go with --family"""
+CLASSICAL = "integrator,feedforward,tuned-integrator,tuned-feedforward,adaptive"
+"""Controllers that take part by default"""
 
 
 def evaluate(
-    context: typer.Context,
     family: Annotated[
         bool, typer.Option("--family", help="On arms of the worn family that nothing was chosen on.")
     ] = False,
@@ -50,8 +49,9 @@ def evaluate(
     controllers: Annotated[
         str,
         typer.Option(help="Comma-separated baselines and rivals, 'all' or 'none'; with --calibrate one, else 'shelf'."),
-    ] = "integrator,feedforward,tuned-integrator,tuned-feedforward,adaptive",
+    ] = CLASSICAL,
     variants: Annotated[str, typer.Option(help="Comma-separated conditions, or 'all'.")] = "all",
+    model: ArmOption = None,
     arms: Annotated[int, typer.Option(help="Number of arms.", min=1)] = 100,
     targets: Annotated[int, typer.Option(help="Targets at which each arm is held.", min=1)] = 5,
     gains: Annotated[
@@ -61,8 +61,6 @@ def evaluate(
     out: Annotated[Path, typer.Option(help="Folder for results; the same command resumes there.")] = OUT,
     seed: Seed = 0,
     threads: Annotated[int, typer.Option(help="Threads of the simulation.", min=1)] = 2,
-    on: OnRay = None,
-    address: RayAddress = None,
     json: Json = False,
 ) -> None:
     """Try controllers on a hundred arms on which nothing was chosen, and on the same under harder conditions.
@@ -80,13 +78,8 @@ def evaluate(
 
     if family == (identification is not None):
         raise InputError("evaluate needs either --family or --identification N: the arms that controllers are tried on")
-    idle = ("iterations",) if family else FAMILY_ONLY
-    for name in idle:
-        source = context.get_parameter_source(name)
-        if source is not None and source.name != "DEFAULT":
-            raise InputError(f"--{name} does not go with {'--family' if family else '--identification'}; leave it out")
     terminal = Terminal(json=json)
-    arm = load_arm("mycobot280")
+    arm = load_arm(model or "mycobot280")
     if identification is not None:
         few = ArmFamily(arms=identification, targets=targets, seed=seed)
         settings = TrialSettings(family=few, protocol=Protocol(), crossing=crossing, threads=threads)
@@ -94,44 +87,25 @@ def evaluate(
             found = evaluate_identification(arm, policy or [], settings, out, iterations, update)
         _show(terminal, found, out)
         return
-    if (follow or calibrate) and on is not None:
-        raise InputError("--on ray goes with --family alone, without --follow and --calibrate; leave it out")
-    require_ray(on, address)
     if follow:
-        _follow(terminal, arm, context, ArmFamily(arms=arms, seed=seed), out, threads)
+        _follow(terminal, arm, ArmFamily(arms=arms, seed=seed), out, threads)
         return
     if calibrate:
         few = ArmFamily(arms=arms, targets=targets, seed=seed)
-        _calibrate(terminal, arm, context, policy or [], controllers, variants, few, out, threads)
+        _calibrate(terminal, arm, policy or [], controllers, variants, few, out, threads)
         return
     names = {"all": known_names(), "none": ()}.get(controllers, controller_names(controllers))
     tuned = {} if gains is None else read_json(gains, dict[str, dict[str, float]])
     contestants = [classical(name, tuned) for name in names] + [learned(path, arm) for path in policy or []]
     if not contestants:
-        raise InputError("evaluate: nobody takes part; name --controllers or give a --policy")
+        raise InputError("evaluate: no controller takes part; name --controllers or give a --policy")
     chosen = VARIANTS if variants == "all" else [find_variant(name) for name in controller_names(variants)]
     settings = TrialSettings(
         family=ArmFamily(arms=arms, targets=targets, seed=seed), protocol=Protocol(), crossing=crossing, threads=threads
     )
     with terminal.progress("evaluating") as update:
-        elsewhere = None if on is None else _on_ray(update, address, threads)
-        result = run(arm, contestants, chosen, settings, out.resolve(), update, elsewhere)
+        result = run(arm, contestants, chosen, settings, out.resolve(), update)
     _show(terminal, result, out)
-
-
-def _on_ray(update: Progress, address: str | None, threads: int) -> Callable[[Sequence[TrialCell]], None]:
-    """Return what has cells tried by Ray."""
-    from rejoint.research.evaluation.evaluate import TrialCell
-    from rejoint.runs.fleet.rayexecutor import RayTasks
-
-    def tried(cells: Sequence[TrialCell]) -> None:
-        def done(count: int) -> None:
-            update(count / len(cells), f"{count} of {len(cells)} tried")
-
-        with RayTasks(address) as tasks:
-            tasks.each(TrialCell.leave_outcome, cells, done, cpus_each=threads)
-
-    return tried
 
 
 def tune(
@@ -142,8 +116,6 @@ def tune(
     generations: Annotated[int, typer.Option(help="Generations of CMA-ES.", min=1)] = 40,
     out: Annotated[Path, typer.Option(help="File of gains; those of other rivals in it stay.")] = Path("gains.json"),
     seed: Seed = 0,
-    on: OnRay = None,
-    address: RayAddress = None,
     json: Json = False,
 ) -> None:
     """Tune classical rivals by CMA-ES on the randomised twins that policies are trained on.
@@ -151,7 +123,6 @@ def tune(
     Example: `rejoint tune tuned-feedforward --out gains.json`, then `rejoint evaluate --family --gains gains.json`
     """
     require("rejoint tune", "train")
-    require_ray(on, address)
     from rejoint.research.rivals.catalogue import find_rival
     from rejoint.research.rivals.tuning import TuningSettings, tune_rival
     from rejoint.training.ranges import BroadRanges, Ranges, identified_ranges
@@ -166,18 +137,13 @@ def tune(
     if job is not None:
         ranges = identified_ranges(arm, read_twin(job.folder.twin, arm))
     known = read_json(out, dict[str, dict[str, float]]) if out.exists() else {}
-    work = partial(tune_rival, arm, ranges, TuningSettings(generations=generations, seed=seed))
+    how = TuningSettings(generations=generations, seed=seed)
     count = len(names)
     with terminal.progress(f"tuning {', '.join(names)}") as update:
-        if on is not None:
-            from rejoint.runs.fleet.rayexecutor import RayTasks
-
-            with RayTasks(address) as tasks:
-                found = tasks.each(work, names, lambda done: update(done / count, f"{done} of {count} tuned"))
-        else:
-            found = [work(name, _shown_by(part(update, k / count, (k + 1) / count), generations))
-                     for k, name in enumerate(names)]  # fmt: skip
-    tuned = dict(zip(names, found, strict=True))
+        tuned = {
+            name: tune_rival(arm, ranges, how, name, _shown_by(part(update, k / count, (k + 1) / count), generations))
+            for k, name in enumerate(names)
+        }
     write_json(out, known | tuned)
     for name, gains in tuned.items():
         terminal.table(name, ["gain", "value"], [[gain, f"{value:.3g}"] for gain, value in gains.items()])
@@ -194,18 +160,15 @@ def _shown_by(update: Progress, generations: int) -> Callable[[int, float, Mappi
 
 
 def _calibrate(
-    terminal: Terminal, arm: Arm, context: typer.Context, policy: list[Path], controllers: str, variants: str,
+    terminal: Terminal, arm: Arm, policy: list[Path], controllers: str, variants: str,
     family: ArmFamily, out: Path, threads: int,
 ) -> None:  # fmt: skip
-    from rejoint.research.evaluation.calibrated import conclude, tables
-    from rejoint.research.evaluation.calibrating import CONDITIONS, find_condition, try_condition
+    from rejoint.research.evaluation.calibrating import CONDITIONS, conclude, find_condition, tables, try_condition
     from rejoint.research.evaluation.contestants import classical, learned
-    from rejoint.system.version import __version__
+    from rejoint.system.shell import __version__
 
-    source = context.get_parameter_source("controllers")
-    chosen = source is not None and source.name != "DEFAULT" and controllers != "none"
-    contestants = [learned(path, arm) for path in policy]
-    contestants += [classical(name) for name in controller_names(controllers)] if chosen else []
+    named = () if controllers in (CLASSICAL, "none") else controller_names(controllers)
+    contestants = [learned(path, arm) for path in policy] + [classical(name) for name in named]
     contestants = contestants or [classical("shelf")]  # what drives an arm before it is trained for
     if len(contestants) > 1:
         raise InputError(
@@ -228,13 +191,9 @@ def _calibrate(
     terminal.finish({"out": str(out), "rows": result.rows, "named": result.named, "accused": result.accused})
 
 
-def _follow(terminal: Terminal, arm: Arm, context: typer.Context, family: ArmFamily, out: Path, threads: int) -> None:
+def _follow(terminal: Terminal, arm: Arm, family: ArmFamily, out: Path, threads: int) -> None:
     from rejoint.research.evaluation.moving import evaluate_moving, moving_table
 
-    for name in ("controllers", "variants", "targets", "gains", "policy", "calibrate"):
-        source = context.get_parameter_source(name)
-        if source is not None and source.name != "DEFAULT":
-            raise InputError(f"--{name} does not go with --follow, which tries its own cases; leave it out")
     with terminal.progress("evaluating") as update:
         result = evaluate_moving(arm, family, out, threads, update)
     write_json(out / "moving.json", result)
@@ -244,10 +203,79 @@ def _follow(terminal: Terminal, arm: Arm, context: typer.Context, family: ArmFam
 
 
 def _show(terminal: Terminal, result: Evaluation, out: Path) -> None:
-    from rejoint.research.evaluation.tables import terminal_tables
+    from rejoint.research.evaluation.page import terminal_tables
 
     for title, headers, rows in terminal_tables(result):
         terminal.table(title, headers, rows)
     counted = f"{len(result.failures)} holds failed; they are listed one by one on the page"
     terminal.result(f"{counted}: {(out / 'evaluation.html').resolve()}")
     terminal.finish({"out": str(out), "best": result.best, "rows": result.rows, "pairs": result.pairs})
+
+
+PAGE = "reproduction.md"
+
+
+def reproduce(
+    experiments: Annotated[
+        list[str] | None, typer.Argument(help="Experiments, see --list; all by default.", metavar="[EXPERIMENT]...")
+    ] = None,
+    run: Annotated[
+        Path | None, typer.Option("--run", help="Folder for everything that is kept; by default below runs/.")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Page to write (.md), its figures beside it; by default reproduction.md in the folder of --run."
+        ),
+    ] = None,
+    list_: Annotated[bool, typer.Option("--list", help="List the experiments and end.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Try every step with very little; no result.")] = False,
+    fresh: Annotated[
+        bool, typer.Option("--fresh", help="Write finished experiments again from what they keep.")
+    ] = False,
+    threads: Annotated[int, typer.Option(help="Cores to use.", min=1)] = 2,
+    seed: Seed = 0,
+    json: Json = False,
+) -> None:
+    """Run the experiments of Park et al. 2024 and write a page with their numbers beside ours.
+
+    Interrupted, the same command goes on where it stopped; what is finished is kept.
+
+    Example: `rejoint reproduce table-1 fig-9 fig-10`
+    """
+    require("rejoint reproduce", "train", "report")
+    from rejoint.research.reproduction.campaign import EXPERIMENTS, choose, run_experiments, write_page
+    from rejoint.research.reproduction.experiment import FULL, QUICK, Bench
+
+    terminal = Terminal(json=json)
+    if list_:
+        _list_experiments(terminal, EXPERIMENTS)
+        return
+    chosen = choose(experiments or ())
+    folder = run or Path("runs") / f"reproduction{'-quick' if quick else ''}-seed{seed}"
+    page = out or folder / PAGE
+    with terminal.progress("reproducing") as update:
+        bench = Bench(
+            folder=folder.resolve(), arm=mycobot280(), seed=seed, scale=QUICK if quick else FULL, threads=threads,
+            on_progress=update,
+        )  # fmt: skip
+
+        def announce(experiment: Experiment, finished: bool) -> None:
+            terminal.say(f"{experiment.title}{' (already done)' if finished else ''}")
+
+        found = run_experiments(bench, chosen, again=fresh, on_experiment=announce)
+    for one, finished in zip(chosen, found, strict=True):
+        _show_numbers(terminal, one, finished)
+    terminal.result(str(write_page(bench, page)))
+    terminal.finish({"page": str(page), "run": str(folder), "experiments": found})
+
+
+def _list_experiments(terminal: Terminal, experiments: tuple[Experiment, ...]) -> None:
+    rows = [(", ".join((one.name, *one.also)), one.about) for one in experiments]
+    terminal.table("Experiments of Park et al. 2024", ["name", "what is run"], rows)
+    terminal.finish([{"name": one.name, "also": one.also, "about": one.about} for one in experiments])
+
+
+def _show_numbers(terminal: Terminal, experiment: Experiment, finished: Finished) -> None:
+    rows = [(number.what, number.ours, number.paper or "-") for number in finished.findings.numbers]
+    terminal.table(experiment.title, ["", "ours", "paper"], rows)

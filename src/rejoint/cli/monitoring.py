@@ -1,24 +1,37 @@
-"""Commands over months: the check of an arm, and the history of all of them."""
+"""Commands over months: the check of an arm, and the history of all of them.
+
+Many arms in one command.
+"""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, closing
+from dataclasses import replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 import rejoint
 from rejoint.cli import options as opt
-from rejoint.cli.console import Terminal
-from rejoint.cli.live import live_view, shared
+from rejoint.cli.console import Terminal, watched
+from rejoint.control.observer import StageObserver
 from rejoint.runs.run import RUNS
+from rejoint.runs.stages.check import BETWEEN
+from rejoint.session.settings import Settings
 from rejoint.system.errors import FileError, MissingExtraError
 from rejoint.system.extras import require
 
 if TYPE_CHECKING:
-    from rejoint.runs.history.table import ArmHistory
+    from rejoint.runs.fleet.call import FleetResult
+    from rejoint.runs.fleet.campaign import Campaign
+    from rejoint.runs.fleet.drive import Event, Executor
+    from rejoint.runs.fleet.file import FleetArm
+    from rejoint.runs.history import ArmHistory
 
 DRIFTS, ALARM = 6, 7
 """Exit codes of a check after which the arm is to be watched, and is to be repaired"""
@@ -26,6 +39,8 @@ DRIFTS, ALARM = 6, 7
 Folder = Annotated[Path, typer.Option("--history", help="Folder below which all runs and checks are.")]
 
 
+@opt.with_arm
+@opt.with_settings("period", "dry_run")
 def check(
     robot: opt.Robot,
     history: Folder = RUNS,
@@ -40,22 +55,20 @@ def check(
         datetime | None, typer.Option(help="Date of the check in UTC, by default now; for trying years in minutes.")
     ] = None,
     moved: Annotated[
-        bool, typer.Option("--moved", help="The arm was moved, or its zeros set anew: begin a new norm.")
+        bool, typer.Option("--moved", help="The arm was moved, or its zeros were set: begin a new baseline.")
     ] = False,
     repeat: Annotated[int, typer.Option(help="Checks in a row; 5 after a repair are a norm.", min=1)] = 1,
     prometheus: Annotated[
         Path | None, typer.Option(help="Write the result for Prometheus here, as its node exporter reads text files.")
     ] = None,
-    arm: opt.ArmOption = None,
-    base: opt.Base = None,
-    tip: opt.Tip = None,
-    hold: opt.Hold = None,
-    period: opt.Period = None,
     seed: Annotated[
         int | None, typer.Option(help="Seed of everything random; by default the number of earlier checks.", min=0)
     ] = None,
     live: opt.Live = None,
     json: opt.Json = False,
+    *,
+    pick: opt.ArmPick,
+    settings: Settings,
 ) -> None:
     """See in two and a half minutes whether an arm has become worse, and how long it will still do.
 
@@ -64,22 +77,27 @@ def check(
     `rejoint check tcp://192.168.1.20:9000 --name bench-3 --tolerance 3 --json`
     """
     terminal = Terminal(json=json)
-    chosen = opt.choose_arm(terminal, arm, base, tip, robot, hold)
+    chosen = opt.choose_arm(terminal, pick, robot)
     with (
         terminal.unsaved(lambda found: terminal.result(found.line)),
-        live_view(terminal, live, "check") as view,
-        terminal.progress("checking") as update,
+        watched(terminal, "check", "checking", live) as observer,
     ):
-        found = rejoint.check(
-            robot, history=history, name=name, arm=chosen, tolerance_mm=tolerance, used_h=used, when=date, moved=moved,
-            repeat=repeat, period=opt.period_seconds(period), seed=seed,
-            on_progress=shared(update, view), live=view,
-        )  # fmt: skip
+        for number in range(repeat):
+            when = None if date is None else date + number * BETWEEN
+            found = rejoint.check(
+                robot, history=history, name=name, arm=chosen, tolerance_mm=tolerance,
+                notes=rejoint.CheckNotes(used_h=used, when=when, moved=moved and not number),
+                settings=replace(settings, seed=seed),
+                observer=StageObserver(observer, number / repeat, (number + 1) / repeat),
+            )  # fmt: skip
+    if settings.dry_run:
+        terminal.finish({"arm": found.arm, "robot": found.robot, "dry_run": True})
+        return
     for problem in found.unread:
         terminal.say(f"left out: {problem}")
     terminal.result(f"{found.arm}: {found.line}")
     if prometheus is not None:
-        from rejoint.runs.history.prometheus import write_prometheus
+        from rejoint.runs.history import write_prometheus
 
         write_prometheus(prometheus, found.arm, found.outlook, found.measures)
     terminal.finish(
@@ -103,7 +121,7 @@ def history(
     Example: `rejoint history runs --sql "select arm, max(error_mm) from history where joint = '' group by arm"`
     """
     from rejoint.logs.history.index import find_rows
-    from rejoint.runs.history.table import HEADERS, arms_of, cells
+    from rejoint.runs.history import HEADERS, arms_of, cells
 
     terminal = Terminal(json=json)
     if page is not None:
@@ -133,14 +151,110 @@ def history(
 
 
 def _write_page(terminal: Terminal, path: Path, arms: Sequence[ArmHistory]) -> bool:
-    """Write the page; where its extra is not installed, as beside the arm, the table is all, and a line says why."""
     try:
         require("the page of the history", "report")
     except MissingExtraError as error:
         terminal.say(f"No page: {error}")
         return False
-    from rejoint.runs.history.page import write_history
+    from rejoint.runs.history import write_history
 
     write_history(path, arms)
     terminal.result(f"Page: {path}")
     return True
+
+
+def fleet(
+    verb: Annotated[Literal["check", "repair"], typer.Argument(help="What is to be done with each arm.")],
+    file: Annotated[Path, typer.Argument(help="File with the arms, see docs/monitoring.md.", metavar="FLEET.toml")],
+    only: Annotated[str, typer.Option(help="Comma-separated names of arms; by default all of the file.")] = "",
+    somebody: Annotated[
+        bool, typer.Option("--somebody-is-there", help="Somebody is there who can stop the arms that need that.")
+    ] = False,
+    wait: Annotated[bool, typer.Option("--wait", help="Stay until the hours of all arms have come.")] = False,
+    fresh: Annotated[
+        bool, typer.Option("--fresh", help="Begin with all arms again, though an earlier call was cut short.")
+    ] = False,
+    needed: Annotated[
+        bool, typer.Option("--needed", help="Check each arm first, and repair only those that the check says to.")
+    ] = False,
+    address: Annotated[
+        str | None, typer.Option(help="Ray cluster HOST:PORT, or auto; by default this machine alone.")
+    ] = None,
+    cpus: Annotated[int | None, typer.Option(help="Processors of this machine to use; by default all.", min=1)] = None,
+    training_cpus: Annotated[
+        float, typer.Option(help="Processors that a training counts for; it runs two threads.", min=0.1)
+    ] = 1.0,
+    preset: opt.Preset = "default",
+    controllers: opt.Controllers = "all",
+    sets: opt.RepairSets = None,
+    repetitions: opt.RepairRepetitions = None,
+    seed: Annotated[
+        int | None, typer.Option(help="Seed of the repairs; by default that of the run that goes on, or 0.", min=0)
+    ] = None,
+    quick: opt.Quick = False,
+    json: opt.Json = False,
+) -> None:
+    """Check or repair many arms, each within its hours and with its permissions, and show them, the worst first.
+
+    Interrupted or killed, the same command goes on: one step of each arm is lost at most, and no real arm moves again
+    by itself. Exit code 0: nothing to do; 6 and 7: as for `check`, of the worst arm; 5: not all was done; others: an
+    arm failed.
+
+    Example: `rejoint fleet check FLEET.toml --somebody-is-there`
+    """
+    require(f"rejoint fleet {verb}", "fleet", "report", *(["train"] if verb == "repair" and address is None else []))
+    from rejoint.runs.fleet.call import run_fleet
+    from rejoint.runs.fleet.campaign import RepairOptions
+    from rejoint.runs.fleet.drive import Rules
+    from rejoint.runs.fleet.file import read_fleet
+    from rejoint.runs.fleet.rayexecutor import RayExecutor, has_token
+
+    terminal = Terminal(json=json)
+    found = read_fleet(file)
+    if address is not None and not has_token():
+        terminal.say(
+            f"warning: no token for Ray: anyone who reaches {address} may run programs there; see docs/monitoring.md"
+        )
+
+    def make_executor(arms: Sequence[FleetArm]) -> AbstractContextManager[Executor]:
+        return closing(RayExecutor(arms, address=address, cpus=cpus, training_cpus=training_cpus))
+
+    options = RepairOptions(
+        preset=preset, controllers=opt.controller_names(controllers), sets=sets, repetitions=repetitions, seed=seed,
+        quick=quick, needed=needed,
+    )  # fmt: skip
+    rules = Rules(somebody=somebody, stay=wait, fresh=fresh)
+    if address is None:  # all control loops run here
+        rules = replace(rules, at_once=cpus or os.cpu_count() or 1)
+    with terminal.unsaved(partial(_show_rows, terminal)):
+        result = run_fleet(
+            found, verb, make_executor, rules, only=opt.controller_names(only) if only else (), options=options,
+            tell=partial(_say_event, terminal), begins=partial(_say_begun, terminal),
+        )  # fmt: skip
+    _show_rows(terminal, result)
+    if quick:
+        terminal.say("A quick try: little of everything was done, so none of this is a result.")
+    terminal.result(f"Page: {os.path.relpath(result.page)}")
+    terminal.finish({"verb": verb, "rows": result.rows, "seconds": result.seconds, "page": result.page,
+                     "finished": result.finished})  # fmt: skip
+    if result.code:
+        raise typer.Exit(result.code)
+
+
+def _say_begun(terminal: Terminal, campaign: Campaign) -> None:
+    before = f", begun {campaign.info.begun:%Y-%m-%d %H:%M} UTC" if campaign.resumed else ""
+    start = "Going on with the" if campaign.resumed else "Starting the"
+    terminal.say(f"{start} {campaign.verb} of {len(campaign.info.runs)} arms in {campaign.fleet.folder}{before}")
+
+
+def _say_event(terminal: Terminal, event: Event) -> None:
+    took = f" in {event.seconds:.0f} s" if event.kind == "done" else ""
+    terminal.say(f"{event.arm.name}: {event.step} {event.kind}{took}{f': {event.text}' if event.text else ''}")
+
+
+def _show_rows(terminal: Terminal, result: FleetResult) -> None:
+    from rejoint.runs.fleet.call import HEADERS
+
+    terminal.table("All arms, the worst first", HEADERS, [row.cells for row in result.rows])
+    for row in result.rows:
+        terminal.result(f"{row.name}: {row.found}")

@@ -12,20 +12,21 @@ import typer
 
 import rejoint
 from rejoint.arms import Arm, tcp_position
+from rejoint.cli import options as opt
 from rejoint.cli import show
-from rejoint.cli.console import Terminal, results_of
-from rejoint.cli.options import ArmOption, Base, Hold, Json, Tip, choose_arm
-from rejoint.logs.bare import states_alone
-from rejoint.logs.doubts import forced_remarks
-from rejoint.logs.runlog import RunLog
-from rejoint.runs.given import arm_of_twin, as_logs
+from rejoint.cli.console import Terminal, results_of, watched
+from rejoint.cli.options import Json
+from rejoint.logs import ANGLE_UNITS, FORMATS, STAMPS, TIME_UNITS, ImportOptions, export_log, import_logs, read_map
+from rejoint.logs.consistency import forced_remarks
+from rejoint.logs.runlog import RunLog, read_log
 from rejoint.runs.run import Run
+from rejoint.session.inputs import arm_of_twin, as_logs
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
 from rejoint.system.shell import command
 
 if TYPE_CHECKING:
-    from rejoint.runs.stages.replay import Replayed
+    from rejoint.runs.stages.report import Replayed
     from rejoint.twin.judge import Candidate
     from rejoint.twin.judgement import Errors, Judgement
 
@@ -56,13 +57,10 @@ TorqueOff = Annotated[
 
 def diagnose_from_logs(terminal: Terminal, job: Run, logs: Path, good: Path | None) -> None:
     """Judge an arm by the run logs in a folder and write the diagnosis into the run folder of ``job``."""
-    with terminal.progress("diagnosing") as update:
-        found = rejoint.diagnose(logs, run=job, healthy=good, on_progress=update).diagnosis
+    with watched(terminal, "diagnose", "diagnosing", None) as observer:
+        found = rejoint.diagnose(logs, run=job, healthy=good, observer=observer).diagnosis
     show.diagnosis(terminal, found)
-    if states_alone(as_logs(logs), "diagnosis"):
-        terminal.result(f"Next: record commands as well; this diagnosis is in {job.path}")
-    else:
-        terminal.result(f"Next: {command('identify', '--logs', logs, '--run', job.path)}")
+    terminal.result(f"Next: {command('identify', '--logs', logs, '--run', job.path)}")
     terminal.finish({"run": str(job.path), "diagnosis": found})
 
 
@@ -72,11 +70,13 @@ def identify_from_logs(
 ) -> None:  # fmt: skip
     """Fit a twin to the run logs in a folder, judge it, and write both and the report into a run folder."""
     beside = read_sets(published, job.arm)
-    with terminal.progress("identifying") as update:
+    with watched(terminal, "identify", "identifying", None) as observer:
         kept = None if not hold_out else [name for name in hold_out if name != "none"]
         twin = rejoint.identify(
-            logs, run=job, beside=beside, hold_out=kept, gain=_by_motion(gain), torque_off=_by_motion(torque_off),
-            on_progress=update,
+            logs, run=job, observer=observer,
+            plan=rejoint.LogPlan(
+                beside=beside, hold_out=kept, gain=_by_motion(gain), torque_off=_by_motion(torque_off)
+            ),
         )  # fmt: skip
     show.twin(terminal, twin)
     say_forced(terminal, as_logs(logs))
@@ -92,16 +92,15 @@ def identify_from_logs(
     })  # fmt: skip
 
 
+@opt.with_arm
 def replay(
     twin: Annotated[Path, typer.Argument(help="Twin (.toml) to judge.")],
     logs: Logs,
-    arm: ArmOption = None,
-    base: Base = None,
-    tip: Tip = None,
-    hold: Hold = None,
     published: Published = None,
     out: Annotated[Path, typer.Option(help="Folder for the page and its figures.")] = Path("replay"),
     json: Json = False,
+    *,
+    pick: opt.ArmPick,
 ) -> None:
     """Predict every motion open loop with a twin and show how far off it is, free space and contact apart.
 
@@ -109,7 +108,7 @@ def replay(
     """
     require("rejoint replay", "train", "report")
     terminal = Terminal(json=json)
-    chosen = arm_of_twin(twin) if arm is None else choose_arm(terminal, arm, base, tip, hold=hold)
+    chosen = arm_of_twin(twin) if pick.source is None else opt.choose_arm(terminal, pick)
     replayed = rejoint.replay(twin, logs, arm=chosen, beside=read_sets(published, chosen), out=out)
     say_forced(terminal, replayed.logs)
     if replayed.judgement is None:
@@ -122,13 +121,12 @@ def replay(
 
 
 def _without_trace(judgement: Judgement, file: Path) -> dict[str, Any]:
-    """Return a judgement as plain data; of the motion predicted worst, its name and the file with its traces."""
     return results_of(judgement) | {"worst": {"motion": judgement.worst.motion, "traces": str(file)}}
 
 
 def read_sets(published: list[str] | None, arm: Arm) -> list[Candidate]:
     """Read published parameter sets given as FILE or NAME=FILE."""
-    from rejoint.twin.published import read_published
+    from rejoint.twin.judge import read_published
 
     found = []
     for given in published or []:
@@ -161,7 +159,6 @@ def show_followed(terminal: Terminal, arm: Arm, replayed: Replayed) -> None:
 
 
 def _by_motion(given: list[str] | None) -> dict[str, str]:
-    """Collect what is given as MOTION=VALUE; values of one motion are put one after the other."""
     found: dict[str, str] = {}
     for one in given or []:
         name, named, value = one.rpartition("=")
@@ -173,7 +170,7 @@ def _by_motion(given: list[str] | None) -> dict[str, str]:
 
 def show_errors(terminal: Terminal, judgement: Judgement) -> None:
     """Print the errors of every motion, and which prediction to trust."""
-    from rejoint.pages.report.trust import answer
+    from rejoint.pages.report.tables import answer
 
     names = list(judgement.mean)
     headers = ["motion", "s", *names]
@@ -191,3 +188,109 @@ def show_errors(terminal: Terminal, judgement: Judgement) -> None:
 def _cell(errors: Errors) -> str:
     parts = (errors.free, errors.contact, errors.all)
     return " / ".join("-" if part is None else f"{1e3 * part.tcp:.2f}" for part in parts)
+
+
+@opt.with_arm
+def import_(
+    source: Annotated[
+        Path, typer.Argument(help="File or folder: text with columns, JSON, NumPy, bags, MCAP, LeRobot or SAGE.")
+    ],
+    out: Annotated[Path, typer.Argument(help="New folder for the run logs.")],
+    kind: Annotated[
+        str | None, typer.Option("--format", help=f"One of {', '.join(FORMATS)}; by default found from the content.")
+    ] = None,
+    angle_unit: Annotated[
+        str | None, typer.Option(help=f"Unit of angles, where the source is silent: {', '.join(ANGLE_UNITS)}.")
+    ] = None,
+    time_unit: Annotated[
+        str | None, typer.Option(help=f"Unit of times, where the source is silent: {', '.join(TIME_UNITS)}.")
+    ] = None,
+    rate: Annotated[float | None, typer.Option(help="Rows in a second of a file without a time.")] = None,
+    columns: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--map",
+            help="What is what in the file: time=t, JOINT=q1, command.JOINT=u1, JOINT=m1/6.33-0.6, "
+            "command=27..32; several times, by commas, or a TOML file.",
+        ),
+    ] = None,
+    order: Annotated[str | None, typer.Option(help="Names of columns that have none, comma-separated.")] = None,
+    torque_off: Annotated[str | None, typer.Option(help="Joints that had no torque, comma-separated.")] = None,
+    state_topic: Annotated[str | None, typer.Option(help="Topic of the measured state in a bag.")] = None,
+    command_topic: Annotated[str | None, typer.Option(help="Topic of the commands in a bag.")] = None,
+    stamp: Annotated[str | None, typer.Option(help=f"Clock of a bag: {' or '.join(STAMPS)}.")] = None,
+    calibration: Annotated[Path | None, typer.Option(help="LeRobot calibration file for normalised angles.")] = None,
+    force: Annotated[
+        bool,
+        typer.Option("--force", help="Import despite failed consistency checks; the warnings are stored in the log."),
+    ] = False,
+    json: Json = False,
+    *,
+    pick: opt.ArmPick,
+) -> None:
+    """Turn logs of other programs into run logs; units, joint order and clock are checked, never guessed.
+
+    Example: `rejoint import recordings/so101 logs/so101 --arm so101`
+    """
+    terminal = Terminal(json=json)
+    options = ImportOptions(
+        angle_unit=angle_unit, time_unit=time_unit, rate=rate, columns=read_map(columns) if columns else None,
+        names=_names(order), state_topic=state_topic, command_topic=command_topic, stamp=stamp, calibration=calibration,
+        torque_off=_names(torque_off), force=force,
+    )  # fmt: skip
+    chosen = opt.choose_arm(terminal, pick)
+    with terminal.progress("importing") as update:
+        imported = import_logs(source, chosen, out=out, format=kind, options=options, on_progress=update)
+    for note in (*imported.notes, *imported.skipped):
+        terminal.say(note)
+    seconds = sum(float(log.time[-1] - log.time[0]) for log in imported.logs)
+    count = len(imported.logs)
+    skipped = f"; {len(imported.skipped)} skipped" * bool(imported.skipped)
+    terminal.result(f"{count} run log{'s' * (count != 1)}, {seconds:.0f} s of motion, in {out}{skipped}")
+    terminal.finish({
+        "out": str(out), "logs": count, "seconds": seconds, "notes": imported.notes, "skipped": imported.skipped
+    })  # fmt: skip
+
+
+def export(
+    source: Annotated[
+        Path, typer.Argument(help="Run log (.parquet), or with --format a run folder.", metavar="SOURCE")
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Argument(help="File to write: of a log .csv, or .mcap for PlotJuggler, Foxglove and Rerun."),
+    ] = None,
+    kind: Annotated[
+        str | None,
+        typer.Option(
+            "--format",
+            help="Of a run: urdf (this unit), lerobot (its zeros), datasheet (a page), onnx or ros2 (its controller).",
+        ),
+    ] = None,
+    lerobot: Annotated[Path | None, typer.Option(help="Calibration file of LeRobot whose zeros to correct.")] = None,
+    json: Json = False,
+) -> None:
+    """Write a run log as CSV or MCAP, or what a run has found out: URDF, LeRobot's calibration, data sheet, controller.
+
+    Example: `rejoint export runs/mine/logs/excitation.parquet excitation.mcap`, or
+    `rejoint export runs/mine --format urdf`
+    """
+    terminal = Terminal(json=json)
+    if kind is not None or lerobot is not None:
+        from rejoint.runs.exporting.exports import export_run
+
+        out, told = export_run(source, kind or "lerobot", out, lerobot=lerobot)
+        terminal.say(told)
+    elif out is None:
+        raise InputError(
+            "export takes a run log (.parquet) and a file to write (.csv or .mcap), or a run folder and --format: "
+            "urdf, lerobot, datasheet, onnx or ros2"
+        )
+    else:
+        export_log(read_log(source), out)
+    terminal.result(str(out))
+    terminal.finish({"out": str(out)})
+
+
+def _names(text: str | None) -> tuple[str, ...] | None:
+    return None if text is None else tuple(name.strip() for name in text.split(",") if name.strip())

@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 import math
-import os.path
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping
+from functools import wraps
+from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, NamedTuple, get_type_hints
 
 import typer
 
 from rejoint.arms import Arm
 from rejoint.arms.draft import UnfinishedArmError
-from rejoint.arms.loaded import Payload as LoadedWith
-from rejoint.arms.loading import read_arm
-from rejoint.arms.tomlfile import write_unfinished
+from rejoint.arms.inertia import Payload as LoadedWith
+from rejoint.arms.loading import read_arm, write_unfinished
 from rejoint.cli.console import Terminal
 from rejoint.logs.runfolder.folder import LOGS, RunFolder
 from rejoint.robots import DEFAULT_ARM, place_of
 from rejoint.runs.run import Run as OpenRun
 from rejoint.runs.run import newest_or_new
+from rejoint.session.settings import Settings
 from rejoint.system.errors import InputError
 
 ROBOT_HELP = (
@@ -51,11 +52,6 @@ Hold = Annotated[
 ]
 Seed = Annotated[int, typer.Option(help="Seed of everything random.", min=0)]
 RunSeed = Annotated[int | None, typer.Option("--seed", help="Seed; by default that of the run.", min=0)]
-OnRay = Annotated[Literal["ray"] | None, typer.Option("--on", help="Spread over processes by Ray; the same numbers.")]
-RayAddress = Annotated[
-    str | None,
-    typer.Option("--address", help="With --on ray: its cluster HOST:PORT, or auto; by default this machine alone."),
-]
 Quick = Annotated[bool, typer.Option("--quick", help="Do little of everything, for a first try; no result.")]
 RepairSets = Annotated[
     int | None, typer.Option("--sets", help="Target sets of ten targets each; by default 3, on a real arm 1.", min=1)
@@ -63,9 +59,6 @@ RepairSets = Annotated[
 RepairRepetitions = Annotated[
     int | None,
     typer.Option("--repetitions", help="Repetitions of every target set; by default 2, on a real arm 1.", min=1),
-]
-Device = Annotated[
-    str, typer.Option(help="What simulates the twins: cpu, or cuda (extra gpu); without such a GPU, the processors.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="End standard output with one line of JSON.")]
 Preset = Annotated[
@@ -78,12 +71,13 @@ Calibration = Annotated[
     str | None,
     typer.Option(help="calibration.toml to correct by, or none; by default that of the run, see `rejoint calibrate`."),
 ]
-Calibrate = Annotated[
+Measure = Annotated[
     str | None,
     typer.Option(
-        "--calibrate",
-        help="What measures the tool: touch, camera, camera=NUMBER, tracker=FILE or none. By default an emulated arm "
-        "tells, and a real one is not calibrated.",
+        "--measure",
+        help="What measures the tool: touch (you, with a ruler or calliper), camera, camera=NUMBER, tracker=FILE (CSV, "
+        "goes on being written), none; to `calibrate`, which moves nothing then, also camera=PICTURES or points=FILE. "
+        "By default an emulated arm tells, and a real one is not calibrated.",
     ),
 ]
 Payload = Annotated[
@@ -120,38 +114,28 @@ Live = Annotated[
 ]
 Full = Annotated[
     bool,
-    typer.Option("--full", help="On a real arm, drive every controller to all targets instead of letting them race."),
+    typer.Option("--full", help="On a real arm, drive every controller to all targets and eliminate none."),
 ]
 Period = Annotated[
     str | None, typer.Option(help="Control period in ms, such as 50 or 20-30; by default what the robot suits.")
 ]
 
 
-_HOME = re.compile(r"(?P<option>--[a-z-]+=)?(?P<path>~(/.*)?)", re.DOTALL)
+class ArmPick(NamedTuple):
+    """What a user says of the arm: a name or a file, which part of it, and which joints are held."""
+
+    source: str | None = None
+    base: str | None = None
+    tip: str | None = None
+    hold: str | None = None
 
 
-def with_home(words: Sequence[str]) -> list[str]:
-    """Put the home folder for ``~`` where the shell left it: quoted, or right after an option, as in ``--run=~/mine``.
+def choose_arm(terminal: Terminal, pick: ArmPick, robot: str | None = None) -> Arm:
+    """Load an arm, by default the one that ``robot`` is, and say what its description left open.
 
-    Else a folder called ``~`` would be made, and the command that removes it by that name removes the home folder.
+    Without a rest posture the arm is written to a TOML file in the working folder, for its owner to give it.
     """
-    found = [(word, _HOME.fullmatch(word)) for word in words]
-    home = os.path.expanduser  # that of Path fails where there is no home folder
-    return [f"{at['option'] or ''}{home(at['path'])}" if at else word for word, at in found]
-
-
-def choose_arm(
-    terminal: Terminal,
-    source: str | None,
-    base: str | None,
-    tip: str | None,
-    robot: str | None = None,
-    hold: str | None = None,
-) -> Arm:
-    """Load an arm, by default the one that ``robot`` is, and tell what its description left open.
-
-    Where that is its rest posture, the arm is written to a TOML file in the working folder, for its owner to give it.
-    """
+    source, base, tip, hold = pick
     source = source or (DEFAULT_ARM if robot is None else place_of(robot).default_arm)
     try:
         loaded = read_arm(source, base=base, tip=tip, hold=held_positions(hold))
@@ -183,25 +167,13 @@ def held_positions(text: str | None) -> dict[str, float]:
     return found
 
 
-def run_of_logs(
-    terminal: Terminal, logs: Path, path: Path | None, seed: int,
-    arm: str | None, base: str | None, tip: str | None, hold: str | None,
-) -> OpenRun:  # fmt: skip
-    """Prepare the run of a folder of logs: the one at ``path``, or the newest one of these logs, or a new one.
-
-    Without an arm it is that of the run at ``path``, if there is one.
-    """
+def run_of_logs(terminal: Terminal, logs: Path, path: Path | None, seed: int, pick: ArmPick) -> OpenRun:
+    """Prepare the run of a folder of logs: the one at ``path``, or the newest one of these logs, or a new one."""
     robot, begun = f"{LOGS}{logs}", path is not None and RunFolder(path).info.exists()
-    if path is not None and begun and not (arm or base or tip or hold):
+    if path is not None and begun and not any(pick):
         return OpenRun.plan(path, robot, OpenRun.open(path).arm, seed)
-    chosen = choose_arm(terminal, arm, base, tip, hold=hold)
+    chosen = choose_arm(terminal, pick)
     return OpenRun.plan(path or newest_or_new(robot, chosen, seed)[0], robot, chosen, seed)
-
-
-def require_ray(on: str | None, address: str | None) -> None:
-    """Raise InputError where a cluster is given without Ray."""
-    if address is not None and on is None:
-        raise InputError("--address is of a Ray cluster; give --on ray as well")
 
 
 def period_seconds(text: str | None) -> tuple[float, float] | None:
@@ -249,9 +221,106 @@ def tool_of(text: str | None) -> tuple[float, float, float] | None:
         raise InputError(f"--tool {text!r}: expected x,y,z in mm, such as 0,0,50") from error
 
 
-def _millimetres(text: str, option: str) -> tuple[float, float, float]:
-    """Read ``x,y,z`` in mm as metres; InputError for lengths of the size of metres, ValueError for anything else."""
-    x, y, z = (float(part) for part in text.split(","))
+def point_of(x: float, y: float, z: float, option: str = "goto") -> tuple[float, float, float]:
+    """Return a place in mm as metres; InputError for lengths of the size of metres."""
     if 0.0 < max(abs(x), abs(y), abs(z)) < 1.0:
-        raise InputError(f"{option}: x,y,z of {text} mm look like metres; give millimetres, such as 0,0,50")
+        raise InputError(f"{option}: x,y,z of {x:g},{y:g},{z:g} mm look like metres; give millimetres, such as 0,0,50")
     return 1e-3 * x, 1e-3 * y, 1e-3 * z
+
+
+def _millimetres(text: str, option: str) -> tuple[float, float, float]:
+    """Read ``x,y,z`` in mm as metres; ValueError for anything else."""
+    x, y, z = (float(part) for part in text.split(","))
+    return point_of(x, y, z, option)
+
+
+Controller = Annotated[
+    str | None,
+    typer.Option(
+        help="Name of a controller or a policy file; by default what RUN recommends, without one the policy "
+        "that comes with rejoint (shelf)."
+    ),
+]
+Follower = Annotated[
+    str | None, typer.Option("--controller", help="tracker, by the run's twin; or default: sent as it comes.")
+]
+Dwell = Annotated[float, typer.Option(help="Time per target in seconds.", min=0.1)]
+Within = Annotated[
+    float | None,
+    typer.Option(
+        help="Error in mm that is accepted: by default 2 at a point, 5 rms along a path.", min=0.01, max=100.0
+    ),
+]
+DryRun = Annotated[
+    bool,
+    typer.Option("--dry-run", help="Move nothing: simulate it, and say how far, how long and how close to limits."),
+]
+
+
+class SharedOption(NamedTuple):
+    """An option that is a field of `Settings`."""
+
+    option: object
+    """annotation of the command's parameter"""
+    read: Callable[[Any], object] = lambda given: given
+    """makes the field of what the user wrote"""
+    default: object = None
+    field: str = ""
+    """of `Settings`, where it is not called like the option"""
+
+
+SHARED = {
+    "controller": SharedOption(Controller),
+    "follower": SharedOption(Follower, field="controller"),
+    "dwell": SharedOption(Dwell, default=Settings.dwell),
+    "within": SharedOption(Within, lambda mm: None if mm is None else 1e-3 * mm),
+    "calibration": SharedOption(Calibration),
+    "payload": SharedOption(Payload, payload_of),
+    "tool": SharedOption(Tool, tool_of),
+    "camera": SharedOption(Camera, field="eye"),
+    "period": SharedOption(Period, period_seconds),
+    "seed": SharedOption(RunSeed),
+    "dry_run": SharedOption(DryRun, default=False),
+}
+"""Options of several commands that become fields of `Settings`"""
+
+
+ARM = {"arm": ArmOption, "base": Base, "tip": Tip, "hold": Hold}
+"""Options of which an `ArmPick` is made"""
+
+
+def with_arm(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the options `ARM`; it receives them as ``pick``."""
+    return _with_options(command, "pick", ARM, lambda words: ArmPick(*(words[name] for name in ARM)))
+
+
+def with_settings(*names: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Give a command the shared options ``names``; it receives them as ``settings``."""
+
+    def settings(words: dict[str, Any]) -> Settings:
+        return Settings(**{SHARED[name].field or name: SHARED[name].read(words[name]) for name in names})  # type: ignore[arg-type]
+
+    return lambda command: _with_options(command, "settings", {name: SHARED[name].option for name in names}, settings)
+
+
+def _with_options(
+    command: Callable[..., None], what: str, options: Mapping[str, object], make: Callable[[dict[str, Any]], object]
+) -> Callable[..., None]:
+    """Return the command with further ``options`` instead of its parameter ``what``, which is made of them."""
+
+    @wraps(command)
+    def with_options(**words: Any) -> None:  # noqa: ANN401 - what the user wrote
+        command(**{what: make({name: words.pop(name) for name in options})}, **words)
+
+    hints = get_type_hints(command, include_extras=True)
+    own = [one.replace(annotation=hints[one.name]) for one in signature(command).parameters.values()]
+    more = [
+        Parameter(name, Parameter.KEYWORD_ONLY, default=SHARED[name].default if name in SHARED else None, annotation=to)
+        for name, to in options.items()
+    ]
+    kept = [one.replace(kind=Parameter.KEYWORD_ONLY) for one in own if one.name != what]
+    last = [one for one in kept if one.name in ("json", "pick", "settings")]
+    listed = [*[one for one in kept if one not in last], *more, *last]
+    with_options.__signature__ = Signature(listed)  # type: ignore[attr-defined]
+    with_options.__annotations__ = {one.name: one.annotation for one in listed}
+    return with_options

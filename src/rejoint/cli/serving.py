@@ -1,21 +1,34 @@
-"""Commands that serve arms on the vendor's wire protocol: an emulated one, and a real one with a controller."""
+"""Commands that serve arms: an emulated one, and a real one with a controller, on the vendor's wire or line by line."""
 
 from __future__ import annotations
 
+import os
+import select
+import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
+import msgspec
+import numpy as np
 import typer
 
 import rejoint
 from rejoint.arms import load_arm
 from rejoint.cli import options as opt
-from rejoint.cli.console import Terminal
-from rejoint.cli.live import live_view
+from rejoint.cli.console import ConsoleObserver, Terminal, live_view
 from rejoint.cli.options import Json, Seed
-from rejoint.robots import SIMULATOR
+from rejoint.control.observer import Observer, Observers
+from rejoint.robots import SIMULATOR, place_of
+from rejoint.robots.feetech.gains import FeetechAddress
+from rejoint.session.inputs import RunLike
+from rejoint.session.session import ArmSession
+from rejoint.session.settings import Settings
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
+from rejoint.system.stopping import check, noted
+
+if TYPE_CHECKING:
+    from rejoint.robots.feetech.bus import Gripper
 
 SERVED = {"mycobot280": ("A myCobot 280", "worn"), "so101": ("An SO-101", "so101")}
 """How the arms that can be served are called, and their usual wear profile"""
@@ -53,9 +66,8 @@ def emulate(
     On the bus of an SO-101 alone: mute=J@T/D (a servo that is silent for D), sag=R (a supply of R ohm).
     """
     require("rejoint emulate", SIMULATOR)
-    from rejoint.robots.lab.emulator.emulate import emulate as emulate_mycobot
+    from rejoint.robots.lab.emulator.emulate import emulate as serve_emulated
     from rejoint.robots.lab.emulator.faults import parse_faults
-    from rejoint.robots.lab.emulator.feetech.emulate import emulate_bus
     from rejoint.robots.lab.emulator.servers import beyond_loopback
 
     terminal = Terminal(json=json)
@@ -66,7 +78,6 @@ def emulate(
     name, profile = SERVED[chosen.name]
     wear = wear or profile
     faults = parse_faults(fault, chosen.joints)
-    serve = emulate_bus if chosen.name == "so101" else emulate_mycobot
 
     def announce(address: str) -> None:
         served.append(address)
@@ -76,11 +87,13 @@ def emulate(
         if fault:
             terminal.say(f"Faults: {fault}")
 
-    serve(chosen, wear, host=host, port=port, pty=pty, seed=seed, announce=announce, log=log, faults=faults)
+    place = None if pty else (host, port)
+    serve_emulated(chosen, wear, place=place, seed=seed, announce=announce, log=log, faults=faults)
     terminal.say("Emulator ended.")
     terminal.finish({"wear": wear, "address": served[-1], "faults": fault})
 
 
+@opt.with_settings("calibration", "payload", "tool", "period")
 def serve(
     robot: opt.Robot,
     run: opt.Run,
@@ -90,12 +103,10 @@ def serve(
         bool,
         typer.Option("--stdio", help="Follow joint goals from standard input, a line of JSON each, as from LeRobot."),
     ] = False,
-    calibration: opt.Calibration = None,
-    payload: opt.Payload = None,
-    tool: opt.Tool = None,
-    period: opt.Period = None,
     live: opt.Live = None,
     json: Json = False,
+    *,
+    settings: Settings,
 ) -> None:
     """Let programs written for the vendor's client drive a worn arm as if it were a new one, until Ctrl-C.
 
@@ -106,11 +117,10 @@ def serve(
     """
     terminal = Terminal(json=json)
     if stdio:
-        if pty or json or any(given is not None for given in (calibration, payload, tool, live)):
+        if pty or json or any(one is not None for one in (settings.calibration, settings.payload, settings.tool, live)):
             raise InputError("--stdio goes with --period alone")
-        from rejoint.cli.lines import serve_lines
 
-        serve_lines(robot, run, period=opt.period_seconds(period), say=terminal.say)
+        serve_lines(robot, run, settings, ConsoleObserver(terminal))
         return
 
     def announce(address: str) -> None:
@@ -118,11 +128,83 @@ def serve(
         if address.startswith("tcp://") and not address.startswith("tcp://127."):
             terminal.say("Other machines can drive it too, without a password.")
 
+    console = ConsoleObserver(terminal, served=announce)
     with live_view(terminal, live, "serve") as view:
-        done = rejoint.serve(
-            robot, run, listen=listen, pty=pty, payload=opt.payload_of(payload), tool=opt.tool_of(tool),
-            calibration=calibration, period=opt.period_seconds(period), say=terminal.say, on_address=announce,
-            live=view,
-        )  # fmt: skip
+        observer = console if view is None else Observers(console, view)
+        done = rejoint.serve(robot, run, listen=listen, pty=pty, settings=settings, observer=observer)
     terminal.say(f"Serving ended after {done.orders} orders; they are in {done.log}")
     terminal.finish(done)
+
+
+LOOK = 0.05
+"""[s] between two looks whether the arm is still driven (chosen)"""
+LONGEST = 1 << 16
+"""[bytes] of a line (chosen: a hundred times what it needs)"""
+
+
+class Order(msgspec.Struct, forbid_unknown_fields=True):
+    """A line from the other program; an empty object asks for the state alone."""
+
+    goal: list[float] | None = None
+    """[rad] of every joint"""
+    gripper: float | None = None
+    """[%] open"""
+
+
+def serve_lines(robot: str, run: RunLike, settings: Settings, observer: Observer) -> None:
+    """Drive the arm by the lines of standard input until they end; the arm then holds."""
+    if sys.stdin is None:
+        raise InputError("--stdio follows standard input, and it is closed; give it a pipe")
+    detail = place_of(robot).detail
+    with noted(), ArmSession(robot, run=run, settings=settings, observer=observer) as arm:
+        ask = getattr(arm.robot, "relay", None)
+        gripper = None
+        if ask and isinstance(detail, FeetechAddress):
+            from rejoint.robots.feetech.bus import Gripper  # late: its maker's client is an extra
+
+            gripper = Gripper.find(ask, arm.arm.joints + 1)
+        arm.beside += [] if gripper is None else [gripper.serve]
+        arm.hold()
+        given = detail.zero if isinstance(detail, FeetechAddress) else ()
+        middle = np.radians(given or (0.0,) * arm.arm.joints)
+        _answer({"joints": arm.arm.joint_names, "middle": middle.tolist(), "gripper": gripper is not None})
+        came = bytearray()
+        while (line := _next(arm, came)) is not None:
+            _answer(_obey(arm, gripper, line))
+
+
+def _obey(arm: ArmSession, gripper: Gripper | None, line: bytes) -> dict[str, Any]:
+    try:
+        order = msgspec.json.decode(line, type=Order)
+        taken = None if order.goal is None else arm.send_joints(order.goal).tolist()
+    except (msgspec.MsgspecError, InputError) as error:
+        return {"refused": str(error)}
+    if gripper is not None and order.gripper is not None:
+        gripper.goal = order.gripper
+    opened = None if gripper is None else gripper.opened
+    return {"position": arm.state.joints_rad.tolist(), "goal": taken, "gripper": opened}
+
+
+def _next(arm: ArmSession, came: bytearray) -> bytes | None:
+    """Wait for a line; None at the end of input.
+
+    Half a line waits in ``came``, and blocks neither signals nor errors.
+    """
+    while True:
+        check()
+        arm.hold()
+        line, end, rest = came.partition(b"\n")
+        if end or len(came) > LONGEST:
+            came[:] = rest
+            return bytes(line)
+        if select.select([sys.stdin], [], [], LOOK)[0]:
+            more = os.read(sys.stdin.fileno(), LONGEST)
+            if not more:
+                came.clear()
+                return bytes(line) or None
+            came += more
+
+
+def _answer(content: dict[str, Any]) -> None:
+    sys.stdout.buffer.write(msgspec.json.encode(content) + b"\n")
+    sys.stdout.buffer.flush()

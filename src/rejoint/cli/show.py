@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rejoint.cli.console import Terminal
-from rejoint.cli.filming import show_filmed
-from rejoint.control.comparison.failure import failure
-from rejoint.control.comparison.recommend import Recommendation
-from rejoint.control.comparison.result import Comparison, DirectionVariation, PoseAccuracy
+from rejoint.control.comparison.recommend import Recommendation, failure
+from rejoint.control.comparison.result import Comparison
 from rejoint.control.servogains import in_words
-from rejoint.diagnosis.calibration.gate import DISTURBED, astray, disturbed
+from rejoint.diagnosis.calibration.fit import DISTURBED, astray, disturbed
 from rejoint.logs.runfolder.effort import Effort, cost
+from rejoint.system.statistics import Spread
+
+_NAMED = 8  # pictures whose faults are printed line by line
 
 if TYPE_CHECKING:
     from rejoint.control.deployment import Deployed
-    from rejoint.control.gainsearch import GainsFound
     from rejoint.control.moving.drive import Followed
+    from rejoint.control.servogains import GainsFound
+    from rejoint.diagnosis.calibration.camera.fit import Filmed
     from rejoint.diagnosis.calibration.preload import Preload
     from rejoint.diagnosis.diagnosis import Diagnosis
-    from rejoint.pages.report.errors import BeforeAfter
+    from rejoint.pages.report.contents import BeforeAfter
     from rejoint.runs.stages.calibrate import Calibrated
     from rejoint.training.train import TrainingResult
     from rejoint.twin.twin import Twin
@@ -113,7 +116,6 @@ def calibration(terminal: Terminal, found: Calibrated) -> None:
 
 
 def _say_wedge(terminal: Terminal, what: Preload) -> None:
-    """Print how to press joints that float to one side of their play, where a wedge does."""
     from rejoint.diagnosis.calibration.preload import RISE, WEDGE
 
     if what.wedge_helps:
@@ -121,7 +123,7 @@ def _say_wedge(terminal: Terminal, what: Preload) -> None:
         terminal.say(
             f"Chance decides {1e3 * what.chance:.1f} mm at the tool: no weight presses {' or '.join(what.joints)} to a "
             f"side. With the {what.side} side of the base raised by {slope} "
-            f"{1e3 * what.wedge:.1f} mm of it would be left; calibrate again then, with --afresh."
+            f"{1e3 * what.wedge:.1f} mm of it would be left; calibrate again then, with --fresh."
         )
 
 
@@ -147,50 +149,37 @@ def training(terminal: Terminal, result: TrainingResult) -> None:
 
 def comparison(terminal: Terminal, result: Comparison, advice: Recommendation) -> None:
     """Print the table of all controllers and the one to use."""
-    from rejoint.pages.report.tables import comparison_table
-    from rejoint.pages.report.words import plural
+    from rejoint.pages.report.tables import comparison_table, directions
+    from rejoint.pages.words import plural
 
     headers, rows = comparison_table(result)
     sets, count = len(result.targets), len(result.targets[0])
     trials = f"{plural(sets, 'set')} of {plural(count, 'target')}, {plural(result.repetitions, 'repetition')}"
-    most = (
-        ""
-        if result.most is None
-        else f", in a race of at most {plural(result.most[0] * result.most[1] * count, 'target')}"
-    )
-    title = f"{result.robot}: {trials}{most}"
+    title = f"{result.robot}: {trials}{f', in blocks of {result.block}' if result.block else ''}"
     terminal.table(title, headers, rows, bold=result.controllers.index(advice.controller))
     for line in filter(None, map(failure, result.rows)):
         if not any(line in reason for reason in advice.why):
             terminal.result(f"  ! {line}")
-    best = result.row(advice.controller).hold
-    shown = [
-        _poses(what, one) for what, one in (("by the encoders", best.poses), ("of the tool", best.poses_true)) if one
-    ]
+    best = result.row(advice.controller)
+    ends = (
+        ("by the encoders", best.accuracy, best.repeatability),
+        ("of the tool", best.accuracy_true, best.repeatability_true),
+    )
+    shown = [_poses(what, ap, rp) for what, ap, rp in ends if ap]
     if shown:
-        cycles = best.poses.cycles if best.poses is not None else 0
-        terminal.result(
-            f"ISO 9283 with {advice.controller}, {plural(cycles, 'cycle')} (the norm asks for 30): {'; '.join(shown)}."
-        )
-    if result.directions is not None:
-        terminal.result(_varied(result.directions))
+        cycles = plural(result.repetitions, "cycle")
+        terminal.result(f"ISO 9283 with {advice.controller}, {cycles} (the norm asks for 30): {'; '.join(shown)}.")
+    for line in directions(result):
+        terminal.result(line)
     tie = f" (a tie with {', '.join(advice.tied)})" if advice.tied else ""
     terminal.result(f"Recommended: {advice.controller}{tie}")
     for reason in advice.why:
         terminal.result(f"  - {reason}")
 
 
-def _varied(found: DirectionVariation) -> str:
-    tool = "not known" if found.tool is None else f"{1e3 * found.tool.mean.value:.2f} mm"
-    return (
-        f"vAP (ISO 9283) with {found.controller}, {found.poses} poses from three directions, {found.cycles} times each "
-        f"(the norm asks for 30): by the encoders {1e3 * found.encoders.mean.value:.2f} mm, of the tool {tool}."
-    )
-
-
-def _poses(what: str, found: PoseAccuracy) -> str:
-    again = "not known" if found.repeatability is None else f"{1e3 * found.repeatability.mean.value:.2f} mm"
-    return f"{what} AP {1e3 * found.accuracy.mean.value:.2f} mm, RP {again}"
+def _poses(what: str, accuracy: Spread, repeatability: Spread | None) -> str:
+    again = "not known" if repeatability is None else f"{1e3 * repeatability.mean.value:.2f} mm"
+    return f"{what} AP {1e3 * accuracy.mean.value:.2f} mm, RP {again}"
 
 
 def verdict(terminal: Terminal, result: BeforeAfter | None) -> None:
@@ -268,3 +257,29 @@ def deployment(terminal: Terminal, within: float, done: Deployed) -> None:
             f"The answers stayed away {len(done.gaps)} times, for up to {max(done.gaps):.1f} s; each time the arm held "
             "and then went on slowly."
         )
+
+
+def show_filmed(terminal: Terminal, found: Filmed) -> None:
+    """Print which pictures were not used and why, and what was found of lens, camera and board."""
+    for one in found.left_out[:_NAMED]:
+        terminal.result(f"  ! {one.name} is not used: {one.why}")
+    if len(found.left_out) > _NAMED:
+        terminal.result(f"  ! ... and {len(found.left_out) - _NAMED} more pictures.")
+    for row in found.calibration.suspects:
+        terminal.result(
+            f"  ? {found.residuals[row].name} was used, but fits badly: did the arm still move, or was it pushed?"
+        )
+    rig, mm = found.rig, partial(_with_sigma, scale=1e3, digits=1)
+    sigma = found.rig_sigma
+    standing, mounted = ("camera", "board") if rig.carried == "board" else ("board", "camera")
+    terminal.say(
+        f"{len(found.residuals)} pictures, corners within {found.rms:.2f} px. Focal length "
+        f"{_with_sigma([rig.lens.f], sigma[:1], 1.0, 0)} px; {standing} in the base at "
+        f"{mm(rig.standing[:3, 3], sigma[7:10])} mm; {mounted} on the tool at "
+        f"{mm(rig.mounted[:3, 3], sigma[13:16])} mm (standard deviations)."
+    )
+
+
+def _with_sigma(values: object, sigma: object, scale: float, digits: int) -> str:
+    pairs = zip(np.atleast_1d(np.asarray(values)), np.atleast_1d(np.asarray(sigma)), strict=True)
+    return ", ".join(f"{scale * value:.{digits}f} +- {scale * spread:.{digits}f}" for value, spread in pairs)

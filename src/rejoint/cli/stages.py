@@ -1,4 +1,7 @@
-"""One command per stage."""
+"""One command per stage.
+
+The servos' own gains: searched for, and kept if their owner says so.
+"""
 
 from __future__ import annotations
 
@@ -13,14 +16,15 @@ import rejoint
 from rejoint.arms import load_arm
 from rejoint.cli import offline, show
 from rejoint.cli import options as opt
-from rejoint.cli.console import Terminal, results_of
-from rejoint.cli.live import live_view, shared
+from rejoint.cli.console import Terminal, results_of, watched
 from rejoint.control.deployment import REACHED
+from rejoint.control.servogains import in_words
 from rejoint.logs.runfolder.effort import read_effort
 from rejoint.logs.runfolder.folder import LOGS, RunFolder, locked
 from rejoint.runs.run import Run, newest_or_new
-from rejoint.runs.stages.pathdrive import TRACKER, WITHIN
-from rejoint.system.errors import InputError
+from rejoint.runs.stages.gains import gains_to_keep, keep_gains
+from rejoint.session.settings import Settings
+from rejoint.system.errors import InputError, NotReachedError
 from rejoint.system.extras import EXTRAS, installed, require
 from rejoint.system.shell import command
 
@@ -31,21 +35,22 @@ MISSED = 5
 """Exit code of a deployment that did not reach all of its targets, and of a path that was not followed"""
 
 
+@opt.with_arm
+@opt.with_settings("period")
 def diagnose(
     robot: opt.OptionalRobot = None,
     logs: opt.LogsOption = None,
     run: opt.RunOption = None,
-    arm: opt.ArmOption = None,
-    base: opt.Base = None,
-    tip: opt.Tip = None,
-    hold: opt.Hold = None,
-    period: opt.Period = None,
     healthy: Annotated[
         Path | None, typer.Option(help="Run folder of an arm known to be good, instead of an emulated healthy one.")
     ] = None,
     seed: opt.Seed = 0,
     quick: opt.Quick = False,
+    live: opt.Live = None,
     json: opt.Json = False,
+    *,
+    pick: opt.ArmPick,
+    settings: Settings,
 ) -> None:
     """Find out what is wrong with an arm: ten targets open loop and an excitation, or from logs of any motion alone.
 
@@ -54,19 +59,20 @@ def diagnose(
     """
     terminal = Terminal(json=json)
     if logs is not None:
-        if robot is not None or period is not None:
+        if robot is not None or settings.period is not None:
             raise InputError("diagnose takes either a robot or --logs FOLDER, and --logs no --period")
-        job = opt.run_of_logs(terminal, logs, run, seed, arm, base, tip, hold)
+        job = opt.run_of_logs(terminal, logs, run, seed, pick)
         offline.diagnose_from_logs(terminal, job, logs, healthy)
         return
     robot = robot or "emulated:worn"
-    chosen = opt.choose_arm(terminal, arm, base, tip, robot, hold)
+    chosen = opt.choose_arm(terminal, pick, robot)
     path = run or newest_or_new(robot, chosen, seed)[0]
     job = Run.plan(path, robot, chosen, seed)
-    with terminal.unsaved(partial(show.stage, terminal, "diagnose")), terminal.progress("diagnosing") as update:
-        found = rejoint.diagnose(
-            robot, run=job, period=opt.period_seconds(period), healthy=healthy, quick=quick, on_progress=update
-        )
+    with (
+        terminal.unsaved(partial(show.stage, terminal, "diagnose")),
+        watched(terminal, "diagnose", "diagnosing", live) as observer,
+    ):
+        found = rejoint.diagnose(robot, run=job, healthy=healthy, quick=quick, settings=settings, observer=observer)
     show.stage(terminal, "diagnose", found)
     terminal.result(f"Next: {command('identify', path)}")
     open_loop = found.diagnosis.open_loop
@@ -76,6 +82,7 @@ def diagnose(
     })  # fmt: skip
 
 
+@opt.with_arm
 def identify(
     run: Annotated[Path | None, typer.Argument(help="Run folder.", metavar="RUN")] = None,
     logs: opt.LogsOption = None,
@@ -84,13 +91,11 @@ def identify(
     hold_out: offline.HeldOut = None,
     gain: offline.Gain = None,
     torque_off: offline.TorqueOff = None,
-    arm: opt.ArmOption = None,
-    base: opt.Base = None,
-    tip: opt.Tip = None,
-    hold: opt.Hold = None,
     seed: opt.RunSeed = None,
     quick: opt.Quick = False,
     json: opt.Json = False,
+    *,
+    pick: opt.ArmPick,
 ) -> None:
     """Fit a digital twin to the excitation log of a run, or to logs of any motion alone, and then write the report.
 
@@ -101,7 +106,7 @@ def identify(
         raise InputError("identify takes either a run folder or --logs FOLDER")
     require("rejoint identify", "train", *(() if logs is None else ("report",)))  # logs end in a report at once
     if logs is not None:
-        job = opt.run_of_logs(terminal, logs, folder, seed or 0, arm, base, tip, hold)
+        job = opt.run_of_logs(terminal, logs, folder, seed or 0, pick)
         offline.identify_from_logs(terminal, job, logs, published, hold_out, gain, torque_off)
         return
     if folder is not None or published or hold_out or gain or torque_off:
@@ -111,8 +116,8 @@ def identify(
         )
     assert run is not None  # noqa: S101 - for the type checker; one of the two is given
     job = Run.open(run)
-    with terminal.progress("identifying") as update:
-        twin = rejoint.identify(run=job, seed=seed, quick=quick, on_progress=update)
+    with watched(terminal, "identify", "identifying", None) as observer:
+        twin = rejoint.identify(run=job, seed=seed, quick=quick, observer=observer)
     show.twin(terminal, twin)
     terminal.result(f"Next: {command('train', run)}")
     terminal.finish({"run": str(run), "twin": str(job.folder.twin), "held_out": twin.held_out,
@@ -123,13 +128,13 @@ def train(
     run: opt.Run,
     preset: opt.Preset = "default",
     learner: Annotated[str, typer.Option(help="ppo; or its rivals sac, td3 and ddpg, on the default preset.")] = "ppo",
-    broad: Annotated[
-        bool, typer.Option("--broad", help="Begin RUN here: a policy for any worn myCobot 280, without a twin.")
+    generic: Annotated[
+        bool,
+        typer.Option("--generic", help="Without a twin: a policy for any worn arm of this kind; RUN may be new."),
     ] = False,
-    restart: Annotated[bool, typer.Option("--restart", help="Forget an interrupted training.")] = False,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Forget an interrupted training.")] = False,
     seed: opt.RunSeed = None,
     quick: opt.Quick = False,
-    device: opt.Device = "cpu",
     json: opt.Json = False,
 ) -> None:
     """Train a policy on randomised copies of the run's twin.
@@ -138,28 +143,17 @@ def train(
     """
     require("rejoint train", "train", "report")
     terminal = Terminal(json=json)
-    if broad:
-        if RunFolder(run).twin.exists():
-            raise InputError(f"{run} has a twin.toml, and --broad trains without one: choose another folder")
+    if generic and RunFolder(run).twin.exists():
+        raise InputError(f"{run} has a twin.toml, and --generic trains without one: choose another folder")
+    if generic and not run.exists():
         Run.create(run, "emulated:worn", load_arm("mycobot280"), seed or 0)
     job = Run.open(run).seeded(seed)
-    if learner != "ppo" and device != "cpu":
-        raise InputError(f"--device {device} goes with --learner ppo; {learner} trains on the processors")
     trainer = None if learner == "ppo" else _off_policy(learner, preset, job.seed)
-    from rejoint.pages.report.sections.training import draw_training
+    from rejoint.pages.report.page import draw_training
 
-    if not job.folder.twin.exists():
-        terminal.say(f"{run} has no twin.toml: training on broad ranges instead of on this arm.")
-    with terminal.progress("training") as update:
-        result = rejoint.train(
-            run=job,
-            preset=preset,
-            resume=not restart,
-            quick=quick,
-            trainer=trainer,
-            device=device,
-            on_progress=update,
-        ).training
+    how = rejoint.TrainSettings(generic=generic, resume=not fresh, trainer=trainer)
+    with watched(terminal, "train", "training", None) as observer:
+        result = rejoint.train(run=job, preset=preset, quick=quick, settings=how, observer=observer).training
     with locked(job.folder):
         terminal.say(f"Curves: {draw_training(job.folder)}")
     show.training(terminal, result)
@@ -176,6 +170,7 @@ def _off_policy(learner: str, preset: str, seed: int) -> Trainer:
     return trainer(learner, seed)
 
 
+@opt.with_settings("calibration", "payload", "tool", "period", "seed", "dry_run")
 def compare(
     robot: opt.Robot,
     run: opt.Run,
@@ -188,63 +183,49 @@ def compare(
         int | None, typer.Option(help="Repetitions of every target set; by default 6, on a real arm 1.", min=1)
     ] = None,
     full: opt.Full = False,
-    calibration: opt.Calibration = None,
-    payload: opt.Payload = None,
-    tool: opt.Tool = None,
-    period: opt.Period = None,
     directions: Annotated[
         bool, typer.Option("--directions", help="Also come to five poses from three directions: vAP (ISO 9283).")
     ] = False,
-    seed: opt.RunSeed = None,
+    live: opt.Live = None,
     json: opt.Json = False,
+    *,
+    settings: Settings,
 ) -> None:
-    """Try every controller on the same arm with the same targets; on a real arm they race: who is beaten is out.
+    """Try every controller on the same arm with the same targets; on a real arm those clearly worse are eliminated.
 
     Example: `rejoint compare emulated:worn runs/mine --sets 10 --repetitions 6`
     """
     terminal = Terminal(json=json)
-    with terminal.unsaved(partial(show.stage, terminal, "compare")), terminal.progress("comparing") as update:
+    plan = rejoint.TrialPlan(sets=sets, repetitions=repetitions, directions=directions, full=full)
+    with (
+        terminal.unsaved(partial(show.stage, terminal, "compare")),
+        watched(terminal, "compare", "comparing", live) as observer,
+    ):
         found = rejoint.compare(
-            robot, opt.controller_names(controllers), targets, run=run, sets=sets, repetitions=repetitions,
-            full=full, calibration=calibration, payload=opt.payload_of(payload), tool=opt.tool_of(tool),
-            period=opt.period_seconds(period), directions=directions, seed=seed, on_progress=update, say=terminal.say,
-        )  # fmt: skip
+            robot, opt.controller_names(controllers), targets, run=run, plan=plan, settings=settings, observer=observer
+        )
     show.stage(terminal, "compare", found)
     terminal.result(f"Next: {command('report', run)}")
     terminal.finish({
-        "run": str(run), "recommended": found.recommendation, "comparison": results_of(found.comparison, "outcomes"),
-        "true_error": {row.controller: row.hold.true_error for row in found.comparison.rows},
+        "run": str(run), "recommended": found.recommendation, "comparison": results_of(found.comparison, "results"),
+        "true_error": {row.controller: row.true_error for row in found.comparison.rows},
         "effort": read_effort(RunFolder(run)),
     })  # fmt: skip
 
 
+@opt.with_arm
+@opt.with_settings(
+    "controller", "dwell", "within", "calibration", "payload", "tool", "camera", "period", "seed", "dry_run"
+)
 def deploy(
     robot: opt.Robot,
     run: Annotated[Path | None, typer.Argument(help="Run folder, if there is one.", metavar="RUN")] = None,
     targets: opt.Targets = None,
-    controller: Annotated[
-        str | None,
-        typer.Option(
-            help="policy, shelf, predictive, or one of the baselines; by default the policy of RUN, and without one "
-            "that which comes with rejoint for any worn arm of this build (shelf)."
-        ),
-    ] = None,
-    arm: opt.ArmOption = None,
-    base: opt.Base = None,
-    tip: opt.Tip = None,
-    hold: opt.Hold = None,
-    dwell: Annotated[float, typer.Option(help="Time per target in seconds.", min=0.1)] = 4.0,
-    within: Annotated[
-        float, typer.Option(help="Distance in mm at which a target counts as reached.", min=0.01, max=100.0)
-    ] = (1e3 * REACHED),
-    calibration: opt.Calibration = None,
-    payload: opt.Payload = None,
-    tool: opt.Tool = None,
-    camera: opt.Camera = None,
-    period: opt.Period = None,
-    seed: opt.RunSeed = None,
     live: opt.Live = None,
     json: opt.Json = False,
+    *,
+    pick: opt.ArmPick,
+    settings: Settings,
 ) -> None:
     """Drive an arm to targets with the trained policy (or another controller); ten random ones by default.
 
@@ -253,22 +234,17 @@ def deploy(
     Example: `rejoint deploy tcp://192.168.1.20:9000 runs/mine --targets points.csv`; before any repair
     `rejoint deploy tcp://192.168.1.20:9000`
     """
-    if run is not None and any((arm, base, tip, hold)):
+    if run is not None and any(pick):
         raise InputError("deploy takes the arm from RUN; leave out --arm, --base, --tip and --hold")
     terminal = Terminal(json=json)
-    chosen = None if run is not None else opt.choose_arm(terminal, arm, base, tip, robot, hold)
-    tell = partial(show.deployment, terminal, 1e-3 * within)
+    chosen = None if run is not None else opt.choose_arm(terminal, pick, robot)
+    within = REACHED if settings.within is None else settings.within
+    tell = partial(show.deployment, terminal, within)
     with (
         terminal.unsaved(tell),
-        live_view(terminal, live, "deploy") as view,
-        terminal.progress("deploying") as update,
+        watched(terminal, "deploy", "deploying", live, tell) as observer,
     ):
-        done = rejoint.deploy(
-            robot, controller, targets, run=run, arm=chosen, dwell=dwell, within=1e-3 * within,
-            payload=opt.payload_of(payload), tool=opt.tool_of(tool), say=terminal.say,
-            calibration=calibration, eye=camera, period=opt.period_seconds(period), seed=seed,
-            on_progress=shared(update, view), on_end=tell, live=view,
-        )  # fmt: skip
+        done = rejoint.deploy(robot, targets, run=run, arm=chosen, settings=settings, observer=observer)
     tell(done)
     errors = [None if visit.error is None else 1e3 * visit.error for visit in done.visits]
     turned = [None if visit.turned is None else math.degrees(visit.turned) for visit in done.visits]
@@ -278,10 +254,52 @@ def deploy(
         **({"turned_deg": turned} if posed else {}), "visits": results_of(done.visits),
         "period": done.period, "gaps": done.gaps,
     })  # fmt: skip
-    if done.missed:
+    if done.missed and not settings.dry_run:
         raise typer.Exit(MISSED)
 
 
+@opt.with_settings("controller", "within", "calibration", "payload", "tool", "period", "seed", "dry_run")
+def goto(
+    robot: opt.Robot,
+    x: Annotated[float, typer.Argument(help="mm in the arm's base frame.", metavar="X")],
+    y: Annotated[float, typer.Argument(help="mm in that frame.", metavar="Y")],
+    z: Annotated[float, typer.Argument(help="mm in that frame.", metavar="Z")],
+    run: opt.RunOption = None,
+    arm: opt.ArmOption = None,
+    timeout: Annotated[float, typer.Option(help="Time in seconds in which to arrive.", min=0.1)] = 10.0,
+    live: opt.Live = None,
+    json: opt.Json = False,
+    *,
+    settings: Settings,
+) -> None:
+    """Move the tool to one point, and hold it there.
+
+    The arm is looked at first and goes slowly to its rest posture. Exit code 5: the point was not reached.
+
+    Example: `rejoint goto tcp://192.168.1.20:9000 180 30 210 --run runs/mine`
+    """
+    terminal = Terminal(json=json)
+    target = opt.point_of(x, y, z)
+    with (
+        watched(terminal, "goto", "going", live) as observer,
+        rejoint.connect(robot, run=run, arm=arm, settings=settings, observer=observer) as session,
+    ):
+        code = 0
+        try:
+            found = session.move_to(target, timeout_s=timeout)
+        except NotReachedError as error:
+            found, code = session.state, 0 if settings.dry_run else MISSED
+            terminal.result(f"Not reached: {error}")
+    error_mm = None if found is None or found.error_m is None else 1e3 * found.error_m
+    if error_mm is not None and found is not None and not code:
+        place = ", ".join(f"{1e3 * value:.1f}" for value in found.tool_m)
+        terminal.result(f"The tool is at ({place}) mm, {error_mm:.2f} mm off by the encoders.")
+    terminal.finish({"target_mm": [x, y, z], "error_mm": error_mm, "reached": not code, "dry_run": settings.dry_run})
+    if code:
+        raise typer.Exit(code)
+
+
+@opt.with_settings("follower", "within", "calibration", "payload", "tool", "period", "seed", "dry_run")
 def follow(
     robot: opt.Robot,
     run: opt.Run,
@@ -291,24 +309,14 @@ def follow(
             help="CSV file time,x,y,z in s and mm, perhaps an orientation; or circle-8s, random-0.2hz and the like."
         ),
     ],
-    controller: Annotated[
-        str, typer.Option(help="tracker, by the run's twin; or default: sent as it comes.")
-    ] = TRACKER,
     repeat: Annotated[int, typer.Option(help="How often; each time it learns from the last.", min=1)] = 1,
     rate: Annotated[
         float | None, typer.Option(help="Tell the path as it goes, so many times a second, instead of ahead.")
     ] = None,
-    within: Annotated[
-        float,
-        typer.Option(help="Root mean square in mm within which the path counts as followed.", min=0.01, max=100.0),
-    ] = 1e3 * WITHIN,
-    calibration: opt.Calibration = None,
-    payload: opt.Payload = None,
-    tool: opt.Tool = None,
-    period: opt.Period = None,
-    seed: opt.RunSeed = None,
     live: opt.Live = None,
     json: opt.Json = False,
+    *,
+    settings: Settings,
 ) -> None:
     """Drive an arm along a path, and say how well it followed.
 
@@ -318,16 +326,11 @@ def follow(
     `rejoint follow emulated:worn runs/mine circle-8s --repeat 5`
     """
     terminal = Terminal(json=json)
-    with live_view(terminal, live, "follow") as view, terminal.progress("following") as update:
-        done = rejoint.follow(
-            robot, path, run=run, controller=controller, repeat=repeat, rate=rate, within=1e-3 * within,
-            payload=opt.payload_of(payload), tool=opt.tool_of(tool), say=terminal.say,
-            calibration=calibration, period=opt.period_seconds(period), seed=seed,
-            on_progress=shared(update, view), live=view,
-        )  # fmt: skip
+    with watched(terminal, "follow", "following", live) as observer:
+        done = rejoint.follow(robot, path, run=run, repeat=repeat, rate_hz=rate, settings=settings, observer=observer)
     show.followed(terminal, done)
-    if all(map(installed, EXTRAS["report"])):
-        from rejoint.pages.report.followed import draw_followed
+    if all(map(installed, EXTRAS["report"])) and not settings.dry_run:
+        from rejoint.pages.report.pictures import draw_followed
 
         job = Run.open(run)
         with locked(job.folder):
@@ -339,7 +342,7 @@ def follow(
         ),
         "period": done.period, "gaps": done.gaps,
     })  # fmt: skip
-    if not done.followed:
+    if not (done.followed or settings.dry_run):
         raise typer.Exit(MISSED)
 
 
@@ -354,3 +357,47 @@ def report(run: opt.Run, json: opt.Json = False) -> None:
     path = rejoint.report(run).resolve()
     terminal.result(str(path))
     terminal.finish({"run": str(run), "report": str(path)})
+
+
+@opt.with_settings("period")
+def gains(
+    robot: opt.Robot,
+    run: opt.Run,
+    keep: Annotated[
+        bool, typer.Option("--keep", help="Write the gains that RUN recommends into the servos' memory, for good.")
+    ] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask before --keep.")] = False,
+    json: opt.Json = False,
+    *,
+    settings: Settings,
+) -> None:
+    """Search for better gains of an SO-101's own servos, on the arm; what is found takes part in `rejoint compare`.
+
+    Nothing is kept over a loss of power, and the gains before are put back, also after Ctrl-C. --keep alone writes the
+    servos' memory, and says before what.
+
+    Example: `rejoint gains feetech:///dev/ttyACM0 runs/mine`, and after `rejoint compare`
+    `rejoint gains feetech:///dev/ttyACM0 runs/mine --keep`
+    """
+    terminal = Terminal(json=json)
+    if not keep:
+        with watched(terminal, "gains", "tuning", None) as observer:
+            found = rejoint.gains(robot, run, settings=settings, observer=observer)
+        show.stage(terminal, "gains", found)
+        terminal.result(f"Next: {command('compare', robot, run)} --sets 1 --repetitions 1")
+        terminal.finish({"run": str(run), "gains": found})
+        return
+    job = Run.open(run)
+    wanted = gains_to_keep(job)
+    terminal.say(
+        f"This writes {in_words(wanted)} into the memory of the {job.arm.joints} servos of {robot}: they keep that "
+        "without power, until something else is written. LeRobot writes its own P, I and D whenever it connects. "
+        "Policies that were trained under other gains are refused from then on, and the twin of this run is that of "
+        "the gains before."
+    )
+    if not yes and not typer.confirm("Write it?", err=True):
+        raise InputError("nothing was written; say --yes to be asked no more")
+    before = keep_gains(robot, job, wanted)
+    terminal.result(f"Kept: {in_words(wanted)}. Before: {in_words(before)}.")
+    terminal.result(f"Next: {command('repair', robot)}, for a twin and a policy under these gains")
+    terminal.finish({"run": str(run), "kept": wanted, "before": before})

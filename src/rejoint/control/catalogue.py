@@ -1,19 +1,21 @@
-"""Controllers by name, as the command line and the comparison ask for them."""
+"""Controllers by name, and the generic policies that come with the package (`rejoint.training.shelf` makes them)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib.resources import files
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from rejoint.arms import Arm, Array
+from rejoint.arms import CATALOGUE, Arm, Array
+from rejoint.control.classical import DefaultController, IntegratorController, PidController, PidGains
+from rejoint.control.contract import check_contract
 from rejoint.control.controller import Controller
-from rejoint.control.default import DefaultController
-from rejoint.control.feedforward import FeedforwardController
-from rejoint.control.integrator import IntegratorController
-from rejoint.control.pid import PidController, PidGains
-from rejoint.control.push import PushController
-from rejoint.control.shelf import SHELF, shelf_controller
-from rejoint.system.errors import InputError
+from rejoint.control.feedforward import FeedforwardController, PushController
+from rejoint.system.errors import ContractError, InputError
+
+if TYPE_CHECKING:
+    from rejoint.control.policy import Policy, PolicyController
 
 BASELINES: dict[str, Callable[[Arm], Controller]] = {
     "default": DefaultController,
@@ -22,30 +24,29 @@ BASELINES: dict[str, Callable[[Arm], Controller]] = {
     "integrator": IntegratorController,
     "feedforward": FeedforwardController,
 }
-"""Everything that was not learned, from the simplest to the most demanding."""
+"""Everything that was not learned, from the simplest on"""
 
 PUSH = PushController.name
-"""Name of the feed-forward with a push against the friction that the arm's own twin tells"""
+"""Feed-forward with a push against the twin's friction"""
 POLICY = "policy"
 """Name of the policy among the controllers"""
+SHELF = "shelf"
+"""Name of the policy from the shelf among the controllers"""
 PREDICTIVE = "predictive"
-"""Name of the controller that plans on the arm's own twin (`rejoint.twin.predictive`)"""
+"""Planning on the arm's own twin (`rejoint.twin.predictive`)"""
 
 CONTROLLERS = (*BASELINES, PUSH, SHELF, POLICY, PREDICTIVE)
 """Names of controllers, from the simplest to the most demanding."""
 
 ON_REQUEST = ("pid-sum", "pid-literal")
-"""Baselines that a repair, or a real arm, is driven with only where they are asked for: they are there to repeat the
-paper"""
+"""Baselines that only a request drives: they repeat the paper"""
 
 
 def contenders(*, real: bool, shelf: bool, policy: bool, twin: bool) -> tuple[str, ...]:
-    """Return who takes part in a comparison where nobody is named, on a ``real`` arm or in virtual time.
+    """Return who is compared where the user names none, on a ``real`` arm or in virtual time.
 
-    ``shelf``, ``policy`` and ``twin`` tell whether there is one for this arm. A real arm is driven with the policy from
-    the shelf until it has its own: to drive both takes a minute more and buys nothing (`python -m benchmarks.racing
-    --shelf`). The push is for servos that hold still under it, and so takes part under tuned gains (`geared.UNDER`), or
-    where it is asked for.
+    ``shelf``, ``policy`` and ``twin`` tell what there is for this arm. A real arm is driven with the generic policy
+    until it has its own. The push takes part under tuned gains only (`servogains.UNDER`).
     """
     missing = {PUSH: True, SHELF: not shelf or (real and policy), POLICY: not policy, PREDICTIVE: not twin}
     return tuple(name for name in CONTROLLERS if not missing.get(name) and not (real and name in ON_REQUEST))
@@ -55,11 +56,10 @@ def make_controller(
     name: str, arm: Arm, *, stiffness: Array | float | None = None, friction: Array | float | None = None,
     policy: Path | None = None,
 ) -> Controller:  # fmt: skip
-    """Build the controller called ``name``.
+    """Build the controller called ``name``; InputError names the alternatives.
 
-    ``stiffness`` (n,) [N m/rad] is what the feed-forward believes of the servos, by default
-    what a worn arm of this size may have; ``friction`` (n,) [N m] is what the push believes of the joints; ``policy``
-    is the file that the name ``policy`` needs. InputError names the alternatives.
+    ``stiffness`` (n,) [N m/rad] of the servos and ``friction`` (n,) [N m] of the joints are for feed-forward and push,
+    ``policy`` is the file of ``policy``.
     """
     if name == POLICY:
         if policy is None:
@@ -80,3 +80,33 @@ def make_controller(
     if name not in BASELINES:
         raise InputError(f"no controller is called {name!r}; known controllers: {', '.join(CONTROLLERS)}")
     return BASELINES[name](arm)
+
+
+def shelf_path(name: str) -> Path:
+    """Path of the generic policy for the catalogue's arm ``name``."""
+    return Path(str(files("rejoint.control"))) / "policies" / f"{name}.onnx"
+
+
+def shelf_arms() -> tuple[str, ...]:
+    """Names of the arms for which there is a policy."""
+    return tuple(name for name in CATALOGUE if shelf_path(name).exists())
+
+
+def shelf_policy(arm: Arm) -> Policy:
+    """Return the generic policy for an arm of the catalogue; ContractError for any other arm."""
+    if arm.name not in shelf_arms():
+        known = ", ".join(shelf_arms())
+        raise ContractError(
+            f"no policy comes with rejoint for the arm {arm.name!r}, only for {known}; train one with: "
+            "rejoint repair, or take another controller, such as integrator"
+        )
+    from rejoint.control.policy import Policy  # ONNX Runtime is slow to import and not needed elsewhere
+
+    policy = Policy.load(shelf_path(arm.name))
+    check_contract(policy.contract, arm)
+    return policy
+
+
+def shelf_controller(arm: Arm) -> PolicyController:
+    """Return the generic policy's controller for ``arm``; ContractError where none suits."""
+    return shelf_policy(arm).controller(arm)

@@ -1,31 +1,30 @@
-"""The loops of one control step, compiled: on six numbers, each call of NumPy costs more than what it computes.
+"""The loops of a control step and of the joint monitor, compiled when imported.
 
-They give to the bit what NumPy gives element by element. All arrays are contiguous, of float64 unless said otherwise.
-Signatures are given, so that everything is compiled, or read from disk, when this module is imported: no control cycle
-may wait for it. Arrays too short for the others end in an IndexError.
+Arrays are contiguous float64. Results equal NumPy's to the bit.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
 from __future__ import annotations
 
 import numpy as np
-from numba import bool_, float64, int64, njit, types, void
+from numba import bool_, float64, from_dtype, int64, njit, types, void
 
-IN1, IN2 = (types.Array(float64, dimensions, "C", readonly=True) for dimensions in (1, 2))
+IN1, IN2, IN3 = (types.Array(float64, dimensions, "C", readonly=True) for dimensions in (1, 2, 3))
 ROWS = types.Array(int64, 1, "C", readonly=True)
 OUT1, OUT2, OUT3 = float64[::1], float64[:, ::1], float64[:, :, ::1]
 
 OPTIONS = {"cache": True, "nogil": True, "boundscheck": True}
 
 
-@njit(void(ROWS, IN1, IN2, OUT1, OUT2, OUT3, OUT1, float64, float64), **OPTIONS)
-def differentiate(rows, time, position, last_time, last_position, velocity, period, longest, smoothing):  # noqa: ANN001, ANN201
-    """Take over the measurements of the arms ``rows`` (m,): ``time`` (m,) [s] and ``position`` (m, n) [rad].
+@njit(void(ROWS, IN1, IN2, OUT1, OUT2, OUT3, OUT1, IN1), **OPTIONS)
+def differentiate(rows, time, position, last_time, last_position, velocity, period, rules):  # noqa: ANN001, ANN201
+    """Take over measurements of the arms ``rows`` (m,): ``time`` (m,) [s], ``position`` (m, n) [rad].
 
-    ``last_time`` (B,), ``last_position`` (B, n), ``velocity`` (B, h, n) with the newest first and the running mean
-    ``period`` (B,) are brought up to date. A repeated answer (no time has passed) says nothing new: velocities stand.
+    Updates ``last_time`` (B,), ``last_position`` (B, n), ``velocity`` (B, h, n), newest first, and the mean ``period``
+    (B,). A repeated answer changes no velocity.
     """
     joints, kept = position.shape[1], velocity.shape[1]
+    longest, smoothing = rules[0], rules[1]
     for k in range(len(rows)):
         i = rows[k]
         elapsed = time[k] - last_time[i]
@@ -43,12 +42,11 @@ def differentiate(rows, time, position, last_time, last_position, velocity, peri
 
 @njit(void(OUT3, *[IN2, IN2, IN1, IN2, IN1, IN1], *[float64] * 6), **OPTIONS)
 def weigh(out, step, error, distance, action, moves, spared, floor, slope, most, step_limit, fade, near):  # noqa: ANN001, ANN201
-    """Fill ``out`` (2, B, n) with the part of the damped least-squares ``step`` (B, n) to integrate, and the action's.
+    """Fill ``out`` (2, B, n) with the part of ``step`` (B, n) to integrate, and that of the ``action`` (B, n).
 
-    The step is that of `clip_norm` to ``step_limit``, fades with the TCP ``error`` (B, 3) as by `fade`, and within
-    ``near`` of the target, at a ``distance`` (B,), leaves joints alone by their share ``spared`` (n,). The ``action``
-    (B, n), in [-1, 1], counts as much as `CommandLaw.authority` says (``floor``, ``slope``, ``most``), on joints that
-    move the tool (``moves`` (n,), 1 or 0).
+    The step is clipped to ``step_limit``, fades with ``error`` (B, 3), and spares joints by ``spared`` (n,) within
+    ``near`` of the target at ``distance`` (B,). The action counts as `CommandLaw.authority` says (``floor``, ``slope``,
+    ``most``) on joints that ``moves`` (n,) the tool.
     """
     arms, joints = step.shape
     for i in range(arms):
@@ -71,8 +69,7 @@ def weigh(out, step, error, distance, action, moves, spared, floor, slope, most,
 def integrate(correction, speed, last, position, elapsed, step, extra, rate, limit, moving, smoothing):  # noqa: ANN001, ANN201
     """Add ``rate * elapsed * step`` to ``correction`` where joints are not on their way, and ``extra`` everywhere.
 
-    All (B, n) but ``elapsed`` (B,); ``correction`` is kept within +-``limit``, and the estimate of the ``speed`` and
-    the ``last`` position are brought up to date.
+    All (B, n) but ``elapsed`` (B,). Keeps ``correction`` within +-``limit``; updates ``speed`` and ``last`` position.
     """
     arms, joints = correction.shape
     for i in range(arms):
@@ -86,15 +83,15 @@ def integrate(correction, speed, last, position, elapsed, step, extra, rate, lim
             correction[i, j] = np.minimum(np.maximum(correction[i, j] + push + extra[i, j], -limit), limit)
 
 
-@njit(void(OUT3, *[IN2] * 3, *[IN1] * 5, float64), **OPTIONS)
-def limit(stages, measured, last, speed, elapsed, fastest, acceleration, lower, upper, lead):  # noqa: ANN001, ANN201
-    """Fill ``stages`` (5, B, n), whose first is what is wanted, with what each limit leaves of it.
+@njit(void(OUT3, *[IN2] * 3, IN1, IN2, float64), **OPTIONS)
+def limit(stages, measured, last, speed, elapsed, bounds, lead):  # noqa: ANN001, ANN201
+    """Fill ``stages`` (5, B, n), from the wanted command on, with what lead, position, step and acceleration leave.
 
-    These are lead, position, step and acceleration. ``last`` (B, n) was sent with the ``speed`` (B, n), ``elapsed``
-    (1 or B,) [s] ago; ``fastest``, ``acceleration``, ``lower`` and ``upper`` are (n,), and ``lead`` is the largest
-    distance from ``measured`` (B, n). The last command itself is within step and acceleration, whatever its speed.
+    ``last`` (B, n) was sent at ``speed`` (B, n), ``elapsed`` (1 or B,) [s] ago; ``bounds`` (4, n) are those of
+    `GuardLimits`; ``lead`` is the largest distance from ``measured`` (B, n).
     """
     _, arms, joints = stages.shape
+    fastest, acceleration, lower, upper = bounds[0], bounds[1], bounds[2], bounds[3]
     for i in range(arms):
         time = elapsed[i % len(elapsed)]
         for j in range(joints):
@@ -110,11 +107,10 @@ def limit(stages, measured, last, speed, elapsed, fastest, acceleration, lower, 
 
 @njit(void(OUT2, bool_[:, ::1], IN2, IN2, OUT3, float64), **OPTIONS)
 def shorten(command, why, start, way, clear, tolerance):  # noqa: ANN001, ANN201
-    """Take ``command`` (B, n) back to where, from ``start`` (B, n) along ``way`` (B, n), it is still clear enough.
+    """Take ``command`` (B, n) back along ``way`` (B, n) from ``start`` (B, n) to where it is clear.
 
-    ``clear`` (B, S, n + c) are clearances at S equal shares of the way, from none to all of it. None may become
-    negative, or more so by the ``tolerance``. A command that ends well stays; else ``why`` (2, B) tells whether one of
-    the first n or one of the others would have been the first not to be.
+    ``clear`` (B, S, n + c): clearances at S shares of the way; none may fall below zero, or farther below. ``why`` (2,
+    B): the first violation was of the first n, or of the others.
     """
     arms, shares, kinds = clear.shape
     joints = start.shape[1]
@@ -138,10 +134,7 @@ def shorten(command, why, start, way, clear, tolerance):  # noqa: ANN001, ANN201
 
 @njit(void(OUT2, *[IN2] * 2, *[IN1] * 2), **OPTIONS)
 def take_speed(speed, command, last, elapsed, fastest):  # noqa: ANN001, ANN201
-    """Fill ``speed`` (B, n) with that of the ``command`` (B, n), ``elapsed`` (1 or B,) after the ``last`` (B, n).
-
-    It is 0 where no time has passed; rounding takes none beyond the ``fastest`` (n,).
-    """
+    """Fill ``speed`` (B, n) of ``command`` (B, n) ``elapsed`` (1 or B,) after ``last`` (B, n); 0 without time."""
     arms, joints = speed.shape
     for i in range(arms):
         time = elapsed[i % len(elapsed)]
@@ -153,7 +146,7 @@ def take_speed(speed, command, last, elapsed, fastest):  # noqa: ANN001, ANN201
 
 @njit(bool_(*[IN2] * 4, IN1, IN1, IN1, float64), **OPTIONS)
 def credible(command, sent, speed, position, lowest, highest, age, oldest):  # noqa: ANN001, ANN201
-    """Tell whether all numbers (B, n) are finite, positions believed and states (B,) young, in the whole batch."""
+    """Whether all numbers (B, n) are finite, positions in range and states (B,) young."""
     arms, joints = command.shape
     for i in range(arms):
         if not age[i] <= oldest:  # NaN counts as old
@@ -163,3 +156,231 @@ def credible(command, sent, speed, position, lowest, highest, age, oldest):  # n
             if not (seen and np.isfinite(command[i, j] + sent[i, j] + speed[i, j])):
                 return False
     return True
+
+
+HISTORY = 8
+"""Commands that are remembered (chosen: 160 ms at the shortest period)"""
+SETTLE = 0.08
+"""[s] from sending a command to a reading that shows it (chosen: latency, a period, age, setting off)"""
+AFTER = 1
+"""Commands sent after one that has certainly arrived (chosen: so it takes two periods at least)"""
+STILL = 2
+"""Cycles with one reading after which a joint is stationary (chosen)"""
+STRIKES = 2
+"""Cycles in a row of a load off by more than `MARGIN` (chosen)"""
+PUSHED, UNPUSHED_STRIKES = np.radians(0.3), 4
+"""[rad] command travel below which it takes more cycles (chosen)"""
+MARGIN = 0.03
+"""Share of the largest torque that a load may be off for a cycle (chosen)"""
+SUDDEN, LIGHT = 0.08, np.radians(2.0)
+"""Share that is too far even for one cycle, in joints that stick by less than that [rad] (chosen)"""
+COUNTS = 1.1
+"""Encoder steps between the servo's own reading and the reported one (chosen)"""
+STEADY, STEADY_COUNTS = 12, 0.3
+"""Cycles in which every flicker shows, and encoder steps of error then (chosen)"""
+STEADY_MARGIN, STEADY_NOISE = 0.002, 2.0
+"""Share of the largest torque, and times its noise, that a load may be off for so long (chosen)"""
+NOISE = 0.015
+"""Standard deviation of a learned load over the largest torque (chosen)"""
+SURE = 1.5
+"""Standard deviations of the expected load that are allowed for (chosen)."""
+KNOWN = 0.5
+"""relative error of a gain from which nothing is concluded (chosen)"""
+FULL = 0.9
+"""Share of the largest torque that counts as full (chosen)"""
+FULL_CYCLES = 8
+"""Cycles of full torque that show a stuck joint (chosen)"""
+MOST, AND = 1.5, np.radians(0.2)
+"""Times the push at which a joint stood in its diagnosis, and [rad] on top, that it may stand (chosen)"""
+LATE = 2
+"""Readings in a row beyond that (chosen)"""
+PATIENCE = 0.05
+"""[s] The excess, integrated twice, may reach the band times its square (chosen)"""
+LONGEST = 0.1
+"""[s] most that counts for one cycle (chosen)"""
+LEARN_SPREAD = np.radians(0.5)
+"""[rad] by which commands may differ where a load is learned (chosen)"""
+LEARN_STILL = 4
+"""Cycles of stillness after which a load is learned from (chosen)."""
+LEARN_LAST = 200
+"""Cycles of stillness after which nothing is learned (chosen)"""
+TRACK = np.dtype(
+    [
+        ("position", "f8"), ("held", "f8"), ("since", "f8"), ("travel", "f8"), ("stuck", "f8"),
+        ("home", "f8"), ("moved", "f8"),
+        ("gain", "f8"), ("least", "f8"), ("offset", "f8"), ("p00", "f8"), ("p01", "f8"), ("p11", "f8"),
+        ("load", "f8"), ("load1", "f8"), ("load2", "f8"), ("expected", "f8"),
+        ("noise", "f8"), ("reach", "f8"), ("width", "f8"), ("push", "f8"), ("pushed", "f8"), ("due", "f8"),
+        ("still", "i8"), ("strikes", "i8"), ("steady", "i8"), ("moves", "i8"), ("full", "i8"), ("late", "i8"),
+        ("given", "?"),
+    ]
+)  # fmt: skip
+"""State of a joint: ``held`` [rad] command when its reading last changed, at ``since`` [s]; ``travel`` [rad] of the
+command from there, ``stuck`` its largest before a change; ``moves`` changes; ``moved`` [rad] from ``home``. A
+stationary joint's load is ``gain`` * (command - position) + ``offset`` with covariance ``p`` and ``noise``; only a
+``given`` gain shows turning joints, one below ``least`` is not learned. Leads beyond ``reach`` [rad] push no harder;
+``width`` [rad] is the largest push in the diagnosis, ``push`` the present one; ``late`` readings were beyond, with
+excess integrals ``pushed`` [rad s] and ``due`` [rad s^2]."""
+
+FINE, STANDING, UNKNOWN, TURNING, OVERDUE = range(5)
+"""Verdicts: the reading changes; stationary by its load; stationary, no load tells; turning by its load; overdue by its
+push"""
+
+_TRACKS = types.Array(from_dtype(TRACK), 2, "C")
+
+
+@njit(cache=True)
+def _follow(track, now, position, command):  # noqa: ANN001, ANN202
+    if position == track.position:
+        track.still += 1
+        track.travel = command - track.held
+        return
+    track.stuck = max(track.stuck, abs(track.travel))
+    track.moves += 1
+    track.moved = max(track.moved, abs(position - track.home))
+    track.position, track.held, track.since, track.travel = position, command, now, 0.0
+    track.still = track.strikes = track.steady = track.full = 0
+
+
+@njit(cache=True)
+def _learn(track, lead, spread):  # noqa: ANN001, ANN202
+    """Recursive least squares of load = gain * lead + offset, where the lead lies anywhere within ``spread`` [rad]."""
+    a, b = track.p00 * lead + track.p01, track.p01 * lead + track.p11
+    wrong = track.load - track.gain * lead - track.offset
+    unsure = track.gain * spread
+    share = NOISE * NOISE + unsure * unsure / 12.0 + lead * a + b
+    track.gain = max(track.gain + a * wrong / share, track.least)
+    track.offset += b * wrong / share
+    track.p00 -= a * a / share
+    track.p01 -= a * b / share
+    track.p11 -= b * b / share
+
+
+@njit(cache=True)
+def _judge(track, told, low, high, step):  # noqa: ANN001, ANN202
+    lead = 0.5 * (low + high)
+    unsure = SURE * np.sqrt(track.p00 * lead * lead + 2.0 * track.p01 * lead + track.p11)
+    least = min(max(track.gain * low + track.offset, -1.0), 1.0)
+    most = min(max(track.gain * high + track.offset, -1.0), 1.0)
+    if low < COUNTS * step:  # the dead zone of the servo
+        least = min(least, 0.0)
+    if high > -COUNTS * step:
+        most = max(most, 0.0)
+    track.expected = 0.5 * (least + most)
+    known = SURE * np.sqrt(track.p00) < KNOWN * track.gain
+    agrees = max(least - track.load, track.load - most) <= MARGIN + COUNTS * step * track.gain + unsure
+    telling = high - low < LEARN_SPREAD and abs(lead) > COUNTS * step and abs(track.load) < FULL
+    if (agrees or not known) and telling and LEARN_STILL <= track.still <= LEARN_LAST:
+        _learn(track, lead, high - low)
+    if track.given:
+        if _turns(track, max(least - told, told - most) - unsure, step):
+            return TURNING
+    else:
+        track.strikes = 0 if agrees else track.strikes + 1
+    if abs(track.load) >= FULL and track.load * lead > 0.0:
+        track.full += 1
+        return STANDING
+    explained = known and (track.given or track.strikes < STRIKES)  # one that breaks loose disagrees for a cycle
+    return STANDING if explained or track.full >= FULL_CYCLES else UNKNOWN
+
+
+@njit(cache=True)
+def _turns(track, off, step):  # noqa: ANN001, ANN202
+    reading = step * track.gain
+    track.strikes = track.strikes + 1 if off > MARGIN + COUNTS * reading else 0
+    steady = off > STEADY_MARGIN + STEADY_NOISE * track.noise + STEADY_COUNTS * reading
+    track.steady = track.steady + 1 if steady else 0
+    if abs(track.travel) > PUSHED:
+        sudden = off > SUDDEN + COUNTS * reading and track.stuck < LIGHT
+        return sudden or track.strikes >= STRIKES or track.steady >= STEADY
+    return track.strikes >= UNPUSHED_STRIKES or track.steady >= STEADY
+
+
+@njit(cache=True)
+def _push(low, high, balance, reach):  # noqa: ANN001, ANN202
+    """By how much [rad] leads anywhere from ``low`` to ``high`` certainly push a joint from its ``balance``."""
+    least = min(max(low, -reach), reach) - balance
+    most = min(max(high, -reach), reach) - balance
+    return max(least, 0.0) + min(most, 0.0)
+
+
+@njit(cache=True)
+def _overdue(track, elapsed):  # noqa: ANN001, ANN202
+    beyond = abs(track.push) - MOST * track.width - min(AND, track.width)
+    if track.still == 0 or not beyond > 0.0:
+        track.late, track.pushed, track.due = 0, 0.0, 0.0
+        return False
+    elapsed = min(elapsed, LONGEST) if track.late > 0 else 0.0  # it may have begun at this very reading
+    track.late += 1
+    track.due += (track.pushed + 0.5 * beyond * elapsed) * elapsed
+    track.pushed += beyond * elapsed
+    return track.late >= LATE and track.due > track.width * PATIENCE * PATIENCE
+
+
+@njit(void(IN2, IN2, IN2, IN1, float64[:, ::1]), **OPTIONS)
+def fill_pushes(low, high, balance, reach, out):  # noqa: ANN001, ANN201
+    """Fill ``out`` (T, n) [rad] with pushes at leads from ``low`` to ``high`` (T, n) [rad]; ``reach`` (n,)."""
+    for k in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[k, j] = _push(low[k, j], high[k, j], balance[k, j], reach[j])
+
+
+@njit(void(from_dtype(TRACK)[::1], IN1, IN2, IN2, bool_[::1]), **OPTIONS)
+def fill_overdue(tracks, time, position, push, out):  # noqa: ANN001, ANN201
+    """Tell in ``out`` (n,) which joints are overdue in a log of ``time`` (T,) and ``position`` (T, n)."""
+    for j in range(len(tracks)):
+        track = tracks[j]
+        for k in range(1, len(time)):
+            track.still = track.still + 1 if position[k, j] == position[k - 1, j] else 0
+            track.push = push[k, j]
+            if _overdue(track, time[k] - time[k - 1]):
+                out[j] = True
+
+
+@njit(cache=True)
+def _by_load(track, load, loaded, unsettled, low, high, step):  # noqa: ANN001, ANN202
+    stands = track.still >= STILL
+    if not loaded:
+        return UNKNOWN if stands else FINE
+    if unsettled or np.isnan(load):
+        return UNKNOWN if stands and not track.given else STANDING if stands else FINE
+    median = max(min(load, track.load1), min(max(load, track.load1), track.load2))
+    track.load2, track.load1, track.load = track.load1, load, median
+    return _judge(track, load, low, high, step) if stands else FINE
+
+
+@njit(void(_TRACKS, float64[:, ::1], OUT3, IN2, IN3, bool_, float64, int64[:, ::1]), **OPTIONS)
+def watch(tracks, sent_at, sent, clock, reading, loaded, step, verdict):  # noqa: ANN001, ANN201
+    """Take over a reading and give a ``verdict`` (B, n) on every joint.
+
+    ``clock`` (2, B) [s]: now, and when the command was sent. ``reading`` (4, B, n): position and command [rad], load
+    (NaN: none), leads against gravity [rad]. ``sent_at`` (B, HISTORY) [s] and ``sent`` (B, HISTORY, n) [rad], newest
+    first, take over the command. A given line decides alone.
+    """
+    now, last, position, command, load, balance = clock[0], clock[1], reading[0], reading[1], reading[2], reading[3]
+    arms, joints = position.shape
+    for i in range(arms):
+        if now[i] <= last[i]:
+            continue
+        for h in range(HISTORY - 1, 0, -1):
+            sent_at[i, h] = sent_at[i, h - 1]
+            sent[i, h] = sent[i, h - 1]
+        sent_at[i, 0] = last[i]
+        sent[i, 0] = command[i]
+        reach = 0  # the newest command that has certainly arrived
+        while reach < HISTORY - 1 and (reach < AFTER or sent_at[i, reach] > now[i] - SETTLE):
+            reach += 1
+        unsettled = sent_at[i, reach] > now[i] - SETTLE  # what was in force before the first command is not sure
+        for j in range(joints):
+            low = high = sent[i, reach, j]
+            for h in range(reach):
+                low, high = min(low, sent[i, h, j]), max(high, sent[i, h, j])
+            low, high = low - position[i, j], high - position[i, j]
+            track = tracks[i, j]
+            _follow(track, now[i], position[i, j], sent[i, reach, j])
+            verdict[i, j] = _by_load(track, load[i, j], loaded, unsettled, low, high, step)
+            if unsettled or (loaded and track.given and not np.isnan(load[i, j])):
+                continue
+            track.push = _push(low, high, balance[i, j], track.reach)
+            if _overdue(track, now[i] - last[i]):
+                verdict[i, j] = OVERDUE

@@ -1,13 +1,14 @@
 """The contract of a policy file: what it was trained for, checked before anything moves.
 
-It travels as JSON in the metadata of the ONNX file, so that a policy is one file. Of the arm it holds whatever the
-deployed law computes with, and nothing else: two arms that differ in what only the guard reads (speed limits, floor) or
-only the twin (inertias, the servos' acceleration) are driven by the same policy in the same way.
+It is JSON in the metadata of the ONNX file, and holds of the arm what the deployed law computes with. The file is
+judged before ONNX Runtime reads it: a bounded chain of known layers with weights inside. Encoding: protobuf.dev;
+fields: ``onnx.proto`` of ONNX 1.17.
 """
 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
@@ -15,43 +16,33 @@ import msgspec
 import numpy as np
 
 from rejoint.arms import Arm, Array, Box
-from rejoint.arms.loaded import bare
-from rejoint.control.format1 import arm_of_format_1
+from rejoint.arms.inertia import bare
 from rejoint.control.observation import Layout, Slot, layout_slots
 from rejoint.control.residual import CommandLaw
 from rejoint.system.errors import ContractError, first_line
 
 FORMAT = 3
-"""Version of the contract. A reader refuses others, but for format 2, whose law has other names, and policies of
-format 1 for arms of the catalogue of then."""
-
-_RENAMED = {
-    "burden": "load_penalty", "burden_distance": "load_penalty_distance", "patience": "decay_start",
-    "patience_power": "decay_power", "patience_step": "decay_step",
-}  # fmt: skip
-"""Constants of the law by their names before format 3"""
+"""Version of the contract. A reader refuses others."""
 
 METADATA_KEY, DIGEST_KEY = "rejoint.contract", "rejoint.digest"
-"""Of the contract, and of the digest over contract and network (`rejoint.control.onnxfile.content_digest`), by which a
-flipped bit is noticed that the network's answers do not show; files of format 1 have none"""
+"""Keys of the contract, and of the digest over contract and network"""
 
 INPUT, OUTPUT = "observation", "action"
-"""Names of the network's input (B, size) and output (B, n), both float32."""
+"""Input (B, size) and output (B, n) of the network, float32"""
 
 UNITS = {"position": "rad", "command": "rad", "length": "m", "time": "s", "action": "1"}
 
 PROBE_TOLERANCE = 1e-4
-"""Largest difference between the recorded and the recomputed answer to the probe (chosen: ten times
-what float32 arithmetic on another processor changes)."""
+"""Largest difference of the answers to the probe (chosen: ten times float32 rounding)"""
 
 PERIOD_MARGIN = 1.25
-"""Factor by which a control period may leave the range of the training (chosen: a little jitter)."""
+"""Factor on the trained range of control periods (chosen)"""
 
 LARGEST_TEXT = 1 << 20
-"""[characters] of a contract (chosen: a hundred times what an arm of six joints needs)"""
+"""[characters] of a contract (chosen)"""
 
 LARGEST_CONSTANT = 1e6
-"""of a law, in SI units (chosen: far above any that makes sense, far below what overflows)"""
+"""of a law, in SI units (chosen)"""
 
 _PROBE_ROWS = 8
 _SHOWN = 120  # [characters] of a value of the file that a message shows (chosen: it stays a line)
@@ -60,7 +51,7 @@ _LIMIT_TOLERANCE = 1e-6  # [rad]
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyContract:
-    """Everything that must agree between a policy and the arm it is to drive."""
+    """What must agree between a policy and its arm."""
 
     arm: str
     arm_digests: dict[str, str]
@@ -83,7 +74,7 @@ class PolicyContract:
     probe: tuple[tuple[float, ...], ...]
     """the network's answers to `probe_observations`; a damaged network gives others"""
     twin_digest: str
-    """digest of the twin it was trained on; empty where there was none"""
+    """of the twin it was trained on, or empty"""
     preset: str
     seed: int
     software: str
@@ -91,7 +82,7 @@ class PolicyContract:
     history: int = 0
     """past observations that the network sees besides the current one"""
     servo_gains: dict[str, tuple[int, ...]] | None = None
-    """of the servos' own loops, for which it was trained (`rejoint.control.servogains`); None: not known, not asked"""
+    """of the servos, for which it was trained; None: not asked"""
     units: dict[str, str] = field(default_factory=lambda: dict(UNITS))
     format: int = FORMAT
 
@@ -102,16 +93,13 @@ class PolicyContract:
 
 
 def probe_observations(size: int) -> Array:
-    """Return fixed observations (8, size) in [-1, 1] on which a network is tried when it is loaded."""
+    """Return fixed observations (8, size) in [-1, 1] that try a network."""
     index = np.arange(_PROBE_ROWS * size, dtype=float).reshape(_PROBE_ROWS, size)
     return np.sin(1.0 + index**1.5)
 
 
 def law_digests(arm: Arm) -> dict[str, str]:
-    """Digest every field of an arm that a law may compute with, rounded to 1e-9 m, rad and kg; limits are kept whole.
-
-    Of the tool's pose only the place of the TCP: how it is turned moves no point.
-    """
+    """Digest the fields of an arm that a law may compute with, rounded to 1e-9."""
     read: dict[str, Array] = {
         "offset": arm.offset, "axis": arm.axis, "tip": arm.tip[:3, 3], "mass": arm.mass, "com": arm.com,
         "rest": arm.rest, "targets": np.stack([arm.targets.lower, arm.targets.upper]),
@@ -119,25 +107,20 @@ def law_digests(arm: Arm) -> dict[str, str]:
     return {name: hashlib.sha256(_rounded(array)).hexdigest()[:16] for name, array in read.items()}
 
 
-def fields_read(law: CommandLaw, layout: Layout, arm: Arm) -> tuple[str, ...]:
-    """Name the fields of an arm, of those that `law_digests` knows, that decide what this law commands.
-
-    Besides the kinematics: masses where it raises its goals against gravity; the rest posture where it solves for
-    goals, is pulled to it, confines commands to postures around it, or tells the network which pairs of links touch;
-    the target region where it solves for goals there, to see which joints move the tool, or to confine commands.
-    """
+def fields_read(law: CommandLaw, layout: Layout) -> tuple[str, ...]:
+    """Name the fields of `law_digests` that decide what this law commands."""
     goals = law.anchor == "goal"
-    confines = law.envelope_margin < float((arm.upper - arm.lower).max())
     names = {"offset": True, "axis": True, "tip": True, "mass": goals, "com": goals,
-             "rest": goals or confines or law.rest_gain != 0.0 or layout != "residual",
-             "targets": goals or confines}  # fmt: skip
+             "rest": goals or layout != "residual", "targets": goals}  # fmt: skip
     return tuple(name for name, read in names.items() if read)
 
 
 def arm_digest(arm: Arm) -> str:
-    """Digest of everything that is known of an arm, for what must not go on with another one, as a training."""
+    """Digest all that is known of an arm but `Arm.keep_out`, for trainings."""
     digest = hashlib.sha256()
     for entry in fields(arm):
+        if entry.name == "keep_out":
+            continue
         value = getattr(arm, entry.name)
         if isinstance(value, Box):
             value = np.stack([value.lower, value.upper])
@@ -152,25 +135,21 @@ def _rounded(array: Array) -> bytes:
 
 
 def encode_contract(contract: PolicyContract) -> str:
-    """Return the contract as JSON text."""
+    """Contract as JSON text."""
     return msgspec.json.encode(contract, enc_hook=float).decode()  # NumPy scalars become plain numbers
 
 
 def decode_contract(text: str) -> PolicyContract:
-    """Read what `encode_contract` wrote, now or in formats 1 and 2; ContractError if it is something else."""
+    """Read what `encode_contract` wrote, ContractError if it is something else."""
     if len(text) > LARGEST_TEXT:
         raise ContractError(f"the policy's contract has {len(text)} characters, expected at most {LARGEST_TEXT}")
     try:
         content = msgspec.json.decode(text, type=dict[str, Any])
         version = content.get("format")
-        if version == 1:
-            content |= {"arm_digests": arm_of_format_1(content.get("arm"), content.get("arm_digest"))}
-        elif version not in (2, FORMAT):
+        if version != FORMAT:
             raise ContractError(
                 f"the policy's contract has format {shown(repr(version))}, expected {FORMAT}; train it again"
             )
-        if version != FORMAT and isinstance(content.get("law"), dict):
-            content["law"] = {_RENAMED.get(name, name): value for name, value in content["law"].items()}
         return msgspec.convert(content, type=PolicyContract)
     except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
         reason = shown(first_line(error))
@@ -178,11 +157,7 @@ def decode_contract(text: str) -> PolicyContract:
 
 
 def check_contract(contract: PolicyContract, arm: Arm) -> None:
-    """Refuse (ContractError) a policy that was not trained for this arm and this software.
-
-    How an observation is explained does not count: names and sizes of its parts do. Nor does a load or a tool that
-    the owner told: the law computes with it, and the network sees what comes of that.
-    """
+    """Refuse (ContractError) a policy that was not trained for this arm and software; payload and tool do not count."""
     arm = bare(arm)
     remedy = "train a policy for this arm"
     expected: tuple[tuple[str, object, object], ...] = (
@@ -207,14 +182,14 @@ def check_contract(contract: PolicyContract, arm: Arm) -> None:
             f"the constants {shown(', '.join(strange))} of the policy's law are not between 0 and "
             f"{LARGEST_CONSTANT:g}; train it again"
         )
-    own, read = law_digests(arm), fields_read(contract.law, contract.layout, arm)
+    own, read = law_digests(arm), fields_read(contract.law, contract.layout)
     other = [name for name in read if contract.arm_digests.get(name) != own[name]]
     if other:
         raise ContractError(f"the policy was trained for a {arm.name} with another {', '.join(other)}; {remedy}")
 
 
 def check_period(contract: PolicyContract, period: float) -> None:
-    """Refuse (ContractError) a robot whose mean control period [s] is far from all that was met in training."""
+    """Refuse (ContractError) a robot whose mean control period [s] was not trained for."""
     low, high = contract.min_period / PERIOD_MARGIN, contract.max_period * PERIOD_MARGIN
     if not low <= period <= high:
         raise ContractError(
@@ -225,14 +200,13 @@ def check_period(contract: PolicyContract, period: float) -> None:
 
 
 def check_controller_period(controller: object, period: float) -> None:
-    """Refuse (ContractError) a policy whose training met no control ``period`` [s] like this; NaN: unknown."""
+    """Refuse (ContractError) a policy that does not suit the control ``period`` [s]; NaN: not known."""
     contract = getattr(controller, "contract", None)
     if isinstance(contract, PolicyContract) and np.isfinite(period):
         check_period(contract, period)
 
 
 def _constants(law: CommandLaw) -> list[tuple[str, float]]:
-    """Name and value of every number in a law."""
     plain = {**asdict(law), **asdict(law.learning)}
     numbers = [(name, value) for name, value in plain.items() if isinstance(value, int | float)]
     return numbers + [("stiffness", value) for value in law.stiffness]
@@ -247,6 +221,117 @@ def _degrees(angles: tuple[float, ...] | Array) -> str:
 
 
 def shown(value: object) -> str:
-    """Print a value that a file decided in one line of bounded length."""
+    """Print a value from a file in one line of bounded length."""
     text = " ".join(str(value).split())
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
+
+
+LAYERS = ("Gemm", "Elu", "Tanh", "Clip")
+"""Operators that a policy's network is made of"""
+
+MOST_LAYERS = 64
+"""(chosen: ours have seven)"""
+
+_MODEL = {1, 2, 3, 4, 5, 6, 7, 8, 14}  # all but training, functions and devices
+_GRAPH, _OPSET, _PROPERTY = 7, 8, 14
+_NODE, _WEIGHT = 1, 5
+_GRAPH_FIELDS = {1, 2, 5, 10, 11, 12, 13}  # all but sparse and quantised weights
+_OPERATOR, _ATTRIBUTE, _DOMAIN = 4, 5, 7
+_NODE_FIELDS = {1, 2, 3, 4, 5, 6, 7}
+_ATTRIBUTE_FIELDS = {1, 2, 3, 4, 13, 20, 21}  # numbers and text: no tensors and no graphs inside
+_WEIGHT_FIELDS = {1, 2, 4, 8, 9, 12}  # float32 inside the file: no segments, no other file
+
+_VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
+
+
+def read_metadata(data: bytes) -> dict[str, str]:
+    """Metadata of a policy's ONNX file; ValueError says what else it holds."""
+    found: dict[str, str] = {}
+    layers = 0
+    for number, value in _known(data, _MODEL, "model"):
+        if number == _GRAPH:
+            layers += _judge_graph(value)
+        elif number == _OPSET:
+            if any(field == 1 and domain for field, domain in _fields(value)):
+                raise ValueError("it names operators of another library")
+        elif number == _PROPERTY:
+            pair = dict(_known(value, {1, 2}, "metadata"))
+            found[_text(pair.get(1, b""))] = _text(pair.get(2, b""))
+    if not 0 < layers <= MOST_LAYERS:
+        raise ValueError(f"{layers} layers, expected 1 to {MOST_LAYERS}")
+    return found
+
+
+def content_digest(data: bytes, contract: str) -> str:
+    """Digest an ONNX file without metadata, and its contract; ValueError as above."""
+    digest = hashlib.sha256()
+    for number, value in _fields(data):
+        if number != _PROPERTY:
+            digest.update(f"{number} {len(value)} ".encode() + value)
+    digest.update(contract.encode())
+    return digest.hexdigest()
+
+
+def _judge_graph(data: bytes) -> int:
+    layers = 0
+    for number, value in _known(data, _GRAPH_FIELDS, "graph"):
+        if number == _NODE:
+            layers += 1
+            node = list(_known(value, _NODE_FIELDS, "layer"))
+            operators = [_text(part) for field, part in node if field == _OPERATOR]
+            if len(operators) != 1 or operators[0] not in LAYERS or any(f == _DOMAIN and part for f, part in node):
+                raise ValueError(f"a layer {operators}, expected one of {', '.join(LAYERS)}"[:200])
+            for field, part in node:
+                if field == _ATTRIBUTE:
+                    list(_known(part, _ATTRIBUTE_FIELDS, "layer's setting"))
+        elif number == _WEIGHT:
+            list(_known(value, _WEIGHT_FIELDS, "weight"))
+    return layers
+
+
+def _known(data: bytes, fields: set[int], what: str) -> Iterator[tuple[int, bytes]]:
+    for number, value in _fields(data):
+        if number not in fields:
+            raise ValueError(f"a {what} with a field {number}")
+        yield number, value
+
+
+def _fields(data: bytes) -> Iterator[tuple[int, bytes]]:
+    place = 0
+    while place < len(data):
+        key, start = _varint(data, place)
+        kind = key & 7
+        if kind == _VARINT:
+            _, place = _varint(data, start)
+        elif kind == _FIXED64:
+            place = start + 8
+        elif kind == _FIXED32:
+            place = start + 4
+        elif kind == _BYTES:
+            size, start = _varint(data, start)
+            place = start + size
+        else:
+            raise ValueError(f"byte {place} begins no field")
+        if place > len(data):
+            raise ValueError("cut short")
+        yield key >> 3, data[start:place]
+
+
+def _varint(data: bytes, place: int) -> tuple[int, int]:
+    number = 0
+    for shift in range(0, 70, 7):
+        if place >= len(data):
+            raise ValueError("cut short")
+        byte = data[place]
+        place += 1
+        number |= (byte & 127) << shift
+        if byte < 128:
+            return number, place
+    raise ValueError(f"byte {place} ends no number")
+
+
+def _text(value: bytes) -> str:
+    try:
+        return value.decode()
+    except UnicodeDecodeError as error:
+        raise ValueError("text that is none") from error

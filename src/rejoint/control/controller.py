@@ -1,16 +1,18 @@
-"""What a controller promises: joint commands from joint states, once per control cycle."""
+"""What a controller promises: joint commands from joint states; and targets that move."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from rejoint.arms import Arm, Array, frames
-from rejoint.arms.orientation import Orientation
+from rejoint.arms.rotations import Orientation
 from rejoint.control.robot import JointState, Mask
-from rejoint.control.route import Route
+
+if TYPE_CHECKING:
+    from rejoint.control.moving.reference import Routes
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -20,17 +22,19 @@ class ControlInput:
     state: JointState
     target: Array
     """(B, 3) [m] TCP targets"""
+    goal: Array
+    """(B, n) [rad] postures that bring the tools there"""
     sent: Array
-    """(B, n) [rad] last command as it was sent, after the guard"""
+    """(B, n) [rad] last command, after the guard"""
     since_target: Array
     """(B,) [s] time since the target was set"""
-    route: Route | None = None
+    route: Routes | None = None
     """where the target goes; None where it stands still"""
     turn: Orientation | None = None
-    """(B,) how the tools are to be turned there; None where that does not matter"""
+    """(B,) wanted orientations; None: any"""
 
     def aims(self, later: Array) -> Array:
-        """Return the TCP targets (k, B, 3) [m] ``later`` (k,) or (k, B) [s] than now, by all that is known now."""
+        """TCP targets (k, B, 3) [m] ``later`` (k,) or (k, B) [s] than now, as known now."""
         count = len(self.since_target)
         later = np.broadcast_to(later if np.ndim(later) == 2 else np.asarray(later)[:, None], (len(later), count))
         if self.route is None:
@@ -38,7 +42,7 @@ class ControlInput:
         return self.route.aims(self.since_target, later)
 
     def turns(self, later: Array) -> Orientation | None:
-        """Return how the tools are to be turned then, (k, B); None where that does not matter."""
+        """Orientations (k, B) then; None: any."""
         if self.route is None or self.turn is None:
             return (
                 None
@@ -52,12 +56,12 @@ class ControlInput:
 
 
 def heeds_turn(controller: object) -> bool:
-    """Tell whether a controller turns tools as its inputs say; others bring them to their places only."""
+    """Whether a controller turns tools as asked; others only place them."""
     return bool(getattr(controller, "heeds_turn", False))
 
 
 def turned_off(arm: Arm, inputs: ControlInput) -> Array:
-    """Return by which angle (B,) [rad] the encoders see the tools turned off; NaN where any orientation will do."""
+    """Orientation errors (B,) [rad] by the encoders; NaN where none is asked for."""
     if inputs.turn is None:
         return np.full(len(inputs.since_target), np.nan)
     return inputs.turn.angle(frames(arm, inputs.state.position).tcp_rotation)
@@ -71,7 +75,7 @@ class Controller(Protocol):
         """Short name used in tables and on the command line."""
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Forget what belongs to the old target, for the arms in ``where`` (B,)."""
+        """Forget the old target of the arms in ``where`` (B,)."""
 
     def command(self, inputs: ControlInput) -> Array:
-        """Return the wanted joint positions (B, n) [rad]; the guard decides what is sent."""
+        """Wanted joint positions (B, n) [rad]."""

@@ -1,100 +1,160 @@
-"""Aiming: where to send the tool by the encoders, so that it really arrives at its target.
+"""True errors and how they are known; the *aim*: a target shifted by what lies behind the encoders.
 
-A layer between targets and controllers, the same for every controller: what a controller is given is the *aim*, a
-target shifted by what lies behind the encoders. Guard and controllers know nothing else of it. By its encoders such an
-arm stands beside its target by design, so encoder errors are those from the aim, true errors those from the target.
+Controllers receive aims, so encoder errors are those from the aim, true errors those from the target.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import Protocol
+from dataclasses import dataclass, replace
+from typing import Literal, Protocol
 
 import numpy as np
 
 from rejoint.arms import Arm, Array, Displacement, frames, tcp_position
-from rejoint.arms.orientation import Orientation
 from rejoint.arms.posing import find_postures
+from rejoint.arms.rotations import Orientation
 from rejoint.control.controller import ControlInput
 from rejoint.control.robot import Mask
 from rejoint.system.errors import InputError
+from rejoint.system.statistics import Estimate
+
+How = Literal["known", "measured", "modelled", "not known"]
+
+REMEDY = "not known: calibrate"
+"""What stands where a true error would"""
+
+
+class ToolModel(Protocol):
+    """Tells tool errors without seeing the tool, as a `Calibration` does."""
+
+    def expected(self, position: Array, target: Array) -> Array:
+        """Mean distances (...) [m] from ``target`` (..., 3) [m] at ``position`` (..., n) [rad]."""
+
+    def interval(self, position: Array, target: Array) -> tuple[Array, Array]:
+        """95 % interval (...), (...) [m] of the same."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrueError:
+    """Distance of the tool itself from its target; without a value it is not known."""
+
+    how: How = "not known"
+    """``known``: emulated; ``measured``: from outside; ``modelled``: by a calibration"""
+    value: float | None = None
+    """[m]"""
+    low: float | None = None
+    """[m] 95 % interval, lower end"""
+    high: float | None = None
+    """[m] upper end"""
+
+    @classmethod
+    def of(cls, how: How, estimate: Estimate, unit: float = 1.0) -> TrueError:
+        """Return an estimate in units of ``unit`` [m]."""
+        ends = (None if end is None else unit * end for end in (estimate.low, estimate.high))
+        low, high = ends
+        return cls(how=how, value=unit * estimate.value, low=low, high=high)
+
+    def __str__(self) -> str:
+        """Say it in millimetres, with how it is known."""
+        if self.value is None:
+            return REMEDY
+        return f"{self.millimetres} mm, {self.how}{f' ({self.range})' if self.range else ''}"
+
+    @property
+    def millimetres(self) -> str:
+        """Millimetres, two decimals below one; empty: not known."""
+        return "" if self.value is None else f"{1e3 * self.value:.{2 if self.value < 1e-3 else 1}f}"
+
+    @property
+    def range(self) -> str:
+        """95 % interval in millimetres, such as ``0.4 to 2.6``, or empty."""
+        if self.low is None or self.high is None or self.low == self.high:
+            return ""
+        return f"{1e3 * self.low:.1f} to {1e3 * self.high:.1f}"
+
+
+NOT_KNOWN = TrueError()
+
+
+def modelled(model: ToolModel, position: Array, target: Array) -> Array:
+    """Value, lower and upper end (3, ...) [m] of a model; NaN at positions of NaN."""
+    found = np.full((3, *np.shape(position)[:-1]), np.nan)
+    there = np.isfinite(position).all(axis=-1) & np.isfinite(target).all(axis=-1)
+    if there.any():
+        low, high = model.interval(position[there], target[there])
+        found[:, there] = model.expected(position[there], target[there]), low, high
+    return found
+
+
+def mean_modelled(found: Array) -> TrueError:
+    """Mean of ``found`` (3, ...) [m] as from `modelled`.
+
+    The ends are means of ends, as errors are alike at all targets.
+    """
+    known = np.isfinite(found[0])
+    if not known.any():
+        return NOT_KNOWN
+    value, low, high = (float(part[known].mean()) for part in found)
+    return TrueError(how="modelled", value=value, low=low, high=high)
+
 
 ROUNDS = 4
-"""Fixed-point steps of the aim (measured: the third changes it by less than 0.01 mm)"""
+"""Fixed-point steps of the aim (measured)"""
 MOST = 0.05
-"""[m] largest shift of a target (chosen: worn arms have 15 mm; more is a damaged file or another arm)"""
+"""[m] largest shift of a target (chosen)"""
 CALM = 0.3
-"""[s] in which every reading stays within `STILL` before an arm counts as settled (chosen)"""
+"""[s] within `STILL` before an arm counts as settled (chosen)"""
 STILL = np.radians(0.2)
 """[rad] (chosen: two encoder counts)"""
 NEAR = 2e-3
-"""[m] from its aim within which a settled arm is aimed again (chosen: farther off, it has not arrived)"""
+"""[m] from its aim within which a settled arm is aimed again (chosen)"""
 CHANGE = 2e-4
-"""[m] by which an aim changes at least (chosen: less is not worth a new motion)"""
-
-
-class Correction(Protocol):
-    """Turns targets into aims; may keep memory between cycles."""
-
-    def aim(self, target: Array, start: Array, where: Mask) -> Array:
-        """Return the aims (B, 3) [m] of ``target`` (B, 3) [m], just set for the arms in ``where`` (B,).
-
-        ``start`` (B, n) [rad] is what the arms were sent last.
-        """
-
-    def aim_pose(self, target: Array, turn: Orientation, start: Array, where: Mask) -> tuple[Array, Orientation]:
-        """Return the aims of ``target``, and how the encoders are to see the tools turned for ``turn`` (B,)."""
-
-    def again(self, target: Array, inputs: ControlInput) -> Array | None:
-        """Once a control cycle, return new aims (B, 3) [m]; None where the present ones, in ``inputs``, stay."""
+"""[m] smallest change of an aim (chosen)"""
 
 
 @dataclass(eq=False)
 class Modelled:
-    """Aims by what is known of the displacements, and once more where the arm has settled."""
+    """Aims by known displacements, and once more where the arm has settled."""
 
     arm: Arm
     displacement: Displacement
-    _moved: Arm = field(init=False)
-    _came: Array = field(init=False)  # (B, n) [rad] where the arms came from
-    _posture: Array = field(init=False)  # (B, n) where the arms were when they last moved
-    _since: Array = field(init=False)  # (B,) [s] when that was
-    _done: Mask = field(init=False)  # (B,) whether the target was aimed at again
-    _turned: Array = field(init=False)  # (B, 3, 3) how the encoders are to see the tools turned
 
     def __post_init__(self) -> None:
         self._moved = self.displacement.moved(self.arm)
-        self._came = self._posture = np.zeros((0, self.arm.joints))
-        self._since = np.zeros(0)
-        self._done = np.zeros(0, dtype=bool)
-        self._turned = np.zeros((0, 3, 3))
+        self._came = self._posture = np.zeros((0, self.arm.joints))  # [rad] where arms came from, and last moved
+        self._since = np.zeros(0)  # [s] when they last moved
+        self._done: Mask = np.zeros(0, dtype=bool)  # whether the target was aimed at again
+        self._turned = np.zeros((0, 3, 3))  # wanted encoder orientations
 
     def shift(self, position: Array, approach: Array | None = None) -> Array:
-        """Return how far (..., 3) [m] the tool is from where the encoders see it, at ``position`` (..., n) [rad].
+        """Shifts (..., 3) [m] of the tool from the encoders' view at ``position`` (..., n) [rad].
 
-        ``approach`` (..., n) [rad] is where the arm came from: joints that float lie as their last motion left them.
+        ``approach`` (..., n) [rad]: where the arm came from.
         """
         links = self.displacement.joints(self.arm, position, approach)
         return tcp_position(self._moved, links) - tcp_position(self.arm, position)
 
-    def aim(self, target: Array, start: Array, where: Mask) -> Array:
-        """Return the aims (B, 3) [m], at the postures that the inverse kinematics finds from ``start`` (B, n) [rad]."""
-        return self._aim(target, None, start, where)
+    def aim(self, target: Array, start: Array, where: Mask, near: Array | None = None) -> Array:
+        """Aims (B, 3) [m]."""
+        return self._aim(target, None, (start, start if near is None else near), where)
 
-    def aim_pose(self, target: Array, turn: Orientation, start: Array, where: Mask) -> tuple[Array, Orientation]:
-        """Return the aims and orientations at the postures of the poses."""
+    def aim_pose(
+        self, target: Array, turn: Orientation, start: Array, where: Mask, near: Array | None = None
+    ) -> tuple[Array, Orientation]:
+        """Aims and orientations at the postures of the poses."""
         if len(self._turned) != len(where):
             self._turned = turn.rotation.copy()
-        aims = self._aim(target, turn, start, where)
+        aims = self._aim(target, turn, (start, start if near is None else near), where)
         return aims, replace(turn, rotation=self._turned.copy())
 
     def untwisted(self, turn: Orientation, position: Array, approach: Array | None = None) -> Orientation:
-        """Return how the encoders are to see tools (...) turned that are to be as in ``turn``; else as `shift`."""
+        """Return encoder orientations (...) of tools that are to be as in ``turn``; else as `shift`."""
         links = self.displacement.joints(self.arm, position, approach)
         seen, own = frames(self.arm, position).tcp_rotation, frames(self._moved, links).tcp_rotation
         return replace(turn, rotation=seen @ np.swapaxes(own, -1, -2) @ turn.rotation)
 
-    def _aim(self, target: Array, turn: Orientation | None, start: Array, where: Mask) -> Array:
+    def _aim(self, target: Array, turn: Orientation | None, postures: tuple[Array, Array], where: Mask) -> Array:
+        start, near = postures
         if len(self._since) != len(where):
             self._came = self._posture = start.copy()
             self._since = np.full(len(where), -np.inf)
@@ -105,7 +165,7 @@ class Modelled:
         aimed = where & np.isfinite(target).all(axis=-1)
         if not aimed.any():
             return aims
-        goal, posture = target[aimed], start[aimed]
+        goal, posture = target[aimed], near[aimed]
         place = goal.copy()
         wanted = own = None if turn is None else turn[aimed]
         for _ in range(ROUNDS):
@@ -119,7 +179,7 @@ class Modelled:
         return aims
 
     def again(self, target: Array, inputs: ControlInput) -> Array | None:
-        """Aim once more at the posture in which an arm has settled: redundant ones do not end where they were sent."""
+        """Aim once more at the posture in which an arm has settled."""
         settled = self._settled(inputs) & ~self._done
         if not settled.any():
             return None
@@ -145,7 +205,7 @@ class Modelled:
 
 
 def checked(target: Array, aim: Array) -> Array:
-    """Return ``aim`` (..., 3) [m]; InputError where one is farther from its ``target`` than any worn arm needs."""
+    """Return ``aim`` (..., 3) [m]; InputError where it is too far from its ``target``."""
     far = float(np.linalg.norm(aim - target, axis=-1).max(initial=0.0))
     if not far <= MOST:
         raise InputError(

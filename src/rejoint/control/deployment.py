@@ -1,9 +1,4 @@
-"""Driving an arm to targets, and saying of each whether it was reached, and if not, why.
-
-A target counts as reached where the encoders say so at the end of its time. Pauses in the answers on the way are told
-beside it; where it was missed, so are the limits of the guard that kept the arm back. The target at which a run was
-ended early does not count, and those after it were not tried.
-"""
+"""What became of each target: reached by the encoders at the end of its time or not, and why."""
 
 from __future__ import annotations
 
@@ -13,18 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, tcp_position
-from rejoint.arms.orientation import REACHED_TURN, Orientation
-from rejoint.control.accuracy import NOT_KNOWN, ToolModel, TrueError, mean_modelled, modelled
+from rejoint.arms.rotations import REACHED_TURN, Orientation
 from rejoint.control.comparison.result import Protocol
-from rejoint.control.contract import check_controller_period
-from rejoint.control.controller import Controller
-from rejoint.control.correction import Correction
-from rejoint.control.guard import GuardLimits, Reason, Reasons, reason_names
-from rejoint.control.loop import Schedule, run
-from rejoint.control.poses import in_words
-from rejoint.control.recording import OnCycle, Recording, recording_of
-from rejoint.control.robot import Robot
-from rejoint.control.start import Stance, begin
+from rejoint.control.correction import NOT_KNOWN, ToolModel, TrueError, mean_modelled, modelled
+from rejoint.control.guard import Reason, Reasons, reason_names
+from rejoint.control.recording import Recording, recording_of
+from rejoint.control.targets import in_words
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.numbers import as_within
@@ -34,7 +23,7 @@ Rows = NDArray[np.intp]
 REACHED = Protocol.threshold
 """[m] within which a target counts as reached"""
 
-_OFTEN = 0.5  # share of its cycles from which the guard's part in a missed target is told (chosen)
+_OFTEN = 0.5  # share of its cycles from which a remark names the guard (chosen)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,9 +36,9 @@ class Deployment:
     dwell: float
     """[s] per target"""
     within: float = REACHED
-    """[m] of encoder error at the end within which a target counts as reached"""
+    """[m] accepted encoder error at the end"""
     turns: Orientation | None = None
-    """(K,) how the tool is to be turned there; None where that does not matter"""
+    """(K,) wanted orientations; None: any"""
 
     def __post_init__(self) -> None:
         if not 0.0 < self.dwell < np.inf:
@@ -64,20 +53,20 @@ class Visit:
     target: tuple[float, float, float]
     """[m]"""
     error: float | None
-    """[m] encoder error at the end; None where the arm was not sent there"""
+    """[m] encoder error at the end; None: not tried"""
     true_error: TrueError
-    """error of the tool itself at the end, and how it is known"""
+    """of the tool at the end"""
     reached: bool
     remark: str
-    """why it was not reached, and what else is worth knowing; empty where there is nothing"""
+    """why it was not reached, and other remarks, or empty"""
     sightings: int = 0
-    """of the tool near this target that were believed, where a camera watched"""
+    """accepted detections of the tool by a camera"""
     seen_error: float | None = None
-    """[m] error of the tool by the last of them, averaged; None where it was not seen"""
+    """[m] averaged tool error by the last of them; None: not seen"""
     orientation: str = ""
-    """how the tool was to be turned, in words; empty where that did not matter"""
+    """wanted orientation in words, or empty"""
     turned: float | None = None
-    """[rad] orientation error by the encoders at the end; None where none was asked for, or the arm was not sent"""
+    """[rad] orientation error by the encoders at the end"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -88,11 +77,11 @@ class Deployed:
     """what drove"""
     visits: tuple[Visit, ...]
     period: float | None
-    """[s] middle of the measured control periods; None before there are any"""
+    """[s] median control period"""
     gaps: tuple[float, ...]
-    """[s] lengths of the pauses in the answers after which the arm began slowly again"""
+    """[s] pauses after which the arm began slowly again"""
     log: RunLog | None = None
-    """what the arm was told and what it did at the targets; None where the deployment ended early"""
+    """commands and readings; None: it ended early"""
 
     @property
     def missed(self) -> tuple[int, ...]:
@@ -100,30 +89,8 @@ class Deployed:
         return tuple(number for number, visit in enumerate(self.visits, start=1) if not visit.reached)
 
 
-def deploy(
-    robot: Robot, controller: Controller, job: Deployment, *, limits: GuardLimits | None = None,
-    stance: Stance | None = None, correction: Correction | None = None, model: ToolModel | None = None,
-    on_cycle: OnCycle | None = None,
-) -> tuple[Recording, Deployed]:  # fmt: skip
-    """Bring one arm to its rest posture, slowly, and then to the targets of ``job``.
-
-    Raises what `run` raises, with what was done until then on the error, see `deployed_of`; ContractError where the
-    measured control period does not suit a policy; NotReadyError where the arm had better not be driven, as where it
-    does not stand at rest as its ``stance`` says. Where nobody knows where the tool is, a ``model`` says how far it is
-    from its targets.
-    """
-    start = begin(robot, limits, stance)
-    check_controller_period(controller, start.usual_period())
-    schedule = Schedule(dwell=job.dwell, sent=start.command[-1])
-    recording = run(
-        robot, controller, job.targets[None], schedule, limits=limits, correction=correction, on_cycle=on_cycle,
-        turns=job.turns and job.turns[None],
-    )  # fmt: skip
-    return recording, judge(robot.arm, recording, job, model)
-
-
 def deployed_of(error: BaseException, arm: Arm, job: Deployment, model: ToolModel | None = None) -> Deployed | None:
-    """Return what a deployment that ``error`` ended has done; None if it ended before the first target."""
+    """Return what a deployment that ``error`` ended has done; None before the first target."""
     partial = recording_of(error)
     if partial is None or not len(partial.time) or not np.isfinite(partial.target).any():
         return None
@@ -131,10 +98,14 @@ def deployed_of(error: BaseException, arm: Arm, job: Deployment, model: ToolMode
 
 
 def judge(
-    arm: Arm, recording: Recording, job: Deployment, model: ToolModel | None = None, *,
+    arm: Arm,
+    recording: Recording,
+    job: Deployment,
+    model: ToolModel | None = None,
+    *,
     ended: BaseException | None = None,
-) -> Deployed:  # fmt: skip
-    """Say what became of each target; ``ended`` is what ended the recording early."""
+) -> Deployed:
+    """Say what became of each target; ``ended``: the error that ended the recording."""
     rows = np.flatnonzero(recording.active[:, 0])
     error = np.linalg.norm(recording.aim[:, 0] - tcp_position(arm, recording.position[:, 0]), axis=-1)
     gap = recording.gaps()
@@ -151,9 +122,16 @@ def judge(
 
 
 def _visit(
-    target: Array, job: Deployment, rows: Rows, recording: Recording, error: Array, gap: Array,
-    model: ToolModel | None, *, ended: bool,
-) -> Visit:  # fmt: skip
+    target: Array,
+    job: Deployment,
+    rows: Rows,
+    recording: Recording,
+    error: Array,
+    gap: Array,
+    model: ToolModel | None,
+    *,
+    ended: bool,
+) -> Visit:
     x, y, z = (float(value) for value in target)
     if not len(rows):
         return Visit(target=(x, y, z), error=None, true_error=NOT_KNOWN, reached=False, remark="not tried")
@@ -166,13 +144,15 @@ def _visit(
     if paused > 0.0:
         remarks.append(f"no answers for {paused:.1f} s")
     return Visit(
-        target=(x, y, z), error=end, true_error=_true_error(recording, int(rows[-1]), target, model), reached=reached,
+        target=(x, y, z),
+        error=end,
+        true_error=_true_error(recording, int(rows[-1]), target, model),
+        reached=reached,
         remark="; ".join(remarks),
-    )  # fmt: skip
+    )
 
 
 def _posed(visit: Visit, turn: Orientation, rows: Rows, recording: Recording) -> Visit:
-    """Add how the tool was turned at the end."""
     visit = replace(visit, orientation=in_words(turn))
     turned = float(recording.turned[rows[-1], 0]) if len(rows) else float("nan")
     if not np.isfinite(turned):
@@ -193,7 +173,6 @@ def _true_error(recording: Recording, row: int, target: Array, model: ToolModel 
 
 
 def _held_back(reasons: Reasons) -> str:
-    """Name the limits of the guard that a target mostly met."""
     often = [
         reason_names(reason)[0]
         for reason in Reason

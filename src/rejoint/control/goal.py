@@ -1,45 +1,115 @@
-"""Joint goals of a batch: the inverse kinematics of each arm's target, solved once when the target is set."""
+"""Joint goals: the posture for each target, and the way there.
+
+Every controller receives the posture that brings the tool to its target, so no controller searches one by itself.
+A far goal comes with a way: a joint trajectory that moves the goal from the last posture to the new one. The target
+moves with the goal, so controllers always work close to it, wherever the arm goes.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
 import numpy as np
 
-from rejoint.arms import Arm, Array, solve_position
+from rejoint.arms import Arm, Array, JointTrajectory, Motors, plan, tcp_position
 from rejoint.arms.posing import find_postures
-from rejoint.control.controller import ControlInput
-from rejoint.control.robot import Mask
+from rejoint.arms.rotations import Orientation
+from rejoint.system.errors import InputError
+
+LAGS, SLOWEST = tuple(np.radians([6.0, 18.0])), 0.1
+"""[rad] by which a joint may lag behind its way, and from which the arm goes on with that share of its speed (chosen: a
+worn joint lags by 8 deg at full speed, and with twice these lags an arm cut a corner by 7 mm)"""
 
 
-class Goal:
-    """Remembers one goal posture per arm."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JointGoals:
+    """The postures of the targets of B arms, and the ways to them."""
 
-    def __init__(self, arm: Arm) -> None:
-        self._arm = arm
-        self.position: Array = np.zeros((0, arm.joints))
-        """(B, n) [rad]"""
-        self._foreseen: Array = np.zeros((0, 3))  # (B, 3) targets solved ahead, NaN where there is none
-        self._ahead: Array = np.zeros((0, arm.joints))  # (B, n) their goal postures
+    posture: Array
+    """(B, K, n) [rad]"""
+    ways: tuple[tuple[JointTrajectory, ...], ...] = ()
+    """B rows of K ways; () where each goal is in force at once"""
 
-    def foresee(self, target: Array, start: Array, where: Mask) -> None:
-        """Solve ahead for the ``target`` (B, 3) [m] that each arm in ``where`` (B,) will be given next.
+    def __post_init__(self) -> None:
+        if self.ways and [len(row) for row in self.ways] != [self.posture.shape[1]] * len(self.posture):
+            raise InputError(f"joint goals: expected {self.posture.shape[:2]} ways, one for each posture")
 
-        The search begins at ``start`` (B, n) [rad]; `reset` to that very target then takes what was found.
-        """
-        self._foreseen = np.where(where[:, None], target, np.nan)
-        self._ahead = start.copy()
-        self._ahead[where] = solve_position(self._arm, target[where], start[where]).q
 
-    def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Solve for the targets of the arms in ``where`` (B,), searching from their last commands.
+def with_ways(
+    arm: Arm, posture: Array, start: Array, *, motors: Motors | None = None, speed: float = 1.0
+) -> JointGoals:
+    """Plan the ways of one arm from ``start`` (n,) to one ``posture`` (K, n) [rad] after another.
 
-        A target out of reach gets the nearest posture found.
-        """
-        if len(self.position) != len(inputs.sent):
-            self.position = inputs.sent.copy()
-        if len(self._foreseen) == len(where):
-            known = where & (self._foreseen == inputs.target).all(axis=1)
-            self.position[known], self._foreseen[known] = self._ahead[known], np.nan
-            where = where & ~known
-        if where.any():
-            turn = None if inputs.turn is None else inputs.turn[where]
-            self.position[where] = find_postures(self._arm, inputs.target[where], inputs.sent[where], turn)
+    The ``motors`` lift the arm on them. ``speed`` is a share of the arm's own. InputError where no way is clear.
+    """
+    before = np.vstack([start, posture[:-1]])
+    ways = [plan(arm, one, other, motors=motors, speed=speed) for one, other in zip(before, posture, strict=True)]
+    return JointGoals(posture=posture[None], ways=(tuple(ways),))
+
+
+def side_by_side(goals: Sequence[JointGoals]) -> JointGoals:
+    """Return the goals of several arms as those of one batch."""
+    posture = np.concatenate([one.posture for one in goals])
+    return JointGoals(posture=posture, ways=tuple(row for one in goals for row in one.ways))
+
+
+class Setpoint(NamedTuple):
+    """What is in force now."""
+
+    goal: Array
+    """(B, n) [rad]"""
+    target: Array
+    """(B, 3) [m]"""
+    since: Array
+    """(B,) [s] since the goal has stopped moving, 0 on the way"""
+
+
+def on_the_way(arm: Arm, ways: Sequence[JointTrajectory], goal: Array, aim: Array, since: Array) -> Setpoint:
+    """Return where the goals of B arms are, ``since`` (B,) [s] after their ways began.
+
+    ``goal`` (B, n) [rad] and ``aim`` (B, 3) [m] are those at the end. What an aim differs from the planned end is added
+    along the way.
+    """
+    duration = np.array([way.duration for way in ways])
+    moving = since < duration
+    if not moving.any():
+        return Setpoint(goal, aim, since - duration)
+    now, rows = goal.copy(), np.flatnonzero(moving).tolist()
+    for b in rows:
+        way, share = ways[b], max(float(since[b]), 0.0) / duration[b]
+        now[b] = way.at(float(since[b])) + share * (goal[b] - way.goal)
+    target = aim.copy()
+    target[rows] += tcp_position(arm, now[rows]) - tcp_position(arm, goal[rows])
+    return Setpoint(now, target, np.maximum(since - duration, 0.0))
+
+
+def waiting(ways: Sequence[JointTrajectory], since: Array, position: Array) -> Array:
+    """Return the share (B,) of the time that ways of B arms leave out now, because joints lag behind them.
+
+    ``since`` (B,) [s] is the time after their begin, ``position`` (B, n) [rad] is measured. A way on which every joint
+    is late by its own is no longer the one that was checked, and the guard would stop the arm on it.
+    """
+    share = np.zeros(len(ways))
+    for b in np.flatnonzero(since < [way.duration for way in ways]).tolist():
+        share[b] = 1.0 - pace(float(np.abs(ways[b].at(float(since[b])) - position[b]).max()))
+    return share
+
+
+def pace(lag: float) -> float:
+    """Return the share of its speed with which a way goes on while a joint lags by ``lag`` [rad]."""
+    return float(np.interp(lag, LAGS, (1.0, SLOWEST)))
+
+
+def nearest_postures(arm: Arm, target: Array, start: Array, turn: Orientation | None = None) -> Array:
+    """Return the postures (B, n) [rad] of targets (B, 3) [m] that are found from ``start`` (B, n) [rad].
+
+    A target of NaN is none: its arm keeps ``start``.
+    """
+    posture = start.copy()
+    aimed = np.isfinite(target).all(axis=-1)
+    if aimed.any():
+        wanted = None if turn is None else turn[aimed]
+        posture[aimed] = find_postures(arm, target[aimed], start[aimed], wanted)
+    return posture

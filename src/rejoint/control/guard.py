@@ -1,48 +1,175 @@
 """The guard between every controller and the robot: what may be sent, and why it was changed.
 
-A pure function over a batch of arms; what it remembers from call to call is the last command and its speed. Two kinds
-of reasons:
-
-* Limits change the command and the motion goes on, for as long as the controller asks for what it may not have.
-* Trips (see `TRIPS`) mean that the arm cannot be judged any more. The guard returns the last
-  command, and the control loop stops the robot at the first one.
-
-The limits are applied in the order lead, position, step, acceleration, and then floor and contacts together, so that
-in a conflict the later one wins. Lead and position pull a command to where it belongs. All later ones only shorten the
-step from the last command, which is within each of them: whatever comes in, a hold is always left to go out, and no two
-of them are ever in conflict. So the acceleration limit holds back what gains speed or turns round; braking is free,
-since the hardest braking is the hold. With periods of `RAMP` and more this is a limit of every change of speed.
-
-What is judged is the commanded posture. Where the arm really is, lagging and sagging behind its commands or swinging
-beyond them, is not, and neither is its way from one command to the next.
+A pure function over a batch of arms; its memory is the last command and its speed. Limits change the command and the
+motion goes on; trips (`TRIPS`) return the last command, and the loop stops the robot. Limits apply in the order lead,
+position, step, acceleration, floor and contacts; the later one wins. All but the first two only shorten the step from
+the last command, so that a hold is always allowed; braking is free. The commanded posture is judged, not the lagging
+arm.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from enum import IntFlag
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Array, clearances, heights
+from rejoint.arms import Arm, Array, clearances, heights
+from rejoint.arms.collision import JOINT_CLEARANCE
+from rejoint.arms.workspace import length_size
 from rejoint.control.law import plain
-from rejoint.control.limits import RAMP, TRIPS, GuardLimits, Reason, Reasons, reason_names
+from rejoint.control.monitor import Bands, Knowledge
 from rejoint.control.robot import JointState, Mask
 from rejoint.system.errors import InputError
-from rejoint.system.late import Late
+from rejoint.system.shell import Late
 
-__all__ = [
-    "RAMP",
-    "TRIPS",
-    "GuardLimits",
-    "Guarded",
-    "Reason",
-    "Reasons",
-    "clear_by",
-    "guard",
-    "reason_names",
-    "warm_up",
-]
+Reasons = NDArray[np.uint16]
+
+RAMP = 0.018
+"""[s] from rest to full speed (chosen: the shortest trained control period)"""
+
+
+class Reason(IntFlag):
+    """Why a command was changed, or why the guard tripped."""
+
+    NONE = 0
+    POSITION = 1
+    """beyond a joint limit"""
+    STEP = 2
+    """farther from the last command than the joint's speed allows in a period"""
+    LEAD = 4
+    """further ahead of the measured position than allowed"""
+    FLOOR = 8
+    """a point of the arm would come too low"""
+    NOT_FINITE = 16
+    """a command or a measured position is not a finite number"""
+    STALE = 32
+    """the joint state is too old"""
+    OUT_OF_RANGE = 64
+    """a measured position lies far outside the joint limits"""
+    TEMPERATURE = 128
+    """a servo is too hot"""
+    SERVO_FAULT = 256
+    """a servo reports a fault"""
+    GAP = 512
+    """a pause in the answers, or a flagged joint broke loose; the arm held, and starts again"""
+    NOT_FOLLOWING = 1024
+    """a joint's reading stands still and is not believed, see `rejoint.control.monitor`"""
+    ACCELERATION = 2048
+    """the command would gain speed, or turn round, faster than allowed"""
+    COLLISION = 4096
+    """a link would touch another one or the ground"""
+
+
+TRIPS = (
+    Reason.NOT_FINITE
+    | Reason.STALE
+    | Reason.OUT_OF_RANGE
+    | Reason.TEMPERATURE
+    | Reason.SERVO_FAULT
+    | Reason.NOT_FOLLOWING
+)
+"""Reasons that end the motion."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GuardLimits:
+    """What the guard allows. `GuardLimits.of` fills it for an arm."""
+
+    arm: Arm
+    lower: Array
+    """(n,) [rad] lowest command"""
+    upper: Array
+    """(n,) [rad] highest command"""
+    max_speed: Array
+    """(n,) [rad/s] largest speed of the command"""
+    max_acceleration: Array
+    """(n,) [rad/s^2] away from rest; infinite: no limit"""
+    collisions: bool = True
+    """whether contacts with the arm, the ground and boxes are prevented"""
+    parts: int = 16
+    """of a step that are tried where the whole would collide (chosen)"""
+    max_lead: float = np.radians(20.0)
+    """[rad] between command and reading (chosen: twice a worn arm's sag)"""
+    max_period: float = 0.1
+    """[s] longest period that counts for a step (chosen)"""
+    tcp_floor: float = 0.0
+    """[m] lowest height of the TCP"""
+    joint_floor: float = 0.03
+    """[m] lowest height of a joint frame, for a myCobot 280"""
+    max_age: float = 0.5
+    """[s] oldest joint state (chosen: ten periods of the slowest wire)"""
+    max_temperature: float = 65.0
+    """[deg C] hottest servo (chosen: 5 below the 70 at)"""
+    range_margin: float = np.radians(10.0)
+    """[rad] a reading farther outside the limits is not trusted (chosen)"""
+    servos: Knowledge | None = None
+    """known load lines of the servos, for the joint monitor"""
+    bands: Bands | None = None
+    """friction bands from the diagnosis, for the joint monitor without loads"""
+    gains: Mapping[str, tuple[int, ...]] | None = None
+    """of the servos, for which both hold; None: for any"""
+
+    def __post_init__(self) -> None:
+        for name in ("lower", "upper", "max_speed", "max_acceleration"):
+            array = np.array(getattr(self, name), dtype=float)
+            endless = name == "max_acceleration" and not np.isnan(array).any()
+            if array.shape != (self.arm.joints,) or not (endless or np.isfinite(array).all()):
+                raise InputError(f"guard limits: {name} needs {self.arm.joints} finite numbers, got {array}")
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+        if (self.lower >= self.upper).any() or (self.max_speed <= 0).any() or (self.max_acceleration <= 0).any():
+            raise InputError("guard limits: lower must be below upper, speeds and accelerations must be positive")
+        for name in ("parts", "max_lead", "max_period", "max_age"):
+            if not getattr(self, name) > 0:
+                raise InputError(f"guard limits: {name} must be positive, got {getattr(self, name)}")
+
+    @cached_property
+    def floors(self) -> Array:
+        """(n,) [m] lowest heights of all joint frames but the first, and of the TCP."""
+        return np.append(np.full(self.arm.joints - 1, self.joint_floor), self.tcp_floor)
+
+    @cached_property
+    def bounds(self) -> Array:
+        """(4, n) largest speed and acceleration, lowest and highest command."""
+        return np.array([self.max_speed, self.max_acceleration, self.lower, self.upper])
+
+    @cached_property
+    def shares(self) -> Array:
+        """(parts + 1, 1) shares of a step."""
+        return np.arange(self.parts + 1)[:, None] / self.parts
+
+    @cached_property
+    def believed(self) -> tuple[Array, Array]:
+        """(n,), (n,) [rad] lowest and highest measured positions that are believed."""
+        return self.arm.lower - self.range_margin, self.arm.upper + self.range_margin
+
+    @classmethod
+    def of(cls, arm: Arm, *, margin: float = np.radians(0.5)) -> GuardLimits:
+        """Limits of an arm; commands stay ``margin`` [rad] inside the joint limits (chosen)."""
+        return cls(
+            arm=arm,
+            lower=arm.lower + margin,
+            upper=arm.upper - margin,
+            max_speed=arm.max_speed,
+            max_acceleration=arm.max_speed / RAMP,
+            tcp_floor=arm.floor,
+            joint_floor=arm.floor + JOINT_CLEARANCE * length_size(arm),
+        )
+
+    def of_simulation(self) -> GuardLimits:
+        """Return limits for trainings: no acceleration limit, no contacts, and as many parts as ever."""
+        return replace(self, max_acceleration=np.full(self.arm.joints, np.inf), collisions=False, parts=32)
+
+
+def reason_names(reasons: int) -> tuple[str, ...]:
+    """Names of the flags in an element of `Guarded.reasons`."""
+    return tuple(reason.name.lower().replace("_", " ") for reason in Reason(int(reasons)) if reason.name)
+
 
 compiled = Late("rejoint.control.compiled")
 
@@ -59,7 +186,7 @@ class Guarded(NamedTuple):
     command: Array
     """(B, n) [rad] what is to be sent"""
     reasons: Reasons
-    """(B,) `Reason` flags per arm; 0 where the wanted command passed unchanged"""
+    """(B,) `Reason` flags; 0: unchanged"""
     speed: Array
     """(B, n) [rad/s] of the command, for the next call"""
 
@@ -72,12 +199,10 @@ class Guarded(NamedTuple):
 def guard(
     limits: GuardLimits, command: Array, sent: Array, speed: Array, state: JointState, period: float | Array
 ) -> Guarded:
-    """Decide what is sent when ``command`` (B, n) [rad] is wanted and ``sent`` (B, n) was the last command.
+    """Decide what is sent when ``command`` (B, n) [rad] is wanted after ``sent`` (B, n) at ``speed`` (B, n) [rad/s].
 
-    ``speed`` (B, n) [rad/s] is that of the last command, as the last call told it; 0 for an arm at rest. ``period`` is
-    the time [s] since the last command, a number or (B,). The result is always finite, within one step of ``sent`` and,
-    if ``sent`` is, inside the position limits; a ``sent`` outside is led back at the speed limit. An acceptable command
-    passes unchanged. InputError where shapes differ.
+    ``period`` [s], a number or (B,), is the time since then. The result is finite, within a step of ``sent``, and
+    inside the position limits if ``sent`` is. InputError where shapes differ.
     """
     _check_shapes(limits.arm.joints, command, sent, speed, state, period)
     last, trips = _check(limits, command, sent, speed, state)
@@ -88,10 +213,7 @@ def guard(
     stages = np.empty((5, *command.shape))
     stages[0], stepped = wanted, stages[4]
     last = plain(last)
-    compiled.limit(
-        stages, plain(measured), last, plain(speed), elapsed, limits.max_speed, limits.max_acceleration,
-        limits.lower, limits.upper, limits.max_lead,
-    )  # fmt: skip
+    compiled.limit(stages, plain(measured), last, plain(speed), elapsed, limits.bounds, limits.max_lead)
     if hold:  # whatever the limits say of the posture
         stepped[trips != 0] = last[trips != 0]
     allowed, shortened = _keep_clear(limits, stepped, last)
@@ -106,7 +228,7 @@ def guard(
 
 
 def warm_up(limits: GuardLimits) -> None:
-    """Guard a command once that is not sent: compiled loops are compiled or read from disk when first used."""
+    """Guard a command once, so that compiled loops are ready."""
     rest = limits.arm.rest[None]
     state = JointState(time=np.zeros(1), position=rest, age=np.zeros(1))
     guard(limits, rest, rest, 0.0 * rest, state, 0.0)
@@ -115,7 +237,6 @@ def warm_up(limits: GuardLimits) -> None:
 def _check_shapes(
     joints: int, command: Array, sent: Array, speed: Array, state: JointState, period: float | Array
 ) -> None:
-    """Raise InputError unless everything is of as many arms: loops over shorter arrays would mix them up."""
     shape = len(command), joints
     per_arm = np.shape(period) in ((), (1,), shape[:1]) and np.shape(state.age) == shape[:1]
     if not (per_arm and command.shape == sent.shape == speed.shape == state.position.shape == shape):
@@ -127,7 +248,7 @@ def _check_shapes(
 
 
 def _check(limits: GuardLimits, command: Array, sent: Array, speed: Array, state: JointState) -> tuple[Array, Reasons]:
-    """Return the posture to hold (B, n), always finite, and the trips (B,)."""
+    """Posture to hold (B, n), always finite, and the trips (B,)."""
     lowest, highest = limits.believed
     if _nothing_wrong(limits, command, sent, speed, state):
         return sent, np.zeros(len(sent), dtype=np.uint16)
@@ -146,12 +267,12 @@ def _check(limits: GuardLimits, command: Array, sent: Array, speed: Array, state
 
 
 def suffers(limits: GuardLimits, state: JointState) -> NDArray[np.bool_]:
-    """Arms (B,) that trip for what their servos tell, whatever is to be sent: too hot, or a fault."""
+    """Arms (B,) with a servo too hot or in fault."""
     return _servo_trips(limits, state) != 0
 
 
 def _servo_trips(limits: GuardLimits, state: JointState) -> Reasons:
-    """Return the trips (B,) for what servos tell of themselves."""
+    """Trips (B,) for what servos tell of themselves."""
     trips = np.zeros(len(state.position), dtype=np.uint16)
     if state.temperature is not None:
         trips = trips + _flag(state.temperature > limits.max_temperature, Reason.TEMPERATURE)
@@ -161,7 +282,6 @@ def _servo_trips(limits: GuardLimits, state: JointState) -> Reasons:
 
 
 def _nothing_wrong(limits: GuardLimits, command: Array, sent: Array, speed: Array, state: JointState) -> bool:
-    """Tell that nothing trips in the whole batch; almost always so, and cheaper to ask than what does."""
     if state.temperature is not None or state.fault is not None:
         return False
     numbers = (plain(command), plain(sent), plain(speed), plain(state.position))
@@ -175,11 +295,6 @@ def _flag(per_joint: NDArray[np.bool_], reason: Reason) -> Reasons:
 
 
 def _keep_clear(limits: GuardLimits, command: Array, sent: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Scale steps back that bring a point of the arm below its floor, or a link into contact.
-
-    Returns the commands, and the arms (2, B) changed for the floor and for contacts. What is already too low, or in
-    contact, may not go further, so every motion that lifts or frees it is free.
-    """
     shortened = np.zeros((2, len(command)), dtype=bool)
     clear = clear_by(limits, command)
     if not np.count_nonzero(clear < 0.0):
@@ -196,10 +311,9 @@ def _keep_clear(limits: GuardLimits, command: Array, sent: Array) -> tuple[Array
 
 
 def clear_by(limits: GuardLimits, q: Array) -> Array:
-    """Return what the guard keeps from falling below zero at ``q`` (..., n) [rad]: (..., n or more) [m].
+    """Return what the guard keeps above zero at ``q`` (..., n) [rad], (..., n or more) [m].
 
-    These are the heights above their floors of all joint frames but the first, and of the TCP; then the distances
-    between what can touch.
+    Heights above their floors of all joint frames but the first, and of the TCP; then distances of what can touch.
     """
     if limits.collisions:
         return clearances(limits.arm, q, limits.floors)

@@ -4,6 +4,8 @@ The base law is equation 17 of Park et al. 2024 with its theta_t read as the las
 ``c_t = c_{t-1} + GAIN * step``, with the damped least-squares step of `dls_step`, then `limit_lead`
 and the joint limits. Adding to the measured position instead would forget the sag that a soft
 servo needs the command to lead by.
+
+How much time passed between two decisions of a controller: real wires and processors jitter.
 """
 
 from __future__ import annotations
@@ -13,7 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from rejoint.arms import Arm, Array, clip_norm, dls
-from rejoint.arms.orientation import Orientation, task
+from rejoint.arms.rotations import Orientation, task
+from rejoint.control.robot import Mask
 
 GAIN = 0.1
 """Fraction of the step that is added to the command per control cycle (chosen: 0.2 already oscillates on worn arms)."""
@@ -33,7 +36,7 @@ class DlsStep(NamedTuple):
     error: Array
     """(..., k) [m] target minus measured TCP (encoder kinematics), and with an orientation what is missed of that"""
     jacobian: Array
-    """(..., k, n) [m/rad] d(TCP)/dq at the measured position, see `rejoint.arms.orientation.task`"""
+    """(..., k, n) [m/rad] d(TCP)/dq at the measured position, see `rejoint.arms.rotations.task`"""
 
 
 def dls_step(arm: Arm, measured: Array, target: Array, turn: Orientation | None = None) -> DlsStep:
@@ -78,3 +81,34 @@ def null_space(jacobian: Array, motion: Array) -> Array:
     """Part of a joint motion (..., n) [rad] that leaves the TCP where it is, to first order."""
     moved = (jacobian @ motion[..., None])[..., 0]
     return motion - dls(jacobian, moved, PROJECTION_DAMPING)
+
+
+NOMINAL_PERIOD = 0.025
+"""[s] assumed before a period has been measured (chosen: middle of the usual 20 to 30 ms)."""
+
+LONGEST_PERIOD = 0.1
+"""[s] a longer pause counts as this (chosen: what happened meanwhile is unknown)."""
+
+
+class Pace:
+    """Measures the periods of B arms on their own clocks."""
+
+    def __init__(self) -> None:
+        self.last: Array = np.zeros(0)
+        """(B,) [s] times of the last joint states"""
+
+    def tick(self, time: Array) -> Array:
+        """Return the time (B,) [s] since the last call; ``time`` (B,) [s] is that of the joint state.
+
+        0 where the joint state is the last one again, since it says nothing new.
+        """
+        if len(self.last) != len(time):
+            elapsed = np.full(len(time), NOMINAL_PERIOD)
+        else:
+            elapsed = between(time - self.last, 0.0, LONGEST_PERIOD)
+        self.last = time.copy()
+        return elapsed
+
+    def begin(self, time: Array, where: Mask) -> None:
+        """Start again at ``time`` (B,) [s] for the arms in ``where`` (B,)."""
+        self.last = np.where(where, time, self.last) if len(self.last) == len(time) else time.copy()

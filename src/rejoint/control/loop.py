@@ -1,62 +1,82 @@
-"""The one control loop: every motion of every robot, emulated or real, goes through `run`.
+"""The one control loop: every motion of every robot goes through `run`.
 
-Each cycle: the state read last decides whether the target is done; the controller says what it
-wants; the guard says what may be sent; the robot is stepped. Every arm of a batch has its own
-clock and its own target; an arm that is done is not stepped any more.
+Each cycle: the last state decides whether the target is done, the controller wants, the guard allows, the robot steps.
+Every arm of a batch has its own clock and target.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from rejoint.arms import Array, tcp_position
-from rejoint.arms.orientation import REACHED_TURN, Orientation
+from rejoint.arms import Array, JointTrajectory, tcp_position
+from rejoint.arms.rotations import REACHED_TURN, Orientation
 from rejoint.control.controller import ControlInput, Controller, turned_off
-from rejoint.control.correction import Correction
-from rejoint.control.following import Following
-from rejoint.control.guard import TRIPS, Guarded, GuardLimits, Reason, Reasons, guard, suffers, warm_up
-from rejoint.control.recording import Cycle, Look, OnCycle, Recorder, Recording, attach, look_of
+from rejoint.control.correction import Modelled
+from rejoint.control.goal import LAGS, JointGoals, Setpoint, nearest_postures, on_the_way, waiting
+from rejoint.control.guard import TRIPS, Guarded, GuardLimits, Reason, Reasons, guard, reason_names, suffers, warm_up
+from rejoint.control.monitor import Following
+from rejoint.control.moving.reference import Routes
+from rejoint.control.recording import GAP, Cycle, OnCycle, Recorder, Recording, attach, look_of
 from rejoint.control.robot import JointState, Mask, Robot
-from rejoint.control.route import Route
-from rejoint.control.runstate import RunState, own, reported_load
-from rejoint.control.trips import trip_error
-from rejoint.system.errors import InputError, PowerLostError, RejointError, first_line
+from rejoint.system.errors import GuardTripError, InputError, PowerLostError, RejointError, first_line
 from rejoint.system.stopping import check, noted, shielded
 
-RELEASE_CYCLES = 12
-"""Cycles in which a joint that is not believed is led back to where it was in balance (chosen: twice what the longest
-lead needs at the largest step)."""
-LOOSE = 3
-"""Encoder steps that a reading must go on, the way its joint was pushed, to be believed again (chosen: a dead encoder
-may flicker by one)"""
-MOST_DOUBTED = 2
-"""Times in a run that an arm goes on after a joint that was not believed broke loose (chosen: an encoder that fails now
-and then is to be found)"""
+FIRST_PERIOD = 0.02
+"""[s] assumed before a period is measured (chosen: the shortest)"""
+
+GAP_PERIODS = 3.0
+"""Times the usual period that a gap also exceeds (chosen)"""
+LATE_PERIODS = 2.0
+"""Times the usual period from which a cycle is late (chosen)"""
+_SMOOTHING = 0.1  # share of the newest period in that mean (chosen)
+
+ELSEWHERE = np.radians(5.0)
+"""[rad] off the way to its last command after which a joint was moved by others (chosen)"""
+_ROUNDING = 1e-6  # [s] of a difference of times, many times over
+EASE = 1.0
+"""[s] of slow motion after a gap (chosen)"""
+EASE_SHARE = 0.2
+"""(chosen: the share that `move` takes by default)"""
+
+
+def elsewhere(before: Array, command: Array, position: Array) -> Mask:
+    """Which arms (B,) are at ``position`` (B, n) [rad] by no command.
+
+    Off the way from ``before`` to ``command`` (B, n).
+    """
+    low, high = np.minimum(before, command) - ELSEWHERE, np.maximum(before, command) + ELSEWHERE
+    return np.logical_or.reduce((position < low) | (position > high), axis=-1)
+
+
+def in_force(state: JointState, sent: Array) -> Array:
+    """Commands (B, n) [rad] from which arms go on after ``sent`` (B, n); where they stand if they were moved."""
+    known = np.array(sent, dtype=float)
+    return known if state.elsewhere is None else np.where(state.elsewhere[:, None], state.position, known)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Schedule:
-    """What a run starts from, and how long each target is in force."""
+    """What a run starts from, and how long targets last."""
 
     dwell: float
     """[s] longest time per target"""
     stop_below: float | None = None
-    """[m] go to the next target at the first measured TCP error below this; None: always the whole dwell"""
+    """[m] TCP error that ends a target; None: the dwell alone"""
     keep_going: bool = False
-    """whether the other arms of a batch go on when the guard stops one; else GuardTripError is raised"""
+    """whether the other arms of a batch go on after a trip"""
     sent: Array | None = None
-    """(B, n) [rad] command in force before the run; None: the measured position. An arm that sags drops by
-    its sag where this is forgotten. One that stands elsewhere since begins where it stands, slowly."""
+    """(B, n) [rad] command in force before the run; None: the measured position"""
     stands_for: float | None = None
-    """[s] under one command after which an arm that stands has the rest of its dwell left out: the time since its
-    target was set jumps to the dwell; None: it is waited for"""
+    """[s] of standing after which the rest of a dwell is left out; None: never"""
+    goals: JointGoals | None = None
+    """postures of the targets and ways there; None: the nearest posture at once"""
     give_up: Callable[[ControlInput], Mask] | None = None
-    """asked once per cycle with what was read: arms (B,) that are done, whatever is left of their targets. They stay
-    where they are, at the last command. Servos that suffer are left to the guard"""
+    """asked once per cycle: arms (B,) that are done; they hold their last command"""
 
     def __post_init__(self) -> None:
         if not 0.0 < self.dwell < np.inf:
@@ -72,85 +92,97 @@ def run(
     schedule: Schedule,
     *,
     limits: GuardLimits | None = None,
-    correction: Correction | None = None,
+    correction: Modelled | None = None,
     on_cycle: OnCycle | None = None,
     turns: Orientation | None = None,
 ) -> Recording:
-    """Drive ``robot`` to its ``targets`` (B, K, 3) [m], one after the other, with the tools turned as in ``turns``.
+    """Drive ``robot`` to ``targets`` (B, K, 3) [m] in turn, tools turned as in ``turns``.
 
-    The last command carries over between targets. A target of NaN is no target: it lasts its whole
-    dwell. Whatever ends the run early (a trip of the guard, an error of the robot, a signal) first
-    stops the robot; the recording so far is on the error, see `recording_of`, and a note of what
-    became of the arm. After a gap in its answers an arm goes on from where it is, slowly at first.
-    A ``correction`` says where the controller is to send the tool, so that it really arrives at its target.
+    A target of NaN lasts its dwell without a goal. What ends the run early first stops the robot; the error carries the
+    recording (`recording_of`) and a note. After a gap an arm goes on slowly. ``correction`` turns targets into aims.
     """
-    targets = np.asarray(targets, dtype=float)
+    targets, goals = np.asarray(targets, dtype=float), schedule.goals
     if targets.ndim != 3 or targets.shape[0] != robot.count or targets.shape[1] == 0 or targets.shape[2] != 3:
         raise InputError(f"targets have shape {targets.shape}, expected ({robot.count}, K, 3) with K > 0")
     if turns is not None and turns.weight.shape != targets.shape[:2]:
         raise InputError(f"orientations have shape {turns.weight.shape}, expected that of the targets")
-    loop = _Loop.of(robot, controller, schedule, limits, on_cycle, correction=correction, turns=turns)
-    return _drive(loop, targets)
+    if goals is not None and goals.posture.shape != (*targets.shape[:2], robot.arm.joints):
+        raise InputError(f"joint goals have shape {goals.posture.shape}, expected one posture for each target")
+    limits = GuardLimits.of(robot.arm) if limits is None else limits
+    return _drive(
+        lambda: RunState(
+            robot=robot,
+            controller=controller,
+            targets=targets,
+            schedule=schedule,
+            limits=limits,
+            on_cycle=on_cycle,
+            correction=correction,
+            turns=turns,
+        ),
+        robot,
+        limits,
+    )
 
 
 def follow(
     robot: Robot,
     controller: Controller,
-    route: Route,
+    route: Routes,
     schedule: Schedule,
     *,
     limits: GuardLimits | None = None,
     on_cycle: OnCycle | None = None,
 ) -> Recording:
-    """Drive ``robot`` behind the moving targets of a ``route``, for the dwell of the schedule; else as `run`.
-
-    Controllers are not reset on the way. The route has the aims, so that no correction is needed.
-    """
+    """Drive ``robot`` behind the moving targets of ``route`` for the dwell; else as `run`, without resets."""
     if route.count != robot.count:
         raise InputError(f"a route of {route.count} targets, expected one for each of {robot.count} arms")
-    loop = _Loop.of(robot, controller, schedule, limits, on_cycle, route=route)
-    return _drive(loop, np.full((robot.count, 1, 3), np.nan))
+    limits, nowhere = GuardLimits.of(robot.arm) if limits is None else limits, np.full((robot.count, 1, 3), np.nan)
+    return _drive(
+        lambda: RunState(
+            robot=robot,
+            controller=controller,
+            targets=nowhere,
+            schedule=schedule,
+            limits=limits,
+            on_cycle=on_cycle,
+            route=route,
+        ),
+        robot,
+        limits,
+    )
 
 
-def _warm_up(limits: GuardLimits) -> None:
-    """Have everything ready that the first cycle needs: one that waited would be long, and would allow a long step."""
+def _drive(begin: Callable[[], RunState], robot: Robot, limits: GuardLimits) -> Recording:
     warm_up(limits)
     rest = limits.arm.rest[None]
     state = JointState(time=np.zeros(1), position=rest, age=np.zeros(1))
     Following(limits.arm, state, rest).check(state, rest, np.ones(1, dtype=bool))
-
-
-def _drive(loop: _Loop, targets: Array) -> Recording:
-    _warm_up(loop.limits)
     with noted():
-        return _cycles(loop, targets)
+        return _cycles(begin, robot)
 
 
-def _cycles(loop: _Loop, targets: Array) -> Recording:
-    robot, recorder = loop.robot, loop.recorder
+def _cycles(begin: Callable[[], RunState], robot: Robot) -> Recording:
     run_state: RunState | None = None
     try:
         check()
-        run_state = RunState.begin(
-            own(robot.read()), targets, loop.schedule.sent, loop.limits, loop.correction, loop.route, loop.turns
-        )
-        loop.controller.reset(run_state.inputs(), np.ones(robot.count, dtype=bool))
-        while loop.cycle(run_state):
+        run_state = begin()
+        run_state.controller.reset(run_state.inputs(), np.ones(robot.count, dtype=bool))
+        while run_state.cycle():
             check()
         if run_state.tripped.any():
             robot.stop()
     except BaseException as error:
         held = _hold(robot, limp=isinstance(error, PowerLostError))
         if run_state is not None:
-            attach(error, recorder.recording(run_state.tripped))
+            attach(error, run_state.recorder.recording(run_state.tripped))
         if robot.count == 1:
             error.add_note(held)
         raise
-    return recorder.recording(run_state.tripped)
+    return run_state.recorder.recording(run_state.tripped)
 
 
 def _hold(robot: Robot, *, limp: bool = False) -> str:
-    """Stop the robot, whatever else happens, and say what became of it; ``limp``: something in it lost its torque."""
     with shielded():
         try:
             robot.stop()
@@ -166,149 +198,396 @@ def _hold(robot: Robot, *, limp: bool = False) -> str:
     return "The arm was stopped and holds its position; nothing was powered off. Look at it before you go on."
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Loop:
-    """The parts of a run that stay the same from cycle to cycle."""
+RELEASE_CYCLES = 12
+"""Cycles in which a flagged joint is moved back to its last equilibrium (chosen)"""
+LOOSE = 3
+"""Encoder steps along the push after which a joint is trusted again (chosen)"""
+MOST_DOUBTED = 2
+"""Times in a run that an arm goes on after that (chosen)"""
+
+
+def own(state: JointState) -> JointState:
+    """Copy what is kept beyond this cycle."""
+    load = None if state.load is None else state.load.copy()
+    return replace(state, time=state.time.copy(), position=state.position.copy(), load=load)
+
+
+def reported_load(state: JointState) -> Array:
+    """Return reported loads (B, n); NaN without."""
+    return np.full(state.position.shape, np.nan) if state.load is None else state.load
+
+
+class Stillness:
+    """Looks on at B arms, cycle by cycle."""
+
+    def __init__(self, state: JointState, sent: Array, encoder_step: float) -> None:
+        """Begin with a reading and the command in force (B, n) [rad]."""
+        self._position, self._sent, self._since = state.position.copy(), sent.copy(), state.time.copy()
+        self._flicker = 1.5 * encoder_step
+
+    def look(self, state: JointState, sent: Array) -> Array:
+        """Time (B,) [s] for which each arm has stood under its command."""
+        moved = (np.abs(state.position - self._position) > self._flicker) | (sent != self._sent)
+        stirred = np.logical_or.reduce(moved, axis=-1)
+        if np.count_nonzero(stirred):
+            self._position[stirred], self._sent[stirred] = state.position[stirred], sent[stirred]
+            self._since[stirred] = state.time[stirred]
+        return np.asarray(state.time - self._since)
+
+
+@dataclass(kw_only=True, eq=False)
+class RunState:
+    """A run under way: where every arm is in its sequence of targets."""
 
     robot: Robot
     controller: Controller
+    targets: Array
     schedule: Schedule
     limits: GuardLimits
-    recorder: Recorder
     on_cycle: OnCycle | None
-    look: Look | None
-    correction: Correction | None = None
-    route: Route | None = None
+    correction: Modelled | None = None
+    route: Routes | None = None
+    """moving targets; None: they stand still"""
     turns: Orientation | None = None
+    """(B, K) wanted orientations; None: any"""
 
-    @classmethod
-    def of(
-        cls, robot: Robot, controller: Controller, schedule: Schedule, limits: GuardLimits | None,
-        on_cycle: OnCycle | None, *, correction: Correction | None = None, route: Route | None = None,
-        turns: Orientation | None = None,
-    ) -> _Loop:  # fmt: skip
-        """Return the loop of a robot, within the limits of its arm where none are given."""
-        limits = GuardLimits.of(robot.arm) if limits is None else limits
-        return cls(
-            robot=robot, controller=controller, schedule=schedule, limits=limits, on_cycle=on_cycle,
-            recorder=Recorder(robot=robot, controller=controller.name), look=look_of(robot, controller.name, limits),
-            correction=correction, route=route, turns=turns,
-        )  # fmt: skip
+    def __post_init__(self) -> None:
+        robot, limits, count, sent = self.robot, self.limits, len(self.targets), self.schedule.sent
+        self.recorder = Recorder(robot=robot, controller=self.controller.name)
+        self.look = look_of(robot, self.controller.name, limits)
+        self.state = state = own(robot.read())
+        if sent is not None and np.shape(sent) != state.position.shape:
+            raise InputError(f"schedule: sent has shape {np.shape(sent)}, expected {state.position.shape}")
+        told = np.array(state.position if sent is None else sent, dtype=float)
+        self.sent = in_force(state, told)
+        self.following = Following(limits.arm, state, self.sent, limits.servos, bands=limits.bands)
+        self.stillness = Stillness(state, self.sent, limits.arm.encoder_step)
+        self.unbelieved: Mask | None = None  # (B, n) joints that are not trusted in this cycle
+        self.speed, self.wanted = np.zeros_like(self.sent), self.sent
+        self.index: NDArray[np.intp] = np.zeros(count, dtype=np.intp)
+        self.sag = np.zeros_like(self.sent)  # (B, n) [rad] off where the present ways began: no lag
+        self.doubted: NDArray[np.intp] = np.zeros(count, dtype=np.intp)  # times that a flagged joint broke loose
+        self.set_at, self.last_time = state.time.copy(), state.time  # [s] of the target, shifted by gaps
+        self.active: Mask = np.ones(count, dtype=bool)
+        self.gap: Mask = np.zeros(count, dtype=bool)  # whether the state came after a gap
+        self.tripped: Reasons = np.zeros(count, dtype=np.uint16)
+        self.period, self.usual = np.full(count, FIRST_PERIOD), np.full(count, np.nan)  # [s] newest, and their mean
+        self.eased_until = np.full(count, -np.inf)
+        self.turn: Orientation | None = None
+        self.aim, self.goal = self.target, self.sent  # (B, 3) [m] corrected targets, (B, n) [rad] postures there
+        self._take_aim(self.active)
+        if state.elsewhere is not None:
+            self._ease(state.elsewhere, told)
 
-    def cycle(self, run_state: RunState) -> bool:
-        """Do one control cycle; returns whether there is another one."""
+    @property
+    def target(self) -> Array:
+        """(B, 3) [m] in force."""
+        if self.route is not None:
+            return self.route.place(self.state.time - self.set_at)
+        return self.targets[np.arange(len(self.index)), self.index]
+
+    def inputs(self) -> ControlInput:
+        """Return what a controller knows."""
+        now = self.setpoint
+        return ControlInput(
+            state=self.state,
+            target=now.target,
+            goal=now.goal,
+            sent=self.sent,
+            since_target=now.since,
+            route=self.route,
+            turn=self.turn,
+        )
+
+    @property
+    def setpoint(self) -> Setpoint:
+        """Goal and target in force, and how long they have not moved."""
+        since, ways, goal, aim = self.state.time - self.set_at, self._ways(), self.goal, self.aim
+        return on_the_way(self.limits.arm, ways, goal, aim, since) if ways else Setpoint(goal, aim, since)
+
+    def _ways(self) -> list[JointTrajectory]:
+        """Return the B ways to the present goals; [] where the goals are in force at once."""
+        ways = () if self.schedule.goals is None else self.schedule.goals.ways
+        return [row[k] for row, k in zip(ways, self.index, strict=False)]
+
+    def _leave_out(self, longest: float) -> None:
+        """End the dwell of targets under which an arm stood for ``longest`` [s]; call in every cycle, or in none."""
+        enough = self.stillness.look(self.state, self.sent) >= longest
+        if np.count_nonzero(enough):
+            over = self.setpoint.since - self.schedule.dwell - _ROUNDING  # below zero by what is left
+            self.set_at = np.where(enough & (over < 0.0), self.set_at + over, self.set_at)
+
+    def _advance(self, finished: Mask) -> Mask:
+        last = self.index == self.targets.shape[1] - 1
+        renewed = finished & ~last
+        self.active = self.active & ~(finished & last)
+        self.index = self.index + renewed
+        self.set_at = np.where(renewed, self.state.time, self.set_at)
+        if renewed.any():
+            self._take_aim(renewed)
+        return renewed
+
+    def _aim_again(self) -> Mask | None:
+        fresh = None if self.correction is None else self.correction.again(self.target, self.inputs())
+        if fresh is None:
+            return None
+        changed = self.active & (fresh != self.aim).any(axis=-1)
+        self._aim_at(np.where(changed[:, None], fresh, self.aim), self.goal, changed)
+        return changed
+
+    def _take_aim(self, where: Mask) -> None:
+        """Aim at the targets that were just set for the arms in ``where`` (B,)."""
+        if self.route is not None:
+            now = self.state.time - self.set_at
+            at_once = np.zeros((1, len(now)))
+            self.aim, turn = self.route.aims(now, at_once)[0], self.route.turns(now, at_once)
+            self.turn = None if turn is None else turn[0]
+            if self.goal is self.sent:  # at the start; what follows a route knows its own postures
+                self.goal = nearest_postures(self.limits.arm, self.aim, self.sent, self.turn)
+            return
+        target, each = self.target, np.arange(len(self.index))
+        self.turn = None if self.turns is None else self.turns[each, self.index]
+        planned = self.sent if self.schedule.goals is None else self.schedule.goals.posture[each, self.index]
+        if self.correction is None:
+            fresh = target
+        elif self.turn is None:
+            fresh = self.correction.aim(target, self.sent, where, planned)
+        else:
+            fresh, self.turn = self.correction.aim_pose(target, self.turn, self.sent, where, planned)
+        self._aim_at(fresh, planned, where)
+
+    def _aim_at(self, aim: Array, near: Array, where: Mask) -> None:
+        """Aim the arms in ``where`` (B,) at ``aim`` (B, 3) [m], with the postures found from ``near`` (B, n) [rad]."""
+        rows = where[:, None]
+        self.aim = np.where(rows, aim, self.aim)
+        turn = None if self.turn is None else self.turn[where]
+        self.goal = self.goal.copy()
+        self.goal[where] = nearest_postures(self.limits.arm, self.aim[where], near[where], turn)
+
+    def _stepped(self, state: JointState, command: Array, speed: Array) -> None:
+        self.sent, self.speed = np.where(self.active[:, None], command, self.sent), speed
+        elapsed = state.time - self.last_time
+        self.gap = elapsed > np.fmax(GAP, GAP_PERIODS * self.usual)
+        late = elapsed > LATE_PERIODS * self.usual  # NaN: not known yet
+        # A repeated answer has no news of the clock: the last period stands.
+        self.period = np.where(elapsed > 0.0, np.where(late, self.usual, elapsed), self.period)
+        known = np.where(np.isnan(self.usual), elapsed, self.usual)
+        moved = np.zeros(len(elapsed), dtype=bool)
+        if np.count_nonzero(self.gap):
+            self._wait(self.gap, elapsed)
+            moved = self.gap & elsewhere(self.state.position, self.sent, state.position)
+        ways = self._ways()
+        if ways:
+            since = self.last_time - self.set_at
+            sag = np.clip([way.start for way in ways] - self.state.position, -LAGS[1], LAGS[1])
+            self.sag = np.where((since <= 0.0)[:, None], sag, self.sag)
+            left_out = waiting(ways, since, state.position + self.sag)
+            self.set_at = self.set_at + left_out * np.clip(elapsed, 0.0, self.period)
+        self.usual = np.where(elapsed > 0.0, known + _SMOOTHING * (np.minimum(elapsed, GAP) - known), self.usual)
+        self.state, self.last_time = state, state.time
+        if self.route is not None:
+            self._take_aim(self.active)
+        if np.count_nonzero(self.gap):
+            self._begin_again(self.gap, moved)
+
+    def _go_on(self, where: Mask) -> None:
+        self.doubted = self.doubted + where
+        if self.unbelieved is not None:
+            self.following.believe(self.state, self.sent, self.unbelieved & where[:, None])
+        self._wait(where, self.state.time - self.last_time)
+        self.last_time = np.where(where, self.state.time, self.last_time)
+        self.gap = self.gap | where
+        self._begin_again(where, np.zeros(len(where), dtype=bool))
+
+    def _wait(self, where: Mask, elapsed: Array) -> None:
+        """Leave a gap of ``elapsed`` (B,) [s] out of the time that targets, trajectories and paths take."""
+        if self.route is not None:
+            where = where & self.route.waits
+        usual = np.where(np.isnan(self.usual), FIRST_PERIOD, self.usual)
+        self.set_at = np.where(where, self.set_at + (elapsed - usual), self.set_at)
+
+    def _begin_again(self, where: Mask, moved: Mask) -> None:
+        self.period = np.where(where, FIRST_PERIOD, self.period)
+        self.eased_until = np.where(where, self.state.time + EASE, self.eased_until)
+        # An arm that sags keeps its command; one that stands elsewhere no longer knows it.
+        far = where[:, None] & (np.abs(self.sent - self.state.position) > GuardLimits.max_lead)
+        told, self.sent = self.sent, np.where(far | moved[:, None], self.state.position, self.sent)
+        self._ease(moved, told)
+        self.speed = np.where(where[:, None], 0.0, self.speed)
+
+    def _ease(self, where: Mask, told: Array) -> None:
+        way = np.max(np.abs(told - self.state.position) / (EASE_SHARE * self.limits.max_speed), axis=-1)
+        self.eased_until = np.where(where, self.state.time + EASE + way, self.eased_until)
+
+    def _ease_share(self) -> Array:
+        """(B,) allowed share of the speed: less after a gap."""
+        return np.where(self.state.time < self.eased_until, EASE_SHARE, 1.0)
+
+    def cycle(self) -> bool:
+        """Do a control cycle; returns whether there is another one."""
         if self.schedule.stands_for is not None:
-            run_state.leave_out(self.schedule.stands_for, self.schedule.dwell)
-        before, target = run_state.inputs(), run_state.target
-        fresh, index = run_state.active, run_state.index
+            self._leave_out(self.schedule.stands_for)
+        before, target, aim = self.inputs(), self.target, self.aim
+        fresh, index = self.active, self.index
         if self.schedule.give_up is not None:
             done = self.schedule.give_up(before) & ~suffers(self.limits, before.state)  # that is for the guard to say
-            run_state.active = fresh & ~done
-        renewed = run_state.advance(run_state.active & self._finished(before))
-        command, reasons, speed = self._decide(run_state, renewed)
+            self.active = fresh & ~done
+        renewed = self._advance(self.active & self._finished(before, aim))
+        command, reasons, speed = self._decide(renewed)
         cycle = Cycle(
-            time=before.state.time, position=before.state.position, command=command, target=target,
-            aim=before.target, target_index=index, since_target=before.since_target,
-            true_tcp=self.robot.true_tcp().copy(), active=fresh, reasons=reasons, load=reported_load(before.state),
+            time=before.state.time,
+            position=before.state.position,
+            command=command,
+            target=target,
+            aim=aim,
+            target_index=index,
+            since_target=before.since_target,
+            true_tcp=self.robot.true_tcp().copy(),
+            active=fresh,
+            reasons=reasons,
+            load=reported_load(before.state),
             turned=turned_off(self.robot.arm, before),
-        )  # fmt: skip
+        )
         self.recorder.cycles.append(cycle)
         if self.look is not None:
-            self.look(cycle, before.state, run_state.wanted)
+            self.look(cycle, before.state, self.wanted)
         if self.on_cycle is not None:
             self.on_cycle(cycle)
-        if self._stop_tripped(run_state, reasons):
+        if self._stop_tripped(reasons):
             return True
-        if run_state.active.any():
-            run_state.stepped(own(self.robot.step(command, run_state.active)), command, speed)
-        return bool(run_state.active.any())
+        if self.active.any():
+            self._stepped(own(self.robot.step(command, self.active)), command, speed)
+        return bool(self.active.any())
 
-    def _finished(self, inputs: ControlInput) -> Mask:
+    def _finished(self, inputs: ControlInput, aim: Array) -> Mask:
         """Arms (B,) that have reached their target or waited long enough."""
         finished: Mask = inputs.since_target >= self.schedule.dwell
         if self.schedule.stop_below is not None:
-            error = np.linalg.norm(inputs.target - tcp_position(self.robot.arm, inputs.state.position), axis=-1)
+            error = np.linalg.norm(aim - tcp_position(self.robot.arm, inputs.state.position), axis=-1)
             turned = turned_off(self.robot.arm, inputs)
             finished = finished | ((error < self.schedule.stop_below) & ~(turned > REACHED_TURN))
         return finished
 
-    def _decide(self, run_state: RunState, renewed: Mask) -> Guarded:
+    def _decide(self, renewed: Mask) -> Guarded:
         """Commands (B, n) that may be sent, the guard's reasons (B,), and the speed of the commands."""
-        active = run_state.active
+        active = self.active
         if not active.any():
-            return Guarded(run_state.sent, np.zeros(len(active), dtype=np.uint16), run_state.speed)
-        inputs, fresh = run_state.inputs(), renewed | run_state.gap
-        corrected = run_state.aim_again()
+            return Guarded(self.sent, np.zeros(len(active), dtype=np.uint16), self.speed)
+        inputs, fresh = self.inputs(), renewed | self.gap
+        corrected = self._aim_again()
         if corrected is not None:
-            inputs, fresh = run_state.inputs(), fresh | corrected
+            inputs, fresh = self.inputs(), fresh | corrected
         if fresh.any():
             self.controller.reset(inputs, fresh)
         aimed = np.isfinite(inputs.target[:, 0])
-        run_state.unbelieved = run_state.following.check(run_state.state, run_state.sent, aimed)
-        wanted = run_state.following.bound(self.controller.command(inputs), run_state.state.position, aimed)
-        run_state.wanted = wanted
-        ease = run_state.ease  # slower time for the guard is a slower arm
-        guarded = guard(
-            self.limits,
-            wanted,
-            run_state.sent,
-            run_state.speed / ease[:, None],
-            run_state.state,
-            ease * run_state.period,
-        )
+        self.unbelieved = self.following.check(self.state, self.sent, aimed)
+        wanted = self.following.bound(self.controller.command(inputs), self.state.position, aimed)
+        self.wanted = wanted
+        ease = self._ease_share()  # slower time for the guard is a slower arm
+        last, period = self.speed / ease[:, None], ease * self.period
+        guarded = guard(self.limits, wanted, self.sent, last, self.state, period)
+        touched = guarded.reasons & np.uint16(Reason.COLLISION.value)
+        if self._ways() and touched.any():  # the way itself is clear
+            wanted = np.where(touched[:, None] != 0, inputs.goal, wanted)
+            guarded = guard(self.limits, wanted, self.sent, last, self.state, period)
         command = guarded.command
-        reasons = guarded.reasons + run_state.gap * np.uint16(Reason.GAP.value)
-        if run_state.unbelieved is not None:
-            lost: Mask = np.logical_or.reduce(run_state.unbelieved, axis=-1)
-            command = np.where(lost[:, None], run_state.sent, command)
+        reasons = (guarded.reasons | touched) + self.gap * np.uint16(Reason.GAP.value)
+        if self.unbelieved is not None:
+            lost: Mask = np.logical_or.reduce(self.unbelieved, axis=-1)
+            command = np.where(lost[:, None], self.sent, command)
             reasons = reasons | lost * np.uint16(Reason.NOT_FOLLOWING.value)
-        command = np.where(active[:, None], command, run_state.sent)
+        command = np.where(active[:, None], command, self.sent)
         return Guarded(command, reasons * active, ease[:, None] * guarded.speed)
 
-    def _stop_tripped(self, run_state: RunState, reasons: Reasons) -> bool:
-        """Stop what tripped; returns whether an arm was let go on after all, so that what was decided is void."""
+    def _stop_tripped(self, reasons: Reasons) -> bool:
         trips = reasons & np.uint16(TRIPS.value)
         if not trips.any():
             return False
-        alive = self._release(run_state, trips) & (trips == np.uint16(Reason.NOT_FOLLOWING.value))
+        alive = self._release(trips) & (trips == np.uint16(Reason.NOT_FOLLOWING.value))
         trips = trips * ~alive
-        run_state.tripped = run_state.tripped | trips
+        self.tripped = self.tripped | trips
         if trips.any() and not self.schedule.keep_going:
-            raise trip_error(int(np.flatnonzero(trips)[0]), run_state, self.limits)
-        run_state.active = run_state.active & (trips == 0)
+            raise trip_error(int(np.flatnonzero(trips)[0]), self)
+        self.active = self.active & (trips == 0)
         if not alive.any():
             return False
         newest = self.recorder.cycles.pop()  # what an arm that goes on reads there is the next cycle's
         if (newest.active & ~alive).any():
             self.recorder.cycles.append(newest._replace(active=newest.active & ~alive))
-        run_state.go_on(alive)
+        self._go_on(alive)
         return True
 
-    def _release(self, run_state: RunState, trips: Reasons) -> Mask:
-        """Lead joints that are not believed back to where they were in balance: to hold a blind one is to drive it.
-
-        Returns the arms (B,) whose joints broke loose meanwhile, and may go on.
-        """
-        if run_state.unbelieved is None:
+    def _release(self, trips: Reasons) -> Mask:
+        if self.unbelieved is None:
             return np.zeros(len(trips), dtype=bool)
-        where = run_state.active & ((trips & np.uint16(Reason.NOT_FOLLOWING)) != 0)
-        goal = run_state.following.balance(run_state.unbelieved & where[:, None], run_state.sent)
-        sent, stood = run_state.sent, run_state.state.position
+        where = self.active & ((trips & np.uint16(Reason.NOT_FOLLOWING)) != 0)
+        goal = self.following.balance(self.unbelieved & where[:, None], self.sent)
+        sent, stood = self.sent, self.state.position
         farthest = np.zeros_like(stood)
         with shielded(), suppress(RejointError, OSError):  # the trip is the error to report
             for _ in range(RELEASE_CYCLES):
-                reach = self.limits.max_speed * np.minimum(run_state.period, self.limits.max_period)[:, None]
+                reach = self.limits.max_speed * np.minimum(self.period, self.limits.max_period)[:, None]
                 sent = np.minimum(np.maximum(goal, sent - reach), sent + reach)
-                run_state.state = own(self.robot.step(sent, where))
-                farthest = np.maximum(farthest, run_state.following.onward(run_state.state.position - stood))
+                self.state = own(self.robot.step(sent, where))
+                farthest = np.maximum(farthest, self.following.onward(self.state.position - stood))
                 last = self.recorder.cycles[-1]
                 self.recorder.cycles.append(
                     last._replace(
-                        time=run_state.state.time, position=run_state.state.position, command=sent, active=where,
-                        true_tcp=self.robot.true_tcp().copy(), load=reported_load(run_state.state),
+                        time=self.state.time,
+                        position=self.state.position,
+                        command=sent,
+                        active=where,
+                        true_tcp=self.robot.true_tcp().copy(),
+                        load=reported_load(self.state),
                         turned=np.full(len(where), np.nan),
                     )
-                )  # fmt: skip
-        run_state.sent = np.where(where[:, None], sent, run_state.sent)
-        loose: Mask = (farthest >= LOOSE * self.robot.arm.encoder_step) | ~run_state.unbelieved
-        return where & loose.all(axis=-1) & (run_state.doubted < MOST_DOUBTED)
+                )
+        self.sent = np.where(where[:, None], sent, self.sent)
+        loose: Mask = (farthest >= LOOSE * self.robot.arm.encoder_step) | ~self.unbelieved
+        return where & loose.all(axis=-1) & (self.doubted < MOST_DOUBTED)
+
+
+def trip_error(b: int, run_state: RunState) -> GuardTripError:
+    """Error of the arm ``b`` that tripped."""
+    state, flags = run_state.state, Reason(int(run_state.tripped[b]))
+    limits, names = run_state.limits, run_state.limits.arm.joint_names
+    details = []
+    if Reason.STALE in flags:
+        details.append(
+            f"the joint state is {state.age[b]:.2f} s old, limit {limits.max_age:.2f} s; check the connection"
+        )
+    if Reason.TEMPERATURE in flags and state.temperature is not None:
+        details.append(say_hot(names, state.temperature[b], limits.max_temperature))
+    if Reason.SERVO_FAULT in flags and state.fault is not None:
+        details.append(say_faulty(names, state.fault[b], state.trouble))
+    if Reason.OUT_OF_RANGE in flags:
+        degrees = np.round(np.degrees(state.position[b]), 1).tolist()
+        details.append(f"measured {degrees} deg lies far outside the joint limits; check the arm's zero")
+    if Reason.NOT_FOLLOWING in flags and run_state.unbelieved is not None:
+        details.append(run_state.following.describe(b, run_state.unbelieved[b]))
+    if Reason.NOT_FINITE in flags:
+        details.append("a command or a measured position is not a number; check the controller and the connection")
+    where = (
+        f"arm {b} at {run_state.state.time[b] - run_state.set_at[b]:.2f} s into target {int(run_state.index[b]) + 1}"
+    )
+    return GuardTripError(", ".join(reason_names(int(flags))), f"{where}: {'; '.join(details)}")
+
+
+def say_hot(names: tuple[str, ...], temperature: Array, limit: float) -> str:
+    """Name the hottest joint at ``temperature`` (n,) [deg C]."""
+    hot = int(np.argmax(temperature))
+    return f"{names[hot]} is at {temperature[hot]:.0f} deg C, limit {limit:.0f}; let it cool"
+
+
+_FREE = "free the arm and clear the fault"
+
+
+def say_faulty(names: tuple[str, ...], fault: NDArray[np.bool_], trouble: tuple[str, ...] | None = None) -> str:
+    """Name the joints with a servo ``fault`` (n,), and what they report."""
+    faulty = ", ".join(np.array(names)[fault])
+    found = list(dict.fromkeys(filter(None, trouble or ())))
+    starved = bool(found) and all(one == "voltage" or one.startswith("the supply sags") for one in found)
+    advice = "look at its supply, which may be too weak, and at the cables" if starved else _FREE
+    verb = "reports" if np.count_nonzero(fault) == 1 else "report"
+    words = f" ({'; '.join(found)})" if found else ""
+    return f"{faulty} {verb} a servo fault{words}; {advice}"

@@ -1,19 +1,13 @@
-"""What a learned policy sees, computed once for training, emulation and the real arm.
+"""What a policy sees, computed once for training, emulation and the real arm, from joint readings alone.
 
-Three layouts exist. ``residual`` (11n + 9 numbers) is ours: how far the servos lag behind the command,
-the damped least-squares step at three magnifications, so that 0.1 mm is as visible as 10 cm, what was
-done and what came of it in the last three cycles, and nothing that a worn encoder cannot deliver.
-``equation-16`` (4 + 3n + 6 numbers) is the state of Park et al. 2024 without theta_target, which gives
-their stated size of 28 for six joints; its Delta theta is read as command minus position there, and as
+``residual`` (11n + 9): leads, the damped least-squares step at three scales, velocities and actions of three cycles.
+``equation-16`` (3n + 10): the state of Park et al. 2024 without theta_target; Delta theta is command minus position, or
 the last action in ``equation-16-action``.
-
-All of it comes from measured (delayed, quantised) joint positions; nothing is differentiated but
-successive measurements.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Literal, NamedTuple
 
@@ -26,7 +20,7 @@ from rejoint.control.controller import ControlInput
 from rejoint.control.law import plain
 from rejoint.control.robot import Mask
 from rejoint.system.errors import InputError
-from rejoint.system.late import Late
+from rejoint.system.shell import Late
 
 Layout = Literal["residual", "equation-16", "equation-16-action"]
 Rows = slice | NDArray[np.intp]
@@ -34,27 +28,26 @@ Observation = NDArray[np.float32]
 
 ALL = slice(None)
 LIMIT = 8.0
-"""Observations are clipped to +-8 (chosen: several times what a healthy episode shows)."""
+"""Observations are clipped to +-8 (chosen)"""
 
 SUCCESS_DISTANCE = 0.005
-"""[m] distance threshold of the success buffer S; Park et al. 2024, section III-D."""
+"""[m] of the success buffer S; Park et al. 2024, section III-D"""
 
 POINT_SCALE = 5.0
-"""[1/m] factor on the points and the distance of equation 16 (chosen: brings them to about one)."""
+"""[1/m] on points and distance of equation 16 (chosen)"""
 
 HISTORY = 3
-"""Control cycles whose velocities and actions are seen: no fewer than commands are under way (chosen: with one,
-policies take a tenth longer to come and stay within 2 mm on worn arms that they have not met)."""
+"""Cycles whose velocities and actions are seen (chosen)"""
 
 compiled = Late("rejoint.control.compiled")
 
 _RIDGE = DAMPING**2 * np.eye(3)
 LONGEST_WAIT = 2.0
-"""[s] since the target was set that are told apart (chosen: later than that the arm should have settled)"""
+"""[s] since the target was set that differ in the observation (chosen)"""
 MIDDLE_PERIOD, LONGEST_PERIOD = 0.035, 0.1
-"""[s] of the rates trained for; of the numbers that are believed"""
+"""[s] of the trained rates; longest trusted"""
 PERIOD_SMOOTHING = 0.3
-"""Share of the newest period in their running mean (chosen: the wire's jitter is as large)"""
+"""Share of the newest period in their mean (chosen)"""
 _ONE_DEGREE, _FIFTH_OF_A_DEGREE = float(np.radians(1.0)), float(np.radians(0.2))
 
 
@@ -65,11 +58,11 @@ class Slot:
     name: str
     size: int
     formula: str
-    """how it is computed; x is the measured position, s the last sent command, e the TCP error"""
+    """x: position, s: last command, e: TCP error"""
 
 
 class View(NamedTuple):
-    """The target as seen from where the arm is measured to be."""
+    """The target as seen from the measured arm."""
 
     tcp: Array
     """(B, 3) [m] measured TCP"""
@@ -80,7 +73,7 @@ class View(NamedTuple):
     step: Array
     """(B, n) [rad] damped least-squares step towards the target"""
     homing: Array
-    """(B, n) [rad] way back to the rest posture that leaves the TCP where it is (to first order)"""
+    """(B, n) [rad] way to the goal posture that keeps the TCP"""
 
 
 class ObservationInput(NamedTuple):
@@ -98,12 +91,12 @@ class ObservationInput(NamedTuple):
     """(B, HISTORY, n) newest first"""
 
 
-def look(arm: Arm, position: Array, target: Array) -> View:
-    """View the targets (B, 3) [m] from the joint positions (B, n) [rad]; kinematics are computed once."""
+def look(arm: Arm, position: Array, target: Array, goal: Array) -> View:
+    """View targets (B, 3) [m] and ``goal`` postures from positions, (B, n) [rad]."""
     tcp, jacobian = position_kinematics(arm, position)
     transpose = np.swapaxes(jacobian, -1, -2)
     error = target - tcp
-    away = arm.rest - position
+    away = goal - position
     wanted = np.empty((*error.shape, 2))
     wanted[..., 0] = error
     np.matmul(jacobian, away[..., None], out=wanted[..., 1:])
@@ -113,7 +106,7 @@ def look(arm: Arm, position: Array, target: Array) -> View:
 
 
 def layout_slots(layout: Layout, joints: int) -> tuple[Slot, ...]:
-    """Name every number of a layout, in order; this goes into the contract of a policy file."""
+    """Name every number of a layout, in order."""
     n = joints
     rows: tuple[tuple[str, int, str], ...]
     if layout == "residual":
@@ -156,38 +149,38 @@ def layout_size(layout: Layout, joints: int) -> int:
 
 
 class Observer:
-    """Turns control inputs of B arms into observations; remembers the last measurements and actions.
+    """Turns control inputs of B arms into observations.
 
-    `observe` must be called once per control cycle, `acted` after the policy has decided. `view`
-    holds the geometry of the last observation, which the command law needs again.
+    Call `observe` once per cycle, `acted` after the decision; `view` is the last geometry.
     """
 
     def __init__(self, arm: Arm, count: int, layout: Layout = "residual") -> None:
         n = arm.joints
         self.arm, self.count, self.layout = arm, count, layout
         self.size = layout_size(layout, n)
+        self._body = replace(arm, keep_out=()) if arm.keep_out else arm  # no policy has learned an owner's boxes
         self._position, self._time = np.zeros((count, n)), np.full(count, np.nan)
         self._period, self._everyone = np.full(count, MIDDLE_PERIOD), np.arange(count)
         self._velocity, self._action = np.zeros((2, count, HISTORY, n))
         self.view = View(*(np.zeros((count, *tail)) for tail in ((3,), (3,), (), (n,), (n,))))
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Start from rest at the current measurement for the arms in ``where`` (B,)."""
+        """Start from rest for the arms in ``where`` (B,)."""
         self._position[where] = inputs.state.position[where]
         self._time[where] = inputs.state.time[where]
         self._velocity[where] = 0.0
         self._action[where] = 0.0
 
     def reset_learned(self, where: Mask) -> None:
-        """Drop what was learned about the wire of the arms in ``where`` (B,), exchanged for others."""
+        """Drop the learned period of the arms in ``where`` (B,)."""
         self._period[where] = MIDDLE_PERIOD
 
     def observe(self, inputs: ControlInput, rows: Rows = ALL) -> Observation:
-        """Return the observation (B, size) of all arms, or of some ``rows`` only."""
+        """Observation (B, size), or of some ``rows``."""
         state = inputs.state
         position = state.position[rows]
         self._differentiate(state.time[rows], position, rows)
-        view = look(self.arm, position, inputs.target[rows])
+        view = look(self.arm, position, inputs.target[rows], inputs.goal[rows])
         if isinstance(rows, slice) and rows == ALL:
             self.view = view
         else:
@@ -208,7 +201,7 @@ class Observer:
             _residual(out, reading)
         else:
             change = 4.0 * reading.drive if self.layout == "equation-16" else reading.action[:, 0]
-            _equation_16(out, reading, change, self.arm)
+            _equation_16(out, reading, change, self._body)
         return np.minimum(np.maximum(out, -LIMIT, out=out), LIMIT, out=out)
 
     def acted(self, action: Array) -> None:
@@ -217,7 +210,7 @@ class Observer:
         self._action[:, 0] = action
 
     def drop_actions(self, where: Mask) -> None:
-        """Drop the last actions of the arms in ``where`` (B,): they were not what was sent."""
+        """Drop the last actions of the arms in ``where`` (B,): others were sent."""
         self._action[where] = 0.0
 
     def state(self) -> dict[str, Array]:
@@ -235,7 +228,7 @@ class Observer:
                 f"observer: {new[0].shape} times and positions {new[1].shape}, expected those of {len(chosen)} arms"
             )
         known = self._time, self._position, self._velocity, self._period
-        compiled.differentiate(chosen, *new, *known, LONGEST_PERIOD, PERIOD_SMOOTHING)
+        compiled.differentiate(chosen, *new, *known, np.array([LONGEST_PERIOD, PERIOD_SMOOTHING]))
 
 
 def _residual(out: Observation, reading: ObservationInput) -> None:
@@ -257,7 +250,7 @@ def _residual(out: Observation, reading: ObservationInput) -> None:
 
 @cache
 def residual_factors(n: int) -> Array:
-    """Factors (11n + 9,) on the parts of the observation of n joints."""
+    """Factors (11n + 9,) of the observation."""
     factors = [4.0, 0.5, 5.0, 1.0 / _ONE_DEGREE, 1.0 / _FIFTH_OF_A_DEGREE, 1.0, 20.0, 1.0, 0.5, 1.0, 20.0, 1.0]
     return np.repeat(factors, [n, HISTORY * n, n, n, n, n, 3, 3, 1, 1, 1, HISTORY * n])
 

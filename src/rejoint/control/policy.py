@@ -17,13 +17,14 @@ from rejoint.control.contract import (
     PROBE_TOLERANCE,
     PolicyContract,
     check_contract,
+    content_digest,
     decode_contract,
     probe_observations,
+    read_metadata,
     shown,
 )
 from rejoint.control.controller import ControlInput
 from rejoint.control.observation import Observation, Observer
-from rejoint.control.onnxfile import content_digest, read_metadata
 from rejoint.control.residual import Commander
 from rejoint.control.robot import Mask
 from rejoint.control.runtime import ort
@@ -51,7 +52,7 @@ class PolicyController:
         return "policy"
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Start afresh for the arms in ``where`` (B,)."""
+        """Start again for the arms in ``where`` (B,)."""
         count = len(inputs.sent)
         if count != self._observer.count:
             self._observer = Observer(self.arm, count, self.contract.layout)
@@ -81,7 +82,7 @@ class Policy:
     """A trained policy: the content of an ONNX file, with what it was trained for.
 
     The file is foreign until its arm is known: what it holds is judged before ONNX Runtime reads it, see
-    `rejoint.control.onnxfile.read_metadata`.
+    `rejoint.control.contract.read_metadata`.
 
     Examples
     --------
@@ -110,7 +111,7 @@ class Policy:
             known = "take a file written by `rejoint train`"
             raise FileError(path, "an ONNX file without the contract of a policy", known)
         contract = decode_contract(text)
-        if contract.format > 1 and metadata.get(DIGEST_KEY) != content_digest(data, text):
+        if metadata.get(DIGEST_KEY) != content_digest(data, text):
             raise FileError(path, "its content no longer gives the digest recorded in it", "train the policy again")
         return cls(content=data, contract=contract, source=str(path))
 

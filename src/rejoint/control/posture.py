@@ -1,13 +1,8 @@
-"""Bringing a worn arm to joint positions, its tool first: what programs that send angles or whole poses need.
+"""Bringing a worn arm to joint positions, its tool first, for programs that send angles or poses.
 
-The command is the posture, raised by what the twin says that each servo gives way, plus what an integrator learns of
-each joint. It carries over from posture to posture. Three things make it come to rest close by:
-
-* A joint that stands off at all the lead it may have has no more torque. It keeps that lead, and the posture of the
-  others is changed as little as brings the tool to its place.
-* A joint that sticks is pushed ever harder, and breaks loose with more than it takes to go on. As soon as its reading
-  changes, most of what was added while it stood is taken back.
-* Once the tool is close and the arm stands, nothing is corrected any more: an integrator would hunt for ever.
+The command is the posture, raised by the twin's sag and an integrator. A joint without torque keeps its lead, and
+others make up for the tool. A joint that breaks loose gives most of its push back. A stationary arm near its goal is
+left alone.
 """
 
 from __future__ import annotations
@@ -18,15 +13,15 @@ from typing import Protocol
 import numpy as np
 
 from rejoint.arms import Arm, Array, clip_norm, dls, frames, gravity_torque, position_kinematics, tcp_position
-from rejoint.arms.inverse import rotation_error
-from rejoint.arms.size import torque_size
+from rejoint.arms.rotations import rotation_error
+from rejoint.arms.workspace import torque_size
 from rejoint.control.controller import ControlInput
 from rejoint.control.feedforward import NOMINAL_STIFFNESS
 from rejoint.control.law import between, limit_position
 from rejoint.control.robot import JointState, Mask
 
 STILL = 1.5
-"""encoder counts within which a reading stands (chosen: one that lies between two counts jitters)"""
+"""encoder counts of a stationary reading (chosen)"""
 _SMOOTHING = 0.5  # share of the newest difference in the speed estimate (chosen, as in the feed-forward controller)
 
 
@@ -37,60 +32,65 @@ class Wanted:
     posture: Array
     """(B, n) [rad] by the encoders"""
     arrived: Mask
-    """(B,) whether that is the end of a way, and the arm is to come to rest there"""
+    """(B,) whether the way is over"""
 
 
-class Way(Protocol):
-    """What says where the arms are to be; asked once in every control cycle."""
+class PostureWay(Protocol):
+    """Says where the arms are to be; asked once a cycle."""
 
     def advance(self, state: JointState) -> Wanted:
-        """Take what was read, and return where the arms are to be now."""
+        """Take a reading and return where the arms are to be."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PostureGains:
-    """Settings, chosen on the emulated worn arm at periods of 50 ms; see `python -m benchmarks serve`."""
+    """Settings, chosen on an emulated worn arm; see `python -m benchmarks serve`."""
 
     rate: float = 4.0
     """[1/s] share of a joint's error that is integrated per second"""
     fade: float = float(np.radians(0.3))
     """[rad] error at which that has faded to half"""
     push: float = float(np.radians(5.0))
-    """[rad/s] by which a joint that stands off is pushed besides, whatever its error"""
+    """[rad/s] extra push of a joint that stands off"""
     within: float = float(np.radians(0.06))
-    """[rad] of error without such a push: less than one encoder count of 0.088 deg"""
+    """[rad] error without such a push"""
     taken_back: float = 0.9
-    """share of what was added while a joint stood that is taken back when it moves"""
+    """share of that push that is taken back when it moves"""
     moving: float = float(np.radians(5.0))
-    """[rad/s] a joint faster than this, and on its way, is not corrected"""
+    """[rad/s] faster joints on their way are not corrected"""
     standing: float = float(np.radians(1.0))
     """[rad/s] below which a joint stands"""
     weak: float = float(np.radians(12.0))
-    """[rad] of lead under which a joint that stands off has no more torque: about what worn servos give all for"""
+    """[rad] lead under which a joint that stands off has no more torque"""
     off: float = float(np.radians(0.3))
     """[rad] from which such a joint counts as standing off"""
     turn: float = 0.03
-    """[m/rad] weight of the tool's direction against its place where others make up for a weak joint"""
+    """[m/rad] weight of the tool's direction"""
     calm: float = 0.15
-    """[s] for which no reading may go farther than `STILL` before the arm counts as standing"""
+    """[s] within `STILL` before the arm is stationary"""
     close: float = 4e-4
-    """[m] of the tool within which nothing is corrected once the arm stands"""
+    """[m] tool error without correction once stationary"""
     again: float = 7e-4
     """[m] beyond which it is again"""
     lead: float = float(np.radians(18.0))
-    """[rad] largest distance of the command from the measured position (a little less than the guard's)"""
+    """[rad] largest lead, below the guard's"""
 
 
 class PostureController:
-    """Brings B arms to the postures that a `Way` asks for."""
+    """Brings B arms to the postures that a `PostureWay` asks for."""
 
     name = "posture"
 
     def __init__(
-        self, arm: Arm, way: Way, *, stiffness: Array | None = None, offset: Array | float = 0.0,
+        self,
+        arm: Arm,
+        way: PostureWay,
+        *,
+        stiffness: Array | None = None,
+        offset: Array | float = 0.0,
         gains: PostureGains | None = None,
-    ) -> None:  # fmt: skip
-        """Take what a twin says of the servos: ``stiffness`` (n,) [N m/rad] and ``offset`` (n,) [rad]."""
+    ) -> None:
+        """``stiffness`` (n,) [N m/rad] and ``offset`` (n,) [rad] are the twin's."""
         self._arm, self._way, self._gains = arm, way, gains or PostureGains()
         nominal = np.full(arm.joints, NOMINAL_STIFFNESS * torque_size(arm))
         self._stiffness, self._offset = nominal if stiffness is None else stiffness, offset
@@ -98,16 +98,19 @@ class PostureController:
         self._position = self._speed = self._learned = self._pushed = self._command = np.zeros((0, arm.joints))
         self._anchor = self._position
         self._stood: Array = np.zeros(0)
+        self.posture: Array = np.full((1, arm.joints), np.nan)
+        """(B, n) [rad] wanted in the last cycle, by the encoders"""
         self._weak: Mask = np.zeros((0, arm.joints), dtype=bool)
         self._rests: Mask = np.zeros(0, dtype=bool)
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Do nothing: the way goes on, and what was learned with it."""
+        """Do nothing: the way goes on."""
 
     def command(self, inputs: ControlInput) -> Array:
-        """Return the wanted joint positions (B, n) [rad]."""
+        """Wanted joint positions (B, n) [rad]."""
         state = inputs.state
         wanted = self._way.advance(state)
+        self.posture = wanted.posture
         raised = wanted.posture + gravity_torque(self._arm, wanted.posture) / self._stiffness - self._offset
         if self._time is None:
             self._begin(inputs, raised)
@@ -128,7 +131,6 @@ class PostureController:
         return self._command.copy()
 
     def _begin(self, inputs: ControlInput, raised: Array) -> None:
-        """Begin with the command in force, so that nothing jumps."""
         position = inputs.state.position
         self._time, self._position = inputs.state.time.copy(), position.copy()
         self._speed, self._pushed = np.zeros_like(position), np.zeros_like(position)
@@ -151,7 +153,7 @@ class PostureController:
         return moved, elapsed
 
     def _goal(self, wanted: Wanted) -> Array:
-        """Return the postures (B, n) [rad] that bring the tools to their places although some joints are weak."""
+        """Postures (B, n) [rad] that bring the tools to their places although some joints are weak."""
         gains, posture = self._gains, wanted.posture
         lead, away = self._command - self._position, posture - self._position
         off = wanted.arrived[:, None] & (np.abs(away) > gains.off)

@@ -1,4 +1,4 @@
-"""What the control loop saw and sent: one row per control cycle, for a whole batch of arms."""
+"""What the control loop saw and sent, one row per cycle."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from rejoint.arms import Array
 from rejoint.control.guard import GuardLimits, Reason, Reasons
 from rejoint.control.robot import JointState, Mask, Robot
-from rejoint.control.runstate import GAP
 from rejoint.logs.runlog import RunLog
 
+GAP = 0.8
+"""[s] pause in the answers that counts as a gap (chosen)"""
 _CLOCK = 1e-6  # [s] rounding of clocks that have run for long
 
 
@@ -26,52 +27,50 @@ class Cycle(NamedTuple):
     position: Array
     """(B, n) [rad] measured"""
     command: Array
-    """(B, n) [rad] sent right after; repeats the last one where an arm was done or stopped"""
+    """(B, n) [rad] sent right after"""
     target: Array
-    """(B, 3) [m] target in force when the state was read; NaN where there is none"""
+    """(B, 3) [m] in force; NaN: none"""
     aim: Array
-    """(B, 3) [m] where the controller was sent: the target, or what a correction made of it"""
+    """(B, 3) [m] corrected target"""
     target_index: NDArray[np.intp]
     """(B,) its index"""
     since_target: Array
     """(B,) [s] time since it was set"""
     true_tcp: Array
-    """(B, 3) [m], NaN where nobody knows"""
+    """(B, 3) [m], NaN: not known"""
     active: Mask
-    """(B,) whether the state is news: False once an arm is done or stopped"""
+    """(B,) whether the state is news"""
     reasons: Reasons
     """(B,) flags of the guard"""
     load: Array
-    """(B, n) told by the servos, as `JointState.load`; NaN where none was"""
+    """(B, n) as `JointState.load`; NaN: none"""
     turned: Array
-    """(B,) [rad] orientation error by the encoders; NaN where no orientation is asked for"""
+    """(B,) [rad] orientation error by the encoders; NaN: any will do"""
 
 
 PIECE = 600.0
-"""[s] after which a drive without an end is written as a run log (chosen: half an hour takes 40 MB of memory)"""
+"""[s] of a run log of an endless drive (chosen)"""
 
 OnCycle = Callable[[Cycle], object]
-"""Called after every cycle with its row; what it raises ends the run."""
+"""Called after every cycle; what it raises ends the run"""
 
 
 Look = Callable[[Cycle, JointState, Array], object]
-"""Called after every cycle with its row, the state that was read and the joint positions (B, n) [rad] that the
-controller wanted; it must return at once, and is not expected to raise"""
+"""Called after every cycle with the state and the wanted joint positions (B, n) [rad]"""
 
 Onlooker = Callable[[str, GuardLimits], Look]
-"""Called at the beginning of a run with the name of the controller and the limits of the guard; a robot that is shown
-to somebody has it as its ``onlooker``"""
+"""Makes a `Look` at the start of a run; a robot may have one as ``onlooker``"""
 
 
 def look_of(robot: Robot, controller: str, limits: GuardLimits) -> Look | None:
-    """Return what looks on while ``robot`` is driven; None where nobody does."""
+    """Look of a robot's onlooker, or None."""
     onlooker: Onlooker | None = getattr(robot, "onlooker", None)
     return None if onlooker is None else onlooker(controller, limits)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recording:
-    """T cycles of B arms; every field of `Cycle` with a leading axis T."""
+    """T cycles of B arms; fields of `Cycle` with a leading T."""
 
     arm: str
     joint_names: tuple[str, ...]
@@ -103,7 +102,7 @@ class Recording:
     turned: Array
     """(T, B) [rad]"""
     tripped: Reasons
-    """(B,) flags with which the guard stopped an arm, 0 where it did not"""
+    """(B,) flags of the trip; 0: none"""
 
     def __post_init__(self) -> None:
         for item in fields(self):
@@ -122,12 +121,12 @@ class Recording:
         return replace(self, **parts)
 
     def usual_period(self, b: int = 0) -> float:
-        """Middle of the control periods [s] of arm ``b``; NaN where there are none."""
+        """Median control period [s] of arm ``b``; NaN: none."""
         periods = np.diff(self.time[self.active[:, b], b])
         return float(np.median(periods)) if len(periods) else float("nan")
 
     def gaps(self, b: int = 0) -> Array:
-        """Lengths (T,) [s] of the pauses in the answers of arm ``b`` after which it went on as from a start, else 0."""
+        """Lengths (T,) [s] of the gaps of arm ``b``, else 0."""
         rows = np.flatnonzero(self.active[:, b])
         elapsed = np.diff(self.time[rows, b], prepend=self.time[rows[:1], b])
         marked = (self.reasons[rows, b] & np.uint16(Reason.GAP.value)) != 0
@@ -136,10 +135,7 @@ class Recording:
         return gaps
 
     def waits(self, b: int = 0) -> Array:
-        """When [s since its target was set] the motion of arm ``b`` waited, and how long [s]: (k, 2).
-
-        It waits in gaps, and while a joint that is not believed is led back.
-        """
+        """Return times [s since the target] and lengths [s] of the waits of arm ``b``, (k, 2)."""
         rows = np.flatnonzero(self.active[:, b])
         since = self.since_target[rows, b]
         waited = np.diff(self.time[rows, b]) - np.diff(since)
@@ -148,25 +144,31 @@ class Recording:
         return np.stack([since[1:][where], waited[where]], axis=-1)
 
     def log(self, b: int, label: str, extra: Mapping[str, str] | None = None) -> RunLog:
-        """Return the run log of arm ``b``: the rows with news, on a clock that increases."""
+        """Run log of arm ``b``, on an increasing clock."""
         rows = np.flatnonzero(self.active[:, b])
         times = self.time[rows, b]
         earlier = np.concatenate([[-np.inf], np.maximum.accumulate(times)[:-1]])
         rows = rows[times > earlier]
         load, target, aim = self.load[rows, b], self.target[rows, b], self.aim[rows, b]
         return RunLog(
-            arm=self.arm, joint_names=self.joint_names, robot=self.robot, label=label,
-            time=self.time[rows, b], position=self.position[rows, b], command=self.command[rows, b],
-            target=target, true_tcp=self.true_tcp[rows, b],
+            arm=self.arm,
+            joint_names=self.joint_names,
+            robot=self.robot,
+            label=label,
+            time=self.time[rows, b],
+            position=self.position[rows, b],
+            command=self.command[rows, b],
+            target=target,
+            true_tcp=self.true_tcp[rows, b],
             servo_load=None if np.isnan(load).all() else load,
             aim=None if np.array_equal(aim, target, equal_nan=True) else aim,
             extra={"controller": self.controller, **(extra or {})},
-        )  # fmt: skip
+        )
 
 
 @dataclass(kw_only=True, eq=False)
 class Recorder:
-    """Collects cycles while they happen; `recording` can be asked for at any moment."""
+    """Collects cycles; `recording` may be asked for at any moment."""
 
     robot: Robot
     controller: str
@@ -176,9 +178,13 @@ class Recorder:
         """Return everything so far as arrays; ``tripped`` (B,) as in `Recording`."""
         robot, columns = self.robot, self._columns()
         return Recording(
-            arm=robot.arm.name, joint_names=robot.arm.joint_names, robot=robot.address, controller=self.controller,
-            tripped=np.array(tripped), **columns,
-        )  # fmt: skip
+            arm=robot.arm.name,
+            joint_names=robot.arm.joint_names,
+            robot=robot.address,
+            controller=self.controller,
+            tripped=np.array(tripped),
+            **columns,
+        )
 
     def _columns(self) -> dict[str, NDArray[Any]]:
         count, n = self.robot.count, self.robot.arm.joints
@@ -186,9 +192,19 @@ class Recorder:
             return {name: np.stack([getattr(c, name) for c in self.cycles]) for name in Cycle._fields}
         vector, point, number = np.zeros((0, count, n)), np.zeros((0, count, 3)), np.zeros((0, count))
         empty = Cycle(
-            number, vector, vector, point, point, number.astype(np.intp), number, point, number.astype(bool),
-            number.astype(np.uint16), vector, number,
-        )  # fmt: skip
+            number,
+            vector,
+            vector,
+            point,
+            point,
+            number.astype(np.intp),
+            number,
+            point,
+            number.astype(bool),
+            number.astype(np.uint16),
+            vector,
+            number,
+        )
         return {name: column.copy() for name, column in empty._asdict().items()}
 
 
@@ -198,6 +214,6 @@ def attach(error: BaseException, recording: Recording) -> None:
 
 
 def recording_of(error: BaseException) -> Recording | None:
-    """Return the recording that a failed run left behind, None if it failed before the first state was read."""
+    """Return the recording of a failed run; None before the first reading."""
     found = getattr(error, "recording", None)
     return found if isinstance(found, Recording) else None

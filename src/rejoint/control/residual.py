@@ -7,32 +7,29 @@ readings, by what the action is added to (``anchor``):
   hold the arm up.
 * ``sent``: the last sent command. The law integrates, which removes the sag.
 * ``goal``: the command of the feed-forward controller, our strongest classical law, so that the policy
-  learns what that one lacks and nothing else (residual policy learning: Silver et al. 2018,
-  arXiv:1812.06298; Johannink et al. 2019, arXiv:1812.03201). Actions add to its correction and so
-  are remembered.
+  learns what that one lacks and nothing else (residual policy learning: Silver et al. 2018, arXiv:1812.06298;
+  Johannink et al. 2019, arXiv:1812.03201). While the goal moves along a way, that law alone acts.
+  Actions add to its correction and so are remembered.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, clip_norm, solve_position
-from rejoint.arms.size import heaviest_load, moves_tool, unloaded_joints
+from rejoint.arms import Arm, Array, clip_norm
+from rejoint.arms.workspace import heaviest_load, moves_tool, unloaded_joints
 from rejoint.control.controller import ControlInput
-from rejoint.control.feedforward import FeedforwardController, FeedforwardGains
+from rejoint.control.feedforward import LOOSEN, FeedforwardController, FeedforwardGains
 from rejoint.control.law import GAIN, STEP_LIMIT, between, limit_lead, limit_position, plain
 from rejoint.control.observation import View
 from rejoint.control.robot import Mask
 from rejoint.system.errors import InputError
-from rejoint.system.late import Late
+from rejoint.system.shell import Late
 
 compiled = Late("rejoint.control.compiled")
-
-_ENVELOPE_TARGETS = 120  # chosen: with the corners they span the postures to within a degree
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +42,8 @@ class CommandLaw:
     """[N m/rad] of the servos, as far as it is known when the policy is trained; needed by the anchor ``goal``"""
     learning: FeedforwardGains = field(default_factory=FeedforwardGains)
     """what the controller under the anchor ``goal`` learns by itself"""
+    loosen: float = LOOSEN
+    """[rad/s] by which that controller pushes joints that stick"""
     step_gain: float = GAIN
     """fraction of the damped least-squares step taken each cycle"""
     step_limit: float = float(STEP_LIMIT)
@@ -58,7 +57,7 @@ class CommandLaw:
     lead_limit: float = float(np.radians(20.0))
     """[rad] largest distance between command and measured position (anti-windup)"""
     rest_gain: float = 0.05
-    """fraction of the way back to the rest posture taken each cycle in the null space (chosen: a policy without it
+    """fraction of the way to the goal posture taken each cycle in the null space (chosen: a policy without it
     lets the wrist drift to its limits over a few dozen targets)"""
     rest_distance: float = 0.01
     """[m] TCP distance below which that pull fades, so that it does not disturb a settled arm"""
@@ -79,8 +78,7 @@ class CommandLaw:
     """[rad] largest element of the damped least-squares step from which on corrections are in full again"""
 
     envelope_margin: float = float(np.radians(35.0))
-    """[rad] how far beyond the postures that its targets need the arm may be commanded, see `working_envelope`
-    (chosen); a full turn leaves only the joint limits"""
+    """[rad] how far from the goal posture the anchor ``goal`` may command a joint (chosen)"""
 
     def authority(self, step: Array) -> Array:
         """Largest correction (B, 1) [rad] at the damped least-squares steps ``step`` (B, n) [rad]."""
@@ -108,8 +106,6 @@ class CommandLaw:
         if self.rest_gain:
             pull = self.rest_gain * np.minimum(view.distance / self.rest_distance, 1.0)
             wanted = wanted + pull[:, None] * clip_norm(view.homing, self.step_limit)
-        lower, upper = working_envelope(arm, self.envelope_margin)
-        wanted = np.minimum(np.maximum(wanted, lower), upper)
         return limit_position(arm, limit_lead(wanted, position, self.lead_limit))
 
 
@@ -125,20 +121,15 @@ class Commander:
         if law.anchor == "goal":
             if len(law.stiffness) != arm.joints:
                 raise InputError(f"the law needs the stiffness of {arm.joints} servos, got {list(law.stiffness)}")
-            self._base = FeedforwardController(arm, np.array(law.stiffness), law.learning)
+            self._base = FeedforwardController(arm, np.array(law.stiffness), law.learning, law.loosen)
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Take over the new targets of the arms in ``where`` (B,)."""
         if self._base is not None:
             self._base.reset(inputs, where)
 
-    def foresee(self, target: Array, start: Array, where: Mask) -> None:
-        """Solve ahead for the ``target`` (B, 3) of the next `reset` of the arms in ``where``, from ``start`` (B, n)."""
-        if self._base is not None:
-            self._base.foresee(target, start, where)
-
     def reset_learned(self, inputs: ControlInput, where: Mask) -> None:
-        """Start afresh with other arms in ``where`` (B,)."""
+        """Start again with other arms in ``where`` (B,)."""
         if self._base is not None:
             self._base.reset_learned(inputs, where)
 
@@ -161,26 +152,11 @@ class Commander:
         if law.decay_start > 0.0:
             factor = np.where(unloaded_joints(self._arm), law.decayed(inputs.since_target, view.step), 1.0)
             step, extra = factor * step, factor * extra
-        wanted = self._base.correct(inputs, step, extra)
-        lower, upper = working_envelope(self._arm, law.envelope_margin)
-        return between(wanted, lower, upper)
+        extra = np.where(self._base.on_the_way(inputs)[:, None], 0.0, extra)  # the law knows the way
+        extra = extra + self._base.loosening(inputs, view.step, view.distance)
+        wanted, margin = self._base.correct(inputs, step, extra, view.distance), law.envelope_margin
+        return limit_position(self._arm, between(wanted, inputs.goal - margin, inputs.goal + margin))
 
     def memory(self) -> dict[str, Array]:
         """Return everything that is remembered, by name; live arrays."""
         return {} if self._base is None else self._base.memory()
-
-
-@lru_cache(maxsize=32)
-def working_envelope(arm: Arm, margin: float) -> tuple[Array, Array]:
-    """Lowest and highest posture (n,), (n,) [rad] that the arm's target region needs, and ``margin`` [rad] more.
-
-    An arm with more joints than its task needs wanders in the null space over many targets, and in the end
-    folds over: a posture that was never trained, and from which a policy does not return. The
-    postures are those of inverse kinematics from the rest posture, over targets spread in the region.
-    """
-    corners = np.stack(np.meshgrid(*zip(arm.targets.lower, arm.targets.upper, strict=True)), axis=-1).reshape(-1, 3)
-    spread = arm.targets.sample(np.random.default_rng(0), (_ENVELOPE_TARGETS,))
-    postures = solve_position(arm, np.concatenate([corners, spread]), arm.rest).q
-    lower = np.minimum(postures.min(axis=0), arm.rest) - margin
-    upper = np.maximum(postures.max(axis=0), arm.rest) + margin
-    return np.maximum(lower, arm.lower), np.minimum(upper, arm.upper)

@@ -1,9 +1,4 @@
-"""What a robot promises: arms one can command. A robot may be a batch of arms in lockstep.
-
-Every array has a leading axis of B arms; a single arm, real or emulated, has B = 1. Lockstep
-means that all arms of a batch are in the same control cycle, not that their clocks agree: each
-arm has its own period and its own clock.
-"""
+"""What a robot promises. It may be a batch of B arms in lockstep, each with its own clock; arrays lead with B."""
 
 from __future__ import annotations
 
@@ -27,26 +22,24 @@ class JointState:
     position: Array
     """(B, n) [rad] measured joint positions"""
     age: Array
-    """(B,) [s] how long ago the last fresh answer arrived; 0 where this one is fresh"""
+    """(B,) [s] since the last fresh answer"""
     temperature: Array | None = None
-    """(B, n) [deg C] servo temperatures, None where the robot does not report them"""
+    """(B, n) [deg C]; None: not reported"""
     fault: NDArray[np.bool_] | None = None
-    """(B, n) whether a servo reports a fault, None where the robot does not report it"""
+    """(B, n) whether a servo reports a fault; None: not reported"""
     trouble: tuple[str, ...] | None = None
-    """(n,) what the servos of a single arm complain of, in words, empty for nothing; None where nobody tells"""
+    """(n,) complaints of a single arm's servos in words"""
     load: Array | None = None
-    """(B, n) torque that each servo says it gives, as a share of its largest, -1 to 1, positive with the joint; None
-    where the robot does not report it"""
+    """(B, n) reported torque over the largest, -1 to 1, positive with the joint; None: not reported"""
     voltage: Array | None = None
-    """(B, n) [V] supply that each servo measures, None where the robot does not report it"""
+    """(B, n) [V]; None: not reported"""
     elsewhere: Mask | None = None
-    """(B,) whether an arm stands, after a pause, where its last command did not bring it: moved by hand, switched off
-    and on, or another one; None where nobody tells"""
+    """(B,) whether others moved the arm during a pause; None: not known"""
 
 
 @runtime_checkable
 class Robot(Protocol):
-    """One arm, or a batch of arms, that can be read and commanded."""
+    """One arm, or a batch, that can be read and commanded."""
 
     @property
     def arm(self) -> Arm:
@@ -61,19 +54,16 @@ class Robot(Protocol):
         """Number B of arms."""
 
     def read(self) -> JointState:
-        """Return the newest joint state; RobotError if there is none to be had."""
+        """Newest state; RobotError without."""
 
     def step(self, command: Array, active: Mask | None = None) -> JointState:
-        """Send ``command`` (B, n) [rad], wait one control period, read.
-
-        Arms that are not ``active`` (B,) are neither commanded nor advanced; their state repeats.
-        """
+        """Send ``command`` (B, n) [rad], wait a period, read; arms not ``active`` (B,) repeat their state."""
 
     def true_tcp(self) -> Array:
-        """(B, 3) [m] where the tools really are; NaN where nobody knows (every real arm)."""
+        """Return true tool positions (B, 3) [m]; NaN: not known."""
 
     def stop(self) -> None:
-        """Make the arm hold where it is. Never cuts the power: a worn arm would collapse."""
+        """Make the arm hold; the power stays on."""
 
     def close(self) -> None:
         """Release the connection; the arm keeps holding."""

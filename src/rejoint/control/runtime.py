@@ -1,8 +1,4 @@
-"""ONNX Runtime, which tells nobody of an arm.
-
-Its official builds report each session to their maker over the network, and keep a number of this machine in the home
-folder, unless this is switched off before they are loaded. Whoever wants that sets the variable to 0.
-"""
+"""ONNX Runtime without its telemetry; the variable set to 0 allows it."""
 
 import os
 

@@ -1,8 +1,8 @@
-"""Closing the loop on what is seen: the last millimetres are corrected by a camera, or by anything that sees the tool.
+"""Correcting the last millimetres by a camera, or anything that sees the tool.
 
-A sighting and what the encoders said when it was taken tell the shift between the two, there and then, whether the arm
-stood or still crept. So nothing has to wait for rest: near a target each sighting corrects what the model thinks of the
-shift, at whatever rate sightings come, and the aim follows. Where none comes, the aim stays as it is.
+Each detection, with the encoders at its time, tells the shift there, at rest or not. Near its aim a worn joint sticks
+and jumps by a millimetre; so the commands of the few joints nearest to the tool swing as little as just moves them
+(dither), and an integrator removes what is missing. Then the swing fades. Results: `python -m benchmarks.seeing`.
 """
 
 from __future__ import annotations
@@ -13,39 +13,37 @@ from typing import Protocol
 
 import numpy as np
 
-from rejoint.arms import Array, position_kinematics, tcp_position
+from rejoint.arms import Arm, Array, clip_norm, position_kinematics, tcp_position
 from rejoint.arms.displacement import FLOATING
-from rejoint.control.controller import ControlInput
+from rejoint.control.controller import ControlInput, Controller
 from rejoint.control.correction import MOST, Modelled
+from rejoint.control.law import limit_lead, limit_position
 from rejoint.control.robot import Mask
 
 NOISE = 0.3e-3
-"""[m] standard deviation of each coordinate that a sighting has at least, and where nobody knows it (chosen: between
-what a board of 60 mm at 0.6 m has across the line of sight and along it)"""
+"""[m] smallest and default deviation of a detection's coordinates (chosen)"""
 UNKNOWN = 3e-3
-"""[m] by which the model may be wrong before anything was seen (chosen: twice what calibrations leave)"""
+"""[m] error of the model before any detection (chosen)"""
 DRIFT = 0.2e-3
-"""[m/sqrt(s)] by which that changes while the arm stands or is shaken (chosen)"""
+"""[m/sqrt(s)] drift of that (chosen)"""
 RATTLE = 12e-3
-"""[rad/sqrt(s)] by which a link that floats wanders in its play (chosen: worn bases coast at 5 mm/s)"""
+"""[rad/sqrt(s)] wander of a floating link in its play (chosen)"""
 ALONG = 0.1
-"""share of a motion of the tool by which the shift changes on the way (chosen)"""
+"""change of the shift over the tool's motion (chosen)"""
 NEAR = 0.015
-"""[m] from its aim within which sightings count: the shift farther away is another one (chosen)"""
+"""[m] from its aim within which detections count (chosen)"""
 CHANGE = 2e-4
-"""[m] by which an aim changes at least (chosen: noise of sightings, and what an encoder count moves the tool by)"""
+"""[m] smallest change of an aim (chosen)"""
 JUMP = 0.015
-"""[m] from the model beyond which a sighting is not believed (chosen: twice what worn arms miss by; it is a reflection,
-or another board)"""
+"""[m] from the model beyond which a detection is rejected (chosen)"""
 HISTORY = 64
-"""Cycles in which the encoders are remembered (chosen: pictures come within a second)"""
+"""Cycles of remembered readings (chosen)"""
 SHIFTED, ALIKE = 3e-3, 3
-"""[m] by which the tool is seen to one side of the model, and targets at which it is, from which camera or board were
-more likely moved (chosen: what calibrations leave differs from target to target, and has 1.5 mm)"""
+"""[m] to one side, at so many targets: camera or board were moved (chosen)"""
 ENOUGH = 2
-"""sightings at a target before they are acted on otherwise than by the aim (chosen: one may be wrong)"""
+"""detections at a target before the fine motion uses them (chosen)"""
 FRESH = 0.6
-"""[s] for which a sighting is news (chosen: a few pictures may be lost)"""
+"""[s] a detection is news (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,32 +51,31 @@ class Sighting:
     """Where the tool was seen."""
 
     time: float
-    """[s] when the picture was taken; on the robot's clock where it is for a loop"""
+    """[s] of the picture"""
     place: Array
     """(3,) [m] of the TCP in the frame of the base"""
     sigma: float = np.nan
-    """[m] standard deviation of each coordinate from picture to picture; NaN where nobody knows"""
+    """[m] deviation of each coordinate; NaN: not known"""
 
 
 class Eye(Protocol):
-    """Sees the tool of one arm, at a rate of its own; never waits."""
+    """Sees the tool at its own rate; never waits."""
 
     def sighting(self, now: float) -> Sighting | None:
-        """Return the newest sighting at robot time ``now`` [s]; None where there is none yet, or the tool is hidden."""
+        """Newest detection at robot time ``now`` [s], or None."""
 
 
 @dataclass(eq=False)
 class Seen(Modelled):
-    """Aims of one arm, by the model first and then by what an eye sees of its tool."""
+    """Aims of one arm by the model, then by what an eye sees."""
 
     eye: Eye = field(kw_only=True)
     used: int = field(default=0, init=False)
     """sightings that were believed"""
     visits: list[tuple[int, float | None]] = field(default_factory=list, init=False)
-    """of each target so far: sightings that were believed, and the error [m] by the last of them, averaged; None where
-    the tool was not seen"""
+    """per target: accepted detections, and the averaged error [m] by the last"""
     beyond: list[Array] = field(default_factory=list, init=False)
-    """(3,) [m] of each target that was seen: the tool, as seen there last, less where the model has it"""
+    """(3,) [m] per seen target: seen tool minus the model's"""
     _target: Array = field(default_factory=lambda: np.full(3, np.nan), init=False)
     _extra: Array = field(default_factory=lambda: np.zeros(3), init=False)  # [m] of shift that the model does not know
     _spread: Array = field(default_factory=lambda: np.eye(3), init=False)  # (3, 3) [m^2] its covariance
@@ -88,11 +85,11 @@ class Seen(Modelled):
     _believed: float = field(default=-np.inf, init=False)  # [s] of the newest that was believed
     _told: deque[tuple[float, Array]] = field(default_factory=lambda: deque(maxlen=HISTORY), init=False)
 
-    def aim(self, target: Array, start: Array, where: Mask) -> Array:
-        """Return the aims (1, 3) [m] of the model."""
+    def aim(self, target: Array, start: Array, where: Mask, near: Array | None = None) -> Array:
+        """Aims (1, 3) [m] of the model."""
         self._target, self._extra, self._count = target[0].copy(), np.zeros(3), 0
         self.visits.append((0, None))
-        return super().aim(target, start, where)
+        return super().aim(target, start, where, near)
 
     def again(self, target: Array, inputs: ControlInput) -> Array | None:
         """Shift the aim by what the newest sighting tells."""
@@ -123,14 +120,14 @@ class Seen(Modelled):
         return fresh[None] if changed and float(np.linalg.norm(fresh - target)) < MOST else None
 
     def missing(self, inputs: ControlInput) -> Array | None:
-        """Return how far (3,) [m] the tool still has to go, by the eye; None where it has seen nothing of late."""
+        """Way (3,) [m] left by the eye; None without news."""
         position, now = inputs.state.position[0], float(inputs.state.time[0])
         if self._count < ENOUGH or now - self._believed > FRESH:
             return None
         return np.asarray(self._target - tcp_position(self.arm, position) - self.shift(position) - self._extra)
 
     def shifted(self) -> float | None:
-        """Return how far [m] the tool is seen to one side of the model at all targets alike; None where it is not."""
+        """Return the common offset [m] from the model, or None."""
         if len(self.beyond) < ALIKE:
             return None
         side = np.mean(self.beyond, axis=0)
@@ -139,11 +136,6 @@ class Seen(Modelled):
         return far if far > SHIFTED and far > 2.0 * float(np.sqrt((apart**2).mean())) else None
 
     def _learn(self, unknown: Array, then: Array, seen: Sighting) -> None:
-        """Take over what one believed sighting tells: at once where a link floats, else by degrees.
-
-        A Kalman filter: what the model does not know stays about the same, but for links without weight, which wander
-        in their play, and for what changes along the way.
-        """
         place, jacobian = position_kinematics(self.arm, then)
         if self._count == 1:
             self._spread = UNKNOWN**2 * np.eye(3)
@@ -152,7 +144,7 @@ class Seen(Modelled):
             wander, moved = RATTLE * jacobian * floats, ALONG * float(np.linalg.norm(place - self._place))
             change = DRIFT**2 * np.eye(3) + wander @ wander.T
             self._spread = self._spread + (seen.time - self._believed) * change + moved**2 * np.eye(3)
-        noise = np.fmax(seen.sigma, NOISE)  # NaN: nobody knows
+        noise = np.fmax(seen.sigma, NOISE)  # NaN: not known
         share = self._spread @ np.linalg.inv(self._spread + noise**2 * np.eye(3))
         self._extra = self._extra + share @ (unknown - self._extra)
         self._spread = self._spread - share @ self._spread
@@ -166,3 +158,200 @@ class Seen(Modelled):
         times = np.array([one for one, _ in self._told])
         places = np.stack([one for _, one in self._told])
         return np.array([np.interp(time, times, column) for column in places.T])
+
+
+TAKE_OVER = 0.006
+"""[m] missing from which small joint motions do (chosen)"""
+SLOW = np.radians(1.5)
+"""[rad] largest change in `LOOK` cycles when the fine motion takes over (chosen)"""
+AT_REST = np.radians(0.1)
+"""[rad] the same of a stationary arm (chosen)"""
+STRANDED, STRANDED_AT = 1.0, 0.015
+"""[s] and [m] after which a stationary arm is taken over (chosen)"""
+LOOK = 5
+"""cycles (chosen: a tenth of a second)"""
+CALM = 0.35e-3
+"""[m] missing below which the dither ends (chosen)"""
+RELAX = 0.5
+"""[s] of dither after which twice as much is enough (chosen)"""
+MOST_CALM = 0.6e-3
+"""[m] and more never is (chosen: what is promised)"""
+OFF = 0.6e-3
+"""[m] missing from which a resting arm moves again (chosen)"""
+AGREED = 2
+"""sightings whose mean must say so (chosen)"""
+QUIET = 0.1
+"""[s] at rest before that is asked (chosen)"""
+RATE = 6.0
+"""[1/s] of the integrator (chosen)"""
+AHEAD = 0.5
+"""share of what is missing that the command leads (chosen)"""
+DAMPING = 0.01
+"""[m] of the least squares (chosen)"""
+STEP = np.radians(10.0)
+"""[rad] largest asked joint motion (chosen)"""
+LEAD = np.radians(12.0)
+"""[rad] largest lead (chosen)"""
+FADE = 0.2
+"""[s] in which the swing ends (chosen: two swings)"""
+HALF_SWING = 0.05
+"""[s] (chosen: 10 Hz)"""
+FIRST, WIDEST = np.radians(1.2), np.radians(2.0)
+"""[rad] first and largest amplitude (chosen)"""
+WIDER, NARROWER = 1.5, 0.8
+"""factors on it for stationary and for swinging readings (chosen)"""
+SWING = 4.5
+"""encoder counts (chosen: the tool swings by half a millimetre)"""
+STUCK = 3
+"""swings at the widest amplitude after which a joint is left (chosen)"""
+LEAST_LEVER = 0.05
+"""smallest singular value over the longest lever (chosen)"""
+
+
+class Finishing:
+    """Drives by a controller, and the last millimetres by what `seen` sees."""
+
+    def __init__(self, arm: Arm, controller: Controller, seen: Seen) -> None:
+        self._arm, self._controller, self._seen = arm, controller, seen
+        self.state = "far"
+        """``far``: the controller drives; ``fine``; ``hold``"""
+        self._amplitude = np.full(arm.joints, FIRST)
+        self._told: deque[tuple[float, Array]] = deque(maxlen=12)
+        self._aim = np.full(3, np.nan)
+        self._begin_target()
+
+    @property
+    def name(self) -> str:
+        """Name of the controller."""
+        return self._controller.name
+
+    @property
+    def contract(self) -> object:
+        """That of a policy, else None."""
+        return getattr(self._controller, "contract", None)
+
+    def reset(self, inputs: ControlInput, where: Mask) -> None:
+        """Begin a new target; small changes of an aim are none."""
+        change = float(np.linalg.norm(inputs.target[0] - self._aim))
+        self._aim = inputs.target[0].copy()
+        if inputs.since_target[0] > 0.0 and 0.0 < change < TAKE_OVER:
+            return
+        self._begin_target()
+        self._controller.reset(inputs, where)
+
+    def command(self, inputs: ControlInput) -> Array:
+        """Wanted joint positions (1, n) [rad]."""
+        now, position = float(inputs.state.time[0]), inputs.state.position[0]
+        self._told.append((now, position.copy()))
+        missing = self._seen.missing(inputs)
+        if missing is None:
+            return self._base[None].copy() if self.state == "hold" else self._far(inputs, None)
+        if self.state == "hold" and self._is_off(now, missing):
+            self._begin("fine", now, inputs)
+        if self.state == "hold":
+            return self._base[None].copy()
+        return self._fine(position, now, missing) if self.state == "fine" else self._far(inputs, missing)
+
+    def _begin_target(self) -> None:
+        self.state = "far"
+        self._told.clear()
+        self._alone = np.zeros(self._arm.joints, dtype=bool)  # joints that stay stuck
+
+    def _begin(self, state: str, now: float, inputs: ControlInput) -> None:
+        self.state, self._since, self._time = state, now, now
+        self._base = inputs.sent[0].copy()
+        self._cycles, self._looked = 0, self._seen.used
+        self._good, self._fading = 0, np.nan
+        self._recent: deque[Array] = deque(maxlen=AGREED)
+        self._moving, self._renew = np.zeros(self._arm.joints, dtype=bool), True
+        self._standing = np.zeros(self._arm.joints, dtype=int)
+
+    def _far(self, inputs: ControlInput, missing: Array | None) -> Array:
+        now = float(inputs.state.time[0])
+        if self.state == "fine":  # the tool is hidden: by the model again
+            self.state = "far"
+            self._controller.reset(inputs, np.ones(1, dtype=bool))
+        if missing is None or len(self._told) < LOOK:
+            return self._controller.command(inputs)
+        moved = float(np.abs(self._told[-1][1] - self._told[-LOOK][1]).max())
+        off = float(np.linalg.norm(missing))
+        if off < CALM and moved < AT_REST:
+            self._begin("hold", now, inputs)
+            return self._base[None].copy()
+        stranded = moved < AT_REST and off < STRANDED_AT and float(inputs.since_target[0]) > STRANDED
+        if stranded or (off < TAKE_OVER and moved < SLOW):
+            self._begin("fine", now, inputs)
+            return self._fine(inputs.state.position[0], now, missing)
+        return self._controller.command(inputs)
+
+    def _is_off(self, now: float, missing: Array) -> bool:
+        if now - self._since > QUIET and self._seen.used != self._looked:
+            self._recent.append(missing)
+        self._looked = self._seen.used
+        return len(self._recent) == AGREED and float(np.linalg.norm(np.mean(self._recent, axis=0))) > OFF
+
+    def _fine(self, position: Array, now: float, missing: Array) -> Array:
+        jacobian = position_kinematics(self._arm, position[None])[1][0]
+        if self._renew:
+            self._moving, self._renew = self._choose(jacobian), False
+        part = jacobian * self._moving
+        motion = clip_norm(part.T @ np.linalg.solve(part @ part.T + DAMPING**2 * np.eye(3), missing), STEP)
+        elapsed, self._time = now - self._time, now
+        swing = self._swing()
+        self._recent.append(missing)
+        self._watch(now, swing)
+        share = 1.0 if np.isnan(self._fading) else max(0.0, 1.0 - (now - self._fading) / FADE)
+        if share == 1.0:
+            self._base = self._base + RATE * min(elapsed, HALF_SWING) * motion
+        self._base = limit_position(self._arm, limit_lead(self._base, position, LEAD))
+        if share == 0.0:
+            self.state, self._since = "hold", now
+            self._recent.clear()
+            return self._base[None].copy()
+        self._cycles += 1
+        odd = np.arange(self._arm.joints) % 2  # neighbours swing one after the other
+        side = 1.0 - 2.0 * ((self._cycles + (1 - odd) * (swing // 2)) // swing % 2)
+        wanted: Array = self._base + AHEAD * share * motion + share * side * self._amplitude * self._moving
+        return wanted[None]
+
+    def _swing(self) -> int:
+        period = (self._told[-1][0] - self._told[0][0]) / max(len(self._told) - 1, 1)
+        return int(np.clip(round(HALF_SWING / max(period, 1e-3)), 1, 4))
+
+    def _watch(self, now: float, swing: int) -> None:
+        if not np.isnan(self._fading):
+            return
+        if self._cycles % (2 * swing) == 0 and len(self._told) > 2 * swing and self._cycles:
+            self._suit(np.stack([one for _, one in self._told])[-2 * swing - 1 :])
+        if self._seen.used == self._looked:
+            return
+        self._looked = self._seen.used
+        enough = min(CALM * (1.0 + (now - self._since) / RELAX), MOST_CALM)
+        near = float(np.linalg.norm(np.mean(self._recent, axis=0))) < enough
+        self._good = self._good + 1 if near else 0
+        if self._good >= 2:
+            self._fading = now
+
+    def _suit(self, readings: Array) -> None:
+        """Shake joints (T, n) [rad] more that stand, and less that swing widely; leave alone what does not move."""
+        counts = np.ptp(readings, axis=0) / self._arm.encoder_step
+        stands = self._moving & (counts < 0.5)
+        self._standing = np.where(stands & (self._amplitude >= WIDEST), self._standing + 1, 0)
+        lost = self._standing >= STUCK
+        if lost.any():
+            self._alone, self._renew = self._alone | lost, True
+            self._standing = np.where(lost, 0, self._standing)
+        wider = np.where(stands, np.minimum(WIDER * self._amplitude, WIDEST), self._amplitude)
+        self._amplitude = np.where(counts > SWING, NARROWER * wider, wider)
+
+    def _choose(self, jacobian: Array) -> Mask:
+        """Joints (n,) nearest to the tool that can take it in every direction; all, where some cannot."""
+        n = self._arm.joints
+        longest = float(np.linalg.norm(jacobian, axis=0).max())
+        for number in range(1, 2**n):  # bit i is the i-th joint from the tool: lower numbers are nearer to it
+            mask = (number >> np.arange(n - 1, -1, -1)) & 1 == 1
+            if mask.sum() < 3 or (mask & self._alone).any():
+                continue
+            if float(np.linalg.svd(jacobian[:, mask], compute_uv=False)[-1]) >= LEAST_LEVER * longest:
+                return np.asarray(mask)
+        return np.ones(n, dtype=bool)

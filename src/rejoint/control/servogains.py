@@ -1,40 +1,45 @@
-"""Gains of the servos' own position loops: what a controller asks for, what a policy was trained for, what is there.
+"""Gains of the servos' position loops: wanted, trained for, in force, and a safe search for better ones.
 
-Gains are whole numbers in the servos' own units, one per joint, by the name of what they set: ``p``, ``i``, ``d``,
-``dead`` and whatever else a family knows. A controller that says `servo_gains` is driven under those, and the ones
-before are put back afterwards, also after an error or a signal. A policy says which it was trained for; under others it
-is refused.
+Whole numbers in the servos' units per joint, by name (``p``, ``i``, ``d``, ``dead``, ...). Gains that a controller asks
+for are put back afterwards. The search drives to a few targets with one value more of one gain each time; each joint
+keeps what brings it nearer without unrest; shaking, labouring or warm joints end a round.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Protocol, cast
 
 import numpy as np
 
-from rejoint.arms import Array
+from rejoint.arms import Arm, Array, tcp_position
+from rejoint.control.catalogue import POLICY, PREDICTIVE, PUSH
+from rejoint.control.classical import DefaultController
 from rejoint.control.contract import PolicyContract
+from rejoint.control.controller import ControlInput, Controller, heeds_turn
 from rejoint.control.guard import GuardLimits
-from rejoint.control.robot import Robot
-from rejoint.system.errors import ContractError, InputError, RejointError, first_line
+from rejoint.control.loop import Schedule, run
+from rejoint.control.robot import Mask, Robot
+from rejoint.control.start import begin
+from rejoint.system.errors import ContractError, InputError, NotReadyError, RejointError, first_line
+from rejoint.system.progress import Progress, no_progress
 from rejoint.system.stopping import shielded
 
 ServoGains = Mapping[str, tuple[int, ...]]
 """(n,) of each name"""
 HOTTEST, HEAVIEST = 55.0, 0.7
-"""[deg C] and share of the largest torque at which a servo's gains are taken back (chosen: below its protections)"""
+"""[deg C] and torque share at which gains are taken back (chosen)"""
 
 
 class Rung(NamedTuple):
-    """What a search for better gains tries, one value after the other."""
+    """Values that a search tries in turn."""
 
     names: tuple[str, ...]
     """of the gains that it sets alike"""
     values: tuple[int, ...]
-    """in the order in which they are tried; a joint leaves out those that it is beyond"""
+    """in order; joints beyond one leave it out"""
     rising: bool = True
     beside: tuple[tuple[str, int], ...] = ()
     """what has to be set with it, whatever its value"""
@@ -44,29 +49,29 @@ class Tunable(Robot, Protocol):
     """A robot whose servos' own gains can be read and set."""
 
     def servo_gains(self) -> ServoGains | None:
-        """Return the gains in force; None where the servos keep them to themselves."""
+        """Gains in force; None: not told."""
 
     def rungs(self) -> tuple[Rung, ...]:
-        """Return what a search for better gains tries, the safest first, and last what a controller does not need."""
+        """Return what a search tries, the safest first, last what a controller does not need."""
 
     def tune(self, gains: ServoGains) -> None:
-        """Bring the gains in small steps to these, until the power goes; RobotError where a servo does not bear it."""
+        """Set the gains in small steps until power-off; RobotError where a servo does not bear it."""
 
     def keep(self, gains: ServoGains) -> None:
-        """Bring the gains to these, and have the servos keep them without power."""
+        """Set the gains, and keep them without power."""
 
 
 def gains_in_force(robot: Robot) -> ServoGains | None:
-    """Return the gains of the servos of ``robot``; None where nobody knows."""
+    """Gains of ``robot``; None: not known."""
     ask = getattr(robot, "servo_gains", None)
     return None if ask is None else cast(Tunable, robot).servo_gains()
 
 
 @contextmanager
 def under_gains(robot: Robot, controller: object) -> Iterator[None]:
-    """Let ``controller`` drive under the gains that it asks for; those before are put back at the end.
+    """Drive under the gains that ``controller`` asks for, and put the others back.
 
-    ContractError for a policy that was trained for others than are there, InputError where they cannot be set.
+    ContractError for a policy trained for others, InputError where they cannot be set.
     """
     require_gains(robot, controller)
     wanted: ServoGains | None = getattr(controller, "servo_gains", None)
@@ -104,10 +109,9 @@ def put_back(robot: Tunable, before: ServoGains) -> Iterator[None]:
 
 
 def limits_under(limits: GuardLimits | None, robot: Robot, controller: object) -> GuardLimits | None:
-    """Return what the guard allows while ``controller`` drives: what a diagnosis tells holds for the gains of then.
+    """Limits while ``controller`` drives: the diagnosis holds for its own gains.
 
-    Under stiffer ones a joint stands at smaller leads: its band is shifted, and as wide as it was at most. An I part
-    pushes without a lead, so that nothing is known under one.
+    Stiffer servos shift the bands; under an I part nothing is known.
     """
     gains: ServoGains | None = getattr(controller, "servo_gains", None) or gains_in_force(robot)
     if limits is None or limits.gains is None or gains is None or not differing(gains, limits.gains):
@@ -120,10 +124,7 @@ def limits_under(limits: GuardLimits | None, robot: Robot, controller: object) -
 
 
 def require_gains(robot: Robot, controller: object) -> None:
-    """Refuse (ContractError) a policy that was trained for other gains than it is driven under.
-
-    Those are the ones that the servos of ``robot`` have, or those that the controller itself asks for.
-    """
+    """Refuse (ContractError) a policy that was trained for other gains than it is driven under."""
     contract = getattr(controller, "contract", None)
     if not isinstance(contract, PolicyContract) or contract.servo_gains is None:
         return
@@ -141,7 +142,7 @@ def require_gains(robot: Robot, controller: object) -> None:
 
 
 def differing(wanted: ServoGains, found: ServoGains) -> list[tuple[str, int]]:
-    """Names and joints, from 0, in which ``wanted`` is not what was ``found``; a name that is not there differs."""
+    """Names and joints in which ``wanted`` is not ``found``."""
     return [
         (name, joint)
         for name, values in wanted.items()
@@ -151,10 +152,7 @@ def differing(wanted: ServoGains, found: ServoGains) -> list[tuple[str, int]]:
 
 
 def stiffness_under(stiffness: Array, before: ServoGains | None, now: ServoGains | None) -> Array:
-    """Return the stiffness (n,) [N m/rad] that was found under the gains ``before``, under those of ``now``.
-
-    A servo's stiffness goes with its P; where nobody knows either, it is as it was.
-    """
+    """Stiffness (n,) [N m/rad] found under ``before``, under the gains ``now``: it goes with P."""
     if before is None or now is None or "p" not in before or "p" not in now:
         return stiffness
     return np.asarray(stiffness * np.array(now["p"]) / np.maximum(before["p"], 1))
@@ -166,3 +164,272 @@ def in_words(gains: ServoGains) -> str:
         f"{name} {values[0]}" if len(set(values)) == 1 else f"{name} {'/'.join(map(str, values))}"
         for name, values in gains.items()
     )
+
+
+GEARED = "servo-gains"
+"""Name of tuned servo loops alone; ``servo-gains+NAME`` is a controller above them"""
+UNDER = ("integrator", "feedforward", PUSH, POLICY, PREDICTIVE)
+"""Controllers that are also driven under tuned gains (chosen)"""
+RIVALS = (GEARED, *(f"{GEARED}+{name}" for name in UNDER))
+GEARED_PUSH, GEARED_POLICY, GEARED_PREDICTIVE = (f"{GEARED}+{name}" for name in (PUSH, POLICY, PREDICTIVE))
+
+
+def inner_name(name: str) -> str:
+    """Name of the controller under tuned gains; others as they are."""
+    return DefaultController.name if name == GEARED else name.removeprefix(f"{GEARED}+")
+
+
+def own_policy(names: Sequence[str]) -> str | None:
+    """Name of a run's own policy among controllers, or None."""
+    return next((name for name in names if inner_name(name) == POLICY), None)
+
+
+class Geared:
+    """A ``controller`` that asks for servo ``gains`` (`under_gains` sets them)."""
+
+    def __init__(self, controller: Controller, gains: ServoGains) -> None:
+        self._controller, self.servo_gains = controller, gains
+        self.contract, self.heeds_turn = getattr(controller, "contract", None), heeds_turn(controller)
+        inner = controller.name
+        self.name = GEARED if inner == DefaultController.name else f"{GEARED}+{inner}"
+
+    def reset(self, inputs: ControlInput, where: Mask) -> None:
+        """Pass a new target on."""
+        self._controller.reset(inputs, where)
+
+    def command(self, inputs: ControlInput) -> Array:
+        """Return the controller's command (B, n) [rad]."""
+        return self._controller.command(inputs)
+
+
+DWELL = 2.5
+"""[s] at each target (chosen)"""
+LOOKED = 0.8
+"""[s] at its end that count (chosen)"""
+GAIN = 0.25
+"""[counts] that a joint must come nearer (chosen)"""
+LOUDER = 1.5
+"""allowed times the first unrest (chosen), but always `QUIET`"""
+QUIET = 1.0
+"""[counts] that are no unrest (chosen)"""
+SHAKES = np.radians(2.0)
+"""[rad] of swing within `LOOKED` that ends a round (chosen)"""
+LABOURS = 1.0
+"""[s] beyond `HEAVIEST` that ends it (chosen)"""
+
+Values = dict[str, tuple[int, ...]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Round:
+    """What a round over the targets showed."""
+
+    error: tuple[float, ...]
+    """(n,) [rad] mean distance of each joint from its command"""
+    unrest: tuple[float, ...]
+    """(n,) [rad] mean standard deviation of each joint at rest"""
+    tool: float
+    """[m] mean tool error by the encoders"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GainsFound:
+    """What a search found; gains by name, one of each joint."""
+
+    arm: str
+    robot: str
+    """address"""
+    found: Values
+    """as they were, and are again"""
+    under: Values
+    """best below a correcting controller: without the last rung"""
+    alone: Values
+    """best for the servos alone"""
+    before: Round
+    with_under: Round
+    with_alone: Round
+    rounds: int
+    """that were driven"""
+
+
+def search(
+    robot: Tunable, targets: Array, *, limits: GuardLimits | None = None, on_progress: Progress = no_progress
+) -> GainsFound:
+    """Try the rungs of ``robot``, one arm, at ``targets`` (K, 3) [m]; InputError where it has none.
+
+    However it ends, the gains from before are set again.
+    """
+    before = gains_in_force(robot)
+    if before is None or not robot.rungs():
+        raise InputError(f"{robot.address} has no servo gains that could be tuned; an SO-101 on its own bus has")
+    found = {name: tuple(values) for name, values in before.items()}
+    climb = _Climb(robot, targets, limits, dict(found), on_progress)
+    with put_back(robot, found):
+        start = begin(robot, limits)
+        climb.sent = start.command[-1]
+        climb.drive(targets[-1:])
+        first = climb.best = climb.drive(targets)
+        if first.bad.any():
+            names = ", ".join(np.array(robot.arm.joint_names)[first.bad])
+            raise NotReadyError(
+                f"{names}: warmer than {HOTTEST:.0f} deg C, shaking, or giving more than {100 * HEAVIEST:.0f} % of the "
+                "torque already under the gains that are there; let the arm cool down, then the same command goes on"
+            )
+        *others, last = robot.rungs()
+        for rung in others:
+            climb.rung(rung, first)
+        under, middle = climb.confirm(found, first)
+        climb.rung(last, first)
+        alone, end = climb.confirm(under, middle)
+    return GainsFound(
+        arm=robot.arm.name,
+        robot=robot.address,
+        found=found,
+        under=under,
+        alone=alone,
+        before=_round(first),
+        with_under=_round(middle),
+        with_alone=_round(end),
+        rounds=climb.rounds,
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Shown:
+    error: Array
+    unrest: Array
+    tool: float
+    bad: Mask
+    """(n,) joints that ended the round"""
+
+
+@dataclass(eq=False)
+class _Climb:
+    robot: Tunable
+    targets: Array
+    limits: GuardLimits | None
+    gains: Values
+    on_progress: Progress
+    sent: Array | None = None
+    best: _Shown = field(init=False)
+    rounds: int = 0
+
+    def rung(self, rung: Rung, first: _Shown) -> None:
+        done, missed = np.zeros((2, len(first.error)), dtype=bool)
+        for value in rung.values:
+            old = self.gains
+            present = np.array(old[rung.names[0]])
+            beyond = present >= value if rung.rising else present <= value
+            trying: Mask = ~done & ~beyond
+            if not trying.any():
+                continue
+            total = sum(len(one.values) for one in self.robot.rungs()) + 2
+            self.on_progress(min(self.rounds / total, 1.0), f"{rung.names[0]} {value}")
+            while trying.any():
+                self.gains = _with(old, rung, value, trying)
+                self.robot.tune(self.gains)
+                seen = self.drive(self.targets)
+                if not seen.bad.any():
+                    break
+                done |= seen.bad | (trying if not (trying & seen.bad).any() else False)
+                trying &= ~done
+            else:  # no joint bears it
+                self.gains = old
+                self.robot.tune(old)
+                continue
+            nearer, loud = self._compare(seen, first)
+            taken = trying & nearer & ~loud
+            done |= trying & (loud | (missed & ~taken))  # one value that does not help may be friction
+            missed = trying & ~taken
+            self.gains = _with(old, rung, value, taken)
+            self.robot.tune(self.gains)
+            self.best = replace(
+                self.best,
+                error=np.where(taken, seen.error, self.best.error),
+                unrest=np.where(taken, seen.unrest, self.best.unrest),
+            )
+
+    def confirm(self, last: Values, before: _Shown) -> tuple[Values, _Shown]:
+        if self.gains == last:
+            return last, before
+        seen = self.drive(self.targets)
+        if seen.bad.any() or seen.error.sum() > before.error.sum():
+            self.gains, seen = last, before
+            self.robot.tune(last)
+        self.best = seen
+        return dict(self.gains), seen
+
+    def _compare(self, seen: _Shown, first: _Shown) -> tuple[Mask, Mask]:
+        """Joints (n,) that are nearer to their commands than ever, and those that are less quiet than at the start."""
+        step = self.robot.arm.encoder_step
+        nearer: Mask = seen.error < self.best.error - GAIN * step
+        return nearer, seen.unrest > np.maximum(LOUDER * first.unrest, QUIET * step)
+
+    def drive(self, targets: Array) -> _Shown:
+        watch = _RoundWatch(self.robot.arm)
+        limits = limits_under(self.limits, self.robot, None)
+        recording = run(
+            self.robot,
+            DefaultController(self.robot.arm),
+            targets[None],
+            Schedule(dwell=DWELL, sent=self.sent, give_up=watch.bad),
+            limits=limits,
+        )
+        self.rounds += 1
+        self.sent = recording.command[-1]
+        arm, index, since = self.robot.arm, recording.target_index[:, 0], recording.since_target[:, 0]
+        error, unrest, tool = [], [], []
+        for k, target in enumerate(targets):
+            rows = (index == k) & (since > DWELL - LOOKED)
+            if watch.joints.any() or not rows.any():
+                nothing = np.full(arm.joints, np.inf)
+                return _Shown(error=nothing, unrest=nothing, tool=np.inf, bad=watch.joints)
+            here = recording.position[rows, 0]
+            error.append(np.abs(recording.command[rows, 0] - here).mean(axis=0))
+            unrest.append(here.std(axis=0))
+            tool.append(np.linalg.norm(tcp_position(arm, here) - target, axis=-1).mean())
+        return _Shown(
+            error=np.mean(error, axis=0), unrest=np.mean(unrest, axis=0), tool=float(np.mean(tool)), bad=watch.joints
+        )
+
+
+class _RoundWatch:
+    """Ends a round as soon as a joint shakes, labours or gets warm."""
+
+    def __init__(self, arm: Arm) -> None:
+        self.joints: Mask = np.zeros(arm.joints, dtype=bool)
+        self._labours = np.zeros(arm.joints)
+        self._seen: list[tuple[float, Array]] = []
+        self._last: float | None = None
+
+    def bad(self, inputs: ControlInput) -> Mask:
+        """Tell (1,) whether the round is to end, see `Schedule.give_up`."""
+        state, now = inputs.state, float(inputs.state.time[0])
+        elapsed = 0.0 if self._last is None else now - self._last
+        self._last = now
+        if state.temperature is not None:
+            self.joints |= state.temperature[0] > HOTTEST
+        if state.load is not None:
+            heavy = np.abs(state.load[0]) > HEAVIEST
+            self._labours = np.where(heavy, self._labours + elapsed, 0.0)
+            self.joints |= self._labours > LABOURS
+        if inputs.since_target[0] < LOOKED:
+            self._seen.clear()
+        else:
+            self._seen = [one for one in self._seen if now - one[0] < LOOKED] + [(now, state.position[0].copy())]
+            if inputs.since_target[0] > 2 * LOOKED:  # it is long there
+                self.joints |= np.ptp([one for _, one in self._seen], axis=0) > SHAKES
+        return np.array([bool(self.joints.any())])
+
+
+def _with(gains: Values, rung: Rung, value: int, joints: Mask) -> Values:
+    """Gains with a ``value`` of a rung at ``joints`` (n,)."""
+    set_to = {**dict.fromkeys(rung.names, value), **dict(rung.beside)}
+    return {
+        name: tuple(set_to[name] if name in set_to and take else old for old, take in zip(values, joints, strict=True))
+        for name, values in gains.items()
+    }
+
+
+def _round(seen: _Shown) -> Round:
+    return Round(error=tuple(seen.error.tolist()), unrest=tuple(seen.unrest.tolist()), tool=seen.tool)

@@ -1,67 +1,64 @@
-"""How every drive of an arm begins: it is looked at first, and then moved slowly."""
+"""How every drive begins: a look, then slow motion; trajectories and ways to a posture."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from rejoint.arms import Arm, Array, gravity_torque
+from rejoint.control.controller import ControlInput
 from rejoint.control.guard import GuardLimits, Reason
-from rejoint.control.playback import move
+from rejoint.control.loop import Schedule, in_force, run, say_faulty, say_hot
 from rejoint.control.recording import Cycle, OnCycle, Recording
-from rejoint.control.robot import JointState, Robot
-from rejoint.control.trips import say_faulty, say_hot
+from rejoint.control.robot import JointState, Mask, Robot
 from rejoint.system.errors import NotReadyError
 from rejoint.system.stopping import pause
 
 BEYOND = np.radians(3.0)
-"""[rad] that a joint may stand beyond its limit at the start (chosen: sag and play of a worn arm left there)"""
+"""[rad] beyond a limit at the start (chosen)"""
 WARMTH = 5.0
-"""[deg C] below what trips the guard that every servo must be at the start (chosen: a drive of minutes warms it)"""
+"""[deg C] below the guard's trip at the start (chosen)"""
 COLDEST, HOTTEST = -20.0, 120.0
-"""[deg C] outside of which a temperature is no temperature (chosen: what servos of this class survive)"""
+"""[deg C] bounds of trusted temperatures (chosen)"""
 LOOK = 0.3
-"""[s] for which an arm is looked at before it is moved (chosen: longer than a worn joint rings)"""
+"""[s] of the first look (chosen)"""
 STILL = np.radians(5.0)
-"""[rad] that a joint may be away after it (chosen: a joint that hunts in its play stays within)"""
+"""[rad] of motion in it (chosen)"""
 STANCE = np.radians(15.0)
-"""[rad] that a joint may stand off from where its twin expects it (chosen: what friction, and a weak motor that starts
-late, leave on worn arms, is two thirds of it)"""
+"""[rad] from the twin's rest posture (chosen)"""
 FARTHER = np.radians(5.0)
-"""[rad] by which it may stand farther off than in its own diagnosis (chosen: a third of that)"""
+"""[rad] more than in the own diagnosis (chosen)"""
 FALL = GuardLimits.max_lead + np.radians(5.0)
-"""[rad] by which a joint may fall off the way on which it is first sent (chosen: an arm that sags by more than the
-guard lets commands lead cannot be driven; of 180 emulated ones, some with 0.25 kg, none fell farther than 21 deg)"""
+"""[rad] of falling off the first way (chosen)"""
 ASTRAY = np.radians(8.0)
-"""[rad] by which it may leave that way without or against its weight (chosen: more than a joint that hunts, see
-`STILL`; those arms stayed within 0.5 deg)"""
+"""[rad] of leaving it without or against weight (chosen)"""
 STRIKES = 2
-"""Readings in a row that must say so (chosen: one wrong byte is no news)"""
+"""Readings in a row for that (chosen)"""
 LIGHT = 1e-3
-"""[N m] of weight below which a joint does not fall (chosen: axes that stand upright have less)"""
+"""[N m] without weight (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Stance:
-    """Where a twin expects arms that have come to rest: each servo gives way by the weight that it carries."""
+    """Expected rest posture by a twin."""
 
     stiffness: Array
     """(n,) [N m/rad] of the servos"""
     offset: Array
-    """(n,) [rad] where a servo brings its joint without load, minus the command"""
+    """(n,) [rad] unloaded joint minus command"""
     off: Array | float = 0.0
-    """(n,) [rad] how far from there joints came to rest in their own diagnosis: one too weak to lift the arm stays
-    where it once stops"""
+    """(n,) [rad] distance from there in the own diagnosis"""
 
     def away(self, arm: Arm, position: Array, command: Array) -> Array:
-        """How far (..., n) [rad] off joints at ``position`` (..., n) [rad] are, under the ``command`` in force."""
+        """Distances (..., n) [rad] of ``position`` (..., n) from it under ``command``."""
         expected = command + self.offset - gravity_torque(arm, position) / self.stiffness
         away: Array = np.abs(position - expected)
         return away
 
     def check(self, arm: Arm, state: JointState, command: Array) -> None:
-        """Raise NotReadyError unless the arms of ``state`` stand there, under the ``command`` (B, n) [rad] in force."""
+        """Raise NotReadyError unless ``state`` is there under ``command`` (B, n) [rad]."""
         away, most = self.away(arm, state.position, command), np.maximum(STANCE, self.off + FARTHER)
         most = np.broadcast_to(most, away.shape)
         b, j = np.unravel_index(np.argmax(away - most), away.shape)
@@ -76,10 +73,9 @@ class Stance:
 def begin(
     robot: Robot, limits: GuardLimits | None = None, stance: Stance | None = None, on_cycle: OnCycle | None = None
 ) -> Recording:
-    """Look at the robot, bring it slowly to its rest posture, and look whether it stands as its ``stance`` says.
+    """Look at the robot, bring it slowly to rest, and compare with its ``stance``.
 
-    NotReadyError where it had better not be driven: before it moves, as soon as a joint goes where it is not sent, or
-    at rest where the twin expects it elsewhere.
+    NotReadyError where it is unsafe to move the arm: before, during or after this motion.
     """
     check_ready(robot)
     motion = move(robot, robot.arm.rest, limits=limits, on_cycle=_FirstWay(robot, on_cycle))
@@ -89,10 +85,9 @@ def begin(
 
 
 class _FirstWay:
-    """Looks on at the first motion, and raises NotReadyError as soon as a joint leaves the way on which it is sent.
+    """Raises NotReadyError as soon as a joint leaves its first way.
 
-    An arm whose joint turns the other way than its readings, or whose readings are exchanged, leaves at once the place
-    that it is told to keep; nothing else is known of an arm that has not moved yet.
+    Reversed or exchanged joints leave at once the place that they are to keep.
     """
 
     def __init__(self, robot: Robot, on_cycle: OnCycle | None) -> None:
@@ -103,7 +98,7 @@ class _FirstWay:
     def __call__(self, cycle: Cycle) -> None:
         if self._on_cycle is not None:
             self._on_cycle(cycle)
-        gap = ((cycle.reasons & np.uint16(Reason.GAP.value)) != 0)[:, None]  # somebody may have moved it meanwhile
+        gap = ((cycle.reasons & np.uint16(Reason.GAP.value)) != 0)[:, None]  # others may have moved it
         self._low = np.where(gap, cycle.position, self._low)
         self._high = np.where(gap, cycle.position, self._high)
         weight = gravity_torque(self._arm, cycle.position)
@@ -128,7 +123,7 @@ class _FirstWay:
 
 
 def check_ready(robot: Robot) -> None:
-    """Raise NotReadyError unless the arms rest inside their limits, cool and without faults."""
+    """Raise NotReadyError unless the arms rest inside their limits, cool and healthy."""
     first = robot.read()
     state = robot.read()
     if (state.time > first.time).any():  # virtual time stands still
@@ -169,3 +164,60 @@ def _unwell(arm: Arm, state: JointState) -> str:
         return f"temperatures of {np.round(state.temperature).tolist()} deg C are not believed; check the servo bus"
     hottest, limit = state.temperature.max(axis=0), GuardLimits.max_temperature - WARMTH
     return f"{say_hot(arm.joint_names, hottest, limit)} before the start" if (hottest > limit).any() else ""
+
+
+def play(
+    robot: Robot,
+    trajectory: Callable[[Array], Array],
+    duration: float,
+    *,
+    limits: GuardLimits | None = None,
+    on_cycle: OnCycle | None = None,
+) -> Recording:
+    """Send ``trajectory(time)``, times (B,) [s] to commands (B, n) [rad], for ``duration`` [s], guarded."""
+    targets = np.full((robot.count, 1, 3), np.nan)
+    return run(robot, Playback(trajectory), targets, Schedule(dwell=duration), limits=limits, on_cycle=on_cycle)
+
+
+def move(
+    robot: Robot,
+    posture: Array,
+    *,
+    sent: Array | None = None,
+    speed: float = 0.5,
+    settle: float = 1.0,
+    limits: GuardLimits | None = None,
+    give_up: Callable[[ControlInput], Mask] | None = None,
+    on_cycle: OnCycle | None = None,
+) -> Recording:
+    """Bring every arm to ``posture`` (n,) [rad] at ``speed`` [rad/s] and wait ``settle`` [s].
+
+    The way starts at ``sent`` (B, n) [rad], or at the measured position of moved arms. ``give_up`` as in `Schedule`.
+    """
+    state = robot.read()
+    start = np.array(state.position if sent is None else in_force(state, sent), dtype=float)
+    way = posture - start
+    duration = max(float(np.abs(way).max()) / speed, 1e-3)
+
+    def trajectory(time: Array) -> Array:
+        return start + np.minimum(time / duration, 1.0)[:, None] * way
+
+    schedule = Schedule(dwell=duration + settle, sent=start, give_up=give_up)
+    nowhere = np.full((robot.count, 1, 3), np.nan)
+    return run(robot, Playback(trajectory), nowhere, schedule, limits=limits, on_cycle=on_cycle)
+
+
+class Playback:
+    """Controller that follows a trajectory by the clock."""
+
+    name = "playback"
+
+    def __init__(self, trajectory: Callable[[Array], Array]) -> None:
+        self._trajectory = trajectory
+
+    def reset(self, inputs: ControlInput, where: Mask) -> None:
+        """Do nothing: the clock is that of the inputs."""
+
+    def command(self, inputs: ControlInput) -> Array:
+        """Trajectory's posture (B, n) [rad] at this time."""
+        return self._trajectory(inputs.since_target)

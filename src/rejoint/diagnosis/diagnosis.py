@@ -3,25 +3,46 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import compress
 
 from rejoint.arms import Arm
-from rejoint.arms.size import length_size
+from rejoint.arms.workspace import length_size
 from rejoint.control.recording import OnCycle
 from rejoint.control.robot import Robot
-from rejoint.diagnosis.evidence import Evidence
-from rejoint.diagnosis.excitation import FULL, Plan
+from rejoint.diagnosis.excitation import FULL, DiagnosisLogs, Plan, record
 from rejoint.diagnosis.healthy import HealthyReference
 from rejoint.diagnosis.measurement import Measurement, measure
-from rejoint.diagnosis.open_loop import OpenLoop, open_loop_errors
-from rejoint.diagnosis.postures import settled_postures
-from rejoint.diagnosis.record import DiagnosisLogs, record
+from rejoint.diagnosis.open_loop import OpenLoop, open_loop_errors, settled_postures
 from rejoint.diagnosis.verdict import Finding, find
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
+from rejoint.system.statistics import Estimate
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evidence:
+    """Logs that a diagnosis was made from."""
+
+    motions: int
+    seconds: float
+    """[s] in all"""
+    free_seconds: float
+    """[s] that show the free arm"""
+    contact_seconds: float
+    """[s] with the tool on a table, recovery included"""
+    stop_seconds: float
+    """[s] with a joint at a stop, recovery included"""
+    dead_seconds: float
+    """[s] of readings that do not change though they should, recovery included"""
+    table_height_m: float | None
+    """of the tool on the table, in the base frame; None if it never touches one"""
+    rest_error_mm: Estimate | None
+    """from where the tool was sent to where it rests, by the encoders; None if it never rests"""
+
 
 HIDDEN_MARGIN_MM = 1.0
-"""Distance between tool and encoders, beyond the healthy range, from which it is called wear on a myCobot 280 (chosen);
-goes with the reach."""
+"""Distance between tool and encoders, beyond the healthy range, that is wear on a myCobot 280 (chosen); goes with the
+reach"""
 
 KINDS = {
     "stuck": "stuck",
@@ -82,7 +103,7 @@ def diagnose(
 
 
 def judge(arm: Arm, logs: DiagnosisLogs, healthy: HealthyReference | None) -> Diagnosis:
-    """Judge an arm by its logs alone; InputError if they do not fit the arm or hold too little."""
+    """Judge an arm by its logs; InputError if they do not fit the arm or hold too little."""
     if healthy is not None and healthy.arm != arm.name:
         raise InputError(f"the healthy reference is of arm {healthy.arm}, expected {arm.name}")
     measurement = measure(arm, logs.excitation, None if healthy is None else healthy.motors_kg_m2)
@@ -122,28 +143,32 @@ def _verdict(open_loop: OpenLoop, findings: tuple[Finding, ...], healthy: Health
         )
     if not findings:
         return f"{first} No joint shows wear that its encoder can see."
-    joints = {finding.joint: finding for finding in reversed(findings)}  # the worst finding of a joint wins
-    felt = [finding for finding in joints.values() if finding.felt]
-    causes = sorted(felt or joints.values(), key=lambda f: -f.tcp_mm)[:3]
-    named = "; ".join(f"{f.joint} is {KINDS[f.kind]} ({f.tcp_mm:.1f} mm)" for f in causes)
+    felt = tuple(finding for finding in findings if finding.felt)
     ringing = ringing_most(findings)
-    others = len({*joints} - {f.joint for f in (*causes, *([ringing] if ringing else []))})
-    more = f" {others} more joint{'s show' if others > 1 else ' shows'} wear." if others else ""
+    named, worst, more = causes(felt or findings, findings, ringing)
     lead = "Because" if error.value > (healthy.error_mm.high or 0.0 if healthy else 0.0) else "What is worn"
-    return f"{first} {lead}: {named}.{'' if ringing in causes else _rings(ringing, findings)}{more}"
+    return f"{first} {lead}: {named}.{'' if ringing in worst else _rings(ringing, findings)}{more}"
+
+
+def causes(
+    shown: tuple[Finding, ...], all_of_them: tuple[Finding, ...], told: Finding | None = None
+) -> tuple[str, list[Finding], str]:
+    """Name the worst findings of the three worst joints of ``shown``, and how many more joints there are."""
+    joints = {finding.joint: finding for finding in reversed(shown)}  # the worst finding of a joint wins
+    worst = sorted(joints.values(), key=lambda f: -f.tcp_mm)[:3]
+    named = "; ".join(f"{f.joint} is {KINDS[f.kind]} ({f.tcp_mm:.1f} mm)" for f in worst)
+    others = len({f.joint for f in all_of_them} - {f.joint for f in (*worst, *([told] if told else []))})
+    return named, worst, f" {others} more joint{'s show' if others > 1 else ' shows'} wear." if others else ""
 
 
 def _unexplained(open_loop: OpenLoop, findings: tuple[Finding, ...], healthy: HealthyReference | None) -> bool:
-    """Whether an arm surely misses its targets by more than a healthy one, and no finding says why."""
+    """Whether an arm misses its targets by more than a healthy one, and no finding says why."""
     least, usual = open_loop.error_mm.low, None if healthy is None else healthy.error_mm.high
     return not findings and least is not None and usual is not None and least > usual
 
 
 def ringing_most(findings: tuple[Finding, ...]) -> Finding | None:
-    """Return the finding of the joint with the lowest damping ratio among those that ring, if any does.
-
-    It costs little at rest, so the millimetres hide it, but it is what an owner sees.
-    """
+    """Return the finding of the joint that rings most, if any does."""
     return min((f for f in findings if f.kind == "low_damping"), key=lambda f: f.measured.value, default=None)
 
 
@@ -158,31 +183,21 @@ def _rings(ringing: Finding | None, findings: tuple[Finding, ...]) -> str:
 def _unseen(
     open_loop: OpenLoop, measurement: Measurement, healthy: HealthyReference | None, margin_mm: float
 ) -> tuple[str, ...]:
-    lines = [_hidden(open_loop, healthy, margin_mm)]
-    guessed = [row.joint for row in measurement.joints if row.stiffness_source == "inertia"]
-    unknown = [row.joint for row in measurement.joints if row.stiffness_source == "none"]
-    if guessed:
-        lines.append(
-            f"The weight on {', '.join(guessed)} is none or changes too little: their stiffness and friction follow "
-            "from how they accelerate, given the motor inertia of a healthy arm or of the nearest joint whose weight "
-            "changes."
-        )
-    if unknown:
-        lines.append(f"The stiffness of {', '.join(unknown)} cannot be told from this log.")
-    lines.append(
+    open_questions = {
+        "The stiffness of {} cannot be told from this log.": [r.stiffness_source == "none" for r in measurement.joints],
+        "{} moved too little for friction, lag and torque limit to show, as a joint does that sticks or is too weak.":
+            [r.lag_s is None for r in measurement.joints],
+        "The torque limit of {} was not reached.":
+            [r.torque_limit_nm is None and r.lag_s is not None for r in measurement.joints],
+    }  # fmt: skip
+    joints = [row.joint for row in measurement.joints]
+    named = {words: ", ".join(compress(joints, these)) for words, these in open_questions.items()}
+    return (
+        _hidden(open_loop, healthy, margin_mm),
         "Play inside the servo loop shows only where the load on a joint changes its side; a joint that always "
-        "carries weight rests on one flank."
-    )
-    blind = [row.joint for row in measurement.joints if row.lag_s is None]
-    if blind:
-        lines.append(
-            f"In the slow sweeps {', '.join(blind)} moved too little for friction, lag and torque limit to show, as a "
-            "joint does that sticks or is too weak."
-        )
-    free = [row.joint for row in measurement.joints if row.torque_limit_nm is None and row.lag_s is not None]
-    if free:
-        lines.append(f"The torque limit of {', '.join(free)} was not reached.")
-    return tuple(lines)
+        "carries weight rests on one flank.",
+        *(words.format(which) for words, which in named.items() if which),
+    )  # fmt: skip
 
 
 def _hidden(open_loop: OpenLoop, healthy: HealthyReference | None, margin_mm: float) -> str:

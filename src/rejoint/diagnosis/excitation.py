@@ -1,44 +1,123 @@
-"""The motion that makes an arm show what is wrong with it: a seeded plan, checked before it is driven.
+"""The motion that shows what is wrong with an arm: a seeded plan, checked before it is driven.
 
-Segments, in this order:
+``approach`` to the rest posture; ``still`` (noise, hunting); ``sweep``, slowly up and down at two speeds; ``step`` of
+every joint alone (lag, overshoot); ``multisine`` of all joints, band-limited (dynamics); ``hold``, postures of
+different gravity torques, each approached from below and above.
 
-* ``approach``: from where the arm is to its rest posture, slowly.
-* ``still``: nothing is asked for (noise, self-excited oscillation).
-* ``sweep``: every joint slowly up and down at two speeds (friction and hysteresis apart from lag).
-* ``step``: every joint alone, as fast as the servo's own ramp (lag, overshoot, oscillation).
-* ``multisine``: all joints at once, band-limited (dynamics, for identification as well).
-* ``hold``: postures with different gravity torques, each approached from below and from above
-  (stiffness: the sag's slope over gravity torque, with friction cancelled).
-
-The plan is piecewise linear in time, so that its speeds are exact, and every posture of it is
-checked by forward kinematics: joints away from their limits, frames above the floor, TCP away from
-the arm's own column, no joint loaded more than at the heaviest target (a worn arm that was brought
-into a posture that it cannot lift itself out of would stay there).
+Every posture is checked: joints inside their limits, frames above the floor, the TCP away from the arm's column, no
+joint loaded more than at the heaviest target.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rejoint.arms import Arm, Array, gravity_torque
-from rejoint.arms.room import (
+from rejoint.arms.workspace import (
     EXCURSION,
     HOLD_OFFSET,
     HOLD_SPREAD,
     LOAD_MARGIN,
     POSTURES,
     is_safe,
+    length_size,
     line_is_safe,
     postures_to_hold,
+    torque_size,
     unsafe,
 )
-from rejoint.arms.size import length_size, torque_size
-from rejoint.arms.workspace import on_a_surface
-from rejoint.diagnosis.path import CommandPath, smooth_ramp
-from rejoint.diagnosis.segments import Segment
+from rejoint.control.classical import DefaultController
+from rejoint.control.loop import Schedule, run
+from rejoint.control.recording import Cycle, OnCycle
+from rejoint.control.robot import Robot
+from rejoint.control.start import begin, move, play
+from rejoint.diagnosis.open_loop import DWELL, TARGETS
+from rejoint.diagnosis.segments import Segment, attach_segments
+from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
+from rejoint.system.progress import Progress, no_progress, part
+
+
+def swept(arm: Arm, joints: tuple[int, ...]) -> Array:
+    """Signs (n,) by which the joints of a group move, neighbours against each other; zero for the others."""
+    sign = np.zeros(arm.joints)
+    sign[list(joints)] = np.where(np.arange(len(joints)) % 2, -1.0, 1.0)
+    return sign
+
+
+class CommandPath:
+    """Knots of a trajectory that grows from a start posture (n,) [rad] at time 0."""
+
+    def __init__(self, start: Array) -> None:
+        self._time = [0.0]
+        self._position = [np.array(start, dtype=float)]
+        self._segments: list[Segment] = []
+
+    @property
+    def segments(self) -> tuple[Segment, ...]:
+        """Segments so far."""
+        return tuple(self._segments)
+
+    @property
+    def end(self) -> Array:
+        """(n,) [rad] where the trajectory has come to."""
+        return self._position[-1]
+
+    @contextmanager
+    def segment(self, name: str, kind: str, joints: tuple[int, ...] = ()) -> Iterator[None]:
+        """Give what is added inside the ``with`` block a name."""
+        start = self._time[-1]
+        yield
+        self._segments.append(Segment(name=name, kind=kind, start=start, stop=self._time[-1], joints=joints))
+
+    def wait(self, duration: float) -> None:
+        """Stay for ``duration`` [s]."""
+        self._add(duration, self._position[-1])
+
+    def travel(self, goal: Array, speed: float) -> None:
+        """Go straight to ``goal`` (n,) [rad]; the joint with the longest way moves at ``speed`` [rad/s]."""
+        self._add(float(np.abs(goal - self._position[-1]).max()) / speed, goal)
+
+    def sweep(self, arm: Arm, amplitude: float, travel: float, speeds: Sequence[tuple[float, int]]) -> None:
+        """Sweep every other joint at once about the rest posture by ``amplitude`` [rad], in cycles of each speed.
+
+        ``travel`` [rad/s] is the speed of the ways between.
+        """
+        for group in (range(0, arm.joints, 2), range(1, arm.joints, 2)):
+            joints = tuple(group)
+            way = amplitude * swept(arm, joints)
+            for index, (speed, cycles) in enumerate(speeds):
+                self.travel(arm.rest - way, travel)
+                self.wait(_SETTLE)
+                for half in range(2 * cycles):
+                    with self.segment(f"sweep/{'-'.join(map(str, joints))}/{index}/{half}", "sweep", joints):
+                        self.travel(arm.rest + (way if half % 2 == 0 else -way), speed)
+            self.travel(arm.rest, travel)
+            self.wait(_SETTLE)
+
+    def follow(self, time: Array, position: Array) -> None:
+        """Append samples (K,) [s] from 0 and (K, n) [rad] that begin at the present posture."""
+        begin = self._time[-1]
+        self._time.extend((begin + time[1:]).tolist())
+        self._position.extend(position[1:])
+
+    def knots(self) -> tuple[Array, Array]:
+        """Return times (K,) [s] and positions (K, n) [rad] so far."""
+        return np.array(self._time), np.array(self._position)
+
+    def _add(self, duration: float, goal: Array) -> None:
+        if duration > 0.0:
+            self._time.append(self._time[-1] + duration)
+            self._position.append(np.array(goal, dtype=float))
+
+
+def smooth_ramp(time: Array) -> Array:
+    """Go from 0 at time 0 to 1 after a second without a kink; any shape."""
+    return 0.5 - 0.5 * np.cos(np.pi * np.clip(time, 0.0, 1.0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +137,7 @@ class Plan:
     step_dwell: float = 1.0
     """[s] several periods of the slowest oscillation seen in worn arms (2 Hz)"""
     step_speed: float = 2.0
-    """[rad/s] just below the 120 deg/s ramp of small servos, so that the command is what the servo follows"""
+    """[rad/s] just below the 120 deg/s ramp of small servos"""
     multisine_period: float = 15.0
     """[s] one period; lines are 1/15 Hz apart"""
     multisine_periods: int = 2
@@ -92,10 +171,10 @@ _SETTLE = 0.3
 """[s] pause at the turning points between segments (chosen)."""
 
 _ATTEMPTS, _SMALLER = 12, 0.8
-"""Plans that are tried, and the factor on the amplitude that was too large in the last one (chosen)."""
+"""Plans that are tried, and the factor on an amplitude that was too large (chosen)"""
 
 _LEAST_SPREAD = 0.2
-"""[rad] of postures to hold below which none are looked for (chosen: little more than the approach to them)."""
+"""[rad] of postures to hold, at least (chosen: little more than the approach to them)"""
 
 _AMPLITUDES = {"sweep": "sweep_amplitude", "step": "step_size", "multisine": "multisine_amplitude",
                "hold": "posture_spread"}  # fmt: skip
@@ -126,28 +205,19 @@ class Excitation:
 
 _REMEDY = (
     "give another rest_deg in the arm's TOML file, farther from the floor, from the joint limits and from postures "
-    "that load the arm more than its targets do, or leave out rest_deg and targets to have them derived"
+    "that load the arm more than its targets do, or leave out rest_deg and targets to have them derived; where "
+    "joints move the TCP on a surface only, choose another tip"
 )
-
-_ON_A_SURFACE = (
-    "its joints move the TCP on a line or a surface only, for which no posture with room is derived; choose a tip that "
-    "every joint moves (--tip, or tip.position_m in the arm's TOML file), or give rest_deg and targets there"
-)
-
-
-def _remedy(arm: Arm) -> str:
-    return _ON_A_SURFACE if on_a_surface(arm) else _REMEDY
 
 
 def plan_excitation(arm: Arm, *, seed: int, start: Array | None = None, plan: Plan = FULL) -> Excitation:
-    """Plan the excitation of an arm that stands at ``start`` (n,) [rad] (default: its rest posture).
+    """Plan the excitation of an arm at ``start`` (n,) [rad] (default: its rest posture).
 
-    Motions that are too fast for the arm are slowed down, and amplitudes that would leave the safe space are
-    made smaller. Raises InputError if that does not suffice.
+    Too fast motions are slowed down, too large ones made smaller; InputError if that does not suffice.
     """
     why = unsafe(arm, arm.rest)
     if why:
-        raise InputError(f"arm {arm.name}: its rest posture is not safe to excite it about: {why}; {_remedy(arm)}")
+        raise InputError(f"arm {arm.name}: its rest posture is not safe to excite it about: {why}; {_REMEDY}")
     plan, where = _slowed(plan, arm), "its beginning"
     for _ in range(_ATTEMPTS):
         excitation = _plan_once(arm, seed, arm.rest if start is None else np.asarray(start, dtype=float), plan)
@@ -160,7 +230,7 @@ def plan_excitation(arm: Arm, *, seed: int, start: Array | None = None, plan: Pl
             break
         name = _AMPLITUDES[segment.kind]
         plan = replace(plan, **{name: _SMALLER * getattr(plan, name)})
-    raise InputError(f"arm {arm.name}: the excitation is not safe in {where}; {_remedy(arm)}")
+    raise InputError(f"arm {arm.name}: the excitation is not safe in {where}; {_REMEDY}")
 
 
 def _plan_once(arm: Arm, seed: int, start: Array, plan: Plan) -> Excitation:
@@ -171,7 +241,8 @@ def _plan_once(arm: Arm, seed: int, start: Array, plan: Plan) -> Excitation:
         path.wait(0.5)
     with path.segment("still", "still"):
         path.wait(plan.still)
-    _add_sweeps(path, arm, plan)
+    speeds = list(zip(plan.sweep_speeds, plan.sweep_cycles, strict=True))
+    path.sweep(arm, plan.sweep_amplitude, plan.travel_speed / 2, speeds)
     _add_steps(path, arm, plan)
     _add_multisine(path, arm, plan, rng)
     _add_holds(path, arm, plan, rng)
@@ -179,23 +250,6 @@ def _plan_once(arm: Arm, seed: int, start: Array, plan: Plan) -> Excitation:
         path.travel(arm.rest, plan.travel_speed / 2)
     time, position = path.knots()
     return Excitation(arm=arm, segments=path.segments, time=time, position=position)
-
-
-def _add_sweeps(path: CommandPath, arm: Arm, plan: Plan) -> None:
-    """Sweep every other joint at once: neighbours disturb each other, the rest hardly."""
-    for group in (range(0, arm.joints, 2), range(1, arm.joints, 2)):
-        joints = tuple(group)
-        sign = np.zeros(arm.joints)
-        sign[list(joints)] = np.where(np.arange(len(joints)) % 2, -1.0, 1.0)
-        for index, (speed, cycles) in enumerate(zip(plan.sweep_speeds, plan.sweep_cycles, strict=True)):
-            path.travel(arm.rest - plan.sweep_amplitude * sign, plan.travel_speed / 2)
-            path.wait(_SETTLE)
-            for half in range(2 * cycles):
-                side = 1.0 if half % 2 == 0 else -1.0
-                with path.segment(f"sweep/{'-'.join(map(str, joints))}/{index}/{half}", "sweep", joints):
-                    path.travel(arm.rest + side * plan.sweep_amplitude * sign, speed)
-        path.travel(arm.rest, plan.travel_speed / 2)
-        path.wait(_SETTLE)
 
 
 def _add_steps(path: CommandPath, arm: Arm, plan: Plan) -> None:
@@ -209,7 +263,6 @@ def _add_steps(path: CommandPath, arm: Arm, plan: Plan) -> None:
 
 
 def _add_multisine(path: CommandPath, arm: Arm, plan: Plan, rng: np.random.Generator) -> None:
-    """All joints at once on interleaved lines, faded in and out over a second."""
     duration = plan.multisine_period * plan.multisine_periods
     time = np.arange(0.0, duration + 1e-9, 0.01)
     lines = np.arange(1, int(plan.multisine_band * plan.multisine_period) + 1)
@@ -243,8 +296,7 @@ def _add_holds(path: CommandPath, arm: Arm, plan: Plan, rng: np.random.Generator
 def hold_postures(arm: Arm, plan: Plan, rng: np.random.Generator) -> Array:
     """Postures (P, n) [rad] whose gravity torques lie far apart: farthest-point sampling of safe candidates.
 
-    Torques are scaled per joint by their largest value, so that weakly loaded joints count as well,
-    and cut from below at what counts as no load: what friction hides altogether is not worth a posture.
+    Torques are scaled per joint by their largest value, or by what counts as no load.
     """
     spread = plan.posture_spread
     q = postures_to_hold(arm, rng, spread=spread, offset=plan.hold_offset)
@@ -254,7 +306,7 @@ def hold_postures(arm: Arm, plan: Plan, rng: np.random.Generator) -> Array:
     if len(q) < plan.postures:
         raise InputError(
             f"arm {arm.name}: only {len(q)} of {POSTURES} postures around its rest posture are safe, expected "
-            f"{plan.postures} to hold; {_remedy(arm)}"
+            f"{plan.postures} to hold; {_REMEDY}"
         )
     torque = gravity_torque(arm, q)
     torque = torque / np.maximum(np.abs(torque).max(axis=0), LOAD_MARGIN * torque_size(arm))
@@ -267,11 +319,7 @@ def hold_postures(arm: Arm, plan: Plan, rng: np.random.Generator) -> Array:
 
 
 def _slowed(plan: Plan, arm: Arm) -> Plan:
-    """Keep the speeds of a plan below shares of the slowest joint's, and its band below what a long arm can follow.
-
-    Motions under gravity last as the square root of the length; fast ones ask a long arm for more torque
-    than it has.
-    """
+    """Keep the speeds of a plan below shares of the slowest joint's, and its band below what a long arm can follow."""
     limit = float(arm.max_speed.min())
     return replace(
         plan,
@@ -285,7 +333,7 @@ def _slowed(plan: Plan, arm: Arm) -> Plan:
 
 
 def _first_leaving(excitation: Excitation) -> tuple[Segment, Array] | None:
-    """Segment in which, or before which, a plan first leaves the safe space, and the posture (n,) [rad]; else None."""
+    """Segment in which a plan first leaves the safe space, and the posture (n,) [rad]; else None."""
     arm, time, position = excitation.arm, excitation.time, excitation.position
     fine = np.union1d(time, np.arange(0.0, time[-1], 0.05))
     q = np.stack([np.interp(fine, time, column) for column in position.T], axis=-1)
@@ -296,3 +344,64 @@ def _first_leaving(excitation: Excitation) -> tuple[Segment, Array] | None:
     first = np.argmin(good)
     segment = next((s for s in excitation.segments if s.stop >= fine[first]), excitation.segments[-1])
     return segment, q[first]
+
+
+TARGETS_LABEL, EXCITATION_LABEL = "diagnosis/targets", "diagnosis/excitation"
+"""Labels of the run logs."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DiagnosisLogs:
+    """What one arm did for its diagnosis."""
+
+    targets: RunLog
+    """ten targets open loop"""
+    excitation: RunLog
+    """the excitation, with its segments in ``extra``"""
+
+
+def record(
+    robot: Robot, *, seed: int, plan: Plan = FULL, on_progress: Progress = no_progress,
+    on_cycle: OnCycle | None = None,
+) -> tuple[DiagnosisLogs, ...]:  # fmt: skip
+    """Drive every arm of ``robot`` through the diagnosis, with one draw of ``seed``; returns the logs of each.
+
+    NotReadyError before it moves if that is unsafe; GuardTripError or RobotError if the motion had to be ended.
+    ``on_cycle`` sees every cycle.
+    """
+    arm = robot.arm
+    extra = {"seed": str(seed)}
+    excitation = plan_excitation(arm, seed=seed, plan=plan)  # refused, if it is, before anything moves
+    begin(robot, on_cycle=on_cycle)
+    whole, first = TARGETS * DWELL + excitation.duration, TARGETS * DWELL
+    targets = np.tile(arm.targets.sample(np.random.default_rng(seed), (TARGETS,)), (robot.count, 1, 1))
+    open_loop = run(
+        robot, DefaultController(arm), targets, Schedule(dwell=DWELL),
+        on_cycle=reporting("ten targets", first, part(on_progress, 0.0, first / whole), on_cycle, robot),
+    )  # fmt: skip
+    move(robot, arm.rest, on_cycle=on_cycle)
+    excited = play(
+        robot, excitation.command, excitation.duration,
+        on_cycle=reporting(
+            "excitation", excitation.duration, part(on_progress, first / whole, 1.0), on_cycle, robot
+        ),
+    )  # fmt: skip
+    return tuple(
+        DiagnosisLogs(
+            targets=open_loop.log(b, TARGETS_LABEL, extra),
+            excitation=attach_segments(excited.log(b, EXCITATION_LABEL, extra), excitation.segments, excited.waits(b)),
+        )
+        for b in range(robot.count)
+    )
+
+
+def reporting(what: str, duration: float, on_progress: Progress, on_cycle: OnCycle | None, robot: Robot) -> OnCycle:
+    """Return what reports the progress of a motion of this ``duration`` [s] after each cycle."""
+    since = float(robot.read().time[0])
+
+    def report(cycle: Cycle) -> None:
+        if on_cycle is not None:
+            on_cycle(cycle)
+        on_progress(min((float(cycle.time[0]) - since) / duration, 1.0), what)
+
+    return report

@@ -1,8 +1,7 @@
-"""A diagnosis from logs alone: whatever an arm was doing when something recorded it.
+"""A diagnosis from logs of any motion: the numbers per joint as far as they tell, against the same healthy reference.
 
-The same numbers per joint as from an excitation, as far as the logs tell them, against the same healthy
-reference. Rows that do not show the free arm are left out, or an arm that lies on its table would look like
-one with a weak elbow.
+Rows that do not show the free arm are left out. What logs leave open stays open: a joint that gravity does not load has
+no stiffness here, one that moves in one direction only no friction.
 """
 
 from __future__ import annotations
@@ -12,24 +11,23 @@ from collections.abc import Sequence
 import numpy as np
 
 from rejoint.arms import Arm, tcp_position
-from rejoint.diagnosis.diagnosis import KINDS, Diagnosis, condition_of
-from rejoint.diagnosis.evidence import Evidence
-from rejoint.diagnosis.fromstates import diagnose_states
+from rejoint.diagnosis.diagnosis import Diagnosis, Evidence, causes, condition_of
 from rejoint.diagnosis.healthy import HealthyReference
-from rejoint.diagnosis.logmetrics import COARSEST, MANY_LOGS, measure_joint
-from rejoint.diagnosis.measurement import Measurement
-from rejoint.diagnosis.postures import Postures, joined, resting_postures
+from rejoint.diagnosis.measurement import Measurement, measure_joint
+from rejoint.diagnosis.metrics import COARSEST
+from rejoint.diagnosis.open_loop import Postures, joined, resting_postures
 from rejoint.diagnosis.regression import mean_of
-from rejoint.diagnosis.spans import join_logs
+from rejoint.diagnosis.segments import join_logs
 from rejoint.diagnosis.verdict import Finding, find
-from rejoint.logs.bare import states_alone
-from rejoint.logs.copies import refuse_copies
-from rejoint.logs.doubts import forced_remarks
+from rejoint.logs.consistency import forced_remarks, refuse_copies, require_commands, states_alone
 from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
 from rejoint.system.statistics import Estimate
+
+_MANY = 8
+"""From as many logs on, logs are independent, below the places that the arm rests at (chosen)"""
 
 SHORTEST = 10.0
 """[s] of free motion below which a diagnosis is refused (chosen, as for an identification)"""
@@ -43,21 +41,26 @@ def diagnose_logs(
     source: str = "logs",
     on_progress: Progress = no_progress,
 ) -> Diagnosis:
-    """Judge an arm by logs of any motion.
+    """Judge an arm by logs of any motion, which come from ``source``.
 
-    ``source`` is what the diagnosis names as its robot. InputError if the logs are of another arm or hold
-    too little free motion.
+    InputError if the logs are of another arm or hold too little free motion.
     """
     if healthy is not None and healthy.arm != arm.name:
         raise InputError(f"the healthy reference is of arm {healthy.arm}, expected {arm.name}")
     for log in logs:
         log.require(arm.name, arm.joint_names)
     refuse_copies(logs, "diagnosis")
-    if states_alone(logs, "diagnosis"):
-        return diagnose_states(arm, logs, healthy, source, [f"{remark}." for remark in forced_remarks(logs)])
+    bare = states_alone(logs, "diagnosis")
+    if any(log.torque is None and log.current is None for log in logs):
+        require_commands(logs, "diagnosis")
     on_progress(0.0, "contacts and stops")
-    height = table_height(arm, logs)
-    excluded = find_exclusions(arm, logs, height)
+    height = None if bare else table_height(arm, logs)
+    nowhere = [np.zeros(len(log), dtype=bool) for log in logs]
+    excluded = (
+        [Exclusions(contact=rows, stop=rows, stale=rows) for rows in nowhere]
+        if bare
+        else find_exclusions(arm, logs, height)
+    )
     rest = joined([resting_postures(log, rows, stops=True) for log, rows in zip(logs, excluded, strict=True)])
     evidence = _evidence(arm, logs, excluded, height)
     if evidence.free_seconds < SHORTEST:
@@ -71,10 +74,12 @@ def diagnose_logs(
         on_progress(0.1 + 0.9 * joint / arm.joints, name)
         rows.append(measure_joint(data, joint))
     measurement = Measurement(joints=tuple(rows), delay_s=None, period_s=float(np.median(np.diff(data.log.time))))
-    findings = find(arm, measurement, rest if len(rest.position) else _everywhere(logs, excluded), healthy)
+    rest = rest if len(rest.position) else _everywhere(logs, excluded)
+    findings = () if bare else find(arm, measurement, rest, healthy)
+    known = _by_effort(measurement, data.effort_unit or "") if bare else _verdict(measurement, findings, healthy)
     return Diagnosis(
         arm=arm.name, robot=source, condition=_condition(measurement, findings),
-        verdict=f"{_rest(evidence, healthy)}{_verdict(measurement, findings, healthy)} {_motions(evidence)}",
+        verdict=f"{_rest(evidence, healthy)}{known} {_motions(evidence)}",
         findings=findings, unseen=(*_unseen(measurement), *(f"{remark}." for remark in forced_remarks(logs))),
         open_loop=None, measurement=measurement, healthy=healthy,
         evidence=evidence,
@@ -82,7 +87,7 @@ def diagnose_logs(
 
 
 def left_out(evidence: Evidence) -> str:
-    """Say what of the logs does not show the free arm, as the end of a sentence; empty where all of it does."""
+    """Say what of the logs does not show the free arm, as the end of a sentence."""
     parts = (
         (evidence.contact_seconds, "with the tool on a table"), (evidence.stop_seconds, "at a stop"),
         (evidence.dead_seconds, "of dead readings"),
@@ -108,10 +113,7 @@ def _evidence(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions], 
 
 
 def _rest_error(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]) -> Estimate | None:
-    """Mean [mm] of how far the tool rests from where it was sent, by encoder kinematics.
-
-    Logs count as independent of one another; where there are few, the commands that the arm rests at.
-    """
+    """Mean [mm] of how far the tool rests from where it was sent, by the encoders."""
     means: list[float] = []
     for log, rows in zip(logs, excluded, strict=True):
         rest = resting_postures(log, rows)
@@ -121,12 +123,11 @@ def _rest_error(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]
         error = np.linalg.norm(gap, axis=-1) * 1e3
         place = np.unique(np.round(rest.command, 3), axis=0, return_inverse=True)[1].ravel()
         of_place = np.bincount(place, weights=error) / np.bincount(place)
-        means += [float(error.mean())] if len(logs) >= MANY_LOGS else of_place.tolist()
+        means += [float(error.mean())] if len(logs) >= _MANY else of_place.tolist()
     return mean_of(np.array(means)) if means else None
 
 
 def _everywhere(logs: Sequence[RunLog], excluded: Sequence[Exclusions]) -> Postures:
-    """Postures of the free arm in motion, for logs in which it never rests."""
     chosen = [
         np.flatnonzero(rows.free)[:: max(int(rows.free.sum()) // 20, 1)] for rows in excluded
     ]  # some twenty of each
@@ -137,7 +138,7 @@ def _everywhere(logs: Sequence[RunLog], excluded: Sequence[Exclusions]) -> Postu
 
 
 def _rest(evidence: Evidence, healthy: HealthyReference | None) -> str:
-    """Say how far the tool rests from where it was sent, with a space behind; empty where it never rests."""
+    """Say how far the tool rests from where it was sent; empty where it never rests."""
     error = evidence.rest_error_mm
     if error is None:
         return ""
@@ -150,7 +151,6 @@ def _rest(evidence: Evidence, healthy: HealthyReference | None) -> str:
 
 
 def _motions(evidence: Evidence) -> str:
-    """Say what the logs show."""
     motions = f"{evidence.motions} recorded motion{'s' * (evidence.motions != 1)}"
     return f"From {motions}, {evidence.free_seconds:.0f} s in free space{left_out(evidence)}."
 
@@ -176,17 +176,27 @@ def _verdict(measurement: Measurement, findings: tuple[Finding, ...], healthy: H
         return (
             f"No joint shows wear in these logs{'; they do not tell about ' * bool(unmeasured)}{', '.join(unmeasured)}."
         )
-    joints = {finding.joint: finding for finding in reversed(findings)}  # the worst finding of a joint wins
-    worst = sorted(joints.values(), key=lambda f: -f.tcp_mm)
-    named = "; ".join(f"{f.joint} is {KINDS[f.kind]} ({f.tcp_mm:.1f} mm)" for f in worst[:3])
-    more = len(worst) - 3
-    others = "" if more <= 0 else f" {more} more joint{'s show' if more > 1 else ' shows'} wear."
+    named, _, more = causes(findings, findings)
     against = "" if healthy is None else f" Compared with {healthy.source}."
-    return f"What stands out: {named}.{others}{against}"
+    return f"What stands out: {named}.{more}{against}"
+
+
+def _by_effort(measurement: Measurement, unit: str) -> str:
+
+    def said(found: Estimate | None, unit: str) -> str:
+        return "" if found is None else f"{found.value:.3g} {unit} ({found.low:.3g} to {found.high:.3g})"
+
+    rows = [row for row in measurement.joints if row.coulomb_effort is not None]
+    named = "; ".join(
+        f"{row.joint} {said(row.coulomb_effort, unit)} and {said(row.viscous_effort, f'{unit} s/rad')}" for row in rows
+    )
+    return (
+        f"These logs hold no commands: whether the arm is worn cannot be told. Dry friction, and friction by speed, by "
+        f"what the motors give: {named or 'not known, as no joint moves in both directions for long enough'}."
+    )
 
 
 def _unseen(measurement: Measurement) -> tuple[str, ...]:
-    """Say what these logs leave open, in sentences."""
     lines = []
     for missing, words in (
         ("stiffness_nm_per_rad", "The stiffness of {}, and so the torque that friction takes, cannot be told: gravity "

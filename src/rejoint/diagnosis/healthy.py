@@ -1,48 +1,50 @@
 """What a healthy arm of the same kind measures, by the same procedure.
 
-The reference of an arm of the catalogue is a file in this package. It is measured on the emulated arm
-with the wear profile ``healthy``, which scales with the arm, or with one of its own in `NEW`, and written again by
+That of an arm of the catalogue is a file in this package, measured on emulated arms with the wear profile ``healthy``,
+or that of `NEW`, and written by
 
     python -m rejoint.diagnosis mycobot280
 
-What a new SO-101 measures goes with P and with the supply of its servos: it has a reference for each P in `MEASURED`,
-and `as_set` makes that of an arm of them. For any other arm `healthy_reference` measures it when it is needed. A
-diagnosis of a real arm that is known to be good is the better reference
-(`rejoint.diagnosis.knowngood.reference_by`).
+An SO-101 has one for each P in `MEASURED`, which `as_set` brings to its supply. For other arms `healthy_reference`
+measures it. A diagnosis of a real arm that is known to be good is better (`reference_by`).
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.control.servogains import ServoGains
-from rejoint.diagnosis.measurement import OFFSET_ALLOWED, JointMetrics, measure
+from rejoint.diagnosis.excitation import DiagnosisLogs, record
+from rejoint.diagnosis.measurement import OFFSET_ALLOWED, JointMetrics, measure, scaled
 from rejoint.diagnosis.open_loop import open_loop_errors
-from rejoint.diagnosis.record import DiagnosisLogs, record
 from rejoint.robots import SIMULATOR, open_robot
 from rejoint.system.errors import InputError
 from rejoint.system.extras import installed
 from rejoint.system.files import read_json
 from rejoint.system.statistics import Estimate
 
+if TYPE_CHECKING:
+    from rejoint.diagnosis.diagnosis import Diagnosis
+
 TOLERANCE = 0.3
-"""Relative spread allowed between healthy arms of a kind, on top of what was seen (chosen: vendors publish none)."""
+"""Relative spread between healthy arms, on top of what was seen (chosen: vendors publish none)"""
 
 SIGMAS = 3.0
-"""Standard deviations of repeated diagnoses that still count as healthy (chosen: an arm is judged by some
-fifty numbers, so two would be too few)."""
+"""Standard deviations that still count as healthy (chosen: an arm is judged by some fifty numbers)"""
 
 OVERSHOOT_ALLOWED = 0.05
 """Fraction of a step that any healthy arm may shoot over (chosen)."""
 
 NO_OFFSET = Estimate(0.0, -OFFSET_ALLOWED, OFFSET_ALLOWED)
-"""What a joint without an offset shows: each servo has its own zero, so no other arm tells"""
+"""What a joint without an offset shows: each servo has its own zero"""
 
 ARMS, SEED = 12, 2024
 """Emulated healthy arms that are measured for the reference (chosen)."""
@@ -52,12 +54,12 @@ ARMS_ON_DEMAND = 6
 
 
 NEW = {"so101": "so101-new"}
-"""Arms whose new ones have a wear profile of their own: their servos are softer than any that `healthy` scales to"""
+"""Arms whose new ones have a wear profile of their own"""
 
 MEASURED = (16, 32, 64)
-"""P of the servos under which such arms are measured: LeRobot's, as sold, and the largest that a search tries"""
+"""P of the servos under which such arms are measured: LeRobot's, as sold, and the largest in a search"""
 AS_SOLD, SUPPLY = 32, 12.0
-"""P where nothing is known of the gains, and [V] of the supply for which all of them are measured"""
+"""P where no gains are known, and [V] of the supply of all references"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,18 +70,18 @@ class HealthyReference:
     source: str
     """what was measured, in words"""
     motors_kg_m2: tuple[float | None, ...]
-    """inertia of motor and gear seen from each joint; None where gravity does not load it enough to tell"""
+    """inertia of motor and gear at each joint; None where gravity does not tell"""
     joints: tuple[JointMetrics, ...]
     error_mm: Estimate
     """of ten targets open loop, by encoder kinematics"""
     hidden_mm: Estimate | None
-    """between the tool and where the encoders put it; None where nobody knew"""
+    """between the tool and where the encoders put it; None where it was unknown"""
     setting: str = ""
-    """what of the arm at hand it was reckoned for, in words: the P of its servos and their supply"""
+    """what of the arm at hand it was computed for: P and supply"""
 
 
 def reference_path(arm: Arm, p: int = AS_SOLD) -> Path:
-    """Where the package keeps the reference of an arm; ``p`` is that of its servos, if there are several."""
+    """Path of the package's reference of an arm; ``p`` is that of its servos."""
     under = "" if p == AS_SOLD else f"_p{p}"
     return Path(str(files("rejoint.diagnosis"))) / f"healthy_{arm.name}{under}.json"
 
@@ -103,8 +105,7 @@ def as_set(
 ) -> HealthyReference | None:
     """Return what a healthy arm measures with these ``gains`` in its servos, and this ``voltage`` (n,) [V].
 
-    Each joint is taken from the reference of the nearest P. A servo gives torque in proportion to P and to its supply,
-    the variant for 7.4 V as well as that for 12 V; so does an arm sag. ``reference`` itself where nothing is told.
+    A servo's torque goes with P and with its supply; each joint is taken from the reference of the nearest P.
     """
     if _new(arm) is None or reference is None or gains is None or "p" not in gains:
         return reference
@@ -120,7 +121,7 @@ def as_set(
     if voltage is not None:
         setting += f" and a supply of {np.median(voltage):.1f} V"
     return replace(
-        whole, joints=tuple(rows), error_mm=_times(whole.error_mm, of / typical / float(share.mean())),
+        whole, joints=tuple(rows), error_mm=scaled(whole.error_mm, of / typical / float(share.mean())),
         source=f"{whole.source},{setting}", setting=setting,
     )  # fmt: skip
 
@@ -133,35 +134,25 @@ def _by_joint(values: Sequence[int], names: Sequence[str]) -> str:
 
 
 def _new(arm: Arm) -> str | None:
-    """Return the wear profile of a new arm of this kind, None where `healthy` does; so with servos of another make."""
+    """Return the wear profile of a new arm of this kind, None where `healthy` is used."""
     return NEW.get(arm.name) if arm.servos else None
 
 
 def _nearest(arm: Arm, p: float) -> tuple[int, HealthyReference]:
-    """Return the P of `MEASURED` that is nearest, and the reference for it."""
     of = min(MEASURED, key=lambda one: abs(float(np.log(p / one))))
     return of, read_json(reference_path(arm, of), HealthyReference)
 
 
 def _stiffer(row: JointMetrics, factor: float) -> JointMetrics:
-    """Return what a joint measures whose servo is stiffer by ``factor``."""
     stiffness, width = row.stiffness_nm_per_rad, row.hysteresis_rad
     return replace(
-        row, stiffness_nm_per_rad=None if stiffness is None else _times(stiffness, factor),
-        hysteresis_rad=None if width is None else _times(width, 1.0 / factor),
+        row, stiffness_nm_per_rad=None if stiffness is None else scaled(stiffness, factor),
+        hysteresis_rad=None if width is None else scaled(width, 1.0 / factor),
     )  # fmt: skip
 
 
-def _times(found: Estimate, factor: float) -> Estimate:
-    low, high = (None if end is None else end * factor for end in (found.low, found.high))
-    return Estimate(found.value * factor, low, high)
-
-
 def measure_healthy(arm: Arm, *, count: int = ARMS, p: int = AS_SOLD) -> HealthyReference:
-    """Diagnose ``count`` emulated healthy arms, each with noise and excitation of its own.
-
-    ``p`` is that of the servos of an arm in `NEW`; others are told none.
-    """
+    """Diagnose ``count`` emulated healthy arms; ``p`` is that of the servos of an arm in `NEW`."""
     logs: list[DiagnosisLogs] = []
     new = _new(arm)
     profile = new or "healthy"
@@ -174,10 +165,7 @@ def measure_healthy(arm: Arm, *, count: int = ARMS, p: int = AS_SOLD) -> Healthy
 
 
 def reference_from(arm: Arm, logs: Sequence[DiagnosisLogs], *, source: str, motors: bool = True) -> HealthyReference:
-    """Make a reference from the logs of healthy arms; at least three, for a spread.
-
-    ``motors`` says whether their inertia can be told: the ramp and the D of an STS3215 hide half of it.
-    """
+    """Make a reference from the logs of at least three healthy arms; ``motors``: whether their inertia can be told."""
     if len(logs) < 3:
         raise InputError(f"a healthy reference needs the logs of at least three diagnoses, got {len(logs)}")
     first = [measure(arm, entry.excitation) for entry in logs]
@@ -201,39 +189,32 @@ def _combine(arm: Arm, rows: list[JointMetrics]) -> JointMetrics:
     def known(name: str) -> list[float]:
         return [estimate.value for estimate in (getattr(row, name) for row in rows) if estimate is not None]
 
-    def positive(name: str) -> Estimate | None:
-        return _range(known(name)) if known(name) else None
-
     sources = [row.stiffness_source for row in rows]
+    ranges = {name: _range(values) for name in POSITIVE if (values := known(name))}
+    ranges |= {name: _range_about_zero(known(name), allowed) for name, allowed in _allowed(arm).items()}
     return JointMetrics(
         joint=rows[0].joint,
         stiffness_source=max(sorted(set(sources)), key=sources.count),  # a set has no order of its own
-        stiffness_nm_per_rad=positive("stiffness_nm_per_rad"),
-        coulomb_nm=positive("coulomb_nm"),
-        damping_ratio=positive("damping_ratio"),
-        hysteresis_rad=positive("hysteresis_rad"),
-        lag_s=positive("lag_s"),
-        overshoot=_range_about_zero(known("overshoot"), OVERSHOOT_ALLOWED),
-        hunting_rad=_range_about_zero(known("hunting_rad"), arm.encoder_step),
-        noise_rad=_range_about_zero(known("noise_rad"), arm.encoder_step),
-        torque_limit_nm=None,
         torque_seen_nm=max(row.torque_seen_nm for row in rows),
         saturated_share=max(row.saturated_share for row in rows),
         motor_inertia_kg_m2=_typical([row.motor_inertia_kg_m2 for row in rows]),
         sweep_gain=min((row.sweep_gain for row in rows if row.sweep_gain is not None), default=None),
         stuck_rad=max(row.stuck_rad for row in rows),
         offset_rad=NO_OFFSET,
+        **ranges,
     )
 
 
+def _allowed(arm: Arm) -> dict[str, float]:
+    return {"overshoot": OVERSHOOT_ALLOWED, "hunting_rad": arm.encoder_step, "noise_rad": arm.encoder_step}
+
+
 def _typical(values: Sequence[float | None]) -> float | None:
-    """Median of what is known, if that is at least a third of the values."""
     known = [value for value in values if value is not None]
     return float(np.median(known)) if 3 * len(known) >= len(values) else None
 
 
 def _range(values: list[float]) -> Estimate:
-    """Geometric mean and healthy range of a positive quantity: standard deviations and tolerance as factors."""
     logs = np.log(np.maximum(values, 1e-12))
     mean, spread = float(logs.mean()), float(logs.std(ddof=1)) if len(logs) > 1 else 0.0
     half = SIGMAS * spread + np.log1p(TOLERANCE)
@@ -245,3 +226,55 @@ def _range_about_zero(values: list[float], allowed: float) -> Estimate:
     mean, spread = float(np.mean(values)), float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
     half = SIGMAS * spread + TOLERANCE * abs(mean) + allowed
     return Estimate(mean, mean - half, mean + half)
+
+
+POSITIVE = ("stiffness_nm_per_rad", "coulomb_nm", "damping_ratio", "hysteresis_rad", "lag_s")
+"""Quantities of a joint that are above zero in any arm"""
+
+
+def reference_by(arm: Arm, good: Diagnosis) -> HealthyReference:
+    """Make a reference of a diagnosis, each interval wider by the spread between arms.
+
+    InputError if the diagnosis is of another kind of arm or says too little.
+    """
+    if good.arm != arm.name:
+        raise InputError(f"the arm known to be good is a {good.arm}, expected {arm.name}")
+    error = None if good.evidence is None else good.evidence.rest_error_mm
+    error = error if good.open_loop is None else good.open_loop.error_mm
+    if error is None:
+        raise InputError("the diagnosis of the arm known to be good says nothing about rest; take another one")
+    return HealthyReference(
+        arm=arm.name,
+        source=f"an arm known to be good ({good.robot})",
+        motors_kg_m2=tuple(row.motor_inertia_kg_m2 for row in good.measurement.joints),
+        joints=tuple(_ranges(arm, row) for row in good.measurement.joints),
+        error_mm=_factor(error),
+        hidden_mm=None,
+    )
+
+
+def _ranges(arm: Arm, row: JointMetrics) -> JointMetrics:
+    """Turn every interval of a joint into the range within which another arm counts as healthy."""
+    changed: dict[str, Any] = {name: _factor(found) for name in POSITIVE if (found := getattr(row, name)) is not None}
+    for name, margin in _allowed(arm).items():
+        if (found := getattr(row, name)) is not None:
+            changed[name] = _margin(found, margin)
+    return dataclasses.replace(row, offset_rad=NO_OFFSET, **changed)
+
+
+def _factor(found: Estimate) -> Estimate:
+    low, high = _ends(found)
+    return Estimate(found.value, max(low, 0.0) / (1 + TOLERANCE), high * (1 + TOLERANCE))
+
+
+def _margin(found: Estimate, allowed: float) -> Estimate:
+    low, high = _ends(found)
+    margin = TOLERANCE * abs(found.value) + allowed
+    return Estimate(found.value, low - margin, high + margin)
+
+
+def _ends(found: Estimate) -> tuple[float, float]:
+    return (
+        found.value if found.low is None else found.low,
+        found.value if found.high is None else found.high,
+    )

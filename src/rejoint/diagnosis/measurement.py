@@ -1,4 +1,4 @@
-"""All measurements of an arm together: one row per joint, from the log of an excitation alone."""
+"""All measurements of an arm: one row per joint, from an excitation or from logs of other motion."""
 
 from __future__ import annotations
 
@@ -8,33 +8,40 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rejoint.arms import Arm, link_inertia
+from rejoint.arms.workspace import torque_size
 from rejoint.diagnosis import metrics
-from rejoint.diagnosis.dynamics import Law, arm_delay, fit_dynamics, torque_given
-from rejoint.diagnosis.regression import LinearFit, product, reciprocal
-from rejoint.diagnosis.segments import ExcitationLog
+from rejoint.diagnosis.metrics import INERTIA, LAG, OFFSET, SOFTNESS, WIDTH, Law, arm_delay, fit_law, torque_given
+from rejoint.diagnosis.regression import product, reciprocal
+from rejoint.diagnosis.segments import STEP, STILL, ExcitationLog
 from rejoint.logs.runlog import RunLog
 from rejoint.system.statistics import Estimate
 
+LOADED = 0.05
+"""[N m] of a myCobot 280 by which gravity's torque must vary for a stiffness to show (chosen)"""
+
 GRAVITY_SHARE = 0.35
-"""Relative half width up to which the stiffness from gravity is taken (chosen: wider than what inertia gives)."""
+"""Relative half width up to which the stiffness from gravity is taken, where inertia tells as well (chosen)"""
+
+KNOWN_WITHIN = 4.0
+"""Ratio of an interval's ends up to which it is taken where nothing else tells (chosen)"""
+
+FEWEST_STEPS, FEWEST_RESTS = 3, 4
+"""Steps and rests below which nothing is said about overshoot and noise (chosen)"""
 
 SAME_SERVO = 0.4
-"""Relative error allowed for taking a motor's inertia from a neighbouring joint (chosen: small arms use the same
-servo, or the next size, in neighbouring joints)."""
+"""Relative error of a motor's inertia taken from a neighbouring joint (chosen: the same servo or the next size)"""
 
 SAME_KIND = 0.25
-"""Relative error allowed for taking a motor's inertia from a healthy arm of the same kind (chosen: gears and rotors do
-not change with wear, but the inertia of a stiff joint is hard to measure)."""
+"""Relative error of a motor's inertia taken from a healthy arm (chosen: gears and rotors do not change with wear)"""
 
 MOTOR_SHARE = 0.35
 """Relative half width up to which a motor's inertia counts as known (chosen as for gravity)."""
 
 OFFSET_ALLOWED = 0.01
-"""[rad] that any healthy joint may rest off its command without load (chosen: what a twin believes of a servo before
-any data, and 2 mm at the tool of a myCobot 280)"""
+"""[rad] that a healthy joint may rest off its command without load (chosen: 2 mm at the tool of a myCobot 280)"""
 
 DELAY_ERROR = 0.003
-"""[s] error of the delay (measured: its scatter over emulated arms of one channel); it enters J/k times the lag."""
+"""[s] error of the delay (measured: its scatter over emulated arms)"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,36 +49,40 @@ class JointMetrics:
     """One joint in numbers; every estimate with its 95 % interval."""
 
     joint: str
-    stiffness_nm_per_rad: Estimate | None
+    stiffness_nm_per_rad: Estimate | None = None
     """of the servo loop: torque per radian of following error; None where the log does not tell"""
-    stiffness_source: str
+    stiffness_source: str = "none"
     """``gravity`` (sag in held postures), ``inertia`` (motion of a joint that gravity does not load) or ``none``"""
-    hysteresis_rad: Estimate | None
-    """full width of the following error between moving up and moving down, lag removed; None if it hardly moves"""
-    coulomb_nm: Estimate | None
+    hysteresis_rad: Estimate | None = None
+    """full width of the following error between both directions, lag removed"""
+    coulomb_nm: Estimate | None = None
     """friction of a moving joint; None where the stiffness is not known or the joint hardly moves"""
-    lag_s: Estimate | None
+    lag_s: Estimate | None = None
     """following error over speed, beyond the delay that all joints share; None if it hardly moves"""
-    damping_ratio: Estimate | None
-    """of the servo loop, friction left out: 1 aperiodic, 0.3 rings; None where the motion does not tell"""
-    overshoot: Estimate | None
+    damping_ratio: Estimate | None = None
+    """of the servo loop without friction: 1 aperiodic, 0.3 rings"""
+    overshoot: Estimate | None = None
     """fraction of a step; None without steps"""
-    hunting_rad: Estimate | None
+    hunting_rad: Estimate | None = None
     """rms motion while every command stands still, in the worst postures; None if they never do"""
-    noise_rad: Estimate | None
+    noise_rad: Estimate | None = None
     """rms of a single reading at rest; None without rest"""
-    torque_limit_nm: Estimate | None
-    """that reaches the load when the motor gives all it has: its limit less stiction; None where it never did"""
-    torque_seen_nm: float
+    torque_limit_nm: Estimate | None = None
+    """that reaches the load: the motor's limit less stiction; None where it was not reached"""
+    torque_seen_nm: float = 0.0
     """largest torque seen; the limit is not below"""
-    saturated_share: float
+    saturated_share: float = 0.0
     """share of the time at the torque limit"""
-    motor_inertia_kg_m2: float | None
-    """of motor and gear, seen from the joint; None where gravity does not load it enough to tell"""
-    sweep_gain: float | None
+    motor_inertia_kg_m2: float | None = None
+    """of motor and gear at the joint; None where gravity does not tell"""
+    sweep_gain: float | None = None
     """share of a slow sweep that the joint follows; None where no sweep could be sent"""
-    stuck_rad: float
+    stuck_rad: float = 0.0
     """farthest that the joint stayed off what its own stiffness explains, in a held posture"""
+    coulomb_effort: Estimate | None = None
+    """friction of a moving joint in the unit of the logged current or torque; None without such a column"""
+    viscous_effort: Estimate | None = None
+    """the same by speed, in that unit times s/rad"""
     offset_rad: Estimate | None = None
     """position under no load, minus command; None where the joint hardly moves"""
 
@@ -82,7 +93,7 @@ class Measurement:
 
     joints: tuple[JointMetrics, ...]
     delay_s: float | None
-    """of commands and answers on their way; None where it cannot be told from the lag of the joints"""
+    """of commands and answers; None where steps do not tell it from lag"""
     period_s: float
     """median time between readings"""
 
@@ -90,16 +101,38 @@ class Measurement:
 def measure(arm: Arm, log: RunLog, motors: Sequence[float | None] | None = None) -> Measurement:
     """Measure every joint from the log of an excitation; InputError if it does not hold enough of one.
 
-    ``motors`` are the motor inertias [kg m^2] of a healthy arm of the kind, None where unknown. With them
-    the stiffness of joints that gravity does not load is better known than from the log alone.
+    ``motors`` are the motor inertias [kg m^2] of a healthy arm, None where unknown: they sharpen the stiffness of
+    joints that gravity does not load.
     """
     data = ExcitationLog.of(arm, log)
     delay = arm_delay(data)
-    dynamics = [fit_dynamics(data, joint, delay) for joint in range(arm.joints)]
-    sags = [metrics.holds(data, joint).sag() for joint in range(arm.joints)]
-    stiffness = _stiffness(arm, [fit for fit, _ in sags], [_inertia_ratio(fit) for fit in dynamics], motors)
-    joints = tuple(_joint(data, joint, delay, dynamics[joint], stiffness[joint]) for joint in range(arm.joints))
-    return Measurement(joints=joints, delay_s=delay, period_s=float(np.median(np.diff(log.time))))
+    slow, fast = ([fit_law(data, joint, delay, fast=fast) for joint in range(arm.joints)] for fast in (False, True))
+    ratios = [None if law is None else _inertia_ratio(law) for law in fast]
+    stiffness = _stiffness(arm, slow, ratios, motors)
+    joints = []
+    for joint, (law, k, dynamics) in enumerate(zip(slow, stiffness, fast, strict=True)):
+        row = _row(data, joint, law, k)
+        data.require(row.hunting_rad is not None, "holds", joint)
+        data.require(row.noise_rad is not None, "readings at rest", joint)
+        row = replace(row, damping_ratio=None if dynamics is None else _damping_ratio(dynamics))
+        if law is not None and k.value is not None:
+            torque = torque_given(data, joint, law, k.value.value, delay)
+            row = replace(
+                row, torque_limit_nm=torque.limit, torque_seen_nm=torque.seen, saturated_share=torque.saturated_share
+            )
+        joints.append(row)
+    return Measurement(joints=tuple(joints), delay_s=delay, period_s=float(np.median(np.diff(log.time))))
+
+
+def measure_joint(data: ExcitationLog, joint: int) -> JointMetrics:
+    """Measure one joint from joined logs of any motion; what they do not tell is None."""
+    law = fit_law(data, joint)
+    k = None if law is None else _from_gravity(data.arm, law)
+    if k is not None and (k.low is None or k.high is None or k.high > KNOWN_WITHIN * k.low):
+        k = None
+    row = _row(data, joint, law, _Stiffness(value=k, source="none" if k is None else "gravity"))
+    load = float(np.quantile(np.abs(data.gravity[:, joint]), 0.995))
+    return replace(row, torque_seen_nm=load + (0.0 if row.coulomb_nm is None else row.coulomb_nm.value))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,78 +144,70 @@ class _Stiffness:
     motor: Estimate | None = None
 
 
-def _joint(data: ExcitationLog, joint: int, delay: float, dynamics: LinearFit, stiffness: _Stiffness) -> JointMetrics:
-    sweep = metrics.sweep_fit(data, joint, delay)
-    lag, half_width = (None, None) if sweep is None else (sweep.estimate(0), sweep.estimate(1))
-    k, held = stiffness.value, metrics.holds(data, joint)
-    hunting, noise = metrics.hunting(data, joint), metrics.noise(data, joint)
-    data.require(hunting is not None, "holds", joint)
-    data.require(noise is not None, "readings at rest", joint)
-    row = JointMetrics(
+def _row(data: ExcitationLog, joint: int, law: Law | None, stiffness: _Stiffness) -> JointMetrics:
+    k, half = stiffness.value, None if law is None else law.fit.estimate(WIDTH)
+    effort = metrics.fit_effort(data, joint)
+    return JointMetrics(
         joint=data.arm.joint_names[joint],
         stiffness_nm_per_rad=k,
         stiffness_source=stiffness.source,
-        hysteresis_rad=None if half_width is None else scaled(half_width, 2.0),
-        coulomb_nm=None if k is None or half_width is None else friction_torque(k, half_width),
-        lag_s=lag,
-        damping_ratio=_damping_ratio(dynamics),
-        overshoot=metrics.overshoot(data, joint),
-        hunting_rad=hunting,
-        noise_rad=noise,
-        torque_limit_nm=None,
-        torque_seen_nm=0.0,
-        saturated_share=0.0,
+        hysteresis_rad=None if half is None else scaled(half, 2.0),
+        coulomb_nm=None if k is None or half is None else friction_torque(k, half),
+        lag_s=None if law is None else law.fit.estimate(LAG),
+        overshoot=metrics.overshoot(data, joint) if len(data.of_kind(STEP, joint)) >= FEWEST_STEPS else None,
+        hunting_rad=metrics.hunting(data, joint),
+        noise_rad=metrics.noise(data, joint) if data.excited or len(data.of_kind(STILL)) >= FEWEST_RESTS else None,
         motor_inertia_kg_m2=None if stiffness.motor is None else stiffness.motor.value,
-        sweep_gain=metrics.sweep_gain(data, joint),
-        stuck_rad=_stuck(held),
-        offset_rad=None if lag is None else scaled(held.sag()[0].estimate(0), -1.0),
-    )
-    if k is None or lag is None or half_width is None:
-        return row
-    surely = row.offset_rad is not None and surely_offset(row.offset_rad)
-    offset = -row.offset_rad.value if surely and row.offset_rad else 0.0
-    law = Law(stiffness=k.value, lag=lag.value, half_width=max(half_width.value, 0.0), delay=delay, offset=offset)
-    torque = torque_given(data, joint, law)
-    return replace(
-        row, torque_limit_nm=torque.limit, torque_seen_nm=torque.seen, saturated_share=torque.saturated_share
+        sweep_gain=metrics.followed(data, joint),
+        stuck_rad=metrics.farthest_off(data, joint, law),
+        coulomb_effort=None if effort is None else effort.estimate(WIDTH),
+        viscous_effort=None if effort is None else effort.estimate(LAG),
+        offset_rad=None if law is None else scaled(law.fit.estimate(OFFSET), -1.0),
     )
 
 
 def _stiffness(
-    arm: Arm, sags: list[LinearFit], ratios: list[Estimate], motors: Sequence[float | None] | None
+    arm: Arm, laws: list[Law | None], ratios: list[Estimate | None], motors: Sequence[float | None] | None
 ) -> list[_Stiffness]:
     """Stiffness from gravity where that is precise, else from J/k and the motor inertia of the nearest known joint."""
     links = link_inertia(arm, arm.rest)
-    found = [_from_gravity(sag, ratio, float(link)) for sag, ratio, link in zip(sags, ratios, links, strict=True)]
+    found = [_loaded(arm, law, ratio, float(link)) for law, ratio, link in zip(laws, ratios, links, strict=True)]
     known = {joint: row.motor for joint, row in enumerate(found) if row.motor is not None}
     if motors is not None and any(motor is not None for motor in motors):
         known = {joint: _within(motor, SAME_KIND) for joint, motor in enumerate(motors) if motor is not None}
     if not known:
         return found
-    for joint, row in enumerate(found):
-        if row.value is not None or ratios[joint].value <= 0:
+    for joint, (row, ratio) in enumerate(zip(found, ratios, strict=True)):
+        if row.value is not None or ratio is None or ratio.value <= 0:
             continue
         near = min(known, key=lambda other: abs(other - joint))
         motor = known[near] if near == joint else product(known[near], _within(1.0, SAME_SERVO))
         total = _shifted(motor, float(links[joint]))
         if total is not None:
-            found[joint] = _Stiffness(value=product(total, reciprocal(ratios[joint])), source="inertia")
+            found[joint] = _Stiffness(value=product(total, reciprocal(ratio)), source="inertia")
     return found
 
 
-def _from_gravity(sag: LinearFit, ratio: Estimate, link: float) -> _Stiffness:
-    k = reciprocal(sag.estimate(1)) if sag.coefficients[1] > 0 else None
+def _from_gravity(arm: Arm, law: Law) -> Estimate | None:
+    """Stiffness by how a joint yields to its load; None where that hardly varies."""
+    if law.torque_range < LOADED * torque_size(arm) or law.fit.coefficients[SOFTNESS] <= 0:
+        return None
+    return reciprocal(law.fit.estimate(SOFTNESS))
+
+
+def _loaded(arm: Arm, law: Law | None, ratio: Estimate | None, link: float) -> _Stiffness:
+    k = None if law is None else _from_gravity(arm, law)
     if k is None or k.low is None or k.high is None or k.high - k.low > 2 * GRAVITY_SHARE * k.value:
         return _Stiffness()
-    motor = _shifted(product(k, ratio), -link) if ratio.value > 0 else None
+    motor = _shifted(product(k, ratio), -link) if ratio is not None and ratio.value > 0 else None
     if motor is None or motor.high is None or motor.high - motor.value > MOTOR_SHARE * motor.value:
         return _Stiffness(value=k, source="gravity")
     return _Stiffness(value=k, source="gravity", motor=motor)
 
 
-def _inertia_ratio(dynamics: LinearFit) -> Estimate:
-    """J/k [s^2] of a fit, its interval widened by what the delay may be wrong."""
-    ratio, lag = dynamics.estimate(0), float(dynamics.coefficients[1])
+def _inertia_ratio(law: Law) -> Estimate:
+    """J/k [s^2] of a law, its interval widened by what the delay may be wrong."""
+    ratio, lag = law.fit.estimate(INERTIA), float(law.fit.coefficients[LAG])
     half = float(np.hypot((ratio.high or 0.0) - ratio.value, DELAY_ERROR * lag))
     return Estimate(ratio.value, ratio.value - half, ratio.value + half)
 
@@ -191,14 +216,14 @@ def _within(value: float, share: float) -> Estimate:
     return Estimate(value, value * (1 - share), value * (1 + share))
 
 
-def _damping_ratio(dynamics: LinearFit) -> Estimate | None:
+def _damping_ratio(law: Law) -> Estimate | None:
     """(d/k) / (2 sqrt(J/k)); the uncertainty of d/k dominates."""
-    ratio, lag = float(dynamics.coefficients[0]), dynamics.estimate(1)
-    return None if ratio <= 0 else scaled(lag, 0.5 / ratio**0.5)
+    ratio = float(law.fit.coefficients[INERTIA])
+    return None if ratio <= 0 else scaled(law.fit.estimate(LAG), 0.5 / ratio**0.5)
 
 
 def friction_torque(stiffness: Estimate, half_width: Estimate) -> Estimate:
-    """F = k (F/k); a half width that is not above zero gives no friction, with the bound that it allows."""
+    """F = k (F/k); a half width that is not above zero gives no friction, but a bound."""
     if half_width.value > 0:
         return product(stiffness, half_width)
     high = None if half_width.high is None else max(stiffness.value * half_width.high, 0.0)
@@ -206,15 +231,9 @@ def friction_torque(stiffness: Estimate, half_width: Estimate) -> Estimate:
 
 
 def surely_offset(offset: Estimate, *, doubt: float = 0.0) -> bool:
-    """Whether the whole interval of an offset lies beyond what a healthy joint may have and ``doubt`` [rad]."""
+    """Whether the whole interval of an offset lies beyond that of a healthy joint and ``doubt`` [rad]."""
     low, high = offset.low, offset.high
     return low is not None and high is not None and max(low, -high) > OFFSET_ALLOWED + doubt
-
-
-def _stuck(held: metrics.HeldPostures) -> float:
-    fit, _ = held.sag()
-    expected = fit.coefficients[0] + fit.coefficients[1] * held.torque.mean(axis=1)
-    return float(np.abs(held.error.mean(axis=1) - expected).max())
 
 
 def scaled(estimate: Estimate, factor: float) -> Estimate:

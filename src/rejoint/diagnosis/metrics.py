@@ -1,14 +1,13 @@
-"""What slow motions and rest say about a joint: friction, sag, overshoot, hunting, noise.
+"""What motion and rest say about a joint: its law, overshoot, hunting, noise and torque.
 
-The following error e = command - measured position is all that encoders offer. A position servo of
-stiffness k and damping d that turns an inertia J against gravity torque tau and Coulomb friction F
-leaves
+The following error e = command - measured position is all that encoders offer. A position servo of stiffness k and
+damping d that turns an inertia J against gravity torque tau and Coulomb friction F leaves
 
-    e = (d/k) q' + (F/k) sign(q') + (J/k) q'' + tau/k + offset,
+    e = (d/k) q' + (F/k) sign(q') + (J/k) q'' + tau/k + offset.
 
-linear in d/k (lag), F/k (half the hysteresis), J/k and 1/k. Each is taken from the motion that shows it
-best: lag and hysteresis from slow sweeps, J/k from the multisine (`rejoint.diagnosis.dynamics`), and
-1/k from postures held after an approach from both sides, whose mean is free of friction.
+One regression fits all five terms to the moments in which a joint moves, be it in an excitation or in any other logs
+(`fit_law`). Neither tells a delay from a lag; the first moments of a step do, since a delayed joint does not move at
+all. So every delay gets its own fit, and the one whose fit also starts the steps on time is taken.
 """
 
 from __future__ import annotations
@@ -19,109 +18,160 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Array
-from rejoint.arms.size import torque_size
-from rejoint.diagnosis.modulation import Averages, window_averages
-from rejoint.diagnosis.regression import LinearFit, fit_line, fit_trimmed, mean_of
-from rejoint.diagnosis.segments import ExcitationLog
+from rejoint.arms.workspace import length_size, torque_size
+from rejoint.diagnosis.modulation import window_averages
+from rejoint.diagnosis.regression import LinearFit, fit_trimmed, mean_of
+from rejoint.diagnosis.segments import FREE, HOLD, STEP, STILL, SWEEP, ExcitationLog, log_of
 from rejoint.system.statistics import Estimate
 
 SETTLED_LAST = 0.4
-"""[s] of a hold or a step that counts as settled (chosen: the last sixteen readings at 25 ms)."""
+"""[s] of a hold or a step that counts as settled (chosen: sixteen readings at 25 ms)"""
 
-_SWEEP_WINDOW = 0.2
-"""[s] as long as half sweeps allow (chosen)."""
+_WINDOW = 0.3
+"""[s] of a window (chosen: of the half seconds that a hobby arm needs for a reversal)"""
 
-MOVING = 0.7
-"""Size of the averaged direction above which a window counts as moving: about 0.04 rad/s (chosen)."""
+COARSEST = 0.1
+"""[s] between readings above which a window holds too few (chosen: at 0.2 s a healthy SO-101 looks sticky)"""
+
+_SETTLING = 0.2
+"""[s] left out at the beginning of a free stretch (chosen)"""
+
+_MOVING = 0.7
+"""Size of the averaged direction above which a window counts as moving: about 0.04 rad/s (chosen)"""
+
+_SLOW, _GENTLE = 0.6, 5.0
+"""[rad/s] and [rad/s^2] of slow motion: beyond, limits of the servo show (chosen)"""
+
+_BOTH_WAYS = 0.1
+"""Least share of the windows in either direction: friction is half of their difference (chosen)"""
+
+_FEWEST = 8
+"""Independent observations in each direction that a law needs: five coefficients, and a spread (chosen)"""
+
+_LIGHT = 0.2
+"""Share of the windows, those of the least load, that a fit starts from (chosen: of a joint at its limit for most of
+the time a third tells its stiffness within 15 %, a fifth within 3 %)"""
+
+_MANY_LOGS = 8
+"""From as many logs on, logs are the independent observations, below stretches of 8 s (chosen)"""
 
 _MIN_TORQUE_RANGE = 2e-3
-"""[N m] variation of gravity torque below which it is not fitted: the column would only add noise (chosen; goes with
-the load of the arm)."""
+"""[N m] of a myCobot 280 by which gravity's torque must vary to be fitted (chosen)"""
 
 MIN_SWEEP = 0.1
-"""[rad] range of a sweep below which nothing is said about how it was followed (chosen: a third of the plan's)."""
+"""[rad] of commands below which nothing is said about how they were followed (chosen)"""
 
 _MIN_STEP = 0.02
-"""[rad] motion below which an overshoot is not expressed as a fraction of it (chosen)."""
+"""[rad] motion below which an overshoot is not expressed as a fraction of it (chosen)"""
 
 CHANCE = 3.0
-"""Standard errors from which a correlation is none of chance (chosen)."""
+"""Standard errors from which a correlation is none of chance (chosen)"""
+
+LAG, WIDTH, INERTIA, SOFTNESS, OFFSET = range(5)
+"""Coefficients of a law: d/k [s], F/k [rad], J/k [s^2], 1/k [rad/(N m)], offset of the error [rad]"""
 
 
-def sweep_fit(data: ExcitationLog, joint: int, delay: float) -> LinearFit | None:
-    """Fit the sweeps of a joint: coefficients (d/k [s], F/k [rad], J/k [s^2], 1/k [rad/(N m)], offset [rad]).
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Law:
+    """The law of one joint, N windows."""
 
-    Windows in which the joint sticks are left out: friction is then whatever it needs to be. J/k and 1/k
-    are nuisances here; other motions measure them far better. None if the joint hardly moves when it is told to.
-    """
-    segments = data.of_kind("sweep", joint)
-    averages = window_averages(data, segments, joint, length=_SWEEP_WINDOW, delays=np.array([delay]), cut=0.1)
-    moving = np.abs(averages.direction) > MOVING
-    data.require(len(segments) >= 6, "sweeps", joint)
-    if len(np.unique(averages.cluster[moving])) < 6:
-        return None
-    design = np.stack(
-        [averages.speed, np.sign(averages.direction), averages.acceleration, *nuisance(data, averages)], axis=1
+    fit: LinearFit
+    torque_range: float
+    """[N m] by which gravity's torque varies"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _LogMotion:
+    """The windows in which a joint moves."""
+
+    design: Array
+    """(N, 5) columns in the order of the coefficients"""
+    error: Array
+    """(D, N) [rad] for each delay"""
+    effort: Array
+    """(N,) torque or current"""
+    cluster: NDArray[np.intp]
+    """(N,) number of the independent observation"""
+
+    @property
+    def enough(self) -> bool:
+        """Whether there are enough observations in both directions."""
+        forward = self.design[:, WIDTH] > 0.0
+        ways = [len(np.unique(self.cluster[way])) for way in (forward, ~forward)]
+        return min(ways) >= _FEWEST and bool(_BOTH_WAYS < forward.mean() < 1.0 - _BOTH_WAYS)
+
+    @property
+    def torque_range(self) -> float:
+        return float(np.ptp(self.design[:, SOFTNESS])) if len(self.design) else 0.0
+
+
+def _motion(data: ExcitationLog, joint: int, delays: Array, *, fast: bool) -> _LogMotion:
+    segments = data.of_kind(FREE)
+    averages = window_averages(data, segments, joint, length=_WINDOW, delays=delays, cut=_SETTLING)
+    chosen = np.abs(averages.direction) > _MOVING
+    if not fast:
+        chosen &= (np.abs(averages.speed) < _SLOW) & (np.abs(averages.acceleration) < _GENTLE)
+    logs = np.array([log_of(segment) for segment in segments], dtype=np.intp)
+    segment, piece = np.divmod(averages.cluster, 1000)  # pieces of 2 s, see `rejoint.diagnosis.modulation`
+    cluster = 1000 * segment + piece // (1 if fast else 4)
+    if len(np.unique(logs)) >= _MANY_LOGS:
+        cluster = logs[segment]
+    gravity = averages.gravity
+    loaded = len(gravity) > 0 and np.ptp(gravity) > _MIN_TORQUE_RANGE * torque_size(data.arm)
+    columns = (averages.speed, np.sign(averages.direction), averages.acceleration, gravity * loaded)
+    design = np.stack([*columns, np.ones(len(gravity))], axis=1)
+    return _LogMotion(
+        design=design[chosen], error=averages.error[:, chosen], effort=averages.effort[chosen], cluster=cluster[chosen]
     )
-    return fit_trimmed(design[moving], averages.error[0, moving], averages.cluster[moving])
 
 
-def sweep_gain(data: ExcitationLog, joint: int) -> float | None:
-    """Share of a sweep's range that the joint really covers; None if the sweep was not sent (the guard forbade it)."""
-    rows = np.concatenate([data.rows(segment) for segment in data.of_kind("sweep", joint)])
+def fit_law(data: ExcitationLog, joint: int, delay: float = 0.0, *, fast: bool = False) -> Law | None:
+    """Fit the law to slow motion of a joint, which tells most, or to ``fast`` motion as well, which tells inertia.
+
+    None where there is too little motion, one direction only, or readings further apart than `COARSEST`.
+    """
+    if not data.log.commanded or float(np.median(np.diff(data.log.time))) > COARSEST:
+        return None
+    motion = _motion(data, joint, np.array([delay]), fast=fast)
+    if not motion.enough:
+        return None
+    load = np.abs(motion.design[:, SOFTNESS])
+    light = load <= np.quantile(load, _LIGHT)  # at its torque limit a joint yields more than its law says
+    fit = fit_trimmed(motion.design, motion.error[0], motion.cluster, light)
+    return Law(fit=fit, torque_range=motion.torque_range)
+
+
+def fit_effort(data: ExcitationLog, joint: int) -> LinearFit | None:
+    """Fit the torque or current of a joint, in its unit, to the terms of its law; None with too little motion."""
+    motion = _motion(data, joint, np.zeros(1), fast=True)
+    if data.effort_unit is None or not motion.enough:
+        return None
+    return fit_trimmed(motion.design, motion.effort, motion.cluster)
+
+
+def followed(data: ExcitationLog, joint: int) -> float | None:
+    """Share of the commands' range that a joint covers, in sweeps if there are any; None if they hardly moved."""
+    rows = np.concatenate([data.rows(segment) for segment in data.of_kind(SWEEP, joint) or data.of_kind(FREE)])
     asked = float(np.ptp(data.log.command[rows, joint])) if len(rows) else 0.0
     return float(np.ptp(data.log.position[rows, joint])) / asked if asked > MIN_SWEEP else None
 
 
-def nuisance(data: ExcitationLog, averages: Averages) -> tuple[Array, Array]:
-    """Columns (N,) of gravity torque and offset that every fit needs beside its own."""
-    loaded = len(averages.gravity) > 0 and np.ptp(averages.gravity) > _MIN_TORQUE_RANGE * torque_size(data.arm)
-    return averages.gravity * loaded, np.ones(len(averages.gravity))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class HeldPostures:
-    """Settled following errors of one joint in postures held after an approach from both sides; P postures."""
-
-    torque: Array
-    """(P, 2) [N m] gravity torque at the measured postures; approached from below, from above"""
-    error: Array
-    """(P, 2) [rad] command minus measured position"""
-
-    def sag(self) -> tuple[LinearFit, NDArray[np.bool_]]:
-        """Line of the mean of both sides over gravity torque, and the postures (P,) it was fitted on.
-
-        Coefficients (offset [rad], 1/k [rad/(N m)]). Postures far off the line that the others make, or
-        with a far larger gap between both sides (more than 6 median absolute deviations and 10 mrad,
-        chosen), are left out: there the servo is at its torque limit or something is in the way, and
-        no stiffness shows.
-        """
-        x, y = self.torque.mean(axis=1), self.error.mean(axis=1)
-        i, j = np.triu_indices(len(x), 1)
-        apart = np.abs(x[i] - x[j]) > 0.1 * np.ptp(x)
-        slope = float(np.median((y[j] - y[i])[apart] / (x[j] - x[i])[apart])) if apart.any() else 0.0  # Theil-Sen
-        kept = _usual(y - slope * x) & _usual(self.error[:, 0] - self.error[:, 1])
-        return fit_line(x[kept], y[kept]), kept
-
-
-def holds(data: ExcitationLog, joint: int) -> HeldPostures:
-    """Collect the holds of a joint."""
-    found: dict[str, dict[str, tuple[float, float]]] = {}
-    for segment in data.of_kind("hold", joint):
+def farthest_off(data: ExcitationLog, joint: int, law: Law | None) -> float:
+    """Farthest [rad] that a joint rests off what its law explains, friction on either side included."""
+    _, width, _, softness, offset = np.zeros(5) if law is None else law.fit.coefficients
+    found = [0.0]
+    for segment in data.of_kind(HOLD, joint):
         rows = data.rows(segment, last=SETTLED_LAST)
         if len(rows):
-            _, posture, side = segment.name.split("/")
-            error = float((data.log.command[rows, joint] - data.log.position[rows, joint]).mean())
-            found.setdefault(posture, {})[side] = (float(data.gravity[rows, joint].mean()), error)
-    pairs = np.array([[both["below"], both["above"]] for both in found.values() if len(both) == 2])
-    data.require(len(pairs) >= 3, "holds", joint)
-    return HeldPostures(torque=pairs[:, :, 0], error=pairs[:, :, 1])
+            error = data.log.command[rows, joint] - data.log.position[rows, joint]
+            found.append(np.abs((error - offset - softness * data.gravity[rows, joint]).mean()) - width)
+    return float(max(found))
 
 
 def overshoot(data: ExcitationLog, joint: int) -> Estimate:
-    """How far a joint shoots beyond where it settles after a step, as a fraction of its motion."""
+    """How far a joint shoots beyond where it settles after a step, by its motion."""
     shares = []
-    for segment in data.of_kind("step", joint):
+    for segment in data.of_kind(STEP, joint):
         rows, end = data.rows(segment), data.rows(segment, last=SETTLED_LAST)
         if not len(end):
             continue
@@ -133,14 +183,12 @@ def overshoot(data: ExcitationLog, joint: int) -> Estimate:
 
 
 def hunting(data: ExcitationLog, joint: int) -> Estimate | None:
-    """Rms [rad] of the motion that is left at the end of holds, when all commands have long stood still.
+    """Rms [rad] of the motion at the end of holds: mean of the worst quarter, with its least and most as bounds.
 
-    A joint hunts in some postures and is quiet in others, so this is the mean over the worst quarter
-    of the holds, and its bounds are the least and the most of that quarter. A motion repeats itself and
-    noise does not: only the share of the power that correlates with earlier readings counts. None with fewer than four
-    holds of at least four readings.
+    Only power that correlates with earlier readings counts: motion repeats itself, noise does not. None with fewer than
+    four holds of four readings.
     """
-    spans = [data.rows(segment, last=SETTLED_LAST) for segment in data.of_kind("hold")]
+    spans = [data.rows(segment, last=SETTLED_LAST) for segment in data.of_kind(HOLD)]
     spans = [rows for rows in spans if len(rows) >= 4]
     if len(spans) < 4:
         return None
@@ -153,8 +201,7 @@ def hunting(data: ExcitationLog, joint: int) -> Estimate | None:
 def _repeating_share(pieces: list[Array]) -> float:
     """Largest correlation, 0 to 1, of the pieces with themselves one to five readings earlier; 0 for noise.
 
-    A line that was taken out of a piece leaves a correlation even in noise, the larger the shorter the piece is. What
-    counts has to differ from that by more than chance.
+    Noise without its line correlates as well; the rest has to differ from that by more than chance.
     """
     power = sum(float((piece**2).sum()) for piece in pieces)
     if power <= 0.0:
@@ -183,8 +230,8 @@ def _share_of_noise(lengths: list[int], shift: int) -> float:
 
 
 def noise(data: ExcitationLog, joint: int) -> Estimate | None:
-    """Rms [rad] of a single reading while nothing is asked for, from differences of neighbours; None with under 12."""
-    rows = [data.rows(segment, skip=0.5) for segment in data.of_kind("still")]
+    """Rms [rad] of a single reading at rest, from differences of neighbours; None with under 12."""
+    rows = [data.rows(segment, skip=0.5) for segment in data.of_kind(STILL)]
     if sum(map(len, rows)) < 12:
         return None
     steps = np.concatenate([np.diff(data.log.position[part, joint]) for part in rows])
@@ -194,10 +241,139 @@ def noise(data: ExcitationLog, joint: int) -> Estimate | None:
     return Estimate(power.value**0.5, low**0.5, high**0.5)
 
 
-def _usual(values: Array) -> NDArray[np.bool_]:
-    off = np.abs(values - np.median(values))
-    return off <= max(6 * float(np.median(off)), 0.010)
-
-
 def _without_drift(time: Array, value: Array) -> Array:
     return value - np.polyval(np.polyfit(time - time[0], value, 1), time - time[0])
+
+
+DELAYS = np.arange(0.005, 0.0801, 0.005)
+"""[s] delays that are tried: from an idle wire to two periods of a slow one"""
+
+_USUAL_DELAY = 0.02
+"""[s] where no joint moves (chosen)"""
+
+_ONSET = 0.12
+"""[s] of a step that decide about the delay (chosen)"""
+
+_STEP = 0.0025
+"""[s] of the simulation of a step's beginning (chosen: a tenth of a usual period)"""
+
+_TORQUE_WINDOW = 0.2
+"""[s] (chosen: half of the shortest time that a weak joint stays at its limit)"""
+
+_MIN_WINDOWS = 40
+"""Windows that a delay and a torque limit need: about 2 s (chosen)"""
+
+_EXCESS = 0.15
+"""[N m] of a myCobot 280 that a demand exceeds what was given by chance (chosen)"""
+
+_MIN_SHARE = 0.006
+"""Share of the steady time that a joint must be behind (chosen: 0 without saturation on emulated arms, 0.02 at a limit
+that only the heaviest postures reach)"""
+
+_STEADY = 1.5
+"""[rad/s^2] of a myCobot 280 up to which acceleration takes no torque: 0.05 N m (chosen)"""
+
+_STANDING = 0.2
+"""[rad/s] above which a joint that is behind is at its top speed (chosen: half of that of a slow servo)"""
+
+_MIN_RATIO = 5e-5
+"""[s^2] J/k below which a fit is not trusted: 22 Hz (chosen)"""
+
+
+def arm_delay(data: ExcitationLog) -> float:
+    """Time [s] of commands and answers on their way: lower quartile over the joints."""
+    found = []
+    for joint in range(data.arm.joints):
+        motion = _motion(data, joint, DELAYS, fast=True)
+        if len(motion.design) < _MIN_WINDOWS:  # a joint that does not move has no time of its own
+            continue
+        fits: Array = np.asarray(np.linalg.lstsq(motion.design, motion.error.T, rcond=None)[0].T, dtype=np.float64)
+        found.append(_lowest(_onset_costs(data, joint, fits)))
+    return float(np.quantile(found, 0.25)) if found else _USUAL_DELAY
+
+
+def _lowest(cost: Array) -> float:
+    """Delay [s] at the minimum of the parabola through the lowest cost (D,) and its neighbours."""
+    i = int(np.argmin(cost))
+    if 0 < i < len(cost) - 1 and np.isfinite(cost[i - 1 : i + 2]).all():
+        before, here, after = cost[i - 1 : i + 2]
+        bend = before - 2 * here + after
+        return (
+            float(DELAYS[i] + (DELAYS[1] - DELAYS[0]) * 0.5 * (before - after) / bend) if bend > 0 else float(DELAYS[i])
+        )
+    return float(DELAYS[i])
+
+
+def _onset_costs(data: ExcitationLog, joint: int, fits: Array) -> Array:
+    """Sum of squared errors (D,) of simulated step beginnings, by the laws (D, 5) of each delay."""
+    log, steps = data.log, data.of_kind(STEP, joint)
+    data.require(len(steps) >= 2, "steps", joint)
+    offsets = np.arange(0.0, _ONSET, _STEP)
+    time = np.array([s.start for s in steps])[:, None] + offsets  # (S, K)
+    before = np.maximum(np.searchsorted(log.time, time[:, 0]) - 1, 0)
+    start = log.position[before, joint]
+    drive = data.commanded(joint, time - DELAYS[:, None, None]) - log.command[before, joint][:, None]  # (D, S, K)
+    lag, half_width, ratio = np.maximum(fits.T[:3, :, None], np.array([0.0, 0.0, _MIN_RATIO])[:, None, None])
+    way, speed = np.zeros(drive.shape[:2]), np.zeros(drive.shape[:2])
+    cost = np.zeros(len(DELAYS))
+    answers = [np.interp(t, log.time, log.position[:, joint]) for t in time]
+    moved = np.array(answers) - start[:, None]
+    for k in range(len(offsets)):
+        push = drive[..., k] - way
+        sticks = (np.abs(speed) < 1e-3) & (np.abs(push) < half_width)
+        against = np.where(np.abs(speed) < 1e-3, np.sign(push), np.sign(speed))
+        # implicit in the lag term: a stiff joint's lag is shorter than the step
+        speed = (speed + _STEP * (push - half_width * against) / ratio) / (1 + _STEP * lag / ratio)
+        speed = np.where(sticks, 0.0, speed)
+        way = way + _STEP * speed
+        cost += ((way - moved[:, k]) ** 2).sum(axis=1)
+    return np.where(fits[:, INERTIA] > _MIN_RATIO, cost, np.inf)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Torque:
+    """How much torque a joint was asked for and gave."""
+
+    limit: Estimate | None
+    """[N m] that reached the load where the joint stayed behind: the motor's limit less friction; None if it never
+    did"""
+    seen: float
+    """[N m] largest that it gave: the limit is not lower than this"""
+    saturated_share: float
+    """share of the excitation's time that the joint spent at its limit"""
+
+
+def torque_given(data: ExcitationLog, joint: int, law: Law, stiffness: float, delay: float) -> Torque:
+    """Compare what a joint's law asks for with what its load shows that it gave, while it hardly accelerates.
+
+    A joint is behind where it hardly turns and the demand is more than twice what it gave, beyond friction, `_EXCESS`
+    and 10 ms of wrong timing. It is at its limit if that happens in `_MIN_SHARE` of the time, near the largest torque
+    that it gave.
+    """
+    segments = [s for s in data.segments if s.kind in (SWEEP, STEP, "multisine", HOLD)]
+    averages = window_averages(data, segments, joint, length=_TORQUE_WINDOW, delays=np.array([delay]))
+    steady = np.abs(averages.acceleration) < _STEADY / length_size(data.arm)
+    data.require(int(steady.sum()) >= _MIN_WINDOWS, "steady moments", joint)
+    lag, half_width, _, _, offset = law.fit.coefficients
+    half_width = max(half_width, 0.0)
+    demand = (stiffness * (averages.error[0] - offset - lag * averages.speed))[steady]
+    given = (averages.gravity + stiffness * half_width * averages.direction)[steady]
+    margin = 2 * half_width + 0.010 * np.abs(averages.command_speed[steady])
+    excess = np.abs(demand) - np.abs(given)
+    behind = (
+        (excess > np.abs(given))
+        & (demand * given > 0)
+        & (excess > stiffness * margin + _EXCESS * torque_size(data.arm))
+        & (np.abs(averages.speed[steady]) < _STANDING)
+    )
+    cluster = averages.cluster[steady]
+    seen = float(np.quantile(np.abs(given), 0.995))
+    share = float(behind.mean())
+    if share < _MIN_SHARE:
+        return Torque(limit=None, seen=seen, saturated_share=0.0)
+    clusters = np.unique(cluster[behind])
+    limits = [float(np.median(np.abs(given[behind & (cluster == c)]))) for c in clusters]
+    limit = mean_of(np.array(limits))
+    if limit.value < 0.5 * seen:  # it could give more than this, and something else held it back
+        return Torque(limit=None, seen=seen, saturated_share=0.0)
+    return Torque(limit=limit, seen=seen, saturated_share=share)

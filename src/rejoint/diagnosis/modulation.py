@@ -1,9 +1,7 @@
 """Speeds and accelerations without differentiating noise: averages under smooth windows.
 
-A window w(t) that is zero with its first derivatives at both ends turns integrals of q'' and q' into
-integrals of q itself (modulating functions, Shinbrot 1957): int q'' w = int q w''. Every quantity is
-such an average, divided by int w, so that linear relations between the signals hold between the
-averages as well, whatever the times of the readings.
+For a window w(t) that is zero with its first derivatives at both ends, int q'' w = int q w'' (modulating functions,
+Shinbrot 1957). Linear relations between signals hold between such averages.
 """
 
 from __future__ import annotations
@@ -21,10 +19,10 @@ _GRID = 0.0025
 """[s] readings are interpolated linearly to this grid (chosen: a tenth of a usual period)."""
 
 _STILL_SPEED = 0.05
-"""[rad/s] below which a joint counts less and less as moving (chosen: one encoder count in 30 ms)."""
+"""[rad/s] below which a joint counts less as moving (chosen: one encoder count in 30 ms)"""
 
 _SPARSE = 0.5
-"""Share of a window that may lie between two readings (chosen: a usual period is a quarter of the shortest window)"""
+"""Share of a window that may lie between two readings (chosen)"""
 
 _LONG = 4.0
 """[s] segments longer than this are cut into several clusters (chosen: several times the slowest oscillation)."""
@@ -46,6 +44,8 @@ class Averages:
     """(N,) sign of the speed, -1 to 1"""
     gravity: Array
     """(N,) [N m] torque that holds the arm against gravity at the measured posture"""
+    effort: Array
+    """(N,) torque or current, in the unit of its column; zero without one"""
     cluster: NDArray[np.intp]
     """(N,) number of the motion that the window belongs to"""
 
@@ -55,9 +55,8 @@ def window_averages(
 ) -> Averages:
     """Average a joint's signals under windows of ``length`` [s] that overlap by three quarters.
 
-    ``delays`` (D,) [s] are the times that a command and the answer may need on their way; the first
-    ``cut`` [s] of each segment is left out, and so are windows in which nobody read the arm for a while: what is
-    interpolated there under a moving command looks like a joint that stays behind.
+    ``delays`` (D,) [s] are tried; the first ``cut`` [s] of each segment, and windows with a pause of the readings, are
+    left out.
     """
     parts = []
     for index, segment in enumerate(segments):
@@ -68,9 +67,9 @@ def window_averages(
         empty = np.zeros(0)
         return Averages(
             error=np.zeros((len(delays), 0)), command_speed=empty, speed=empty, acceleration=empty, direction=empty,
-            gravity=empty, cluster=empty.astype(np.intp),
+            gravity=empty, effort=empty, cluster=empty.astype(np.intp),
         )  # fmt: skip
-    names = ("error", "command_speed", "speed", "acceleration", "direction", "gravity", "cluster")
+    names = ("error", "command_speed", "speed", "acceleration", "direction", "gravity", "effort", "cluster")
     return Averages(**{name: np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in names})
 
 
@@ -98,22 +97,19 @@ def _averages(
         acceleration=average(position, second)[read],
         direction=average(np.tanh(smooth / _STILL_SPEED), window)[read],
         gravity=average(np.interp(time, log.time, data.gravity[:, joint]), window)[read],
+        effort=average(np.interp(time, log.time, data.effort[:, joint]), window)[read],
         cluster=first_cluster + (begins / duration).astype(np.intp)[read],
     )
 
 
 def _read(readings: Array, time: Array, length: float) -> NDArray[np.bool_]:
-    """Tell of each ``time`` (K,) [s] whether the ``readings`` (T,) [s] around it are near enough for a window.
-
-    A log whose usual period is long has its windows all the same.
-    """
+    """Tell of each ``time`` (K,) [s] whether the ``readings`` (T,) [s] around it are near enough."""
     apart = np.diff(readings)
     before = np.clip(np.searchsorted(readings, time, side="right") - 1, 0, len(apart) - 1)
     return np.asarray(apart[before] <= max(_SPARSE * length, 2.0 * float(np.median(apart))))
 
 
 def _window(count: int) -> tuple[Array, Array, Array]:
-    """sin^4 on ``count`` grid points, and its first two derivatives by time."""
     x = (np.arange(count) + 0.5) / count
     rate = np.pi / (count * _GRID)
     sine, cosine = np.sin(np.pi * x), np.cos(np.pi * x)

@@ -1,19 +1,20 @@
-"""Ten targets open loop: how far from its targets an arm comes to rest when it is told once where to go.
+"""Ten targets open loop: how far from its targets an arm comes to rest (Park et al. 2024, Figs. 8 and 9).
 
-Park et al. 2024, Figs. 8 and 9: error per target, mean and spread. Their robot reports its own TCP,
-so their error is that of encoder kinematics; where somebody knows the true TCP, its error stands beside.
+Errors are those of encoder kinematics; where the true TCP is known, its error stands beside.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, tcp_position
-from rejoint.control.accuracy import NOT_KNOWN, ToolModel, TrueError, mean_modelled, modelled
+from rejoint.arms import Arm, Array, tcp_position
+from rejoint.control.correction import NOT_KNOWN, ToolModel, TrueError, mean_modelled, modelled
 from rejoint.diagnosis.regression import mean_of
+from rejoint.logs.exclusions import Exclusions, joint_speed
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.statistics import Estimate
@@ -22,7 +23,7 @@ TARGETS = 10
 """Park et al. 2024, section IV-A"""
 
 DWELL = 5.0
-"""[s] per target (chosen: an arm that is told once where to go has come to rest after 3 s, a worn one too)."""
+"""[s] per target (chosen: a worn arm has come to rest after 3 s)"""
 
 SETTLED = 1.0
 """[s] at the end of each target over which the error is averaged (chosen)."""
@@ -38,7 +39,7 @@ class TargetError:
     sag_mm: float
     """downward part of it; negative: too high"""
     true_error_mm: float | None
-    """of the tool itself; None where nobody knows"""
+    """of the tool itself; None where it is unknown"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +53,7 @@ class OpenLoop:
     """standard deviation over the targets"""
     true_error_mm: Estimate | None
     hidden_mm: float | None
-    """mean distance between the tool and where the encoders put it; None where nobody knows"""
+    """mean distance between the tool and where the encoders put it; None where it is unknown"""
 
     @property
     def true_error(self) -> TrueError:
@@ -61,7 +62,7 @@ class OpenLoop:
 
 
 def settled_rows(log: RunLog) -> list[NDArray[np.intp]]:
-    """Find the rows of the last second of every target of a log, in order; InputError if it has no targets."""
+    """Find the rows of the last second of every target; InputError if the log has no targets."""
     known = np.asarray(np.isfinite(log.target).all(axis=1))
     if not known.any():
         raise InputError(f"run log {log.label} holds no targets; record one with `rejoint diagnose`")
@@ -103,3 +104,46 @@ def modelled_errors(log: RunLog, model: ToolModel) -> TrueError:
     rows = settled_rows(log)
     position = np.stack([log.position[part].mean(axis=0) for part in rows])
     return mean_modelled(modelled(model, position, np.stack([log.target[part[0]] for part in rows])))
+
+
+AT_REST = 0.05
+"""[rad/s] of the fastest joint and command below which a row counts as rest (chosen)"""
+
+PER_LOG = 20
+"""Postures of a log that are looked at, evenly over its rest (chosen)"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Postures:
+    """K postures in which an arm was asked to be still."""
+
+    position: Array
+    """(K, n) [rad] measured"""
+    command: Array
+    """(K, n) [rad]"""
+
+
+def settled_postures(targets: RunLog) -> Postures:
+    """Means over the settled end of every target; InputError if the log has no targets."""
+    rows = settled_rows(targets)
+    return Postures(
+        position=np.array([targets.position[part].mean(axis=0) for part in rows]),
+        command=np.array([targets.command[part].mean(axis=0) for part in rows]),
+    )
+
+
+def resting_postures(log: RunLog, excluded: Exclusions, *, stops: bool = False) -> Postures:
+    """Rows of a log in which the free arm rests, evenly spread; with ``stops`` also blocked ones."""
+    quiet = (joint_speed(log.time, log.command) < AT_REST) & (joint_speed(log.time, log.position) < AT_REST)
+    usable = ~(excluded.contact | excluded.stale) if stops else excluded.free
+    rows = np.flatnonzero(quiet & usable)
+    rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(PER_LOG, len(rows))).astype(int))] if len(rows) else rows
+    return Postures(position=log.position[rows], command=log.command[rows])
+
+
+def joined(parts: Sequence[Postures]) -> Postures:
+    """Put the postures of several logs together."""
+    return Postures(
+        position=np.concatenate([part.position for part in parts]),
+        command=np.concatenate([part.command for part in parts]),
+    )

@@ -1,9 +1,7 @@
-"""Least squares whose intervals do not believe that neighbouring samples are independent.
+"""Least squares with intervals that know that neighbouring samples are dependent.
 
-Samples of one motion share its stick-slip, its vibration and its friction state, so the covariance
-is clustered by motion (the sandwich estimator of Liang and Zeger 1986 with the small-sample factor
-of Stata's ``vce(cluster)``), and quantiles are those of Student's t with as many degrees of freedom as there
-are clusters, less the coefficients.
+Samples of one motion share its stick-slip and vibration, so the covariance is clustered by motion (sandwich estimator,
+Liang and Zeger 1986, with the small-sample factor of Stata's ``vce(cluster)``); quantiles are Student's.
 """
 
 from __future__ import annotations
@@ -56,30 +54,21 @@ def fit_clustered(design: Array, response: Array, cluster: NDArray[np.intp]) -> 
     )
 
 
-def fit_trimmed(design: Array, response: Array, cluster: NDArray[np.intp]) -> LinearFit:
+def fit_trimmed(
+    design: Array, response: Array, cluster: NDArray[np.intp], first: NDArray[np.bool_] | None = None
+) -> LinearFit:
     """Like `fit_clustered`, without samples more than five robust deviations off (a stuck or saturated joint).
 
-    Least absolute deviations (iteratively reweighted, Schlossmacher 1973) come first: up to half of the
-    samples may be off. A robust deviation is 1.48 median absolute deviations.
+    Least absolute deviations come first (iteratively reweighted, Schlossmacher 1973), of the samples ``first`` (N,).
     """
-    weight = np.ones(len(response))
+    weight = np.ones(len(response)) if first is None else first.astype(float)
     for _ in range(_LAD_ROUNDS):
         root = np.sqrt(weight)
         beta = np.linalg.lstsq(design * root[:, None], response * root, rcond=None)[0]
         residual = np.abs(response - design @ beta)
-        weight = 1 / np.maximum(residual, max(0.01 * float(residual.mean()), 1e-9))
-    kept = residual <= 5 * max(1.48 * float(np.median(residual)), 1e-5)
+        weight = (weight > 0.0) / np.maximum(residual, max(0.01 * float(residual.mean()), 1e-9))
+    kept = residual <= 5 * max(1.48 * float(np.median(residual[weight > 0.0])), 1e-5)
     return fit_clustered(design[kept], response[kept], cluster[kept])
-
-
-def fit_line(x: Array, y: Array) -> LinearFit:
-    """Fit y = a + b x for independent points (N,); coefficients (a, b), ordinary covariance."""
-    design = np.stack([np.ones_like(x), x], axis=1)
-    inverse = np.linalg.pinv(design.T @ design, hermitian=True)
-    beta = inverse @ (design.T @ y)
-    freedom = max(len(x) - 2, 1)
-    variance = float(((y - design @ beta) ** 2).sum()) / freedom
-    return LinearFit(coefficients=beta, covariance=variance * inverse, freedom=freedom)
 
 
 def mean_of(values: Array) -> Estimate:

@@ -1,15 +1,23 @@
-"""Named spans of an excitation, and how a run log carries them, so that logs alone suffice later."""
+"""Named spans of an excitation, or of logs of any motion, as the measurements need them.
+
+Logs are put one after the other on one clock; no span holds a row that does not show the free arm
+(`rejoint.logs.exclusions`).
+"""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, gravity_torque
+from rejoint.logs.exclusions import Exclusions, Rows, free_runs
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 
@@ -33,11 +41,7 @@ class Segment:
 
 
 def attach_segments(log: RunLog, segments: tuple[Segment, ...], waits: Array | None = None) -> RunLog:
-    """Return the log with the segments of its excitation in it; the excitation began with the first row.
-
-    The motion waited for the arm as ``waits`` (k, 2) [s] tell: when, since it began, and for how long
-    (`Recording.waits`).
-    """
+    """Return the log with the segments of its excitation, which waited as ``waits`` (k, 2) [s] say."""
     begin, waited = float(log.time[0]), np.zeros((0, 2)) if waits is None else waits
 
     def on_clock(time: float) -> float:
@@ -62,7 +66,7 @@ class ExcitationLog:
     gravity: Array
     """(T, n) [N m] torque that holds the arm against gravity at the measured postures"""
     reference: Array
-    """(T, n) [rad] where a servo that ramps to each command at the joint's top speed is, when the next one comes"""
+    """(T, n) [rad] of a servo that ramps to each command at the joint's top speed, before the next one"""
 
     @classmethod
     def of(cls, arm: Arm, log: RunLog) -> ExcitationLog:
@@ -74,7 +78,9 @@ class ExcitationLog:
             segments = msgspec.json.decode(log.extra[_KEY], type=tuple[Segment, ...])
         except msgspec.MsgspecError as error:
             raise InputError(f"run log {log.label}: its segments are damaged ({error}); record it again") from error
-        return cls.with_segments(arm, log, segments)
+        free = Segment(name="0/free", kind=FREE, start=float(log.time[0]), stop=float(log.time[-1]),
+                       joints=tuple(range(arm.joints)))  # fmt: skip
+        return cls.with_segments(arm, log, (*segments, free))
 
     @classmethod
     def with_segments(cls, arm: Arm, log: RunLog, segments: tuple[Segment, ...]) -> ExcitationLog:
@@ -84,15 +90,29 @@ class ExcitationLog:
         )
 
     def commanded(self, joint: int, time: Array) -> Array:
-        """Return the reference [rad] of a joint at ``time`` (...) [s]: ramps to each command at its top speed.
-
-        Servos do not jump to a new command; without the ramp a moving command would seem to come later.
-        """
+        """Return the reference [rad] of a joint at ``time`` (...) [s]: ramps to each command at its top speed."""
         log, speed = self.log, float(self.arm.max_speed[joint])
         row = np.clip(np.searchsorted(log.time, time, side="right") - 1, 0, len(log) - 1)
         start, goal = self.reference[row, joint], log.command[row, joint]
         way = speed * np.maximum(time - log.time[row], 0.0)
         return start + np.clip(goal - start, -way, way)
+
+    @property
+    def effort(self) -> Array:
+        """(T, n) measured current, else torque, else zero."""
+        found = self.log.torque if self.log.current is None else self.log.current
+        return np.zeros_like(self.log.position) if found is None else found
+
+    @property
+    def effort_unit(self) -> str | None:
+        """Unit of `effort`, empty where the log does not say it; None without a column."""
+        name = "torque" if self.log.current is None else "current"
+        return None if getattr(self.log, name) is None else self.log.units.get(name, "")
+
+    @property
+    def excited(self) -> bool:
+        """Whether the log is of an excitation, or of any other motion."""
+        return any(s.kind == SWEEP for s in self.segments)
 
     def of_kind(self, kind: str, joint: int | None = None) -> list[Segment]:
         """Segments of a kind; with ``joint``, only those that judge it."""
@@ -120,3 +140,91 @@ def _ramp(arm: Arm, log: RunLog) -> Array:
         step = log.command[k] - reference[k]
         reference[k + 1] = reference[k] + np.minimum(np.maximum(step, -way[k]), way[k])
     return reference
+
+
+FREE, STEP, HOLD, STILL, SWEEP = "free", "step", "hold", "still", "sweep"
+"""Kinds of spans; all but the first are those of an excitation"""
+
+_APART = 60.0
+"""[s] between one log and the next on the common clock"""
+
+SHORTEST = 1.0
+"""[s] of free motion that are worth a span (chosen: three windows of the measurement)"""
+
+LONGEST = 300.0
+"""[s] of a span of free motion (chosen: window averages number up to a thousand parts of 2 s)"""
+
+QUIET = 1.0
+"""[s] without moving commands before a span counts as rest (chosen: several lags)"""
+
+STEP_TIME, STEP_SIZE = 0.15, 0.05
+"""[s] within which a command moves by so much [rad] in a step (chosen: faster than a servo follows)"""
+
+STEP_LENGTH = 3.0
+"""[s] of a step that are used, at most (chosen)"""
+
+_SAME = 1e-6
+"""[rad] by which a constant command may change: rounding of a file (chosen)"""
+
+
+def join_logs(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]) -> ExcitationLog:
+    """Put logs on one clock and name their spans by the number of their log; InputError for another arm."""
+    segments: list[Segment] = []
+    times, begin = [], 0.0
+    for number, (log, rows) in enumerate(zip(logs, excluded, strict=True)):
+        log.require(arm.name, arm.joint_names)
+        time = log.time - log.time[0] + begin
+        segments += _spans(number, log, rows.free, time)
+        times.append(time)
+        begin = float(time[-1]) + _APART
+    names = [name for name in ("torque", "current") if all(getattr(log, name) is not None for log in logs)]
+    arrays: dict[str, Any] = {
+        name: _stacked(logs, name) for name in (*names, "position", "command", "target", "true_tcp")
+    }
+    everything = RunLog(
+        arm=arm.name, joint_names=arm.joint_names, robot="logs", label=f"{len(logs)} logs", time=np.concatenate(times),
+        units=logs[0].units, **arrays,
+    )  # fmt: skip
+    return ExcitationLog.with_segments(arm, everything, tuple(segments))
+
+
+def log_of(segment: Segment) -> int:
+    """Return the number of the log that a span is of."""
+    return int(segment.name.partition("/")[0])
+
+
+def _stacked(logs: Sequence[RunLog], name: str) -> Array:
+    return np.concatenate([getattr(log, name) for log in logs])
+
+
+def _spans(number: int, log: RunLog, free: Rows, time: Array) -> Iterator[Segment]:
+    def segment(kind: str, first: int, last: int, joints: tuple[int, ...]) -> Segment:
+        name = f"{number}/{kind}/{joints[0] if kind == STEP else 'all'}/{first}"
+        return Segment(name=name, kind=kind, start=float(time[first]), stop=float(time[last - 1]), joints=joints)
+
+    everyone = tuple(range(log.position.shape[1]))
+    still = np.concatenate([np.ones((1, len(everyone)), dtype=bool), np.abs(np.diff(log.command, axis=0)) < _SAME])
+    for first, last in free_runs(free, time, SHORTEST):
+        count = int(np.ceil((time[last - 1] - time[first]) / LONGEST))
+        edges = np.linspace(first, last, count + 1).astype(int).tolist()
+        for a, b in pairwise(edges):
+            yield segment(FREE, a, b, everyone)
+    for first, last in free_runs(free & still.all(axis=1), time, QUIET):
+        yield segment(HOLD, first, last, everyone)
+        yield segment(STILL, first, last, everyone)
+    for joint in everyone:
+        for first, last in _steps(log, free, still[:, joint], joint):
+            yield segment(STEP, first, last, (joint,))
+
+
+def _steps(log: RunLog, free: Rows, still: Rows, joint: int) -> Iterator[tuple[int, int]]:
+    """Rows (first, last exclusive) of a joint's steps: from the last row before to the next motion."""
+    for arrived, last in free_runs(still, log.time, QUIET):
+        first = int(np.searchsorted(log.time, log.time[arrived] - STEP_TIME))
+        moved = np.abs(np.diff(log.command[first : arrived + 1, joint]))
+        if moved.sum() < STEP_SIZE or abs(log.command[arrived, joint] - log.command[first, joint]) < STEP_SIZE:
+            continue
+        first += int(np.argmax(moved > _SAME))
+        last = min(last, int(np.searchsorted(log.time, log.time[first] + STEP_LENGTH)))
+        if free[first:last].all():
+            yield first, last

@@ -1,11 +1,7 @@
 """From numbers to named findings: what is worn, how much it matters at the tool, and a sentence for the owner.
 
-The rule for every kind is the same: a finding is made where the 95 % interval of the measurement lies
-wholly outside the healthy range, on the bad side. Without a healthy reference only what is wrong in
-itself is named: a torque limit that was reached, hunting, ringing, an offset.
-
-Sentences tell what a finding does and what it costs. What a twin fits as well (stiffness, friction, torque limit,
-offset) is not in them as a number: an owner who has a twin reads one number for each, the twin's.
+A finding is made where the 95 % interval lies wholly outside the healthy range, on the bad side. Without a reference
+only what is wrong in itself is named. Sentences leave out the numbers that a twin fits as well.
 """
 
 from __future__ import annotations
@@ -16,52 +12,49 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Arm, Array, gravity_torque, position_kinematics
-from rejoint.arms.size import length_size
+from rejoint.arms.workspace import length_size
 from rejoint.diagnosis.healthy import OVERSHOOT_ALLOWED, HealthyReference
 from rejoint.diagnosis.measurement import JointMetrics, Measurement, surely_offset
-from rejoint.diagnosis.postures import Postures
+from rejoint.diagnosis.open_loop import Postures
 from rejoint.diagnosis.regression import mean_of
 from rejoint.system.statistics import Estimate
 
 BAD_MM = 3.0
-"""Error at the tool from which a finding is called bad: what the whole of a healthy myCobot shows (3.09 mm, Park et
-al. 2024, section IV-B); goes with the reach."""
+"""Error at the tool from which a finding is bad: that of a healthy myCobot (3.09 mm, Park et al. 2024, section IV-B);
+goes with the reach"""
 
 FELT_MM = 0.05
-"""Error at the tool below which a finding costs nothing there (chosen: it would be printed as 0.0)"""
+"""Error at the tool below which a finding costs nothing there (chosen)"""
 
 RINGING_RATIO = 0.4
-"""Damping ratio below which a joint is said to ring without a reference: 25 % overshoot (second order)."""
+"""Damping ratio below which a joint rings without a reference: 25 % overshoot (second order)"""
 
 SWINGING_RATIO = 0.5
-"""Damping ratio from which on no joint is said to ring, whatever a healthy one has: 16 % overshoot (second order), and
-less with friction."""
+"""Damping ratio from which no joint rings, whatever a healthy one has: 16 % overshoot (second order)"""
 
 QUIET_COUNTS = 2.0
-"""Encoder counts of rms motion at rest that flicker between two counts cannot explain (one count gives half of one)."""
+"""Encoder counts of rms motion at rest that flicker between two counts cannot explain"""
 
 SATURATED = 0.3
-"""Share of the time at the torque limit from which a joint's stiffness and friction cannot be told (chosen)."""
+"""Share of the time at the torque limit from which stiffness and friction cannot be told (chosen)"""
 
 FOLLOWS = 0.3
-"""Share of a slow sweep below which a joint counts as stuck (chosen: a worn one makes 0.7 of it)."""
+"""Share of a slow sweep below which a joint is stuck (chosen: a worn one makes 0.7 of it)"""
 
 STUCK_ERROR = 0.17
-"""[rad] of following error at a target, or in a posture that is held, from which a joint that does not sweep is stuck
-(chosen: 10 deg, twice the sag of a worn joint)."""
+"""[rad] of following error from which a joint that does not sweep is stuck (chosen: twice the sag of a worn joint)"""
 
 STUCK_COUNTS = 10.0
 """Encoder counts off what stiffness explains from which a joint is called stuck: a degree (chosen)."""
 
 GRAVITY_DOUBT = 0.2
-"""Share of a joint's sag by which its offset may be wrong, because the masses of the arm are (chosen: those of most
-descriptions are estimates)."""
+"""Share of a joint's sag by which its offset may be wrong, as the masses are (chosen)"""
 
 UNLOADED = 1e-6
-"""[N m] of gravity up to which a joint counts as unloaded: rounding, as about a vertical axis."""
+"""[N m] of gravity up to which a joint is unloaded: rounding"""
 
 WORKING_SPEED = 0.5
-"""[rad/s] at which a lag is turned into millimetres (chosen: a joint in the middle of a move)."""
+"""[rad/s] at which a lag becomes millimetres (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,7 +161,7 @@ def find(
 
 
 def stuck(case: _Case) -> Iterator[Finding]:
-    """Tell whether the joint stands still although it is told to move, or was too far off to be told at all."""
+    """Tell whether the joint does not move when commanded, or its error is out of the measurable range."""
     gain, far = case.row.sweep_gain, float(case.errors.max())
     if gain is not None:  # one that breaks loose on a long way may come near its targets, and stick elsewhere
         far = max(far, case.row.stuck_rad)
@@ -208,7 +201,7 @@ def friction(case: _Case) -> Iterator[Finding]:
 
 
 def hysteresis(case: _Case) -> Iterator[Finding]:
-    """Tell whether the joint stops short although neither friction nor softness can be told to be the cause."""
+    """Tell whether the joint stops short although neither friction nor softness is surely the cause."""
     width = case.row.hysteresis_rad
     explained = case.below("stiffness_nm_per_rad") or case.beyond("coulomb_nm")
     if width is None or not case.beyond("hysteresis_rad") or explained or not case.moves or case.hunts:
@@ -253,8 +246,7 @@ def torque_limit(case: _Case) -> Iterator[Finding]:
 def low_damping(case: _Case) -> Iterator[Finding]:
     """Tell whether the joint rings after a move.
 
-    One at its torque limit swings for that reason, but only where weight pulls it: it rings if it shoots over in every
-    step.
+    One at its torque limit rings only if it shoots over in every step.
     """
     ratio, overshoot = case.row.damping_ratio, case.row.overshoot
     if ratio is None or ratio.high is None or overshoot is None or not case.moves:
@@ -277,7 +269,7 @@ def low_damping(case: _Case) -> Iterator[Finding]:
 
 
 def lag(case: _Case) -> Iterator[Finding]:
-    """Tell whether the joint follows late. A weak gain has the same effect and is then the cause."""
+    """Tell whether the joint follows late for another reason than a weak gain."""
     late, reference = case.row.lag_s, case.healthy.lag_s if case.healthy is not None else None
     if (
         late is None

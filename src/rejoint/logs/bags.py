@@ -1,4 +1,4 @@
-"""Recordings of messages, whatever file they lie in: which topic holds what, and on which clock."""
+"""Bags of ROS 1 and 2 and MCAP files (mcap.dev/spec): which topic holds what, and on which clock."""
 
 from __future__ import annotations
 
@@ -6,40 +6,38 @@ import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
-
-import numpy as np
+from typing import IO, Any
 
 from rejoint.arms import Arm
+from rejoint.logs.columns import read_motion
 from rejoint.logs.messages import (
     ARRAY,
+    CONTROLLER,
     NANOSECONDS,
     REMEDY,
     STATES,
     TRAJECTORY,
     Sample,
+    TrajectoryGoal,
+    commands_of,
+    frame_of,
     goals_of,
     kind_of,
-    points_of,
     samples_of,
-    track_of,
 )
 from rejoint.logs.options import OPTIONS, ImportOptions
-from rejoint.logs.track import RecordedMotion, Track
-from rejoint.logs.trajectory import commands_of
+from rejoint.logs.runlog import LOG_MOST
+from rejoint.logs.track import Pending, RecordedMotion
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.extras import require
+from rejoint.system.files import MEGABYTE, begins_with, require_file
 
-STATE_TOPIC, COMMAND_TOPIC = "/joint_states", "/joint_commands"
-"""Where ROS 2's joint_state_broadcaster publishes; and, chosen, its counterpart."""
-POINT_TOPICS = {"target": "/target", "true_tcp": "/true_tcp"}
-METADATA = "rejoint"
-"""Name of the metadata record in which an exported log keeps what messages cannot hold."""
-MESSAGES_MOST = 5_000_000
-"""Most messages of a topic that are read (chosen: an hour at 1 kHz, and a half)"""
-OTHER_INTERFACES = ("velocity", "effort", "gripper", "hand")
-"""Words in the names of topics whose numbers are no positions of the arm's joints (chosen)"""
+_RECORD_LIMIT = 1 << 28
+"""[bytes] chosen: larger than any chunk a recorder writes"""
+_CHUNK_MOST = 1000 * MEGABYTE
+"""Largest chunk that is unpacked (chosen: a thousand times what recorders write)"""
 
 Message = tuple[int, Any]
 """time of recording [ns], and what a decoder made of it"""
@@ -60,99 +58,205 @@ class Topic:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inventory:
-    """What a recording holds."""
-
-    topics: dict[str, Topic]
-    header: dict[str, str]
-    """what an exported log keeps beside its messages; empty for any other"""
-
-
-@dataclass(frozen=True, kw_only=True)
 class Store:
     """A kind of file that holds messages."""
 
     name: str
-    inventory: Callable[[Path], Inventory]
+    magic: dict[str, bytes]
+    """first bytes by the ending of the name; an empty ending for any"""
+    inventory: Callable[[Path], dict[str, Topic]]
     messages: Callable[[Path, set[str]], dict[str, list[Message]]]
+    """decodes the messages of some topics"""
+
+    def files(self, source: Path) -> list[Path]:
+        """Return the files of this kind at a path, sorted by name."""
+        found = sorted(source.iterdir()) if source.is_dir() else [source]
+        return [
+            file for file in found
+            if any(
+                begins_with(file, magic) and (file.suffix == ending or (not ending and file is source))
+                for ending, magic in self.magic.items()
+            )
+        ]  # fmt: skip
 
 
-def motions(
-    store: Store, files: list[Path], arm: Arm, options: ImportOptions
-) -> tuple[int, Iterator[RecordedMotion]]:  # fmt: skip
-    """Count recordings and read them one by one."""
-    return len(files), (_read(store, file, arm, options) for file in files)
+def _mcap_inventory(file: Path) -> dict[str, Topic]:
+    with file.open("rb") as stream:
+        reader = _mcap_reader(stream)
+        summary = reader.get_summary()
+        if summary is not None:
+            largest = max((chunk.uncompressed_size for chunk in summary.chunk_indexes), default=0)
+            if largest > _CHUNK_MOST:
+                raise FileError(file, f"a chunk of {largest} bytes, expected at most {_CHUNK_MOST}", REMEDY)
+        return _mcap_topics(reader) if summary is None or summary.statistics is None else _counted(summary)
+
+
+def _counted(summary: Any) -> dict[str, Topic]:  # noqa: ANN401 - the library is optional
+    schemas = {number: schema.name for number, schema in summary.schemas.items()}
+    found = summary.statistics
+    seconds = max(found.message_end_time - found.message_start_time, 0) / NANOSECONDS
+    counts: dict[str, int] = {}
+    for channel in summary.channels.values():
+        counts[channel.topic] = counts.get(channel.topic, 0) + found.channel_message_counts.get(channel.id, 0)
+    return {
+        channel.topic: Topic(
+            schema=schemas.get(channel.schema_id, ""), count=counts[channel.topic], seconds=seconds
+        )
+        for channel in summary.channels.values()
+    }  # fmt: skip
+
+
+def _mcap_topics(reader: Any) -> dict[str, Topic]:  # noqa: ANN401
+    """Count the messages of each topic of a file that does not."""
+    names: dict[str, str] = {}
+    times: dict[str, list[int]] = {}
+    for schema, channel, message in reader.iter_messages(log_time_order=False):
+        names[channel.topic] = schema.name if schema else ""
+        times.setdefault(channel.topic, []).append(message.log_time)
+    return {
+        topic: Topic(schema=names[topic], count=len(found), seconds=(max(found) - min(found)) / NANOSECONDS)
+        for topic, found in times.items()
+    }
+
+
+def _mcap_reader(stream: IO[bytes]) -> Any:  # noqa: ANN401
+    from mcap.decoder import DecoderFactory
+    from mcap.reader import SeekingReader
+    from mcap_protobuf.decoder import DecoderFactory as ProtobufFactory
+    from mcap_ros2.decoder import DecoderFactory as Ros2Factory
+
+    class JsonFactory(DecoderFactory):
+        def decoder_for(self, message_encoding: str, schema: object) -> Callable[[bytes], Any] | None:  # noqa: ARG002
+            return json.loads if message_encoding == "json" else None
+
+    return SeekingReader(
+        stream, validate_crcs=True, record_size_limit=_RECORD_LIMIT,
+        decoder_factories=[Ros2Factory(), ProtobufFactory(), JsonFactory()],
+    )  # fmt: skip
+
+
+def _mcap_messages(file: Path, topics: set[str]) -> dict[str, list[Message]]:
+    """Decode messages in the order of the file."""
+    found: dict[str, list[Message]] = {}
+    with file.open("rb") as stream:
+        reader = _mcap_reader(stream)
+        decoded = reader.iter_decoded_messages(topics=sorted(topics), log_time_order=False)
+        for _, channel, message, content in decoded:
+            found.setdefault(channel.topic, []).append((message.log_time, content))
+    return found
+
+
+def _bag(file: Path) -> Any:  # noqa: ANN401
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    require_file(file, LOG_MOST, "cut it into several bags")
+    unwritten = file.with_name(f"{file.name}-wal")
+    if unwritten.is_file() and unwritten.stat().st_size:
+        raise FileError(file, f"was not closed: part of it is still in {unwritten.name}", "run `ros2 bag reindex`")
+    # bags that hold no definitions: messages about joints are the same in all distributions
+    return AnyReader([file], default_typestore=get_typestore(Stores.LATEST))
+
+
+def _bag_inventory(file: Path) -> dict[str, Topic]:
+    with _bag(file) as bag:
+        seconds = bag.duration / NANOSECONDS
+        return {
+            name: Topic(schema=info.msgtype or "", count=info.msgcount, seconds=seconds)
+            for name, info in bag.topics.items()
+        }
+
+
+def _bag_messages(file: Path, topics: set[str]) -> dict[str, list[Message]]:
+    """Decode messages in the order of their times."""
+    found: dict[str, list[Message]] = {}
+    with _bag(file) as bag:
+        chosen = [connection for connection in bag.connections if connection.topic in topics]
+        for connection, time, data in bag.messages(connections=chosen) if chosen else ():
+            found.setdefault(connection.topic, []).append((time, bag.deserialize(data, connection.msgtype)))
+    return found
+
+
+MCAP = Store(
+    name="mcap", magic={"": b"\x89MCAP0\r\n", ".mcap": b"\x89MCAP0\r\n"}, inventory=_mcap_inventory,
+    messages=_mcap_messages,
+)  # fmt: skip
+ROSBAG = Store(
+    name="rosbag", magic={".db3": b"SQLite format 3\x00", ".bag": b"#ROSBAG V2.0"}, inventory=_bag_inventory,
+    messages=_bag_messages,
+)  # fmt: skip
+
+
+STATE_TOPIC, COMMAND_TOPIC = "/joint_states", "/joint_commands"
+"""Where ROS 2's joint_state_broadcaster publishes; and, chosen, its counterpart."""
+MESSAGES_MOST = 5_000_000
+"""chosen: 1.4 hours at 1 kHz"""
+OTHER_INTERFACES = ("velocity", "effort", "gripper", "hand")
+"""Topics that hold no joint positions (chosen)"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BagReader:
+    """Reads the bags of one kind of file."""
+
+    store: Store
+
+    def fits(self, source: Path, options: ImportOptions) -> bool:  # noqa: ARG002 - it declares nothing about this
+        """Tell whether a path holds such bags."""
+        return bool(self.store.files(source))
+
+    def motions(self, source: Path, arm: Arm, options: ImportOptions) -> list[Pending]:
+        """Return the motions of the bags at a path, sorted by name."""
+        files = self.store.files(source) or ([source] if source.is_file() else [])
+        if not files:
+            raise FileError(source, f"no file of format {self.store.name} here", "check the path or the format")
+        return [(file.stem, partial(_read, self.store, file, arm, options)) for file in files]
 
 
 def _read(store: Store, file: Path, arm: Arm, options: ImportOptions) -> RecordedMotion:
     with _reporting(store, file):
-        inventory = store.inventory(file)
-    state_topic = _state_topic(inventory, options, file)
-    command_topic, notes = _command_topic(inventory, state_topic, options, file)
-    names = {state_topic, *([command_topic] if command_topic else [])}
-    points = POINT_TOPICS if inventory.header else {}
-    for topic in names:
-        _check_count(inventory.topics[topic], topic, file)
+        held = store.inventory(file)
+    state_topic, command_topic, notes = _topics(held, options, file)
+    topics = {topic for topic in (state_topic, command_topic) if topic}
+    for topic in topics:
+        count = held[topic].count
+        if count > MESSAGES_MOST:
+            raise FileError(file, f"{count} messages on {topic}, expected at most {MESSAGES_MOST}", "cut it in parts")
     with _reporting(store, file):
-        messages = store.messages(file, names | {*points.values()})
-    states = samples_of(messages.get(state_topic, []), file, state_topic, inventory.topics[state_topic].schema)
-    commands = _Commands(file, command_topic, inventory, messages.get(command_topic or "", []))
-    if options.joint_order and all(sample.names for sample in [*states, *commands.samples]):
-        raise FileError(file, "all messages name their joints", "use --joints, not --order")
-    stamp, remarks = _stamp(states, state_topic, commands, options, file)
+        messages = store.messages(file, topics)
+    for topic in topics:
+        if topic not in messages:
+            raise FileError(file, f"no message on {topic}", "record it again or name another topic")
+    kinds = {topic: kind_of(held[topic].schema) for topic in topics}
+    goals: list[TrajectoryGoal] = []
+    samples: dict[str, list[Sample]] = {}
+    wanted = ((state_topic, "position"), (command_topic or "", "command"))
+    for topic, group in wanted:
+        if topic and kinds[topic] == TRAJECTORY and group == "command":
+            goals = goals_of(messages[topic], file, topic)
+        elif topic and topic not in samples:
+            samples[topic] = samples_of(messages[topic], file, topic, held[topic].schema, group)
+    if options.names and all(sample.names for found in samples.values() for sample in found):
+        raise FileError(file, "all messages name their joints", "use --map, not --order")
+    stamp, remarks = _stamp(samples, goals, (state_topic, command_topic), kinds, options, file)
     notes += remarks
-    header = inventory.header
-    if header and header.get("arm") != arm.name:
-        notes.append(f"the log says that it is of arm {header.get('arm')}, it is taken as one of {arm.name}")
-    time, track, remarks = track_of(states, stamp, (file, state_topic, "state"), arm, options)
-    origin = min([time[0], *commands.first(stamp)]) // NANOSECONDS * NANOSECONDS
+    first: list[Sample | TrajectoryGoal] = [*(found[0] for found in samples.values()), *goals[:1]]
+    origin = min(one.header_ns if stamp == "header" else one.log_ns for one in first) // NANOSECONDS * NANOSECONDS
     origin = origin if origin > 10**17 else 0  # counted from 1970; smaller numbers a float64 resolves to 1e-8 s
-    state = _on_clock(track, time, origin)
-    command, more = commands.track(state, stamp, origin, arm, options)
-    name, robot = header.get("label", file.stem), header.get("robot", f"{store.name}:{file.stem}")
+    frames = []
+    for topic, found in samples.items():
+        frame, remarks = frame_of(found, (stamp, origin), (file, topic), arm, options)
+        frames.append(frame)
+        notes += remarks
     extra = {"source": file.name, "format": store.name}
     extra |= {"clock_origin_s": f"{origin // NANOSECONDS}"} if origin else {}
-    return RecordedMotion(
-        name=name, state=state, command=command, angle_unit=options.angle_unit or "rad", robot=robot,
-        points={group: points_of(messages.get(topic, []), origin, file) for group, topic in points.items()},
-        extra=_kept_extra(header, file) if header else extra, notes=(*notes, *remarks, *more),
+    motion = read_motion(
+        file.stem, frames, arm, options, notes=notes, robot=f"{store.name}:{file.stem}", extra=extra
     )  # fmt: skip
-
-
-class _Commands:
-    """The messages of the command topic, if there is one, whatever their form."""
-
-    def __init__(self, file: Path, topic: str | None, inventory: Inventory, messages: list[Message]) -> None:
-        self.file, self.topic, self.messages = file, topic, messages
-        schema = inventory.topics[topic].schema if topic else ""
-        self.kind = kind_of(schema)
-        self.goals = goals_of(messages, file, topic or "") if self.kind == TRAJECTORY else []
-        self.samples: list[Sample] = []
-        if topic and self.kind != TRAJECTORY:
-            self.samples = samples_of(messages, file, topic, schema)
-
-    def stamped(self) -> bool | None:
-        """Whether the messages say their time; None for a kind that cannot."""
-        if self.kind == ARRAY:
-            return None
-        if self.kind == TRAJECTORY:  # an empty stamp asks for a start at once
-            return True if all(goal.header_ns for goal in self.goals) else None
-        return any(sample.header_ns for sample in self.samples)
-
-    def first(self, stamp: str) -> list[int]:
-        """Time [ns] of the first message."""
-        found = (self.goals or self.samples)[:1]
-        return [one.header_ns if stamp == "header" else one.log_ns for one in found]
-
-    def track(
-        self, state: Track, stamp: str, origin: int, arm: Arm, options: ImportOptions
-    ) -> tuple[Track | None, list[str]]:
-        if self.topic is None:
-            return None, []
-        if self.goals:
-            return commands_of(self.goals, state, stamp, origin, (self.file, self.topic), arm, options), []
-        time, track, notes = track_of(self.samples, stamp, (self.file, self.topic, "command"), arm, options)
-        return _on_clock(track, time, origin), notes
+    if goals:
+        command = commands_of(goals, motion.state, (stamp, origin), (file, command_topic or ""), arm, options)
+        motion = replace(motion, command=command)
+    return motion
 
 
 @contextmanager
@@ -175,75 +279,52 @@ def _reporting(store: Store, file: Path) -> Iterator[None]:
         raise FileError(file, f"damaged or not readable ({type(error).__name__}: {reason})", REMEDY) from error
 
 
-def _found(inventory: Inventory) -> str:
-    named = [f"{name} {topic}" for name, topic in sorted(inventory.topics.items())]
-    return (", ".join(named[:12]) or "none") + (f" and {len(named) - 12} more" if len(named) > 12 else "")
-
-
-def _state_topic(inventory: Inventory, options: ImportOptions, file: Path) -> str:
-    topic = options.state_topic or STATE_TOPIC
-    if topic in inventory.topics:
-        return topic
-    raise FileError(file, f"no topic {topic}; found {_found(inventory)}", f"name one with {OPTIONS['state_topic']}")
-
-
-def _command_topic(
-    inventory: Inventory, state_topic: str, options: ImportOptions, file: Path
-) -> tuple[str | None, list[str]]:  # fmt: skip
-    """Choose the topic of the commands: the one named, ours, or the one that a controller can have; None for none."""
-    option = f"name one with {OPTIONS['command_topic']}"
-    topic = options.command_topic or COMMAND_TOPIC
-    if topic == state_topic:
-        raise FileError(file, f"states and commands cannot both come from {state_topic}", "name two topics")
-    if topic in inventory.topics:
-        return topic, []
-    if options.command_topic is not None:
-        raise FileError(file, f"no topic {topic}; found {_found(inventory)}", option)
-    kinds = (*STATES, TRAJECTORY, ARRAY)
-    able = {name: one for name, one in inventory.topics.items() if kind_of(one.schema) in kinds and name != state_topic}
-    ours = [
-        name for name, one in able.items()
-        if kind_of(one.schema) not in STATES and not any(word in name for word in OTHER_INTERFACES)
+def _topics(held: dict[str, Topic], options: ImportOptions, file: Path) -> tuple[str, str | None, list[str]]:
+    """Choose the topics of states and commands, None for none."""
+    notes: list[str] = []
+    found = ", ".join([f"{name} {topic}" for name, topic in sorted(held.items())][:12]) or "none"
+    found += f" and {len(held) - 12} more" if len(held) > 12 else ""
+    controllers = [name for name, topic in held.items() if kind_of(topic.schema) == CONTROLLER]
+    state, command = options.state_topic or STATE_TOPIC, options.command_topic or COMMAND_TOPIC
+    if state in controllers:
+        return state, None, []
+    if options.state_topic is None and options.command_topic is None and command not in held and len(controllers) == 1:
+        return controllers[0], None, [f"states and commands from {controllers[0]} {held[controllers[0]]}"]
+    if state not in held:
+        raise FileError(file, f"no topic {state}; found {found}", f"name one with {OPTIONS['state_topic']}")
+    if command == state:
+        raise FileError(file, f"states and commands cannot both come from {state}", "name two topics")
+    if command in held:
+        return state, command, notes
+    able = [
+        name for name, topic in held.items()
+        if kind_of(topic.schema) in (*STATES, TRAJECTORY, ARRAY) and name != state
     ]  # fmt: skip
-    if len(ours) == 1:
-        return ours[0], [f"commands from {ours[0]} {inventory.topics[ours[0]]}"]
-    if able:
-        raise FileError(file, f"no topic {topic}; found {_found(inventory)}", option)
-    return None, [f"no topic with commands; found {_found(inventory)}"]
-
-
-def _check_count(topic: Topic, name: str, file: Path) -> None:
-    if topic.count > MESSAGES_MOST:
-        raise FileError(file, f"{topic.count} messages on {name}, expected at most {MESSAGES_MOST}", "cut it in parts")
+    ours = [
+        name for name in able
+        if kind_of(held[name].schema) not in STATES and not any(word in name for word in OTHER_INTERFACES)
+    ]  # fmt: skip
+    if options.command_topic is None and len(ours) == 1:
+        return state, ours[0], [f"commands from {ours[0]} {held[ours[0]]}"]
+    if options.command_topic is not None or able:
+        raise FileError(file, f"no topic {command}; found {found}", f"name one with {OPTIONS['command_topic']}")
+    return state, None, [f"no topic with commands; found {found}"]
 
 
 def _stamp(
-    states: list[Sample], state_topic: str, commands: _Commands, options: ImportOptions, file: Path
-) -> tuple[str, list[str]]:
-    """Choose between the stamps in the messages and the times of recording; both topics take the same."""
-    for topic, found in ((state_topic, states), (commands.topic, commands.messages)):
-        if topic is not None and not found:
-            raise FileError(file, f"no message on {topic}", "record it again or name another topic")
-    told = "times are those of the recording"
+    samples: dict[str, list[Sample]], goals: list[TrajectoryGoal], topics: tuple[str, str | None],
+    kinds: dict[str, str], options: ImportOptions, file: Path,
+) -> tuple[str, list[str]]:  # fmt: skip
+    """Choose between message stamps and recording times."""
+    state, command = topics
     if options.stamp is not None:
         return options.stamp, []
-    stamped = any(sample.header_ns for sample in states)
-    if commands.topic is None or commands.stamped() == stamped:
-        return ("header", []) if stamped else ("log", [f"{told}, the messages have no stamps"])
-    if commands.stamped() is None:
-        return "log", [f"{told}, the commands on {commands.topic} have no stamps"]
-    bare = commands.topic if stamped else state_topic
+    stamped = {topic: any(sample.header_ns for sample in found) for topic, found in samples.items()}
+    told = "times are those of the recording"
+    # an array has no stamp, and an empty one of a trajectory asks for a start at once
+    if command and (kinds[command] == ARRAY or (goals and not all(goal.header_ns for goal in goals))):
+        return "log", [f"{told}, the commands on {command} have no stamps"]
+    if goals or len(set(stamped.values())) == 1:
+        return ("header", []) if stamped[state] else ("log", [f"{told}, the messages have no stamps"])
+    bare = command if stamped[state] else state
     raise FileError(file, f"the messages on {bare} have no stamps, the others do", "set stamp to log for both")
-
-
-def _on_clock(track: Track, stamps: list[int], origin: int) -> Track:
-    """Fill in the times: whole nanoseconds are subtracted before they become float64, which keeps them exact."""
-    return replace(track, time=np.array([(stamp - origin) / NANOSECONDS for stamp in stamps]))
-
-
-def _kept_extra(header: dict[str, str], file: Path) -> dict[str, str]:
-    try:
-        extra = json.loads(header.get("extra", "{}"))
-        return {str(key): str(value) for key, value in extra.items()}
-    except (ValueError, AttributeError, RecursionError) as error:
-        raise FileError(file, f"metadata {METADATA} is damaged ({error})", REMEDY) from error

@@ -1,13 +1,10 @@
-"""Which rows of a log show the free arm, and which one that leans on something, stands at a stop or is not read.
+"""Rows of a log that show the free arm; others are in contact, at a stop, or not read.
 
-Diagnosis and identification speak of the free arm. An arm that lies on its table looks like one with a
-weak elbow, and its joints stay disturbed for seconds after. So such rows are found, left out of the fit,
-and judged apart.
+Diagnosis and identification describe the free arm: an arm on its table looks like one with a weak elbow.
 
-Method. Gravity pulls a free arm below its command. A tip that rests clearly above its command is held up;
-if that happens at the bottom of the reach only, there is a table, and its height is where tips that are
-held up part from tips that are not. A joint at an end of its travel that stands still far from its command
-is at a stop.
+Method. Gravity pulls a free arm below its command, so a tip that rests above its command is held up. If that happens
+only at the bottom of the reach, there is a table; its height parts held from free tips. A joint at an end of its travel
+that is stationary far from its command is at a stop.
 """
 
 from __future__ import annotations
@@ -25,41 +22,47 @@ from rejoint.logs.runlog import RunLog
 Rows = NDArray[np.bool_]
 
 HELD_UP = 0.005
-"""[m] tip above its command by which it counts as held up; free tips at rest are at most 4 mm above theirs
-(measured on a real low-cost arm)"""
+"""[m] of a tip above its command that counts as held up (a free low-cost arm: at most 4 mm)"""
 SLOW = 0.05
-"""[rad/s] speed of joints and commands below which a row tells whether the tip is held up (chosen)"""
+"""[rad/s] below which a row shows whether the tip is held up (chosen)"""
 LEAST_HELD = 2.0
 """[s] of being held up below which no table is claimed (chosen)"""
 MARGIN = 0.010
-"""[m] above the table where contact may begin: the finger under the tip is not on its axis (measured: a threshold
-10 mm above the height found here is the one that separates the errors of a real low-cost arm)"""
+"""[m] above the table where contact may begin (measured on a real low-cost arm)"""
 RECOVERY = 3.0
-"""[s] for which joints stay disturbed after a contact (measured on a real low-cost arm)"""
+"""[s] of disturbance after a contact (measured on a real low-cost arm)"""
 
 STOP_ERROR = np.radians(8.0)
-"""[rad] between command and a joint that stands still, above which something blocks it (chosen: twice the largest
-error at rest of a real low-cost arm)"""
+"""[rad] of error of a stationary joint that is blocked (chosen: twice a real arm's largest)"""
 USUAL = 3.0
-"""Times the median error of a joint, command less position, that an error must have to speak of a stop or of dead
-readings (chosen): a weak servo that sags, or one that sticks, is as far from its commands everywhere"""
+"""Times a joint's median error that a stop or dead readings need (chosen): sagging joints are always off"""
 STOP_BAND = np.radians(1.5)
-"""[rad] from the end of the travel seen in the logs within which a blocked joint is at a stop (chosen)"""
+"""[rad] from the end of the seen travel (chosen)"""
 LEAST_TRAVEL = np.radians(6.0)
-"""[rad] of travel below which its ends are no stops: a joint that never moves is stuck, and that is a fault of the arm
-(chosen: four times the band)"""
+"""[rad] of travel below which its ends are no stops (chosen)"""
 STOP_TIME = 0.2
 """[s] for which it stands there (chosen: a reversal is shorter)"""
 
 STALE_TIME = 0.5
-"""[s] without any change of any encoder, a command having moved off, after which readings count as dead (chosen)"""
+"""[s] without any change, under a moving command, of dead readings (chosen)"""
 STALE_MOTION = np.radians(6.0)
 """[rad] by which that command has moved: more than friction hides (chosen)"""
+
+TORQUE_OFF = "torque_off"
+"""Key in a log's ``extra`` for joints that had no torque"""
+ASKED = np.radians(3.0)
+"""[rad] of a command's travel below which a joint at rest shows nothing (chosen)"""
+ANSWERED = 0.1
+"""Travel over the command's of a joint that does not answer (chosen)"""
+UNRELATED = 0.3
+"""The same for its correlation (chosen)"""
+ANSWER_TIMES = (0.0, 0.1, 0.2, 0.3, 0.5)
+"""[s] after which an answer is looked for (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Exclusions:
-    """Rows (T,) of one log that do not show the free arm; each kind with its recovery."""
+    """Rows (T,) of one log that do not show the free arm, with recovery."""
 
     contact: Rows
     """the tip on the table, or just off it"""
@@ -75,12 +78,12 @@ class Exclusions:
 
     @property
     def readable(self) -> Rows:
-        """(T,) rows that are worth predicting with a table: all but those at stops and dead ones."""
+        """(T,) rows that a twin with a table may predict."""
         return ~(self.stop | self.stale)
 
 
 def find_exclusions(arm: Arm, logs: Sequence[RunLog], table: float | None = None) -> list[Exclusions]:
-    """Judge every row of the logs, which share one table; ``table`` [m] is its height, if any (`table_height`)."""
+    """Judge every row of logs that share a table at height ``table`` [m] (`table_height`)."""
     ends, usual = _travel(logs), _usual_error(logs)
     found = []
     for log in logs:
@@ -99,7 +102,7 @@ def find_exclusions(arm: Arm, logs: Sequence[RunLog], table: float | None = None
 
 
 def table_height(arm: Arm, logs: Sequence[RunLog]) -> float | None:
-    """Height [m] in the base frame of the tip on a table that the arm leans on in some logs; None if it never does."""
+    """Height [m] of the tip on a table that the arm leans on; None without one."""
     heights, held, weights, usual = [], [], [], _usual_error(logs)
     for log in logs:
         tip, asked = (tcp_position(arm, q)[:, 2] for q in (log.position, log.command))
@@ -118,8 +121,38 @@ def table_height(arm: Arm, logs: Sequence[RunLog]) -> float | None:
     return float(height[order][best]) if gain[best] > LEAST_HELD else None
 
 
+def declared_off(joints: Sequence[str]) -> dict[str, str]:
+    """Return the ``extra`` entry for joints without torque."""
+    return {TORQUE_OFF: ",".join(joints)} if joints else {}
+
+
+def unpowered_joints(log: RunLog) -> tuple[str, ...]:
+    """Name the joints that never answer their command, and those declared without torque.
+
+    A joint does not answer if it moves less than a tenth of its command's travel, or unlike it. A stuck joint looks the
+    same.
+    """
+    declared = log.extra.get(TORQUE_OFF, "").split(",")
+    silent = {name for name in log.joint_names if name in declared}
+    if not log.commanded or len(log) < 2:
+        return tuple(name for name in log.joint_names if name in silent)
+    lags = {round(seconds / float(np.median(np.diff(log.time)))) for seconds in ANSWER_TIMES}
+    for joint, name in enumerate(log.joint_names):
+        asked, moved = log.command[:, joint], log.position[:, joint]
+        if np.ptp(asked) < ASKED:
+            continue
+        answers = []
+        for lag in sorted(lags):
+            later, sooner = moved[lag:], asked[: len(asked) - lag]
+            if len(later) > len(moved) / 2 and np.ptp(later) and np.ptp(sooner):
+                answers.append(float(np.corrcoef(later, sooner)[0, 1]))
+        if np.ptp(moved) < ANSWERED * np.ptp(asked) or max(map(abs, answers), default=0.0) < UNRELATED:
+            silent.add(name)
+    return tuple(name for name in log.joint_names if name in silent)
+
+
 def free_runs(free: Rows, time: Array, shortest: float) -> list[tuple[int, int]]:
-    """Find runs of rows (first, last exclusive) that are free, without gaps in time, of at least ``shortest`` [s]."""
+    """Find gapless runs of free rows (first, last exclusive) of at least ``shortest`` [s]."""
     if len(time) < 2:
         return []
     gap = np.diff(time) > 5 * np.median(np.diff(time))
@@ -136,7 +169,7 @@ def _travel(logs: Sequence[RunLog]) -> tuple[Array, Array]:
 
 
 def _usual_error(logs: Sequence[RunLog]) -> Array:
-    """Median (n,) [rad] of how far each joint is from its command, where readings change; 0 where none ever does."""
+    """Median error (n,) [rad] of each joint where readings change; 0 where none does."""
     changing = [np.diff(log.position, axis=0, prepend=log.position[:1]).any(axis=1) for log in logs]
     errors = np.concatenate(
         [np.abs(log.command - log.position)[rows] for log, rows in zip(logs, changing, strict=True)]
@@ -153,7 +186,7 @@ def _stopped(log: RunLog, ends: tuple[Array, Array], usual: Array) -> Rows:
 
 
 def _stale(log: RunLog, usual: Array) -> Rows:
-    """Rows in which every reading is that of the row before, for long, while a command moves on."""
+    """Rows whose readings repeat for long while a command moves on."""
     still = np.concatenate([[False], (log.position[1:] == log.position[:-1]).all(axis=1)])
     dead = np.zeros(len(log), dtype=bool)
     for first, last in free_runs(still, log.time, STALE_TIME):
@@ -180,7 +213,7 @@ def _recovering(time: Array, rows: Rows) -> Rows:
 
 
 def joint_speed(time: Array, q: Array) -> Array:
-    """(T,) [rad/s] speed of the fastest joint of positions or commands (T, n) [rad], over four rows to either side."""
+    """(T,) [rad/s] speed of the fastest joint of ``q`` (T, n) [rad], over four rows to either side."""
     rows = np.arange(len(time))
     before, after = np.maximum(rows - 4, 0), np.minimum(rows + 4, len(time) - 1)
     return np.abs((q[after] - q[before]) / np.maximum(time[after] - time[before], 1e-9)[:, None]).max(axis=1)

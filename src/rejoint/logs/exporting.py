@@ -1,28 +1,29 @@
-"""Run logs for other programs: CSV for any of them, MCAP for PlotJuggler, Foxglove and Rerun.
+"""Run logs as CSV, and as MCAP for PlotJuggler, Foxglove and Rerun.
 
-MCAP is written as ROS 2 does: ``sensor_msgs/msg/JointState`` in CDR with its ``ros2msg`` definition in the
-file. That is the one form of joint states that all three draw without a plug-in: Rerun turns ROS 2
-messages into plots but not JSON (rerun.io/docs/reference/mcap), PlotJuggler's MCAP loader parses ``cdr``
-with ``ros2msg`` schemas (PlotJuggler/PlotJuggler, issue 878), and Foxglove reads ROS 2 bags
-(docs.foxglove.dev/docs/visualization/message-schemas/introduction).
+MCAP holds ``sensor_msgs/msg/JointState`` in CDR with its ``ros2msg`` definition: the one form that all three read
+(rerun.io/docs/reference/mcap; PlotJuggler issue 878; docs.foxglove.dev).
 """
 
 from __future__ import annotations
 
-import csv
 import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pacsv
 
-from rejoint.logs.bags import COMMAND_TOPIC, METADATA, POINT_TOPICS, STATE_TOPIC
+from rejoint.logs.bags import COMMAND_TOPIC, STATE_TOPIC
 from rejoint.logs.messages import NANOSECONDS
 from rejoint.logs.runlog import AXES, RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
 from rejoint.system.files import write_whole
 
+METADATA = "rejoint"
+"""Name of the metadata record that keeps what messages cannot hold."""
+POINT_TOPICS = {"target": "/target", "true_tcp": "/true_tcp"}
 _SEPARATOR = "=" * 80
 _HEADER = f"""{_SEPARATOR}
 MSG: std_msgs/Header
@@ -56,8 +57,7 @@ _LAST_SECOND = 2**31
 def export_log(log: RunLog, path: Path) -> None:
     """Write a log as ``.csv`` or ``.mcap``, whole or not at all.
 
-    CSV keeps every bit of the five arrays. MCAP keeps every bit of the angles and positions, and the label,
-    robot and ``extra`` in a metadata record; its clock counts nanoseconds, to which times are rounded.
+    Both keep every bit of angles and positions; MCAP rounds times to nanoseconds, and holds ``extra`` as metadata.
     Raises InputError for another ending or times that MCAP cannot hold.
     """
     if path.suffix == ".csv":
@@ -70,20 +70,21 @@ def export_log(log: RunLog, path: Path) -> None:
 
 
 def _write_csv(log: RunLog, path: Path) -> None:
-    titles, columns = ["time_s"], [log.time]
-    for group in ("position", "command") if log.commanded else ("position",):
-        titles += [f"{group}.{name}_rad" for name in log.joint_names]
-        columns += list(getattr(log, group).T)
+    units = {"position": "rad", "command": "rad"} | {name: unit.replace(" ", "") for name, unit in log.units.items()}
+    columns = {"time_s": log.time}
+    for group in ("position", "command", "torque", "current", "gain"):
+        values = getattr(log, group)
+        if values is not None and (group != "command" or log.commanded):
+            ending = f"_{units[group]}" if units.get(group) else ""
+            columns |= {f"{group}.{name}{ending}": values[:, i] for i, name in enumerate(log.joint_names)}
     for group in ("target", "true_tcp"):
         if not np.isnan(getattr(log, group)).all():
-            titles += [f"{group}.{axis}_m" for axis in AXES]
-            columns += list(getattr(log, group).T)
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(titles)
-        for row in np.stack(columns, axis=-1).tolist():
-            # repr gives the shortest text that reads back as the same float64; NaN becomes an empty cell
-            writer.writerow(["" if value != value else repr(value) for value in row])
+            columns |= {f"{group}.{axis}_m": getattr(log, group)[:, i] for i, axis in enumerate(AXES)}
+    # Arrow writes the shortest text that reads back as the same float64; NaN becomes an empty cell
+    table = pa.table({name: pa.array(values, from_pandas=True) for name, values in columns.items()})
+    with path.open("wb") as file:
+        file.write(f"{','.join(columns)}\n".encode())
+        pacsv.write_csv(table, file, pacsv.WriteOptions(include_header=False))
 
 
 def _stamps(log: RunLog) -> list[int]:
@@ -105,15 +106,20 @@ def _write_mcap(log: RunLog, stamps: list[int], path: Path) -> None:
         )
         joints = writer.register_msgdef("sensor_msgs/msg/JointState", _JOINT_STATE)
         point = writer.register_msgdef("geometry_msgs/msg/PointStamped", _POINT_STAMPED)
+        told = log.torque is not None and log.units.get("torque") == "N m"
+        torque = log.torque if told and log.torque is not None else np.zeros((len(log), 0))
         for row, stamp in enumerate(stamps):
             header = {"stamp": {"sec": stamp // NANOSECONDS, "nanosec": stamp % NANOSECONDS}, "frame_id": "base"}
             messages: list[tuple[str, Any, dict[str, Any]]] = [
                 (
                     topic,
                     joints,
-                    {"name": list(log.joint_names), "position": values.tolist(), "velocity": [], "effort": []},
+                    {"name": list(log.joint_names), "position": values.tolist(), "velocity": [], "effort": effort},
                 )
-                for topic, values in ((STATE_TOPIC, log.position[row]), (COMMAND_TOPIC, log.command[row]))
+                for topic, values, effort in (
+                    (STATE_TOPIC, log.position[row], torque[row].tolist()),
+                    (COMMAND_TOPIC, log.command[row], []),
+                )
                 if log.commanded or topic == STATE_TOPIC
             ]
             for group, topic in POINT_TOPICS.items():

@@ -1,10 +1,7 @@
-"""Errors of joint zeros, as the homing offsets of LeRobot's calibration file.
+"""Errors of joint zeros, as homing offsets in LeRobot's calibration file.
 
-Feetech servos tell the raw position less ``homing_offset`` [counts]. A link that stands by ``offset`` [rad] farther
-than its encoder says is told right when the homing offset is smaller by as many counts. The range, from whose middle
-LeRobot counts its degrees, stays as it is: the arm's degrees change by exactly ``offset``, and its software limits move
-with them. Dynamixel servos add their homing offset, so for them the sign is the other one; the file does not tell which
-they are.
+Feetech servos report the raw position less ``homing_offset`` [counts], so an encoder that reads ``offset`` [rad] too
+little needs a smaller one. Ranges and degrees move with it. Dynamixel servos have the other sign.
 """
 
 from __future__ import annotations
@@ -22,17 +19,16 @@ from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import JSON_MOST, read_bounded, write_whole
 
 LARGEST = 2047
-"""[counts] of a homing offset (eleven bits and a sign; LeRobot writes no larger ones)"""
+"""[counts] of a homing offset (eleven bits and a sign)"""
 
 _REMEDY = "give the JSON file that lerobot-calibrate wrote"
 
 
 def corrected_homing(source: Path, arm: Arm, offset: Array) -> tuple[dict[str, Any], dict[str, int]]:
-    """Return a calibration of LeRobot with the zeros of ``arm`` corrected, and by how many counts each changed.
+    """Return LeRobot's calibration with corrected zeros of ``arm``, and each change in counts.
 
-    ``offset`` (n,) [rad] is what is to be added to what the encoders say. Motors that are no joint of the arm, such as
-    a gripper's, stay as they are. FileError where ``source`` is no calibration, InputError where a servo cannot
-    hold it.
+    ``offset`` (n,) [rad] is added to the encoders' angles; other motors stay. FileError where ``source`` is no
+    calibration, InputError where a servo cannot hold the offset.
     """
     motors = read_homing(source)
     columns = match_joints(list(motors), arm, ImportOptions(), source, "calibration").columns
@@ -56,7 +52,7 @@ def write_homing(path: Path, motors: dict[str, Any]) -> None:
 
 
 def read_homing(source: Path) -> dict[str, Any]:
-    """Read the motors of a calibration of LeRobot; FileError where it is none."""
+    """Read the motors of LeRobot's calibration; FileError where it is none."""
     try:
         motors = json.loads(read_bounded(source, JSON_MOST, _REMEDY))
         for motor in motors.values():

@@ -1,26 +1,201 @@
-"""Foreign logs in, run logs out: recognise the format, read, check, write all of them or none."""
+"""Import foreign logs: detect the format, read, split, check, write all or none."""
 
 from __future__ import annotations
 
 import re
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from rejoint.arms import Arm
-from rejoint.logs import lerobot, mcapfile, rosbag, sage, table
-from rejoint.logs.copies import copies
-from rejoint.logs.found import describe
-from rejoint.logs.joining import to_log
+from rejoint.logs import lerobot, sage, table
+from rejoint.logs.bags import MCAP, ROSBAG, BagReader
+from rejoint.logs.consistency import GAP_PERIODS, Doubts, check_agreement, check_angles, clean, copies
+from rejoint.logs.detection import describe
+from rejoint.logs.exclusions import declared_off, unpowered_joints
 from rejoint.logs.options import ImportOptions
-from rejoint.logs.parting import FEWEST, parted
-from rejoint.logs.runlog import RunLog, write_log
-from rejoint.logs.track import RecordedMotion
+from rejoint.logs.runlog import TWO_TURNS, Array, RunLog, write_log
+from rejoint.logs.track import Pending, Points, RecordedMotion, Track
+from rejoint.logs.units import check_normalised, check_steps
 from rejoint.system.errors import FileError, InputError, first_line
 from rejoint.system.progress import Progress, no_progress
+
+PAUSE = 1.0
+"""[s] without a state that ends a motion (chosen: ten times a hobby servo's lag)"""
+FEWEST = 2
+"""Rows of a log"""
+CORRUPT = 0.02
+"""Share of impossible numbers up to which they are corrupt (chosen)"""
+
+
+def parted(motion: RecordedMotion) -> Iterator[RecordedMotion]:
+    """Split a recording at pauses and corrupt numbers.
+
+    FileError where more than `CORRUPT` of the samples are not finite.
+    """
+    time, notes = motion.state.time, list(motion.notes)
+    bad = _corrupt(motion.state)
+    if motion.command is not None:
+        wrong = _corrupt(motion.command)
+        held = np.searchsorted(motion.command.time, time, side="right") - 1
+        bad |= wrong[np.maximum(held, 0)] & (held >= 0)
+        motion = replace(motion, command=motion.command.take(~wrong))
+    steps = np.diff(time[~bad])
+    if not len(steps) or not np.isfinite(steps).all() or (steps < 0).any():
+        yield motion
+        return
+    good = np.flatnonzero(~bad)
+    limit = max(PAUSE, GAP_PERIODS * float(np.median(steps)))
+    paused = steps > limit
+    cuts = np.flatnonzero(paused | (np.diff(good) > 1)) + 1
+    pieces = [good[a:b] for a, b in pairwise([0, *cuts.tolist(), len(good)]) if b - a >= FEWEST]
+    if not (len(cuts) or bad.any()) or not pieces:
+        yield motion
+        return
+    if paused.any():
+        worst = int(np.argmax(steps))
+        notes.append(
+            f"state: {int(paused.sum())} pause(s) longer than {PAUSE:g} s, the longest {steps[worst]:.3g} s before "
+            f"{motion.state.where(good[worst + 1])}; cut there into {len(pieces)} log(s)"
+        )
+    if bad.any():
+        first = motion.state.where(int(np.argmax(bad)))
+        notes.append(
+            f"{int(bad.sum())} row(s) with corrupt numbers, first at {first}; cut there into {len(pieces)} log(s)"
+        )
+    if lost := len(good) - sum(map(len, pieces)):
+        notes.append(f"{lost} lone sample(s) left out")
+    for index, piece in enumerate(pieces, start=1):
+        rows = np.zeros(len(time), dtype=bool)
+        rows[piece] = True
+        yield replace(
+            motion, name=f"{motion.name}-{index}of{len(pieces)}" if len(pieces) > 1 else motion.name,
+            state=motion.state.take(rows), notes=tuple(notes),
+            command=None if motion.command is None else _in_force(motion.command, time[piece[0]], time[piece[-1]]),
+        )  # fmt: skip
+
+
+def _corrupt(track: Track) -> NDArray[np.bool_]:
+    """Find samples (T,) with an impossible number among mostly possible ones."""
+    finite = np.isfinite(track.value).all(axis=1)
+    if (~finite).sum() > CORRUPT * len(track):
+        row, joint = (int(i) for i in np.argwhere(~np.isfinite(track.value))[0])
+        raise FileError(
+            track.path, f"{track.what}, {track.where(row)}: {track.columns[joint]} is {track.value[row, joint]}, one "
+            f"of {int((~finite).sum())} rows with values that are not finite", "mend the values or cut the rows",
+        )  # fmt: skip
+    huge = ~(np.abs(track.value) <= TWO_TURNS).all(axis=1)
+    return np.asarray(huge if huge.sum() <= CORRUPT * len(track) else ~finite)
+
+
+def _in_force(command: Track, first: float, last: float) -> Track:
+    """Keep the commands in force from ``first`` [s] to ``last`` [s]; all where the clocks differ."""
+    before = np.flatnonzero(command.time <= first)
+    start = command.time[before[-1]] if len(before) else first
+    chosen = (command.time >= start) & (command.time <= last)
+    return command.take(chosen) if chosen.any() else command
+
+
+_EPOCH = 1e8
+"""[s] chosen: a clock that reads more counts from 1970"""
+
+NO_COMMANDS = (
+    "holds no commands: it is good for `replay` of the states alone; stiffness, friction, lag and "
+    "zeros, and so a twin, cannot be told"
+)
+
+
+def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = None) -> tuple[RunLog, list[str]]:
+    """Check a motion and put it on the clock of its states.
+
+    Row k holds state k and the last command stamped no later (zero-order hold); earlier states are left out. Raises
+    FileError where states and commands do not belong together, or by `Doubts`.
+    """
+    options = options or ImportOptions()
+    doubts = Doubts(force=options.force)
+    state, notes = clean(motion.state, doubts)
+    command, more = (None, [NO_COMMANDS]) if motion.command is None else clean(motion.command, doubts)
+    motion = _near_zero(replace(motion, state=state, command=command, notes=(*motion.notes, *notes, *more)))
+    if motion.command is not None:
+        _check_one_clock(motion.state, motion.command)
+    notes = [*motion.notes, *check_angles(motion, arm, doubts), *check_normalised(motion, arm, options, doubts)]
+    check_steps(motion, arm, doubts)
+    state, commanded = motion.state, np.full(motion.state.value.shape, np.nan)
+    if motion.command is not None:
+        state, commanded, more = _joined(state, motion.command)
+        powered = (state.more.get("gain", np.ones(1)) != 0).any(axis=-1) & np.ones(len(state), dtype=bool)
+        notes += [*more, *check_agreement(state.take(powered), commanded[powered], doubts)]
+        notes += [f"state: {int((~powered).sum())} rows without torque"] * (not powered.all())
+    notes += [f"imported by force, although {reason}" for reason in doubts.reasons]
+    log = RunLog(
+        arm=arm.name, joint_names=arm.joint_names, robot=motion.robot, label=motion.name,
+        time=state.time, position=state.value, command=commanded,
+        target=_at(state.time, motion.points.get("target")), true_tcp=_at(state.time, motion.points.get("true_tcp")),
+        extra=motion.extra | doubts.kept | declared_off(options.torque_off or ()),
+        units=dict(motion.units), **state.more,
+    )  # fmt: skip
+    for joint in unpowered_joints(log):
+        if joint not in (options.torque_off or ()):
+            notes.append(f"state: {joint} never answers its command: without power, or stuck (--torque-off {joint})")
+    return log, notes
+
+
+def _joined(state: Track, command: Track) -> tuple[Track, Array, list[str]]:
+    """Return the states from the first command on, the command (T, n) [rad] in force, and notes."""
+    held = np.searchsorted(command.time, state.time, side="right") - 1
+    known = held >= 0
+    notes = []
+    if not known.all():
+        notes.append(f"state: {int((~known).sum())} samples before the first command left out")
+    state, held = state.take(known), held[known]
+    if len(state) < 2:
+        raise FileError(state.path, f"{len(state)} state(s) after the first command, a log needs 2", "record it again")
+    return state, command.value[held], notes
+
+
+def _near_zero(motion: RecordedMotion) -> RecordedMotion:
+    """Shift a clock that counts from 1970."""
+    start = float(motion.state.time[0])
+    if start < _EPOCH:
+        return motion
+    origin = float(np.floor(start))
+    points = {name: Points(time=p.time - origin, value=p.value) for name, p in motion.points.items()}
+    return replace(
+        motion, state=motion.state.shifted(origin), points=points,
+        command=None if motion.command is None else motion.command.shifted(origin),
+        extra=motion.extra | {"clock_origin_s": f"{origin:.0f}"},
+    )  # fmt: skip
+
+
+def _check_one_clock(state: Track, command: Track) -> None:
+    common = min(state.time[-1], command.time[-1]) - max(state.time[0], command.time[0])
+    shorter = min(state.time[-1] - state.time[0], command.time[-1] - command.time[0])
+    if common < 0.5 * shorter:
+        raise FileError(
+            state.path, f"states last from {state.time[0]:.6f} to {state.time[-1]:.6f} s, commands from "
+            f"{command.time[0]:.6f} to {command.time[-1]:.6f} s: not one clock",
+            "record both on one clock, or take the times of recording (stamp log) for MCAP",
+        )  # fmt: skip
+    if command.time[0] >= state.time[-1]:
+        raise FileError(state.path, "no state after the first command", "take a longer log")
+
+
+def _at(time: Array, points: Points | None) -> Array:
+    """Points (T, 3) at exactly these times, else NaN."""
+    values = np.full((len(time), 3), np.nan)
+    if points is not None and len(points.time):
+        order = np.argsort(points.time, kind="stable")
+        near = np.minimum(np.searchsorted(points.time[order], time), len(order) - 1)
+        same = points.time[order][near] == time
+        values[same] = points.value[order][near[same]]
+    return values
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,24 +204,26 @@ class Imported:
 
     logs: tuple[RunLog, ...]
     notes: tuple[str, ...]
-    """what was left out or looks odd; empty where there is nothing to say"""
+    """what was left out or looks odd"""
+    skipped: tuple[str, ...] = ()
+    """logs that could not be imported, each with the reason"""
 
 
 class _Reader(Protocol):
     def fits(self, source: Path, options: ImportOptions) -> bool: ...
 
-    def motions(self, source: Path, arm: Arm, options: ImportOptions) -> tuple[int, Iterator[RecordedMotion]]: ...
+    def motions(self, source: Path, arm: Arm, options: ImportOptions) -> Sequence[Pending]: ...
 
 
 _READERS: dict[str, _Reader] = {
-    "sage": sage, "csv": table, "mcap": mcapfile, "rosbag": rosbag, "lerobot": lerobot,
+    "sage": sage, "table": table, "mcap": BagReader(store=MCAP), "rosbag": BagReader(store=ROSBAG), "lerobot": lerobot,
 }  # fmt: skip
 FORMATS = tuple(_READERS)
 """Names of the formats that can be imported."""
 
 _EXPECTED = (
     "a folder with SAGE's state_motor.csv, text with columns such as time_s, position.JOINT_rad and command.JOINT_rad, "
-    "an MCAP file, a bag of ROS 2, or a folder with LeRobot's meta/info.json"
+    "an MCAP file, a bag of ROS, or a folder with LeRobot's meta/info.json"
 )
 
 
@@ -61,70 +238,68 @@ def import_logs(
     source
         a file, a motion's folder, or a folder of several of one format
     out
-        folder to make; each log becomes ``MOTION.parquet`` in it. It must not exist or be empty.
+        new or empty folder; each log becomes ``MOTION.parquet`` in it
     format
-        one of `FORMATS`; None recognises it by content, and refuses where two fit
+        one of `FORMATS`; None detects it
     options
-        units, joint names, topics; what a format does not say and nobody declares is an error
+        units, joint names, topics
     on_progress
-        called after each log with the share of the logs that is done, and its name
+        receives the share of logs that is done, and the name
 
     Raises
     ------
     FileError
-        for a file that is damaged or contradicts the declarations; it names line, message or column
+        for a file that is damaged, contradicts the options or fails the checks; of several logs such ones are skipped
     InputError
-        for declarations that cannot be
+        for wrong options
 
-    Nothing is left behind where an error is raised.
+    An error leaves nothing behind.
     """
     options = options or ImportOptions()
     options.check_joints(arm)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out} exists already; name a new folder for the imported logs")
     reader = _READERS[detect(source, options) if format is None else _known(format)]
-    total, motions = reader.motions(source, arm, options)
-    logs, notes = _checked(motions, total, arm, options, lambda done, name: on_progress(done / total, name))
-    if not logs:
-        raise FileError(source, "holds no log", "take another one")
-    _write_whole(out, logs)
-    return Imported(logs=tuple(logs.values()), notes=_remarks(notes, len(logs)))
-
-
-def _checked(
-    motions: Iterator[RecordedMotion],
-    total: int,
-    arm: Arm,
-    options: ImportOptions,
-    on_log: Callable[[int, str], object],
-) -> tuple[dict[str, RunLog], dict[str, list[str]]]:
-    """Turn motions into logs by file name; returns them and, by note, the logs that it is about."""
+    pending = reader.motions(source, arm, options)
     logs: dict[str, RunLog] = {}
     notes: dict[str, list[str]] = {}
-    for done, motion in enumerate(motions, start=1):
-        if len(motion.state) < FEWEST and total > 1:  # begun and given up: no reason to refuse all the others
-            short = f"left out, with {len(motion.state)} sample(s), where a log needs at least {FEWEST}"
-            notes.setdefault(short, []).append(_file_name(motion.name))
-            continue
-        for part in parted(motion):
-            log, remarks = to_log(part, arm, options)
+    refused: list[tuple[str, FileError]] = []
+    for done, (motion, read) in enumerate(pending, start=1):
+        name, parts = _file_name(motion), []
+        try:
+            parts = list(parted(read()))
+        except FileError as error:
+            refused.append((name, error))
+        for part in parts:
             name = _file_name(part.name)
-            if name in logs:
-                raise FileError(
-                    motion.state.path, f"a second log with the name {name}", "import it into another folder"
-                )
+            try:
+                log, remarks = to_log(part, arm, options)
+                if name in logs:
+                    raise FileError(source, f"a second log with the name {name}", "import it into another folder")
+            except FileError as error:
+                refused.append((name, error))
+                continue
             logs[name] = log
             for remark in remarks:
                 notes.setdefault(remark, []).append(name)
-            on_log(done, name)
+        on_progress(done / len(pending), name)
+    if not logs and refused:
+        first = refused[0][1]
+        if len(refused) == 1:
+            raise first
+        raise FileError(first.path, f"{first.problem}; none of {len(refused)} logs can be imported", first.remedy)
     for name, original in copies(logs.items()).items():
         del logs[name]
         notes.setdefault(f"left out, for it holds the same readings as {original}", []).append(name)
-    return logs, notes
+    if not logs:
+        raise FileError(source, "holds no log", "take another one")
+    _write_whole(out, logs)
+    skipped = tuple(f"{name} skipped: {error.problem}; {error.remedy}" for name, error in refused)
+    return Imported(logs=tuple(logs.values()), notes=_remarks(notes, len(logs)), skipped=skipped)
 
 
 def detect(source: Path, options: ImportOptions | None = None) -> str:
-    """Name the format of the logs at a path by what they hold; FileError where none or more than one fits."""
+    """Name the format of the logs at a path; FileError unless exactly one fits."""
     options = options or ImportOptions()
     if not source.exists():
         raise FileError(source, "no such file or folder", "check the path")
@@ -133,7 +308,7 @@ def detect(source: Path, options: ImportOptions | None = None) -> str:
     except OSError as error:
         raise FileError(source, f"not readable ({error})", "check its permissions") from error
     if source.is_file() and len(fitting) > 1:  # what a file is known by at its first byte is surer than that it is text
-        fitting = [name for name in fitting if name != "csv"]
+        fitting = [name for name in fitting if name != "table"]
     if len(fitting) > 1:
         raise FileError(
             source, f"holds logs of the formats {' and '.join(fitting)}", "say with --format which to import"
@@ -154,12 +329,12 @@ def _known(name: str) -> str:
 
 
 def _file_name(motion: str) -> str:
-    """Name of a motion as a file name: letters, digits, dots, dashes and underlines."""
+    """Name of a motion as a file name."""
     return re.sub(r"[^\w.+-]+", "-", motion).strip(".")[:100] or "log"
 
 
 def _write_whole(out: Path, logs: dict[str, RunLog]) -> None:
-    """Write the logs into a folder beside ``out`` and move it there when it is complete."""
+    """Write the logs beside ``out``, then move them there."""
     out = out.absolute()
     out.parent.mkdir(parents=True, exist_ok=True)
     temporary = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}."))
@@ -175,7 +350,7 @@ def _write_whole(out: Path, logs: dict[str, RunLog]) -> None:
 
 
 def _remarks(notes: dict[str, list[str]], total: int) -> tuple[str, ...]:
-    """Put each note's logs in front of it; a note that many share is said once."""
+    """Put the logs' names in front of each note."""
     remarks = []
     for remark, names in notes.items():
         who = names[0] if len(names) == 1 else f"{len(names)} of {max(total, len(names))} logs ({names[0]}, ...)"

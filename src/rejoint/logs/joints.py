@@ -3,32 +3,37 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from rejoint.arms import Arm
-from rejoint.logs.options import ImportOptions
+from rejoint.logs.options import ImportOptions, Linear
 from rejoint.logs.runlog import Array
 from rejoint.system.errors import FileError
 from rejoint.system.files import JSON_MOST, read_bounded
+from rejoint.system.textfile import split_unit
 
 _SO101_NAMES = {
     "Rotation": "shoulder_pan", "Pitch": "shoulder_lift", "Elbow": "elbow_flex", "Wrist_Pitch": "wrist_flex",
     "Wrist_Roll": "wrist_roll",
 }  # fmt: skip
-"""Joint names of the first SO-ARM100 model, which SAGE uses, and those of so101_new_calib.xml.
+"""Joint names of the first SO-ARM100 model, as SAGE uses them, and of so101_new_calib.xml.
 
-Source: the URDFs in TheRobotStudio/SO-ARM100, folders ``Simulation/SO100`` and ``Simulation/SO101``.
+Source: TheRobotStudio/SO-ARM100, folders ``Simulation/SO100`` and ``Simulation/SO101``.
 """
 
 COUNTS_PER_TURN = 4096
 """Positions of the 12-bit encoder in a turn. Source: Feetech STS3215 datasheet."""
 
+ANGLES = {"rad": 1.0, "deg": np.pi / 180.0}
+"""[rad] units of angles"""
+_NUMBERED = re.compile(r"(.*?)(\d+)")
 _NORMALISED_LIMIT = 101.0
-"""chosen: LeRobot clips what it normalises to -100..100; a little more is left for rounding."""
+"""LeRobot clips to -100..100 (chosen: with rounding)"""
 
 
 class Match(NamedTuple):
@@ -40,6 +45,10 @@ class Match(NamedTuple):
     """(n,) what the file calls them"""
     dropped: tuple[str, ...]
     """columns that are no joints of the arm"""
+    linear: list[Linear]
+    """(n,) what `ImportOptions.columns` makes of each"""
+    numbered: bool
+    """whether the names are only numbers"""
 
 
 def match_joints(
@@ -47,66 +56,94 @@ def match_joints(
 ) -> Match:
     """Find every joint of the arm exactly once among the names in a file.
 
-    A name counts as the joint that ``options.joint_map`` gives it, else as the arm's joint of the same
-    name (LeRobot's ending ``.pos`` aside), else, for an SO-101, as the joint that SAGE calls so.
-    Names that mean no joint of the arm, such as a gripper, are dropped. ``titles`` are the full column
-    names where they say more than the joint. Raises FileError where a joint is missing or found twice.
+    A joint is found by ``options.columns``, by its name (without LeRobot's ``.pos``), by SAGE's name for an SO-101,
+    else by numbers from 0 or 1 up. Other names are dropped. ``titles`` are full column names. Raises FileError where
+    a joint is missing or found twice.
     """
     titles = names if titles is None else titles
-    meanings = [_meaning(name, arm, options.joint_map or {}) for name in names]
+    renamed = _renamed(arm, options, {*names, *titles})
+    found = [_meaning(name, title, arm, renamed) for name, title in zip(names, titles, strict=True)]
+    numbered = not any(found)
+    if numbered:
+        found = _numbers(names, arm)
+    meanings = [None if one is None else one[0] for one in found]
     for joint in arm.joint_names:
-        found = [title for title, meaning in zip(titles, meanings, strict=True) if meaning == joint]
-        if len(found) > 1:
-            raise FileError(path, f"{what}: {' and '.join(found)} both mean joint {joint}", "set --joints, or drop one")
+        twice = [title for title, meaning in zip(titles, meanings, strict=True) if meaning == joint]
+        if len(twice) > 1:
+            raise FileError(path, f"{what}: {' and '.join(twice)} both mean joint {joint}", "set --map, or drop one")
     missing = [joint for joint in arm.joint_names if joint not in meanings]
     if missing:
         raise FileError(
             path, f"{what}: no column for joint {', '.join(missing)} of {arm.name}, only {', '.join(titles) or 'none'}",
-            "say with --arm which arm it is of, or with --joints which name means which joint",
+            "say with --arm which arm it is of, or with --map which name means which joint: --map JOINT=NAME",
         )  # fmt: skip
     columns = [meanings.index(joint) for joint in arm.joint_names]
     dropped = tuple(title for title, meaning in zip(titles, meanings, strict=True) if meaning is None)
-    return Match(columns, tuple(titles[column] for column in columns), dropped)
-
-
-def _meaning(name: str, arm: Arm, joint_map: Mapping[str, str]) -> str | None:
-    short = name.removesuffix(".pos")
-    for candidate in (name, short):
-        if candidate in joint_map:
-            return joint_map[candidate]
-    if short in arm.joint_names:
-        return short
-    if set(_SO101_NAMES.values()) == set(arm.joint_names):
-        return _SO101_NAMES.get(short)
-    return None
+    linear = [one[1] for column in columns if (one := found[column]) is not None]
+    return Match(columns, tuple(titles[column] for column in columns), dropped, linear, numbered)
 
 
 def means_a_joint(name: str, arm: Arm, options: ImportOptions) -> bool:
-    """Tell whether a name in a file stands for a joint of the arm."""
-    return _meaning(name, arm, options.joint_map or {}) is not None
+    """Tell whether a name means a joint of the arm."""
+    return _meaning(name, name, arm, _renamed(arm, options, {name})) is not None
 
 
-def radians(values: Array, unit: str, arm: Arm, options: ImportOptions, path: Path) -> Array:
-    """Turn ``(T, n)`` values in the arm's joint order into radians.
+Meaning = tuple[str, Linear] | None
 
-    Normalised values are LeRobot's: -100 and 100 stand for the ends of the calibrated range, zero for its
-    middle, turned around for a motor whose drive mode is set (``MotorsBus._normalize`` in
-    huggingface/lerobot). A turn counts 4096 encoder positions here, not the 4095 of LeRobot's degrees.
+
+def _renamed(arm: Arm, options: ImportOptions, known: set[str]) -> dict[str, tuple[str, Linear]]:
+    """Return the joints that the user maps, with scale and offset."""
+    found = {}
+    for ours, theirs in (options.columns or {}).items():
+        joint = _meaning(split_unit(ours, ANGLES)[0], "", arm, {})
+        if joint is not None:
+            linear = Linear.of(theirs, known)
+            found[linear.column] = (joint[0], linear)
+    return found
+
+
+def _meaning(name: str, title: str, arm: Arm, renamed: dict[str, tuple[str, Linear]]) -> Meaning:
+    short = name.removesuffix(".pos")
+    for candidate in (title, name, short):
+        if candidate in renamed:
+            return renamed[candidate]
+    if set(_SO101_NAMES.values()) == set(arm.joint_names):
+        short = _SO101_NAMES.get(short, short)
+    return (short, Linear(column=name)) if short in arm.joint_names else None
+
+
+def _numbers(names: Sequence[str], arm: Arm) -> list[Meaning]:
+    """Return the joints that plain numbers mean; m1 only for arms whose joints end in numbers."""
+    parts = [_NUMBERED.fullmatch(name) for name in names]
+    counted = all(name[-1:].isdigit() for name in arm.joint_names)
+    for stem in {"", *(part[1] for part in parts if part is not None and counted)}:
+        own = {int(part[2]): i for i, part in enumerate(parts) if part is not None and part[1] == stem}
+        if len(own) == arm.joints and min(own) in (0, 1) and max(own) - min(own) == arm.joints - 1:
+            found: list[Meaning] = [None] * len(names)
+            for number, i in own.items():
+                found[i] = (arm.joint_names[number - min(own)], Linear(column=names[i]))
+            return found
+    return [None] * len(names)
+
+
+def radians(values: Array, unit: str, half: Array | None, path: Path) -> Array:
+    """Turn values ``(T, n)`` in the arm's joint order into radians.
+
+    Normalised values are LeRobot's: -100 and 100 are the ends of the calibrated range, ``half`` (n,) [rad] from its
+    middle (``MotorsBus._normalize`` in huggingface/lerobot). A turn has 4096 encoder steps.
     """
-    if unit == "rad":
-        return values
-    if unit == "deg":
-        return np.deg2rad(values)
+    if unit in ANGLES:
+        return values * ANGLES[unit] if unit == "rad" else np.deg2rad(values)
     if (np.abs(values) > _NORMALISED_LIMIT).any():
         worst = float(values.flat[int(np.nanargmax(np.abs(values)))])
         raise FileError(path, f"{worst:g} is no normalised value, which lie in -100..100", "set another --angle-unit")
-    if options.calibration is None:
+    if half is None:
         raise FileError(path, "normalised values need a calibration", "give the calibration file of the arm")
-    return values * half_ranges(options.calibration, arm, options) / 100.0
+    return values * half / 100.0
 
 
 def half_ranges(path: Path, arm: Arm, options: ImportOptions) -> Array:
-    """Read (n,) [rad] from the middle of each joint's calibrated range to the end that 100 stands for."""
+    """Read half of each joint's calibrated range (n,) [rad]; negative for a turned motor."""
     try:
         motors = json.loads(read_bounded(path, JSON_MOST, "give the file that lerobot-calibrate wrote"))
         spans = {

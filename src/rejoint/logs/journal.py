@@ -1,11 +1,9 @@
-"""A run log while it is being made: what an arm did is on file before the process can die.
+"""Journals: a run log on disk while it is recorded.
 
-A journal is a hidden file beside the run log that it becomes: a line of JSON that says whose it is, then rows of
-float64 (time, position, command, target, true TCP; no loads), each with its CRC-32. A thread writes them, so that a
-disk that is slow or full never holds up the control loop: ``append`` only packs a row. After ``kill -9`` all but the
-last `INTERVAL` is there, and `recover` makes an ordinary run log of it. After a loss of power, what the system had not
-yet written to the disk by itself is missing as well, on Linux usually the last half minute. Where writing fails, the
-run goes on: the arm is held as ever, and the whole of it is still in memory for the log at the end.
+A journal is a hidden file beside its run log: a line of JSON, then rows of float64 (time, position, command, target,
+true TCP), each with its CRC-32. A thread writes them, so a slow or full disk never delays the control loop. After
+``kill -9`` all but the last `INTERVAL` is there, and `recover` makes a run log of it; after a power loss Linux lacks
+about half a minute. Where writing fails, the run goes on in memory.
 """
 
 from __future__ import annotations
@@ -30,7 +28,7 @@ INTERVAL = 0.25
 """[s] between two writes (chosen: half of what may be lost)"""
 
 CUT_SHORT = "cut-short"
-"""Ends the name and the label of a log that was recovered from a journal"""
+"""Ends name and label of a recovered log"""
 
 _ENDING = ".journal"
 _MAGIC = "rejoint journal 1"
@@ -38,7 +36,7 @@ _CHECK = 4  # bytes of a row's CRC-32
 
 
 class JournalRow(Protocol):
-    """What a journal takes of a control cycle; the first arm of a batch. See `rejoint.control.recording.Cycle`."""
+    """What a journal takes of a control cycle, see `rejoint.control.recording.Cycle`."""
 
     @property
     def time(self) -> Array:
@@ -62,7 +60,7 @@ class JournalRow(Protocol):
 
 
 class Journal:
-    """Rows of one arm on their way to the disk; made by `begin`, ended by `finish` or `discard`."""
+    """Rows of one arm on their way to disk, from `begin` to `finish` or `discard`."""
 
     def __init__(self, path: Path, handle: int) -> None:
         """Take the run log's path and the open file; `begin` makes both."""
@@ -76,9 +74,9 @@ class Journal:
     def begin(
         cls, path: Path, *, arm: str, joint_names: tuple[str, ...], robot: str, label: str, rows: int = 0
     ) -> Journal:
-        """Open the journal of the run log at ``path`` and set aside the space that ``rows`` rows take.
+        """Open the journal of the run log at ``path`` and reserve space for ``rows`` rows.
 
-        FileError if nothing can be written there, or if journal and log do not fit on the disk: before anything moves.
+        FileError if it cannot be written, or journal and log do not fit on the disk.
         """
         about = {"arm": arm, "joints": list(joint_names), "robot": robot, "label": label}
         head = f"{_MAGIC} {json.dumps(about)}\n".encode()
@@ -102,17 +100,17 @@ class Journal:
         return journal
 
     def see(self, cycle: JournalRow) -> None:
-        """Take the row of a control cycle; to be called by the control loop."""
+        """Take the row of a control cycle."""
         self.append(cycle.time[0], cycle.position[0], cycle.command[0], cycle.target[0], cycle.true_tcp[0])
 
     def append(self, time: float, position: Array, command: Array, target: Array, true_tcp: Array) -> None:
-        """Take a row: ``time`` [s], ``position`` and ``command`` (n,) [rad], ``target`` and ``true_tcp`` (3,) [m]."""
+        """Take a row: [s], (n,) [rad], (n,) [rad], (3,) [m], (3,) [m]."""
         if self.problem is None:
             data = np.concatenate(((time,), position, command, target, true_tcp)).astype("<f8", copy=False).tobytes()
             self._rows.append(data + zlib.crc32(data).to_bytes(_CHECK, "little"))
 
     def finish(self, log: RunLog) -> None:
-        """Write the run log and remove the journal; where that fails, the journal stays, and the FileError says so."""
+        """Write the run log and remove the journal; a FileError names the journal, which stays."""
         self.close()
         try:
             write_log(self.path, log)
@@ -123,7 +121,7 @@ class Journal:
         self.file.unlink(missing_ok=True)
 
     def keep(self, log: RunLog) -> str:
-        """Write the run log of a run that failed; returns a sentence that says where it is, or why it is not."""
+        """Write the log of a failed run; returns a sentence about it."""
         try:
             self.finish(log)
         except FileError as error:
@@ -131,7 +129,7 @@ class Journal:
         return f"What was recorded until then: {self.path}"
 
     def rescue(self) -> str:
-        """Make a log of what is in the journal of a run that failed; returns a sentence that says where it is."""
+        """Make a log of a failed run's journal; returns a sentence about it."""
         self.close()
         try:
             path = _convert(self.file, self.path)
@@ -145,7 +143,7 @@ class Journal:
         self.file.unlink(missing_ok=True)
 
     def close(self) -> None:
-        """Write what is left; the journal stays until `discard`, or until the next command makes a log of it."""
+        """Write what is left; the journal stays."""
         if not self._over.is_set():
             self._over.set()
             self._thread.join()
@@ -163,10 +161,10 @@ class Journal:
 
 
 def recover(folder: Path, *, quiet: float = 0.0) -> tuple[Path, ...]:
-    """Make run logs of the journals in ``folder`` that killed processes left, and remove those; returns the logs.
+    """Turn the journals of killed processes in ``folder`` into run logs; returns these.
 
-    Only for a process that works there alone, or where ``quiet`` [s] have to have passed since a journal was written
-    last: one in use looks the same. FileError if a log cannot be written; the journal stays then.
+    Call it alone in the folder, or with ``quiet`` [s] since the last write: a journal in use looks the same.
+    FileError if a log cannot be written.
     """
     found = []
     for file in sorted(folder.glob(f".*{_ENDING}")):
@@ -180,10 +178,7 @@ def recover(folder: Path, *, quiet: float = 0.0) -> tuple[Path, ...]:
 
 
 def _convert(file: Path, path: Path) -> Path | None:
-    """Make a log beside ``path`` of a journal and remove it; None where it holds no row.
-
-    A journal that does not say whose it is becomes a file that everybody sees, for whoever can make something of it.
-    """
+    """Make a log of a journal and remove it; None without rows. An unreadable journal becomes a visible file."""
     log = read_journal(file)
     if log is None and any(file.read_bytes()):
         file.replace(file.with_name(f"{path.stem}-damaged{_ENDING}"))
@@ -196,7 +191,7 @@ def _convert(file: Path, path: Path) -> Path | None:
 
 
 def read_journal(file: Path) -> RunLog | None:
-    """Read the rows of a journal that are whole; None where its first line is not."""
+    """Read the whole rows of a journal; None without a header."""
     head, _, rest = read_bounded(file, LOG_MOST, "delete it").partition(b"\n")
     try:
         magic, _, text = head.decode().partition(" {")
@@ -215,7 +210,7 @@ def read_journal(file: Path) -> RunLog | None:
 
 
 def _whole_rows(data: bytes, size: int) -> Array:
-    """Rows (T, size / 8) whose checksum is right and that a run log may hold: finite, on a clock that increases."""
+    """Rows (T, size / 8) with the right checksum, finite, on an increasing clock."""
     step, rows = size + _CHECK, []
     for start in range(0, len(data) - step + 1, step):
         row, check = data[start : start + size], data[start + size : start + step]
@@ -242,7 +237,7 @@ def _write(handle: int, data: bytes) -> None:
 
 
 def _reserve(handle: int, size: int) -> None:
-    """Set space aside, where the system can: a disk that others fill meanwhile then has room for the whole journal."""
+    """Reserve space where the system can."""
     if hasattr(os, "posix_fallocate"):
         try:
             os.posix_fallocate(handle, 0, size)

@@ -1,30 +1,32 @@
-"""What messages say about joints: states, and commands in the forms that controllers take them.
+"""Joint states, commands and trajectory goals in messages of ROS and Foxglove.
 
-Read are ``sensor_msgs/JointState`` (parallel lists ``name`` and ``position``, in radians by its definition),
-``foxglove.JointStates`` (a list of joints; docs.foxglove.dev/docs/sdk/schemas/joint-states),
-``trajectory_msgs/JointTrajectory`` and ``std_msgs/Float64MultiArray`` (which controllers of ros2_control take), as any
-decoder returns them: dicts, or objects with fields.
+``sensor_msgs/JointState``, ``foxglove.JointStates`` (docs.foxglove.dev/docs/sdk/schemas/joint-states),
+``control_msgs/JointTrajectoryControllerState``, ``trajectory_msgs/JointTrajectory`` and ``std_msgs/Float64MultiArray``,
+as any decoder returns them: dicts, or objects with fields.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from rejoint.arms import Arm
+from rejoint.arms import Arm, Array
 from rejoint.logs.joints import Match, match_joints, means_a_joint, radians
 from rejoint.logs.options import ImportOptions
-from rejoint.logs.track import Points, Track
+from rejoint.logs.track import ColumnFrame, Track
 from rejoint.system.errors import FileError
 
 NANOSECONDS = 1_000_000_000
 STATES = ("JointState", "JointStates")
 """Kinds of messages that hold joint positions with their names"""
-TRAJECTORY, ARRAY = "JointTrajectory", "Float64MultiArray"
+TRAJECTORY, ARRAY, CONTROLLER = "JointTrajectory", "Float64MultiArray", "JointTrajectoryControllerState"
 REMEDY = "record it again, or save what is whole with `mcap recover` or `ros2 bag reindex`"
 _STAMP_NAMES = (("sec", "nanosec"), ("sec", "nsec"), ("seconds", "nanos"), ("secs", "nsecs"))
+_WRONG = (TypeError, ValueError, AttributeError, OverflowError)
+"""What a message that is no such message leads to"""
 
 
 class Sample(NamedTuple):
@@ -34,7 +36,8 @@ class Sample(NamedTuple):
     header_ns: int
     log_ns: int
     names: tuple[str, ...]
-    position: list[float]
+    groups: Mapping[str, Sequence[float]]
+    """``position``, ``command`` or ``torque`` to one number a joint"""
 
 
 class TrajectoryGoal(NamedTuple):
@@ -55,17 +58,15 @@ def kind_of(schema: str) -> str:
     return schema.replace("/", ".").rpartition(".")[2]
 
 
-def samples_of(messages: list[tuple[int, Any]], file: Path, topic: str, schema: str) -> list[Sample]:
-    """Read joint positions; FileError names the message that holds none."""
+def samples_of(messages: list[tuple[int, Any]], file: Path, topic: str, schema: str, group: str) -> list[Sample]:
+    """Read joint numbers as a ``group``; FileError names a wrong message."""
     samples = []
     for number, (log_ns, message) in enumerate(messages, start=1):
         try:
-            stamp, names, position = _joints(message, kind_of(schema))
-            if position is None:
-                raise ValueError("it has no positions")
-            values = [float(value) for value in position]
-            samples.append(Sample(number, nanoseconds(stamp), log_ns, tuple(str(name) for name in names), values))
-        except (TypeError, ValueError, AttributeError, OverflowError) as error:
+            stamp, names, found = _joints(message, kind_of(schema), group)
+            groups = {key: [float(value) for value in values] for key, values in found.items()}
+            samples.append(Sample(number, nanoseconds(stamp), log_ns, tuple(str(name) for name in names), groups))
+        except _WRONG as error:
             raise FileError(
                 file, f"topic {topic}, message {number}: no joint state ({error}), but {schema or 'of no named type'}",
                 "name a topic with sensor_msgs/JointState",
@@ -73,15 +74,36 @@ def samples_of(messages: list[tuple[int, Any]], file: Path, topic: str, schema: 
     return samples
 
 
-def _joints(message: Any, kind: str) -> tuple[Any, Any, Any]:  # noqa: ANN401 - what decoders return
-    """Return stamp, names and positions of a message."""
+def _joints(message: Any, kind: str, group: str) -> tuple[Any, Any, dict[str, Any]]:  # noqa: ANN401
+    """Return stamp, names and numbers of a message."""
     if kind == ARRAY:
-        return None, (), field(message, "data")
-    joints = field(message, "joints")
-    if joints is None:
-        return field(field(message, "header"), "stamp"), field(message, "name") or (), field(message, "position")
-    position = [np.nan if (value := field(joint, "position")) is None else value for joint in joints]
-    return field(message, "timestamp"), [field(joint, "name") for joint in joints], position
+        return None, (), {group: field(message, "data")}
+    stamp, joints = field(field(message, "header"), "stamp"), field(message, "joints")
+    if kind == CONTROLLER:
+        feedback, reference = (_point(message, *names) for names in (("feedback", "actual"), ("reference", "desired")))
+        found = {"position": field(feedback, "positions"), "command": field(reference, "positions")}
+        return stamp, field(message, "joint_names"), found | _effort(field(feedback, "effort"), found["position"])
+    if joints is not None:
+        held = {key: [field(joint, key) for joint in joints] for key in ("name", "position", "effort")}
+        position = [np.nan if value is None else value for value in held["position"]]
+        effort = [] if None in held["effort"] else held["effort"]
+        return field(message, "timestamp"), held["name"], {group: position} | _effort(effort, position)
+    position = field(message, "position")
+    if position is None:
+        raise ValueError("it has no positions")
+    more = _effort(field(message, "effort"), position) if group == "position" else {}
+    return stamp, field(message, "name") or (), {group: position} | more
+
+
+def _point(message: Any, *names: str) -> Any:  # noqa: ANN401
+    """Return a controller's point under its new or old name."""
+    points = [field(message, name) for name in names]
+    return next((point for point in points if point is not None and len(field(point, "positions"))), points[0])
+
+
+def _effort(effort: Any, position: Any) -> dict[str, Any]:  # noqa: ANN401
+    told = effort is not None and len(effort) == len(position) > 0 and np.any(np.asarray(effort, dtype=float))
+    return {"torque": effort} if told else {}
 
 
 def goals_of(messages: list[tuple[int, Any]], file: Path, topic: str) -> list[TrajectoryGoal]:
@@ -105,7 +127,7 @@ def goals_of(messages: list[tuple[int, Any]], file: Path, topic: str) -> list[Tr
                 raise ValueError("its points are not one after another in time" if points else "it has no points")
             stamp = nanoseconds(field(field(message, "header"), "stamp"))
             goals.append(TrajectoryGoal(number, stamp, log_ns, names, after, points))
-        except (TypeError, ValueError, AttributeError, OverflowError) as error:
+        except _WRONG as error:
             raise FileError(
                 file, f"topic {topic}, message {number}: no trajectory of joint positions ({error})", REMEDY
             ) from error
@@ -113,7 +135,7 @@ def goals_of(messages: list[tuple[int, Any]], file: Path, topic: str) -> list[Tr
 
 
 def field(message: Any, name: str) -> Any:  # noqa: ANN401
-    """Get a field of a message that is a dict (JSON), an object (CDR) or protobuf; None where it is not set."""
+    """Get a field of a dict, an object or protobuf; None where it is not set."""
     if message is None or isinstance(message, dict):
         return (message or {}).get(name)
     descriptor = getattr(message, "DESCRIPTOR", None)
@@ -134,54 +156,121 @@ def nanoseconds(stamp: Any) -> int:  # noqa: ANN401
     raise ValueError(f"stamp {stamp!r} has no seconds and nanoseconds")
 
 
-def track_of(
-    samples: list[Sample], stamp: str, where: tuple[Path, str, str], arm: Arm, options: ImportOptions,
-) -> tuple[list[int], Track, list[str]]:  # fmt: skip
-    """Put each message's positions into the arm's order; returns stamps [ns], a track without times, and notes."""
-    file, topic, what = where
-    matches: dict[tuple[str, ...], Match | None] = {}
-    times, values, numbers, columns, foreign = [], [], [], arm.joint_names, 0
+def frame_of(
+    samples: list[Sample], clock: tuple[str, int], where: tuple[Path, str], arm: Arm, options: ImportOptions
+) -> tuple[ColumnFrame, list[str]]:  # fmt: skip
+    """Put messages into columns; those about other joints are left out with a note.
+
+    ``clock`` is the stamp that counts, ``header`` or ``log``, and its origin [ns].
+    """
+    file, topic = where
+    own: dict[tuple[str, ...], bool] = {}
+    columns: dict[str, int] = {}
+    rows: list[tuple[list[int], list[float]]] = []
+    stamps, numbers = [], []
     for sample in samples:
-        place = f"{what} topic {topic}, message {sample.number}"
-        names = sample.names or options.joint_order or ()
-        if len(names) != len(sample.position):
-            raise FileError(
-                file, f"{place}: {len(names)} names for {len(sample.position)} positions",
-                "set --order if the messages hold no names" if not sample.names else REMEDY,
-            )  # fmt: skip
-        if names not in matches:
-            ours = any(means_a_joint(name, arm, options) for name in names)
-            matches[names] = match_joints(names, arm, options, file, place) if ours else None
-        match = matches[names]
-        if match is None:
-            foreign += 1
+        names = sample.names or options.names or ()
+        for group, given in sample.groups.items():
+            if len(names) != len(given):
+                raise FileError(
+                    file, f"topic {topic}, message {sample.number}: {len(names)} names for {len(given)} {group}s",
+                    "set --order if the messages hold no names" if not sample.names else REMEDY,
+                )  # fmt: skip
+        if names not in own:
+            own[names] = any(means_a_joint(name, arm, options) for name in names)
+        if not own[names]:
             continue
-        columns = match.names
-        times.append(sample.header_ns if stamp == "header" else sample.log_ns)
-        values.append([sample.position[column] for column in match.columns])
+        titles = [f"{group}.{name}" for group in sample.groups for name in names]
+        places = [columns.setdefault(title, len(columns)) for title in titles]
+        rows.append((places, [value for given in sample.groups.values() for value in given]))
+        stamps.append((sample.header_ns if clock[0] == "header" else sample.log_ns) - clock[1])
         numbers.append(sample.number)
-    if not times and samples:  # no message is about a joint of the arm: the first one is what an error shows
-        match_joints(samples[0].names, arm, options, file, f"{what} topic {topic}, message {samples[0].number}")
-    if not times:
-        raise FileError(file, f"no joint state on {topic}", "record it again or name another topic")
-    dropped = sorted({name for match in matches.values() if match for name in match.dropped})
-    notes = [f"{what}: names that are no joints dropped: {', '.join(dropped)}"] * bool(dropped)
-    notes += [f"{what}: {foreign} messages about other joints left out"] * bool(foreign)
-    angles = radians(np.array(values, dtype=float), options.angle_unit or "rad", arm, options, file)
-    track = Track(
-        path=file, what=what, time=np.empty(len(times)), value=angles, columns=columns,
-        place=f"topic {topic}, message", number=np.array(numbers, dtype=np.int64),
+    foreign = len(samples) - len(rows)
+    if not rows:  # no message is about a joint of the arm: the first one is what an error shows
+        own = {}
+        columns = {f"{group}.{name}": i for group in samples[0].groups for i, name in enumerate(samples[0].names)}
+        foreign = 0
+    values: Array = np.full((len(rows), len(columns)), np.nan)
+    for row, (places, found) in enumerate(rows):
+        values[row, places] = found
+    frame = ColumnFrame(
+        path=file, titles=tuple(columns), values=lambda chosen: values[:, chosen], place=f"topic {topic}, message",
+        number=np.array(numbers, dtype=np.int64), angle_unit="rad", found=f"topic {topic}",
+        # whole nanoseconds are subtracted before they become float64, which keeps them exact
+        time=np.array([stamp / NANOSECONDS for stamp in stamps], dtype=float),
     )  # fmt: skip
-    return times, track, notes
+    return frame, [f"topic {topic}: {foreign} messages about other joints left out"] * bool(foreign)
 
 
-def points_of(messages: list[tuple[int, Any]], origin: int, file: Path) -> Points:
-    """Read geometry_msgs/PointStamped messages."""
-    times, values = [], []
-    for number, (_, message) in enumerate(messages, start=1):
-        try:
-            times.append((nanoseconds(field(field(message, "header"), "stamp")) - origin) / NANOSECONDS)
-            values.append([float(field(field(message, "point"), axis)) for axis in ("x", "y", "z")])
-        except (TypeError, ValueError, AttributeError) as error:
-            raise FileError(file, f"message {number} of a point topic is no PointStamped ({error})", REMEDY) from error
-    return Points(time=np.array(times, dtype=float), value=np.array(values, dtype=float).reshape(-1, 3))
+_ORDERS = ("positions", "velocities", "accelerations")
+
+
+def commands_of(
+    goals: list[TrajectoryGoal], state: Track, clock: tuple[str, int], where: tuple[Path, str], arm: Arm,
+    options: ImportOptions,
+) -> Track:  # fmt: skip
+    """Sample goals at the times of the states; ``clock`` is the stamp that counts, and its origin [ns].
+
+    As ``interpolate_between_points`` of joint_trajectory_controller: from the present state through the points, linear,
+    cubic or quintic by what is given; the last point holds, a new goal replaces the old. Raises FileError for missing
+    joints, or no goal before the last state.
+    """
+    from scipy.interpolate import BPoly
+
+    file, topic = where
+    starts = np.array([(_begin(goal, clock[0]) - clock[1]) / NANOSECONDS for goal in goals])
+    order = np.argsort(starts, kind="stable")
+    starts, goals = starts[order], [goals[i] for i in order]
+    command = np.full(state.value.shape, np.nan)
+    number = np.zeros(len(state), dtype=np.int64)
+    active = np.searchsorted(starts, state.time, side="right") - 1
+    for index in np.unique(active[active >= 0]):
+        goal, rows = goals[index], active == index
+        match = match_joints(goal.names, arm, options, file, f"command topic {topic}, message {goal.number}")
+        knots = [_knot(point, match, options, file) for point in goal.points]
+        times = starts[index] + np.array(goal.after)
+        if times[0] > starts[index]:  # a first point at the beginning leaves no way to it
+            knots, times = [_now(state, starts[index]), *knots], np.concatenate([[starts[index]], times])
+        asked = np.clip(state.time[rows], times[0], times[-1])
+        command[rows] = knots[0][0]
+        for k in np.unique(np.searchsorted(times, asked, side="right") - 1):
+            k = min(int(k), len(times) - 2)
+            if k < 0:
+                continue
+            own = (asked >= times[k]) & (asked <= times[k + 1])
+            size = min(len(knots[k]), len(knots[k + 1]))  # the degree that both knots determine
+            ends = [np.stack(knot[:size]) for knot in knots[k : k + 2]]
+            command[np.flatnonzero(rows)[own]] = BPoly.from_derivatives(times[k : k + 2], ends)(asked[own])
+        number[rows] = goal.number
+    told = active >= 0
+    if not told.any():
+        raise FileError(file, f"no state after the first goal on {topic}", "record longer")
+    return Track(
+        path=file, what="command", time=state.time[told], value=command[told], columns=arm.joint_names,
+        place=f"topic {topic}, message", number=number[told],
+    )  # fmt: skip
+
+
+def _begin(goal: TrajectoryGoal, stamp: str) -> int:
+    return goal.header_ns if stamp == "header" and goal.header_ns else goal.log_ns
+
+
+def _knot(point: dict[str, list[float]], match: Match, options: ImportOptions, file: Path) -> list[Array]:
+    """Positions, velocities, accelerations (n,) of a point, in the arm's order and radians."""
+    scale, offset = (np.array([getattr(one, key) for one in match.linear]) for key in ("scale", "offset"))
+    found = []
+    for order, key in enumerate(_ORDERS):
+        if key not in point:
+            break
+        values = scale * np.array([point[key][column] for column in match.columns]) + offset * (order == 0)
+        found.append(radians(values, options.angle_unit or "rad", None, file))
+    return found
+
+
+def _now(state: Track, time: float) -> list[Array]:
+    """Where the joints are when a goal comes, and how fast."""
+    row = int(np.clip(np.searchsorted(state.time, time), 1, len(state) - 1))
+    before = max(row - 3, 0)
+    speed = (state.value[row] - state.value[before]) / max(state.time[row] - state.time[before], 1e-9)
+    position = np.array([np.interp(time, state.time, one) for one in state.value.T])
+    return [position, speed, np.zeros_like(position)]

@@ -1,13 +1,16 @@
-"""What a user declares about foreign logs: units, joints, topics and clocks."""
+"""What a user declares about foreign logs."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+import re
+import tomllib
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 from rejoint.arms import Arm
 from rejoint.system.errors import FileError, InputError
+from rejoint.system.files import TOML_MOST, read_bounded
 
 ANGLE_UNITS = ("rad", "deg", "normalised")
 TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
@@ -15,64 +18,113 @@ TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 STAMPS = ("header", "log")
 
 OPTIONS = {
-    "angle_unit": "--angle-unit", "time_unit": "--time-unit", "joint_map": "--joints", "joint_order": "--order",
+    "angle_unit": "--angle-unit", "time_unit": "--time-unit", "rate": "--rate", "names": "--order",
     "state_topic": "--state-topic", "command_topic": "--command-topic", "stamp": "--stamp",
-    "calibration": "--calibration", "columns": "--map",
+    "calibration": "--calibration", "columns": "--map", "torque_off": "--torque-off",
 }  # fmt: skip
-"""What errors call a declaration: the option of `rejoint import` that makes it."""
+"""The option of `rejoint import` for each declaration."""
+_N = r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_LINEAR = re.compile(
+    rf"\s*(?P<sign>[+-]?)\s*(?:(?P<scale>{_N})\s*\*\s*)?(?P<column>.+?)\s*"
+    rf"(?:(?P<op>[*/])\s*(?P<factor>{_N}))?\s*(?P<offset>[+-]\s*{_N})?\s*"
+)
+"""``6.33*m0-0.646``, ``-m0/6.33 + 0.1`` or ``m0``"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Linear:
+    """``scale`` times a column of the file, plus ``offset`` in its unit."""
+
+    column: str
+    scale: float = 1.0
+    offset: float = 0.0
+
+    @classmethod
+    def of(cls, text: str, known: Collection[str]) -> Linear:
+        """Read ``6.33*m0-0.646``; ``known`` names stay names. InputError for a scale of 0."""
+        found = _LINEAR.fullmatch(text)
+        if text in known or found is None:
+            return cls(column=text)
+        scale = float(found["scale"] or 1.0) * (-1.0 if found["sign"] == "-" else 1.0)
+        factor = float(found["factor"] or 1.0)
+        if not scale or not factor:
+            raise InputError(f"--map: {text!r} has a scale of 0")
+        scale = scale / factor if found["op"] == "/" else scale * factor
+        return cls(column=found["column"], scale=scale, offset=float((found["offset"] or "0").replace(" ", "")))
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImportOptions:
-    """Declarations about the files to import; None leaves it to the file, which then has to say it."""
+    """Declarations about the files to import; None leaves it to the file."""
 
     angle_unit: str | None = None
-    """``rad``, ``deg``, or ``normalised`` for LeRobot's -100..100 (needs ``calibration``)"""
+    """``rad``, ``deg``, or ``normalised`` for LeRobot's -100..100"""
     time_unit: str | None = None
     """``s``, ``ms``, ``us`` or ``ns``"""
-    joint_map: Mapping[str, str] | None = None
-    """name in the file -> joint of the arm"""
-    joint_order: tuple[str, ...] | None = None
-    """names of the columns where the file holds none; names that are no joints of the arm are dropped"""
-    state_topic: str | None = None
-    """MCAP: topic of the measured joint states; default ``/joint_states``"""
-    command_topic: str | None = None
-    """MCAP: topic of the commanded joint states; default ``/joint_commands``"""
-    stamp: str | None = None
-    """MCAP: ``header`` takes the stamps in the messages, ``log`` the times at which they were recorded"""
-    calibration: Path | None = None
-    """LeRobot: the JSON file of the motors' calibration, which normalised values refer to; with degrees it only tells
-    these from normalised values"""
+    rate: float | None = None
+    """[Hz] of the rows of a file without a time"""
     columns: Mapping[str, str] | None = None
-    """CSV: what the log calls it -> column of the file, such as ``{"time": "t", "elbow": "q3"}``"""
+    """name in the log -> column with scale, sign and offset, such as ``{"time": "t", "elbow": "-q3"}``; see
+    `rejoint.logs.columns`"""
+    names: tuple[str, ...] | None = None
+    """column names where the file holds none"""
+    state_topic: str | None = None
+    """bags: topic of the measured joint states; default ``/joint_states``"""
+    command_topic: str | None = None
+    """bags: topic of the commanded joint states; default ``/joint_commands``"""
+    stamp: str | None = None
+    """bags: ``header`` for stamps in the messages, ``log`` for recording times"""
+    calibration: Path | None = None
+    """LeRobot: calibration file of normalised values; without it the encoder steps give the ranges"""
+    torque_off: tuple[str, ...] | None = None
+    """joints that had no torque in these logs"""
     force: bool = False
-    """go on where a log is doubted, and keep the reasons in it (`Doubts`)"""
+    """import despite failed consistency checks, and keep the reasons"""
 
     def __post_init__(self) -> None:
         for name, known in (("angle_unit", ANGLE_UNITS), ("time_unit", tuple(TIME_UNITS)), ("stamp", STAMPS)):
             value = getattr(self, name)
             if value is not None and value not in known:
                 raise InputError(f"{OPTIONS[name]} {value!r} is unknown; choose from {', '.join(known)}")
-        if self.angle_unit == "normalised" and self.calibration is None:
-            raise InputError("--angle-unit normalised and --calibration belong together; give the calibration as well")
         if self.calibration is not None and self.angle_unit not in ("normalised", "deg"):
             raise InputError("--calibration belongs together with --angle-unit normalised or deg; give one of these")
-        if self.joint_order is not None and len(set(self.joint_order)) != len(self.joint_order):
-            raise InputError(f"--order names a joint twice: {', '.join(self.joint_order)}")
+        if self.names is not None and len(set(self.names)) != len(self.names):
+            raise InputError(f"--order names a column twice: {', '.join(self.names)}")
+        if self.rate is not None and not 0.0 < self.rate < float("inf"):
+            raise InputError(f"--rate {self.rate} is no rate; give rows in a second")
 
     def check_joints(self, arm: Arm) -> None:
-        """Raise InputError where the joint map leads to a joint that the arm does not have."""
-        for source, joint in (self.joint_map or {}).items():
+        """Raise InputError where a joint without torque is none of the arm."""
+        for joint in self.torque_off or ():
             if joint not in arm.joint_names:
-                raise InputError(
-                    f"--joints sends {source} to {joint!r}, which {arm.name} does not have; "
-                    f"its joints are {', '.join(arm.joint_names)}"
-                )
+                raise InputError(f"--torque-off {joint!r}: {arm.name} has the joints {', '.join(arm.joint_names)}")
 
-    def refuse_others(self, path: Path, format_name: str, *allowed: str) -> None:
-        """Raise FileError for a declaration that says nothing about this format."""
-        for field in fields(self):
-            if field.name != "force" and getattr(self, field.name) is not None and field.name not in allowed:
-                raise FileError(
-                    path, f"{OPTIONS[field.name]} does not apply to a file of format {format_name}", "leave it out"
+
+def read_map(texts: Iterable[str]) -> dict[str, str]:
+    """Read ``ours=theirs`` pairs or a TOML file of them; InputError names a wrong one."""
+    pairs: list[tuple[str, str]] = []
+    for text in texts:
+        if text.endswith(".toml"):
+            pairs += _map_file(Path(text))
+            continue
+        for part in text.split(","):
+            ours, sign, theirs = part.partition("=")
+            if not (ours.strip() and sign and theirs.strip()) or "=" in theirs:
+                raise InputError(
+                    f"--map {text!r}: expected OURS=THEIRS, OURS=SCALE*THEIRS+OFFSET or a TOML file of them"
                 )
+            pairs.append((ours.strip(), theirs.strip()))
+    if len(dict(pairs)) != len(pairs):
+        raise InputError(f"--map: the same name twice among {', '.join(ours for ours, _ in pairs)}")
+    return dict(pairs)
+
+
+def _map_file(path: Path) -> list[tuple[str, str]]:
+    remedy = 'write lines such as joint1 = "6.33*m0-0.646"'
+    try:
+        table = tomllib.loads(read_bounded(path, TOML_MOST, remedy).decode("utf-8-sig"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise FileError(path, f"no map ({type(error).__name__}: {error})", remedy) from error
+    if not table or not all(isinstance(value, str) for value in table.values()):
+        raise FileError(path, "no map: not a table of texts", remedy)
+    return list(table.items())

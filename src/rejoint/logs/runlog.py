@@ -1,8 +1,7 @@
-"""Run logs: what one arm was told and what it did, as Parquet.
+"""Run logs: commands and readings of one arm, as Parquet.
 
-A run log is a table with one row per control cycle. Row k holds the state that was read in cycle k
-and the command that was sent right after it, in force until the next one. Columns are flat
-(``position.joint1``), so that any tool that reads Parquet can plot them.
+Row k holds the state read in cycle k and the command sent right after it. Columns are flat (``position.joint1``), so
+that any Parquet tool can plot them.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ import pyarrow.parquet as pq
 from numpy.typing import ArrayLike, NDArray
 
 from rejoint.arms import Arm, load_arm
-from rejoint.logs.found import describe
+from rejoint.logs.detection import describe
 from rejoint.system.errors import FileError, InputError, first_line
 from rejoint.system.files import CHANGED, MEGABYTE, require_file, write_whole
 from rejoint.system.numbers import LONGEST_PERIOD, as_floats
@@ -35,20 +34,20 @@ FORMAT = 1
 """Version of the run-log layout; a reader refuses others."""
 
 LOG_MOST = 1000 * MEGABYTE
-"""Largest file of a log that is read (chosen: some 100 hours at 40 Hz)"""
+"""chosen: some 100 hours at 40 Hz"""
 
 VALUES_MOST = 200_000_000
-"""Most numbers in a log that is read (chosen: 1.6 GB of memory, 70 hours of six joints at 40 Hz): a small file may
-unfold to any size"""
+"""chosen: 1.6 GB of memory; a small file may unfold to any size"""
 
 TWO_TURNS = 4.0 * np.pi
-"""[rad] chosen: no joint of a serial arm is logged further from its zero; a log in degrees nearly always is."""
+"""[rad] chosen: no joint of a serial arm turns further"""
 
 _METADATA_KEY = b"rejoint"
 AXES = ("x", "y", "z")
 """Names of the columns of a place"""
 _ARRAYS = ("time", "position", "command", "target", "true_tcp")
-_OPTIONAL = ("servo_load", "aim")
+_MEASURED = ("servo_load", "torque", "current", "gain")
+_OPTIONAL = (*_MEASURED, "aim")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -74,17 +73,23 @@ class RunLog:
     position: Array
     """(T, n) [rad] measured joint positions"""
     command: Array
-    """(T, n) [rad] sent joint positions; NaN in every row where nobody recorded them"""
+    """(T, n) [rad] sent joint positions; all NaN if not recorded"""
     target: Array
     """(T, 3) [m] TCP target; NaN where there is none"""
     true_tcp: Array
-    """(T, 3) [m] where the tool really was; NaN where nobody knows"""
+    """(T, 3) [m] where the tool really was; NaN where it is unknown"""
     servo_load: Array | None = None
-    """(T, n) torque that each servo told, a share of its largest, positive with the joint; NaN where it told none. None
-    if none ever was told"""
+    """(T, n) reported torque as a share of the servo's largest, positive with the joint; NaN for none"""
     aim: Array | None = None
-    """(T, 3) [m] where the controller was sent instead of the target, since the tool stands beside where the encoders
-    see it; None if that was the target"""
+    """(T, 3) [m] corrected target; None if it is the target"""
+    torque: Array | None = None
+    """(T, n) measured torque, unit in ``units``"""
+    current: Array | None = None
+    """(T, n) motor current, positive with the joint, unit in ``units``"""
+    gain: Array | None = None
+    """(T, n) P gain of each servo in its own unit, 0 without torque"""
+    units: dict[str, str] = field(default_factory=dict)
+    """unit of ``torque`` (``N m``) and ``current`` (``A``); empty if unknown"""
     extra: dict[str, str] = field(default_factory=dict)
     """anything else worth keeping: seed, profile, software version"""
 
@@ -100,9 +105,8 @@ class RunLog:
             "command": (rows, n),
             "target": (rows, 3),
             "true_tcp": (rows, 3),
-            "servo_load": (rows, n),
             "aim": (rows, 3),
-        }
+        } | dict.fromkeys(_MEASURED, (rows, n))
         for name in self.arrays:
             shape = shapes[name]
             array = np.array(getattr(self, name), dtype=float)
@@ -123,7 +127,7 @@ class RunLog:
 
     @property
     def commanded(self) -> bool:
-        """Whether the log holds commands; one of states alone has NaN in their place."""
+        """Whether the log holds commands."""
         return not np.isnan(self.command).all() or not self.command.size
 
     def rows(self, which: slice) -> RunLog:
@@ -185,15 +189,15 @@ class RunLog:
 
     @classmethod
     def load(cls, path: Path | str) -> RunLog:
-        """Read a run log (Parquet); FileError if it is missing, damaged or something else."""
+        """Read a run log; FileError if missing, damaged or something else."""
         return read_log(Path(path))
 
     def save(self, path: Path | str) -> None:
-        """Write a run log (Parquet), whole or not at all; FileError if that fails."""
+        """Write a run log whole or not at all; FileError if that fails."""
         write_log(Path(path), self)
 
     def require(self, arm: str, joint_names: tuple[str, ...]) -> None:
-        """Raise InputError unless the log is of that arm, its joints in that order, its times and angles possible."""
+        """Raise InputError unless arm, joints, times and angles fit."""
         if self.arm != arm:
             raise InputError(f"run log {self.label} is of arm {self.arm}, expected {arm}; name its arm with --arm")
         if self.joint_names != joint_names:
@@ -213,7 +217,7 @@ class RunLog:
 def write_log(path: Path, log: RunLog) -> None:
     """Write a run log as Parquet."""
     columns: dict[str, Array] = {"time": log.time}
-    for group in ("position", "command") + (() if log.servo_load is None else ("servo_load",)):
+    for group in ("position", "command", *(name for name in _MEASURED if getattr(log, name) is not None)):
         columns |= {f"{group}.{name}": getattr(log, group)[:, i] for i, name in enumerate(log.joint_names)}
     for group in ("target", "true_tcp") + (() if log.aim is None else ("aim",)):
         columns |= {f"{group}.{axis}": getattr(log, group)[:, i] for i, axis in enumerate(AXES)}
@@ -223,7 +227,7 @@ def write_log(path: Path, log: RunLog) -> None:
 
 
 def read_log(path: Path) -> RunLog:
-    """Read a run log; FileError names a file that is missing, damaged, too large or something else."""
+    """Read a run log; FileError names what is wrong."""
     remedy = "record it again or take another file"
     try:
         table = read_parquet(path, remedy)
@@ -241,10 +245,10 @@ def read_log(path: Path) -> RunLog:
             arm=header["arm"], joint_names=names, robot=header["robot"], label=header["label"],
             time=table["time"].to_numpy(), position=group("position", names), command=group("command", names),
             target=group("target", AXES), true_tcp=group("true_tcp", AXES), extra=header["extra"],
-            servo_load=group("servo_load", names) if f"servo_load.{names[0]}" in table.column_names else None,
-            aim=group("aim", AXES) if "aim.x" in table.column_names else None,
+            units=header.get("units", {}), aim=group("aim", AXES) if "aim.x" in table.column_names else None,
+            **{one: group(one, names) for one in _MEASURED if f"{one}.{names[0]}" in table.column_names},
         )  # fmt: skip
-        if header.get("digest", _digest(log)) != _digest(log):  # logs of before there were digests have none
+        if header.get("digest", _digest(log)) != _digest(log):
             raise FileError(path, CHANGED, remedy)
     except FileNotFoundError as error:
         raise FileError(path, "no such file", "check the path") from error
@@ -259,7 +263,7 @@ def read_log(path: Path) -> RunLog:
 
 
 def read_parquet(path: Path, remedy: str, columns: list[str] | None = None) -> pa.Table:
-    """Read a Parquet file, its checksums verified; FileError if it is too large, else Arrow's errors as they come."""
+    """Read a Parquet file with verified checksums; FileError if it is too large."""
     require_file(path, LOG_MOST, remedy)
     _load_pandas()
     with pq.ParquetFile(path, page_checksum_verification=True) as file:
@@ -271,7 +275,7 @@ def read_parquet(path: Path, remedy: str, columns: list[str] | None = None) -> p
 
 
 def _load_pandas() -> None:
-    """Load pandas, where it is installed, before Arrow does so: a signal that comes meanwhile is lost in there."""
+    """Load pandas before Arrow does: a signal during its import is lost."""
     if "pandas" not in sys.modules:
         with noted(), suppress(Exception):  # Arrow does without it
             import_module("pandas")
@@ -280,11 +284,11 @@ def _load_pandas() -> None:
 def _about(log: RunLog) -> dict[str, Any]:
     return {
         "arm": log.arm, "joints": list(log.joint_names), "robot": log.robot, "label": log.label, "extra": log.extra,
-    }  # fmt: skip
+    } | ({"units": log.units} if log.units else {})  # fmt: skip
 
 
 def _digest(log: RunLog) -> str:
-    """Fingerprint of all that a log holds: Parquet's own checksums cover the columns, but not what they belong to."""
+    """Fingerprint of all that a log holds."""
     found = hashlib.sha256(json.dumps(_about(log), sort_keys=True).encode())
     for name in log.arrays:  # without loads it is as before
         found.update(np.ascontiguousarray(getattr(log, name), dtype="<f8").tobytes())

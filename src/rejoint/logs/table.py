@@ -1,162 +1,137 @@
-"""Text files with named columns, one row per control cycle.
-
-Columns: ``time``, ``position.JOINT`` and ``command.JOINT``, and where known ``target.x`` .. ``true_tcp.z``; others by a
-map. A name ends in its unit (``time_s``, ``time_ms``, ``position.elbow_flex_deg``, ``target.x_mm``) unless the
-options give it; a column with no unit at all, or with two, is refused.
-"""
+"""Files with columns: text, JSON with records, and NumPy archives; `rejoint.logs.columns` says what they mean."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
+import json
+import zipfile
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from rejoint.arms import Arm
-from rejoint.logs.columns import GROUPS, LENGTHS, Column, understood
-from rejoint.logs.joints import match_joints, radians
-from rejoint.logs.options import TIME_UNITS, ImportOptions
-from rejoint.logs.runlog import AXES, Array
-from rejoint.logs.textfile import Sheet, has_decimal_commas, head, number, read_sheet
-from rejoint.logs.track import Points, RecordedMotion, Track
+from rejoint.logs.columns import holds_positions, read_motion
+from rejoint.logs.options import ImportOptions
+from rejoint.logs.runlog import LOG_MOST, Array
+from rejoint.logs.track import ColumnFrame, Pending, RecordedMotion
 from rejoint.system.errors import FileError
+from rejoint.system.files import begins_with, read_bounded, require_file
+from rejoint.system.textfile import TEXT_MOST, head, read_sheet
 
-_ENDINGS = (".csv", ".tsv", ".txt", ".dat", ".log")
-_EXPECTED = "a time, position.JOINT and command.JOINT"
+_ENDINGS = (".csv", ".tsv", ".txt", ".dat", ".log", ".json", ".npz")
+_REMEDY = "record it again, or write its columns as text"
 
 
 def fits(source: Path, options: ImportOptions) -> bool:
-    """Tell whether a file is text with columns, or a folder holds some with those of a log."""
+    """Tell whether a path holds columns of a log."""
     if source.is_dir():
         return bool(_files(source, options)[0])
-    return source.is_file() and head(source) is not None
+    return source.is_file() and _titles(source) is not None
 
 
-def motions(source: Path, arm: Arm, options: ImportOptions) -> tuple[int, Iterator[RecordedMotion]]:
-    """Count the text files with logs at a path and read them one by one, sorted by name."""
-    options.refuse_others(source, "csv", "angle_unit", "time_unit", "joint_map", "calibration", "columns")
+def motions(source: Path, arm: Arm, options: ImportOptions) -> list[Pending]:
+    """Return the motions of the files at a path, sorted by name."""
     files, others = _files(source, options) if source.is_dir() else ([source], [])
     if not files:
-        raise FileError(source, "no CSV file with columns position.JOINT here", "check the path or the format")
+        raise FileError(source, "no file with columns position.JOINT here", "check the path or the format")
     left = [f"files without columns of a log left out: {', '.join(file.name for file in others)}"] * bool(others)
-    return len(files), (_read(file, arm, options, left if file == files[0] else []) for file in files)
+    return [(file.stem, partial(_read, file, arm, options, left * (file == files[0]))) for file in files]
 
 
 def _files(folder: Path, options: ImportOptions) -> tuple[list[Path], list[Path]]:
-    """Return the files of a folder that hold columns of a log, and other tables in it."""
+    """Return the files of a folder with columns of a log, and other tables."""
     found: list[Path] = []
     others: list[Path] = []
     for file in sorted(file for file in folder.iterdir() if file.suffix.lower() in _ENDINGS and file.is_file()):
-        sheet = head(file)
-        named = sheet is not None and any(title.startswith(("position.", "command.")) for title in sheet.titles)
-        mapped = sheet is not None and bool(
-            {*(options.columns or {}), *(options.columns or {}).values()} & {*sheet.titles}
-        )
-        if named or mapped:
+        titles = _titles(file)
+        if titles is not None and (not titles or holds_positions([*titles, *(options.names or ())], options)):
             found.append(file)
-        elif sheet is not None or file.suffix.lower() == ".csv":
+        elif titles is not None or file.suffix.lower() == ".csv":
             others.append(file)
     return found, others
 
 
-def _read(file: Path, arm: Arm, options: ImportOptions, notes: list[str]) -> RecordedMotion:
-    sheet = read_sheet(file)
-    doubled = sorted({title for title in sheet.titles if title and sheet.titles.count(title) > 1})
-    if doubled:
-        raise FileError(file, f"line 1: column {', '.join(doubled)} stands there twice", "rename one of them")
-    columns, ignored = understood(sheet, arm, options)
-    time_column = _time_column(sheet, columns)
-    sheet, cut = _without_cut_line(sheet, columns)
-    values, commas = _values(sheet, columns)
-    notes = [*notes, *cut, *[f"columns ignored: {', '.join(ignored)}"] * bool(ignored)]
-    if not sheet.plain or commas:
-        notes.append(f"read as {sheet.found}{', decimal commas' * commas}")
-    time = values[:, time_column.index] / TIME_UNITS[time_column.unit]
-    tracks, units = {}, set()
-    for what, group in (("state", "position"), ("command", "command")):
-        chosen = [column for column in columns if column.group == group]
-        if group == "command" and not chosen:
-            continue
-        track, dropped = _track(sheet, chosen, (what, group), (time, values), arm, options)
-        tracks[what] = track
-        units |= {column.unit for column in chosen}
-        notes += [f"columns of {group} that are no joints dropped: {', '.join(dropped)}"] * bool(dropped)
-    return RecordedMotion(
-        name=file.stem, state=tracks["state"], command=tracks.get("command"), angle_unit="/".join(sorted(units)),
-        points=_points(time, values, columns, file), robot=f"csv:{file.stem}",
-        extra={"source": file.name, "format": "csv"}, notes=tuple(notes),
+def _titles(file: Path) -> tuple[str, ...] | None:
+    """Return the titles of a file; empty for JSON and archives, None for other files."""
+    if begins_with(file, b"PK\x03\x04"):
+        return () if file.suffix.lower() == ".npz" else None
+    if file.suffix.lower() == ".json" and begins_with(file, b"{"):
+        return ()
+    sheet = head(file)
+    return None if sheet is None else sheet.titles
+
+
+def _read(file: Path, arm: Arm, options: ImportOptions, notes: Sequence[str]) -> RecordedMotion:
+    more: list[str] = []
+    if _titles(file) == ():
+        frame = (_archive if file.suffix.lower() == ".npz" else _records)(file)
+    else:
+        frame, more = _text(file, options)
+    return read_motion(
+        file.stem, [frame], arm, options, robot=f"table:{file.stem}", notes=[*notes, *more],
+        extra={"source": file.name, "format": "table"},
     )  # fmt: skip
 
 
-def _time_column(sheet: Sheet, columns: list[Column]) -> Column:
-    times = [column for column in columns if column.group == "time"]
-    if len(times) != 1:
-        found = " and ".join(column.title for column in times) or "none"
-        raise FileError(
-            sheet.path, f"{found} of the columns {sheet.shown} says the time, expected one; the file is {sheet.found}",
-            f"name one {' or '.join(f'time_{unit}' for unit in TIME_UNITS)}, or map yours: --map time=THEIRS",
-        )  # fmt: skip
-    if not any(column.group in GROUPS[:2] for column in columns):
-        raise FileError(
-            sheet.path, f"no column with joint positions; found {sheet.found}: {sheet.shown}",
-            f"name them position.JOINT and command.JOINT, or map yours: --map JOINT=THEIRS; expected {_EXPECTED}",
-        )  # fmt: skip
-    return times[0]
+def _text(file: Path, options: ImportOptions) -> tuple[ColumnFrame, list[str]]:
+    sheet = read_sheet(file, names=options.names, whole=False)
+    notes = [f"read as {sheet.found}"] * (not sheet.plain)
+    notes += ["the last line does not end and may be cut: left out"] * (not sheet.ends)
+    frame = ColumnFrame(
+        path=file, titles=sheet.titles, values=sheet.numbers, number=sheet.lines, place="line", found=sheet.found
+    )
+    return frame, notes
 
 
-def _track(
-    sheet: Sheet, chosen: list[Column], what: tuple[str, str], numbers: tuple[Array, Array], arm: Arm,
-    options: ImportOptions,
-) -> tuple[Track, tuple[str, ...]]:  # fmt: skip
-    """Return states or commands in the arm's order, and the columns that are no joints."""
-    names, titles = [column.name for column in chosen], [column.title for column in chosen]
-    match = match_joints(names, arm, options, sheet.path, what[1], titles)
-    joints = [chosen[index] for index in match.columns]
-    raw = numbers[1][:, [column.index for column in joints]]
-    for unit in {column.unit for column in joints}:
-        of_unit = np.array([column.unit == unit for column in joints])
-        raw = np.where(of_unit, radians(np.where(of_unit, raw, 0.0), unit, arm, options, sheet.path), raw)
-    track = Track(
-        path=sheet.path, what=what[0], time=numbers[0], value=raw, columns=match.names, place="line",
-        number=np.array(sheet.numbers, dtype=np.int64),
+def _frame(file: Path, columns: dict[str, Array], rows: int, found: str) -> ColumnFrame:
+    titles = tuple(columns)
+    return ColumnFrame(
+        path=file, titles=titles, values=lambda chosen: np.stack([columns[titles[i]] for i in chosen], axis=1),
+        number=np.arange(1, rows + 1), found=found,
     )  # fmt: skip
-    return track, match.dropped
 
 
-def _without_cut_line(sheet: Sheet, columns: list[Column]) -> tuple[Sheet, list[str]]:
-    """Leave the last row out where it may have been cut in the middle of a number: its line does not end."""
-    if sheet.ends or len(sheet.rows) < 3 or not columns:
-        return sheet, []
-    last = max(column.index for column in columns)
-    shortest = min(len(row[last].strip()) for row in sheet.rows[:-1])
-    if last != len(sheet.titles) - 1 or len(sheet.rows[-1][last].strip()) >= shortest:
-        return sheet, []
-    line = sheet.numbers[-1]
-    left = replace(sheet, rows=sheet.rows[:-1], numbers=sheet.numbers[:-1])
-    return left, [f"line {line}, the last, does not end and may be cut: left out"]
+def _records(file: Path) -> ColumnFrame:
+    """Read the records of a JSON file; numbers beside them count for every row."""
+    try:
+        data = json.loads(read_bounded(file, TEXT_MOST, "cut it into several files"))
+        lists = {
+            key: rows for key, rows in data.items() if isinstance(rows, list) and rows and isinstance(rows[0], dict)
+        }
+        (rows,) = lists.values()
+        titles = [key for key, value in rows[0].items() if isinstance(value, int | float)]
+        columns = {title: np.array([_number(row.get(title)) for row in rows]) for title in titles}
+    except (OSError, ValueError, TypeError, AttributeError, RecursionError, OverflowError) as error:
+        raise FileError(file, f"JSON without one list of records of numbers ({error})", _REMEDY) from error
+    beside = {key: value for key, value in data.items() if isinstance(value, int | float) and key not in columns}
+    columns |= {key: np.full(len(rows), float(value)) for key, value in beside.items()}
+    return _frame(file, columns, len(rows), "JSON with records")
 
 
-def _values(sheet: Sheet, columns: list[Column]) -> tuple[Array, bool]:
-    """Read the numbers (T, columns), NaN where a log needs none, and whether they have decimal commas."""
-    needed = [column.index for column in columns]
-    commas = has_decimal_commas(sheet, needed)
-    values = np.full((len(sheet.rows), len(sheet.titles)), np.nan)
-    for index, (row, line) in enumerate(zip(sheet.rows, sheet.numbers, strict=True)):
-        for column in needed:
-            values[index, column] = number(row[column], (sheet, line, sheet.titles[column]), commas=commas)
-    return values, commas
+def _number(value: Any) -> float:  # noqa: ANN401 - whatever stands in the file
+    return float("nan") if value is None else float(value)
 
 
-def _points(time: Array, values: Array, columns: list[Column], file: Path) -> dict[str, Points]:
-    points = {}
-    for group in ("target", "true_tcp"):
-        axes = {column.name: column for column in columns if column.group == group}
-        count = sum(column.group == group for column in columns)
-        if not count:
-            continue
-        if set(axes) != set(AXES) or count != len(AXES):
-            raise FileError(file, f"columns of {group} are not x, y and z, once each", "name all three or none")
-        scale = np.array([LENGTHS[axes[axis].unit] for axis in AXES])
-        points[group] = Points(time=time, value=values[:, [axes[axis].index for axis in AXES]] / scale)
-    return points
+def _archive(file: Path) -> ColumnFrame:
+    """Read the arrays of a NumPy archive; (T, n) ones become columns NAME_0 and so on."""
+    try:
+        require_file(file, LOG_MOST, "cut it into several files")
+        with zipfile.ZipFile(file) as archive:
+            if sum(member.file_size for member in archive.infolist()) > LOG_MOST:
+                raise FileError(file, f"unfolds to more than {LOG_MOST} bytes", "cut it into several files")
+        with np.load(file, allow_pickle=False) as arrays:
+            held = {name: arrays[name] for name in arrays.files}
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise FileError(file, f"no archive of NumPy arrays ({error})", _REMEDY) from error
+    numbers = {name: one for name, one in held.items() if one.ndim in (1, 2) and one.dtype.kind in "biuf"}
+    lengths = [len(one) for one in numbers.values()]
+    rows = max(lengths, key=lengths.count, default=0)
+    columns: dict[str, Array] = {}
+    for name, one in numbers.items():
+        if len(one) == rows and one.ndim == 1:
+            columns[name] = one.astype(float)
+        elif len(one) == rows:
+            columns |= {f"{name}_{i}": one[:, i].astype(float) for i in range(one.shape[1])}
+    return _frame(file, columns, rows, "a NumPy archive")

@@ -1,7 +1,8 @@
-"""What every reader hands over: samples with the place where each stood in its file."""
+"""What readers return: columns of a file (`ColumnFrame`), samples of the arm's joints (`Track`)."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -10,10 +11,33 @@ from numpy.typing import NDArray
 
 from rejoint.logs.runlog import Array
 
+MEASURED = ("torque", "current", "gain")
+"""What else a log may hold of each joint and row"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ColumnFrame:
+    """Columns of numbers on one clock, T rows."""
+
+    path: Path
+    titles: tuple[str, ...]
+    values: Callable[[Sequence[int]], Array]
+    """reads some columns (T, k) in the units of the file"""
+    number: NDArray[np.int64]
+    """(T,) place of each row in the file"""
+    place: str = "row"
+    """what the file counts: ``line``, ``message`` or ``row``"""
+    time: Array | None = None
+    """(T,) [s] where the reader knows it; else a column holds it"""
+    angle_unit: str | None = None
+    """of angles where neither title nor user says another"""
+    found: str = "a table"
+    """what the file is, in words"""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Track:
-    """One sampled stream, states or commands; T samples of the arm's n joints."""
+    """States or commands; T samples of n joints."""
 
     path: Path
     what: str
@@ -28,6 +52,8 @@ class Track:
     """what the file counts: ``line``, ``message`` or ``row``"""
     number: NDArray[np.int64]
     """(T,) place of each sample in the file"""
+    more: Mapping[str, Array] = field(default_factory=dict)
+    """(T, n) of those of `MEASURED` that the file holds"""
 
     def __len__(self) -> int:
         return len(self.time)
@@ -38,7 +64,10 @@ class Track:
 
     def take(self, chosen: NDArray[np.bool_]) -> Track:
         """Return the samples where ``chosen`` (T,) holds."""
-        return replace(self, time=self.time[chosen], value=self.value[chosen], number=self.number[chosen])
+        more = {name: values[chosen] for name, values in self.more.items()}
+        return replace(
+            self, time=self.time[chosen], value=self.value[chosen], number=self.number[chosen], more=more
+        )  # fmt: skip
 
     def shifted(self, seconds: float) -> Track:
         """Return the same samples on a clock that starts ``seconds`` later."""
@@ -67,6 +96,8 @@ class RecordedMotion:
     """unit that the file's angles were taken to be in"""
     robot: str
     """where the log came from"""
+    units: Mapping[str, str] = field(default_factory=dict)
+    """of what `Track.more` holds"""
     points: dict[str, Points] = field(default_factory=dict)
     """``target`` and ``true_tcp`` where the file has them"""
     extra: dict[str, str] = field(default_factory=dict)
@@ -76,3 +107,7 @@ class RecordedMotion:
     def tracks(self) -> tuple[Track, ...]:
         """States, and commands where there are any."""
         return (self.state,) if self.command is None else (self.state, self.command)
+
+
+Pending = tuple[str, Callable[[], RecordedMotion]]
+"""Name of a motion, and what reads it"""

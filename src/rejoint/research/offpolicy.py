@@ -1,8 +1,8 @@
-"""SAC, TD3 and DDPG on the very task that PPO learns: skrl's algorithms, our task, networks and export.
+"""SAC, TD3 and DDPG by skrl on the task of PPO.
 
-Soft actor-critic (Haarnoja et al. 2018, arXiv:1812.05905), twin delayed DDPG (Fujimoto et al. 2018,
-arXiv:1802.09477) and DDPG (Lillicrap et al. 2016, arXiv:1509.02971). As in PPO's training the critics see a
-privileged observation as well, time-outs are bootstrapped, and the untrained policy is the classical law.
+Haarnoja et al. 2018, arXiv:1812.05905; Fujimoto et al. 2018, arXiv:1802.09477; Lillicrap et al. 2016, arXiv:1509.02971.
+As with PPO, critics see a privileged observation, time-outs are bootstrapped, and the untrained policy is the classical
+law.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from skrl.resources.noises.torch import GaussianNoise
 from torch import nn
 
 from rejoint.arms import Arm
-from rejoint.logs.runfolder.outputs import Outputs
+from rejoint.logs.runfolder.folder import Outputs
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
 from rejoint.training.actorcritic import ActionCritic, BoundedActor, SquashedActor, bounded
@@ -56,12 +56,12 @@ _REPORT_EVERY = 32  # control cycles
 
 @dataclass(frozen=True, kw_only=True)
 class OffPolicySettings:
-    """Settings of the three; everything that they share with PPO is taken from its preset."""
+    """Settings beyond those of PPO's preset."""
 
     algorithm: Algorithm
     preset: Preset = DEFAULT
     cycles: int = 3840
-    """control cycles: two million transitions (chosen: such a training takes two to three times as long as PPO's)"""
+    """control cycles: two million transitions (chosen)"""
     gradient_steps: int = 2
     """after every control cycle"""
     batch: int = 1024
@@ -72,7 +72,7 @@ class OffPolicySettings:
     learning_rate: float = 5e-4
     polyak: float = 0.01
     noise: tuple[float, float] = (0.3, 0.05)
-    """standard deviation of the exploration noise of TD3 and DDPG, at the start and at the end"""
+    """standard deviation of the exploration noise of TD3 and DDPG, first and last"""
     seed: int = 0
     agents: int = AGENTS
     threads: int = 2
@@ -105,7 +105,7 @@ class OffPolicyLearner:
         return self._cycle
 
     def network(self) -> nn.Sequential:
-        """Return the network whose output, between -1 and 1, is the policy's mean action."""
+        """Return the network of the mean action, between -1 and 1."""
         actor: BoundedActor | SquashedActor = self.agent.policy
         return actor.network()
 
@@ -164,7 +164,7 @@ class OffPolicyLearner:
 def train_offpolicy(
     arm: Arm, twin: Twin | None, *, out: Path, settings: OffPolicySettings, on_progress: Progress = no_progress
 ) -> TrainingResult:
-    """Train with SAC, TD3 or DDPG and write ``policy.onnx`` and the curves as `rejoint.training.train.train` does."""
+    """Train and write ``policy.onnx`` and the curves."""
     recipe, files = know_stiffness(settings.preset, arm, twin), Outputs(out)
     ranges = training_ranges(arm, twin, recipe)
     task = ReachTask(arm, ranges, settings.agents, recipe.task, seed=settings.seed, threads=settings.threads)
@@ -180,7 +180,7 @@ def train_offpolicy(
 
 
 def trainer(name: str, seed: int) -> Trainer:
-    """Return what trains with the algorithm ``name`` in place of PPO; InputError if there is none."""
+    """Return the trainer of the algorithm ``name``; InputError if there is none."""
     settings = OffPolicySettings(algorithm=algorithm(name), seed=seed)
     return lambda arm, twin, out, on_progress: train_offpolicy(
         arm, twin, out=out, settings=settings, on_progress=on_progress
@@ -196,7 +196,7 @@ def algorithm(name: str) -> Algorithm:
 
 
 def noise_at(settings: OffPolicySettings, cycle: int) -> float:
-    """Exploration noise of TD3 and DDPG: it falls linearly, as the deployed policy has none."""
+    """Exploration noise of TD3 and DDPG: it falls linearly."""
     first, last = settings.noise
     return first + (last - first) * min(cycle / settings.cycles, 1.0)
 

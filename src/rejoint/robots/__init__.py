@@ -2,29 +2,37 @@
 
 from __future__ import annotations
 
-from rejoint.arms import Arm
+from pathlib import Path
+
+from rejoint.arms import Arm, load_arm
 from rejoint.control.robot import Robot
 from rejoint.robots.bus import Bus, Clock, Reading, Vitals
 from rejoint.robots.busrobot import BusRobot, bus_family
 from rejoint.robots.family import DEFAULT_ARM, Family, Opening, Place
-from rejoint.robots.own import SIMULATOR
-from rejoint.robots.registry import place_of
+from rejoint.robots.registry import SIMULATOR, place_of
 
 
 def open_robot(
     address: str,
     *,
-    arm: Arm | None = None,
+    arm: Arm | str | Path | None = None,
     seed: int = 0,
     count: int = 1,
     period: tuple[float, float] | None = None,
     threads: int = 1,
 ) -> Robot:
-    """Connect to the robot at ``address``: ``emulated:PROFILE``, ``tcp://HOST:PORT``, ``serial:///dev/DEVICE``.
+    """Connect to the bare joints of the robot at ``address``; nothing guards them, see `rejoint.connect` for an arm.
 
-    Shorthand for `place_of` and `Place.open`, which see. A myCobot is powered on if it is off and put into fresh mode;
-    nothing moves.
+    Shorthand for `place_of` and `Place.open`, which see. ``arm`` is an arm, its name in the catalogue, or its file. A
+    myCobot is powered on if it is off and put into fresh mode; nothing moves.
+
+    Examples
+    --------
+    >>> robot = rejoint.open_robot("emulated:worn")
+    >>> state = robot.step(robot.read().position + 0.01)
+    >>> robot.close()
     """
+    arm = load_arm(arm) if isinstance(arm, str | Path) else arm
     return place_of(address).open(arm=arm, seed=seed, count=count, period=period, threads=threads)
 
 

@@ -1,7 +1,4 @@
-"""One arm behind its bus: the control period, and what of its answers is believed, the same for every family.
-
-One control cycle is: send the command, wait, read the joints so that the answer arrives one period after the last one.
-"""
+"""One arm behind its bus: the control period, which answers are trusted, and what the servos report of their health."""
 
 from __future__ import annotations
 
@@ -10,28 +7,203 @@ from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
+from rejoint.control.loop import elsewhere
+from rejoint.control.recording import GAP
 from rejoint.control.robot import JointState, Mask, Robot
-from rejoint.control.runstate import GAP, elsewhere
 from rejoint.control.servogains import Rung, ServoGains
-from rejoint.robots.bus import Bus, Reading
-from rejoint.robots.family import DEFAULT_ARM, Family, Opening, Place
-from rejoint.robots.health import Health, believed
-from rejoint.robots.link import Link
-from rejoint.robots.plausibility import Continuity, judge
-from rejoint.system.errors import ImpossibleReplyError, InputError
+from rejoint.robots.bus import Bus, Link, Reading, Vitals
+from rejoint.robots.family import Family, Opening, Place
+from rejoint.system.errors import ImpossibleReplyError, InputError, NoReplyError, StaleReplyError
 
-_SMOOTHING = 0.2  # share of the newest cost of a reading in its running mean
+RANGE_MARGIN = np.radians(5.0)
+"""[rad] a joint can be beyond its limit by sag and by the stops (chosen)"""
+MAX_SPEED_FACTOR = 2.0
+"""Times the arm's speed limit: for a myCobot 300 deg/s, just above the no-load speed of its servos (chosen)"""
+JUMP_SLACK = np.radians(5.0)
+"""[rad] covers that answers are sampled up to 30 ms away from their arrival (chosen)"""
+DOUBT = 1.0
+"""[s] during which a doubted answer stays as impossible as it was (chosen: longer than it is asked for again)"""
+SURE = 0.1
+"""[s] of full speed that a single answer may report: after a pause a joint could be anywhere (chosen: two periods of a
+slow wire)"""
+COMMAND_TRAVEL = np.radians(10.0)
+"""[rad] a command that went this far moves at least one joint by an encoder step (chosen)"""
+COMMANDED_JOINTS = 2
+"""joints that must have been sent that far (chosen: one alone may be stuck)"""
+REPEAT_GRACE = 0.3
+"""[s] of identical answers that latency and acceleration explain (chosen)"""
+REPEAT_LIMIT = 1.5
+"""[s] of identical answers under a changed command that nothing explains (chosen)"""
+
+
+def judge(position: Array, arm: Arm) -> None:
+    """ImpossibleReplyError unless these are joint positions (n,) [rad] that ``arm`` can have, NaN for none."""
+    if np.shape(position) != (arm.joints,):
+        raise ImpossibleReplyError(f"expected {arm.joints} joint angles, got {position!r}")
+    unreadable = np.isnan(position)
+    if unreadable.any():
+        names = ", ".join(name for name, bad in zip(arm.joint_names, unreadable, strict=True) if bad)
+        raise ImpossibleReplyError(f"the servos of {names} cannot be read")
+    outside = (position < arm.lower - RANGE_MARGIN) | (position > arm.upper + RANGE_MARGIN)
+    if outside.any():
+        j = int(np.argmax(outside))
+        angle, low, high = np.degrees([position[j], arm.lower[j], arm.upper[j]])
+        raise ImpossibleReplyError(
+            f"{arm.joint_names[j]} reads {angle:.1f} deg, outside the arm's range of {low:.0f} to {high:.0f} deg by "
+            f"more than {np.degrees(RANGE_MARGIN):.0f}: it fell or was pushed there, or its zero or the answer is wrong"
+        )
+
+
+class Continuity:
+    """Compares every answer with the one before it and with what was commanded."""
+
+    def __init__(self, arm: Arm) -> None:
+        self._max_speed = MAX_SPEED_FACTOR * arm.max_speed
+        self._last: tuple[float, Array] | None = None
+        self._before: tuple[float, Array] | None = None
+        self._doubted: float | None = None
+        self._candidate: Array | None = None
+        self._confirmed = False
+        self._command_then: Array | None = None
+        self._waiting_since: float | None = None
+
+    def check(self, time: float, position: Array) -> None:
+        """ImpossibleReplyError if no servo gets from the last answer to ``position`` (n,) [rad] by ``time`` [s].
+
+        A repeated answer had no more time than the first one. After a pause two answers have to agree; two that agree
+        overrule the last one if they suit the one before it.
+        """
+        if self._last is None:
+            return
+        then, before = self._last
+        if self._doubted is not None and time - self._doubted < DOUBT:
+            time = self._doubted
+        gone, elapsed = np.abs(position - before), max(time - then, 0.0)
+        jumped = gone > self._max_speed * elapsed + JUMP_SLACK
+        sudden = gone > self._max_speed * min(elapsed, SURE) + JUMP_SLACK
+        agreed = self._candidate is not None and bool((np.abs(position - self._candidate) <= JUMP_SLACK).all())
+        self._doubted = time if jumped.any() else None
+        doubtful = jumped.any() and self._confirmed and not (agreed and self._suits_the_one_before(time, position))
+        if doubtful or (sudden.any() and not agreed):
+            self._candidate = position
+            i = int(np.argmax(jumped if jumped.any() else sudden))
+            says = "cannot have jumped" if jumped.any() else "is said, once, to have gone"
+            raise ImpossibleReplyError(
+                f"joint {i + 1} {says} from {np.degrees(before[i]):.1f} to {np.degrees(position[i]):.1f} deg in "
+                f"{elapsed:.3f} s"
+            )
+        self._candidate = None
+
+    def _suits_the_one_before(self, time: float, position: Array) -> bool:
+        if self._before is None:
+            return False
+        then, before = self._before
+        return bool((np.abs(position - before) <= self._max_speed * max(time - then, 0.0) + JUMP_SLACK).all())
+
+    def accept(self, time: float, position: Array, command: Array | None) -> float:
+        """Take over an answer; return its age [s]: how long it should have changed and did not.
+
+        Only a change of the commands of two joints by more than 10 deg without any change of an encoder counts.
+        StaleReplyError when that lasts.
+        """
+        if self._last is None or np.any(position != self._last[1]):
+            self._command_then = command
+            self._waiting_since = None
+        elif command is not None and self._command_then is None:
+            self._command_then = self._last[1]
+        self._confirmed = self._last is not None
+        self._before, self._last = self._last, (time, position)
+        if command is None or self._command_then is None:
+            return 0.0
+        if self._waiting_since is None:
+            if np.count_nonzero(np.abs(command - self._command_then) > COMMAND_TRAVEL) >= COMMANDED_JOINTS:
+                self._waiting_since = time
+            return 0.0
+        age = time - self._waiting_since
+        if age > REPEAT_LIMIT:
+            raise StaleReplyError(
+                f"the same joint angles for {age:.1f} s although the command moved by more than "
+                f"{np.degrees(COMMAND_TRAVEL):.0f} deg: the answers are old, or the arm is blocked or switched off"
+            )
+        return age if age > REPEAT_GRACE else 0.0
+
+
+DOUBTS = 5
+"""Times that an alarm is asked for again at most (chosen)"""
+
+INTERVAL = 1.0
+"""[s] at most between two questions, which take turns (chosen)"""
+# Times what a question costs that a cycle must have left for one (chosen: answers jitter)
+_SPARE = 1.5
+_SMOOTHING = 0.2  # share of the newest cost in its running mean
+
+V = TypeVar("V", bound=Vitals)
+
+
+class Health:
+    """What the servos of one arm last said of themselves; None where their firmware says nothing."""
+
+    def __init__(self, link: Link, bus: Bus) -> None:
+        self._link, self._clock, self._questions = link, bus.clock, bus.vitals()
+        self.temperature: Array | None = None
+        """(1, n) [deg C]"""
+        self.fault: NDArray[np.bool_] | None = None
+        """(1, n) whether a servo reports a fault"""
+        self.trouble: tuple[str, ...] | None = None
+        """(n,) what each complains of, in words"""
+        self._turn = 0
+        self._due = 0.0
+        self._cost = 0.0
+
+    def find(self) -> None:
+        """Learn whether this firmware answers its questions; older ones are silent."""
+        try:
+            for _ in self._questions:
+                self._ask()
+        except NoReplyError:
+            self.temperature = self.fault = None
+            self._questions = ()
+
+    def poll(self, spare: float) -> None:
+        """Ask the next question if ``spare`` [s] are enough for it or the last answer is too old."""
+        if self._questions and (spare > _SPARE * self._cost or self._clock.now() >= self._due):
+            self._ask()
+
+    def take(self, found: Vitals) -> None:
+        """Take over what an answer says."""
+        if found.temperature is not None:
+            self.temperature = np.array(found.temperature, float)[None]
+        if found.fault is not None:
+            self.fault, self.trouble = np.array(found.fault, bool)[None], found.trouble
+
+    def _ask(self) -> None:
+        began, question = self._clock.now(), self._questions[self._turn]
+        self.take(believed(lambda: self._link.ask(question)))
+        now = self._clock.now()
+        self._cost += (_SMOOTHING if self._cost else 1.0) * (now - began - self._cost)
+        self._turn, self._due = (self._turn + 1) % len(self._questions), now + INTERVAL
+
+
+def believed(ask: Callable[[], V]) -> V:
+    """Ask again after an alarming answer until two in a row agree: a wrong byte is no alarm."""
+    found = ask()
+    for _ in range(DOUBTS):
+        if not found.alarming:
+            return found
+        before, found = found, ask()
+        if found.agrees(before):
+            return found
+    return found
+
 
 T = TypeVar("T")
 
 
 class BusRobot:
-    """One arm behind a bus that is opened by `open`; its clock is that of the bus.
-
-    Every cycle's length is drawn uniformly from ``period`` [s]; it is never shorter than the wire allows.
-    """
+    """One arm behind a bus; every cycle's length is drawn uniformly from ``period`` [s]."""
 
     def __init__(
         self, bus: Bus, arm: Arm, *, address: str, period: tuple[float, float] = (0.050, 0.050), seed: int = 0
@@ -46,8 +218,8 @@ class BusRobot:
         self._health = Health(self._link, bus)
         self._command: Array | None = None
         self._state: JointState | None = None
+        # when [s] and where (1, n) the arm was last seen before a command, and the command (1, n)
         self._left: tuple[float, Array, Array] | None = None
-        """when [s] and where (1, n) the arm was last seen before a command, and the command (1, n)"""
         self._read_cost: float | None = None
 
     @property
@@ -91,8 +263,7 @@ class BusRobot:
     def step(self, command: Array, active: Mask | None = None) -> JointState:
         """Send ``command`` (1, n) [rad], let the period pass, read.
 
-        A command that could not be sent in time is not sent any more. An arm that is not ``active`` (1,) is left alone,
-        and its last state repeated.
+        An arm that is not ``active`` (1,) repeats its last state.
         """
         if command.shape != (1, self._arm.joints) or not np.isfinite(command).all():
             raise InputError(
@@ -118,7 +289,7 @@ class BusRobot:
         return self.read()
 
     def true_tcp(self) -> Array:
-        """(1, 3) NaN: nobody knows where a real tool is."""
+        """(1, 3) NaN: the place of a real tool is unknown."""
         return np.full((1, 3), np.nan)
 
     def stop(self) -> None:
@@ -127,7 +298,7 @@ class BusRobot:
         self._command = None
 
     def servo_gains(self) -> ServoGains | None:
-        """Return the gains of the servos' own loops; None where nobody knows them."""
+        """Return the gains of the servos' own loops; None where it is unknown them."""
         return self._bus.servo_gains()
 
     def rungs(self) -> tuple[Rung, ...]:
@@ -153,7 +324,6 @@ class BusRobot:
         self._link.close()
 
     def _elsewhere(self, now: float, position: Array) -> Mask:
-        """Tell (1,) whether the arm left the way to its last command in a pause; told until the next command."""
         if self._left is None or now - self._left[0] <= GAP:
             return np.zeros(1, dtype=bool)
         return elsewhere(*self._left[1:], position)
@@ -171,10 +341,7 @@ class BusRobot:
 
 
 def _own(reading: Reading, joints: int) -> Reading:
-    """Return an answer with arrays of its own, since a bus may fill the same ones each time.
-
-    ImpossibleReplyError where it has another number of them than the arm has ``joints``.
-    """
+    """Return an answer with arrays of its own; ImpossibleReplyError unless each has ``joints`` values."""
     told = {name: getattr(reading, name) for name in ("load", "temperature", "fault", "voltage")}
     arrays: dict[str, Any] = {name: np.array(value, float) for name, value in told.items() if value is not None}
     for name, array in arrays.items():
@@ -183,18 +350,8 @@ def _own(reading: Reading, joints: int) -> Reading:
     return replace(reading, position=np.array(reading.position, float), **arrays)
 
 
-def bus_family(
-    bus: Callable[[T, Arm], Bus],
-    *,
-    scheme: str,
-    form: str,
-    parse: Callable[[str], T],
-    default_arm: str = DEFAULT_ARM,
-    default_period: tuple[float, float] = (0.050, 0.050),
-    tunable: bool = False,
-    needs: tuple[str, ...] = (),
-) -> Family[T]:
-    """Family of arms behind a ``bus``, which is made from what ``parse`` read from the address, and the arm."""
+def bus_family(bus: Callable[[T, Arm], Bus], *, parse: Callable[[str], T], **options: Any) -> Family[T]:  # noqa: ANN401
+    """Family of arms behind a ``bus``, which is made from what ``parse`` reads; ``options`` are those of `Family`."""
 
     def connect(place: Place[T], opening: Opening) -> Robot:
         robot = BusRobot(
@@ -203,7 +360,4 @@ def bus_family(
         robot.open()
         return robot
 
-    return Family(
-        scheme=scheme, form=form, parse=parse, connect=connect, default_arm=default_arm, default_period=default_period,
-        tunable=tunable, needs=needs,
-    )  # fmt: skip
+    return Family(parse=parse, connect=connect, **options)

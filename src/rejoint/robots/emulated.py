@@ -1,36 +1,81 @@
-"""Worn arms in this process, in virtual time: the plant behind a channel with latency and jitter.
-
-Arms whose servos are STS3215 move by the law of that servo, with gains that can be read and set as on their bus.
-"""
+"""Worn arms in this process, in virtual time: the plant behind a channel with latency and jitter."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.arms.kinematics import GRAVITY
 from rejoint.control.robot import JointState, Mask
 from rejoint.control.servogains import Rung, ServoGains
-from rejoint.robots.feetech.emulated import EmulatedServos
-from rejoint.robots.feetech.gains import RUNGS, Gains
-from rejoint.robots.lab.plant.channel import Channel, Interval
-from rejoint.robots.lab.plant.plant import Plant
-from rejoint.robots.lab.plant.streams import stream_keys
-from rejoint.robots.lab.plant.sts3215 import has_these_servos
-from rejoint.robots.lab.plant.stsplant import StsPlant
+from rejoint.robots.feetech.gains import FIRST, FULL, LIMIT, LOAD, REGISTERS, RUNGS, SIZE, Gains, Tuning, for_all
+from rejoint.robots.lab.plant.plant import Plant, Truth
+from rejoint.robots.lab.plant.servo import Channel, Interval, has_these_servos, stream_keys
+from rejoint.robots.lab.plant.sts3215 import StsPlant
 from rejoint.robots.lab.plant.wear import Wear
 from rejoint.system.errors import InputError
+
+# Fields of `rejoint.robots.lab.plant.sts3215.SETTING` that the registers of gains are
+_FIELDS = {address: "integral_limit" if name == LIMIT else name for name, address in REGISTERS.items()}
+
+
+class EmulatedServos:
+    """The registers that `Tuning` needs, of a batch of arms that all have the same gains."""
+
+    def __init__(self, plant: StsPlant, gains: Gains) -> None:
+        """``gains`` are in force from the start, in place of those of servos as sold."""
+        self._plant = plant
+        joints = plant.arm.joints
+        for name, values in for_all(gains, joints).items():
+            plant.settings[_FIELDS[REGISTERS[name]]] = values
+        self._tuning = Tuning(
+            range(1, joints + 1), {}, read=self._read, write=self._write,
+            call=lambda servo: plant.arm.joint_names[servo - 1], wait=plant.advance,
+        )  # fmt: skip
+        self._tuning.prepare(None)
+
+    @property
+    def gains(self) -> ServoGains:
+        """Gains in force."""
+        return dict(self._tuning.values)
+
+    @property
+    def load(self) -> Array:
+        """(B, n) share of the largest torque, as the driver of the bus tells it (`rejoint.robots.feetech.gains`)."""
+        status = self._plant.status
+        duty, error = status["output"].tolist(), (status["goal"] - status["position"]).tolist()
+        return np.array(
+            [[law.share(*seen) for law, *seen in zip(self._tuning.laws, *arm, strict=True)]
+             for arm in zip(duty, error, strict=True)]
+        )  # fmt: skip
+
+    def tune(self, gains: ServoGains) -> None:
+        """Bring the gains of all arms to these, see `Tuning.tune`; their clocks go on meanwhile."""
+        self._tuning.tune(gains)
+
+    def _read(self, servo: int, address: int, size: int, _until: float | None) -> bytes:
+        joint, plant = servo - 1, self._plant
+        if (address, size) == (FIRST, SIZE):
+            row = plant.settings[0, joint]
+            return bytes(int(row[_FIELDS[cell]]) for cell in range(FIRST, FIRST + SIZE))
+        if address != LOAD:
+            raise ValueError(f"register {address} of an emulated servo is not known here")
+        duty = int(np.abs(plant.status["output"][:, joint]).max())
+        return bytes((*min(duty, int(FULL)).to_bytes(2, "little"), 0, int(plant.temperature[:, joint].max())))
+
+    def _write(self, servo: int, address: int, data: Sequence[int], _until: float | None) -> None:
+        self._plant.settings[_FIELDS[address]][:, servo - 1] = data[0]
+
 
 _CHANNEL_PURPOSE = 1
 
 
 class EmulatedRobot:
-    """B emulated arms, one per wear; no time passes but in `step`.
+    """B emulated arms, one per wear; time passes only in `step`.
 
-    Arm i draws all its noise from the streams ``first + i`` of ``seed`` and so moves bit for bit as it
-    would alone, at any number of threads and whatever the other arms do.
+    Arm i draws its noise from the stream ``first + i`` of ``seed`` and moves bit for bit as it would alone.
     """
 
     def __init__(
@@ -41,33 +86,24 @@ class EmulatedRobot:
         address: str = "emulated:worn",
         seed: int = 0,
         period: Interval = (0.020, 0.030),
-        command_latency: Interval = (0.008, 0.013),
-        readback_age: Interval = (0.006, 0.013),
-        threads: int = 1,
         start: Array | None = None,
-        first: int = 0,
-        payload: Array | float = 0.0,
-        tells_load: bool = True,
-        bodies: Sequence[Arm] | None = None,
-        gravity: Array = GRAVITY,
         gains: Gains | None = None,
+        **options: Any,  # noqa: ANN401
     ) -> None:
         """Put the arms at rest at ``start`` (B, n) or (n,) [rad], by default in the rest posture.
 
-        ``payload``, a number or (B,) [kg], is what their tools carry and nobody knows of. ``tells_load`` says whether
-        their servos report a load, as not all do. ``bodies`` are the arms as they really are, where ``arm`` only
-        describes them; ``gravity`` (3,) [m/s^2] in the frame of the base is another one where that stands askew.
-        ``gains`` are those of the servos of an SO-101, by the names of `rejoint.robots.feetech.gains.KNOBS`, where they
-        are not as sold.
+        ``options`` are the fields of `Truth`, ``threads`` and ``first`` of `Plant`, ``command_latency`` and
+        ``readback_age`` [s] of the `Channel`, and ``tells_load``: whether the servos report a load.
         """
-        self._address, self._tells_load = address, tells_load
-        self._channel = Channel(latency=command_latency, age=readback_age, period=period)
+        self._address, self._tells_load = address, options.pop("tells_load", True)
+        delays = {"latency": options.pop("command_latency", None), "age": options.pop("readback_age", None)}
+        self._channel = Channel(period=period, **{name: ends for name, ends in delays.items() if ends is not None})
+        truth = Truth(**{name: options.pop(name) for name in Truth._fields if name in options})
+        first = options.get("first", 0)
         law = has_these_servos(arm)
         if gains and not law:
             raise InputError(f"{address} has no servo gains that could be set; an SO-101 has: give --arm so101")
-        self.plant = (StsPlant if law else Plant)(
-            arm, wears, seed=seed, threads=threads, first=first, payload=payload, bodies=bodies, gravity=gravity
-        )
+        self.plant = (StsPlant if law else Plant)(arm, wears, seed=seed, truth=truth, **options)
         self._servos = EmulatedServos(self.plant, gains or {}) if isinstance(self.plant, StsPlant) else None
         self._keys = stream_keys(seed, len(wears), first=first, purpose=_CHANNEL_PURPOSE)
         self._cycle = np.zeros(len(wears), np.int64)
@@ -90,7 +126,7 @@ class EmulatedRobot:
         return self.plant.count
 
     def restart(self, start: Array, where: Mask | None = None) -> None:
-        """Put arms at rest at ``start`` (B, n) or (n,) [rad], as nobody can do with a real one."""
+        """Put arms at rest at ``start`` (B, n) or (n,) [rad], which a real one cannot be."""
         shape = (self.count, self.arm.joints)
         if np.shape(start) not in (shape, shape[1:]):
             raise InputError(f"expected a start of shape {shape} or {shape[1:]} [rad], got {np.shape(start)}")

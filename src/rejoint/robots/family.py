@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, TypeVar
+from urllib.parse import parse_qs, urlsplit
 
 from rejoint.arms import Arm, load_arm
 from rejoint.control.robot import Robot
@@ -47,7 +49,7 @@ class Family(Generic[T]):
     """opens the robot; AddressError if nothing usable is there"""
     default_arm: str | Callable[[T], str] = DEFAULT_ARM
     """a name of the catalogue or the path of a description: the arm where none is asked for"""
-    default_period: tuple[float, float]
+    default_period: tuple[float, float] = (0.050, 0.050)
     """[s] shortest and longest control period where none is asked for"""
     virtual: bool = False
     """whether any number of arms can be opened side by side, in virtual time, which costs nothing"""
@@ -107,9 +109,8 @@ class Place(Generic[T]):
     ) -> Robot:
         """Connect to the robot; nothing moves.
 
-        Without ``arm`` it is `default_arm`. ``count`` arms of a virtual family form a batch. ``period`` [s] is the
-        interval from which the length of every control cycle is drawn; by default `default_period`. Raises
-        AddressError if nothing usable is there, MissingExtraError where the family needs more than is installed.
+        The control period is drawn from ``period`` [s]. AddressError if nothing usable is there, MissingExtraError
+        where the family needs more than is installed.
         """
         arm = arm or load_arm(self.default_arm)
         if count < 1:
@@ -124,3 +125,63 @@ class Place(Generic[T]):
 
     def __str__(self) -> str:
         return self.text
+
+
+_HERE = dict.fromkeys(("localhost", "0.0.0.0"), "127.0.0.1")  # noqa: S104 - names of this computer, not listened on
+
+
+@dataclass(frozen=True, kw_only=True)
+class TcpAddress:
+    """A server that speaks for the robot, or an emulator."""
+
+    text: str
+    """as the user wrote it"""
+    host: str
+    port: int
+
+    def __str__(self) -> str:
+        return self.text
+
+    @property
+    def spot(self) -> str:
+        """The one place that it means, however it is written."""
+        return f"{_HERE.get(self.host, self.host)}:{self.port}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class SerialAddress:
+    """A serial port, or an emulator's pseudo-terminal."""
+
+    text: str
+    """as the user wrote it"""
+    device: str
+    baud: int
+
+    def __str__(self) -> str:
+        return self.text
+
+    @property
+    def spot(self) -> str:
+        """The one place that it means: a device has a name for each adapter and socket as well."""
+        return os.path.realpath(self.device)
+
+
+def tcp_address(text: str, *, port: int) -> TcpAddress:
+    """Read ``SCHEME://HOST:PORT``, where ``port`` is taken if none is given; ValueError for anything else."""
+    parts = urlsplit(text)
+    given = port if parts.port is None else parts.port
+    if not parts.hostname or parts.path not in ("", "/") or parts.query or parts.username or given == 0:
+        raise ValueError(f"not of the form {parts.scheme}://HOST:PORT")
+    return TcpAddress(text=text, host=parts.hostname, port=given)
+
+
+def serial_address(text: str, *, baud: int) -> SerialAddress:
+    """Read ``SCHEME:///dev/DEVICE?baud=N``, where ``baud`` is taken if none is given; ValueError for anything else."""
+    parts = urlsplit(text)
+    query = parse_qs(parts.query, strict_parsing=True) if parts.query else {}
+    if parts.netloc or not parts.path.startswith("/") or parts.path == "/" or set(query) - {"baud"}:
+        raise ValueError(f"not of the form {parts.scheme}:///dev/DEVICE?baud=N")
+    given = query.get("baud", [str(baud)])[-1]
+    if not (given.isascii() and given.isdecimal() and int(given) > 0):
+        raise ValueError(f"the baud rate must be a positive whole number, got {given!r}")
+    return SerialAddress(text=text, device=parts.path, baud=int(given))

@@ -1,32 +1,30 @@
-"""A myCobot 280, real or emulated, through the vendor's client.
+"""A myCobot 280, real or emulated, through the vendor's client; a command takes 8 ms, a reading 12 ms.
 
-The wire takes about 8 ms for a command and 12 ms for a reading.
-
-pymycobot reports failures as -1, as None, as struct.error from a cut frame, or as whatever the operating system raised.
-Over TCP it never resynchronises: once an answer came late, every later call returns the previous call's answer. So no
-question is asked while bytes lie there that nobody asked for, and after a failure or a late answer both sides are
-brought into step again. The client's `async` mode is never used: over TCP it leaves answers behind that nobody reads.
-
-This driver never uses the emulator's codec: the vendor's client is the independent judge of what
-the emulator sends.
+Over TCP pymycobot never resynchronises: after a late answer every call returns the previous call's answer. So nothing
+is asked while unexpected bytes wait, and both sides are resynchronised after a failure. The emulator's codec is not
+used here: the client is the independent judge of what the emulator sends.
 """
 
 from __future__ import annotations
 
 import contextlib
+import errno
+import locale
+import logging
 import select
 import socket
 import struct
+import time
+import warnings
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.robots.address import SerialAddress, TcpAddress
-from rejoint.robots.bus import Bus, Reading, Vitals
-from rejoint.robots.link import ATTEMPTS, BROKEN, SILENCE, persist
-from rejoint.robots.vendor import HIGHEST_DEG, LOWEST_DEG, make_client, silenced
+from rejoint.robots.bus import ATTEMPTS, BROKEN, SILENCE, Bus, Reading, Vitals, persist
+from rejoint.robots.family import SerialAddress, TcpAddress
 from rejoint.system.errors import (
     ConnectionLostError,
     ImpossibleReplyError,
@@ -36,6 +34,50 @@ from rejoint.system.errors import (
     RobotError,
     StaleReplyError,
 )
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore", DeprecationWarning)
+    from pymycobot import MyCobot280, MyCobot280Socket, common
+    from pymycobot.robot_info import RobotLimit
+
+common.print = lambda *_: None  # standard output belongs to the user's program
+common.locale = SimpleNamespace(getdefaultlocale=locale.getlocale)  # the same, without a deprecation at each question
+common.time = SimpleNamespace(time=time.monotonic, sleep=time.sleep)  # all that it uses of it
+
+LOWEST_DEG: tuple[float, ...] = tuple(RobotLimit.robot_limit["MyCobot280"]["angles_min"])
+"""[deg] lowest joint angles that the clients accept"""
+HIGHEST_DEG: tuple[float, ...] = tuple(RobotLimit.robot_limit["MyCobot280"]["angles_max"])
+"""[deg] highest joint angles that the clients accept"""
+
+
+_CODES = [(code, name.lower()) for name, code in vars(common.ProtocolCode).items() if isinstance(code, int)]
+ORDERS: dict[int, str] = dict(reversed(_CODES))
+"""Names that the client gives to commands"""
+
+
+def make_client(address: TcpAddress | SerialAddress) -> MyCobot280 | MyCobot280Socket:
+    """Construct the vendor's client, which connects and sleeps for 1.5 s.
+
+    OSError where another program has the port.
+    """
+    root = logging.getLogger()
+    handlers, level = root.handlers[:], root.level
+    try:
+        if isinstance(address, TcpAddress):
+            return MyCobot280Socket(address.host, address.port)
+        client = MyCobot280(address.device, address.baud)
+    finally:
+        root.handlers[:], root.level = handlers, level
+        logging.getLogger("pymycobot").setLevel(logging.CRITICAL)  # failures become errors in `rejoint.robots.bus`
+    try:
+        client._serial_port.exclusive = True  # it opens the port for everybody
+    except OSError as error:
+        client.close()
+        if error.errno != errno.EWOULDBLOCK:
+            raise
+        raise OSError("another program drives the arm there; end it first") from error
+    return client
+
 
 SENT = 3
 """Times that a command is sent before its refusal is believed: one wrong byte on the wire looks the same (chosen)"""
@@ -60,11 +102,7 @@ _JOINTS = len(LOWEST_DEG)
 
 
 class MyCobotBus(Bus):
-    """The wire of a myCobot 280, by ``pymycobot``, which sends each question up to three times by itself.
-
-    To connect takes 1.5 s, which the client sleeps. The arm is powered on if it is off when it is first opened (it then
-    holds where it is) and put into fresh mode, in which the newest command wins.
-    """
+    """The wire of a myCobot 280. On opening the arm is powered on and put into fresh mode: the newest command wins."""
 
     name = "myCobot 280"
     advice = f"{Bus.advice} `rejoint emulate` starts an arm to try"
@@ -136,10 +174,10 @@ class MyCobotBus(Bus):
         return bytes(single) if len(single) == len(values) else None
 
     def resynchronise(self, deadline: float) -> None:
-        """Wait until no late answer can be taken for another one; ConnectionLostError if that cannot be had.
+        """Wait until no late answer can be taken for another one; ConnectionLostError if that fails.
 
-        Answers come in the order of the questions. So once a question of another kind has been answered at once, and
-        nothing comes after it, nothing of what was asked before is on its way any more.
+        Answers come in order: once a question of another kind is answered at once, and nothing follows, no answer is
+        due.
         """
         if not isinstance(self.address, TcpAddress):
             return
@@ -149,7 +187,7 @@ class MyCobotBus(Bus):
             try:
                 if self._call("get_fresh_mode") in (0, 1) and not self._drain(QUIET):
                     return
-                found = "answers arrive that nobody asked for"
+                found = "unexpected answers arrive"
             except (NoReplyError, ImpossibleReplyError, StaleReplyError) as error:
                 found = str(error).removeprefix(f"{self.address}: ")
         raise ConnectionLostError(
@@ -166,19 +204,16 @@ class MyCobotBus(Bus):
         return Vitals(temperature=_numbers(self._call("get_servo_temps"), "temperatures"))
 
     def _faults(self) -> Vitals:
-        """Whether each servo reports a fault: 0, or a list of set bits (or a bit mask)."""
         reply = self._call("get_servo_status")
         if not isinstance(reply, list) or len(reply) != _JOINTS:
             raise ImpossibleReplyError(f"expected the status of {_JOINTS} servos, got {reply!r}")
         return Vitals(fault=np.array([bool(status) for status in reply]))
 
     def _call(self, method: str, *arguments: object) -> object:
-        """Call a method of the client, and name what goes wrong; an answer that came late is none."""
         self._refuse_surplus()
         began = self.clock.now()
         try:
-            with silenced() if method == "get_servo_status" else contextlib.nullcontext():
-                answer: object = getattr(self._client, method)(*arguments)
+            answer: object = getattr(self._client, method)(*arguments)
         except BROKEN as error:
             raise ConnectionLostError(f"{self.address}: the connection broke during {method} ({error})") from error
         except _CUT_FRAME as error:
@@ -194,15 +229,11 @@ class MyCobotBus(Bus):
         return answer
 
     def _refuse_surplus(self) -> None:
-        """Refuse to ask while bytes lie there that nobody asked for: they would be taken for the next answer."""
         if self._drain(0.0):
-            raise StaleReplyError(f"{self.address}: answers arrive that nobody asked for")
+            raise StaleReplyError(f"{self.address}: unexpected answers arrive")
 
     def _drain(self, quiet: float) -> bool:
-        """Throw away what lies on a TCP connection until nothing has come for ``quiet`` [s]; tells if there was any.
-
-        On a serial port the client throws it away itself.
-        """
+        """Drop what lies on a TCP connection until nothing came for ``quiet`` [s]; tell whether there was anything."""
         found = False
         if not isinstance(self.address, TcpAddress):
             return found
@@ -218,11 +249,6 @@ class MyCobotBus(Bus):
         return found
 
     def _confirm(self, method: str, until: float | None = None) -> object:
-        """Ask during the preparation of a connection, which must not be made anew by itself.
-
-        One that was let in and gets no answer is given up in time for another one: nobody may ever serve it.
-        """
-
         def recover(error: RobotError, deadline: float) -> None:
             if isinstance(error, ConnectionLostError):
                 raise error
@@ -246,10 +272,7 @@ def read_angles(reply: object) -> Array:
 
 
 def wire_angles(position: Array) -> list[float]:
-    """Degrees (n,) that the client turns into the nearest hundredth, inside its own limits.
-
-    The client truncates ``int(100 * angle)``; a quarter of a hundredth more makes that exact.
-    """
+    """Degrees (n,) that the client, which truncates, turns into the nearest hundredth inside its limits."""
     hundredths = np.round(np.degrees(position) * 100.0)
     degrees = (hundredths + 0.25 * np.sign(hundredths)) / 100.0
     return [float(value) for value in np.clip(degrees, LOWEST_DEG, HIGHEST_DEG)]

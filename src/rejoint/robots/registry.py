@@ -1,23 +1,173 @@
-"""The one list of robot families: ours, and those that other packages bring by an entry point.
-
-A package brings one with ``[project.entry-points."rejoint.robots"]`` and ``SCHEME = "MODULE:FAMILY"``. Entry points are
-looked at where a scheme is none of ours, or where all forms are listed: what nobody asked for is not imported.
-"""
+"""The families that come with this package; what opens their robots is imported when one is opened."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from importlib.metadata import EntryPoint, entry_points
 from traceback import walk_tb
 from typing import Any
 
-from rejoint.robots import own
-from rejoint.robots.family import Family, Place
-from rejoint.system.errors import AddressError, first_line
+from rejoint.arms import CATALOGUE, Arm
+from rejoint.arms.inertia import bare
+from rejoint.control.robot import Robot
+from rejoint.robots.bus import Bus
+from rejoint.robots.busrobot import bus_family
+from rejoint.robots.family import (
+    DEFAULT_ARM,
+    Family,
+    Opening,
+    Place,
+    SerialAddress,
+    TcpAddress,
+    serial_address,
+    tcp_address,
+)
+from rejoint.robots.feetech.gains import FORM, KNOBS, FeetechAddress, Gains, feetech_address, read_gains
+from rejoint.system.errors import AddressError, InputError, first_line
+
+SIMULATOR = "mujoco"
+"""Module that emulated arms need."""
+# TCP port of the vendor's server on a myCobot
+_PORT = 9000
+# [1/s] of the serial port on a myCobot's Raspberry Pi (vendor's manual); the M5 version needs 115200
+_BAUD = 1_000_000
+# [s] shortest cycle of control and feedback that the vendor of the myCobot names (its FAQ)
+_MYCOBOT_PERIOD = (0.050, 0.050)
+_FEETECH_ARM = "so101"
+# [s] 50 Hz (chosen)
+_FEETECH_PERIOD = (0.020, 0.020)
+# [s] Park et al. 2024 name 20 ms; the wire adds up to half of it (chosen)
+_EMULATED_PERIOD = (0.020, 0.030)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EmulatedAddress:
+    """An arm that is emulated in this process."""
+
+    profile: str
+    """of its wear"""
+    payload: float = 0.0
+    """[kg] that its hand really carries, whatever anybody was told"""
+    gains: Gains = field(default_factory=dict)
+    """of its servos, where they are not as sold"""
+
+    @property
+    def text(self) -> str:
+        """The address of the same arm with an empty hand, whatever its gains."""
+        return f"emulated:{self.profile}"
+
+
+def _profile(text: str) -> EmulatedAddress:
+    detail = text.partition(":")[2]
+    if not detail or detail.startswith("//"):
+        raise ValueError("not of the form emulated:PROFILE")
+    base, _, query = detail.partition("?")
+    parts = query.split("&") if query else []
+    keys = [part.partition("=")[0] for part in parts]
+    rest = "&".join(part for part, key in zip(parts, keys, strict=True) if key not in ("payload", *KNOBS))
+    given = {key: part.partition("=")[2] for part, key in zip(parts, keys, strict=True)}
+    gains = read_gains({key: text for key, text in given.items() if key in KNOBS})
+    return EmulatedAddress(profile=f"{base}?{rest}" if rest else base, payload=_payload(given), gains=gains)
+
+
+def _payload(given: Mapping[str, str]) -> float:
+    """Read the mass [kg] in the hand from the options of an address; ValueError for what is none."""
+    text = given.get("payload", "0")
+    try:
+        payload = float(text)
+    except ValueError:
+        payload = -1.0
+    if not 0.0 <= payload < 100.0:
+        raise ValueError(f"a payload is a mass in kg, such as payload=0.1, got {f'payload={text}'!r}")
+    return payload
+
+
+def _profile_arm(address: EmulatedAddress) -> str:
+    """Name of the arm that a wear profile describes, as ``so101``; most scale with any arm."""
+    from rejoint.robots.lab.plant.wear import wear_arm
+
+    return wear_arm(address.profile) or DEFAULT_ARM
+
+
+def _emulated(place: Place[EmulatedAddress], opening: Opening) -> Robot:
+    from rejoint.robots.emulated import EmulatedRobot
+    from rejoint.robots.lab.plant.wear import load_wear
+
+    # What was told of the hand is a description: of it only where the tip is becomes true by being told.
+    true = bare(opening.arm)
+    bodies = None if true is opening.arm else [replace(true, tip=opening.arm.tip)] * opening.count
+    return EmulatedRobot(
+        opening.arm, [load_wear(place.detail.profile, true)] * opening.count, address=place.text, seed=opening.seed,
+        period=opening.period, threads=opening.threads, payload=place.detail.payload, bodies=bodies,
+        gains=place.detail.gains,
+    )  # fmt: skip
+
+
+def _has_gains(arm: Arm) -> bool:
+    from rejoint.robots.lab.plant.servo import has_these_servos
+
+    return has_these_servos(arm)
+
+
+def unloaded(address: str) -> str:
+    """Return the address of an emulated arm without what it carries: it is the same arm; others as they are."""
+    return _profile(address).text if address.startswith("emulated:") else address
+
+
+def _mycobot(address: TcpAddress | SerialAddress, arm: Arm) -> Bus:
+    from rejoint.robots.mycobot import MyCobotBus
+
+    _require_kind(arm, DEFAULT_ARM, "tcp: and serial:")
+    return MyCobotBus(address, arm)
+
+
+def _feetech(address: FeetechAddress, arm: Arm) -> Bus:
+    from rejoint.robots.feetech.bus import FeetechBus
+
+    _require_kind(arm, _FEETECH_ARM, "feetech:")
+    return FeetechBus(address, arm)
+
+
+def _require_kind(arm: Arm, kind: str, schemes: str) -> None:
+    """Raise InputError for an arm of the catalogue that is never behind such addresses.
+
+    The guard would judge by its links.
+    """
+    if arm.name in CATALOGUE and arm.name != kind:
+        raise InputError(
+            f"at {schemes} addresses there are arms of the kind {kind}, and this is about a {arm.name}; check the "
+            "address, and whose run it is"
+        )
+
+
+EMULATED = Family(
+    scheme="emulated", form="emulated:PROFILE", parse=_profile,
+    connect=_emulated, default_arm=_profile_arm, default_period=_EMULATED_PERIOD, virtual=True, tunable=_has_gains,
+    needs=(SIMULATOR,),
+)  # fmt: skip
+MYCOBOT_TCP = bus_family(
+    _mycobot, scheme="tcp", form="tcp://HOST:PORT", parse=lambda text: tcp_address(text, port=_PORT),
+    default_period=_MYCOBOT_PERIOD,
+)  # fmt: skip
+MYCOBOT_SERIAL = bus_family(
+    _mycobot, scheme="serial", form="serial:///dev/DEVICE", parse=lambda text: serial_address(text, baud=_BAUD),
+    default_period=_MYCOBOT_PERIOD,
+)  # fmt: skip
+FEETECH = bus_family(
+    _feetech, scheme="feetech", form=FORM, parse=feetech_address,
+    default_arm=_FEETECH_ARM, default_period=_FEETECH_PERIOD, tunable=True,
+    needs=("feetech",),
+)  # fmt: skip
+
+FAMILIES: tuple[Family[Any], ...] = (EMULATED, MYCOBOT_TCP, MYCOBOT_SERIAL, FEETECH)
+"""To add one that comes with the package: a module with a `Family`, and its name here"""
+
 
 GROUP = "rejoint.robots"
 """Entry points that name a `Family`"""
 
-_OWN: dict[str, Family[Any]] = {family.scheme: family for family in own.FAMILIES}
+_OWN: dict[str, Family[Any]] = {family.scheme: family for family in FAMILIES}
 
 
 def place_of(text: str) -> Place[Any]:
@@ -37,6 +187,8 @@ def forms() -> str:
     """List the forms of address of all families, then the packages whose families cannot be used, each with why."""
     found, refused = list(_OWN.values()), []
     for point in entry_points(group=GROUP):
+        if point.name in _OWN:
+            continue
         try:
             found.append(_load(point))
         except AddressError as error:
@@ -62,13 +214,8 @@ def _family(scheme: str) -> Family[Any] | None:
 
 
 def _load(point: EntryPoint) -> Family[Any]:
-    """Import a family; AddressError that names its package where it cannot be used or its scheme is taken."""
+    """Import a family; AddressError that names its package where it cannot be used."""
     who = f"{_package(point)} (entry point {point.name} = {point.value})"
-    if point.name in _OWN:
-        raise AddressError(f"{who} is refused: {point.name}: is one of rejoint's own schemes; it needs another")
-    others = [_package(other) for other in entry_points(group=GROUP, name=point.name) if other != point]
-    if others:
-        raise AddressError(f"{who} is refused: {', '.join(others)} brings {point.name}: as well; remove one of them")
     try:
         family = point.load()
     except Exception as error:  # whatever another package does wrong is named as its own

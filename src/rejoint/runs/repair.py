@@ -1,25 +1,47 @@
-"""The whole chain: diagnosis, twin, policy, comparison and report, going on where it was interrupted."""
+"""The whole chain: diagnosis, twin, policy, comparison and report.
+
+Each stage is done where its file is not there yet.
+"""
 
 from __future__ import annotations
 
+import logging
+import shutil
+import time
 from collections.abc import Callable
 from contextlib import closing, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, TypeVar, cast, get_args
 
+import numpy as np
+
+from rejoint.arms import Arm
+from rejoint.control.catalogue import ON_REQUEST
 from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import Comparison
-from rejoint.control.comparison.targets import draw_targets
+from rejoint.control.observer import Observer, Observers, StageObserver, pacing
+from rejoint.control.targets import draw_targets
+from rejoint.logs.runfolder.effort import StageCost, add
+from rejoint.logs.runfolder.folder import Kept, RunFolder
+from rejoint.logs.runlog import RunLog, read_log
 from rejoint.robots import place_of
-from rejoint.runs.chain import Chain, OnStage, StageName, stages_of, there
-from rejoint.runs.given import (
+from rejoint.runs.history import summarise
+from rejoint.runs.run import Run, exclusive, finish, is_finished, newest_or_new, require_same_pace
+from rejoint.runs.stages.calibrate import calibrate
+from rejoint.runs.stages.compare import Compared, ComparisonJob, TrialPlan, comparison_job
+from rejoint.runs.stages.diagnose import Diagnosed, diagnose
+from rejoint.runs.stages.gains import gains
+from rejoint.runs.stages.identify import identify
+from rejoint.runs.stages.report import report
+from rejoint.runs.stages.train import train
+from rejoint.session.controllers import Controllers, any_geared, listed, require_possible
+from rejoint.session.inputs import (
     FIRST_ROBOT,
     NO_GAUGE,
     ArmLike,
     GaugeLike,
-    Live,
     Period,
     RobotLike,
     RunLike,
@@ -31,29 +53,192 @@ from rejoint.runs.given import (
     period_of,
     run_about,
 )
-from rejoint.runs.history.summary import summarise
-from rejoint.runs.run import Run, exclusive, finish, newest_or_new, require_same_pace
-from rejoint.runs.stages.again import keep_what_holds
-from rejoint.runs.stages.calibrate import calibrate
-from rejoint.runs.stages.compare import comparison_job
-from rejoint.runs.stages.comparing import Compared, ComparisonJob
-from rejoint.runs.stages.controllers import Controllers, listed, require_possible
-from rejoint.runs.stages.diagnose import diagnose
-from rejoint.runs.stages.early import EarlyTrials
-from rejoint.runs.stages.gains import gains
-from rejoint.runs.stages.identify import identify
-from rejoint.runs.stages.report import report
-from rejoint.runs.stages.train import train
+from rejoint.session.settings import Settings
+from rejoint.system.errors import FileError
 from rejoint.system.extras import require
+from rejoint.system.files import read_json, write_json, write_whole
 from rejoint.system.numbers import as_seed
-from rejoint.system.progress import Progress, no_progress, paced
+from rejoint.system.progress import Progress
+from rejoint.system.shell import give_back
 
 if TYPE_CHECKING:
     from rejoint.arms import Arm
     from rejoint.control.policy import Policy
+    from rejoint.diagnosis.calibration.camera.filming import CameraGauge
+    from rejoint.diagnosis.calibration.procedure import Gauge
     from rejoint.diagnosis.diagnosis import Diagnosis
+    from rejoint.runs.stages.helper import HelperProcess
     from rejoint.training.presets import Preset
     from rejoint.twin.twin import Twin
+
+
+Found = TypeVar("Found")
+
+StageName = Literal["diagnose", "calibrate", "identify", "gains", "train", "compare", "report"]
+STAGES: tuple[StageName, ...] = get_args(StageName)
+MOVING: tuple[StageName, ...] = ("diagnose", "calibrate", "gains", "compare")
+"""Stages in which the arm moves"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Stage:
+    """How a stage of a repair stands."""
+
+    name: StageName
+    state: Literal["started", "kept", "done"]
+    """kept: an earlier call has done it, as it was asked for then"""
+    file: Path
+    """by which the stage counts as done"""
+    number: int
+    """its place among the stages of this repair, from 1"""
+    total: int
+    """number of them"""
+    why: str = ""
+    """it is kept, where not for being done already"""
+    result: object = None
+    """what the function of the same name returned; of what is kept, diagnosis and comparison only"""
+
+
+def there(found: Found | None) -> Found:
+    """Return what a finished run has found; FileError if its file was removed since."""
+    if found is None:
+        raise FileError("run folder", "a file of a finished repair is missing", "repair again")
+    return found
+
+
+def stages_of(
+    robot: RobotLike, arm: Arm, files: RunFolder, *, controllers: Controllers = (), gauge: GaugeLike | None = None,
+    quick: bool = False,
+) -> dict[StageName, Path]:  # fmt: skip
+    """Name the stages of a repair in their order, each with the file by which it counts as done."""
+    places = (
+        files.diagnosis, files.calibration, files.twin, files.gains, files.policy, files.comparison, files.report,
+    )  # fmt: skip
+    found: dict[StageName, Path] = dict(zip(STAGES, places, strict=True))
+    if gauge == NO_GAUGE or (gauge is None and not is_batchable(robot)):
+        del found["calibrate"]
+    rivals = not controllers and not quick
+    if not (isinstance(robot, str) and place_of(robot).tunable(arm) and (rivals or any_geared(controllers))):
+        del found["gains"]
+    return found
+
+
+class Chain:
+    """Stages that are done only where their file is not there yet; the report is always written again."""
+
+    def __init__(self, run: Run, files: dict[StageName, Path], observer: Observer, *, only: StageName | None) -> None:
+        self.run, self._files, self.observer = run, files, observer
+        self._only, self.why = only, ""
+        """a stage to do alone; why twin and policy are those of an earlier repair"""
+
+    def does(self, *names: StageName) -> bool:
+        """Tell whether these stages are all to be done in this call."""
+        return self._only is None and not any(self._files[name].exists() for name in names)
+
+    def do(self, name: StageName, work: Callable[[Observer], object]) -> None:
+        """Do a stage, or say that it is done already."""
+        if name not in self._files or self._only not in (None, name):
+            return
+        number, total = list(self._files).index(name), len(self._files)
+        stage = Stage(name=name, state="started", file=self._files[name], number=number + 1, total=total)
+        if name != "report" and stage.file.exists():
+            why = self.why if name in ("identify", "gains", "train") else ""
+            self.observer.stage(replace(stage, state="kept", result=self._kept(name), why=why))
+            return
+        self.observer.stage(stage)
+        begun = time.monotonic()
+        share = (number / total, (number + 1) / total) if self._only is None else (0.0, 1.0)
+        try:
+            result = work(StageObserver(self.observer, *share))
+        finally:
+            add(self.run.folder, StageCost(name=name, wall=time.monotonic() - begun))
+            give_back()
+        self.observer.stage(replace(stage, state="done", result=result))
+
+    def _kept(self, name: StageName) -> object:
+        if name == "diagnose":
+            return Diagnosed(diagnosis=there(self.run.diagnosis))
+        if name == "compare":
+            comparison = there(self.run.comparison)
+            return Compared(comparison=comparison, recommendation=recommend(comparison))
+        return None
+
+
+WORSE = 2.0
+"""times its own error up to which a twin still holds (chosen: unchanged arms come to 1.0 to 1.8, after 400 h of hard
+work to 2.9 to 13: `python -m benchmarks again`)"""
+WINDOW = 6.0
+"""[s] of motion that is predicted at a time (as in an identification)"""
+
+_LOGGER = logging.getLogger("rejoint")
+
+
+def keep_what_holds(run: Run, preset: str) -> Kept | None:
+    """Take twin and policy of the last repair over into ``run``, freshly diagnosed, where they still hold.
+
+    Else None.
+    """
+    if run.folder.twin.exists() or not run.folder.log("excitation").exists():
+        return None
+    try:
+        last = last_repair(run)
+        why = None if last is None else still_holds(run, last, preset)
+    except FileError as error:
+        _LOGGER.warning("nothing is kept of the last repair: %s", error)
+        return None
+    if last is not None and why is not None:
+        _take_over(run, last, why)
+    return why
+
+
+def last_repair(run: Run) -> Run | None:
+    """Return the newest finished repair of the same robot and arm beside ``run``; None where there is none."""
+    found = []
+    for path in run.path.parent.glob("*/run.json"):
+        folder = RunFolder(path.parent)
+        files = (folder.diagnosis, folder.twin, folder.policy, folder.outputs.curves)
+        if folder.path == run.path or folder.quick.exists() or not all(file.exists() for file in files):
+            continue
+        other = Run.open(folder.path)
+        if other.is_of(run.robot, run.arm) and is_finished(folder):
+            found.append(other)
+    return max(found, key=lambda other: other.info.created, default=None)
+
+
+def still_holds(run: Run, last: Run, preset: str) -> Kept | None:
+    """Judge the twin of ``last`` by the excitation of ``run``.
+
+    None where arm, servo gains or ``preset`` have changed.
+    """
+    twin, policy, now, before = last.twin, last.policy, run.diagnosis, last.diagnosis
+    if twin is None or policy is None or now is None or before is None:
+        return None
+    if now.servo_gains != before.servo_gains or policy.contract.preset != preset:
+        return None
+    error, fitted = twin_error(run.arm, twin, read_log(run.folder.log("excitation"))), twin.held_out.twin.tcp
+    if error > WORSE * fitted:
+        return None
+    since = read_json(last.folder.kept, Kept).since if last.folder.kept.exists() else last.info.created
+    return Kept(run=str(last.path), since=since, error=error, fitted=fitted)
+
+
+def twin_error(arm: Arm, twin: Twin, log: RunLog) -> float:
+    """Root mean square error [m] of the tool that the twin predicts for a log."""
+    from rejoint.twin.judgement import prediction_error
+    from rejoint.twin.replay import Replay, cut
+
+    replay = Replay(arm, [log], cut([log], WINDOW), stiction=twin.stiction, acceleration=twin.acceleration)
+    predicted = np.concatenate(replay.predict(twin.parameters.repeat(1)), axis=1)[0]
+    return prediction_error(arm, predicted, np.concatenate(replay.measured())).tcp
+
+
+def _take_over(run: Run, last: Run, why: Kept) -> None:
+    shutil.copytree(last.folder.outputs.folder, run.folder.outputs.folder, dirs_exist_ok=True)
+    write_json(run.folder.kept, why)
+    ours, theirs = run.folder, last.folder
+    for source, target in ((theirs.twin, ours.twin), (theirs.gains, ours.gains), (theirs.policy, ours.policy)):
+        if source.exists():
+            write_whole(target, partial(shutil.copyfile, source))
 
 
 QUICK_TARGETS = 3
@@ -98,27 +283,36 @@ class Repaired:
         return self.run.folder.report
 
 
-@paced
+@dataclass(frozen=True, kw_only=True)
+class RepairPlan:
+    """What a repair does, where it is not the usual."""
+
+    preset: str | Preset = "default"
+    """recipe of the training: ``default``, ``scratch`` (from random weights), ``paper`` (the literal method), or your
+    own"""
+    controllers: Controllers = ()
+    """as for `compare`; none given: as there, without the paper's PIDs"""
+    targets: Targets | None = None
+    """as for `compare`"""
+    trials: TrialPlan | None = None
+    """as for `compare`; None: 3 sets and 2 repetitions for an emulated arm, 1 and 1 for a real one"""
+    fresh: bool | None = None
+    """fit and train even where twin and policy of the last repair still hold; None: only for an emulated arm"""
+    gauge: GaugeLike | None = None
+    """what measures the tool, as for `calibrate`, or ``none``; None: an emulated arm tells by itself, a real one is not
+    calibrated"""
+
+
 def repair(
     robot: RobotLike = FIRST_ROBOT,
     *,
     run: RunLike | None = None,
     arm: ArmLike | None = None,
-    preset: str | Preset = "default",
-    controllers: Controllers = (),
-    targets: Targets | None = None,
-    sets: int | None = None,
-    repetitions: int | None = None,
-    period: Period | None = None,
-    seed: int | None = None,
-    full: bool = False,
     quick: bool = False,
-    afresh: bool | None = None,
-    gauge: GaugeLike | None = None,
-    on_progress: Progress = no_progress,
-    on_stage: OnStage | None = None,
+    plan: RepairPlan | None = None,
     only: StageName | None = None,
-    live: Live | None = None,
+    settings: Settings | None = None,
+    observer: Observer | None = None,
 ) -> Repaired:
     """Diagnose an arm, fit its twin, train a policy, compare every controller on the arm, and write the report.
 
@@ -133,38 +327,17 @@ def repair(
         run, or its folder; by default below ``runs/``: the newest of this robot if it was interrupted, else a new one
     arm
         arm, name or file (`load_arm` cuts one out of a URDF); by default what the address names, else a myCobot 280
-    preset
-        recipe of the training: ``default``, ``scratch`` (from random weights), ``paper`` (the literal method), or one
-        of your own
-    controllers
-        as for `compare`; none given: as there, without the paper's PIDs
-    targets
-        as for `compare`
-    period
-        as for `compare`
-    sets, repetitions
-        as for `compare`; by default 3 and 2 for an emulated arm, at most 1 and 1 for a real one
-    full
-        as for `compare`
-    seed
-        of everything random; by default that of the run, else 0
     quick
         do little of everything, to see in a minute whether all of it works; no result
-    afresh
-        fit a twin and train a policy even where those of the last repair of this arm, in the folder beside, still hold:
-        the twin predicts the new excitation, and the servos have the gains of then. By default an emulated arm's always
-        are made afresh, since the same seeds are to give the same results
-    gauge
-        what measures the tool, as for `calibrate`, or ``none``: nothing is measured, and nothing corrected; by default
-        an emulated arm tells by itself, and a real one is not calibrated
-    on_progress
-        called with the share that is done, each of the stages counting the same, and what is being done
-    on_stage
-        called when a stage starts and when it is done, with its result
+    plan
+        recipe, controllers, targets, what measures the tool
     only
         do this one stage and no other: for who has the stages done by several computers, in their order
-    live
-        shows the arm meanwhile: a `LiveView`
+    settings
+        control period and seed
+    observer
+        receives each stage when it starts and when it is done, with its result, and progress, each of the stages
+        counting the same
 
     Returns
     -------
@@ -188,64 +361,80 @@ def repair(
     """
     if only is None:
         require("rejoint repair", "train", "report")
-    chosen = run.arm if isinstance(run, Run) else arm_of(robot, arm)
-    controllers = listed(controllers)
-    _require_possible(robot, chosen, preset, controllers, targets, period)
-    folder = newest_or_new(address_of(robot), chosen, as_seed(seed))[0] if run is None else run
-    about = run_about(folder, address_of(robot), chosen, seed)
+    what, chosen = plan or RepairPlan(), settings or Settings()
+    built = run.arm if isinstance(run, Run) else arm_of(robot, arm)
+    controllers = listed(what.controllers)
+    _require_possible(robot, built, what, controllers, chosen.period)
+    folder = newest_or_new(address_of(robot), built, as_seed(chosen.seed))[0] if run is None else run
+    about = run_about(folder, address_of(robot), built, chosen.seed)
     assert about is not None  # noqa: S101 - for the type checker; a folder was given
     require_same_pace(about, quick=quick)
-    emulated = is_batchable(robot)
-    meter = None if gauge == NO_GAUGE else gauge
-    files = stages_of(robot, chosen, about.folder, controllers=controllers, gauge=gauge, quick=quick)
-    chain = Chain(about.begin(), files, on_stage, on_progress, only=only)
+    with pacing(observer) as update:
+        watching = _Paced(observer or Observer(), update)
+        files = stages_of(robot, built, about.folder, controllers=controllers, gauge=what.gauge, quick=quick)
+        chain = Chain(about.begin(), files, watching, only=only)
+        _do_stages(chain, robot, what, controllers, chosen, quick=quick)
     found = chain.run
-    chain.do("diagnose", lambda update: diagnose(
-        robot, run=found, period=period, quick=quick, on_progress=update, live=live,
-    ))  # fmt: skip
-    chain.do("calibrate", lambda update: calibrate(
-        robot, run=found, gauge=meter, period=period, on_progress=update, live=live,
-    ))  # fmt: skip
-    if not (quick or (emulated if afresh is None else afresh)) and isinstance(preset, str):
-        chain.why = str(keep_what_holds(found, preset) or "")
-    chain.do("identify", lambda update: identify(run=found, quick=quick, on_progress=update))
-    chain.do("gains", lambda update: gains(robot, found, period=period, on_progress=update, live=live))
-    few = (1, 1) if quick else (3, 2) if emulated else (None, None)
-    if quick and targets is None:
-        targets = draw_targets(found.arm, sets=1, count=QUICK_TARGETS, seed=found.seed)
-    job = partial(
-        comparison_job, robot, controllers, targets, run=found, arm=found.arm, seed=found.seed,
-        sets=few[0] if sets is None else sets, repetitions=few[1] if repetitions is None else repetitions,
-        full=full, paper=False, period=period,
-        calibration=NO_GAUGE if gauge == NO_GAUGE else None, directions=emulated and not quick, live=live,
-    )  # fmt: skip
-    both = only is None and not (files["train"].exists() or files["compare"].exists())
-    ahead = job().begin_ahead() if emulated and both and not controllers else None  # what needs no policy
-    with nullcontext() if ahead is None else closing(ahead):
-        chain.do("train", lambda update: train(run=found, preset=preset, quick=quick, on_progress=update))
-        chain.do("compare", lambda update: _compare(job, found, update, ahead))
-    chain.do("report", lambda _: report(found))
     if only in (None, "report"):
         finish(found)
         summarise(found)
     return Repaired(run=found)
 
 
-def _require_possible(
-    robot: RobotLike, arm: Arm, preset: str | Preset, controllers: Controllers, targets: Targets | None,
-    period: Period | None,
+class _Paced(Observers):
+    def __init__(self, observer: Observer, update: Progress) -> None:
+        super().__init__(observer)
+        self.progress = update  # type: ignore[assignment, method-assign]
+
+
+def _do_stages(
+    chain: Chain, robot: RobotLike, plan: RepairPlan, controllers: Controllers, settings: Settings, *, quick: bool,
 ) -> None:  # fmt: skip
-    """Refuse now what no stage could do: it would be found out after the arm has moved, and the policy is trained."""
-    if isinstance(preset, str):
+    found, emulated, targets = chain.run, is_batchable(robot), plan.targets
+    no_gauge = plan.gauge == NO_GAUGE
+    meter = cast("Gauge | CameraGauge | None", None if no_gauge else plan.gauge)
+    chain.do("diagnose", lambda watch: diagnose(robot, run=found, quick=quick, settings=settings, observer=watch))
+    chain.do("calibrate", lambda watch: calibrate(robot, run=found, gauge=meter, settings=settings, observer=watch))
+    fresh = quick or (emulated if plan.fresh is None else plan.fresh)
+    if not fresh and isinstance(plan.preset, str):
+        chain.why = str(keep_what_holds(found, plan.preset) or "")
+    chain.do("identify", lambda watch: identify(run=found, quick=quick, observer=watch))
+    chain.do("gains", lambda watch: gains(robot, found, settings=settings, observer=watch))
+    few = (1, 1) if quick else (3, 2) if emulated else (None, None)
+    trials = plan.trials or TrialPlan()
+    trials = replace(
+        trials, sets=few[0] if trials.sets is None else trials.sets, directions=emulated and not quick,
+        repetitions=few[1] if trials.repetitions is None else trials.repetitions,
+    )  # fmt: skip
+    if quick and targets is None:
+        targets = draw_targets(found.arm, sets=1, count=QUICK_TARGETS, seed=found.seed)
+    compared = replace(settings, calibration=NO_GAUGE) if no_gauge else settings
+
+    def job(watch: Observer) -> ComparisonJob:
+        wanted = comparison_job(
+            robot, controllers, targets, run=found, arm=found.arm, plan=trials, settings=compared, observer=watch
+        )
+        return wanted if controllers else wanted.without(ON_REQUEST)
+
+    ahead = job(Observer()).begin_ahead() if chain.does("train", "compare") and emulated and not controllers else None
+    with nullcontext() if ahead is None else closing(ahead):
+        chain.do("train", lambda watch: train(run=found, preset=plan.preset, quick=quick, observer=watch))
+        chain.do("compare", lambda watch: _compare(job(watch), found, watch, ahead))
+    chain.do("report", lambda _: report(found))
+
+
+def _require_possible(
+    robot: RobotLike, arm: Arm, plan: RepairPlan, controllers: Controllers, period: Period | None
+) -> None:
+    if isinstance(plan.preset, str):
         from rejoint.training.presets import load_preset  # late: a process that only moves arms trains nothing
 
-        load_preset(preset)
-    turns = None if targets is None else as_targets(targets, arm, sets=1, seed=0)[1]
+        load_preset(plan.preset)
+    turns = None if plan.targets is None else as_targets(plan.targets, arm, sets=1, seed=0)[1]
     tunable = isinstance(robot, str) and place_of(robot).tunable(arm)
     require_possible(controllers, arm, period_of(robot, period), tunable=tunable, posed=turns is not None)
 
 
-def _compare(job: Callable[[], ComparisonJob], run: Run, on_progress: Progress, ahead: EarlyTrials | None) -> Compared:
-    """Compare, alone in the run folder; what was driven ahead is taken over."""
+def _compare(job: ComparisonJob, run: Run, observer: Observer, ahead: HelperProcess | None) -> Compared:
     with exclusive(run):
-        return job().drive(on_progress, ahead)
+        return job.drive(observer.progress, ahead)

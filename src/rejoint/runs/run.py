@@ -10,20 +10,26 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rejoint.arms import CATALOGUE, Arm, differing, load_arm, write_arm_toml
-from rejoint.arms.loaded import bare
+import numpy as np
+
+from rejoint.arms import CATALOGUE, Arm, Array, differing, load_arm, write_arm_toml
+from rejoint.arms.inertia import bare
 from rejoint.control.comparison.result import Comparison
+from rejoint.control.robot import JointState, Mask, Robot
+from rejoint.logs.runfolder.effort import StageCost, add
 from rejoint.logs.runfolder.folder import FORMAT, LOGS, RunFolder, RunInfo, locked, read_info
 from rejoint.logs.runlog import RunLog, read_log
+from rejoint.robots.wrapper import RobotWrapper
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import TOML_MOST, UNFINISHED, digest, read_bounded, read_json, write_json
 from rejoint.system.numbers import as_seed
-from rejoint.system.version import __version__
+from rejoint.system.shell import __version__
 
-if TYPE_CHECKING:  # slow to import, and not needed to open a run
+if TYPE_CHECKING:
     from rejoint.control.policy import Policy
     from rejoint.diagnosis.diagnosis import Diagnosis
     from rejoint.twin.twin import Twin
+
 
 RUNS = Path("runs")
 """Where run folders are made, in the folder one stands in."""
@@ -78,16 +84,16 @@ class Run:
 
     @classmethod
     def create(cls, path: Path | str, robot: str, arm: Arm, seed: int = 0) -> Run:
-        """Make the run folder at ``path``, or open it if it is one of this robot, arm and seed already.
+        """Make the run folder at ``path``, or open it.
 
-        InputError if it belongs to another robot, arm or seed, or holds other files.
+        InputError if it is of another robot, arm or seed, or holds other files.
         """
         return cls.plan(path, robot, arm, seed).begin()
 
     def begin(self) -> Run:
-        """Write what the run is about, if that is not done yet, or was removed meanwhile.
+        """Write what the run is about, if that is not done yet.
 
-        FileError where the folder has become that of another run: what is written there would be taken for that one's.
+        FileError where the folder has become that of another run.
         """
         if self.folder.info.exists():
             there = read_info(self.folder.info)
@@ -179,10 +185,9 @@ def newest_or_new(robot: str, arm: Arm, seed: int) -> tuple[Path, bool]:
 
 
 def newest_or_new_in(home: Path, robot: str, arm: Arm) -> tuple[Path, bool]:
-    """Find the newest of the numbered run folders in ``home`` if it was interrupted, else a new one.
+    """Find the newest numbered run folder of this robot and arm in ``home`` if it was interrupted, else a new one.
 
-    A new one as well where that is of another robot, or the description of the arm has changed since. Returns the path
-    and whether it is to be resumed.
+    Returns the path and whether it is to be resumed.
     """
     numbers = sorted(int(p.name) for p in home.glob("*") if p.name.isdecimal()) if home.is_dir() else []
     last = numbers[-1] if numbers else 0
@@ -193,10 +198,7 @@ def newest_or_new_in(home: Path, robot: str, arm: Arm) -> tuple[Path, bool]:
 
 
 def is_of_another(folder: RunFolder, robot: str, arm: Arm) -> bool:
-    """Tell whether a run is of another robot, or of the arm as it was described before.
-
-    What cannot be read is not: whoever goes on in that folder says what is wrong with it.
-    """
+    """Tell whether a run is of another robot, or of the arm as described before; False for what cannot be read."""
     try:
         return folder.info.exists() and not Run.open(folder.path).is_of(robot, arm)
     except FileError:
@@ -204,10 +206,7 @@ def is_of_another(folder: RunFolder, robot: str, arm: Arm) -> bool:
 
 
 def is_finished(folder: RunFolder) -> bool:
-    """Tell whether a run has come to its end: `repair` said so, or every stage and a report of them are there.
-
-    A report alone is no end: it can be written at any time. Folders of before `repair` said so need no newer report.
-    """
+    """Tell whether a run is finished: `repair` said so, or all stages and a later report are there."""
     if folder.finished.exists():
         return True
     if not folder.info.exists():
@@ -217,7 +216,7 @@ def is_finished(folder: RunFolder) -> bool:
     stages = (folder.twin, folder.judgement) if info.robot.startswith(LOGS) else driven
     if not all(path.exists() for path in (*stages, folder.report)):
         return False
-    return info.format == 1 or all(path.stat().st_mtime <= folder.report.stat().st_mtime for path in stages)
+    return all(path.stat().st_mtime <= folder.report.stat().st_mtime for path in stages)
 
 
 def mark_quick(run: Run | None, *, quick: bool) -> None:
@@ -254,10 +253,7 @@ def remove_if_empty(run: Run) -> None:
 
 @contextmanager
 def exclusive(run: Run | None) -> Iterator[None]:
-    """Keep other processes out of the run folder during a stage; one that fails leaves no folder it has not begun.
-
-    Nothing happens for None, a stage on data in memory.
-    """
+    """Keep other processes out of the run folder during a stage; one that fails leaves no folder it has not begun."""
     if run is None:
         yield
         return
@@ -271,13 +267,11 @@ def exclusive(run: Run | None) -> Iterator[None]:
 
 
 def _empty(path: Path) -> bool:
-    """Tell whether a folder holds at most what a run begins with."""
     begun = {"run.json", "arm.toml", ".lock"}
     return all(entry.name in begun or entry.name.endswith(UNFINISHED) for entry in path.iterdir())
 
 
 def _digest(folder: RunFolder) -> str:
-    """Fingerprint of the arm's own description."""
     try:
         data = read_bounded(folder.description, TOML_MOST, "take the arm's own description")
     except FileNotFoundError as error:
@@ -285,3 +279,44 @@ def _digest(folder: RunFolder) -> str:
     except OSError as error:
         raise FileError(folder.description, f"cannot be read ({error.strerror})", "allow reading it") from error
     return digest(data).decode()
+
+
+@dataclass(eq=False)
+class Meter:
+    """Counts what the robots that it watches do; arms that move side by side in virtual time cost nothing."""
+
+    moving: float = 0.0
+    travel: float = 0.0
+
+    def watch(self, robot: Robot) -> Robot:
+        """Return the robot as one whose motion is counted."""
+        return _Metered(robot, self) if robot.count == 1 else robot
+
+
+class _Metered(RobotWrapper):
+    def __init__(self, robot: Robot, meter: Meter) -> None:
+        super().__init__(robot)
+        self._meter = meter
+        self._before: tuple[float, Array] | None = None
+
+    def step(self, command: Array, active: Mask | None = None) -> JointState:
+        """Pass the command on."""
+        state = super().step(command, active)
+        now = float(state.time[0]), state.position[0].copy()
+        if self._before is not None:
+            self._meter.moving += max(now[0] - self._before[0], 0.0)
+            turned = np.abs(now[1] - self._before[1])
+            self._meter.travel += float(turned[np.isfinite(turned)].sum())
+        self._before = now
+        return state
+
+
+@contextmanager
+def metered(folder: RunFolder | None, name: str) -> Iterator[Meter]:
+    """Count the motion of a stage, and add it to what the run in ``folder`` has cost, also where the stage fails."""
+    meter = Meter()
+    try:
+        yield meter
+    finally:
+        if folder is not None and meter.moving > 0.0:
+            add(folder, StageCost(name=name, moving=meter.moving, travel=meter.travel))

@@ -1,4 +1,4 @@
-"""What the compiled loops need of the system: a compiler that is not switched off, and a place to keep its work."""
+"""What the compiled loops need of the system: a compiler, and a place to keep its work."""
 
 from __future__ import annotations
 
@@ -20,11 +20,9 @@ def require_compiler() -> None:
 
 
 def explain(error: Exception) -> str | None:
-    """Say in a line what to do where compiled loops can be kept nowhere, or were not kept whole; else return None.
+    """Say in a line what to do where compiled loops cannot be kept, or were kept damaged; else return None.
 
-    Numba does not check what it reads, nor does it wait until the disk has it, so that a loss of power leaves empty
-    files. Those are found where they are first used; the index of their folder is removed here, and so they are
-    compiled anew.
+    Numba neither checks what it reads nor syncs: a damaged index is removed here, and the loops are compiled again.
     """
     if isinstance(error, RuntimeError) and _NO_PLACE in str(error):
         return (
@@ -42,7 +40,7 @@ def explain(error: Exception) -> str | None:
             index.unlink()
         return (
             f"{folder}: compiled loops that were kept there were damaged, as by a loss of power, and are removed; "
-            "the same command compiles them anew"
+            "the same command compiles them again"
         )
     return f"{folder}: compiled loops that are kept there are damaged; delete the files *.nbi there"
 

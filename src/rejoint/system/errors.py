@@ -1,8 +1,6 @@
-"""Errors with names. Each says what was expected, what was found and what to do.
+"""Errors with names and the exit code of the command line.
 
-Every error carries the exit code that the command line ends with: 2 for input that cannot
-be used (a wrong address, a damaged file, a policy for another arm), 3 for a trip of the guard,
-4 for a robot that failed while it was being driven.
+2 unusable input, 3 the guard stopped, 4 the robot failed.
 """
 
 from __future__ import annotations
@@ -84,7 +82,7 @@ class ConnectionLostError(RobotError, ConnectionError):
 
 
 class PowerLostError(ConnectionLostError):
-    """The arm lost its power: nobody but its owner may switch it on again."""
+    """The arm lost its power: only its owner may switch it on again."""
 
 
 class NotReadyError(RobotError):

@@ -1,7 +1,4 @@
-"""What the base installation lacks: which modules each extra of `pyproject.toml` brings, and how to ask for them.
-
-The base installation runs a policy on the arm's own computer. What needs more says so in one line, before it begins.
-"""
+"""What the base installation lacks: which modules each extra of `pyproject.toml` brings, and how to ask for them."""
 
 from __future__ import annotations
 
@@ -13,13 +10,12 @@ from rejoint.system.errors import MissingExtraError
 EXTRAS: dict[str, tuple[str, ...]] = {
     "train": ("mujoco", "torch", "skrl", "gymnasium", "onnx", "tensorboard", "cmaes"),
     "report": ("matplotlib", "jinja2", "PIL"),
-    "logs": ("mcap", "mcap_protobuf", "mcap_ros2", "rosbags", "zstandard"),
-    "camera": ("cv2", "scipy"),
+    "logs": ("mcap", "mcap_protobuf", "mcap_ros2", "rosbags"),
+    "camera": ("cv2", "PIL"),
     "feetech": ("scservo_sdk",),
     "history": ("duckdb",),
-    "gpu": ("warp",),
     "fleet": ("ray",),
-    "live": ("viser",),
+    "live": ("viser", "trimesh", "jinja2"),
 }
 """Modules that this package imports, by the extra that installs them"""
 
@@ -33,10 +29,7 @@ def installed(module: str) -> bool:
 
 
 def require(what: str, *needs: str) -> None:
-    """Refuse (MissingExtraError) ``what``, such as "rejoint train", where something it needs is not installed.
-
-    ``needs`` are extras, or single modules of them.
-    """
+    """Raise MissingExtraError where one of ``needs``, extras or modules, is not installed for ``what``."""
     modules = [module for need in needs for module in EXTRAS.get(need, (need,))]
     missing = [module for module in modules if not installed(module)]
     if missing:
@@ -53,8 +46,11 @@ def explain(error: ImportError) -> str | None:
 def _line(what: str, missing: Iterable[str]) -> str:
     missing = list(missing)
     named = ", ".join(missing[:_NAMED]) + (f" and {len(missing) - _NAMED} more" if len(missing) > _NAMED else "")
-    extras = [extra for extra, modules in EXTRAS.items() if not set(modules).isdisjoint(missing)]
+    extras, left = set(), set(missing)
+    while left:  # the extra that brings most of it, until nothing is missing
+        extras.add(best := max(EXTRAS, key=lambda extra: len(left.intersection(EXTRAS[extra]))))
+        left.difference_update(EXTRAS[best])
     return (
         f"{what} needs more than the base installation (missing: {named}); "
-        f"add it with: pip install 'rejoint[{','.join(extras)}]'"
+        f"add it with: pip install 'rejoint[{','.join(filter(extras.__contains__, EXTRAS))}]'"
     )

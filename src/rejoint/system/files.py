@@ -26,17 +26,16 @@ CHANGED = "damaged (it is not what was written: its digest is another)"
 """What is wrong with a file whose digest is another"""
 
 JSON_MOST = 64 * MEGABYTE
-"""Largest JSON file that is read (chosen: a hundred times the largest that a stage writes)"""
+"""Largest JSON file that is read (chosen)"""
 
 TOML_MOST = 4 * MEGABYTE
-"""Largest TOML file that is read (chosen: the twin of an arm of 60 joints; one of six takes 26 kB)"""
+"""Largest TOML file that is read (chosen)"""
 
 SPACE = 50 * MEGABYTE
-"""Least free space before an arm moves (chosen: a whole run folder takes 5 MB, an hour of an arm's motion 25 MB)"""
+"""Least free space before an arm moves (chosen: a run takes 5 MB)"""
 
 MODEL_MOST = 64 * MEGABYTE
-"""Largest URDF or MJCF file of an arm that is read (chosen: a thousand times what arms take, whose meshes are files of
-their own)"""
+"""Largest URDF or MJCF file of an arm that is read (chosen)"""
 
 UNFINISHED = ".partial"
 """How the name of a file ends that is being written, or whose writer was killed"""
@@ -46,10 +45,7 @@ _DIGEST = re.compile(rb',\n  "digest": "([0-9a-f]{16})"\n}\Z')
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Let ``write`` fill a temporary file beside ``path`` and move it there: all or nothing; FileError if it fails.
-
-    What is there afterwards is on the disk: it survives a loss of power as well.
-    """
+    """Let ``write`` fill a temporary file, sync it and move it to ``path``: all or nothing; FileError if it fails."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=UNFINISHED)
@@ -74,9 +70,9 @@ def unwritable(path: Path, error: OSError) -> FileError:
 
 
 def read_bounded(path: Path, most: int, remedy: str) -> bytes:
-    """Read a file of at most ``most`` bytes; FileError if it is larger or no file, else OSError as it comes.
+    """Read a file of at most ``most`` bytes.
 
-    The size is looked at before anything is read, and a pipe or a device is not even opened: it might never end.
+    FileError if it is larger, a pipe or a device, else OSError as it comes.
     """
     require_file(path, most, remedy)
     with path.open("rb") as file:
@@ -127,9 +123,9 @@ def write_json(path: Path, value: object) -> None:
 
 
 def read_json(path: Path, kind: type[T]) -> T:
-    """Read JSON written by `write_json` as an instance of ``kind``; FileError if it is not one.
+    """Read JSON written by `write_json` as an instance of ``kind``.
 
-    A digest must be that of the text before it. One written by hand needs none.
+    FileError if it is not one, or its digest differs.
     """
     remedy = "delete it and run its stage again"
     try:
@@ -163,10 +159,7 @@ def set_aside(path: Path) -> None:
 
 
 def unused(path: Path) -> Path:
-    """Return ``path``, with a number behind its stem where something is there.
-
-    A name with the time in it may be taken: a clock is set back, or begins anew where none goes on without power.
-    """
+    """Return ``path``, with a number behind its stem where something is there."""
     number, free = 2, path
     while os.path.lexists(free):
         free = path.with_stem(f"{path.stem}-{number}")

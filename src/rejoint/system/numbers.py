@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from rejoint.system.errors import InputError
 
 SHORTEST_PERIOD, LONGEST_PERIOD = 0.001, 1.0
-"""[s] control periods (chosen: a servo bus answers at most a thousand times a second, and what is controlled less than
-once a second was given in milliseconds)"""
+"""[s] control periods (chosen: faster than any servo bus)"""
 FARTHEST = 0.1
 """[m] within which a target or a path counts as reached at most (chosen: more is a number in millimetres)"""
 
@@ -52,11 +51,7 @@ def as_within(what: str, given: object) -> float:
 
 
 def as_floats(what: str, given: object, expected: str = "numbers") -> NDArray[np.float64]:
-    """Return numbers as an array of floats; InputError for text, dates, and rows of different length.
-
-    The error names ``what`` they are and what was ``expected``. A date would become a number of a unit that nobody
-    named.
-    """
+    """Return numbers as an array of floats; InputError for text, dates, and rows of different length."""
     try:
         array = np.asarray(given)
         if array.dtype.kind in "biuf":

@@ -2,9 +2,75 @@
 
 from __future__ import annotations
 
+import ctypes
 import shlex
+import socket
+import sys
+from functools import cache
+from importlib import import_module
+from importlib.metadata import version
+from typing import Any
+
+from rejoint.system.errors import InputError
 
 
 def command(*words: object) -> str:
     """Return ``rejoint`` with ``words`` for a shell: an address may hold an &, the name of a folder blanks."""
     return shlex.join(["rejoint", *map(str, words)])
+
+
+def give_back() -> None:
+    """Give free memory back, where the C library can (glibc): it would keep holes that later stages do not fill."""
+    trim = _trim()
+    if trim is not None:
+        trim(0)
+
+
+@cache
+def _trim() -> Any:  # noqa: ANN401
+    """Return glibc's `malloc_trim`; None where the C library is another one."""
+    try:
+        return ctypes.CDLL(None).malloc_trim if sys.platform == "linux" else None
+    except (OSError, AttributeError):
+        return None
+
+
+class Late:
+    """A module that is imported when it is first used.
+
+    `importlib.util.LazyLoader` is not safe for threads in Python 3.11.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __getattr__(self, attribute: str) -> Any:  # noqa: ANN401
+        value = getattr(import_module(self._name), attribute)
+        setattr(self, attribute, value)  # the next time it is found at once
+        return value
+
+
+BUFFER = 1 << 16
+"""[bytes] that the system may keep for a connection each way: requests ahead, answers that wait (chosen)"""
+
+
+def listen_tcp(host: str, port: int, backlog: int = 1) -> socket.socket:
+    """Listen on a TCP port, 0 for any free one; ``backlog`` clients may wait. InputError if that is not possible."""
+    refusal = f"cannot listen on {host}:{port}"
+    if not 0 <= port <= 65535:
+        raise InputError(f"{refusal}: a port is a number from 0 to 65535")
+    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)  # the vendor's client knows no IPv6
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        for buffer in (socket.SO_RCVBUF, socket.SO_SNDBUF):  # connections inherit them
+            listener.setsockopt(socket.SOL_SOCKET, buffer, BUFFER)
+        listener.bind((host, port))
+        listener.listen(backlog)
+        listener.setblocking(False)
+    except OSError as error:
+        listener.close()
+        raise InputError(f"{refusal} ({error.strerror or error}); choose another host or port") from error
+    return listener
+
+
+__version__ = version("rejoint")

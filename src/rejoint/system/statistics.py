@@ -1,34 +1,30 @@
-"""Numbers with their intervals: the one type for them, quantiles, and intervals for few and dependent trials.
+"""Numbers with their intervals: the one type for them, and intervals for few and dependent trials.
 
-Errors at targets of one set resemble each other, and repetitions of a set even more, so single
-errors must not be counted as independent. Means get a bootstrap that resamples whole clusters
-(Davison and Hinkley, Bootstrap Methods and Their Application, 1997, section 3.8); shares get the
-interval of Wilson (J. Am. Stat. Assoc. 22, 1927) with the number of trials reduced by the design
-effect of the clusters (Kish, Survey Sampling, 1965, section 8.2). Where there are too few clusters for a
-bootstrap, there is no interval.
+Means get a bootstrap that resamples whole clusters (Davison and Hinkley, Bootstrap Methods and Their Application, 1997,
+section 3.8); shares the interval of Wilson (J. Am. Stat. Assoc. 22, 1927) with the trials reduced by the design effect
+(Kish, Survey Sampling, 1965, section 8.2).
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
-from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri, stdtrit
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.intp]
 
 CONFIDENCE = 0.95
-NORMAL95 = NormalDist().inv_cdf((1.0 + CONFIDENCE) / 2.0)
+NORMAL95 = float(ndtri((1.0 + CONFIDENCE) / 2.0))
 """Half width of the interval of a normal distribution, in standard deviations"""
 RESAMPLES = 4000
-"""Bootstrap resamples (chosen: ends of the interval repeat within 2 % of its width)."""
+"""Bootstrap resamples (chosen)."""
 FEWEST_CLUSTERS = 5
-"""Fewer clusters than these are split into the next smaller unit, and of fewer there is no interval: all resamples lie
-between the least and the greatest of n clusters, which hold the median with a chance of 1 - 2^(1 - n), 94 % for 5."""
+"""Fewest clusters of an interval: all resamples of n lie between the least and the greatest, which hold the median with
+a chance of 1 - 2^(1 - n), 94 % for 5."""
 
 
 @dataclass(frozen=True)
@@ -57,33 +53,15 @@ class Spread:
     count: int
 
 
-@lru_cache
 def student95(freedom: int) -> float:
-    """Half width of the interval of Student's t with ``freedom`` degrees, in standard deviations; infinite below 1.
-
-    By bisection of its distribution, which is a finite sum (Abramowitz and Stegun 1964, 26.7.3 and 26.7.4).
-    """
-    if freedom < 1:
-        return math.inf
-    odd = freedom % 2
-    k = np.arange(1, (freedom - odd) // 2)  # terms after the first
-    factors = np.concatenate([[1.0], np.cumprod(2 * k / (2 * k + 1) if odd else (2 * k - 1) / (2 * k))])
-
-    def share(angle: float) -> float:
-        powers = math.cos(angle) ** (odd + 2.0 * np.arange(len(factors)))
-        inside = math.sin(angle) * float(factors @ powers) if freedom > 1 else 0.0
-        return 2.0 / math.pi * (angle + inside) if odd else inside
-
-    low, high = 0.0, math.pi / 2
-    while low < (middle := 0.5 * (low + high)) < high:
-        low, high = (middle, high) if share(middle) < CONFIDENCE else (low, middle)
-    return math.tan(high) * math.sqrt(freedom)
+    """Half width of the interval of Student's t with ``freedom`` degrees, in standard deviations; infinite below 1."""
+    return float(stdtrit(freedom, (1.0 + CONFIDENCE) / 2.0)) if freedom >= 1 else math.inf
 
 
 def cluster(shape: tuple[int, int, int]) -> tuple[str, Labels]:
-    """Choose the clusters of results of shape (S, R, K): target sets, else trials, else single targets.
+    """Choose the clusters of results (S, R, K): target sets, else trials, else targets.
 
-    Returns their name and a label per result, flat in the order of the results.
+    Return their name and flat labels.
     """
     sets, repetitions, targets = shape
     index = np.arange(sets * repetitions * targets)
@@ -95,10 +73,7 @@ def cluster(shape: tuple[int, int, int]) -> tuple[str, Labels]:
 
 
 def bootstrap_mean(values: Array, labels: Labels, *, seed: int = 0, fewest: int = FEWEST_CLUSTERS) -> Estimate:
-    """Mean of ``values`` (N,) and its interval over clusters ``labels`` (N,); NaN values are left out.
-
-    Without interval where fewer than ``fewest`` clusters have a value.
-    """
+    """Mean of ``values`` (N,) with its interval over clusters ``labels`` (N,), if there are at least ``fewest``."""
     known = np.isfinite(values)
     values, labels = values[known], labels[known]
     if len(values) == 0:
@@ -115,7 +90,7 @@ def bootstrap_mean(values: Array, labels: Labels, *, seed: int = 0, fewest: int 
 
 
 def above_zero(estimate: Estimate) -> bool:
-    """Tell whether the whole interval lies above zero; without an interval nobody knows."""
+    """Tell whether the whole interval lies above zero; without an interval it is unknown."""
     return estimate.low is not None and estimate.low > 0.0
 
 
@@ -155,7 +130,6 @@ def clustered_share(hits: Array, labels: Labels) -> Estimate:
 
 
 def _design_effect(hits: Array, labels: Labels) -> float:
-    """By how much the clusters widen the variance of the mean; at least 1."""
     share, (_, groups) = hits.mean(), np.unique(labels, return_inverse=True)
     sums, counts = np.bincount(groups, weights=hits), np.bincount(groups)
     clusters = len(counts)

@@ -1,14 +1,9 @@
-"""Being asked to stop: a signal handler only notes the wish, and whoever drives an arm looks at it.
+"""Being asked to stop: a signal handler only notes the wish, and what drives an arm looks at it.
 
-An exception raised by a handler lands wherever the program happens to be: inside the vendor's client, say, whose bare
-``except`` swallows it while the arm goes on. So while an arm is driven (`noted`) a signal changes nothing but a note;
-the control loop, the link and every wait look at it (`check`, `pause`) and raise `Interrupted` where it is safe. At all
-other times the handler raises it at once, as Python does for Ctrl-C; where that is in the middle of a callback from
-compiled code, which swallows exceptions, the signal is sent once more.
-
-A program that we are a part of may have handlers of its own. They are called as ever, and what they raise while an arm
-is driven waits for the next look as well. asyncio's and the Jupyter kernel's only cancel the task at its next await,
-which a call that drives an arm does not reach: they are taken for Python's own.
+An exception from a handler may land inside the vendor's client, which swallows it. So while an arm is driven (`noted`)
+a signal only sets a note; loop, link and waits look at it (`check`, `pause`) and raise `Interrupted` where it is safe.
+Handlers of the host program are called too; those of asyncio and Jupyter, which only cancel a task, count as Python's
+own.
 """
 
 from __future__ import annotations
@@ -24,14 +19,14 @@ from types import FrameType
 from typing import ClassVar, TypeAlias
 
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
-"""What asks a program to end; nobody can ask SIGKILL to wait."""
+"""What asks a program to end; SIGKILL cannot wait."""
 
+# [s] after which a signal is sent again whose exception was swallowed (chosen: the callback is over by then)
 _AGAIN = 0.1
-"""[s] after which a signal is sent again whose exception was swallowed (chosen: the callback is over by then)"""
+# [s] between two looks at the note during a wait (chosen: a tenth of the usual control period)
 _SLICE = 0.005
-"""[s] between two looks at the note during a wait (chosen: a tenth of the usual control period)"""
+# Modules whose handler of Ctrl-C only cancels a task at its next await
 _CANCELLING = ("asyncio.runners", "ipykernel.ipkernel")
-"""Modules whose handler of Ctrl-C only cancels a task at its next await"""
 
 
 Handler: TypeAlias = "Callable[[int, FrameType | None], object] | int | None"
@@ -56,8 +51,6 @@ class Interrupted(KeyboardInterrupt):
 
 
 class _Note:
-    """What was asked for, by whom, and by how many contexts exceptions are kept back."""
-
     signum = 0
     by = ""
     hosts: BaseException | None = None
@@ -74,8 +67,10 @@ _note = _Note()
 
 
 def install() -> None:
-    """Let this module handle all of `SIGNALS`, except those that whoever started the process ignores, as `nohup`."""
+    """Let this module handle all of `SIGNALS`, except those that the parent process ignores, as `nohup`."""
     _note.raised = None
+    if not _note.noted:
+        _drop()  # a command is not ended by what was asked of one before it
     for signum in SIGNALS:
         if signal.getsignal(signum) != signal.SIG_IGN:
             signal.signal(signum, _handle)
@@ -95,10 +90,7 @@ def close() -> None:
 
 
 def ignore() -> None:
-    """Be deaf to the very end: everything is done and said, and how it went decides the exit code.
-
-    Python takes its own handlers away while it ends, which may take a second, and a signal would be the exit code.
-    """
+    """Ignore signals to the very end: the result decides the exit code."""
     for signum in SIGNALS:
         signal.signal(signum, signal.SIG_IGN)
 
@@ -122,11 +114,7 @@ def check() -> None:
 
 
 def ask(by: str) -> None:
-    """Ask for the end as Ctrl-C does, from any thread; ``by`` says in a few words who asks.
-
-    Where an arm is driven, the wish is noted; elsewhere the main thread is interrupted as by a signal, unless the
-    process hears none: then the next motion ends before it begins.
-    """
+    """Ask for the end as Ctrl-C does, from any thread; ``by`` says in a few words who asks."""
     if not _note.signum:
         _note.by, _note.signum = by, signal.SIGINT
     _note.heard.clear()
@@ -158,11 +146,7 @@ def _drop() -> None:
 
 
 def raise_again() -> None:
-    """Raise once more what was raised and swallowed, as by a library that takes any error for a missing part of it.
-
-    For what a command calls as its work goes on, in the main thread: there it would not if somebody had heard. A
-    program that we are a part of may go on after what it was interrupted in.
-    """
+    """Raise once more, in the main thread, an interruption that a library swallowed."""
     raised, hears = _note.raised, threading.current_thread() is threading.main_thread() and _installed()
     if raised is not None and hears and not _note.noted and sys.exc_info()[1] is None:
         raise raised
@@ -184,11 +168,7 @@ def pause(duration: float) -> None:
 
 @contextmanager
 def noted() -> Iterator[None]:
-    """Keep signals to a note inside; what this thread did not look at is raised when the last one comes to its end.
-
-    Where `install` was not called, as in a notebook, handlers are set for the time being. One that the program has of
-    its own goes on to be called, and what it raises is noted.
-    """
+    """Keep signals to a note inside; what this thread did not look at is raised at the end."""
     before = _set_handlers()
     _note.noted += 1
     try:
@@ -231,7 +211,6 @@ def _pass_over(signum: int, frame: FrameType | None) -> None:
 
 
 def _unraisable(unraisable: sys.UnraisableHookArgs) -> None:
-    """Send a signal again whose exception nobody saw; leave any other exception to who showed them before."""
     if isinstance(unraisable.exc_value, Interrupted):
         again = threading.Timer(_AGAIN, os.kill, (os.getpid(), unraisable.exc_value.signum))
         again.daemon = True
@@ -241,8 +220,6 @@ def _unraisable(unraisable: sys.UnraisableHookArgs) -> None:
 
 
 class _Hosts:
-    """The handler of the program that we are a part of; what it raises waits for where it is safe."""
-
     def __init__(self, handler: Callable[[int, FrameType | None], object]) -> None:
         self._handler = handler
 
@@ -255,10 +232,6 @@ class _Hosts:
 
 
 def _set_handlers() -> dict[int, Handler]:
-    """Handle what Python handles by default, and wrap what the program does; returns what to restore.
-
-    Only the main thread may do so.
-    """
     if threading.current_thread() is not threading.main_thread():
         return {}
     before: dict[int, Handler] = {}
@@ -272,5 +245,4 @@ def _set_handlers() -> dict[int, Handler]:
 
 
 def _cancels(handler: object) -> bool:
-    """Tell whether a handler only cancels a task; asyncio's is a `functools.partial`."""
     return getattr(getattr(handler, "func", handler), "__module__", None) in _CANCELLING

@@ -9,12 +9,15 @@ import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, TypeVar
 
+import msgspec
 import numpy as np
+import tomlkit
 from numpy.typing import NDArray
 
-from rejoint.system.errors import FileError
-from rejoint.system.files import TOML_MOST, read_bounded
+from rejoint.system.errors import FileError, InputError, first_line
+from rejoint.system.files import CHANGED, TOML_MOST, digest, read_bounded, write_whole
 
 
 def read_toml(path: Path, known: tuple[str, ...], remedy: str) -> TomlTable:
@@ -60,71 +63,56 @@ class TomlTable:
         line = _line_of(self.text, self.header, self.index if self.numbered else None, key)
         return FileError(self.path, f"line {line}: {where}{key}: {problem}", "correct the file")
 
+    def value(self, key: str, expected: str, valid: Callable[[Any], bool], *, needed: bool = False) -> Any:  # noqa: ANN401
+        """Return a value that is ``valid``, as ``expected`` says; None where it is not given and not needed."""
+        found = self.data.get(key)
+        if (needed or found is not None) and not valid(found):
+            raise self.error(key, f"expected {expected}, found {_shown(found)}")
+        return found
+
     def string(self, key: str) -> str:
         """Return a text that must be there."""
-        value = self.data.get(key)
-        if not isinstance(value, str) or not value:
-            raise self.error(key, f"expected a text, found {_shown(value)}")
-        return value
+        return str(self.value(key, "a text", lambda found: isinstance(found, str) and found != "", needed=True))
 
     def boolean(self, key: str) -> bool | None:
         """Return true or false; None where it is not given."""
-        value = self.data.get(key)
-        if value is not None and not isinstance(value, bool):
-            raise self.error(key, f"expected true or false, found {_shown(value)}")
-        return value
+        found: bool | None = self.value(key, "true or false", lambda found: isinstance(found, bool))
+        return found
 
     def texts(self, key: str) -> tuple[str, ...] | None:
         """Return a list of texts that is not empty; None where it is not given."""
-        value = self.data.get(key)
-        if value is None:
-            return None
-        if not isinstance(value, list) or not value or not all(isinstance(one, str) for one in value):
-            raise self.error(key, f"expected a list of one text or more, found {_shown(value)}")
-        return tuple(value)
+        found = self.value(key, "a list of one text or more", lambda found: _is_list(found, str))
+        return None if found is None else tuple(found)
 
     def number(self, key: str, *, above: float = -np.inf) -> float | None:
         """Return a finite number greater than ``above``; None where it is not given."""
-        value = self.data.get(key)
-        if value is None:
-            return None
-        if not _is_number(value) or not float(value) > above:  # type: ignore[arg-type]
-            bound = f" above {above:g}" if np.isfinite(above) else ""
-            raise self.error(key, f"expected a finite number{bound}, found {_shown(value)}")
-        return float(value)  # type: ignore[arg-type]
+        bound = f" above {above:g}" if np.isfinite(above) else ""
+        found = self.value(key, f"a finite number{bound}", lambda found: _is_number(found) and float(found) > above)
+        return None if found is None else float(found)
 
     def numbers(self, key: str, size: int) -> NDArray[np.float64] | None:
         """Return ``size`` finite numbers; None where they are not given."""
-        value = self.data.get(key)
-        if value is None:
-            return None
-        if not isinstance(value, list) or len(value) != size or not all(map(_is_number, value)):
-            raise self.error(key, f"expected {size} finite numbers, found {_shown(value)}")
-        return np.array(value, dtype=float)
+        found = self.value(
+            key, f"{size} finite numbers",
+            lambda found: isinstance(found, list) and len(found) == size and all(map(_is_number, found)),
+        )  # fmt: skip
+        return None if found is None else np.array(found, dtype=float)
 
     def table(self, key: str, known: tuple[str, ...]) -> TomlTable:
         """Return a table within; an empty one where it is not given."""
-        value = self.data.get(key, {})
-        if not isinstance(value, dict):
-            raise self.error(key, f"expected a table, found {_shown(value)}")
-        header = key if not self.header else self.header
-        return replace(self, data=value, header=header, known=known)
+        found = self.value(key, "a table", lambda found: isinstance(found, dict))
+        return replace(self, data=found or {}, header=self.header or key, known=known)
 
     def tables(self, key: str, known: tuple[str, ...]) -> list[TomlTable]:
         """Return all ``[[key]]`` tables, of which there must be one."""
-        value = self.data.get(key)
-        if not isinstance(value, list) or not value or not all(isinstance(item, dict) for item in value):
-            raise self.error(key, f"expected one [[{key}]] table or more, found {_shown(value)}")
+        found = self.value(key, f"one [[{key}]] table or more", lambda found: _is_list(found, dict), needed=True)
         return [
-            replace(self, data=item, header=key, index=i, known=known, numbered=True) for i, item in enumerate(value)
+            replace(self, data=item, header=key, index=i, known=known, numbered=True) for i, item in enumerate(found)
         ]
 
 
 def _line_of(text: str, header: str, index: int | None, key: str) -> int:
-    """Line, from 1, on which a key of the table ``header`` stands; that of the table itself if the key is absent.
-
-    ``index`` says which of several tables with that header; None where there is one.
-    """
+    """Line, from 1, of a key of table number ``index`` with this ``header``; that of the table if the key is absent."""
     seen, current, found = -1, "", 1
     is_key: Callable[[str], object] = re.compile(
         rf"""\s*["']?{re.escape(key)}["']?\s*=|.*\{{.*\b{re.escape(key)}\s*="""
@@ -146,5 +134,44 @@ def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
 
 
+def _is_list(value: object, kind: type) -> bool:
+    return isinstance(value, list) and value != [] and all(isinstance(one, kind) for one in value)
+
+
 def _shown(value: object) -> str:
     return "nothing" if value is None else repr(value)[:60]
+
+
+T = TypeVar("T")
+
+_SEAL = re.compile(rb"\A# digest of the text below: ([0-9a-f]{16})\n")
+
+
+def write_sealed(path: Path, document: tomlkit.TOMLDocument) -> None:
+    """Write a document as TOML, whole or not at all."""
+    text = tomlkit.dumps(document)
+    text = f"# digest of the text below: {digest(text.encode()).decode()}\n{text}"
+    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def read_sealed(path: Path, build: Callable[[dict[str, Any]], T], *, name: str, version: int, again: str) -> T:
+    """Read a file of the format ``version`` and ``build`` what it holds, which ``name`` says.
+
+    FileError if it is missing, damaged or something else, with ``again`` as what to do; a file without a digest is
+    read.
+    """
+    try:
+        text = read_bounded(path, TOML_MOST, f"{again} again")
+        sealed = _SEAL.search(text)
+        if sealed and digest(text[sealed.end() :]) != sealed[1]:
+            raise FileError(path, CHANGED, f"{again} again")
+        data = tomllib.loads(text.decode())
+        if data["format"] != version:
+            raise FileError(path, f"{name} of format {data['format']!r}, expected {version}", f"{again} again")
+        return build(data)
+    except FileNotFoundError as error:
+        raise FileError(path, "no such file", f"{again} first") from error
+    except (OSError, UnicodeDecodeError, RecursionError, tomllib.TOMLDecodeError) as error:
+        raise FileError(path, f"not a readable TOML file ({first_line(error)})", f"{again} again") from error
+    except (KeyError, TypeError, ValueError, AttributeError, InputError, msgspec.MsgspecError) as error:
+        raise FileError(path, f"no {name} ({type(error).__name__}: {first_line(error)})", f"{again} again") from error

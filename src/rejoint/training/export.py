@@ -17,10 +17,10 @@ from rejoint.control.contract import (
     METADATA_KEY,
     OUTPUT,
     PolicyContract,
+    content_digest,
     encode_contract,
     probe_observations,
 )
-from rejoint.control.onnxfile import content_digest
 from rejoint.control.runtime import ort
 from rejoint.system.files import write_whole
 

@@ -42,7 +42,7 @@ turn in place are quicker there, and many times slower beside other programs)"""
 _CHECKPOINT_FORMAT = 5
 
 _MAGIC = b"rejoint checkpoint "
-_RESTART = "delete it, or train with --restart"
+_RESTART = "delete it, or train with --fresh"
 
 CHECKPOINT_MOST = 2000 * MEGABYTE
 """Largest checkpoint that is read (chosen: some fifty times the largest that the presets write)"""

@@ -79,17 +79,23 @@ own leaves too little to it, with none arms hunt at a control period of 50 ms)""
 LOAD_PENALTY = 3.0
 """How far the law under our policy spares joints with weight (chosen: with it fewer holds settle above 1 mm)"""
 
+ANYWHERE = 0.5
+"""Share of the targets of our trainings that are drawn in all the room that the arm reaches"""
+
 WARM = PpoSettings(
     iterations=49,
     log_std=-1.0,  # with -1.5 and half the learning rate policies settle as near, and come no sooner than the shelf's
     critic_first=3,
 )
 """Settings of a training that begins at the policy from the shelf (chosen on arms of family 1 and on that of `make
-repair`, see `python -m benchmarks.warmstart` and docs/rivals.md)"""
+repair`, see `python -m benchmarks.warmstart` and docs/research.md)"""
 
 SCRATCH = Preset(
     name="scratch",
-    task=TaskSettings(law=CommandLaw(anchor="goal", learning=FeedforwardGains(fade=FADE), load_penalty=LOAD_PENALTY)),
+    task=TaskSettings(
+        law=CommandLaw(anchor="goal", learning=FeedforwardGains(fade=FADE), load_penalty=LOAD_PENALTY),
+        anywhere=ANYWHERE,
+    ),
 )
 """Always from random weights"""
 

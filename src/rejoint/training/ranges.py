@@ -16,7 +16,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.arms.size import length_size, torque_size
+from rejoint.arms.workspace import length_size, torque_size
 from rejoint.twin.parameters import PARAMETERS, STICTION, TwinParameters, nominal_parameters
 from rejoint.twin.simulation import Draw
 from rejoint.twin.twin import LEAST_SPREAD, Twin

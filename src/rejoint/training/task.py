@@ -19,8 +19,10 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, collides, frames, tcp_position
+from rejoint.arms import Arm, Array, collides, frames, solve_position, tcp_position
+from rejoint.arms.postures import comfortable_postures
 from rejoint.control.controller import ControlInput
+from rejoint.control.goal import Setpoint
 from rejoint.control.guard import GuardLimits, guard
 from rejoint.control.observation import ALL, SUCCESS_DISTANCE, Layout, Observation, Observer, Rows
 from rejoint.control.residual import Commander, CommandLaw
@@ -42,6 +44,9 @@ class TaskSettings:
     posture_weight: float = 0.2
     """[1/rad^2] cost of the way back to the rest posture in the null space, in the residual reward (chosen: a
     policy that does not pay for it wanders to the joint limits in a few dozen targets)"""
+    anywhere: float = 0.0
+    """share of the targets that are drawn in all the room that the arm reaches, with a way there; the others are drawn
+    in its target region, and in force at once"""
     hold_steps: int = 120
     """control cycles per target"""
     targets: int = 6
@@ -90,11 +95,10 @@ class ReachTask:
 
     def __init__(
         self, arm: Arm, ranges: Ranges, agents: int, settings: TaskSettings, *, seed: int, threads: int = 1,
-        device: str | None = None,
     ) -> None:  # fmt: skip
         n = arm.joints
         self.arm, self.ranges, self.settings, self.agents = arm, ranges, settings, agents
-        self.simulation = Simulation(arm, agents, threads=threads, device=device)
+        self.simulation = Simulation(arm, agents, threads=threads)
         self.observer = Observer(arm, agents, settings.layout)
         self.commander = Commander(arm, settings.law)
         self.privileged_size = privileged_size(n)
@@ -102,7 +106,9 @@ class ReachTask:
         self._rng = np.random.default_rng(seed)
         self._since, self._period, self._middle = np.zeros((3, agents))
         self._sent, self._tcp = np.zeros((agents, n)), np.zeros((agents, 3))
-        self._target, self._next_target = np.zeros((2, agents, 3))
+        self._aim, self._next_aim = np.zeros((2, agents, 3))
+        self._goal, self._next_goal, self._start = np.zeros((3, agents, n))
+        self._next_far, self._travel = np.zeros(agents, dtype=bool), np.zeros(agents)
         self._foreseen, self._prepared_row = np.zeros(agents, dtype=bool), np.zeros(agents, dtype=np.int64)
         self._prepared: ResetStates | None = None
         self._step, self._count = np.zeros(agents, dtype=np.int64), np.zeros(agents, dtype=np.int64)
@@ -116,7 +122,7 @@ class ReachTask:
         if staggered:  # so that a batch holds all phases of a motion and not the same one everywhere
             self._step[:] = self._rng.integers(0, self.settings.hold_steps, self.agents)
             self._count[:] = self._rng.integers(0, self.settings.targets, self.agents)
-        distance = np.linalg.norm(self._target - self._tcp, axis=-1)
+        distance = np.linalg.norm(self._aim - self._tcp, axis=-1)
         return self.observer.observe(self._inputs()), self._privileged(distance, np.zeros(self.agents))
 
     def prepare(self, cycles: int) -> None:
@@ -127,16 +133,15 @@ class ReachTask:
         about where an arm is when its target ends as well.
         """
         if self.settings.ends_on_success or self.settings.collisions:
-            return  # nobody knows when
+            return  # when is not known
         due = self._step + cycles >= self.settings.hold_steps
         leaving = due & (self._count + 1 >= self.settings.targets)
         self._prepared = self._draw_reset_states(int(leaving.sum()))
         self._prepared_row[leaving] = np.arange(leaving.sum())
-        self._next_target[due] = self.arm.targets.sample(self._rng, (int(due.sum()),))
         self._foreseen = due
         sent = self._sent.copy()
         sent[leaving] = self._prepared.command
-        self.commander.foresee(self._next_target, sent, due)
+        self._draw_targets(due, sent)
 
     def step(self, action: NDArray[np.floating]) -> Transition:
         """Run one control cycle with actions (N, n)."""
@@ -148,7 +153,7 @@ class ReachTask:
         tcp = tcp_position(self.arm, position)
         speed = np.linalg.norm(tcp - self._tcp, axis=-1) / self._period
         self._tcp = tcp
-        distance = np.linalg.norm(self._target - tcp, axis=-1)
+        distance = np.linalg.norm(self._aim - tcp, axis=-1)
         self._step += 1
         final, final_privileged = self.observer.observe(self._inputs()), self._privileged(distance, speed)
         reached = (distance < SUCCESS_DISTANCE) & self.settings.ends_on_success
@@ -177,7 +182,9 @@ class ReachTask:
             value[...] = state[name]
 
     def _arrays(self) -> dict[str, Array]:
-        own = ("since", "period", "middle", "sent", "tcp", "target", "step", "count", "constants")
+        own = (
+            "since", "period", "middle", "sent", "tcp", "aim", "goal", "start", "travel", "step", "count", "constants",
+        )  # fmt: skip
         return {
             **{name: getattr(self, f"_{name}") for name in own},
             **{f"observer.{name}": value for name, value in self.observer.state().items()},
@@ -188,7 +195,19 @@ class ReachTask:
     def _inputs(self) -> ControlInput:
         now = self.simulation
         state = JointState(time=now.time, position=now.measured, age=np.zeros(self.agents))
-        return ControlInput(state=state, target=self._target, sent=self._sent, since_target=self._since)
+        goal, target, since = self._setpoint()
+        return ControlInput(state=state, target=target, goal=goal, sent=self._sent, since_target=since)
+
+    def _setpoint(self) -> Setpoint:
+        """Goals and targets in force: on a way they move, every joint at the same share of its speed."""
+        moving = self._since < self._travel
+        if not moving.any():
+            return Setpoint(self._goal, self._aim, self._since - self._travel)
+        goal, target = self._goal.copy(), self._aim.copy()
+        left = 1.0 - self._since[moving] / self._travel[moving]
+        goal[moving] += left[:, None] * (self._start[moving] - goal[moving])
+        target[moving] += tcp_position(self.arm, goal[moving]) - tcp_position(self.arm, self._goal[moving])
+        return Setpoint(goal, target, np.maximum(self._since - self._travel, 0.0))
 
     def _command(self, action: Array) -> None:
         """Decide and send, as `PolicyController` and the control loop do."""
@@ -225,19 +244,34 @@ class ReachTask:
         rows = np.flatnonzero(ended)
         observation, privileged = final.copy(), final_privileged.copy()
         observation[rows] = self.observer.observe(self._inputs(), rows)
-        distance = np.linalg.norm(self._target[rows] - self._tcp[rows], axis=-1)
+        distance = np.linalg.norm(self._aim[rows] - self._tcp[rows], axis=-1)
         privileged[rows] = self._privileged(distance, np.zeros(len(rows)), rows)
         return observation, privileged
 
     def _new_targets(self, where: Mask) -> None:
         unforeseen = where & ~self._foreseen
-        self._next_target[unforeseen] = self.arm.targets.sample(self._rng, (int(unforeseen.sum()),))
-        self._target[where] = self._next_target[where]
+        self._draw_targets(unforeseen, self._sent)
+        self._start[where] = np.where(self._count[where, None] == 0, self._sent[where], self._goal[where])
+        self._aim[where], self._goal[where] = self._next_aim[where], self._next_goal[where]
+        way = np.abs(self._goal[where] - self._start[where]) / self.arm.max_speed
+        self._travel[where] = np.where(self._next_far[where], way.max(axis=-1), 0.0)
         self._foreseen[where] = False
         self._since[where] = 0.0
         self._step[where] = 0
         self.observer.reset(self._inputs(), where)
         self.commander.reset(self._inputs(), where)
+
+    def _draw_targets(self, where: Mask, start: Array) -> None:
+        """Draw the next targets of the arms in ``where`` (N,): postures anywhere, or near ``start`` (N, n) places."""
+        count = int(where.sum())
+        place = self.arm.targets.sample(self._rng, (count,))
+        goal = solve_position(self.arm, place, start[where]).q
+        if self.settings.anywhere > 0.0:
+            far = self._rng.random(count) < self.settings.anywhere
+            goal[far] = self._rng.choice(comfortable_postures(self.arm), int(far.sum()))
+            place[far] = tcp_position(self.arm, goal[far])
+            self._next_far[where] = far
+        self._next_aim[where], self._next_goal[where] = place, goal
 
     def _new_arms(self, where: Mask) -> None:
         """Exchange arms for others, standing at a posture near rest."""

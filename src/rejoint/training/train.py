@@ -17,11 +17,11 @@ from skrl.utils.tensorboard import SummaryWriter
 from rejoint.arms import Arm
 from rejoint.control.contract import PolicyContract, arm_digest, law_digests
 from rejoint.control.observation import layout_slots
-from rejoint.logs.runfolder.outputs import Outputs
+from rejoint.logs.runfolder.folder import Outputs
 from rejoint.system.errors import FileError
 from rejoint.system.files import set_aside, unwritable, write_whole
 from rejoint.system.progress import Progress, no_progress
-from rejoint.system.version import __version__
+from rejoint.system.shell import __version__
 from rejoint.training.export import export_policy
 from rejoint.training.learner import CurvePoint, Learner
 from rejoint.training.presets import PpoSettings, Preset, load_preset
@@ -56,12 +56,12 @@ class TrainingOptions:
     """updates between two policies that are kept beside the last one, the untrained one first; None: none"""
     resume: bool = False
     """continue from a checkpoint in ``out`` if there is one of this very training"""
-    device: str | None = None
-    """of Warp that simulates the twins; None: the processors"""
     servo_gains: dict[str, tuple[int, ...]] | None = None
     """of the servos that the twin was identified on, for the contract"""
     ranges: Ranges | None = None
     """which arms to train on where there is no twin; by default those of the preset"""
+    start: WarmStart | None = None
+    """network to begin with; by default that of the generic policy where there is a twin, else random weights"""
 
     @property
     def recipe(self) -> Preset:
@@ -96,7 +96,7 @@ class TrainingResult:
 
 
 Trainer = Callable[[Arm, Twin | None, Path, Progress], TrainingResult]
-"""Trains a policy for an arm on its twin and leaves `rejoint.logs.runfolder.outputs.Outputs` in a folder."""
+"""Trains a policy for an arm on its twin and leaves `rejoint.logs.runfolder.folder.Outputs` in a folder."""
 
 
 def train(
@@ -114,7 +114,7 @@ def train(
     """
     options = TrainingOptions() if options is None else options
     recipe, files = know_stiffness(options.recipe, arm, twin), Outputs(out)
-    start = None if twin is None else shelf_start(arm, recipe)
+    start = options.start or (None if twin is None else shelf_start(arm, recipe))
     if start is not None and recipe.warm is not None:
         recipe = replace(recipe, ppo=recipe.warm)
     learner = make_learner(arm, twin, recipe, options, start)
@@ -141,7 +141,7 @@ def train(
 def _resumed(learner: Learner, checkpoint: Path, identity: dict[str, Any]) -> bool:
     """Continue from a checkpoint; False where there is none, or one of another training, which may be wanted again.
 
-    So it is with a damaged one: beginning anew takes a minute or a few, comes to the same end, and needs nobody.
+    So it is with a damaged one: to begin again takes a minute or a few and comes to the same end.
     """
     if not checkpoint.exists():
         return True
@@ -149,7 +149,7 @@ def _resumed(learner: Learner, checkpoint: Path, identity: dict[str, Any]) -> bo
         if learner.load(checkpoint, identity):
             return True
     except FileError as error:
-        logging.getLogger("rejoint").warning("%s; the training begins anew", error)
+        logging.getLogger("rejoint").warning("%s; the training begins again", error)
     set_aside(checkpoint)
     return False
 
@@ -185,7 +185,6 @@ def make_learner(
             recipe.task,
             seed=workers * options.seed + k,
             threads=max(options.threads // workers, 1),
-            device=options.device,
         )
         for k, size in enumerate(sizes)
     ]

@@ -1,7 +1,7 @@
 """Where a training on a twin begins: at the policy that the shelf has for this build, or at random weights.
 
 The shelf's policy knows worn arms in general; what is left to learn is this one. Only its actor is taken over: a critic
-sees what no file of a policy holds, and learns anew.
+sees what no file of a policy holds, and learns that again.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from onnx import numpy_helper
 from torch import nn
 
 from rejoint.arms import Arm
+from rejoint.control.catalogue import shelf_policy
 from rejoint.control.contract import PolicyContract
-from rejoint.control.shelf import shelf_policy
 from rejoint.system.errors import ContractError
 from rejoint.system.files import digest
 from rejoint.training.presets import Preset
@@ -52,7 +52,12 @@ def shelf_start(arm: Arm, recipe: Preset) -> WarmStart | None:
     sizes = (policy.contract.observation_size, *recipe.warm.actor_layers, arm.joints)
     if not _same_task(policy.contract, recipe) or shapes != list(zip(sizes[1:], sizes[:-1], strict=True)):
         return None
-    return WarmStart(weights=weights, digest=digest(policy.content).decode())
+    return begin_at(policy.content)
+
+
+def begin_at(content: bytes) -> WarmStart:
+    """Return the network in the ``content`` of a policy file that `Policy.load` has judged."""
+    return WarmStart(weights=network_weights(content), digest=digest(content).decode())
 
 
 def network_weights(content: bytes) -> Weights:

@@ -1,15 +1,11 @@
 """Backlash inside the servo loop: motors and joints that are not always in touch.
 
-Where an encoder sits behind the gear, a joint that carries no weight rests anywhere between the flanks of its teeth.
-To turn it back the motor first has to cross the backlash, while the encoder shows nothing; and once it moves, nothing
-but the other flank stops it. A policy that has never met that pushes on, and swings about the target: on an
-arm with a degree of backlash and strong friction this was most of the settled error (measured). A joint that carries
-weight rests on one flank, which no servo of a settled arm leaves.
+A joint without weight rests anywhere between the flanks; to turn it back the motor first crosses the backlash, and a
+policy that never met that swings about the target (most of the settled error on an arm with a degree of it, measured).
+The twin of identification has none, since logs do not tell it from friction; in training it is drawn.
 
-The twin of identification knows no backlash, since logs do not tell it from friction; in training it is drawn. Motor
-and joint are one body as long as the motor pushes (the twin's), else two: the motor with the servo's torque, damping
-and friction, and the joint free but for some grease. Where they meet, they exchange momentum and part again with some
-of the closing speed, until it is small (Nordin and Gutman 2002 review such models).
+Motor and joint are one body while the motor pushes, else two, which exchange momentum where they meet (Nordin and
+Gutman 2002 review such models).
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
@@ -23,7 +19,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, link_inertia
-from rejoint.arms.size import unloaded_joints
+from rejoint.arms.workspace import unloaded_joints
 from rejoint.control.robot import Mask
 from rejoint.twin.friction import dry_friction
 from rejoint.twin.parameters import TwinParameters
@@ -32,7 +28,7 @@ if TYPE_CHECKING:
     from rejoint.twin.simulation import Twins
 
 RESTITUTION = 0.5
-"""Part of the closing speed with which motor and joint part again when they meet (chosen: steel teeth, some grease)."""
+"""Part of the closing speed with which motor and joint part when they meet (chosen: steel teeth, some grease)"""
 
 SOFT = 0.01
 """[rad/s] closing speed below which they stay in touch (chosen: an encoder count in 0.15 s)"""
@@ -82,15 +78,14 @@ class Backlash:
     def part(self, twins: Twins, terms: Array, friction: Array) -> None:
         """Part motors from joints for one step of ``twins``, whose references are set.
 
-        ``friction`` (N, n) [N m] is that of the joints at their speeds, by the ``terms`` (t, N, n) of
-        `rejoint.twin.friction`. Joints that are out of touch with their motors get no torque and none of their
-        friction, which becomes zero, armature and damping; those that meet them get a common speed.
+        ``friction`` (N, n) [N m], by the ``terms`` (t, N, n) of `rejoint.twin.friction`, becomes zero for joints that
+        are out of touch; they get no torque, armature and damping of their motors either.
         """
         if not self.present:
             return
         of_motor = _dry_friction(terms, np.where(self._touch == 0.0, self._speed, twins.qvel))
-        state = (self._half, self._ahead, self._speed, self._touch)
-        _drive(*state, of_motor, self._motor, self._link, twins.ctrl, twins.qpos, twins.qvel, twins.timestep)
+        gear, arm = (self._half, self._ahead, self._speed, self._touch), (twins.ctrl, twins.qpos, twins.qvel)
+        _drive(gear, of_motor, self._motor, self._link, arm, twins.timestep)
         free = self._touch == 0.0
         twins.set_motors(
             armature=np.where(free, 0.0, self._motor[..., _ARMATURE]),
@@ -107,7 +102,8 @@ class Backlash:
 
 
 @njit(cache=True, nogil=True)
-def _drive(half, ahead, speed, touch, friction, motor, link, ctrl, qpos, qvel, step):  # noqa: ANN001, ANN202
+def _drive(gear, friction, motor, link, arm, step):  # noqa: ANN001, ANN202
+    (half, ahead, speed, touch), (ctrl, qpos, qvel) = gear, arm
     for i in range(half.shape[0]):
         for j in range(half.shape[1]):
             edge = half[i, j]

@@ -1,11 +1,17 @@
-"""Many twins of one arm in lockstep, each with its own parameters, time step and gravity."""
+"""Many twins of one arm in lockstep, stepped by MuJoCo: the judge of `rejoint.twin.chain`; arms on a table.
+
+Per joint: torque = clip(stiffness (command + offset - q), +-limit) - damping qdot - dry friction. Contacts and joint
+stops are left out, as the guard keeps commands away from both. Three settings matter: friction constraints are nearly
+rigid (with MuJoCo's own settings a joint creeps 1 deg/s, measured); the Jacobian is dense, since the sparse Cholesky of
+MuJoCo 4.0.0 has a fault; projected Gauss-Seidel is 30 % faster than Newton's method, which stops too early on such
+friction (measured).
+
+Only the TCP touches the table, with a soft sphere without size of its own.
+"""
 
 from __future__ import annotations
 
-import ctypes
-from collections.abc import Sequence
-from functools import cache
-from pathlib import Path
+from collections.abc import Iterator, Sequence
 
 import mujoco
 import numpy as np
@@ -13,35 +19,32 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
+from rejoint.arms.kinematics import GRAVITY
 from rejoint.system.errors import InputError
 from rejoint.twin.declaration import TIMESTEP
-from rejoint.twin.model import FRICTION_SOFTNESS, friction_solref, model_fields, twin_model
+from rejoint.twin.friction import friction_fields
 from rejoint.twin.parameters import TwinParameters, nominal_parameters
 from rejoint.twin.table import TablePlane
-from rejoint.twin.tablemodel import TIP, table_fields, table_pose
 
 Ids = NDArray[np.integer] | NDArray[np.bool_] | None
 
 
 class TwinBatch:
-    """``nsim`` simulations of one arm; bit for bit what as many single models would do.
+    """``nsim`` simulations of one arm, bit for bit as many single models.
 
-    The arrays ``qpos``, ``qvel``, ``ctrl`` (nsim, n) are live: writing to them sets the state of the
-    next step.
+    Writing to ``qpos``, ``qvel``, ``ctrl`` (nsim, n) sets the state of the next step.
     """
 
     def __init__(self, arm: Arm, nsim: int, timestep: float = TIMESTEP, threads: int = 1, table: bool = False) -> None:
         if nsim < 1 or threads < 1:
             raise InputError(f"twin batch: {nsim} simulations on {threads} threads, expected at least one of each")
         self.arm = arm
-        start = nominal_parameters(arm)
-        stop_clock()
-        self._batch = Batch(twin_model(arm, start, timestep, table=table), nsim=nsim, nthread=threads)
+        self._batch = Batch(twin_spec(arm, table).compile(), nsim=nsim, nthread=threads)
         self.qpos: Array = self._batch.bind("qpos")
         self.qvel: Array = self._batch.bind("qvel")
         self.ctrl: Array = self._batch.bind("ctrl")
         self._timestep = np.full(nsim, float(timestep))
-        self.write(start.repeat(nsim))
+        self.write(nominal_parameters(arm).repeat(nsim))
 
     @property
     def nsim(self) -> int:
@@ -63,11 +66,9 @@ class TwinBatch:
         timestep: float | Array | None = None,
         gravity_scale: float | Array = 1.0,
     ) -> None:
-        """Give the simulations in ``ids`` (all by default) new parameters; their state stays.
+        """Give the simulations in ``ids`` (indices or mask; all by default) new parameters; their state stays.
 
-        ``parameters`` have the leading shape (m,) of the m simulations chosen, or none for the same
-        twin everywhere. ``ids`` are increasing indices or a mask (nsim,). ``timestep`` [s], a number or
-        (m,), is kept where it is not given; ``gravity_scale``, a number or (m,), is 1 where not given.
+        ``parameters`` have the leading shape (m,) or none. ``timestep`` [s] and ``gravity_scale``: a number or (m,).
         """
         chosen = np.arange(self.nsim)[slice(None) if ids is None else ids]
         if parameters.shape == ():
@@ -83,7 +84,7 @@ class TwinBatch:
         self._batch.expand("dof_invweight0")[chosen] *= FRICTION_SOFTNESS
 
     def put_tables(self, tables: Sequence[TablePlane]) -> None:
-        """Put each simulation of a batch made with ``table`` on its table; after `write`, whose masses it needs."""
+        """Put each simulation of a batch made with ``table`` on its table, after `write`."""
         if len(tables) != self.nsim:
             raise InputError(f"twin batch: {len(tables)} tables, expected {self.nsim}")
         model = self._batch.model
@@ -101,30 +102,17 @@ class TwinBatch:
         self._batch.expand("dof_solref")[:] = friction_solref(self._timestep)[:, None]
 
     def set_friction(self, friction: Array) -> None:
-        """Change the dry friction (nsim, n) [N m] of every simulation, for friction that depends on the speed."""
+        """Change the dry friction (nsim, n) [N m] of every simulation."""
         self._batch.expand("dof_frictionloss")[:] = friction
 
     def set_motors(self, *, armature: Array, damping: Array) -> None:
-        """Change armature (nsim, n) [kg m^2] and damping (nsim, n) [N m s/rad] of every simulation.
-
-        For joints that lose touch with their motors. What MuJoCo derives from them beforehand (`set_const`) stays,
-        which are scales of its solver.
-        """
+        """Change armature (nsim, n) [kg m^2] and damping (nsim, n) [N m s/rad] of every simulation."""
         self._batch.expand("dof_armature")[:] = armature
         self._batch.expand("dof_damping")[:] = damping
 
-    def state(self) -> dict[str, Array]:
-        """Everything that a checkpoint must keep, as live arrays: states, parameters, constants."""
-        fields = ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange", "actuator_acc0", "dof_damping",
-                  "dof_frictionloss", "dof_armature", "dof_solref", "dof_invweight0", "dof_M0", "body_invweight0",
-                  "opt.timestep", "opt.gravity")  # fmt: skip
-        return {name: self._batch.expand(name) for name in fields} | {
-            "timestep": self._timestep, "integration": self._batch.state
-        }  # fmt: skip
-
-    def step(self, substeps: int = 1, ids: Ids = None) -> None:
-        """Advance the simulations in ``ids`` (all by default) under the present ``ctrl``."""
-        self._batch.step(ids, nstep=substeps)
+    def step(self, substeps: int = 1) -> None:
+        """Advance all under the present ``ctrl``."""
+        self._batch.step(None, nstep=substeps)
 
     def rollout(self, control: Array) -> Array:
         """Advance by ``control`` (nsim, steps, n) [rad], one row a step; return positions (nsim, steps, n)."""
@@ -133,10 +121,6 @@ class TwinBatch:
     def model(self, index: int) -> mujoco.MjModel:
         """Copy of one simulation's model, for rendering or inspection."""
         return self._batch.get_model(index)
-
-    def bind(self, name: str) -> Array:
-        """Live (nsim, ...) array of any other MjData field, such as ``site_xpos`` or ``qfrc_constraint``."""
-        return self._batch.bind(name)
 
     def restart(self, position: Array, velocity: Array | float = 0.0, ids: Ids = None) -> None:
         """Put simulations at ``position`` (m, n) [rad] with ``velocity`` [rad/s], and forget the solver's memory."""
@@ -148,15 +132,141 @@ class TwinBatch:
         self.ctrl[chosen] = position
 
 
-@cache
-def stop_clock() -> None:
-    """Let MuJoCo not read the clock in each stage of a step, for timers (`MjData.timer`) that nobody reads here.
+FRICTION_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
+"""solimp of the friction constraints (MuJoCo, modelling, solver parameters): nearly rigid"""
+FRICTION_SOFTNESS = 0.01
+"""On top of it, factor on ``dof_invweight0``, to which the softness of friction is proportional (chosen: below it
+nothing changes)"""
 
-    A fifth of the time of such small models (measured). ``mjcb_time`` may be null by MuJoCo's manual, but its Python
-    bindings set it; where the library or the name is not found, as in a build of one's own, nothing is changed.
+TCP_SITE = "tcp"
+
+
+def twin_model(
+    arm: Arm,
+    parameters: TwinParameters,
+    timestep: float = TIMESTEP,
+    gravity_scale: float = 1.0,
+    table: bool = False,
+) -> mujoco.MjModel:
+    """Compile the model of one twin; actuators and joints are in the arm's order, with its names."""
+    if parameters.shape or parameters.joints != arm.joints:
+        raise InputError(
+            f"twin: parameters of shape {parameters.stiffness_shape}, expected one twin of {arm.joints} joints"
+        )
+    model = twin_spec(arm, table).compile()
+    for name, value in model_fields(parameters, np.asarray(timestep), np.asarray(gravity_scale)):
+        if name == "opt.timestep":
+            model.opt.timestep = float(value)
+        elif name == "opt.gravity":
+            model.opt.gravity = value
+        else:
+            getattr(model, name)[:] = value
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    model.dof_invweight0 *= FRICTION_SOFTNESS
+    return model
+
+
+def model_fields(parameters: TwinParameters, timestep: Array, gravity_scale: Array) -> Iterator[tuple[str, Array]]:
+    """Yield every field of the model that a twin decides, as (name, value), for any leading shape.
+
+    The only place where parameters become MuJoCo's.
     """
-    for library in Path(mujoco.__file__).parent.glob("*mujoco.*"):
-        try:
-            ctypes.c_void_p.in_dll(ctypes.CDLL(str(library)), "mjcb_time").value = None
-        except (OSError, ValueError):
-            continue
+    p, shape = parameters, parameters.stiffness_shape
+    timestep = np.broadcast_to(timestep, p.shape)
+    gain = np.zeros((*shape, mujoco.mjNGAIN))
+    gain[..., 0] = p.stiffness
+    bias = np.zeros((*shape, mujoco.mjNBIAS))
+    bias[..., 0], bias[..., 1] = p.stiffness * p.offset, -p.stiffness
+    yield "actuator_gainprm", gain
+    yield "actuator_biasprm", bias
+    yield "actuator_forcerange", np.stack([-p.torque_limit, p.torque_limit], axis=-1)
+    yield from friction_fields(p)
+    yield "dof_armature", p.armature
+    yield "dof_solref", np.broadcast_to(friction_solref(timestep)[..., None, :], (*shape, 2))
+    yield "opt.timestep", timestep
+    yield "opt.gravity", np.broadcast_to(gravity_scale, p.shape)[..., None] * GRAVITY
+
+
+def friction_solref(timestep: Array) -> Array:
+    """Solref (..., 2) of the friction constraints, as fast as the time step (...) [s] allows."""
+    return np.stack([2.0 * timestep, np.ones_like(timestep)], axis=-1)
+
+
+def twin_spec(arm: Arm, table: bool = False) -> mujoco.MjSpec:
+    """Describe the model of an arm without the parameters of a twin."""
+    spec = mujoco.MjSpec()
+    spec.modelname = arm.name
+    option = spec.option
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    option.solver = mujoco.mjtSolver.mjSOL_PGS
+    disable = mujoco.mjtDisableBit
+    option.disableflags |= (
+        disable.mjDSBL_CONTACT | disable.mjDSBL_LIMIT | disable.mjDSBL_EQUALITY | disable.mjDSBL_SENSOR
+        | disable.mjDSBL_SPRING | disable.mjDSBL_ISLAND
+    )  # fmt: skip
+    body = spec.worldbody
+    for i, name in enumerate(arm.joint_names):
+        body = body.add_body(name=f"link{i + 1}", pos=arm.offset[i, :3, 3], quat=_quaternion(arm.offset[i, :3, :3]))
+        body.explicitinertial = True
+        body.mass, body.ipos = arm.mass[i], arm.com[i]
+        inertia = arm.inertia[i]
+        body.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        # A value above zero, so that MuJoCo reserves the friction constraints; the writer sets the real one.
+        body.add_joint(name=name, axis=arm.axis[i], frictionloss=1.0, solimp_friction=FRICTION_IMPEDANCE)
+        servo = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        servo.set_to_position(kp=1.0)
+        servo.forcelimited, servo.forcerange = True, (-1.0, 1.0)
+    if table:
+        add_table(spec, body, arm.tip[:3, 3])
+    body.add_site(name=TCP_SITE, pos=arm.tip[:3, 3], quat=_quaternion(arm.tip[:3, :3]))
+    return spec
+
+
+def _quaternion(rotation: Array) -> Array:
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation).ravel())
+    return quaternion
+
+
+RADIUS = 0.005
+"""[m] of the sphere (chosen; the plane lies that much lower)"""
+
+IMPEDANCE = 0.9
+"""solimp of the contact (MuJoCo, modelling, solver parameters): constant, so that stiffness decides what gives"""
+
+PLANE, TIP = "table", "tip"
+"""Names of the two geometries in the model"""
+
+
+def add_table(spec: mujoco.MjSpec, tip: mujoco.MjsBody, position: Array) -> None:
+    """Give a model the plane and, on the body ``tip`` at ``position`` (3,) [m], the sphere that touches it."""
+    spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC  # a pyramid would stiffen as friction vanishes
+    sphere, plane = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_PLANE
+    # A mocap body: its pose is part of the state, and so free in every simulation of a batch.
+    body = spec.worldbody.add_body(name=PLANE, mocap=True)
+    body.add_geom(name=PLANE, type=plane, size=(0.0, 0.0, 1.0), contype=1, conaffinity=0)
+    # Its own priority: friction and softness are the sphere's alone, not mixed with the plane's.
+    tip.add_geom(name=TIP, type=sphere, size=(RADIUS, 0.0, 0.0), pos=position, contype=0, conaffinity=1,
+                 condim=3, priority=1, mass=0.0, solimp=(IMPEDANCE, IMPEDANCE, 0.001, 0.5, 2.0))  # fmt: skip
+
+
+def table_pose(table: TablePlane) -> tuple[Array, Array]:
+    """Position (3,) [m] and quaternion (4,) of the plane that holds up the sphere at the table's height."""
+    normal = np.array([-table.slope_x, -table.slope_y, 1.0]) / np.sqrt(1 + table.slope_x**2 + table.slope_y**2)
+    turn = np.zeros(4)
+    mujoco.mju_quatZ2Vec(turn, normal)
+    return np.array([0.0, 0.0, table.height]) - RADIUS * normal, turn
+
+
+def table_fields(table: TablePlane, timestep: float, inverse_mass: Array) -> Iterator[tuple[str, Array]]:
+    """Yield what a table decides of the tip's geometry in models with `add_table`, as (field, value).
+
+    ``inverse_mass`` (...) [1/kg] is the ``body_invweight0`` of the tip's body: stiffness = k d / (1 - d) / inverse
+    mass. Critically damped, no faster than the time step allows.
+    """
+    d = IMPEDANCE
+    k = np.minimum(table.stiffness * (1 - d) / d * inverse_mass, (2 * timestep * d) ** -2.0)
+    yield "geom_solref", np.stack([-k * d, -2 * np.sqrt(k) * d], axis=-1)
+    yield "geom_friction", np.array([table.friction, 0.0, 0.0])

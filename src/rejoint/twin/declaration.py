@@ -1,4 +1,4 @@
-"""How a parameter of a twin is declared: what it is, and what is believed of it before any data; and the time step."""
+"""How a parameter of a twin is declared, with its prior; and the time step."""
 
 from __future__ import annotations
 
@@ -23,24 +23,21 @@ class Parameter:
     lower: float
     upper: float
     wide: Mapping[str, float | bool] = field(default_factory=dict)
-    """what takes the place of these, and of what follows, for an arm of which only links and masses are known
-    (`rejoint.twin.unknown`)"""
+    """what replaces these, and what follows, for an arm of which only links and masses are known"""
     log: bool = True
     """positive quantity, estimated as its logarithm"""
     difference: float = 0.045
-    """finite-difference step of a fit, in `unit` unless `log` (chosen: with smaller ones logarithms drown in
-    stick-slip, measured)"""
+    """finite-difference step of a fit, in `unit` unless `log` (chosen: smaller ones measure stick-slip)"""
     per_joint: bool = True
     scaled: bool = False
-    """torque that is known only up to the common scale of its joint's, where nothing loads the joint"""
+    """torque that is known only up to the common scale of its joint"""
     wrist: float = 1.0
     """factor on the nominal value for joints with little inertia"""
     alike: float | None = None
-    """standard deviation of the logarithm among joints whose servos are of one type and have the same gains
-    (`rejoint.arms.Arm.servos`); None where servos do not determine it, or where wear makes them differ"""
+    """standard deviation of the logarithm among joints with servos of one type (`rejoint.arms.Arm.servos`); or None"""
     by_load: bool = False
     """whether nominal value and bounds grow with the weight of the arm"""
     by_time: int = 0
-    """their power of the time that motion under gravity takes, which grows with the square root of the reach"""
+    """their power of the time of motion under gravity, the square root of the reach"""
     by_speed: bool = False
     """whether they grow with the arm's speed"""

@@ -1,14 +1,9 @@
 """Maximum a posteriori fit of a twin's parameters to windows of motion, by block Gauss-Newton.
 
-In encoder space the joints of a geared arm are nearly decoupled: a joint's own parameters decide its
-motion. So one simulation perturbs one parameter of every joint at once, a Jacobian costs as many
-simulations as a joint has parameters (plus one for each parameter of the whole arm), and each joint
-picks the best of several damping values from the same batch.
-
-Method: Gauss-Newton with Levenberg-Marquardt damping (Nocedal and Wright, Numerical Optimization,
-chapter 10) on a pseudo-Huber loss (Charbonnier et al. 1997), with a Gaussian prior over the parameter
-vector. Residuals of one motion are not independent: the data's weight is divided by their integrated
-autocorrelation time, so that prior and data are weighed fairly.
+A joint's own parameters decide its motion, nearly. So one simulation perturbs one parameter of every joint at once, and
+each joint picks the best of several damping values. Levenberg-Marquardt (Nocedal and Wright, chapter 10) on a
+pseudo-Huber loss (Charbonnier et al. 1997), with a Gaussian prior; the data's weight is divided by the integrated
+autocorrelation time of the residuals.
 """
 
 from __future__ import annotations
@@ -34,16 +29,16 @@ STIFFNESS = number("stiffness")
 """Row of the perturbations, and column of the sensitivities, that are the stiffness's"""
 
 SCALES = (0.5, 0.7, 0.85, 1.18, 1.41, 2.0)
-"""Factors of a joint's common scale that are tried where logs hardly fix it (chosen: steps of 20 to 40 %)"""
+"""Factors of a joint's common scale that are tried (chosen: steps of 20 to 40 %)"""
 
 DAMPINGS = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
 """Levenberg-Marquardt damping values tried in one batch, relative to the curvature's diagonal (chosen)"""
 
 LEAST_GAIN = 0.5
-"""A descent ends when a step gains less than this of the negative log posterior: half of one sigma^2 (chosen)"""
+"""Gain of the negative log posterior below which a descent ends: half of one sigma^2 (chosen)"""
 
 ROUNDS = 10
-"""Rounds in which weights and scale of windows are found (chosen: they change by less than 1 % in the last)"""
+"""Rounds in which weights and scale of windows are found (chosen: the last changes 1 %)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,7 +50,7 @@ class Weights:
     correlation: Array
     """(n,) [rows] integrated autocorrelation time of the residuals"""
     share: Array
-    """(rows, n) of a window's motion: near one where a twin follows it as it follows others, less where it cannot"""
+    """(rows, n) of a window's motion: near one where a twin follows it as it follows others, else less"""
 
     @property
     def precision(self) -> Array:
@@ -80,11 +75,9 @@ class Fit:
 class Problem:
     """Residuals, costs and Jacobians of one set of windows under one prior.
 
-    Parameters named in ``frozen`` stay where a fit starts: none of them is simulated, and what is
-    believed of them is the prior. ``stride`` scales the finite-difference steps, and residuals closer than
-    ``memory`` [s] never count as independent: what a twin of the wrong structure gets wrong is not noise. Errors of
-    windows are of Student's distribution of ``freedom`` degrees of freedom: the fewer, the less those count that stay
-    far from every fit; infinite: all count alike.
+    Parameters in ``frozen`` stay where a fit starts. ``stride`` scales the finite differences; residuals closer than
+    ``memory`` [s] are not independent. Errors of windows have Student's distribution of ``freedom`` degrees of freedom:
+    the fewer, the less those count that stay far from every fit.
     """
 
     def __init__(
@@ -133,10 +126,7 @@ class Problem:
         return np.asarray(share[self.window])
 
     def costs(self, vectors: Array, residuals: Array, weights: Weights) -> tuple[Array, Array, Array]:
-        """Costs (m, n) of moving each joint alone, (m, n) of moving its group of joints, and (m,) of moving all.
-
-        What is believed of a joint depends on those of its group; alone it moves from the first of the ``vectors``.
-        """
+        """Costs (m, n) of moving each joint alone from the first vector, (m, n) its group, and (m,) all."""
         precision, away, moved = self.prior.precision, vectors - self.prior.mean, vectors - vectors[0]
         pull = away @ precision
         data = (loss(residuals) * weights.precision).sum(axis=1)
@@ -152,9 +142,8 @@ class Problem:
     def perturbations(self, vector: Array, signs: Array) -> Array:
         """Parameter vectors (p, k): in each, one parameter of every joint, or one of the arm, is moved.
 
-        In place of the stiffness alone, all torques and the inertia of a joint are scaled together. Only
-        gravity and link inertia fix that scale; as a sum of single differences, their errors would
-        pass for knowledge of it.
+        Instead of the stiffness, all torques and the inertia of a joint: only gravity and link inertia fix that scale,
+        and errors of single differences would pass for knowledge of it.
         """
         groups = self._groups()
         moved = np.tile(vector, (len(groups), 1))
@@ -165,10 +154,9 @@ class Problem:
         return np.clip(moved[self._live], self.prior.lower, self.prior.upper)
 
     def rescaled(self, vector: Array, factors: Sequence[float]) -> Array:
-        """Parameter vectors (f, k) whose joints move alike: their torques and the inertia are scaled together.
+        """Parameter vectors (f, k) whose joints move alike: torques and inertia are scaled together.
 
-        The offset makes up for what gravity then bends less or more in the mean posture. Links keep their inertia, so
-        that of the motor takes all of the change, as far as it can.
+        The offset makes up for gravity in the mean posture; the motor's inertia takes all of the change.
         """
         at, scaled = self.layout.at, np.tile(vector, (len(factors), 1))
         stiffness, armature = np.exp(vector[at("stiffness")]), np.exp(vector[at("armature")])
@@ -199,8 +187,7 @@ class Problem:
     def jacobian(self, base: Array, moved: Array, signs: Array) -> Array:
         """Sensitivities (rows, n, q) of each joint to its own parameters and, last, the arm's.
 
-        ``base`` (rows, n) and ``moved`` (p, rows, n) are residuals at the point and at `perturbations`;
-        the sensitivities to frozen parameters are zero.
+        ``base`` (rows, n) and ``moved`` (p, rows, n) are residuals at the point and at `perturbations`.
         """
         groups = self._groups()
         slopes = np.zeros((len(groups), *base.shape))
@@ -234,7 +221,6 @@ class Problem:
         return np.unique(keys, axis=0, return_inverse=True)[1].ravel()
 
     def _scaled(self) -> list[int]:
-        """Rows of the live joint parameters that share the stiffness's direction: it scales all torques."""
         return [i for i in self._live if i != STIFFNESS and PARAMETERS[i].per_joint and PARAMETERS[i].log]
 
     def _groups(self) -> list[NDArray[np.integer]]:
@@ -244,8 +230,8 @@ class Problem:
 def fit(problem: Problem, start: Array, iterations: int, scales: Sequence[float] = ()) -> Fit:
     """Descend from ``start`` (k,) until a step gains almost nothing.
 
-    Before each step every joint takes the best of the ``scales`` of its torques and inertia: along that direction the
-    loss is flat, stick-slip is most of what differences show, and a descent by them alone stops anywhere.
+    Before each step every joint takes the best of the ``scales`` of its torques and inertia, along which the loss is
+    flat and a descent stops anywhere.
     """
     x = np.clip(start, problem.prior.lower, problem.prior.upper)
     fixed = problem.frozen
@@ -280,10 +266,9 @@ def fit(problem: Problem, start: Array, iterations: int, scales: Sequence[float]
 
 
 def search(problem: Problem, starts: Array, rng: np.random.Generator, rounds: int = 3) -> Array:
-    """Random search before the descent: each joint keeps its best of the candidates, then draws around it.
+    """Random search from ``starts`` (s, k): each joint keeps its best candidate, then draws around it.
 
-    Joints decouple, so ``starts`` (s, k) hold s independent tries for every joint at once. Needed where
-    the cost is flat: a joint whose force saturates shows no trace of its stiffness.
+    Needed where the cost is flat: a joint whose force saturates shows no trace of its stiffness.
     """
     prior, candidates, known = problem.prior, starts, np.empty((0, *problem.measured.shape))
     for i in range(rounds):
@@ -314,7 +299,7 @@ def _pressed(prior: Prior, x: Array, gradient: Array) -> NDArray[np.bool_]:
 
 
 def _steps(problem: Problem, x: Array, curvature: Array, gradient: Array, fixed: NDArray[np.bool_]) -> Array:
-    """Return new vectors (d, k), one for each damping value, within the bounds and a prior sigma of ``x``."""
+    """Return new vectors (d, k), one for each damping value, within bounds and a prior sigma of ``x``."""
     free = np.flatnonzero(~fixed)
     block = curvature[np.ix_(free, free)]
     trial = np.tile(x, (len(DAMPINGS), 1))
@@ -327,9 +312,8 @@ def _steps(problem: Problem, x: Array, curvature: Array, gradient: Array, fixed:
 def line_up(problem: Problem, candidates: Array, residuals: Array, weights: Weights) -> tuple[Array, float, Array]:
     """Let each joint pick its best candidate (s, k); return the mixture, its gain on the first and its residuals.
 
-    ``residuals`` (r, rows, n) are those of the first candidates that are known already. The mixture is simulated as
-    well, and one in which joints that are believed to be alike choose together; where the joints' choices do not fit
-    to one another, the best single candidate wins.
+    ``residuals`` (r, rows, n) are those of the first candidates. The mixture is simulated, as is one in which groups
+    choose together; the best single candidate wins where they are no better.
     """
     if len(residuals) < len(candidates):
         residuals = np.concatenate([residuals, problem.residuals(candidates[len(residuals) :])])
@@ -359,10 +343,7 @@ def influence(residual: Array) -> Array:
 
 
 def correlation_time(residual: Array, window: NDArray[np.integer], longest: int = 200) -> Array:
-    """(n,) [rows] integrated autocorrelation time 1 + 2 sum rho of residuals (rows, n) within windows.
-
-    Summed to the first lag at which the correlation falls below 0.05 (a common truncation).
-    """
+    """(n,) [rows] integrated autocorrelation time 1 + 2 sum rho of residuals (rows, n), to the first rho below 0.05."""
     power = np.maximum(np.mean(residual**2, axis=0), 1e-18)
     total, alive = np.ones(residual.shape[1]), np.ones(residual.shape[1], dtype=bool)
     for lag in range(1, min(longest, len(residual) - 1)):

@@ -1,7 +1,6 @@
-"""Friction in the joints of a twin: its parameters, what is believed of them before any data, and its law.
+"""Friction in the joints of a twin: its parameters, their prior, and its law.
 
-All that is known of friction stands here: the table of parameters, the model, the simulation, fits and draws take it
-from this file. docs/architecture.md shows how to add a term.
+All others take it from this file; docs/architecture.md shows how to add a term.
 """
 
 from __future__ import annotations
@@ -30,18 +29,15 @@ FRICTION = (
 """Rows of the table of parameters (`rejoint.twin.parameters.PARAMETERS`)"""
 
 DRY = ("coulomb",)
-"""Those that dry friction is made of, beside the stiction. That is no element of the parameter vector: ordinary motion
-hardly tells it, so a few values are compared (`rejoint.twin.structure`)"""
+"""Those that dry friction is made of, beside the stiction, of which a few values are compared
+(`rejoint.twin.structure`)"""
 
 STRIBECK_SPEED = 0.1
 """[rad/s] at which friction has fallen to that of motion (chosen: two encoder steps in a control period)"""
 
 
 def friction_fields(twin: TwinParameters) -> Iterator[tuple[str, Array]]:
-    """Yield the fields of the MuJoCo model that friction decides, as (name, value (..., n)).
-
-    Dry friction is that of motion there. Where it depends on the speed it is set anew before every step.
-    """
+    """Yield the fields of the MuJoCo model that friction decides, as (name, value (..., n))."""
     yield "dof_damping", twin.damping
     yield "dof_frictionloss", twin.coulomb
 
@@ -54,12 +50,12 @@ def friction_terms(twin: TwinParameters, stiction: Array | float) -> Array:
 def dry_friction(terms: Array, speed: Array) -> Array:
     """Dry friction (...) [N m] at a joint's ``speed`` (...) [rad/s], from the ``terms`` (t, ...) of `friction_terms`.
 
-    Stribeck's law (Stribeck 1902, as in Armstrong-Helouvry et al. 1994). Plain arithmetic, which is compiled as well.
+    Stribeck's law (Stribeck 1902, as in Armstrong-Helouvry et al. 1994); plain arithmetic, which is compiled as well.
     """
     coulomb, stiction = terms[0], terms[-1]
     return coulomb * (1.0 + (stiction - 1.0) * np.exp(-((speed / STRIBECK_SPEED) ** 2)))
 
 
 def is_steady(terms: Array) -> bool:
-    """Tell whether dry friction is the same at every speed: then nothing has to be set before a step."""
+    """Tell whether dry friction is the same at every speed."""
     return bool((terms[-1] == 1.0).all())

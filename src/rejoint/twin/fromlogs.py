@@ -1,9 +1,7 @@
-"""Identification from logs that somebody else recorded: several motions, an arm of which little is known.
+"""Identification from logs of several motions of an arm of which little is known.
 
-What differs from an excitation (`rejoint.twin.identify`) is the data. Contacts, stops and dead readings
-are found and left out. Whole motions are held out, not windows of motions that were seen, and what is
-believed before any data is wide (`rejoint.twin.motionfit` fits). Once it is judged, the twin is fitted
-once more, to all motions; the table, if there is one, last.
+Contacts, stops and dead readings are left out, whole motions held out, priors wide. The judged twin is then fitted
+again, to all motions; the table comes last.
 """
 
 from __future__ import annotations
@@ -19,17 +17,22 @@ from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
-from rejoint.twin.conditions import powered
 from rejoint.twin.fit import Fit, Problem
-from rejoint.twin.holdout import part
 from rejoint.twin.identify import fitted_twin
 from rejoint.twin.judge import Candidate, judge
-from rejoint.twin.judgement import NO_TWIN, Judgement
-from rejoint.twin.motionfit import DEFAULT_LOG_SETTINGS, LogSettings, fit_motions, independent, settle
+from rejoint.twin.judgement import NO_TWIN, Judgement, PredictionError
+from rejoint.twin.motionfit import (
+    DEFAULT_LOG_SETTINGS,
+    LogSettings,
+    contact_windows,
+    fit_motions,
+    independent,
+    part,
+    settle,
+    thin,
+)
 from rejoint.twin.parameters import healthy_parameters, unpack
-from rejoint.twin.prediction import PredictionError
-from rejoint.twin.replay import Replay
-from rejoint.twin.segments import contact_windows, thin
+from rejoint.twin.replay import Replay, powered
 from rejoint.twin.table import TablePlane
 from rejoint.twin.tablefit import fit_table
 from rejoint.twin.twin import HeldOut, Twin
@@ -43,8 +46,7 @@ LEAST_CONTACT = 5.0
 
 
 FOLLOWED = 0.4
-"""Weight of a motion's worst joint below which it is named as one that the twin cannot follow (chosen: three times as
-far off as in the typical window)"""
+"""Weight of a motion's worst joint below which it is named (chosen: three times as far off as the typical window)"""
 REFITTED = "errors on held-out motion are those of a fit that had not seen it; the values are fitted to all motions"
 NOTHING = "the motions tell no joint's stiffness, damping or friction"
 UNJUDGED = "no motion was held out: the errors are those on the motions that were fitted"
@@ -59,7 +61,7 @@ class LogIdentification:
     fitted: tuple[str, ...]
     """motions that the fit has seen"""
     judgement: Judgement
-    """of the fitted twin, a healthy one and none, on the motions that the fit has not seen"""
+    """of the fitted twin, a healthy one and none, on motions that the fit has not seen"""
 
 
 def identify_logs(
@@ -71,8 +73,8 @@ def identify_logs(
 ) -> LogIdentification:
     """Fit a twin to logs and judge it, and the candidates ``beside`` it, on those kept from the fit.
 
-    The twin that is judged has not seen those; the one that is returned is then fitted to all logs.
-    InputError if the logs are of another arm, hold too little free motion, or lack a motion that is to be held out.
+    The returned twin is fitted to all logs. InputError if the logs are of another arm, hold too little free motion, or
+    lack one to hold out.
     """
     for log in logs:
         log.require(arm.name, arm.joint_names)
@@ -123,7 +125,7 @@ def _fit_table(
     settings: LogSettings,
     start: TablePlane | None = None,
 ) -> TablePlane | None:
-    """Fit the table to motion in contact, from ``start`` if given; None where there is none or too little of it."""
+    """Fit the table to motion in contact, from ``start`` if given; None with too little of it."""
     if height is None or not settings.table:
         return None
     replay, parameters = problem.replay, unpack(found.vector, problem.joints)
@@ -133,20 +135,18 @@ def _fit_table(
         return None
     chosen = thin(windows, replay.logs, settings.contact_seconds)
     touching = Replay(
-        replay.arm, replay.logs, chosen, settings.timestep, settings.threads, replay.stiction, on_table=True,
-        acceleration=replay.acceleration,
-    )  # fmt: skip
+        replay.arm, replay.logs, chosen, settings.timestep, settings.threads, replay.stiction, replay.acceleration
+    )
     return fit_table(touching, parameters, height, start)
 
 
 def _unidentified(twin: Twin) -> list[str]:
-    """Say so where the motions tell nothing of how any joint moves."""
     kinds = {name.partition(".")[0] for name, known in zip(twin.names, twin.identified, strict=True) if known}
     return [] if kinds & {"stiffness", "damping", "coulomb"} else [NOTHING]
 
 
 def _hard_to_follow(problem: Problem, found: Fit, logs: Sequence[RunLog]) -> list[str]:
-    """Name the motions that no twin of the structure follows as it follows the others, with their mean weight."""
+    """Name the motions that no twin of the structure follows as it follows the others, with their weight."""
     motion = np.array([w.log for w in problem.replay.windows])[problem.window]
     weight = {logs[i].label: float(found.weights.share[motion == i].mean(axis=0).min()) for i in np.unique(motion)}
     low = {label: share for label, share in weight.items() if share < FOLLOWED}
@@ -161,7 +161,7 @@ def _held_out(judgement: Judgement) -> HeldOut:
         found = judgement.mean[name].free or judgement.mean[name].all
         if found is None:
             raise InputError("identification: the held-out motions hold no usable row; hold out others")
-        return PredictionError(joints=np.array(found.joints), joint=found.joint, tcp=found.tcp)
+        return found
 
     seconds = sum(motion.seconds - motion.contact_seconds - motion.left_out_seconds for motion in judgement.motions)
     return HeldOut(seconds=seconds, no_twin=error(NO_TWIN), healthy_twin=error(HEALTHY), twin=error(FITTED))

@@ -1,8 +1,7 @@
 """Identification: from run logs of an excitation to a twin with intervals, judged on motion it was not fitted to.
 
-The logs are cut into windows; every fourth is held out. The others are fitted coarsely from many starts
-(`rejoint.twin.fit`), then at the twin's own time step, and asked what they know (`rejoint.twin.uncertainty`).
-The held-out windows decide between the fit and the prior, and give the errors that are reported.
+Every fourth window is held out. The others are fitted coarsely from many starts (`rejoint.twin.fit`), then at the
+twin's own time step, then for their intervals (`rejoint.twin.uncertainty`).
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
 from rejoint.twin.declaration import TIMESTEP
 from rejoint.twin.fit import Fit, Problem, fit, search
+from rejoint.twin.judgement import PredictionError, prediction_error
 from rejoint.twin.loads import prior_by_loads
 from rejoint.twin.parameters import (
     Layout,
@@ -29,7 +29,6 @@ from rejoint.twin.parameters import (
     unpack,
     vector_names,
 )
-from rejoint.twin.prediction import PredictionError, prediction_error
 from rejoint.twin.replay import Replay, cut, divide, measured_velocity
 from rejoint.twin.table import TablePlane
 from rejoint.twin.twin import HeldOut, Twin
@@ -38,12 +37,12 @@ from rejoint.twin.uncertainty import CLUSTER, Uncertainty, uncertainty
 
 @dataclass(frozen=True, kw_only=True)
 class IdentifySettings:
-    """How to identify; the defaults take 3 s of processor for the 140 s of motion of a diagnosis (measured)."""
+    """How to identify; the defaults take 3 s of processor for the motion of a diagnosis (measured)."""
 
     window: float = 6.0
-    """[s] between restarts from the measured state; 1 to 50 s make no difference (measured on a real arm)"""
+    """[s] between restarts from the measured state (measured: 1 to 50 s make no difference)"""
     coarse_window: float = 2.0
-    """[s] the same for the search: over a few oscillations the phase does not yet run away from the data's"""
+    """[s] the same for the search: few oscillations, so that the phase does not run away"""
     hold_out: int = 4
     """every hold_out-th window is kept from the fit"""
     starts: int = 24
@@ -70,10 +69,7 @@ def identify(
     settings: IdentifySettings = DEFAULT_SETTINGS,
     on_progress: Progress = no_progress,
 ) -> Twin:
-    """Fit a twin to the logs of an excitation.
-
-    InputError if the logs are of another arm or too short.
-    """
+    """Fit a twin to the logs of an excitation; InputError if they are of another arm or too short."""
     seconds = sum(float(log.time[-1] - log.time[0]) for log in logs)
     windows = cut(logs, settings.window)
     seen = [w for i, w in enumerate(windows) if i % settings.hold_out != settings.hold_out - 1]
@@ -154,7 +150,7 @@ def _held_out(arm: Arm, replay: Replay, vector: Array) -> HeldOut:
 
 
 def largest_static_torque(arm: Arm, logs: Sequence[RunLog], coulomb: Array) -> Array:
-    """(n,) [N m] largest gravity torque that each motor was seen to hold still, friction's help taken off."""
+    """(n,) [N m] largest gravity torque that each motor held still, less friction."""
     largest = np.zeros(arm.joints)
     for log in logs:
         still = np.abs(measured_velocity(log)) < STILL_SPEED
@@ -164,17 +160,13 @@ def largest_static_torque(arm: Arm, logs: Sequence[RunLog], coulomb: Array) -> A
 
 
 def largest_drive_torque(problem: Problem, parameters: TwinParameters) -> Array:
-    """(n,) [N m] torque that each servo would give without a limit, exceeded in one row of 200 only."""
+    """(n,) [N m] torque of each servo without a limit, exceeded in one row of 200."""
     lead = np.concatenate(problem.replay.references(parameters)) + parameters.offset - problem.measured
     return np.quantile(np.abs(parameters.stiffness * lead), 0.995, axis=0)
 
 
 def torque_bounds(problem: Problem, logs: Sequence[RunLog], twin: Twin) -> Array:
-    """Raise lower bounds: (k,) with that of the torque limit raised to what the arm has shown.
-
-    Where the data identify the limit, that is the gravity torque it has held. Where they do not, the
-    limit was not reached, and it is no lower than the torques that were.
-    """
+    """Raise lower bounds (k,): the torque limit is no lower than the gravity torque held, or the torques reached."""
     arm, n = problem.replay.arm, problem.joints
     limited = twin.identified[problem.layout.at("torque_limit")]
     static = largest_static_torque(arm, logs, twin.parameters.coulomb)

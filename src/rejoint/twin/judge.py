@@ -1,25 +1,37 @@
 """How well twins predict logs that they were not fitted to: open loop, motion by motion, free and in contact apart.
 
-Every motion is replayed whole, from its first measured pose. Joints at stops and dead readings count
-nowhere. The tool's error is that of forward kinematics of the encoders: what lies behind them no log shows.
+Motions are replayed whole. A twin is trusted only where joints moved, readings come often enough, on the clock of the
+commands, and it predicts them better than the commands, however delayed.
+
+Published parameter sets, as in docs/published, are judged beside it: a TOML file with stiffness, damping, coulomb and
+armature, one value or one for each joint; the rest of `PARAMETERS`, stiction and name may be left out.
 """
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from rejoint.arms import Arm, Array, tcp_position
-from rejoint.logs.exclusions import Exclusions, Rows, find_exclusions, table_height
+from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
 from rejoint.logs.runlog import RunLog
-from rejoint.system.errors import InputError
-from rejoint.twin.doubts import doubts
-from rejoint.twin.judgement import NO_TWIN, Error, Errors, Judgement, MotionErrors, Trace
-from rejoint.twin.parameters import STICTION, TwinParameters
-from rejoint.twin.prediction import prediction_error
-from rejoint.twin.repeatability import repeatability
+from rejoint.system.errors import FileError, InputError
+from rejoint.system.files import TOML_MOST, read_bounded
+from rejoint.system.statistics import above_zero, bootstrap_mean
+from rejoint.twin.judgement import (
+    NO_TWIN,
+    Errors,
+    Judgement,
+    MotionErrors,
+    PredictionError,
+    Trace,
+    prediction_error,
+)
+from rejoint.twin.parameters import PARAMETERS, STICTION, Parameter, TwinParameters, unknown_prior, unpack
 from rejoint.twin.replay import Replay, Window
 from rejoint.twin.table import TablePlane
 from rejoint.twin.twin import Twin
@@ -64,7 +76,7 @@ def judge(
 ) -> Judgement:
     """Compare candidates, and no twin at all, on whole logs; ``table`` [m] is its height, found if not given.
 
-    InputError where there is no log or no candidate, names are not unique, or a log is of another arm.
+    InputError without a log or candidate, with equal names, or for another arm.
     """
     names = [NO_TWIN, *(c.name for c in candidates)]
     if not logs or not candidates or len(set(names)) != len(names):
@@ -101,7 +113,6 @@ def judge_paths(
         table_height=table,
         motions=found,
         mean={name: _mean([motion.errors[name] for motion in found]) for name in names},
-        repeatability=repeatability(arm, logs, [r.free for r in rows]),
         doubts=tuple(doubts(arm, logs, rows, paths)),
         worst=_trace(arm, logs[worst], rows[worst], {name: path[worst] for name, path in paths.items()}),
     )
@@ -114,15 +125,14 @@ def _no_twin(logs: Sequence[RunLog]) -> list[Array]:
 def _paths(arm: Arm, candidate: Candidate, logs: Sequence[RunLog], timestep: float, threads: int) -> list[Array]:
     """Positions (T, n) [rad] of one candidate in each log."""
     windows = [Window(log=i, first=0, last=len(log)) for i, log in enumerate(logs)]
-    on_table, tables = candidate.table is not None, [] if candidate.table is None else [candidate.table]
+    tables = [] if candidate.table is None else [candidate.table]
     paths: dict[int, Array] = {}
     # Motions of similar length together: a batch takes as long as its longest.
     order = sorted(range(len(logs)), key=lambda i: logs[i].time[-1] - logs[i].time[0])
     for start in range(0, len(order), 2 * threads):
         part = order[start : start + 2 * threads]
         chosen = [windows[i] for i in part]
-        replay = Replay(arm, logs, chosen, timestep, threads, candidate.stiction, on_table=on_table,
-                        acceleration=candidate.acceleration)  # fmt: skip
+        replay = Replay(arm, logs, chosen, timestep, threads, candidate.stiction, candidate.acceleration)
         found = replay.predict(candidate.parameters.repeat(1), tables)
         paths |= {i: path[0] for i, path in zip(part, found, strict=True)}
     return [paths[i] for i in range(len(logs))]
@@ -137,26 +147,24 @@ def _motion(arm: Arm, log: RunLog, rows: Exclusions, paths: dict[str, Array]) ->
         contact_seconds=float(parts["contact"].sum()) * period,
         left_out_seconds=float((~rows.readable).sum()) * period,
         errors={
-            name: Errors(**{part: _error(arm, path, log.position, where) for part, where in parts.items()})
+            name: Errors(
+                **{
+                    part: prediction_error(arm, path[rows], log.position[rows]) if rows.any() else None
+                    for part, rows in parts.items()
+                }
+            )
             for name, path in paths.items()
         },
     )
 
 
-def _error(arm: Arm, predicted: Array, measured: Array, rows: Rows) -> Error | None:
-    if not rows.any():
-        return None
-    found = prediction_error(arm, predicted[rows], measured[rows])
-    return Error(joint=found.joint, joints=tuple(found.joints.tolist()), tcp=found.tcp)
-
-
 def _mean(errors: Sequence[Errors]) -> Errors:
-    def mean(parts: list[Error | None]) -> Error | None:
+    def mean(parts: list[PredictionError | None]) -> PredictionError | None:
         known = [part for part in parts if part is not None]
         if not known:
             return None
         joints = np.mean([part.joints for part in known], axis=0)
-        return Error(
+        return PredictionError(
             joint=float(np.mean([part.joint for part in known])),
             joints=tuple(joints.tolist()),
             tcp=float(np.mean([part.tcp for part in known])),
@@ -183,3 +191,121 @@ def _trace(arm: Arm, log: RunLog, rows: Exclusions, paths: dict[str, Array]) -> 
         tcp={name: tuple(gap.tolist()) for name, gap in gaps.items()},
         joints=tuple(tuple(row) for row in (paths[first] - log.position)[shown].T.tolist()),
     )
+
+
+MOVED = np.radians(2.0)
+"""[rad] of travel below which a joint has not moved: little more than friction hides (chosen)"""
+COARSEST = 0.1
+"""[s] between readings above which motion shows no friction and no lag (chosen, as for a diagnosis)"""
+EARLIEST, LATEST = -0.05, 0.3
+"""[s] by which readings may follow commands: two periods early, and no servo is later (chosen)"""
+LAGS = np.arange(-0.5, 0.81, 0.01)
+"""[s] that are tried"""
+ROWS = 1000
+"""Rows of a log that a lag is sought in (chosen)"""
+FEWEST = 3
+"""Motions below which no interval is known (chosen, as for the report)"""
+CLEARLY = 0.8
+"""Error over that of the commands that counts as smaller there (chosen)"""
+
+
+def doubts(arm: Arm, logs: Sequence[RunLog], rows: Sequence[Exclusions], paths: dict[str, list[Array]]) -> list[str]:
+    """Say why no prediction of ``paths``, the first of which is no twin, is to be trusted; empty if one is."""
+    found = []
+    travel = max(float(np.ptp(log.position, axis=0).max()) for log in logs)
+    if travel < MOVED:
+        return [f"no joint moved by more than {np.degrees(travel):.2g} deg, expected at least {np.degrees(MOVED):g}"]
+    period = float(np.median(np.concatenate([np.diff(log.time) for log in logs])))
+    if period > COARSEST:
+        found.append(f"readings are {period:.2g} s apart, expected at most {COARSEST:g} s")
+    lag, left = command_lag(logs)
+    if left < arm.encoder_step:
+        found.append("the readings are copies of the commands, and show nothing of the arm")
+    elif not EARLIEST <= lag <= LATEST:
+        found.append(
+            f"the readings follow the commands by {lag:.2f} s, expected {EARLIEST:g} to {LATEST:g} s: clocks differ"
+        )
+    twins = [paths[name] for name in list(paths)[1:]]
+    delayed = [_delayed(log, lag) for log in logs]
+    for name, without in (("the command", next(iter(paths.values()))), (f"the command {lag:.2f} s later", delayed)):
+        if not any(_better(arm, logs, rows, twin, without) for twin in twins):
+            found.append(f"no twin predicts measurably better than {name} does")
+            break
+    return found
+
+
+def command_lag(logs: Sequence[RunLog]) -> tuple[float, float]:
+    """Lag [s] of the commands that suits the readings best, and what it leaves [rad], root mean square.
+
+    Joints that hardly move, and constant differences, are left out.
+    """
+    totals, count = np.zeros(len(LAGS)), 0
+    for log in logs:
+        moving = np.flatnonzero(np.ptp(log.position, axis=0) > MOVED)
+        if not len(moving):
+            continue
+        chosen = np.unique(np.linspace(0, len(log) - 1, min(len(log), ROWS)).astype(int))
+        count += len(chosen) * len(moving)
+        for i, lag in enumerate(LAGS):
+            gap = (_delayed(log, float(lag))[chosen] - log.position[chosen])[:, moving]
+            totals[i] += float(((gap - gap.mean(axis=0)) ** 2).sum())
+    best = int(np.argmin(totals))
+    return float(LAGS[best]), float(np.sqrt(totals[best] / max(count, 1)))
+
+
+def _delayed(log: RunLog, lag: float) -> Array:
+    """Commands (T, n) [rad] that were in force ``lag`` [s] before each reading."""
+    return np.asarray(
+        log.command[np.clip(np.searchsorted(log.time, log.time - lag, side="right") - 1, 0, len(log) - 1)]
+    )
+
+
+def _better(
+    arm: Arm, logs: Sequence[RunLog], rows: Sequence[Exclusions], twin: Sequence[Array], without: Sequence[Array]
+) -> bool:
+
+    def error(log: RunLog, path: Array, own: Exclusions) -> float:
+        gap = tcp_position(arm, path[own.free]) - tcp_position(arm, log.position[own.free])
+        return float(np.sqrt(np.mean(np.sum(gap**2, axis=-1))))
+
+    known = [i for i, own in enumerate(rows) if own.free.any()]
+    ours, theirs = (np.array([error(logs[i], path[i], rows[i]) for i in known]) for path in (twin, without))
+    if len(known) < FEWEST:
+        return bool(len(known) and ours.mean() < CLEARLY * theirs.mean())
+    return above_zero(bootstrap_mean(theirs - ours, np.arange(len(known)), fewest=FEWEST))
+
+
+def read_published(path: Path, arm: Arm) -> Candidate:
+    """Read a published set; FileError names the file or the value that is wrong."""
+    remedy, reached = "docs/published holds examples", unpack(unknown_prior(arm).upper, arm.joints)
+    try:
+        data = tomllib.loads(read_bounded(path, TOML_MOST, remedy).decode())
+    except FileNotFoundError as error:
+        raise FileError(path, "no such file", "check the path") from error
+    except (OSError, UnicodeDecodeError, RecursionError, tomllib.TOMLDecodeError) as error:
+        raise FileError(path, f"not a readable TOML file ({error})", remedy) from error
+    # Where the wide ranges end, a limit is out of reach.
+    known = {"name": path.stem, "source": "", "stiction": 1.0, "offset": 0.0, "delay": 0.0,
+             "torque_limit": reached.torque_limit[0], "ramp_speed": float(reached.ramp_speed)} | data  # fmt: skip
+    names = [p.name for p in PARAMETERS]
+    missing, unknown = sorted(set(names) - set(known)), sorted(set(known) - {*names, "name", "source", "stiction"})
+    if missing or unknown:
+        what = f"no {', '.join(missing)}" if missing else f"unknown {', '.join(unknown)}"
+        raise FileError(path, f"{what}; known: {', '.join(names)}", remedy)
+    values = {p.name: _value(path, known[p.name], p, arm.joints) for p in PARAMETERS}
+    stiction = float(_value(path, known["stiction"], PARAMETERS[-1], arm.joints))
+    if not stiction >= 1.0:
+        raise FileError(path, f"stiction is {stiction!r}, expected a number of at least 1", remedy)
+    return Candidate(name=str(known["name"]), parameters=TwinParameters(**values), stiction=stiction)
+
+
+def _value(path: Path, given: object, parameter: Parameter, joints: int) -> Array:
+    shape, named = ((joints,), f"a list of {joints}") if parameter.per_joint else ((), "a number")
+    try:
+        found = np.array(np.broadcast_to(np.asarray(given, dtype=float), shape))
+    except (TypeError, ValueError):
+        found = np.full(shape, np.nan)
+    if not np.isfinite(found).all() or (parameter.log and not (found > 0).all()):
+        above = " above zero" if parameter.log else ""
+        raise FileError(path, f"{parameter.name} is {given!r}, expected {named}{above}", "look at docs/published")
+    return found

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rejoint.twin.repeatability import Repeatability
+import numpy as np
+
+from rejoint.arms import Arm, Array, tcp_position
 
 NO_TWIN = "no twin"
 """Name of the prediction that the arm is where it was told to be"""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Error:
+class PredictionError:
     """Distance between a prediction and the encoders, root mean square over time."""
 
     joint: float
@@ -19,16 +21,16 @@ class Error:
     joints: tuple[float, ...]
     """(n,) [rad]"""
     tcp: float
-    """[m]"""
+    """[m] of the TCP by forward kinematics of the encoders"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Errors:
     """One prediction of one motion, or the mean over motions; None where there are no such rows."""
 
-    free: Error | None
-    contact: Error | None
-    all: Error | None
+    free: PredictionError | None
+    contact: PredictionError | None
+    all: PredictionError | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,9 +74,16 @@ class Judgement:
     motions: tuple[MotionErrors, ...]
     mean: dict[str, Errors]
     """over the motions, each counting the same, by the name of the prediction"""
-    repeatability: Repeatability | None
-    """of the arm itself: no twin can be asked for less; None where no motion repeats"""
     worst: Trace
     doubts: tuple[str, ...] = ()
-    """why no prediction is to be trusted, however small its error (`rejoint.twin.doubts`); empty where nothing is
+    """why no prediction is to be trusted, however small its error (`rejoint.twin.judge`); empty where nothing is
     missing"""
+
+
+def prediction_error(arm: Arm, predicted: Array, measured: Array) -> PredictionError:
+    """Compare positions (T, n) [rad]."""
+    difference = predicted - measured
+    joints = np.sqrt(np.mean(difference**2, axis=0))
+    gap = tcp_position(arm, predicted) - tcp_position(arm, measured)
+    tcp = np.sqrt(np.mean(np.sum(gap**2, axis=-1)))
+    return PredictionError(joints=tuple(joints.tolist()), joint=float(np.sqrt(np.mean(difference**2))), tcp=float(tcp))

@@ -1,8 +1,8 @@
-"""What servos that tell their load say of their torques, beside the positions of their joints.
+"""What servos that report their load say of their torques.
 
 Positions alone tell a joint's torques up to a common scale, which gravity and the links' inertia fix: badly where
 little of either is felt, as about a vertical axis or near the flange. A load is a share of the servo's largest torque.
-So the line of load over error, read where the joint stands (`rejoint.control.lines`), is stiffness over largest torque,
+So the line of load over error, read where the joint stands (`servo_lines`), is stiffness over largest torque,
 within some percent; and motors of one type have nearly the same largest torque. What the weight of the arm says of one
 joint's torques holds for the others by that. The scale of all of them stays that of the masses: a load in N m would
 need the motor's own constant, and data sheets and benches differ in it by more than masses do (an STS3215's stall
@@ -17,28 +17,24 @@ from dataclasses import replace
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.control.lines import servo_lines
+from rejoint.control.monitor import servo_lines
 from rejoint.logs.runlog import RunLog
-from rejoint.twin.parameters import Layout, Prior, prior
-from rejoint.twin.unknown import UNKNOWN_PARAMETERS
+from rejoint.twin.parameters import UNKNOWN_PARAMETERS, Layout, Prior, prior
 
 COMMON = 1.0
-"""Standard deviation of the logarithm of what the largest torques of motors of one type have in common (chosen: a
-factor of three, so that it is the arm that tells)"""
+"""Standard deviation of the common logarithm of the largest torques of one type (chosen: a factor of three)"""
 OWN = 0.3
-"""The same of a single motor beside it (chosen: new ones differ by some percent, those of emulated worn arms by 0.3)"""
+"""The same of a single motor beside it (chosen: those of emulated worn arms differ by 0.3)"""
 ANY = 3.0
-"""The same of a stiffness whose line is known: what is believed of it comes by the largest torque alone, else five
-guesses at five alike servos would pass for knowledge (chosen: a factor of twenty)"""
+"""The same of a stiffness whose line is known, which comes by the largest torque alone (chosen: a factor of twenty)"""
 OPEN = tuple(replace(p, alike=None) for p in UNKNOWN_PARAMETERS)
-"""The table of parameters: wide, since servos that tell loads are not those of a worn myCobot, and the likeness of
-motors comes in by `OWN`"""
+"""The table of parameters: wide, and the likeness of motors comes in by `OWN`"""
 
 
 def prior_by_loads(arm: Arm, logs: Sequence[RunLog]) -> Prior | None:
-    """Return what is believed of an arm of which ``logs`` tell loads; None where they say nothing.
+    """Return the prior of an arm of which ``logs`` report loads; None where they say nothing.
 
-    That needs lines of load over error, and servos of which at least two are known to be of one type (`Arm.servos`).
+    That needs lines of load over error, and two servos of one type (`Arm.servos`).
     """
     groups = [np.flatnonzero(np.array(arm.servos) == name) for name in sorted(set(arm.servos)) if name]
     alike = [group for group in groups if len(group) > 1]

@@ -1,29 +1,29 @@
-"""Fit of a twin to the free motion of several logs: first what it must hold, then its values.
+"""Fit of a twin to the free motion of several logs: which windows, which motions are held out, structure, values.
 
-A part of the motion decides on the structure (`rejoint.twin.structure`): limits of torque and reference speed only if
-the arm has reached them, and how much a joint sticks. Then windows spread over all motions are fitted. Those that no
-twin of the structure follows as it follows the others count less, or not at all.
+A part of the motion decides on the structure (`rejoint.twin.structure`); then windows spread over all motions are
+fitted. Whole motions are held out, drawn by a seed from each few of similar kind: ordered by contact, then by commanded
+speed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
-from rejoint.logs.exclusions import Exclusions
+from rejoint.logs.consistency import refuse_copies
+from rejoint.logs.exclusions import Exclusions, find_exclusions, free_runs, table_height
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
 from rejoint.twin.fit import SCALES, Fit, Problem, fit
-from rejoint.twin.holdout import HoldOut
 from rejoint.twin.judge import TIMESTEP
+from rejoint.twin.parameters import unknown_prior
 from rejoint.twin.replay import Replay, Window
-from rejoint.twin.segments import SHORTEST as LEAST
-from rejoint.twin.segments import by_motion, fastest, free_windows, merged, thin
 from rejoint.twin.structure import (
     STICTIONS,
     Structure,
@@ -33,28 +33,161 @@ from rejoint.twin.structure import (
     rough_fit,
     simplest,
 )
-from rejoint.twin.unknown import unknown_prior
+
+SHORTEST_STRETCH = 2.0
+"""[s] of free motion that are worth a window (chosen: a few times the memory of a geared joint)"""
+
+LEAD = 1.0
+"""[s] of free motion before a contact that its window starts with (chosen)"""
+
+
+def free_windows(logs: Sequence[RunLog], excluded: Sequence[Exclusions], length: float) -> list[Window]:
+    """Cut the free motion of the logs into windows of at most about ``length`` [s]."""
+    windows: list[Window] = []
+    for index, (log, rows) in enumerate(zip(logs, excluded, strict=True)):
+        for run in free_runs(rows.free, log.time, SHORTEST_STRETCH):
+            windows += _pieces(index, log, run, length)
+    return windows
+
+
+def contact_windows(logs: Sequence[RunLog], excluded: Sequence[Exclusions], length: float) -> list[Window]:
+    """Cut what surrounds the contacts of the logs into windows of about ``length`` [s]."""
+    windows: list[Window] = []
+    for index, (log, rows) in enumerate(zip(logs, excluded, strict=True)):
+        for first, last in free_runs(rows.contact & rows.readable, log.time, SHORTEST_STRETCH):
+            early = int(np.searchsorted(log.time, log.time[first] - LEAD))
+            while not rows.readable[early:first].all():
+                early += 1
+            windows += _pieces(index, log, (early, last), length)
+    return windows
+
+
+def thin(windows: Sequence[Window], logs: Sequence[RunLog], seconds: float) -> list[Window]:
+    """Keep about ``seconds`` [s] of the windows, evenly spread over them and so over the motions."""
+    lengths = np.array([logs[w.log].time[w.last - 1] - logs[w.log].time[w.first] for w in windows])
+    total = float(lengths.sum())
+    if total <= seconds:
+        return list(windows)
+    # Taken whenever the time passed reaches the next multiple: long motions give more than short ones.
+    passed = np.floor((np.cumsum(lengths) - 0.5 * lengths) * seconds / total / lengths.mean()).astype(int)
+    chosen = np.diff(passed, prepend=-1) > 0
+    return [w for w, wanted in zip(windows, chosen, strict=True) if wanted]
+
+
+def fastest(windows: Sequence[Window], logs: Sequence[RunLog], seconds: float) -> list[Window]:
+    """Keep about ``seconds`` [s] of the windows, those whose commands accelerate most.
+
+    Only commands that keep changing count: jumps to a constant goal pass a limited acceleration by.
+    """
+
+    def acceleration(w: Window) -> float:
+        time, command = logs[w.log].time[w.first : w.last], logs[w.log].command[w.first : w.last]
+        speed = np.diff(command, axis=0) / np.diff(time)[:, None]
+        changing = speed != 0.0
+        lasting = changing[:-2] & changing[1:-1] & changing[2:]
+        change = (speed[2:] - speed[:-2]) / (time[2:-1] - time[:-3])[:, None]
+        return float(np.sqrt(np.mean(np.where(lasting, change, 0.0) ** 2)))
+
+    order = sorted(range(len(windows)), key=lambda i: -acceleration(windows[i]))
+    lengths = np.array([logs[windows[i].log].time[windows[i].last - 1] - logs[windows[i].log].time[windows[i].first]
+                        for i in order])  # fmt: skip
+    return [windows[i] for i in sorted(order[: int(np.searchsorted(np.cumsum(lengths), seconds)) + 1])]
+
+
+def merged(one: Sequence[Window], other: Sequence[Window]) -> list[Window]:
+    """Put two selections of windows together, each window once."""
+    every = {(w.log, w.first, w.last): w for w in (*one, *other)}
+    return [every[key] for key in sorted(every)]
+
+
+def by_motion(windows: Sequence[Window]) -> NDArray[np.integer]:
+    """(rows,) number of the motion that each row of the windows is of."""
+    motions = np.repeat([w.log for w in windows], [w.last - w.first for w in windows])
+    return np.unique(motions, return_inverse=True)[1].ravel()
+
+
+def _pieces(index: int, log: RunLog, run: tuple[int, int], length: float) -> list[Window]:
+    first, last = run
+    count = max(1, int(np.ceil(float(log.time[last - 1] - log.time[first]) / length - 0.05)))
+    edges = np.linspace(first, last, count + 1).astype(int).tolist()
+    return [Window(log=index, first=a, last=b) for a, b in pairwise(edges) if b - a > 2]
+
+
+FEW_MOTIONS = 4
+"""Below as many motions the end of each is held out instead of whole motions (chosen)"""
+KEPT_END = 0.25
+"""Share of a motion that is held out then (chosen)"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HoldOut:
+    """How to part logs."""
+
+    names: tuple[str, ...] | None = None
+    """labels of the motions kept from the fit; empty: none; None: drawn"""
+    every: int = 4
+    """one motion of as many is drawn"""
+    seed: int = 0
+
+
+def part(arm: Arm, logs: Sequence[RunLog], how: HoldOut) -> tuple[list[RunLog], list[RunLog]]:
+    """Split logs into those to fit and those to judge by; of few motions the last quarter of each is judged.
+
+    Where nothing is held out both are all of them. InputError where labels are not unique, or those to hold out are
+    missing or all.
+    """
+    ordered = sorted(logs, key=lambda log: log.label)
+    names = [log.label for log in ordered]
+    if len(set(names)) != len(names):
+        raise InputError("identification: two motions have the same label; give each its own")
+    refuse_copies(ordered, "identification")
+    if how.names is not None:
+        missing = sorted(set(how.names) - set(names))
+        if missing or len(how.names) >= len(names):
+            raise InputError(
+                f"identification: motions to hold out {', '.join(missing or how.names)}; expected some, but not all, "
+                f"of {', '.join(names)}"
+            )
+        if not how.names:
+            return ordered, ordered
+        kept = set(how.names)
+    elif len(ordered) < FEW_MOTIONS:
+        cuts = [int(len(log) * (1.0 - KEPT_END)) for log in ordered]
+        seen = [log.rows(slice(0, cut)) for log, cut in zip(ordered, cuts, strict=True)]
+        ends = [log.rows(slice(cut, None)) for log, cut in zip(ordered, cuts, strict=True)]
+        return seen, [replace(end, label=f"{end.label} (end)") for end in ends]
+    else:
+        fold = folds(arm, ordered, how.every, how.seed)
+        kept = {name for name, number in zip(names, fold, strict=True) if number == 0}
+    return [log for log in ordered if log.label not in kept], [log for log in ordered if log.label in kept]
+
+
+def folds(arm: Arm, logs: Sequence[RunLog], count: int, seed: int = 0) -> NDArray[np.integer]:
+    """(K,) number below ``count`` of the fold that each log falls into: each fold has motions of every kind."""
+    touching = [rows.contact.any() for rows in find_exclusions(arm, logs, table_height(arm, logs))]
+    speed = [float(np.sqrt(np.mean((np.diff(log.command, axis=0) / np.diff(log.time)[:, None]) ** 2))) for log in logs]
+    order = sorted(range(len(logs)), key=lambda i: (bool(touching[i]), round(speed[i], 6), logs[i].label))
+    rng, found = np.random.default_rng(seed), np.zeros(len(logs), dtype=int)
+    for start in range(0, len(order), count):
+        alike = order[start : start + count]
+        found[alike] = rng.permutation(count)[: len(alike)]
+    return found
+
 
 CLUSTERED = 8
-"""From as many motions on, intervals rest on the differences between motions, below on those between windows
-(chosen: a covariance of fewer clusters is mostly noise)"""
+"""From as many motions on, intervals rest on differences between motions, below between windows (chosen)"""
 
 STRIDE = 2.5
-"""Finite-difference steps over those for an excitation, 11 % of a stiffness: along the common scale of a joint's
-torques, which logs hardly fix, smaller ones measure stick-slip (measured on one pair of disjoint halves of a real
-low-cost arm's logs: with 4.5 % the elbow's stiffnesses end 60 % apart, with 12 % they end 12 % apart)"""
+"""Finite-difference steps over those for an excitation, 11 % of a stiffness: smaller ones measure stick-slip along the
+common scale (measured: with 4.5 % the elbow's stiffnesses from two halves end 60 % apart, with 12 % 12 %)"""
 REFINEMENT = 6
-"""Most steps of the final descent, which starts at the optimum of a part of its data, with the finite differences of an
-excitation: large ones stop short of the optimum (chosen: two or three do on a real low-cost arm)"""
+"""Most steps of the final descent, with the finite differences of an excitation (chosen: two or three do)"""
 MEMORY = 1.0
-"""[s] of motion that count as one observation beside the prior. By their autocorrelation 0.1 to 0.4 s would, and one
-motion then overrules the prior where it hardly tells (measured: an inertia of the shoulder pan three times that of the
-other motions, for 1 % of the loss). With 3 s the prior overruled a minute of a lone servo (measured, by others), and
-on a real low-cost arm nothing is gained by them (four folds: 2.45 mm with 3 s and 2.46 mm with 1 s, a single trial)"""
+"""[s] of motion that count as one observation beside the prior (chosen: by their autocorrelation, 0.1 to 0.4 s, one
+motion overrules the prior where it hardly tells; with 3 s the prior overruled a minute of a lone servo)"""
 
 FREEDOM = 2.0
-"""Degrees of freedom of the errors of windows (chosen: with so few, up to a third of them may be as far off as
-they like; with the usual four it is a fifth, which is one motion of five)"""
+"""Degrees of freedom of the errors of windows (chosen: up to a third of them may be far off)"""
 
 SHORTEST = 10.0
 """[s] of free motion below which an identification is refused (chosen: ten observations of each joint)"""
@@ -62,12 +195,12 @@ SHORTEST = 10.0
 
 @dataclass(frozen=True, kw_only=True)
 class LogSettings:
-    """How to identify from logs; the defaults take about 30 s of processor time however long the logs are."""
+    """How to identify from logs; the defaults take about 30 s of processor time."""
 
     hold_out: HoldOut = field(default_factory=HoldOut)
     """which motions are kept from the fit that is judged"""
     window: float = 8.0
-    """[s] between restarts from the measured state; 1 to 50 s make no difference (measured on a real arm)"""
+    """[s] between restarts from the measured state (measured: 1 to 50 s make no difference)"""
     coarse_seconds: float = 100.0
     """[s] of motion that decides on the structure"""
     fit_seconds: float = 400.0
@@ -75,8 +208,7 @@ class LogSettings:
     fast_seconds: float = 40.0
     """[s] of the motion that accelerates most: it decides on a limited acceleration and is always fitted"""
     contact_seconds: float = 240.0
-    """[s] of motion in contact that the table is fitted to (measured: with 80 s errors in contact are up to a fifth
-    larger, single trials)"""
+    """[s] of motion in contact that the table is fitted to (measured: with 80 s errors are up to a fifth larger)"""
     table: bool = True
     """whether to fit a table where the arm touches one"""
     table_height: float | None = None
@@ -97,17 +229,15 @@ def fit_motions(
     settings: LogSettings = DEFAULT_LOG_SETTINGS,
     on_progress: Progress = no_progress,
 ) -> tuple[Problem, Fit, Structure]:
-    """Find the structure of a twin for the free motion of logs, and fit it.
-
-    InputError where there is too little free motion.
-    """
+    """Find the structure of a twin for the free motion of logs, and fit it; InputError with too little of it."""
     windows = free_windows(logs, excluded, settings.window)
     seconds = sum(float(logs[w.log].time[w.last - 1] - logs[w.log].time[w.first]) for w in windows)
     if seconds < SHORTEST:
         whole = sum(float(log.time[-1] - log.time[0]) for log in logs)
         raise InputError(
-            f"identification: {seconds:.0f} s of free motion in stretches of {LEAST:g} s and more, of {whole:.0f} s "
-            f"in {len(logs)} log(s), expected at least {SHORTEST:.0f} s; record longer motions, off table and stops"
+            f"identification: {seconds:.0f} s of free motion in stretches of {SHORTEST_STRETCH:g} s and more, of "
+            f"{whole:.0f} s in {len(logs)} log(s), expected at least {SHORTEST:.0f} s; record longer "
+            "motions, off table and stops"
         )
     belief = unknown_prior(arm)
 
@@ -135,7 +265,7 @@ def settle(
     arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions], structure: Structure, start: Array | None,
     settings: LogSettings = DEFAULT_LOG_SETTINGS,
 ) -> tuple[Problem, Fit]:  # fmt: skip
-    """Fit windows spread over all of the logs, from the optimum ``start`` (k,) of a part of them, sought if None."""
+    """Fit windows spread over all of the logs, from ``start`` (k,), sought if None."""
     windows = free_windows(logs, excluded, settings.window)
     if start is None:
         slow = thin(windows, logs, settings.coarse_seconds)

@@ -1,21 +1,17 @@
-"""What a twin is described by: its parameters, their units, and what is believed before any data.
+"""The parameters of a twin, their units and priors.
 
-The twin stands for what one can know of an arm; the simulated worn arm in `rejoint.robots.lab.plant` stands for
-reality. The two never import one another and share no physics code: a twin that shared the
-plant's model would fit it perfectly and prove nothing.
+The simulated worn arm in `rejoint.robots.lab.plant` is reality, the twin what can be known of it: they share no physics
+code, or the fit would prove nothing.
 
-Sources of the ranges
----------------------
-Stiffness: Park et al. 2024 train on P = 50..200; a 0.85 kg arm shows the oscillations of their Fig. 10
-with 0.06 P N m/rad (measured in simulation), so 3 to 12 N m/rad. The other ranges were measured on the
-same arm: a policy trained in twins drawn from them held its accuracy on arms it had not met.
-The bounds hold what serial-bus hobby servos have been identified with (stiffness 19-26 N m/rad,
-Coulomb friction 0.25-0.8 N m, viscous friction 0.8-1.6 N m s/rad on an SO-101), with room.
+Stiffness: Park et al. 2024 train on P = 50..200, and a 0.85 kg arm oscillates as in their Fig. 10 with 0.06 P N m/rad
+(measured in simulation). The other ranges were measured on the same arm. Bounds hold what hobby servos were identified
+with (stiffness 19-26 N m/rad, Coulomb friction 0.25-0.8 N m, viscous friction 0.8-1.6 N m s/rad on an SO-101). Ranges
+of unknown arms span the market, from hobby servos to industrial joints.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -135,19 +131,18 @@ REFERENCE_SPEED = float(np.radians(150.0))
 """[rad/s] joint speed of the same arm"""
 
 STICTION = 2.0
-"""Friction of a joint at rest over that of a moving one (chosen: dry gears). Ordinary motion hardly tells it, but
-without it a twin lifts a load at which a weak joint really sticks"""
+"""Friction of a joint at rest over that of a moving one (chosen: dry gears); without it a twin lifts a load at which a
+joint sticks"""
 
 WRIST_INERTIA = 0.2
-"""A joint is of the wrist below this fraction of the largest link inertia about a joint (chosen)."""
+"""A joint is of the wrist below this fraction of the largest link inertia (chosen)"""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the parameters of a twin of n joints stand in its parameter vector of length k.
+    """Places of the parameters of a twin of n joints in its vector of length k.
 
-    Parameter after parameter in the order of `PARAMETERS`, each with its value for every joint: first those of the
-    joints, then those of the whole arm. Nothing else computes places in such a vector.
+    In the order of `PARAMETERS`, each with its value for every joint: first those of joints, then those of the arm.
     """
 
     joints: int
@@ -240,7 +235,7 @@ class Prior:
     """(k, k) of the elements with one another; None: they have nothing to do with one another"""
 
     def groups(self, joints: int) -> NDArray[np.integer]:
-        """(n,) number of the group of joints that each belongs to: those of one group have to do with one another."""
+        """(n,) number of the group of related joints that each belongs to."""
         owner, related = Layout(joints).owner, self.precision != 0.0
         return np.array([owner[related[owner == joint].any(axis=0) & (owner >= 0)].min() for joint in range(joints)])
 
@@ -252,10 +247,9 @@ class Prior:
 
 
 def prior(arm: Arm, table: tuple[Parameter, ...] = PARAMETERS) -> Prior:
-    """Prior of an arm from a table, its largest gravity torque, its reach and speed, and its link inertias.
+    """Prior of an arm from a table, its largest gravity torque, reach, speed and link inertias.
 
-    Every value goes with the arm's size as its unit demands: an arm of the same build, but larger or heavier,
-    is then believed to sag and to ring by the same angles.
+    Every value goes with the arm's size as its unit demands: a larger arm sags and rings by the same angles.
     """
     load = largest_gravity_torque(arm) / REFERENCE_LOAD
     time = (reach(arm) / REFERENCE_REACH) ** 0.5
@@ -273,10 +267,7 @@ def prior(arm: Arm, table: tuple[Parameter, ...] = PARAMETERS) -> Prior:
 
 
 def _alike(arm: Arm, table: tuple[Parameter, ...]) -> Array | None:
-    """Correlation (k, k) of the parameters of joints whose servos are alike; None where there are none such.
-
-    What servos of one type have in common is as uncertain as a single one is, and each is close to it.
-    """
+    """Correlation (k, k) of the parameters of joints with alike servos; None without any."""
     layout, servos = Layout(arm.joints), arm.servos or ("",) * arm.joints
     same = np.array([[one == other != "" for other in servos] for one in servos]) & ~np.eye(arm.joints, dtype=bool)
     if not same.any() or not any(p.alike for p in table):
@@ -295,8 +286,8 @@ def nominal_parameters(arm: Arm) -> TwinParameters:
 
 
 HEALTHY_STIFFNESS_FACTOR = 5.0
-"""A healthy servo over the prior's worn median: 35 N m/rad, the middle of the 25-45 N m/rad that follow
-from a healthy STS3215's error under load (SO-ARM100, issue 134)."""
+"""A healthy servo over the prior's worn median: 35 N m/rad, from a healthy STS3215's error under load (SO-ARM100, issue
+134)"""
 HEALTHY_DAMPING_FACTOR = 3.2
 HEALTHY_TORQUE_FACTOR = 2.2
 HEALTHY_FRICTION_FACTOR = 0.6
@@ -335,3 +326,12 @@ def _wrist(arm: Arm) -> NDArray[np.bool_]:
                 reach += float(np.linalg.norm(arm.offset[j, :3, 3]))
             inertia[i] += arm.mass[j] * (reach + float(np.linalg.norm(arm.com[j]))) ** 2
     return inertia < WRIST_INERTIA * inertia.max()
+
+
+UNKNOWN_PARAMETERS: tuple[Parameter, ...] = tuple(replace(p, **p.wide) for p in PARAMETERS)  # type: ignore[arg-type]
+"""The table of parameters with the ranges of an unknown arm."""
+
+
+def unknown_prior(arm: Arm) -> Prior:
+    """Prior of an arm of which nothing is known but its URDF or MJCF."""
+    return prior(arm, UNKNOWN_PARAMETERS)

@@ -1,23 +1,27 @@
-"""Predictive control: the way to a target is planned on the arm's own twin, the rest is left to another controller.
+"""Predictive control: the motion to a target is planned on the arm's own twin, the rest is left to another controller.
 
-A twin knows where friction will stop a joint before it does, and so the plan arrives sooner than laws that wait and
-see. Within the last millimetres, and where twin and arm disagree, it knows less than the encoders: there the command is
-handed over to a controller that goes by these alone, from the last command on, until the next target.
+Near the target, and where twin and arm disagree, the encoders know more than the twin: there another controller takes
+over until the next target. Model predictive path integral control (Williams et al., ICRA 2017): candidates around the
+last plan are simulated, and their average weighted by exp(-cost) is the plan; among them the command that holds the
+goal in the model, and the same overdriven. What the model lacks is an offset of the commands (offset-free MPC:
+Pannocchia and Rawlings, AIChE Journal 49(2), 2003).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Protocol
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, position_kinematics
+from rejoint.arms import Arm, Array, gravity_torque, position_kinematics
 from rejoint.control.catalogue import PREDICTIVE
 from rejoint.control.controller import ControlInput, Controller
+from rejoint.control.law import Pace, limit_lead, limit_position
 from rejoint.control.robot import JointState, Mask
-from rejoint.twin.planning import Planner, PlanSettings
-from rejoint.twin.simulation import Draw
+from rejoint.twin.parameters import TwinParameters
+from rejoint.twin.simulation import Draw, Simulation
 from rejoint.twin.twin import Twin
 
 
@@ -25,12 +29,12 @@ class Holder(Controller, Protocol):
     """A controller that can go on from what another one has sent."""
 
     def take_over(self, inputs: ControlInput, where: Mask) -> None:
-        """Go on from the last command of the arms in ``where`` (B,); `command` follows in the same cycle."""
+        """Continue from the last command of the arms in ``where`` (B,); `command` follows in the same cycle."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class HandOver:
-    """When the plan is left; ``near`` and ``late`` were chosen on worn arms of family 4, none of which is ``lost``."""
+    """When the plan is left; ``near`` and ``late`` were chosen on worn arms of family 4."""
 
     near: float = 0.5e-3
     """[m] distance of the tool from its target, by the encoders"""
@@ -51,7 +55,7 @@ class PredictiveController:
         self, arm: Arm, twins: Draw, holder: Holder, settings: PlanSettings | None = None,
         hand_over: HandOver | None = None,
     ) -> None:  # fmt: skip
-        """Take the twins (B,) of the arms, or one for all, and the controller that is left the last millimetres."""
+        """Take the twins (B,) of the arms, or one for all, and the controller for the last millimetres."""
         self._arm, self._holder = arm, holder
         self._planner, self._until = Planner(arm, twins, settings), hand_over or HandOver()
         self.contract = getattr(holder, "contract", None)  # of a policy: it is checked before anything moves
@@ -60,25 +64,27 @@ class PredictiveController:
         self._time: Array = np.zeros(0)
 
     @classmethod
-    def of(cls, arm: Arm, twin: Twin, holder: Holder) -> PredictiveController:
-        """Make it for one arm and its twin, and have all compiled that a plan needs: no control cycle may wait for it.
-
-        ContractError where the twin is of another arm.
-        """
-        twin.require(arm)
-        twins = Draw.of(twin.parameters.repeat(1), twin.stiction, twin.acceleration)
-        state = JointState(time=np.zeros(1), position=arm.rest[None], age=np.zeros(1))
-        inputs = ControlInput(
-            state=state, target=arm.targets.lower[None], sent=arm.rest[None], since_target=np.zeros(1)
-        )
-        trial = Planner(arm, twins)
+    def of(cls, arm: Arm, twins: Sequence[Twin], holder: Holder) -> PredictiveController:
+        """Make it for B arms and their twins, all compiled; ContractError for twins of other arms."""
+        for twin in twins:
+            twin.require(arm)
+        count, own = len(twins), [twin.parameters for twin in twins]
+        draw = Draw.of(
+            TwinParameters(**{f.name: np.stack([getattr(one, f.name) for one in own]) for f in fields(TwinParameters)}),
+            np.array([[twin.stiction] for twin in twins]), np.array([twin.acceleration for twin in twins]),
+        )  # fmt: skip
+        rest = np.tile(arm.rest, (count, 1))
+        state = JointState(time=np.zeros(count), position=rest, age=np.zeros(count))
+        place = np.tile(arm.targets.lower, (count, 1))
+        inputs = ControlInput(state=state, target=place, goal=rest, sent=rest, since_target=np.zeros(count))
+        trial = Planner(arm, draw)
         for cycle in range(2):  # in the first one the shadow does not move
-            now = replace(inputs, state=replace(state, time=np.full(1, 0.02 * cycle)))
+            now = replace(inputs, state=replace(state, time=np.full(count, 0.02 * cycle)))
             if cycle == 0:
-                trial.reset(now, np.ones(1, dtype=bool))
+                trial.reset(now, np.ones(count, dtype=bool))
             trial.follow(now)
             trial.command(now)
-        return cls(arm, twins, holder)
+        return cls(arm, draw, holder)
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Plan for the new targets of the arms in ``where`` (B,)."""
@@ -103,7 +109,7 @@ class PredictiveController:
         return np.where(self._planning[:, None], self._planner.command(inputs), held)
 
     def _over(self, inputs: ControlInput, missed: Array) -> Mask:
-        """Tell which arms (B,) the plan is to be left for, given what the twins ``missed`` (B, n) [rad]."""
+        """Tell for which arms (B,) the plan is over, given what the twins ``missed`` (B, n) [rad]."""
         until = self._until
         tcp, jacobian = position_kinematics(self._arm, inputs.state.position)
         wrong = np.linalg.norm((jacobian @ missed[..., None])[..., 0], axis=-1)
@@ -112,3 +118,158 @@ class PredictiveController:
         near = np.linalg.norm(inputs.target - tcp, axis=-1) < until.near
         over: Mask = near | (inputs.since_target > until.late) | (self._wrong > until.lost)
         return over
+
+
+_OVERDRIVE = np.array([-0.5, 0.0, 0.5, 1.0, 2.0, 4.0])
+"""Shares of the way to the goal that are added to the goal's command, as candidates (chosen)"""
+_SHADOW_STEPS = 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanSettings:
+    """How the plan is made; chosen on twins, the rate of the offset on worn arms of family 4."""
+
+    samples: int = 32
+    """candidates per arm and cycle, the overdriven ones among them"""
+    timestep: float = 0.008
+    """[s] of the rollouts"""
+    horizon: float = 0.28
+    """[s] beyond the dead time"""
+    bend: float = 0.12
+    """[s] in which a candidate moves from its first to its last command"""
+    spread_floor: float = float(np.radians(0.15))
+    """[rad] of the random candidates"""
+    spread_slope: float = 0.25
+    """their growth with the largest joint error"""
+    temperature: float = 0.1
+    """of the weights, by the spread of the costs"""
+    near: float = 0.003
+    """[m] distance that costs half as much as far away"""
+    effort: float = 0.3
+    """[1/rad] cost of the change of the command"""
+    correction: float = 0.4
+    """share of the prediction error taken over into the twin's position each cycle"""
+    offset_rate: float = 1.0
+    """[1/s] the same into the offset of the commands"""
+    lead: float = float(np.radians(20.0))
+    """[rad] largest distance between command and measured position"""
+    offset_limit: float = float(np.radians(30.0))
+    seed: int = 0
+
+
+class Planner:
+    """Plans for B arms, each on its own twin, which ``shadow`` simulates as it is now."""
+
+    def __init__(self, arm: Arm, twins: Draw, settings: PlanSettings | None = None) -> None:
+        """Take the twins of B arms, or one for however many there will be."""
+        self._arm, self._given, self._settings = arm, twins, settings or PlanSettings()
+        self._pace = Pace()
+        self._count = 0
+        self._offset: Array = np.zeros((0, arm.joints))
+        self._rng = np.random.default_rng(self._settings.seed)
+
+    def reset(self, inputs: ControlInput, where: Mask) -> None:
+        """Take over new targets of the arms in ``where`` (B,); offsets and twins carry over."""
+        if self._count != len(inputs.sent):
+            self._begin(inputs)
+        self._take_goals(inputs, where)
+        self._plan[where] = (self._holding - self._offset)[where, None]
+
+    def _take_goals(self, inputs: ControlInput, where: Mask) -> None:
+        """Take over the goals of the arms in ``where`` (B,)."""
+        goal = inputs.goal[where]
+        self._goal[where] = goal
+        self._jacobian[where] = position_kinematics(self._arm, goal)[1]
+        self._holding[where] = goal + gravity_torque(self._arm, goal) / self._twin.stiffness[where]
+        self._holding[where] -= self._twin.offset[where]
+
+    def command(self, inputs: ControlInput) -> Array:
+        """Return the first command of the plan, (B, n) [rad]; `follow` comes before it."""
+        moved: Mask = np.logical_or.reduce(inputs.goal != self._goal, axis=-1)
+        if moved.any():  # on the way
+            self._take_goals(inputs, moved)
+        candidates = self._candidates(inputs)
+        costs = self._costs(inputs, candidates)
+        best = costs.min(axis=1, keepdims=True)
+        spread = np.maximum(costs.std(axis=1, keepdims=True), 1e-9)
+        weights = np.exp(-(costs - best) / (self._settings.temperature * spread))
+        weights /= weights.sum(axis=1, keepdims=True)
+        self._plan = (weights[:, :, None, None] * candidates).sum(axis=1)
+        return limit_position(self._arm, self._plan[:, 0])
+
+    def follow(self, inputs: ControlInput) -> Array:
+        """Bring the shadows to now and learn from what they missed, (B, n) [rad]; once per control cycle."""
+        settings, now = self._settings, inputs.state.time
+        elapsed = self._pace.tick(now)
+        shadow = self.shadow
+        if (now <= shadow.time).all():
+            return np.zeros_like(inputs.sent)
+        shadow.send(inputs.sent)
+        shadow.advance(np.maximum(elapsed, 1e-4), self._offset)
+        shadow.time = now.copy()
+        missed = inputs.state.position - shadow.twins.qpos
+        shadow.twins.qpos[:] += settings.correction * missed
+        shadow.twins.qvel[:] += 0.5 * settings.correction**2 * missed / np.maximum(elapsed, 1e-3)[:, None]
+        learned = self._offset + settings.offset_rate * elapsed[:, None] * missed
+        self._offset = np.clip(learned, -settings.offset_limit, settings.offset_limit)
+        return missed
+
+    def _begin(self, inputs: ControlInput) -> None:
+        self._count, n = inputs.sent.shape
+        settings, given = self._settings, self._given
+        arms = given.rows(np.zeros(self._count, dtype=int)) if len(given.period) == 1 else given
+        self._twin, start = arms.twin, inputs.state.position
+        self.shadow = Simulation(self._arm, self._count, substeps=_SHADOW_STEPS)
+        self.shadow.place(arms, start, inputs.sent)
+        self.shadow.time = inputs.state.time.copy()
+        self._rollouts = Simulation(self._arm, self._count * settings.samples, timestep=settings.timestep)
+        each = np.repeat(np.arange(self._count), settings.samples)
+        self._rollouts.place(arms.rows(each), start[each], inputs.sent[each])
+        self._jacobian = np.zeros((self._count, 3, n))
+        self._goal, self._holding, self._offset = np.zeros((3, self._count, n))
+        self._plan = np.zeros((self._count, 2, n))  # first command, and the one after `bend`
+
+    def _candidates(self, inputs: ControlInput) -> Array:
+        """Commands (B, K, 2, n) [rad]: first, and after the bend."""
+        settings, measured = self._settings, inputs.state.position
+        way = self._goal - self.shadow.twins.qpos
+        holding = self._holding - self._offset
+        driven = holding[:, None] + _OVERDRIVE[:, None] * way[:, None]
+        fixed = np.stack([driven, np.broadcast_to(holding[:, None], driven.shape)], axis=2)
+        count = settings.samples - len(_OVERDRIVE) - 1
+        spread = settings.spread_floor + settings.spread_slope * np.abs(way).max(axis=1)
+        noise = self._rng.standard_normal((len(measured), count, *self._plan.shape[1:]))
+        random = self._plan[:, None] + spread[:, None, None, None] * noise
+        every = np.concatenate([fixed, self._plan[:, None], random], axis=1)
+        return limit_position(self._arm, limit_lead(every, measured[:, None, None], settings.lead))
+
+    def _costs(self, inputs: ControlInput, candidates: Array) -> Array:
+        """Cost (B, K) of candidates in the twins."""
+        settings, samples = self._settings, self._settings.samples
+        count, n = inputs.sent.shape
+        delay, timestep = self._twin.delay, settings.timestep
+        steps = int(np.ceil((float(delay.max()) + settings.horizon) / timestep))
+        ahead = np.linspace(0.0, (steps - 1) * timestep, steps)
+        sent = self.shadow.latency.in_force(inputs.state.time[:, None] + ahead)  # without new commands
+        since = ahead - delay[:, None]
+        share = np.clip(since / settings.bend, 0.0, 1.0)[:, None, :, None]
+        first, last = candidates[:, :, 0, None], candidates[:, :, 1, None]
+        wanted = np.where((since >= 0.0)[:, None, :, None], first + share * (last - first), sent[:, None])
+        each, now = np.repeat(np.arange(count), samples), self.shadow.twins
+        control = self.shadow.reference.ahead(each, wanted.reshape(-1, steps, n), timestep)
+        control += self._offset[each, None]
+        self._rollouts.twins.restart(now.qpos[each], now.qvel[each])
+        passed = self._rollouts.rollout(control).reshape(count, samples, steps, n)
+        return self._judge(inputs, candidates, passed)
+
+    def _judge(self, inputs: ControlInput, candidates: Array, passed: Array) -> Array:
+        """Mean over the horizon of the distance's cost, and the effort; distances by the goal's Jacobian."""
+        settings = self._settings
+        miss = passed - self._goal[:, None, None]
+        error = np.einsum("bij,bktj->bkti", self._jacobian, miss)
+        distance = np.sqrt((error**2).sum(axis=-1))
+        ahead = distance / (distance + settings.near) + 10.0 * distance
+        rest = np.abs(passed[:, :, -1] - passed[:, :, -3]).sum(axis=-1)  # still moving at the end
+        change = np.abs(candidates[:, :, 0] - inputs.sent[:, None]).mean(axis=-1)
+        posture = (miss[:, :, -1] ** 2).sum(axis=-1)  # the null space, which the distance does not see
+        return ahead.mean(axis=-1) + 2.0 * rest + settings.effort * change + posture

@@ -1,10 +1,9 @@
-"""What the servo is really asked for: commands that arrive late and are approached at limited speed.
+"""What the servo is asked for: commands that arrive late and are approached at limited speed or acceleration.
 
-A position servo of this class does not jump to a new command: its reference moves there at a set speed.
-The command is constant between two sendings, so the reference is a straight line and then a rest, and
-both effects are computed exactly, outside of the simulation, at any time and for many twins at once (`Reference`;
-`rejoint.twin.profile` for servos that limit their acceleration). Where commands come one by one, references are
-followed from step to step of the simulation (`LiveReference`).
+Between two sendings the reference is a line and then a rest, or the time-optimal motion to rest at the goal (bang-bang;
+Pontryagin et al. 1962), so it is exact at any time and for any delay. An SO-101 (Feetech STS3215) limits its
+acceleration, to 254 x 100 counts/s^2 at most; a goal that is sent again ends the plan and is followed at once
+(measured). Every arm has delays and a period of its own.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
@@ -17,8 +16,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Array
 from rejoint.control.robot import Mask
-from rejoint.twin.latency import Latency
-from rejoint.twin.profile import move
+from rejoint.system.errors import InputError
 
 REACHED = 1e-12
 """[rad] from its command at which a reference has arrived: rounding"""
@@ -56,10 +54,9 @@ class Reference:
         return approach(self.at[row, twin], self.command[row], (self.ramp_speed[self.which] * elapsed)[..., None])
 
     def mean(self, time: Array, delay: Array, width: float) -> Array:
-        """Return what `sample` does, averaged over ``width`` [s] about each of the even times ``time`` (s,) [s] apart.
+        """Return means of references over ``width`` [s] about each of the even times ``time`` (s,) [s].
 
-        Commands that all come at the same place of a step are then in force from where they come, and not from the
-        next step on.
+        Commands that all come at the same place of a step are then in force from where they come.
         """
         edges = np.append(time - 0.5 * width, time[-1] + 0.5 * width)
         late = edges - np.asarray(delay)[:, None]
@@ -101,31 +98,19 @@ class LiveReference:
         self._speed[where], self._acceleration[where] = speed, acceleration
 
     def follow(self, latency: Latency, starts: Array, step: Array) -> Array:
-        """Follow the commands in force at ``starts`` (N, s) [s] for a ``step`` (N,) [s] each; returns (N, s, n) [rad].
-
-        A goal that is sent again ends the plan of a servo that limits its acceleration (`rejoint.twin.profile`).
-        """
-        goals, reach = latency.in_force(starts), self._speed * step
-        if (self._acceleration == np.inf).all():
-            path = follow(self.position, goals, reach)
-        else:
-            path, self.velocity = _follow_limited(
-                self.position, self.velocity, goals, latency.sent_again(starts), reach, self._acceleration, step
-            )
+        """Follow the commands in force at ``starts`` (N, s) [s], a ``step`` (N,) [s] each: (N, s, n) [rad]."""
+        goals, limited = latency.in_force(starts), (self._acceleration < np.inf).any()
+        again = latency.sent_again(starts) if limited else np.zeros(goals.shape, dtype=bool)
+        reach = self._speed * step
+        path, self.velocity = follow(self.position, self.velocity, goals, again, reach, self._acceleration, step)
         self.position = path[:, -1].copy()
         return path
 
     def ahead(self, which: NDArray[np.integer], goals: Array, step: float) -> Array:
-        """Return where references would be, (m, s, n) [rad], if the arms ``which`` (m,) were asked for ``goals``.
-
-        These are (m, s, n) [rad], one in each of s steps of ``step`` [s]; nothing moves on.
-        """
-        position, velocity, reach = self.position[which], self.velocity[which], self._speed[which] * step
-        if (self._acceleration == np.inf).all():
-            return follow(position, goals, reach)
-        again = np.zeros(goals.shape, dtype=bool)
-        each = np.full(len(which), step)
-        return _follow_limited(position, velocity, goals, again, reach, self._acceleration[which], each)[0]
+        """Return where references (m, s, n) [rad] of the arms ``which`` (m,) would be after ``goals`` of that shape."""
+        again, each = np.zeros(goals.shape, dtype=bool), np.full(len(which), step)
+        position, velocity, speed = self.position[which], self.velocity[which], self._speed[which]
+        return np.asarray(follow(position, velocity, goals, again, speed * step, self._acceleration[which], each)[0])
 
     def state(self) -> dict[str, Array]:
         """Everything that a checkpoint must keep, as live arrays."""
@@ -136,24 +121,11 @@ class LiveReference:
 
 
 @njit(cache=True, nogil=True, boundscheck=True)
-def follow(reference, goals, reach):  # noqa: ANN001, ANN201
-    """Move references (N, n) [rad] towards the ``goals`` (N, s, n) of s steps; returns where they are after each.
+def follow(position, velocity, goals, again, reach, acceleration, step):  # noqa: ANN001, ANN201
+    """Move references (N, n) towards the ``goals`` (N, s, n); return where they are after each step, and speeds.
 
-    In each of the s steps they move by at most ``reach`` (N,) [rad], as by `approach`.
+    By at most ``reach`` (N,) [rad] in a ``step`` (N,) [s], or with the ``acceleration`` (N,), if that is finite.
     """
-    agents, steps, joints = goals.shape
-    path = np.empty(goals.shape)
-    for i in range(agents):
-        for j in range(joints):
-            now = reference[i, j]
-            for k in range(steps):
-                now += min(max(goals[i, k, j] - now, -reach[i]), reach[i])
-                path[i, k, j] = now
-    return path
-
-
-@njit(cache=True, nogil=True, boundscheck=True)
-def _follow_limited(position, velocity, goals, again, reach, acceleration, step):  # noqa: ANN001, ANN202
     agents, steps, joints = goals.shape
     path, speed = np.empty(goals.shape), np.zeros(velocity.shape)
     for i in range(agents):
@@ -165,7 +137,162 @@ def _follow_limited(position, velocity, goals, again, reach, acceleration, step)
                 elif again[i, k, j]:
                     now, v = goals[i, k, j], 0.0
                 else:
-                    now, v = move(now, v, goals[i, k, j], acceleration[i], step[i])
+                    now, v = _advance(now, v, goals[i, k, j], acceleration[i], step[i])
                 path[i, k, j] = now
             speed[i, j] = v
     return path, speed
+
+
+class Profile:
+    """References of servos that follow one record of commands with limited acceleration."""
+
+    def __init__(self, time: Array, command: Array, acceleration: float) -> None:
+        """Take sending times (T,) [s], commands (T, n) [rad] and the acceleration [rad/s^2]."""
+        self.time, self.command, self.acceleration = time, command, acceleration
+        self.position, self.velocity = _states(time, np.ascontiguousarray(command), acceleration)
+
+    def sample(self, time: Array, delay: Array) -> Array:
+        """Return references (m, s, n) [rad] at ``time`` (s,) [s] for delays (m,) [s]; at first the first command."""
+        delays, which = np.unique(np.asarray(delay), return_inverse=True)
+        late = time - delays[:, None]
+        row = np.clip(np.searchsorted(self.time, late, side="right") - 1, 0, len(self.time) - 1)
+        elapsed = np.maximum(late - self.time[row], 0.0)[..., None]
+        found, _ = advance(self.position[row], self.velocity[row], self.command[row], self.acceleration, elapsed)
+        return np.asarray(found[which])
+
+
+def advance(
+    position: Array, velocity: Array, goal: Array, acceleration: float, elapsed: Array | float
+) -> tuple[Array, Array]:
+    """Position and velocity after ``elapsed`` [s] of the fastest motion to rest at ``goal``; all broadcast.
+
+    Plain arithmetic, which is compiled as well.
+    """
+    away = goal - position
+    direction = np.where(away >= 0.5 * velocity * np.abs(velocity) / acceleration, 1.0, -1.0)
+    away, start = direction * away, direction * velocity
+    peak = np.sqrt(np.maximum(acceleration * away + 0.5 * start**2, 0.0))
+    rising, left = (peak - start) / acceleration - elapsed, (2.0 * peak - start) / acceleration - elapsed
+    left = np.maximum(left, 0.0)
+    up = rising > 0.0
+    travelled = np.where(up, elapsed * (start + 0.5 * acceleration * elapsed), away - 0.5 * acceleration * left**2)
+    speed = np.where(up, start + acceleration * elapsed, acceleration * left)
+    return position + direction * travelled, direction * speed
+
+
+_advance = njit(cache=True)(advance)
+
+
+@njit(cache=True)
+def _states(time: Array, command: Array, acceleration: float) -> tuple[Array, Array]:
+    """Position and velocity (T, n) of the reference at each sending, once the new command is known."""
+    position, velocity = np.empty_like(command), np.zeros_like(command)
+    position[0] = command[0]
+    for k in range(1, len(time)):
+        elapsed = time[k] - time[k - 1]
+        for j in range(command.shape[1]):
+            if command[k, j] == command[k - 1, j]:
+                position[k, j] = command[k, j]
+                continue
+            position[k, j], velocity[k, j] = _advance(
+                position[k - 1, j], velocity[k - 1, j], command[k - 1, j], acceleration, elapsed
+            )
+    return position, velocity
+
+
+DEPTH = 4
+"""Commands that are remembered: 40 ms of delay at the shortest period of 18 ms."""
+
+
+class Latency:
+    """Commands on their way out and positions on their way back, for N arms of n joints."""
+
+    def __init__(self, count: int, joints: int, substeps: int) -> None:
+        self.command_delay = np.zeros(count)
+        """(N,) [s]"""
+        self.readback_delay = np.zeros(count)
+        """(N,) [s]"""
+        self._commands = np.zeros((count, DEPTH, joints))  # newest first
+        self._sent = np.full((count, DEPTH), -np.inf)
+        self._positions = np.zeros((count, 2 * substeps + 1, joints))  # oldest first
+        self._times = np.zeros((count, 2 * substeps + 1))
+
+    def clear(self, where: Mask, command: Array, position: Array) -> None:
+        """Begin at time 0 in ``where`` (N,), ``command`` (m, n) and ``position`` (m, n) being constant."""
+        self._commands[where] = command[:, None]
+        self._sent[where] = -np.inf
+        self._positions[where] = position[:, None]
+        steps = np.arange(self._times.shape[1]) - self._times.shape[1] + 1.0
+        self._times[where] = steps  # one second apart: the arm has long been there
+
+    def send(self, command: Array, time: Array) -> None:
+        """Send ``command`` (N, n) [rad] at ``time`` (N,) [s]."""
+        self._commands[:, 1:] = self._commands[:, :-1]  # NumPy copies first where memory overlaps
+        self._sent[:, 1:] = self._sent[:, :-1]
+        self._commands[:, 0], self._sent[:, 0] = command, time
+
+    def in_force(self, time: Array) -> Array:
+        """Commands (N, s, n) [rad] that the servos know at ``time`` (N, s) [s]."""
+        self._check(len(time))
+        return _in_force(self._sent, self.command_delay, self._commands, time)
+
+    def sent_again(self, time: Array) -> NDArray[np.bool_]:
+        """Tell which of the commands (N, s, n) in force at ``time`` (N, s) [s] repeat the one before."""
+        self._check(len(time))
+        same = np.zeros(self._commands.shape)
+        same[:, :-1] = self._commands[:, :-1] == self._commands[:, 1:]
+        return _in_force(self._sent, self.command_delay, same, time) > 0.0
+
+    def record(self, time: Array, position: Array) -> None:
+        """Record positions (N, substeps, n) [rad] that were passed at ``time`` (N, substeps) [s]."""
+        new = time.shape[1]
+        self._positions[:, :-new] = self._positions[:, new:]
+        self._times[:, :-new] = self._times[:, new:]
+        self._positions[:, -new:], self._times[:, -new:] = position, time
+
+    def read(self, time: Array) -> Array:
+        """Positions (N, n) [rad] that arrive at ``time`` (N,) [s], interpolated between substeps."""
+        self._check(len(time))
+        return _read(self._times, self._positions, time, self.readback_delay)
+
+    def _check(self, count: int) -> None:
+        if count != len(self._sent):
+            raise InputError(f"latency: times of {count} arms, expected {len(self._sent)}")
+
+    def state(self) -> dict[str, Array]:
+        """Everything that a checkpoint must keep, as live arrays."""
+        return {
+            "command_delay": self.command_delay, "readback_delay": self.readback_delay, "commands": self._commands,
+            "sent": self._sent, "positions": self._positions, "times": self._times,
+        }  # fmt: skip
+
+
+@njit(cache=True, nogil=True, boundscheck=True)
+def _in_force(sent, delay, commands, time):  # noqa: ANN001, ANN202
+    agents, instants = time.shape
+    joints = commands.shape[2]
+    known = np.empty((agents, instants, joints))
+    for i in range(agents):
+        for s in range(instants):
+            pending = 0
+            for d in range(DEPTH - 1):  # the oldest is in force where no other is
+                pending += sent[i, d] + delay[i] > time[i, s]
+            for j in range(joints):
+                known[i, s, j] = commands[i, pending, j]
+    return known
+
+
+@njit(cache=True, nogil=True, boundscheck=True)
+def _read(times, positions, time, delay):  # noqa: ANN001, ANN202
+    agents, instants, joints = positions.shape
+    seen = np.empty((agents, joints))
+    for i in range(agents):
+        then, later = time[i] - delay[i], 1
+        while later < instants - 1 and times[i, later] <= then:
+            later += 1
+        before, after = times[i, later - 1], times[i, later]
+        share = min(max((then - before) / (after - before), 0.0), 1.0)
+        for j in range(joints):
+            old = positions[i, later - 1, j]
+            seen[i, j] = old + share * (positions[i, later, j] - old)
+    return seen

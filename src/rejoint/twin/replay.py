@@ -1,10 +1,8 @@
 """Open-loop replay: what a twin would have done under the commands of a run log.
 
-A log is cut into windows; each starts from the measured state, so that all windows of all candidate
-twins run as one batch. A window is simulated on an even grid and read at the times of its answers.
-
-The twin's position at time t stands for the answer read at t: the delay of the parameters contains
-the age of the answer, which a log alone cannot tell from the latency of the command.
+Windows start from the measured state, so that all windows of all candidates run as one batch. The delay contains the
+age of the answer. A log may declare its conditions (`RunLog.extra`): ``gain``, the servos' position gain over the
+twin's (``0.5`` or ``1 0.5 1``), and ``torque_off``, times in seconds without torque, where it is cut (``3-7.5 12-14``).
 """
 
 from __future__ import annotations
@@ -18,17 +16,15 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
-from rejoint.twin.conditions import gains
 from rejoint.twin.declaration import TIMESTEP
 from rejoint.twin.parameters import STICTION, TwinParameters
-from rejoint.twin.profile import Profile
-from rejoint.twin.reference import Reference
+from rejoint.twin.reference import Profile, Reference
 from rejoint.twin.simulation import Draw, Simulation
 from rejoint.twin.table import TablePlane
 
 IN_STEP = 0.2
-"""How much the commands of a log keep to one place of the time steps, from 0 to 1, that lets them come late or early
-(chosen: stamps that wander by milliseconds, as those of emulated arms, and drifting clocks have 0.01)"""
+"""How much commands keep to one place of the time steps, 0 to 1, that lets them come late or early (chosen: stamps that
+wander by milliseconds have 0.01)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,8 +68,6 @@ class Replay:
         timestep: float = TIMESTEP,
         threads: int = 1,
         stiction: float = STICTION,
-        *,
-        on_table: bool = False,
         acceleration: float = np.inf,
     ) -> None:
         for log in logs:
@@ -81,23 +75,19 @@ class Replay:
         if not windows:
             raise InputError("replay: no windows; a run log needs at least three rows")
         self.arm, self.logs, self.windows = arm, list(logs), list(windows)
-        self.timestep, self.threads, self.stiction, self.on_table = timestep, threads, stiction, on_table
-        self.acceleration = acceleration
+        self.timestep, self.threads, self.stiction, self.acceleration = timestep, threads, stiction, acceleration
         self._profiles: dict[int, Profile] = {}
         self._gains = np.stack([gains(log) for log in self.logs])
         self._velocity = [measured_velocity(log) for log in self.logs]
         self._even = {i for i, log in enumerate(self.logs) if _in_step(log.time, timestep) > IN_STEP}
         spans = [self._log(w).time[w.last - 1] - self._log(w).time[w.first] for w in self.windows]
         self.steps = int(np.ceil(max(spans) / timestep)) + 1
-        self._simulations: dict[int, Simulation] = {}
+        self._simulations: dict[tuple[int, bool], Simulation] = {}
 
     def predict(self, parameters: TwinParameters, tables: Sequence[TablePlane] = ()) -> list[Array]:
-        """Positions (m, rows, n) [rad] for each window, for twins of leading shape (m,).
-
-        A replay that is made ``on_table`` needs m ``tables``.
-        """
+        """Positions (m, rows, n) [rad] for each window, for twins (m,), leaning on m ``tables`` if given."""
         m, count = parameters.shape[0], len(self.windows)
-        simulation = self._simulation(m * count)
+        simulation = self._simulation(m * count, table=bool(tables))
         which = np.tile(np.arange(m), count)  # simulation = window * m + twin
         start = np.repeat(np.stack([self._log(w).position[w.first] for w in self.windows]), m, axis=0)
         velocity = np.repeat(np.stack([self._velocity[w.log][w.first] for w in self.windows]), m, axis=0)
@@ -107,7 +97,7 @@ class Replay:
         )
         simulation.place(Draw.of(arms, self.stiction), start, start)
         simulation.twins.qvel[:] = velocity
-        if self.on_table:
+        if tables:
             simulation.put_tables([tables[i] for i in which])
         path = np.concatenate([start[:, None], simulation.rollout(self._control(parameters))], axis=1)
         return [
@@ -142,19 +132,18 @@ class Replay:
     def _log(self, window: Window) -> RunLog:
         return self.logs[window.log]
 
-    def _simulation(self, count: int) -> Simulation:
-        if count not in self._simulations:
-            self._simulations[count] = Simulation(
-                self.arm, count, timestep=self.timestep, threads=self.threads, table=self.on_table
+    def _simulation(self, count: int, *, table: bool) -> Simulation:
+        if (count, table) not in self._simulations:
+            self._simulations[count, table] = Simulation(
+                self.arm, count, timestep=self.timestep, threads=self.threads, table=table
             )
-        return self._simulations[count]
+        return self._simulations[count, table]
 
     def _control(self, parameters: TwinParameters) -> Array:
         """Compute references (windows * m, steps, n) at the start of each simulation step.
 
-        MuJoCo moves positions by the new velocity, which leads the motion by half a step; a command held from
-        the start of a step lags by as much. The two cancel where commands come anywhere within a step. Where they all
-        come at one place of it, the means over steps are taken: the delay depends on the time step in neither case.
+        Positions lead the motion by half a step, commands lag by as much; where all commands come at one place of a
+        step, means over steps are taken, so that the delay does not depend on the step.
         """
         references = self._references(parameters)
         grid = np.arange(self.steps) * self.timestep
@@ -168,10 +157,6 @@ class Replay:
         return np.concatenate(parts)
 
     def _references(self, parameters: TwinParameters) -> Mapping[int, Reference | Profile]:
-        """Compute the references by the number of the log, for logs that a window shows.
-
-        A servo that limits its acceleration does not limit its speed as well.
-        """
         shown = {w.log: self.logs[w.log] for w in self.windows}
         if self.acceleration < np.inf:
             if not self._profiles:
@@ -181,7 +166,7 @@ class Replay:
 
 
 def predict(arm: Arm, parameters: TwinParameters, log: RunLog, timestep: float = TIMESTEP) -> Array:
-    """Positions (T, n) [rad] that the twin would have shown, from the first measured state on, open loop."""
+    """Positions (T, n) [rad] of the twin, from the first measured state on, open loop."""
     whole = Window(log=0, first=0, last=len(log))
     return Replay(arm, [log], [whole], timestep).predict(parameters.repeat(1))[0][0]
 
@@ -204,3 +189,63 @@ def _interpolate(path: Array, timestep: float, time: Array) -> Array:
     index = np.minimum(place.astype(int), path.shape[1] - 2)
     part = (place - index)[:, None]
     return path[:, index] * (1 - part) + path[:, index + 1] * part
+
+
+GAIN, TORQUE_OFF = "gain", "torque_off"
+"""Keys in `RunLog.extra`"""
+
+
+def declare(logs: Sequence[RunLog], key: str, values: Mapping[str, str]) -> list[RunLog]:
+    """Give the logs named in ``values`` their value of ``key``; InputError if there is no such log."""
+    unknown = sorted(set(values) - {log.label for log in logs})
+    if unknown:
+        raise InputError(
+            f"{key}: there is no motion {', '.join(unknown)}; there are {', '.join(x.label for x in logs)}"
+        )
+    found = [replace(x, extra={**x.extra, key: values[x.label]}) if x.label in values else x for x in logs]
+    for log in found:
+        gains(log)
+        spans_off(log)
+    return found
+
+
+def gains(log: RunLog) -> Array:
+    """Position gain (n,) of each servo over that of the twin."""
+    n = len(log.joint_names)
+    found = _numbers(log, GAIN, log.extra.get(GAIN, "1").replace(",", " ").split())
+    if len(found) not in (1, n) or (found <= 0).any():
+        raise InputError(f"{log.label}: {GAIN} {log.extra[GAIN]!r}, expected one number above zero, or {n}")
+    return np.broadcast_to(found, (n,))
+
+
+def spans_off(log: RunLog) -> list[tuple[float, float]]:
+    """Read the times [s] since the start of the log, from and to, without torque."""
+    spans = []
+    for word in log.extra.get(TORQUE_OFF, "").replace(",", " ").split():
+        ends = _numbers(log, TORQUE_OFF, word.split("-"))
+        if len(ends) != 2 or not 0.0 <= ends[0] < ends[1]:
+            raise InputError(f"{log.label}: {TORQUE_OFF} {word!r}, expected seconds from and to, such as 3-7.5")
+        spans.append((float(ends[0]), float(ends[1])))
+    return spans
+
+
+def powered(logs: Sequence[RunLog]) -> list[RunLog]:
+    """Cut logs where the servos give no torque; the pieces of one log are numbered."""
+    found = []
+    for log in logs:
+        since, spans = log.time - log.time[0], spans_off(log)
+        on = ~np.any([(since >= first) & (since <= last) for first, last in spans], axis=0) if spans else since >= 0.0
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]]).astype(int)))
+        pieces = [log.rows(slice(a, b)) for a, b in edges.reshape(-1, 2).tolist() if b - a > 2]
+        extra = {key: value for key, value in log.extra.items() if key != TORQUE_OFF}
+        found += [
+            replace(piece, label=f"{log.label} ({i + 1})", extra=extra) for i, piece in enumerate(pieces)
+        ] if spans else [log]  # fmt: skip
+    return found
+
+
+def _numbers(log: RunLog, key: str, words: Sequence[str]) -> Array:
+    try:
+        return np.array([float(word) for word in words])
+    except ValueError as error:
+        raise InputError(f"{log.label}: {key} {' '.join(words)!r} is not a number") from error

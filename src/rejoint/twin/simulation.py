@@ -1,10 +1,8 @@
-"""Twins as they are driven: the one simulation that training, tuning, replay and predictive control step.
+"""The one simulation that training, tuning, replay and predictive control step.
 
-Commands come late (`rejoint.twin.latency`), servos approach them at limited speed or acceleration
-(`rejoint.twin.reference`), gears may have backlash (`rejoint.twin.backlash`), dry friction follows the speed
-(`rejoint.twin.friction`), and positions are old when they are read. Many arms run in lockstep, each with its own
-parameters, control period and clock: every one takes the same number of physics steps in a period, of a length of its
-own.
+Commands come late and are approached at limited speed or acceleration (`rejoint.twin.reference`), gears may have
+backlash, dry friction follows the speed, positions are old when read. Many arms run in lockstep, each with its own
+parameters, control period and clock.
 """
 
 from __future__ import annotations
@@ -16,16 +14,15 @@ from typing import TYPE_CHECKING, Union
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array
-from rejoint.control.robot import Mask
+from rejoint.arms import Arm, Array, gravity_torque, tcp_position
+from rejoint.control.robot import JointState, Mask
 from rejoint.system.errors import InputError
 from rejoint.twin.backlash import Backlash
 from rejoint.twin.chain.batch import ChainBatch
 from rejoint.twin.declaration import TIMESTEP
 from rejoint.twin.friction import DRY, dry_friction, friction_terms, is_steady
-from rejoint.twin.latency import Latency
 from rejoint.twin.parameters import TwinParameters
-from rejoint.twin.reference import LiveReference
+from rejoint.twin.reference import Latency, LiveReference
 
 if TYPE_CHECKING:
     from rejoint.twin.batch import TwinBatch
@@ -35,7 +32,7 @@ Twins = Union["ChainBatch", "TwinBatch"]
 """Free arms, and arms that may touch a table"""
 
 SUBSTEPS = 6
-"""Physics steps in a control cycle: 3 ms each at the shortest period, 9 ms at the longest."""
+"""Physics steps in a control cycle: 3 to 9 ms each"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,7 +59,7 @@ class Draw:
     """(N,) damping of a joint inside that backlash by that of its motor"""
 
     @staticmethod
-    def of(twin: TwinParameters, stiction: float = 1.0, acceleration: float = np.inf) -> Draw:
+    def of(twin: TwinParameters, stiction: Array | float = 1.0, acceleration: Array | float = np.inf) -> Draw:
         """Take twins (N,) as they are; the whole of their delay lies on the way out."""
         whole, joints = np.zeros(twin.shape), np.zeros(twin.stiffness_shape)
         return Draw(
@@ -81,18 +78,12 @@ class Simulation:
 
     def __init__(
         self, arm: Arm, count: int, *, timestep: float = TIMESTEP, threads: int = 1, table: bool = False,
-        substeps: int = SUBSTEPS, device: str | None = None,
+        substeps: int = SUBSTEPS,
     ) -> None:  # fmt: skip
-        """Simulate on ``threads`` of the processor, or, without a table, on a ``device`` of Warp."""
         n = arm.joints
         self.arm, self.substeps = arm, substeps
-        self.twins: Twins = (
-            _on_table(arm, count, timestep, threads)
-            if table
-            else ChainBatch(arm, count, timestep, threads)
-            if device is None
-            else _on_device(arm, count, timestep, device)
-        )
+        make = _on_table if table else ChainBatch
+        self.twins: Twins = make(arm, count, timestep, threads)
         self.latency = Latency(count, n, substeps)
         self.reference = LiveReference(count, n)
         self.backlash = Backlash(arm, count)
@@ -105,7 +96,7 @@ class Simulation:
     def place(self, draw: Draw, position: Array, command: Array, where: Mask | None = None) -> None:
         """Put the arms of ``draw`` (m,) in the places ``where`` (N,), everywhere by default, at time 0.
 
-        They stand at ``position`` (m, n) [rad]; ``command`` (m, n) [rad] has long been in force.
+        They are at ``position`` (m, n) [rad]; ``command`` (m, n) [rad] has long been in force.
         """
         where = np.ones(len(self.time), dtype=bool) if where is None else where
         self.twins.write(draw.twin, where, gravity_scale=draw.gravity_scale)
@@ -129,7 +120,7 @@ class Simulation:
         self.latency.send(command, self.time)
 
     def advance(self, period: Array, offset: Array | None = None) -> None:
-        """Let ``period`` (N,) [s] pass, and read; servos are led astray by ``offset`` (N, n) [rad], if given."""
+        """Let ``period`` (N,) [s] pass, and read; ``offset`` (N, n) [rad] is added to the references."""
         step = period / self.substeps
         self.twins.set_timestep(step)
         starts = self.time[:, None] + step[:, None] * np.arange(self.substeps)
@@ -156,28 +147,81 @@ class Simulation:
         return positions
 
     def state(self) -> dict[str, Array]:
-        """Everything that a checkpoint must keep, as live arrays."""
+        """Everything that a checkpoint must keep, as live arrays; of arms that touch no table."""
+        twins = self.twins.state() if isinstance(self.twins, ChainBatch) else {}
         return {
             "time": self.time, "measured": self.measured, "friction": self._friction,
             **{f"latency.{name}": value for name, value in self.latency.state().items()},
             **{f"reference.{name}": value for name, value in self.reference.state().items()},
             **{f"backlash.{name}": value for name, value in self.backlash.state().items()},
-            **{f"twins.{name}": value for name, value in self.twins.state().items()},
+            **{f"twins.{name}": value for name, value in twins.items()},
         }  # fmt: skip
 
     def _quantised(self, position: Array) -> Array:
         return np.round(position / self.arm.encoder_step) * self.arm.encoder_step
 
 
-def _on_device(arm: Arm, count: int, timestep: float, device: str) -> ChainBatch:
-    """Make free twins that Warp steps."""
-    from rejoint.twin.chain.warpbatch import WarpBatch  # late: nothing else needs Warp
-
-    return WarpBatch(arm, count, timestep, device=device)
-
-
 def _on_table(arm: Arm, count: int, timestep: float, threads: int) -> TwinBatch:
-    """Make twins that may touch a table, which MuJoCo steps."""
     from rejoint.twin.batch import TwinBatch  # late: free arms need no MuJoCo
 
     return TwinBatch(arm, count, timestep, threads, table=True)
+
+
+class TwinRobot:
+    """One twin per drawn arm, in lockstep, each with its own period, delays and clock."""
+
+    def __init__(
+        self, arm: Arm, draw: Draw, *, seed: int, jitter: float = 0.2, copies: int = 1,
+        posture: Array | None = None, address: str = "twins",
+    ) -> None:  # fmt: skip
+        """Put the twins at rest in a ``posture`` (n,) [rad], by default that of rest, held by the first command.
+
+        ``copies``: the batch holds the same arms that many times over, with the same jitter.
+        """
+        count = len(draw.period)
+        self._arm, self._period, self._jitter, self._copies = arm, draw.period, jitter, copies
+        self._rng, self._address = np.random.default_rng(seed), address
+        self.simulation = Simulation(arm, count)
+        position = np.tile(arm.rest if posture is None else posture, (count, 1))
+        held = draw.gravity_scale[:, None] * gravity_torque(arm, position) / draw.twin.stiffness - draw.twin.offset
+        self.simulation.place(draw, position, position + held)
+
+    @property
+    def arm(self) -> Arm:
+        """The arm's kinematics, limits and masses."""
+        return self._arm
+
+    @property
+    def address(self) -> str:
+        """What it is."""
+        return self._address
+
+    @property
+    def count(self) -> int:
+        """Number B of twins."""
+        return len(self._period)
+
+    def read(self) -> JointState:
+        """Return the newest joint state."""
+        now = self.simulation
+        return JointState(time=now.time.copy(), position=now.measured.copy(), age=np.zeros(self.count))
+
+    def step(self, command: Array, active: Mask | None = None) -> JointState:
+        """Send ``command`` (B, n) [rad] and let one period pass; twins that are not ``active`` are not read."""
+        simulation, before = self.simulation, self.simulation.measured
+        simulation.send(command)
+        spread = self._rng.uniform(1.0 - self._jitter, 1.0 + self._jitter, self.count // self._copies)
+        simulation.advance(self._period * np.tile(spread, self._copies))
+        if active is not None:
+            simulation.measured = np.where(active[:, None], simulation.measured, before)
+        return self.read()
+
+    def true_tcp(self) -> Array:
+        """(B, 3) [m] of the twins' links: encoders see all their backlash."""
+        return tcp_position(self._arm, self.simulation.twins.qpos)
+
+    def stop(self) -> None:
+        """Hold where they are; twins that have stopped are not read."""
+
+    def close(self) -> None:
+        """Nothing to release."""

@@ -1,8 +1,7 @@
 """What a twin must hold to explain some logs: limits that were reached, and how much joints stick.
 
-A limit that was never reached has no gradient and stalls its neighbours in a fit, and friction at rest
-shows in no small step. So both are decided by comparing fits to the same windows, from the simplest
-structure up; a more elaborate one must pay for itself.
+Neither has a gradient, so fits to the same windows are compared, from the simplest structure up; a more elaborate one
+must pay for itself.
 """
 
 from __future__ import annotations
@@ -19,28 +18,25 @@ from rejoint.twin.parameters import Layout, Prior, number
 from rejoint.twin.replay import Window
 
 STICTIONS = (1.25, 1.0, 1.5, 2.0)
-"""Ratios of friction at rest to friction in motion, the one to beat first (measured: what several motions of a real
-low-cost arm ask for; a single one may not tell)"""
+"""Ratios of friction at rest to friction in motion, the one to beat first (measured on a real low-cost arm)"""
 
 LIMITS = ("torque_limit", "ramp_speed")
 """Parameters that leave no trace unless they are reached"""
 
 ACCELERATIONS = (40.0, 20.0, 80.0)
-"""[rad/s^2] limits of the reference's acceleration, after that which is known of the servos; the first that helps is
-refined (chosen: around 39, the largest setting of the serial-bus servos of `rejoint.twin.profile`)"""
+"""[rad/s^2] limits of the reference's acceleration, after the known one; the first that helps is refined (chosen:
+around 39, the largest setting of an STS3215)"""
 DELAYS = (-0.008, -0.004, 0.0, 0.004, 0.008, 0.012)
 """[s] changes of the delay that are tried with other accelerations (chosen)"""
 EARLIER = 0.01
-"""[s] by which the delay has made up for a limited acceleration (measured: 5 to 15 ms on a real low-cost arm)"""
+"""[s] by which the delay makes up for a limited acceleration (measured: 5 to 15 ms on a real low-cost arm)"""
 
 STICTION_GAIN = 0.10
-"""Relative gain in loss, averaged over the joints, that another stiction must bring (chosen: windows of one motion
-favour a wrong one by 5 %)"""
+"""Relative gain in loss that another stiction must bring (chosen: windows of one motion favour a wrong one by 5 %)"""
 GAIN = 0.02
 """Gain of the first look at a limit below which no descent follows (chosen)"""
 LIMIT_GAIN = 0.15
-"""The same for a limit: one that is really reached brings several times as much (measured on known truth), while a
-speed limit that gains 6 % by passing for a limited acceleration predicts jumps worse (measured on a real arm)"""
+"""The same for a limit: one that is reached brings several times as much (measured); a wrong speed limit gains 6 %"""
 
 FINEST = 1.05
 """Factor between the accelerations that are tried last (chosen: below it the loss is flat)"""
@@ -48,7 +44,7 @@ FINEST = 1.05
 STARTS = 8
 """Candidates of the random search before the first descent (chosen)"""
 NEAR = 0.2
-"""Loss of a first fit over that of no twin that counts as near: a third of its residual (chosen)"""
+"""Loss of a first fit over that of no twin that counts as near (chosen)"""
 SHORT = 3
 """Steps of a descent on few windows (chosen)"""
 ROUGH = 6
@@ -56,8 +52,8 @@ ROUGH = 6
 FURTHER = 2
 """Steps of a descent that starts at the optimum of a similar structure (chosen)"""
 FAR = 5.0
-"""Residual of a window over that of the median one, root mean square, from which it is left out (chosen: jumps of
-a real low-cost arm stay within 4, chirps beyond the acceleration of its servos reach 20)"""
+"""Rms residual of a window over the median one, from which it is left out (chosen: jumps of a real arm stay within 4,
+chirps beyond its servos reach 20)"""
 
 _RAMPS = (1.0, 2.0, 4.0, 8.0)
 """[rad/s] reference speeds that are tried"""
@@ -84,8 +80,6 @@ class Found:
     structure: Structure
     vector: Array
     """(k,)"""
-    tried: tuple[tuple[str, float], ...]
-    """each structure tried with its relative loss: 1 for the simplest"""
 
 
 def simplest(belief: Prior, stiction: float, acceleration: float = np.inf) -> Structure:
@@ -96,8 +90,7 @@ def simplest(belief: Prior, stiction: float, acceleration: float = np.inf) -> St
 def rough_fit(problem: Problem) -> Array:
     """Fit (k,) from the prior's median; from the best of a random search where that does not come near.
 
-    The median first: a search ends anywhere along the common scale of a joint's torques, which the data
-    hardly fix.
+    The median first: a search ends anywhere along the common scale of a joint's torques.
     """
     belief, measured = problem.prior, problem.measured
     x = fit(problem, fit(problem, belief.mean, SHORT).vector, SHORT, SCALES).vector
@@ -113,10 +106,7 @@ def rough_fit(problem: Problem) -> Array:
 
 
 def expressible(problem: Problem, x: Array) -> list[Window]:
-    """Select the windows that a fit (k,) comes near; the others show what no twin of this structure can do.
-
-    Such windows, fast chirps say, would bend all parameters for a motion that stays out of reach.
-    """
+    """Select the windows that a fit (k,) comes near; others would bend all parameters for motion out of reach."""
     by_row = loss(problem.residuals(x[None])[0]).sum(axis=1)
     by_window = np.bincount(problem.window, by_row) / np.bincount(problem.window)
     limit = FAR**2 * np.median(by_window)
@@ -126,9 +116,8 @@ def expressible(problem: Problem, x: Array) -> list[Window]:
 def find_acceleration(make: Callable[[Structure], Problem], simple: Structure, start: Array) -> Structure:
     """Limit the reference's acceleration where that explains the fastest windows, from ``start`` (k,).
 
-    ``make`` turns a structure into a problem of these windows. Each limit is judged by its own fit: without one,
-    delay and inertia stand for it. The acceleration of ``simple``, with which ``start`` was found, is what is known
-    of the servos: it holds where these windows do not tell.
+    ``make`` turns a structure into a problem of these windows. Each limit is judged by its own fit. The acceleration of
+    ``simple`` is that known of the servos: it holds where these windows do not tell.
     """
     known = simple.acceleration
 
@@ -160,7 +149,7 @@ def find_acceleration(make: Callable[[Structure], Problem], simple: Structure, s
 
 
 def _by_delay(problem: Problem, x: Array) -> Array:
-    """Give vectors (m, k) that differ from ``x`` in the delay, which makes up for the lag of a lower acceleration."""
+    """Give vectors (m, k) that differ from ``x`` in the delay."""
     around = np.tile(x, (len(DELAYS), 1))
     around[:, problem.layout.at("delay")] += np.array(DELAYS)[:, None]
     return np.clip(around, problem.prior.lower, problem.prior.upper)
@@ -182,43 +171,33 @@ def find_structure(
 ) -> Found:
     """Compare structures on the same windows, from a simple one and its ``start`` (k,).
 
-    ``make`` turns a structure into a problem that takes as many threads; the result does not depend on ``threads``.
+    ``make`` turns a structure into a problem that takes as many threads, on which the result does not depend.
     """
     problem = make(structure, threads)
     x = fit(problem, start, FURTHER, SCALES).vector
-    first = best = _losses(problem, x)
-    tried = [(f"stiction {structure.stiction:g}, acceleration {structure.acceleration:.3g}", 1.0)]
+    best = _losses(problem, x)
     for limit in LIMITS:
         frozen = tuple(name for name in structure.frozen if name != limit)
         # A reference has one limit: either its speed or its acceleration.
         acceleration = np.inf if limit == "ramp_speed" else structure.acceleration
         freed = replace(structure, prior=_without_limits(belief, frozen), frozen=frozen, acceleration=acceleration)
         y, losses = _with_limit(make(freed, threads), x, limit)
-        tried.append((f"with {limit}", _ratio(losses, first)))
         if _ratio(losses, best) < 1.0 - LIMIT_GAIN:
             structure, x, best = freed, y, losses
 
-    def climb(ladder: Sequence[float]) -> tuple[Structure, Array, list[tuple[str, float]]]:
+    def climb(ladder: Sequence[float]) -> Found:
         return _climb(lambda stickier: make(stickier, 1), structure, x, best, ladder)
 
     # Upwards and downwards side by side; down counts only where up does not help.
     with ThreadPoolExecutor(threads) as pool:
-        ladders = list(pool.map(climb, _ladders(stictions)))
-    for climbed, y, ratios in ladders:
-        tried += [(name, ratio * _ratio(best, first)) for name, ratio in ratios]
-        if climbed is not structure:
-            return Found(structure=climbed, vector=y, tried=tuple(tried))
-    return Found(structure=structure, vector=x, tried=tuple(tried))
+        found = list(pool.map(climb, _ladders(stictions)))
+    return next((one for one in found if one.structure is not structure), found[0])
 
 
 def _climb(
     make: Callable[[Structure], Problem], structure: Structure, x: Array, best: Array, ladder: Sequence[float]
-) -> tuple[Structure, Array, list[tuple[str, float]]]:
-    """Try the stictions of a ladder until one does not pay, from the optimum ``x`` (k,) and its losses (n,).
-
-    Returns the last structure that paid, its optimum, and the losses of each one tried over those at the start.
-    """
-    start, tried = best, []
+) -> Found:
+    """Try the stictions of a ladder until one does not pay, from the optimum ``x`` (k,) and its losses (n,)."""
     for stiction in ladder:
         stickier = replace(structure, stiction=stiction)
         problem = make(stickier)
@@ -227,21 +206,19 @@ def _climb(
         guess[problem.layout.at("coulomb")] -= np.log(stiction / structure.stiction)
         y = fit(problem, guess, FURTHER, SCALES).vector
         losses = _losses(problem, y)
-        tried.append((f"stiction {stiction:g}", _ratio(losses, start)))
         if _ratio(losses, best) >= 1.0 - STICTION_GAIN:
             break
         structure, x, best = stickier, y, losses
-    return structure, x, tried
+    return Found(structure=structure, vector=x)
 
 
 def _ladders(stictions: Sequence[float]) -> tuple[list[float], list[float]]:
-    """Ratios above the first one upwards, then those below it downwards."""
     first, others = stictions[0], sorted(stictions[1:])
     return [s for s in others if s > first], [s for s in reversed(others) if s < first]
 
 
 def _with_limit(problem: Problem, x: Array, limit: str) -> tuple[Array, Array]:
-    """Optimum with one limit freed, and its losses (n,); the descent is spared where no limit helps at all."""
+    """Optimum with one limit freed, and its losses (n,), without a descent where no limit helps."""
     candidates = [x]
     place = problem.layout.at(limit)
     if limit == "torque_limit":
@@ -267,13 +244,12 @@ def _with_limit(problem: Problem, x: Array, limit: str) -> tuple[Array, Array]:
 
 
 def _drive_torque(problem: Problem, x: Array) -> Array:
-    """(n,) [N m] torques exceeded in one row of 200 by servos without limit, from what they leave to the arm."""
+    """(n,) [N m] torques of servos without limit, exceeded in one row of 200."""
     lead = np.concatenate(problem.replay.commands()) - problem.measured
     return np.asarray(np.quantile(np.abs(np.exp(x[problem.layout.at("stiffness")]) * lead), 0.995, axis=0))
 
 
 def _without_limits(belief: Prior, names: Sequence[str]) -> Prior:
-    """Put the medians of limits where they do nothing: at the upper bound."""
     off = np.isin(Layout.of_length(len(belief.mean)).kind, [number(name) for name in names])
     return replace(belief, mean=np.where(off, belief.upper, belief.mean))
 
@@ -284,6 +260,5 @@ def _losses(problem: Problem, x: Array) -> Array:
 
 
 def _ratio(losses: Array, reference: Array) -> float:
-    """Geometric mean over the joints of how losses compare."""
     least = np.finfo(float).tiny  # a joint that stands still is predicted without any loss
     return float(np.exp(np.mean(np.log(np.maximum(losses, least) / np.maximum(reference, least)))))

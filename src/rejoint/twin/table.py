@@ -1,4 +1,4 @@
-"""The table that an arm stands on, as a plane under its tip: plain data, which need no simulator."""
+"""The table that an arm is on, as a plane under its tip."""
 
 from __future__ import annotations
 

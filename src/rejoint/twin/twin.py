@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array
 from rejoint.system.errors import ContractError, InputError
 from rejoint.system.statistics import NORMAL95
-from rejoint.twin.judgement import Judgement
+from rejoint.twin.judgement import Judgement, PredictionError
 from rejoint.twin.parameters import (
-    JOINT_PARAMETERS,
     PARAMETERS,
     STICTION,
     Layout,
@@ -24,14 +23,13 @@ from rejoint.twin.parameters import (
     unpack,
     vector_names,
 )
-from rejoint.twin.prediction import PredictionError
 from rejoint.twin.table import TablePlane
 
 LEAST_SPREAD = 0.05
-"""Extra spread of the logarithms when twins are drawn: no twin has the structure of the real arm (chosen)"""
+"""Extra spread of the logarithms of drawn twins: no twin has the structure of the real arm (chosen)"""
 
 SCALE_KNOWN = 2.0
-"""A joint's common scale is known when the data say as much about it as the prior: twice the prior alone (chosen)"""
+"""Information on a joint's common scale, over the prior's, from which it is known (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -79,11 +77,11 @@ class Twin:
     stiction: float = STICTION
     """friction at rest over friction in motion"""
     acceleration: float = np.inf
-    """[rad/s^2] of the servos' references while commands keep changing (`rejoint.twin.profile`); inf: not limited"""
+    """[rad/s^2] of the servos' references while commands keep changing (`rejoint.twin.reference`); inf: not limited"""
     table: TablePlane | None = None
     """what the arm leaned on in the logs, if anything; no part of the arm"""
     judgement: Judgement | None = None
-    """how it predicts each motion that was kept from the fit, right after a fit to logs of any motion; not on file"""
+    """how it predicts the motions kept from the fit; not on file"""
     fitted: tuple[str, ...] = ()
     """labels of the motions that such a fit has seen; not on file"""
 
@@ -114,21 +112,13 @@ class Twin:
             object.__setattr__(self, name, array)
         if not np.isfinite(pack(self.parameters)).all():
             raise InputError("twin: parameters must be finite, and positive where a quantity is")
-        if (self.narrowing <= 0).any():
-            raise InputError("twin: every narrowing must be positive")
-        if not np.allclose(self.covariance, self.covariance.T, rtol=1e-6, atol=1e-12):
-            raise InputError("twin: the covariance must be symmetric")
-        if not (np.diag(self.covariance) > 0).all():
-            raise InputError("twin: every variance must be positive")
-        values = np.linalg.eigvalsh(self.covariance)
-        if values.min() < -1e-6 * max(values.max(), 1e-12):
-            raise InputError(f"twin: the covariance must not have negative eigenvalues, found {values.min():.3g}")
-        if not 1.0 <= self.stiction < np.inf:
-            raise InputError(f"twin: friction at rest over that in motion must be at least 1, got {self.stiction}")
-        if not self.acceleration > 0.0:
-            raise InputError(f"twin: the acceleration of its references must be above 0, got {self.acceleration}")
-        if (self.lower >= self.upper).any():
-            raise InputError("twin: every lower bound must be below the upper one")
+        values, symmetric = np.linalg.eigvalsh(self.covariance), np.allclose(self.covariance, self.covariance.T)
+        if not symmetric or values.max() <= 0.0 or values.min() < -1e-6 * values.max():
+            raise InputError("twin: the covariance must be symmetric, without negative eigenvalues")
+        if (self.narrowing <= 0).any() or (self.lower >= self.upper).any():
+            raise InputError("twin: every narrowing must be positive, and every lower bound below the upper one")
+        if not (1.0 <= self.stiction < np.inf and self.acceleration > 0.0):
+            raise InputError(f"twin: stiction {self.stiction} below 1 or acceleration {self.acceleration} not above 0")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -145,9 +135,9 @@ class Twin:
 
     @property
     def unknown_scale(self) -> tuple[str, ...]:
-        """Joints whose torques and inertia are known up to a common factor only, which the prior decides.
+        """Joints whose torques and inertia are known up to a common factor only.
 
-        Only gravity and link inertia fix that factor, and a joint near the flange feels little of either.
+        Only gravity and link inertia fix it, and a joint near the flange feels little of either.
         """
         layout, sigma = Layout(len(self.joint_names)), np.sqrt(np.diag(self.covariance)) / self.narrowing
         unknown = []
@@ -159,15 +149,6 @@ class Twin:
         return tuple(unknown)
 
     @property
-    def correlations(self) -> tuple[tuple[str, str, float], ...]:
-        """Pairs of parameters that the data can hardly tell apart, strongest first.
-
-        Without those of one joint that only share its common scale (`unknown_scale`).
-        """
-        pairs = [(self.names[i], self.names[j], value) for i, j, value in _strong_correlations(self.covariance)]
-        return tuple(pair for pair in pairs if not _share_a_scale(*pair))
-
-    @property
     def unknown(self) -> tuple[str, ...]:
         """Names of the parameters that keep their prior range."""
         return tuple(name for name, known in zip(self.names, self.identified, strict=True) if not known)
@@ -175,8 +156,7 @@ class Twin:
     def sample(self, rng: np.random.Generator, count: int, least_spread: float = LEAST_SPREAD) -> TwinParameters:
         """Draw ``count`` twins from the correlated covariance, within the physical bounds.
 
-        Logarithms are spread by ``least_spread`` on top. A delay below zero is that of a recorder
-        that reads after it stamps; no arm answers before it is told, so drawn ones are not below zero.
+        Logarithms are spread by ``least_spread`` on top. Drawn delays are not below zero.
         """
         root = _root(self, least_spread)
         drawn = pack(self.parameters) + rng.standard_normal((count, len(self.names))) @ root.T
@@ -208,25 +188,8 @@ class Twin:
 
 @lru_cache(maxsize=8)
 def _root(twin: Twin, least_spread: float) -> Array:
-    """Matrix (k, k) whose product with its transpose is the covariance that `Twin.sample` draws from.
-
-    Kept, since a training draws from the same twin all the time.
-    """
+    """Matrix (k, k) whose product with its transpose is the covariance of `Twin.sample`; kept for trainings."""
     covariance = twin.covariance + np.diag(np.where(Layout(len(twin.joint_names)).is_log, least_spread**2, 0.0))
     values, vectors = np.linalg.eigh(covariance)
     root: Array = vectors * np.sqrt(np.maximum(values, 0.0))
     return root
-
-
-def _strong_correlations(covariance: Array, threshold: float = 0.9) -> list[tuple[int, int, float]]:
-    """Pairs (i, j, correlation) of parameters that the data can hardly tell apart, strongest first."""
-    sigma = np.sqrt(np.diag(covariance))
-    correlation = covariance / np.outer(sigma, sigma)
-    pairs = [(int(i), int(j), float(correlation[i, j])) for i, j in zip(*np.triu_indices(len(sigma), 1), strict=True)]
-    return sorted((pair for pair in pairs if abs(pair[2]) > threshold), key=lambda pair: -abs(pair[2]))
-
-
-def _share_a_scale(one: str, other: str, correlation: float) -> bool:
-    scaled = {p.name for p in JOINT_PARAMETERS if p.log}
-    (kind, _, joint), (other_kind, _, other_joint) = one.partition("."), other.partition(".")
-    return joint == other_joint and {kind, other_kind} <= scaled and correlation > 0

@@ -1,28 +1,27 @@
 """How well a fit knows its parameters.
 
-Method: the jackknife over clusters, each left out in turn by one Newton step (CR3 of Bell and McCaffrey 2002; advised
-for few and unequal clusters by Cameron and Miller 2015), with Student's quantile. Clusters are the motions of logs, and
-stretches of an excitation longer than the memory of its residuals. What is built on the curvature and the scores alone
-(Huber 1967; Liang and Zeger 1986) is far too narrow even where the twin's structure is the arm's: by `python -m
-benchmarks truth` a third of its 95 % intervals held the truth.
+The jackknife over clusters, each left out by one Newton step (CR3 of Bell and McCaffrey 2002; Cameron and Miller 2015),
+with Student's quantile; clusters are motions, or stretches of an excitation. Curvature and scores alone (Huber 1967)
+are far too narrow: a third of such 95 % intervals held the truth (`python -m benchmarks truth`). Stick-slip passes for
+curvature, so that of each direction is taken from the loss itself.
 
-Where stick-slip makes differences of two simulations noisy, their squares pass for curvature: in directions that the
-data hardly fix up to eight times as much as there is (measured). So the curvature of each such direction is taken from
-the loss itself, two standard deviations to either side.
+Masses are what the common scale of a joint's torques rests on: the covariance has a part for how far the estimate would
+move with them ("consider" covariance, Schmidt 1966; Bierman 1977, chapter 8).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Array
+from rejoint.arms import Arm, Array
 from rejoint.system.statistics import NORMAL95, student95
 from rejoint.twin.fit import SCALES, STIFFNESS, Fit, Problem, influence, loss
-from rejoint.twin.masses import mass_covariance
-from rejoint.twin.parameters import Prior, number
+from rejoint.twin.parameters import Prior, number, unpack
+from rejoint.twin.replay import Replay
 
 CLUSTER = 3.0
 """[s] longer than a stick-slip cycle and than the slowest oscillation of a worn arm (chosen)"""
@@ -31,12 +30,12 @@ TORQUE_LIMIT = number("torque_limit")
 """Column of the sensitivities that is the torque limit's"""
 
 REACH = 2.0
-"""Standard deviations to either side from which the loss's own curvature is taken (chosen: the ends of an interval)"""
+"""Standard deviations from which the loss's own curvature is taken (chosen: the ends of an interval)"""
 LEAST_SHARE = 0.01
-"""Least share of the curvature that is left of a direction along which the loss does not grow (chosen)"""
+"""Least share of the curvature left of a direction along which the loss does not grow (chosen)"""
 SCALE_STEP = float(np.log(SCALES[-2]))
-"""Step of the ladder `rejoint.twin.fit.SCALES`, taken as half a 95 % interval: fits to disjoint halves of a real arm's
-motions stop as far apart, and only 4 of 5 intervals agree without it (measured)"""
+"""Step of the ladder `SCALES`, half a 95 % interval: without it only 4 of 5 intervals of disjoint halves agree
+(measured)"""
 
 IDENTIFIED = 0.5
 """A parameter counts as identified when the data at least halve its prior standard deviation (chosen)"""
@@ -55,11 +54,7 @@ class Uncertainty:
 
 
 def uncertainty(problem: Problem, fit: Fit, clusters: NDArray[np.integer]) -> Uncertainty:
-    """Estimate the covariance of a fit from central differences and clustered scores.
-
-    ``clusters`` (rows,) number the stretches of motion taken as independent, such as the motions of logs. What is not
-    known of the links' masses is counted too.
-    """
+    """Estimate the covariance of a fit from the scores of ``clusters`` (rows,) and the masses."""
     prior = problem.prior
     residual, jacobian = _central_differences(problem, fit.vector)
     covariance = jackknife(prior, *_by_cluster(problem, fit, residual, jacobian, clusters))
@@ -73,17 +68,16 @@ def uncertainty(problem: Problem, fit: Fit, clusters: NDArray[np.integer]) -> Un
 
 
 def _resolution(problem: Problem, x: Array) -> Array:
-    """Covariance (k, k) of the common scale of each joint, which a fit to logs takes from a ladder."""
+    """Covariance (k, k) of the common scale of each joint, which a fit takes from a ladder."""
     up, down = problem.rescaled(x, (np.exp(0.5 * SCALE_STEP), np.exp(-0.5 * SCALE_STEP)))
     step = (up - down) / NORMAL95
     return np.outer(step, step) * (problem.owner[:, None] == problem.owner)
 
 
 def jackknife(prior: Prior, curvatures: Array, scores: Array) -> Array:
-    """Covariance (k, k) of a posterior from what each of g clusters and its n joints say: (g, k, k) and (g, n, k).
+    """Covariance (k, k) of a posterior from g clusters and its n joints: (g, k, k) and (g, n, k).
 
-    Spread of the estimates without each cluster, plus the inverse curvature: each alone is too small where the
-    twin's structure is not the arm's. Scaled so that intervals of a normal distribution are as wide as Student's.
+    Spread of the estimates without each cluster, plus the inverse curvature, scaled to Student's width.
     """
     count, precision = len(scores), prior.precision
     whole = curvatures.sum(axis=0)
@@ -115,8 +109,8 @@ def _by_cluster(
 def _steadied(problem: Problem, fit: Fit, jacobian: Array, covariance: Array) -> Array:
     """Scale sensitivities (rows, n, q) down to the curvature that the loss itself shows.
 
-    Along the principal directions of each joint's own parameters, moved for all joints at once, `REACH` standard
-    deviations of ``covariance`` (k, k) to either side.
+    Along the principal directions of each joint's own parameters, `REACH` standard deviations of ``covariance`` (k, k)
+    to either side.
     """
     prior, n = problem.prior, problem.joints
     own = [np.flatnonzero((problem.owner == joint) & ~problem.frozen) for joint in range(n)]
@@ -148,7 +142,7 @@ def _steadied(problem: Problem, fit: Fit, jacobian: Array, covariance: Array) ->
 
 
 def _central_differences(problem: Problem, x: Array) -> tuple[Array, Array]:
-    """Residual (rows, n) at ``x`` and sensitivities (rows, n, q), one-sided where a bound is near.
+    """Residual (rows, n) at ``x`` and sensitivities (rows, n, q), one-sided near a bound.
 
     The torque limit's is upward: of a limit that was never reached, the data only say that it is not lower.
     """
@@ -163,3 +157,41 @@ def _central_differences(problem: Problem, x: Array) -> tuple[Array, Array]:
     central[..., TORQUE_LIMIT] -= lost
     central[..., STIFFNESS] += lost  # the slope along the common scale stays what was simulated
     return base, central
+
+
+COMMON, OWN = 0.10, 0.10
+"""Standard deviation of the logarithm of all masses together, and of each by itself (chosen)"""
+CENTRE = 0.15
+"""The same of the distance of a link's centre of mass from its joint (chosen likewise)"""
+STEP = 0.1
+"""Finite-difference step of the logarithms (chosen: as far as the uncertainty goes)"""
+
+
+def mass_covariance(problem: Problem, fit: Fit, residual: Array, jacobian: Array, curvature: Array) -> Array:
+    """Covariance (k, k) that an estimate has since its links are not known exactly.
+
+    ``residual`` (rows, n), ``jacobian`` (rows, n, q) and ``curvature`` (k, k) with the prior are those at the estimate.
+    """
+    moved, replay = [], problem.replay
+    for arm, sigma in _other_arms(replay.arm):
+        other = Replay(
+            arm, replay.logs, replay.windows, replay.timestep, replay.threads, replay.stiction, replay.acceleration
+        )
+        path = np.concatenate(other.predict(unpack(fit.vector[None], problem.joints)), axis=1)[0]
+        change = (path - problem.measured - residual) * (sigma / STEP)
+        pull = np.zeros(len(fit.vector))
+        for joint in range(problem.joints):
+            weight = fit.weights.precision[:, joint] * influence(residual[:, joint])
+            pull[problem.columns(joint)] += jacobian[:, joint].T @ (weight * change[:, joint])
+        moved.append(np.where(problem.frozen | fit.at_bound, 0.0, pull))
+    by = np.linalg.solve(curvature, np.array(moved).T)
+    return np.asarray(by @ by.T)
+
+
+def _other_arms(arm: Arm) -> Iterator[tuple[Arm, float]]:
+    every = np.ones(arm.joints)
+    for factor, sigma in ((every, COMMON), *((row, OWN) for row in np.eye(arm.joints))):
+        change = np.exp(STEP * factor)
+        yield replace(arm, mass=arm.mass * change, inertia=arm.inertia * change[:, None, None]), sigma
+    for row in np.eye(arm.joints):
+        yield replace(arm, com=arm.com * np.exp(STEP * row)[:, None]), CENTRE

@@ -6,14 +6,21 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from rejoint.control.contract import DIGEST_KEY, INPUT, METADATA_KEY, OUTPUT, encode_contract, probe_observations
+from rejoint.control.contract import (
+    DIGEST_KEY,
+    INPUT,
+    METADATA_KEY,
+    OUTPUT,
+    content_digest,
+    encode_contract,
+    probe_observations,
+)
 from rejoint.control.observation import layout_slots
-from rejoint.control.onnxfile import content_digest
 from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.training.presets import DEFAULT
 from rejoint.training.train import TrainingOptions, policy_contract, train
+from rejoint.twin.judgement import PredictionError
 from rejoint.twin.parameters import nominal_parameters, prior
-from rejoint.twin.prediction import PredictionError
 from rejoint.twin.twin import HeldOut, Twin
 
 LATE, FAR = 1.2, 1.02
@@ -54,7 +61,7 @@ def softer_twin(arm):
     """A twin with a third of the stiffness that the worn arm has."""
     belief = prior(arm)
     soft = load_wear("worn", arm).position_gain / 3
-    error = PredictionError(joints=np.full(arm.joints, 0.01), joint=0.01, tcp=1e-3)
+    error = PredictionError(joints=(0.01,) * arm.joints, joint=0.01, tcp=1e-3)
     return Twin(
         arm=arm.name, joint_names=arm.joint_names,
         parameters=dataclasses.replace(nominal_parameters(arm), stiffness=soft),

@@ -2,23 +2,22 @@
 
 import json
 import sys
-from dataclasses import replace
 
 import bad_policies as bad
 import numpy as np
 import pytest
 
 import rejoint
+from comparisons import picked
 from rejoint.arms import heights, mycobot280
 from rejoint.cli import main
 from rejoint.control.catalogue import make_controller
-from rejoint.control.comparison.compare import Settings, compare
-from rejoint.control.comparison.failure import failure
-from rejoint.control.comparison.recommend import recommend
+from rejoint.control.comparison.compare import Settings, TrialRunner
+from rejoint.control.comparison.recommend import failure, recommend
 from rejoint.control.comparison.result import Protocol
-from rejoint.control.comparison.targets import draw_targets
 from rejoint.control.guard import GuardLimits
 from rejoint.control.policy import load_policy
+from rejoint.control.targets import draw_targets
 from rejoint.robots import open_robot
 from rejoint.runs.run import Run
 from rejoint.twin.file import write_twin
@@ -47,10 +46,10 @@ def tried(files, *, batched):
     trials = []
     controllers = {"integrator": lambda arm: make_controller("integrator", arm)}
     controllers |= {name: (lambda arm, name=name: load_policy(files[name], arm)) for name in NAMES}
-    found = compare(
+    found = TrialRunner(
         lambda count, seed: open_robot("emulated:worn", arm=ARM, seed=seed, count=count), controllers, TARGETS,
         Settings(batched=batched, repetitions=2 if batched else 1, protocol=PROTOCOL), on_trial=trials.append,
-    )  # fmt: skip
+    ).compare()  # fmt: skip
     return found, trials
 
 
@@ -77,11 +76,11 @@ def test_the_guard_keeps_every_law_on_the_whole_recording(comparison):
 def test_the_comparison_notices(comparison):
     found, _ = comparison
     good = found.row("integrator")
-    assert (good.crossing.success.value, good.failures, good.out) == (1.0, 0, "")
+    assert (good.success.value, good.failures, good.out) == (1.0, 0, "")
     for name in ("random", "saturated", "infinite"):
         row = found.row(name)
-        assert row.crossing.success.value < 1.0, name
-        assert failure(row) or row.hold.settled.mean.value > 10 * good.hold.settled.mean.value, name
+        assert row.success.value < 1.0, name
+        assert failure(row) or row.settled.mean.value > 10 * good.settled.mean.value, name
     for name in ("nan", "nan-later"):
         row = found.row(name)
         assert row.failures > 0
@@ -92,10 +91,10 @@ def test_the_comparison_notices(comparison):
 @pytest.mark.parametrize("name", NAMES)
 def test_a_baseline_is_handed_over(comparison, name):
     found, _ = comparison
-    both = replace(found, rows=tuple(replace(found.row(each), controller=as_) for each, as_ in
-                                     (("integrator", "integrator"), (name, "policy"))))  # fmt: skip
-    advice = recommend(both)
-    assert advice.controller == "integrator"
+    advice = recommend(picked(found, {"integrator": "integrator", name: "policy"}))
+    row, good = found.row(name), found.row("integrator")
+    harmless = not failure(row) and row.success.value == 1.0 and row.settled.mean.value <= good.settled.mean.value
+    assert advice.controller == "integrator" or (name == "softer" and harmless)
     assert any("policy" in line for line in advice.why), "and it says why"
 
 
@@ -124,7 +123,7 @@ def test_repair_hands_over_the_baseline_and_says_why(before_policy, files, capsy
     assert code == 0, said.err
     last = json.loads(said.out.splitlines()[-1])
     assert last["recommended"]["controller"] == "integrator"
-    sentence = "policy: 1 of 2 runs ended early, because a command or a measured position was not a number."
+    sentence = "policy: 1 run ended early, because a command or a measured position was not a number."
     assert sentence in said.out
     page = before_policy.report.read_text(encoding="utf-8")
     assert f"The learned policy was tried and failed. {sentence.capitalize()}" in page.replace("\n", " ")

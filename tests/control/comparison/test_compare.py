@@ -1,25 +1,20 @@
 """Laws of the comparison: what is measured is what happened, batch equals single trials, verdicts are honest."""
 
-import re
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
+from comparisons import refilled
 from rejoint.arms import gravity_torque, mycobot280, tcp_position
 from rejoint.control.catalogue import make_controller
-from rejoint.control.comparison.compare import Settings, compare
+from rejoint.control.classical import IntegratorController
+from rejoint.control.comparison.compare import Settings, TrialRunner
 from rejoint.control.comparison.protocols import encoder_tcp, measure_crossings, measure_holds, schedule
 from rejoint.control.comparison.recommend import difference, recommend
-from rejoint.control.comparison.result import Comparison, Protocol
-from rejoint.control.comparison.targets import draw_targets
-from rejoint.control.integrator import IntegratorController
+from rejoint.control.comparison.result import Protocol
 from rejoint.control.loop import run
 from rejoint.control.robot import JointState
-from rejoint.logs.runlog import read_log, write_log
-from rejoint.system.errors import GuardTripError, InputError
-from rejoint.system.files import read_json, write_json
-from rejoint.system.statistics import above_zero, bootstrap_mean
+from rejoint.control.targets import draw_targets
+from rejoint.system.errors import GuardTripError
 
 ARM = mycobot280()
 PROTOCOL = Protocol(dwell=4.0, hold=5.0)
@@ -80,11 +75,11 @@ def comparison():
         opened.append(SaggingRobot(count, seed))
         return opened[-1]
 
-    found = compare(
+    found = TrialRunner(
         open_robot, factories("default", "integrator"), TARGETS,
         Settings(repetitions=3, seed=7, batched=True, protocol=PROTOCOL),
         on_progress=lambda *step: progress.append(step), on_trial=trials.append,
-    )  # fmt: skip
+    ).compare()  # fmt: skip
     return found, opened, trials, progress
 
 
@@ -110,58 +105,41 @@ def test_results_per_target_are_those_of_single_trials(comparison):
     log = trial.log()
     error = np.linalg.norm(tcp_position(ARM, log.position) - log.target, axis=-1)
     true = np.linalg.norm(log.true_tcp - log.target, axis=-1)
-    outcomes = found.row("integrator").outcomes
     for k in range(2):
         rows = (log.target == TARGETS[1, k]).all(axis=1)
         last = rows & (log.time >= log.time[rows][-1] - PROTOCOL.window)
-        assert outcomes.array("settled")[1, 2, k] == pytest.approx(error[last].mean(), rel=0.02)
-        assert outcomes.array("settled_true")[1, 2, k] == pytest.approx(true[last].mean(), rel=0.02)
+        assert found.array("settled", "integrator")[1, 2, k] == pytest.approx(error[last].mean(), rel=0.02)
+        assert found.array("settled_true", "integrator")[1, 2, k] == pytest.approx(true[last].mean(), rel=0.02)
 
 
 def test_numbers_are_those_of_the_robot(comparison):
     found, *_ = comparison
     default, integrator = found.row("default"), found.row("integrator")
-    assert integrator.crossing.success.value == 1.0
-    assert default.crossing.success.value == 0.0
+    assert integrator.success.value == 1.0
+    assert default.success.value == 0.0
     # Nothing is reached: each of the two targets lasts its dwell, up to one period more.
-    assert default.crossing.cycle_time.mean.value == pytest.approx(8.0, abs=0.06)
-    assert (integrator.outcomes.array("crossing_error") < PROTOCOL.threshold).all()
-    assert integrator.hold.settled.mean.value < 5e-4
-    assert integrator.hold.settled_true.mean.value == pytest.approx(0.006, abs=3e-4)
-    assert [stay.within for stay in integrator.hold.stays] == [0.01, 0.005, 0.002]
-    medians = [stay.median for stay in integrator.hold.stays]
+    assert default.cycle_time.mean.value == pytest.approx(8.0, abs=0.06)
+    assert (found.array("crossing_error", "integrator") < PROTOCOL.threshold).all()
+    assert integrator.settled.mean.value < 5e-4
+    assert integrator.settled_true.mean.value == pytest.approx(0.006, abs=3e-4)
+    assert [stay.within for stay in integrator.stays] == [0.01, 0.005, 0.002]
+    medians = [stay.median for stay in integrator.stays]
     assert medians == sorted(medians)
-    assert all(stay.median is None for stay in default.hold.stays)
-    assert (default.outcomes.array("stay") == PROTOCOL.hold).all()
+    assert all(stay.median is None for stay in default.stays)
+    assert (found.array("stay_10mm", "default") == PROTOCOL.hold).all()
     assert integrator.failures == 0
-    assert {count.reason for count in default.guard} == {"lead", "step"}
-
-
-def test_progress_ends_at_its_total(comparison):
-    *_, progress = comparison
-    done = [entry[0] for entry in progress]
-    assert done == sorted(done)
-    assert progress[-1][0] == 1.0
-    assert min(np.diff(sorted(set(done)))) >= 0.99 / 48  # 2 controllers x 2 protocols x 12 targets
-    assert progress[0][1] == "default: crossing protocol"
-
-
-def test_a_comparison_survives_its_file(comparison, tmp_path):
-    found, _, trials, _ = comparison
-    write_json(tmp_path / "comparison.json", found)
-    assert read_json(tmp_path / "comparison.json", Comparison) == found
-    write_log(tmp_path / "log.parquet", trials[0].log())
-    assert read_log(tmp_path / "log.parquet").label == trials[0].label
+    assert set(default.guard) == {"lead", "step"}
 
 
 def test_same_seed_same_numbers_and_noise_shared_by_the_controllers():
     settings = Settings(repetitions=2, seed=3, batched=True, protocol=PROTOCOL)
     two = dict.fromkeys(("one", "two"), IntegratorController)
-    first = compare(SaggingRobot, two, TARGETS, settings)
-    again = compare(SaggingRobot, two, TARGETS, settings)
+    first = TrialRunner(SaggingRobot, two, TARGETS, settings).compare()
+    again = TrialRunner(SaggingRobot, two, TARGETS, settings).compare()
     assert first == again
-    assert first.row("one").outcomes == first.row("two").outcomes
-    settled = first.row("one").outcomes.array("settled")
+    for name in first.results:
+        np.testing.assert_array_equal(first.array(name, "one"), first.array(name, "two"))
+    settled = first.array("settled", "one")
     assert (settled[:, 0] != settled[:, 1]).all()  # repetitions differ by their noise
 
 
@@ -172,10 +150,10 @@ def test_one_arm_interleaves_and_returns_to_the_start():
         order.append((trial.repetition, trial.target_set, trial.controller, trial.kind))
         starts.append(trial.recording.position[0, 0])
 
-    found = compare(
+    found = TrialRunner(
         lambda *_: robot, dict.fromkeys(("one", "two", "three"), IntegratorController), TARGETS[:1, :1],
         Settings(repetitions=4, seed=2, batched=False, protocol=PROTOCOL), on_trial=note,
-    )  # fmt: skip
+    ).compare()  # fmt: skip
     assert robot.closed == 1
     assert [entry[0] for entry in order] == [r for r in range(4) for _ in range(6)]
     firsts = {tuple(entry[2] for entry in order[6 * r : 6 * r + 6 : 2]) for r in range(4)}
@@ -185,31 +163,33 @@ def test_one_arm_interleaves_and_returns_to_the_start():
     np.testing.assert_allclose(np.array(starts), np.tile(ARM.rest - sag, (24, 1)), atol=0.02)
     np.testing.assert_allclose(np.array(starts), np.tile(starts[0], (24, 1)), atol=2e-3)
     assert not found.true_known
-    assert found.row("one").hold.settled_true is None
-    assert found.row("one").crossing.true_error is None
+    assert found.row("one").settled_true is None
+    assert found.row("one").crossing_true is None
 
 
 def test_a_trip_on_one_arm_ends_the_comparison():
     robot = SaggingRobot(1, 0, hot=[(0, 6.0)])
     with pytest.raises(GuardTripError, match="temperature"):
-        compare(lambda *_: robot, factories("integrator"), TARGETS, Settings(batched=False, protocol=PROTOCOL))
+        TrialRunner(
+            lambda *_: robot, factories("integrator"), TARGETS, Settings(batched=False, protocol=PROTOCOL)
+        ).compare()
     assert robot.closed == 1
 
 
 def test_a_trip_in_a_batch_is_a_failure_of_its_trial():
-    found = compare(
+    found = TrialRunner(
         lambda count, seed: SaggingRobot(count, seed, hot=[(1, 6.0)]), factories("default"), TARGETS,
         Settings(batched=True, protocol=PROTOCOL),
-    )  # fmt: skip
+    ).compare()  # fmt: skip
     row = found.row("default")
     assert row.failures == 2
-    assert any(count.reason == "temperature" for count in row.guard)
-    settled = row.outcomes.array("settled")
+    assert "temperature" in row.guard
+    settled = found.array("settled", "default")
     assert np.isfinite(settled[0]).all()
     assert np.isfinite(settled[1, 0, 0])  # held before it got hot
     assert np.isnan(settled[1, 0, 1])
-    assert np.isnan(row.outcomes.array("crossing_error")[1, 0, 1])
-    assert row.crossing.cycle_time.count == 1
+    assert np.isnan(found.array("crossing_error", "default")[1, 0, 1])
+    assert row.cycle_time.count == 1
 
 
 def test_protocols_on_one_recording():
@@ -220,24 +200,25 @@ def test_protocols_on_one_recording():
     found = measure_crossings(ARM, rec, targets, PROTOCOL)
     for b in range(2):
         rows = np.flatnonzero(rec.active[:, b])
-        assert found.time[b].sum() == pytest.approx(rec.time[rows[-1], b] - rec.time[rows[0], b])
+        assert found["crossing_time"][b].sum() == pytest.approx(rec.time[rows[-1], b] - rec.time[rows[0], b])
     plan = schedule("hold", PROTOCOL, keep_going=True)
     holds = measure_holds(
         ARM, run(SaggingRobot(2, 0), make_controller("integrator", ARM), targets, plan), targets, PROTOCOL
     )
-    assert (np.diff(holds.stay, axis=0) >= 0).all()  # the narrower, the later
+    stays = [holds[name] for name in PROTOCOL.stay_names]
+    assert (np.diff(stays, axis=0) >= 0).all()  # the narrower, the later
 
 
 def alike(errors):
     """Comparison of controllers whose settled errors are given; all else equal."""
     same = dict.fromkeys(errors, IntegratorController)
-    found = compare(SaggingRobot, same, draw_targets(ARM, sets=6, count=1), Settings(batched=True, protocol=PROTOCOL))
+    found = TrialRunner(
+        SaggingRobot, same, draw_targets(ARM, sets=6, count=1), Settings(batched=True, protocol=PROTOCOL)
+    ).compare()
     rng = np.random.default_rng(0)
-    rows = []
-    for row in found.rows:
-        settled = errors[row.controller] * (1 + 0.2 * rng.normal(size=6))
-        rows.append(replace(row, outcomes=replace(row.outcomes, settled=tuple(settled))))
-    return replace(found, rows=tuple(rows))
+    for name, error in errors.items():
+        found = refilled(found, name, settled=error * (1 + 0.2 * rng.normal(size=6)))
+    return found
 
 
 def test_the_better_one_is_recommended_and_a_tie_goes_to_the_simpler():
@@ -262,84 +243,27 @@ def test_of_those_that_tie_at_the_narrowest_distance_who_is_near_much_sooner_is_
     found = alike({"integrator": 0.001, "policy": 0.001})
 
     def sooner_by(seconds):
-        rows = []
-        for row in found.rows:
-            narrow, near = int(np.argmin(row.outcomes.within)), 1.0 - (seconds if row.controller == "policy" else 0.0)
-            stay = [[3.0] * 6 if i == narrow else [near] * 6 for i in range(len(row.outcomes.within))]
-            outcomes = replace(row.outcomes, settled=(0.001,) * 6, stay=tuple(map(tuple, stay)))
-            rows.append(replace(row, outcomes=outcomes))
-        return recommend(replace(found, rows=tuple(rows)))
+        made = found
+        for name in found.controllers:
+            near = [1.0 - (seconds if name == "policy" else 0.0)] * 6
+            made = refilled(
+                made, name, settled=[0.001] * 6, stay_10mm=near, stay_5mm=near, stay_2mm=[3.0] * 6
+            )  # fmt: skip
+        return recommend(made)
 
     assert sooner_by(0.3).controller == "policy"
     assert any(line.startswith("integrator: 1.00 s to stay within 5 mm, against 0.70 s") for line in sooner_by(0.3).why)
     assert sooner_by(0.1).controller == "integrator", "nobody sees a tenth of a second"
 
 
-def test_a_controller_under_other_gains_of_the_servos_is_hardly_less_simple_than_without():
-    def equals(*names):
-        found = alike(dict.fromkeys(names, 0.001))
-        rows = [replace(row, outcomes=replace(row.outcomes, settled=(0.001,) * 6)) for row in found.rows]
-        return recommend(replace(found, rows=tuple(rows)))
-
-    names = ("policy", "feedforward", "servo-gains+integrator", "servo-gains")
-    tie = equals(*names)
-    assert tie.controller == "servo-gains"
-    assert set(tie.tied) == set(names) - {"servo-gains"}
-    assert "`rejoint gains --keep`" in tie.why[-1]
-    assert equals("feedforward", "servo-gains+integrator").controller == "servo-gains+integrator"
-    plain = equals("servo-gains+integrator", "feedforward", "integrator")
-    assert plain.controller == "integrator"
-    assert not any("--keep" in line for line in plain.why)
-
-
-def test_a_tie_tells_who_was_better_in_the_mean_and_how_many_trials_decide():
-    """As many trials as it says do decide, if every one is like those there were."""
-    found = alike({"integrator": 0.00105, "policy": 0.001})
-    noise = np.array([0.0, 3.0, -2.0, 1.0, -1.0, 2.0]) * 1e-4
-    rows = [
-        replace(row, outcomes=replace(row.outcomes, settled=tuple(
-            0.001 + (noise + 2e-5 if row.controller == "integrator" else 0.0 * noise)
-        ))) for row in found.rows
-    ]  # fmt: skip
-    advice = recommend(replace(found, rows=tuple(rows)))
-    assert (advice.controller, advice.tied) == ("integrator", ("policy",))
-    line = next(line for line in advice.why if line.startswith("Better in the mean, which may be chance"))
-    assert "policy 1.00 mm settled error, against 1.07 mm (about" in line
-    trials = int(re.search(r"about (\d+) trials of each instead of 6 would decide", line)[1])
-    for rounds, decided in ((1, False), (trials // 6 + 1, True)):
-        more = np.tile(noise + 2e-5, rounds)
-        assert above_zero(bootstrap_mean(more, np.arange(len(more)))) is decided
-
-
 def test_reaching_the_targets_counts_before_settling():
     found = alike({"integrator": 0.0001, "policy": 0.001})
-    rows = [
-        replace(row, outcomes=replace(row.outcomes, crossed=(1.0, 0.0, 0.0, 1.0, 0.0, 0.0)))
-        if row.controller == "integrator" else row
-        for row in found.rows
-    ]  # fmt: skip
-    verdict = recommend(replace(found, rows=tuple(rows)))
+    verdict = recommend(refilled(found, "integrator", crossed=[1.0, 0.0, 0.0, 1.0, 0.0, 0.0]))
     assert verdict.controller == "policy"
     assert any("integrator: 67 % of the targets missed, against 0 % of policy" in line for line in verdict.why)
 
 
 def test_holds_cut_short_by_the_guard_lose():
     found = alike({"integrator": 0.0001, "policy": 0.001})
-    rows = [
-        replace(row, outcomes=replace(row.outcomes, settled=(None, *row.outcomes.settled[1:])))
-        if row.controller == "integrator" else row
-        for row in found.rows
-    ]  # fmt: skip
-    assert recommend(replace(found, rows=tuple(rows))).controller == "policy"
-
-
-def test_bad_requests_are_refused(comparison):
-    settings = Settings(batched=True, protocol=PROTOCOL)
-    with pytest.raises(InputError, match="targets have shape"):
-        compare(SaggingRobot, factories("default"), TARGETS[0], settings)
-    with pytest.raises(InputError, match="no controllers"):
-        compare(SaggingRobot, {}, TARGETS, settings)
-    with pytest.raises(InputError, match="repetitions"):
-        Settings(repetitions=0, batched=True)
-    with pytest.raises(InputError, match=r"no controller 'policy'.*default"):
-        comparison[0].row("policy")
+    cut = [None] + [0.0001] * 5
+    assert recommend(refilled(found, "integrator", settled=cut)).controller == "policy"

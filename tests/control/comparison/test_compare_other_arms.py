@@ -6,9 +6,9 @@ import pytest
 from modelfiles import ur5e
 from rejoint.arms import so101
 from rejoint.control.catalogue import make_controller
-from rejoint.control.comparison.compare import Settings, compare
+from rejoint.control.comparison.compare import Settings, TrialRunner
 from rejoint.control.comparison.result import Protocol
-from rejoint.control.comparison.targets import draw_targets
+from rejoint.control.targets import draw_targets
 from rejoint.robots import open_robot
 from rejoint.twin.parameters import nominal_parameters
 
@@ -19,18 +19,18 @@ from rejoint.twin.parameters import nominal_parameters
 def test_a_worn_arm_of_any_size_is_brought_within_10_mm(make, address):
     arm = make()
     stiffness = nominal_parameters(arm).stiffness
-    found = compare(
+    found = TrialRunner(
         lambda count, seed: open_robot(address, arm=arm, seed=seed, count=count),
         {name: lambda arm, name=name: make_controller(name, arm, stiffness=stiffness)
          for name in ("default", "integrator", "feedforward")},
         draw_targets(arm, sets=1, count=4, seed=2),
         Settings(batched=True, seed=2, protocol=Protocol(dwell=6.0, hold=5.0)),
-    )  # fmt: skip
+    ).compare()  # fmt: skip
     rows = {row.controller: row for row in found.rows}
-    assert rows["default"].hold.settled.mean.value > 0.015
+    assert rows["default"].settled.mean.value > 0.015
     for name in ("integrator", "feedforward"):
-        assert rows[name].crossing.success.value == 1.0, name
+        assert rows[name].success.value == 1.0, name
         assert rows[name].failures == 0
-        assert rows[name].hold.settled.mean.value < 0.005, name
-        assert rows[name].hold.oscillation.mean.value < 0.003, name
-        assert np.isfinite(rows[name].hold.settled_true.mean.value)
+        assert rows[name].settled.mean.value < 0.005, name
+        assert rows[name].oscillation.mean.value < 0.003, name
+        assert np.isfinite(rows[name].settled_true.mean.value)

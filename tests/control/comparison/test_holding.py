@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280, tcp_position
-from rejoint.control.comparison.holding import Holding, errors_of, found_errors, vary_directions
-from rejoint.control.comparison.iso import INSET, RISING_AHEAD, iso_poses
+from rejoint.control.classical import DefaultController
+from rejoint.control.comparison.holding import Holding, found_errors, vary_directions
+from rejoint.control.comparison.protocols import INSET, RISING_AHEAD, iso_poses
 from rejoint.control.comparison.result import Protocol
-from rejoint.control.default import DefaultController
 from rejoint.control.robot import JointState
 
 ARM = mycobot280()
@@ -71,32 +71,18 @@ def test_a_tool_that_drags_behind_varies_with_the_direction_and_its_encoders_do_
     assert found.tool.mean.value == pytest.approx(np.sqrt(2.0) * BEHIND, rel=0.1), "directions at right angles"
 
 
-def test_side_by_side_each_arm_comes_from_one_direction():
-    opened = []
-
-    def connect(count, seed):
-        opened.append(count)
-        return Dragging(count, seed)
-
-    found = vary_directions(holding(open_robot=connect), "default", DefaultController, ARM, 2, SHORT)
-    alone = Holding(open_robot=connect, batched=False, seed=0)
-    in_turn = vary_directions(alone, "default", DefaultController, ARM, 2, SHORT)
-    assert opened == [6, 1]
-    assert found.tool.mean.value == pytest.approx(in_turn.tool.mean.value, abs=1e-4)
-
-
 def test_cycles_on_one_arm_are_driven_one_after_the_other():
     targets = ARM.targets.sample(np.random.default_rng(0), (3, 2))
     side_by_side = holding().hold(DefaultController, targets, SHORT)
     in_turn = Holding(open_robot=Dragging, batched=False, seed=0).hold(DefaultController, targets, SHORT)
-    np.testing.assert_allclose(in_turn.settled, side_by_side.settled, atol=1e-6)
-    np.testing.assert_allclose(in_turn.settled_true, side_by_side.settled_true, atol=1e-4)
+    np.testing.assert_allclose(in_turn["settled"], side_by_side["settled"], atol=1e-6)
+    np.testing.assert_allclose(in_turn["settled_true"], side_by_side["settled_true"], atol=1e-4)
 
 
 class Beside:
     """A correction that aims 10 mm beside every target."""
 
-    def aim(self, target, start, where):  # noqa: ARG002 - the same beside each
+    def aim(self, target, start, where, near=None):  # noqa: ARG002 - the same beside each
         return target + np.array([0.0, 0.01, 0.0])
 
     def again(self, target, inputs):  # noqa: ARG002 - once is enough
@@ -106,20 +92,8 @@ class Beside:
 def test_the_arm_as_it_was_found_is_not_aimed():
     targets = ARM.targets.sample(np.random.default_rng(1), (2,))
     how = holding(correction=lambda _: Beside())
-    aimed = how.hold(DefaultController, targets[None], SHORT).settled_true[0]
+    aimed = how.hold(DefaultController, targets[None], SHORT)["settled_true"][0]
     found = found_errors(how, DefaultController, targets, SHORT)
     assert [error.how for error in found.true] == ["known", "known"]
     np.testing.assert_allclose([error.value for error in found.true], BEHIND, rtol=0.1)
     assert (aimed > 0.007).all()
-
-
-def test_errors_say_how_they_are_known():
-    nan = np.full((1, 3), np.nan)
-    modelled = np.array([[[5e-3, 6e-3, np.nan]], [[4e-3, 5e-3, np.nan]], [[6e-3, 7e-3, np.nan]]])
-    found = errors_of(np.full((1, 3), 1e-3), np.where([[True, False, False]], 2e-3, nan), modelled)
-    assert [(error.how, error.value) for error in found.true] == [
-        ("known", 2e-3),
-        ("modelled", 6e-3),
-        ("not known", None),
-    ]
-    assert found.encoders == (1e-3,) * 3

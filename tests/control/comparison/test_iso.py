@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 
-from rejoint.control.comparison.iso import direction_variation, position_accuracy, position_repeatability, reversal
+from rejoint.control.comparison.protocols import (
+    direction_variation,
+    position_accuracy,
+    position_repeatability,
+    reversal,
+)
 
 CROSS = np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
 

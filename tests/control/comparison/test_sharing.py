@@ -7,13 +7,10 @@ import pytest
 
 from rejoint.arms import mycobot280
 from rejoint.control.catalogue import make_controller
-from rejoint.control.comparison.compare import Settings, TrialRunner, compare
-from rejoint.control.comparison.counting import Targets
-from rejoint.control.comparison.ledger import Ledger
+from rejoint.control.comparison.compare import Settings, TrialRunner
+from rejoint.control.comparison.ledger import HelperLostError, Shared
 from rejoint.control.comparison.result import Protocol
-from rejoint.control.comparison.sharing import HelperLostError, Shared
 from rejoint.robots import open_robot
-from rejoint.system.progress import no_progress
 
 ARM = mycobot280()
 TARGETS = ARM.targets.sample(np.random.default_rng(3), (1, 2))
@@ -30,15 +27,10 @@ class Beside:
 
     def __init__(self, lasts=99):
         self.lasts, self.asked, self.begun = lasts, [], threading.Event()
-        shape = (*TARGETS.shape[:1], 2, TARGETS.shape[1])
-        self.runner = TrialRunner(
-            open_robot=connect, controllers=FACTORIES, targets=TARGETS, settings=BATCHED, shape=shape, tallies={},
-            ledger=Ledger.nowhere(), limits=None, stance=None, correction=None, model=None,
-            progress=Targets(no_progress, 1), on_trial=None, measured=(), source="",
-        )  # fmt: skip
+        self.runner = TrialRunner(connect, FACTORIES, TARGETS, BATCHED)
 
-    def rank(self, _task):
-        return 0
+    def settle(self):
+        return ()
 
     def drive(self, task, places):
         self.asked.append(task)
@@ -53,10 +45,10 @@ class Beside:
 
 def compared(helper=None):
     trials, shares = [], []
-    found = compare(
+    found = TrialRunner(
         connect, FACTORIES, TARGETS, BATCHED, helper=helper, on_trial=trials.append,
         on_progress=lambda share, _: shares.append(share),
-    )  # fmt: skip
+    ).compare()  # fmt: skip
     return found, sorted(trial.label for trial in trials), shares
 
 
@@ -75,12 +67,11 @@ def test_what_comes_out_is_the_same_with_a_helper_and_without(lasts):
 class Slow:
     """A helper that does a task only when it is told to."""
 
-    def __init__(self, fails=False, near=None):
-        self.near = near or {}
-        self.go, self.asked, self.fails = threading.Event(), threading.Event(), fails
+    def __init__(self, fails=False, begun=()):
+        self.go, self.asked, self.fails, self.begun = threading.Event(), threading.Event(), fails, begun
 
-    def rank(self, task):
-        return self.near.get(task[0], 0)
+    def settle(self):
+        return self.begun
 
     def drive(self, task, _places):
         self.asked.set()
@@ -102,17 +93,12 @@ def test_the_last_task_is_waited_for_and_done_here_where_the_helper_is_lost(fail
     assert (rest, beside) == (([("c", "hold")], []) if fails else ([], [(("c", "hold"), "done beside")]))
 
 
-def test_one_task_is_not_worth_a_helper():
-    helper = Slow()
-    assert list(Shared([("a", "hold")], helper, ()).here()) == [("a", "hold")]
-    assert not helper.asked.is_set()
-
-
-def test_a_helper_takes_what_is_nearest_to_it_first():
-    helper = Slow(near={"a": 2, "b": 1})
+def test_what_a_helper_has_begun_is_left_to_it():
+    helper = Slow(begun=(("a", "hold"),))
     shared = Shared([("a", "hold"), ("b", "hold"), ("c", "hold")], helper, ())
     assert helper.asked.wait(10)
     tasks = shared.here()
-    assert [next(tasks), next(tasks)] == [("c", "hold"), ("b", "hold")]
+    assert [next(tasks), next(tasks)] == [("b", "hold"), ("c", "hold")]
     helper.go.set()
-    assert (list(tasks), list(shared.arrived())) == ([], [(("a", "hold"), "done beside")])
+    assert not list(tasks)
+    assert list(shared.arrived()) == [(("a", "hold"), "done beside")]

@@ -6,11 +6,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import collides, frames, gravity_torque, load_arm, tcp_position
-from rejoint.control.moving.folding import home_of
-from rejoint.control.moving.posture import PathPostures
-from rejoint.control.moving.servos import Servos
-from rejoint.control.moving.tracker import Tracker
-from rejoint.runs.stages.loads import say_folded
+from rejoint.control.moving.posture import PathPostures, Servos, home_of
 
 
 def servos_with(arm, limits):
@@ -76,24 +72,3 @@ def test_a_folded_arm_has_its_tool_at_the_same_places():
     assert np.degrees(np.abs(folded - plain)[:, 3]).min() > 30.0
     turned = PathPostures(arm, places, home=arm.rest)
     np.testing.assert_array_equal(turned.last, plain)
-
-
-def test_a_tracker_begins_and_stays_where_it_is_at_home():
-    arm = load_arm("mycobot280")
-    limits = 4.0 * loads(arm, arm.rest).max() * np.ones((1, arm.joints))
-    limits[0, 2] = 0.45
-    servos = servos_with(arm, limits)
-    np.testing.assert_array_equal(Tracker(arm, servos).home, home_of(arm, servos))
-    # Stiffer or slower servos are no weaker ones.
-    other = replace(servos, stiffness=2.0 * servos.stiffness, damping=3.0 * servos.damping)
-    np.testing.assert_array_equal(home_of(arm, other), home_of(arm, servos))
-
-
-def test_it_is_said_which_joint_is_kept_turned():
-    arm = load_arm("mycobot280")
-    lines: list[str] = []
-    say_folded(arm, None, lines.append)
-    say_folded(arm, arm.rest, lines.append)
-    assert lines == []
-    say_folded(arm, arm.rest - np.radians([0.0, 0.0, 0.0, 60.0, 0.0, 0.0]), lines.append)
-    assert "joint4 is kept about -60 deg" in lines[0]

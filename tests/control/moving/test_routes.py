@@ -4,12 +4,9 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280
-from rejoint.arms.orientation import tool_axis
-from rejoint.arms.rotations import quaternion_of, rotation_about
-from rejoint.control.moving.path import Path
-from rejoint.control.moving.routes import EXTRAPOLATED, LAG, Ahead, Routes, Stream, played
-from rejoint.control.moving.standard import standard_path
-from rejoint.control.poses import Pose
+from rejoint.arms.rotations import quaternion_of, rotation_about, tool_axis
+from rejoint.control.moving.reference import EXTRAPOLATED, LAG, Ahead, Path, Routes, Stream, played, standard_path
+from rejoint.control.targets import Pose
 from rejoint.system.errors import InputError
 
 ARM = mycobot280()
@@ -25,7 +22,7 @@ def going(times):
 
 
 def test_a_path_is_known_ahead():
-    guide = Ahead(path=CIRCLE, lead_in=2.0)
+    guide = Ahead(path=CIRCLE)
     later = np.array([0.0, 0.5, 3.0])
     assert np.array_equal(guide.aims(4.0, later), CIRCLE.at(2.0 + later))
     assert np.array_equal(guide.place(1.0), CIRCLE.place[0])
@@ -73,36 +70,6 @@ def test_a_stream_of_poses_turns_the_tool_on_the_way_between_them_and_then_holds
     assert turns.whole.all()
     assert np.allclose(turns.weight, 0.03)
     assert stream.aims(1.0, later).shape == (6, 3)
-
-
-def test_the_poses_of_a_stream_are_of_one_kind_and_near_one_another():
-    stream = Stream(axis=tool_axis(ARM))
-    stream.put(Pose(place_m=[0.18, 0.0, 0.2], direction=[0, 0, -2]), 0.0)
-    for other in ([0.18, 0.0, 0.2], Pose(place_m=[0.18, 0.0, 0.2], angles_rad=[np.pi, 0, 0])):
-        with pytest.raises(InputError, match="of one kind"):
-            stream.put(other, 0.1)
-    with pytest.raises(InputError, match="turn by 180 deg"):
-        stream.put(Pose(place_m=[0.18, 0.0, 0.2], direction=[0, 0, 1]), 0.1)
-    assert stream.time == [0.0]
-    stream.put(Pose(place_m=[0.19, 0.0, 0.2], direction=[0.1, 0, -1]), 0.0)  # replaces the one of that time
-    places, turns = stream.received()
-    assert turns is not None
-    assert np.allclose(places, [[0.19, 0.0, 0.2]])
-    assert np.allclose(turns.rotation @ turns.axis, np.array([[0.1, 0, -1]]) / np.hypot(0.1, 1.0))
-    assert not turns.whole.any()
-    assert Stream(time=[0.0], targets=[np.zeros(3)]).turns(0.0, np.zeros(1)) is None
-
-
-def test_a_path_with_an_orientation_is_told_as_it_goes():
-    time = np.linspace(0.0, 4.0, 41)
-    down = np.stack([0.2 * np.sin(time), 0.0 * time, -np.ones_like(time)], axis=-1)
-    path = Path(time=time, place=CIRCLE.at(time), direction=down, weight=0.02).on(ARM)
-    turns = played(path, 50.0).turns(5.0, np.array([0.0]))
-    assert turns is not None
-    wanted = path.turn_at(3.0 - LAG)
-    assert wanted is not None
-    assert turns[0].angle(wanted.rotation) < np.radians(0.05)
-    assert np.allclose(turns.weight, 0.02)
 
 
 def test_what_is_no_target_or_comes_late_is_refused():

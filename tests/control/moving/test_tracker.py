@@ -8,21 +8,13 @@ import pytest
 from rejoint.arms import gravity_torque, mycobot280
 from rejoint.control.controller import ControlInput
 from rejoint.control.loop import Schedule, follow
-from rejoint.control.moving.drive import judge, missed
-from rejoint.control.moving.errors import along
-from rejoint.control.moving.observer import PushObserver
-from rejoint.control.moving.path import Path
-from rejoint.control.moving.posture import PathPostures
-from rejoint.control.moving.repeating import Repetition
-from rejoint.control.moving.routes import Ahead, Routes, played
-from rejoint.control.moving.sender import Sender
-from rejoint.control.moving.servos import Moment, Servos, command_for
-from rejoint.control.moving.standard import standard_path
-from rejoint.control.moving.tracker import Tracker
+from rejoint.control.moving.drive import Repetition, Sender, along, judge
+from rejoint.control.moving.posture import Moment, PathPostures, Servos, command_for
+from rejoint.control.moving.reference import Ahead, Routes, standard_path
+from rejoint.control.moving.tracker import PushObserver, Tracker
 from rejoint.control.robot import JointState
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.lab.plant.wear import load_wear
-from rejoint.system.errors import InputError
 
 ARM = mycobot280()
 
@@ -81,42 +73,6 @@ def test_a_wire_that_grows_slower_does_not_make_the_arm_swing():
     assert judge(ARM, slower, guide, 0).encoder.rms < 2.0e-3
 
 
-def test_the_tool_on_a_path_is_known_by_a_model_where_nobody_sees_it():
-    """The mean square over the path of what the model expects; without one it is not known."""
-
-    class OneMillimetre:
-        def expected(self, position, target):
-            assert position.shape[:-1] == target.shape[:-1]
-            return np.full(len(position), 1e-3)
-
-        def interval(self, position, target):
-            return np.full(len(position), 0.5e-3), np.full(len(target), 2e-3)
-
-    guide = Ahead(path=standard_path("circle-8s", ARM))
-    recording = drive(lambda: Sender(ARM), [guide])
-    seen = judge(ARM, recording, guide, model=OneMillimetre()).true_error
-    assert seen.how == "known"
-    unseen = replace(recording, true_tcp=np.full_like(recording.true_tcp, np.nan))
-    assert judge(ARM, unseen, guide).true_error.how == "not known"
-    told = judge(ARM, unseen, guide, model=OneMillimetre()).true_error
-    assert told.how == "modelled"
-    assert [told.value, told.low, told.high] == pytest.approx([1e-3, 0.5e-3, 2e-3])
-
-
-def test_a_worn_arm_turns_its_tool_behind_a_stream_of_poses():
-    time = np.linspace(0.0, 8.0, 81)
-    swing = np.stack([0.17 * np.cos(time) ** 2, 0.17 * np.cos(time), -np.ones_like(time)], axis=-1)
-    path = Path(time=time, place=standard_path("circle-8s", ARM).at(time), direction=swing).on(ARM)
-    stream, first = played(path, 30.0), path.turn_at(np.zeros(1))
-    start = PathPostures(ARM, path.place[:1], first).last
-    robot = EmulatedRobot(ARM, [load_wear("worn", ARM)], start=start)
-    recording = follow(robot, Tracker(ARM, worn_servos()), Routes([stream]), Schedule(dwell=8.0, sent=start))
-    done = judge(ARM, recording, stream)
-    assert done.encoder.rms_after < 2e-3
-    assert done.turned is not None, "a stream of places says nothing of it"
-    assert done.turned < np.radians(1.5)
-
-
 def test_gains_give_way_where_a_cycle_is_long_and_the_arm_still_follows():
     path = standard_path("circle-8s", ARM)
     start = PathPostures(ARM, path.place[:1]).last
@@ -134,7 +90,9 @@ def test_a_reset_on_the_way_forgets_nothing():
     for k in range(20):
         time = np.array([0.025 * k])
         state = JointState(time=time, position=start + 1e-3 * k, age=np.zeros(1))
-        inputs = ControlInput(state=state, target=routes.place(time), sent=start, since_target=time, route=routes)
+        inputs = ControlInput(
+            state=state, target=routes.place(time), goal=start, sent=start, since_target=time, route=routes
+        )
         if k == 0:
             one.reset(inputs, np.ones(1, dtype=bool))
         other.reset(inputs, np.ones(1, dtype=bool))
@@ -167,35 +125,3 @@ def test_what_differs_from_time_to_time_is_not_aimed_at():
     assert wrong < 0.08 * noise, "the mean of ten times alone, below 3 Hz, is wrong by 0.11 of it"
     spectrum = np.abs(np.fft.rfft(shift[:, 0]))
     assert spectrum[int(1.5 * path.duration) :].max() < 0.01 * spectrum.max(), "nothing repeats at 1.5 Hz"
-
-
-def test_what_was_missed_is_measured_on_the_path_alone():
-    path = Path(time=np.array([0.0, 1.0, 2.0]), place=np.array([[0.18, 0, 0.2], [0.19, 0, 0.2], [0.18, 0, 0.2]]))
-    guide = Ahead(path=path)
-    recording = drive(lambda: Tracker(ARM, worn_servos()), [guide])
-    time, error = missed(ARM, recording, guide, path)
-    assert time[0] >= 0.0
-    assert time[-1] <= path.duration
-    assert error.shape == (len(time), 3)
-
-
-def test_servos_of_other_shapes_are_refused():
-    good = worn_servos()
-    with pytest.raises(InputError, match="shape"):
-        replace(good, damping=good.damping[:, :3])
-    with pytest.raises(InputError, match="positive"):
-        replace(good, stiffness=-good.stiffness)
-
-
-def test_heavy_joints_take_over_what_a_joint_that_is_too_weak_misses():
-    path = standard_path("circle-8s", ARM)
-    wear = load_wear("worn", ARM)
-    weak = replace(wear, torque_limit=wear.torque_limit * np.array([1.0, 1.0, 1.0, 0.55, 1.0, 1.0]))
-    start = PathPostures(ARM, path.place[:1]).last
-    robot = EmulatedRobot(ARM, [weak], start=start)
-    route, schedule = Routes([Ahead(path=path)]), Schedule(dwell=2.0 + path.duration, sent=start)
-    recording = follow(robot, Tracker(ARM, worn_servos()), route, schedule)
-    wanted = PathPostures(ARM, path.place[:1]).along(recording.aim)
-    rows = recording.since_target[:, 0] > 4.0
-    assert np.abs((recording.position - wanted)[rows, 0, 3]).max() > np.radians(1.5)  # 4 mm at the tool
-    assert judge(ARM, recording, Ahead(path=path)).encoder.rms < 1.5e-3

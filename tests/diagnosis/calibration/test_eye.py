@@ -4,11 +4,9 @@ import re
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 import rejoint
-from rejoint.robots.eye import DEPTH, LATERAL, EmulatedEye
-from rejoint.system.errors import InputError
+from rejoint.robots.cameras import DEPTH, LATERAL, EmulatedEye
 
 TARGETS = np.array([[0.17, 0.0, 0.2], [0.18, 0.03, 0.21]])
 
@@ -48,28 +46,6 @@ def test_a_hidden_interval_has_no_sightings_and_seeds_repeat():
     np.testing.assert_array_equal(places, sightings(EmulatedEye(Still(), hidden=((2.0, 4.0),), seed=3), until=6.0)[1])
 
 
-def test_a_robot_that_nobody_sees_through_is_refused():
-    class Real(Still):
-        """Nobody knows where its tool is."""
-
-        place = np.full((1, 3), np.nan)
-
-    with pytest.raises(InputError, match="test:still"):
-        EmulatedEye(Real())
-    with pytest.raises(InputError, match="expected the number of a camera, or emulated"):
-        rejoint.deploy("emulated:worn", "integrator", TARGETS, eye="elsewhere")
-
-
-def test_a_deployment_tells_what_was_seen():
-    blind = rejoint.deploy("emulated:worn?seed=3", "integrator", TARGETS)
-    seen = rejoint.deploy("emulated:worn?seed=3", "integrator", TARGETS, eye="emulated")
-    assert all(visit.seen_error is None and visit.sightings == 0 for visit in blind.visits)
-    assert all(visit.sightings > 10 and visit.seen_error < 1.5e-3 for visit in seen.visits)
-    assert all(visit.reached for visit in seen.visits)
-    own = rejoint.deploy("emulated:worn?seed=3", "integrator", TARGETS, eye=lambda robot: EmulatedEye(robot, seed=0))
-    assert [visit.seen_error for visit in own.visits] == [visit.seen_error for visit in seen.visits]
-
-
 class Moved(EmulatedEye):
     """A camera that was pushed after it had been calibrated: all that it sees is off to one side."""
 
@@ -81,9 +57,17 @@ class Moved(EmulatedEye):
 def test_a_camera_that_was_moved_is_named(caplog):
     targets = np.array([*TARGETS, [0.16, -0.03, 0.19]])
     found = rejoint.calibrate("emulated:worn?seed=3", count=5).calibration
-    rejoint.deploy("emulated:worn?seed=3", "integrator", targets, calibration=found, eye="emulated")
+    rejoint.deploy(
+        "emulated:worn?seed=3",
+        targets,
+        settings=rejoint.Settings(controller="integrator", calibration=found, eye="emulated"),
+    )
     assert "camera or board moved" not in caplog.text
-    rejoint.deploy("emulated:worn?seed=3", "integrator", targets, calibration=found, eye=lambda robot: Moved(robot))
+    rejoint.deploy(
+        "emulated:worn?seed=3",
+        targets,
+        settings=rejoint.Settings(controller="integrator", calibration=found, eye=lambda robot: Moved(robot)),
+    )
     said = re.search(r"sees the tool (\S+) mm to one side .* were camera or board moved", caplog.text)
     assert said is not None
     assert 4.0 < float(said[1]) < 7.0

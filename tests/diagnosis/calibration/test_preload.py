@@ -1,22 +1,16 @@
 """What presses floating joints: the wedge that is recommended does it in the plant, and is told where it helps."""
 
-import json
-import sys
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from rejoint.arms import Displacement, mycobot280
 from rejoint.arms.kinematics import GRAVITY
+from rejoint.arms.loading import at_targets
 from rejoint.arms.rotations import rotation_about
-from rejoint.arms.urdf import at_targets
-from rejoint.cli import main
-from rejoint.cli.console import Terminal
-from rejoint.cli.show import _say_wedge
 from rejoint.control.catalogue import make_controller
-from rejoint.control.comparison.targets import draw_targets
 from rejoint.control.loop import Schedule, run
+from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.parameters import DisplacementLayout
 from rejoint.diagnosis.calibration.preload import WEDGE, preload
@@ -59,29 +53,3 @@ def test_the_recommended_wedge_presses_the_base_joints_of_emulated_arms_to_one_f
     assert np.abs(pressed).min() > 0.95
     assert len(np.unique(np.sign(pressed))) == 1
     assert np.abs(free).min() < 0.8
-
-
-@pytest.mark.parametrize(
-    ("own", "told"),
-    [(FLOATING, True), (worn(), False), (worn(play=[0.0, 0.03, 0.0, 0.0, 0.0, 0.0]), False)],
-    ids=["a base joint floats", "no play", "play under weight"],
-)
-def test_a_wedge_is_told_where_it_helps_alone(own, told, capsys):
-    what = preload(own, at_targets(ARM))
-    _say_wedge(Terminal(), what)
-    out = capsys.readouterr()
-    assert (f"the {what.side} side of the base raised by 2 degrees (3.5 mm on 10 cm)" in out.out + out.err) is told
-
-
-def test_json_tells_it_too(capsys, monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", ["rejoint", "calibrate", "emulated:worn", "run", "--count", "4", "--json"])
-    with pytest.raises(SystemExit) as stopped:
-        main()
-    out, err = capsys.readouterr()
-    told = json.loads(out.splitlines()[-1])["preload"]
-    assert not stopped.value.code
-    assert told["wedge_deg"] == pytest.approx(2.0)
-    assert told["wedge_mm"] < 0.5 * told["chance_mm"]
-    assert told["wedge_helps"]
-    assert f"With the {told['wedge_side']} side of the base raised by 2 degrees" in err

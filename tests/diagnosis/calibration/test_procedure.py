@@ -5,35 +5,19 @@ import pytest
 
 import rejoint
 from rejoint.arms import mycobot280, tcp_position
-from rejoint.diagnosis.calibration.gauges import EmulatedGauge
 from rejoint.diagnosis.calibration.measurementfile import read_measurements
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.postures import BEFORE, suggest
-from rejoint.diagnosis.calibration.procedure import SPEED, measure, reversals
+from rejoint.diagnosis.calibration.procedure import SPEED, EmulatedGauge, measure, reversals
 from rejoint.runs.run import Run
-from rejoint.system.errors import ContractError, InputError, NotReadyError
+from rejoint.system.errors import ContractError, NotReadyError
 
 ARM = mycobot280()
 PLAN = suggest(ARM, 4, visits=2)
 
 
-class Silent(EmulatedGauge):
-    """Leaves every second measurement out, and notes how fast the arm moved meanwhile."""
-
-    def measure(self, robot, stop):
-        point = super().measure(robot, stop)
-        return point if stop.number % 2 else np.full(3, np.nan)
-
-
-class Mute(EmulatedGauge):
-    """Measures nothing."""
-
-    def measure(self, robot, stop):  # noqa: ARG002 - as every gauge
-        return np.full(3, np.nan)
-
-
 def test_postures_are_come_to_from_both_sides_and_measured_standing_still():
-    robot = rejoint.connect("emulated:healthy")
+    robot = rejoint.open_robot("emulated:healthy")
     commands = []
     step = robot.step
 
@@ -57,16 +41,6 @@ def test_postures_are_come_to_from_both_sides_and_measured_standing_still():
     assert np.linalg.norm(found.point - tcp_position(ARM, found.position), axis=1).max() < 6e-3
 
 
-def test_what_was_left_out_is_left_out_and_nothing_at_all_is_an_error():
-    robot = rejoint.connect("emulated:healthy")
-    kept = []
-    found = measure(robot, Silent(), PLAN, on_measured=lambda *now: kept.append(now))
-    assert list(found.posture) == list(PLAN.posture[::2])
-    assert [(len(one), answered) for one, answered in kept] == [(1, 1), (1, 2), (2, 3), (2, 4)]
-    with pytest.raises(InputError, match="nothing was measured"):
-        measure(robot, Mute(), PLAN)
-
-
 class Pushing(EmulatedGauge):
     """Pushes the arm while it measures its first ``pushes`` times, and notes what it is told."""
 
@@ -78,7 +52,8 @@ class Pushing(EmulatedGauge):
         self.told.append(stop.again)
         point = super().measure(robot, stop)
         if len(self.told) <= self.pushes:
-            robot.step(robot.read().position + np.radians([0.0, 0.0, 0.0, 0.0, 12.0, 0.0]))
+            for _ in range(5):
+                robot.step(robot.read().position + np.radians([0.0, 0.0, 0.0, 0.0, 12.0, 0.0]))
             for _ in range(20):
                 robot.step(robot.read().position)
         return point
@@ -86,13 +61,13 @@ class Pushing(EmulatedGauge):
 
 def test_a_posture_that_was_not_kept_while_it_was_measured_is_measured_again():
     gauge = Pushing(1)
-    found = measure(rejoint.connect("emulated:healthy"), gauge, PLAN)
+    found = measure(rejoint.open_robot("emulated:healthy"), gauge, PLAN)
     assert list(found.posture) == list(PLAN.posture)
     first, second, *others = gauge.told
     assert "while the arm was measured" in second
     assert not any([first, *others])
     with pytest.raises(NotReadyError, match=r"went .* 3 times"):
-        measure(rejoint.connect("emulated:healthy"), Pushing(99), PLAN)
+        measure(rejoint.open_robot("emulated:healthy"), Pushing(99), PLAN)
 
 
 def test_reversal_is_the_difference_of_two_sides_that_the_encoders_do_not_see():
@@ -120,30 +95,36 @@ def test_a_calibrated_arm_hits_what_it_missed(tmp_path):
     np.testing.assert_array_equal(kept.point, found.measurements.point)
 
     targets = ARM.targets.sample(np.random.default_rng(8), (6,))
-    plain = rejoint.deploy("emulated:worn?seed=5", "integrator", targets, run=run, calibration="none")
-    aimed = rejoint.deploy("emulated:worn?seed=5", "integrator", targets, run=run)
+    plain = rejoint.deploy(
+        "emulated:worn?seed=5", targets, run=run, settings=rejoint.Settings(controller="integrator", calibration="none")
+    )
+    aimed = rejoint.deploy("emulated:worn?seed=5", targets, run=run, settings=rejoint.Settings(controller="integrator"))
     error = [np.mean([visit.true_error.value for visit in done.visits]) for done in (plain, aimed)]
     assert error[1] < 0.4 * error[0]
     assert plain.log.aim is None
     assert aimed.log.aim is not None
 
-    again = rejoint.calibrate(run=run, points=run.folder.measurements, prior="none")
+    again = rejoint.calibrate(run=run, gauge=run.folder.measurements, settings=rejoint.Settings(calibration="none"))
     np.testing.assert_array_equal(again.calibration.displacement.offset, found.calibration.displacement.offset)
     with pytest.raises(ContractError, match="calibration of arm"):
-        rejoint.deploy("emulated:so101", "integrator", calibration=found.calibration)
+        rejoint.deploy(
+            "emulated:so101", settings=rejoint.Settings(controller="integrator", calibration=found.calibration)
+        )
 
 
 def test_a_calibration_of_one_robot_is_not_used_for_another(tmp_path):
     run = Run.create(tmp_path / "run", "emulated:worn?seed=5", ARM)
     rejoint.calibrate("emulated:worn?seed=5", run=run, count=5)
     targets = ARM.targets.sample(np.random.default_rng(8), (1,))
-    assert rejoint.deploy("emulated:worn?seed=6", "integrator", targets, run=run).log.aim is None
-    assert rejoint.deploy("emulated:worn?seed=5", "integrator", targets, run=run).log.aim is not None
-
-
-@pytest.mark.parametrize(
-    "given", [{}, {"robot": "emulated:worn", "points": "m.csv"}, {"points": "m.csv"}], ids=["none", "both", "no arm"]
-)
-def test_it_takes_a_robot_or_points_and_an_arm(given):
-    with pytest.raises(InputError, match="calibration:"):
-        rejoint.calibrate(**given)
+    assert (
+        rejoint.deploy(
+            "emulated:worn?seed=6", targets, run=run, settings=rejoint.Settings(controller="integrator")
+        ).log.aim
+        is None
+    )
+    assert (
+        rejoint.deploy(
+            "emulated:worn?seed=5", targets, run=run, settings=rejoint.Settings(controller="integrator")
+        ).log.aim
+        is not None
+    )

@@ -7,7 +7,7 @@ import numpy as np
 
 from rejoint.arms import Displacement, mycobot280
 from rejoint.arms.camera.board import ON_TABLE
-from rejoint.diagnosis.calibration.camera.choosing import choose_postures
+from rejoint.diagnosis.calibration.camera.filming import choose_postures
 from rejoint.robots.lab.camera.scene import beside, on_tool
 
 ARM = mycobot280()

@@ -7,20 +7,23 @@ import numpy as np
 import pytest
 from camera_scenes import ARM, WORN, taken
 
-from rejoint.arms import tcp_pose, tcp_position
+from rejoint.arms import tcp_position
 from rejoint.arms.camera.board import ON_TABLE, ON_TOOL, BoardView
-from rejoint.arms.camera.poses import inverse
-from rejoint.arms.camera.rigfile import read_rig, write_rig
 from rejoint.arms.camera.views import Unusable
-from rejoint.diagnosis.calibration.camera.bundle import bundle
-from rejoint.diagnosis.calibration.camera.film import Film, Shot
-from rejoint.diagnosis.calibration.camera.filmfile import POSTURES, read_film, read_folder, write_film, write_postures
+from rejoint.arms.rotations import inverse
+from rejoint.diagnosis.calibration.camera.film import (
+    POSTURES,
+    Film,
+    Shot,
+    read_film,
+    read_folder,
+    write_film,
+    write_postures,
+)
 from rejoint.diagnosis.calibration.camera.filming import believed_rig
 from rejoint.diagnosis.calibration.camera.fit import fit_film
-from rejoint.diagnosis.calibration.camera.flatness import require_flat
-from rejoint.diagnosis.calibration.camera.starting import first_rig, first_sights
 from rejoint.robots.lab.camera.scene import LENS
-from rejoint.system.errors import ContractError, FileError, InputError
+from rejoint.system.errors import FileError, InputError
 
 SIZE = (LENS.width, LENS.height)
 SWAPPED = ("view-05.png", "view-06.png")
@@ -67,50 +70,8 @@ def test_a_displacement_comes_back_within_its_interval(filmed):
 def test_what_does_not_belong_to_a_film_is_named(filmed):
     left = {one.name: one.why for one in filmed.left_out}
     assert set(left) == {*SWAPPED, "blank.jpg"}
-    assert (
-        f"belongs to the joint positions of {SWAPPED[1]}; swapped?" in left[SWAPPED[0]] or "swapped" in left[SWAPPED[1]]
-    )
+    assert any("swapped" in left[name] for name in SWAPPED)
     assert len(filmed.residuals) == len(filmed.measurements) == filmed.calibration.points == 20
-
-
-def test_the_rig_is_the_one_that_the_calibration_believes(filmed, tmp_path):
-    found, scene = filmed.calibration, taken(count=22).scene
-    np.testing.assert_array_equal(found.frame, filmed.rig.standing)
-    off = filmed.rig.standing[:3, 3] - scene.rig.standing[:3, 3]
-    assert (np.abs(off) < 3 * filmed.rig_sigma[7:10]).all()
-    assert np.linalg.norm(filmed.rig.mounted[:3, 3] - scene.rig.mounted[:3, 3]) < 1e-3
-    seen = filmed.measurements.point @ found.frame[:3, :3].T + found.frame[:3, 3]
-    told = found.tool(filmed.measurements.position)
-    assert np.linalg.norm(seen - told, axis=-1).mean() < 1.5e-3
-    write_rig(tmp_path / "camera.toml", ARM, filmed.rig, filmed.rig_sigma, found.date)
-    back = read_rig(tmp_path / "camera.toml", ARM)
-    assert (back.lens, back.board, back.carried) == (filmed.rig.lens, filmed.rig.board, "board")
-    np.testing.assert_array_equal(back.standing, filmed.rig.standing)
-    np.testing.assert_array_equal(back.mounted, filmed.rig.mounted)
-
-
-def test_a_rig_file_that_was_changed_or_is_of_another_arm_is_refused(filmed, tmp_path):
-    path = tmp_path / "camera.toml"
-    write_rig(path, ARM, filmed.rig, filmed.rig_sigma)
-    with pytest.raises(ContractError, match="camera of arm 'mycobot280', expected one of 'other'"):
-        read_rig(path, replace(ARM, name="other"))
-    path.write_text(path.read_text(encoding="utf-8").replace("width = 1920", "width = 1921"), encoding="utf-8")
-    with pytest.raises(FileError, match="damaged"):
-        read_rig(path, ARM)
-    with pytest.raises(FileError, match="calibrate with the camera first"):
-        read_rig(tmp_path / "none.toml", ARM)
-
-
-def test_a_second_film_takes_the_first_calibration_as_its_prior(filmed):
-    few = film_of(12, seed=1)
-    few = replace(few, shots=tuple(shot for shot in few.shots if shot.name not in SWAPPED))
-    later, alone = (fit_film(ARM, few, prior=prior).calibration for prior in (filmed.calibration, None))
-    position = ARM.rest + np.random.default_rng(9).uniform(-0.3, 0.3, (40, ARM.joints))
-    joints = slice(0, 3 * ARM.joints)  # offset, compliance and play
-    variances = [np.diag(one.covariance)[joints] for one in (later, alone)]
-    assert np.log(variances[0] / variances[1]).mean() < -0.1
-    truth = tcp_position(ARM, WORN.joints(ARM, position))
-    assert np.linalg.norm(later.tool(position) - truth, axis=-1).mean() < 1.5e-3
 
 
 def test_a_film_comes_back_from_its_file(tmp_path):
@@ -163,15 +124,6 @@ def test_pictures_of_a_folder_are_read_with_their_postures(tmp_path):
         read_folder(str(tmp_path), ARM, ON_TOOL)
 
 
-def test_too_few_pictures_are_a_line_that_says_why():
-    film = film_of(12)
-    blanks = tuple(
-        replace(shot, seen=Unusable(name=shot.name, why="blurred: its edges are 9 px wide")) for shot in film.shots[4:]
-    )
-    with pytest.raises(InputError, match=r"in 4 of 13 pictures, expected at least 10 \(9 times: blurred\)"):
-        fit_film(ARM, replace(film, shots=film.shots[:4] + blanks))
-
-
 def test_a_print_of_another_size_is_noticed_by_how_the_arm_moves():
     film = film_of(12)
     scouted = replace(film, shots=tuple(shot for shot in film.shots if shot.name not in SWAPPED))
@@ -180,36 +132,3 @@ def test_a_print_of_another_size_is_noticed_by_how_the_arm_moves():
     larger = replace(scouted, board=replace(ON_TOOL, square=ON_TABLE.square, marker=ON_TABLE.marker))
     with pytest.raises(InputError, match=r"squares of the board measure about (19|20|21) mm, by its description 30"):
         believed_rig(ARM, larger)
-
-
-def bowed(bow, count=12):
-    """A film of a board whose middle stands ``bow`` [m] out of its plane."""
-    t, rng, board = taken(), np.random.default_rng(1), taken().scene.rig.board
-    corners = board.corners.copy()
-    corners[:, 2] = -bow * (1.0 - ((corners[:, 0] / board.size[0] - 0.5) / 0.5) ** 2)
-    views = []
-    for k in range(count):
-        pose = t.scene.rig.sight(tcp_pose(ARM, t.links[k]))
-        pixel = LENS.project(corners @ pose[:3, :3].T + pose[:3, 3])
-        views.append(
-            BoardView(
-                name=f"v{k}", number=np.arange(len(corners)), pixel=pixel + 0.1 * rng.standard_normal(pixel.shape)
-            )
-        )
-    return bundle(ARM, board, views, t.position[:count], size=(LENS.width, LENS.height))
-
-
-def test_a_bent_board_is_named():
-    """A wrong lens explains it: each corner fits, and the focal lengths are wrong by 6 and 8 %."""
-    found = bowed(2.5e-3)
-    off = np.abs(found.rig.lens.numbers[:2] / LENS.numbers[:2] - 1.0)
-    assert (off > 0.05).all()
-    with pytest.raises(InputError, match=r"the board is not flat: its corners stand by 1\.\d mm or more"):
-        require_flat(found)
-
-
-def test_pictures_of_other_postures_are_a_line():
-    film = film_of(12)
-    position = np.array([shot.position for shot in film.usable])[::-1]
-    with pytest.raises(InputError, match="the pictures do not fit the joint positions"):
-        first_rig(ARM, LENS, film.board, "camera", position, first_sights(LENS, film.board, film.views))

@@ -18,7 +18,7 @@ from report_samples import (
 )
 
 from rejoint.arms import load_arm
-from rejoint.diagnosis.calibration.file import write_calibration
+from rejoint.diagnosis.calibration.calibration import write_calibration
 from rejoint.diagnosis.calibration.measurementfile import write_measurements
 from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.diagnosis.healthy import load_healthy
@@ -30,8 +30,8 @@ from rejoint.logs.runlog import write_log
 from rejoint.system.files import write_json
 from rejoint.system.statistics import Estimate
 from rejoint.twin.file import write_twin
+from rejoint.twin.judgement import PredictionError
 from rejoint.twin.parameters import nominal_parameters, prior
-from rejoint.twin.prediction import PredictionError
 from rejoint.twin.twin import HeldOut, Twin
 
 
@@ -83,7 +83,7 @@ def twin(arm):
     covariance[0, 6 * n] = covariance[6 * n, 0] = 0.95 * sigma[0] * sigma[6 * n]  # stiffness of joint 1, delay
 
     def error(scale):
-        return PredictionError(joints=np.full(n, scale * 0.01), joint=scale * 0.01, tcp=scale * 2.5e-3)
+        return PredictionError(joints=(scale * 0.01,) * n, joint=scale * 0.01, tcp=scale * 2.5e-3)
 
     return Twin(
         arm=arm.name, joint_names=arm.joint_names, parameters=parameters, covariance=covariance, lower=belief.lower,

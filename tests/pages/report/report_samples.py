@@ -7,27 +7,18 @@ import dataclasses
 import numpy as np
 from markupsafe import Markup, escape
 
+from comparisons import made_comparison
 from readpage import Page
 from rejoint.arms import Displacement, solve_position
-from rejoint.control.comparison.result import (
-    Comparison,
-    ControllerRow,
-    CrossingRow,
-    GuardCount,
-    HoldRow,
-    Outcomes,
-    Protocol,
-    Stay,
-)
+from rejoint.control.comparison.result import Ended, Protocol
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.parameters import DisplacementLayout
 from rejoint.logs.runlog import RunLog
 from rejoint.pages.report.contents import read_contents
-from rejoint.pages.report.gallery import Gallery
-from rejoint.pages.report.page import make_page, render
-from rejoint.pages.report.view import Picture
-from rejoint.system.statistics import Estimate, cluster, clustered_share, spread
+from rejoint.pages.report.figures import Gallery, Picture
+from rejoint.pages.report.page import report_html
+from rejoint.system.statistics import Estimate
 
 SETS, REPETITIONS, TARGETS = 2, 3, 10
 
@@ -59,47 +50,20 @@ def joint_metrics(sample, stiffness, friction):
     )  # fmt: skip
 
 
-def controller_row(name, seed, true_known):
-    rng, shape = np.random.default_rng(seed), (SETS, REPETITIONS, TARGETS)
-    labels, mean = cluster(shape)[1], SETTLED[name]
+def controller_columns(name, seed, true_known):
+    rng, shape, mean = np.random.default_rng(seed), (SETS, REPETITIONS, TARGETS), SETTLED[name]
     settled = mean * rng.uniform(0.7, 1.3, shape)
     true = settled + 7e-3 if true_known else np.full(shape, np.nan)
     crossed = (rng.random(shape) < (1.0 if mean < 5e-3 else 0.75 if mean < 10e-3 else 0.07)).astype(float)
-    times = np.where(crossed == 1, np.log(10) / SPEED[name], 20.0)
-    stays = []
-    for within in Protocol().within:
-        there = settled < within
-        median = float(np.median(np.where(there, np.log(0.1 / within) / SPEED[name], np.inf)))
-        stays.append(
-            Stay(
-                within=within, share=clustered_share(there.ravel().astype(float), labels),
-                median=median if np.isfinite(median) else None,
-            )
-        )  # fmt: skip
-    values = {
+    stays = {
+        name_: np.where(settled < within, np.log(0.1 / within) / SPEED[name], Protocol().hold)
+        for name_, within in zip(Protocol().stay_names, Protocol().within, strict=True)
+    }
+    return stays | {
         "crossed": crossed, "crossing_error": np.where(crossed == 1, 8.2e-3, mean), "crossing_true": true,
-        "crossing_time": times, "settled": settled, "settled_true": true, "oscillation": 0.1 * settled,
+        "crossing_time": np.where(crossed == 1, np.log(10) / SPEED[name], 20.0), "settled": settled,
+        "settled_true": true, "oscillation": 0.1 * settled,
     }  # fmt: skip
-    flat = {key: tuple(float(v) if np.isfinite(v) else None for v in value.ravel()) for key, value in values.items()}
-    stay = tuple(tuple(np.full(settled.size, 1.0 if s.median is None else s.median).tolist()) for s in stays)
-    return ControllerRow(
-        controller=name,
-        crossing=CrossingRow(
-            success=clustered_share(crossed.ravel(), labels), error=spread(values["crossing_error"].ravel(), labels),
-            true_error=spread(true.ravel(), labels),
-            cycle_time=spread(times.sum(axis=-1).ravel(), np.arange(SETS * REPETITIONS)),
-        ),
-        hold=HoldRow(
-            settled=spread(settled.ravel(), labels), settled_true=spread(true.ravel(), labels), stays=tuple(stays),
-            oscillation=spread(0.1 * settled.ravel(), labels),
-        ),
-        guard=(GuardCount(reason="step", cycles=120, share=0.031), GuardCount(reason="lead", cycles=5, share=0.0013))
-        if name == "policy" else (),
-        failures=1 if name == "pid-literal" else 0,
-        outcomes=Outcomes(
-            shape=shape, within=Protocol().within, stay=stay, stayed=tuple(tuple(1.0 for _ in s) for s in stay), **flat
-        ),
-    )  # fmt: skip
 
 
 def make_calibration(arm):
@@ -135,12 +99,15 @@ def make_calibration(arm):
 
 
 def make_comparison(arm, names=tuple(SETTLED), *, true_known=True):
-    targets = arm.targets.sample(np.random.default_rng(3), (SETS, TARGETS))
-    return Comparison(
-        robot="emulated:worn", arm=arm.name, seed=0, batched=True, true_known=true_known, repetitions=REPETITIONS,
-        targets=tuple(tuple(map(tuple, points)) for points in targets.tolist()), protocol=Protocol(), clusters="trials",
-        rows=tuple(controller_row(name, i, true_known) for i, name in enumerate(names)),
-    )  # fmt: skip
+    columns = {name: controller_columns(name, i, true_known) for i, name in enumerate(names)}
+    found = made_comparison(arm, columns, arm.targets.sample(np.random.default_rng(3), (SETS, TARGETS)))
+    guard = {"policy": {"step": 0.031, "lead": 0.0013}}
+    ended = {"pid-literal": (Ended(protocol="hold", target_set=0, repetition=0, target=0, why="temperature"),)}
+    rows = (
+        dataclasses.replace(row, guard=guard.get(row.controller, {}), ended=ended.get(row.controller, ()))
+        for row in found.rows
+    )
+    return dataclasses.replace(found, rows=tuple(rows))
 
 
 def trial_log(arm, name, kind, targets):
@@ -193,4 +160,4 @@ class Sketches(Gallery):
 def shown(path):
     """The page of a run folder and its figures by key."""
     gallery = Sketches()
-    return Page(render(make_page(read_contents(path), gallery))), gallery.figures
+    return Page(report_html(read_contents(path), gallery)), gallery.figures

@@ -7,7 +7,7 @@ import pytest
 
 from rejoint.arms import load_arm, tcp_position
 from rejoint.logs.runlog import RunLog
-from rejoint.pages.report.motion import bounds, encoder_path, error_at, spread_over_time, visits
+from rejoint.pages.report.figures import encoder_path, visits
 
 
 @pytest.fixture(scope="module")
@@ -56,27 +56,3 @@ def test_rows_without_a_target_belong_to_no_visit(arm):
     assert len(found) == 1
     np.testing.assert_array_equal(found[0].target, a)
     assert visits(arm, log_of(arm, np.full((3, 3), np.nan))) == ()
-
-
-def test_error_is_held_between_readings_and_unknown_after_the_end(arm):
-    log = log_of(arm, np.tile([0.15, 0.0, 0.2], (3, 1)))
-    (visit,) = visits(arm, log)
-    error = error_at(visit, np.array([0.0, 0.49, 0.5, 1.2, 1.6]))
-    expected = [*visit.encoder_error[[0, 0, 1, 2]], np.nan]
-    np.testing.assert_array_equal(error, expected)
-
-
-def test_spread_ends_when_most_visits_have_ended(arm):
-    long = visits(arm, log_of(arm, np.tile([0.15, 0.0, 0.2], (9, 1))))
-    short = visits(arm, log_of(arm, np.tile([0.15, 0.0, 0.2], (3, 1))))
-    time = np.array([0.0, 1.0, 3.0])
-    middle, low, high = spread_over_time([*long, *short, *short], time)
-    assert np.isfinite(middle[:2]).all()
-    assert np.isnan([middle[2], low[2], high[2]]).all()
-    assert (low[:2] <= middle[:2]).all()
-    assert (middle[:2] <= high[:2]).all()
-
-
-def test_bounds_hold_every_path_with_a_margin():
-    paths = [np.array([[0.0, 0.0, 0.0], [0.1, 0.2, 0.3]]), np.array([[-0.1, 0.1, 0.1]])]
-    np.testing.assert_allclose(bounds(paths, margin=0.01), [[-0.11, 0.11], [-0.01, 0.21], [-0.01, 0.31]])

@@ -1,12 +1,17 @@
 """The training section with the contract of a policy, with and without a twin."""
 
+from types import SimpleNamespace
+
 import pytest
 
+from readpage import Page
 from rejoint.control.contract import PolicyContract, law_digests
 from rejoint.control.observation import layout_slots
 from rejoint.control.residual import CommandLaw
-from rejoint.pages.report.gallery import Gallery
-from rejoint.pages.report.sections.training import read_curves, training_section
+from rejoint.pages.html import render
+from rejoint.pages.report.contents import read_curves
+from rejoint.pages.report.figures import Gallery
+from rejoint.pages.report.pictures import Pictures
 
 
 @pytest.fixture
@@ -26,20 +31,29 @@ def contract(arm, digest):
     )  # fmt: skip
 
 
+def section(curves, contract):
+    """The words of the section, and its facts."""
+    html = render(
+        "report/training.html", it=SimpleNamespace(curves=curves, contract=contract), draw=Pictures(Gallery())
+    )
+    page = Page(html)
+    names = [text for place, text in page.places.items() if "/ dt" in place]
+    return page.words, dict(zip(names, (text for place, text in page.places.items() if "/ dd" in place), strict=True))
+
+
 @pytest.mark.parametrize(
     ("digest", "pupils", "twin"),
     [("0123abcd", "copies of the twin", "0123abcd"), ("", "simulated arms", "none: broad ranges alone")],
 )
 def test_contract_and_curves(arm, curves, digest, pupils, twin):
-    shown, policy = training_section(curves, contract(arm, digest), Gallery()).parts
-    assert f"randomised {pupils}: 1.31 million" in shown.texts[0]
-    facts = dict(policy.facts)
-    assert facts["control periods met in training"] == "18 to 55\N{NO-BREAK SPACE}ms"
+    words, facts = section(curves, contract(arm, digest))
+    assert f"randomised {pupils}: 1.31 million" in words
+    assert facts["control periods met in training"] == "18 to 55 ms"
     assert facts["twin it was trained on"] == twin
     assert facts["observation"].startswith("28 numbers"), "the paper's state size, section III-B"
     assert (facts["recipe"], facts["seed"]) == ("paper", "11")
 
 
 def test_either_part_may_be_missing(arm, curves):
-    assert len(training_section(curves, None, Gallery()).parts) == 1
-    assert len(training_section(None, contract(arm, ""), Gallery()).parts) == 1
+    assert "The policy file" not in section(curves, None)[0]
+    assert "learned by trial" not in section(None, contract(arm, ""))[0]

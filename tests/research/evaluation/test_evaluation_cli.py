@@ -2,10 +2,10 @@ import json
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from commandline import run_cli
+from runs.test_connect import a_twin
 
 
 @pytest.fixture
@@ -29,42 +29,13 @@ def test_a_family_is_evaluated_and_resumed(cli, tmp_path: Path):
     assert kept.stat().st_mtime_ns == before
 
 
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        (("evaluate",), "--family"),
-        (("evaluate", "--family", "--identification", "2"), "either"),
-        (("evaluate", "--family", "--controllers", "nobody"), "no controller is called 'nobody'"),
-        (("evaluate", "--family", "--controllers", "none"), "nobody takes part"),
-        (("evaluate", "--family", "--variants", "rusty"), "no variant is called 'rusty'"),
-        (("evaluate", "--family", "--policy", "nowhere.onnx"), "nowhere.onnx"),
-        (("tune", "nobody"), "no rival is called 'nobody'"),
-        (("tune", "adaptive", "--run", "nowhere"), "nowhere"),
-    ],
-)
-def test_what_cannot_be_done_is_one_line(cli, words, told, tmp_path: Path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    code, _, err = cli(*words)
-    assert code == 2
-    assert told in err
-    assert "Traceback" not in err
-
-
-def test_tuned_gains_are_written_beside_others(cli, tmp_path: Path, monkeypatch):
-    def bowl(arm, ranges, gains, make, settings, draw_seed):
-        return sum(np.log(values) ** 2 for values in gains.values())
-
-    monkeypatch.setattr("rejoint.research.rivals.tuning.candidate_costs", bowl)
-    out = tmp_path / "gains.json"
-    out.write_text('{"tuned-integrator": {"lead": 0.3}}')
-    code, text, err = cli("tune", "adaptive", "--generations", "3", "--out", str(out), "--json")
+def test_targets_anywhere_are_held_by_controllers_that_know_each_arm_by_its_twin(cli, tmp_path: Path, monkeypatch):
+    monkeypatch.setattr("rejoint.research.evaluation.evaluate.own_twin", lambda *_: a_twin())
+    code, out, err = cli(
+        "evaluate", "--family", "--arms", "2", "--targets", "1", "--variants", "anywhere", "--controllers",
+        "feedforward,predictive", "--no-crossing", "--threads", "1", "--out", str(tmp_path), "--json",
+    )  # fmt: skip
     assert code == 0, err
-    stored = json.loads(out.read_text())
-    assert stored["tuned-integrator"] == {"lead": 0.3}
-    assert stored["adaptive"] == json.loads(text.splitlines()[-1])["gains"]
-    assert all(np.isfinite(value) and value > 0 for value in stored["adaptive"].values())
-    code, text, err = cli("tune", "adaptive", "tuned-integrator", "--generations", "3", "--out", str(out), "--json")
-    assert code == 0, err
-    both = {one["rival"]: one["gains"] for one in json.loads(text.splitlines()[-1])}
-    assert both == {name: json.loads(out.read_text())[name] for name in ("adaptive", "tuned-integrator")}
-    assert both["adaptive"] == stored["adaptive"]  # each of them as alone
+    rows = json.loads(out.splitlines()[-1])["rows"]
+    assert [row["controller"] for row in rows] == ["feedforward", "predictive"]
+    assert all(row["settled"]["value"] < 0.002 for row in rows)

@@ -18,22 +18,19 @@ import numpy as np
 import pytest
 
 from rejoint.logs.runlog import RunLog
-from rejoint.runs.fleet.call import run_fleet
+from rejoint.runs.fleet.call import FleetResult, run_fleet
 from rejoint.runs.fleet.drive import Event, Rules
-from rejoint.runs.fleet.file import Fleet, FleetArm
-from rejoint.runs.fleet.hours import read_hours
-from rejoint.runs.fleet.rayexecutor import RayExecutor, RayTasks
-from rejoint.runs.fleet.result import FleetResult
+from rejoint.runs.fleet.file import Fleet, FleetArm, read_hours
+from rejoint.runs.fleet.rayexecutor import RayExecutor
 from rejoint.runs.stages.check import check
 from rejoint.system.errors import InputError
-from rejoint.system.extras import installed
 
-pytestmark = pytest.mark.skipif(not installed("ray"), reason="needs the extra fleet")
+pytestmark = pytest.mark.realtime
 
 VIRTUAL = f"virtual-{os.getpid()}"
 """Name of the emulated arm; of all arms on this machine, its processes alone are killed"""
 MONDAY = datetime(2026, 11, 23, 8)
-MOVING = 1.0
+STARTING, MOVING = 12.0, 1.0
 """[s] for which the real arm moves before its hours end"""
 
 
@@ -61,15 +58,14 @@ class World:
         self.nice = set[int]()
 
     def executor(self, arms: Sequence[FleetArm]) -> AbstractContextManager[RayExecutor]:
-        """Start Ray, and have an eye on it."""
-        executor = RayExecutor(arms, cpus=1)
-        executor.watch(self.see)
-        return closing(executor)
+        """Start Ray."""
+        return closing(RayExecutor(arms, cpus=1))
 
-    def see(self, shares: dict[str, tuple[float, str]]) -> None:
-        """Notice that the real arm moves."""
-        if self.since is None and shares.get("real", (0.0, ""))[0] > 0.0:
-            self.since = time.monotonic()
+    def see(self, event: Event) -> None:
+        """Notice that the work on the real arm begins, which moves it within `STARTING`."""
+        self.events.append(event)
+        if event.kind == "begun" and event.arm.name == "real":
+            self.since = time.monotonic() + STARTING
 
     def now(self) -> datetime:
         """Kill what works on the emulated arm, once; it becomes evening when the real arm has moved."""
@@ -101,7 +97,7 @@ def called(address: str, tmp_path_factory: pytest.TempPathFactory) -> tuple[Flee
     fleet, world = Fleet(path=home / "FLEET.toml", folder=home / "lab", arms=(real, allowed)), World(home / "lab")
     rules = Rules(now=world.now)
     before = [signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)]
-    found = run_fleet(fleet, "check", world.executor, rules, tell=world.events.append)
+    found = run_fleet(fleet, "check", world.executor, rules, tell=world.see)
     assert [signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)] == before
     return found, world
 
@@ -137,4 +133,4 @@ def test_ray_that_was_imported_without_its_token_is_refused_at_once(monkeypatch:
     monkeypatch.setitem(sys.modules, "ray", imported)
     monkeypatch.delenv("RAY_AUTH_MODE", raising=False)
     with pytest.raises(InputError, match="begin a new Python"):
-        RayTasks()
+        RayExecutor([])

@@ -1,11 +1,11 @@
-"""The ChArUco board: a chessboard whose white squares hold markers, so that a part of it is enough to know which."""
+"""The ChArUco board, its description and its print as a PDF in true size."""
 
 from __future__ import annotations
 
 import tomllib
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -18,22 +18,21 @@ from rejoint.system.files import TOML_MOST, read_bounded, write_whole
 
 if TYPE_CHECKING:
     import cv2
+    from PIL.Image import Image
 
 DICTIONARY = "DICT_4X4_50"
-"""Markers of 4 x 4 cells, 50 of them (chosen: the coarsest that OpenCV has, and so the best seen from afar)"""
+"""Markers of 4 x 4 cells, the coarsest of OpenCV"""
 
 RULER = 100.0
-"""[mm] length of the rulers on the print (chosen: a calliper reads it to 0.05 %)"""
+"""[mm] length of the printed rulers (chosen)"""
 
 _STRETCH = 0.05
-"""Share by which a print may be off before a slip of the pen is more likely (printers: 0.005, "fit to page": 0.04)"""
-
-_SETTLED = 1e-9  # [m] what rounding may leave
+"""Share by which a print may be off (chosen: "fit to page" makes 0.04)"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Board:
-    """A ChArUco board as it is printed; the same numbers belong to the print and to the search for it."""
+    """A ChArUco board as it is printed."""
 
     columns: int = 7
     """squares along x"""
@@ -46,7 +45,7 @@ class Board:
     dictionary: str = DICTIONARY
     """name of the markers in OpenCV"""
     stretch_x: float = 1.0
-    """[1] how much longer the print is than the drawing, along x"""
+    """[1] length of the print over the drawing, along x"""
     stretch_y: float = 1.0
 
     def __post_init__(self) -> None:
@@ -70,37 +69,32 @@ class Board:
 
     @property
     def corners(self) -> Array:
-        """(C, 3) [m] the inner corners of the chessboard in the board's frame, by their numbers."""
+        """(C, 3) [m] inner corners in the board's frame, by number."""
         x, y = np.meshgrid(np.arange(1, self.columns), np.arange(1, self.rows))
         flat = np.stack([x.ravel() * self.stretch_x, y.ravel() * self.stretch_y, np.zeros(x.size)], axis=-1)
         return np.asarray(self.square * flat)
 
     @property
     def outline(self) -> Array:
-        """(4, 3) [m] its outer corners in the board's frame, in a circle."""
+        """(4, 3) [m] outer corners in the board's frame."""
         width, height = self.size
         return np.array([[0.0, 0.0, 0.0], [width, 0.0, 0.0], [width, height, 0.0], [0.0, height, 0.0]])
 
     def printed(self, measured_x: float | None = None, measured_y: float | None = None) -> Board:
-        """Return the board whose rulers of 100 mm measure so many millimetres along x and y on the print."""
+        """Board whose 100 mm rulers measure so many millimetres on the print."""
         return replace(
             self,
             stretch_x=self.stretch_x if measured_x is None else measured_x / RULER,
             stretch_y=self.stretch_y if measured_y is None else measured_y / RULER,
         )
 
-    def drawing(self) -> tuple[Any, NDArray[np.int64], NDArray[np.uint8]]:
-        """Return OpenCV's board as drawn, its markers' upper left corners (M, 2) [um] and cells (M, 6, 6), 0 black."""
-        board = self.opencv()
-        dictionary = board.getDictionary()
-        cells = dictionary.markerSize + 2
-        corners = np.array(board.getObjPoints())[:, 0, :2]
-        ids = np.ravel(board.getIds())
-        pictures = [dictionary.generateImageMarker(int(number), cells, borderBits=1) for number in ids]
-        return board, np.rint(1e6 * corners).astype(np.int64), np.array(pictures, dtype=np.uint8)
+    def drawing(self, dots: float) -> NDArray[np.uint8]:
+        """Draw the board, (height, width) grey levels, 0 black, with ``dots`` to a metre."""
+        across, down = (round(dots * self.square * count) for count in (self.columns, self.rows))
+        return np.asarray(self.opencv().generateImage((across, down), marginSize=0, borderBits=1), dtype=np.uint8)
 
     def opencv(self) -> cv2.aruco.CharucoBoard:
-        """Return OpenCV's board as drawn; MissingExtraError without OpenCV, InputError for unknown markers."""
+        """Return OpenCV's board; MissingExtraError without OpenCV, InputError for unknown markers."""
         require("a camera", "camera")
         import cv2
 
@@ -125,7 +119,7 @@ class BoardView:
     number: NDArray[np.int64]
     """(K,) which corners of the board"""
     pixel: Array
-    """(K, 2) where they are; pixels have their centres at whole numbers"""
+    """(K, 2) their pixels"""
 
     def __post_init__(self) -> None:
         if self.pixel.shape != (len(self.number), 2):
@@ -133,14 +127,14 @@ class BoardView:
 
 
 ON_TABLE = Board()
-"""210 x 150 mm: on A4 with its rulers, for the table under a camera that the tool carries"""
+"""210 x 150 mm, for the table: fits on A4 with its rulers"""
 
 ON_TOOL = Board(square=0.020, marker=0.015)
-"""140 x 100 mm: small enough for a tool, and 5 px a cell at 0.6 m in a picture of 1920 px"""
+"""140 x 100 mm, for the tool"""
 
 
 def write_board(path: Path, board: Board) -> None:
-    """Write the description of a board as TOML, sizes in mm; `read_board` reads it."""
+    """Write a board as TOML, sizes in mm."""
     told = asdict(board)
     square, marker = 1e3 * told.pop("square"), 1e3 * told.pop("marker")
     told |= {"square_mm": round(square, 6), "marker_mm": round(marker, 6)}
@@ -150,7 +144,7 @@ def write_board(path: Path, board: Board) -> None:
 
 
 def read_board(path: Path) -> Board:
-    """Read what `write_board` wrote; FileError if it is no description of a board."""
+    """Read what `write_board` wrote; FileError for anything else."""
     remedy = "write it with `rejoint board`"
     try:
         told = tomllib.loads(read_bounded(path, TOML_MOST, remedy).decode())
@@ -162,3 +156,78 @@ def read_board(path: Path) -> Board:
         raise FileError(path, f"is no board: {error.args[0]} is missing", remedy) from error
     except (OSError, ValueError, TypeError, msgspec.MsgspecError) as error:
         raise FileError(path, f"is no board ({first_line(error)})", remedy) from error
+
+
+PAGES = {"A4": (297.0, 210.0), "A3": (420.0, 297.0), "letter": (279.4, 215.9)}
+"""[mm] width and height of pages, landscape (ISO 216, ANSI Y14.1)"""
+DOTS = 24
+"""Dots to a millimetre, 610 to an inch (chosen)"""
+
+_BORDER = 8.0  # [mm] that printers leave white (chosen: most leave 3 to 6)
+_QUIET = 6.0  # [mm] white around the board, as markers need (chosen: two cells)
+_TICK = 4.0  # [mm] length of the ticks at the ends of a ruler, half of it between them (chosen)
+_LINE = 0.2  # [mm] width of lines (chosen)
+_TEXT = 3.2  # [mm] size of letters (chosen)
+
+
+def write_pdf(path: Path, board: Board, page: str = "A4") -> None:
+    """Draw ``board`` as a PDF; InputError where it does not fit on the page."""
+    picture = page_of(board, page)
+    write_whole(path, lambda temporary: picture.save(temporary, format="PDF", resolution=DOTS * 25.4))
+
+
+def page_of(board: Board, page: str = "A4") -> Image:
+    """Draw the page in black and white, `DOTS` to a millimetre."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    if page not in PAGES:
+        raise InputError(f"board: no page is called {page!r}; known pages: {', '.join(PAGES)}")
+    width, height = PAGES[page]
+    x, y = _place(board, page)
+    sheet = Image.new("1", (round(DOTS * width), round(DOTS * height)), 1)
+    sheet.paste(Image.fromarray(board.drawing(1e3 * DOTS)), (round(DOTS * x), round(DOTS * y)))
+    pen, font = ImageDraw.Draw(sheet), ImageFont.load_default(round(DOTS * _TEXT))
+
+    def line(*ends: float) -> None:
+        pen.line([round(DOTS * end) for end in ends], fill=0, width=round(DOTS * _LINE))
+
+    for name, left, top, across in (
+        ("x", x, y + 1e3 * board.square * board.rows + _QUIET, 1.0),
+        ("y", x + 1e3 * board.square * board.columns + _QUIET, y, 0.0),
+    ):
+        down = 1.0 - across
+        line(left, top, left + RULER * across, top + RULER * down)
+        for i in range(11):
+            a, b, tick = (
+                left + RULER * i / 10 * across,
+                top + RULER * i / 10 * down,
+                _TICK if i % 10 == 0 else _TICK / 2,
+            )
+            line(a, b, a + tick * down, b + tick * across)
+        at = (DOTS * (left + (RULER + 2) * across), DOTS * (top + (RULER + 2) * down))
+        pen.text(at, f"{RULER:g} mm in {name}", fill=0, font=font)
+    pen.text((DOTS * x, DOTS * (height - _BORDER - _TEXT)), _caption(board), fill=0, font=font)
+    return sheet
+
+
+def _place(board: Board, page: str) -> tuple[float, float]:
+    """Where on the page [mm] the board's upper left corner comes, so that all of it fits."""
+    width, height = PAGES[page]
+    across, down = 1e3 * board.square * board.columns, 1e3 * board.square * board.rows
+    beside, below = 2 * _QUIET + 2 * _TICK, 2 * _QUIET + 2 * _TICK + _TEXT
+    left = width - 2 * _BORDER - max(across + beside, RULER)
+    over = height - 2 * _BORDER - max(down, RULER) - below
+    if left < 0 or over < 0:
+        raise InputError(
+            f"board: {across:g} x {down:g} mm with its rulers does not fit on {page} ({width:g} x {height:g} mm); "
+            "take fewer or smaller squares, or a larger page"
+        )
+    return round(DOTS * (_BORDER + left / 2)) / DOTS, round(DOTS * (_BORDER + over / 2)) / DOTS
+
+
+def _caption(board: Board) -> str:
+    return (
+        f"ChArUco {board.columns} x {board.rows}, squares {1e3 * board.square:g} mm, "
+        f"markers {1e3 * board.marker:g} mm, {board.dictionary}. "
+        "Print at 100 %, then measure both rulers between their first and last tick."
+    )

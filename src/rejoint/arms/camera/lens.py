@@ -1,4 +1,7 @@
-"""A lens: where a camera shows a point, with the distortion of Brown as OpenCV writes it."""
+"""A lens with the distortion of Brown as in OpenCV, and the pose of a board before it.
+
+A flat board far away looks alike in two tilts (Schweighofer and Pinz, 2006): both are tried.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Array
+from rejoint.arms.rotations import turned
 from rejoint.system.errors import InputError
+from rejoint.system.extras import require
 
 TERMS = ("f", "cx", "cy", "k1", "k2", "p1", "p2")
 """The numbers of a lens in the order of `Lens.numbers`"""
-
-_UNDISTORTING = 30
-"""Most steps of the search for the undistorted point (chosen)"""
-_SETTLED = 1e-9  # change of a step after which the search ends: a millionth of a pixel
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +46,7 @@ class Lens:
 
     @classmethod
     def usual(cls, width: int, height: int) -> Lens:
-        """Return the lens to begin with for pictures of a size: a web camera's, 70 degrees wide."""
+        """Lens to begin with: a web camera's, 70 degrees wide."""
         return cls(width=width, height=height, f=0.72 * width, cx=0.5 * (width - 1), cy=0.5 * (height - 1))
 
     @property
@@ -55,63 +56,104 @@ class Lens:
 
     def with_numbers(self, numbers: Array) -> Lens:
         """Return a lens of the same picture with other `TERMS` (7,)."""
-        return Lens(
-            width=self.width, height=self.height, **dict(zip(TERMS, map(float, numbers), strict=True))
-        )  # fmt: skip
+        return Lens(width=self.width, height=self.height, **dict(zip(TERMS, map(float, numbers), strict=True)))
+
+    @property
+    def matrix(self) -> Array:
+        """(3, 3) of OpenCV: focal lengths and middle."""
+        return np.array([[self.f, 0.0, self.cx], [0.0, self.f, self.cy], [0.0, 0.0, 1.0]])
+
+    @property
+    def distortion(self) -> Array:
+        """(4,) of OpenCV."""
+        return self.numbers[3:]
 
     def project(self, point: Array) -> Array:
-        """Pixels (..., 2) of points (..., 3) [m] in the frame of the camera, in front of it."""
-        return projected(self.numbers, point)[0]
+        """Pixels (..., 2) of points (..., 3) [m] in the camera frame."""
+        return self.slopes(np.reshape(point, (-1, 3)), np.zeros(3))[0].reshape(*np.shape(point)[:-1], 2)
+
+    def slopes(self, lever: Array, place: Array) -> tuple[Array, Array, Array]:
+        """Pixels (K, 2) of points at ``lever`` (K, 3) from ``place`` (3,) [m], camera axes.
+
+        And derivatives by shift [m] and turn [rad] of the points about ``place``, (K, 2, 6), and by `TERMS`, (K, 2, 7).
+        """
+        require("a camera", "camera")
+        import cv2
+
+        if not len(lever):
+            return np.zeros((0, 2)), np.zeros((0, 2, 6)), np.zeros((0, 2, 7))
+        points = np.array(lever, dtype=float)
+        points[:, 2] = np.maximum(points[:, 2], 1e-3 - place[2])  # behind the camera nothing is seen
+        pixel, slope = cv2.projectPoints(points, np.zeros(3), place, self.matrix, self.distortion)
+        slope = slope.reshape(-1, 2, slope.shape[1])
+        by_terms = np.concatenate([slope[..., 6:7] + slope[..., 7:8], slope[..., 8:14]], axis=-1)
+        return pixel[:, 0], np.concatenate([slope[..., 3:6], slope[..., :3]], axis=-1), by_terms
 
     def rays(self, pixel: Array) -> Array:
-        """Points (..., 2) at distance 1 along the optical axis that the camera shows at ``pixel`` (..., 2)."""
-        wanted = (pixel - [self.cx, self.cy]) / self.f
-        ray = np.array(wanted)
-        for _ in range(_UNDISTORTING):
-            radial, tangential = _distortion(self.numbers, ray)
-            before, ray = ray, (wanted - tangential) / radial
-            if np.abs(ray - before).max(initial=0.0) < _SETTLED:
-                break
-        return ray
+        """Points (..., 2) at distance 1 along the optical axis that appear at ``pixel`` (..., 2)."""
+        require("a camera", "camera")
+        import cv2
+
+        ends = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 40, 1e-10)
+        flat = np.reshape(pixel, (-1, 1, 2)).astype(float)
+        return cv2.undistortPoints(flat, self.matrix, self.distortion, criteria=ends).reshape(np.shape(pixel))
 
     def shows(self, pixel: Array, margin: float = 0.0) -> Array:
-        """Tell which pixels (..., 2) lie in the picture, by ``margin`` [px] at least; returns (...)."""
+        """Whether pixels (..., 2) are at least ``margin`` [px] inside the picture; (...)."""
         size = np.array([self.width, self.height]) - 1.0
         return np.asarray(((pixel >= margin) & (pixel <= size - margin)).all(axis=-1))
 
 
-def projected(numbers: Array, point: Array) -> tuple[Array, Array, Array]:
-    """Pixels (..., 2) of points (..., 3) [m], with derivatives by point (..., 2, 3) and by `TERMS` (..., 2, 7)."""
-    f, cx, cy, k1, k2, p1, p2 = numbers
-    depth = point[..., 2]
-    ray = point[..., :2] / depth[..., None]
-    x, y = ray[..., 0], ray[..., 1]
-    radial, tangential = _distortion(numbers, ray)
-    bent = ray * radial + tangential
-    square = x**2 + y**2
-    growth = 2.0 * k1 + 4.0 * k2 * square
-    by_ray = np.empty((*x.shape, 2, 2))
-    by_ray[..., 0, 0] = radial[..., 0] + growth * x**2 + 2.0 * p1 * y + 6.0 * p2 * x
-    by_ray[..., 1, 1] = radial[..., 0] + growth * y**2 + 6.0 * p1 * y + 2.0 * p2 * x
-    by_ray[..., 0, 1] = by_ray[..., 1, 0] = growth * x * y + 2.0 * p1 * x + 2.0 * p2 * y
-    by_point = np.empty((*x.shape, 2, 3))
-    by_point[..., :2] = f * by_ray / depth[..., None, None]
-    by_point[..., 2] = -(by_point[..., :2] @ ray[..., None])[..., 0]
-    by_terms = np.zeros((*x.shape, 2, len(TERMS)))
-    by_terms[..., 0] = bent
-    by_terms[..., 0, 1] = by_terms[..., 1, 2] = 1.0
-    by_terms[..., 3] = f * square[..., None] * ray
-    by_terms[..., 4] = f * square[..., None] ** 2 * ray
-    by_terms[..., 0, 5] = by_terms[..., 1, 6] = 2.0 * f * x * y
-    by_terms[..., 1, 5] = f * (square + 2.0 * y**2)
-    by_terms[..., 0, 6] = f * (square + 2.0 * x**2)
-    return f * bent + np.array([cx, cy]), by_point, by_terms
+CORNER = 0.15
+"""[px] standard deviation of a corner's coordinates in a sharp picture"""
+
+FEWEST = 8
+"""Corners of which a pose is estimated (chosen: four fix it)"""
 
 
-def _distortion(numbers: Array, ray: Array) -> tuple[Array, Array]:
-    """Radial factor (..., 1) and tangential shift (..., 2) of undistorted points (..., 2)."""
-    k1, k2, p1, p2 = numbers[3:]
-    x, y = ray[..., 0], ray[..., 1]
-    square = x**2 + y**2
-    shift = np.stack([2 * p1 * x * y + p2 * (square + 2 * x**2), p1 * (square + 2 * y**2) + 2 * p2 * x * y], axis=-1)
-    return (1.0 + k1 * square + k2 * square**2)[..., None], shift
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Placed:
+    """A board before a camera."""
+
+    pose: Array
+    """(4, 4) of the board in the frame of the camera"""
+    covariance: Array
+    """(6, 6) of shift [m] and turn [rad], camera axes, for corners as good as `CORNER`"""
+    rms: float
+    """[px] of what is left between corners and projection, per coordinate"""
+
+
+def place(lens: Lens, corners: Array, pixel: Array, start: Array | None = None) -> Placed:
+    """Find the pose of a board with ``corners`` (K, 3) [m] seen at ``pixel`` (K, 2).
+
+    From ``start`` (4, 4), or both tilts. InputError for fewer than `FEWEST` corners, or corners on a line.
+    """
+    require("a camera", "camera")
+    import cv2
+
+    if len(corners) < FEWEST:
+        raise InputError(f"{len(corners)} corners of the board, expected at least {FEWEST}")
+    if np.linalg.matrix_rank(corners - corners[0], tol=1e-6) < 2:
+        raise InputError("the corners of the board that are seen lie on one line, which leaves its pose open")
+    seen = (np.asarray(corners), np.asarray(pixel), lens.matrix, lens.distortion)
+    if start is None:
+        _, turns, shifts, _ = cv2.solvePnPGeneric(*seen, flags=cv2.SOLVEPNP_IPPE)
+    else:
+        turns, shifts = [cv2.Rodrigues(start[:3, :3])[0]], [start[:3, 3:].copy()]
+    return min(
+        (
+            _placed(lens, corners, pixel, *cv2.solvePnPRefineLM(*seen, turn, shift))
+            for turn, shift in zip(turns, shifts, strict=True)
+        ),
+        key=lambda one: one.rms,
+    )
+
+
+def _placed(lens: Lens, corners: Array, pixel: Array, turn: Array, shift: Array) -> Placed:
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = turned(turn[:, 0]), shift[:, 0]
+    told, slope, _ = lens.slopes(corners @ pose[:3, :3].T, pose[:3, 3])
+    residual, slope = (told - pixel).ravel(), slope.reshape(-1, 6)
+    spread = CORNER**2 * np.linalg.inv(slope.T @ slope + 1e-12 * np.eye(6))
+    rms = float(np.sqrt(residual @ residual / max(len(residual) - 6, 1)))
+    return Placed(pose=pose, covariance=np.asarray(spread), rms=rms)

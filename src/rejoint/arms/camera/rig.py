@@ -1,33 +1,38 @@
-"""How camera, board and arm stand to each other, and where that puts the tool in a picture."""
+"""How camera, board and arm stand to each other, and its file ``camera.toml`` (SI units and px, sealed by a digest)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
 
+import msgspec
 import numpy as np
+import tomlkit
 
-from rejoint.arms import Array
+from rejoint.arms.arm import Arm, Array
 from rejoint.arms.camera.board import Board
-from rejoint.arms.camera.lens import Lens
-from rejoint.arms.camera.poses import inverse
-from rejoint.system.errors import InputError
+from rejoint.arms.camera.lens import TERMS, Lens
+from rejoint.arms.rotations import inverse
+from rejoint.system.errors import ContractError, InputError
+from rejoint.system.tomltable import read_sealed, write_sealed
 
 MOUNTINGS = ("board", "camera")
-"""What the tool carries: the board, seen by a camera beside the arm, or the camera, which sees a board on the table"""
+"""What the tool carries: the board (fixed camera), or the camera (board on the table)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rig:
-    """A camera, a board and an arm, one of the first two on the tool of the third."""
+    """A camera, a board and an arm; the tool carries one of the first two."""
 
     lens: Lens
     board: Board
     carried: str
     """one of `MOUNTINGS`: what the tool carries"""
     standing: Array
-    """(4, 4) in the base of the arm: of the camera, or of the board where the tool carries the camera"""
+    """(4, 4) in the arm's base: the camera, or the board where the tool carries the camera"""
     mounted: Array
-    """(4, 4) in the frame of the tool, whose origin is the TCP: of what it carries"""
+    """(4, 4) in the TCP frame: what the tool carries"""
 
     def __post_init__(self) -> None:
         if self.carried not in MOUNTINGS:
@@ -38,19 +43,19 @@ class Rig:
             object.__setattr__(self, name, value)
 
     def tool(self, board: Array) -> Array:
-        """Poses (..., 4, 4) of the tool in the base where the camera sees the board at ``board`` (..., 4, 4)."""
+        """Poses (..., 4, 4) of the tool in the base where the camera sees ``board`` (..., 4, 4)."""
         return tool_of(self.carried, self.standing, self.mounted, board)
 
     def sight(self, tool: Array) -> Array:
-        """Poses (..., 4, 4) of the board in the frame of the camera while the tool is at ``tool`` (..., 4, 4)."""
+        """Poses (..., 4, 4) of the board in the camera frame with the tool at ``tool`` (..., 4, 4)."""
         between = inverse(self.standing) @ tool @ self.mounted
         return between if self.carried == "board" else inverse(between)
 
     def shows(self, tool: Array, margin: float = 20.0, steepest: float = np.radians(55.0)) -> Array:
-        """Tell for poses (..., 4, 4) of the tool whether all of the board is in the picture, and not too oblique.
+        """Whether the whole board is in the picture at tool poses (..., 4, 4), and not too oblique; (...).
 
-        ``margin`` [px] is left to the rim; ``steepest`` [rad] is the angle between the line of sight and the board's
-        normal beyond which its markers are no longer read.
+        ``margin`` [px] is left to the rim; ``steepest`` [rad] is the largest angle between line of sight and board
+        normal.
         """
         pose = self.sight(tool)
         outline = np.einsum("...ij,cj->...ci", pose[..., :3, :3], self.board.outline) + pose[..., None, :3, 3]
@@ -65,3 +70,64 @@ def tool_of(carried: str, standing: Array, mounted: Array, board: Array) -> Arra
     """Poses (..., 4, 4) of the tool in the base, see `Rig.tool`."""
     between = board if carried == "board" else inverse(board)
     return np.asarray(standing @ between @ inverse(mounted))
+
+
+FORMAT = 1
+"""Version of the layout; a reader refuses others"""
+
+
+def write_rig(path: Path, arm: Arm, rig: Rig, sigma: Array, date: str = "") -> None:
+    """Write the ``rig`` of ``arm``; ``sigma`` (19,).
+
+    Standard deviations of the lens's `TERMS`, `Rig.standing` and `Rig.mounted`.
+    """
+    n = len(TERMS)
+    spread = dict(zip(("standing", "mounted"), (sigma[n : n + 6], sigma[n + 6 :]), strict=True))
+    told = {
+        "format": FORMAT,
+        "arm": arm.name,
+        "date": date,
+        "carried": rig.carried,
+        "board": asdict(rig.board),
+        "lens": asdict(rig.lens) | {"sigma": dict(zip(TERMS, map(float, sigma[:n]), strict=True))},
+        **{
+            name: {
+                "pose": getattr(rig, name)[:3].tolist(),
+                "sigma_shift": own[:3].tolist(),
+                "sigma_turn": own[3:].tolist(),
+            }
+            for name, own in spread.items()
+        },
+    }
+    document = tomlkit.document()
+    document.add(tomlkit.comment("A camera, a board and one robot arm. SI units and px; sigma: standard deviations."))
+    for name, value in told.items():
+        document.add(name, tomlkit.item(value))
+    write_sealed(path, document)
+
+
+def read_rig(path: Path, arm: Arm) -> Rig:
+    """Read the rig of ``arm``; FileError if it is damaged, ContractError if it is of another arm."""
+
+    def build(data: dict[str, Any]) -> Rig:
+        if data["arm"] != arm.name:
+            raise ContractError(f"camera of arm {data['arm']!r}, expected one of {arm.name!r}; calibrate this arm")
+        lens = {name: value for name, value in data["lens"].items() if name != "sigma"}
+        return Rig(
+            lens=msgspec.convert(lens, Lens),
+            board=msgspec.convert(data["board"], Board),
+            carried=str(data["carried"]),
+            standing=_pose(data["standing"]),
+            mounted=_pose(data["mounted"]),
+        )
+
+    return read_sealed(path, build, name="rig of a camera", version=FORMAT, again="calibrate with the camera")
+
+
+def _pose(table: dict[str, Any]) -> Array:
+    rows = np.array(table["pose"], dtype=float)
+    if rows.shape != (3, 4) or not np.isfinite(rows).all():
+        raise InputError(f"a pose of finite numbers of shape (3, 4) was expected, found {rows.shape}")
+    pose = np.eye(4)
+    pose[:3] = rows
+    return pose

@@ -1,4 +1,4 @@
-"""Pictures into views: the board's corners, and of every picture that is of no use, its name and why."""
+"""Find the board's corners in pictures, and say why a picture is unusable."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Array
 from rejoint.arms.camera.board import Board, BoardView
-from rejoint.arms.camera.sighting import FEWEST
+from rejoint.arms.camera.lens import FEWEST
 from rejoint.system.extras import require
 from rejoint.system.files import MEGABYTE, read_bounded
 
@@ -18,14 +18,13 @@ KINDS = (".png", ".jpg", ".jpeg")
 """Endings of the files that are read as pictures"""
 
 SOFT = 6.0
-"""[px] width of an edge from which a picture counts as blurred (chosen: sharp ones have 2 to 4; beyond it the markers
-of a board on a tool are no longer read)"""
+"""[px] width of an edge from which a picture counts as blurred (chosen)"""
 
 FEWEST_MARKERS = 4
-"""Markers, at least, that tell of another board when no corner between them is seen (chosen: not by chance)"""
+"""Markers that show another board when none of its corners is seen (chosen)"""
 
 PICTURE_MOST = 100 * MEGABYTE
-"""Largest file of a picture that is read (chosen: ten times what cameras write)"""
+"""Largest picture that is read (chosen)"""
 
 _SHARPEST = 99.0  # percentile of the gradient that stands for edges (chosen)
 
@@ -53,7 +52,7 @@ class Detector:
         self._opencv = cv2.aruco.CharucoDetector(board.opencv(), cv2.aruco.CharucoParameters(), searching)
 
     def find(self, name: str, picture: NDArray[np.uint8]) -> BoardView | Unusable:
-        """Find the board in a grey or BGR ``picture``; `Unusable` where too little of it can be seen well."""
+        """Find the board in a grey or BGR ``picture``; `Unusable` where too little of it is seen well."""
         import cv2
 
         grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
@@ -80,7 +79,7 @@ class Detector:
         if found < FEWEST:
             return Unusable(
                 name=name, why=f"{found} of {whole} corners of the board are seen, expected at least {FEWEST}"
-            )  # fmt: skip
+            )
         view = BoardView(
             name=name, number=np.ravel(numbers).astype(np.int64), pixel=np.reshape(corners, (-1, 2)).astype(float)
         )
@@ -90,7 +89,6 @@ class Detector:
         return view
 
     def _unlike(self, grey: NDArray[np.uint8]) -> str:
-        """Say what else a picture without any corner of the board shows; empty where nothing tells."""
         import cv2
 
         numbers = self._opencv.getBoard().getDictionary()
@@ -118,7 +116,7 @@ class Detector:
 
 
 def edge_width(grey: NDArray[np.uint8], corners: Array) -> float:
-    """Width [px] of the sharpest edges around ``corners`` (K, 2): the contrast by the steepest gradient."""
+    """Width [px] of the sharpest edges around ``corners`` (K, 2): contrast over the steepest gradient."""
     import cv2
 
     low = np.maximum(np.floor(corners.min(axis=0)).astype(int) - 4, 0)
@@ -132,7 +130,7 @@ def edge_width(grey: NDArray[np.uint8], corners: Array) -> float:
 
 
 def read_picture(path: Path) -> NDArray[np.uint8] | None:
-    """Read the grey levels of a picture; None where it is none that OpenCV can read."""
+    """Read the grey levels of a picture; None where OpenCV cannot."""
     import cv2
 
     data = np.frombuffer(read_bounded(path, PICTURE_MOST, "take a smaller picture"), np.uint8)

@@ -1,7 +1,4 @@
-"""The myCobot's wire protocol as its robot's side speaks it: pure functions, without a clock, a socket or a servo.
+"""The myCobot's wire protocol from the robot's side, as pure functions; the emulator and `rejoint serve` use it.
 
-Frames (`frames`), numbers (`values`), ways of an arm (`paths`), where a reference is on them (`motion`), and what each
-request asks of the `Computer` behind the wire (`states`, `orders`, `commands`). The emulated arm is such a computer,
-and so is what `rejoint serve` puts before a real one. The driver never uses any of it: it speaks through the vendor's
-client.
+The driver speaks through the vendor's client instead.
 """

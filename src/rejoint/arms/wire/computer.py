@@ -1,4 +1,4 @@
-"""What stands behind the wire: the computer of an arm, as requests see it. All values are SI, all angles radians."""
+"""The computer of an arm, as requests see it; SI units and radians."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array
 
 FULL_SPEED = float(np.radians(120.0))
-"""[rad/s] of the fastest joint at speed 100 % (chosen: 80 % of the vendor's 150 deg/s)"""
+"""[rad/s] of the fastest joint at 100 % (chosen: 80 % of the vendor's)"""
 ACCELERATION = float(np.radians(200.0))
 """[rad/s^2] of interpolated moves (vendor's communication protocol page)"""
 
 NO_SOLUTION = 32
 NO_LINE = 33
 COLLISION = 16
-"""Error codes of the vendor's ``get_error_information``; 1..6 name the joint over its limit. 16 to 19 are its collision
-protection, of which the first stands for all that the guard keeps clear of"""
+"""Error codes of the vendor's ``get_error_information``; 1..6 name the joint over its limit; 16 stands for every
+contact"""
 
 HAS_ARRIVED_ANGLE = float(np.radians(1.0))
 HAS_ARRIVED_LENGTH = 0.003
@@ -28,15 +28,15 @@ Mask = NDArray[np.bool_]
 
 
 class Computer(Protocol):
-    """An arm of n joints, powered or not, that moves as it is told."""
+    """An arm of n joints that moves as it is ordered."""
 
     arm: Arm
     lower: Array
-    """(n,) [rad] limits in force; never wider than those of the arm"""
+    """(n,) [rad] limits in force, within those of the arm"""
     upper: Array
     """(n,) [rad]"""
     fresh: bool
-    """whether the newest move replaces those before it; else they are queued"""
+    """whether a new move replaces the present one, or is queued"""
     powered: bool
     enabled: Mask
     """(n,) which servos hold"""
@@ -96,16 +96,16 @@ class Computer(Protocol):
         """Whether the TCP is at ``pose`` (4, 4)."""
 
     def move_joints(self, angles: Array, rate: float) -> bool:
-        """Go to ``angles`` (n,) [rad] at ``rate`` (0..1) of full speed; False if that is refused."""
+        """Go to ``angles`` (n,) [rad] at ``rate`` (0..1); False: refused."""
 
     def move_tool(self, pose: Array, rate: float, *, straight: bool) -> bool:
-        """Bring the tool to ``pose`` (4, 4); False if that is refused."""
+        """Bring the tool to ``pose`` (4, 4); False: refused."""
 
     def jog_joint(self, joint: int, direction: int, rate: float) -> bool:
-        """Run one joint until its limit or a stop; False if that is refused."""
+        """Run one joint until its limit or a stop; False: refused."""
 
     def jog_tool(self, pose: Array, rate: float) -> bool:
-        """Run the tool straight towards ``pose`` (4, 4) as far as the arm reaches; False if that is refused."""
+        """Run the tool straight towards ``pose`` (4, 4); False: refused."""
 
     def stop(self, joint: int | None = None) -> None:
         """Hold: one joint, or the arm."""
@@ -135,7 +135,7 @@ def at_angles(here: Array, angles: Array) -> bool:
 
 
 def at_place(here: Array, pose: Array) -> bool:
-    """Whether the pose ``here`` (4, 4) is within three millimetres and a degree of ``pose``."""
+    """Whether pose ``here`` (4, 4) is within 3 mm and a degree of ``pose``."""
     cosine = (np.trace(pose[:3, :3] @ here[:3, :3].T) - 1.0) / 2.0
     near = np.linalg.norm(pose[:3, 3] - here[:3, 3]) < HAS_ARRIVED_LENGTH
     return bool(near and cosine > np.cos(HAS_ARRIVED_ANGLE))

@@ -1,20 +1,23 @@
-"""From what a request asks for to a way of the reference: the same for the emulated arm and for one that is served.
+"""From requests to a moving reference: for the emulated arm and the served one.
 
-Where neither the vendor's manual nor logs of a real arm settle what the vendor's firmware does, the choice is named.
+A *ramp* moves every joint at the set speed, as the servos do; a *path* is interpolated with limited acceleration, all
+joints arriving together. New moves replace or queue.
 """
 
 from __future__ import annotations
 
+from collections import deque
+from dataclasses import dataclass
+
 import numpy as np
 
-from rejoint.arms import Arm, Array
+from rejoint.arms import Arm, Array, solve_position, tcp_pose
+from rejoint.arms.rotations import rotation_about, rotation_vector
 from rejoint.arms.wire.computer import ACCELERATION, FULL_SPEED, NO_LINE, NO_SOLUTION
-from rejoint.arms.wire.motion import Motion
-from rejoint.arms.wire.paths import TimedPath, joint_path, line_path, solve_pose
 
 
 class Mover:
-    """Plans the moves of an arm whose reference begins at ``start`` (n,) [rad]."""
+    """Plans the moves of an arm; its reference begins at ``start`` (n,) [rad]."""
 
     def __init__(self, arm: Arm, start: Array) -> None:
         self.arm = arm
@@ -39,10 +42,9 @@ class Mover:
         return self._motion.paused
 
     def move_joints(self, angles: Array, rate: float) -> bool:
-        """Go to ``angles`` (n,) [rad]; False, and an error code, if they break a limit.
+        """Go to ``angles`` (n,) [rad]: a ramp in fresh mode, else a queued path.
 
-        In fresh mode the servos get the goal at once and ramp to it by themselves; otherwise the
-        move joins the queue and is interpolated.
+        False, and an error code, beyond a limit.
         """
         beyond = ~((angles >= self.lower - 1e-9) & (angles <= self.upper + 1e-9))
         if beyond.any():
@@ -57,10 +59,10 @@ class Mover:
         return True
 
     def move_tool(self, pose: Array, rate: float, *, straight: bool) -> bool:
-        """Bring the tool to ``pose`` (4, 4); False, and an error code, if no posture does it."""
+        """Bring the tool to ``pose`` (4, 4); False, and an error code, where no posture does."""
         start = self.planned_angles if self.fresh else self.destination
         if not straight:
-            goal = solve_pose(self.arm, pose, start)
+            goal = self._posture(pose, start)
             if goal is None:
                 self.error = NO_SOLUTION
                 return False
@@ -81,7 +83,7 @@ class Mover:
         return self._ready() and self._take(path, rate, replace=True)
 
     def jog_tool(self, pose: Array, rate: float) -> bool:
-        """Run the tool straight towards ``pose`` (4, 4) as far as the arm reaches, or until a stop."""
+        """Run the tool straight towards ``pose`` (4, 4) as far as the arm reaches."""
         path, _ = line_path(self.arm, self.planned_angles, pose, FULL_SPEED)
         inside = np.all((path.points >= self.lower) & (path.points <= self.upper), axis=1)
         reach = len(inside) if inside.all() else int(np.argmin(inside))
@@ -96,12 +98,15 @@ class Mover:
         """Forget the waiting moves."""
         self._motion.clear_queue()
 
+    def _posture(self, pose: Array, start: Array) -> Array | None:
+        """Return a posture (n,) [rad] for a pose (4, 4); None if there is none."""
+        return solve_pose(self.arm, pose, start)
+
     def _is_clear(self, angles: Array) -> bool:  # noqa: ARG002 - the vendor's computer does not look
         """Whether nothing is touched at ``angles`` (n,) [rad]; else an error code."""
         return True
 
     def _ready(self) -> bool:
-        """Whether a move may start."""
         return True
 
     def _ramped(self, speed: float, goal: Array) -> None:
@@ -116,3 +121,194 @@ class Mover:
         elif not self._motion.enqueue(path, rate):
             return False
         return True
+
+
+CARTESIAN_SPEED = 0.1
+"""[m/s] highest tool speed on a line (vendor's protocol page)"""
+TURN_SPEED = np.radians(40.0)
+"""[rad/s] highest turning speed on a straight line (same page)"""
+
+_TOLERANCE = 2e-4
+"""[m, rad] accepted error of inverse kinematics (chosen)"""
+_STEP = 0.005
+"""[m] between waypoints of a line (chosen)"""
+_TURN_STEP = np.radians(2.0)
+_MAX_JUMP = np.radians(20.0)
+"""Neighbouring waypoints further apart than this are another branch of solutions."""
+_STARTS = 24
+"""Random postures from which a pose is searched (chosen)"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TimedPath:
+    """Waypoints and when they are passed at full speed."""
+
+    points: Array
+    """(k, n) [rad]"""
+    time: Array
+    """(k,) [s] not decreasing, from 0"""
+
+    def at(self, time: float) -> Array:
+        """Posture (n,) at ``time`` [s]."""
+        return np.array([np.interp(time, self.time, column) for column in self.points.T])
+
+    @property
+    def duration(self) -> float:
+        """[s] at full speed."""
+        return float(self.time[-1])
+
+
+def joint_path(start: Array, goal: Array, speed: float) -> TimedPath:
+    """Straight way in joint space, the longest joint at ``speed`` [rad/s]."""
+    return TimedPath(points=np.stack([start, goal]), time=np.array([0.0, np.abs(goal - start).max() / speed]))
+
+
+def solve_pose(arm: Arm, pose: Array, start: Array) -> Array | None:
+    """Find the posture (n,) for a pose (4, 4) nearest to ``start``; None if there is none."""
+    first = _solve(arm, pose, start[None], 100)
+    if first is not None:
+        return first
+    rng = np.random.default_rng(0)
+    return _solve(arm, pose, rng.uniform(arm.lower, arm.upper, (_STARTS, arm.joints)), 150, near=start)
+
+
+def line_path(arm: Arm, start: Array, pose: Array, speed: float) -> tuple[TimedPath, bool]:
+    """Straight tool line from posture ``start`` to ``pose`` as far as it goes, and whether it arrives."""
+    here = tcp_pose(arm, start)
+    turn = rotation_vector(pose[:3, :3] @ here[:3, :3].T)
+    length, angle = float(np.linalg.norm(pose[:3, 3] - here[:3, 3])), float(np.linalg.norm(turn))
+    axis = turn / max(angle, 1e-12)  # without a turn it is zero, and so is the rotation about it
+    count = max(1, int(np.ceil(max(length / _STEP, angle / _TURN_STEP))))
+    slowest = max(length / CARTESIAN_SPEED, angle / TURN_SPEED) / count
+    points, times = [start], [0.0]
+    for i in range(1, count + 1):
+        via = np.eye(4)
+        via[:3, :3] = rotation_about(axis, angle * i / count) @ here[:3, :3]
+        via[:3, 3] = here[:3, 3] + (pose[:3, 3] - here[:3, 3]) * i / count
+        point = _solve(arm, via, points[-1][None], 40)
+        if point is None or np.abs(point - points[-1]).max() > _MAX_JUMP:
+            return TimedPath(points=np.array(points), time=np.array(times)), False
+        times.append(times[-1] + max(slowest, np.abs(point - points[-1]).max() / speed))
+        points.append(point)
+    return TimedPath(points=np.array(points), time=np.array(times)), True
+
+
+def _solve(arm: Arm, pose: Array, starts: Array, iterations: int, near: Array | None = None) -> Array | None:
+    found = solve_position(arm, pose[:3, 3], starts, rotation=pose[:3, :3], tolerance=_TOLERANCE, iterations=iterations)
+    if not found.converged.any():
+        return None
+    good: Array = found.q[found.converged]
+    return good[np.argmin(np.abs(good - (starts[0] if near is None else near)).max(axis=1))]
+
+
+MAX_QUEUE = 32
+"""Moves kept waiting; further ones are refused (chosen)."""
+
+
+class Motion:
+    """The reference of n joints; knows durations, no clock."""
+
+    def __init__(self, start: Array, *, full_speed: float, acceleration: float) -> None:
+        self.reference = start.copy()
+        """(n,) [rad]"""
+        self.goal = start.copy()
+        """(n,) [rad] where the present move ends"""
+        self.paused = False
+        self._full_speed = full_speed
+        self._acceleration = acceleration / full_speed
+        self.ramp_speed = full_speed
+        """[rad/s] of every joint in the present ramp"""
+        self._path: TimedPath | None = None
+        self._queue: deque[tuple[TimedPath, float]] = deque()
+        self._done = 0.0
+        self._rate = 0.0
+        self._wanted_rate = 1.0
+
+    @property
+    def moving(self) -> bool:
+        """Whether the reference has not arrived or moves are waiting."""
+        return bool(self._queue) or self._path is not None or bool(np.any(self.reference != self.goal))
+
+    @property
+    def interpolating(self) -> bool:
+        """Whether the firmware itself must write set-points."""
+        return self._path is not None
+
+    @property
+    def waiting(self) -> int:
+        """Number of moves in the queue behind the present one."""
+        return len(self._queue)
+
+    @property
+    def end(self) -> Array:
+        """(n,) [rad] where the last move of the queue ends."""
+        return (self._queue[-1][0].points[-1] if self._queue else self.goal).copy()
+
+    def ramp(self, goal: Array, rate: float) -> None:
+        """Drop all moves; every joint runs to ``goal`` at ``rate`` (0..1)."""
+        self.hold()
+        self.goal = goal.copy()
+        self.ramp_speed = rate * self._full_speed
+
+    def follow(self, path: TimedPath, rate: float) -> None:
+        """Forget everything else and follow ``path``."""
+        self.hold()
+        self._begin(path, rate)
+
+    def enqueue(self, path: TimedPath, rate: float) -> bool:
+        """Follow ``path`` after all earlier moves; False: the queue is full."""
+        if self._path is None and not self._queue and not self.moving:
+            self._begin(path, rate)
+        elif len(self._queue) < MAX_QUEUE:
+            self._queue.append((path, rate))
+        else:
+            return False
+        return True
+
+    def hold(self, joint: int | None = None) -> None:
+        """Stop the reference: one joint of a ramp, or everything."""
+        if joint is not None and self._path is None:
+            self.goal[joint] = self.reference[joint]
+            return
+        self.goal = self.reference.copy()
+        self._path, self._rate, self.paused = None, 0.0, False
+        self._queue.clear()
+
+    def clear_queue(self) -> None:
+        """Forget the waiting moves; finish the present one."""
+        self._queue.clear()
+
+    def place(self, joint: int, angle: float) -> None:
+        """Set the reference of a joint that was moved by hand."""
+        self.reference[joint] = self.goal[joint] = angle
+
+    def advance(self, duration: float) -> None:
+        """Let a short ``duration`` [s] pass."""
+        if self.paused:
+            self._rate = 0.0
+            return
+        if self._path is None:
+            reach = self.ramp_speed * duration
+            self.reference = self.reference + np.clip(self.goal - self.reference, -reach, reach)
+            if self._queue and not np.any(self.reference != self.goal):
+                self._begin(*self._queue.popleft())
+            return
+        self._advance_path(self._path, duration)
+
+    def _begin(self, path: TimedPath, rate: float) -> None:
+        self._path, self._done, self._rate, self._wanted_rate = path, 0.0, 0.0, rate
+        self.goal = path.points[-1].copy()
+
+    def _advance_path(self, path: TimedPath, duration: float) -> None:
+        left = path.duration - self._done
+        half = 0.5 * self._acceleration * duration  # the braking distance of a speed that falls in steps
+        braking = np.sqrt(half**2 + 2.0 * self._acceleration * max(left, 0.0)) - half
+        self._rate = min(self._rate + self._acceleration * duration, self._wanted_rate, braking)
+        self._done += self._rate * duration
+        if left <= 1e-9 or path.duration - self._done <= 1e-4:
+            self.reference = self.goal.copy()
+            self._path = None
+            if self._queue:
+                self._begin(*self._queue.popleft())
+        else:
+            self.reference = path.at(self._done)

@@ -1,25 +1,27 @@
-"""What can be ordered over the wire: id -> what the computer does. The acknowledgement says whether it did.
+"""From a request frame to its answer; unknown or malformed requests get none.
 
-Payload layouts: pymycobot 4.0.7 and the vendor's communication protocol page. Acknowledgements are
-one byte; that of 0x22 is known from logs of a real arm, the others are taken to be alike.
+Orders, questions and layouts: pymycobot 4.0.7 and the vendor's protocol page. Orders are acknowledged by one byte.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
-from rejoint.arms import tcp_pose
+from rejoint.arms import Array, tcp_pose
+from rejoint.arms.rotations import to_coords, to_pose
 from rejoint.arms.wire import values
 from rejoint.arms.wire.computer import FULL_SPEED, Computer
-from rejoint.arms.wire.states import joint_index
+from rejoint.arms.wire.mover import solve_pose
+from rejoint.arms.wire.values import Frame
 
 _JOG_LENGTH = 0.6
 """[m] longer than any line inside the arm's reach"""
 _JOG_TURN = np.radians(175.0)
 _GRIPPER = 7
-"""Servo id of a gripper; none is fitted, but it has registers."""
+"""Servo id of a gripper (registers only)"""
 
 
 def _all_joints(computer: Computer, on: bool) -> None:
@@ -44,7 +46,6 @@ SWITCHES: dict[int, Callable[[Computer], None]] = {
 
 
 def _rate(speed_percent: int) -> float:
-    """Speed byte 1..100 as a fraction; what is outside counts as the nearest end."""
     return min(max(speed_percent, 1), 100) / 100.0
 
 
@@ -71,14 +72,13 @@ def _move_one(
 
 
 def _move_axis(computer: Computer, payload: bytes, *, relative: bool) -> bool:
-    """Change one of x y z rx ry rz of the destination."""
     axis = payload[0] - 1
     if not 0 <= axis < 6:
         return False
     value = values.scale_axis(axis, values.unpack_word(payload[1:3]))
-    coords = values.to_coords(tcp_pose(computer.arm, computer.destination))
+    coords = to_coords(tcp_pose(computer.arm, computer.destination))
     coords[axis] = coords[axis] + value if relative else value
-    return computer.move_tool(values.to_pose(coords), _rate(payload[3]), straight=False)
+    return computer.move_tool(to_pose(coords), _rate(payload[3]), straight=False)
 
 
 def _send_angle(computer: Computer, payload: bytes) -> bool:
@@ -90,7 +90,7 @@ def _send_angles(computer: Computer, payload: bytes) -> bool:
 
 
 def _send_coords(computer: Computer, payload: bytes) -> bool:
-    pose = values.to_pose(values.unpack_coords(payload[:12]))
+    pose = to_pose(values.unpack_coords(payload[:12]))
     return computer.move_tool(pose, _rate(payload[12]), straight=payload[13:] == b"\x01")
 
 
@@ -104,7 +104,6 @@ def _jog_increment_angle(computer: Computer, payload: bytes) -> bool:
 
 
 def _jog_axis(computer: Computer, axis: int, payload: bytes) -> bool:
-    """Run the tool along (0-2) or around (3-5) an axis of the base."""
     if not 0 <= axis < 6:
         return False
     sign = 1.0 if payload[1] else -1.0
@@ -114,7 +113,7 @@ def _jog_axis(computer: Computer, axis: int, payload: bytes) -> bool:
     else:
         turn = np.zeros(6)
         turn[axis] = sign * _JOG_TURN
-        pose[:3, :3] = values.to_pose(turn)[:3, :3] @ pose[:3, :3]
+        pose[:3, :3] = to_pose(turn)[:3, :3] @ pose[:3, :3]
     return computer.jog_tool(pose, _rate(payload[2]))
 
 
@@ -129,7 +128,6 @@ def _set_encoders(computer: Computer, payload: bytes) -> bool:
 
 
 def _set_encoders_drag(computer: Computer, payload: bytes) -> bool:
-    """Positions and speeds of all joints; all joints get the highest of the speeds."""
     step = computer.arm.encoder_step
     speed = float(values.unpack_int16(payload[12:]).max()) * step
     angles = values.encoder_angle(values.unpack_int16(payload[:12]), step)
@@ -137,7 +135,6 @@ def _set_encoders_drag(computer: Computer, payload: bytes) -> bool:
 
 
 def _set_limit(computer: Computer, payload: bytes, *, upper: bool) -> bool:
-    """Narrow a joint's range; it never becomes wider than the arm's own."""
     joint = joint_index(computer, payload[0])
     if joint is None:
         return False
@@ -173,7 +170,6 @@ def _brake(computer: Computer, payload: bytes) -> bool:
 
 
 def _switch_servo(computer: Computer, identity: int, *, on: bool) -> bool:
-    """Switch one servo, or all with id 0."""
     joint = joint_index(computer, identity)
     if (joint is None and identity != 0) or (on and not computer.powered):
         return False
@@ -184,8 +180,7 @@ def _switch_servo(computer: Computer, identity: int, *, on: bool) -> bool:
 
 
 _FRAMES = {0x81: 12, 0x83: 12, 0x85: 1, 0x87: 1, 0x89: 1}
-"""Orders that change what coordinates mean (frames of tool and base, lines as a rule), and their lengths [bytes]. Only
-zeros, the arm's own frames, are carried out: to take coordinates in another frame for these would go elsewhere"""
+"""Orders that change coordinate frames, and their lengths [bytes]; only zeros (the arm's own frames) are accepted"""
 
 
 def _own_frame(_: Computer, payload: bytes) -> bool:
@@ -218,4 +213,135 @@ ORDERS: dict[int, tuple[tuple[int, ...], Callable[[Computer, bytes], bool]]] = {
     **{identity: ((length,), _own_frame) for identity, length in _FRAMES.items()},
     0x6A: ((3,), lambda _computer, _payload: True),  # colour of a lamp that is not there
 }
-"""Orders with a payload: its accepted lengths [bytes] and what is done; False is a refusal."""
+"""Orders: accepted lengths [bytes] and what is done; False: refused"""
+
+
+MODIFY_VERSION = 1
+SYSTEM_VERSION = 73
+"""Computer 7.3, the first with the present joint limits"""
+DEFAULT_REGISTERS = {21: 10, 22: 0, 23: 1, 24: 0}
+"""Servo registers P, I, D and minimum start force (vendor's manual)."""
+
+
+def flag(value: bool) -> bytes:
+    """One byte; as acknowledgement 1 done, 0 refused."""
+    return b"\x01" if value else b"\x00"
+
+
+def joint_index(computer: Computer, identity: int) -> int | None:
+    """Index of the joint called 1..n on the wire; None for other servos."""
+    return identity - 1 if 1 <= identity <= computer.arm.joints else None
+
+
+def _angles_and_coords(computer: Computer) -> bytes:
+    angles = computer.angles
+    return values.pack_angles(angles) + values.pack_coords(tcp_pose(computer.arm, angles))
+
+
+STATES: dict[int, Callable[[Computer], bytes]] = {
+    0x01: lambda _: bytes((MODIFY_VERSION,)),
+    0x02: lambda _: bytes((SYSTEM_VERSION,)),
+    0x06: lambda _: flag(True),
+    0x07: lambda computer: bytes((computer.error,)),
+    0x12: lambda computer: flag(computer.powered),
+    0x14: lambda _: flag(True),
+    0x15: lambda _: bytes(7),
+    0x17: lambda computer: flag(computer.fresh),
+    0x1B: lambda computer: flag(computer.powered and not computer.enabled.any()),
+    0x20: lambda computer: values.pack_angles(computer.angles),
+    0x23: lambda computer: values.pack_coords(computer.pose),
+    0x27: lambda computer: flag(computer.paused),
+    0x2B: lambda computer: flag(computer.moving),
+    0x3D: lambda computer: values.pack_encoders(computer.angles, computer.arm.encoder_step),
+    0x51: lambda computer: flag(bool(computer.enabled.all())),
+    **{identity: lambda _: bytes(12) for identity in (0x82, 0x84)},  # frames of tool and base: the arm's own
+    **{identity: lambda _: flag(False) for identity in (0x86, 0x88, 0x8A)},  # which of them counts, and lines as a rule
+    0xC1: lambda _: bytes((SYSTEM_VERSION,)),
+    0xD5: _angles_and_coords,
+    0xD8: lambda _: values.pack_int16([1]),
+    0xE1: lambda computer: values.pack_int16(computer.speed / computer.arm.encoder_step),
+    0xE2: lambda computer: values.pack_int16(computer.current * 1e3),
+    0xE3: lambda computer: values.pack_bytes(computer.voltage * 10.0),
+    0xE4: lambda computer: values.pack_bytes(computer.alarms),
+    0xE5: lambda computer: values.pack_bytes(computer.temperature),
+    0xF6: lambda computer: values.pack_angles(computer.planned_angles),
+    0xF7: lambda computer: values.pack_coords(tcp_pose(computer.arm, computer.planned_angles)),
+}
+"""Questions without a payload."""
+
+
+def _coords_of(computer: Computer, payload: bytes) -> bytes:
+    return values.pack_coords(tcp_pose(computer.arm, values.unpack_angles(payload)))
+
+
+def _is_in_position(computer: Computer, payload: bytes) -> bytes:
+    if payload[12]:
+        return flag(computer.at_pose(to_pose(values.unpack_coords(payload[:12]))))
+    return flag(computer.in_position(values.unpack_angles(payload[:12])))
+
+
+def _encoder(computer: Computer, payload: bytes) -> bytes:
+    joint = joint_index(computer, payload[0])
+    if joint is None:  # the gripper; none is fitted
+        return values.pack_int16([-1])
+    return values.pack_encoders(computer.angles[joint : joint + 1], computer.arm.encoder_step)
+
+
+def _limit(limits: Array, payload: bytes) -> bytes | None:
+    if not 1 <= payload[0] <= len(limits):
+        return None
+    return payload + values.pack_int16([np.degrees(limits[payload[0] - 1]) * values.LIMIT_SCALE])
+
+
+def _is_servo_enabled(computer: Computer, payload: bytes) -> bytes:
+    joint = joint_index(computer, payload[0])
+    return payload + flag(joint is not None and bool(computer.enabled[joint]))
+
+
+def _register(computer: Computer, payload: bytes) -> bytes:
+    value = computer.registers.get((payload[0], payload[1]), DEFAULT_REGISTERS.get(payload[1], 0))
+    return values.pack_int16([value]) if payload[2:] == b"\x01" else bytes((value & 0xFF,))
+
+
+def _inverse_kinematics(computer: Computer, payload: bytes) -> bytes | None:
+    pose = to_pose(values.unpack_coords(payload[:12]))
+    angles = solve_pose(computer.arm, pose, values.unpack_angles(payload[12:]))
+    return None if angles is None else values.pack_angles(angles)
+
+
+QUESTIONS: dict[int, tuple[tuple[int, ...], Callable[[Computer, bytes], bytes | None]]] = {
+    0x23: ((12,), _coords_of),
+    0x2A: ((13,), _is_in_position),
+    0x3B: ((1,), _encoder),
+    0x4A: ((1,), lambda computer, payload: _limit(computer.lower, payload)),
+    0x4B: ((1,), lambda computer, payload: _limit(computer.upper, payload)),
+    0x50: ((1,), _is_servo_enabled),
+    0x53: ((2, 3), _register),
+    0x8D: ((24,), _inverse_kinematics),
+}
+"""Questions: accepted lengths [bytes] and the answer; None: silence"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reply:
+    """An answer; reports of states are slower than acknowledgements."""
+
+    frame: Frame
+    is_state: bool
+
+
+def answer(computer: Computer, request: Frame) -> Reply | None:
+    """Carry out ``request``; None if the robot stays silent."""
+    command, payload = request.command, request.payload
+    answered: bytes | None = None
+    is_state = command in STATES or command in QUESTIONS
+    if not payload and command in STATES:
+        answered = STATES[command](computer)
+    elif payload and command in QUESTIONS and len(payload) in QUESTIONS[command][0]:
+        answered = QUESTIONS[command][1](computer, payload)
+    elif not payload and command in SWITCHES:
+        SWITCHES[command](computer)
+        answered = flag(True)
+    elif payload and command in ORDERS and len(payload) in ORDERS[command][0]:
+        answered = flag(ORDERS[command][1](computer, payload))
+    return None if answered is None else Reply(frame=Frame(command, answered), is_state=is_state)

@@ -1,18 +1,20 @@
-"""Numbers as they travel: scaled, truncated, big-endian signed 16-bit; poses as x y z rx ry rz.
+"""Frames and numbers of the myCobot wire: big-endian signed 16-bit, truncated.
 
-Scales: angles x100 [deg], positions x10 [mm], orientations x100 [deg], joint limits x10 [deg]
-(vendor's communication protocol page). The firmware truncates: logs of a real arm show one encoder
-step (0.0879 deg) as 0.08 and two as 0.17.
+A frame is ``FE FE LEN ID payload FA``, LEN = payload bytes + 2, without checksum or escapes. Angles x100 [deg],
+positions x10 [mm], joint limits x10 [deg]. Source: elephantrobotics/mycobot_docs, 18-communication, and pymycobot
+4.0.7.
 """
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 
 from rejoint.arms import Array
+from rejoint.arms.rotations import to_coords
 
 ANGLE_SCALE = 100.0
 LENGTH_SCALE = 10.0
@@ -23,7 +25,7 @@ ENCODER_ZERO = 2048
 
 _POSE_SCALE = np.array([LENGTH_SCALE * 1e3] * 3 + [np.degrees(1.0) * ANGLE_SCALE] * 3)
 _SAME = 6
-"""Decimals kept before truncation, so that 45 deg computed in radians stays 45.00."""
+"""Decimals kept before truncation"""
 
 
 def pack_int16(values: Iterable[float]) -> bytes:
@@ -68,36 +70,8 @@ def unpack_coords(payload: bytes) -> Array:
 
 
 def scale_axis(axis: int, value: float) -> float:
-    """One coordinate as it travels to SI: axes 0-2 are lengths [m], 3-5 angles [rad]."""
+    """Return a coordinate in SI: axes 0-2 [m], 3-5 [rad]."""
     return float(value / _POSE_SCALE[axis])
-
-
-def to_coords(pose: Array) -> Array:
-    """Pose (4, 4) to position [m] and Euler angles rx, ry, rz [rad] with R = Rz Ry Rx, (6,).
-
-    At the singularity (ry = +-90 deg) rx is chosen zero.
-    """
-    r = pose[:3, :3]
-    cosine = np.hypot(r[0, 0], r[1, 0])
-    ry = np.arctan2(-r[2, 0], cosine)
-    if cosine > 1e-9:
-        rx, rz = np.arctan2(r[2, 1], r[2, 2]), np.arctan2(r[1, 0], r[0, 0])
-    else:
-        rx, rz = 0.0, np.arctan2(-r[0, 1], r[1, 1])
-    return np.array([*pose[:3, 3], rx, ry, rz])
-
-
-def to_pose(coords: Array) -> Array:
-    """Inverse of `to_coords`."""
-    (sx, sy, sz), (cx, cy, cz) = np.sin(coords[3:]), np.cos(coords[3:])
-    pose = np.eye(4)
-    pose[:3, :3] = [
-        [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],
-        [sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx],
-        [-sy, cy * sx, cy * cx],
-    ]
-    pose[:3, 3] = coords[:3]
-    return pose
 
 
 def pack_encoders(angles: Array, step: float) -> bytes:
@@ -108,3 +82,80 @@ def pack_encoders(angles: Array, step: float) -> bytes:
 def encoder_angle(count: float | Array, step: float) -> Array:
     """Joint angle [rad] at an encoder count."""
     return (np.asarray(count, dtype=float) - ENCODER_ZERO) * step
+
+
+HEADER = b"\xfe\xfe"
+FOOTER = 0xFA
+MAX_PAYLOAD = 28
+"""[bytes] longest payload that the client's reader accepts"""
+
+_OVERHEAD = 2
+"""LEN counts the command id and the footer besides the payload."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One command or one reply; both carry the same id."""
+
+    command: int
+    payload: bytes = b""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.command <= 0xFF or len(self.payload) > MAX_PAYLOAD:
+            raise ValueError(
+                f"a frame holds an id of one byte and at most {MAX_PAYLOAD} payload bytes, "
+                f"got id {self.command} and {len(self.payload)} bytes"
+            )
+
+
+def encode(frame: Frame) -> bytes:
+    """Bytes of a frame."""
+    return HEADER + bytes((len(frame.payload) + _OVERHEAD, frame.command)) + frame.payload + bytes((FOOTER,))
+
+
+def split(buffer: bytes) -> tuple[list[Frame], bytes]:
+    """Find every whole frame in ``buffer``; return them and the rest, shorter than a frame. Garbage is skipped."""
+    frames: list[Frame] = []
+    start = 0
+    while True:
+        start = buffer.find(HEADER, start)
+        if start < 0:
+            return frames, buffer[-1:] if buffer.endswith(HEADER[:1]) else b""
+        if len(buffer) < start + 3:
+            return frames, buffer[start:]
+        length = buffer[start + 2]
+        end = start + 3 + length
+        if not _OVERHEAD <= length <= MAX_PAYLOAD + _OVERHEAD:
+            start += 1
+        elif len(buffer) < end:
+            return frames, buffer[start:]
+        elif buffer[end - 1] != FOOTER:
+            start += 1
+        else:
+            frames.append(Frame(buffer[start + 3], buffer[start + 4 : end - 1]))
+            start = end
+
+
+class Decoder:
+    """Finds frames in a stream that arrives in pieces."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+
+    @property
+    def pending(self) -> bool:
+        """Whether bytes are kept that may begin a frame."""
+        return bool(self._rest)
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """Take the next bytes; return the frames that they complete."""
+        frames, self._rest = split(self._rest + data)
+        return frames
+
+    def expire(self) -> list[Frame]:
+        """Give up the rest of a half frame; return the frames behind its header."""
+        frames: list[Frame] = []
+        while self._rest:
+            found, self._rest = split(self._rest[1:])
+            frames += found
+        return frames

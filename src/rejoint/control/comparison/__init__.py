@@ -1,1 +1,1 @@
-"""Every controller on the same arm: protocols, metrics, intervals, and a recommendation."""
+"""Every controller on the same arm: protocols, metrics, intervals, recommendation."""

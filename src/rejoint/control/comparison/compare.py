@@ -1,49 +1,79 @@
 """Try every controller on the same arm, with the same targets, from the same start.
 
-On emulated arms all trials of a controller run side by side as one batch of equal arms with
-different noise, the same for every controller. On a real arm the trials run one after the other, the
-controllers interleaved in random order, so that a warming or loosening arm favours none of them; one that fails is
-driven no further (`rejoint.control.comparison.elimination`), and in a race one that is beaten neither
-(`rejoint.control.comparison.racing`).
+Emulated arms run all trials of a controller as one batch with the same noise for every controller. A real arm runs them
+in turns and random order, so that drift favours no controller; with elimination in blocks of targets, held once (a hold
+also tells the first crossing).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.arms.orientation import Orientation
-from rejoint.control.accuracy import ToolModel
-from rejoint.control.comparison.counting import Targets
-from rejoint.control.comparison.driven import Driven, Places, measure
-from rejoint.control.comparison.elimination import Watched
-from rejoint.control.comparison.ledger import Ledger
-from rejoint.control.comparison.onearm import OneArm
-from rejoint.control.comparison.protocols import KINDS, Kind, schedule
-from rejoint.control.comparison.racing import Race
+from rejoint.arms.rotations import Orientation
+from rejoint.control.comparison.elimination import MISSES, Elimination, Watched, missed_in_a_row, worse
+from rejoint.control.comparison.ledger import Helper, Ledger, Shared
+from rejoint.control.comparison.protocols import KINDS, Driven, Kind, Place, Places, Tally, measure, schedule, summarise
 from rejoint.control.comparison.result import Comparison, Protocol
-from rejoint.control.comparison.sharing import Helper, Shared
-from rejoint.control.comparison.summary import Tally, cut_to_driven, summarise
+from rejoint.control.contract import check_controller_period
 from rejoint.control.controller import Controller
-from rejoint.control.correction import Correction
+from rejoint.control.correction import Modelled, ToolModel
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import run
-from rejoint.control.poses import in_words
-from rejoint.control.recording import Recording
+from rejoint.control.recording import Cycle, Recording
 from rejoint.control.robot import Robot
-from rejoint.control.servogains import limits_under, under_gains
-from rejoint.control.start import Stance
+from rejoint.control.servogains import limits_under, require_gains, under_gains
+from rejoint.control.start import Stance, begin, move
+from rejoint.control.targets import in_words
 from rejoint.logs.runlog import RunLog
-from rejoint.system.errors import InputError
+from rejoint.system.errors import ContractError, InputError
 from rejoint.system.progress import Progress, no_progress
+
+PROGRESS_CYCLES = 40
+"""Cycles between two reports of progress (chosen)"""
+
+
+class Targets:
+    """Counts the targets that are finished, and reports their share."""
+
+    def __init__(self, report: Progress, total: int) -> None:
+        self._report, self._total = report, total
+        self._done = self._size = self._cycles = 0
+        self._text = ""
+
+    def watch(self, text: str, size: int) -> Callable[[Cycle], None]:
+        """Begin ``size`` targets under the label ``text``; the result sees every cycle."""
+        self._text, self._size, self._cycles = text, size, 0
+        return self._see
+
+    def finish(self) -> None:
+        """Count what was begun as done."""
+        self._done += self._size
+        self._report(self._done / self._total, self._text)
+
+    def skip(self, size: int) -> None:
+        """Count ``size`` targets that are not driven as done."""
+        self._size = size
+        self.finish()
+
+    def skip_rest(self) -> None:
+        """Count all that is left as done."""
+        if self._done < self._total:
+            self.skip(self._total - self._done)
+
+    def _see(self, cycle: Cycle) -> None:
+        if self._cycles % PROGRESS_CYCLES == 0:
+            self._report((self._done + int(cycle.target_index.sum())) / self._total, self._text)
+        self._cycles += 1
+
 
 OpenRobot = Callable[[int, int], Robot]
 """Opens a robot of ``count`` arms with a noise ``seed``."""
 ControllerFactory = Callable[[Arm], Controller]
-MakeCorrection = Callable[[Arm], Correction]
+MakeCorrection = Callable[[Arm], Modelled]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,7 +88,7 @@ class Trial:
     arm_index: int
     """which arm of the recording"""
     first: int = 0
-    """index of its first target in the set: in a race, a set is held in parts"""
+    """index of its first target in the set"""
 
     @property
     def label(self) -> str:
@@ -74,7 +104,7 @@ OnTrial = Callable[[Trial], object]
 """Called after every trial, so that its log can be kept."""
 
 MOST = 10_000
-"""Target sets times repetitions of a comparison at most (chosen: a month of processor time, and memory for all)"""
+"""Most target sets times repetitions (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,183 +114,251 @@ class Settings:
     repetitions: int = 1
     seed: int = 0
     batched: bool
-    """True: side by side on emulated arms; False: one after the other on one arm"""
+    """True: side by side on emulated arms; False: in turns on one arm"""
     protocol: Protocol = field(default_factory=Protocol)
     leave_out: bool = False
-    """whether a policy that does not suit the measured control period is left out instead of refused"""
-    race: Race | None = None
-    """when a comparison on one arm is decided; None: every controller is driven to all targets"""
+    """whether a policy that does not suit the measured period is left out instead of refused"""
+    elimination: Elimination | None = None
+    """how controllers are eliminated on one arm; None: not at all"""
     wait: bool = False
-    """whether a target that is not crossed is waited for to the end, also by an arm that stands: as the paper did, to
-    the letter. Either way it counts as waited for"""
+    """whether a stationary arm keeps an uncrossed target to the end, as in the paper"""
 
     def __post_init__(self) -> None:
         if self.repetitions < 1:
             raise InputError(f"comparison: repetitions must be at least 1, got {self.repetitions}")
-        if self.batched and self.race is not None:
-            raise InputError("comparison: arms side by side do not race, all of them are driven to the end")
+        if self.batched and self.elimination is not None:
+            raise InputError("comparison: arms side by side are all driven to the end, none is eliminated")
 
 
-def compare(
-    open_robot: OpenRobot,
-    controllers: Mapping[str, ControllerFactory],
-    targets: Array,
-    settings: Settings,
-    *,
-    on_progress: Progress = no_progress,
-    on_trial: OnTrial | None = None,
-    ledger: Ledger | None = None,
-    limits: GuardLimits | None = None,
-    stance: Stance | None = None,
-    correction: MakeCorrection | None = None,
-    model: ToolModel | None = None,
-    measured: Sequence[Driven] = (),
-    source: str = "",
-    turns: Orientation | None = None,
-    helper: Helper | None = None,
-) -> Comparison:
-    """Compare ``controllers`` by name on ``targets`` (S, K, 3) [m], with the tools turned as in ``turns`` (S, K).
-
-    Trials of a batch that the guard ends count as failures; on a single arm the trip ends the
-    comparison, as does an error of the robot. A command that is not a number costs its controller the trial in both.
-    What is done already by the ``ledger`` is not driven again. ``limits`` are the guard's, by default those of the arm.
-    A single arm that does not stand at rest as its ``stance`` says is not driven: NotReadyError.
-    In a race, what is ``measured`` already is not driven either; ``source`` says in a few words where.
-    A ``correction`` aims for all controllers alike. Where nobody knows where the tool is, a ``model`` says how far it
-    is from its targets. Of a batch, a ``helper`` drives a part of the trials in another process; ``on_trial`` is called
-    for those whose recording it hands over.
-    """
-    targets = np.asarray(targets, dtype=float)
-    if targets.ndim != 3 or targets.shape[2] != 3 or 0 in targets.shape or not np.isfinite(targets).all():
-        raise InputError(f"comparison: targets have shape {targets.shape}, expected finite (sets, targets, 3)")
-    if not controllers:
-        raise InputError("comparison: no controllers given")
-    shape = (targets.shape[0], settings.repetitions, targets.shape[1])
-    if shape[0] * shape[1] > MOST:
-        raise InputError(f"comparison: {shape[0]} sets times {shape[1]} repetitions, at most {MOST} were expected")
-    trips = len(KINDS) if settings.race is None else 1
-    session = TrialRunner(
-        open_robot=open_robot, controllers=dict(controllers), targets=targets, settings=settings, shape=shape,
-        tallies={name: Tally(shape, settings.protocol, raced=settings.race is not None) for name in controllers},
-        ledger=ledger or Ledger.nowhere(), limits=limits, stance=stance, correction=correction, model=model,
-        progress=Targets(on_progress, len(controllers) * trips * int(np.prod(shape))), on_trial=on_trial,
-        measured=tuple(measured), source=source, turns=turns, helper=helper,
-    )  # fmt: skip
-    robot = session.run_batched() if settings.batched else session.run_interleaved()
-    tallies = {name: session.tallies[name] for name in session.controllers}
-    most = None
-    if settings.race is not None:
-        most = shape[:2]
-        targets = targets[: cut_to_driven(tallies)]
-    result = summarise(robot, settings.seed, settings.batched, targets, tallies)
-    if turns is not None:
-        shape = targets.shape[:2]
-        words = tuple(tuple(in_words(turns[s, k]) for k in range(shape[1])) for s in range(shape[0]))
-        result = replace(result, orientations=words)
-    return replace(result, left_out=tuple(session.left_out), race=settings.race, most=most)
+LONG_GAP = 2.0
+"""[s] pause in the answers after which a trial is repeated (chosen)"""
+REPEATS = 2
+"""Most repetitions of such a trial; the last one counts"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(eq=False)
 class TrialRunner:
-    """What is to be driven, and what came out so far."""
+    """Compares ``controllers`` by name on ``targets``; `compare` drives them.
+
+    A trip of the guard fails a trial of a batch, and ends the comparison on one arm, as does an error of the robot. A
+    command that is no number costs its controller the trial. Trials in the ledger are not driven again.
+    """
 
     open_robot: OpenRobot
-    controllers: dict[str, ControllerFactory]
+    controllers: Mapping[str, ControllerFactory]
     targets: Array
+    """(S, K, 3) [m]"""
     settings: Settings
-    shape: tuple[int, int, int]
-    tallies: dict[str, Tally]
-    ledger: Ledger
-    limits: GuardLimits | None
-    stance: Stance | None
-    correction: MakeCorrection | None
-    model: ToolModel | None
-    progress: Targets
-    on_trial: OnTrial | None
-    measured: tuple[Driven, ...]
-    source: str
+    _: KW_ONLY
     turns: Orientation | None = None
+    """(S, K) wanted orientations; None: any"""
+    limits: GuardLimits | None = None
+    stance: Stance | None = None
+    """expected rest posture of a single arm"""
+    correction: MakeCorrection | None = None
+    """makes the aims, for all controllers alike"""
+    model: ToolModel | None = None
+    """tells tool errors that are not known"""
+    ledger: Ledger | None = None
+    on_progress: Progress = no_progress
+    on_trial: OnTrial | None = None
+    measured: Sequence[Driven] = ()
+    """trials that elimination takes over, from ``source``"""
+    source: str = ""
     helper: Helper | None = None
-    left_out: list[str] = field(default_factory=list)
+    """drives a part of a batch in another process; ``on_trial`` receives the recordings that it returns"""
 
-    def run_batched(self) -> Robot:
-        """Run every controller's trials as one batch; returns a robot, closed."""
-        sets, repetitions, _ = self.shape
-        places = tuple((s, r) for s in range(sets) for r in range(repetitions))
-        tasks = [(name, kind) for name in self.controllers for kind in KINDS if self.known(name, kind, places) is None]
+    def __post_init__(self) -> None:
+        targets, settings = np.asarray(self.targets, dtype=float), self.settings
+        if targets.ndim != 3 or targets.shape[2] != 3 or 0 in targets.shape or not np.isfinite(targets).all():
+            raise InputError(f"comparison: targets have shape {targets.shape}, expected finite (sets, targets, 3)")
+        if not self.controllers:
+            raise InputError("comparison: no controllers given")
+        sets, count = targets.shape[:2]
+        if sets * settings.repetitions > MOST:
+            raise InputError(
+                f"comparison: {sets} sets times {settings.repetitions} repetitions, at most {MOST} were expected"
+            )
+        self.targets, self.shape, self.left_out = targets, (sets, settings.repetitions, count), list[str]()
+        self._taking_part = dict(self.controllers)
+        self.blocks, protocol = settings.elimination is not None, settings.protocol
+        self.tallies = {name: Tally(self.shape, protocol, blocks=self.blocks) for name in self.controllers}
+        runs = len(self.controllers) * (1 if self.blocks else len(KINDS))
+        self._progress = Targets(self.on_progress, runs * int(np.prod(self.shape)))
+        self._sent: Array | None = None
+        self._ledger = self.ledger or Ledger.nowhere()
+        self._rng = np.random.default_rng(settings.seed)
+
+    def compare(self) -> Comparison:
+        """Drive all trials and sum them up; NotReadyError where a single arm is not at rest as its stance says."""
+        settings, turns = self.settings, self.turns
+        robot = self._side_by_side() if settings.batched else self._in_turns()
+        tallies = {name: self.tallies[name] for name in self._taking_part}
+        sets, _, count = self.shape
+        words = () if turns is None else (tuple(in_words(turns[s, k]) for k in range(count)) for s in range(sets))
+        result = summarise(robot, settings.seed, settings.batched, self.targets, tallies, words)
+        block = 0 if settings.elimination is None else settings.elimination.block
+        return replace(result, left_out=tuple(self.left_out), block=block)
+
+    # --- side by side -------------------------------------------------------------------------
+
+    def _side_by_side(self) -> Robot:
+        places = tuple((s, r) for s in range(self.shape[0]) for r in range(self.shape[1]))
+        tasks = [(name, kind) for name in self.controllers for kind in KINDS if self._known(name, kind, places) is None]
         shared, robot = Shared(tasks, self.helper, places), None
         for name, kind in shared.here():
             robot = self.open_batch(places)
-            self.take(self.drive_batch(robot, name, kind, places)[0])
-            for found in shared.arrived():
-                self._take_over(*found)
-        for found in shared.arrived():
-            self._take_over(*found)
+            self._take(self.drive_batch(robot, name, kind, places)[0])
+            self._take_over(shared)
+        self._take_over(shared)
         if robot is None:
             robot = self.open_batch(places)
             robot.close()
         return robot
 
     def open_batch(self, places: Places) -> Robot:
-        """Open a robot with an arm for each trial, as every controller and protocol gets it anew."""
+        """Open a robot with an arm for each trial."""
         return self.open_robot(len(places), self.settings.seed)
 
     def drive_batch(self, robot: Robot, name: str, kind: Kind, places: Places) -> tuple[Driven, Recording]:
-        """Run one protocol for all trials of a controller, side by side, and close their ``robot``."""
+        """Run a protocol for all trials of a controller side by side, and close ``robot``."""
         try:
-            return self.drive(robot, self.controllers[name](robot.arm), name, kind, places)
+            return self._drive(robot, self.controllers[name](robot.arm), name, kind, places)
         finally:
             robot.close()
 
-    def _take_over(self, driven: Driven, recording: Recording) -> None:
-        """Take over what a helper has driven."""
-        self._tell(driven.controller, driven.kind, driven.places[: recording.time.shape[1]], recording)
-        self.tallies[driven.controller].add(driven)
-        self.ledger.add(driven)
-        self.progress.skip(len(driven.places) * driven.targets)
+    def _take_over(self, shared: Shared) -> None:
+        for driven, recording in shared.arrived():
+            self._hand_on(driven.controller, driven.kind, driven.places[: recording.time.shape[1]], recording)
+            self.tallies[driven.controller].add(driven)
+            self._ledger.add(driven)
+            self._progress.skip(len(driven.places) * driven.targets)
 
-    def run_interleaved(self) -> Robot:
-        """Run the trials one after the other on one arm; returns it, closed."""
+    # --- in turns on one arm --------------------------------------------------------------------
+
+    def _in_turns(self) -> Robot:
         robot = self.open_robot(1, self.settings.seed)
         try:
-            trials = OneArm(self, robot)
-            if self.settings.race is None:
-                trials.drive_all()
+            if self.settings.elimination is None:
+                for place in self._places():
+                    for name in map(str, self._rng.permutation(list(self.tallies))):
+                        for kind in KINDS:
+                            self._try(robot, name, kind, place, slice(0, self.shape[2]))
             else:
-                trials.race(self.settings.race)
+                self._eliminate(robot, self.settings.elimination)
         finally:
             robot.close()
         return robot
 
-    def known(self, name: str, kind: Kind, places: Places, first: int = 0) -> Driven | None:
-        """Take over what is done already."""
-        driven = self.ledger.done.get((name, kind, places, first))
-        if driven is not None:
-            self.tallies[name].add(driven)
-            self.progress.skip(len(places) * driven.targets)
+    def _eliminate(self, robot: Robot, rules: Elimination) -> None:
+        """Drive block by block until one is left or all is done."""
+        sets, repetitions, count = self.shape
+        firsts = range(0, count, rules.block)
+        tests = max(len(firsts) * sets * repetitions * (len(self._left()) - 1), 1)
+        for driven in self.measured:
+            tally = self.tallies[driven.controller]
+            tally.add(driven)
+            tally.source = self.source
+            self._judge(driven)
+        for place in self._places():
+            for first in firsts:
+                left = self._left()
+                if not left or (len(left) == 1 and np.isfinite(self._results(left[0])["crossed"]).any()):
+                    break
+                for name in map(str, self._rng.permutation(left)):
+                    self._try(robot, name, "hold", place, slice(first, min(first + rules.block, count)))
+                results = {name: self._results(name) for name in self._left()}
+                for name, why in worse(results, rules, tests).items():
+                    self.tallies[name].out = why
+        self._progress.skip_rest()
+
+    def _left(self) -> list[str]:
+        return [name for name in self._taking_part if not self.tallies[name].out]
+
+    def _places(self) -> list[Place]:
+        return [(s, r) for r in range(self.shape[1]) for s in range(self.shape[0])]
+
+    def _results(self, name: str) -> dict[str, Array]:
+        columns = self.tallies[name].columns  # in the order of driving
+        return {key: np.swapaxes(columns[key], 0, 1).ravel() for key in ("crossed", "settled")}
+
+    def _try(self, robot: Robot, name: str, kind: Kind, place: Place, part: slice) -> None:
+        """Drive a ``part`` of the targets of a trial, unless it is done or its controller eliminated."""
+        size, column = part.stop - part.start, self.tallies[name].columns["held" if kind == "hold" else "crossed"]
+        if name not in self._left() or np.isfinite(column[place][part]).all():  # the diagnosis measured it
+            self._progress.skip(size)
+            return
+        driven = self._known(name, kind, (place,), part.start)
+        if driven is None:
+            self._to_rest(robot)
+            if name not in self._taking_part:  # its period does not suit, as the first motion has shown
+                self._progress.skip(size)
+                return
+            driven = self._insist(robot, name, kind, place, part)
+            self._take(driven)
+        self._judge(driven)
+
+    def _judge(self, driven: Driven) -> None:
+        tally, (s, r) = self.tallies[driven.controller], driven.places[0]
+        where = f"set {s + 1}, repetition {r + 1}"
+        if driven.failed:
+            tally.out = f"gave a command that is not a number ({driven.kind} protocol, {where})"
+        elif missed_in_a_row(self._results(driven.controller)["crossed"]):
+            tally.out = f"missed {MISSES} targets in a row ({where})"
+
+    def _insist(self, robot: Robot, name: str, kind: Kind, place: Place, part: slice) -> Driven:
+        for repeat in range(REPEATS + 1):
+            controller = Watched(self.controllers[name](robot.arm))
+            driven, recording = self._drive(robot, controller, name, kind, (place,), part)
+            self._sent = recording.command[-1]
+            if recording.gaps().max(initial=0.0) < LONG_GAP or repeat == REPEATS:
+                break
+            self._to_rest(robot)
         return driven
 
-    def take(self, driven: Driven) -> None:
-        """Take over what was just driven."""
+    def _to_rest(self, robot: Robot) -> None:
+        if self._sent is None:
+            motion = begin(robot, self.limits, self.stance)
+            self._check_period(robot, motion.usual_period())
+        else:
+            motion = move(robot, robot.arm.rest, sent=self._sent, limits=self.limits)
+        self._sent = motion.command[-1]
+
+    def _check_period(self, robot: Robot, period: float) -> None:
+        for name in list(self._taking_part):
+            try:
+                controller = self.controllers[name](robot.arm)
+                check_controller_period(controller, period)
+                require_gains(robot, controller)
+            except ContractError as error:
+                if not self.settings.leave_out or len(self._taking_part) == 1:
+                    raise
+                self.left_out.append(f"{name} did not take part: {error}.")
+                del self._taking_part[name]
+
+    # --- a trial ------------------------------------------------------------------------------
+
+    def _known(self, name: str, kind: Kind, places: Places, first: int = 0) -> Driven | None:
+        driven = self._ledger.done.get((name, kind, places, first))
+        if driven is not None:
+            self.tallies[name].add(driven)
+            self._progress.skip(len(places) * driven.targets)
+        return driven
+
+    def _take(self, driven: Driven) -> None:
         self.tallies[driven.controller].add(driven)
-        self.ledger.add(driven)
-        self.progress.finish()
+        self._ledger.add(driven)
+        self._progress.finish()
 
-    def drive(
-        self, robot: Robot, controller: Controller, name: str, kind: Kind, places: Places, sent: Array | None = None,
-        part: slice = slice(None), *, both: bool = False,
-    ) -> tuple[Driven, Recording]:  # fmt: skip
-        """Run one protocol for the trials (set, repetition) in ``places``, with a ``part`` of the targets of a set.
-
-        With ``both``, holds tell as well when their targets were crossed.
-        """
-        targets, first = self.targets[[s for s, _ in places]][:, part], part.start or 0
-        turns = None if self.turns is None else self.turns[[s for s, _ in places]][:, part]
-        plan = schedule(
-            kind, self.settings.protocol, keep_going=self.settings.batched, sent=sent, wait=self.settings.wait
-        )
-        on_cycle = self.progress.watch(f"{name}: {kind} protocol", targets.shape[0] * targets.shape[1])
-        failed = False
+    def _drive(
+        self, robot: Robot, controller: Controller, name: str, kind: Kind, places: Places, part: slice = slice(None)
+    ) -> tuple[Driven, Recording]:
+        """Run a protocol for the trials (set, repetition) in ``places``, with a ``part`` of each set."""
+        settings, sets, first = self.settings, [s for s, _ in places], part.start or 0
+        targets = self.targets[sets][:, part]
+        turns = None if self.turns is None else self.turns[sets][:, part]
+        plan = schedule(kind, settings.protocol, keep_going=settings.batched, sent=self._sent, wait=settings.wait)
+        on_cycle = self._progress.watch(f"{name}: {kind} protocol", targets.shape[0] * targets.shape[1])
         if isinstance(controller, Watched):
             plan = replace(plan, give_up=controller.give_up)
         aiming = None if self.correction is None else self.correction(robot.arm)
@@ -269,17 +367,23 @@ class TrialRunner:
             recording = run(
                 robot, controller, targets, plan, limits=limits, correction=aiming, on_cycle=on_cycle, turns=turns
             )
+        failed = isinstance(controller, Watched) and controller.failed
         if isinstance(controller, Watched):
-            recording, failed = controller.mark(recording), controller.failed
-        self._tell(name, kind, places, recording, first)
+            recording = controller.mark(recording)
+        self._hand_on(name, kind, places, recording, first)
         driven = measure(
-            robot.arm, recording, targets, self.settings.protocol, controller=name, kind=kind, places=places,
-            failed=failed, model=self.model, first=first, both=both,
-        )  # fmt: skip
+            robot.arm,
+            recording,
+            targets,
+            settings.protocol,
+            (name, kind, places, first),
+            failed=failed,
+            model=self.model,
+            both=self.blocks,
+        )
         return driven, recording
 
-    def _tell(self, name: str, kind: Kind, places: Places, recording: Recording, first: int = 0) -> None:
-        """Hand every trial of a recording to who keeps their logs."""
+    def _hand_on(self, name: str, kind: Kind, places: Places, recording: Recording, first: int = 0) -> None:
         if self.on_trial is None:
             return
         for b, (s, r) in enumerate(places):

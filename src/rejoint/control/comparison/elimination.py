@@ -1,55 +1,90 @@
-"""On one real arm a controller that fails is driven no further; everybody else goes on.
+"""Elimination of controllers on one arm: those that fail, or are significantly worse than the best.
 
-A target that is missed costs its whole time, so a controller that reaches nothing costs minutes of a worn arm for a
-result that is known after the first targets. And a command that is not a number is the fault of whoever gave it and
-not of the arm: it ends that trial, while what is wrong with the arm itself (a hot servo, an old answer) ends the
-comparison, as everywhere else. Emulated batches cost nothing and are driven to the end.
+After each block of targets a controller leaves that missed three in a row, or that settles farther off by a paired
+t-test on the logarithms of the settled errors (Maron and Moore, Hoeffding races, NIPS 1993), at a level divided by the
+number of all tests (Bonferroni). Logarithms: errors scatter in proportion to their size.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, tcp_position
-from rejoint.arms.orientation import REACHED_TURN
-from rejoint.control.comparison.protocols import Kind
-from rejoint.control.comparison.result import Protocol
-from rejoint.control.controller import ControlInput, Controller, turned_off
+from rejoint.arms import Array
+from rejoint.control.comparison.protocols import Columns
+from rejoint.control.comparison.result import WAS_WORSE
+from rejoint.control.controller import ControlInput, Controller
 from rejoint.control.guard import Reason
 from rejoint.control.recording import Recording
 from rejoint.control.robot import Mask
+from rejoint.system.errors import InputError
 
 MISSES = 3
-"""Targets missed in a row after which a controller is driven no further (chosen: one that reaches nine targets in ten
-misses three in a row in fewer than one of a hundred sets of ten)."""
+"""Misses in a row that end a controller (chosen)"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Elimination:
+    """How controllers are eliminated."""
+
+    block: int = 5
+    """targets between two tests (chosen: the fewest at)"""
+    level: float = 0.1
+    """of all tests together (chosen)"""
+    nearest: float = 5e-5
+    """[m] smaller settled errors count as it (chosen)"""
+
+    def __post_init__(self) -> None:
+        if self.block < 2 or not 0.0 < self.level < 1.0:
+            raise InputError(f"elimination: expected blocks of at least 2 targets and a level below 1, got {self}")
+
+
+def missed_in_a_row(crossed: Array) -> bool:
+    """Whether `MISSES` targets in a row were missed; ``crossed`` (N,) in order, NaN: not driven."""
+    known = crossed[np.isfinite(crossed)]
+    misses = np.convolve(known == 0.0, np.ones(MISSES), "valid") if len(known) >= MISSES else np.zeros(0)
+    return bool((misses == MISSES).any())
+
+
+def worse(results: Mapping[str, Columns], rules: Elimination, tests: int) -> dict[str, str]:
+    """Return who is significantly worse than the best, and why, from (N,) columns; ``tests`` divides the level."""
+    from scipy import stats  # here, since it takes a second to load
+
+    logs = {name: np.log(np.maximum(columns["settled"], rules.nearest)) for name, columns in results.items()}
+    together = np.isfinite(list(logs.values())).all(axis=0)
+    if together.sum() < 2:
+        return {}
+    best = min(logs, key=lambda name: logs[name][together].mean())
+    out = {}
+    for name, values in logs.items():
+        both = np.isfinite(values) & np.isfinite(logs[best])
+        difference = values[both] - logs[best][both]
+        if name == best or not difference.any():
+            continue
+        found = stats.ttest_1samp(difference, 0.0, alternative="greater")
+        if found.pvalue < rules.level / tests:
+            factor = float(np.exp(difference.mean()))
+            out[name] = f"{WAS_WORSE}{best} (settles {factor:.1f} times as far off at {len(difference)} targets)"
+    return out
 
 
 class Watched:
-    """A controller on trial: passes on what it is told, and says when the trial of this one arm is to end."""
+    """Passes a controller's commands on until one is no number, which ends the trial."""
 
-    def __init__(self, controller: Controller, arm: Arm, protocol: Protocol, last: float, missed: int) -> None:
-        """``missed`` are the targets that it missed in a row until now, in ``last`` [s] each."""
-        self._controller, self._arm, self._protocol, self._last = controller, arm, protocol, last
-        self._missed, self._reached = missed, False
+    def __init__(self, controller: Controller) -> None:
+        self._controller, self.name = controller, controller.name
         self.failed = False
-        """whether it gave a command that is not a number although everything it was told was one"""
+        """whether it returned no number for finite inputs"""
         self.servo_gains = getattr(controller, "servo_gains", None)
-
-    @property
-    def name(self) -> str:
-        """Name in tables."""
-        return self._controller.name
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Pass a new target on."""
-        self._reached = False
         self._controller.reset(inputs, where)
 
     def command(self, inputs: ControlInput) -> Array:
-        """Return the controller's command (1, n) [rad]; the last one again where it has failed."""
+        """Command (1, n) [rad]; the last one again after a failure."""
         wanted = self._controller.command(inputs)
         known = np.isfinite(inputs.state.position).all() and np.isfinite(inputs.sent).all()
         if known and not np.isfinite(wanted).all():
@@ -57,62 +92,15 @@ class Watched:
             return np.array(inputs.sent)
         return wanted
 
-    def give_up(self, inputs: ControlInput) -> Mask:
-        """Tell (1,) whether the trial is to end here, see `Schedule.give_up`; called once per cycle."""
-        if np.isfinite(self._last):
-            tcp = tcp_position(self._arm, inputs.state.position)
-            near = bool(np.linalg.norm(inputs.target - tcp, axis=-1)[0] < self._protocol.threshold)
-            self._reached |= near and not turned_off(self._arm, inputs)[0] > REACHED_TURN
-            if self._reached:
-                self._missed = 0
-            if inputs.since_target[0] >= self._last:
-                self._missed += not self._reached
-        return np.array([self.failed or self._missed >= MISSES])
+    def give_up(self, _inputs: ControlInput) -> Mask:
+        """Whether the trial ends here, (1,); see `Schedule.give_up`."""
+        return np.array([self.failed])
 
     def mark(self, recording: Recording) -> Recording:
-        """Return the recording with what the guard would have said where the controller has failed."""
+        """Return the recording with the failure flagged as the guard would."""
         if not self.failed:
             return recording
         flag = np.uint16(Reason.NOT_FINITE.value)
         reasons = recording.reasons.copy()
         reasons[-1] |= flag
         return replace(recording, reasons=reasons, tripped=recording.tripped | flag)
-
-
-class Elimination:
-    """Who is still driven in the comparison of one arm; follows from the results of the trials so far."""
-
-    def __init__(self, protocol: Protocol, judged: Kind = "crossing") -> None:
-        """``judged`` is the protocol under which a target is seen to be missed: in a race the only one, the hold."""
-        self._protocol, self._judged = protocol, judged
-        self._missed: dict[str, int] = {}
-        self._out: dict[str, str] = {}
-
-    def out(self, name: str) -> str:
-        """Why a controller is driven no further; empty while it is."""
-        return self._out.get(name, "")
-
-    def drop(self, name: str, why: str) -> None:
-        """Drive a controller no further, because it ``was beaten``, say."""
-        self._out.setdefault(name, why)
-
-    def watch(self, name: str, controller: Controller, arm: Arm, kind: Kind) -> Watched:
-        """Put a controller on trial."""
-        last = self._protocol.dwell if kind == "crossing" else self._protocol.hold
-        return Watched(
-            controller, arm, self._protocol, last if kind == self._judged else np.inf, self._missed.get(name, 0)
-        )
-
-    def note(self, name: str, kind: Kind, place: tuple[int, int], crossed: Iterable[float], failed: bool) -> None:
-        """Take over a trial (set, repetition), just driven or read back: ``crossed`` (K,) as in `Crossings`."""
-        where = f"set {place[0] + 1}, repetition {place[1] + 1}"
-        if failed:
-            self._out[name] = f"gave a command that is not a number ({kind} protocol, {where})"
-        if kind != self._judged:
-            return
-        for k, reached in enumerate(crossed, start=1):
-            if np.isnan(reached):
-                break
-            self._missed[name] = 0 if reached else self._missed.get(name, 0) + 1
-            if self._missed[name] >= MISSES:
-                self._out.setdefault(name, f"missed {MISSES} targets in a row ({where}, up to target {k})")

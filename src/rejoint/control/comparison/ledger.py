@@ -1,7 +1,7 @@
-"""The trials of a comparison that are done, on file as soon as they are: an interrupted comparison goes on after them.
+"""The finished trials of a comparison on file, and trials shared with a helper process.
 
-A line of JSON per `Driven`, each with its CRC-32; a line that a killed process left half written is not one. The first
-line names the comparison: results of another one (other targets, another policy, another arm) are not taken over.
+Each line is JSON with its CRC-32; half a line does not count. The first line names the comparison. Two processes take
+trials from the two ends of one list; where the helper is lost, this one drives the rest.
 """
 
 from __future__ import annotations
@@ -9,32 +9,36 @@ from __future__ import annotations
 import json
 import os
 import zlib
-from collections.abc import Iterator
-from dataclasses import fields
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from queue import Empty, SimpleQueue
+from threading import Thread
+from typing import Any, Protocol
 
 import numpy as np
 
-from rejoint.control.comparison.driven import Driven, Key
-from rejoint.control.comparison.protocols import Crossings, Holds
+from rejoint.control.comparison.protocols import Driven, Key, Kind, Places
 from rejoint.control.comparison.result import Ended
+from rejoint.control.recording import Recording
 from rejoint.system.errors import FileError
 from rejoint.system.files import MEGABYTE, read_bounded, set_aside, unwritable
+from rejoint.system.stopping import pause
 
 LEDGER_MOST = 256 * MEGABYTE
-"""Largest ledger that is read (chosen: a trial of ten targets takes 1 kB)"""
+"""Largest ledger that is read (chosen)"""
 
 
 class Ledger:
-    """Finished trials of one comparison; `begin` finds those of an interrupted one."""
+    """Finished trials of a comparison; `begin` finds those of an interrupted one."""
 
     def __init__(self, path: Path | None, done: dict[Key, Driven]) -> None:
         self.path, self.done = path, done
 
     @classmethod
     def begin(cls, path: Path, name: str) -> Ledger:
-        """Open the ledger at ``path`` of the comparison called ``name``, or make it; one of another is set aside."""
+        """Open or make the ledger at ``path`` of the comparison ``name``; that of another is set aside."""
         try:
             lines = list(_lines(path))
             if lines and lines[0] == name:
@@ -89,30 +93,83 @@ def _lines(path: Path) -> Iterator[Any]:
 
 
 def _encode(driven: Driven) -> dict[str, Any]:
-    names = ("controller", "kind", "places", "first", "cycles", "reasons", "failed")
-    plain = {name: getattr(driven, name) for name in names}
-    return {
-        **plain,
-        "ended": [{field.name: getattr(one, field.name) for field in fields(one)} for one in driven.ended],
-        "crossings": _columns(driven.crossings),
-        "holds": _columns(driven.holds),
-    }
-
-
-def _columns(results: Crossings | Holds | None) -> dict[str, Any] | None:
-    return None if results is None else {item.name: getattr(results, item.name).tolist() for item in fields(results)}
+    columns = {name: values.tolist() for name, values in driven.columns.items()}
+    return asdict(replace(driven, columns={})) | {"columns": columns}
 
 
 def _decode(entry: dict[str, Any]) -> Driven:
-    found: dict[str, Any] = {
-        kind: {name: np.array(values, dtype=float) for name, values in entry[kind].items()}
-        for kind in ("crossings", "holds")
-        if entry[kind] is not None
-    }
-    return Driven(
-        controller=entry["controller"], kind=entry["kind"], cycles=entry["cycles"], reasons=entry["reasons"],
-        failed=entry["failed"], first=entry.get("first", 0), places=tuple((int(s), int(r)) for s, r in entry["places"]),
-        ended=tuple(Ended(**one) for one in entry["ended"]),
-        crossings=Crossings(**found["crossings"]) if "crossings" in found else None,
-        holds=Holds(**found["holds"]) if "holds" in found else None,
-    )  # fmt: skip
+    columns = {name: np.array(values, dtype=float) for name, values in entry.pop("columns").items()}
+    places = tuple((int(s), int(r)) for s, r in entry.pop("places"))
+    ended = tuple(Ended(**one) for one in entry.pop("ended"))
+    return Driven(**entry, places=places, ended=ended, columns=columns)
+
+
+Task = tuple[str, Kind]
+"""Controller and protocol"""
+Result = tuple[Driven, Recording]
+"""What a task brought, and the recording of its first trials"""
+
+_LOOK = 0.02
+"""[s] between two looks at a helper (chosen)"""
+
+
+class HelperLostError(Exception):
+    """A helper ended, or could not do what it was asked."""
+
+
+class Helper(Protocol):
+    """Another process that drives trials."""
+
+    def settle(self) -> tuple[Task, ...]:
+        """Tasks that it has begun by itself; it begins no more."""
+
+    def drive(self, task: Task, places: Places) -> Result:
+        """Drive the trials of a task; HelperLostError where that fails."""
+
+    def close(self) -> None:
+        """End it, whatever it does."""
+
+
+class Shared:
+    """Tasks, of which a helper takes the last, first those that it has begun."""
+
+    def __init__(self, tasks: Sequence[Task], helper: Helper | None, places: Places) -> None:
+        begun = () if helper is None else helper.settle()
+        self._left, self._helper, self._places = deque(sorted(tasks, key=begun.__contains__)), helper, places
+        self._done: SimpleQueue[Result] = SimpleQueue()
+        self._courier = Thread(target=self._carry, daemon=True)
+        if helper is not None and len(tasks) > 1:
+            self._courier.start()
+
+    def here(self) -> Iterator[Task]:
+        """Yield the tasks for this process until all are done."""
+        while True:
+            while self._left:
+                try:
+                    yield self._left.popleft()
+                except IndexError:  # the helper was quicker
+                    break
+            if not self._courier.is_alive() and not self._left:
+                return
+            pause(_LOOK)
+
+    def arrived(self) -> Iterator[Result]:
+        """Yield new results of the helper."""
+        while True:
+            try:
+                yield self._done.get_nowait()
+            except Empty:
+                return
+
+    def _carry(self) -> None:
+        assert self._helper is not None  # noqa: S101 - for the type checker
+        while True:
+            try:
+                task = self._left.pop()
+            except IndexError:
+                return
+            try:
+                self._done.put(self._helper.drive(task, self._places))
+            except HelperLostError:
+                self._left.append(task)
+                return

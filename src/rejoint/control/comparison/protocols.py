@@ -1,93 +1,59 @@
-"""The two protocols, and the results per target that their recordings hold.
+"""The two protocols, what their recordings tell per target, and the table of a comparison.
 
-* ``crossing``: Park et al. 2024, section IV-F. The next target comes at the first crossing of the
-  threshold or after the dwell; the error is read at that moment.
-* ``hold``: every target lasts the same time. What remains is what an owner cares about: the settled
-  error, how soon it comes and stays, and whether the arm trembles.
+``crossing`` (Park et al. 2024, section IV-F): the next target comes at the first crossing of the threshold or after the
+dwell. ``hold``: every target lasts the same time. Errors are the encoders' or the true ones, never mixed. Accuracy of
+poses: ISO 9283:1998, which asks for 30 cycles, and ISO 230-2:2014.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, tcp_position
-from rejoint.arms.orientation import REACHED_TURN
-from rejoint.control.accuracy import ToolModel, modelled
-from rejoint.control.comparison.metrics import crossing, oscillation, settled, stay_time
-from rejoint.control.comparison.result import Protocol
+from rejoint.arms.rotations import REACHED_TURN
+from rejoint.control.comparison.result import METRICS, Comparison, ControllerRow, Ended, Protocol, Stay, Values
+from rejoint.control.correction import ToolModel, mean_modelled, modelled
+from rejoint.control.guard import Reason, reason_names
 from rejoint.control.loop import Schedule
 from rejoint.control.recording import Recording
+from rejoint.control.robot import Robot
+from rejoint.system.statistics import Labels, Spread, cluster, clustered_share, spread
 
 Kind = Literal["crossing", "hold"]
 KINDS: tuple[Kind, ...] = ("crossing", "hold")
 
 STANDS_FOR = 3.0
-"""[s] under one command after which an arm that has not crossed will not: the rest of the dwell is left out and counts
-as waited for (chosen: worn arms creep by single encoder steps after half a second, and what pulls against stiction has
-set off or not)"""
+"""[s] without motion after which the rest of a dwell counts as waited for (chosen)"""
 
 _CHUNK = 8192  # postures per call of the kinematics: enough to be fast, few enough for little memory
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Crossings:
-    """Results of the crossing protocol, each (B, K)."""
-
-    crossed: Array
-    """1 or 0; a target that a trip cut short or prevented is not crossed. NaN for one that was not driven although no
-    trip prevented it: that says nothing about the controller"""
-    error: Array
-    """[m] encoder error at the crossing or the time-out; NaN where a trip came first"""
-    true_error: Array
-    """[m] true error at that moment; NaN where nobody knows"""
-    time: Array
-    """[s] in force; NaN where a trip came first"""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Holds:
-    """Results of the hold protocol, each (B, K); NaN where a trip cut the hold short."""
-
-    settled: Array
-    """[m] encoder error, mean of the last part"""
-    settled_true: Array
-    """[m] true error over the same time"""
-    oscillation: Array
-    """[m] root mean square distance of the encoder TCP from its mean, last part"""
-    stay: Array
-    """(W, B, K) [s] after which the error stays below each distance; infinite where it does not"""
-    away: Array
-    """(B, K, 3) [m] mean place of the tool by the encoders less the aim, over the same time"""
-    away_true: Array
-    """(B, K, 3) [m] mean place of the tool itself less the target"""
-    modelled: Array
-    """(3, B, K) [m] true error by a model at the mean posture of the last part, and the ends of its interval; NaN where
-    there is none, or the true error is known"""
-    turned: Array
-    """(B, K) [rad] orientation error by the encoders, mean of the last part; NaN where none is asked for"""
+Columns = dict[str, Array]
+"""Results (B, K) by the names of `METRICS`; NaN: none"""
 
 
 def schedule(
     kind: Kind, protocol: Protocol, *, keep_going: bool, sent: Array | None = None, wait: bool = True
 ) -> Schedule:
-    """Schedule of a protocol for arms whose last commands were ``sent`` (B, n) [rad].
-
-    Where it need not ``wait``, an arm that stands does not keep its target for the rest of the dwell.
-    """
+    """Schedule of a protocol after the last commands ``sent`` (B, n) [rad]; ``wait``: also for stationary arms."""
     if kind == "crossing":
         return Schedule(
-            dwell=protocol.dwell, stop_below=protocol.threshold, stands_for=None if wait else STANDS_FOR,
-            keep_going=keep_going, sent=sent,
-        )  # fmt: skip
+            dwell=protocol.dwell,
+            stop_below=protocol.threshold,
+            stands_for=None if wait else STANDS_FOR,
+            keep_going=keep_going,
+            sent=sent,
+        )
     return Schedule(dwell=protocol.hold, keep_going=keep_going, sent=sent)
 
 
 def encoder_tcp(arm: Arm, recording: Recording) -> Array:
-    """TCP (T, B, 3) [m] by the encoders; NaN where a row has no news."""
+    """TCP (T, B, 3) [m] by the encoders; NaN in rows without news."""
     tcp = np.full((*recording.active.shape, 3), np.nan)
     t, b = np.nonzero(recording.active)
     for start in range(0, len(t), _CHUNK):
@@ -96,60 +62,67 @@ def encoder_tcp(arm: Arm, recording: Recording) -> Array:
     return tcp
 
 
-def measure_crossings(arm: Arm, recording: Recording, targets: Array, protocol: Protocol) -> Crossings:
-    """Results of a recording of the crossing protocol with ``targets`` (B, K, 3) [m]."""
+def measure_crossings(arm: Arm, recording: Recording, targets: Array, protocol: Protocol) -> Columns:
+    """Results of the crossing protocol with ``targets`` (B, K, 3) [m].
+
+    Targets that a trip cut short are missed; those that were left out tell nothing.
+    """
     error, true_error = _errors(arm, recording)
     shape = targets.shape[:2]
     last = np.where(recording.active, recording.target_index, -1).max(axis=0, initial=-1)
     spared = (np.arange(shape[1]) > last[:, None]) & (recording.tripped == 0)[:, None]
-    result = Crossings(
-        crossed=np.where(spared, np.nan, 0.0), error=_unknown(shape), true_error=_unknown(shape), time=_unknown(shape)
-    )
+    result = _columns(shape, "crossing_error", "crossing_true", "crossing_time")
+    result["crossed"] = np.where(spared, np.nan, 0.0)
     for b, k, rows in _segments(recording, targets):
         off = error[rows, b]
         askew = recording.turned[rows, b] > REACHED_TURN  # a pose is reached where the orientation is as well
         seen = np.where(askew, np.maximum(off, protocol.threshold), off)
         end = crossing(recording.since_target[rows, b], seen, protocol.threshold)
         if end.reached or end.time >= protocol.dwell:
-            result.crossed[b, k], result.error[b, k], result.time[b, k] = end.reached, off[end.row], end.time
-            result.true_error[b, k] = true_error[rows[end.row], b]
+            result["crossed"][b, k], result["crossing_error"][b, k] = end.reached, off[end.row]
+            result["crossing_time"][b, k], result["crossing_true"][b, k] = end.time, true_error[rows[end.row], b]
     return result
 
 
 def measure_holds(
     arm: Arm, recording: Recording, targets: Array, protocol: Protocol, model: ToolModel | None = None
-) -> Holds:
-    """Results of a recording of the hold protocol with ``targets`` (B, K, 3) [m].
+) -> Columns:
+    """Results of the hold protocol with ``targets`` (B, K, 3) [m]; NaN where a trip cut a hold short.
 
-    Where nobody knows where the tool is, a ``model`` says how far it is from them.
+    A ``model`` tells the true error where it is not known.
     """
     tcp = encoder_tcp(arm, recording)
     error, true_error = _errors(arm, recording, tcp)
     shape = targets.shape[:2]
-    result = Holds(
-        settled=_unknown(shape), settled_true=_unknown(shape), oscillation=_unknown(shape),
-        stay=_unknown((len(protocol.within), *shape)), away=_unknown((*shape, 3)), away_true=_unknown((*shape, 3)),
-        modelled=_unknown((3, *shape)), turned=_unknown(shape),
-    )  # fmt: skip
-    posture = _unknown((*shape, arm.joints))
+    result = _columns(shape, "settled", "settled_true", "oscillation", "turned", *protocol.stay_names)
+    result["held"] = np.ones(shape)
+    away, away_true = np.full((2, *shape, 3), np.nan)
+    posture = np.full((*shape, arm.joints), np.nan)
     for b, k, rows in _segments(recording, targets):
         since = recording.since_target[rows, b]
         if since[-1] < protocol.hold:
             continue
-        result.settled[b, k] = settled(since, error[rows, b], protocol.window)
-        result.settled_true[b, k] = settled(since, true_error[rows, b], protocol.window)
-        result.turned[b, k] = settled(since, recording.turned[rows, b], protocol.window)
+        signals = (("settled", error), ("settled_true", true_error), ("turned", recording.turned))
+        for name, signal in signals:
+            result[name][b, k] = settled(since, signal[rows, b], protocol.window)
         last = rows[since > since[-1] - protocol.window]
-        result.away[b, k] = (tcp[last, b] - recording.aim[last, b]).mean(axis=0)
-        result.away_true[b, k] = (recording.true_tcp[last, b] - recording.target[last, b]).mean(axis=0)
-        if np.isnan(result.away_true[b, k]).any():
+        away[b, k] = (tcp[last, b] - recording.aim[last, b]).mean(axis=0)
+        away_true[b, k] = (recording.true_tcp[last, b] - recording.target[last, b]).mean(axis=0)
+        if np.isnan(away_true[b, k]).any():
             posture[b, k] = recording.position[last, b].mean(axis=0)
-        result.oscillation[b, k] = oscillation(since, tcp[rows, b], protocol.window)
-        for w, within in enumerate(protocol.within):
-            result.stay[w, b, k] = stay_time(since, error[rows, b], within)
+        result["oscillation"][b, k] = oscillation(since, tcp[rows, b], protocol.window)
+        for name, within in zip(protocol.stay_names, protocol.within, strict=True):
+            result[name][b, k] = min(stay_time(since, error[rows, b], within), protocol.hold)
+    for i, axis in enumerate("xyz"):
+        result[f"away_{axis}"], result[f"away_true_{axis}"] = away[..., i], away_true[..., i]
     if model is not None:
-        result.modelled[:] = modelled(model, posture, targets)
+        found = modelled(model, posture, targets)
+        result |= dict(zip(("modelled", "modelled_low", "modelled_high"), found, strict=True))
     return result
+
+
+def _columns(shape: tuple[int, ...], *names: str) -> Columns:
+    return {name: np.full(shape, np.nan) for name in names}
 
 
 def _errors(arm: Arm, recording: Recording, tcp: Array | None = None) -> tuple[Array, Array]:
@@ -162,7 +135,6 @@ def _errors(arm: Arm, recording: Recording, tcp: Array | None = None) -> tuple[A
 
 
 def _segments(recording: Recording, targets: Array) -> list[tuple[int, int, NDArray[np.intp]]]:
-    """Arm, target and rows of every target that was ever in force."""
     count, length = targets.shape[:2]
     found = []
     for b in range(count):
@@ -172,5 +144,274 @@ def _segments(recording: Recording, targets: Array) -> list[tuple[int, int, NDAr
     return found
 
 
-def _unknown(shape: tuple[int, ...]) -> Array:
-    return np.full(shape, np.nan)
+class Crossing(NamedTuple):
+    """End of a target, Park et al. 2024, section IV-F."""
+
+    reached: bool
+    error: float
+    """[m] at the first crossing, or at the end"""
+    time: float
+    """[s] of the first crossing, or of the end"""
+    row: int
+    """row of that moment"""
+
+
+def crossing(since: Array, error: Array, threshold: float) -> Crossing:
+    """First time at which ``error`` (T,) [m] is below ``threshold`` [m], else the end."""
+    below = np.flatnonzero(error < threshold)
+    row = int(below[0]) if len(below) else len(error) - 1
+    return Crossing(bool(len(below)), float(error[row]), float(since[row]), row)
+
+
+def stay_time(since: Array, error: Array, within: float) -> float:
+    """Time [s] from which ``error`` (T,) [m] stays below ``within`` [m]; infinite: never."""
+    outside = np.flatnonzero(~(error < within))
+    if len(outside) == 0:
+        return float(since[0])
+    last = int(outside[-1])
+    return float(since[last + 1]) if last + 1 < len(since) else float("inf")
+
+
+def settled(since: Array, signal: Array, window: float) -> float:
+    """Mean of ``signal`` (T,) by time over the last ``window`` [s]."""
+    rows = since >= since[-1] - window
+    t, x = since[rows], signal[rows]
+    if len(t) < 2:
+        return float(x[-1])
+    return float(np.trapezoid(x, t) / (t[-1] - t[0]))
+
+
+def oscillation(since: Array, tcp: Array, window: float) -> float:
+    """Rms distance [m] of ``tcp`` (T, 3) [m] from its mean over the last ``window`` [s]."""
+    last = tcp[since >= since[-1] - window]
+    return float(np.sqrt(((last - last.mean(axis=0)) ** 2).sum(axis=-1).mean()))
+
+
+Place = tuple[int, int]
+"""A trial: target set, repetition"""
+Places = tuple[Place, ...]
+"""Trials (target set, repetition)"""
+Key = tuple[str, Kind, Places, int]
+"""Controller, protocol, trials, index of the first target"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Driven:
+    """One trial on one arm, or those of a batch."""
+
+    controller: str
+    kind: Kind
+    places: Places
+    columns: Columns
+    """results (B, K)"""
+    cycles: int
+    """control cycles with news"""
+    reasons: dict[str, int]
+    """cycles with each of the guard's reasons"""
+    ended: tuple[Ended, ...]
+    """runs that ended early"""
+    failed: bool = False
+    """whether the controller gave a command that is not a number"""
+    first: int = 0
+    """index of its first target in the set"""
+
+    @property
+    def key(self) -> Key:
+        """What tells it from the others of its comparison."""
+        return self.controller, self.kind, self.places, self.first
+
+    @property
+    def targets(self) -> int:
+        """Number of its targets."""
+        return int(next(iter(self.columns.values())).shape[1])
+
+
+def measure(
+    arm: Arm,
+    recording: Recording,
+    targets: Array,
+    protocol: Protocol,
+    key: Key,
+    *,
+    failed: bool = False,
+    model: ToolModel | None = None,
+    both: bool = False,
+) -> Driven:
+    """Measure a recording with ``targets`` (B, K, 3) [m] of the trials of a ``key``, one arm each.
+
+    ``both``: a hold also tells the crossing.
+    """
+    controller, kind, places, first = key
+    columns: Columns = {}
+    if kind == "hold":
+        columns = measure_holds(arm, recording, targets, protocol, model)
+        protocol = replace(protocol, dwell=min(protocol.dwell, protocol.hold))
+    if kind == "crossing" or both:
+        columns |= measure_crossings(arm, recording, targets, protocol)
+    if kind == "hold" and both:
+        columns["crossing_time"][columns["crossed"] == 0.0] = np.nan
+    counts = {reason: int(np.count_nonzero(recording.reasons & np.uint16(reason.value))) for reason in Reason}
+    ended = tuple(
+        Ended(
+            protocol=kind,
+            target_set=places[b][0],
+            repetition=places[b][1],
+            target=int(recording.target_index[-1, b]),
+            why=", ".join(reason_names(int(recording.tripped[b]))),
+        )
+        for b in np.flatnonzero(recording.tripped)
+    )
+    return Driven(
+        controller=controller,
+        kind=kind,
+        places=places,
+        failed=failed,
+        first=first,
+        columns=columns,
+        cycles=int(recording.active.sum()),
+        ended=ended,
+        reasons={reason_names(reason)[0]: count for reason, count in counts.items() if count},
+    )
+
+
+INSET = 0.1
+"""Inset of P2 to P5 over the diagonal (ISO 9283)"""
+RISING_AHEAD = np.array([[0, 0, 0], [-1, -1, -1], [-1, 1, -1], [1, 1, 1], [1, -1, 1]], dtype=float)
+"""P1 to P5 in the diagonal plane that rises away from the base, in half diagonals"""
+RISING_LEFT = np.array([[0, 0, 0], [1, 1, 1], [-1, 1, 1], [-1, -1, -1], [1, -1, -1]], dtype=float)
+"""The same in the plane that rises to the left"""
+
+
+def iso_poses(arm: Arm, plane: Array, size: float = 1.0) -> Array:
+    """Points P1 to P5 (5, 3) [m] of ISO 9283 in a ``plane`` of the targets, scaled by ``size``."""
+    low, high = arm.targets.lower, arm.targets.upper
+    return np.asarray(0.5 * (low + high) + 0.5 * size * (1.0 - 2.0 * INSET) * (high - low) * plane)
+
+
+def position_accuracy(places: Array, target: Array) -> Array:
+    """AP (...) [m]: distance of the mean of ``places`` (..., R, 3) from ``target`` (..., 3)."""
+    return np.asarray(np.linalg.norm(places.mean(axis=-2) - target, axis=-1))
+
+
+def position_repeatability(places: Array) -> Array:
+    """RP (...) [m]: mean distance of ``places`` (..., R, 3) from their mean plus 3 sigma; NaN for R < 2."""
+    if places.shape[-2] < 2:
+        return np.full(places.shape[:-2], np.nan)
+    distance = np.linalg.norm(places - places.mean(axis=-2, keepdims=True), axis=-1)
+    return np.asarray(distance.mean(axis=-1) + 3.0 * distance.std(axis=-1, ddof=1))
+
+
+def direction_variation(means: Array) -> float:
+    """VAP [m]: largest distance between ``means`` (D, 3) from D directions."""
+    apart = np.linalg.norm(means[:, None] - means[None], axis=-1)
+    return float(apart.max())
+
+
+def reversal(forwards: Array, backwards: Array) -> Array:
+    """B (...) [m]: distance of the means of places (..., R, 3) approached forwards and backwards."""
+    return np.asarray(np.linalg.norm(forwards.mean(axis=-2) - backwards.mean(axis=-2), axis=-1))
+
+
+MODELLED = ("modelled", "modelled_low", "modelled_high")
+
+
+class Tally:
+    """Collects the results of one controller, trial by trial."""
+
+    def __init__(self, shape: tuple[int, int, int], protocol: Protocol, *, blocks: bool = False) -> None:
+        """``shape``: target sets, repetitions, targets; ``blocks``: sets may be driven in part."""
+        self.protocol, self.blocks = protocol, blocks
+        self.columns: Columns = {name: np.full(shape, np.nan) for name in (*METRICS, *protocol.stay_names)}
+        self.cycles, self.out, self.source = 0, "", ""
+        self.ended: list[Ended] = []
+        self.reasons: dict[str, int] = {}
+
+    def add(self, driven: Driven) -> None:
+        """Take over what was driven."""
+        sets, repetitions = np.array(driven.places).T
+        at = sets[:, None], repetitions[:, None], np.arange(driven.first, driven.first + driven.targets)[None]
+        for name, values in driven.columns.items():
+            self.columns[name][at] = values
+        self.cycles += driven.cycles
+        self.ended += driven.ended
+        for reason, cycles in driven.reasons.items():
+            self.reasons[reason] = self.reasons.get(reason, 0) + cycles
+
+    def row(self, controller: str) -> ControllerRow:
+        """Statistics of everything collected."""
+        found = self.columns
+        shape = found["crossed"].shape
+        labels = cluster((shape[0], shape[1], shape[2]))[1]
+        whole = found["crossing_time"].sum(axis=-1)  # NaN where a trip ended the trial
+        if self.blocks:
+            driven = np.isfinite(found["crossed"])
+            time = np.where(driven, found["crossing_time"], 0.0).sum(axis=-1)
+            whole = shape[2] * time / np.where(driven.any(axis=-1), driven.sum(axis=-1), np.nan)
+        names = ("crossing_error", "crossing_true", "settled", "settled_true", "oscillation", "turned")
+        guard = sorted(self.reasons.items(), key=lambda item: -item[1])
+        modelled = np.array([found[name] for name in MODELLED])
+        return ControllerRow(
+            controller=controller,
+            success=clustered_share(found["crossed"].ravel(), labels),
+            **{name: spread(found[name].ravel(), labels) for name in names},
+            cycle_time=spread(whole.ravel(), labels.reshape(shape)[..., 0].ravel()),
+            settled_modelled=mean_modelled(modelled) if np.isfinite(modelled).any() else None,
+            **_pose_accuracy(found, ""),
+            **_pose_accuracy(found, "_true"),
+            stays=self._stays(labels),
+            held=int(np.isfinite(found["settled"]).sum()),
+            guard={name: n / self.cycles for name, n in guard},
+            ended=tuple(self.ended),
+            out=self.out,
+            source=self.source,
+        )
+
+    def _stays(self, labels: Labels) -> tuple[Stay, ...]:
+        held, stays = self.columns["held"].ravel() == 1.0, []
+        for within, name in zip(self.protocol.within, self.protocol.stay_names, strict=True) if held.any() else ():
+            time = self.columns[name].ravel()[held]
+            stayed = time < self.protocol.hold  # not where a hold was cut short
+            median = float(np.median(np.where(stayed, time, np.inf)))
+            share = clustered_share(stayed.astype(float), labels[held])
+            stays.append(Stay(within=within, share=share, median=median if np.isfinite(median) else None))
+        return tuple(stays)
+
+
+def summarise(
+    robot: Robot,
+    seed: int,
+    batched: bool,
+    targets: Array,
+    tallies: dict[str, Tally],
+    orientations: Iterable[tuple[str, ...]] = (),
+) -> Comparison:
+    """Make the comparison from the tallies; ``targets`` (S, K, 3) [m]."""
+    first = next(iter(tallies.values()))
+    sets, repetitions, count = first.columns["crossed"].shape
+    together = {name: np.stack([one.columns[name] for one in tallies.values()]) for name in first.columns}
+    return Comparison(
+        robot=robot.address,
+        arm=robot.arm.name,
+        seed=seed,
+        batched=batched,
+        repetitions=repetitions,
+        targets=tuple(tuple((float(x), float(y), float(z)) for x, y, z in points) for points in targets),
+        protocol=first.protocol,
+        clusters=cluster((sets, repetitions, count))[0],
+        rows=tuple(tally.row(name) for name, tally in tallies.items()),
+        results={name: _values(array) for name, array in together.items() if np.isfinite(array).any()},
+        orientations=tuple(orientations),
+    )
+
+
+def _pose_accuracy(found: Columns, whose: str) -> dict[str, Spread | None]:
+    away = np.stack([found[f"away{whose}_{axis}"] for axis in "xyz"], axis=-1)
+    places = np.moveaxis(away, 1, 2)  # (S, K, R, 3)
+    each = np.arange(places.shape[0] * places.shape[1])
+    accuracy = spread(position_accuracy(places, np.zeros(3)).ravel(), each)
+    repeatability = None if accuracy is None else spread(position_repeatability(places).ravel(), each)
+    return {f"accuracy{whose}": accuracy, f"repeatability{whose}": repeatability}
+
+
+def _values(array: Array) -> Values:
+    return tuple(float(value) if np.isfinite(value) else None for value in array.ravel())

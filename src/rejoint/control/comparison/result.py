@@ -1,28 +1,48 @@
-"""What a comparison found, as plain numbers, strings and tuples: `runs.write_json` and `read_json` take it as it is.
+"""What a comparison found: one tidy table, a row of statistics per controller, and how it was done.
 
-Metres, seconds, shares between 0 and 1. Encoder and true TCP error have separate fields everywhere;
-the true one is None where nobody knows it.
+Metres, seconds, shares from 0 to 1. Encoder and true errors have separate names; None: not known.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from importlib import import_module
+from typing import Any
 
 import numpy as np
 
 from rejoint.arms import Array
-from rejoint.control.accuracy import NOT_KNOWN, TrueError
-from rejoint.control.comparison.racing import NO_BETTER, WAS_BEATEN, Race
+from rejoint.control.correction import NOT_KNOWN, TrueError
 from rejoint.system.errors import InputError
 from rejoint.system.statistics import Estimate, Spread
 
 Values = tuple[float | None, ...]
-_SEVERAL = ("stay", "stayed", "modelled")  # fields of `Outcomes` with more than one value for each target
+
+WAS_WORSE = "was worse than "
+"""Begins the reason of an elimination by a better controller"""
+
+METRICS = {
+    "crossed": "1 where the threshold was crossed in time, else 0",
+    "crossing_error": "[m] encoder error at the crossing or the time-out",
+    "crossing_true": "[m] true error at that moment",
+    "crossing_time": "[s] until then",
+    "held": "1 where the target was held",
+    "settled": "[m] encoder error, mean of the last part of the hold; None where the guard ended it before",
+    "settled_true": "[m] true error over the same time",
+    "oscillation": "[m] root mean square distance of the encoder TCP from its mean over the same time",
+    "turned": "[rad] orientation error by the encoders over the same time; None where no orientation is asked for",
+    **{f"away_{axis}": "[m] mean place of the tool by the encoders less the corrected target" for axis in "xyz"},
+    **{f"away_true_{axis}": "[m] mean place of the tool itself less the target" for axis in "xyz"},
+    "modelled": "[m] true error by a calibration, where it is not known",
+    "modelled_low": "[m] lower end of its 95 % interval",
+    "modelled_high": "[m] upper end",
+}
+"""Columns of the table, besides `Protocol.stay_names` [s] (the hold's length where the error does not stay below)"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stay:
-    """Time after which the error stays below a distance until the end of the hold."""
+    """Time after which the error stays below a distance."""
 
     within: float
     """[m]"""
@@ -33,109 +53,8 @@ class Stay:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CrossingRow:
-    """Protocol of Park et al. 2024, section IV-F: next target at the first crossing of the threshold."""
-
-    success: Estimate
-    """share of the targets reached in time"""
-    error: Spread | None
-    """[m] encoder error at the crossing or the time-out"""
-    true_error: Spread | None
-    """[m] true error at the same moments"""
-    cycle_time: Spread | None
-    """[s] for a whole set of targets; in a race from the mean of those that were driven, each come to from rest"""
-
-
-@dataclass(frozen=True, kw_only=True)
-class PoseAccuracy:
-    """Accuracy in the terms of ISO 9283, over all targets as poses."""
-
-    cycles: int
-    """that each pose was attained; the norm asks for 30"""
-    accuracy: Spread
-    """[m] position accuracy AP"""
-    repeatability: Spread | None
-    """[m] position repeatability RP; None for a single cycle"""
-
-
-@dataclass(frozen=True, kw_only=True)
-class HoldRow:
-    """Every target held for a while, whether it is reached or not."""
-
-    settled: Spread | None
-    """[m] encoder error, mean of the last part of each hold"""
-    settled_true: Spread | None
-    """[m] true error over the same time"""
-    stays: tuple[Stay, ...]
-    """from the widest distance to the narrowest; empty where nothing was held"""
-    oscillation: Spread | None
-    """[m] root mean square distance of the encoder TCP from its mean, last part of each hold"""
-    poses: PoseAccuracy | None = None
-    """by the encoders; None in files of earlier versions"""
-    poses_true: PoseAccuracy | None = None
-    """of the tool itself; None where nobody knows it"""
-    settled_modelled: TrueError | None = None
-    """true error over the same time by a calibration of the arm; None where it is known, or there is no calibration"""
-    turned: Spread | None = None
-    """[rad] orientation error by the encoders over the same time; None where targets have no orientation"""
-
-    @property
-    def true_error(self) -> TrueError:
-        """Mean true error over the targets, and how it is known."""
-        if self.settled_true is not None:
-            return TrueError.of("known", self.settled_true.mean)
-        return self.settled_modelled or NOT_KNOWN
-
-
-@dataclass(frozen=True, kw_only=True)
-class GuardCount:
-    """How often the guard stepped in for one reason."""
-
-    reason: str
-    cycles: int
-    share: float
-    """of all cycles"""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Outcomes:
-    """Results per target: flat tuples ordered by (target set, repetition, target); None where there is no result."""
-
-    shape: tuple[int, int, int]
-    """target sets S, repetitions R, targets K"""
-    within: tuple[float, ...]
-    """[m] distances of the ``stay`` tuples"""
-    crossed: Values
-    """1 where the threshold was crossed in time, else 0"""
-    crossing_error: Values
-    """[m]"""
-    crossing_true: Values
-    """[m]"""
-    crossing_time: Values
-    """[s] in force until the crossing or the time-out"""
-    settled: Values
-    """[m]"""
-    settled_true: Values
-    """[m]"""
-    oscillation: Values
-    """[m]"""
-    stay: tuple[Values, ...]
-    """[s] per distance; the length of the hold where the error does not stay below it"""
-    stayed: tuple[Values, ...]
-    """per distance: 1 where the error stays below it, else 0; None where the target was not held"""
-    modelled: tuple[Values, ...] = ()
-    """[m] true error by a calibration, value and ends of its interval; empty where there is none, or it is known"""
-    turned: Values = ()
-    """[rad] orientation error by the encoders, mean of the last part of a hold; empty where targets have none"""
-
-    def array(self, name: str) -> Array:
-        """Return one field as (S, R, K), or (W, S, R, K) for ``stay``, ``stayed`` and ``modelled``; NaN for None."""
-        return np.array(getattr(self, name), dtype=float).reshape((-1, *self.shape) if name in _SEVERAL else self.shape)
-
-
-@dataclass(frozen=True, kw_only=True)
 class Ended:
-    """Why a run, which is a trial under one protocol, ended before its last target was done."""
+    """Why a trial ended before its last target."""
 
     protocol: str
     """``crossing`` or ``hold``"""
@@ -144,43 +63,69 @@ class Ended:
     target: int
     """index of the target in force"""
     why: str
-    """such as ``not finite``, a trip of the guard, in the words of `Guarded.reasons`"""
+    """such as ``not finite``, see `reason_names`"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ControllerRow:
-    """Everything about one controller."""
+    """Statistics of one controller; None where nothing is known."""
 
     controller: str
-    crossing: CrossingRow
-    hold: HoldRow
-    guard: tuple[GuardCount, ...]
-    """reasons that occurred, the most frequent first"""
-    failures: int
-    """runs (a trial under one protocol) that ended early by a fault: a trip of the guard, or a command that is none"""
-    outcomes: Outcomes
+    success: Estimate
+    """share of the targets reached in time"""
+    crossing_error: Spread | None
+    """[m] encoder error at the crossing or the time-out"""
+    crossing_true: Spread | None
+    """[m] true error at the same moments"""
+    cycle_time: Spread | None
+    """[s] for a whole set; with elimination extrapolated from the targets driven to"""
+    settled: Spread | None
+    """[m] encoder error, mean of the last part of each hold"""
+    settled_true: Spread | None
+    """[m] true error over the same time"""
+    settled_modelled: TrueError | None
+    """true error over the same time by a calibration"""
+    oscillation: Spread | None
+    """[m] rms distance of the encoder TCP from its mean at the end of each hold"""
+    turned: Spread | None
+    """[rad] orientation error by the encoders over the same time"""
+    accuracy: Spread | None
+    """[m] AP of ISO 9283 by the encoders"""
+    repeatability: Spread | None
+    """[m] RP by the encoders; None for one repetition"""
+    accuracy_true: Spread | None
+    """[m] AP of the tool itself"""
+    repeatability_true: Spread | None
+    """[m] RP of the tool itself"""
+    stays: tuple[Stay, ...]
+    """from the widest distance on; empty: nothing was held"""
+    held: int
+    """targets at which it was held to the end"""
+    guard: dict[str, float]
+    """share of all cycles with each of the guard's reasons, the most frequent first"""
     ended: tuple[Ended, ...] = ()
-    """all runs that ended early, in the order in which they were driven"""
+    """trials that ended early, in order"""
     out: str = ""
-    """why the controller was not driven to the end of the comparison, such as ``3 missed targets in a row``; what it
-    did not drive counts neither for nor against it. Empty where it was driven to the end"""
+    """why it was eliminated; empty: it was driven to the end"""
     source: str = ""
-    """where its first results are from if they were not driven for this comparison, such as ``the diagnosis``"""
+    """where its first results are from, such as ``the diagnosis``"""
 
     @property
     def beaten(self) -> bool:
-        """Whether it is ``out`` because another one was better or as good, and not because it failed."""
-        return self.out.startswith((WAS_BEATEN, NO_BETTER))
+        """Whether a better one eliminated it."""
+        return self.out.startswith(WAS_WORSE)
 
     @property
-    def needless(self) -> bool:
-        """Whether it is ``out`` because it is no better by what matters than a simpler one."""
-        return self.out.startswith(NO_BETTER)
+    def failures(self) -> int:
+        """Number of runs that ended early."""
+        return len(self.ended)
 
     @property
-    def held(self) -> int:
-        """Number of targets at which it was held."""
-        return sum(value is not None for value in self.outcomes.settled)
+    def true_error(self) -> TrueError:
+        """Mean true error over the holds, and how it is known."""
+        if self.settled_true is not None:
+            return TrueError.of("known", self.settled_true.mean)
+        return self.settled_modelled or NOT_KNOWN
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,13 +133,13 @@ class Protocol:
     """Settings of both protocols."""
 
     threshold: float = 0.010
-    """[m] a target is reached below this; Park et al. 2024, section IV-A"""
+    """[m] reached below this; Park et al. 2024, section IV-A"""
     dwell: float = 20.0
     """[s] longest time per target; Park et al. 2024, section IV-F"""
     hold: float = 8.0
-    """[s] per target in the hold protocol (chosen: slow controllers have settled by then)"""
+    """[s] per target in the hold protocol (chosen)"""
     window: float = 1.0
-    """[s] last part of a hold, over which the settled error is the mean (chosen)"""
+    """[s] last part of a hold for the settled error (chosen)"""
     within: tuple[float, ...] = (0.010, 0.005, 0.002)
     """[m] distances to come and stay within (chosen)"""
 
@@ -207,29 +152,34 @@ class Protocol:
         if not self.within or min(self.within) <= 0.0:
             raise InputError(f"protocol: distances to stay within must be positive, got {self.within}")
 
+    @property
+    def stay_names(self) -> tuple[str, ...]:
+        """Columns of the times to stay, such as ``stay_2mm``."""
+        return tuple(f"stay_{1e3 * within:g}mm" for within in self.within)
+
 
 @dataclass(frozen=True, kw_only=True)
 class TargetErrors:
     """Errors at each of K targets."""
 
     encoders: Values
-    """[m] encoder error, from the aim"""
+    """[m] encoder error, from the corrected target"""
     true: tuple[TrueError, ...]
     """of the tool, from the target, and how it is known"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DirectionVariation:
-    """Multi-directional variation of pose accuracy, vAP after ISO 9283: poses come to along three axes of the base."""
+    """vAP of ISO 9283: poses approached along three axes."""
 
     controller: str
     poses: int
     cycles: int
-    """that each pose was attained from each direction; the norm asks for 30"""
+    """approaches per direction; ISO asks for 30"""
     encoders: Spread
     """[m] over the poses, by the encoders"""
     tool: Spread | None
-    """[m] of the tool itself; None where nobody knows it"""
+    """[m] of the tool itself; None where it is not known"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -241,9 +191,7 @@ class Comparison:
     arm: str
     seed: int
     batched: bool
-    """whether all trials ran side by side on equal emulated arms, rather than one after the other on one arm"""
-    true_known: bool
-    """whether the true TCP was known"""
+    """whether all trials ran side by side on emulated arms"""
     repetitions: int
     targets: tuple[tuple[tuple[float, float, float], ...], ...]
     """(S, K, 3) [m]"""
@@ -251,34 +199,61 @@ class Comparison:
     clusters: str
     """what the intervals resample: ``target sets``, ``trials`` or ``targets``"""
     rows: tuple[ControllerRow, ...]
+    """statistics of the controllers"""
+    results: dict[str, Values] = field(repr=False)
+    """the tidy table by column (`METRICS`), ordered by (controller, target set, repetition, target); None: no result"""
     targets_file: str = ""
-    """file that the targets were read from, as it was named; empty where they were drawn"""
+    """file of the targets; empty: drawn"""
     period: tuple[float, float] | None = None
-    """[s] shortest and longest control period that was asked for; None: the robot's own"""
+    """[s] requested control period; None: the robot's own"""
     left_out: tuple[str, ...] = ()
-    """sentences: which controllers did not take part, what was not driven beside them, and why"""
+    """sentences: who was left out, what was not driven, and why"""
     calibration: str = ""
-    """date of the calibration by which all controllers were aimed; empty where there was none"""
-    race: Race | None = None
-    """when it counted as decided, if it was driven no longer than that"""
-    most: tuple[int, int] | None = None
-    """target sets and repetitions after which such a race would have ended undecided"""
+    """date of the calibration that corrected all targets, or empty"""
+    block: int = 0
+    """targets between eliminations; 0: none"""
     as_found: TargetErrors | None = None
-    """errors at the first target set of an arm driven by its own controller without any aim; None where that was not
-    driven beside a comparison that was aimed"""
+    """errors of the uncorrected arm under its own controller at the first target set"""
     directions: DirectionVariation | None = None
     """of the recommended controller; None where that was not asked for"""
     orientations: tuple[tuple[str, ...], ...] = ()
-    """how the tool was to be turned at the targets, in words; empty where targets are points"""
+    """wanted orientations in words; empty for points"""
 
     def row(self, controller: str) -> ControllerRow:
-        """Return the row of a controller; InputError names those there are."""
-        for row in self.rows:
-            if row.controller == controller:
-                return row
-        raise InputError(f"no controller {controller!r} in this comparison; it has {self.controllers}")
+        """Statistics of a controller; InputError names those there are."""
+        return self.rows[self._index(controller)]
 
     @property
     def controllers(self) -> tuple[str, ...]:
         """Names in the order of the rows."""
         return tuple(row.controller for row in self.rows)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Target sets S, repetitions R, targets K."""
+        return len(self.targets), self.repetitions, len(self.targets[0])
+
+    @property
+    def true_known(self) -> bool:
+        """Whether the true position of the tool was known."""
+        return "settled_true" in self.results
+
+    def array(self, metric: str, controller: str) -> Array:
+        """Return a column for one controller (S, R, K); NaN: no result."""
+        values = self.results.get(metric)
+        if values is None:
+            return np.full(self.shape, np.nan)
+        return np.array(values, dtype=float).reshape(len(self.rows), *self.shape)[self._index(controller)]
+
+    def to_pandas(self) -> Any:  # noqa: ANN401 - pandas is not part of the installation
+        """Table as a data frame (needs pandas), one line per controller, set, repetition and target."""
+        pandas = import_module("pandas")
+        names = ("controller", "target_set", "repetition", "target")
+        index = pandas.MultiIndex.from_product([self.controllers, *map(range, self.shape)], names=names)
+        columns = {name: np.array(values, dtype=float) for name, values in self.results.items()}
+        return pandas.DataFrame(columns, index=index).reset_index()
+
+    def _index(self, controller: str) -> int:
+        if controller not in self.controllers:
+            raise InputError(f"no controller {controller!r} in this comparison; it has {self.controllers}")
+        return self.controllers.index(controller)

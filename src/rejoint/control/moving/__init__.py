@@ -1,1 +1,1 @@
-"""Targets that move: paths, streams, the controller that follows them, and what is learned by repeating."""
+"""Targets that move: paths, streams, what follows them, and learning by repetition."""

@@ -1,4 +1,8 @@
-"""Driving an arm behind a target that moves, and saying how well it followed."""
+"""Driving an arm behind a moving target, how well it followed, and learning from repetition.
+
+Repetition adds what was missed to the aim, of every frequency the share that repeats (Wiener's filter), in the tool's
+space and without delay.
+"""
 
 from __future__ import annotations
 
@@ -9,19 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, tcp_position
-from rejoint.arms.orientation import REACHED_TURN, Orientation
-from rejoint.control.accuracy import NOT_KNOWN, ToolModel, TrueError, modelled
-from rejoint.control.controller import ControlInput, Controller
-from rejoint.control.correction import Modelled, checked
-from rejoint.control.guard import GuardLimits
-from rejoint.control.loop import Schedule, follow
-from rejoint.control.moving.errors import Along, along, interpolated
-from rejoint.control.moving.path import Path, path_of
+from rejoint.arms.rotations import REACHED_TURN, Orientation
+from rejoint.control.controller import ControlInput
+from rejoint.control.correction import NOT_KNOWN, Modelled, ToolModel, TrueError, checked, modelled
 from rejoint.control.moving.posture import PathPostures
-from rejoint.control.moving.routes import Ahead, Corrected, Guide, Routes, Stream
-from rejoint.control.playback import move
-from rejoint.control.recording import OnCycle, Recording
-from rejoint.control.robot import Mask, Robot
+from rejoint.control.moving.reference import LEAD_IN, Ahead, Corrected, Path, Stream, interpolated, path_of
+from rejoint.control.recording import Recording
+from rejoint.control.robot import Mask
 from rejoint.logs.runlog import RunLog
 
 Rows = NDArray[np.intp]
@@ -40,10 +38,10 @@ class Pass:
     encoder: Along
     """errors by the encoders"""
     true_error: TrueError
-    """root mean square of the tool itself, without a lag, and how it is known"""
+    """root mean square of the tool, without a lag"""
     log: RunLog | None = None
     turned: float | None = None
-    """[rad] root mean square of the orientation error by the encoders, without a lag; None where none was asked for"""
+    """[rad] rms orientation error by the encoders; None: not asked for"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,13 +61,13 @@ class Followed:
 
     @property
     def followed(self) -> bool:
-        """Whether the last pass was ``within``, root mean square after the best single lag, and the tool turned so."""
+        """Whether the last pass stayed ``within`` (rms after the best lag) and turned the tool."""
         last = self.passes[-1] if self.passes else None
         return last is not None and last.encoder.rms_after <= self.within and (last.turned or 0.0) <= REACHED_TURN
 
 
 def corrected_path(arm: Arm, path: Path, correction: Modelled, home: Array | None = None) -> Path:
-    """Return the aims of a path, so that the tool itself is on it where the arm keeps near to ``home`` (n,) [rad]."""
+    """Aims of a path for an arm that keeps near ``home`` (n,) [rad]."""
     time = np.linspace(0.0, path.duration, max(2, round(path.duration / _STEP) + 1))
     places = path.at(time)
     aims = places
@@ -87,7 +85,7 @@ def corrected_path(arm: Arm, path: Path, correction: Modelled, home: Array | Non
 def corrector(
     arm: Arm, correction: Modelled, start: Array, turn: Orientation | None = None, home: Array | None = None
 ) -> Corrected:
-    """Return what turns targets of a stream into aims, from ``start`` (3,) [m] and ``turn`` () on, near ``home``."""
+    """Return what turns targets of a stream into aims, from ``start`` (3,) [m] and ``turn`` () on."""
     postures = PathPostures(arm, start[None], turn and turn[None], home)
 
     def correct(places: Array, turns: Orientation | None) -> tuple[Array, Orientation | None]:
@@ -98,25 +96,8 @@ def corrector(
     return correct
 
 
-def approach(
-    robot: Robot, posture: Array, sent: Array, limits: GuardLimits | None = None, *, give_up: GiveUp | None = None,
-    on_cycle: OnCycle | None = None,
-) -> Recording:  # fmt: skip
-    """Bring the arm slowly from the command ``sent`` (1, n) [rad] to the ``posture`` (n,) [rad] of a path's start."""
-    return move(robot, posture, sent=sent, settle=0.5, limits=limits, give_up=give_up, on_cycle=on_cycle)
-
-
-def follow_guide(
-    robot: Robot, controller: Controller, guide: Guide, duration: float, sent: Array, *,
-    limits: GuardLimits | None = None, give_up: GiveUp | None = None, on_cycle: OnCycle | None = None,
-) -> Recording:  # fmt: skip
-    """Drive one arm behind a guide for ``duration`` [s]; ``sent`` (1, n) [rad] is the command in force."""
-    schedule = Schedule(dwell=duration, sent=sent, give_up=give_up)
-    return follow(robot, controller, Routes([guide]), schedule, limits=limits, on_cycle=on_cycle)
-
-
 def judge(arm: Arm, recording: Recording, guide: Ahead | Stream, b: int = 0, model: ToolModel | None = None) -> Pass:
-    """Say how well arm ``b`` followed; where nobody sees its tool, by what the ``model`` expects of that."""
+    """Say how well arm ``b`` followed; a ``model`` tells tool errors that are not known."""
     rows, time = rows_on(recording, guide, b)
     tool = tcp_position(arm, recording.position[rows, b])
     at, places, aims = route_of(guide)
@@ -142,8 +123,8 @@ def _expected(model: ToolModel, position: Array, time: Array, at: Array, places:
 
 
 def rows_on(recording: Recording, guide: Ahead | Stream, b: int = 0) -> tuple[Rows, Array]:
-    """Return the rows of a recording (T,) in which arm ``b`` was on its path, and the times (T,) [s] on that."""
-    begin = guide.lead_in if isinstance(guide, Ahead) else guide.time[0]
+    """Rows (T,) in which arm ``b`` was on its path, and their times (T,) [s]."""
+    begin = LEAD_IN if isinstance(guide, Ahead) else guide.time[0]
     length = guide.path.duration if isinstance(guide, Ahead) else guide.time[-1] - begin
     time = recording.since_target[:, b] - begin
     rows = np.flatnonzero(recording.active[:, b] & (time >= 0.0) & (time <= length))
@@ -161,6 +142,116 @@ def route_of(guide: Ahead | Stream) -> tuple[Array, Array, Array]:
 
 
 def missed(arm: Arm, recording: Recording, guide: Ahead, wanted: Path, b: int = 0) -> tuple[Array, Array]:
-    """Return times (T,) [s] and how far (T, 3) [m] arm ``b`` was from ``wanted`` by its encoders, for `Repetition`."""
+    """Return times (T,) [s] and distances (T, 3) [m] of arm ``b`` from ``wanted`` by its encoders."""
     rows, time = rows_on(recording, guide, b)
     return time, wanted.at(time) - tcp_position(arm, recording.position[rows, b])
+
+
+_LAGS = np.arange(0.0, 0.3001, 0.005)  # [s] that are tried
+
+
+@dataclass(frozen=True, kw_only=True)
+class Along:
+    """Errors along a path."""
+
+    rms: float
+    """[m] root mean square"""
+    largest: float
+    """[m]"""
+    lag: float
+    """[s] shift of the path for the least rms"""
+    rms_after: float
+    """[m] the same after that shift"""
+    largest_after: float
+    """[m]"""
+
+
+def along(time: Array, tool: Array, at: Array, places: Array) -> Along:
+    """Compare the ``tool`` (T, 3) [m] at ``time`` (T,) [s] with ``places`` (K, 3) [m] at ``at`` (K,) [s]."""
+    errors = [np.linalg.norm(tool - interpolated(time - lag, at, places), axis=-1) for lag in _LAGS]
+    sizes = [float(np.sqrt((error**2).mean())) for error in errors]
+    best = int(np.argmin(sizes))
+    return Along(
+        rms=sizes[0],
+        largest=float(errors[0].max()),
+        lag=float(_LAGS[best]),
+        rms_after=sizes[best],
+        largest_after=float(errors[best].max()),
+    )
+
+
+class Sender:
+    """Sends the inverse kinematics of the moving target: the yardstick."""
+
+    name = "default"
+
+    def __init__(self, arm: Arm) -> None:
+        self._arm = arm
+        self._postures: PathPostures | None = None
+
+    def reset(self, inputs: ControlInput, where: Mask) -> None:  # noqa: ARG002 - nothing is remembered that grows old
+        """Begin at the first target."""
+        if self._postures is None:
+            self._postures = PathPostures(self._arm, inputs.target, inputs.turn)
+
+    def command(self, inputs: ControlInput) -> Array:
+        """Postures (B, n) [rad] of the targets now."""
+        assert self._postures is not None  # noqa: S101 - the loop resets before it asks
+        return np.asarray(self._postures.at(inputs.aims(np.zeros(1)), inputs.turns(np.zeros(1)))[0])
+
+
+DIFFERENT = 0.35e-3
+"""[m/sqrt(Hz)] assumed difference between repetitions (measured)"""
+BELIEVED = 2.0
+"""Times that this counts for (chosen)"""
+DOUBT = 2.0
+"""Weight of what differs against what repeats (chosen)"""
+HIGHEST = 3.0
+"""[Hz] up to which an error is learned (chosen)"""
+MOST = 0.02
+"""[m] by which an aim may leave the path (chosen)"""
+_WIDTH = 0.3  # [Hz] over which shares are alike (chosen: six turns of the slowest standard path)
+
+
+class Repetition:
+    """What was learned of one path, time after time."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._time = np.linspace(0.0, path.duration, max(2, round(path.duration / _STEP) + 1))
+        self._spectra: list[Array] = []  # (F, 3) of where to aim, less the path, for each time
+
+    def learn(self, aim: Path, time: Array, error: Array) -> Path:
+        """Next aim where ``aim`` left errors (T, 3) [m] at ``time`` (T,) [s]."""
+        place = self._path.at(self._time)
+        missed = np.stack([np.interp(self._time, time, column) for column in error.T], axis=-1)
+        self._spectra.append(_spectrum(aim.at(self._time) - place + missed))
+        shift = self._shift()
+        size = np.linalg.norm(shift, axis=-1, keepdims=True)
+        place = place + shift * np.minimum(1.0, MOST / np.maximum(size, MOST))
+        return path_of(self._time, place, self._path.turn_at(self._time), self._path.name)
+
+    def _shift(self) -> Array:
+        """Return by how much (K, 3) [m] the aim is to leave the path."""
+        step, count = self._time[1] - self._time[0], 2 * len(self._time)
+        found, times = np.stack(self._spectra), len(self._spectra)
+        mean, frequency = found.mean(axis=0), np.fft.rfftfreq(count, step)
+        width = _WIDTH / frequency[1]
+        believed = 1.5 * DIFFERENT**2 * count / step  # of all three axes, as a power of this spectrum
+        differs = _smooth((np.abs(found - mean) ** 2).sum(axis=(0, 2)), width)
+        differs = (BELIEVED * believed + differs) / (BELIEVED + times - 1)
+        power = np.maximum(_smooth((np.abs(mean) ** 2).sum(axis=-1), width), np.finfo(float).tiny)
+        share = np.clip(1.0 - DOUBT * differs / times / power, 0.0, 1.0) / (1.0 + (frequency / HIGHEST) ** 8)
+        return np.fft.irfft(mean * share[:, None], count, axis=0)[: len(self._time)]
+
+
+def _spectrum(values: Array) -> Array:
+    """Spectrum (F, 3) of ``values`` (K, 3), which are taken to go back the way they came, so that no end jumps."""
+    return np.asarray(np.fft.rfft(np.concatenate([values, values[::-1]]), axis=0))
+
+
+def _smooth(values: Array, width: float) -> Array:
+    """Mean of ``values`` (F,) around each, over about ``width`` of them."""
+    reach = int(np.ceil(3.0 * width))
+    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / width) ** 2)
+    return np.convolve(np.pad(values, reach, mode="symmetric"), weights / weights.sum(), "valid")

@@ -1,23 +1,24 @@
-"""Which posture an arm takes on a path: one that depends on the place alone, and that spares the light joints.
+"""Postures on a path, the arm's home there, and the commands that a motion needs by the twin.
 
-Of all postures with the tool at a place, the one nearest to home is taken, which is rest unless said otherwise. Joints
-that carry little count for more: they are weak, stick, and turn round often, and an arm with six joints can do without
-them. So a path that comes back finds the same postures, and nothing drifts.
+The posture nearest to home depends on the place alone, so nothing drifts; lightly loaded joints are spared, since they
+stick. Home is rest, or a fold of one joint where a worn motor hardly lifts its load (`python -m benchmarks moving`).
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, gravity_torque, position_kinematics
-from rejoint.arms.orientation import Orientation, task
+from rejoint.arms import Arm, Array, collides, frames, gravity_torque, position_kinematics
+from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.posing import find_postures
+from rejoint.arms.rotations import Orientation, task
+from rejoint.system.errors import InputError
 
 SPARED = 20.0
-"""Weight of the lightest joints by that of the heaviest (measured on four worn arms: 5 to 100 make no difference, with
-1 the error of random paths at 0.5 Hz is 3.4 instead of 1.9 mm under an integral)"""
+"""Weight of the lightest joints by that of the heaviest (measured)"""
 _LIGHT = 0.2  # share of the largest gravity torque below which a joint is light (chosen: the wrist)
 _KEEP = 3  # joints that always count as heavy: those of a place in space
 _ROUNDS, _FIRST = 4, 40  # steps of the search from a posture nearby, and from rest
@@ -27,7 +28,7 @@ _SOFT = 1e-8  # [m^2] keeps singular postures finite
 
 @lru_cache(maxsize=32)
 def joint_weights(arm: Arm) -> Array:
-    """Weights (n,) of the joints: 1, or `SPARED` for those that carry little."""
+    """Weights (n,): 1, or `SPARED` for lightly loaded joints."""
     postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (2048, arm.joints))
     load = np.abs(gravity_torque(arm, postures)).max(axis=0)
     weights = np.where(load < _LIGHT * load.max(), SPARED, 1.0)
@@ -37,21 +38,19 @@ def joint_weights(arm: Arm) -> Array:
 
 
 def spread(arm: Arm, jacobian: Array, way: Array) -> Array:
-    """Joint motions (..., n) [rad] that move the tool by ``way`` (..., k) [m], mostly of the heavy joints."""
+    """Joint motions (..., n) [rad] for a tool motion ``way`` (..., k) [m], mostly of heavy joints."""
     turned = np.swapaxes(jacobian, -1, -2) / joint_weights(arm)[:, None]
     ridge = _SOFT * np.eye(way.shape[-1])
     return (turned @ np.linalg.solve(jacobian @ turned + ridge, way[..., None]))[..., 0]
 
 
 class PathPostures:
-    """PathPostures of B arms; the search goes on from the last one."""
+    """Postures of B arms; each search starts from the last one."""
 
-    def __init__(
-        self, arm: Arm, place: Array, turn: Orientation | None = None, home: Array | None = None
-    ) -> None:  # fmt: skip
-        """Begin at ``place`` (B, 3) [m], with the tools turned as in ``turn`` (B,).
+    def __init__(self, arm: Arm, place: Array, turn: Orientation | None = None, home: Array | None = None) -> None:
+        """Begin at ``place`` (B, 3) [m], turned as in ``turn`` (B,).
 
-        They keep near to ``home`` (n,) or (B, n) [rad] where no turn is given; by default to rest.
+        Without turn they keep near ``home`` (n,) or (B, n) [rad], by default rest.
         """
         self._arm = arm
         self._home = arm.rest if home is None or turn is not None else home
@@ -61,17 +60,14 @@ class PathPostures:
         """(B, n) [rad]"""
 
     def at(self, places: Array, turns: Orientation | None = None) -> Array:
-        """Return the postures (k, B, n) [rad] of ``places`` (k, B, 3) [m] near the last ones; keep the middle one.
-
-        The tools are turned there as in ``turns`` (k, B).
-        """
+        """Postures (k, B, n) [rad] of ``places`` (k, B, 3) [m] and ``turns`` (k, B); keeps the middle one."""
         start = np.broadcast_to(self.last, (len(places), *self.last.shape))
         found = self._search(places, start, _ROUNDS, turns)
         self.last = found[len(found) // 2]
         return found
 
     def along(self, places: Array, turns: Orientation | None = None) -> Array:
-        """Return the postures (T, B, n) [rad] along ``places`` (T, B, 3) [m], one after the other."""
+        """Postures (T, B, n) [rad] along ``places`` (T, B, 3) [m]."""
         return np.concatenate([self.at(place[None], turns and turns[k, None]) for k, place in enumerate(places)])
 
     def _search(self, place: Array, q: Array, rounds: int, turn: Orientation | None) -> Array:
@@ -84,3 +80,122 @@ class PathPostures:
             largest = np.abs(step).max(axis=-1, keepdims=True)
             q = np.clip(q + step * np.minimum(1.0, _STEP / np.maximum(largest, _STEP)), arm.lower, arm.upper)
         return q
+
+
+_SPARE = 0.35
+"""Share of a motor's torque kept for sticking (chosen)"""
+_FOLDS = np.radians([-60.0, 60.0])  # from rest, of one joint (chosen among 30 to 90 deg)
+_PLACES = 32  # of the region of targets, at which postures are looked at
+
+
+def home_of(arm: Arm, servos: Servos) -> Array:
+    """Postures (B, n) [rad] that arms with these ``servos`` keep near to.
+
+    Rest where the loaded motors have torque to spare; else the fold of one light joint that loads the weakest least.
+    """
+    places = arm.targets.sample(np.random.default_rng(0), (_PLACES,))
+    light = joint_weights(arm) > 1.0
+    room = np.maximum((1.0 - _SPARE) * servos.torque_limit - servos.coulomb, np.finfo(float).tiny)
+
+    def share(postures: Array) -> Array:  # (B,) of its room, of the joint that is loaded most
+        load = np.median(np.abs(gravity_torque(arm, postures)), axis=0)
+        return np.asarray((load / room)[:, ~light].max(axis=-1))
+
+    at_rest = PathPostures(arm, places).last
+    least, touching = share(at_rest), collides(arm, frames(arm, at_rest))
+    homes = np.broadcast_to(arm.rest, room.shape).copy()
+    weak = least > 1.0
+    for joint in np.flatnonzero(light) if weak.any() else ():
+        for fold in _FOLDS:
+            home = arm.rest + fold * np.eye(arm.joints)[joint]
+            postures = PathPostures(arm, places, home=home).last
+            within = ((home > arm.lower) & (home < arm.upper)).all()
+            if within and not (collides(arm, frames(arm, postures)) & ~touching).any():
+                better = weak & (share(postures) < least)
+                homes[better], least = home, np.where(better, share(postures), least)
+    return homes
+
+
+TURNING = 0.015
+"""[rad/s] at which friction has turned to three quarters (chosen)"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Servos:
+    """Servos of B arms, as a twin has them."""
+
+    stiffness: Array
+    """(B, n) [N m/rad]"""
+    damping: Array
+    """(B, n) [N m s/rad]"""
+    coulomb: Array
+    """(B, n) [N m]"""
+    armature: Array
+    """(B, n) [kg m^2]"""
+    torque_limit: Array
+    """(B, n) [N m]"""
+    offset: Array
+    """(B, n) [rad] unloaded joint minus command"""
+    delay: Array
+    """(B,) [s] from sending a command to reading its first effect"""
+
+    def __post_init__(self) -> None:
+        shape = np.shape(self.stiffness)
+        joints = (self.damping, self.coulomb, self.armature, self.torque_limit, self.offset)
+        if len(shape) != 2 or any(np.shape(one) != shape for one in joints) or np.shape(self.delay) != shape[:1]:
+            raise InputError(f"servos: stiffness has shape {shape}, expected (arms, joints), and all others as many")
+        if not ((self.stiffness > 0.0).all() and (self.torque_limit > 0.0).all()):
+            raise InputError("servos: stiffness and torque limits must be positive")
+
+    def most(self) -> Array:
+        """Largest useful angles (B, n) [rad] between command and joint."""
+        return self.torque_limit / self.stiffness
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Moment:
+    """A motion of B arms around one moment."""
+
+    around: Array
+    """(3, B, n) [rad] postures ``step`` before, now, and after"""
+    step: float
+    """[s]"""
+
+    @property
+    def position(self) -> Array:
+        """PathPostures (B, n) [rad]."""
+        return np.asarray(self.around[1])
+
+    @property
+    def speed(self) -> Array:
+        """Speeds (B, n) [rad/s]."""
+        return (self.around[2] - self.around[0]) / (2.0 * self.step)
+
+    @property
+    def acceleration(self) -> Array:
+        """Accelerations (B, n) [rad/s^2]."""
+        return (self.around[2] - 2.0 * self.around[1] + self.around[0]) / self.step**2
+
+
+def command_for(arm: Arm, servos: Servos, motion: Moment) -> Array:
+    """Commands (B, n) [rad] for a motion: the inverse of the twin."""
+    speed = motion.speed
+    torque = (
+        link_torque(arm, motion)
+        + servos.coulomb * np.tanh(speed / TURNING)
+        + servos.damping * speed
+        + servos.armature * motion.acceleration
+    )
+    return motion.position - servos.offset + torque / servos.stiffness
+
+
+def link_torque(arm: Arm, motion: Moment) -> Array:
+    """Torques (B, n) [N m] that carry and accelerate the links as point masses."""
+    f = frames(arm, motion.around)
+    centre = f.position + np.einsum("tbnij,nj->tbni", f.rotation, arm.com)
+    pull = (centre[2] - 2.0 * centre[1] + centre[0]) / motion.step**2 - GRAVITY
+    force = arm.mass[:, None] * pull
+    moment = np.cross(centre[1], force)
+    # Of all that hangs on each joint: force and moment, the latter about the joint's own place.
+    force, moment = (np.cumsum(part[:, ::-1], axis=1)[:, ::-1] for part in (force, moment))
+    return (f.axis[1] * (moment - np.cross(f.position[1], force))).sum(axis=-1)

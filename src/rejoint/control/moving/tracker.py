@@ -1,29 +1,106 @@
-"""The controller that follows: the inverse of the twin ahead of time, and an observer for what the twin does not know.
+"""The tracker: the inverse of the twin ahead of time, and an observer of what the twin does not know.
 
-What it sends is the command under which the twin would move as is wanted a moment later, less what the observer says
-pushes the joint, less its deviation in stiffness and damping that the worn servo has not. The delay costs nothing: what
-is corrected is the deviation at which a command begins to work.
+A joint deviates by x, ``M x'' + D x' + k x = k (u + d)``: u was sent beyond the inverse, ``delay`` ago; d is what the
+twin does not know. A stationary Kalman filter per joint estimates x, x' and d; the command subtracts d, and adds
+stiffness and damping at the moment when it begins to work.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, dls, position_kinematics
+from rejoint.arms import Arm, Array, dls, link_inertia, position_kinematics
 from rejoint.control.controller import ControlInput
-from rejoint.control.law import limit_position
-from rejoint.control.moving.folding import home_of
-from rejoint.control.moving.observer import PushObserver, Trust
-from rejoint.control.moving.posture import PathPostures, joint_weights
-from rejoint.control.moving.servos import Moment, Servos, command_for
-from rejoint.control.pace import NOMINAL_PERIOD, Pace
+from rejoint.control.law import NOMINAL_PERIOD, Pace, limit_position
+from rejoint.control.moving.posture import Moment, PathPostures, Servos, command_for, home_of, joint_weights
 from rejoint.control.robot import Mask
 
+_PARTS = 5  # steps in which a control period, or a delay, is passed (chosen: 5 ms each)
+_KEPT = 12  # commands that are remembered (chosen: more than arrive late at the shortest period)
+_ROUNDS = 300  # of the filter's equations until they stand still
+_LEAST_INERTIA = 2e-3  # [kg m^2] believed of a joint (chosen: the least of the twins)
+
+
+DRIFT, SHOCKS = 1e-3, 1.0
+"""[rad^2/s] and [rad^2/s^3] by which the push on a joint, over its stiffness, and its speed change (chosen)"""
+
+
+class PushObserver:
+    """Deviations of B arms from the motion that is wanted."""
+
+    def __init__(self, arm: Arm, servos: Servos, period: float = NOMINAL_PERIOD) -> None:
+        """``period`` [s] is the usual one of the control cycles."""
+        self._servos = servos
+        self.mass = np.maximum(servos.armature + link_inertia(arm, arm.rest), _LEAST_INERTIA)
+        """(B, n) [kg m^2] that moves with each joint"""
+        noise = max(arm.encoder_step**2 / 12.0, 1e-8)
+        self._gain = _filter_gain(self.mass, servos, noise, period)
+        self.away, self.speed, self.push = np.zeros((3, *servos.stiffness.shape))
+        """each (B, n): deviation [rad], its speed [rad/s], push over stiffness [rad]"""
+        self._sent: list[tuple[Array, Array]] = []
+
+    def sent(self, time: Array, beyond: Array) -> None:
+        """Take over what was sent at ``time`` (B,) [s] ``beyond`` (B, n) [rad] the inverse."""
+        self._sent = [*self._sent[1 - _KEPT :], (time, beyond)]
+
+    def see(self, time: Array, elapsed: Array, away: Array) -> None:
+        """Take over deviations ``away`` (B, n) [rad] at ``time`` (B,) [s], ``elapsed`` (B,) [s] after the last.
+
+        0: no news.
+        """
+        fresh = (elapsed > 0.0)[:, None]
+        place, speed = self._pass(time - elapsed, elapsed)
+        missed = np.where(fresh, away - place, 0.0)
+        self.away, self.speed = place + self._gain[..., 0] * missed, speed + self._gain[..., 1] * missed
+        self.push = self.push + self._gain[..., 2] * missed
+
+    def soon(self, time: Array) -> tuple[Array, Array]:
+        """Deviation and speed (B, n) when a command sent at ``time`` (B,) [s] begins to work."""
+        return self._pass(time, self._servos.delay)
+
+    def _pass(self, start: Array, span: Array) -> tuple[Array, Array]:
+        servos, step = self._servos, (span / _PARTS)[:, None]
+        pull = step * servos.stiffness / self.mass
+        brake = 1.0 / (1.0 + step * servos.damping / self.mass)
+        away, speed = self.away, self.speed
+        for k in range(_PARTS):
+            beyond = self._in_force(start + (k + 0.5) * step[:, 0] - servos.delay)
+            speed = brake * (speed + pull * (beyond + self.push - away))
+            away = away + step * speed
+        return away, speed
+
+    def _in_force(self, time: Array) -> Array:
+        """Return what was last sent before ``time`` (B,) [s]."""
+        found = np.zeros_like(self.push)
+        for sent, beyond in self._sent:
+            found = np.where((sent <= time)[:, None], beyond, found)
+        return found
+
+
+def _filter_gain(mass: Array, servos: Servos, noise: float, period: float) -> Array:
+    """Gains (B, n, 3) of the filter in the long run."""
+    step = period / _PARTS
+    brake, pull = 1.0 / (1.0 + step * servos.damping / mass), step * servos.stiffness / mass
+    one = np.zeros((*mass.shape, 3, 3))
+    one[..., 1, 0], one[..., 1, 1], one[..., 1, 2] = -brake * pull, brake, brake * pull
+    one[..., 0, :] = step * one[..., 1, :]
+    one[..., 0, 0] += 1.0
+    one[..., 2, 2] = 1.0
+    cycle = np.linalg.matrix_power(one, _PARTS)
+    unknown = np.diag([1e-9, SHOCKS * period, DRIFT * period])
+    spread = np.broadcast_to(1e-3 * np.eye(3), cycle.shape)
+    gain = np.zeros((*mass.shape, 3))
+    for _ in range(_ROUNDS):
+        spread = cycle @ spread @ np.swapaxes(cycle, -1, -2) + unknown
+        gain = spread[..., 0] / (spread[..., :1, 0] + noise)
+        spread = spread - gain[..., None] * spread[..., :1, :]
+    return gain
+
+
 _LEAST_DELAY = 0.02
-"""[s] that is believed where gains are chosen: a fit may put a part of it into the damping (that of an emulated SO-101
-said 9 ms where it has 20, and joint 1 swung by 2 deg)"""
+"""[s] least delay for the gains: fits mistake delay for damping"""
 _RELIEF_DAMPING = 0.01  # [m] keeps what heavy joints take over finite (chosen: a fifth of the usual)
 _SLOWER = 1.2  # times the usual period up to which a wire is as quick as ever (chosen: its jitter)
 _SMOOTHING = 0.1  # share of the newest period in their mean (chosen)
@@ -34,29 +111,23 @@ class TrackerGains:
     """Settings; chosen on the worn arms 30001 to 30004, see docs/daily-use.md."""
 
     stiffness: float = 1.25
-    """by which a joint is held stiffer than its servo does, as a share of that"""
+    """added stiffness over the servo's"""
     damping: float = 0.065
     """[s] the same of damping, over the servo's stiffness"""
     slow_damping: float = 0.12
-    """[s] that is added to it where a joint is to move slowly: friction falls with the speed there, so that it would
-    stick and slip (chosen on the worn arms 20001, 30001, 30009 and 10003: of 0.80 mm on circle-20s 0.73 are left, with
-    0.2 s 0.79)"""
+    """[s] damping added to slow joints, against stick-slip (chosen)"""
     slow: float = 0.08
-    """[rad/s] up to about which a joint is slow (chosen there; 0.15 makes no difference)"""
+    """[rad/s] up to about which a joint is slow (chosen)"""
     early: float = 0.0075
-    """[s] beyond the twin's delay and half a control period, for which a command stands, by which commands go out: what
-    the servo's own filter takes"""
+    """[s] sent ahead, beyond delay and half a period: the servo's own filter"""
     pace: float = 1.0
-    """largest product of the frequency [rad/s] at which a joint so held would swing, and the time that passes until a
-    command works and is read (measured: with 1.5 arms at a period of 50 ms, and healthy ones, swing for ever)"""
+    """largest product of a held joint's frequency [rad/s] and the delay (measured)"""
     step: float = 0.03
-    """[s] between the places of a motion that speed and acceleration are taken from"""
+    """[s] between places for speed and acceleration"""
     relief: float = 0.15
-    """[s] in which heavy joints take over what light ones miss: one that is too weak for its load stays where it is. On
-    two arms of family 0 that have such a joint 1.9 and 1.5 mm became 0.8 and 0.7 (0.05 to 0.4 s make no difference)"""
+    """[s] in which heavy joints take over what light ones miss"""
     push_limit: float = float(np.radians(30.0))
     """[rad] largest correction of what pushes a joint"""
-    trust: Trust = field(default_factory=Trust)
 
 
 class Tracker:
@@ -65,13 +136,14 @@ class Tracker:
     name = "tracker"
 
     def __init__(
-        self, arm: Arm, servos: Servos, gains: TrackerGains | None = None, period: float = NOMINAL_PERIOD,
+        self,
+        arm: Arm,
+        servos: Servos,
+        gains: TrackerGains | None = None,
+        period: float = NOMINAL_PERIOD,
         home: Array | None = None,
-    ) -> None:  # fmt: skip
-        """``period`` [s] is the usual one of the control cycles, which the gains must suit.
-
-        ``home`` (n,) or (B, n) [rad] is what the postures keep near to; by default what `home_of` says.
-        """
+    ) -> None:
+        """``period`` [s] is the usual one; ``home`` (n,) or (B, n) [rad] by default `home_of`."""
         self._arm, self._servos, self._gains = arm, servos, gains or TrackerGains()
         self._usual = period
         self.home = home_of(arm, servos) if home is None else home
@@ -79,7 +151,7 @@ class Tracker:
         self._begun = False
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:  # noqa: ARG002 - a gap in the answers forgets nothing
-        """Begin where the arms are; later resets change nothing, since targets that move are no new ones."""
+        """Begin where the arms are; later resets change nothing."""
         if self._begun:
             return
         self._begun = True
@@ -88,7 +160,7 @@ class Tracker:
         turns = inputs.turns(now)
         begin = inputs.aims(now)[0], turns and turns[0]
         self._postures, self._seen = (PathPostures(self._arm, *begin, home=self.home) for _ in range(2))
-        self._observer = PushObserver(self._arm, self._servos, self._gains.trust, self._usual)
+        self._observer = PushObserver(self._arm, self._servos, self._usual)
         self._pace = Pace()
         self._pace.begin(inputs.state.time, np.ones(count, dtype=bool))
         self._wanted = self._expected = inputs.sent.copy()
@@ -116,10 +188,7 @@ class Tracker:
         return limit_position(self._arm, self._wanted - push - self._firm(observer.mass) * held)
 
     def _firm(self, mass: Array) -> Array:
-        """Share (B, n) of the gains that joints of this ``mass`` (B, n) [kg m^2] bear at the delay and the period.
-
-        A wire that grows slower on the way makes joints swing, with their readings as late as their commands.
-        """
+        """Share (B, n) of the gains that joints of this ``mass`` (B, n) [kg m^2] bear at the delay and the period."""
         slower = np.maximum(self._period - _SLOWER * self._usual, 0.0)
         late = (np.maximum(self._servos.delay, _LEAST_DELAY) + 0.5 * self._usual + slower)[:, None]
         most = (self._gains.pace / late) ** 2 * mass / self._servos.stiffness - 1.0
@@ -134,7 +203,7 @@ class Tracker:
         return dls(jacobian * ~light, -self._missed, _RELIEF_DAMPING)
 
     def _planned(self, inputs: ControlInput) -> Array:
-        """Return the postures (B, n) [rad] that are wanted now."""
+        """Postures (B, n) [rad] that are wanted now."""
         return np.asarray(self._seen.at(inputs.aims(np.zeros(1)), inputs.turns(np.zeros(1)))[0])
 
     def _motion(self, inputs: ControlInput, shift: Array) -> Moment:

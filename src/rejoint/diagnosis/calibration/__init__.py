@@ -1,1 +1,1 @@
-"""Where the tool really is: measured from outside, modelled as displacements, judged on what the fit has not seen."""
+"""Where the tool really is: measured from outside, modelled as displacements, judged on points left out."""

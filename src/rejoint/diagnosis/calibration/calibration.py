@@ -1,18 +1,28 @@
-"""A calibration: where the tool of one arm is behind its encoders, how sure that is, and where to aim because of it."""
+"""A calibration: where the tool of one arm is behind its encoders, how sure that is, and its file."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import tomlkit
 
 from rejoint.arms import Arm, Array, Displacement, solve_position, tcp_position
-from rejoint.arms.loaded import bare
+from rejoint.arms.inertia import bare
 from rejoint.control.contract import law_digests
-from rejoint.diagnosis.calibration.model import linearised, link_loads, scatter, torque_slopes
-from rejoint.diagnosis.calibration.parameters import DisplacementLayout, vector_of
-from rejoint.system.errors import ContractError
+from rejoint.diagnosis.calibration.parameters import (
+    DisplacementLayout,
+    linearised,
+    link_loads,
+    scatter,
+    torque_slopes,
+    vector_of,
+)
+from rejoint.system.errors import ContractError, InputError
 from rejoint.system.statistics import CONFIDENCE
+from rejoint.system.tomltable import read_sealed, write_sealed
 
 GEOMETRY = ("offset", "axis", "tip", "mass", "com")
 """Fields of an arm that a calibration was computed with"""
@@ -51,13 +61,13 @@ class Calibration:
     after: float
     """[m] the same of this calibration, over the same points, each predicted from the others"""
     used: bool
-    """whether the correction clearly helped at points that were left out; if not, nothing is to be corrected"""
+    """whether the correction clearly helped at points left out; if not, nothing is corrected"""
     floor: float
     """[m] standard deviation of what this model does not explain, on each coordinate"""
     suspects: tuple[int, ...] = ()
     """rows of the measurements, from 0, that do not fit to the others"""
     left_out: Array = field(default_factory=lambda: np.zeros((0, 2)))
-    """(M, 2) [m] errors ``before`` and ``after`` of each measured point; (0, 2) in files of earlier versions"""
+    """(M, 2) [m] errors ``before`` and ``after`` of each measured point"""
 
     def __post_init__(self) -> None:
         for name in ("covariance", "frame", "left_out"):
@@ -80,20 +90,20 @@ class Calibration:
         check_arm(self.arm.name, geometry_of(self.arm), arm)
 
     def tool(self, position: Array, approach: Array | None = None) -> Array:
-        """Where the tool (..., 3) [m] is by this calibration while the encoders say ``position`` (..., n) [rad].
+        """Where the tool (..., 3) [m] is while the encoders say ``position`` (..., n) [rad].
 
-        ``approach`` (..., n) [rad] is where they were before the last motion, as far as that is known.
+        ``approach`` (..., n) [rad] is where they were before the last motion, if that is known.
         """
         return self.displacement.tool(self.arm, position, approach)
 
     def shift(self, position: Array, approach: Array | None = None) -> Array:
-        """Return how far (..., 3) [m] the tool is from where the encoders at ``position`` (..., n) [rad] say it is."""
+        """Return how far (..., 3) [m] the tool is from where the encoders say it is."""
         return self.tool(position, approach) - tcp_position(self.arm, position)
 
     def spread(self, position: Array) -> Array:
         """Covariance (..., 3, 3) [m^2] of the tool around `tool`: parameters, floating joints, and what remains.
 
-        On which flank of its play a joint lies is no slope: where its torque may have either sign, each is counted.
+        Where a torque may have either sign, both flanks of the play count.
         """
         flat = np.reshape(position, (-1, self.arm.joints))
         vector = vector_of(self.layout, self.displacement)
@@ -107,9 +117,9 @@ class Calibration:
     def interval(
         self, position: Array, target: Array | None = None, approach: Array | None = None
     ) -> tuple[Array, Array]:
-        """95 % interval (...), (...) [m] of the distance of the tool from ``target`` (..., 3) [m] at ``position``.
+        """95 % interval (...), (...) [m] of the distance of the tool from ``target`` (..., 3) [m].
 
-        Without a target: from where the encoders say that the tool is. It begins at zero where the tool may be there.
+        Without a target: from where the encoders see it. It begins at zero where the tool may be there.
         """
         place = tcp_position(self.arm, position) if target is None else target
         ends = [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]
@@ -131,15 +141,13 @@ class Calibration:
         return np.linalg.norm(away, axis=-1)
 
     def sigma(self, position: Array) -> Array:
-        """Root mean square (...) [m] of the distance of the tool from where this calibration says it is."""
+        """Root mean square (...) [m] of the tool's distance from `tool`."""
         return np.sqrt(np.trace(self.spread(position), axis1=-2, axis2=-1))
 
     def aim(self, target: Array, start: Array) -> Array:
-        """Where the encoders are to say that the tool is (..., 3) [m], for it to be at ``target`` (..., 3) [m].
+        """Where the encoders must see the tool (..., 3) [m] for it to be at ``target`` (..., 3) [m].
 
-        ``start`` (..., n) [rad] is the posture that the arm comes from: that of the target is looked for from there,
-        and joints that float lie as they do after this motion. A target comes back as it is where the correction is
-        not used.
+        ``start`` (..., n) [rad] is the posture that the arm comes from. Without a correction it is the target itself.
         """
         target = np.asarray(target, dtype=float)
         if not self.used:
@@ -152,12 +160,12 @@ class Calibration:
         return command
 
     def aim_again(self, target: Array, position: Array, approach: Array | None = None) -> Array:
-        """Return the same as `aim`, now that the arm has settled near ``target`` at ``position`` (..., n) [rad]."""
+        """Return the same as `aim`, once the arm has settled near ``target`` at ``position`` (..., n) [rad]."""
         return target - self.shift(position, approach) if self.used else np.array(target, dtype=float)
 
 
 def geometry_of(arm: Arm) -> dict[str, str]:
-    """Digest what of an arm a calibration was computed with, field by field: of its hand as described, not as told."""
+    """Digest the fields of an arm, with its hand as described, that a calibration was computed with."""
     digests = law_digests(bare(arm))
     return {name: digests[name] for name in GEOMETRY}
 
@@ -170,3 +178,92 @@ def check_arm(name: str, digests: dict[str, str], arm: Arm) -> None:
         return
     differs = f"; they differ in {', '.join(other)}" if name == arm.name else ""
     raise ContractError(f"calibration of arm {name!r}, expected one of {arm.name!r}{differs}; calibrate this arm")
+
+
+FORMAT = 1
+"""Version of the layout; a reader refuses others"""
+
+_PARTS = ("offset", "compliance", "play", "carry", "mass")
+"""Of a displacement, one number for each joint"""
+
+_ABOUT = """Where the tool of one robot arm is behind its encoders. SI units.
+suspects: rows that do not fit to the others
+before: m, mean true error at measured points, uncorrected
+after: m, the same, each point predicted from the others
+used: false: nothing is corrected
+floor: m, standard deviation of a coordinate that nothing here explains
+left_out: m, of each measured point: as before and after
+geometry: digests of what the fit computed with
+displacement: play and offset of one joint cannot be told apart: together they say where the tool is
+offset: rad, added to what the encoders say
+compliance: rad/(N m), of gear and link
+play: rad, whole width
+carry: 1, of half the play, by which a joint that floats runs ahead of its last motion
+mass: 1, by the description of the arm
+gravity: m/s^2, in the frame of the base
+frame: of whatever measured: pose in the base
+covariance: of the parameters of the displacement: mass less one, gravity as tilt in rad"""
+
+
+def write_calibration(path: Path, calibration: Calibration) -> None:
+    """Write a calibration as TOML, whole or not at all."""
+    write_sealed(path, _document(calibration))
+
+
+def read_calibration(path: Path, arm: Arm) -> Calibration:
+    """Read the calibration of ``arm``; FileError if it is damaged, ContractError if it is of another arm."""
+
+    def build(data: dict[str, Any]) -> Calibration:
+        check_arm(str(data["arm"]), {str(k): str(v) for k, v in data["geometry"].items()}, arm)
+        return _calibration(data, arm)
+
+    return read_sealed(path, build, name="calibration", version=FORMAT, again="calibrate the arm")
+
+
+def _document(calibration: Calibration) -> tomlkit.TOMLDocument:
+    own, found, document = calibration, calibration.displacement, tomlkit.document()
+    for line in _ABOUT.splitlines():
+        document.add(tomlkit.comment(line))
+    parts = {name: np.broadcast_to(getattr(found, name), found.offset.shape).tolist() for name in _PARTS}
+    plain = ("date", "source", "points", "used", "before", "after", "floor")
+    document.update(
+        {"format": FORMAT, "arm": own.arm.name, **{name: getattr(own, name) for name in plain}}
+        | {"suspects": list(own.suspects), "left_out": own.left_out.tolist(), "geometry": dict(geometry_of(own.arm))}
+        | {"displacement": parts | {"gravity": found.gravity.tolist(), "twist": found.twist.tolist()}}
+        | {"frame": {"name": own.frame_name, "pose": own.frame[:3].tolist()}}
+    )
+    triangle = [row[: i + 1].tolist() for i, row in enumerate(own.covariance)]
+    document["covariance"] = {"order": list(own.layout.names()), "lower_triangle": triangle}
+    return document
+
+
+def _calibration(data: dict[str, Any], arm: Arm) -> Calibration:
+    values, layout = data["displacement"], DisplacementLayout(joints=arm.joints)
+    displacement = Displacement(
+        **{name: _numbers(values[name], (arm.joints,)) for name in _PARTS},
+        gravity=_numbers(values["gravity"], (3,)), twist=_numbers(values["twist"], (arm.joints + 1, 6)),
+    )  # fmt: skip
+    rows = data["covariance"]["lower_triangle"]
+    if len(rows) != layout.body:
+        raise InputError(f"covariance of {len(rows)} parameters, expected {layout.body}")
+    covariance = np.zeros((layout.body, layout.body))
+    for i, row in enumerate(rows):
+        covariance[i, : i + 1] = covariance[: i + 1, i] = _numbers(row, (i + 1,))
+    np.linalg.cholesky(covariance)
+    frame = np.eye(4)
+    frame[:3] = _numbers(data["frame"]["pose"], (3, 4))
+    return Calibration(
+        arm=arm, displacement=displacement, covariance=covariance, frame=frame, frame_name=str(data["frame"]["name"]),
+        source=str(data["source"]), date=str(data["date"]), points=int(data["points"]), used=bool(data["used"]),
+        before=float(data["before"]), after=float(data["after"]), floor=float(data["floor"]),
+        suspects=tuple(int(row) for row in data["suspects"]),
+        left_out=_numbers(data["left_out"], (len(data["left_out"]), 2)),
+    )  # fmt: skip
+
+
+def _numbers(value: object, shape: tuple[int, ...]) -> Array:
+    array = np.array(value, dtype=float)
+    array = array if array.size else array.reshape(shape)  # an empty list tells no columns
+    if array.shape != shape or not np.isfinite(array).all():
+        raise InputError(f"expected finite numbers of shape {shape}, found {array.shape}")
+    return array

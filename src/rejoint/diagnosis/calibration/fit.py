@@ -1,15 +1,19 @@
-"""From measurements to a calibration: fit under several beliefs, the likeliest one, tried on points left out."""
+"""From measurements to a calibration: fit under several priors, the likeliest one, tried on points left out."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
 import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri, ndtr
 
 from rejoint.arms import Arm, Array
+from rejoint.arms.workspace import reach
 from rejoint.diagnosis.calibration.calibration import Calibration
-from rejoint.diagnosis.calibration.framing import align
-from rejoint.diagnosis.calibration.gate import leave_out, merge_repeats
-from rejoint.diagnosis.calibration.measurements import Measurements
-from rejoint.diagnosis.calibration.model import floor_of
+from rejoint.diagnosis.calibration.measurements import Measurements, align
 from rejoint.diagnosis.calibration.parameters import (
     ASKEW,
     LEVEL,
@@ -19,11 +23,102 @@ from rejoint.diagnosis.calibration.parameters import (
     DisplacementLayout,
     PriorCase,
     belief,
-    displacement_of,
+    floor_of,
     vector_of,
 )
-from rejoint.diagnosis.calibration.solver import CalibrationProblem, Fitted, search, solve
+from rejoint.diagnosis.calibration.solver import CalibrationProblem, Fittable, Fitted, search, solve
 from rejoint.system.errors import InputError
+
+P = TypeVar("P", bound=Fittable)
+
+FOLDS = 12
+"""Postures are left out one by one up to so many, in groups beyond (chosen: time)"""
+SURE = 1.3
+"""Standard errors by which a correction must help at points left out (chosen: nine in ten)"""
+LEAST = 1e-4
+"""[m] least gain that is worth a correction (chosen)"""
+ASTRAY = 0.04
+"""Share of an arm's summed link lengths, 21 mm on a myCobot: more at over a fifth of the points left out means wrong
+units, columns or frames (chosen: 14 times what a worn arm is left with)"""
+SAME = np.radians(0.5)
+"""[rad] within which rows are of one posture (chosen: postures of a plan are tens of degrees apart)"""
+WRONG = 2.9
+"""Standard deviations from which a point is suspected (chosen: of ten right points, one arm in fifty has one)"""
+DISTURBED = (
+    "So many do not fit that something changed between them: a horn that slipped, an encoder that jumped, an arm or a "
+    "camera that was moved. Look at the arm, and measure all of them again."
+)
+"""What is said where `disturbed` holds"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LeftOut:
+    """Every measured point, predicted from those of other postures."""
+
+    before: Array
+    """(M,) [m] distance of the point from where the encoders say the tool is"""
+    after: Array
+    """(M,) [m] distance from where the calibration on the others says it is"""
+    surprise: Array
+    """(M,) squared distance by its predicted covariance: chi-squared, of as many degrees as there are coordinates"""
+
+    def helps(self, arm: Arm, measured: Measurements) -> bool:
+        """Tell whether the correction is clearly nearer than the encoders."""
+        postures = np.unique(measured.posture)
+        gain = np.array([(self.before - self.after)[measured.posture == p].mean() for p in postures])
+        noise = float((measured.sigma**2).mean() + floor_of(arm) ** 2)
+        spread = max(noise, float(gain.var(ddof=1)) if len(gain) > 1 else 0.0)
+        if astray(arm, self.after):
+            return False
+        return bool(gain.mean() > max(SURE * np.sqrt(spread / len(gain)), LEAST))
+
+    def suspects(self, known: NDArray[np.bool_]) -> tuple[int, ...]:
+        """Rows, the worst first, whose points (M, 3), ``known`` where measured, do not fit to the others."""
+        freedom = known.sum(axis=1)
+        excess = self.surprise / np.where(freedom > 0, chdtri(np.maximum(freedom, 1), ndtr(-WRONG)), np.inf)
+        return tuple(int(i) for i in np.argsort(-excess) if excess[i] > 1.0)
+
+
+def astray(arm: Arm, after: Array) -> bool:
+    """Tell whether the errors ``after`` (M,) [m] are too large for right points, a fifth of them excepted."""
+    return bool(np.quantile(after, 0.8, method="lower") > ASTRAY * reach(arm))
+
+
+def disturbed(suspects: tuple[int, ...], points: int) -> bool:
+    """Tell whether so many of ``points`` do not fit that not the points are wrong: three, and a quarter."""
+    return len(suspects) >= max(3, points / 4)
+
+
+def merge_repeats(measured: Measurements) -> Measurements:
+    """Give rows of the same posture one number: they do not test one another."""
+    number = measured.posture.copy()
+    for row in range(1, len(measured)):
+        near = np.abs(measured.position[:row] - measured.position[row]).max(axis=1) < SAME
+        if near.any():
+            number[row] = number[int(np.argmax(near))]
+    return measured if (number == measured.posture).all() else replace(measured, posture=number)
+
+
+def leave_out(problem: Fittable, fitted: Fitted) -> LeftOut:
+    """Predict every place from fits that have not seen its posture, with a displacement and without."""
+    before, after, surprise = np.zeros((3, len(problem.postures)))
+    for out in folds(problem.postures):
+        refit, held = solve(problem.rows(~out), fitted.vector), problem.rows(out)
+        residual, slope = held.residual(refit.vector)
+        total = held.noise(refit.vector) + slope @ refit.covariance @ np.swapaxes(slope, -1, -2)
+        off = residual[:, :3]
+        after[out] = np.linalg.norm(off, axis=1)
+        surprise[out] = np.einsum("mi,mi->m", off, np.linalg.solve(total[:, :3, :3], off[..., None])[..., 0])
+        before[out] = np.linalg.norm(problem.uncorrected(out, fitted.vector)[:, :3], axis=1)
+    return LeftOut(before=before, after=after, surprise=surprise)
+
+
+def folds(posture: NDArray[np.int64]) -> list[NDArray[np.bool_]]:
+    """Rows (M,) that are left out together."""
+    numbers = np.unique(posture)
+    groups = np.arange(len(numbers)) % min(FOLDS, len(numbers))
+    return [np.isin(posture, numbers[groups == group]) for group in np.unique(groups)]
+
 
 CASES = (
     PriorCase(),
@@ -31,13 +126,12 @@ CASES = (
     PriorCase(tilt=ASKEW, odds=-0.5),
     PriorCase(twist=1.0, odds=-1.0),
 )
-"""A worn arm, a healthy one, a worn one whose base stands askew, and one whose links differ from their description"""
+"""A worn arm, a healthy one, one on a base askew, and one whose links differ from their description"""
 AGE = 0.3
-"""Share of the standard deviations of beliefs by which an arm may have changed since it was calibrated (chosen: 30 %
-more wear is 0.3 of the play of a worn arm)"""
+"""Share of the prior's deviations by which an arm may have changed since (chosen: 30 % more wear is 0.3 of the play)"""
 
 LINKS_FROM = 5
-"""Postures from which errors of links are fitted (chosen: of 3, one emulated arm in 40 became 18 mm worse)"""
+"""Postures from which errors of links are fitted (chosen: with 3, one emulated arm in 40 became 18 mm worse)"""
 
 
 def fit(
@@ -45,8 +139,8 @@ def fit(
 ) -> Calibration:  # fmt: skip
     """Fit a displacement to ``measurements`` of ``arm`` and try it on points left out.
 
-    ``prior`` is an earlier calibration of the same arm (ContractError for another). InputError where the measurements
-    cannot be used.
+    ``prior`` is an earlier calibration of this arm (else ContractError). InputError where the measurements cannot be
+    used.
     """
     if measurements.position.shape[1] != arm.joints:
         raise InputError(
@@ -60,15 +154,17 @@ def fit(
     layout = DisplacementLayout(joints=arm.joints, frame=foreign)
     frame = align(arm, measurements) if foreign else np.eye(4)
     beliefs = beliefs_of(arm, layout, prior, len(np.unique(measurements.posture)))
-    solved = [_solved(arm, measurements, layout, frame, one) for one, _ in beliefs]
-    best = int(np.argmax([fitted.evidence + odds for (_, fitted), (_, odds) in zip(solved, beliefs, strict=True)]))
-    return _judged(*solved[best], date)
+    problem, fitted = likeliest(
+        CalibrationProblem(arm=arm, layout=layout, belief=beliefs[0][0], measurements=measurements, frame=frame),
+        beliefs,
+    )
+    return judged(problem, fitted, measurements, date)
 
 
 def beliefs_of(
     arm: Arm, layout: DisplacementLayout, prior: Calibration | None, postures: int
 ) -> list[tuple[Belief, float]]:
-    """Return what may be believed before so many ``postures`` are fitted, each with the logarithm of its odds."""
+    """Return the priors for so many ``postures``, each with the logarithm of its odds."""
     if prior is not None:
         prior.require(arm)
         return [(earlier(arm, layout, prior), 0.0)]
@@ -93,23 +189,24 @@ def earlier(arm: Arm, layout: DisplacementLayout, prior: Calibration) -> Belief:
     return Belief(mean=mean, precision=precision, lower=lower, upper=upper)
 
 
-def _solved(
-    arm: Arm, measurements: Measurements, layout: DisplacementLayout, frame: Array, one: Belief
-) -> tuple[CalibrationProblem, Fitted]:
-    problem = CalibrationProblem(arm=arm, layout=layout, belief=one, measurements=measurements, frame=frame)
-    tilt = layout.at("tilt").start
-    askew = one.precision[tilt, tilt] < LEVEL**-2.0 / 2
-    return problem, search(problem) if askew else solve(problem, one.mean)
+def likeliest(problem: P, beliefs: Sequence[tuple[Belief, float]]) -> tuple[P, Fitted]:
+    """Solve a problem under each prior; return the likeliest, given the logarithms of their odds."""
+    solved = []
+    for one, odds in beliefs:
+        own, tilt = replace(problem, belief=one), problem.layout.at("tilt").start
+        askew = one.precision[tilt, tilt] < LEVEL**-2.0 / 2
+        fitted = search(own) if askew else solve(own, one.mean)
+        solved.append((fitted.evidence + odds, own, fitted))
+    return max(solved, key=lambda each: each[0])[1:]
 
 
-def _judged(problem: CalibrationProblem, fitted: Fitted, date: str) -> Calibration:
-    m, body = problem.measurements, slice(0, problem.layout.body)
-    tried = leave_out(problem, fitted)
+def judged(problem: Fittable, fitted: Fitted, measured: Measurements, date: str) -> Calibration:
+    """Try what was fitted to ``measured`` on rows left out, and make a calibration of it."""
+    body, tried = slice(0, problem.layout.body), leave_out(problem, fitted)
     return Calibration(
-        arm=problem.arm, displacement=displacement_of(problem.layout, fitted.vector),
-        covariance=fitted.covariance[body, body], frame=fitted.frame, frame_name=m.frame, source=m.source, date=date,
-        points=len(m), before=float(tried.before.mean()), after=float(tried.after.mean()),
-        used=tried.helps(problem.arm, m),
-        floor=floor_of(problem.arm), suspects=tried.suspects(np.isfinite(m.point)),
+        arm=problem.arm, displacement=problem.displacement(fitted.vector), covariance=fitted.covariance[body, body],
+        frame=fitted.frame, frame_name=measured.frame, source=measured.source, date=date, points=len(measured),
+        before=float(tried.before.mean()), after=float(tried.after.mean()), used=tried.helps(problem.arm, measured),
+        floor=floor_of(problem.arm), suspects=tried.suspects(problem.known[:, :3]),
         left_out=np.stack([tried.before, tried.after], axis=-1),
     )  # fmt: skip

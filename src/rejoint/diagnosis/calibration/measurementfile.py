@@ -1,21 +1,21 @@
-"""Files of measurements: Parquet, and CSV for everybody else's tracker, gauge and spreadsheet.
+"""Files of measurements: Parquet, and CSV from a tracker or a spreadsheet.
 
-Columns: ``position.JOINT`` and, where it is known, ``approach.JOINT``; ``x``, ``y``, ``z`` and ``sigma`` of the tool;
-and ``posture``, the number of the posture. In Parquet they are in rad and m. In CSV every name ends with its unit
-(``position.joint1_deg``, ``x_mm``), see `rejoint.diagnosis.calibration.sheets`; an empty cell is a coordinate that was
-not measured, a line without any is left out, and ``approach``, ``sigma``, ``posture`` and two of the axes may be
-missing.
+Columns: ``position.JOINT`` and, where known, ``approach.JOINT``; ``x``, ``y``, ``z``, ``sigma`` of the tool;
+``posture``, its number. Parquet is in rad and m; in CSV every name ends with its unit (``position.joint1_deg``, ``X
+[mm]``). An empty cell was not measured. Other columns are left alone.
 """
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import json
-from dataclasses import asdict
+import re
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -23,100 +23,195 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from rejoint.arms import Arm, Array
-from rejoint.arms.size import in_metres
+from rejoint.arms.workspace import in_metres
 from rejoint.diagnosis.calibration.measurements import NOISE, Measurements, MeasuringSession
-from rejoint.diagnosis.calibration.sheets import ANGLES, COUNT, LENGTHS, read_columns
 from rejoint.logs.runlog import AXES, read_parquet
 from rejoint.system.errors import FileError, InputError, first_line
-from rejoint.system.files import CHANGED, write_whole
+from rejoint.system.files import CHANGED, MEGABYTE, require_file, write_whole
+from rejoint.system.textfile import Sheet, read_sheet, split_unit
+
+SHEET_MOST = 4 * MEGABYTE
+"""Largest such file that is read (chosen: ten thousand rows)"""
+ANGLES = {"deg": np.pi / 180.0, "rad": 1.0}
+"""[rad] units of angles"""
+LENGTHS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 25.4e-3}
+"""[m] units of lengths"""
+COUNT = {"": 1.0}
+"""What has no unit"""
+
+_ROOT = re.compile(r"[^a-z0-9]")
+
+Units = Mapping[str, float]
+"""Endings of titles, and what is one of each in SI units"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Columns:
+    """The columns of a sheet that have a meaning."""
+
+    sheet: Sheet
+    places: Mapping[str, tuple[int, float]]
+    """name to column and unit"""
+
+    def __len__(self) -> int:
+        """Count the rows."""
+        return len(self.sheet)
+
+    def line(self, row: int) -> int:
+        """Return the line of a row in the file."""
+        return int(self.sheet.lines[row])
+
+    def words(self, name: str) -> list[str]:
+        """Return the cells of a column."""
+        return self.sheet.words(self.places[name][0])
+
+    def numbers(self, name: str) -> Array:
+        """Return a column (rows,) in SI units, NaN for an empty cell; FileError for other words."""
+        column, unit = self.places[name]
+        values = self.sheet.numbers([column])[:, 0]
+        if np.isinf(values).any():
+            place = f"line {self.line(int(np.argmax(np.isinf(values))))}, column {self.sheet.titles[column]}"
+            raise FileError(self.sheet.path, f"{place}: an infinite number", "mend the cell")
+        return unit * values
+
+    def filled(self, name: str) -> Array:
+        """Return a column in which no cell may be empty."""
+        values = self.numbers(name)
+        if np.isnan(values).any():
+            row = int(np.argmax(np.isnan(values)))
+            title = self.sheet.titles[self.places[name][0]]
+            raise FileError(self.sheet.path, f"line {self.line(row)}, column {title} is empty", "mend that line")
+        return values
+
+
+def read_columns(path: Path, meanings: Mapping[str, Units | None], needed: Collection[str]) -> Columns:
+    """Read a table whose columns may have ``meanings``: name to units, or None for words.
+
+    FileError where a ``needed`` one is missing, a title is there twice, or has no unit that is known.
+    """
+    require_file(path, SHEET_MOST, "give fewer rows")
+    sheet = read_sheet(path)
+    places: dict[str, tuple[int, float]] = {}
+    for index, title in enumerate(sheet.titles):
+        found = _meaning(path, title, meanings)
+        if found is None:
+            continue
+        if found[0] in places:
+            other = sheet.titles[places[found[0]][0]]
+            raise FileError(path, f"columns {other} and {title} are both {found[0]}", "leave one of them out")
+        places[found[0]] = (index, found[1])
+    if missing := [_titled(name, meanings[name]) for name in needed if name not in places]:
+        wanted = ", ".join(_titled(name, meanings[name]) for name in needed)
+        raise FileError(path, f"columns {sheet.shown}; missing: {', '.join(missing)}", f"name them {wanted}")
+    sheet.commas([column for name, (column, _) in places.items() if meanings[name] is not None])  # all have one sign
+    return Columns(sheet=sheet, places=places)
+
+
+def _meaning(path: Path, title: str, meanings: Mapping[str, Units | None]) -> tuple[str, float] | None:
+    """Return which of the ``meanings`` a title has, and its unit; None for something else."""
+    name, ending = split_unit(title, {*ANGLES, *LENGTHS})
+    plain = (name if ending is None else f"{name}_{ending}").casefold()
+    for name, units in meanings.items():
+        for ending, unit in (units or COUNT).items():
+            if plain == (f"{name}_{ending}" if ending else name).casefold():
+                return name, unit
+    first = {_ROOT.split(name.casefold())[0]: _titled(name, units) for name, units in list(meanings.items())[::-1]}
+    if _ROOT.split(plain)[0] not in first:
+        return None
+    wanted = next((_titled(name, units) for name, units in meanings.items() if plain == name.casefold()), "")
+    if wanted:
+        raise FileError(path, f"column {title} does not say its unit", f"name it {wanted}")
+    examples = ", ".join(list(first.values())[::-1])
+    raise FileError(path, f"column {title} is not known", f"name it as one of {examples}, or otherwise")
+
+
+def _titled(name: str, units: Units | None) -> str:
+    ending = next(iter(units or COUNT))
+    return f"{name}_{ending}" if ending else name
+
+
+T = TypeVar("T")
 
 FORMAT = 1
 _KEY = b"rejoint"
 _REMEDY = "measure again, or take another file"
-_DEG, _MM = np.pi / 180.0, 1e-3
 
 
 def write_measurements(path: Path, arm: Arm, measured: Measurements, session: MeasuringSession | None = None) -> None:
-    """Write measurements of ``arm`` as Parquet, or as CSV where the name ends in ``.csv``.
-
-    ``session`` tells how far they have come; without it they are all, and nothing goes on from them.
-    """
-    columns = _columns(arm, measured)
-    if path.suffix.lower() == ".csv":
-        write_whole(path, lambda temporary: temporary.write_text(_as_csv(columns), encoding="utf-8"))
-        return
-    about: dict[str, Any] = {
-        "arm": arm.name,
-        "joints": list(arm.joint_names),
-        "frame": measured.frame,
-        "source": measured.source,
-    }
-    if session is not None:
-        about["session"] = asdict(session)
-    header = {"format": FORMAT, **about, "digest": _digest(measured, about.get("session"))}
-    table = pa.table(columns).replace_schema_metadata({_KEY: json.dumps(header).encode()})
-    write_whole(path, lambda temporary: pq.write_table(table, temporary, write_page_checksum=True))
-
-
-def read_measurements(path: Path, arm: Arm, *, frame: str = "base", source: str = "tracker") -> Measurements:
-    """Read measurements of ``arm``, CSV or Parquet; FileError says what cannot be used and why.
-
-    A CSV file does not tell in which ``frame`` its points are and what their ``source`` is.
-    """
-    try:
-        if path.suffix.lower() == ".csv":
-            return _from_csv(path, arm, frame, source)
-        return _from_parquet(path, arm)
-    except FileNotFoundError as error:
-        raise FileError(path, "no such file", "check the path") from error
-    except (OSError, pa.ArrowException, UnicodeDecodeError, csv.Error, KeyError, TypeError, ValueError) as error:
-        raise FileError(path, f"not readable measurements ({first_line(error)})", _REMEDY) from error
-
-
-def read_interrupted(path: Path, arm: Arm) -> tuple[Measurements, MeasuringSession] | None:
-    """Read measurements in Parquet that were interrupted, and how far they had come; None where they came to the end.
-
-    FileError as `read_measurements`.
-    """
-    measured = read_measurements(path, arm)
-    try:
-        session = json.loads((pq.read_schema(path).metadata or {}).get(_KEY, b"{}")).get("session")
-        return None if session is None else (measured, msgspec.convert(session, MeasuringSession))
-    except (OSError, pa.ArrowException, ValueError, msgspec.MsgspecError) as error:
-        raise FileError(path, f"not readable measurements ({first_line(error)})", _REMEDY) from error
-
-
-def _columns(arm: Arm, measured: Measurements) -> dict[str, Array]:
-    columns: dict[str, Array] = {"posture": measured.posture.astype(float)}
+    """Write measurements of ``arm`` as Parquet; ``session`` says how far they have come, None: to the end."""
+    columns: dict[str, Array] = {"posture": measured.posture.astype(float), "sigma": measured.sigma}
     for group in ("position", "approach"):
         columns |= {f"{group}.{name}": getattr(measured, group)[:, i] for i, name in enumerate(arm.joint_names)}
     columns |= {axis: measured.point[:, i] for i, axis in enumerate(AXES)}
-    return columns | {"sigma": measured.sigma}
+    about = {
+        "frame": measured.frame,
+        "source": measured.source,
+        "session": None if session is None else asdict(session),
+    }
+    write_table(path, arm, "measurements", columns, about)
 
 
-def _digest(measured: Measurements, session: object = None) -> str:
-    found = hashlib.sha256(f"{measured.frame} {measured.source}".encode())
-    if session is not None:
-        found.update(json.dumps(session, sort_keys=True).encode())
-    for name in ("position", "approach", "point", "sigma", "posture"):
-        found.update(np.ascontiguousarray(getattr(measured, name), dtype="<f8").tobytes())
-    return found.hexdigest()[:16]
+def read_measurements(path: Path, arm: Arm, *, frame: str = "base", source: str = "tracker") -> Measurements:
+    """Read measurements of ``arm``, CSV or Parquet; FileError if they cannot be used.
+
+    A CSV file does not say in which ``frame`` its points are and what their ``source`` is.
+    """
+    if path.suffix.lower() != ".csv":
+        return read_table(path, arm, "measurements", partial(_measured, arm=arm))[0]
+    with readable(path, "measurements"):
+        return _from_csv(path, arm, frame, source)
 
 
-def _from_parquet(path: Path, arm: Arm) -> Measurements:
-    table = read_parquet(path, _REMEDY)
-    if _KEY not in (table.schema.metadata or {}):
-        raise FileError(path, "no measurements, but some other table", _REMEDY)
-    header = json.loads(table.schema.metadata[_KEY])
-    if header.get("format") != FORMAT or "frame" not in header:
-        raise FileError(path, f"measurements of format {header.get('format')}, expected {FORMAT}", _REMEDY)
-    if header["arm"] != arm.name or tuple(header["joints"]) != arm.joint_names:
-        raise FileError(path, f"measurements of arm {header['arm']}, expected {arm.name}", "name the right arm")
-    columns = {name: table[name].to_numpy() for name in table.column_names}
-    found = _assemble(columns, arm, header["frame"], header["source"])
-    if header["digest"] != _digest(found, header.get("session")):
-        raise FileError(path, CHANGED, _REMEDY)
-    return found
+def read_interrupted(path: Path, arm: Arm) -> tuple[Measurements, MeasuringSession] | None:
+    """Read interrupted measurements and how far they had come; None where they came to the end."""
+    measured, session = read_table(path, arm, "measurements", partial(_measured, arm=arm))
+    return None if session is None else (measured, session)
+
+
+def _measured(
+    columns: dict[str, list[Any]], about: dict[str, Any], arm: Arm
+) -> tuple[Measurements, MeasuringSession | None]:  # fmt: skip
+    arrays = {name: np.array(values, dtype=float) for name, values in columns.items()}
+    session = msgspec.convert(about["session"], MeasuringSession | None)
+    return _assemble(arrays, arm, about["frame"], about["source"]), session
+
+
+def write_table(path: Path, arm: Arm, what: str, columns: Mapping[str, Any], about: Mapping[str, Any]) -> None:
+    """Write ``columns`` measured on ``arm`` as Parquet; the header has what it is ``about`` and a digest."""
+    table = pa.table(dict(columns))
+    header = {"format": FORMAT, "what": what, "arm": arm.name, "joints": list(arm.joint_names), **about}
+    header["digest"] = _digest(table, header)
+    table = table.replace_schema_metadata({_KEY: json.dumps(header).encode()})
+    write_whole(path, lambda temporary: pq.write_table(table, temporary, write_page_checksum=True))
+
+
+def read_table(path: Path, arm: Arm, what: str, build: Callable[[dict[str, list[Any]], dict[str, Any]], T]) -> T:
+    """Return what ``build`` makes of the columns and the header of such a table; FileError if it is another."""
+    with readable(path, what):
+        table = read_parquet(path, _REMEDY)
+        header = json.loads((table.schema.metadata or {}).get(_KEY, b"{}"))
+        if header.get("format") != FORMAT or header.get("what") != what:
+            raise FileError(path, f"no {what} of format {FORMAT}, but some other table", _REMEDY)
+        if header["arm"] != arm.name or tuple(header["joints"]) != arm.joint_names:
+            raise FileError(path, f"{what} of arm {header['arm']}, expected {arm.name}", "name the right arm")
+        if header.pop("digest") != _digest(table, header):
+            raise FileError(path, CHANGED, _REMEDY)
+        return build(table.to_pydict(), header)
+
+
+@contextmanager
+def readable(path: Path, what: str) -> Iterator[None]:
+    """Make a FileError of whatever is raised by a file that is no ``what``."""
+    try:
+        yield
+    except FileNotFoundError as error:
+        raise FileError(path, "no such file", "check the path") from error
+    except (OSError, pa.ArrowException, KeyError, TypeError, ValueError, InputError, msgspec.MsgspecError) as error:
+        raise FileError(path, f"not readable {what} ({first_line(error)})", _REMEDY) from error
+
+
+def _digest(table: pa.Table, header: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps([header, table.to_pydict()], sort_keys=True).encode()).hexdigest()[:16]
 
 
 def _assemble(columns: dict[str, Array], arm: Arm, frame: str, source: str) -> Measurements:
@@ -136,24 +231,7 @@ def _assemble(columns: dict[str, Array], arm: Arm, frame: str, source: str) -> M
 
 
 BEYOND = np.radians(10.0)
-"""[rad] outside of its limits that a joint may be said to stand (chosen: limits are coarse, servos get pushed)"""
-
-
-def _units(name: str) -> tuple[str, float]:
-    """Name of a column in CSV, and its unit."""
-    if name == "posture":
-        return name, 1.0
-    return (f"{name}_mm", _MM) if name in (*AXES, "sigma") else (f"{name}_deg", _DEG)
-
-
-def _as_csv(columns: dict[str, Array]) -> str:
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([_units(name)[0] for name in columns])
-    scaled = [(values / _units(name)[1], 0 if name == "posture" else 4) for name, values in columns.items()]
-    for row in range(len(columns["x"])):
-        writer.writerow("" if np.isnan(values[row]) else f"{values[row]:.{digits}f}" for values, digits in scaled)
-    return text.getvalue()
+"""[rad] beyond its limits that a joint may be (chosen: limits are coarse, servos get pushed)"""
 
 
 def _from_csv(path: Path, arm: Arm, frame: str, source: str) -> Measurements:

@@ -1,8 +1,7 @@
-"""Measurements of where the tool really is, whoever made them.
+"""Measurements of where the tool really is.
 
-One row is one measurement: what the encoders said while the arm stood still, and where the tool was seen, in the frame
-of whatever measured it. A coordinate that was not measured is NaN: a height gauge tells z alone. Rows of the same
-``posture`` are visits of one posture from different sides, so that play shows.
+One row is one measurement: encoders of the standing arm, and the tool in the frame of whatever measured it. Rows of the
+same ``posture`` are visits from different sides, so that play shows.
 """
 
 from __future__ import annotations
@@ -12,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Array
+from rejoint.arms import Arm, Array, tcp_position
+from rejoint.arms.rotations import pose_of
 from rejoint.system.errors import InputError
 
 Numbers = NDArray[np.int64]
@@ -28,15 +28,15 @@ class Measurements:
     position: Array
     """(M, n) [rad] what the encoders said"""
     approach: Array
-    """(M, n) [rad] where the encoders came from last: readings of the posture before, or NaN where it is not known"""
+    """(M, n) [rad] where the encoders came from; NaN where it is not known"""
     point: Array
-    """(M, 3) [m] where the tool was seen, in the frame of ``frame``; NaN where a coordinate was not measured"""
+    """(M, 3) [m] the tool in the frame ``frame``; NaN where a coordinate was not measured"""
     sigma: Array
     """(M,) [m] standard deviation of each coordinate, as far as it is known"""
     posture: Numbers
     """(M,) number of the posture: rows of the same number are visits of the same one"""
     frame: str = "base"
-    """``base``: points are in the frame of the arm's base; any other name: in one whose pose is fitted along"""
+    """``base``: that of the arm; any other name: one whose pose is fitted along"""
     source: str = "touch"
     """``touch``, ``camera`` or ``tracker``"""
 
@@ -78,5 +78,32 @@ class MeasuringSession:
     """digest of the postures that it went to, `rejoint.diagnosis.calibration.postures.Suggestion.digest`"""
     answered: int
     """postures that were measured or left out"""
-    afresh: bool = False
+    fresh: bool = False
     """whether no earlier calibration was to be believed"""
+
+
+FEWEST = 4
+"""Points with all coordinates that a pose needs (chosen: three, and one to spare)"""
+_FLAT = 0.02  # [m] least extent of the points across their longest direction (chosen: ten times the error of a point)
+
+
+def align(arm: Arm, measurements: Measurements) -> Array:
+    """Pose (4, 4) of the measuring frame nearest to the encoders (Kabsch 1976); InputError if it is open."""
+    whole = np.isfinite(measurements.point).all(axis=1)
+    if whole.sum() < FEWEST:
+        raise InputError(
+            f"measurements in the frame {measurements.frame!r}: {int(whole.sum())} points with all three coordinates, "
+            f"expected at least {FEWEST} to find out where that frame is; measure more, or in the frame of the base"
+        )
+    seen = measurements.point[whole]
+    told = tcp_position(arm, measurements.position[whole])
+    apart_seen, apart_told = seen - seen.mean(axis=0), told - told.mean(axis=0)
+    left, size, right = np.linalg.svd(apart_seen.T @ apart_told)
+    if np.sqrt(size[1] / len(seen)) < _FLAT / 2:
+        raise InputError(
+            f"measurements in the frame {measurements.frame!r}: all points lie on a line, which leaves its pose open; "
+            "measure points that lie apart in two directions at least"
+        )
+    sign = np.sign(np.linalg.det(left @ right))
+    rotation = (left @ np.diag([1.0, 1.0, sign]) @ right).T
+    return pose_of(rotation, told.mean(axis=0) - rotation @ seen.mean(axis=0))

@@ -1,7 +1,11 @@
-"""What a calibration fits, as one vector: which entries mean what, what is believed beforehand, and within what bounds.
+"""The vector that a calibration fits: its entries, prior and bounds.
 
 Beliefs are those that hold for any arm of this class before anything was measured. Torques, and with them compliances,
-go with the size of the arm; lengths with its reach (`rejoint.arms.size`).
+go with the size of the arm; lengths with its reach (`rejoint.arms.workspace`).
+
+A joint that gravity presses to a flank of its play lies there each time. One without weight floats: where it came to
+lie depends on how the arm got there, so its play is no shift but a scatter along the direction in which it moves the
+tool. A fit that took that scatter for noise of equal size in all directions would trust the wrong coordinates.
 """
 
 from __future__ import annotations
@@ -9,32 +13,32 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtri
 
-from rejoint.arms import Arm, Array, Displacement
+from rejoint.arms import Arm, Array, Displacement, frames, position_kinematics
+from rejoint.arms.displacement import FLOATING, direction
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.rotations import rotation_about
-from rejoint.arms.size import length_size, torque_size
+from rejoint.arms.workspace import length_size, torque_size
 
 OFFSET = np.radians(0.6)
-"""[rad] standard deviation of the error of an encoder's zero (chosen: what homing marks and one gear tooth leave)"""
+"""[rad] sigma of an encoder's zero (chosen: what homing marks and one gear tooth leave)"""
 COMPLIANCE = 0.015
-"""[rad/(N m)] mean and standard deviation of the compliance of a joint of a myCobot 280 (chosen: 25 to 500 N m/rad,
-what healthy and worn arms of that size have)"""
+"""[rad/(N m)] mean and sigma of a joint's compliance on a myCobot 280 (chosen: 25 to 500 N m/rad)"""
 PLAY, PLAY_SIGMA = np.radians(0.9), np.radians(0.7)
-"""[rad] mean and standard deviation of the play of a joint (SO-ARM100 issue 134: about 1 deg on healthy servos)"""
+"""[rad] mean and sigma of a joint's play (SO-ARM100 issue 134: about 1 deg on healthy servos)"""
 LEVEL, ASKEW = np.radians(0.1), np.radians(6.0)
-"""[rad] standard deviations of how far a base on a table, and one that stands askew, is turned about each horizontal
-axis (chosen: a spirit level, and a wedge)"""
+"""[rad] sigma of the tilt of a base on a table, and of one askew, about each horizontal axis (chosen)"""
 MASS = 0.12
 """[1] standard deviation of each link's mass by what its description says (chosen)"""
 CARRY, CARRY_SIGMA = 0.2, 0.3
-"""[1] mean and standard deviation of the share of half its play by which a floating joint runs ahead of its last motion
-(chosen on emulated worn arms, where inertia does that; friction in a joint has it stay behind)"""
+"""[1] mean and sigma of the share of half its play by which a floating joint runs ahead of its last motion (chosen on
+emulated worn arms)"""
 SHIFT, TURN = 1e-3, np.radians(0.3)
-"""[m] on an arm of the reach of a myCobot 280, and [rad]: standard deviations of the errors of each link's description
-(chosen: printed parts and press fits)"""
+"""[m] over the reach of a myCobot 280, and [rad]: sigma of each link's description (chosen: printed parts, press
+fits)"""
 PLACE, ORIENTATION = 1.0, 3.0
-"""[m] and [rad] standard deviations of the pose of a measuring frame around its first estimate: nothing is believed"""
+"""[m] and [rad] sigma of a measuring frame's pose around its first estimate: unknown"""
 
 MOST = {"offset": np.radians(6.0), "compliance": 0.3, "play": np.radians(8.0), "tilt": np.radians(20.0), "mass": 0.5,
         "carry": 1.0}  # fmt: skip
@@ -110,7 +114,7 @@ class PriorCase:
 
 
 def belief(arm: Arm, layout: DisplacementLayout, case: PriorCase) -> Belief:
-    """Return what is believed of an arm of some case, on a base that stands upright or nearly so."""
+    """Return the prior of an arm of some case."""
     n, sigma, mean = arm.joints, np.zeros(layout.size), np.zeros(layout.size)
     lower, upper = np.full(layout.size, -np.inf), np.full(layout.size, np.inf)
     if case.twist == 0.0:
@@ -133,7 +137,7 @@ def belief(arm: Arm, layout: DisplacementLayout, case: PriorCase) -> Belief:
 
 
 def tilt_of(gravity: Array) -> Array:
-    """Rotation (2,) [rad] about the base's x and y axes that brings `GRAVITY` to the direction of ``gravity`` (3,)."""
+    """Rotation (2,) [rad] about the base's x and y axes from `GRAVITY` to ``gravity`` (3,)."""
     down = gravity / np.linalg.norm(gravity)
     axis = np.cross(GRAVITY / np.linalg.norm(GRAVITY), down)
     sine = float(np.linalg.norm(axis))
@@ -142,7 +146,7 @@ def tilt_of(gravity: Array) -> Array:
 
 
 def gravity_of(tilt: Array) -> Array:
-    """Direction and size (3,) [m/s^2] of gravity in the frame of a base that stands askew by ``tilt`` (2,) [rad]."""
+    """Gravity (3,) [m/s^2] in the frame of a base that is askew by ``tilt`` (2,) [rad]."""
     angle = float(np.hypot(*tilt))
     if angle == 0.0:
         return GRAVITY.copy()
@@ -167,3 +171,99 @@ def vector_of(layout: DisplacementLayout, displacement: Displacement) -> Array:
     vector[layout.at("tilt")] = tilt_of(displacement.gravity)
     vector[layout.at("twist")] = displacement.twist.ravel()
     return vector
+
+
+FLOOR = 0.5e-3
+"""[m] over the reach of a myCobot 280, sigma of what no displacement explains (chosen: 0.5 to 1 mm on emulated worn
+arms)"""
+SCATTER = 1.0 / 3.0
+"""Variance of a floating joint's place by the square of half its play: a third where every place is as likely
+(chosen)"""
+_STEP = 1e-6  # [rad] for the derivative of the direction of gravity
+_DRAWS = ndtri((np.arange(64) + 0.5) / 64)  # of a torque that is not known exactly
+
+
+def linearised(
+    arm: Arm, layout: DisplacementLayout, vector: Array, position: Array, approach: Array | None = None, *,
+    flanks: bool = True,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Return the tool (M, 3) [m] at ``position`` (M, n) [rad] and its derivative (M, 3, k) by the arm's parameters.
+
+    ``approach`` (M, n) [rad] is where the encoders came from. Without ``flanks`` the derivative leaves out that joints
+    change the flank of their play, a slope that holds within `FLOATING` alone.
+    """
+    displacement = displacement_of(layout, vector)
+    moved, loads = displacement.moved(arm), link_loads(arm, position)
+    torque = loads @ displacement.gravity @ displacement.mass
+    side = np.tanh(torque / FLOATING)
+    free, came = 1.0 - side**2, direction(position, approach)
+    ahead = side - displacement.carry * free * came
+    joints = position + displacement.offset - displacement.compliance * torque - 0.5 * displacement.play * ahead
+    tool, lever = position_kinematics(moved, joints)
+    derivative = np.zeros((*position.shape[:-1], 3, layout.body))
+    derivative[..., layout.at("offset")] = lever
+    derivative[..., layout.at("compliance")] = -lever * torque[:, None, :]
+    derivative[..., layout.at("play")] = -0.5 * lever * ahead[:, None, :]
+    derivative[..., layout.at("carry")] = 0.5 * lever * (displacement.play * free * came)[:, None, :]
+    # torque moves joints by flex and by the side of the play
+    turning = 0.5 * displacement.play * free / FLOATING * (1.0 + 2.0 * displacement.carry * side * came)
+    yielding = -lever * (displacement.compliance + flanks * turning)[:, None, :]
+    slopes = torque_slopes(layout, vector, loads)
+    for name in ("mass", "tilt"):
+        derivative[..., layout.at(name)] = yielding @ slopes[..., layout.at(name)]
+    if len(position):
+        derivative[..., layout.at("twist")] = _by_twist(moved, joints, tool)
+    return tool, derivative
+
+
+def torque_slopes(layout: DisplacementLayout, vector: Array, loads: Array) -> Array:
+    """Return the derivative (M, n, k) [N m] of the torques by the arm's parameters, from its `link_loads`."""
+    displacement, tilt = displacement_of(layout, vector), vector[layout.at("tilt")]
+    slopes = np.zeros((*loads.shape[:2], layout.body))
+    slopes[..., layout.at("mass")] = loads @ displacement.gravity
+    for i, step in enumerate(_STEP * np.eye(2)):
+        turn = (gravity_of(tilt + step) - gravity_of(tilt - step)) / (2 * _STEP)
+        slopes[..., layout.at("tilt").start + i] = loads @ turn @ displacement.mass
+    return slopes
+
+
+def link_loads(arm: Arm, position: Array) -> Array:
+    """Return what each link weighs on each joint: (M, n joints, n links, 3) [N m / (m/s^2)]."""
+    f = frames(arm, position)
+    com = f.position + np.einsum("mnij,nj->mni", f.rotation, arm.com)
+    away = com[:, None] - f.position[:, :, None]
+    carried = np.triu(np.ones((arm.joints, arm.joints)))[..., None] * arm.mass[:, None]
+    return -carried * np.cross(f.axis[:, :, None], away)
+
+
+def _by_twist(arm: Arm, joints: Array, tool: Array) -> Array:
+    """Return the derivative (M, 3, 6 n + 6) of the tool by small errors of the transforms."""
+    f, count = frames(arm, joints), len(joints)
+    first = np.broadcast_to(np.eye(3), (count, 1, 3, 3))
+    turned = np.concatenate([first, f.rotation], axis=1)  # frame before each transform
+    place = np.concatenate([np.zeros((count, 1, 3)), f.position], axis=1)
+    axes = np.swapaxes(turned, -1, -2)  # (M, n + 1, 3 axes, 3)
+    swing = np.cross(axes, (tool[:, None] - place)[:, :, None, :])
+    both = np.concatenate([axes, swing], axis=2)  # (M, n + 1, 6, 3)
+    return np.moveaxis(both.reshape(count, 6 * (arm.joints + 1), 3), 1, 2)
+
+
+def scatter(arm: Arm, displacement: Displacement, position: Array, doubt: Array | None = None) -> Array:
+    """Covariance (..., 3, 3) [m^2] of the tool by joints that float in their play at ``position`` (..., n) [rad].
+
+    With the ``doubt`` (..., n) [N m], sigma of each torque, also by those that may lie on the other flank.
+    """
+    lever, torque = position_kinematics(arm, position)[1], displacement.torque(arm, position)
+    side = np.tanh(torque / FLOATING)
+    free, other = 1.0 - side**2, np.zeros_like(side)
+    if doubt is not None:
+        sides = np.tanh((torque[..., None] + doubt[..., None] * _DRAWS) / FLOATING)
+        free = (1.0 - sides**2).mean(axis=-1)
+        other = ((sides - side[..., None]) ** 2).mean(axis=-1)
+    variance = (0.5 * displacement.play) ** 2 * (SCATTER * free + other)
+    return np.asarray((lever * variance[..., None, :]) @ np.swapaxes(lever, -1, -2))
+
+
+def floor_of(arm: Arm) -> float:
+    """[m] standard deviation of each coordinate by what no displacement explains, on an arm of this size."""
+    return FLOOR * length_size(arm)

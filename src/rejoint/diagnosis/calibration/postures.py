@@ -1,10 +1,8 @@
 """Postures to measure at: those that tell most, in order, and what error they leave, before anything was measured.
 
-Chosen one by one among candidates in the region of targets, each for the largest gain of information on all parameters
-together with those before it (D-optimal design; Atkinson and Donev, Optimum Experimental Designs, 1992, chapter 11).
-They are those that a controller takes at its targets: a model of one arm holds best where it was fitted. Each is come
-to from a posture some degrees away, with all joints upwards and downwards by turns, so that each joint's last motion
-is known and joints that float in their play do not all lie on one side.
+Chosen one by one, in the region of targets and anywhere else, for the largest gain of information (D-optimal design;
+Atkinson and Donev, Optimum Experimental Designs, 1992, chapter 11): a model of one arm holds best where it was fitted.
+Each is approached with all joints upwards and downwards by turns, so that each joint's last motion is known.
 """
 
 from __future__ import annotations
@@ -15,26 +13,36 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, collides, frames, heights, solve_position
-from rejoint.arms.size import length_size
-from rejoint.arms.workspace import rising_frames
+from rejoint.arms import Arm, Array, collides, frames, gravity_torque, heights, solve_position
+from rejoint.arms.postures import comfortable_postures
+from rejoint.arms.workspace import length_size, rising_frames
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.fit import earlier
-from rejoint.diagnosis.calibration.model import floor_of, linearised, scatter
-from rejoint.diagnosis.calibration.parameters import Belief, DisplacementLayout, PriorCase, belief, displacement_of
+from rejoint.diagnosis.calibration.parameters import (
+    Belief,
+    DisplacementLayout,
+    PriorCase,
+    belief,
+    displacement_of,
+    floor_of,
+    linearised,
+    scatter,
+)
 from rejoint.system.errors import InputError
 
 CANDIDATES = 300
 """Postures to choose from (chosen: twice as many gain 1 % of information)"""
 BEFORE = np.radians(6.0)
-"""[rad] distance of the posture that each is come to from, joint by joint (chosen: three times the play)"""
+"""[rad] from which each posture is approached, joint by joint (chosen: three times the play)"""
 MARGIN = 0.05
 """Part of a joint's range that is kept from each limit (chosen)"""
 CLEARANCE = 0.03
-"""[m] least height above the floor of the guard on an arm of the reach of a myCobot 280: worn arms sag (chosen)"""
+"""[m] above the floor on an arm of the reach of a myCobot 280: worn arms sag (chosen)"""
 ENOUGH = 1.1
 """Expected error by that of all suggested points at which fewer suffice (chosen)"""
-_REGION = 64  # targets over which the error is expected (chosen)
+WITHIN = 100
+"""How many of the candidates are in the region of targets; the others are anywhere (chosen)"""
+_PLACES = 64  # postures over which the error is expected (chosen)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,7 +56,7 @@ class Suggestion:
     posture: NDArray[np.int64]
     """(K,) number of the posture: visits of the same one from different sides have the same"""
     expected: Array
-    """(K + 1,) [m] root mean square true error in the region of targets that is left after so many"""
+    """(K + 1,) [m] root mean square true error that is left after so many"""
 
     @property
     def fewest(self) -> int:
@@ -66,31 +74,30 @@ def suggest(
     arm: Arm, count: int, *, visits: int = 2, sigma: float = 5e-4, prior: Calibration | None = None,
     seed: int = 0,
 ) -> Suggestion:  # fmt: skip
-    """Choose ``count`` visits for measurements of standard deviation ``sigma`` [m] on each coordinate.
+    """Choose ``count`` visits for measurements of ``sigma`` [m] on each coordinate.
 
     Each posture is visited ``visits`` (1 or 2) times, from opposite sides. ``prior`` is what is known already.
-    InputError where the region of targets has too few postures that are free.
+    InputError where too few postures are free.
     """
     layout = DisplacementLayout(joints=arm.joints)
     known = earlier(arm, layout, prior) if prior is not None else belief(arm, layout, PriorCase(twist=1.0))
     postures = _candidates(arm, seed)
     if len(postures) * visits < count:
         raise InputError(
-            f"arm {arm.name}: only {len(postures)} of {CANDIDATES} postures in the region of targets are free of "
-            f"limits, floor and collisions, {count} are to be measured; ask for fewer, or give the arm another region"
+            f"arm {arm.name}: only {len(postures)} postures are free of limits, floor and collisions, {count} are to "
+            "be measured; ask for fewer"
         )
     seen = [_seen(arm, known, postures, side, sigma) for side in (1.0, -1.0)]
     covariance: Array = np.asarray(np.linalg.inv(known.precision), dtype=float)
-    region = _region(arm, known)
+    places = np.random.default_rng(0).permutation(_candidates(arm, seed + 1))[:_PLACES]
+    region = _seen(arm, known, places, 0.0, 0.0)
     chosen: list[int] = []
     expected = [_expected(region, covariance)]
     while len(chosen) < count:
         slopes, noises = seen[len(chosen) % 2]
         again = len(chosen) % visits > 0
-        best = chosen[-1] if again else _most_telling(slopes, noises, covariance, chosen)
-        slope, noise = slopes[best], noises[best]
-        gain = covariance @ slope.T @ np.linalg.inv(slope @ covariance @ slope.T + noise)
-        covariance = covariance - gain @ slope @ covariance
+        best = chosen[-1] if again else most_telling(slopes, noises, covariance, chosen)
+        covariance = narrowed(covariance, slopes[best], noises[best])
         chosen.append(best)
         expected.append(_expected(region, covariance))
     came = np.where(np.arange(count) % 2, -1.0, 1.0)[:, None]
@@ -101,13 +108,23 @@ def suggest(
 
 
 def _candidates(arm: Arm, seed: int) -> Array:
-    """Free postures (C, n) [rad] with the tool in the region of targets, which can be come to from both sides."""
-    points = arm.targets.sample(np.random.default_rng(seed), (CANDIDATES,))
-    solution = solve_position(arm, points, arm.rest)
-    good = solution.converged
-    for away in (0.0, BEFORE, -BEFORE):
-        good = good & _free(arm, solution.q - away)
-    return solution.q[good]
+    """Free postures (C, n) [rad] in the region of targets and anywhere, to be approached from both sides.
+
+    Anywhere no joint carries more than it does somewhere in the region: the motors of a worn arm lift that.
+    """
+    rng = np.random.default_rng(seed)
+    solution = solve_position(arm, arm.targets.sample(rng, (CANDIDATES,)), arm.rest)
+    inside, anywhere = solution.q[solution.converged], comfortable_postures(arm)
+    most = np.abs(gravity_torque(arm, inside)).max(axis=0, initial=0.0)
+    light = anywhere[(np.abs(gravity_torque(arm, anywhere)) <= most).all(axis=1)]
+    within = _approachable(arm, inside)[:WITHIN]
+    return np.vstack([within, _approachable(arm, rng.permutation(light))[: CANDIDATES - len(within)]])
+
+
+def _approachable(arm: Arm, q: Array) -> Array:
+    """Return those of the postures (C, n) [rad] that are free, and free on both sides."""
+    free = [_free(arm, q - away) for away in (0.0, BEFORE, -BEFORE)]
+    return np.asarray(q[np.logical_and.reduce(free)])
 
 
 def _free(arm: Arm, q: Array) -> NDArray[np.bool_]:
@@ -127,18 +144,21 @@ def _seen(arm: Arm, known: Belief, postures: Array, side: float, sigma: float) -
     return slope, noise + (sigma**2 + floor_of(arm) ** 2) * np.eye(3)
 
 
-def _region(arm: Arm, known: Belief) -> tuple[Array, Array]:
-    """Return derivatives (R, 3, k) of the tool in the region of targets, and covariances (R, 3, 3) that stay."""
-    points = arm.targets.sample(np.random.default_rng(0), (_REGION,))
-    slope, noise = _seen(arm, known, solve_position(arm, points, arm.rest).q, 0.0, 0.0)
-    return slope, noise
+def most_telling(slope: Array, noise: Array, covariance: Array, chosen: list[int]) -> int:
+    """Return the candidate, none of the ``chosen``, that adds most to the determinant of the information.
 
-
-def _most_telling(slope: Array, noise: Array, covariance: Array, chosen: list[int]) -> int:
-    """Return the candidate that adds most to the determinant of the information."""
-    gain = np.linalg.slogdet(np.eye(3) + np.linalg.solve(noise, slope @ covariance @ np.swapaxes(slope, -1, -2)))[1]
+    Candidates have ``slope`` (C, d, k) and ``noise`` (C, d, d), the unknowns the ``covariance`` (k, k).
+    """
+    told = np.linalg.solve(noise, slope @ covariance @ np.swapaxes(slope, -1, -2))
+    gain = np.linalg.slogdet(np.eye(told.shape[-1]) + told)[1]
     gain[chosen] = -np.inf
     return int(np.argmax(gain))
+
+
+def narrowed(covariance: Array, slope: Array, noise: Array) -> Array:
+    """Return the ``covariance`` (k, k) after something with the derivative (d, k) was measured."""
+    told = covariance @ slope.T
+    return covariance - told @ np.linalg.solve(slope @ told + noise, told.T)
 
 
 def _expected(region: tuple[Array, Array], covariance: Array) -> float:

@@ -1,25 +1,210 @@
-"""Measuring an arm: slowly and under the guard from posture to posture, each from two sides."""
+"""Measuring an arm under the guard from posture to posture, by a ruler, a tracker's file, or an emulator."""
 
 from __future__ import annotations
 
+import logging
+import time
+import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, tcp_position
-from rejoint.control.comparison.iso import reversal
+from rejoint.arms import Arm, Array, PlanningError, plan, tcp_position
+from rejoint.arms.workspace import reach
+from rejoint.control.comparison.protocols import reversal
 from rejoint.control.guard import GuardLimits
-from rejoint.control.playback import move
 from rejoint.control.recording import Recording
 from rejoint.control.robot import Robot
-from rejoint.control.start import Stance, begin
-from rejoint.diagnosis.calibration.gauges import Gauge, Stop
-from rejoint.diagnosis.calibration.measurements import Measurements, MeasuringSession
+from rejoint.control.start import Stance, begin, move
+from rejoint.diagnosis.calibration.measurements import NOISE, Measurements, MeasuringSession
 from rejoint.diagnosis.calibration.postures import Suggestion
-from rejoint.system.errors import InputError, NotReadyError
+from rejoint.system.errors import FileError, InputError, NotReadyError
+from rejoint.system.files import MEGABYTE, require_file
 from rejoint.system.progress import Progress, no_progress
 from rejoint.system.stopping import check, noted
+
+SPAN = 0.5
+"""[s] of a tracker's newest rows that are averaged (chosen: the arm stands still for longer)"""
+PATIENCE = 5.0
+"""[s] for which a tracker may write nothing before it is taken to be off (chosen)"""
+TRACK_MOST = 1000 * MEGABYTE
+"""Largest file of a tracker that is read (chosen: a day at 100 Hz)"""
+FAR = 0.08
+"""Share of an arm's summed link lengths, 42 mm on a myCobot, beyond which a coordinate is asked for again (chosen:
+three times what worn arms are off)"""
+_TAIL = 64_000  # [bytes] of its end (chosen: 500 rows)
+_UNITS = {"m": 1.0, "mm": 1e-3}
+
+
+@dataclass(frozen=True)
+class Stop:
+    """A posture in which the arm stands and waits to be measured."""
+
+    number: int
+    """from 1"""
+    total: int
+    believed: Array
+    """(3,) [m] where its encoders see the tool, in the frame of the base"""
+    again: str = ""
+    """why it is measured once more; empty the first time"""
+
+
+class Gauge(Protocol):
+    """Measures the tool of an arm that stands still."""
+
+    source: str
+    """``touch``, ``camera``, ``tracker``, or ``emulated`` where nothing measured: an emulator told"""
+    frame: str
+    """``base`` where points are in the frame of the arm's base, else a name"""
+    sigma: float
+    """[m] standard deviation of each coordinate"""
+
+    def measure(self, robot: Robot, stop: Stop) -> Array:
+        """Return where the tool is (3,) [m]; NaN where a coordinate was not measured."""
+
+
+@dataclass(kw_only=True)
+class EmulatedGauge:
+    """Asks an emulated arm where its tool is, with the noise of somebody who measures it."""
+
+    sigma: float = NOISE
+    seed: int = 0
+    source: str = "emulated"
+    frame: str = "base"
+    _rng: np.random.Generator = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._rng = np.random.default_rng([self.seed, 13])
+
+    def measure(self, robot: Robot, stop: Stop) -> Array:  # noqa: ARG002 - it knows by itself
+        """Return the true place, with noise."""
+        place = robot.true_tcp()[0]
+        if not np.isfinite(place).all():
+            raise InputError(
+                "calibration: this arm does not tell where its tool is; measure it with touch or a tracker"
+            )
+        return np.asarray(place + self._rng.normal(0.0, self.sigma, 3))
+
+
+@dataclass(kw_only=True)
+class TouchGauge:
+    """Asks a person, who types what a ruler, a calliper or a height gauge says."""
+
+    ask: Callable[[Stop], str]
+    """prints where the arm is and returns the answer: x, y, z in millimetres, ``-`` for one not measured"""
+    complain: Callable[[str], None]
+    """prints why an answer cannot be used; then it is asked again"""
+    sigma: float = NOISE
+    source: str = "touch"
+    frame: str = "base"
+
+    def measure(self, robot: Robot, stop: Stop) -> Array:
+        """Ask until the answer can be used; a point far from the encoders counts when it is repeated."""
+        doubted = None
+        while True:
+            answer = self.ask(stop)
+            try:
+                point = parse_point(answer)
+            except InputError as error:
+                self.complain(str(error))
+                continue
+            off = float(np.nanmax(np.abs(point - stop.believed), initial=0.0))
+            if self.frame != "base" or off <= FAR * reach(robot.arm) or _same(point, doubted):
+                return point
+            self.complain(
+                f"that is {1e3 * off:.0f} mm from where the encoders see the tool, along one axis; check sign, unit "
+                "and axes, and type it again if it is right"
+            )
+            doubted = point
+
+
+def _same(point: Array, other: Array | None) -> bool:
+    return other is not None and np.array_equal(point, other, equal_nan=True)
+
+
+def parse_point(text: str) -> Array:
+    """Read x, y and z in millimetres, ``-`` for one that was not measured, nothing for none; returns (3,) [m].
+
+    Between blanks or semicolons a comma is a decimal comma.
+    """
+    cells = [cell.strip(",") for cell in text.replace(";", " ").split() if cell.strip(",")]
+    cells = cells[0].split(",") if len(cells) == 1 else [cell.replace(",", ".") for cell in cells]
+    if not cells:
+        return np.full(3, np.nan)
+    if len(cells) != 3:
+        raise InputError(f"expected x, y and z in millimetres, such as `171.5 -20 203`, found {text.strip()!r}")
+    try:
+        point = np.array([np.nan if cell == "-" else 1e-3 * float(cell) for cell in cells])
+    except ValueError:
+        raise InputError(
+            f"expected three numbers, or - for one that was not measured, found {text.strip()!r}"
+        ) from None
+    if np.isinf(point).any() or np.nanmax(np.abs(point), initial=0.0) > 10.0:
+        raise InputError(f"{text.strip()!r} are not millimetres of an arm on a table")
+    return point
+
+
+@dataclass(kw_only=True)
+class TrackerGauge:
+    """Reads the end of a CSV file that a tracker writes: columns time [s], x, y and z."""
+
+    path: Path
+    unit: str = "mm"
+    """of x, y and z: ``mm`` or ``m``"""
+    sigma: float = NOISE
+    frame: str = "tracker"
+    """``base`` where its points are in the frame of the arm's base"""
+    source: str = "tracker"
+    wait: Callable[[float], None] = time.sleep
+
+    def __post_init__(self) -> None:
+        if self.unit not in _UNITS:
+            raise InputError(f"tracker: the unit is mm or m, got {self.unit!r}")
+        self._newest()
+
+    def measure(self, robot: Robot, stop: Stop) -> Array:  # noqa: ARG002 - it only has to stand
+        """Return the mean of what is written in the next `SPAN` seconds."""
+        before = self._newest()[-1, 0]
+        waited = 0.0
+        while waited < PATIENCE + SPAN:
+            self.wait(SPAN)
+            waited += SPAN
+            rows = self._newest()
+            fresh = rows[rows[:, 0] > before]
+            if len(fresh) and fresh[-1, 0] - before >= 0.8 * SPAN:
+                return np.asarray(_UNITS[self.unit] * fresh[:, 1:].mean(axis=0))
+        raise FileError(
+            self.path, f"no new rows for {waited:.1f} s", "start the tracker, or look whether it sees the tool"
+        )
+
+    def _newest(self) -> Array:
+        """Newest rows (T, 4) time, x, y, z."""
+        try:
+            require_file(self.path, TRACK_MOST, "begin a new file")
+            with self.path.open("rb") as file:
+                head = file.readline(4096).decode().strip()
+                file.seek(max(self.path.stat().st_size - _TAIL, len(head)))
+                text = file.read().decode(errors="replace")
+        except FileNotFoundError as error:
+            raise FileError(self.path, "no such file", "start the tracker first") from error
+        except (OSError, UnicodeDecodeError) as error:
+            raise FileError(self.path, f"cannot be read ({error})", "check what the tracker writes") from error
+        names = [name.strip().lower() for name in head.split(",")]
+        if not {"time", "x", "y", "z"} <= set(names):
+            raise FileError(self.path, f"columns {head!r}, expected time, x, y, z", "name them in its first line")
+        places = [names.index(name) for name in ("time", "x", "y", "z")]
+        lines = text.splitlines()[1:-1]  # the first and the last may be cut
+        with warnings.catch_warnings(action="ignore"):  # of lines that are no rows, which are left out
+            table = np.genfromtxt(lines, delimiter=",", usecols=places, invalid_raise=False, ndmin=2)
+        table = table.reshape(-1, 4)
+        table = table[np.isfinite(table).all(axis=1)]
+        if not len(table):
+            raise FileError(self.path, "no rows yet", "start the tracker, or look whether it sees the tool")
+        return table
+
 
 SPEED = 0.5
 """[rad/s] of the fastest joint on the way (chosen: a fifth of what joints can do)"""
@@ -28,36 +213,11 @@ SETTLE = 1.5
 WINDOW = 0.4
 """[s] at its end whose readings are averaged (chosen: 16 at 25 ms)"""
 MOVED = np.radians(2.0)
-"""[rad] that a joint may have gone while its arm was measured (chosen: what hunts in its play stays within, and more is
-a centimetre at the tool)"""
+"""[rad] that a joint may move while it is measured (chosen: more is a centimetre at the tool)"""
 TRIES = 3
 """Times that a posture is measured in which the arm did not stand still (chosen)"""
 OnMeasured = Callable[[Measurements, int], object]
-"""Called after each posture with all measurements and how many postures were measured or left out, to keep them"""
-
-
-@dataclass(kw_only=True, eq=False)
-class _Rows:
-    position: list[Array] = field(default_factory=list)
-    approach: list[Array] = field(default_factory=list)
-    point: list[Array] = field(default_factory=list)
-    posture: list[int] = field(default_factory=list)
-
-    @classmethod
-    def of(cls, measured: Measurements | None) -> _Rows:
-        if measured is None:
-            return cls()
-        return cls(
-            position=list(measured.position), approach=list(measured.approach), point=list(measured.point),
-            posture=measured.posture.tolist(),
-        )  # fmt: skip
-
-    def measurements(self, gauge: Gauge) -> Measurements:
-        return Measurements(
-            position=np.array(self.position), approach=np.array(self.approach), point=np.array(self.point),
-            sigma=np.full(len(self.posture), gauge.sigma), posture=np.array(self.posture), frame=gauge.frame,
-            source=gauge.source,
-        )  # fmt: skip
+"""Called after each posture with all measurements and how many postures are done"""
 
 
 def measure(
@@ -65,37 +225,46 @@ def measure(
     stance: Stance | None = None, on_progress: Progress = no_progress, on_measured: OnMeasured | None = None,
     begun: tuple[Measurements, MeasuringSession] | None = None,
 ) -> Measurements:  # fmt: skip
-    """Bring one arm to the postures of ``plan``, each from where it says, and measure the tool there.
+    """Bring one arm to the postures of ``plan`` and measure the tool there, going on with what was ``begun``.
 
-    It goes on with what was ``begun`` of the same plan; nothing moves where all of that is done. A posture that was
-    not kept while it was measured is measured again. InputError where nothing was measured, NotReadyError where the
-    arm does not stand still; what `run` raises where the motion had to be ended.
+    A posture that was not kept while it was measured is measured again. InputError where nothing was measured,
+    NotReadyError where the arm does not stand still; what `run` raises where the motion had to be ended.
     """
     total = len(plan.posture)
     earlier, done = (None, 0) if begun is None else (begun[0], begun[1].answered)
     if earlier is not None and done >= total:
         return earlier
-    drive, rows = StandingDrive(robot, limits, stance), _Rows.of(earlier)
+    drive, measured = StandingDrive(robot, limits, stance), earlier
     for number in range(done, total):
         on_progress(number / total, f"measurement {number + 1} of {total}")
         found = _measured(drive, gauge, plan, number)
         if found is not None:
-            position, approach, point = found
-            rows.position.append(position)
-            rows.approach.append(approach)
-            rows.point.append(point)
-            rows.posture.append(int(plan.posture[number]))
-        if on_measured is not None and rows.posture:
-            on_measured(rows.measurements(gauge), number + 1)
+            measured = _with_row(measured, *found, int(plan.posture[number]), gauge)
+        if on_measured is not None and measured is not None:
+            on_measured(measured, number + 1)
     on_progress(1.0, "measured")
     drive.rest()
-    if not rows.posture:
+    if measured is None:
         raise InputError("calibration: nothing was measured; type x, y and z of the tool at each stop")
-    return rows.measurements(gauge)
+    return measured
+
+
+def _with_row(
+    before: Measurements | None, position: Array, approach: Array, point: Array, posture: int, gauge: Gauge
+) -> Measurements:  # fmt: skip
+    new = Measurements(
+        position=position[None], approach=approach[None], point=point[None], sigma=np.array([gauge.sigma]),
+        posture=np.array([posture]), frame=gauge.frame, source=gauge.source,
+    )  # fmt: skip
+    if before is None:
+        return new
+    names = ("position", "approach", "point", "sigma", "posture")
+    both: dict[str, Any] = {name: np.concatenate([getattr(before, name), getattr(new, name)]) for name in names}
+    return replace(new, **both)
 
 
 class StandingDrive:
-    """Brings one arm to postures, slowly and under the guard, to stand still in each; begins at rest."""
+    """Brings one arm to postures, slowly and under the guard; begins at rest."""
 
     def __init__(self, robot: Robot, limits: GuardLimits | None = None, stance: Stance | None = None) -> None:
         self.robot, self._limits = robot, limits or GuardLimits.of(robot.arm)
@@ -103,16 +272,27 @@ class StandingDrive:
             self._sent = begin(robot, self._limits, stance).command[-1]
 
     def stand(self, posture: Array, before: Array) -> tuple[Array, Array]:
-        """Go to ``before`` (n,) [rad] and from there to ``posture`` (n,); return the readings (n,) here and there."""
+        """Go to ``before`` (n,) [rad], then to ``posture`` (n,); return the readings (n,) here and there."""
         came = self._go(before, settle=0.3)
         return _reading(self._go(posture, settle=SETTLE)), came.position[-1, 0]
 
     def rest(self) -> None:
         """Go back to the rest posture."""
-        with noted():
-            move(self.robot, self.robot.arm.rest, sent=self._sent, limits=self._limits)
+        self._go(self.robot.arm.rest, settle=0.0)
 
     def _go(self, posture: Array, settle: float) -> Recording:
+        """Go to a posture (n,) [rad], round what is in the way, or over rest; return the last piece's recording."""
+        arm, start = self.robot.arm, self._sent[0]
+        try:
+            ways = [plan(arm, start, posture)]
+        except PlanningError:
+            ways = [plan(arm, start, arm.rest), plan(arm, arm.rest, posture)]
+        corners = np.vstack([way.start + np.cumsum(way.moves, axis=0) for way in ways])
+        for corner in corners[:-1]:
+            self._move(corner, 0.0)
+        return self._move(posture, settle)
+
+    def _move(self, posture: Array, settle: float) -> Recording:
         with noted():
             gone = move(self.robot, posture, sent=self._sent, speed=SPEED, settle=settle, limits=self._limits)
         self._sent = gone.command[-1]
@@ -120,13 +300,14 @@ class StandingDrive:
 
 
 def _measured(drive: StandingDrive, gauge: Gauge, plan: Suggestion, number: int) -> tuple[Array, Array, Array] | None:
-    """Measure at one posture, again where it was not kept: readings (n,) there and before, and the tool (3,).
-
-    None where it is left out.
-    """
+    """Measure at one posture: readings (n,) there and before, and the tool (3,); None: left out, or no way there."""
     robot, again = drive.robot, ""
     for _ in range(TRIES):
-        position, approach = drive.stand(plan.postures[number], plan.approach[number])
+        try:
+            position, approach = drive.stand(plan.postures[number], plan.approach[number])
+        except PlanningError as error:
+            logging.getLogger("rejoint").warning("posture %d is left out: %s", number + 1, error)
+            return None
         stop = Stop(number + 1, len(plan.posture), tcp_position(robot.arm, position), again)
         point = gauge.measure(robot, stop)
         check()
@@ -139,7 +320,7 @@ def _measured(drive: StandingDrive, gauge: Gauge, plan: Suggestion, number: int)
 
 
 def _gone(robot: Robot, position: Array) -> str:
-    """Say which joint went how far from ``position`` (n,) [rad] while the arm was measured; nothing where none did."""
+    """Say which joint moved how far from ``position`` (n,) [rad] during the measurement, if any did."""
     with noted():
         away = np.abs(robot.read().position[0] - position)
     j = int(np.argmax(away))
@@ -155,10 +336,9 @@ def _reading(recording: Recording) -> Array:
 
 
 def reversals(arm: Arm, measured: Measurements, frame: Array) -> tuple[float, ...]:
-    """Reversal values [m] at the tool (ISO 230-2) of the postures that were measured from both sides, once each.
+    """Reversal values [m] at the tool (ISO 230-2) of postures measured from both sides, less what the encoders saw.
 
-    What the encoders saw of the difference is taken out: it is what lies behind them that counts. ``frame`` (4, 4) is
-    the pose of the measuring frame in the base.
+    ``frame`` (4, 4) is the pose of the measuring frame in the base.
     """
     away = measured.point @ frame[:3, :3].T + frame[:3, 3] - tcp_position(arm, measured.position)
     found = []

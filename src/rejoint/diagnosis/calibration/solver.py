@@ -1,30 +1,40 @@
-"""The likeliest parameters for some measurements: maximum a posteriori, by Levenberg-Marquardt within bounds.
+"""The likeliest parameters for some measurements: maximum a posteriori, by least squares within bounds.
 
-Residuals are those of single coordinates, so that a height alone is a measurement. They are weighed by what is known
-of their noise: of the measuring, of the model, and of joints that float in their play. A loss that grows linearly for
-large residuals (Huber 1964) keeps one wrong point from spoiling the fit.
+Residuals are weighed by the noise of the measuring, of the model, and of floating joints. A loss that grows linearly
+(Huber 1964) keeps one wrong point from spoiling the fit.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
-from rejoint.arms import Arm, Array
+from rejoint.arms import Arm, Array, Displacement, tcp_position
 from rejoint.arms.rotations import rotation_about
-from rejoint.diagnosis.calibration.measurements import Measurements
-from rejoint.diagnosis.calibration.model import floor_of, linearised, scatter
-from rejoint.diagnosis.calibration.parameters import Belief, DisplacementLayout, displacement_of
+from rejoint.diagnosis.calibration.measurements import Measurements, align
+from rejoint.diagnosis.calibration.parameters import (
+    Belief,
+    DisplacementLayout,
+    displacement_of,
+    floor_of,
+    linearised,
+    scatter,
+)
 
 HUBER = 2.8
 """Length of a point's residual in standard deviations from which the loss grows linearly (95 % of three coordinates
 that are normally distributed are shorter)"""
+SLIP, MOST_SLIPS = 30.0, 0.25
+"""Length of a residual in standard deviations from which a point is left out, and the largest share of such points: of
+more it is not they that are wrong (chosen: 3 to 6 cm)"""
 ITERATIONS = 40
-_START, _RISE, _FALL, _MOST = 1e-3, 8.0, 0.2, 1e8  # damping: at first, after a step that fails or helps, at most
-_SMALL = 1e-4  # relative gain of a step after which the fit ends
+_ROUNDS = 5  # of a descent with the noise as it was, at most
+_SMALL = 1e-4  # relative gain of a step, or of a round, after which the fit ends
 _TILT = np.radians(6.0)
 _DIRECTIONS, _QUICK = 8, 4
 
@@ -44,50 +54,84 @@ class Fitted:
     """logarithm of the marginal likelihood, but for a constant of the measurements (Laplace's approximation)"""
 
 
-class Fittable(Protocol):
-    """What is fitted: R residuals of d numbers each that belong together, and beliefs."""
-
-    @property
-    def layout(self) -> DisplacementLayout:
-        """Where the arm's parameters stand in the vector (k,)."""
-
-    @property
-    def belief(self) -> Belief:
-        """What is believed of the vector."""
-
-    @property
-    def huber(self) -> float:
-        """Length of a residual in standard deviations from which the loss grows linearly."""
-
-    @property
-    def known(self) -> NDArray[np.bool_]:
-        """(R, d) which numbers were measured."""
-
-    def pose(self, vector: Array) -> Array:
-        """Pose (4, 4) of the measuring frame in the base."""
-
-    def misfit(self, vector: Array) -> Array:
-        """Residuals (R, d)."""
-
-    def residual(self, vector: Array) -> tuple[Array, Array]:
-        """Residuals (R, d) and their derivative (R, d, k)."""
-
-    def whitener(self, vector: Array) -> Array:
-        """Matrices (R, d, d) that turn residuals into numbers of unit variance."""
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
-class CalibrationProblem:
-    """Measurements and beliefs of one arm."""
+class Fittable(ABC):
+    """What is fitted: R residuals of d numbers each, their first three a place, and a prior."""
 
     arm: Arm
     layout: DisplacementLayout
+    """where the arm's parameters stand in the vector (k,)"""
     belief: Belief
+    huber: float
+    """length of a residual in standard deviations from which the loss grows linearly"""
+
+    @property
+    @abstractmethod
+    def postures(self) -> NDArray[np.int64]:
+        """(R,) number of the posture of each."""
+
+    @property
+    @abstractmethod
+    def known(self) -> NDArray[np.bool_]:
+        """(R, d) which numbers were measured."""
+
+    @abstractmethod
+    def rows(self, where: NDArray[np.bool_]) -> Self:
+        """Return the problem of some of the residuals."""
+
+    @abstractmethod
+    def pose(self, vector: Array) -> Array:
+        """Pose (4, 4) of the measuring frame in the base."""
+
+    @abstractmethod
+    def residual(self, vector: Array) -> tuple[Array, Array]:
+        """Residuals (R, d) and their derivative (R, d, k)."""
+
+    @abstractmethod
+    def noise(self, vector: Array) -> Array:
+        """Covariance (R, d, d) of a residual for known parameters; apart where a number was not measured."""
+
+    @abstractmethod
+    def uncorrected(self, out: NDArray[np.bool_], start: Array) -> Array:
+        """Residuals (r, d) of the rows ``out`` by the encoders alone, placed by the others from ``start`` (k,)."""
+
+    def misfit(self, vector: Array) -> Array:
+        """Residuals (R, d)."""
+        return self.residual(vector)[0]
+
+    def whitener(self, vector: Array) -> Array:
+        """Matrices (R, d, d) that turn residuals into numbers of unit variance."""
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.noise(vector))))
+
+    def displacement(self, vector: Array) -> Displacement:
+        """Return the arm's displacement for the unknowns (k,)."""
+        return displacement_of(self.layout, vector)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CalibrationProblem(Fittable):
+    """Measurements and beliefs of one arm."""
+
     measurements: Measurements
     frame: Array
     """(4, 4) first estimate of the pose of the measuring frame in the base"""
     huber: float = HUBER
-    """see `Fittable`"""
+
+    @property
+    def postures(self) -> NDArray[np.int64]:
+        """(M,) number of the posture of each."""
+        return self.measurements.posture
+
+    def rows(self, where: NDArray[np.bool_]) -> CalibrationProblem:
+        """Return the problem of some of the points."""
+        return replace(self, measurements=self.measurements.rows(where))
+
+    def uncorrected(self, out: NDArray[np.bool_], start: Array) -> Array:  # noqa: ARG002 - it needs no guess
+        """Residuals (r, 3) [m] of the encoders' own forward kinematics, zero where nothing was measured."""
+        held = self.measurements.rows(out)
+        pose = align(self.arm, self.measurements.rows(~out)) if self.layout.frame else self.frame
+        seen = (tcp_position(self.arm, held.position) - pose[:3, 3]) @ pose[:3, :3]
+        return np.where(np.isfinite(held.point), seen - held.point, 0.0)
 
     @property
     def known(self) -> NDArray[np.bool_]:
@@ -105,10 +149,6 @@ class CalibrationProblem:
         pose[:3, 3] += small[:3]
         return pose
 
-    def misfit(self, vector: Array) -> Array:
-        """Predicted less measured coordinates (M, 3) [m], see `residual`."""
-        return self.residual(vector)[0]
-
     def residual(self, vector: Array) -> tuple[Array, Array]:
         """Predicted less measured coordinates (M, 3) [m], zero where not measured, and their derivative (M, 3, k)."""
         m = self.measurements
@@ -125,12 +165,8 @@ class CalibrationProblem:
         turned = np.einsum("ij,mjk->mik", pose[:3, :3].T, derivative)
         return residual, np.where(known[..., None], turned, 0.0)
 
-    def whitener(self, vector: Array) -> Array:
-        """Matrices (M, 3, 3) that turn residuals into numbers of unit variance."""
-        return np.linalg.inv(np.linalg.cholesky(self.noise(vector)))
-
     def noise(self, vector: Array) -> Array:
-        """Covariance (M, 3, 3) [m^2] of a residual for known parameters; apart where a coordinate was not measured."""
+        """Covariance (M, 3, 3) [m^2] of a residual for known parameters."""
         rotation = self.pose(vector)[:3, :3]
         spread = scatter(self.arm, displacement_of(self.layout, vector), self.measurements.position)
         spread = rotation.T @ spread @ rotation
@@ -142,30 +178,59 @@ class CalibrationProblem:
 
 
 def solve(problem: Fittable, start: Array, iterations: int = ITERATIONS) -> Fitted:
-    """Descend from ``start`` (k,)."""
-    belief, vector, damping = problem.belief, np.clip(start, problem.belief.lower, problem.belief.upper), _START
-    for _ in range(iterations):
+    """Descend from ``start`` (k,), the noise taken where the descent before ended."""
+    belief, vector = problem.belief, np.array(start, dtype=float)
+    free, cost = belief.upper > belief.lower, np.inf
+    vector[~free] = belief.lower[~free]
+    root = np.linalg.cholesky(belief.precision).T
+
+    def whole(x: Array) -> Array:
+        full = vector.copy()
+        full[free] = x
+        return full
+
+    for step in range(_ROUNDS):
         whitener = problem.whitener(vector)
-        cost, gradient, curvature = _system(problem, vector, whitener)
-        fixed = ((vector <= belief.lower) & (gradient > 0)) | ((vector >= belief.upper) & (gradient < 0))
-        free, gained = ~fixed, 0.0
-        while damping < _MOST:
-            block = curvature[np.ix_(free, free)] + damping * np.diag(np.diag(curvature)[free])
-            trial = vector.copy()
-            trial[free] -= np.linalg.solve(block, gradient[free])
-            trial = np.clip(trial, belief.lower, belief.upper)
-            gained = cost - _cost(problem, trial, whitener)
-            if gained >= 0.0:
-                vector, damping = trial, damping * _FALL
-                break
-            damping *= _RISE
-        if gained <= _SMALL * (1.0 + cost):
+        if step:
+            whitener = whitener * _plausible(whitener, problem.misfit(vector))[:, None, None]
+
+        def residual(x: Array, whitener: Array = whitener) -> Array:
+            full = whole(x)
+            white, bent, _ = _weighed(problem, whitener, problem.misfit(full))
+            return np.concatenate([(white * bent).ravel(), root @ (full - belief.mean)])
+
+        def derivative(x: Array, whitener: Array = whitener) -> Array:
+            own, slope = problem.residual(whole(x))
+            _, bent, weight = _weighed(problem, whitener, own)
+            both = (weight / bent)[..., None] * np.einsum("mij,mjk->mik", whitener, slope[..., free])
+            return np.concatenate([both.reshape(-1, free.sum()), root[:, free]])
+
+        found = least_squares(
+            residual, np.clip(vector, belief.lower, belief.upper)[free], derivative, x_scale="jac",
+            bounds=(belief.lower[free], belief.upper[free]), max_nfev=iterations, ftol=_SMALL, xtol=_SMALL,
+        )  # fmt: skip
+        vector, before, cost = whole(found.x), cost, found.cost
+        if iterations < ITERATIONS or abs(before - cost) <= _SMALL * (1.0 + cost):
             break
     return _fitted(problem, vector)
 
 
+def _plausible(whitener: Array, residual: Array) -> NDArray[np.bool_]:
+    """Tell which residuals (R, d) may be no slips: even what a bounded pull does to a fit is too much for those."""
+    near: NDArray[np.bool_] = np.linalg.norm(np.einsum("mij,mj->mi", whitener, residual), axis=1) < SLIP
+    return near if near.mean() >= 1.0 - MOST_SLIPS else np.ones_like(near)
+
+
+def _weighed(problem: Fittable, whitener: Array, residual: Array) -> tuple[Array, Array, Array]:
+    """White residuals (R, d), what makes half their squares the loss (R, 1), and its slope (R, 1)."""
+    white = np.einsum("mij,mj->mi", whitener, residual)
+    length = np.maximum(np.linalg.norm(white, axis=1, keepdims=True), 1e-12)
+    weight = np.minimum(1.0, problem.huber / length)
+    return white, np.sqrt(weight * (2.0 - weight)), weight
+
+
 def search(problem: Fittable) -> Fitted:
-    """Solve from upright and from askew bases: the side of a floating joint's play changes with the slightest tilt."""
+    """Solve from upright and askew bases: the side of a floating joint changes with the slightest tilt."""
     upright = solve(problem, problem.belief.mean)
     turns = np.linspace(0.0, 2 * np.pi, _DIRECTIONS, endpoint=False)
     best = upright
@@ -177,34 +242,16 @@ def search(problem: Fittable) -> Fitted:
     return upright if best is upright else solve(problem, best.vector)
 
 
-def _cost(problem: Fittable, vector: Array, whitener: Array) -> float:
-    huber, residual = problem.huber, problem.misfit(vector)
-    length = np.linalg.norm(np.einsum("mij,mj->mi", whitener, residual), axis=1)
-    loss = np.where(length < huber, 0.5 * length**2, huber * (length - 0.5 * huber))
-    off = vector - problem.belief.mean
-    return float(loss.sum() + 0.5 * off @ problem.belief.precision @ off)
-
-
-def _system(problem: Fittable, vector: Array, whitener: Array) -> tuple[float, Array, Array]:
-    """Cost, its gradient (k,) and its curvature (k, k), with the weights of the loss as they are."""
-    huber, (residual, derivative) = problem.huber, problem.residual(vector)
-    white = np.einsum("mij,mj->mi", whitener, residual)
-    slope = np.einsum("mij,mjk->mik", whitener, derivative)
-    length = np.linalg.norm(white, axis=1)
-    weight = np.minimum(1.0, huber / np.maximum(length, 1e-12))
-    loss = np.where(length < huber, 0.5 * length**2, huber * (length - 0.5 * huber))
-    off = vector - problem.belief.mean
-    flat = (slope * np.sqrt(weight)[:, None, None]).reshape(-1, len(vector))
-    gradient = np.einsum("mik,mi,m->k", slope, white, weight) + problem.belief.precision @ off
-    cost = float(loss.sum() + 0.5 * off @ problem.belief.precision @ off)
-    return cost, gradient, flat.T @ flat + problem.belief.precision
-
-
 def _fitted(problem: Fittable, vector: Array) -> Fitted:
-    whitener = problem.whitener(vector)
-    cost, _, curvature = _system(problem, vector, whitener)
+    whitener, belief = problem.whitener(vector), problem.belief
+    residual, derivative = problem.residual(vector)
+    white, bent, weight = _weighed(problem, whitener, residual)
+    slope = np.sqrt(weight)[..., None] * np.einsum("mij,mjk->mik", whitener, derivative)
+    flat, off = slope.reshape(-1, len(vector)), vector - belief.mean
+    curvature = flat.T @ flat + belief.precision
+    cost = 0.5 * float(((white * bent) ** 2).sum() + off @ belief.precision @ off)
     spread = np.log(np.abs(np.diagonal(whitener, axis1=1, axis2=2)))[problem.known].sum()
-    evidence = -cost + spread + 0.5 * (np.linalg.slogdet(problem.belief.precision)[1] - np.linalg.slogdet(curvature)[1])
+    evidence = -cost + spread + 0.5 * (np.linalg.slogdet(belief.precision)[1] - np.linalg.slogdet(curvature)[1])
     return Fitted(
         layout=problem.layout, vector=vector, covariance=np.asarray(np.linalg.inv(curvature), dtype=float),
         frame=problem.pose(vector), evidence=float(evidence),

@@ -1,1 +1,1 @@
-"""What becomes of an arm over months: a short check, charts of its history, and when it will be too worn."""
+"""An arm over months: a short check, charts of its history, and its remaining time."""

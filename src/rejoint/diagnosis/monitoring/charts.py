@@ -1,12 +1,15 @@
-"""Charts of one quantity over the checks of an arm: what is usual, how it stands, and when to call out.
+"""Charts of one quantity over the checks of an arm: its baseline, its state, and zeros that jumped.
 
-The first checks after a repair say what is usual for this arm: a mean, a scatter, and what warmth does to it. Every
-later check is judged by how far it lies from that in standard deviations, with what the few checks leave open. An EWMA
-tells the state (Roberts 1959); a two-sided CUSUM calls out (Page 1954).
+The first checks say what is usual: mean, scatter, effect of warmth. Later ones are judged in standard deviations: an
+EWMA gives the state (Roberts 1959), a two-sided CUSUM the alarm (Page 1954).
+
+A collision moves a zero at once, by the same angle in all poses and from both sides. Wear shows in sag and friction
+too, so a sudden change of the deviation alone is no wear.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -23,19 +26,16 @@ WEIGHT = 0.25
 DRIFTING = 2.7 * (WEIGHT / (2.0 - WEIGHT)) ** 0.5
 """EWMA from which a quantity is said to drift: 2.7 of its own standard deviations"""
 SLACK = 1.25
-"""Standard deviations that a CUSUM forgives at each check: half of the shift that it is to find (chosen: with half of
-one, as is usual, a mean that rests on five checks alone gives false alarms; an arm that wears is soon three off)"""
+"""Standard deviations that a CUSUM forgives (chosen: half of one, as is usual, gives false alarms with five checks)"""
 ALARM = 6.0
-"""CUSUM that is an alarm (shared facts on monitoring: 6 where there are twenty quantities; of 1000 that do not change,
-drawn with two years of warmth, a slack of 1 and an alarm of 5 called out 2.8 %, these 0.5 %)"""
+"""CUSUM that is an alarm (shared facts on monitoring; of 1000 steady quantities over two years 0.5 % called out)"""
 CUT = 4.0
 """Standard deviations as which a larger distance counts, so that no single odd check is an alarm"""
 PRIOR_CHECKS = 6.0
-"""Checks that what is known of the scatter before counts for (chosen: a norm of five alone would often have next to
-none, and call out at nothing)"""
+"""Checks that the known scatter counts for (chosen: five checks alone may scatter by next to nothing)"""
 
 LATELY = 3
-"""Checks whose middle says by how much a quantity has changed (chosen: the fewest that bear an odd one)"""
+"""Checks whose median says by how much a quantity changed (chosen)"""
 
 State = Literal["learning", "steady", "drifting", "alarm"]
 """Too few checks to say; as at the beginning; moving away; surely not as at the beginning"""
@@ -46,7 +46,7 @@ class Chart:
     """One quantity of one arm since its norm began; T checks, the newest last."""
 
     z: Array
-    """(T,) distance from what is usual at that warmth, in standard deviations; NaN in the first `FEWEST` checks"""
+    """(T,) distance from the baseline in standard deviations; NaN in the first `FEWEST` checks"""
     cusum: Array
     """(T,) the larger of both sides, positive where the quantity grows"""
     usual: float
@@ -57,14 +57,13 @@ class Chart:
     """the same, the middle of the last `LATELY` checks"""
     state: State
     since: int | None
-    """index of the last check before the quantity began to leave, as the CUSUM sees it; None where it has not"""
+    """index of the last check before the quantity began to leave, by the CUSUM; or None"""
 
 
 def chart(value: Array, temperature: Array, *, scatter: float, per_degree: float) -> Chart:
-    """Draw the chart of ``value`` (T,) at ``temperature`` (T,) [deg C], NaN where the servos do not tell.
+    """Draw the chart of ``value`` (T,) at ``temperature`` (T,) [deg C], NaN where unknown.
 
-    ``scatter`` is the standard deviation that one check of an arm that does not change has, and ``per_degree`` how much
-    a degree may move it: what is believed before the arm has shown its own.
+    ``scatter`` is the prior standard deviation of one check, ``per_degree`` the prior effect of a degree.
     """
     count = len(value)
     warm = np.nan_to_num(temperature - temperature[0]) if count else temperature
@@ -96,11 +95,10 @@ def chart(value: Array, temperature: Array, *, scatter: float, per_degree: float
 
 
 def _norm(value: Array, warm: Array, count: int, scatter: float, per_degree: float) -> tuple[float, float, float]:
-    """Mean of the first ``count`` checks, what warmth adds to the last one, and the standard deviation of that one.
+    """Mean of the first ``count`` checks, what warmth adds to the last one, and its standard deviation.
 
-    The scatter is that of neighbouring checks, which a slow change hardly widens, with what is known of it before. The
-    slope over warmth is a regression over all checks with a prior, `per_degree`, beside a straight change over time, so
-    that wear is not taken for warmth.
+    The scatter is that of neighbouring checks; the slope over warmth a regression with a prior, beside a straight
+    change over time.
     """
     known, middle = warm[:count].mean(), float(value[:count].mean())
     variance, slope, doubt = scatter**2, 0.0, 0.0
@@ -113,7 +111,6 @@ def _norm(value: Array, warm: Array, count: int, scatter: float, per_degree: flo
 
 
 def _slope(value: Array, warm: Array, variance: float, per_degree: float) -> tuple[float, float]:
-    """Change per degree beside a straight change over the checks, and its variance."""
     if per_degree <= 0.0 or np.ptp(warm) == 0.0:
         return 0.0, 0.0
     order = np.arange(len(value), dtype=float)
@@ -121,3 +118,48 @@ def _slope(value: Array, warm: Array, variance: float, per_degree: float) -> tup
     precision = design.T @ design / variance + np.diag([0.0, 0.0, per_degree**-2])
     spread = np.linalg.inv(precision)
     return float((spread @ (design.T @ value))[2] / variance), float(spread[2, 2])
+
+
+SURE = 5.0
+"""Standard deviations from which a zero has jumped (chosen: no arm that wears is said to, `python -m benchmarks
+years`)"""
+SHARE = 1.0 / 3.0
+"""Of the jump, below which all else must have stayed (chosen: wear moves sag by as much)"""
+STAYED = 0.5
+"""Share of the jump that must remain until the newest check (chosen)"""
+BEFORE = 3
+"""Checks before a jump whose median says where the zero was (chosen)"""
+UNTOLD = 10.0
+"""[K] by which checks may differ where no temperature is known (chosen: a room over the seasons)"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Jump:
+    """The zero of a joint has moved between two checks."""
+
+    at: int
+    """index of the first check after it"""
+    way: float
+    """in the unit of the deviations, with sign"""
+
+
+def find_jump(
+    deviation: Array, others: Sequence[Array], temperature: Array, *, scatter: float, per_degree: float
+) -> Jump | None:
+    """Find where the zero of a joint last jumped; None where it has not.
+
+    ``deviation`` (T,) [mm] at ``temperature`` (T,) [deg C]; ``others`` (T,) [mm] are what wear changes as well;
+    ``scatter`` [mm] and ``per_degree`` [mm/K] as for `chart`.
+    """
+    for at in range(len(deviation) - 1, 0, -1):
+        way = float(deviation[at] - deviation[at - 1])
+        warmer = float(temperature[at] - temperature[at - 1])
+        doubt = per_degree * (abs(warmer) if np.isfinite(warmer) else UNTOLD)
+        if abs(way) < SURE * float(np.hypot(2.0**0.5 * scatter, doubt)):
+            continue
+        alone = all(abs(float(one[at] - one[at - 1])) < SHARE * abs(way) for one in others)
+        was = float(np.median(deviation[max(at - BEFORE, 0) : at]))
+        stayed = (float(deviation[-1]) - was) / way >= STAYED
+        if alone and stayed:
+            return Jump(at=at, way=way)
+    return None

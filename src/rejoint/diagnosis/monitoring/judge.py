@@ -1,4 +1,4 @@
-"""What the checks of an arm say together: how it stands, which joint changed since when, and how long it will do."""
+"""What the checks of an arm say together, in one line: state, cause, since when, and how long it will last."""
 
 from __future__ import annotations
 
@@ -9,22 +9,21 @@ from datetime import datetime, timedelta
 import numpy as np
 
 from rejoint.arms import Array
-from rejoint.diagnosis.monitoring.charts import FEWEST, Chart, State, chart
-from rejoint.diagnosis.monitoring.jumps import find_jump
+from rejoint.diagnosis.monitoring.charts import FEWEST, Chart, State, chart, find_jump
 from rejoint.diagnosis.monitoring.measures import CheckMeasures
 from rejoint.diagnosis.monitoring.remaining import remaining
+from rejoint.system.shell import command
 
 ZERO_PER_DEGREE = np.radians(0.02)
 """[rad/K] by which the zero of an STS3215 may move (shared facts on monitoring)"""
 FRICTION_PER_DEGREE = 0.015
-"""[1/K] by which friction may go with warmth (Bittencourt and Axehill 2012: viscous friction halves in 47 K)"""
+"""[1/K] effect of warmth on friction (Bittencourt and Axehill 2012: viscous friction halves in 47 K)"""
 LOAD_PER_DEGREE = 0.002
-"""[1/K] by which what weight does may go with warmth (chosen: copper loses 0.4 %/K of its conductance, of which a
-position servo makes up half)"""
+"""[1/K] effect of warmth on sag (chosen: copper loses 0.4 %/K of its conductance)"""
 SCATTER_MM = {"hysteresis": 0.03, "reversal": 0.05, "sag": 0.07, "deviation": 0.06, "error": 0.10}
-"""[mm] standard deviation of one check of an arm that does not change (measured: `python -m benchmarks years`)"""
+"""[mm] standard deviation of one check of a steady arm (measured: `python -m benchmarks years`)"""
 SCATTER_SHARE = 0.005
-"""The same as a share of the value, which friction that is uneven makes of it (measured as above)"""
+"""The same as a share of the value (measured as above)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -35,7 +34,7 @@ class PastCheck:
     """UTC, without a zone"""
     measures: CheckMeasures
     used_h: float | None = None
-    """[h] of use so far; None where nobody counts"""
+    """[h] of use so far; None where they are not counted"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +55,7 @@ class Change:
     cusum: float
     """standard deviations that have come together, with sign"""
     away: float = 0.0
-    """standard deviations of a check that changes nothing by which the last three lie off, their middle, with sign"""
+    """standard deviations by which the median of the last three lies off, with sign"""
 
     @property
     def better(self) -> bool:
@@ -66,7 +65,7 @@ class Change:
 
 @dataclass(frozen=True, kw_only=True)
 class MovedZero:
-    """The zero of a joint is not where it was: the arm was bumped, or set anew."""
+    """The zero of a joint is not where it was: the arm was bumped, or set again."""
 
     joint: str
     degrees: float
@@ -79,7 +78,7 @@ class MovedZero:
 
 @dataclass(frozen=True, kw_only=True)
 class Due:
-    """When the tolerance will be reached; ten and ninety per cent of the times that are possible lie before."""
+    """When the tolerance will be reached: 10, 50 and 90 % of the possible times lie before."""
 
     early: datetime
     middle: datetime | None
@@ -98,7 +97,7 @@ class Outlook:
     newest: datetime
     """of the last of them"""
     changes: tuple[Change, ...]
-    """the worst state first, and in it the joint that changed most; what is of the tool comes last"""
+    """worst state first, then the joint that changed most; the tool last"""
     error_mm: float
     """of the tool in the five poses, newest, without a controller"""
     error_known: bool
@@ -109,8 +108,7 @@ class Outlook:
     moved: tuple[MovedZero, ...] = ()
     """joints whose zeros have moved since the norm began, the furthest first"""
     controlled_mm: float | None = None
-    """of the tool with the controller of the repair that the norm began after, at most: what the repair left, and by
-    how much the bare arm is worse than in its first checks since; None where there was no repair"""
+    """of the tool with the controller of its repair, at most; None without a repair"""
 
     @property
     def counts_mm(self) -> float:
@@ -124,10 +122,10 @@ class Outlook:
 
 
 def outlook(visits: Sequence[PastCheck], tolerance_mm: float | None = None, *, left_mm: float | None = None) -> Outlook:
-    """Judge an arm by its checks since the norm began, the oldest first; there is at least one.
+    """Judge an arm by its checks since the baseline began, the oldest first; there is at least one.
 
-    ``left_mm`` is the tool error that the controller of the last repair left, where there was one: the owner drives the
-    arm with it, so that is what comes near to ``tolerance_mm``, by as much as the bare arm becomes worse.
+    ``left_mm`` is the tool error that the controller of the last repair left: it nears ``tolerance_mm`` by as much as
+    the bare arm becomes worse.
     """
     warm = np.array([_nan(visit.measures.temperature_c) for visit in visits])
     drawn = [_change(visits, *one) for one in _quantities(visits, warm)]
@@ -154,11 +152,6 @@ def error_per_degree(measures: CheckMeasures) -> float:
     return float(ZERO_PER_DEGREE * np.sqrt(sum(row.lever_mm**2 for row in measures.joints)))
 
 
-def error_scatter(error: Array) -> float:
-    """[mm] standard deviation of one check's tool error where the arm does not change."""
-    return _scatter("error", error)
-
-
 def _quantities(visits: Sequence[PastCheck], warm: Array) -> list[tuple[str, str, Array, Array, float]]:
     """Joint, quantity, values (T,) [mm], temperature (T,), and mm per degree that warmth may do."""
     found = []
@@ -182,10 +175,9 @@ def _quantities(visits: Sequence[PastCheck], warm: Array) -> list[tuple[str, str
 
 
 def _ranked(drawn: Sequence[Change]) -> tuple[Change, ...]:
-    """Put what is to be named as the cause first: the worst state, then the joint that is furthest off.
+    """Put the likely cause first: the worst state, then the joint furthest off, friction and sag before the deviation.
 
-    Of a joint its friction and sag come first, which say more than how far it stands off.
-    Not by the CUSUM: no check adds more to it than `CUT`, so that all joints that wear fast have the same.
+    Not by the CUSUM, of which all joints that wear fast have the same.
     """
     order: tuple[State, ...] = ("alarm", "drifting", "steady", "learning")
     most: dict[tuple[str, str], float] = {}
@@ -198,7 +190,6 @@ def _ranked(drawn: Sequence[Change]) -> tuple[Change, ...]:
 
 
 def _moved(visits: Sequence[PastCheck]) -> tuple[MovedZero, ...]:
-    """Find the joints whose zeros have moved."""
     found = []
     for j, row in enumerate(visits[0].measures.joints):
         rows = [visit.measures.joints[j] for visit in visits]
@@ -235,14 +226,14 @@ def _change(visits: Sequence[PastCheck], joint: str, name: str, value: Array, wa
 
 
 def _due(visits: Sequence[PastCheck], error: Array, warm: Array, tolerance: float) -> Due | None:
-    """Tell when the tolerance is reached: by use where the owner counts it, at the pace seen; else by the calendar."""
+    """Estimate when the tolerance is reached, by use where the owner counts it, else by the calendar."""
     days = np.array([(visit.time - visits[0].time) / timedelta(days=1) for visit in visits])
     hours = np.array([_nan(visit.used_h) for visit in visits])
     grows = bool(np.isfinite(hours).all() and (np.diff(hours) >= 0.0).all())  # else somebody has told them wrongly
     counted = grows and hours[-1] > hours[0] and days[-1] > days[0]
     use = hours if counted else days
     pace = (hours[-1] - hours[0]) / (days[-1] - days[0]) if counted else 1.0
-    scatter, per_degree = error_scatter(error), error_per_degree(visits[0].measures)
+    scatter, per_degree = _scatter("error", error), error_per_degree(visits[0].measures)
     left = remaining(use, error, warm, tolerance, scatter=scatter, per_degree=per_degree)
     if left is None:
         return None
@@ -259,3 +250,114 @@ def _after(now: datetime, days: float) -> datetime | None:
 
 def _nan(value: float | None) -> float:
     return np.nan if value is None else value
+
+
+MONTH = timedelta(days=30)
+"""Between two checks of an arm that does not change (chosen)"""
+MEANINGS = {
+    "hysteresis": "friction or weakness in slow motion",
+    "reversal": "difference between its two directions",
+    "sag": "giving way under its weight",
+    "deviation": "distance from its commands",
+    "error": "tool error",
+}
+"""What each quantity is, in words"""
+
+
+def say(found: Outlook, robot: str, described: str = "") -> str:
+    """Say in one line how the arm at address ``robot`` is; ``described`` are more options of a repair."""
+    repair = command("repair", robot) + described
+    error = _error(found)
+    if found.moved:
+        return _ask(found, error, repair)
+    if found.state == "learning":
+        missing = FEWEST + 1 - found.checks
+        again = f"check again, {missing} more time{'s' * (missing > 1)}; the first ones may follow each other at once"
+        return (
+            f"Check {found.checks} since {_day(found.since)}: {FEWEST} are needed to know what is usual for this arm, "
+            f"and one more to see a change. {error}. Do: {repair if found.over else again}."
+        )
+    worst = found.changes[0]
+    if found.state == "steady":
+        joints = len({one.joint for one in found.changes if one.joint})
+        act = _act(found, worst, repair) if found.over else _next(found)
+        return f"No change in {joints} joints since {_day(found.since)}. {error}. Do: {act}."
+    called = [one for one in found.changes if one.state == found.state]
+    others = sorted({one.joint or "the tool" for one in called} - {worst.joint or "the tool"})
+    also = f"; also {', '.join(others)}" if others else ""
+    return f"{_changed(worst)} ({found.state}){also}. {error}. Do: {_act(found, worst, repair)}."
+
+
+def _ask(found: Outlook, error: str, repair: str) -> str:
+    calls = [one for one in found.changes if one.state == "alarm" and one.quantity != "deviation" and one.joint]
+    also = f" Beside that {', '.join(sorted({one.joint for one in calls}))} wears (alarm)." if calls else ""
+    yes = "if so, check it again with --moved, five times"
+    return (
+        f"{cause_of(found)}, which is no wear: was the arm bumped, set again or given another load?{also} {error}. Do: "
+        f"{yes}; if not, look whether {found.moved[0].joint} has slipped, then {repair}."
+    )
+
+
+def cause_of(found: Outlook) -> str:
+    """Name what changed most; empty where nothing did."""
+    if found.moved:
+        names, ways = [one.joint for one in found.moved], [f"{abs(one.degrees):.1f}" for one in found.moved]
+        zeros = f"The zero of {names[0]} has" if len(names) == 1 else f"The zeros of {_list(names)} have"
+        after, before = max(one.after for one in found.moved), max(one.before for one in found.moved)
+        return f"{zeros} moved by {_list(ways)} deg between {_day(after)} and {_day(before)}"
+    return _changed(found.changes[0]) if found.state in ("drifting", "alarm") else ""
+
+
+def _list(words: Sequence[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+def _changed(change: Change) -> str:
+    since = "" if change.since is None else f" since {_day(change.since)}"
+    return (
+        f"{change.joint or 'Tool'}: {MEANINGS[change.quantity]} {change.usual_mm:.1f} -> {change.now_mm:.1f} mm{since}"
+    )
+
+
+def _error(found: Outlook) -> str:
+    known = "" if found.error_known else " by the encoders"
+    text = f"Tool error at the five poses {found.error_mm:.1f} mm{known}"
+    if found.controlled_mm is not None:
+        text = f"{text} without a controller, at most {found.controlled_mm:.1f} mm with that of its repair"
+    if found.tolerance_mm is None:
+        return text
+    text = f"{text}, tolerance {found.tolerance_mm:.1f} mm"
+    if found.over:
+        return f"{text}, which is reached"
+    if found.due is None:
+        return text if found.state == "learning" or found.moved else f"{text}: no wear seen that leads there"
+    due = found.due
+    if due.late is None:
+        return f"{text}, reached not before {_day(due.early)}"
+    return f"{text}, reached between {_day(due.early)} and {_day(due.late)}"
+
+
+def _next(found: Outlook) -> str:
+    if found.due is not None and found.due.early - found.newest < MONTH:
+        return f"nothing yet; check again by {_day(found.due.early)}, and make time for a repair"
+    return "nothing; check again in a month"
+
+
+def _act(found: Outlook, worst: Change, repair: str) -> str:
+    if worst.better and worst.state in ("drifting", "alarm"):
+        part = f"of {worst.joint}" if worst.joint else "of the arm"
+        look = f"look what was done to the servo {part}, as it is better than it was; if it was changed or greased, or "
+        return f"{look}the hand carries less, check with --moved, five times{f'; {repair}' if found.over else ''}"
+    if found.over or found.state == "alarm":
+        if worst.state not in ("drifting", "alarm"):  # it was so from the beginning
+            return repair
+        if worst.quantity == "deviation":
+            look = f"look whether {worst.joint} has slipped or was set again (then check with --moved)"
+            return f"{look}; else {repair}"
+        part = f"; if it stays, change the servo of {worst.joint}" if worst.joint else ""
+        return f"{repair}{part}"
+    return "check again within a week; no repair yet"
+
+
+def _day(time: datetime) -> str:
+    return f"{time:%Y-%m-%d}"

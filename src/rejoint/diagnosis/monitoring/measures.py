@@ -1,9 +1,8 @@
-"""What a check measures: each joint in slow motion and in the five poses, and the tool in the terms of ISO 9283.
+"""What a check measures, by the encoders: each joint in slow motion and in five poses, and the tool after ISO 9283.
 
-All of it is by the encoders, as every arm has them; where somebody knows where the tool really is, its error stands
-beside. ISO calls the distance of the mean attained position from the commanded one *accuracy* AP, the scatter about it
-*repeatability* RP, and the distance between the means of several directions of approach vAP; ISO 230-2 calls the
-difference that the direction of approach makes to a joint its *reversal value* B.
+*Accuracy* AP is the distance of the mean attained position from the commanded one, *repeatability* RP the scatter about
+it, vAP the distance between directions of approach (ISO 9283); the *reversal value* B is the difference that the
+direction makes to a joint (ISO 230-2).
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Arm, Array, gravity_torque, position_kinematics, tcp_position
-from rejoint.arms.size import torque_size
+from rejoint.arms.workspace import torque_size
 from rejoint.diagnosis.metrics import SETTLED_LAST
 from rejoint.diagnosis.monitoring.routine import CYCLES, POSES, SIDES
 from rejoint.diagnosis.segments import ExcitationLog
@@ -21,38 +20,36 @@ from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError, RobotError
 
 LEAST_LEVER = 0.02
-"""[m] by which angles are turned into millimetres at least: a joint that only turns the tool is to count as well
-(chosen: half the radius of a small arm's tool flange)"""
+"""[m] least lever that turns angles into millimetres (chosen: half the radius of a small tool flange)"""
 
 _LEAST_RANGE = 0.1
-"""[N m] range of a joint's load over the poses from which its sag shows (chosen: a healthy joint of a myCobot 280 then
-moves by more than an encoder count; goes with the load of the arm)"""
+"""[N m] of a myCobot 280, range of a joint's load from which its sag shows (chosen: more than an encoder count)"""
 
 LEAST_APPROACHES = 3
-"""of `CYCLES` to a pose from one side, without which a check does not count (chosen: the fewest that scatter)"""
+"""of `CYCLES` to a pose from one side that a check needs (chosen: the fewest that scatter)"""
 
 _SWEEP_MIDDLE = 0.6  # share of a sweep, about its middle, in which a joint moves steadily (chosen)
 
 
 DEAD_TIME, DEAD_WAY = 15.0, np.radians(10.0)
-"""[s] and [rad] of commands at the end of a check, through which a reading that stands is of no joint that follows
-(chosen: a healthy joint stands for 0.8 s, and one that is too weak for its load stood for 12 in the middle)"""
+"""[s] and [rad] of commands without any reading that changes: the joint does not follow (chosen: a weak one stood for
+12 s)"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointCheck:
-    """One joint, in millimetres at the tool: the angle times the mean way of the tool per radian in the poses."""
+    """One joint, in millimetres at the tool: angle times mean lever in the poses."""
 
     joint: str
     hysteresis_mm: float
-    """following error of slow motion one way minus the other: friction, and what the servo gives way under it"""
+    """following error of slow motion one way minus the other"""
     reversal_mm: float
     """ISO 230-2 B: where it comes to rest from above minus from below"""
     deviation_mm: float
     """command minus where it comes to rest, mean of both sides, with sign: sag and offset"""
     sag_mm: float | None
-    """what it gives way to the weight it carries, by how `deviation_mm` goes with the weight from pose to pose, so that
-    its offset does not count; None where the weight hardly changes"""
+    """what it gives way to its weight, by how `deviation_mm` changes from pose to pose; None where the weight hardly
+    changes"""
     lever_mm: float
     """[mm/rad] that angles were multiplied with"""
     temperature_c: float | None
@@ -67,11 +64,11 @@ class CheckMeasures:
     error_mm: float
     """mean over the poses and both sides of AP by the encoders"""
     repeatability_mm: float
-    """largest RP of a pose from one side by the encoders; of `CYCLES` approaches, where the standard asks for 30"""
+    """largest RP of a pose from one side, of `CYCLES` approaches (the standard asks for 30)"""
     approach_mm: float
     """largest vAP of a pose, of the two directions of approach, by the encoders"""
     true_error_mm: float | None
-    """as `error_mm`, of the tool itself; None where nobody knows"""
+    """as `error_mm`, of the tool itself; None where it is unknown"""
     true_approach_mm: float | None
     """as `approach_mm`, of the tool itself"""
     temperature_c: float | None
@@ -79,7 +76,7 @@ class CheckMeasures:
 
 
 def measure_check(arm: Arm, log: RunLog, temperature: Array | None) -> CheckMeasures:
-    """Measure an arm by the log of its check; ``temperature`` (n,) [deg C] of its servos, None where they do not tell.
+    """Measure an arm by the log of its check; ``temperature`` (n,) [deg C] of its servos.
 
     InputError if the log is not of a whole check of this arm.
     """
@@ -112,10 +109,7 @@ def measure_check(arm: Arm, log: RunLog, temperature: Array | None) -> CheckMeas
 
 
 def require_followed(arm: Arm, log: RunLog) -> None:
-    """Raise RobotError where the reading of a joint stood still to the end of a check, however far its commands went.
-
-    Trajectories are driven on through that, and its numbers would be those of an encoder, not of an arm.
-    """
+    """Raise RobotError where the reading of a joint stood still to the end of a check while its commands moved."""
     for j, name in enumerate(arm.joint_names):
         away = np.abs(log.position[:, j] - log.position[-1, j]) > 1.5 * arm.encoder_step
         since = int(np.flatnonzero(away)[-1]) + 1 if away.any() else 0
@@ -131,7 +125,7 @@ def require_followed(arm: Arm, log: RunLog) -> None:
 def _settled(data: ExcitationLog) -> tuple[Array, Array, Array]:
     """Means of command, position (poses, sides, cycles, n) [rad] and tool (poses, sides, cycles, 3) [m] at rest.
 
-    An approach that fell into a pause of the link is the mean of the others to its pose from its side.
+    An approach without readings is the mean of the others.
     """
     log, shape = data.log, (POSES, len(SIDES), CYCLES)
     found = [np.full((*shape, width), np.nan) for width in (data.arm.joints, data.arm.joints, 3)]

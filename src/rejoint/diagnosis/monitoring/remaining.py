@@ -1,9 +1,7 @@
 """When the tool's error will reach the owner's tolerance: a first-passage time, with an interval.
 
-Wear is taken for a Brownian motion with drift, and every check for a look at it with some scatter. Drift, diffusion and
-scatter are known as far as the checks tell: the time to the tolerance is drawn from all that they leave possible, each
-draw an inverse Gaussian (Folks and Chhikara, J. R. Stat. Soc. B 40, 1978). A drift that does not lead to the tolerance
-may never reach it.
+Wear is a Brownian motion with drift, each check a look at it with scatter; the time is drawn from all that the checks
+leave possible, each draw an inverse Gaussian (Folks and Chhikara, J. R. Stat. Soc. B 40, 1978).
 """
 
 from __future__ import annotations
@@ -20,10 +18,9 @@ DRAWS = 4000
 SHARES = (0.1, 0.5, 0.9)
 """Of the draws below the quantiles that are told"""
 _SEEN = 0.9
-"""Share of the possible drifts that has to lead to the tolerance before a time is told (chosen, as the interval)"""
+"""Share of the possible drifts that must lead to the tolerance (chosen, as the interval)"""
 _UNEVEN, _UNEVEN_FACTOR = 0.5, 1.6
-"""Standard deviation of the random part of wear over the whole time seen, as a share of the change seen then, and the
-factor within which that is believed (chosen: wear comes in spells; with less the intervals are too narrow, see
+"""Prior of the random part of wear, as a share of the change seen, and its factor (chosen: wear comes in spells,
 `python -m benchmarks years`)"""
 _DIFFUSIONS = np.geomspace(0.05, 2.0, 9)
 """Such shares that are tried"""
@@ -32,8 +29,7 @@ _SCATTERS = np.geomspace(0.6, 1.8, 4)
 _SCATTER_FACTOR = 1.5
 """Factor within which the scatter is believed (chosen: it was measured on other arms)"""
 _POINTS = 200
-"""Most points that are looked at: neighbours among more checks are put together (chosen: the work grows with the cube,
-and wear shows over many of so many)"""
+"""Most points; neighbours among more checks are averaged (chosen: the work grows with the cube)"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,11 +46,10 @@ class Remaining:
 def remaining(
     use: Array, error: Array, warm: Array, tolerance: float, *, scatter: float, per_degree: float
 ) -> Remaining | None:
-    """Tell how much more use an arm has until its ``error`` (T,) [mm] reaches ``tolerance`` [mm].
+    """Estimate how much more use an arm has until its ``error`` (T,) [mm] reaches ``tolerance`` [mm].
 
-    ``use`` (T,) grows from check to check; ``warm`` (T,) [K] is the servos' temperature over some reference, NaN where
-    they do not tell; ``scatter`` [mm] and ``per_degree`` [mm/K] are as for `chart`. None where nothing can be said: too
-    few checks, or no wear that shows.
+    ``use`` (T,) grows; ``warm`` (T,) [K] is relative, NaN where unknown; ``scatter`` [mm] and ``per_degree`` [mm/K] as
+    for `chart`. None with too few checks or no visible wear.
     """
     if len(use) < FEWEST + 1 or use[-1] <= use[0]:
         return None
@@ -88,10 +83,6 @@ def remaining(
 
 
 def _together(design: Array, error: Array, scatter: float) -> tuple[Array, Array, float]:
-    """Put neighbours together until there are at most `_POINTS`, with the scatter of their means.
-
-    As many in each, so that up to so many of the first checks are left out.
-    """
     each = -(-len(error) // _POINTS)
     if each == 1:
         return design, error, scatter
@@ -101,12 +92,10 @@ def _together(design: Array, error: Array, scatter: float) -> tuple[Array, Array
 
 
 def _log_prior(ratio: float, factor: float) -> float:
-    """Logarithm of how much a ``ratio`` to what is expected is believed, without its norm."""
     return float(-0.5 * (np.log(ratio) / np.log(factor)) ** 2)
 
 
 def _fit(design: Array, value: Array, covariance: Array, believed: Array) -> tuple[float, Array, Array]:
-    """Generalised least squares: log evidence, coefficients and their covariance."""
     root = np.linalg.cholesky(covariance)
     a, y = np.linalg.solve(root, design), np.linalg.solve(root, value)
     precision = a.T @ a + believed
@@ -121,7 +110,6 @@ def _passages(
     rng: np.random.Generator, fit: tuple[Array, Array, float, float], count: int, x: Array, error: Array,
     design: Array, tolerance: float,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Draw times, in spans from now, to the tolerance, and the drifts behind them."""
     best, spread, diffusion, noise = fit
     drawn = rng.multivariate_normal(best, spread, count, method="cholesky")
     drift = drawn[:, 1]
@@ -140,7 +128,7 @@ def _passages(
 def _state(
     rng: np.random.Generator, drawn: Array, diffusion: float, noise: float, x: Array, error: Array, design: Array
 ) -> Array:
-    """Draw where the error is now (N,), without the scatter of its last check, given lines ``drawn`` (N, 3)."""
+    """Draw where the error is now (N,), without its last scatter, given lines ``drawn`` (N, 3)."""
     common = diffusion**2 * np.minimum.outer(x - x[0], x - x[0])
     gain = np.linalg.solve(common + noise**2 * np.eye(len(x)), common[:, -1])
     left = error - drawn @ design.T

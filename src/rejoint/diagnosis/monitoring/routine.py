@@ -1,26 +1,32 @@
-"""The motion of a check, always the same for one arm: two to three minutes that show each joint and the tool.
+"""The motion of a check, always the same for one arm: two to three minutes.
 
-First every other joint goes slowly back and forth, then the rest. Then the tool goes to the five poses of ISO 9283:1998
-in the arm's region of targets, P1 in its middle and P2 to P5 on a diagonal plane, ten per cent from its corners, each
-five times from below and five times from above in all joints.
+Every other joint goes slowly back and forth, then the rest; then the tool goes to the five poses of ISO 9283:1998 in
+the region of targets, each five times from below and five times from above in all joints.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.inverse import solve_position
-from rejoint.arms.room import HOLD_OFFSET, is_safe, line_is_safe, unsafe
-from rejoint.control.comparison.iso import RISING_LEFT, iso_poses
-from rejoint.diagnosis.excitation import Excitation
-from rejoint.diagnosis.path import CommandPath
+from rejoint.arms.workspace import HOLD_OFFSET, is_safe, line_is_safe, unsafe
+from rejoint.control.comparison.protocols import RISING_LEFT, iso_poses
+from rejoint.control.recording import OnCycle
+from rejoint.control.robot import Robot
+from rejoint.control.start import begin, play
+from rejoint.diagnosis.excitation import CommandPath, Excitation, reporting, swept
+from rejoint.diagnosis.segments import attach_segments
+from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
+from rejoint.system.progress import Progress, no_progress
 
 POSES = 5
 """ISO 9283:1998: P1 to P5"""
 CYCLES = 5
-"""Times that each pose is approached from each side (chosen: the check then takes two and a half minutes)"""
+"""Times that each pose is approached from each side (chosen)"""
 SIDES = ("below", "above")
 
 _SWEEP_SPEED = 0.12  # [rad/s] twice the usual Stribeck velocity, as the slow sweeps of a diagnosis
@@ -35,18 +41,14 @@ _SMALLER = 0.8 ** np.arange(10)  # shares of amplitude and region that are tried
 
 
 def plan_check(arm: Arm) -> Excitation:
-    """Plan the check of an arm that stands in its rest posture.
-
-    Where there is no room, poses move towards the rest posture and joints go less far. InputError where that does not
-    suffice.
-    """
+    """Plan the check of an arm in its rest posture, smaller where there is no room; InputError without any."""
     postures, offset = _poses(arm)
     amplitude = _amplitude(arm)
     slowest = float(arm.max_speed.min())
     travel = min(_TRAVEL_SPEED, _TRAVEL_SHARE * slowest)
     path = CommandPath(arm.rest)
     path.wait(0.5)
-    _sweep(path, arm, amplitude, min(_SWEEP_SPEED, _SWEEP_SHARE * slowest), travel)
+    path.sweep(arm, amplitude, travel, [(min(_SWEEP_SPEED, _SWEEP_SHARE * slowest), _SWEEP_CYCLES)])
     for cycle in range(CYCLES):
         for pose, posture in enumerate(postures):
             for sign, side in zip((-1.0, 1.0), SIDES, strict=True):
@@ -60,29 +62,8 @@ def plan_check(arm: Arm) -> Excitation:
     return Excitation(arm=arm, segments=path.segments, time=time, position=position)
 
 
-def _sweep(path: CommandPath, arm: Arm, amplitude: float, speed: float, travel: float) -> None:
-    """Go back and forth with every other joint at once: neighbours disturb each other, the rest hardly."""
-    for group in (range(0, arm.joints, 2), range(1, arm.joints, 2)):
-        joints = tuple(group)
-        way = _directions(arm, joints) * amplitude
-        path.travel(arm.rest - way, travel)
-        path.wait(_PAUSE)
-        for half in range(2 * _SWEEP_CYCLES):
-            with path.segment(f"sweep/{'-'.join(map(str, joints))}/0/{half}", "sweep", joints):
-                path.travel(arm.rest + (way if half % 2 == 0 else -way), speed)
-        path.travel(arm.rest, travel)
-        path.wait(_PAUSE)
-
-
-def _directions(arm: Arm, joints: tuple[int, ...]) -> Array:
-    """Signs (n,) by which the joints of a group move: neighbours of the group against each other, others not."""
-    sign = np.zeros(arm.joints)
-    sign[list(joints)] = np.where(np.arange(len(joints)) % 2, -1.0, 1.0)
-    return sign
-
-
 def _poses(arm: Arm) -> tuple[Array, float]:
-    """Postures (5, n) [rad] of the poses, and the distance [rad] from which each can be approached by all joints."""
+    """Postures (5, n) [rad] of the poses, and the distance [rad] from which all joints can approach them."""
     for size in _SMALLER:
         q = solve_position(arm, iso_poses(arm, RISING_LEFT, float(size)), arm.rest).q
         for offset in HOLD_OFFSET * _SMALLER[:4]:
@@ -103,9 +84,33 @@ def _amplitude(arm: Arm) -> float:
     """[rad] by which joints can go back and forth about the rest posture."""
     for share in _SMALLER:
         ends = np.array(
-            [sign * share * _AMPLITUDE * _directions(arm, tuple(range(first, arm.joints, 2)))
+            [sign * share * _AMPLITUDE * swept(arm, tuple(range(first, arm.joints, 2)))
              for first in (0, 1) for sign in (-1.0, 1.0)]
         )  # fmt: skip
         if is_safe(arm, arm.rest + ends).all():
             return float(share * _AMPLITUDE)
     raise InputError(f"arm {arm.name}: its rest posture leaves no room to move its joints: {unsafe(arm, arm.rest)}")
+
+
+LABEL = "check"
+"""Of the run log"""
+
+
+def record_check(
+    robot: Robot, *, on_progress: Progress = no_progress, on_cycle: OnCycle | None = None
+) -> Sequence[tuple[RunLog, Array | None]]:  # fmt: skip
+    """Drive every arm of ``robot`` through the check; returns its log and the servos' mean temperatures (n,) [deg C].
+
+    NotReadyError before anything moves, GuardTripError or RobotError on the way.
+    """
+    plan = plan_check(robot.arm)  # refused, if it is, before anything moves
+    begin(robot)
+    before = robot.read().temperature
+    see = reporting("check", plan.duration, on_progress, on_cycle, robot)
+    done = play(robot, plan.command, plan.duration, on_cycle=see)
+    after = robot.read().temperature
+    warm = None if before is None or after is None else 0.5 * (np.array(before) + np.array(after))
+    return [
+        (attach_segments(done.log(b, LABEL), plan.segments, done.waits(b)), None if warm is None else warm[b])
+        for b in range(robot.count)
+    ]

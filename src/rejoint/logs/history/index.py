@@ -1,7 +1,6 @@
-"""All summary rows below a folder, of which only files that are new are opened.
+"""All summary rows below a folder; only new files are opened.
 
-What was read once is kept in ``.history.parquet`` beside the files, with the name, size and time of each: two thousand
-files take seconds to open, and a table of them does not. It is a copy; whoever deletes it loses nothing.
+``.history.parquet`` keeps what was read, by name, size and time of each file; it may be deleted.
 """
 
 from __future__ import annotations
@@ -30,10 +29,9 @@ _INDEXED = SCHEMA.append(pa.field(_FILE, pa.string()))
 
 
 def find_rows(folder: Path, arm: str | None = None) -> tuple[list[HistoryRow], tuple[str, ...]]:
-    """Read all summary rows below a folder, the oldest first, and say which files could not be read.
+    """Read all summary rows below a folder, the oldest first, and say which files are unreadable.
 
-    With ``arm`` the checks of other arms are left out, and nothing new is kept: for a check, which may run beside
-    others.
+    With ``arm`` the checks of other arms are left out, and the copy is not renewed.
     """
     table, problems = find_table(folder, arm)
     rows = rows_from(table)
@@ -41,7 +39,7 @@ def find_rows(folder: Path, arm: str | None = None) -> tuple[list[HistoryRow], t
 
 
 def find_table(folder: Path, arm: str | None = None) -> tuple[pa.Table, tuple[str, ...]]:
-    """Read summary rows, as `find_rows`, as a table of `SCHEMA`, and say which files could not be read."""
+    """Read summary rows as a table of `SCHEMA`, and say which files are unreadable."""
     paths = _files(folder)
     if arm is not None:
         paths = {key: path for key, path in paths.items() if _is_of(path.relative_to(folder), arm)}
@@ -70,7 +68,7 @@ def _read(paths: dict[str, Path]) -> tuple[pa.Table, tuple[str, ...]]:
 
 
 def _copy(folder: Path) -> pa.Table:
-    """Return what was read before; nothing where that is missing, damaged or of other columns."""
+    """Return the copy; empty if missing, damaged or of other columns."""
     empty = _INDEXED.empty_table()
     try:
         table = read_parquet(folder / INDEX, "delete it")
@@ -80,9 +78,9 @@ def _copy(folder: Path) -> pa.Table:
 
 
 def _files(folder: Path) -> dict[str, Path]:
-    """Name every file as it is now: with other contents it is another.
+    """Name every file with its size and time.
 
-    What goes meanwhile, files or whole folders, is left out, as is what may not be looked into.
+    Files that vanish meanwhile or may not be read are left out.
     """
     found = {}
     for place in _folders(folder):
@@ -94,15 +92,12 @@ def _files(folder: Path) -> dict[str, Path]:
 
 
 def _plain(text: bytes) -> str:
-    """Return text that names a file as one that every file and terminal can hold; names may be of any encoding."""
+    """Return a file name as valid text."""
     return text.decode(errors="backslashreplace")
 
 
 def _folders(folder: Path) -> Iterator[Path]:
-    """Go through all folders with summary rows, links to folders as well: checks may lie on a larger disk.
-
-    None is gone through twice: a link may lead back, or to what is here as well.
-    """
+    """Go once through all folders with summary rows, links included."""
     seen = set[tuple[int, int]]()
     for where, below, names in os.walk(folder, followlinks=True):
         place = Path(where)
@@ -119,6 +114,6 @@ def _folders(folder: Path) -> Iterator[Path]:
 
 
 def _is_of(path: Path, arm: str) -> bool:
-    """Tell whether a file may hold rows of an arm: any run may, but only its own checks."""
+    """Tell whether a file may hold rows of an arm."""
     parts = path.parts
     return CHECKS not in parts or parts[parts.index(CHECKS) + 1] == arm

@@ -1,12 +1,13 @@
-"""Summary rows: what a run or a check came to, one row for the arm and one for each joint, in a file of their own.
+"""Summary rows of runs and checks: one for the arm, one for each joint.
 
-Every file is written whole under a name that nothing else has, so that several machines may write into one folder at
-once, and a damaged file loses itself alone. The columns are the fields of `HistoryRow`; whoever reads them needs no
-software of ours.
+Each file has a name of its own, so that several machines may write into one folder. The columns are the fields of
+`HistoryRow`.
 """
 
 from __future__ import annotations
 
+import hashlib
+import re
 import types
 import typing
 from collections.abc import Sequence
@@ -15,19 +16,56 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from rejoint.arms import Arm
 from rejoint.logs.runlog import read_parquet
 from rejoint.system.errors import FileError, first_line
 from rejoint.system.files import write_whole
-from rejoint.system.version import __version__
+from rejoint.system.shell import __version__
+
+_PASSING = re.compile(r"[?&](hours|ambient)=[^&]*")
+_HOURS = re.compile(r"[?&]hours=([\d.]+)")
+_NOT_A_NAME = re.compile(r"[^\w.-]+")
+
+
+def name_of(address: str, model: str) -> str:
+    """Name an arm by its address and description.
+
+    Hours of use and room temperature of an emulated arm do not count.
+    """
+    return plain_name(f"{model}-{_PASSING.sub('', address)}")
+
+
+def plain_name(text: str) -> str:
+    """Return ``text`` as a name that can be part of a path."""
+    return _NOT_A_NAME.sub("-", text).strip("-.") or "arm"
+
+
+def hours_of(address: str) -> float | None:
+    """[h] of use in an emulated arm's address; None for others."""
+    found = _HOURS.search(address) if address.startswith("emulated:") else None
+    return None if found is None else float(found[1])
+
+
+def setup_of(arm: Arm) -> str:
+    """Fingerprint of an arm's description: numbers of different ones are not compared."""
+    text = hashlib.sha256()
+    for item in fields(arm):
+        value = getattr(arm, item.name)
+        parts = (value.lower, value.upper) if item.name == "targets" else (value,)
+        for part in parts:
+            text.update(part.tobytes() if isinstance(part, np.ndarray) else repr(part).encode())
+    return text.hexdigest()[:16]
+
 
 SUMMARY = "summary.parquet"
 """Name of every file of summary rows"""
 FORMAT = 1
-"""Version of the columns; a reader leaves files of later ones out, and takes missing columns for unknown"""
+"""Version of the columns; readers skip later ones"""
 
 _FORMAT_KEY = b"rejoint.history"
 _TIME = pa.timestamp("us")
@@ -36,12 +74,12 @@ _EARLIEST, _LATEST = (pa.scalar(end, _TIME).value for end in (datetime.min, date
 
 @dataclass(frozen=True, kw_only=True)
 class HistoryRow:
-    """What one run or check says of an arm, or of one joint of it; None is not known. Times are UTC."""
+    """What a run or check says of an arm or joint; None is unknown. Times are UTC."""
 
     time: datetime
     """when it was made, without a zone"""
     kind: str
-    """check, run (a repair that is not finished, or single stages) or repair"""
+    """check, run (unfinished) or repair"""
     arm: str
     """name that its owner knows the arm by"""
     joint: str = ""
@@ -53,9 +91,9 @@ class HistoryRow:
     version: str = __version__
     """of the software"""
     setup: str = ""
-    """fingerprint of the description of the arm; with another one a new norm begins"""
+    """fingerprint of the description; another one begins a new baseline"""
     norm: str = ""
-    """why a new norm begins with this check: moved, or set up with another description; empty where none does"""
+    """why a new baseline begins: moved, or another description; empty for none"""
     used_h: float | None = None
     """[h] of use so far, where the owner counts them"""
     temperature_c: float | None = None
@@ -66,17 +104,17 @@ class HistoryRow:
     lever_mm: float | None = None
     """[mm/rad] by which angles were turned into millimetres"""
     error_mm: float | None = None
-    """by the encoders: of a check its AP, of a run what the diagnosis found"""
+    """by the encoders: AP of a check, the diagnosis of a run"""
     repeatability_mm: float | None = None
     approach_mm: float | None = None
     true_error_mm: float | None = None
     true_approach_mm: float | None = None
     controlled_mm: float | None = None
-    """of a check after a repair: error of the tool with the controller of that repair, see `Outlook.controlled_mm`"""
+    """of a check after a repair, see `Outlook.controlled_mm`"""
     tolerance_mm: float | None = None
     """that the owner gave"""
     stiffness_nm_per_rad: float | None = None
-    """of the servo, as a diagnosis found it, as all below down to the offset"""
+    """of the servo, by a diagnosis, down to the offset"""
     coulomb_nm: float | None = None
     lag_s: float | None = None
     offset_rad: float | None = None
@@ -88,25 +126,25 @@ class HistoryRow:
     success: float | None = None
     """share of targets reached with it"""
     state: str = ""
-    """of a check: learning, steady, drifting or alarm; of a run the condition that its diagnosis tells"""
+    """of a check: learning, steady, drifting or alarm; of a run its condition"""
     cause: str = ""
     """what changed most, in words"""
     line: str = ""
     """what the owner was told"""
     due_early: datetime | None = None
-    """when the tolerance is reached: one in ten of the times possible lies before"""
+    """earliest tenth of the possible times of reaching the tolerance"""
     due: datetime | None = None
     due_late: datetime | None = None
     """one in ten lies after; None where it may never be reached"""
 
     @property
     def left_mm(self) -> float | None:
-        """[mm] error of the tool that a run's controller leaves: the true one where it is known."""
+        """[mm] tool error under a run's controller, the true one if known."""
         return self.settled_mm if self.settled_true_mm is None else self.settled_true_mm
 
     @property
     def counts_mm(self) -> float | None:
-        """[mm] error of the tool that counts for its owner: with the controller where the arm was repaired."""
+        """[mm] tool error that counts: with the controller after a repair."""
         with_it = self.left_mm if self.kind == "repair" else self.controlled_mm
         bare = self.error_mm if self.true_error_mm is None else self.true_error_mm
         return bare if with_it is None else with_it
@@ -134,16 +172,16 @@ def utc_now() -> datetime:
 
 
 def write_rows(path: Path, rows: Sequence[HistoryRow]) -> None:
-    """Write a file of summary rows, whole or not at all; FileError if that fails."""
+    """Write summary rows, whole or not at all; FileError if that fails."""
     table = pa.Table.from_pylist([asdict(row) for row in rows], schema=SCHEMA)
     table = table.replace_schema_metadata({_FORMAT_KEY: str(FORMAT).encode()})
     write_whole(path, lambda temporary: pq.write_table(table, temporary, write_page_checksum=True))
 
 
 def read_table(path: Path) -> pa.Table:
-    """Read a file of summary rows as a table of `SCHEMA`, checksums included.
+    """Read summary rows as a table of `SCHEMA`.
 
-    FileError if it is damaged, of a later version, or holds something else.
+    FileError if damaged, of a later version, or something else.
     """
     remedy = "delete it; the other files are not concerned"
     try:
@@ -164,7 +202,7 @@ def read_table(path: Path) -> pa.Table:
 
 
 def _require_usable(table: pa.Table) -> None:
-    """Raise ValueError where rows lack what every row has, or have times of no calendar."""
+    """Raise ValueError for rows without key columns, or impossible times."""
     for name in ("time", "kind", "arm"):
         if table[name].null_count:
             raise ValueError(f"rows without {name}")
@@ -181,7 +219,7 @@ def read_rows(path: Path) -> list[HistoryRow]:
 
 
 def rows_from(table: pa.Table) -> list[HistoryRow]:
-    """Return the rows of a table of `SCHEMA`; text that is missing in it is empty."""
+    """Return the rows of a table of `SCHEMA`."""
     texts = {item.name for item in SCHEMA if item.type == pa.string()}
     found = []
     for row in table.to_pylist():

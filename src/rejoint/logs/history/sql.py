@@ -23,9 +23,8 @@ def ask(
 ) -> tuple[list[str], list[tuple[Any, ...]]]:
     """Answer a query over the table ``history``: names of the columns, and rows.
 
-    The columns are those of `rejoint.logs.history.rows.HistoryRow`, times in UTC, also that of ``now()``. A damaged
-    file is left out, and ``left_out`` called with what is wrong. Nothing but the rows can be read, and nothing written.
-    InputError for a query that DuckDB refuses, FileError if there are no rows, MissingExtraError without DuckDB.
+    The columns are those of `HistoryRow`, times in UTC. ``left_out`` receives damaged files. The query reads nothing
+    else and writes nothing. InputError for a wrong query, FileError without rows, MissingExtraError without DuckDB.
     """
     require("rejoint history --sql", "history")
     import duckdb
@@ -60,10 +59,7 @@ def _answer(connection: duckdb.DuckDBPyConnection, query: str) -> tuple[list[str
 
 
 def _without_zones(found: duckdb.DuckDBPyRelation) -> duckdb.DuckDBPyRelation:
-    """Return an answer with times as rows have them: for one with a zone DuckDB wants a package that it does not bring.
-
-    The zone is UTC, so none of them changes.
-    """
+    """Return times without zones (all are UTC): zones would need another package."""
     if all(str(kind) != _ZONED for kind in found.types):
         return found
     columns = (

@@ -1,4 +1,4 @@
-"""What each stage of a repair cost: minutes of the arm's time, how far its joints travelled, how long one waited."""
+"""What each stage of a repair cost."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ class StageCost:
 
     name: str
     wall: float = 0.0
-    """[s] from its beginning to its end by this computer's clock; 0 where nobody looked"""
+    """[s] by this computer's clock; 0 if not measured"""
     moving: float = 0.0
-    """[s] of the arm's own time from the first command to the last"""
+    """[s] of the arm's own time"""
     travel: float = 0.0
-    """[rad] that its joints turned meanwhile, all of them together, back and forth"""
+    """[rad] of all joints together"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Effort:
-    """What the stages of a run cost, in the order in which they began."""
+    """Cost of the stages of a run, in order."""
 
     stages: tuple[StageCost, ...] = ()
 
@@ -48,7 +48,7 @@ class Effort:
 
 
 def cost(one: StageCost | Effort) -> str:
-    """Say it in words: ``3.4 min; 3.3 min of the arm's time with 23.9 turns of its joints``."""
+    """Say it in words."""
     time = f"{one.wall / 60:.1f} min"
     if not one.moving:
         return time
@@ -57,7 +57,7 @@ def cost(one: StageCost | Effort) -> str:
 
 
 def add(folder: RunFolder, cost: StageCost) -> None:
-    """Add what a stage cost to the file of the run, if it is there: no stage fails for this."""
+    """Add a stage's cost to the run's file, if it is there."""
     if not folder.info.exists():
         return
     with suppress(FileError):
@@ -74,5 +74,5 @@ def _add(folder: RunFolder, cost: StageCost) -> None:
 
 
 def read_effort(folder: RunFolder) -> Effort | None:
-    """Return what the stages of a run cost; None where nobody counted."""
+    """Return what the stages of a run cost; None where it was not counted."""
     return read_json(folder.effort, Effort) if folder.effort.exists() else None

@@ -1,6 +1,6 @@
-"""The run folder: where every stage leaves its files, what the folder is about, and that one process works in it.
+"""The run folder: where every stage leaves its files, and a lock for one process.
 
-What a killed process left half done there is put right by the next one that takes the lock.
+The next process that takes the lock repairs what a killed one left.
 """
 
 from __future__ import annotations
@@ -12,13 +12,73 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import msgspec
 
 from rejoint.logs.journal import recover
-from rejoint.logs.runfolder.outputs import Outputs
 from rejoint.system.errors import FileError
 from rejoint.system.files import JSON_MOST, UNFINISHED, UNWRITABLE, read_bounded, read_json, unwritable
+
+
+class Located(Protocol):
+    """Something in a folder of its own."""
+
+    @property
+    def path(self) -> Path:
+        """The folder."""
+
+
+class FilePlace:
+    """A path below the folder of what has it as an attribute."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def __get__(self, owner: Located, _: type) -> Path:
+        return owner.path / self.name
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """Files of a training in its folder."""
+
+    path: Path
+
+    policy = FilePlace("policy.onnx")
+    """the trained policy with its contract"""
+    folder = FilePlace("training")
+    """what a training needs on its way, and its curves"""
+    curves = FilePlace("training/curves.parquet")
+    """Parquet, one row per update, the fields of `CurvePoint`"""
+    checkpoint = FilePlace("training/checkpoint.pt")
+    """what an interrupted training goes on from"""
+
+    def snapshot(self, updates: int) -> Path:
+        """Path of the policy kept after so many updates."""
+        return self.folder / f"policy-{updates:04}.onnx"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kept:
+    """The earlier repair that twin and policy come from."""
+
+    run: str
+    """folder"""
+    since: str
+    """local date and time when that repair began, ISO 8601"""
+    error: float
+    """[m] rms tool error of the twin in the new excitation"""
+    fitted: float
+    """[m] the same when it was fitted"""
+
+    def __str__(self) -> str:
+        """Say it in a sentence."""
+        return (
+            f"the arm still moves as its twin of {self.since[:10]} says, within {1e3 * self.error:.1f} mm "
+            f"({1e3 * self.fitted:.1f} then); twin and policy are kept from {self.run}"
+        )
+
 
 try:
     import fcntl
@@ -26,17 +86,17 @@ except ImportError:  # not on Windows
     fcntl = None  # type: ignore[assignment]
 
 FORMAT = 2
-"""Version of the layout of a run folder; a reader refuses later ones. The first had no number and no finished.json"""
+"""Version of the layout of a run folder; a reader refuses others"""
 
 LOGS = "logs:"
-"""Beginning of what stands for the robot of a run that was made from logs alone; their folder follows"""
+"""Robot of a run made from logs; their folder follows"""
 
 _LOGGER = logging.getLogger("rejoint")
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunInfo:
-    """What a run folder is about; written once, when the folder is made."""
+    """What a run folder is about."""
 
     robot: str
     """address of the robot"""
@@ -48,8 +108,8 @@ class RunInfo:
     created: str
     """local date and time, ISO 8601"""
     arm_file: str = ""
-    """digest of the arm's own description beside it, `file_digest`; empty where there is none"""
-    format: int = 1
+    """`file_digest` of the arm's own description; empty without one"""
+    format: int = FORMAT
     """version of the folder's layout"""
 
 
@@ -59,114 +119,55 @@ class RunFolder:
 
     path: Path
 
-    @property
-    def info(self) -> Path:
-        """Robot, arm and seed (`RunInfo`)."""
-        return self.path / "run.json"
-
-    @property
-    def description(self) -> Path:
-        """The arm's own description, where it is not one of the catalogue."""
-        return self.path / "arm.toml"
+    info = FilePlace("run.json")
+    """robot, arm and seed (`RunInfo`)"""
+    description = FilePlace("arm.toml")
+    """the arm's own description, where it is not one of the catalogue"""
+    diagnosis = FilePlace("diagnosis.json")
+    """what is wrong with the arm"""
+    twin = FilePlace("twin.toml")
+    """the identified twin"""
+    measurements = FilePlace("measurements.parquet")
+    """where the tool was seen from outside"""
+    calibration = FilePlace("calibration.toml")
+    """what lies behind the encoders, and whether to correct by it"""
+    views = FilePlace("views.parquet")
+    """what a camera saw of the board, picture by picture"""
+    pictures = FilePlace("pictures")
+    """folder of the pictures themselves"""
+    camera = FilePlace("camera.toml")
+    """how camera, board and arm stand to each other"""
+    judgement = FilePlace("judgement.json")
+    """twins judged on held-out motion"""
+    kept = FilePlace("kept.json")
+    """from which earlier repair twin and policy are, where they are"""
+    policy = FilePlace("policy.onnx")
+    """the trained policy with its contract"""
+    gains = FilePlace("gains.json")
+    """what a search for better gains of the servos found"""
+    comparison = FilePlace("comparison.json")
+    """every controller on the same arm"""
+    effort = FilePlace("effort.json")
+    """what the stages cost: the arm's time, its joints' travel"""
+    trials = FilePlace("comparison.trials")
+    """trials of a comparison that is not done yet"""
+    quick = FilePlace("quick.json")
+    """left by ``--quick``: nothing in the folder is a result"""
+    finished = FilePlace("finished.json")
+    """what `rejoint repair` leaves when all of it is done"""
+    report = FilePlace("report.html")
+    """the page for the owner"""
+    figures = FilePlace("figures")
+    """folder of the report's figures as PNG files"""
 
     def arm(self, name: str) -> str:
-        """Return what the arm of this run is built from: its own description, or ``name`` in the catalogue."""
+        """Return the arm's own description, or ``name`` in the catalogue."""
         return str(self.description) if self.description.exists() else name
-
-    @property
-    def diagnosis(self) -> Path:
-        """What is wrong with the arm."""
-        return self.path / "diagnosis.json"
-
-    @property
-    def twin(self) -> Path:
-        """The identified twin."""
-        return self.path / "twin.toml"
-
-    @property
-    def measurements(self) -> Path:
-        """Where the tool was seen from outside."""
-        return self.path / "measurements.parquet"
-
-    @property
-    def calibration(self) -> Path:
-        """What lies behind the encoders, and whether to correct by it."""
-        return self.path / "calibration.toml"
-
-    @property
-    def views(self) -> Path:
-        """What a camera saw of the board, picture by picture."""
-        return self.path / "views.parquet"
-
-    @property
-    def pictures(self) -> Path:
-        """Folder of the pictures themselves."""
-        return self.path / "pictures"
-
-    @property
-    def camera(self) -> Path:
-        """How camera, board and arm stand to each other."""
-        return self.path / "camera.toml"
-
-    @property
-    def judgement(self) -> Path:
-        """The twin and others judged on motion that the fit has not seen."""
-        return self.path / "judgement.json"
-
-    @property
-    def kept(self) -> Path:
-        """From which earlier repair twin and policy are, where they are."""
-        return self.path / "kept.json"
 
     @property
     def outputs(self) -> Outputs:
         """What the training leaves: the policy, curves and checkpoints."""
         return Outputs(self.path)
-
-    @property
-    def policy(self) -> Path:
-        """The trained policy with its contract."""
-        return self.outputs.policy
-
-    @property
-    def gains(self) -> Path:
-        """What a search for better gains of the servos found."""
-        return self.path / "gains.json"
-
-    @property
-    def comparison(self) -> Path:
-        """Every controller on the same arm."""
-        return self.path / "comparison.json"
-
-    @property
-    def effort(self) -> Path:
-        """What the stages cost: the arm's time, its joints' travel."""
-        return self.path / "effort.json"
-
-    @property
-    def trials(self) -> Path:
-        """Trials of a comparison that is not done yet."""
-        return self.path / "comparison.trials"
-
-    @property
-    def quick(self) -> Path:
-        """What a stage that did little of everything leaves: nothing in the folder is a result."""
-        return self.path / "quick.json"
-
-    @property
-    def finished(self) -> Path:
-        """What `rejoint repair` leaves when all of it is done."""
-        return self.path / "finished.json"
-
-    @property
-    def report(self) -> Path:
-        """The page for the owner."""
-        return self.path / "report.html"
-
-    @property
-    def figures(self) -> Path:
-        """Folder of the report's figures as PNG files."""
-        return self.path / "figures"
 
     def log(self, name: str) -> Path:
         """Path of the run log called ``name``; slashes become dashes."""
@@ -177,7 +178,7 @@ class RunFolder:
         return {path.stem: path for path in sorted((self.path / "logs").glob("*.parquet"))}
 
     def trial_logs(self) -> tuple[Path, ...]:
-        """Paths of the run logs of the comparison; those of earlier ones, which were set aside, are not among them."""
+        """Paths of the run logs of the comparison."""
         return tuple(path for name, path in self.logs().items() if _TRIAL.fullmatch(name))
 
 
@@ -185,33 +186,30 @@ _TRIAL = re.compile(r"(crossing|hold)-\D+-\d{1,4}-\d{1,4}")
 
 
 class _Head(msgspec.Struct):
-    """What run.json has said in every version."""
+    """What run.json says in every version."""
 
     version: str = "of some other version"
-    format: int = 1
+    format: int = FORMAT
 
 
 def read_info(path: Path) -> RunInfo:
-    """Read run.json; FileError if it is missing or damaged, or if a later version made the folder."""
+    """Read run.json; FileError if missing, damaged or of another version."""
     try:
         head = msgspec.json.decode(read_bounded(path, JSON_MOST, "choose another folder"), type=_Head)
     except (OSError, msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
         head = _Head()  # as `read_json` will say
-    if head.format > FORMAT:
-        problem = (
-            f"a run folder of format {head.format}, made by rejoint {head.version}; formats up to {FORMAT} are known"
-        )
-        raise FileError(path, problem, "update rejoint, or choose another folder")
+    if head.format != FORMAT:
+        problem = f"a run folder of format {head.format}, made by rejoint {head.version}; expected format {FORMAT}"
+        raise FileError(path, problem, "use that version of rejoint, or choose another folder")
     return read_json(path, RunInfo)
 
 
 @contextmanager
 def locked(folder: RunFolder) -> Iterator[None]:
-    """Keep other processes from working in a run folder meanwhile, and put right what a killed one left there.
+    """Lock a run folder for this process, and repair what a killed one left.
 
-    FileError where one is, or where nothing can be written: better known before an arm has moved. The lock goes with
-    the process that holds it, however that ends. Where the system has no such locks, nothing is kept out, and nothing
-    is put right: it might be another process's work.
+    FileError where another process works there, or nothing can be written. Systems without locks neither lock nor
+    repair.
     """
     path = folder.path / ".lock"
     try:
@@ -238,7 +236,7 @@ def locked(folder: RunFolder) -> Iterator[None]:
 
 
 def _lock(handle: int, folder: RunFolder) -> bool:
-    """Take the lock; returns whether there are locks. FileError if another process has it."""
+    """Take the lock; returns whether the system has locks. FileError if another process has it."""
     if fcntl is not None:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -256,7 +254,7 @@ def _lock(handle: int, folder: RunFolder) -> bool:
 
 
 def _put_right(folder: RunFolder) -> None:
-    """Remove what was being written when a process was killed; what an arm did until then becomes a run log."""
+    """Remove unfinished files; journals become run logs."""
     logs = folder.path / "logs"
     for place in (folder.path, logs, folder.outputs.folder, folder.figures, folder.pictures):
         for unfinished in place.glob(f".*{UNFINISHED}"):

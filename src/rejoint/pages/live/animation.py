@@ -1,28 +1,172 @@
-"""One arm on the page, frame by frame: what came from the ring, turned into what is drawn and said."""
+"""What is drawn of an arm, frame by frame, and said about it: capsules along its links, texts, colours."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from rejoint.arms import Arm, Array
+from rejoint.arms import Arm, Array, clearances
+from rejoint.arms.collision import collision_shape, contact
 from rejoint.arms.workspace import reach
-from rejoint.control.guard import GuardLimits
-from rejoint.control.playback import Playback
-from rejoint.pages.live import panel
-from rejoint.pages.live.ring import Records, Ring
-from rejoint.pages.live.skeleton import GHOST, LINKS, TARGET, TRAIL, TRUE, Skeleton, cell_of, css
-from rejoint.pages.live.trails import Trails
-from rejoint.pages.live.words import KEPT, guard_words
+from rejoint.control.guard import TRIPS, GuardLimits, Reason
+from rejoint.control.loop import say_hot
+from rejoint.control.start import Playback
+from rejoint.pages.html import macros
+from rejoint.pages.live.records import Records, Ring, Trails, lately
 
 if TYPE_CHECKING:
-    from rejoint.pages.live.ghost import Ghost
     from rejoint.pages.live.page import WebPage
+    from rejoint.pages.live.records import Ghost
+
+
+Colour = tuple[int, int, int]
+
+LINKS: tuple[Colour, Colour] = (214, 219, 225), (168, 179, 192)
+"""of the arm's links, in turns, so that they are told apart"""
+GHOST: Colour = (47, 111, 237)
+TRAIL: Colour = (235, 120, 30)
+TARGET: Colour = (30, 160, 90)
+TRUE: Colour = (200, 30, 160)
+"""of the tool itself, as far as it is known"""
+NARROWER = 0.97
+"""Thickness of every other link, by that of its neighbours: caps in the same place flicker (chosen)"""
+TOOL_SHARE = 0.3
+"""Thickness of the tool as it is drawn, by that of a link (chosen: the target shows beside it)"""
+
+
+def cell_of(size: float) -> float:
+    """[m] edge of the squares on the ground under an arm that reaches ``size`` [m]."""
+    return 0.05 if size < 1.0 else 0.1
+
+
+def css(colour: Colour) -> str:
+    """Write a colour as style sheets have it."""
+    return f"rgb{colour}"
+
+
+class Skeleton:
+    """The parts of an arm of n joints; link 0 is its base, link i + 1 moves with joint i."""
+
+    def __init__(self, arm: Arm) -> None:
+        self.place: Array = arm.offset[:, :3, 3]
+        """(n, 3) [m] origin of each joint frame in the one before"""
+        self.end: Array = np.vstack([self.place, arm.tip[:3, 3]])
+        """(n + 1, 3) [m] where each link ends, in the frame that it moves with"""
+        self.radius = collision_shape(arm).radius
+        """[m] of all capsules"""
+        self._axis, self._zero = arm.axis, Rotation.from_matrix(arm.offset[:, :3, :3])
+
+    def shape(self, link: int) -> tuple[Array, float]:
+        """End (3,) [m] of the capsule of a link from the origin of its frame, and its radius [m].
+
+        The tool's is thinner.
+        """
+        if link < len(self.place):
+            return self.end[link], self.radius * (1.0 if link % 2 else NARROWER)
+        thin, length = TOOL_SHARE * self.radius, float(np.linalg.norm(self.end[link]))
+        return self.end[link] * max(1.0 - thin / length, 0.0) if length > thin else self.end[link], thin
+
+    def turns(self, q: Array) -> Array:
+        """Orientations (n, 4) of the joint frames, each in the one before, at ``q`` (n,) [rad]: w first."""
+        turned: Array = (self._zero * Rotation.from_rotvec(q[:, None] * self._axis)).as_quat(scalar_first=True)
+        return turned
+
+
+KEPT = 1.5
+"""[s] for which a limit that was met is still told (chosen: time to read it)"""
+
+# What the guard keeps a command from exceeding; the joint is named whose command it changed most
+_LIMITS = {
+    Reason.POSITION: "joint limit", Reason.STEP: "speed", Reason.LEAD: "distance ahead of the joint",
+    Reason.ACCELERATION: "acceleration",
+}  # fmt: skip
+_WORDS = {
+    Reason.GAP: "no answers came for a while, or a joint was led back; the arm held and goes on slowly",
+    Reason.NOT_FINITE: "a command or a position is not a number; check the controller and the connection",
+    Reason.STALE: "no new joint state for too long; check the connection",
+    Reason.OUT_OF_RANGE: "a joint reads far outside its limits; check the arm's zero",
+    Reason.SERVO_FAULT: "a servo reports a fault; free the arm and clear the fault",
+    Reason.NOT_FOLLOWING: "the reading of a joint does not change and is not trusted",
+}
+
+
+def guard_words(records: Records, limits: GuardLimits) -> tuple[str, ...]:
+    """Say what the guard did in the last `KEPT` seconds of ``records``, trips first; nothing where it did nothing."""
+    recent = lately(records, KEPT)
+    flags, said = recent.reasons.astype(np.int64), []
+    for reason in sorted(Reason, key=lambda one: one not in TRIPS):
+        met = np.flatnonzero(flags & reason.value)
+        if not len(met):
+            continue
+        if reason in _LIMITS:
+            changed = np.abs(recent.wanted[met[-1]] - recent.command[met[-1]])
+            said.append(
+                f"{_LIMITS[reason]}: the command of {limits.arm.joint_names[int(np.argmax(changed))]} is limited"
+            )
+        elif reason in (Reason.FLOOR, Reason.COLLISION):
+            said.append(_touching(reason, recent.wanted[met[-1]], limits))
+        elif reason is Reason.TEMPERATURE:
+            said.append(say_hot(limits.arm.joint_names, recent.temperature[met[-1]], limits.max_temperature))
+        else:
+            said.append(_WORDS[reason])
+    return tuple(said)
+
+
+def _touching(reason: Reason, wanted: Array, limits: GuardLimits) -> str:
+    """Say what would be too low, or touch what, where the controller wanted the arm, (n,) [rad]."""
+    clear, floors = clearances(limits.arm, wanted[None], limits.floors)[0], len(limits.floors)
+    if reason is Reason.FLOOR:
+        low = int(np.argmin(clear[:floors]))
+        what = "the tool" if low == floors - 1 else limits.arm.joint_names[low + 1]
+        return f"floor: {what} was asked to go lower than {1e3 * limits.floors[low]:.0f} mm"
+    if len(clear) == floors:
+        return "contact: a link would touch another one or the ground"
+    what, other = contact(limits.arm, int(np.argmin(clear[floors:])))
+    return f"contact: {what} would touch {other}"
+
+
+RED, AMBER, GREEN, GREY = "#c92a2a", "#b35c00", "#2b8a3e", "#868e96"
+HOT = 55.0
+"""[deg C] from which a temperature is set off (chosen: 10 below the guard's limit)"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Doing:
+    """What is being done, and how far it is."""
+
+    title: str = ""
+    """the command, or the stage of a repair"""
+    what: str = ""
+    """in a few words"""
+    share: float = 0.0
+    """that is done, 0 to 1"""
+    since: float = 0.0
+    """[s] for which it lasts"""
+
+    @property
+    def left(self) -> float | None:
+        """[s] that it will still take; None before there is enough to say."""
+        return self.since * (1.0 - self.share) / self.share if 0.02 < self.share < 1.0 and self.since > 2.0 else None
+
+
+def duration(seconds: float) -> str:
+    """``40 s``, ``3 min`` or ``1 h 20 min``."""
+    if seconds < 90.0:
+        return f"{5 * np.ceil(seconds / 5):.0f} s"
+    minutes = round(seconds / 60.0)
+    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+def panel() -> Any:  # noqa: ANN401 - macros of a template
+    """Return the macros that write short texts in HTML; given metres, radians and seconds."""
+    return macros("live.html", red=RED, amber=AMBER, green=GREEN, grey=GREY)
+
 
 SLOWER = 6
-"""frames for each time that texts and the curve are written (chosen: nobody reads faster than four times a second)"""
+"""frames for each time that texts and the curve are written (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,7 +199,7 @@ class Animation:
 
     def __init__(self, page: WebPage, subject: Subject, before: Animation | None) -> None:
         self._page, self.subject = page, subject
-        self._skeleton = Skeleton.of(subject.arm)
+        self._skeleton = Skeleton(subject.arm)
         same = before is not None and before.subject.arm is subject.arm
         self._trails: Trails = before._trails if same and before is not None else Trails(subject.arm)
         self._recent, self._read = subject.ring.since(max(subject.ring.count - 1, 0))
@@ -65,12 +209,12 @@ class Animation:
             now = self._skeleton.turns(self._recent.position[-1] if len(self._recent) else subject.arm.rest)
             page.pose(now, now)
 
-    def draw(self, begun: Begun, doing: panel.Doing, stopped: str) -> None:
+    def draw(self, begun: Begun, doing: Doing, stopped: str) -> None:
         """Read what came, and draw it."""
         fresh, self._read = self.subject.ring.since(self._read)
         ghost = self._ghost(fresh)
         self._trails.follow(fresh)
-        self._recent = self._recent.then(fresh).lately(KEPT)
+        self._recent = lately(np.concatenate([self._recent, fresh]).view(np.recarray), KEPT)
         with self._page.atomic():
             if len(fresh):
                 self._page.pose(self._skeleton.turns(fresh.position[-1]), self._skeleton.turns(ghost[-1]))
@@ -86,7 +230,7 @@ class Animation:
     def _label(self, records: Records) -> str:
         return "target" if self._trails.moves else f"target {int(records.index[-1]) + 1}"
 
-    def _write(self, begun: Begun, doing: panel.Doing, stopped: str) -> None:
+    def _write(self, begun: Begun, doing: Doing, stopped: str) -> None:
         subject, recent, trails = self.subject, self._recent, self._trails
         words = () if begun.limits is None else guard_words(recent, begun.limits)
         controller = "" if begun.controller == Playback.name else begun.controller
@@ -94,33 +238,22 @@ class Animation:
         if subject.count > 1 and len(recent):
             robot += f", arm {int(recent.arm[-1]) + 1} of {subject.count} side by side"
         self._page.trail(trails.tool, trails.target if trails.moves else trails.target[:0])
-        self._page.plot(*_curve(trails), 1e3 * subject.within)
+        write, left = panel(), doing.left
         self._page.tell(
-            head=panel.head(robot, controller, doing), share=doing.share,
-            error=panel.error(trails.errors, subject.within), guard=panel.guard(words, stopped),
-            joints=panel.joints(subject.arm.joint_names, recent),
-            legend=panel.legend(_legend(subject, recent)),
+            head=write.head(robot, controller, doing, "" if left is None else duration(left)), share=doing.share,
+            error=write.error(*trails.errors, subject.within), guard=write.guard(words, stopped),
+            joints=write.joints(subject.arm.joint_names, recent[-1], HOT) if len(recent) else "",
+            legend=write.legend(_legend(subject, recent)),
         )  # fmt: skip
 
 
 def _miss(records: Records) -> Array:
-    """Where the tool itself is (3,) [m], as far from the drawn target as it is from the real one.
-
-    All is drawn as the encoders see it, and so is the target: where they are to see the tool. NaN where nobody knows.
-    """
+    """Where the tool is drawn (3,) [m]: as far from the drawn target as it is from the real one; NaN where unknown."""
     target, aim, true = records.target[-1], records.aim[-1], records.true_tcp[-1]
     return aim + true - target if np.isfinite(target).all() else true
 
 
-def _curve(trails: Trails) -> tuple[Array, Array, Array]:
-    """Return times (M,) [s] and errors (M,) [mm], those that are shown: none where there is no target now."""
-    t, error, true = trails.curve
-    known = np.isfinite(error) & np.isfinite(trails.errors[0])
-    return t[known], 1e3 * error[known], 1e3 * true[known]
-
-
 def _legend(subject: Subject, recent: Records) -> tuple[tuple[str, str], ...]:
-    """Name the colours of what is drawn: a check has no targets, and a real arm's tool is seen by nobody."""
     target, tool = (
         bool(len(recent)) and bool(np.isfinite(points[-1]).all()) for points in (recent.target, recent.true_tcp)
     )
@@ -131,4 +264,4 @@ def _legend(subject: Subject, recent: Records) -> tuple[tuple[str, str], ...]:
         *([(css(TARGET), "target, and what is accepted")] if target else []),
         *([(css(TRUE), "the tool itself")] if tool else []),
     ]
-    return *entries, (panel.GREY, f"squares of {1e3 * cell_of(reach(subject.arm)):.0f} mm")
+    return *entries, (GREY, f"squares of {1e3 * cell_of(reach(subject.arm)):.0f} mm")

@@ -1,7 +1,4 @@
-"""The page itself, made by viser: a scene and a panel. The only module that knows it.
-
-Nothing here is called by the control loop: a thread (`rejoint.pages.live.view`) is the one caller.
-"""
+"""The page itself, made by viser: a scene and a panel. The only module that knows it."""
 
 from __future__ import annotations
 
@@ -11,12 +8,13 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, redirect_stdout
 
 import numpy as np
+import trimesh
 import viser
-from viser import uplot
+from scipy.spatial.transform import Rotation
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.workspace import reach
-from rejoint.pages.live.skeleton import GHOST, LINKS, TARGET, TRAIL, TRUE, Colour, Skeleton, capsule, cell_of, css
+from rejoint.pages.live.animation import GHOST, LINKS, TARGET, TRAIL, TRUE, Colour, Skeleton, cell_of
 from rejoint.system.errors import InputError
 
 GHOST_OPACITY = 0.4
@@ -61,21 +59,6 @@ class WebPage:
         self._hold = gui.add_button("Hold the arm", color="red", hint="It stops and keeps its position, powered.")
         self._pace = gui.add_dropdown("Emulated arm", list(PACES), initial_value="real time", visible=False)
         self._error = gui.add_html("")
-        self._plot = gui.add_uplot(
-            tuple(np.array([row, row + 1.0]) for row in range(4)),
-            series=(
-                uplot.Series(label="s"),
-                uplot.Series(label="encoders", stroke=css(TRAIL), width=2),
-                uplot.Series(label="tool itself", stroke=css(TRUE), width=1.5),
-                uplot.Series(label="accepted", stroke=css(TARGET), width=1.5, dash=(8, 4)),
-            ),
-            scales={"x": uplot.Scale(time=False, auto=True), "y": uplot.Scale(distr=3, auto=True)},
-            axes=(uplot.Axis(), uplot.Axis(label="error in mm")),
-            legend=uplot.Legend(show=False),
-            aspect=2.2,
-            padding=(12, 12, 0, 0),
-            visible=False,
-        )
         self._guard = gui.add_html("")
         self._joints = gui.add_html("")
         self._legend = gui.add_html("")
@@ -99,7 +82,7 @@ class WebPage:
 
     def show(self, arm: Arm, *, within: float, paced: bool) -> None:
         """Draw an arm in place of what is drawn; it is the same with a ``within`` [m] at which targets count."""
-        scene, size, skeleton = self._server.scene, reach(arm), Skeleton.of(arm)
+        scene, size, skeleton = self._server.scene, reach(arm), Skeleton(arm)
         for part in self._parts:
             part.remove()
         middle = 0.5 * (arm.targets.lower + arm.targets.upper)
@@ -125,13 +108,19 @@ class WebPage:
         nowhere = np.zeros((1, 2, 3), dtype=np.float32)
         self._trail = scene.add_line_segments("/trail", nowhere, TRAIL, thickness=3.0, thickness_units="screen")
         self._way = scene.add_line_segments("/way", nowhere, TARGET, thickness=2.0, thickness_units="screen")
-        self._parts = [grid, *one, *two, self._target, self._true, self._trail, self._way]
+        boxes = [
+            scene.add_box(
+                f"/keep_out/{k}", GHOST, box.upper - box.lower, position=0.5 * (box.lower + box.upper),
+                opacity=GHOST_OPACITY,
+            )
+            for k, box in enumerate(arm.keep_out)
+        ]  # fmt: skip
+        self._parts = [grid, *boxes, *one, *two, self._target, self._true, self._trail, self._way]
         self._pace.visible = paced
 
     def _limbs(
         self, root: str, skeleton: Skeleton, colours: tuple[Colour, Colour], share: float, opacity: float | None
     ) -> tuple[list[viser.FrameHandle], list[viser.SceneNodeHandle]]:
-        """Nest the joint frames in one another, a capsule in each; return the frames of the joints, and the root."""
         scene, path, frames = self._server.scene, root, []
         base = scene.add_frame(root, show_axes=False)
         if opacity is None:
@@ -143,10 +132,15 @@ class WebPage:
             if link:
                 path = f"{path}/{link}"
                 frames.append(scene.add_frame(path, show_axes=False, position=skeleton.place[link - 1]))
-            vertices, faces = capsule(*skeleton.shape(link), share)
+            end, radius = skeleton.shape(link)
+            length = float(np.linalg.norm(end))
+            shape = trimesh.creation.capsule(height=length, radius=share * radius, count=(12, 20))
+            upright = np.array([0.0, 0.0, 1.0])
+            turn, _ = Rotation.align_vectors(end if length else upright, upright)
             scene.add_mesh_simple(
-                f"{path}/link", vertices.astype(np.float32), faces.astype(np.uint32), color=colours[link % 2],
-                opacity=opacity, cast_shadow=opacity is None, receive_shadow=opacity is None,
+                f"{path}/link", shape.vertices.astype(np.float32), shape.faces.astype(np.uint32), position=0.5 * end,
+                wxyz=turn.as_quat(scalar_first=True), color=colours[link % 2], opacity=opacity,
+                cast_shadow=opacity is None, receive_shadow=opacity is None,
             )  # fmt: skip
         return frames, [base]
 
@@ -173,15 +167,6 @@ class WebPage:
             if len(points) > 1:
                 handle.points = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
             handle.visible = len(points) > 1
-
-    def plot(self, time: Array, error: Array, true: Array, within: float) -> None:
-        """Draw errors (M,) [mm] over time (M,) [s], with the line of acceptance [mm]; true ones may be NaN."""
-        known = len(time) > 1  # a chart that once had no points never finds its scales again
-        if known:
-            true = np.where(np.isfinite(true), true, error)
-            self._plot.data = time, error, true, np.full(len(time), within)
-        if self._plot.visible != known:
-            self._plot.visible = known
 
     def tell(self, *, head: str, share: float, error: str, guard: str, joints: str, legend: str) -> None:
         """Write into the panel: HTML, and the ``share`` that is done."""

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Self, cast
 
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.guard import GuardLimits
+from rejoint.control.observer import Observer
 from rejoint.control.recording import Look
 from rejoint.control.robot import Robot
-from rejoint.pages.live import panel
-from rejoint.pages.live.animation import Animation, Begun, Subject
-from rejoint.pages.live.ring import Ring
+from rejoint.pages.live.animation import Animation, Begun, Doing, Subject
+from rejoint.pages.live.records import Ring
 from rejoint.robots import place_of
-from rejoint.robots.wallclock import WallClock
+from rejoint.robots.wrapper import RobotWrapper, WallClock
 from rejoint.system.errors import AddressError, first_line
 from rejoint.system.extras import require
 from rejoint.system.stopping import ask
@@ -30,40 +30,40 @@ if TYPE_CHECKING:
 
 HOST, PORT = "127.0.0.1", 8080
 RATE = 25.0
-"""[Hz] of the frames at most (chosen: motion looks even, also where a frame comes late)"""
+"""[Hz] of the frames at most (chosen: motion looks even)"""
 ASLEEP = 0.2
 """[s] between two looks whether somebody opened the page (chosen)"""
 SEEN = 0.7
 """[s] for which the page stays after the end, so that a browser has the last of it (chosen)"""
 HAND_OVER = 0.2e-3
-"""[s] after which Python hands its lock over while the page is served, instead of 5 ms (chosen: a hundredth of the
-shortest control period; what waits for it is the control loop)"""
+"""[s] after which Python hands its lock over while the page is served (chosen: the control loop waits for it)"""
 BUTTON = "the button of the live view"
 """Who asks for the end where it was pressed"""
 
 
-class LiveView:
-    """Shows arms on a page while they are driven; nobody who drives one waits for it.
+class LiveView(Observer):
+    """Shows arms on a page while they are driven; the control loop never waits for it.
 
-    Give it to a stage as ``live``. ``progress`` may be given to the same stage as ``on_progress``. Its button asks for
-    the end as Ctrl-C does: the arm holds, nothing is powered off, and `Interrupted` is raised.
+    Give it as ``observer``. Its button asks for the end as Ctrl-C does: the arm holds, nothing is powered off, and
+    `Interrupted` is raised.
 
     Examples
     --------
     >>> with rejoint.LiveView() as view:
     ...     print(view.address)
-    ...     rejoint.deploy("emulated:worn", live=view, on_progress=view.progress)
+    ...     rejoint.deploy("emulated:worn", observer=view)
     """
 
     def __init__(self, host: str = HOST, port: int = PORT) -> None:
-        """Say where the page will be; port 0 is any free one. Nobody there is asked who they are."""
+        """Say where the page will be; port 0 is any free one. There is no password."""
+        self.shows = True
         self._host, self._port = host, port
         self._page: WebPage | None = None
         self._thread = threading.Thread(target=self._run, name="live view", daemon=True)
         self._over = threading.Event()
         self._subject: Subject | None = None
         self._begun = Begun()
-        self._doing, self._since = panel.Doing(), time.monotonic()
+        self._doing, self._since = Doing(), time.monotonic()
         self._stopped = ""
         self._interval = sys.getswitchinterval()
         self._pace = 1.0
@@ -106,30 +106,30 @@ class LiveView:
         return "" if self._page is None else self._page.address
 
     def watch(
-        self, robot: Robot, *, twin: Twin | None = None, within: float | None = None, paced: bool | None = None
+        self, robot: Robot, *, twin: object = None, within: float | None = None, paced: bool | None = None
     ) -> Robot:
         """Return the robot as one that is shown, with its ``twin`` as a ghost.
 
-        ``within`` [m] is the error that is accepted. Where time is virtual, or ``paced``, the robot is slowed down to
-        the pace that is chosen on the page.
+        ``within`` [m] is the error that is accepted; virtual time, or ``paced``, is slowed down to the pace of the
+        page.
         """
         ghost = None
         if twin is not None:
-            from rejoint.pages.live.ghost import Ghost  # late: it brings compiled loops
+            from rejoint.pages.live.records import Ghost  # late: it brings compiled loops
 
-            ghost = Ghost(robot.arm, twin)
+            ghost = Ghost(robot.arm, cast("Twin", twin))
         slowed = _virtual(robot) if paced is None else paced
         subject = Subject(
             arm=robot.arm, address=robot.address, count=robot.count, ring=Ring(robot.arm.joints), ghost=ghost,
             within=Protocol.threshold if within is None else within, paced=slowed,
         )  # fmt: skip
         self._subject = subject
-        shown = cast(Robot, WallClock(robot, lambda: self._pace)) if slowed else robot
-        return cast(Robot, _LiveRobot(shown, self, subject))
+        shown = WallClock(robot, lambda: self._pace) if slowed else robot
+        return _LiveRobot(shown, self, subject)
 
     def begin(self, title: str) -> None:
         """Say what begins now: a command, or a stage of a repair."""
-        self._since, self._doing = time.monotonic(), panel.Doing(title=title)
+        self._since, self._doing = time.monotonic(), Doing(title=title)
 
     def progress(self, share: float, what: str) -> None:
         """Say how far it is; takes what a stage tells its ``on_progress``."""
@@ -142,7 +142,6 @@ class LiveView:
         return partial(subject.ring.write, number)
 
     def _hold(self) -> None:
-        """Ask for the end; called by a thread of the page."""
         if self._page is not None:
             self._page.held("Asked to hold")
         ask(BUTTON)
@@ -151,7 +150,6 @@ class LiveView:
         self._pace = pace
 
     def _run(self) -> None:
-        """Draw frames while somebody looks, until the end; what fails here ends the page and nothing else."""
         try:
             self._draw(cast("WebPage", self._page))
         except Exception as error:  # noqa: BLE001 - whatever it is, the arm goes on
@@ -172,19 +170,14 @@ class LiveView:
             self.frames += 1
             self._over.wait(max(1.0 / RATE - (time.monotonic() - began), 0.0))
 
-    def _now(self) -> panel.Doing:
+    def _now(self) -> Doing:
         return replace(self._doing, since=time.monotonic() - self._since)
 
 
-class _LiveRobot:
-    """A robot that is shown: the control loop finds who looks on, everything else is the robot's."""
-
+class _LiveRobot(RobotWrapper):
     def __init__(self, robot: Robot, view: LiveView, subject: Subject) -> None:
-        self._robot, self._view, self._subject = robot, view, subject
-        self.arm, self.step, self.true_tcp = robot.arm, robot.step, robot.true_tcp  # asked for in every cycle
-
-    def __getattr__(self, name: str) -> object:
-        return getattr(self._robot, name)
+        super().__init__(robot)
+        self._view, self._subject = view, subject
 
     def onlooker(self, controller: str, limits: GuardLimits) -> Look:
         """See `rejoint.control.recording.Onlooker`."""
@@ -192,7 +185,6 @@ class _LiveRobot:
 
 
 def _virtual(robot: Robot) -> bool:
-    """Tell whether no time passes for a robot but in its steps."""
     try:
         return place_of(robot.address).virtual
     except AddressError:  # a robot of the caller's own

@@ -3,26 +3,32 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
-from rejoint.arms import Arm, load_arm
+import numpy as np
+import pyarrow as pa
+
+from rejoint.arms import Arm, Array, load_arm
+from rejoint.control.classical import DefaultController
 from rejoint.control.comparison.result import Comparison
 from rejoint.control.contract import PolicyContract
+from rejoint.control.correction import NOT_KNOWN, TrueError
 from rejoint.control.policy import load_policy
-from rejoint.diagnosis.calibration.calibration import Calibration
-from rejoint.diagnosis.calibration.file import read_calibration
+from rejoint.diagnosis.calibration.calibration import Calibration, read_calibration
 from rejoint.diagnosis.calibration.measurementfile import read_measurements
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.diagnosis import Diagnosis
+from rejoint.diagnosis.open_loop import modelled_errors
 from rejoint.logs.runfolder.effort import Effort, read_effort
-from rejoint.logs.runfolder.folder import RunFolder, RunInfo, read_info
-from rejoint.logs.runfolder.kept import Kept
-from rejoint.logs.runlog import RunLog, read_log
-from rejoint.pages.report.sections.training import Curves, read_curves
-from rejoint.system.errors import FileError, InputError
+from rejoint.logs.runfolder.folder import LOGS, Kept, RunFolder, RunInfo, read_info
+from rejoint.logs.runlog import RunLog, read_log, read_parquet
+from rejoint.pages.words import is_virtual, number
+from rejoint.robots import DEFAULT_ARM
+from rejoint.system.errors import FileError, InputError, first_line
 from rejoint.system.files import read_json
 from rejoint.twin.file import read_twin
 from rejoint.twin.judgement import Judgement
@@ -30,11 +36,50 @@ from rejoint.twin.twin import Twin
 
 T = TypeVar("T")
 
-_TRIAL = re.compile(r"(crossing|hold)-(.+)-(\d+)-(\d+)")
-"""Names of the trials' run logs: protocol, controller, target set, repetition"""
+# Names of the hold trials' run logs: controller, target set, repetition
+_TRIAL = re.compile(r"hold-(.+)-(\d+)-(\d+)")
 
-DEFAULT_ARM = "mycobot280"
-"""Arm of a folder with a policy or training curves alone, which do not name it before it is known"""
+
+_COLUMNS = ("step", "reward", "success_rate", "error_mm", "wall_s")
+_LAST = 5  # updates that are averaged for "at the end"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Curves:
+    """Training curves with one entry per update, K updates."""
+
+    step: Array
+    """(K,) transitions so far"""
+    reward: Array
+    """(K,) mean per control cycle"""
+    success_rate: Array
+    """(K,) fraction of the targets"""
+    error_mm: Array
+    """(K,) median distance at the end of a target"""
+    wall_s: Array
+    """(K,) time since the start"""
+
+    @property
+    def outcome(self) -> str:
+        """What the last updates came to, in words."""
+        success, error = (float(np.mean(values[-_LAST:])) for values in (self.success_rate, self.error_mm))
+        return f"{number(100 * success, 3, '%')} success and a median error of {number(error, 2, 'mm')}"
+
+
+def read_curves(path: Path) -> Curves:
+    """Read ``training/curves.parquet``; FileError if it is damaged or holds no update."""
+    remedy = "delete it and train again"
+    try:
+        table = read_parquet(path, remedy, list(_COLUMNS))
+        columns = {name: table[name].to_numpy().astype(float) for name in _COLUMNS}
+    except FileNotFoundError as error:
+        raise FileError(path, "no such file", "train a policy first") from error
+    except (OSError, pa.ArrowException, KeyError, TypeError, ValueError) as error:
+        first = first_line(error)
+        raise FileError(path, f"not readable as training curves ({first})", remedy) from error
+    if not len(columns["step"]):
+        raise FileError(path, "no update in the training curves", remedy)
+    return Curves(**columns)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,8 +100,6 @@ class Contents:
     """what lies behind the encoders"""
     measurements: Measurements | None
     """where the tool was seen from outside"""
-    crossing: Mapping[str, RunLog]
-    """one trial of the paper's protocol per controller"""
     hold: Mapping[str, RunLog]
     """one trial of the hold protocol per controller"""
     effort: Effort | None = None
@@ -87,8 +130,7 @@ def read_contents(path: Path) -> Contents:
     return Contents(
         folder=folder, arm=arm, info=info, diagnosis=diagnosis, twin=twin, judgement=judgement, curves=curves,
         contract=contract, comparison=comparison, calibration=calibration, measurements=measurements,
-        crossing=_trials(folder, "crossing", known),
-        hold=_trials(folder, "hold", known), effort=read_effort(folder),
+        hold=_trials(folder, known), effort=read_effort(folder),
         kept=_optional(folder.kept, lambda file: read_json(file, Kept)),
     )  # fmt: skip
 
@@ -110,12 +152,164 @@ def _arm(path: Path, sources: list[str], names: list[str]) -> Arm:
     return arm
 
 
-def _trials(folder: RunFolder, protocol: str, controllers: tuple[str, ...]) -> dict[str, RunLog]:
+def _trials(folder: RunFolder, controllers: tuple[str, ...]) -> dict[str, RunLog]:
     """Read the first trial of each controller, in the order of ``controllers``."""
     found: dict[str, tuple[int, int, Path]] = {}
     for name, path in folder.logs().items():
         match = _TRIAL.fullmatch(name)
-        if match and match[1] == protocol and match[2] in controllers:
-            trial = (int(match[3]), int(match[4]), path)
-            found[match[2]] = min(found.get(match[2], trial), trial)
+        if match and match[1] in controllers:
+            trial = (int(match[2]), int(match[3]), path)
+            found[match[1]] = min(found.get(match[1], trial), trial)
     return {name: read_log(found[name][2]) for name in controllers if name in found}
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeanErrors:
+    """Mean distance from the targets."""
+
+    encoders: float | None
+    """[m] where the encoders see the tool"""
+    tool: TrueError
+    """where the tool itself is"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BeforeAfter:
+    """An arm as it was found, and with a controller."""
+
+    controller: str
+    before: MeanErrors
+    after: MeanErrors
+
+    @property
+    def sentence(self) -> str:
+        """Both in one line for the owner; empty where one of them was not tried."""
+        before, after = self.before, self.after
+        if before.encoders is None or after.encoders is None:
+            return ""
+        start = f"Before: {1e3 * before.encoders:.1f} mm off (encoders)"
+        end = f"After, with '{self.controller}': {1e3 * after.encoders:.2f} mm (encoders)"
+        if before.tool.value is None and after.tool.value is None:
+            return f"{start}. {end}. The tool itself: {after.tool}."
+        return f"{start}, {_tool(before.tool, 'the tool itself')}. {end}, {_tool(after.tool, 'tool')}."
+
+
+def _tool(error: TrueError, what: str) -> str:
+    if error.value is None:
+        return f"{what} {error}"
+    ends = f", 95 %: {error.range}" if error.range and error.how != "known" else ""
+    return f"{error.millimetres} mm ({what}{'' if error.how == 'known' else f', {error.how}'}{ends})"
+
+
+def before_after(contents: Contents, controller: str) -> BeforeAfter | None:
+    """Compare the arm as it was found with what ``controller`` does; None where none was compared."""
+    if contents.comparison is None:
+        return None
+    return BeforeAfter(
+        controller=controller, before=found(contents), after=_errors(contents.comparison, controller)
+    )  # fmt: skip
+
+
+def found(contents: Contents) -> MeanErrors:
+    """Return the errors of the arm as found.
+
+    Of its own controller at the same targets, else open loop in the diagnosis.
+    """
+    own, comparison = DefaultController.name, contents.comparison
+    if comparison is not None and own in comparison.controllers and not comparison.calibration:
+        return _errors(comparison, own)
+    if contents.diagnosis is None or contents.diagnosis.open_loop is None:
+        return MeanErrors(encoders=None, tool=NOT_KNOWN)
+    open_loop = contents.diagnosis.open_loop
+    return MeanErrors(encoders=1e-3 * open_loop.error_mm.value, tool=_open_loop(contents))
+
+
+def _open_loop(contents: Contents) -> TrueError:
+    assert contents.diagnosis is not None and contents.diagnosis.open_loop is not None  # noqa: S101, PT018
+    told = contents.diagnosis.open_loop.true_error
+    log = contents.folder.log("targets")
+    if told.value is not None or contents.calibration is None or not log.exists():
+        return told
+    return modelled_errors(read_log(log), contents.calibration)
+
+
+def _errors(comparison: Comparison, controller: str) -> MeanErrors:
+    row = comparison.row(controller)
+    return MeanErrors(encoders=None if row.settled is None else row.settled.mean.value, tool=row.true_error)
+
+
+LEARNERS = ("sac", "td3", "ddpg")
+"""Values of `--learner` besides that of the presets"""
+
+
+class Command(NamedTuple):
+    """A command line and what it does."""
+
+    what: str
+    line: str
+
+
+def commands(contents: Contents) -> dict[str, Command]:
+    """Return the command line of every stage, with all that it takes to repeat what was done."""
+    run = shlex.quote(str(contents.folder.path))
+    info = contents.info
+    built = shlex.quote(contents.folder.arm(contents.arm.name))
+    address, seed = ("ROBOT", 0) if info is None else (info.robot, info.seed)
+    robot = shlex.quote(address)
+    arm = "" if info is None or info.arm == DEFAULT_ARM else f" --arm {built}"
+    diagnose = f"rejoint diagnose {robot} --run {run}{arm} --seed {seed}"
+    recipe = _recipe(contents)
+    repair = f"rejoint repair {robot}{arm} --seed {seed}"
+    identify = f"rejoint identify {run}"
+    if info is not None and info.robot.startswith(LOGS):
+        given = f"--logs {shlex.quote(info.robot.removeprefix(LOGS))} --arm {built} --run {run}"
+        robot, diagnose, identify = "ROBOT", f"rejoint diagnose {given}", f"rejoint identify {given}"
+        repair = f"rejoint repair ROBOT{arm} --seed {seed}"
+    return {
+        "repair": Command("Everything, from the beginning:", repair),
+        "diagnose": Command("Measure and judge the arm:", diagnose),
+        "identify": Command("Fit the twin:", identify),
+        "train": Command("Train the policy:", f"rejoint train {run}{recipe}"),
+        "calibrate": Command(
+            "Measure where the tool is:", f"rejoint calibrate {robot} {run}{_gauge(contents, address)}"
+        ),
+        "compare": Command("Try every controller on the arm:", _compare(contents, robot, run)),
+        "report": Command("Make this page again:", f"rejoint report {run}"),
+    }
+
+
+def _compare(contents: Contents, robot: str, run: str) -> str:
+    info, comparison = contents.info, contents.comparison
+    if comparison is None:
+        return f"rejoint compare {robot} {run}"
+    other = info is None or comparison.seed != info.seed
+    seed = f" --seed {comparison.seed}" if other else ""
+    known = contents.calibration
+    directions = " --directions" if comparison.directions is not None else ""
+    plain = " --calibration none" if known is not None and known.used and not comparison.calibration else ""
+    return f"rejoint compare {shlex.quote(comparison.robot)} {run}{_options(comparison)}{plain}{directions}{seed}"
+
+
+def _gauge(contents: Contents, robot: str) -> str:
+    if contents.calibration is not None and contents.calibration.source == "camera":
+        return " --measure camera"
+    return "" if is_virtual(robot) else " --measure touch"
+
+
+def _options(comparison: Comparison) -> str:
+    drawn = f" --sets {len(comparison.targets)}"
+    targets = f" --targets {shlex.quote(comparison.targets_file)}" if comparison.targets_file else drawn
+    names = shlex.quote(",".join(comparison.controllers))
+    period = "" if comparison.period is None else f" --period {_milliseconds(comparison.period)}"
+    whole = "" if comparison.batched or comparison.block else " --full"
+    return f"{targets} --repetitions {comparison.repetitions} --controllers {names}{period}{whole}"
+
+
+def _milliseconds(period: tuple[float, float]) -> str:
+    """Write a period [s] as `--period` reads it."""
+    return "-".join(f"{1e3 * end:.9g}" for end in dict.fromkeys(period))
+
+
+def _recipe(contents: Contents) -> str:
+    name = "" if contents.contract is None else contents.contract.preset
+    return f" --preset {name}" if name in ("paper", "scratch") else f" --learner {name}" if name in LEARNERS else ""

@@ -1,35 +1,198 @@
-"""Figures as pure functions from arrays to a matplotlib `Figure`.
-
-Nothing here knows where the numbers come from. Figures are made without pyplot, hence without
-global state. Each keeps to a size that stays readable on a phone: wide matter is split into
-several figures, which the page places side by side.
-"""
+"""What the run logs of the trials show: paths through targets and errors over time. Pure functions."""
 
 from __future__ import annotations
 
+import io
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
+from markupsafe import Markup, escape
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, MultipleLocator, NullFormatter
 from numpy.typing import NDArray
 
-from rejoint.arms import Array
-from rejoint.pages.report.palette import GROUND, INK, Look
+from rejoint.arms import Arm, Array, tcp_position
+from rejoint.logs.runlog import RunLog
+from rejoint.pages.html import GROUND, INK, LOOKS, Look
+from rejoint.system.files import write_whole
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TargetSpan:
+    """The time in which one target was in force."""
+
+    target: Array
+    """(3,) [m]"""
+    aim: Array
+    """(3,) [m] where the TCP should be by the encoders at the end"""
+    time: Array
+    """(T,) [s] since the target was set; the first entry is 0"""
+    encoder_error: Array
+    """(T,) [m] distance of the TCP that the encoders tell from the aim"""
+    true_error: Array
+    """(T,) [m] distance of the real TCP from the target; NaN where it is unknown"""
+
+
+def encoder_path(arm: Arm, log: RunLog) -> Array:
+    """TCP (T, 3) [m] by forward kinematics of the measured joint positions."""
+    return tcp_position(arm, log.position)
+
+
+def visits(arm: Arm, log: RunLog) -> tuple[TargetSpan, ...]:
+    """Split a log wherever its target changes; rows without a target are left out."""
+    tcp, aim = encoder_path(arm, log), log.target if log.aim is None else log.aim
+    found = []
+    for start, stop in _spans(log):
+        # The target was set when the last row of the previous one was read.
+        rows = np.arange(max(start - 1, 0), stop)
+        target, aims = log.target[start], aim[np.maximum(rows, start)]
+        found.append(
+            TargetSpan(
+                target=target,
+                aim=aims[-1],
+                time=log.time[rows] - log.time[rows[0]],
+                encoder_error=np.linalg.norm(tcp[rows] - aims, axis=1),
+                true_error=np.linalg.norm(log.true_tcp[rows] - target, axis=1),
+            )
+        )
+    return tuple(found)
+
+
+def _spans(log: RunLog) -> list[tuple[int, int]]:
+    if not len(log):
+        return []
+    filled = np.nan_to_num(log.target, nan=np.inf)  # NaN differs from itself
+    cuts = np.flatnonzero((filled[1:] != filled[:-1]).any(axis=1)) + 1
+    edges = [0, *cuts.tolist(), len(log)]
+    return [(a, b) for a, b in pairwise(edges) if np.isfinite(log.target[a]).all()]
+
+
+def error_at(visit: TargetSpan, time: Array) -> Array:
+    """Return the encoder error (K,) [m] as read last at each ``time`` (K,) [s]; NaN after the visit's end."""
+    rows = np.searchsorted(visit.time, time + 1e-9, side="right") - 1
+    error: NDArray[np.float64] = visit.encoder_error[np.clip(rows, 0, None)]
+    return np.where(time > visit.time[-1] + _grain(visit), np.nan, error)
+
+
+def _grain(visit: TargetSpan) -> float:
+    return float(np.diff(visit.time).max(initial=0.0))
+
+
+def spread_over_time(all_visits: Sequence[TargetSpan], time: Array) -> tuple[Array, Array, Array]:
+    """Median, 10th and 90th percentile (K,) [m] of the encoder error over all visits.
+
+    NaN once half of them have ended.
+    """
+    errors = np.stack([error_at(visit, time) for visit in all_visits])
+    enough = np.isfinite(errors).sum(axis=0) * 2 >= len(errors)
+    result = np.full((3, len(time)), np.nan)
+    result[:, enough] = np.nanpercentile(errors[:, enough], [50, 10, 90], axis=0)
+    return result[0], result[1], result[2]
+
+
+def bounds(paths: Sequence[Array], margin: float = 0.012) -> Array:
+    """Box (3, 2) [m] around all ``paths`` (T, 3) [m] with a margin (chosen: a little over the success radius)."""
+    points = np.concatenate(list(paths))
+    return np.stack([points.min(axis=0) - margin, points.max(axis=0) + margin], axis=1)
+
+
+PNG_DPI = 160
+"""[1/inch] chosen: sharp in a slide or a printed letter"""
+
+_ID = re.compile(r'(\bid="|xlink:href="#|url\(#)')
+_UNSAFE = re.compile(r"[^A-Za-z0-9_-]+")
+_HEAD = re.compile(r"^.*?(?=<svg)", re.DOTALL)
+_SIZE = re.compile(r'<svg [^>]*viewBox="([^"]+)"[^>]*>')
+_METADATA = re.compile(r"\s*<metadata>.*?</metadata>", re.DOTALL)
+_NOISE = re.compile(r" font-family: [^;]*;|\s*<style type=\"text/css\">.*?</style>|(?<=[\dz]) (?=\n)", re.DOTALL)
+
+
+def inline_svg(figure: Figure, key: str, alt: str) -> Markup:
+    """Return the figure as SVG whose text and colours follow the page.
+
+    ``key`` keeps its identifiers apart, ``alt`` is read out.
+    """
+    buffer = io.StringIO()
+    figure.draw_without_rendering()
+    figure.set_layout_engine(None)  # the layout is found now; any engine has every file drawn twice
+    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": key}):
+        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    text = _NOISE.sub("", _METADATA.sub("", _HEAD.sub("", buffer.getvalue())))
+    text = _ID.sub(lambda match: f"{match[1]}{key}-", text)
+    text = text.replace(INK, "currentColor").replace(GROUND, "var(--ground)")
+    for number, look in enumerate(LOOKS):
+        text = text.replace(look.colour, f"var(--look-{number})")
+    label = str(escape(alt)).replace("\\", "\\\\")
+    head = f'<svg class="figure" role="img" aria-label="{label}" viewBox="\\1" style="max-width:{_width(figure)}">'
+    return Markup(_SIZE.sub(head, text, count=1))  # noqa: S704  (made by matplotlib, which escapes its text)
+
+
+def _width(figure: Figure) -> str:
+    return f"{figure.get_figwidth() * 96:.0f}px"
+
+
+def save_png(figure: Figure, path: Path) -> None:
+    """Write the figure on white ground as PNG."""
+    write_whole(
+        path,
+        lambda temporary: figure.savefig(
+            temporary, format="png", dpi=PNG_DPI, facecolor="white", metadata={"Software": None}
+        ),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Picture:
+    """One embedded figure."""
+
+    svg: Markup
+    heading: str = ""
+    caption: str = ""
+
+
+class Gallery:
+    """Collects figures while the page is made; `save` writes them all."""
+
+    def __init__(self) -> None:
+        self._figures: dict[str, Figure] = {}
+
+    def show(self, key: str, figure: Figure, *, alt: str, heading: str = "", caption: str = "") -> Picture:
+        """Take in a figure under a unique ``key`` (its file name) and return it ready for the page."""
+        key = _UNSAFE.sub("-", key)
+        if key in self._figures:
+            raise ValueError(f"two figures are called {key!r}")
+        self._figures[key] = figure
+        return Picture(svg=inline_svg(figure, key, alt), heading=heading, caption=caption)
+
+    def save(self, folder: Path) -> tuple[Path, ...]:
+        """Write every figure as ``folder/KEY.png``."""
+        paths = tuple(folder / f"{key}.png" for key in self._figures)
+        for key, figure in self._figures.items():
+            save_png(figure, folder / f"{key}.png")
+        return paths
+
 
 FONT = 9.5
 """[pt] chosen: 13 px on the page, about the size of its small print, and still legible at half that"""
-WIDE, HALF, THIRD = 10.4, 5.2, 3.4
-"""[inch] widths of figures that stand alone, in two and in three columns"""
+WIDE, HALF = 10.4, 5.2
+"""[inch] widths of figures that stand alone and in two columns"""
 LEGEND_COLUMNS = 6
-LETTERS = 36
-"""letters that fit side by side below a figure of a third of the page"""
 REACHED_MM = 10.0
 """[mm] radius within which a target counts as reached; Park et al. 2024, section IV.A"""
+
+
+TURN = np.linspace(0, 2 * np.pi, 61)
+"""[rad] of the points of a circle"""
+# Which axes are drawn to the right and upwards; from above x points up, as one sees it over the base
+_VIEWS = {"top": (1, 0), "side": (0, 2)}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,21 +207,21 @@ class Series:
     """(K,) lower end of the interval or spread"""
     high: Array | None = None
     """(K,) upper end"""
-    hollow: NDArray[np.bool_] | None = None
-    """(K,) values to be drawn hollow, such as those that are assumed and not measured"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Path3:
-    """The way of a TCP through a sequence of targets."""
+class Ways:
+    """One or more TCP paths in a panel of their own."""
 
-    label: str
+    title: str
     look: Look
-    tcp: Array
-    """(T, 3) [m]"""
+    paths: Sequence[Array]
+    """each (T, 3) [m]; NaN rows are left out"""
     targets: Array
-    """(K, 3) [m] in the order of the visit"""
-    radius: float = REACHED_MM / 1e3
+    """(K, 3) [m]"""
+    numbered: bool = True
+    """whether the targets are visited in their order"""
+    radius: float = 0.010
     """[m] drawn around each target"""
 
 
@@ -102,18 +265,15 @@ def legend(figure: Figure, axes: Axes, order: Sequence[str]) -> None:
     )  # fmt: skip
 
 
-def plain_log(axis: Axis, digits: tuple[float, ...] = (1.0, 2.0, 5.0)) -> None:
+def plain_log(axis: Axis) -> None:
     """Label a logarithmic axis with plain numbers."""
-    axis.set_major_locator(LogLocator(base=10, subs=digits))
+    axis.set_major_locator(LogLocator(base=10, subs=(1.0, 2.0, 5.0)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
 
 
 def error_per_target(series: Sequence[Series], reference: Series | None = None) -> Figure:
-    """Draw the TCP error [mm] at each of K targets as grouped bars, with the success radius.
-
-    ``reference`` (one value, with or without a range) is drawn across all targets.
-    """
+    """Draw the TCP error [mm] at each of K targets as grouped bars, with success radius and ``reference``."""
     figure, grid = canvas((WIDE, 3.2))
     axes, count = grid[0, 0], len(series[0].value)
     width = 0.8 / len(series)
@@ -147,10 +307,7 @@ def whiskers(one: Series) -> Array | None:
 
 
 def intervals(rows: Sequence[Series], xlabel: str, *, log: bool = False) -> Figure:
-    """Draw one row per series: its first value with its interval, on a common axis.
-
-    A second value of a series, where there is one, is drawn hollow in the same row.
-    """
+    """Draw one row per series: its first value with its interval; a second one is hollow."""
     figure, grid = canvas((HALF, 0.75 + 0.3 * len(rows)))
     axes = grid[0, 0]
     for y, one in enumerate(rows):
@@ -171,42 +328,52 @@ def intervals(rows: Sequence[Series], xlabel: str, *, log: bool = False) -> Figu
     return figure
 
 
-def trajectory(path: Path3, limits: Array) -> Figure:
-    """Draw one path from above (x up, y to the left, as one sees it over the base) and from the side (x, z).
-
-    ``limits`` (3, 2) [m] are the same for every path that is to be compared.
-    """
-    low, high = limits[:, 0] * 1e3, limits[:, 1] * 1e3
-    spans = high - low
-    scale = (HALF - 1.6) / (spans[1] + spans[0])
-    figure, grid = canvas((HALF, 0.78 + scale * max(spans[0], spans[2])), 1, 2, (spans[1], spans[0]))
-    views = (("from above", 1, 0), ("from the side", 0, 2))
-    for axes, (name, across, up) in zip(grid[0], views, strict=True):
-        _path(axes, path, across, up)
-        axes.set(xlim=(low[across], high[across]), ylim=(low[up], high[up]), aspect="equal", anchor="N")
-        axes.set(xlabel="xyz"[across] + " [mm]", ylabel="xyz"[up] + " [mm]")
-        for axis, span in ((axes.xaxis, spans[across]), (axes.yaxis, spans[up])):
-            axis.set_major_locator(MultipleLocator(50 if span < 400 else 100))
-        heading(axes, name)
-    grid[0, 0].invert_xaxis()
+def ways(panels: Sequence[Ways], limits: Array, views: Sequence[str] = ("top", "side")) -> Figure:
+    """Draw every panel's paths from above and from the side, all on the same axes ``limits`` (3, 2) [m]."""
+    low, high = 1e3 * limits.T
+    columns = len(panels)
+    width = min(WIDE, 3.1 * columns + 0.4)
+    per_mm = (width - 0.7) / columns / max(high[_VIEWS[v][0]] - low[_VIEWS[v][0]] for v in views)
+    heights = [per_mm * (high[_VIEWS[v][1]] - low[_VIEWS[v][1]]) for v in views]
+    figure = Figure(figsize=(width, sum(heights) + 0.55 * len(views) + 0.2), layout="constrained", facecolor="none")
+    grid = figure.subplots(len(views), columns, squeeze=False, height_ratios=heights)
+    for column, panel in enumerate(panels):
+        for row, view in enumerate(views):
+            axes = grid[row, column]
+            style(axes)
+            across, up = _VIEWS[view]
+            _ways(axes, panel, across, up)
+            axes.set(xlim=(low[across], high[across]), ylim=(low[up], high[up]), aspect="equal")
+            axes.xaxis.set_major_locator(MultipleLocator(50))
+            axes.yaxis.set_major_locator(MultipleLocator(50))
+            axes.set_xlabel(f"{'xyz'[across]} [mm]")
+            if column == 0:
+                axes.set_ylabel(f"{'xyz'[up]} [mm]")
+            if view == "top":
+                axes.invert_xaxis()
+            if row == 0:
+                heading(axes, panel.title)
     return figure
 
 
-def _path(axes: Axes, path: Path3, across: int, up: int) -> None:
-    points, goals = path.tcp * 1e3, path.targets * 1e3
-    axes.plot(points[:, across], points[:, up], color=path.look.colour, linewidth=1.1, label=path.label)
-    axes.plot(points[0, across], points[0, up], "s", markersize=4.5, color=path.look.colour)
-    angle = np.linspace(0, 2 * np.pi, 41)
-    for number, goal in enumerate(goals, start=1):
+def _ways(axes: Axes, panel: Ways, across: int, up: int) -> None:
+    thin = len(panel.paths) > 1
+    for path in panel.paths:
+        points = 1e3 * path[np.isfinite(path).all(axis=-1)]
         axes.plot(
-            goal[across] + path.radius * 1e3 * np.cos(angle), goal[up] + path.radius * 1e3 * np.sin(angle),
-            color=INK, linewidth=0.7, alpha=0.7,
+            points[:, across], points[:, up], color=panel.look.colour, linewidth=0.8 if thin else 1.1,
+            alpha=0.75 if thin else 1.0,
         )  # fmt: skip
-        axes.plot(goal[across], goal[up], "+", markersize=4, color=INK, markeredgewidth=0.8)
-        axes.annotate(
-            str(number), (goal[across], goal[up]), xytext=(5, 5), textcoords="offset points", fontsize=FONT - 1.5,
-            color=INK,
-        )  # fmt: skip
+        axes.plot(points[0, across], points[0, up], "s", markersize=4, color=panel.look.colour)
+    for number, target in enumerate(1e3 * panel.targets, start=1):
+        circle = 1e3 * panel.radius * np.stack([np.cos(TURN), np.sin(TURN)])
+        axes.plot(target[across] + circle[0], target[up] + circle[1], color=INK, linewidth=0.7, alpha=0.7)
+        axes.plot(target[across], target[up], "+", markersize=4, color=INK, markeredgewidth=0.8)
+        if panel.numbered:
+            axes.annotate(
+                str(number), (target[across], target[up]), xytext=(5, 5), textcoords="offset points",
+                fontsize=FONT - 1.5, color=INK,
+            )  # fmt: skip
 
 
 def error_over_time(time: Array, series: Sequence[Series]) -> Figure:
@@ -223,75 +390,6 @@ def error_over_time(time: Array, series: Sequence[Series]) -> Figure:
         axes.axhline(level, color=INK, linewidth=0.6, alpha=0.5, linestyle=(0, (4, 3)))
     axes.set(xlabel="time since the target was set [s]", ylabel="encoder error [mm]", xlim=(time[0], time[-1]))
     legend(figure, axes, [one.label for one in series])
-    return figure
-
-
-def by_joint(
-    title: str, joints: Sequence[str], measured: Series, reference: Series | None = None, *, log: bool = False
-) -> Figure:
-    """Draw one quantity per joint with its interval over a reference value or range.
-
-    ``reference`` gives a value per joint (a line), a range (a pale bar), or both; NaN is left out.
-    """
-    figure, grid = canvas((THIRD, 2.4))
-    axes, at = grid[0, 0], np.arange(len(joints))
-    if reference is not None:
-        _reference(axes, at, reference)
-    hollow = np.zeros(len(joints), dtype=bool) if measured.hollow is None else measured.hollow
-    bars = whiskers(measured)
-    for chosen, face in ((~hollow, measured.look.colour), (hollow, GROUND)):
-        if chosen.any():
-            axes.errorbar(
-                at[chosen], measured.value[chosen], yerr=None if bars is None else bars[:, chosen],
-                fmt=measured.look.marker, color=measured.look.colour, markerfacecolor=face, markersize=5.5, capsize=2.5,
-                linewidth=1.4,
-            )  # fmt: skip
-    crowded = max(map(len, joints)) * len(joints) > LETTERS
-    slant = {"rotation": 35, "ha": "right", "rotation_mode": "anchor"} if crowded else {}
-    axes.set_xticks(at, list(joints), **slant)
-    axes.set_xlim(-0.6, len(joints) - 0.4)
-    axes.use_sticky_edges = False
-    axes.margins(y=0.12)
-    if log:
-        axes.set_yscale("log")
-        plain_log(axes.yaxis, (1.0, 2.0, 3.0, 5.0))
-    else:
-        axes.yaxis.set_major_locator(MaxNLocator(5))
-        if axes.get_ylim()[0] > 0 or _none_negative(measured):
-            axes.set_ylim(bottom=0)
-    axes.grid(visible=False, axis="x")
-    heading(axes, title)
-    return figure
-
-
-def _none_negative(one: Series) -> bool:
-    parts = [part for part in (one.value, one.low) if part is not None]
-    return not any((part < 0).any() for part in parts)
-
-
-def _reference(axes: Axes, at: NDArray[np.intp], reference: Series) -> None:
-    colour = reference.look.colour
-    if reference.low is not None and reference.high is not None:
-        span = reference.high - reference.low
-        axes.bar(at, span, bottom=reference.low, width=0.62, color=colour, alpha=0.22, linewidth=0)
-    known = np.isfinite(reference.value)
-    axes.hlines(reference.value[known], at[known] - 0.31, at[known] + 0.31, color=colour, linewidth=2.2)
-
-
-def ranked_bars(labels: Sequence[str], values: Array, looks: Sequence[Look], xlabel: str) -> Figure:
-    """Draw horizontal bars with their values (K,) written at the end."""
-    figure, grid = canvas((HALF, 0.6 + 0.34 * len(labels)))
-    axes = grid[0, 0]
-    for y, (value, look) in enumerate(zip(values, looks, strict=True)):
-        axes.barh(y, value, height=0.62, color=look.colour, hatch=look.hatch, edgecolor=GROUND, linewidth=0)
-        if np.isfinite(value):
-            axes.annotate(
-                f"{value:.3g}", (value, y), xytext=(4, 0), textcoords="offset points", va="center", fontsize=FONT,
-                color=INK,
-            )  # fmt: skip
-    axes.set_yticks(range(len(labels)), list(labels))
-    axes.set(xlabel=xlabel, ylim=(len(labels) - 0.5, -0.5), xlim=(0, 1.15 * np.nanmax(values)))
-    axes.grid(visible=False, axis="y")
     return figure
 
 

@@ -1,276 +1,79 @@
-"""The comparison as a table of words: the same cells on the page and at the terminal."""
+"""Results as cells of words: the same on a page and at the terminal."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from rejoint.control.comparison.protocols import STANDS_FOR
-from rejoint.control.comparison.racing import Race
-from rejoint.control.comparison.result import Comparison, ControllerRow, HoldRow, PoseAccuracy, Stay
-from rejoint.pages.report.numerals import NEVER, UNKNOWN, interval, number, spread
-from rejoint.pages.report.palette import colour_number
-from rejoint.pages.report.view import Cell, Row, Table
-from rejoint.pages.report.words import CONTROLLERS, day_and_time, plural
-from rejoint.system.statistics import FEWEST_CLUSTERS, Spread
+from rejoint.arms import Array
+from rejoint.control.comparison.result import Comparison, ControllerRow
+from rejoint.diagnosis.calibration.calibration import Calibration
+from rejoint.pages.words import MM, NEVER, UNKNOWN, Cell, interval, listed, measured, number, plural, spread
+from rejoint.system.statistics import NORMAL95, Estimate, above_zero, bootstrap_mean
+from rejoint.twin.judgement import NO_TWIN, Judgement, PredictionError
 
-MM, PERCENT = 1e3, 1e2
-
-
-@dataclass(frozen=True, kw_only=True)
-class PaperRow:
-    """One column of Table 4 of Park et al. 2024."""
-
-    success: str
-    error: str
-    cycle: str
-
-
-PAPER = {
-    "default": PaperRow(success="6.67", error="22.0 ± 14.6", cycle="197"),
-    "pid-sum": PaperRow(success="75.0", error="13.4 ± 12.2", cycle="96.3"),
-    "pid-literal": PaperRow(success="75.0", error="13.4 ± 12.2", cycle="96.3"),
-    "policy": PaperRow(success="100", error="8.21 ± 1.11", cycle="14.2"),
-}
-"""Park et al. 2024, Table 4: the real worn myCobot of the paper, n = 6, ten targets. Their PID is not said to be
-one reading of their equation 27 or the other, so it stands beside both."""
-
-PAPER_ARM = "mycobot280"
-"""Arm of the paper; errors of another one, in millimetres, are not comparable"""
-
-PAPER_TARGETS = 10
-"""Targets in a cycle of the paper; other numbers of targets are not comparable"""
+DEG = float(np.degrees(1.0))
 
 
 def comparison_table(comparison: Comparison) -> tuple[list[str], list[list[str]]]:
     """Return headers and rows of plain text, first column the controllers' names on the command line."""
     rows = [
-        [f"{row.controller}{' (by diagnosis)' if row.source else ''}", *(cell.text for cell in _cells(row, comparison))]
+        [f"{row.controller}{' (by diagnosis)' if row.source else ''}", *(cell.text for cell in cells(row, comparison))]
         for row in comparison.rows
     ]
-    return ["controller", *_headers(comparison)], rows
+    return ["controller", *headers(comparison)], rows
 
 
-def comparison_view(comparison: Comparison, best: str) -> Table:
-    """Return the same table for the page, with small print, and the row of the ``best`` controller set off."""
-    rows = tuple(
-        Row(
-            cells=(
-                Cell(row.controller, _what(row)),
-                *_cells(row, comparison),
-            ),
-            look=colour_number(row.controller),
-            badge="recommended" if row.controller == best else "",
-            emphasis=row.controller == best,
-        )
-        for row in comparison.rows
-    )
-    return Table(
-        caption="Every controller on the same arm with the same targets",
-        headers=("controller", *_headers(comparison)), rows=rows, notes=_notes(comparison),
-    )  # fmt: skip
-
-
-def _what(row: ControllerRow) -> str:
-    """Say what a controller does, and where its results are from if it was not driven for this table."""
-    return "\n".join(filter(None, (CONTROLLERS.get(row.controller, ""), row.source and f"measured by {row.source}")))
-
-
-def _headers(comparison: Comparison) -> list[str]:
+def headers(comparison: Comparison) -> list[str]:
+    """Return the headers of `cells`."""
     within = " / ".join(f"{distance * MM:g}" for distance in comparison.protocol.within)
     return [
-        "success [%]", "error at the crossing [mm]", f"{plural(_count(comparison), 'target')} [s]",
+        "success [%]", "error at the crossing [mm]", f"{plural(len(comparison.targets[0]), 'target')} [s]",
         "settled error, encoders [mm]", *(["orientation, encoders [deg]"] if comparison.orientations else []),
-        "settled error, true [mm]", f"time to stay within {within} mm [s]",
-        "oscillation [mm]", "guard",
+        "settled error, true [mm]", f"time to stay within {within} mm [s]", "oscillation [mm]", "guard",
     ]  # fmt: skip
 
 
-def _count(comparison: Comparison) -> int:
-    return len(comparison.targets[0])
-
-
-def _cells(row: ControllerRow, comparison: Comparison) -> list[Cell]:
-    crossing, hold, success = row.crossing, row.hold, row.crossing.success
-    nothing = PaperRow(success="", error="", cycle="")
-    paper = PAPER.get(row.controller, nothing) if comparison.arm == PAPER_ARM else nothing
-    cycle = paper.cycle if _count(comparison) == PAPER_TARGETS else ""
-    likely = interval(success.low, success.high, 2, factor=PERCENT)
+def cells(row: ControllerRow, comparison: Comparison) -> list[Cell]:
+    """Return what is told of one controller."""
+    success, crossing, settled = row.success, row.crossing_error, measured(row.settled, MM, 3)
+    held = plural(row.held, "target") if comparison.block else ""  # at fewer than all where some are eliminated
+    true = row.true_error
+    known = true.value is None or true.how == "known"
+    stays = " / ".join(NEVER if stay.median is None else number(stay.median, 2) for stay in row.stays)
+    shares = " / ".join(f"{100 * stay.share.value:.0f}" for stay in row.stays)
     return [
-        Cell(number(success.value * PERCENT, 3), _small_print(likely, paper.success)),
-        Cell(_spread(crossing.error, MM), _small_print("", paper.error)),
-        Cell(_mean(crossing.cycle_time, 1.0, 3), _small_print(_range(crossing.cycle_time, 1.0), cycle)),
-        Cell(_mean(hold.settled, MM, 3), _small_print(_range(hold.settled, MM), "", _held(row, comparison))),
-        *([_turned(hold)] if comparison.orientations else []),
-        _true(hold),
-        _stays(hold.stays),
-        Cell(_mean(hold.oscillation, MM, 2)),
+        Cell(number(100 * success.value, 3), interval(success.low, success.high, 2, factor=100)),
+        Cell(UNKNOWN if crossing is None else spread(MM * crossing.mean.value, MM * (crossing.std or math.nan))),
+        measured(row.cycle_time, 1.0, 3),
+        Cell(settled.text, "\n".join(filter(None, (settled.note, held)))),
+        *([measured(row.turned, DEG)] if comparison.orientations else []),
+        measured(row.settled_true) if known else Cell(f"{number(MM * (true.value or 0.0), 2)}, {true.how}", true.range),
+        Cell(stays or UNKNOWN, f"{shares} %" if stays else ""),
+        Cell(measured(row.oscillation).text),
         _guard(row),
     ]
 
 
-def _true(hold: HoldRow) -> Cell:
-    """Give the true error; one that is modelled says so."""
-    found = hold.true_error
-    if found.value is None or found.how == "known":
-        return Cell(_mean(hold.settled_true, MM, 2), _range(hold.settled_true, MM, 2))
-    return Cell(f"{number(found.value * MM, 2)}, {found.how}", found.range)
-
-
-def _turned(hold: HoldRow) -> Cell:
-    degrees = float(np.degrees(1.0))
-    return Cell(_mean(hold.turned, degrees, 2), _range(hold.turned, degrees, 2))
-
-
-def _small_print(own: str, paper: str, more: str = "") -> str:
-    return "\n".join(part for part in (own, f"paper: {paper}" if paper else "", more) if part)
-
-
-def _held(row: ControllerRow, comparison: Comparison) -> str:
-    """Say how many targets a controller had in a race."""
-    return "" if comparison.race is None else f"{plural(row.held, 'target')}"
-
-
-def _mean(value: Spread | None, factor: float, digits: int) -> str:
-    return UNKNOWN if value is None else number(value.mean.value * factor, digits)
-
-
-def _range(value: Spread | None, factor: float, digits: int = 3) -> str:
-    return "" if value is None else interval(value.mean.low, value.mean.high, digits, factor=factor)
-
-
-def _spread(value: Spread | None, factor: float) -> str:
-    if value is None:
-        return UNKNOWN
-    return spread(value.mean.value * factor, None if value.std is None else value.std * factor)
-
-
-def _stays(stays: tuple[Stay, ...]) -> Cell:
-    times = " / ".join(NEVER if stay.median is None else number(stay.median, 2) for stay in stays)
-    shares = " / ".join(f"{stay.share.value * PERCENT:.0f}" for stay in stays)
-    return Cell(times or UNKNOWN, f"{shares} %" if stays else "")
-
-
 def _guard(row: ControllerRow) -> Cell:
-    reasons = [f"{number(count.share * PERCENT, 2)} % {count.reason}" for count in row.guard]
-    stopped = [f"{plural(row.failures, 'trial')} stopped"] if row.failures else []
     what, _, where = row.out.partition(" (")
     out = [f"stopped: {what}", *([where.removesuffix(")")] if where else [])] if row.out else []
-    parts = [*out, *stopped, *reasons] or [NEVER]
-    return Cell(parts[0], "\n".join(parts[1:]))
+    stopped = [f"{plural(row.failures, 'trial')} stopped"] if row.failures else []
+    reasons = (f"{number(100 * share, 2)} % {reason}" for reason, share in row.guard.items())
+    first, *more = [*out, *stopped, *reasons] or [NEVER]
+    return Cell(first, "\n".join(more))
 
 
-def _without(comparison: Comparison) -> str:
-    """Say what has no interval."""
-    trials = len(comparison.targets) * comparison.repetitions
-    if trials >= FEWEST_CLUSTERS:
-        return ""
-    whole = f"; none for the time of {plural(_count(comparison), 'target')}"
-    if trials * _count(comparison) < FEWEST_CLUSTERS:
-        whole = "; none where they would be"
-    return f"{whole}: {plural(trials, 'trial')} of it say{'s' * (trials == 1)} too little about another one"
-
-
-def _notes(comparison: Comparison) -> tuple[str, ...]:
-    protocol, sets = comparison.protocol, len(comparison.targets)
-    how = "side by side on equal emulated arms" if comparison.batched else "interleaved on the same arm"
-    if comparison.most is not None:
-        how += (
-            f", in a race of at most {plural(comparison.most[0] * comparison.most[1] * _count(comparison), 'target')}"
-        )
-    notes = [
-        f"{plural(sets, 'set')} of {plural(_count(comparison), 'target')}, "
-        f"{plural(comparison.repetitions, 'repetition')}, {how}. Small print: 95 % intervals, resampled over "
-        f"{comparison.clusters}{_without(comparison)}.",
-        _crossings(comparison),
-        f"Settled error: mean over the last {protocol.window:g} s of {protocol.hold:g} s at each target. Time to stay "
-        f"within a distance: median over the holds, and the share that does; “{NEVER}” where fewer than half do. "
-        "Oscillation: root mean square around the settled position. Guard: share of all control cycles, by reason.",
-    ]
-    if comparison.race is not None:
-        notes.append(_race(comparison.race))
-    notes += [
-        f"{row.controller} was not driven again where {row.source} had measured it, open loop."
-        for row in comparison.rows
-        if row.source
-    ]
-    if comparison.arm == PAPER_ARM:
-        notes.append(
-            "“paper”: Park et al. 2024 (IEEE Access), Table 4, measured on their own worn myCobot 280, for reference."
-        )
-    if not comparison.true_known:
-        modelled = any(row.hold.settled_modelled is not None for row in comparison.rows)
-        notes.append(
-            "True error: modelled by the calibration at the postures in which the arm came to rest; its interval holds "
-            "what the calibration leaves open."
-            if modelled
-            else "The true position of the tool is not known on this robot: it has to be measured from outside."
-        )
-    if comparison.calibration:
-        aimed = f"All controllers were aimed by the calibration of {day_and_time(comparison.calibration)}."
-        notes.append(f"{aimed} Encoder errors are distances from the aim, true errors from the target.")
-    return tuple(notes)
-
-
-def _crossings(comparison: Comparison) -> str:
-    """Say what it means to reach a target, and how long that takes."""
-    protocol, count = comparison.protocol, plural(_count(comparison), "target")
-    what = "Success, error at the crossing and time for the targets"
-    if comparison.race is not None:
-        return (
-            f"{what}: read from the holds, where {protocol.threshold * MM:g} mm are first crossed, each target come to "
-            f"from rest. The time is that for {count} at the mean of those driven to; none where one was missed."
-        )
-    return (
-        f"{what}: the protocol of Park et al. 2024. The next target is set at the first crossing of "
-        f"{protocol.threshold * MM:g} mm or after {protocol.dwell:g} s, which count in full where an arm stood for "
-        f"{STANDS_FOR:g} s under one command and was not waited for; the error is the one at that moment, mean ± "
-        "standard deviation."
-    )
-
-
-def _race(race: Race) -> str:
-    """Say when a controller was stopped, and how sure that is."""
-    return (
-        "Race: a controller is better at a target if it alone reaches it, or else settles nearer by more than "
-        f"{race.nearer * MM:g} mm, or else stays within the narrowest distance sooner by more than {race.sooner:g} s. "
-        "Who is the worse one too often for chance is beaten, and driven no further; neither is who does not lead all "
-        f"simpler ones by {race.lead * PERCENT:g} % of the targets or more. In {race.error * PERCENT:g} % of such "
-        "races at most the best one is called beaten, and in as many one with such a lead is passed over, however "
-        "often one looks. Of those left undecided the simplest is recommended that none leads by "
-        f"{race.likely * PERCENT:g} %. The numbers of one that was stopped are of few targets, and of those that spoke "
-        "against it."
-    )
-
-
-def poses_view(comparison: Comparison) -> Table | None:
-    """Return accuracy and repeatability after ISO 9283, by the encoders and of the tool; None in old comparisons."""
-    known = [row for row in comparison.rows if row.hold.poses is not None]
-    if not known:
-        return None
-    rows = tuple(
-        Row(cells=(Cell(row.controller), *_pose_cells(row.hold.poses), *_pose_cells(row.hold.poses_true)))
-        for row in known
-    )
-    cycles = known[0].hold.poses.cycles if known[0].hold.poses is not None else 0
-    notes = (
-        "AP: distance from the target to the mean of the places attained; RP: mean distance of these places from their "
-        "mean, and three standard deviations of it. Means over the targets as poses; small print: 95 % intervals. "
-        f"{plural(cycles, 'cycle')} for each pose, where the norm asks for 30.",
-        *_directions(comparison),
-    )
-    headers = ("controller", "AP, encoders [mm]", "RP, encoders [mm]", "AP, tool [mm]", "RP, tool [mm]")
-    return Table(caption="Accuracy after ISO 9283", headers=headers, rows=rows, notes=notes)
-
-
-def _directions(comparison: Comparison) -> tuple[str, ...]:
+def directions(comparison: Comparison) -> tuple[str, ...]:
     """Say how far the place attained varies with the direction of approach, vAP."""
     found = comparison.directions
     if found is None:
         return ()
-    ends = (("by the encoders", found.encoders), ("of the tool", found.tool))
-    said = [f"{_mean(one, MM, 2)} mm {whose}{_in_brackets(_range(one, MM, 2))}" for whose, one in ends if one]
+    ends = [(measured(one), whose) for one, whose in ((found.encoders, "by the encoders"), (found.tool, "of the tool"))]
+    said = [f"{text} mm {whose}{f' ({note})' if note else ''}" for (text, note), whose in ends if text != UNKNOWN]
     return (
         f"vAP of {found.controller}: {' and '.join(said)}, the largest distance between the mean places attained from "
         f"three directions; mean over {plural(found.poses, 'pose')}, {plural(found.cycles, 'cycle')} from each "
@@ -278,10 +81,172 @@ def _directions(comparison: Comparison) -> tuple[str, ...]:
     )
 
 
-def _in_brackets(text: str) -> str:
-    return f" ({text})" if text else ""
+def behind(found: Calibration) -> list[tuple[str, list[Cell]]]:
+    """Return offset, compliance and play behind each joint [deg, deg/(N m), deg], with intervals by the fit."""
+    sigma, rows = np.sqrt(np.diag(found.covariance)), []
+    for i, name in enumerate(found.arm.joint_names):
+        row = []
+        for kind in ("offset", "compliance", "play"):
+            value, half = float(getattr(found.displacement, kind)[i]), NORMAL95 * float(sigma[found.layout.at(kind)][i])
+            low = value - half if kind == "offset" else max(value - half, 0.0)
+            row.append(measured(Estimate(value, low, value + half), DEG))
+        rows.append((name, row))
+    return rows
 
 
-def _pose_cells(found: PoseAccuracy | None) -> tuple[Cell, Cell]:
-    accuracy, again = (None, None) if found is None else (found.accuracy, found.repeatability)
-    return Cell(_mean(accuracy, MM, 2), _range(accuracy, MM, 2)), Cell(_mean(again, MM, 2), _range(again, MM, 2))
+class Quantity(NamedTuple):
+    """One measured quantity of a joint as it is shown."""
+
+    field: str
+    """of `JointMetrics`"""
+    name: str
+    unit: str
+    meaning: str
+    """in words that an owner understands"""
+    factor: float = 1.0
+    """from SI to ``unit``"""
+    signed: bool = False
+    """whether it may be below zero"""
+    parameter: str = ""
+    """of a twin, where that is the same property: shown there alone"""
+
+    def healthy(self, estimate: Estimate | None) -> str:
+        """Say within what a healthy joint is."""
+        if estimate is None or estimate.low is None:
+            return UNKNOWN
+        low = estimate.low if self.signed else max(estimate.low, 0.0)
+        return interval(low, estimate.high, 2, factor=self.factor) or UNKNOWN
+
+
+QUANTITIES = (
+    Quantity(
+        "stiffness_nm_per_rad",
+        "stiffness",
+        "N m/rad",
+        "how strongly the servo holds its position; soft joints sag",
+        parameter="stiffness",
+    ),
+    Quantity(
+        "hysteresis_rad",
+        "hysteresis",
+        "deg",
+        "how far apart the joint stops when it comes from below and from above",
+        DEG,
+    ),
+    Quantity("coulomb_nm", "dry friction", "N m", "torque that is lost before anything moves", parameter="coulomb"),
+    Quantity("lag_s", "lag", "ms", "how far the joint trails behind its command in motion", 1e3),
+    Quantity("damping_ratio", "damping ratio", "1", "1 comes to rest at once, 0.3 rings"),
+    Quantity("overshoot", "overshoot", "%", "how far it shoots beyond after a step", 1e2),
+    Quantity(
+        "offset_rad",
+        "offset",
+        "deg",
+        "how far the joint rests from its command where nothing loads it",
+        DEG,
+        parameter="offset",
+        signed=True,
+    ),
+    Quantity("hunting_rad", "unrest", "deg", "motion while nothing is asked of the joint", DEG),
+    Quantity("noise_rad", "noise", "deg", "scatter of single readings at rest", DEG),
+)
+
+
+FEWEST = 3
+"""Motions below which no interval is given (chosen: two say nothing about a third)"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Score:
+    """One prediction over all motions."""
+
+    name: str
+    free_mm: Array
+    """(K,) of each motion; NaN where it has no free space"""
+    contact_mm: Array
+    """(K,) likewise"""
+
+    def mean(self, where: str) -> Estimate | None:
+        """Mean over the motions with its 95 % interval over motions; None if no motion has such rows."""
+        values: Array = getattr(self, f"{where}_mm")
+        known = values[np.isfinite(values)]
+        if not len(known):
+            return None
+        return bootstrap_mean(known, np.arange(len(known)), fewest=FEWEST)
+
+
+def scores(judgement: Judgement) -> tuple[Score, ...]:
+    """Collect the errors of every prediction, motion by motion."""
+
+    def value(error: PredictionError | None) -> float:
+        return float("nan") if error is None else error.tcp * MM
+
+    return tuple(
+        Score(
+            name=name,
+            free_mm=np.array([value(motion.errors[name].free) for motion in judgement.motions]),
+            contact_mm=np.array([value(motion.errors[name].contact) for motion in judgement.motions]),
+        )
+        for name in judgement.mean
+    )
+
+
+def answer(judgement: Judgement) -> tuple[str, ...]:
+    """Say which prediction to trust, how far, and where not; the first sentence is the answer."""
+    found = scores(judgement)
+    lines = [*_free(judgement, found), *_contact(judgement, found)]
+    lines.append("All this is by the arm's own encoders: play and flex behind them show in no log.")
+    return tuple(lines)
+
+
+def gap(one: Score, other: Score) -> Estimate | None:
+    """Mean of how much larger ``other``'s error in free space is, motion by motion [mm], with its interval."""
+    difference = other.free_mm - one.free_mm
+    known = difference[np.isfinite(difference)]
+    return bootstrap_mean(known, np.arange(len(known)), fewest=FEWEST) if len(known) >= FEWEST else None
+
+
+def _free(judgement: Judgement, found: tuple[Score, ...]) -> list[str]:
+    known = [(score, mean) for score in found if (mean := score.mean("free")) is not None]
+    if not known:
+        return ["Nothing can be said about free space: no motion shows it."]
+    (best, mean), *others = sorted(known, key=lambda pair: pair[1].value)
+    count = int(np.isfinite(best.free_mm).sum())
+    rest = listed([f"{score.name} {number(value.value, 3, 'mm')}" for score, value in others], "and")
+    motions = f"mean of {plural(count, 'motion')}{_interval(mean)}"
+    lines = (
+        [
+            f"Trust none of them: {'; '.join(judgement.doubts)}.",
+            f"“{best.name}” comes nearest, within {number(mean.value, 3, 'mm')} in free space ({motions}).",
+        ]
+        if judgement.doubts
+        else [
+            f"Trust “{best.name}”: it predicts the tool within {number(mean.value, 3, 'mm')} in free space ({motions})."
+        ]
+    )
+    if best.name == NO_TWIN and not judgement.doubts:
+        lines = [
+            f"Trust none of them: the command alone predicts better, within {number(mean.value, 3, 'mm')} ({motions})."
+        ]
+    lines.append(f"The others: {rest}.")
+    close = [score.name for score, _ in others if (apart := gap(best, score)) is None or not above_zero(apart)]
+    if close:
+        names = listed([f"“{name}”" for name in close], "and")
+        lines.append(f"{names} {'is' if len(close) == 1 else 'are'} not measurably worse in these motions.")
+    return lines
+
+
+def _contact(judgement: Judgement, found: tuple[Score, ...]) -> list[str]:
+    known = [(score, mean) for score in found if (mean := score.mean("contact")) is not None]
+    if not known:
+        return ["The arm touches nothing in these motions: how they predict contact is not known."]
+    best, mean = min(known, key=lambda pair: pair[1].value)
+    seconds = sum(motion.contact_seconds for motion in judgement.motions)
+    return [
+        f"On the table ({seconds:.0f} s) “{best.name}” is closest, within {number(mean.value, 3, 'mm')}"
+        f"{_interval(mean)}."
+    ]
+
+
+def _interval(estimate: Estimate) -> str:
+    text = interval(estimate.low, estimate.high, 3)
+    return f", 95 %: {text}" if text else ""

@@ -1,7 +1,6 @@
-"""What outside measurements bring: arms that nothing was chosen on are measured, calibrated, and sent to fresh targets.
+"""What outside measurements bring: fresh arms are measured, calibrated, and sent to fresh targets.
 
-All arms of a condition are one batch in virtual time. They visit the suggested postures once; calibrations from the
-first 1, 2, ... of these measurements are then tried on the same fresh targets, with the same controller.
+All arms of a condition are one batch. Calibrations from the first 1, 2, ... measurements drive to the same targets.
 """
 
 from __future__ import annotations
@@ -15,32 +14,34 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array, Displacement, solve_position
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.rotations import rotation_about
-from rejoint.control.comparison.targets import draw_targets
 from rejoint.control.controller import Controller
 from rejoint.control.loop import Schedule, run
-from rejoint.control.playback import play
 from rejoint.control.recording import Recording
+from rejoint.control.start import play
+from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.fit import fit
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.postures import Suggestion, suggest
+from rejoint.pages.words import MM, measured, number
 from rejoint.research.evaluation.family import FAMILY_SIZE, ArmFamily, Variant, family_wears
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress
+from rejoint.system.statistics import Estimate, bootstrap_mean, clustered_share, wilson
 
 POINTS = (1, 3, 5, 10, 20)
 """Numbers of measurements from which arms are calibrated"""
 SIGMA = 5e-4
-"""[m] noise of each measured coordinate (chosen: a ruler with a vernier, or a touched dimple)"""
+"""[m] noise of each measured coordinate (chosen: a vernier ruler)"""
 WRONG = (5e-3, 10e-3)
-"""[m] by how much a wrong point is off (chosen: a swapped dimple, or a slipped pen)"""
+"""[m] error of a wrong point (chosen)"""
 WRONG_AMONG = 10
 """Measurements among which one is wrong"""
 SPEED, WAIT = 0.5, 1.5
-"""[rad/s] and [s]: how fast arms go to a posture, and how long they wait before they are measured (chosen)"""
+"""[rad/s] and [s]: speed to a posture, and wait before measuring (chosen)"""
 HOLD, LAST = 8.0, 1.0
-"""[s] at each fresh target, and of that at the end over which errors are averaged"""
+"""[s] at each target, and the end of it over which errors are averaged"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,8 +113,6 @@ class Tried:
     """(A, K) whether the interval of the calibration held it"""
     expected: Array
     """(A, K) [m] root mean square error by the calibration"""
-    left_out: Array
-    """(A,) [m] mean error at measured points, each predicted from the others"""
     used: NDArray[np.bool_]
     """(A,) whether the gate let the correction through"""
 
@@ -123,8 +122,6 @@ class Trials:
     """All of one condition."""
 
     condition: ArmCondition
-    wear_seed: Array
-    """(A,)"""
     before: Array
     """(A, K) [m] true error without calibration"""
     tried: tuple[Tried, ...]
@@ -148,7 +145,7 @@ def open_condition(arm: Arm, condition: ArmCondition, family: ArmFamily, threads
 
 
 def misdescribed(arm: Arm, condition: ArmCondition, seed: int) -> Arm:
-    """Draw an arm that differs from its description ``arm``; each mass is off, up or down."""
+    """Draw an arm that differs from its description ``arm``."""
     rng = np.random.default_rng([seed, 2])
     twist = rng.normal(0.0, [condition.shift] * 3 + [condition.turn] * 3, (arm.joints + 1, 6))
     moved = replace(Displacement.none(arm), twist=twist).moved(arm)
@@ -175,12 +172,11 @@ def try_condition(
         robot = open_condition(arm, condition, family, threads)
         tried.append(try_found(robot, found, controller, targets, points))
     named, accused = find_wrong(arm, measured, family)
-    seeds = np.array([family.wear_seed(i) for i in range(family.arms)], dtype=float)
-    return Trials(condition=condition, wear_seed=seeds, before=before, tried=tuple(tried), named=named, accused=accused)
+    return Trials(condition=condition, before=before, tried=tuple(tried), named=named, accused=accused)
 
 
 def measure(robot: EmulatedRobot, suggestion: Suggestion, seed: int) -> Measured:
-    """Bring all arms to the postures, each from its own side, and measure their tools with noise."""
+    """Bring all arms to the postures and measure their tools with noise."""
     rng = np.random.default_rng([seed, 3])
     sent, found = robot.read().position, []
     for place, start in zip(suggestion.postures, suggestion.approach, strict=True):
@@ -194,7 +190,7 @@ def measure(robot: EmulatedRobot, suggestion: Suggestion, seed: int) -> Measured
 
 
 def find_wrong(arm: Arm, measured: Measured, family: ArmFamily) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-    """Tell for each arm whether a wrong point is named, and how many right ones are where none is wrong."""
+    """Tell for each arm whether a wrong point is named, and how many right ones are."""
     named, accused = np.zeros(family.arms, dtype=bool), np.zeros(family.arms, dtype=np.int64)
     for i in range(family.arms):
         rng = np.random.default_rng([family.wear_seed(i), 4])
@@ -211,7 +207,7 @@ def try_found(
     robot: EmulatedRobot, found: Sequence[Calibration], controller: Callable[[Arm], Controller], targets: Array,
     points: int,
 ) -> Tried:  # fmt: skip
-    """Send all arms, aimed by what was ``found`` of each, to ``targets`` (A, K, 3) [m]."""
+    """Send all arms, corrected by what was ``found``, to ``targets`` (A, K, 3) [m]."""
     arm, aims = robot.arm, np.empty_like(targets)
     for i, calibration in enumerate(found):
         came = arm.rest
@@ -227,12 +223,12 @@ def try_found(
         inside[i], expected[i] = (error[i] >= low) & (error[i] <= high), calibration.sigma(settled[i])
     return Tried(
         points=points, error=error, inside=inside, expected=expected,
-        left_out=np.array([one.after for one in found]), used=np.array([one.used for one in found]),
+        used=np.array([one.used for one in found]),
     )  # fmt: skip
 
 
 def _go(robot: EmulatedRobot, sent: Array, goal: Array) -> Array:
-    """Bring all arms to ``goal`` (n,) [rad] and wait; returns what was sent last (B, n)."""
+    """Bring all arms to ``goal`` (n,) [rad] and wait; returns the last command (B, n)."""
     way = goal - sent
     duration = float(np.abs(way).max()) / SPEED
     recording = play(robot, lambda time: sent + np.minimum(time / duration, 1.0)[:, None] * way, duration + WAIT)
@@ -244,7 +240,7 @@ def _hold(robot: EmulatedRobot, controller: Callable[[Arm], Controller], aims: A
 
 
 def _errors(recording: Recording, targets: Array) -> Array:
-    """Return true errors (A, K) [m] over the last second at each target; NaN where the guard stopped the arm before."""
+    """Return true errors (A, K) [m] over the last second at each target; NaN after a guard's stop."""
     return _over_last(recording, targets.shape[1], lambda rows, i, k: float(
         np.linalg.norm(recording.true_tcp[rows, i] - targets[i, k], axis=-1).mean()
     ))[..., 0]  # fmt: skip
@@ -266,3 +262,116 @@ def _over_last(recording: Recording, count: int, value: Callable[[NDArray[np.int
     size = max((len(one) for one in found if one is not None), default=1)
     flat = np.array([np.full(size, np.nan) if one is None else one for one in found])
     return flat.reshape(recording.position.shape[1], count, size)
+
+
+HEADERS = ("points", "true error, mm", "95 % below, mm", "expected, mm", "in the interval, %", "corrected arms, %",
+           "worst arm, mm farther off")  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibratedRow:
+    """Arms of one condition, calibrated from so many points."""
+
+    condition: str
+    points: int
+    """0: not calibrated"""
+    error: Estimate
+    """[m] mean true error at fresh targets"""
+    p95: float
+    """[m]"""
+    expected: float | None = None
+    """[m] root mean square error by the calibrations themselves"""
+    inside: Estimate | None = None
+    """share of targets whose true error was in the calibration's interval"""
+    used: float | None = None
+    """share of the arms that were corrected"""
+    harm: float | None = None
+    """[m] largest difference of an arm's mean error from that without calibration"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrationEvaluation:
+    """All conditions."""
+
+    arm: str
+    software: str
+    controller: str
+    family: ArmFamily
+    meanings: dict[str, str]
+    rows: tuple[CalibratedRow, ...]
+    named: dict[str, Estimate]
+    """by condition: share of arms whose wrong point was named first"""
+    accused: dict[str, Estimate]
+    """by condition: share of arms with a right point named"""
+
+
+def rows_of(trials: Trials) -> tuple[CalibratedRow, ...]:
+    """Sum up one condition; intervals resample arms."""
+    name, before = trials.condition.name, trials.before
+    first = CalibratedRow(condition=name, points=0, error=_mean(before), p95=_p95(before))
+    return (first, *(_row(name, before, tried) for tried in trials.tried))
+
+
+def shares_of(trials: Trials) -> tuple[Estimate, Estimate]:
+    """Return the shares of arms with the wrong point named, and with a right one."""
+    count = len(trials.named)
+    return wilson(float(trials.named.sum()), count), wilson(float((trials.accused > 0).sum()), count)
+
+
+def tables(result: CalibrationEvaluation) -> list[tuple[str, list[str], list[list[str]]]]:
+    """Title, headers and rows of each table."""
+    found = []
+    for name, meaning in result.meanings.items():
+        cells = [_cells(row) for row in result.rows if row.condition == name]
+        found.append((f"{meaning}: {result.family.arms}, {result.controller}", list(HEADERS), cells))
+    wrong = [[name, _words(result.named[name], 100), _words(result.accused[name], 100)] for name in result.meanings]
+    headers = ["condition", "wrong point named, % of arms", "right point named, % of arms"]
+    return [*found, ("One wrong point among ten, 5 to 10 mm off", headers, wrong)]
+
+
+def _row(name: str, before: Array, tried: Tried) -> CalibratedRow:
+    arms = np.repeat(np.arange(len(tried.error)), tried.error.shape[1])
+    known = np.where(np.isfinite(tried.error), tried.inside, np.nan)
+    return CalibratedRow(
+        condition=name, points=tried.points, error=_mean(tried.error), p95=_p95(tried.error),
+        expected=float(np.sqrt(np.nanmean(tried.expected**2))), inside=clustered_share(known.ravel(), arms),
+        used=float(tried.used.mean()),
+        harm=float(np.nanmax(np.nanmean(tried.error, axis=1) - np.nanmean(before, axis=1))),
+    )  # fmt: skip
+
+
+def _cells(row: CalibratedRow) -> list[str]:
+    cells = [str(row.points or "none"), _words(row.error), number(row.p95 * MM, 3)]
+    if row.expected is None or row.inside is None or row.used is None or row.harm is None:
+        return [*cells, "", "", "", ""]
+    return [
+        *cells, number(row.expected * MM, 3), _words(row.inside, 100), number(100 * row.used, 3),
+        f"{row.harm * MM:+.2f}",
+    ]  # fmt: skip
+
+
+def _words(estimate: Estimate, factor: float = MM) -> str:
+    text, note = measured(estimate, factor, 3)
+    return f"{text} ({note})" if note else text
+
+
+def _mean(errors: Array) -> Estimate:
+    return bootstrap_mean(errors.ravel(), np.repeat(np.arange(len(errors)), errors.shape[1]))
+
+
+def _p95(errors: Array) -> float:
+    return float(np.nanquantile(errors, 0.95))
+
+
+def conclude(
+    arm: str, software: str, controller: str, family: ArmFamily, trials: Sequence[Trials]
+) -> CalibrationEvaluation:
+    """Put conditions together."""
+    shares = {one.condition.name: shares_of(one) for one in trials}
+    return CalibrationEvaluation(
+        arm=arm, software=software, controller=controller, family=family,
+        meanings={one.condition.name: one.condition.meaning for one in trials},
+        rows=tuple(row for one in trials for row in rows_of(one)),
+        named={name: named for name, (named, _) in shares.items()},
+        accused={name: accused for name, (_, accused) in shares.items()},
+    )  # fmt: skip

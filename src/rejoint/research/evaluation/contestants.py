@@ -1,17 +1,28 @@
-"""Who takes part in an evaluation: baselines, rivals and policy files, each with what identifies it."""
+"""Controllers of an evaluation, each with an identity."""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 from rejoint.arms import Arm
-from rejoint.control.catalogue import BASELINES
+from rejoint.control.catalogue import (
+    BASELINES,
+    PREDICTIVE,
+    SHELF,
+    make_controller,
+    shelf_arms,
+    shelf_controller,
+    shelf_path,
+)
 from rejoint.control.controller import Controller
+from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.policy import load_policy
-from rejoint.control.shelf import SHELF, shelf_arms, shelf_controller, shelf_path
 from rejoint.research.rivals.catalogue import RIVALS, make_rival
 from rejoint.system.errors import InputError
 from rejoint.twin.predictive import PredictiveController
@@ -28,19 +39,27 @@ class Contestant:
     """what tables put together: the name without the training seed"""
     make: Callable[[Arm], Controller]
     identity: str
-    """changes with everything that the controller's behaviour depends on, but for the software's version"""
+    """changes with everything that the behaviour depends on, except the software"""
     learned: bool = False
+    on_twins: Callable[[Arm, Sequence[Twin]], Controller] | None = None
+    """makes it where each arm has a twin; None: it needs none"""
+
+    def maker(self, twins: Sequence[Twin]) -> Callable[[Arm], Controller]:
+        """Return what makes the controller for arms with these ``twins``, or without any."""
+        of = self.on_twins
+        return self.make if of is None or not twins else lambda arm: of(arm, twins)
 
 
 def known_names() -> tuple[str, ...]:
-    """Names that need no file."""
+    """Names that need neither file nor twins."""
     return (*BASELINES, *RIVALS, SHELF)
 
 
 def classical(name: str, gains: Mapping[str, Mapping[str, float]] | None = None) -> Contestant:
-    """Baseline or rival by name; ``gains`` by rival replace those it comes with; InputError names the alternatives."""
-    if name in BASELINES:
-        return Contestant(name=name, group=name, make=BASELINES[name], identity=name)
+    """Baseline or rival by name; ``gains`` replace its own; InputError names the alternatives."""
+    if name in BASELINES or name == PREDICTIVE:
+        known = {FeedforwardController.name: _raised, PREDICTIVE: planned}.get(name)
+        return Contestant(name=name, group=name, make=partial(make_controller, name), identity=name, on_twins=known)
     if name == SHELF:
         kept = b"".join(shelf_path(arm).read_bytes() for arm in shelf_arms())
         return Contestant(name=name, group=name, make=shelf_controller, identity=_digest(kept), learned=True)
@@ -52,13 +71,19 @@ def classical(name: str, gains: Mapping[str, Mapping[str, float]] | None = None)
     )
 
 
-def planned(arm: Arm, twin: Twin) -> Controller:
-    """Predictive control on an arm's own twin, with the policy from the shelf."""
-    return PredictiveController.of(arm, twin, shelf_controller(arm))
+def planned(arm: Arm, twins: Sequence[Twin]) -> Controller:
+    """Predictive control on the arms' own twins, with the generic policy or, without one, the feed-forward."""
+    holder = shelf_controller(arm) if arm.name in shelf_arms() else _raised(arm, twins)
+    return PredictiveController.of(arm, twins, holder)
+
+
+def _raised(arm: Arm, twins: Sequence[Twin]) -> FeedforwardController:
+    """Feed-forward with the stiffness of the arms' own twins."""
+    return FeedforwardController(arm, np.stack([twin.parameters.stiffness for twin in twins]))
 
 
 def learned(path: Path, arm: Arm) -> Contestant:
-    """Policy from a file; FileError or ContractError where it is none for this arm."""
+    """Policy from a file; FileError or ContractError for a wrong one."""
     contract = load_policy(path, arm).contract
     group = f"policy {contract.preset}" + (" on its twin" if contract.twin_digest else "")
     return Contestant(
@@ -72,7 +97,7 @@ def _digest(content: bytes) -> str:
 
 
 def check_names(contestants: Sequence[Contestant]) -> None:
-    """Refuse (InputError) two contestants of one name, such as two policies of one recipe and seed."""
+    """Refuse (InputError) two contestants of one name."""
     names = [one.name for one in contestants]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:

@@ -3,57 +3,23 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from rejoint.arms import Arm
+from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.research.evaluation.contestants import Contestant, check_names
-from rejoint.research.evaluation.family import Variant
+from rejoint.research.evaluation.family import ArmFamily, Variant
 from rejoint.research.evaluation.outcome import Outcome, read_outcome, write_outcome
 from rejoint.research.evaluation.page import write_page
-from rejoint.research.evaluation.result import Evaluation
-from rejoint.research.evaluation.summary import Outcomes, group, summarise
-from rejoint.research.evaluation.trials import OnTargets, TrialSettings, try_controller
+from rejoint.research.evaluation.summary import Evaluation, Outcomes, group, summarise
+from rejoint.research.evaluation.trials import TrialSettings, own_twin, try_controller
 from rejoint.system.files import write_json
 from rejoint.system.progress import Progress
-from rejoint.system.version import __version__
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TrialCell:
-    """One contestant on one variant; it can be tried in any process, and leaves its outcome as a file."""
-
-    arm: Arm
-    variant: Variant
-    contestant: Contestant
-    settings: TrialSettings
-    folder: Path
-
-    @property
-    def key(self) -> tuple[str, str]:
-        """Names of variant and contestant."""
-        return self.variant.name, self.contestant.name
-
-    def kept(self) -> Outcome | None:
-        """Return the outcome of the very same contestant, arms and settings, if it is there."""
-        return read_outcome(*self._file())
-
-    def try_it(self, on_targets: OnTargets = lambda _: None) -> Outcome:
-        """Try the contestant, and write the outcome."""
-        found = try_controller(self.arm, self.variant, self.contestant.make, self.settings, on_targets)
-        path, identity = self._file()
-        write_outcome(path, found, identity)
-        return found
-
-    def leave_outcome(self) -> None:
-        """Try the contestant, and leave the outcome in its file alone."""
-        self.try_it()
-
-    def _file(self) -> tuple[Path, dict[str, Any]]:
-        identity = _identity(self.arm, self.variant, self.contestant, self.settings)
-        return outcome_path(self.folder, self.variant, self.contestant), identity
+from rejoint.system.shell import __version__
+from rejoint.twin.twin import Twin
 
 
 def evaluate(
@@ -63,32 +29,37 @@ def evaluate(
     settings: TrialSettings,
     folder: Path,
     on_progress: Progress,
-    elsewhere: Callable[[Sequence[TrialCell]], object] | None = None,
 ) -> Evaluation:
     """Evaluate and write ``evaluation.json`` and ``.html`` into ``folder``, outcomes as Parquet below ``outcomes/``.
 
-    An outcome that is there already, of the very same contestant, arms and settings, is taken over. ``elsewhere`` is
-    given the cells that are not there, and has them tried by other processes; what it leaves out is tried here.
+    An outcome that is there already, of the very same contestant, arms and settings, is taken over.
     """
     check_names(contestants)
     family = settings.family
-    cells = [
-        TrialCell(arm=arm, variant=variant, contestant=one, settings=settings, folder=folder)
-        for variant in variants for one in contestants
-    ]  # fmt: skip
-    if elsewhere is not None:
-        elsewhere([cell for cell in cells if cell.kept() is None])
+    cells = [(variant, one) for variant in variants for one in contestants]
     each = family.arms * (family.targets + (family.crossings if settings.crossing else 0))
     outcomes: dict[tuple[str, str], Outcome] = {}
-    for cell in cells:
-        before, text = len(outcomes) * each, ": ".join(cell.key)
-        on_progress(before / (len(cells) * each), text)
+    for number, (variant, one) in enumerate(cells):
+        text = f"{variant.name}: {one.name}"
 
-        def report(done: int, before: int = before, text: str = text) -> None:
+        def report(done: int, before: int = number * each, text: str = text) -> None:
             on_progress((before + done) / (len(cells) * each), text)
 
-        outcomes[cell.key] = cell.kept() or cell.try_it(report)
+        report(0)
+        path, identity = outcome_path(folder, variant, one), _identity(arm, variant, one, settings)
+        found = read_outcome(path, identity)
+        if found is None:
+            twins = own_twins(arm, family, folder) if variant.anywhere else []
+            found = try_controller(arm, variant, one.maker(twins), settings, report, twins)
+            write_outcome(path, found, identity)
+        outcomes[variant.name, one.name] = found
     return conclude(arm, settings, contestants, {v.name: v.meaning for v in variants}, outcomes, folder)
+
+
+def own_twins(arm: Arm, family: ArmFamily, folder: Path) -> list[Twin]:
+    """Return a twin of each arm of a family, fitted to an excitation of its own."""
+    seeds = map(family.wear_seed, range(family.arms))  # one plan of excitation: a few are not safe and are refused
+    return [own_twin(arm, seed, RunFolder(folder / "arms" / str(seed)), family.seed) for seed in seeds]
 
 
 def conclude(

@@ -1,4 +1,4 @@
-"""Arms that nobody has met: a hundred worn ones, and the same under conditions that make control hard.
+"""Arms on which nothing was chosen: a hundred worn ones, and the same under conditions that make control hard.
 
 Arm i of family s is the wear profile's neighbour ``?seed=`` `FAMILY_SIZE` (s + 1) + i, every parameter of every
 joint within +-30 % (`rejoint.robots.lab.plant.wear.draw_wear`). Family 0 is the one that is reported; what is
@@ -7,18 +7,27 @@ chosen (recipes, gains) is chosen on others.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from rejoint.arms import Arm, Array
-from rejoint.control.comparison.targets import draw_targets
+from rejoint.arms import Arm, Array, choose_postures, gravity_torque, tcp_position
+from rejoint.arms.postures import comfortable_postures
+from rejoint.control.goal import JointGoals, side_by_side, with_ways
+from rejoint.control.targets import draw_targets
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.lab.plant.wear import Wear, load_wear
+from rejoint.session.payload import believed_motors
 from rejoint.system.errors import InputError
+from rejoint.twin.twin import Twin
 
 Interval = tuple[float, float]
 
+HELD = 0.9
+"""Share of the torque limits of an arm's twin that a target's posture needs at most"""
+NEARBY = 0.03
+"""[m] from some place that the tool reaches (chosen: these lie 18 mm apart)"""
 FAMILY_SIZE = 10_000
 """Wear seeds that belong to one family"""
 
@@ -36,6 +45,8 @@ class Variant:
     """[s] control period, redrawn every cycle"""
     latency: Interval = (0.008, 0.013)
     """[s] from sending a command to its arrival in the firmware"""
+    anywhere: bool = False
+    """whether targets are drawn in all the room that an arm can reach and hold, instead of its target region"""
     payload: float = 0.0
     """[kg] the heaviest load at the tool; each arm's own is uniform up to it, and no controller knows it"""
 
@@ -48,6 +59,11 @@ VARIANTS = (
     Variant(name="any-wire", meaning="worn arms, every control cycle takes 20 to 50 ms", period=(0.020, 0.050)),
     Variant(name="payload", meaning="worn arms with up to 250 g at the tool", payload=0.250),
     Variant(name="healthy", meaning="healthy arms", profile="healthy"),
+    Variant(
+        name="anywhere",
+        meaning="worn arms with a twin each, targets wherever they reach and hold the arm with 90 % of the torque",
+        anywhere=True,
+    ),
 )
 """The conditions; latency, period and load are those that hobby arms of this size meet (chosen)"""
 
@@ -98,6 +114,32 @@ def family_payloads(variant: Variant, family: ArmFamily) -> Array:
 def family_targets(arm: Arm, family: ArmFamily, count: int) -> Array:
     """Targets (A, count, 3) [m], others for every arm."""
     return draw_targets(arm, sets=family.arms, count=count, seed=FAMILY_SIZE * (family.seed + 1))
+
+
+def targets_anywhere(arm: Arm, family: ArmFamily, twins: Sequence[Twin]) -> tuple[Array, JointGoals]:
+    """Draw targets (A, K, 3) [m] that the arms reach and hold by their ``twins``, and postures and ways of each arm.
+
+    Places are drawn evenly in the box around all that the tool reaches above the floor.
+    """
+    places = tcp_position(arm, comfortable_postures(arm))
+    low, high = places.min(axis=0), places.max(axis=0)
+    low[2] = arm.floor
+    targets, goals = np.empty((family.arms, family.targets, 3)), []
+    for i, twin in enumerate(twins):
+        motors, most = believed_motors(twin), HELD * twin.parameters.torque_limit
+        rng, start = np.random.default_rng([family.wear_seed(i), 2]), arm.rest
+        postures: list[Array] = []
+        while len(postures) < family.targets:
+            drawn = rng.uniform(low, high)
+            if np.linalg.norm(places - drawn, axis=-1).min() > NEARBY:  # out of reach: to look for it takes long
+                continue
+            found = choose_postures(arm, drawn[None], start, motors=motors)
+            if found.refusals[0] or not (np.abs(gravity_torque(arm, found.q[0])) <= most).all():
+                continue
+            targets[i, len(postures)], start = drawn, found.q[0]
+            postures.append(start)
+        goals.append(with_ways(arm, np.array(postures), arm.rest, motors=motors))
+    return targets, side_by_side(goals)
 
 
 def open_family(arm: Arm, variant: Variant, family: ArmFamily, threads: int = 1) -> EmulatedRobot:

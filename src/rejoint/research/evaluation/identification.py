@@ -1,7 +1,6 @@
-"""What identification buys: arms that are diagnosed, identified and trained for one by one, against one policy for all.
+"""What identification buys: arms that are diagnosed, identified and trained for one by one.
 
-Every arm goes through the chain of a repair: excitation, twin, policy on that twin's covariance. The same arm
-then meets controllers that know its twin and controllers that know nothing of it.
+Each arm then meets controllers that know its twin and controllers that do not.
 """
 
 from __future__ import annotations
@@ -13,17 +12,17 @@ from pathlib import Path
 import numpy as np
 
 from rejoint.arms import Arm
-from rejoint.control.comparison.targets import draw_targets
 from rejoint.control.controller import Controller
 from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.policy import load_policy
+from rejoint.control.targets import draw_targets
 from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.research.evaluation.contestants import Contestant, classical, learned, planned
 from rejoint.research.evaluation.evaluate import conclude
 from rejoint.research.evaluation.family import find_variant
 from rejoint.research.evaluation.outcome import Outcome
-from rejoint.research.evaluation.result import Evaluation
-from rejoint.research.evaluation.trials import TrialArms, TrialSettings, try_on
+from rejoint.research.evaluation.summary import Evaluation
+from rejoint.research.evaluation.trials import TrialArms, TrialSettings, own_twin, try_on
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.system.progress import Progress, part
@@ -32,7 +31,7 @@ from rejoint.twin.twin import Twin
 VARIANT = "identified"
 
 COPIES = 8
-"""Trials of one arm that run side by side, with other noise and other targets (chosen)"""
+"""Trials of one arm side by side (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -45,13 +44,10 @@ class KnownArm:
 
 
 def know_arm(arm: Arm, wear_seed: int, folder: RunFolder, iterations: int | None, on_progress: Progress) -> KnownArm:
-    """Diagnose, identify and train for the arm ``worn?seed=``, or take over what is in ``folder``."""
+    """Diagnose, identify and train for ``worn?seed=``, or read ``folder``."""
     from rejoint.training.train import TrainingOptions, train  # torch is slow to import, and may not be needed
-    from rejoint.twin.file import read_twin
 
-    if not folder.twin.exists():
-        identify_arm(arm, wear_seed, folder, wear_seed, on_progress)
-    twin = read_twin(folder.twin, arm)
+    twin = own_twin(arm, wear_seed, folder, wear_seed, on_progress)
     if not folder.policy.exists():
         options = TrainingOptions(iterations=iterations, resume=True)
         train(arm, twin, out=folder.path, options=options, on_progress=on_progress)
@@ -62,7 +58,7 @@ def evaluate_identification(
     arm: Arm, policies: Sequence[Path], settings: TrialSettings, folder: Path, iterations: int | None,
     on_progress: Progress,
 ) -> Evaluation:  # fmt: skip
-    """Compare controllers with and without knowledge of each arm; ``policies`` are those for any arm."""
+    """Compare controllers with and without each arm's twin; ``policies`` are generic."""
     family = settings.family
     total, merged = family.arms, dict[str, list[Outcome]]()
     contestants: list[Contestant] = []
@@ -81,22 +77,8 @@ def evaluate_identification(
     return conclude(arm, settings, contestants, meanings, outcomes, folder)
 
 
-def identify_arm(arm: Arm, wear_seed: int, folder: RunFolder, seed: int, on_progress: Progress) -> None:
-    """Diagnose and identify the arm ``worn?seed=`` with the plans of ``seed``, and leave its twin in ``folder``."""
-    from rejoint.diagnosis.diagnosis import diagnose
-    from rejoint.diagnosis.healthy import healthy_reference
-    from rejoint.twin.file import write_twin
-    from rejoint.twin.identify import identify
-
-    robot = EmulatedRobot(arm, [load_wear(f"worn?seed={wear_seed}", arm)], seed=wear_seed)
-    first, second = part(on_progress, 0.0, 0.5), part(on_progress, 0.5, 1.0)
-    _, logs = diagnose(robot, healthy_reference(arm), seed=seed, on_progress=first)
-    twin = identify(arm, [logs.excitation], on_progress=second)
-    write_twin(folder.twin, twin)
-
-
 def _contestants(arm: Arm, known: KnownArm, policies: Sequence[Path]) -> list[Contestant]:
-    """Those who know nothing of the arm, and the same who know its twin."""
+    """Return controllers without the arm's twin, and with it."""
     own = known.twin.parameters
 
     def make(build: Callable[[Arm], Controller], name: str) -> Contestant:
@@ -106,7 +88,7 @@ def _contestants(arm: Arm, known: KnownArm, policies: Sequence[Path]) -> list[Co
         classical("feedforward"),
         classical("tuned-feedforward"),
         make(lambda arm: FeedforwardController(arm, own.stiffness), "feedforward on its twin"),
-        make(lambda arm: planned(arm, known.twin), "predictive on its twin"),
+        make(lambda arm: planned(arm, [known.twin]), "predictive on its twin"),
         *(learned(path, arm) for path in policies),
         Contestant(
             name="policy on its twin", group="policy on its twin", make=lambda arm: load_policy(known.policy, arm),
@@ -116,7 +98,7 @@ def _contestants(arm: Arm, known: KnownArm, policies: Sequence[Path]) -> list[Co
 
 
 def bench_of(arm: Arm, wear_seed: int, settings: TrialSettings) -> TrialArms:
-    """Put together the copies of the arm ``worn?seed=``, with other noise and other targets each."""
+    """Return copies of the arm ``worn?seed=``, each with other noise and targets."""
     worn, family = find_variant("worn"), settings.family
 
     def open_copies() -> EmulatedRobot:
@@ -131,7 +113,7 @@ def bench_of(arm: Arm, wear_seed: int, settings: TrialSettings) -> TrialArms:
 
 
 def one_arm(outcome: Outcome) -> Outcome:
-    """Put the trials of one arm's copies into one row, as so many targets of that arm."""
+    """Put the copies' trials into one row, as targets of one arm."""
     merged = {}
     for field in fields(Outcome):
         array = getattr(outcome, field.name)

@@ -1,6 +1,6 @@
-"""Moving targets on arms that nothing was chosen on: each is diagnosed and identified, and then follows paths.
+"""Moving targets on fresh arms: each is diagnosed and identified, then follows paths.
 
-Blocks of arms move side by side in virtual time, every arm once for each path. What is finished is kept, arm by arm.
+Blocks of arms move side by side; finished blocks are kept.
 """
 
 from __future__ import annotations
@@ -14,27 +14,21 @@ import numpy as np
 from rejoint.arms import Arm
 from rejoint.control.controller import Controller
 from rejoint.control.loop import Schedule, follow
-from rejoint.control.moving.drive import judge, missed
-from rejoint.control.moving.errors import Along
-from rejoint.control.moving.path import Path
-from rejoint.control.moving.posture import PathPostures
-from rejoint.control.moving.repeating import Repetition
-from rejoint.control.moving.routes import LAG, LEAD_IN, Ahead, Guide, Routes, played
-from rejoint.control.moving.sender import Sender
-from rejoint.control.moving.servos import Servos
-from rejoint.control.moving.standard import STANDARD, standard_path
+from rejoint.control.moving.drive import Along, Repetition, Sender, judge, missed
+from rejoint.control.moving.posture import PathPostures, Servos
+from rejoint.control.moving.reference import LAG, LEAD_IN, STANDARD, Ahead, Guide, Path, Routes, played, standard_path
 from rejoint.control.moving.tracker import Tracker
 from rejoint.control.recording import Recording
 from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.research.evaluation.family import ArmFamily
-from rejoint.research.evaluation.identification import identify_arm
+from rejoint.research.evaluation.trials import own_twin
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.lab.plant.wear import Wear, load_wear
 from rejoint.system.files import read_json, write_json
 from rejoint.system.progress import Progress, part
 
 RATE = 30.0
-"""[Hz] at which a path is told to those that do not know it ahead (the actions of learned policies, usually)"""
+"""[Hz] of a path's setpoints where it is not known ahead"""
 REPETITIONS = 10
 BLOCK = 5
 """Arms that move side by side (chosen)"""
@@ -57,13 +51,13 @@ class MovingLine:
 
 @dataclass(frozen=True, kw_only=True)
 class MovingRow:
-    """One case on one path, over the arms: root mean square errors along the way."""
+    """One case on one path, over the arms: rms errors."""
 
     case: str
     path: str
     arms: int
     mean: float
-    """[m] after the best single lag where the path was told as it went, else as they are"""
+    """[m] after the best single lag for online paths"""
     middle: float
     """[m] median"""
     high: float
@@ -88,7 +82,7 @@ class MovingEvaluation:
 def evaluate_moving(
     arm: Arm, family: ArmFamily, out: FilePath, threads: int, on_progress: Progress
 ) -> MovingEvaluation:
-    """Have every arm of a family follow the standard paths in all cases; goes on with what is in ``out``."""
+    """Let every arm follow the standard paths in all cases; resumes in ``out``."""
     seeds = [family.wear_seed(i) for i in range(family.arms)]
     lines: list[MovingLine] = []
     for first in range(0, len(seeds), BLOCK):
@@ -105,15 +99,11 @@ def evaluate_moving(
 def _block(
     arm: Arm, seeds: Sequence[int], family: int, out: FilePath, threads: int, on_progress: Progress
 ) -> list[MovingLine]:
-    from rejoint.twin.file import read_twin
-
     twins = []
     for i, seed in enumerate(seeds):
-        folder = RunFolder(out / "arms" / str(seed))
-        if not folder.twin.exists():
-            # The same plan of excitation for all of them: a few are not safe and are refused.
-            identify_arm(arm, seed, folder, family, part(on_progress, 0.5 * i / len(seeds), 0.5 * (i + 1) / len(seeds)))
-        twins.append(read_twin(folder.twin, arm).parameters)
+        # The same plan of excitation for all of them: a few are not safe and are refused.
+        share = part(on_progress, 0.5 * i / len(seeds), 0.5 * (i + 1) / len(seeds))
+        twins.append(own_twin(arm, seed, RunFolder(out / "arms" / str(seed)), family, share).parameters)
     known = {f.name: np.stack([getattr(twin, f.name) for twin in twins for _ in STANDARD]) for f in fields(Servos)}
     bench = _Block(arm=arm, seeds=seeds, threads=threads)
     ahead, repetitions = [Ahead(path=path) for path in bench.paths], [Repetition(path) for path in bench.paths]
@@ -185,7 +175,7 @@ def _row(case: str, path: str, lines: Sequence[MovingLine]) -> MovingRow:
 
 
 def moving_table(result: MovingEvaluation) -> tuple[str, list[str], list[list[str]]]:
-    """Title, headers and rows of the result: mean (and 95th percentile) over the arms, in mm."""
+    """Title, headers and rows: mean (95th percentile) over the arms in mm."""
     title = (
         f"{result.arms} arms of family {result.family}: root mean square encoder error along the way in mm, mean over "
         "the arms (95th percentile); as it goes: after the best single lag"

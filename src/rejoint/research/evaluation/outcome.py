@@ -1,4 +1,4 @@
-"""Results of one controller on all arms of one variant, one row per arm and target, as a Parquet file."""
+"""Results of one controller on one variant, a row per arm, as a Parquet file."""
 
 from __future__ import annotations
 
@@ -28,27 +28,17 @@ class Outcome:
     target: Array
     """(A, K, 3) [m]"""
     settled: Array
-    """(A, K) [m] encoder error, mean of the last second; NaN where the guard stopped the arm before"""
+    """(A, K) [m] encoder error in the last second; NaN after a guard's stop"""
     settled_true: Array
     """(A, K) [m] true error over the same time"""
     oscillation: Array
-    """(A, K) [m] root mean square distance of the encoder TCP from its mean, same time"""
+    """(A, K) [m] rms distance of the encoder TCP from its mean"""
     stay: Array
-    """(A, K, W) [s] after which the error stays below each distance; infinite where it does not"""
-    approach: Array
-    """(A, K) [m] by which the encoder error fell during that second"""
-    lead: Array
-    """(A, K, n) [rad] of the command ahead of the joint, mean of that second"""
-    swing: Array
-    """(A, K, n) [rad] between the joint's extremes in that second"""
-    saturation: Array
-    """(A, K, n) share of that second in which the motor gave all it can"""
-    limited: Array
-    """(A, K) flags of the guard in that second"""
+    """(A, K, W) [s] after which the error stays below each distance, or infinite"""
     tripped: Array
     """(A,) flags with which the guard stopped the arm"""
     crossed: Array
-    """(A, C) 1 where the threshold was crossed in time; NaN without the protocol"""
+    """(A, C) 1 for crossings in time; NaN without the protocol"""
     crossing_error: Array
     """(A, C) [m] encoder error at that moment, or at the time-out"""
     crossing_true: Array
@@ -67,7 +57,7 @@ def write_outcome(path: Path, outcome: Outcome, identity: dict[str, Any]) -> Non
 
 
 def read_outcome(path: Path, identity: dict[str, Any]) -> Outcome | None:
-    """Read an outcome; None where there is none, or one of something else, or a damaged one: it is made again."""
+    """Read an outcome; None if missing, damaged, or of another identity."""
     try:
         table = read_parquet(path, "delete it")
         header = json.loads((table.schema.metadata or {})[_METADATA_KEY])

@@ -1,29 +1,94 @@
-"""The evaluation as one self-contained page."""
+"""The evaluation as tables for the terminal, and as a page."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
-from rejoint.arms import Array
-from rejoint.pages.report.embed import inline_svg
-from rejoint.pages.report.figures import HALF, canvas
-from rejoint.pages.report.page import render
-from rejoint.pages.report.palette import LOOKS
-from rejoint.pages.report.view import Cell, Page, Part, Picture, Row, Section, Table
+from rejoint.pages import html
+from rejoint.pages.html import LOOKS
+from rejoint.pages.report.figures import HALF, Picture, canvas, inline_svg
+from rejoint.pages.words import MM, NEVER, Cell, measured, number
 from rejoint.research.evaluation.family import FAMILY_SIZE
 from rejoint.research.evaluation.outcome import Outcome
-from rejoint.research.evaluation.paired import NEVER_RATIO
-from rejoint.research.evaluation.result import Evaluation
-from rejoint.research.evaluation.tables import HEADERS, pair_cells, pair_headers, row_cells
-from rejoint.system.files import write_whole
+from rejoint.research.evaluation.summary import NEVER_RATIO, Evaluation, Pair, VariantRow
 from rejoint.system.statistics import Estimate
 
+HEADERS = (
+    "settled, encoders [mm]", "95 % below [mm]", "farther than 5 mm [%]", "settled, true [mm]", "oscillation [mm]",
+    "stays within 10 / 5 / 2 mm after [s]", "ten targets [s]",
+)  # fmt: skip
+
+
+def row_cells(row: VariantRow) -> list[Cell]:
+    """Cells of one controller on one variant, under `HEADERS`."""
+    stays = " / ".join(NEVER if w.median is None else number(w.median, 2) for w in row.within)
+    shares = " / ".join(f"{100 * w.share.value:.0f}" for w in row.within)
+    reached = None if row.success is None or row.cycle_time is None else f"{number(100 * row.success.value)} % reached"
+    return [
+        measured(row.settled, MM, 3),
+        Cell(_mm(row.settled_p95, 3)),
+        measured(row.outside, 100.0),
+        Cell(measured(row.settled_true).text, f"95 %: {_mm(row.true_p95, 2)}"),
+        Cell(_mm(row.oscillation, 2)),
+        Cell(stays, f"{shares} %"),
+        Cell(measured(row.cycle_time if reached else None, 1.0, 3).text, reached or ""),
+    ]
+
+
+def pair_headers(evaluation: Evaluation) -> tuple[str, ...]:
+    """Headers of `pair_cells`."""
+    within = (f"time to stay within {distance * MM:g} mm, ratio" for distance in evaluation.protocol.within)
+    return ("settled, encoders [mm]", "settled, true [mm]", *within, "ten targets [s]")
+
+
+def pair_cells(pair: Pair) -> list[Cell]:
+    """Cells of one controller against one rival."""
+    ratios = map(_ratio, pair.stay_ratio)
+    return [_signed(pair.settled, MM), _signed(pair.settled_true, MM), *ratios, _signed(pair.cycle_time, 1.0)]
+
+
+def terminal_tables(evaluation: Evaluation) -> list[tuple[str, list[str], list[list[str]]]]:
+    """Title, headers and rows of a table per variant, and of pairs."""
+    tables = []
+    for variant in evaluation.variants:
+        rows = [
+            [row.controller, *(cell.text for cell in row_cells(row))]
+            for row in evaluation.rows if row.variant == variant
+        ]  # fmt: skip
+        tables.append((f"{variant}: {evaluation.family.arms} arms", ["controller", *HEADERS], rows))
+    pairs = [
+        [pair.variant, f"{pair.controller} against {pair.rival}",
+         *(f"{text} ({note})" if note else text for text, note in pair_cells(pair))]
+        for pair in evaluation.pairs if pair.rival == evaluation.best.get(pair.variant)
+    ]  # fmt: skip
+    if pairs:
+        headers = ["variant", "against the best rival", *pair_headers(evaluation)]
+        tables.append(("Paired differences, 95 % intervals over arms", headers, pairs))
+    return tables
+
+
+def _mm(value: float | None, digits: int) -> str:
+    return number(None if value is None else value * MM, digits)
+
+
+def _signed(value: Estimate | None, factor: float) -> Cell:
+    text, note = measured(value, factor)
+    return Cell(f"{'+' if value is not None and value.value > 0 else ''}{text}", note)
+
+
+def _ratio(value: Estimate) -> Cell:
+    one, *ends = (
+        "" if end is None else NEVER if end >= NEVER_RATIO else number(end, 2)
+        for end in (value.value, value.low, value.high)
+    )
+    return Cell(one, " to ".join(filter(None, ends)))
+
+
 SHOWN_FAILURES = 200
-"""Failures listed on the page; all are in ``evaluation.json`` (chosen: a page that still opens at once)"""
+"""Failures on the page; all are in ``evaluation.json`` (chosen)"""
 
 Pooled = dict[tuple[str, str], list[Outcome]]
 """Outcomes by variant and controller, one per training seed"""
@@ -31,145 +96,68 @@ Pooled = dict[tuple[str, str], list[Outcome]]
 
 def write_page(path: Path, evaluation: Evaluation, pooled: Pooled) -> None:
     """Write the page."""
-    sections = [_variant_section(evaluation, variant, pooled) for variant in evaluation.variants]
-    page = Page(
-        title=f"{evaluation.family.arms} arms never met",
+
+    def look(controller: str) -> int:
+        return evaluation.controllers.index(controller) % len(LOOKS)
+
+    def figures(variant: str) -> Iterator[Picture]:
+        """Draw the share of holds below each value."""
+        for key, label in (("settled", "settled encoder error [mm]"),
+                           ("stay", "time to stay within the narrowest distance [s]")):  # fmt: skip
+            figure, grid = canvas((HALF, 3.4))
+            axes = grid[0, 0]
+            for controller in evaluation.controllers:
+                some = pooled[variant, controller]
+                found = [1e3 * one.settled if key == "settled" else one.stay[..., -1] for one in some]
+                values = np.sort(
+                    np.nan_to_num(np.concatenate([one.ravel() for one in found]), nan=np.inf, posinf=np.inf)
+                )
+                axes.plot(
+                    values, 100 * np.arange(1, len(values) + 1) / len(values), color=LOOKS[look(controller)].colour,
+                    linestyle=LOOKS[look(controller)].dash, label=controller, linewidth=1.5,
+                )  # fmt: skip
+            axes.set_xscale("log")
+            axes.set(xlabel=label, ylabel="holds [%]", ylim=(0, 100))
+            axes.legend(frameon=False, fontsize=8)
+            alt = f"Distribution of the {label} of every controller"
+            yield Picture(svg=inline_svg(figure, f"{variant}-{key}", alt))
+
+    # The learned ones are what the reader came for; the others are only counted when there are many.
+    learned = tuple({pair.controller for pair in evaluation.pairs})
+    failures = sorted(evaluation.failures, key=lambda failure: not failure.controller.startswith(learned))
+    html.write_page(
+        path, "evaluation.html", title=f"{evaluation.family.arms} arms never met", evaluation=evaluation,
         subtitle=f"{evaluation.arm}, family {evaluation.family.seed}, rejoint {evaluation.software}",
-        verdict=tuple(_verdict(evaluation)),
-        sections=(*sections, _failures(evaluation), _method(evaluation)),
+        verdict=_verdict(evaluation), look=look, figures=figures, failures=failures[:SHOWN_FAILURES],
+        parts=[*zip(evaluation.variants, evaluation.variants, strict=True), ("failures", "Failures"),
+               ("method", "Method")],
+        headers=HEADERS, row_cells=row_cells, pair_headers=pair_headers(evaluation), pair_cells=pair_cells,
+        family_size=FAMILY_SIZE,
         footer="Everything on this page is in evaluation.json; every trial is in outcomes/*.parquet.",
-    )
-    html = render(page)
-    write_whole(path, lambda temporary: temporary.write_text(html, encoding="utf-8"))
+    )  # fmt: skip
 
 
 def _verdict(evaluation: Evaluation) -> list[str]:
-    """Say per variant who is better than the best rival, and by how much."""
+    """Say per variant how each policy compares with the best rival."""
     lines = []
     for pair in evaluation.pairs:
         if pair.rival != evaluation.best.get(pair.variant) or pair.settled is None:
             continue
-        ratio, settled = pair.stay_ratio[-1], pair.settled
-        speed = f"(median ratio {ratio.value:.2f})"
-        if ratio.value >= NEVER_RATIO:
-            speed = "(mostly it never stays there)"
+        ratio, settled, meaning = pair.stay_ratio[-1], pair.settled, evaluation.meanings[pair.variant]
+        never = ratio.value >= NEVER_RATIO
         faster = _side(ratio, 1.0, ("sooner", "later", "neither clearly sooner nor later"))
         nearer = _side(settled, 0.0, ("nearer", "farther off", "neither nearer nor farther off"))
         lines.append(
-            f"{evaluation.meanings[pair.variant]}: {pair.controller} is within "
-            f"{1e3 * evaluation.protocol.within[-1]:g} mm {faster} than {pair.rival} {speed} "
+            f"{meaning[:1].upper()}{meaning[1:]}: {pair.controller} is within "
+            f"{1e3 * evaluation.protocol.within[-1]:g} mm {faster} than {pair.rival} "
+            f"({'mostly it never stays there' if never else f'median ratio {ratio.value:.2f}'}) "
             f"and settles {nearer} ({1e3 * settled.value:+.2f} mm)."
         )
-    return [f"{line[:1].upper()}{line[1:]}" for line in lines] or ["No learned policy took part."]
+    return lines or ["No learned policy took part."]
 
 
 def _side(estimate: Estimate, middle: float, words: tuple[str, str, str]) -> str:
-    """Pick the first word for an interval below ``middle``, the second above, the third for all others."""
+    """Pick the word for an interval below, above or across ``middle``."""
     if estimate.low is None or estimate.high is None:
         return words[2]
     return words[0] if estimate.high < middle else words[1] if estimate.low > middle else words[2]
-
-
-def _variant_section(evaluation: Evaluation, name: str, pooled: Pooled) -> Section:
-    rows = [row for row in evaluation.rows if row.variant == name]
-    best, meaning = evaluation.best.get(name, ""), evaluation.meanings[name]
-    table = Table(
-        caption=f"{evaluation.family.arms} {meaning}",
-        headers=("controller", *HEADERS),
-        rows=tuple(
-            Row(cells=tuple(row_cells(row, row.controller == best)), look=_look(evaluation, row.controller))
-            for row in rows
-        ),
-    )
-    pairs = [pair for pair in evaluation.pairs if pair.variant == name]
-    against = Table(
-        caption="Paired differences: the same arm, the same target; 95 % intervals resample arms",
-        headers=("pair", *pair_headers(evaluation)),
-        rows=tuple(Row(cells=tuple(pair_cells(pair)), emphasis=pair.rival == best) for pair in pairs),
-        notes=("Ratios of times are medians; below 1 the first is sooner. Differences below 0: the first is nearer.",),
-    )
-    chosen = {controller: pooled[name, controller] for controller in evaluation.controllers}
-    figures = (
-        _picture(evaluation, chosen, f"{name}-settled", "settled", "settled encoder error [mm]"),
-        _picture(evaluation, chosen, f"{name}-stay", "stay", "time to stay within the narrowest distance [s]"),
-    )
-    tables = (table, against) if pairs else (table,)
-    parts = (Part(tables=tables), Part(figures=figures, columns=2))
-    return Section(key=name, short=name, heading=f"{meaning[:1].upper()}{meaning[1:]}", parts=parts)
-
-
-def _picture(evaluation: Evaluation, chosen: dict[str, list[Outcome]], key: str, field: str, xlabel: str) -> Picture:
-    """Distribution over all holds: the share of holds that are better than a value."""
-    figure, grid = canvas((HALF, 3.4))
-    axes = grid[0, 0]
-    for controller, outcomes in chosen.items():
-        look = LOOKS[_look(evaluation, controller)]
-        values = np.concatenate([_values(outcome, field) for outcome in outcomes])
-        axes.plot(
-            np.sort(values), 100 * np.arange(1, len(values) + 1) / len(values), color=look.colour, linestyle=look.dash,
-            label=controller, linewidth=1.5,
-        )  # fmt: skip
-    axes.set_xscale("log")
-    axes.set(xlabel=xlabel, ylabel="holds [%]", ylim=(0, 100))
-    axes.legend(frameon=False, fontsize=8)
-    return Picture(svg=inline_svg(figure, key, f"Distribution of the {xlabel} of every controller"))
-
-
-def _values(outcome: Outcome, field: str) -> Array:
-    if field == "stay":
-        return np.where(np.isfinite(outcome.stay[..., -1]), outcome.stay[..., -1], np.inf).ravel()
-    return np.where(np.isfinite(outcome.settled), 1e3 * outcome.settled, np.inf).ravel()
-
-
-def _failures(evaluation: Evaluation) -> Section:
-    counts = Counter((failure.variant, failure.controller) for failure in evaluation.failures)
-    summary = Table(
-        caption="Holds that ended farther than 5 mm from their target, or that the guard stopped",
-        headers=("variant", "controller", "holds"),
-        rows=tuple(Row(cells=(Cell(v), Cell(c), Cell(str(count)))) for (v, c), count in sorted(counts.items())),
-        words=True,
-    )
-    # The learned ones are what the reader came for; the others are only counted when there are many.
-    learned = {pair.controller for pair in evaluation.pairs}
-    first = sorted(evaluation.failures, key=lambda failure: not any(failure.controller.startswith(g) for g in learned))
-    shown = first[:SHOWN_FAILURES]
-    table = Table(
-        caption=f"One by one ({len(shown)} of {len(evaluation.failures)})",
-        headers=("variant", "controller", "arm (wear seed), target", "settled, true [mm]", "what happened"),
-        rows=tuple(
-            Row(
-                cells=(
-                    Cell(one.variant), Cell(one.controller), Cell(f"{one.arm}, {one.target}", _point(one.point_mm)),
-                    Cell("-" if one.settled_mm is None else f"{one.settled_mm:.1f}, {one.true_mm:.1f}"), Cell(one.what),
-                )
-            )
-            for one in shown
-        ),
-        words=True,
-    )  # fmt: skip
-    parts = (Part(tables=(summary, table)),) if evaluation.failures else ()
-    return Section(
-        key="failures", short="Failures", heading="Failures", parts=parts, missing="" if parts else "No hold failed."
-    )
-
-
-def _point(point: Sequence[float]) -> str:
-    return f"({', '.join(f'{value:.0f}' for value in point)}) mm"
-
-
-def _method(evaluation: Evaluation) -> Section:
-    family, protocol = evaluation.family, evaluation.protocol
-    first = family.wear_seed(0)
-    texts = (
-        f"Arms: wear seeds {first} to {first + family.arms - 1} ({FAMILY_SIZE} seeds belong to a family; recipes and "
-        f"gains are chosen on other families). Each is held at {family.targets} targets of its own for "
-        f"{protocol.hold:g} s; settled is the mean of the last {protocol.window:g} s.",
-        f"Ten targets: the protocol of Park et al. 2024, next target at the first crossing of "
-        f"{1e3 * protocol.threshold:g} mm or after {protocol.dwell:g} s.",
-        "Encoder error and true error of the tool are told apart: play and flex lie behind the encoders.",
-    )
-    return Section(key="method", short="Method", heading="Method", parts=(Part(texts=texts),))
-
-
-def _look(evaluation: Evaluation, controller: str) -> int:
-    return evaluation.controllers.index(controller) % len(LOOKS)

@@ -1,20 +1,37 @@
-"""Run experiments one after the other, keep what is finished, go on after an interruption."""
+"""All experiments in the paper's order: run, kept, resumed, and written as a page."""
 
 from __future__ import annotations
 
+import shutil
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
+from rejoint.pages.html import write_page as fill
+from rejoint.research.reproduction.control import TABLE_4
+from rejoint.research.reproduction.curves import FIG_12
 from rejoint.research.reproduction.experiment import Bench, Experiment, Finished
-from rejoint.research.reproduction.trainings import finish_trainings, spread_trainings
-from rejoint.system.elsewhere import Elsewhere
+from rejoint.research.reproduction.gains import FIG_10
+from rejoint.research.reproduction.kinematics import TABLE_1
+from rejoint.research.reproduction.paths import FIG_11
+from rejoint.research.reproduction.recipe import TABLE_3
+from rejoint.research.reproduction.trainings import finish_trainings
+from rejoint.research.reproduction.wear import FIG_9
 from rejoint.system.errors import InputError
 from rejoint.system.files import read_json, write_json
-from rejoint.system.progress import no_progress
-from rejoint.system.version import __version__
+from rejoint.system.shell import __version__
+
+EXPERIMENTS: tuple[Experiment, ...] = (TABLE_1, FIG_9, FIG_10, TABLE_3, FIG_11, FIG_12, TABLE_4)
+
+
+def choose(names: Sequence[str]) -> tuple[Experiment, ...]:
+    """Return the experiments of those names, all by default; InputError names them."""
+    known = {name for one in EXPERIMENTS for name in (one.name, *one.also)}
+    for name in names:
+        if name not in known:
+            raise InputError(f"no experiment is called {name!r}; known: {', '.join(sorted(known))}")
+    return tuple(one for one in EXPERIMENTS if not names or {one.name, *one.also} & set(names))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,31 +48,19 @@ OnExperiment = Callable[[Experiment, bool], object]
 
 def run_experiments(
     bench: Bench, experiments: Sequence[Experiment], *, again: bool = False, on_experiment: OnExperiment,
-    elsewhere: Elsewhere | None = None,
 ) -> list[Finished]:  # fmt: skip
-    """Run what is not finished yet and return the findings of all ``experiments``.
+    """Run what is not finished and return all findings.
 
-    Trainings that several need are done first, side by side. With ``again`` an experiment is run anew; trainings and
-    comparisons that it is made from are kept. With ``elsewhere`` trainings, and then experiments, are done there.
+    Shared trainings run first, side by side. ``again`` repeats experiments, not trainings or comparisons.
     """
     _claim(bench)
     needed = [one for one in experiments if again or not finished_file(bench, one).exists()]
     names = list(dict.fromkeys(name for one in needed for name in one.trainings))
-    left = set(needed)
-    if elsewhere is None:
-        finish_trainings(bench, names)
-    else:
-        spread_trainings(bench, names, elsewhere)
-        work, count = partial(_run, replace(bench, on_progress=no_progress)), len(needed)
-        elsewhere.each(
-            work, needed, lambda done: bench.on_progress(done / count, f"{done} of {count} experiments"),
-            cpus_each=bench.threads,
-        )  # fmt: skip
-        left = set()
+    finish_trainings(bench, names)
     found = []
     for one in experiments:
         on_experiment(one, one not in needed)
-        found.append(_run(bench, one) if one in left else read_json(finished_file(bench, one), Finished))
+        found.append(_run(bench, one) if one in needed else read_json(finished_file(bench, one), Finished))
     return found
 
 
@@ -85,3 +90,28 @@ def _run(bench: Bench, experiment: Experiment) -> Finished:
     )  # fmt: skip
     write_json(finished_file(bench, experiment), finished)
     return finished
+
+
+def write_page(bench: Bench, page: Path) -> Path:
+    """Write all finished experiments to ``page``, figures beside it."""
+    files = {one.name: finished_file(bench, one) for one in EXPERIMENTS}
+    found = {name: read_json(file, Finished).findings for name, file in files.items() if file.exists()}
+    pictures = page.with_suffix("")
+    for drawing in (drawing for one in found.values() for drawing in one.drawings):
+        pictures.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(bench.folder / "figures" / f"{drawing.key}.png", pictures / f"{drawing.key}.png")
+    return fill(
+        page, "reproduction.md", bench=bench, experiments=EXPERIMENTS, found=found, pictures=pictures.name, table=table,
+        anchor=_anchor,
+    )  # fmt: skip
+
+
+def table(headers: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """Return a Markdown table; bars inside of cells are kept as text."""
+    lines = [headers, ["---"] * len(headers), *rows]
+    return ["| " + " | ".join(str(cell).replace("|", "\\|") for cell in line) + " |" for line in lines]
+
+
+def _anchor(title: str) -> str:
+    """Return the anchor that Markdown viewers give a heading."""
+    return "".join(letter for letter in title.lower() if letter.isalnum() or letter in " -").replace(" ", "-")

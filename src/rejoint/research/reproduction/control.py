@@ -1,4 +1,4 @@
-"""Fig. 13 and Table 4: default, PID in both readings, and the policy, on the worn arm."""
+"""Fig. 13 and Table 4: default, PID and the policy on the worn arm."""
 
 from __future__ import annotations
 
@@ -8,17 +8,16 @@ from pathlib import Path
 import numpy as np
 
 from rejoint.control.catalogue import BASELINES
-from rejoint.control.comparison.compare import Settings, Trial, compare
+from rejoint.control.comparison.compare import Settings, Trial, TrialRunner
 from rejoint.control.comparison.result import Comparison, ControllerRow
-from rejoint.control.comparison.targets import draw_targets
 from rejoint.control.policy import load_policy
 from rejoint.control.robot import Robot
+from rejoint.control.targets import draw_targets
 from rejoint.logs.runlog import RunLog, read_log, write_log
-from rejoint.pages.report.motion import bounds, encoder_path
-from rejoint.pages.report.palette import look_of
-from rejoint.pages.report.sections.training import read_curves
+from rejoint.pages.html import look_of
+from rejoint.pages.report.contents import read_curves
+from rejoint.pages.report.figures import Ways, bounds, encoder_path, ways
 from rejoint.research.reproduction.experiment import Bench, Drawing, Experiment, Findings, Grid, Number
-from rejoint.research.reproduction.figures import Ways, ways
 from rejoint.research.reproduction.trainings import WORN
 from rejoint.robots import open_robot
 from rejoint.system.files import read_json, write_json
@@ -35,18 +34,18 @@ PAPER = {
     "pid": ("75.0", "13.4 ± 12.2", "96.3"),
     "policy": ("100", "8.21 ± 1.11", "14.2"),
 }
-"""Success rate %, TCP position error mm, cycle time s; Table 4 of Park et al. 2024"""
+"""Success %, error mm, cycle time s; Table 4 of Park et al. 2024"""
 
 
 def run(bench: Bench) -> Findings:
-    """Compare the controllers in the paper's protocol and in one that holds every target."""
+    """Compare by the paper's protocol, and holding every target."""
     result = _compare(bench)
     rows = {row.controller: row for row in result.rows}
     seconds = [float(read_curves(bench.training(name).outputs.curves).wall_s[-1]) for name in WORN]
     numbers: list[Number] = []
     for name, paper in (("default", "default"), ("pid-sum", "pid"), ("pid-literal", "pid")):
-        numbers += _numbers(NAMES[name], [rows[name]], PAPER[paper])
-    numbers += _numbers("DT-DRL", [rows[name] for name in POLICIES], PAPER["policy"])
+        numbers += _numbers(NAMES[name], result, [rows[name]], PAPER[paper])
+    numbers += _numbers("DT-DRL", result, [rows[name] for name in POLICIES], PAPER["policy"])
     numbers.append(
         Number(what="DT-DRL: training time", ours=f"{np.mean(seconds):.0f} s on one core",
                paper="below 300 s, RTX 3090", value=float(np.mean(seconds)))
@@ -98,7 +97,9 @@ def _compare(bench: Bench) -> Comparison:
     settings = Settings(
         repetitions=scale.repetitions, seed=bench.seed, batched=True, protocol=scale.protocol, wait=True
     )
-    result = compare(connect, controllers, targets, settings, on_progress=bench.on_progress, on_trial=keep)
+    result = TrialRunner(
+        connect, controllers, targets, settings, on_progress=bench.on_progress, on_trial=keep
+    ).compare()
     write_json(path, result)
     return result
 
@@ -107,14 +108,14 @@ def _log(bench: Bench, controller: str) -> Path:
     return bench.folder / "logs" / f"crossing-{controller}.parquet"
 
 
-def _numbers(label: str, rows: list[ControllerRow], paper: tuple[str, str, str]) -> list[Number]:
+def _numbers(label: str, result: Comparison, rows: list[ControllerRow], paper: tuple[str, str, str]) -> list[Number]:
     """Success, error and cycle time of one controller, or of several seeds together."""
     crossed, error, time = (
-        np.concatenate([row.outcomes.array(field) for row in rows])
+        np.concatenate([result.array(field, row.controller) for row in rows])
         for field in ("crossed", "crossing_error", "crossing_time")
     )
     error_mm, cycle = 1e3 * error[np.isfinite(error)], time.sum(axis=-1)
-    success = clustered_share(crossed.ravel(), _clusters(len(rows), rows[0].outcomes.shape))
+    success = clustered_share(crossed.ravel(), _clusters(len(rows), result.shape))
     mean = 100 * success.value
     return [
         Number(what=f"{label}: success rate", ours=f"{mean:.1f} %{_likely(success, 100, 0)}", paper=f"{paper[0]} %",
@@ -127,7 +128,7 @@ def _numbers(label: str, rows: list[ControllerRow], paper: tuple[str, str, str])
 
 
 def _clusters(seeds: int, shape: tuple[int, int, int]) -> Labels:
-    """Label results of several seeds (seeds * S, R, K), flat, by what resembles each other: seed and target set."""
+    """Cluster labels of several seeds (seeds * S, R, K), flat."""
     labels = cluster(shape)[1]
     return np.concatenate([labels + i * (labels.max() + 1) for i in range(seeds)])
 
@@ -135,7 +136,7 @@ def _clusters(seeds: int, shape: tuple[int, int, int]) -> Labels:
 def _held(result: Comparison) -> Grid:
     rows = []
     for row in result.rows:
-        settled, true, shake = row.hold.settled, row.hold.settled_true, row.hold.oscillation
+        settled, true, shake = row.settled, row.settled_true, row.oscillation
         cells = [
             "-" if one is None else f"{1e3 * one.mean.value:.2f}{_likely(one.mean, 1e3, 2)}"
             for one in (settled, true, shake)

@@ -1,4 +1,4 @@
-"""Fig. 12: reward and steps per episode over the training, with and without the ranges of the worn arm."""
+"""Fig. 12: reward and steps over the training, with and without the worn arm's ranges."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.control.policy import load_policy
-from rejoint.pages.report.palette import BLUE, ORANGE, RED
-from rejoint.research.reproduction.episodes import healthy_ranges, play, worn_ranges
+from rejoint.pages.html import BLUE, ORANGE, RED
+from rejoint.pages.report.figures import Series
 from rejoint.research.reproduction.experiment import Bench, Drawing, Experiment, Findings, Number
-from rejoint.research.reproduction.figures import Curve, over_training
-from rejoint.research.reproduction.trainings import HEALTHY, WORN
+from rejoint.research.reproduction.figures import over_training
+from rejoint.research.reproduction.trainings import HEALTHY, WORN, healthy_ranges, play, worn_ranges
 from rejoint.system.errors import FileError
 from rejoint.system.files import read_json, write_json
 from rejoint.training.presets import PAPER
@@ -22,12 +22,12 @@ from rejoint.training.ranges import Ranges
 CONVERGED = -5.0
 """Reward that Fig. 12 of Park et al. 2024 rises above"""
 LAST = 3
-"""policies at the end of a training over which its end is averaged (chosen)"""
+"""last policies of a training that are averaged (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Course:
-    """How the policies of one training did on fixed arms, from the untrained one to the last."""
+    """Policies of one training on fixed arms, first to last."""
 
     updates: tuple[int, ...]
     """(K,) after which they were kept"""
@@ -81,7 +81,7 @@ def run(bench: Bench) -> Findings:
 
 
 def course(bench: Bench, name: str, condition: _Condition) -> Course:
-    """Judge every policy that a training has kept; what was judged before is read."""
+    """Judge every policy that a training has kept."""
     folder = bench.training(name)
     path = folder.path / f"course-{condition.arms}.json"
     if path.exists():
@@ -114,13 +114,13 @@ def at_end(courses: list[Course], key: str) -> Array:
 
 
 def separates(own: list[Course], other: list[Course]) -> bool:
-    """Whether every training with the ranges ends better, in reward and in steps, than every one without."""
+    """Whether every training with the ranges ends better than every one without."""
     better = at_end(own, "reward").min() > at_end(other, "reward").max()
     return bool(better and at_end(own, "steps").max() < at_end(other, "steps").min())
 
 
 def stays_above(cycles: Array, courses: list[Course], level: float) -> float | None:
-    """First of ``cycles`` (K,) from which on the mean reward is above ``level``; None if it is not at the end."""
+    """First of ``cycles`` (K,) from which the mean reward stays above ``level``, or None."""
     below = np.flatnonzero(np.mean([one.reward for one in courses], axis=0) <= level)
     first = 0 if not len(below) else int(below[-1]) + 1
     return float(cycles[first]) if first < len(cycles) else None
@@ -181,7 +181,7 @@ def _figure(bench: Bench, cycles: Array, courses: dict[str, list[Course]]) -> Dr
         curves = []
         for label, found in courses.items():
             values = np.array([getattr(one, key) for one in found])
-            curves.append(Curve(label=label, look=looks[label], value=values.mean(axis=0), low=values.min(axis=0),
+            curves.append(Series(label=label, look=looks[label], value=values.mean(axis=0), low=values.min(axis=0),
                                 high=values.max(axis=0)))  # fmt: skip
         panels.append((name, curves))
     return bench.draw(

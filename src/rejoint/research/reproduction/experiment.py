@@ -34,9 +34,9 @@ class Scale:
     agents: int = 512
     """Table 3"""
     updates: int | None = None
-    """of a training; None: as many as the preset has, Table 3's 5000 time steps"""
+    """of a training; None: Table 3's 5000 time steps"""
     snapshot_every: int = 5
-    """updates between two policies on the curves of Fig. 12 (chosen: 250 time steps)"""
+    """updates between policies of Fig. 12 (chosen)"""
     judged: int = 96
     """arms on which such a policy is judged (chosen)"""
 
@@ -94,7 +94,7 @@ class Findings:
     """what was run and what came out, in paragraphs"""
     numbers: tuple[Number, ...]
     readings: tuple[str, ...] = ()
-    """where the paper is open or differs from common practice, and what was run"""
+    """where the paper is open, and what was run"""
     grids: tuple[Grid, ...] = ()
     drawings: tuple[Drawing, ...] = ()
 

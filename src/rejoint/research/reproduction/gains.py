@@ -1,4 +1,4 @@
-"""Fig. 10: three pairs of P and D in the twin, and what their units can be."""
+"""Fig. 10: three pairs of P and D in the twin, and their units."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from rejoint.arms import Array, solve_position, tcp_position
-from rejoint.control.comparison.targets import draw_targets
-from rejoint.pages.report.palette import BLUE, ORANGE, RED
+from rejoint.control.targets import draw_targets
+from rejoint.pages.html import BLUE, ORANGE, RED
+from rejoint.pages.report.figures import Ways, ways
 from rejoint.research.reproduction.experiment import Bench, Drawing, Experiment, Findings, Grid, Number
-from rejoint.research.reproduction.figures import Ways, ways
 from rejoint.training.ranges import PaperRanges
 from rejoint.twin.batch import TwinBatch
 
@@ -24,7 +24,7 @@ STEP = 1.0 / 240.0
 DWELL = 2.0
 """[s] per target (chosen: the oscillations of the softest pair have died away)"""
 WINDOW = 0.25
-"""[s] at the end of a target over which its error is averaged (chosen)"""
+"""[s] at the end of a target for its error (chosen)"""
 BOUNDLESS = 1e6
 """[N m] torque limit of these twins: none, as in equation 12"""
 VISITS = 6
@@ -32,7 +32,7 @@ VISITS = 6
 
 
 def run(bench: Bench) -> Findings:
-    """Move twins with each pair through the same targets, open loop, in both readings of the units."""
+    """Move twins through the same targets, open loop, in both units."""
     count = min(VISITS, bench.scale.targets)
     targets = draw_targets(bench.arm, sets=1, count=count, seed=bench.seed)[0]
     ours, literal = PaperRanges(arm=bench.arm), PaperRanges(arm=bench.arm, stiffness_unit=1.0, damping_unit=1.0)
@@ -63,7 +63,7 @@ def run(bench: Bench) -> Findings:
 
 
 def trace(bench: Bench, ranges: PaperRanges, targets: Array) -> Array:
-    """Move twins with the three pairs to ``targets`` (K, 3) [m] one after the other; returns paths (3, T, 3) [m]."""
+    """Move twins to ``targets`` (K, 3) [m]; returns paths (3, T, 3) [m]."""
     arm = bench.arm
     p, d = np.array(PAIRS).T[..., None]
     twins = TwinBatch(arm, len(PAIRS), timestep=STEP)
@@ -79,7 +79,7 @@ def trace(bench: Bench, ranges: PaperRanges, targets: Array) -> Array:
 
 
 def judge(path: Array, targets: Array) -> tuple[float, float]:
-    """Mean error [mm] and mean overshoot [%] of one path (T, 3) [m] that spends equal times on its targets."""
+    """Mean error [mm] and overshoot [%] of a path (T, 3) [m]."""
     last, errors, overshoots = round(WINDOW / STEP), [], []
     start = path[0]
     for part, target in zip(np.split(path, len(targets)), targets, strict=True):

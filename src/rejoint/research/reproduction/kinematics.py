@@ -1,4 +1,4 @@
-"""Table 1: the paper's table of DH parameters and the vendor's are one mechanism with other zeros."""
+"""Table 1: the paper's and the vendor's DH tables are one mechanism."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, mycobot280, solve_position, tcp_pose
 from rejoint.arms.arm import DhRow, dh_chain
+from rejoint.arms.catalogue import DH_TABLE, PAPER_ANGLE_SHIFT, PAPER_DH_TABLE
 from rejoint.arms.inverse import DAMPING
-from rejoint.arms.mycobot280 import DH_TABLE, PAPER_ANGLE_SHIFT, PAPER_DH_TABLE
 from rejoint.control.law import dls_step
 from rejoint.research.reproduction.experiment import Bench, Experiment, Findings, Grid, Number
 
@@ -56,7 +56,7 @@ def run(bench: Bench) -> Findings:
 
 
 def paper_arm(rows: tuple[DhRow, ...]) -> Arm:
-    """Build the myCobot 280 from a table in the paper's angles; the limits are those of the hardware."""
+    """Build the myCobot 280 from a table in the paper's angles."""
     vendor, (offset, axis, tip) = mycobot280(), dh_chain(rows)
     return replace(
         vendor, offset=offset, axis=axis, tip=tip, lower=vendor.lower + PAPER_ANGLE_SHIFT,
@@ -70,14 +70,14 @@ def _largest_difference(vendor: Arm, paper: Arm, postures: Array) -> float:
 
 
 def _reachable(arm: Arm) -> NDArray[np.bool_]:
-    """Tell (EDGE^3,) for points that fill the target box whether they are reached within a tenth of a millimetre."""
+    """Which points (EDGE^3,) of the target box are reached within 0.1 mm."""
     axes = np.linspace(arm.targets.lower, arm.targets.upper, EDGE).T
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     return solve_position(arm, points, arm.rest, tolerance=1e-4).converged
 
 
 def _steps_to(arm: Arm, seed: int) -> float:
-    """Median number of equation 11's steps from rest to within `CLOSE` of random targets."""
+    """Median number of equation 11's steps to within `CLOSE`."""
     targets = arm.targets.sample(np.random.default_rng(seed), (200,))
     q, needed = np.tile(arm.rest, (200, 1)), np.zeros(200)
     for _ in range(200):

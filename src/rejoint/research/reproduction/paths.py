@@ -6,11 +6,10 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from rejoint.control.policy import load_policy
-from rejoint.pages.report.palette import BLUE, RED
-from rejoint.research.reproduction.episodes import Episodes, play, worn_ranges
+from rejoint.pages.html import BLUE, RED
+from rejoint.pages.report.figures import Ways, ways
 from rejoint.research.reproduction.experiment import Bench, Drawing, Experiment, Findings, Number
-from rejoint.research.reproduction.figures import Ways, ways
-from rejoint.research.reproduction.trainings import WORN
+from rejoint.research.reproduction.trainings import WORN, Episodes, play, worn_ranges
 
 DRAWN = 12
 """paths on the figure (chosen: more hide one another)"""
@@ -19,7 +18,7 @@ ARMS = 256
 
 
 def run(bench: Bench) -> Findings:
-    """Play the same episodes with the untrained policy as it explores, and with the trained one."""
+    """Play the same episodes untrained and trained."""
     folder, ranges = bench.training(WORN[0]), worn_ranges(bench.arm)
     noises = pq.read_table(folder.outputs.curves, columns=["noise"])["noise"].to_numpy()
     arms = min(ARMS, 4 * bench.scale.judged)

@@ -1,4 +1,4 @@
-"""Table 3 and Algorithm 1: the paper's training, what it leaves open, and the joint noise as printed."""
+"""Table 3 and Algorithm 1: the paper's training and its open choices."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Array
-from rejoint.control.comparison.protocols import Crossings, measure_crossings, schedule
-from rejoint.control.comparison.targets import draw_targets
+from rejoint.control.comparison.protocols import Columns, measure_crossings, schedule
 from rejoint.control.loop import run as drive
 from rejoint.control.observation import SUCCESS_DISTANCE, layout_size
 from rejoint.control.policy import load_policy
-from rejoint.pages.report.sections.training import Curves, read_curves
+from rejoint.control.targets import draw_targets
+from rejoint.pages.report.contents import Curves, read_curves
 from rejoint.research.reproduction.experiment import Bench, Experiment, Findings, Grid, Number
 from rejoint.research.reproduction.trainings import LIMITED, LITERAL, LITERALLY, NOISY, WORN, recipe
 from rejoint.robots import open_robot
@@ -28,9 +28,9 @@ WORDS = {
     LITERAL: "the last action for Δθ as well",
 }
 LEARNED = 90.0
-"""[%] of the targets at the end of a training from which on the task counts as learned (chosen)"""
+"""[%] of targets from which the task counts as learned (chosen)"""
 WORKS = 95.0
-"""[%] of the worn arm's targets from which on a policy counts as one that works (chosen)"""
+"""[%] of targets from which a policy counts as working (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,7 +38,7 @@ class TrainingOutcome:
     """One training: its end, and its policy on the worn arm."""
 
     curves: Curves
-    crossings: Crossings
+    crossings: Columns
 
     @property
     def trained(self) -> float:
@@ -48,12 +48,13 @@ class TrainingOutcome:
     @property
     def success(self) -> float:
         """Targets [%] of the worn arm reached within 10 mm."""
-        return 100 * float(self.crossings.crossed.mean())
+        return 100 * float(self.crossings["crossed"].mean())
 
     @property
     def error_mm(self) -> Array:
         """Errors at the crossing or the time-out."""
-        return 1e3 * self.crossings.error[np.isfinite(self.crossings.error)]
+        error = self.crossings["crossing_error"]
+        return 1e3 * error[np.isfinite(error)]
 
 
 def run(bench: Bench) -> Findings:
@@ -168,7 +169,7 @@ def _variants(outcomes: dict[str, TrainingOutcome]) -> Grid:
                 f"{outcome.trained:.0f}",
                 f"{outcome.success:.1f}",
                 f"{outcome.error_mm.mean():.2f} ± {outcome.error_mm.std():.2f}",
-                f"{np.nanmean(outcome.crossings.time.sum(axis=-1)):.1f}",
+                f"{np.nanmean(outcome.crossings['crossing_time'].sum(axis=-1)):.1f}",
             )
         )
     headers = (

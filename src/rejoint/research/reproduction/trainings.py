@@ -1,9 +1,8 @@
-"""The trainings that the experiments share: by name, side by side, each resumable.
+"""Trainings that the experiments share, and their policies at the paper's task.
 
-``worn-0`` is Table 3's training on the paper's P and D of a worn arm; ``healthy-0`` the same without them, on
-the one pair of a normal arm; the number is added to the seed. The others go back to what the paper prints, step by
-step: ``limit-5`` takes its largest action, ``noise-5`` its joint noise as well, ``literal`` its change of joint
-angles for the last action.
+``worn-0`` is Table 3's training on the paper's P and D, ``healthy-0`` on those of a normal arm, with the number
+added to the seed. ``limit-5`` takes the printed largest action, ``noise-5`` the joint noise too, ``literal`` the
+last action for its change of joint angles too.
 """
 
 from __future__ import annotations
@@ -11,19 +10,20 @@ from __future__ import annotations
 import multiprocessing
 import signal
 from collections.abc import Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
-from dataclasses import replace
-from functools import lru_cache, partial
-from multiprocessing.queues import Queue
-from queue import Empty
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rejoint.arms import Arm, Array
+from rejoint.control.observation import POINT_SCALE, Observation, layout_slots
+from rejoint.control.policy import PolicyController
 from rejoint.research.reproduction.experiment import SEEDS, Bench
-from rejoint.system.elsewhere import Elsewhere
 from rejoint.system.errors import RejointError
-from rejoint.system.progress import Progress, no_progress
+from rejoint.system.progress import no_progress
 from rejoint.training.presets import PAPER, Preset
+from rejoint.training.ranges import PaperRanges, Ranges
+from rejoint.training.task import ReachTask
 from rejoint.training.train import TrainingOptions, train
 
 WORN = tuple(f"worn-{i}" for i in range(SEEDS))
@@ -34,9 +34,7 @@ LITERALLY = (LIMITED, NOISY, LITERAL)
 LITERAL_NOISE = float(np.radians(5.0))
 """[rad] sigma of equation 19"""
 LITERAL_LIMIT = float(np.radians(5.0))
-"""[rad] largest joint change in a frame; Park et al. 2024, section IV-D: 0.50 to 5.00 degrees"""
-
-_POLL = 0.5  # [s]
+"""[rad] largest joint change in a frame; Park et al. 2024, section IV-D"""
 
 
 def recipe(name: str) -> tuple[Preset, int]:
@@ -54,21 +52,22 @@ def recipe(name: str) -> tuple[Preset, int]:
 
 
 def finish_trainings(bench: Bench, names: Sequence[str]) -> None:
-    """Run those trainings that are not finished, ``bench.threads`` at a time, each in a process of its own.
+    """Run unfinished trainings, ``bench.threads`` at a time in processes.
 
-    One learner gains little from a second core, two trainings side by side gain all of it.
+    A training gains little from a second core.
     """
     missing = [name for name in names if not bench.training(name).policy.exists()]
     if not missing:
         return
+    quiet, count = replace(bench, on_progress=no_progress), len(missing)  # a callback cannot go to another process
     context = multiprocessing.get_context("spawn")  # a fork would copy the state of torch and MuJoCo
-    news: Queue[_News] = context.Queue()
-    workers = min(bench.threads, len(missing))
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=_begin_worker, initargs=(news,)) as pool:
-        quiet = replace(bench, on_progress=no_progress)  # a callback cannot go to another process
-        waiting = {pool.submit(_work, quiet, name) for name in missing}
+    with ProcessPoolExecutor(min(bench.threads, count), mp_context=context, initializer=_begin_worker) as pool:
+        waiting = [pool.submit(_work, quiet, name) for name in missing]
         try:
-            _wait(bench, waiting, news, dict.fromkeys(missing, 0.0))
+            for number, future in enumerate(as_completed(waiting), start=1):
+                if problem := future.result():
+                    raise RejointError(problem)
+                bench.on_progress(number / count, f"{number} of {count} trainings")
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             for worker in multiprocessing.active_children():  # their checkpoints are at most a few updates old
@@ -76,65 +75,93 @@ def finish_trainings(bench: Bench, names: Sequence[str]) -> None:
             raise
 
 
-def spread_trainings(bench: Bench, names: Sequence[str], elsewhere: Elsewhere) -> None:
-    """Run those trainings that are not finished ``elsewhere``, where the folder of the bench is as here."""
-    missing = [name for name in names if not bench.training(name).policy.exists()]
-    work = partial(_train, replace(bench, on_progress=no_progress))
-    elsewhere.each(
-        work, missing, lambda done: bench.on_progress(done / len(missing), f"{done} of {len(missing)} trainings")
-    )  # fmt: skip
-
-
-def _wait(bench: Bench, waiting: set[Future[str]], news: Queue[_News], done: dict[str, float]) -> None:
-    """Tell how it goes until all are done; RejointError with what went wrong in one."""
-    while waiting:
-        _report(bench, news, done)
-        finished = {future for future in waiting if future.done()}
-        for future in finished:
-            problem = future.result()
-            if problem:
-                raise RejointError(problem)
-        waiting -= finished
-
-
-_News = tuple[str, float, str]
-"""Name of a training, its share that is done, how it stands"""
-
-
-@lru_cache(maxsize=1)
-def _channel() -> list[Queue[_News]]:
-    """Where this process reports to; filled once by `_begin_worker`."""
-    return []
-
-
-def _begin_worker(news: Queue[_News]) -> None:
+def _begin_worker() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that started this one
-    _channel().append(news)
 
 
 def _work(bench: Bench, name: str) -> str:
-    """Run one training; returns what went wrong, if anything: not every error can travel between processes."""
-    news = _channel()[0]
+    """Run one training; returns its error: not every one can be pickled."""
     try:
-        _train(bench, name, lambda share, text: news.put((name, share, text)))
+        _train(bench, name)
     except RejointError as error:
         return str(error)
     return ""
 
 
-def _train(bench: Bench, name: str, on_progress: Progress = no_progress) -> None:
+def _train(bench: Bench, name: str) -> None:
     preset, offset = recipe(name)
     options = TrainingOptions(
         preset=preset, seed=bench.seed + offset, agents=bench.scale.agents, threads=1,
         iterations=bench.scale.updates, snapshot_every=bench.scale.snapshot_every, resume=True,
     )  # fmt: skip
-    train(bench.arm, None, out=bench.training(name).path, options=options, on_progress=on_progress)
+    train(bench.arm, None, out=bench.training(name).path, options=options)
 
 
-def _report(bench: Bench, news: Queue[_News], done: dict[str, float]) -> None:
-    try:
-        name, share, text = news.get(timeout=_POLL)
-    except Empty:
-        return
-    done[name] = share
-    bench.on_progress(sum(done.values()) / len(done), f"training {name}: {text}")
+_SEED = 1_000_003
+"""Added to the seed of the arms that policies are judged on."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Episodes:
+    """N episodes, one per arm."""
+
+    reward: Array
+    """(N,) accumulated"""
+    steps: Array
+    """(N,) control cycles of the episode"""
+    reached: Array
+    """(N,) 1 or 0"""
+    collided: Array
+    """(N,) 1 or 0"""
+    tcp: Array
+    """(T, N, 3) [m] TCP, the start first; NaN after the end"""
+    target: Array
+    """(N, 3) [m]"""
+
+
+def worn_ranges(arm: Arm) -> Ranges:
+    """Arms as the paper's P and D make them."""
+    return PaperRanges(arm=arm, joint_noise=PAPER.joint_noise)
+
+
+def healthy_ranges(arm: Arm) -> Ranges:
+    """Return the same task on a normal arm."""
+    return PaperRanges.healthy(arm, PAPER.joint_noise)
+
+
+def play(
+    controller: PolicyController, ranges: Ranges, arms: int, *, seed: int, noise: float = 0.0, threads: int = 1
+) -> Episodes:
+    """Run one episode on each of ``arms`` arms drawn from ``ranges``.
+
+    ``noise`` is the exploration in units of the action; 0 as deployed.
+    """
+    task = ReachTask(controller.arm, ranges, arms, PAPER.task, seed=_SEED + seed, threads=threads)
+    rng = np.random.default_rng(seed)
+    observation, _ = task.reset(staggered=False)
+    target, paths = _point(observation, "target"), [_point(observation, "tcp")]
+    going, reward = np.ones(arms, dtype=bool), np.zeros(arms)
+    steps, reached, collided = (np.zeros(arms) for _ in range(3))
+    while going.any():
+        action = controller.act(observation) + rng.normal(0.0, noise, (arms, controller.arm.joints))
+        result = task.step(action)
+        reward += np.where(going, result.reward, 0.0)
+        steps += going
+        reached += going & result.terminated
+        collided += going & result.collided
+        paths.append(np.where(going[:, None], _point(result.final_observation, "tcp"), np.nan))
+        going = going & ~(result.terminated | result.truncated)
+        observation = result.observation
+    return Episodes(
+        reward=reward, steps=steps, reached=reached, collided=collided, tcp=np.stack(paths), target=target
+    )  # fmt: skip
+
+
+def _point(observation: Observation, name: str) -> Array:
+    """One of the points (N, 3) [m] in observations of equation 16."""
+    begin = 0
+    for slot in layout_slots("equation-16", (observation.shape[1] - 10) // 3):
+        if slot.name == name:
+            break
+        begin += slot.size
+    return observation[:, begin : begin + 3].astype(float) / POINT_SCALE

@@ -1,26 +1,23 @@
-"""Figs. 8 and 9: a healthy and a worn arm are told once where to go, at the same targets."""
+"""Fig. 9: a healthy and a worn arm at the same targets, open loop."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from rejoint.arms import Array, frames, tcp_position
+from rejoint.arms import Array
+from rejoint.control.classical import DefaultController
 from rejoint.control.comparison.protocols import measure_holds, schedule
 from rejoint.control.comparison.result import Protocol
-from rejoint.control.comparison.targets import draw_targets
-from rejoint.control.default import DefaultController
 from rejoint.control.loop import run as drive
+from rejoint.control.targets import draw_targets
+from rejoint.pages.html import BLUE, RED
 from rejoint.pages.report.figures import Series, error_per_target
-from rejoint.pages.report.palette import BLUE, RED
 from rejoint.research.reproduction.experiment import Bench, Drawing, Experiment, Findings, Number
-from rejoint.research.reproduction.figures import postures
 from rejoint.robots import open_robot
 from rejoint.system.statistics import cluster, spread
 
 DWELL = 5.0
-"""[s] per target (chosen: an arm that is told once has come to rest by then)"""
+"""[s] per target (chosen)"""
 PAPER_MM = {"healthy": 3.09, "worn": 22.7}
 """Park et al. 2024, section IV-B"""
 
@@ -33,8 +30,6 @@ class Arrival:
     """(S, K) settled error by its encoders"""
     true_mm: Array
     """(S, K) settled error of the tool"""
-    posture: Array
-    """(K, n) [rad] measured at the end of each target of the first set"""
 
 
 def run(bench: Bench) -> Findings:
@@ -64,8 +59,7 @@ def run(bench: Bench) -> Findings:
         "The paper does not say how its error was measured. Its robot reports its own TCP, so encoder kinematics are "
         "taken, with the tool's true error beside: backlash and flex lie behind the encoders.",
     )
-    drawings = (_figure_8(bench, targets[0], arrivals), _figure_9(bench, arrivals))
-    return Findings(text=text, numbers=numbers, readings=readings, drawings=drawings)
+    return Findings(text=text, numbers=numbers, readings=readings, drawings=(_figure_9(bench, arrivals),))
 
 
 def _arrive(bench: Bench, profile: str, targets: Array) -> Arrival:
@@ -77,11 +71,7 @@ def _arrive(bench: Bench, profile: str, targets: Array) -> Arrival:
     finally:
         robot.close()
     holds = measure_holds(bench.arm, recording, targets, protocol)
-    index, active = recording.target_index[:, 0], recording.active[:, 0]
-    last = [np.flatnonzero(active & (index == k))[-1] for k in range(targets.shape[1])]
-    return Arrival(
-        encoder_mm=1e3 * holds.settled, true_mm=1e3 * holds.settled_true, posture=recording.position[last, 0]
-    )  # fmt: skip
+    return Arrival(encoder_mm=1e3 * holds["settled"], true_mm=1e3 * holds["settled_true"])
 
 
 def _error(what: str, paper: float | None, error_mm: Array) -> Number:
@@ -91,24 +81,6 @@ def _error(what: str, paper: float | None, error_mm: Array) -> Number:
     likely = "" if mean.low is None or mean.high is None else f" ({mean.low:.1f} to {mean.high:.1f})"
     ours = f"{mean.value:.2f}{'' if found.std is None else f' ± {found.std:.1f}'} mm{likely}"
     return Number(what=what, ours=ours, paper="" if paper is None else f"{paper:g} mm", value=mean.value)
-
-
-def _figure_8(bench: Bench, targets: Array, arrivals: dict[str, Arrival]) -> Drawing:
-    error = arrivals["worn"].encoder_mm[0]
-    k = int(np.argsort(error)[len(error) // 2])  # an ordinary target: that of the median error
-    looks = {"healthy": BLUE, "worn": RED}
-    drawn = []
-    for profile, arrival in arrivals.items():
-        f = frames(bench.arm, arrival.posture[k])
-        label = (
-            f"{profile}: {1e3 * np.linalg.norm(tcp_position(bench.arm, arrival.posture[k]) - targets[k]):.1f} mm off"
-        )
-        drawn.append((label, looks[profile], np.concatenate([np.zeros((1, 3)), f.position, f.tcp_position[None]])))
-    caption = f"Fig. 8. Both arms sent to target {k + 1}, seen from the side, by their encoders."
-    return bench.draw(
-        postures(drawn, targets[k]),
-        Drawing(key="fig-8", alt=f"The worn arm hangs below the target by {error[k]:.0f} mm.", caption=caption),
-    )
 
 
 def _figure_9(bench: Bench, arrivals: dict[str, Arrival]) -> Drawing:
@@ -129,8 +101,7 @@ def _figure_9(bench: Bench, arrivals: dict[str, Arrival]) -> Drawing:
 
 FIG_9 = Experiment(
     name="fig-9",
-    also=("fig-8",),
-    title="Figs. 8 and 9: healthy against worn",
+    title="Fig. 9: healthy against worn",
     about="the same ten targets on a healthy and on a worn arm, open loop",
     run=run,
 )

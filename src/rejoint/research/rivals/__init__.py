@@ -1,1 +1,1 @@
-"""Rivals of the learned policy, built as if they were to win: tuned classical laws, adaptive and predictive control."""
+"""Rivals of the learned policy: tuned classical laws and adaptive control."""

@@ -1,13 +1,10 @@
-"""Adaptive regulation of an arm whose servos and load are unknown.
+"""Adaptive regulation of an arm with unknown servos and load.
 
-Tomei, "Adaptive PD controller for robot manipulators", IEEE Trans. Robotics and Automation 7(4), 1991: a PD law
-around the goal plus a gravity compensation that is linear in unknown parameters, Y(q) p, whose estimates follow
-``dp/dt = G Y' (2 e / (1 + 2 e'e) - m v)`` with the joint error e and speed v. The arm's own servo is the PD law
-here, and it takes positions, so the compensation is divided by its stiffness and enters as an offset
-of the command: per joint ``load / k + mass * lever / k + offset``, which is linear in 1/k, mass/k and the offset.
-The regressor is taken at the goal, as in Tomei's regulation with desired gravity (his remark 2; Kelly 1997), and
-the adaptation has a dead zone (Peterson and Narendra, IEEE Trans. Automatic Control 27(3), 1982), without which
-stiction makes the estimates drift.
+Tomei, "Adaptive PD controller for robot manipulators", IEEE Trans. Robotics and Automation 7(4), 1991: PD plus a
+gravity compensation Y(q) p with ``dp/dt = G Y' (2 e / (1 + 2 e'e) - m v)``. The servo is the PD law, so the
+compensation enters the command, divided by the stiffness: ``load / k + mass * lever / k + offset``. The regressor is
+taken at the goal (Kelly 1997), with a dead zone (Peterson and Narendra, IEEE Trans. Automatic Control 27(3), 1982)
+against drift by stiction.
 """
 
 from __future__ import annotations
@@ -18,12 +15,10 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, gravity_torque, position_kinematics
 from rejoint.arms.kinematics import GRAVITY
-from rejoint.arms.size import torque_size
+from rejoint.arms.workspace import torque_size
 from rejoint.control.controller import ControlInput
 from rejoint.control.feedforward import NOMINAL_STIFFNESS
-from rejoint.control.goal import Goal
-from rejoint.control.law import limit_position
-from rejoint.control.pace import Pace
+from rejoint.control.law import Pace, limit_position
 from rejoint.control.robot import Mask
 from rejoint.research.rivals.scheduled import Gain, JointSpeed
 
@@ -59,7 +54,7 @@ class AdaptiveController:
 
     def __init__(self, arm: Arm, name: str, gains: AdaptiveGains) -> None:
         self._arm, self._name, self._gains = arm, name, gains
-        self._goal, self._pace, self._speed = Goal(arm), Pace(), JointSpeed()
+        self._pace, self._speed = Pace(), JointSpeed()
         self._stiffness = NOMINAL_STIFFNESS * torque_size(arm)
         self._regressor = self._estimate = np.zeros((3, 0, arm.joints))
 
@@ -69,13 +64,12 @@ class AdaptiveController:
         return self._name
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Solve for new targets in ``where`` (B,); the estimates stay."""
+        """Take over new goals in ``where`` (B,); the estimates stay."""
         count, n = inputs.sent.shape
         if self._estimate.shape[1] != count:
             self._estimate, self._regressor = np.zeros((2, 3, count, n))
             self._estimate[0] = self._gains.prior
-        self._goal.reset(inputs, where)
-        goal = self._goal.position[where]
+        goal = inputs.goal[where]
         lever = position_kinematics(self._arm, goal)[1][..., 2, :]
         self._regressor[0][where] = gravity_torque(self._arm, goal) / self._stiffness
         self._regressor[1][where] = _UNIT_MASS * -GRAVITY[2] * lever / self._stiffness
@@ -86,12 +80,12 @@ class AdaptiveController:
         gains, measured = self._gains, inputs.state.position
         elapsed = self._pace.tick(inputs.state.time)[:, None]
         speed = self._speed.observe(measured, elapsed)
-        error = self._goal.position - measured
+        error = inputs.goal - measured
         outside = np.sign(error) * np.maximum(np.abs(error) - gains.dead_zone, 0.0)
         size = np.linalg.norm(error / gains.scale, axis=-1, keepdims=True)
         drive = outside / (1.0 + size**2) - gains.damping * speed * (np.abs(outside) > 0.0)
         rates = (gains.softness_rate, gains.load_rate, gains.offset_rate)
         for estimate, regressor, rate in zip(self._estimate, self._regressor, rates, strict=True):
             estimate += elapsed * rate * regressor * drive
-        raised = self._goal.position + (self._estimate * self._regressor).sum(axis=0)
+        raised = inputs.goal + (self._estimate * self._regressor).sum(axis=0)
         return limit_position(self._arm, raised + gains.proportional * error - gains.derivative * speed)

@@ -1,4 +1,4 @@
-"""Rivals by name: what may be tuned, within which bounds, and the gains that the tuning found."""
+"""Rivals by name: bounds of their gains, and tuned gains."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _SCHEDULED: dict[str, Interval] = {
     "speed": (0.05, 5.0),
     "lead": (np.radians(4.0), np.radians(40.0)),
 }
-"""Bounds of the search, centred on what works by hand (chosen: a decade or two each)"""
+"""Bounds of the search (chosen: a decade or two each)"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,7 +123,7 @@ def find_rival(name: str) -> Rival:
 
 
 def make_rival(name: str, arm: Arm, gains: Mapping[str, float] | None = None) -> Controller:
-    """Build a rival with gains by name, by default those that the tuning found; InputError for other names."""
+    """Build a rival, by default with the tuned gains; InputError for other names."""
     rival = find_rival(name)
     gains = rival.gains if gains is None else gains
     if set(gains) != set(rival.intervals):

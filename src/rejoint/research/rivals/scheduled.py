@@ -1,13 +1,8 @@
-"""Gain-scheduled integral control, alone or around a gravity feed-forward: everything an engineer would add by hand.
+"""Gain-scheduled integral control, alone or around a gravity feed-forward.
 
-To the plain integrator this adds a rate that depends on the distance (Rugh and Shamma, Automatica 36, 2000), a dead
-zone with a continuous edge, a proportional and a damping term that are not remembered, conditional
-integration (Astrom and Rundqwist, ACC 1989) with a clamped state, prediction over the dead time by the measured
-speed, and a bound on the speed of the correction. With ``feedforward`` the command starts from the posture
-that a sagging arm needs, approached along a ramp, and what was learned carries over in part.
-
-Every gain may be a number, or an array (B, 1) that gives each arm of a batch its own: that is how the
-tuning tries many at once.
+A rate by distance (Rugh and Shamma, Automatica 36, 2000), a dead zone, proportional and damping terms, conditional
+integration (Astrom and Rundqwist, ACC 1989), prediction over the dead time, and a speed limit. With ``feedforward`` the
+command starts from the raised posture. Gains are numbers or (B, 1).
 """
 
 from __future__ import annotations
@@ -17,12 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Arm, Array, clip_norm, gravity_torque, position_kinematics
-from rejoint.arms.size import torque_size
+from rejoint.arms.workspace import torque_size
 from rejoint.control.controller import ControlInput
 from rejoint.control.feedforward import NOMINAL_STIFFNESS
-from rejoint.control.goal import Goal
-from rejoint.control.law import dls_step, limit_position, null_space
-from rejoint.control.pace import Pace
+from rejoint.control.law import Pace, dls_step, limit_position, null_space
 from rejoint.control.robot import Mask
 
 Gain = float | Array
@@ -33,7 +26,7 @@ class ScheduledGains:
     """Settings of both laws; the last four matter to the feed-forward alone."""
 
     far_rate: Gain
-    """[1/s] fraction of the joint step that is integrated per second, far from the target"""
+    """[1/s] integrated fraction of the joint step, far from the target"""
     near_rate: Gain
     """[1/s] the same at the target"""
     schedule: Gain
@@ -47,11 +40,11 @@ class ScheduledGains:
     prediction: Gain
     """[s] by which the measured position is extrapolated at its speed"""
     moving: Gain
-    """[rad/s] a joint that moves faster than this in the right direction is not pushed"""
+    """[rad/s] a joint that moves faster is not pushed"""
     speed: Gain
     """[rad/s] largest speed of what is integrated"""
     lead: Gain
-    """[rad] anti-windup: largest distance between the integrated command, or the correction, and where it belongs"""
+    """[rad] anti-windup: largest correction"""
     feedforward: Gain = 0.0
     """fraction of the sag of nominal servos that is compensated beforehand"""
     ramp: Gain = 100.0
@@ -65,7 +58,7 @@ class ScheduledController:
 
     def __init__(self, arm: Arm, name: str, gains: ScheduledGains, *, anchored: bool) -> None:
         self._arm, self._name, self._gains, self._anchored = arm, name, gains, anchored
-        self._goal, self._pace, self._speed = Goal(arm), Pace(), JointSpeed()
+        self._pace, self._speed = Pace(), JointSpeed()
         self._stiffness = NOMINAL_STIFFNESS * torque_size(arm)
         self._start = self._raised = self._integral = np.zeros((0, arm.joints))
 
@@ -82,8 +75,7 @@ class ScheduledController:
             self._start, self._raised = sent.copy(), sent.copy()
         if not self._anchored:
             return
-        self._goal.reset(inputs, where)
-        goal = self._goal.position[where]
+        goal = inputs.goal[where]
         # What was learned in the null space moves no tool, but adds up from target to target until the arm folds.
         idle = null_space(position_kinematics(self._arm, goal)[1], self._integral[where])
         carry = np.broadcast_to(gains.carry, (len(sent), 1))[where]
@@ -110,7 +102,7 @@ class ScheduledController:
             way = self._raised - self._start
             reach = gains.ramp * inputs.since_target[:, None]
             return limit_position(arm, self._start + np.clip(way, -reach, reach) + self._integral + passing)
-        pull = clip_norm(null_space(seen.jacobian, 0.01 * (arm.rest - integral)), np.radians(0.1))
+        pull = clip_norm(null_space(seen.jacobian, 0.01 * (inputs.goal - integral)), np.radians(0.1))
         integral = integral + (distance > 0.01) * pull  # keeps the arm from folding, see `IntegratorGains`
         self._integral = limit_position(arm, np.clip(integral, measured - gains.lead, measured + gains.lead))
         return limit_position(arm, self._integral + passing)
@@ -123,7 +115,7 @@ class JointSpeed:
         self._position = self._speed = np.zeros((0, 0))
 
     def observe(self, position: Array, elapsed: Array) -> Array:
-        """Return speeds (B, n) [rad/s] from positions (B, n) [rad] that are ``elapsed`` (B, 1) [s] after the last."""
+        """Return speeds (B, n) [rad/s] of positions (B, n) [rad], ``elapsed`` (B, 1) [s] apart."""
         if self._position.shape != position.shape:
             self._position, self._speed = position.copy(), np.zeros_like(position)
         news = elapsed > 0.0

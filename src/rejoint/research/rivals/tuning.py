@@ -1,9 +1,7 @@
-"""Gains of the rivals by CMA-ES, on the randomised twins that the policy is trained on.
+"""Gains of the rivals by CMA-ES, on the randomised twins of the trainings.
 
-Covariance matrix adaptation (Hansen, "The CMA evolution strategy: a tutorial", arXiv:1604.00772, package
-``cmaes``) searches in the logarithms of the gains. All candidates of a generation drive the same arms to the same
-targets, side by side as one batch of twins; every generation draws other arms. The cost is what is judged:
-the time to come and stay within 2 mm, and the settled error.
+CMA-ES (Hansen, arXiv:1604.00772, package ``cmaes``) searches the gains' logarithms. Candidates of a generation drive
+the same arms; every generation draws others. The cost is the time to stay within 2 mm plus the settled error.
 """
 
 from __future__ import annotations
@@ -16,20 +14,20 @@ import numpy as np
 from cmaes import CMA  # type: ignore[import-untyped,unused-ignore]
 
 from rejoint.arms import Arm, Array
-from rejoint.control.comparison.protocols import Holds, measure_holds, schedule
+from rejoint.control.comparison.protocols import Columns, measure_holds, schedule
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.controller import Controller
 from rejoint.control.loop import run
 from rejoint.research.rivals.catalogue import find_rival
-from rejoint.research.rivals.twinrobot import TwinRobot
 from rejoint.training.ranges import Ranges
+from rejoint.twin.simulation import TwinRobot
 
 T = TypeVar("T")
 Interval = tuple[float, float]
 MakeController = Callable[[Arm, Mapping[str, Array]], Controller]
 """From gains by name, each (B, 1), to the controller of B arms"""
 OnGeneration = Callable[[int, float, Mapping[str, float]], object]
-"""Called with the generations done, the cost of the best candidate and the gains at the centre of the search"""
+"""Receives generations done, lowest cost and the centre's gains"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,9 +45,9 @@ class TuningSettings:
     spread: float = 0.2
     """initial standard deviation by the width of a gain's interval"""
     settled_weight: float = 2.0
-    """[s] per mm of settled error (chosen: the bar of 0.5 mm weighs as a second does)"""
+    """[s] per mm of settled error (chosen)"""
     settled_cap: float = 0.010
-    """[m] settled errors beyond this count as this, so that arms that nobody can drive do not decide"""
+    """[m] cap of settled errors"""
     seed: int = 0
 
 
@@ -57,10 +55,7 @@ def tune(
     arm: Arm, ranges: Ranges, intervals: Mapping[str, Interval], make: MakeController, settings: TuningSettings,
     on_generation: OnGeneration,
 ) -> dict[str, float]:  # fmt: skip
-    """Search gains in ``intervals`` by name, positive ends; returns those at the centre of the last generation.
-
-    The centre and not the best candidate: the best of many on few arms was lucky.
-    """
+    """Search gains in ``intervals``; returns the last generation's centre, since the best candidate was lucky."""
     names = list(intervals)
     low, high = np.log(np.array(list(intervals.values()))).T
     search = CMA(
@@ -83,7 +78,7 @@ def tune(
 def tune_rival(
     arm: Arm, ranges: Ranges, settings: TuningSettings, name: str, on_generation: OnGeneration = lambda *_: None
 ) -> dict[str, float]:
-    """Search the gains of the rival called ``name``, as `tune`; can be done in any process."""
+    """Search the gains of the rival called ``name``, as `tune`."""
     rival = find_rival(name)
     return tune(arm, ranges, rival.intervals, rival.make, settings, on_generation)
 
@@ -91,7 +86,7 @@ def tune_rival(
 def candidate_costs(
     arm: Arm, ranges: Ranges, gains: Mapping[str, Array], make: MakeController, settings: TuningSettings, draw_seed: int
 ) -> Array:
-    """Cost (P,) of candidates with ``gains`` (P,) by name, all on the same arms and targets."""
+    """Cost (P,) of candidates with ``gains`` (P,) on the same arms and targets."""
     count = len(next(iter(gains.values())))
     rng = np.random.default_rng([settings.seed, draw_seed])
     drawn = ranges.draw(rng, settings.arms).rows(np.tile(np.arange(settings.arms), count))
@@ -103,8 +98,8 @@ def candidate_costs(
     return cost(measure_holds(arm, recording, targets, protocol), settings).reshape(count, -1).mean(axis=1)
 
 
-def cost(holds: Holds, settings: TuningSettings) -> Array:
-    """Cost (B, K) [s] of holds: time to stay within the distance, and settled error; a stopped arm has the worst."""
-    late = np.minimum(np.nan_to_num(holds.stay[0], nan=np.inf), settings.hold)
-    error = np.minimum(np.nan_to_num(holds.settled, nan=np.inf), settings.settled_cap)
+def cost(holds: Columns, settings: TuningSettings) -> Array:
+    """Cost (B, K) [s] of holds: time to stay, and settled error."""
+    late = np.nan_to_num(holds["stay_2mm"], nan=settings.hold)
+    error = np.minimum(np.nan_to_num(holds["settled"], nan=np.inf), settings.settled_cap)
     return late + settings.settled_weight * 1e3 * error

@@ -1,30 +1,34 @@
 """An SO-100 or SO-101 on the bus of its servos: one synchronous read and one synchronous write a cycle.
 
-The arm is never dropped: torque is never switched off, and where it is off, the goal is set to where the joint is
-before it comes on. Nothing that the servos keep is written: their lock is shut, and of their settings none is changed
-but how promptly they follow, as LeRobot does, and the gains that the address or a controller asks for, until the power
-goes. Only `Tuning.keep` opens the lock.
+Torque is never switched off; before it comes on, the goal is set to where the joint is. The servos' memory stays
+locked: only `Tuning.keep` writes it.
 """
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-from typing import TypeVar
+from typing import Self, TypeVar
 
 import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.control.servogains import Rung, ServoGains
-from rejoint.robots.bus import Bus, Reading
-from rejoint.robots.feetech.address import FeetechAddress
-from rejoint.robots.feetech.block import BLOCK, PRESENT, VOLT, decode, signed
-from rejoint.robots.feetech.gains import RUNGS, for_all
-from rejoint.robots.feetech.gripper import READ, WRITE
-from rejoint.robots.feetech.tuning import Tuning
-from rejoint.robots.feetech.wire import Wire
-from rejoint.robots.feetech.zeros import Counts, Zeros, read_calibration, zeros_of
-from rejoint.robots.link import persist
+from rejoint.robots.bus import Bus, Reading, persist
+from rejoint.robots.feetech.gains import FULL, RUNGS, FeetechAddress, Tuning, for_all
+from rejoint.robots.feetech.wire import (
+    BLOCK,
+    PRESENT,
+    VOLT,
+    Counts,
+    Wire,
+    Zeros,
+    decode,
+    read_calibration,
+    signed,
+    zeros_of,
+)
 from rejoint.system.errors import (
     ConnectionLostError,
     ImpossibleReplyError,
@@ -34,6 +38,74 @@ from rejoint.system.errors import (
     first_line,
 )
 
+READ, WRITE = 2, 3
+"""Codes of instructions that `FeetechBus.relay` passes on: a servo's ID, an address, and a size or data"""
+_LIMITS, _GOAL, _TORQUE_LIMIT, _PRESENT = 9, 42, 48, 56
+SOFT = 0.5
+"""share of the torque that the gripper gets, in RAM (as LeRobot limits it)"""
+
+MOST_SILENT = 3
+"""Questions in a row without an answer after which the gripper is left alone (chosen: each holds up the arm)"""
+
+Ask = Callable[[int, bytes], bytes | None]
+"""Passes on an instruction with its parameters; None without an answer"""
+
+
+class Gripper:
+    """One servo, from ``low`` (0 %) to ``high`` (100 %) [counts]; the control loop calls `serve` once a cycle."""
+
+    def __init__(self, ask: Ask, number: int, low: int, high: int) -> None:
+        self.goal: float | None = None
+        """[%] open"""
+        self.opened: float | None = None
+        """[%] as it was read last"""
+        self._ask, self._number, self._low, self._high = ask, number, low, high
+        self._sent: float | None = None
+        self._silent = 0
+
+    @classmethod
+    def find(cls, ask: Ask, number: int) -> Self | None:
+        """Return the gripper with the ID ``number``, read once; None where no such servo answers, or has no range."""
+        try:
+            data = ask(READ, bytes([number, _LIMITS, 4]))
+        except RobotError:
+            return None
+        if data is None:
+            return None
+        low, high = struct.unpack("<HH", data)
+        found = cls(ask, number, low, high) if low < high else None
+        if found is not None:
+            found._read()
+        return found
+
+    def serve(self) -> None:
+        """Send a new goal, or read how far it is open: one question to the bus."""
+        if self._silent >= MOST_SILENT:
+            return
+        try:
+            if self.goal is not None and self.goal != self._sent:
+                self._send(self.goal)
+            else:
+                self._read()
+            self._silent = 0
+        except RobotError:
+            self._silent += 1
+
+    def _read(self) -> None:
+        data = self._ask(READ, bytes([self._number, _PRESENT, 2]))
+        if data is not None:
+            (place,) = struct.unpack("<H", data)
+            self.opened = min(max(100.0 * (place - self._low) / (self._high - self._low), 0.0), 100.0)
+
+    def _send(self, goal: float) -> None:
+        if self._sent is None:
+            limit = struct.pack("<H", int(SOFT * FULL))
+            self._ask(WRITE, bytes([self._number, _TORQUE_LIMIT]) + limit)
+        place = self._low + min(max(goal, 0.0), 100.0) / 100.0 * (self._high - self._low)
+        self._ask(WRITE, bytes([self._number, _GOAL]) + struct.pack("<H", round(place)))
+        self._sent = goal
+
+
 T = TypeVar("T")
 
 MODELS = {777: "STS3215", 2825: "STS3250"}
@@ -41,14 +113,13 @@ MODELS = {777: "STS3215", 2825: "STS3250"}
 ID, CONFIRMS, LIMITS, HOMING, MODE, TORQUE, GOAL, LOCK, VOLTAGE = 5, 8, 9, 31, 33, 40, 42, 55, 62
 """Addresses of registers (Feetech's memory table of the STS/SMS series)."""
 ACCELERATION, SPEED, FASTEST = 41, 46, 85
-"""likewise: of the way to a goal, zero for the most there is; and the most of the acceleration, with its multiplier"""
+"""Registers of the way to a goal: acceleration and speed, 0 for the most; and the most of the acceleration"""
 PROMPT = 254
-"""[100 counts/s^2] acceleration that LeRobot sets, and that the arm's description, its twin and the policies count on:
-with that of a servo as sold (100), or what an earlier program left, a joint sets off so late that it looks stuck"""
+"""[100 counts/s^2] acceleration that LeRobot sets and that description, twin and policies count on"""
 LAST_ID = 12
-"""up to which another ID is looked for where a servo is missing (chosen: two arms in a row; a second of looking)"""
+"""up to which another ID is looked for where a servo is missing (chosen)"""
 QUIET = 0.03
-"""[s] of silence after which no answer is on its way any more (chosen: longer than a USB adapter holds bytes back)"""
+"""[s] of silence after which no answer is on its way any more (chosen)"""
 RETRY = 0.05
 """[s] between questions whether a silent servo is back (chosen)"""
 
@@ -113,16 +184,12 @@ class FeetechBus(Bus):
         return decode([answers[servo] for servo in self.ids], self.zeros, self._tuning.laws, self.supply)
 
     def send(self, goal: Array) -> None:
-        """Send a goal to every servo, clipped to its own limits; nobody answers."""
+        """Send a goal to every servo, clipped to its own limits; the servos do not answer."""
         self._goal = self.zeros.counts(goal)
         self._send(self._goal)
 
     def stop(self) -> None:
-        """Send the last goals again.
-
-        They are a control step away at most; to hold the present position instead would let the arm sink by what its
-        servos give way.
-        """
+        """Send the last goals again: to hold the present position instead would let the arm sink."""
         if self._goal is not None:
             self._send(self._goal)
 
@@ -155,9 +222,9 @@ class FeetechBus(Bus):
         return None
 
     def resynchronise(self, deadline: float) -> None:
-        """Drop late answers, and wait for servos that are silent; ConnectionLostError where they stay so.
+        """Drop late answers and wait for silent servos.
 
-        PowerLostError where one comes back without its torque: it fell silent since it began anew.
+        ConnectionLostError where they stay silent, PowerLostError where one comes back without its torque.
         """
         while self.wire.quieten(QUIET) and self.clock.now() < deadline:
             pass
@@ -194,7 +261,6 @@ class FeetechBus(Bus):
         return (0.0,) * len(self.ids) if self._supply is None else self._supply
 
     def _hold(self, until: float | None) -> None:
-        """Shut the locks, and switch torque on where it is off, each servo holding where it is."""
         if self._was_ready:
             self._require_torque(until)
         for servo in self.ids:
@@ -215,7 +281,6 @@ class FeetechBus(Bus):
             )
 
     def _hasten(self, until: float | None) -> None:
-        """Take away what slows a servo on its way to a goal, until the power goes."""
         for servo in self.ids:
             (most, times), (wanted,) = self._read(servo, FASTEST, 2, until), self._read(servo, ACCELERATION, 1, until)
             if most * times < PROMPT:
@@ -247,8 +312,6 @@ class FeetechBus(Bus):
             ) from error
 
     def _sure(self, question: Callable[[], T], until: float | None) -> T:
-        """Ask one servo, and again where its answer is lost or garbled: no connection can be made anew here."""
-
         def once() -> T:
             try:
                 return question()
@@ -282,7 +345,6 @@ class FeetechBus(Bus):
             raise kind(f"{names} is missing on the bus; check its cable, its ID and its baud rate{others}")
 
     def _strangers(self) -> list[int]:
-        """Return the IDs of servos that answer, but are neither a joint's nor, next to them, the gripper's."""
         known = {*self.ids, max(self.ids) + 1}
         return [servo for servo in range(LAST_ID + 1) if servo not in known and self.wire.answers(servo)]
 

@@ -1,8 +1,7 @@
-"""The maker's client, `ftservo-python-sdk`, on any port of pyserial; what it reports becomes an error with a name.
+"""The maker's client, `ftservo-python-sdk`, on any port of pyserial, and what its counts mean in radians.
 
-The client reads with a time-out of zero and so keeps a processor busy while it waits; its port is given one here. What
-a synchronous read did not bring is left from the read before: it is thrown away here first. It drops its input before
-every request, as this driver relies on.
+A joint is at zero in the middle of its calibrated range, as in LeRobot's degrees, or where ``zero`` of the address
+says.
 """
 
 from __future__ import annotations
@@ -10,12 +9,17 @@ from __future__ import annotations
 import errno
 import os
 import socket
+import struct
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from select import select
-from typing import Any
+from urllib.parse import urlsplit
 
+import numpy as np
 import serial
+from numpy.typing import NDArray
 from scservo_sdk import (
     COMM_PORT_BUSY,
     COMM_RX_TIMEOUT,
@@ -29,45 +33,33 @@ from scservo_sdk import (
     PortHandler,
     sms_sts,
 )
-from serial.urlhandler.protocol_socket import Serial as SocketSerial
+
+from rejoint.arms import Arm, Array
+from rejoint.logs.homing import read_homing
+from rejoint.logs.joints import COUNTS_PER_TURN, match_joints
+from rejoint.logs.options import ImportOptions
+from rejoint.robots.bus import Reading
+from rejoint.robots.feetech.gains import DutyLaw
+from rejoint.system.errors import InputError, RobotError
 
 FRAME = 6
 """bytes of an answer beside its data: header, ID, length, errors, checksum"""
 MODEL = 3
 """Address of the register that tells a servo's kind"""
+CONNECT = 5.0
+"""[s] for another machine to let one in (chosen, as pyserial does)"""
 WAIT = 0.02
-"""[s] of one look for bytes (chosen: between looks the client sees whether its 50 ms are over)"""
-
-
-class _Remote(SocketSerial):  # type: ignore[misc]  # pyserial has no types
-    """A port of another machine: small packets do not wait for each other, and a broken one is closed all the same."""
-
-    _socket: Any
-
-    def open(self) -> None:
-        """Connect."""
-        super().open()
-        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-
-    def close(self) -> None:
-        """Disconnect; pyserial's own way leaves the socket open where the other side has gone, and sleeps."""
-        line, self._socket, self.is_open = self._socket, None, False
-        if line is not None:
-            line.close()
+"""[s] of one look for bytes (chosen)"""
 
 
 class _Port(PortHandler):  # type: ignore[misc]  # the maker's package has no types
-    """A port of the client that may lie behind a URL of pyserial, sleeps while it waits, and wakes for what comes.
-
-    pyserial opens and configures it. Bytes go past it: between two cycles it drops out of the processor's caches, and
-    its loops then take longer than all else here.
-    """
-
     def setupPort(self, _rate: int) -> bool:  # noqa: N802 - the maker's name
         """Open it; OSError where that fails."""
+        place = urlsplit(self.port_name)
         try:
-            if self.port_name.startswith("socket://"):
-                self.ser = _Remote(self.port_name)
+            if place.scheme == "socket":
+                self.ser = socket.create_connection((place.hostname, place.port), CONNECT)
+                self.ser.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # small packets do not wait
             else:
                 self.ser = serial.Serial(self.port_name, baudrate=self.baudrate, exclusive=True)
         except serial.SerialException as error:
@@ -89,6 +81,11 @@ class _Port(PortHandler):  # type: ignore[misc]  # the maker's package has no ty
         if not data:
             raise OSError("the port is gone")
         return data
+
+    def clearPort(self) -> None:  # noqa: N802 - the maker's name
+        """Throw away what lies there."""
+        while self.readPort(4096, 0.0):
+            pass
 
     def writePort(self, packet: Sequence[int]) -> int:  # noqa: N802 - the maker's name
         """Return how many bytes were taken."""
@@ -173,7 +170,6 @@ class Wire:
         self._port.closePort()
 
     def _free(self) -> None:
-        """Forget a request that an error cut short; the client would take the port for busy for good."""
         self._port.is_using = False
 
 
@@ -185,3 +181,152 @@ def _judge(result: int, servo: int) -> None:
     if result in (COMM_PORT_BUSY, COMM_TX_FAIL):
         raise OSError("the port did not take the request")
     raise ValueError(f"the answer of servo {servo} is garbled")
+
+
+Counts = NDArray[np.int64]
+
+_STEP = 2 * np.pi / COUNTS_PER_TURN
+TURNING = np.radians(300.0)
+"""[rad] range from which on a joint may be calibrated to a whole turn (chosen: LeRobot does so with a wrist)"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MotorRanges:
+    """What a calibration of LeRobot says of the motors (n,) of an arm's joints."""
+
+    ids: tuple[int, ...]
+    homing: Counts
+    low: Counts
+    high: Counts
+
+
+@dataclass(frozen=True, kw_only=True)
+class Zeros:
+    """Counts and radians of n joints, as plain numbers: a control cycle turns a handful of them into each other."""
+
+    middle: tuple[float, ...]
+    """(n,) [counts] where the joints are at ``zero``"""
+    zero: tuple[float, ...]
+    """(n,) [rad]"""
+    low: tuple[int, ...]
+    """(n,) [counts] lowest goals that the servos take"""
+    high: tuple[int, ...]
+    """(n,) [counts]"""
+
+    def radians(self, counts: Sequence[int]) -> list[float]:
+        """Joint positions (n,) [rad] of what the servos tell."""
+        return [
+            (count - middle) * _STEP + zero for count, middle, zero in zip(counts, self.middle, self.zero, strict=True)
+        ]
+
+    def counts(self, position: Array) -> list[int]:
+        """Goals (n,) of joint positions [rad], within the servos' limits."""
+        return [
+            min(max(round((angle - zero) / _STEP + middle), low), high)
+            for angle, middle, zero, low, high in zip(
+                position.tolist(), self.middle, self.zero, self.low, self.high, strict=True
+            )
+        ]
+
+
+def read_calibration(path: Path, arm: Arm) -> MotorRanges:
+    """Read LeRobot's calibration of ``arm``; FileError where it is none, InputError where its numbers cannot be."""
+    motors = read_homing(path)
+    columns = match_joints(list(motors), arm, ImportOptions(), path, "calibration").columns
+    joints = [list(motors.values())[column] for column in columns]
+    try:
+        numbers = {
+            name: [int(joint[name]) for joint in joints] for name in ("id", "homing_offset", "range_min", "range_max")
+        }
+    except (KeyError, TypeError, ValueError) as error:
+        wanted = "id, homing_offset, range_min and range_max of every motor"
+        raise InputError(f"{path}: expected {wanted} ({error!r})") from error
+    low, high = np.array(numbers["range_min"]), np.array(numbers["range_max"])
+    if not ((low >= 0) & (low < high) & (high < COUNTS_PER_TURN)).all():
+        raise InputError(f"{path}: ranges must rise within 0 and {COUNTS_PER_TURN - 1}; run lerobot-calibrate again")
+    return MotorRanges(ids=tuple(numbers["id"]), homing=np.array(numbers["homing_offset"]), low=low, high=high)
+
+
+def zeros_of(
+    arm: Arm, file: MotorRanges | None, homing: Counts, low: Counts, high: Counts, degrees: tuple[float, ...]
+) -> Zeros:
+    """Zeros of an arm whose servos hold these offsets and limits (n,).
+
+    RobotError where the file or a servo does not fit.
+    """
+    if degrees and len(degrees) != arm.joints:
+        raise InputError(f"zero= of the address needs {arm.joints} angles, one per joint, got {len(degrees)}")
+    if file is not None and (file.homing != homing).any():
+        j = int(np.argmax(file.homing != homing))
+        raise RobotError(
+            f"the calibration file is not that of this arm: {arm.joint_names[j]} has a homing offset of {homing[j]} "
+            f"counts in its servo and {file.homing[j]} in the file; give the arm's own file, or run lerobot-calibrate"
+        )
+    limited = low < high
+    low, high = np.where(limited, low, 0), np.where(limited, high, COUNTS_PER_TURN - 1)
+    ranges = (low, high) if file is None else (file.low, file.high)
+    if not degrees:
+        _require_swept(arm, *ranges)
+    turned = np.radians(degrees) if degrees else np.zeros(arm.joints)
+    return Zeros(
+        middle=tuple(((ranges[0] + ranges[1]) / 2).tolist()), zero=tuple(turned.tolist()), low=tuple(low.tolist()),
+        high=tuple(high.tolist()),
+    )  # fmt: skip
+
+
+def _require_swept(arm: Arm, low: Counts, high: Counts) -> None:
+    """Raise RobotError where joints have no range of their own: its middle would be anywhere on the turn."""
+    whole = (high - low >= COUNTS_PER_TURN - 1) & (arm.upper - arm.lower < TURNING)
+    if whole.any():
+        names = ", ".join(name for name, bare in zip(arm.joint_names, whole, strict=True) if bare)
+        raise RobotError(
+            f"{names} may turn by a whole turn, as servos do that were never calibrated: zero is unknown; "
+            "run lerobot-calibrate, or say by zero=DEG,DEG,... what angle each joint has in the middle of its range"
+        )
+
+
+PRESENT, BLOCK = 56, 15
+"""Address of the first measured register, and how many there are (Feetech's memory table of the STS/SMS series)"""
+FAULTS = {1: "voltage", 2: "encoder", 4: "heat", 8: "over-current", 32: "overload"}
+"""Bits of the status register."""
+SAGGING = 0.75
+"""share of the voltage at the start below which a supply sags (chosen: servos go silent at half of it)"""
+VOLT = 0.1
+"""[V] of the register of the voltage"""
+# of these position, load, voltage, temperature, status and goal
+_ROW = struct.Struct("<HxxHBBxBxHxx")
+
+
+def decode(rows: Sequence[bytes], zeros: Zeros, laws: Sequence[DutyLaw], supply: Sequence[float]) -> Reading:
+    """Return what the ``rows`` of n servos say; ``supply`` [V] is what each measured at the start."""
+    places, loads, voltages, heats, well = [], [], [], [], True
+    for row, law, before in zip(rows, laws, supply, strict=True):
+        position, duty, volt, heat, status, goal = _ROW.unpack(row)
+        place, voltage = signed(position, 15), volt * VOLT
+        places.append(place)
+        loads.append(law.share(signed(duty, 10), signed(goal, 15) - place))
+        voltages.append(voltage)
+        heats.append(heat)
+        well = well and not status and voltage >= SAGGING * before
+    table = np.array(zeros.radians(places) + loads + voltages + heats).reshape(4, len(rows))
+    words = None if well else [_trouble(row, before) for row, before in zip(rows, supply, strict=True)]
+    return Reading(
+        position=table[0], load=table[1], voltage=table[2], temperature=table[3],
+        fault=np.zeros(len(rows), bool) if words is None else np.array([word is not None for word in words]),
+        trouble=None if words is None else tuple(word or "" for word in words),
+    )  # fmt: skip
+
+
+def signed(word: int, bit: int) -> int:
+    """Return a number that is written as its size and a ``bit`` for the sign."""
+    return -(word & ~(1 << bit)) if word & 1 << bit else word
+
+
+def _trouble(row: bytes, before: float) -> str | None:
+    """Put into words what a servo complains of; None for nothing, empty for a bit that has no name."""
+    _, _, volt, _, status, _ = _ROW.unpack(row)
+    voltage = volt * VOLT
+    words = [name for bit, name in FAULTS.items() if status & bit]
+    if voltage < SAGGING * before:
+        words.append(f"the supply sags to {voltage:.1f} V from {before:.1f} V")
+    return ", ".join(words) if status or words else None

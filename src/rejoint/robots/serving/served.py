@@ -1,9 +1,7 @@
-"""The computer that clients believe to speak to: it plans moves as the vendor's does, and tells the state read last.
+"""The computer that clients speak to: it plans moves as the vendor's does, and reports the state read last.
 
-Two threads meet here. The control loop asks once a cycle where the reference is (`advance`) and brings what it read;
-the server carries out what clients order. Every method takes the lock for microseconds, or, where inverse kinematics
-is searched, for tens of milliseconds in which nothing else is planned: `advance` then finds the lock taken and goes on
-with the reference it had.
+The control loop calls `advance` once a cycle; the server's thread carries out orders. Clients see the posture of a
+perfect arm whose tool is where this one's tool really is.
 """
 
 from __future__ import annotations
@@ -17,29 +15,82 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, tcp_pose, tcp_position
+from rejoint.arms import (
+    Arm,
+    Array,
+    Motors,
+    choose_postures,
+    clip_norm,
+    dls,
+    frames,
+    gravity_torque,
+    position_kinematics,
+    tcp_pose,
+    tcp_position,
+)
+from rejoint.arms.rotations import WEIGHT, Orientation, tool_axis
 from rejoint.arms.wire.computer import COLLISION, HAS_ARRIVED_LENGTH, at_angles, at_place
 from rejoint.arms.wire.mover import Mover
+from rejoint.control.correction import ROUNDS
 from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.posture import PostureGains, Wanted
 from rejoint.control.robot import JointState, Mask
-from rejoint.robots.serving.apparent import Apparent
+
+Shift = Callable[[Array, Array], Array]
+"""Shift (3,) [m] of the tool from where the encoders see it, by position and where the arm came from, (n,) [rad]
+each"""
+
+DAMPING = 0.01
+"""[m] of the inverse kinematics (chosen: a fifth of what controllers take)"""
+MOST = np.radians(15.0)
+"""[rad] by which a joint is shown elsewhere at most (chosen: what 5 cm take at the wrist)"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Apparent:
+    """What clients are shown of an ``arm``, and where it is sent for it."""
+
+    arm: Arm
+    shift: Shift | None = None
+    """None: the tool is where the encoders see it"""
+
+    def shown(self, position: Array, came: Array) -> Array:
+        """Posture (n,) [rad] shown where ``position`` (n,) is measured and the arm came from ``came`` (n,)."""
+        if self.shift is None:
+            return position
+        return position + self._turn(position, self.shift(position, came))
+
+    def measured(self, posture: Array, came: Array) -> Array:
+        """Measured position (n,) [rad] at which ``posture`` (n,) is shown."""
+        if self.shift is None:
+            return posture
+        position = posture
+        for _ in range(ROUNDS):
+            position = posture - (self.shown(position, came) - position)
+        return np.clip(position, self.arm.lower, self.arm.upper)
+
+    def _turn(self, position: Array, way: Array) -> Array:
+        """Joint motion (n,) [rad] that takes the tool ``way`` (3,) [m] farther, without turning it where it can."""
+        jacobian = position_kinematics(self.arm, position)[1]
+        turning = np.swapaxes(frames(self.arm, position).axis, -1, -2)
+        both = np.concatenate([jacobian, DAMPING * turning], axis=-2)
+        return clip_norm(dls(both, np.concatenate([way, np.zeros(3)]), 0.1 * DAMPING), MOST)
+
 
 IN_PLACE = PostureGains.close
 """[m] of the tool within which a move has ended: where the controller lets the arm rest"""
 CALM = 0.3
 """[s] for which it has to stay there (chosen: longer than a worn joint rings)"""
 STANDS = 0.15
-"""[s] for which a stopped arm has to be slow before it is held where it is (chosen: as the posture's `calm`)"""
+"""[s] for which a stopped arm has to be slow before it is held where it is (chosen)"""
 PATIENCE = 8.0
-"""[s] after the end of its way for which a move is brought nearer before it ends as near as it comes (chosen: worn
-joints stick for seconds)"""
+"""[s] after the end of its way for which a move is brought nearer (chosen: worn joints stick for seconds)"""
 LONGEST = 0.1
-"""[s] by which the reference goes on in one cycle at most (chosen: the guard's longest period; it waits for the arm)"""
+"""[s] by which the reference goes on in one cycle at most (chosen)"""
 TOUCH = 1e-6
 """[m] that a goal may be lower than what it is compared with: rounding (chosen)"""
 LOST = 1.0
-"""[s] without an answer of the robot after which its state is told no more (chosen: five periods of a slow wire)"""
+"""[s] without an answer of the robot after which its state is not reported (chosen: five slow periods)"""
 _SMOOTHING = 0.5  # share of the newest difference in the speed that is told (chosen)
 
 
@@ -61,10 +112,13 @@ class ServedArm(Mover):
     """One arm of n joints at rest at ``position`` (n,) [rad]."""
 
     def __init__(
-        self, arm: Arm, position: Array, *, apparent: Apparent | None = None, limits: GuardLimits | None = None
-    ) -> None:
-        """With the ``limits`` of the guard, orders to places that it keeps clear of are refused."""
-        self._limits = limits
+        self, arm: Arm, position: Array, *, apparent: Apparent | None = None, limits: GuardLimits | None = None,
+        motors: Motors | None = None,
+    ) -> None:  # fmt: skip
+        """Refuse orders to places that the guard's ``limits`` or the ``motors`` rule out."""
+        self._limits, self._motors = limits, motors
+        self.too_heavy = ""
+        """why the last order was refused, where a motor is too weak for it; empty where none is"""
         self._apparent = apparent or Apparent(arm=arm)
         super().__init__(arm, self._apparent.shown(position, position))
         self._lock = threading.RLock()
@@ -83,13 +137,13 @@ class ServedArm(Mover):
         self._fault: Mask | None = None
         self._came = position.copy()
         self._wanted = Wanted(posture=position[None].copy(), arrived=np.ones(1, dtype=bool))
+        # when [s] the reference ended its way; None while it moves
         self._since: float | None = None
-        """when [s] the reference ended its way; None while it moves"""
         self._settled = True
+        # when [s] the tool came within `IN_PLACE`, or a stopped arm became slow; None where it is not
         self._close_since: float | None = None
-        """when [s] the tool came within `IN_PLACE`, or a stopped arm became slow; None where it is not"""
+        # whether the move was stopped: it ends where the arm comes to stand
         self._stopped = False
-        """whether the move was stopped: it ends where the arm comes to stand"""
 
     @contextmanager
     def carrying_out(self) -> Iterator[None]:
@@ -130,7 +184,6 @@ class ServedArm(Mover):
         return Wanted(posture=posture[None], arrived=np.array([not under_way]))
 
     def _judge(self) -> None:
-        """See whether the arm has come to where it was sent, or comes no nearer."""
         assert self._time is not None  # noqa: S101 - for the type checker; `_observe` was called
         if not self._wanted.arrived[0]:
             self._since, self._settled, self._close_since = None, False, None
@@ -157,7 +210,6 @@ class ServedArm(Mover):
             self.on_arrival(MoveEnd(error=error, angle=away, after=after, held_back=held_back))
 
     def _judge_stopped(self, now: float) -> None:
-        """Let a stopped arm be held where it has come to stand: it was sent nowhere."""
         slow = bool((np.abs(self._speed) < PostureGains.moving).all())
         self._close_since = (self._close_since or now) if slow else None
         if self._close_since is not None and now - self._close_since >= STANDS:
@@ -170,7 +222,6 @@ class ServedArm(Mover):
         self._wanted = Wanted(posture=self._came[None].copy(), arrived=np.ones(1, dtype=bool))
 
     def _stay(self) -> None:
-        """Let the reference be where the arm is."""
         for joint, angle in enumerate(np.clip(self.angles, self.lower, self.upper)):
             self._motion.place(joint, float(angle))
 
@@ -239,15 +290,14 @@ class ServedArm(Mover):
         return not self.moving and self._is_near(pose)
 
     def _is_near(self, pose: Array) -> bool:
-        """Whether the tool is where it was sent, however its joints do it: a weak one may have to be made up for."""
         return bool(np.linalg.norm(self.pose[:3, 3] - pose[:3, 3]) < HAS_ARRIVED_LENGTH)
 
     # --- what clients order -----------------------------------------------------------------
 
     def stop(self, joint: int | None = None) -> None:
-        """Hold: one joint where the reference is, or the arm where it is itself, if it is on its way.
+        """Hold one joint where the reference is, or the arm where it is itself.
 
-        A worn arm is behind its reference, by centimetres where joints stick; to bring it there would take seconds.
+        A worn arm is far behind its reference.
         """
         under_way = self.on_its_way or not self._settled
         self._motion.hold(joint)
@@ -264,7 +314,7 @@ class ServedArm(Mover):
         self._motion.paused = False
 
     def power(self, on: bool) -> None:
-        """Do nothing: the arm has power, and clients may not take it; see `rejoint.robots.serving.answering`."""
+        """Do nothing: the arm has power, and clients may not take it; see `rejoint.robots.serving.server`."""
 
     def enable(self, wanted: Mask) -> None:
         """Do nothing: all servos hold, and clients may not release them."""
@@ -272,8 +322,43 @@ class ServedArm(Mover):
     def calibrate(self, joint: int) -> None:
         """Do nothing: the zeros of the joints stay."""
 
+    def _posture(self, pose: Array, start: Array) -> Array | None:
+        turn = Orientation(
+            rotation=pose[None, :3, :3], whole=np.ones(1, dtype=bool), weight=np.full(1, WEIGHT),
+            axis=tool_axis(self.arm),
+        )  # fmt: skip
+        found = choose_postures(
+            self.arm, pose[None, :3, 3], start, turn=turn, motors=self._motors, thorough=False
+        )  # fmt: skip
+        return super()._posture(pose, start) if found.refusals[0] else found.q[0]
+
+    def _load(self, angles: Array) -> Array:
+        """Return what holds the arm at ``angles`` (n,) [rad], (n,) [N m]."""
+        return np.abs(gravity_torque(self.arm, self._apparent.measured(angles, self._came)))
+
+    def _overloaded(self, angles: Array) -> tuple[int, str]:
+        """Return the joint, from 1, whose motor cannot hold ``angles`` (n,) [rad], and by how much; 0 where all can."""
+        if self._motors is None:
+            return 0, ""
+        torque, limit = self._load(angles), self._motors.limit
+        share = torque / limit
+        j = int(share.argmax())
+        if share[j] <= 1.0:
+            return 0, ""
+        return j + 1, (
+            f"{self.arm.joint_names[j]} is too weak to hold the arm there: it needs {torque[j]:.2f} N m and gives "
+            f"{limit[j]:.2f} N m, {100.0 * share[j]:.0f} per cent of it (error {j + 1})"
+        )
+
     def _is_clear(self, angles: Array) -> bool:
-        """Whether the guard lets the arm go to ``angles`` (n,) [rad], or at least nearer to what is clear."""
+        """Whether motors and guard allow the arm at ``angles`` (n,) [rad].
+
+        In contact it may go nearer to what is clear.
+        """
+        joint, self.too_heavy = self._overloaded(angles)
+        if joint:
+            self.error = joint
+            return False
         if self._limits is None:
             return True
         goal, here = (self._apparent.measured(one, self._came) for one in (angles, self.planned_angles))

@@ -1,1 +1,1 @@
-"""What a run has made of its arm, for runtimes that know nothing of this package: an ONNX graph and a ROS 2 node."""
+"""What a run has made of its arm, for other runtimes: an ONNX graph and a ROS 2 node."""

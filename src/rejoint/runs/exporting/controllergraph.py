@@ -1,22 +1,29 @@
-"""A controller as one ONNX graph: observation, network, command law, and its memory as a tensor.
+"""A controller as one ONNX graph.
 
-What `PolicyController` and `FeedforwardController` compute in a control cycle is written out here once more, for one
-arm and in float64, since nothing else can run in a program that knows only ONNX. A test compares the two over recorded
-runs.
+Observation, network, command law, and its memory as a tensor, written for PyTorch.
 """
 
 from __future__ import annotations
 
+import io
+import warnings
 from dataclasses import dataclass
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import onnx
-from onnx import NodeProto, TensorProto, helper
+import torch
+from onnx import numpy_helper
+from torch import Tensor, nn
+from torch.nn import functional
 
 from rejoint.arms import Arm
-from rejoint.arms.size import heaviest_load, moves_tool, unloaded_joints
-from rejoint.control.contract import INPUT, OUTPUT
-from rejoint.control.feedforward import SPEED_SMOOTHING
+from rejoint.arms.inverse import DAMPING, MOST_STEP, REST_GAIN, ROUNDS, TOLERANCE
+from rejoint.arms.kinematics import GRAVITY
+from rejoint.arms.rotations import cross_matrix
+from rejoint.arms.workspace import heaviest_load, length_size, moves_tool, unloaded_joints
+from rejoint.control.feedforward import CALMER, CLOSE, SPEED_SMOOTHING, TAKEN_BACK
+from rejoint.control.law import LONGEST_PERIOD as PACE_LONGEST
 from rejoint.control.law import PROJECTION_DAMPING
 from rejoint.control.observation import (
     HISTORY,
@@ -27,24 +34,24 @@ from rejoint.control.observation import (
     PERIOD_SMOOTHING,
     residual_factors,
 )
-from rejoint.control.pace import LONGEST_PERIOD as PACE_LONGEST
-from rejoint.control.residual import CommandLaw, working_envelope
-from rejoint.runs.exporting.armgraph import clip_norm, dls, gravity_torque, pose, solve_position
-from rejoint.runs.exporting.tensors import Graph, Tensor, where
+from rejoint.control.residual import CommandLaw
+from rejoint.system.errors import InputError
+
+F = TypeVar("F")
 
 OPSET, IR_VERSION = 18, 8
 """ONNX operators of December 2022, and a form that ONNX Runtime 1.14 and newer read"""
 
 GAP = 0.5
-"""[s] after which the controller begins anew (as `rejoint.control.runstate` has it)"""
+"""[s] after which the controller begins again (as `rejoint.control.loop` has it)"""
 
 
 def memory_slots(joints: int) -> dict[str, int]:
-    """Return names and sizes of what is remembered from cycle to cycle, in order; zeros begin anew."""
+    """Return names and sizes of what is remembered from cycle to cycle, in order; zeros begin again."""
     n = joints
     return {
         "sent": n, "begun": 1, "target": 3, "since_target": 1, "goal": n, "correction": n, "speed": n, "position": n,
-        "velocity": HISTORY * n, "action": HISTORY * n, "mean_period": 1,
+        "velocity": HISTORY * n, "action": HISTORY * n, "mean_period": 1, "pushed": n, "eager": n, "came": n,
     }  # fmt: skip
 
 
@@ -70,185 +77,249 @@ class Design:
 
 
 def controller_graph(design: Design) -> onnx.ModelProto:
-    """Build the graph of one control cycle.
+    """Build the graph of one control cycle, all float32.
 
-    Inputs, all float32: ``joint_pos`` (1, n) [rad], ``target`` (1, 3) [m], ``period`` (1, 1) [s] since the last cycle,
-    ``state_in`` (1, s). Outputs: ``joint_command`` (1, n) [rad], ``state_out`` (1, s).
+    Inputs ``joint_pos`` (1, n) [rad], ``target`` (1, 3) [m], ``period`` (1, 1) [s], ``state_in`` (1, s); outputs
+    ``joint_command`` (1, n) [rad], ``state_out`` (1, s).
     """
-    n, graph = design.arm.joints, Graph()
-    slots = memory_slots(n)
-    cycle = _CycleGraph(graph, design)
-    old = _split(_read(graph, "state_in", sum(slots.values())), slots)
-    period = _read(graph, "period", 1).pick(0)
-    command, memory = cycle.run(_read(graph, "joint_pos", n), _read(graph, "target", 3), period, old)
-    _write(graph, "joint_command", command)
-    _write(graph, "state_out", graph.joined([memory[name].shaped(size) for name, size in slots.items()]))
-    tensor, size = helper.make_tensor_value_info, sum(slots.values())
-    inputs = [("joint_pos", n), ("target", 3), ("period", 1), ("state_in", size)]
-    outputs = [("joint_command", n), ("state_out", size)]
-    network = [] if design.network is None else list(onnx.load_from_string(design.network).graph.initializer)
-    whole = helper.make_graph(
-        graph.nodes, "controller",
-        [tensor(name, TensorProto.FLOAT, [1, length]) for name, length in inputs],
-        [tensor(name, TensorProto.FLOAT, [1, length]) for name, length in outputs],
-        [*graph.initializers(), *network],
-    )  # fmt: skip
-    model = helper.make_model(
-        whole, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION, producer_name="rejoint"
-    )
+    n, size = design.arm.joints, sum(memory_slots(design.arm.joints).values())
+    inputs, file = [torch.zeros(1, length) for length in (n, 3, 1, size)], io.BytesIO()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # its successor cannot write the loop of a search
+        torch.onnx.export(
+            _CycleGraph(design), tuple(inputs), cast("Any", file), dynamo=False, opset_version=OPSET,
+            input_names=["joint_pos", "target", "period", "state_in"], output_names=["joint_command", "state_out"],
+        )  # fmt: skip
+    model = onnx.load_from_string(file.getvalue())
+    for output, length in zip(model.graph.output, (n, size), strict=True):
+        output.type.tensor_type.shape.dim[1].dim_value = length  # what a loop leaves has no known size
+    model.ir_version, model.producer_name = IR_VERSION, "rejoint"
     onnx.checker.check_model(model, full_check=True)
     return model
 
 
-def _read(graph: Graph, name: str, size: int) -> Tensor:
-    return graph.node("Cast", Tensor(graph, name).shaped(size), to=TensorProto.DOUBLE)
+def _tensor(value: Any) -> Tensor:  # noqa: ANN401 - whatever NumPy takes
+    return torch.as_tensor(np.array(value, dtype=float))
 
 
-def _write(graph: Graph, name: str, value: Tensor) -> None:
-    single = graph.node("Cast", value, to=TensorProto.FLOAT)
-    shape = graph.constant([1, -1], np.int64)
-    graph.nodes.append(helper.make_node("Reshape", [single.name, shape.name], [name]))
+def _arm_tensors(arm: Arm) -> list[Tensor]:
+    """Return what `_pose` and `_search` take of an arm of n joints.
+
+    Three parts (n, 4, 4) of each joint's frame, constant, with sine and with cosine; axes (n, 3), centres of mass (n,
+    4), tip (4,), rest posture and limits (n,).
+    """
+    parts = np.zeros((3, arm.joints, 4, 4))
+    for j in range(arm.joints):
+        cross = cross_matrix(arm.axis[j])
+        square = cross @ cross  # Rodrigues: R = I + sin q K + (1 - cos q) K^2
+        for part, turn in zip(parts, (np.eye(3) + square, cross, -square), strict=True):
+            part[j, :, :3] = arm.offset[j][:, :3] @ turn
+        parts[0, j, :, 3] = arm.offset[j][:, 3]
+    com = np.column_stack([arm.com, np.ones(arm.joints)])
+    return [*map(_tensor, (*parts, arm.axis, com, arm.tip[:, 3], arm.rest, arm.lower, arm.upper))]
 
 
-def _split(state: Tensor, slots: dict[str, int]) -> dict[str, Tensor]:
-    found, place = {}, 0
-    for name, size in slots.items():
-        found[name] = state.pick(place) if size == 1 else state.part(place, place + size)
-        place += size
-    return found
+def _scripted(function: F) -> F:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return cast("F", torch.jit.script(function))
 
 
-@dataclass(frozen=True, eq=False)
-class _CycleGraph:
-    """One control cycle."""
+@_scripted
+def _pose(arm: list[Tensor], q: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Return joint axes, origins [m], centres of mass [m] (n, 3) each, TCP (3,) [m], Jacobian transposed (n, 3)."""
+    still, sine, cosine, axis, com, tip = arm[0], arm[1], arm[2], arm[3], arm[4], arm[5]
+    frame, index = torch.eye(4, dtype=torch.float64)[:3], torch.arange(q.shape[0])
+    frames = torch.zeros((q.shape[0], 3, 4), dtype=torch.float64)
+    for j in range(q.shape[0]):
+        frame = frame @ (still[j] + sine[j] * torch.sin(q[j]) + cosine[j] * torch.cos(q[j]))
+        frames = torch.where((index == j).reshape(-1, 1, 1), frame, frames)
+    axes, origins = (frames[:, :, :3] @ axis.unsqueeze(2)).squeeze(2), frames[:, :, 3]
+    centres, tcp = (frames @ com.unsqueeze(2)).squeeze(2), frame @ tip
+    return axes, origins, centres, tcp, torch.linalg.cross(axes, tcp - origins)
 
-    graph: Graph
-    design: Design
 
-    def run(
-        self, position: Tensor, target: Tensor, period: Tensor, old: dict[str, Tensor]
-    ) -> tuple[Tensor, dict[str, Tensor]]:
-        """Return the command (n,) [rad], and what is remembered."""
-        graph, arm, law = self.graph, self.design.arm, self.design.law
+@_scripted
+def _dls(transpose: Tensor, error: Tensor, damping: Tensor) -> Tensor:
+    """Return the damped least-squares step (n,) [rad] for an ``error`` (3,) [m]."""
+    gram = transpose.t() @ transpose + damping * damping * torch.eye(3, dtype=torch.float64)
+    # by its cofactors: ONNX has no operator to solve
+    cofactors = torch.linalg.cross(torch.roll(gram, -1, 0), torch.roll(gram, -2, 0))
+    return transpose @ ((error @ cofactors) / torch.sum(gram[0] * cofactors[0]))
+
+
+@_scripted
+def _clip_norm(step: Tensor, limit: float) -> Tensor:
+    """Return a step (n,), scaled down so that no entry is larger than the limit."""
+    return step * torch.clamp(limit / torch.clamp(torch.max(torch.abs(step)), min=1e-12), max=1.0)
+
+
+@_scripted
+def _search(
+    arm: list[Tensor], target: Tensor, q: Tensor, rounds: Tensor, settings: tuple[float, float, float, float]
+) -> Tensor:
+    """Return the posture (n,) [rad] of a ``target`` (3,) [m] after at most so many rounds from ``q``."""
+    tolerance, most_damping, rest_gain, most_step = settings
+    rest, lower, upper = arm[6], arm[7], arm[8]
+    q = torch.minimum(torch.maximum(q, lower), upper)
+    count, left = 0, int(rounds)
+    while count < left:
+        _, _, _, tcp, transpose = _pose(arm, q)
+        error = target - tcp
+        if bool(torch.max(torch.abs(error)) < tolerance):
+            left = count
+        else:
+            damping = torch.clamp(torch.sqrt(torch.sum(error * error)) + 1e-4, max=most_damping)
+            pull = (rest - q) * rest_gain
+            back = _dls(transpose, pull @ transpose, torch.full_like(damping, 1e-6))
+            step = _clip_norm(_dls(transpose, error, damping) + pull - back, most_step)
+            q = torch.minimum(torch.maximum(q + step, lower), upper)
+        count += 1
+    return q
+
+
+class _CycleGraph(nn.Module):
+    def __init__(self, design: Design) -> None:
+        super().__init__()
+        self.design, self.law, self.n = design, design.law, design.arm.joints
+        self.arm = _arm_tensors(design.arm)
+        hanging = np.triu(np.ones((self.n, self.n)))
+        self.hanging, self.mass = _tensor(hanging), _tensor(design.arm.mass[:, None])
+        self.stiffness, self.gravity = _tensor(self.law.stiffness), _tensor(-GRAVITY)
+        self.factors, self.moves = _tensor(residual_factors(self.n)), _tensor(moves_tool(design.arm))
+        self.unloaded = torch.as_tensor(unloaded_joints(design.arm))
+        self.close = CLOSE * length_size(design.arm)
+        load = heaviest_load(design.arm)
+        self.spared = _tensor(1.0 - 1.0 / (1.0 + self.law.load_penalty * load / max(load.max(), 1e-9)))
+
+    def forward(self, joint_pos: Tensor, target: Tensor, period: Tensor, state_in: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the command and what is remembered."""
+        arm, law, slots = self.arm, self.law, memory_slots(self.n)
+        position, target, state = (one.double().reshape(-1) for one in (joint_pos, target, state_in))
+        old = dict(zip(slots, torch.split(state, list(slots.values())), strict=True))
         begun = old["begun"] > 0.5
-        sent = where(begun, old["sent"], position)
-        elapsed = where(begun, period.at_least(0.0), 0.0)
-        fresh = ~begun | ((target - old["target"]).largest() > 0.0) | (elapsed > GAP)
-        since = where(fresh, 0.0, old["since_target"] + elapsed)
-        goal = where(fresh, solve_position(graph, arm, target, sent, fresh), old["goal"])
-        there = pose(graph, arm, goal)
-        idle = old["correction"] - dls(there.transpose, old["correction"] @ there.transpose, PROJECTION_DAMPING)
-        raised = goal + gravity_torque(graph, arm, there) / np.array(law.stiffness)
+        sent = torch.where(begun, old["sent"], position)
+        elapsed = torch.where(begun, period.double().reshape(1).clamp(min=0.0), 0.0)
+        changed = (target - old["target"]).abs().max() > 0.0
+        fresh = ~begun | changed | (elapsed > GAP)
+        since = torch.where(fresh, 0.0, old["since_target"] + elapsed)
+        rounds = torch.where(fresh, ROUNDS, 0).squeeze(0)
+        found = _search(arm, target, sent, rounds, (TOLERANCE, DAMPING, REST_GAIN, MOST_STEP))
+        goal = torch.where(fresh, found, old["goal"])
+        axes, origins, centres, _, transpose = _pose(arm, goal)
+        ridge = torch.full((), PROJECTION_DAMPING, dtype=torch.float64)
+        idle = old["correction"] - _dls(transpose, old["correction"] @ transpose, ridge)
+        moment = self.hanging @ (centres * self.mass) - origins * (self.hanging @ self.mass)
+        raised = goal + (torch.linalg.cross(axes, moment) @ self.gravity) / self.stiffness
 
-        seen = self._view(position, target)
+        _, _, _, tcp, transpose = _pose(arm, position)
+        error = target - tcp
+        distance = (error * error).sum().sqrt()
+        step = _dls(transpose, error, torch.full((), DAMPING, dtype=torch.float64))
         known = self._measured(position, elapsed, fresh, old)
-        action = self._act(position, sent, seen, since, known)
-        push, extra = self._weigh(seen, since, action)
-        speed, learned = self._integrate(
-            (position - where(begun, old["position"], position), elapsed), old["speed"],
-            old["correction"] - where(fresh, idle, 0.0), push, extra,
-        )  # fmt: skip
-        command = (raised + learned).between(arm.lower, arm.upper)
-        command = command.between(*working_envelope(arm, law.envelope_margin))
-        actions = graph.joined([action, known["action"].part(0, (HISTORY - 1) * arm.joints)])
-        return command, known | {
-            "sent": command, "begun": graph.constant([1.0]), "target": target, "since_target": since, "goal": goal,
-            "correction": learned, "speed": speed, "position": position, "action": actions,
+        action = self._act(position, sent, (step, error, distance), since, known)
+        push, extra = self._weigh(step, distance, since, action)
+
+        gains, span = law.learning, elapsed.clamp(max=PACE_LONGEST)
+        way = position - torch.where(begun, old["position"], position)
+        loosened, sticking = self._loosen(step, distance, span, way, fresh, old)
+        extra = extra + loosened
+        newest = torch.where(span > 0.0, way / torch.where(span > 0.0, span, 1.0), old["speed"])
+        speed = newest * SPEED_SMOOTHING + old["speed"] * (1.0 - SPEED_SMOOTHING)
+        near, far = gains.far
+        share = ((distance - near) / (far - near)).clamp(0.0, 1.0) * (1.0 - torch.exp(-gains.forgetting * span))
+        learned = old["correction"] - idle * torch.where(fresh, 1.0, share)
+        added = push * (span * gains.rate)
+        on_its_way = (speed.abs() > gains.moving) & (speed * added > 0.0)
+        learned = (learned + torch.where(on_its_way, 0.0, added) + extra).clamp(
+            -gains.learned_limit, gains.learned_limit
+        )
+        command = self._limited(raised + learned)
+        command = torch.minimum(torch.maximum(command, goal - law.envelope_margin), goal + law.envelope_margin)
+        command = self._limited(command)
+        actions = torch.cat([action, known["action"][: (HISTORY - 1) * self.n]])
+        memory = known | sticking | {
+            "sent": command, "begun": torch.ones(1, dtype=torch.float64), "target": target, "since_target": since,
+            "goal": goal, "correction": learned, "speed": speed, "position": position, "action": actions,
+        }  # fmt: skip
+        state = torch.cat([memory[name] for name in slots])
+        return command.float().reshape(1, -1), state.float().reshape(1, -1)
+
+    def _loosen(
+        self, step: Tensor, distance: Tensor, span: Tensor, way: Tensor, fresh: Tensor, old: dict[str, Tensor]
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """Return what is added (n,) [rad] for joints that stick, and its memory (`FeedforwardController`)."""
+        eager, came = torch.where(fresh, 1.0, old["eager"]), torch.where(fresh, 0.0, old["came"])
+        share = step / step.abs().max().clamp(min=1e-9)
+        sticks, loose = way == 0.0, way * old["pushed"] > 0.0
+        added = torch.where(sticks & (distance > self.close), span * self.law.loosen * eager * share, 0.0)
+        taken, back = (torch.where(loose, one, 0.0) for one in (TAKEN_BACK * old["pushed"], torch.sign(old["pushed"])))
+        return added - taken, {
+            "pushed": torch.where(sticks, old["pushed"] + added, 0.0),
+            "eager": torch.where(back * came < 0.0, CALMER * eager, eager), "came": torch.where(loose, back, came),
         }  # fmt: skip
 
-    def _view(self, position: Tensor, target: Tensor) -> _TargetView:
-        there = pose(self.graph, self.design.arm, position)
-        error = target - there.tcp
-        return _TargetView(dls(there.transpose, error), error, error.norm())
+    def _limited(self, q: Tensor) -> Tensor:
+        return torch.minimum(torch.maximum(q, self.arm[-2]), self.arm[-1])
 
     def _measured(self, position: Tensor, elapsed: Tensor, fresh: Tensor, old: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Return velocities, mean period and past actions, as the observation has them."""
-        n, news = self.design.arm.joints, (elapsed > 0.0) & ~fresh
-        velocity, action = (where(fresh, 0.0, old[name]) for name in ("velocity", "action"))
-        latest = (position - old["position"]) / where(news, elapsed, 1.0)
-        shifted = self.graph.joined([latest, velocity.part(0, (HISTORY - 1) * n)])
-        mean = where(old["begun"] > 0.5, old["mean_period"], MIDDLE_PERIOD)
-        changed = mean + (elapsed.at_most(LONGEST_PERIOD) - mean) * PERIOD_SMOOTHING
+        news = (elapsed > 0.0) & ~fresh
+        velocity, action = (torch.where(fresh, 0.0, old[name]) for name in ("velocity", "action"))
+        latest = (position - old["position"]) / torch.where(news, elapsed, 1.0)
+        shifted = torch.cat([latest, velocity[: (HISTORY - 1) * self.n]])
+        mean = torch.where(old["begun"] > 0.5, old["mean_period"], MIDDLE_PERIOD)
+        changed = mean + (elapsed.clamp(max=LONGEST_PERIOD) - mean) * PERIOD_SMOOTHING
         return {
-            "velocity": where(news, shifted, velocity), "action": action, "mean_period": where(news, changed, mean)
+            "velocity": torch.where(news, shifted, velocity), "action": action,
+            "mean_period": torch.where(news, changed, mean),
         }  # fmt: skip
 
     def _act(
-        self, position: Tensor, sent: Tensor, seen: _TargetView, since: Tensor, known: dict[str, Tensor]
-    ) -> Tensor:
+        self, position: Tensor, sent: Tensor, seen: tuple[Tensor, Tensor, Tensor], since: Tensor,
+        known: dict[str, Tensor],
+    ) -> Tensor:  # fmt: skip
         """Return the action (n,) of the network for the observation of the layout ``residual``."""
-        graph, n = self.graph, self.design.arm.joints
         if self.design.network is None:
-            return graph.constant(np.zeros(n))
-        numbers = graph.joined([
-            sent - position, known["velocity"], seen.step, seen.step, seen.step, position, seen.error,
-            seen.error / (seen.distance + 0.003), ((seen.distance + 0.0003).apply("Log") + 5.0).shaped(1),
-            (since.at_most(LONGEST_WAIT) - 0.5).shaped(1), (known["mean_period"] - MIDDLE_PERIOD).shaped(1),
-            known["action"],
-        ]) * residual_factors(n)  # fmt: skip
-        size, near = 11 * n + 9, ((2 + HISTORY) * n, (4 + HISTORY) * n)
-        numbers = graph.joined([
-            numbers.part(0, near[0]), numbers.part(*near).apply("Tanh"), numbers.part(near[1], size)
-        ])  # fmt: skip
-        observation = graph.node("Cast", numbers.between(-LIMIT, LIMIT).shaped(1, size), to=TensorProto.FLOAT)
-        return graph.node("Cast", self._network(observation).shaped(n), to=TensorProto.DOUBLE)
+            return torch.zeros(self.n, dtype=torch.float64)
+        step, error, distance = seen
+        numbers = torch.cat([
+            sent - position, known["velocity"], step, step, step, position, error, error / (distance + 0.003),
+            (torch.log(distance + 0.0003) + 5.0).reshape(1), since.clamp(max=LONGEST_WAIT) - 0.5,
+            known["mean_period"] - MIDDLE_PERIOD, known["action"],
+        ]) * self.factors  # fmt: skip
+        first, last = (2 + HISTORY) * self.n, (4 + HISTORY) * self.n
+        numbers = torch.cat([numbers[:first], torch.tanh(numbers[first:last]), numbers[last:]])
+        return _answer(self.design.network, numbers.clamp(-LIMIT, LIMIT).float().reshape(1, -1)).reshape(-1).double()
 
-    def _network(self, observation: Tensor) -> Tensor:
-        """Append the layers of the policy's network; their weights go into the file as they are."""
-        assert self.design.network is not None  # noqa: S101 - the caller has looked
-        nodes = onnx.load_from_string(self.design.network).graph.node
-        produced = {name for node in nodes for name in node.output}
-
-        def named(name: str) -> str:
-            return observation.name if name == INPUT else f"network.{name}"
-
-        for node in nodes:
-            copy = NodeProto()
-            copy.CopyFrom(node)
-            copy.input[:] = [named(name) if name in produced or name == INPUT else name for name in node.input]
-            copy.output[:] = [named(name) for name in node.output]
-            self.graph.nodes.append(copy)
-        return Tensor(self.graph, named(OUTPUT))
-
-    def _weigh(self, seen: _TargetView, since: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
+    def _weigh(self, step: Tensor, distance: Tensor, since: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
         """Return what of step and action is integrated, (n,) [rad] each (`rejoint.control.residual.Commander`)."""
-        arm, law = self.design.arm, self.design.law
-        load, largest = heaviest_load(arm), seen.step.largest()
-        spared = 1.0 - 1.0 / (1.0 + law.load_penalty * load / max(load.max(), 1e-9))
-        faded = seen.distance / (seen.distance + law.learning.fade)
-        ratio = seen.distance / law.load_penalty_distance
-        close = self.graph.tensor(1.0) / (ratio * ratio + 1.0)
-        push = clip_norm(seen.step, law.step_limit) * faded * (self.graph.tensor(1.0) - close * spared)
-        authority = (largest * law.authority_slope + law.authority_floor).at_most(law.authority_limit)
-        extra = action.between(-1.0, 1.0) * authority * moves_tool(arm).astype(float)
+        law, largest, ratio = self.law, step.abs().max(), distance / self.law.load_penalty_distance
+        push = _clip_norm(step, float(law.step_limit)) * (distance / (distance + law.learning.fade))
+        push = push * (1.0 - self.spared / (ratio * ratio + 1.0))
+        authority = (largest * law.authority_slope + law.authority_floor).clamp(max=law.authority_limit)
+        extra = action.clamp(-1.0, 1.0) * authority * self.moves
         if law.decay_start <= 0.0:
             return push, extra
-        late = self.graph.node(
-            "Pow", self.graph.tensor(law.decay_start) / since.at_least(law.decay_start), law.decay_power
-        )
-        near = (largest / law.decay_step).at_most(1.0)
-        decayed = late + (self.graph.tensor(1.0) - late) * near * near
-        factor = where(self.graph.constant(unloaded_joints(arm), np.bool_), decayed, 1.0)
+        late = (law.decay_start / since.clamp(min=law.decay_start)) ** law.decay_power
+        near = (largest / law.decay_step).clamp(max=1.0)
+        factor = torch.where(self.unloaded, late + (1.0 - late) * near * near, 1.0)
         return push * factor, extra * factor
 
-    def _integrate(
-        self, moved: tuple[Tensor, Tensor], speed: Tensor, learned: Tensor, push: Tensor, extra: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """Return speeds and corrections, (n,) each (`rejoint.control.compiled.integrate`)."""
-        gains, (way, span) = self.design.law.learning, moved
-        elapsed = span.at_most(PACE_LONGEST)
-        newest = where(elapsed > 0.0, way / where(elapsed > 0.0, elapsed, 1.0), speed)
-        now = newest * SPEED_SMOOTHING + speed * (1.0 - SPEED_SMOOTHING)
-        added = push * (elapsed * gains.rate)
-        on_its_way = (now.apply("Abs") > gains.moving) & ((now * added) > 0.0)
-        learned = learned + where(on_its_way, 0.0, added) + extra
-        return now, learned.between(-gains.learned_limit, gains.learned_limit)
 
-
-@dataclass(frozen=True, eq=False)
-class _TargetView:
-    """The target from where the arm is: step (n,) [rad] towards it, error (3,) and distance () [m]."""
-
-    step: Tensor
-    error: Tensor
-    distance: Tensor
+def _answer(network: bytes, values: Tensor) -> Tensor:
+    graph = onnx.load_from_string(network).graph
+    held = {one.name: torch.as_tensor(numpy_helper.to_array(one).copy()) for one in graph.initializer}
+    for node in graph.node:
+        more = [held[name] for name in node.input[1:]]
+        match node.op_type:
+            case "Gemm":
+                values = functional.linear(values, *more)
+            case "Elu":
+                values = functional.elu(values, node.attribute[0].f)
+            case "Tanh":
+                values = torch.tanh(values)
+            case "Clip":
+                values = values.clamp(*(float(one) for one in more))
+            case other:
+                raise InputError(f"the policy has a layer {other}, expected Gemm, Elu, Tanh or Clip; train it again")
+    return values

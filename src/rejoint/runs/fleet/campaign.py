@@ -1,9 +1,11 @@
-"""What is left to do of each arm, read from files: a second call goes on where the first one was killed."""
+"""What is left to do of each arm, read from files, and one step of it: a check or a stage of a repair."""
 
 from __future__ import annotations
 
+import time
+import traceback
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Literal, TypeAlias
@@ -11,19 +13,118 @@ from typing import Literal, TypeAlias
 from rejoint.logs.history.index import CHECKS
 from rejoint.logs.history.rows import SUMMARY, HistoryRow, read_rows, utc_now
 from rejoint.logs.runfolder.folder import RunFolder
-from rejoint.runs.chain import stages_of
 from rejoint.runs.fleet.file import Fleet, FleetArm
-from rejoint.runs.fleet.work import RepairOptions, Step, Work
-from rejoint.runs.given import arm_of
+from rejoint.runs.repair import MOVING, StageName, stages_of
 from rejoint.runs.run import is_finished, is_of_another, newest_or_new_in
-from rejoint.system.errors import FileError
+from rejoint.session.inputs import arm_of
+from rejoint.session.settings import Settings
+from rejoint.system.errors import FileError, RejointError, first_line
+from rejoint.system.extras import explain
 from rejoint.system.files import read_json, write_json
+from rejoint.system.stopping import Interrupted
+
+Step: TypeAlias = Literal["check"] | StageName
+
+
+@dataclass(frozen=True, kw_only=True)
+class RepairOptions:
+    """What a repair of every arm is asked for, as `rejoint.repair` takes it."""
+
+    preset: str = "default"
+    controllers: tuple[str, ...] = ()
+    sets: int | None = None
+    repetitions: int | None = None
+    seed: int | None = None
+    quick: bool = False
+    needed: bool = False
+    """whether each arm is checked first, and repaired only where the check says so"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Work:
+    """One step of one arm."""
+
+    arm: FleetArm
+    step: Step
+    folder: Path
+    """of a check: below which all runs and checks are; of a stage: the run"""
+    options: RepairOptions = field(default_factory=RepairOptions)
+
+    @property
+    def moves(self) -> bool:
+        """Whether the arm moves."""
+        return self.step == "check" or self.step in MOVING
+
+    @property
+    def held(self) -> bool:
+        """Whether somebody has to hold a connection for it: the arm moves, and is real."""
+        return self.moves and not self.arm.virtual
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorkOutcome:
+    """How a piece of work ended; what it found is in its files."""
+
+    seconds: float
+    """[s] that it took"""
+    problem: str = ""
+    """why it failed, in one line; empty where it did not"""
+    code: int = 0
+    """exit code of the command line for that error"""
+    trace: str = ""
+    """where a bug is; empty for everything expected"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lost:
+    """What was at work is gone: a process that was killed, a node that does not answer."""
+
+    why: str
+
+
+def do_work(work: Work) -> WorkOutcome:
+    """Do one piece of work; whatever goes wrong is in the outcome, so that it reaches who leads."""
+    begun, problem, code, trace = time.monotonic(), "", 0, ""
+    try:
+        _do(work)
+    except Interrupted as error:
+        problem, code = "held, as it was asked to stop", error.exit_code
+    except RejointError as error:
+        problem, code = "; ".join((str(error), *getattr(error, "__notes__", ()))), error.exit_code
+    except Exception as error:  # noqa: BLE001 - a bug in one arm's work is no end of the others'
+        problem, code = (explain(error) or "") if isinstance(error, ImportError) else "", 2
+        if not problem:
+            problem, code = f"a bug: {type(error).__name__}: {first_line(error)}", 1
+            trace = "".join(traceback.format_exception(error))
+    return WorkOutcome(seconds=time.monotonic() - begun, problem=problem, code=code, trace=trace)
+
+
+def _do(work: Work) -> None:
+    arm, options = work.arm, work.options
+    if work.step == "check":
+        from rejoint.runs.stages.check import check
+
+        check(
+            arm.address, history=work.folder, name=arm.name, arm=arm.description, tolerance_mm=arm.tolerance_mm
+        )  # fmt: skip
+        return
+    from rejoint.runs.repair import RepairPlan, repair  # late: who only checks arms needs none of its stages
+    from rejoint.runs.stages.compare import TrialPlan
+
+    repair(
+        arm.address, run=work.folder, arm=arm.description, quick=options.quick, only=work.step,
+        settings=Settings(seed=options.seed),
+        plan=RepairPlan(
+            preset=options.preset, controllers=options.controllers,
+            trials=TrialPlan(sets=options.sets, repetitions=options.repetitions),
+        ),
+    )  # fmt: skip
+
 
 Verb: TypeAlias = Literal["check", "repair"]
 
 STALE = {"check": timedelta(hours=12), "repair": timedelta(days=3)}
-"""After which what was interrupted is not gone on with: finished arms begin again as well (chosen: a check is of one
-day, and a weekend may lie within a repair)"""
+"""After which an interrupted call is not resumed (chosen: a check is of one day)"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +134,7 @@ class CampaignInfo:
     begun: datetime
     """UTC, without a zone"""
     runs: dict[str, str]
-    """by the name of each arm that was asked for: of a repair, its run folder, below the folder of the fleet"""
+    """by the name of each arm: of a repair, its run folder, below that of the fleet"""
     finished: bool = False
     """whether nothing was left to do"""
 
@@ -52,13 +153,13 @@ class Campaign:
     @classmethod
     def open(
         cls, fleet: Fleet, verb: Verb, options: RepairOptions | None = None, *, only: tuple[str, ...] = (),
-        anew: bool = False,
+        fresh: bool = False,
     ) -> Campaign:  # fmt: skip
         """Go on with what an earlier call left, or begin; who calls has the folder to itself (`state_folder`)."""
         path, now, arms = state_file(fleet, verb), utc_now(), fleet.only(only)
         before = read_json(path, CampaignInfo) if path.exists() else None
         # What was begun in the future was so by a wrong clock: no check of now would count for it.
-        if before is not None and (before.finished or anew or not timedelta(0) <= now - before.begun < STALE[verb]):
+        if before is not None and (before.finished or fresh or not timedelta(0) <= now - before.begun < STALE[verb]):
             before = None
         runs = {} if before is None else dict(before.runs)
         for arm in arms:
@@ -101,7 +202,7 @@ class Campaign:
         return not any(self.left(arm) for arm in allowed)
 
     def finish(self) -> None:
-        """Note that it is through: the next call begins anew."""
+        """Note that it is through: the next call begins again."""
         done = CampaignInfo(begun=self.info.begun, runs=self.info.runs, finished=True)
         write_json(state_file(self.fleet, self.verb), done)
 
@@ -119,10 +220,6 @@ class Campaign:
 
 
 def _run_of(fleet: Fleet, arm: FleetArm, before: str | None) -> str:
-    """Return the run folder of an arm that is repaired, below that of the fleet: of an earlier call if it has one.
-
-    Where its address or its description has changed since, an interrupted run is none to go on with.
-    """
     built = arm_of(arm.address, arm.description)
     if before is not None:
         files = RunFolder(fleet.folder / before)

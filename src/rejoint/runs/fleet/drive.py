@@ -1,8 +1,4 @@
-"""Who does what next: each arm's steps in their order, within its hours and with its permissions.
-
-What is left is asked of the files, every time, so that nothing is lost with this process. What it decides is what must
-not be decided where a process can be begun again by itself: whether an arm moves once more.
-"""
+"""What happens next: each arm's steps in their order, within its hours and with its permissions, by its files."""
 
 from __future__ import annotations
 
@@ -12,19 +8,18 @@ from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from typing import Literal, Protocol, TypeAlias
 
+from rejoint.runs.fleet.campaign import Lost, Step, Work, WorkOutcome
 from rejoint.runs.fleet.file import FleetArm
-from rejoint.runs.fleet.work import Lost, Step, Work, WorkOutcome
 from rejoint.system.stopping import check, noted, pause, shielded
 
 End: TypeAlias = Literal["done", "failed", "left"]
 
 LOOK = 0.5
-"""[s] between two looks at the clock and at signals (chosen: an arm is asked to hold within it)"""
+"""[s] between two looks at the clock and at signals (chosen)"""
 TRIES = 4
 """of one arm's work whose process is lost again and again (chosen: killed three times by chance is rare)"""
 ROOM = timedelta(minutes=5)
-"""Least time before the end of an arm's hours in which it begins to move (chosen: a check takes two and a half, a
-diagnosis four; a comparison is ended at the end of the hours, and goes on after its last finished trial)"""
+"""Least time before the end of an arm's hours in which it begins to move (chosen: a diagnosis takes four minutes)"""
 HOLDING = 15.0
 """[s] that arms are given to come to a hold at the end (chosen: they take two)"""
 IDLE = 30.0
@@ -49,11 +44,13 @@ class Rules:
     """What holds for all arms of one call."""
 
     somebody: bool = False
-    """whether somebody is there, as whoever calls says"""
+    """whether somebody is there, as the caller says"""
     stay: bool = False
     """whether to wait for hours that begin later"""
     at_once: int = 1_000_000
     """real arms that move at the same time at most"""
+    fresh: bool = False
+    """whether to begin with all arms again, though an earlier call was cut short"""
     now: Callable[[], datetime] = datetime.now
 
 
@@ -90,8 +87,6 @@ class Standing:
 
 
 class _Lead:
-    """One call."""
-
     def __init__(
         self, arms: Sequence[FleetArm], left: Callable[[FleetArm], Sequence[Step]],
         work: Callable[[FleetArm, Step], Work], executor: Executor, rules: Rules, tell: Callable[[Event], object],
@@ -125,7 +120,6 @@ class _Lead:
                 self._end(work, ended)
 
     def _begin(self) -> bool:
-        """Begin what can be begun; returns whether an arm waits for its hours."""
         now, waiting = self._rules.now(), False
         idle = [one for one in self.standings if one.end is None and one.running is None]
         for one in sorted(idle, key=lambda one: one.arm.hours.closes(now) or datetime.max):  # else in their order
@@ -153,14 +147,12 @@ class _Lead:
         return waiting
 
     def _has_room(self, work: Work) -> bool:
-        """Tell whether an arm may begin to move beside those that move already."""
         moving = [one.running for one in self.standings if one.running is not None and one.running.moves]
         if work.arm.bench and any(other.arm.bench == work.arm.bench for other in moving):
             return False
         return not work.held or sum(other.held for other in moving) < self._rules.at_once
 
     def _hold_late(self) -> None:
-        """Ask real arms to hold whose hours are over; what they have finished is kept."""
         now = self._rules.now()
         for one in self.standings:
             work = one.running

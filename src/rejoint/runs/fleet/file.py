@@ -1,40 +1,103 @@
-"""FLEET.toml: the arms of a lab, their addresses, hours and permissions.
-
-::
-
-    folder = "lab"                            # optional: where all runs and checks are; runs, beside this file
-    hours = ["Mon-Fri 08:00-18:00"]           # optional: when arms may move, any time
-    closed = ["2026-12-24 to 2027-01-06"]     # optional: days on which none may
-    tolerance_mm = 3.0                        # optional: error of a tool that its owner can bear
-    may_move = true                           # optional, false: nothing moves without it
-    needs_somebody = true                     # optional, true: moves only where somebody is said to be there
-    may_repair = false                        # optional, false: a repair moves an arm for longer than a check
-
-    [[arm]]                                   # one for each arm
-    name = "bench-3"
-    address = "tcp://192.168.1.20:9000"
-    description = "so101"                     # optional: name in the catalogue, or a file; as the address says
-    bench = "table 1"                         # optional: arms of one bench never move at the same time
-    hours = ["Sat 09:00-12:00"]               # optional, as are closed, tolerance_mm and the three permissions:
-                                              # instead of those at the top
-
-Paths are from the folder that the file is in; ``~`` is the home folder. Hours are by the clock of the computer that
-leads.
-"""
+"""When an arm may move: hours of the week, and days on which it may not."""
 
 from __future__ import annotations
 
 import os
+import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from datetime import date, datetime, time, timedelta
 from pathlib import Path
 
 from rejoint.arms import CATALOGUE
-from rejoint.logs.history.identity import plain_name
+from rejoint.logs.history.rows import plain_name
 from rejoint.robots import place_of
-from rejoint.runs.fleet.hours import Hours, read_hours
-from rejoint.runs.given import arm_of
+from rejoint.session.inputs import arm_of
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.tomltable import TomlTable, read_toml
+
+DAYS = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")
+HORIZON = 400
+"""[days] that are looked through for the next opening (chosen: longer than a year)"""
+
+_SPAN = re.compile(r"\s*(\w+)(?:\s*-\s*(\w+))?\s+(\d\d):(\d\d)\s*-\s*(\d\d):(\d\d)\s*")
+_DATES = re.compile(r"\s*(\d{4}-\d\d-\d\d)(?:\s+to\s+(\d{4}-\d\d-\d\d))?\s*")
+_DAY = timedelta(days=1)
+_FULL = 24 * 60  # minutes of a day
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hours:
+    """Hours at which an arm may move, by the clock of the computer that leads."""
+
+    spans: tuple[tuple[int, int, int], ...] = ()
+    """weekday from Monday 0, first minute of the day, and the minute at which it ends, above 1440 on the day after; ()
+    for any time"""
+    closed: tuple[tuple[date, date], ...] = ()
+    """first and last day on which it may not move"""
+
+    def is_open(self, now: datetime) -> bool:
+        """Tell whether the arm may move at ``now``."""
+        if any(first <= now.date() <= last for first, last in self.closed):
+            return False
+        minute = 60 * now.hour + now.minute
+        today, before = now.weekday(), (now.weekday() - 1) % 7
+        return not self.spans or any(
+            (day == today and first <= minute < last) or (day == before and minute < last - _FULL)
+            for day, first, last in self.spans
+        )
+
+    def opens(self, now: datetime) -> datetime | None:
+        """Return ``now`` where the arm may move, else when it next may; None where that is not within `HORIZON`."""
+        if self.is_open(now):
+            return now
+        return next((one for one in self._changes(now) if self.is_open(one)), None)
+
+    def closes(self, now: datetime) -> datetime | None:
+        """Return when an arm that may move at ``now`` next may not; None where that is not within `HORIZON`."""
+        return next((one for one in self._changes(now) if not self.is_open(one)), None)
+
+    def _changes(self, now: datetime) -> Iterator[datetime]:
+        """Go through the times after ``now`` at which something may begin or end."""
+        minutes = {0, *(edge % _FULL for _, first, last in self.spans for edge in (first, last))}
+        for day in range(HORIZON):
+            midnight = datetime.combine(now.date() + day * _DAY, time())
+            for minute in sorted(minutes):
+                if (one := midnight + timedelta(minutes=minute)) > now:
+                    yield one
+
+
+def read_hours(spans: Sequence[str], closed: Sequence[str] = ()) -> Hours:
+    """Read ``Mon-Fri 08:00-18:00`` and ``2026-12-24 to 2027-01-06``; ValueError says which text is none such."""
+    return Hours(
+        spans=tuple(one for text in spans for one in _span(text)), closed=tuple(_dates(text) for text in closed)
+    )
+
+
+def _span(text: str) -> list[tuple[int, int, int]]:
+    """Read the hours of one day, or of each of several: ``Fri 22:00-06:00`` ends on Saturday."""
+    found = _SPAN.fullmatch(text)
+    names = [] if found is None else [found[1], found[2] or found[1]]
+    if found is None or not all(name.title() in DAYS for name in names):
+        raise ValueError(f"expected hours such as Mon-Fri 08:00-18:00 (days {', '.join(DAYS)}), found {text[:40]!r}")
+    first, last = (60 * int(found[i]) + int(found[i + 1]) for i in (3, 5))
+    if first >= _FULL or last > _FULL or int(found[4]) > 59 or int(found[6]) > 59 or first == last:
+        raise ValueError(f"expected two different times from 00:00 to 24:00, found {text[:40]!r}")
+    day, end = (DAYS.index(name.title()) for name in names)
+    count = (end - day) % 7 + 1
+    return [((day + i) % 7, first, last if last > first else last + _FULL) for i in range(count)]
+
+
+def _dates(text: str) -> tuple[date, date]:
+    found = _DATES.fullmatch(text)
+    try:
+        first, last = (date.fromisoformat(one) for one in (found[1], found[2] or found[1])) if found else (None, None)
+    except ValueError:
+        first = last = None
+    if first is None or last is None or first > last:
+        raise ValueError(f"expected a day such as 2026-12-24, or 2026-12-24 to 2027-01-06, found {text[:40]!r}")
+    return first, last
+
 
 FOLDER = "runs"
 """Where runs and checks are kept, beside the file, if it does not say"""
@@ -133,7 +196,6 @@ def _arm(table: TomlTable, top: TomlTable, home: Path) -> FleetArm:
 
 
 def _giver(key: str, table: TomlTable, top: TomlTable) -> TomlTable:
-    """Return the table that a key of an arm is to be read from: its own, or the top for all arms."""
     return table if key in table.data else top
 
 
@@ -152,7 +214,6 @@ def _hours(table: TomlTable, top: TomlTable, key: str) -> Hours:
 
 
 def _description(table: TomlTable, home: Path) -> str | None:
-    """Return the arm's name in the catalogue as it is, and a file as seen from the fleet's folder."""
     if "description" not in table.data:
         return None
     text = table.string("description")

@@ -1,7 +1,6 @@
 """Work done by Ray: tasks on any computer of a cluster, and an actor for each real arm while it moves.
 
-Ray is imported when it is needed. Nothing here decides whether something is tried again: Ray may try
-nothing by itself, and says what it has lost.
+Ray retries nothing.
 """
 
 from __future__ import annotations
@@ -14,26 +13,21 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
+from rejoint.runs.fleet.campaign import Lost, Work, WorkOutcome
 from rejoint.runs.fleet.file import FleetArm
-from rejoint.runs.fleet.rayworker import PULSE, ArmHolder, Reports, work_in_task
-from rejoint.runs.fleet.work import Lost, Work, WorkOutcome
-from rejoint.system.errors import InputError, RejointError, first_line
+from rejoint.runs.fleet.rayworker import ArmHolder, Holds, work_in_task
+from rejoint.system.errors import InputError, first_line
 from rejoint.system.extras import require
 from rejoint.system.stopping import check, noted, pause
 
-T = TypeVar("T")
-R = TypeVar("R")
-
 NAMESPACE = "rejoint"
 STORE = 80 * 2**20
-"""[bytes] of Ray's store of objects on one machine (chosen: the least that Ray takes; results go by files)"""
-TRIES_AGAIN = 3
-"""of work in which nothing moves, where nobody leads it (chosen: as many as in a fleet)"""
+"""[bytes] of Ray's store of objects on one machine (chosen: the least that Ray takes)"""
 GOING = 10.0
 """[s] in which the actor of an arm's last step has ended (chosen: it takes a tenth of one)"""
 
@@ -50,12 +44,11 @@ class RayExecutor:
         real = [arm for arm in arms if not arm.virtual]
         self._training_cpus, self._running = training_cpus, {}  # type: float, dict[Any, tuple[Work, Any]]
         self._refused: list[tuple[Work, WorkOutcome | Lost]] = []
-        self._show: Callable[[dict[str, tuple[float, str]]], object] | None = None
         self._ray = _begun(address, cpus, {arm.resource: 1.0 for arm in real})
         try:
             self.cpus = int(self._ray.cluster_resources().get("CPU", 0))
             self._require_reached(real, address)
-            self._reports = self._ray.remote(num_cpus=0)(Reports).remote()
+            self._holds = self._ray.remote(num_cpus=0)(Holds).remote()
             self._work = self._ray.remote(max_retries=0)(work_in_task)
             self._arm = self._ray.remote(num_cpus=0, max_restarts=0, max_task_retries=0)(ArmHolder)
         except BaseException:
@@ -64,18 +57,18 @@ class RayExecutor:
 
     def begin(self, work: Work) -> None:
         """Have a piece of work done; a real arm that moves is held by an actor where it is reached."""
-        self._reports.over.remote(work.arm.name)  # a wish to hold that came after the last work had ended
+        self._holds.over.remote(work.arm.name)  # a wish to hold that came after the last work had ended
         if not work.held:
             cpus = self._training_cpus if work.step == "train" else 1.0
             task = self._work.options(num_cpus=cpus, name=f"{work.arm.name}:{work.step}")
-            self._running[task.remote(work, self._reports)] = work, None
+            self._running[task.remote(work)] = work, None
             return
         holder = self._holder(work.arm.resource)
         if holder is None:
             problem = "another call on this cluster moves this arm; wait until it is done"
-            self._refused.append((work, WorkOutcome(seconds=0.0, problem=problem, kind="InputError", code=2)))
+            self._refused.append((work, WorkOutcome(seconds=0.0, problem=problem, code=2)))
             return
-        self._running[holder.do.remote(work, self._reports)] = work, holder
+        self._running[holder.do.remote(work, self._holds)] = work, holder
 
     def _holder(self, resource: str) -> Any:  # noqa: ANN401 - of Ray
         """Return a new actor for an arm; None where there is one, which does not go."""
@@ -98,18 +91,11 @@ class RayExecutor:
         ready, _ = self._ray.wait(references, num_returns=1, timeout=timeout)
         if ready:
             ready, _ = self._ray.wait(references, num_returns=len(references), timeout=0.0)
-        if self._show is not None:
-            with suppress(self._ray.exceptions.RayError):  # the reports may be late
-                self._show(self._ray.get(self._reports.shares.remote(), timeout=PULSE))
         return [self._ended(reference) for reference in ready]
 
     def hold(self, work: Work) -> None:
         """Ask for the arm to be brought to a hold."""
-        self._reports.hold.remote(work.arm.name)
-
-    def watch(self, show: Callable[[dict[str, tuple[float, str]]], object]) -> None:
-        """Have ``show`` called now and then: by name, the share done of an arm's work, and what is done."""
-        self._show = show
+        self._holds.hold.remote(work.arm.name)
 
     def close(self) -> None:
         """Let all processes go; a cluster stays."""
@@ -121,7 +107,7 @@ class RayExecutor:
         try:
             found: WorkOutcome | Lost = self._ray.get(reference)
         except self._ray.exceptions.RayTaskError as error:  # before the work had begun: another version there, say
-            found = WorkOutcome(seconds=0.0, problem=f"a bug: {_last_line(error)}", kind="InternalError", code=1,
+            found = WorkOutcome(seconds=0.0, problem=f"a bug: {_last_line(error)}", code=1,
                             trace=str(error))  # fmt: skip
         except self._ray.exceptions.RayError as error:
             found = Lost(why=type(error).__name__)
@@ -141,71 +127,13 @@ class RayExecutor:
             )
 
 
-class RayTasks:
-    """Ray for work in which nothing moves: what goes in and comes out is small, the rest are files."""
-
-    def __init__(self, address: str | None = None) -> None:
-        """Start Ray, or connect to it; InputError where there is no such cluster."""
-        require("--on ray", "fleet")
-        self._ray = _begun(address, None, {})
-        self.cpus = max(int(self._ray.cluster_resources().get("CPU", 1)), 1)
-        self._widest = max(node["Resources"].get("CPU", 0.0) for node in self._ray.nodes() if node["Alive"])
-
-    def __enter__(self) -> RayTasks:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        with noted():
-            self._ray.shutdown()  # a cluster stays
-
-    def each(
-        self, work: Callable[[T], R], items: Sequence[T], done: Callable[[int], object] = lambda _: None, *,
-        cpus_each: float = 1.0,
-    ) -> list[R]:  # fmt: skip
-        """Do work on each of some items, and return what came out in their order.
-
-        ``done`` is called with the number of items that are done. What is lost is begun again by Ray, up to three
-        times. InputError says in a line what failed first.
-        """
-        ray = self._ray
-        cpus = min(cpus_each, self._widest)  # Ray would wait for a wider computer for ever
-        task = ray.remote(num_cpus=cpus, max_retries=TRIES_AGAIN)(_done_or_why)
-        waiting = {task.remote(work, item): number for number, item in enumerate(items)}
-        found: dict[int, R] = {}
-        try:
-            while waiting:
-                ready, _ = ray.wait(list(waiting), num_returns=1, timeout=PULSE)
-                for reference in ready:
-                    result, problem = ray.get(reference)
-                    if problem:
-                        raise InputError(f"on another process: {problem}")
-                    found[waiting.pop(reference)] = result
-                check()
-                done(len(found))
-        except ray.exceptions.RayError as error:
-            raise InputError(f"Ray: {_last_line(error)}") from error
-        return [found[number] for number in range(len(items))]
-
-
-def _done_or_why(work: Callable[[T], R], item: T) -> tuple[R | None, str]:
-    """Do work; returns what came out, and why it failed, as errors of ours do not travel."""
-    try:
-        return work(item), ""
-    except RejointError as error:
-        return None, str(error)
-
-
 def has_token() -> bool:
-    """Tell whether this computer has a token for a cluster: without one, whoever reaches it may run programs there."""
+    """Tell whether this computer has a token for a cluster: without one anyone may run programs there."""
     named = any(name in os.environ for name in ("RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH"))
     return os.environ.get("RAY_AUTH_MODE") != "disabled" and (named or Path("~/.ray/auth_token").expanduser().exists())
 
 
 def _begun(address: str | None, cpus: int | None, resources: dict[str, float]) -> Any:  # noqa: ANN401
-    """Start Ray, or connect to it, whole or not at all: a wish to end that comes meanwhile is met afterwards.
-
-    What interrupts it in between leaves threads that nobody ends, and the process ends in a segmentation fault.
-    """
     with noted():
         with _own_signals():
             ray = _started(address, cpus, resources)
@@ -218,12 +146,11 @@ def _begun(address: str | None, cpus: int | None, resources: dict[str, float]) -
 
 
 def _started(address: str | None, cpus: int | None, resources: dict[str, float]) -> Any:  # noqa: ANN401
-    """Start Ray on this machine for this process alone, or connect to a cluster; returns the module."""
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # Ray tells nobody
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # Ray reports nothing
     # Its handler of faults takes SIGTERM for one while Ray starts, and aborts the process three seconds later.
     os.environ.setdefault("RAY_DISABLE_FAILURE_SIGNAL_HANDLER", "1")
     os.environ.setdefault("RAY_worker_niceness", "0")  # else 15: whatever else runs here would delay control loops
-    if address is None:  # nobody else may send it work: nobody from outside, and nobody on this machine
+    if address is None:  # no other process may send it work, from outside or on this machine
         if "ray" not in sys.modules:  # it looks at these when it is imported
             os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")  # its way to listen on loopback alone
         elif os.environ.get("RAY_AUTH_MODE") != "token":
@@ -253,7 +180,6 @@ def _started(address: str | None, cpus: int | None, resources: dict[str, float])
 
 @contextmanager
 def _own_signals() -> Iterator[None]:
-    """Keep the handlers of signals inside: Ray's own would end this process in the middle of its start."""
     set_handler = signal.signal
     main = threading.current_thread() is threading.main_thread()  # no other thread sets any
     try:

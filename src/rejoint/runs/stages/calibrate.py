@@ -1,56 +1,214 @@
-"""Calibration: where the tool really is, measured from outside, and a correction where that helps."""
+"""Measuring: the tool in many postures of an arm, by whatever tells where it is, kept as it comes."""
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
-from rejoint.diagnosis.calibration.calibration import Calibration
-from rejoint.diagnosis.calibration.camera.film import Film
-from rejoint.diagnosis.calibration.camera.filming import POSTURES, CameraGauge
+from rejoint.arms import Arm
+from rejoint.arms.camera.rig import write_rig
+from rejoint.control.observer import Observer, pacing
+from rejoint.control.robot import Robot
+from rejoint.diagnosis.calibration.calibration import Calibration, write_calibration
+from rejoint.diagnosis.calibration.camera.film import POSTURES as POSTURES_FILE
+from rejoint.diagnosis.calibration.camera.film import Film, read_film, write_film, write_postures
+from rejoint.diagnosis.calibration.camera.filming import POSTURES, CameraGauge, FilmDrive, Picture, UnseenBoardError
 from rejoint.diagnosis.calibration.camera.fit import Filmed, fit_film
-from rejoint.diagnosis.calibration.file import write_calibration
 from rejoint.diagnosis.calibration.fit import fit
-from rejoint.diagnosis.calibration.gauges import EmulatedGauge, Gauge
-from rejoint.diagnosis.calibration.measurementfile import read_measurements, write_measurements
-from rejoint.diagnosis.calibration.measurements import Measurements
+from rejoint.diagnosis.calibration.measurementfile import read_interrupted, read_measurements, write_measurements
+from rejoint.diagnosis.calibration.measurements import Measurements, MeasuringSession
+from rejoint.diagnosis.calibration.postures import Suggestion, suggest
 from rejoint.diagnosis.calibration.preload import Preload, preload
-from rejoint.diagnosis.calibration.procedure import reversals
-from rejoint.runs.given import (
-    ArmLike,
-    CalibrationLike,
-    Live,
-    Period,
-    RobotLike,
-    RunLike,
-    TwinLike,
-    arm_of,
-    as_calibration,
-    as_run,
-    as_twin,
-    opened,
-    shown,
-)
-from rejoint.runs.metering import metered
-from rejoint.runs.run import Run, exclusive
-from rejoint.runs.stages.filming import film_of, write_filmed
-from rejoint.runs.stages.keeping import kept_if_stopped
-from rejoint.runs.stages.measuring import measured_of
-from rejoint.system.errors import InputError
-from rejoint.system.files import require_space, saving, set_aside
-from rejoint.system.numbers import as_seed
-from rejoint.system.progress import Progress, no_progress, part
+from rejoint.diagnosis.calibration.procedure import EmulatedGauge, Gauge, measure, reversals
+from rejoint.runs.run import Run
+from rejoint.session.context import stance_of
+from rejoint.session.inputs import ArmLike, RobotLike, RunLike, as_calibration
+from rejoint.session.recorder import kept_if_stopped
+from rejoint.session.session import ArmSession
+from rejoint.session.settings import Settings
+from rejoint.system.errors import FileError, InputError
+from rejoint.system.files import saving, set_aside, write_whole
+from rejoint.system.progress import Progress, part
+from rejoint.system.shell import command
+from rejoint.system.stopping import noted
 
 if TYPE_CHECKING:
     from rejoint.arms import Arm
-    from rejoint.diagnosis.calibration.camera.adjustment import Tip
+    from rejoint.diagnosis.calibration.camera.fit import Filmed
+
+
+_LOGGER = logging.getLogger("rejoint")
+
+
+def measured_of(
+    session: ArmSession, robot: Robot, gauge: Gauge, prior: Calibration | None, count: int, visits: int,
+    on_progress: Progress, *, fresh: bool = False,
+) -> tuple[Measurements, Calibration | None]:  # fmt: skip
+    """Measure the open robot of a session, or resume in its run unless ``fresh``.
+
+    Returns the ``prior`` that holds as well.
+    """
+    run = session.run
+    begun = None if run is None or fresh else interrupted(run, gauge)
+    fresh = fresh or (begun is not None and begun[1].fresh)
+    prior = None if fresh else prior
+    plan = suggest(robot.arm, count * visits, visits=visits, sigma=gauge.sigma, prior=prior)
+    if run is not None and begun is None:
+        set_aside(run.folder.measurements)
+    elif run is not None and begun is not None:
+        _require_same(run, gauge, plan, *begun)
+        log_resumed(run.folder.measurements, f"{begun[1].answered} of {len(plan.posture)} postures are done")
+
+    def keep(measured: Measurements, answered: int) -> None:
+        if run is not None:
+            session = MeasuringSession(plan=plan.digest, answered=answered, fresh=fresh)
+            write_measurements(run.folder.measurements, robot.arm, measured, session)
+
+    try:
+        found = measure(
+            robot, gauge, plan, on_progress=on_progress, on_measured=keep, begun=begun,
+            limits=session.limits, stance=stance_of(session.twin_now, run),
+        )  # fmt: skip
+    except BaseException as error:
+        if run is not None and run.folder.measurements.exists():
+            error.add_note(_kept(run, robot.address, gauge, fresh=fresh))
+        raise
+    return found, prior
+
+
+def interrupted(run: Run, gauge: Gauge) -> tuple[Measurements, MeasuringSession] | None:
+    """Return what was measured before an interruption, and how far it had come.
+
+    None for a new or an emulated session.
+    """
+    if isinstance(gauge, EmulatedGauge) or not run.folder.measurements.exists():
+        return None
+    try:
+        return read_interrupted(run.folder.measurements, run.arm)
+    except FileError as error:
+        error.add_note("To measure again in spite of it: --fresh")
+        raise
+
+
+def _require_same(run: Run, gauge: Gauge, plan: Suggestion, measured: Measurements, session: MeasuringSession) -> None:
+    """Raise InputError where what was interrupted was measured in other postures, or by something else."""
+    if (session.plan, measured.source, measured.frame) != (plan.digest, gauge.source, gauge.frame):
+        raise InputError(
+            f"{run.folder.measurements}: an interrupted session with another number of postures or sides, by something "
+            "else, or with another --noise or --frame; give the same again, or begin again with --fresh"
+        )
+
+
+def _kept(run: Run, robot: str, gauge: Gauge, *, fresh: bool) -> str:
+    file = run.folder.measurements
+    fits = command("calibrate", robot, run.path, "--measure", f"points={file}", *(["--fresh"] if fresh else []))
+    if isinstance(gauge, EmulatedGauge):
+        return f"What was measured until then: {file}; what fits it: {fits}"
+    return f"What was measured until then is kept ({file}); {same(fresh=fresh)} goes on there, and this fits it: {fits}"
+
+
+def same(*, fresh: bool) -> str:
+    """Name what goes on with a session that was interrupted, and was begun ``fresh`` or not."""
+    return "the same command without --fresh" if fresh else "the same command"
+
+
+def log_resumed(file: Path, done: str) -> None:
+    """Tell that an interrupted session goes on, whose ``file`` is the newest of it, and how it would not."""
+    written = datetime.fromtimestamp(file.stat().st_mtime)
+    _LOGGER.warning(
+        "Going on with what was interrupted at %s: %s (%s). Where arm or gauge were moved since, begin again: --fresh.",
+        f"{written:%Y-%m-%d %H:%M}", done, file,
+    )  # fmt: skip
+
+
+QUALITY = 92
+"""of the pictures that are kept, as JPEG counts it (chosen: half a megabyte; corners are found before)"""
+
+
+def film_of(
+    session: ArmSession, robot: Robot, gauge: CameraGauge, count: int, visits: int,
+    on_progress: Progress, *, fresh: bool = False,
+) -> Film:  # fmt: skip
+    """Take the film of the robot of a session; in a run, go on with one that was interrupted, unless ``fresh``."""
+    arm, run = robot.arm, session.run
+    begun = None if run is None else begun_film(run, gauge, fresh=fresh)
+    film = begun or Film(board=gauge.board, carried=gauge.carried, fresh=fresh)
+    if begun is None:
+        _set_aside(run)
+    elif run is not None:
+        log_resumed(run.folder.views, f"{len(film)} pictures are there")
+
+    def keep(film: Film, name: str, picture: Picture) -> None:
+        if run is not None:
+            write_picture(run.folder.pictures / name, picture)
+            write_film(run.folder.views, arm, film)
+
+    with gauge.camera(robot) as camera:
+        drive = FilmDrive(
+            robot=robot, camera=camera, film=film,
+            limits=session.limits, stance=stance_of(session.twin_now, run),
+            on_shot=keep, on_progress=on_progress,
+        )  # fmt: skip
+        try:
+            return drive.take(count, visits)
+        except UnseenBoardError:  # camera or board will be moved, so nothing of this belongs to what comes
+            _set_aside(run)
+            raise
+        except BaseException as error:
+            if run is not None and run.folder.views.exists():
+                file, goes_on = run.folder.views, same(fresh=film.fresh)
+                error.add_note(f"What was seen until then is kept ({file}); {goes_on} goes on there")
+            raise
+
+
+def _set_aside(run: Run | None) -> None:
+    if run is not None:
+        set_aside(run.folder.views)
+        set_aside(run.folder.pictures)
+
+
+def begun_film(run: Run, gauge: CameraGauge, *, fresh: bool) -> Film | None:
+    """Return what the film of a run that was interrupted holds already; None where a new one begins."""
+    if fresh or not run.folder.views.exists():
+        return None
+    film, ended = read_film(run.folder.views, run.arm)
+    if ended:
+        return None
+    if film.board != gauge.board or film.carried != gauge.carried:
+        raise InputError(
+            f"{run.folder.views}: an interrupted session with another board, or with the board elsewhere; give "
+            "the same again, or begin again with --fresh"
+        )
+    return film.again()
+
+
+def write_picture(path: Path, picture: Picture) -> None:
+    """Write a picture as JPEG; FileError where that fails."""
+    import cv2
+
+    good, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    if not good:
+        raise FileError(path, "this picture cannot be written as JPEG", "take another camera")
+    write_whole(path, lambda temporary: temporary.write_bytes(data.tobytes()))
+
+
+def write_filmed(run: Run, arm: Arm, film: Film, found: Filmed, *, taken: bool) -> None:
+    """Write the ended image sequence, its postures if ``taken`` in this run, and the camera setup."""
+    if taken:
+        write_postures(run.folder.pictures / POSTURES_FILE, arm, film)
+    else:
+        set_aside(run.folder.views)
+    write_film(run.folder.views, arm, film, ended=True)
+    set_aside(run.folder.camera)
+    write_rig(run.folder.camera, arm, found.rig, found.rig_sigma, found.calibration.date)
+
 
 POINTS = 10
-"""Postures that are measured where nobody says how many (docs/true-accuracy.md: from five to ten the error falls by a
-tenth, from ten to twenty by another)"""
+"""Postures that are measured by default (docs/true-accuracy.md)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,17 +244,12 @@ def calibrate(
     robot: RobotLike | None = None,
     *,
     run: RunLike | None = None,
-    gauge: Gauge | CameraGauge | None = None,
-    points: Measurements | Film | Path | str | None = None,
+    gauge: Gauge | CameraGauge | Measurements | Film | Path | str | None = None,
     count: int | None = None,
     visits: int = 2,
     arm: ArmLike | None = None,
-    twin: TwinLike | None = None,
-    prior: CalibrationLike | None = None,
-    period: Period | None = None,
-    seed: int | None = None,
-    on_progress: Progress = no_progress,
-    live: Live | None = None,
+    settings: Settings | None = None,
+    observer: Observer | None = None,
 ) -> Calibrated:
     """Measure where the tool of an arm really is, fit what lies behind its encoders, and keep it if correcting helps.
 
@@ -106,34 +259,25 @@ def calibrate(
     Parameters
     ----------
     robot
-        robot or its address; None where ``points`` were measured before
+        robot or its address; None where the points were measured before
     run
         run, or its folder, into which ``measurements.parquet`` and ``calibration.toml`` are written; with a camera
         ``views.parquet``, the pictures and ``camera.toml`` as well
     gauge
         what measures the tool: `TouchGauge`, `TrackerGauge`, `CameraGauge`, or an object of your own with a ``measure``
-        like theirs; by default an emulated arm's own knowledge, with 0.5 mm of noise
-    points
-        measurements, a file of them (Parquet or CSV), or a film of a board, instead of a robot
+        like theirs; by default an emulated arm's own knowledge, with 0.5 mm of noise. Without a robot measurements, a
+        file of them (Parquet or CSV), or a film of a board
     count
         number of postures; by default 10, with a camera 14 and 12 pictures about the rest posture
     visits
         2: come to each posture from both sides, so that play shows; 1: from one
     arm
         arm, name or file; needed only without a run, where the address does not tell
-    twin
-        twin that says how far the arm should sag at rest, which is checked; by default that of the run
-    prior
-        earlier calibration of the same arm to start from, so that few points suffice; ``none``: from nothing, and
-        without what was interrupted. By default that of the run
-    period
-        [s] interval of the control periods; by default what the robot suits
-    seed
-        of an emulated arm's noise; by default that of the run, else 0
-    on_progress
-        called with the share that is done and what is being measured
-    live
-        shows the arm meanwhile: a `LiveView`
+    settings
+        control period, seed, and as ``calibration`` an earlier one of the same arm to start from, so that few points
+        suffice; ``none``: from nothing, and without what was interrupted. By default that of the run
+    observer
+        receives progress, and what is being measured
 
     Returns
     -------
@@ -154,69 +298,62 @@ def calibrate(
     >>> found = rejoint.calibrate("emulated:worn")
     >>> print(found.before, found.after, found.calibration.used)  # metres
     """
-    if (robot is None) == (points is None):
+    chosen, before = settings or Settings(), _measured_before(gauge)
+    if (robot is None) == (before is None):
         raise InputError("calibration: give either a robot or points that were measured before")
-    about = None if run is None else as_run(run).seeded(seed)
-    if about is None and robot is None and arm is None:
+    if run is None and robot is None and arm is None:
         raise InputError("calibration: points alone do not tell of which arm they are; name the arm or the run")
-    chosen = about.arm if about is not None else arm_of(robot or "", arm)
-    seed = as_seed(seed) if about is None else about.seed
-    afresh = isinstance(prior, str) and prior == "none"
-    with exclusive(about):
-        believed = as_calibration(prior, about, chosen)
-        known = as_twin(twin) if twin is not None else None if about is None else about.twin
+    with (
+        pacing(observer) as update, noted(),
+        ArmSession(robot, run=run, arm=arm, settings=chosen, observer=observer) as session,
+    ):  # fmt: skip
+        about, prior = session.run, as_calibration(chosen.calibration, session.run, session.arm)
+        fresh = isinstance(chosen.calibration, str) and chosen.calibration == "none"
         measured: Measurements | Film
-        if points is not None:
-            measured = read_measurements(Path(points), chosen) if isinstance(points, Path | str) else points
+        if isinstance(before, Path | str):
+            measured = read_measurements(Path(before), session.arm)
+        elif before is not None:
+            measured = before
         else:
-            if about is not None:
-                require_space(about.path)
-            assert robot is not None  # noqa: S101 - for the type checker; one of the two is given
-            with (
-                metered(about.folder if about else None, "calibrate") as meter, kept_if_stopped(about, "calibrate"),
-                opened(robot, chosen, seed, period) as opening,
-            ):  # fmt: skip
-                connection = shown(live, meter.watch(opening), twin=known)
-                about = about and about.begin()
-                share = part(on_progress, 0.0, 0.95)
-                if isinstance(gauge, CameraGauge):
-                    measured = film_of(connection, gauge, about, known, count or POSTURES, visits, share, afresh=afresh)
-                    believed = None if measured.afresh else believed
+            by = EmulatedGauge(seed=session.seed) if gauge is None or chosen.dry_run else cast("Gauge", gauge)
+            share = part(update, 0.0, 0.95)
+            with session.metered("calibrate") as driven, kept_if_stopped(about, "calibrate"):
+                session.run = about = about and about.begin()
+                if isinstance(by, CameraGauge):
+                    measured = film_of(session, driven, by, count or POSTURES, visits, share, fresh=fresh)
+                    prior = None if measured.fresh else prior
                 else:
-                    measured, believed = measured_of(
-                        connection, gauge or EmulatedGauge(seed=seed), about, known, believed, count or POINTS, visits,
-                        share, afresh=afresh,
-                    )  # fmt: skip
-        on_progress(0.95, "fitting")
-        tip = gauge.tip if isinstance(gauge, CameraGauge) else None
-        result = _fitted(chosen, measured, believed, tip, taken=about is not None and points is None)
+                    measured, prior = measured_of(
+                        session, driven, by, prior, count or POINTS, visits, share, fresh=fresh
+                    )
+        update(0.95, "fitting")
+        result = _fitted(session.arm, measured, prior, taken=about is not None and before is None)
         if about is not None:
             with saving(result):
-                _write(about, measured, result, taken=points is None)
-        on_progress(1.0, "fitted")
+                _write(about, measured, result, taken=before is None)
+        update(1.0, "fitted")
         return result
 
 
-def _fitted(
-    arm: Arm, measured: Measurements | Film, prior: Calibration | None, tip: Tip | None, *, taken: bool
-) -> Calibrated:
+def _measured_before(given: object) -> Measurements | Film | Path | str | None:
+    """Return what was measured before; None for what measures."""
+    return given if isinstance(given, Measurements | Film | Path | str) else None
+
+
+def _fitted(arm: Arm, measured: Measurements | Film, prior: Calibration | None, *, taken: bool) -> Calibrated:
     """Fit points, or what a film shows; ``taken`` tells whether they are kept in a run and were made just now."""
     date = f"{datetime.now().astimezone():%Y-%m-%dT%H:%M:%S%z}"
     filmed = None
-    if isinstance(measured, Film):
-        try:
-            filmed = fit_film(arm, measured, prior=prior, tip=tip, date=date)
-        except InputError as error:
-            error.add_note("The pictures are kept; --afresh takes them anew.")
-            raise
-        found, measured = filmed.calibration, filmed.measurements
-    else:
-        try:
+    try:
+        if isinstance(measured, Film):
+            filmed = fit_film(arm, measured, prior=prior, date=date)
+            found, measured = filmed.calibration, filmed.measurements
+        else:
             found = fit(arm, measured, prior=prior, date=date)
-        except InputError as error:
-            if taken:
-                error.add_note("What was measured is kept; --afresh measures anew.")
-            raise
+    except InputError as error:
+        if taken or isinstance(measured, Film):
+            error.add_note("What was measured is kept; --fresh measures again.")
+        raise
     return Calibrated(
         calibration=found, measurements=measured, reversal=reversals(arm, measured, found.frame), filmed=filmed
     )

@@ -5,34 +5,28 @@ from __future__ import annotations
 import logging
 import math
 import os
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from rejoint.arms import CATALOGUE, Arm, Array
+from rejoint.control.observer import Observer, pacing
 from rejoint.control.robot import Robot
-from rejoint.logs.history.identity import hours_of, name_of, plain_name, setup_of
 from rejoint.logs.history.index import CHECKS, find_rows
-from rejoint.logs.history.rows import SUMMARY, HistoryRow, utc_now, write_rows
+from rejoint.logs.history.rows import SUMMARY, HistoryRow, hours_of, name_of, plain_name, setup_of, utc_now, write_rows
 from rejoint.logs.journal import Journal, journal_path, recover
 from rejoint.logs.runlog import RunLog
-from rejoint.runs.given import (
-    FIRST_ROBOT,
-    ArmLike,
-    Live,
-    Period,
-    RobotLike,
-    address_of,
-    arm_of,
-    opened,
-    shown,
-)
-from rejoint.runs.history.checks import MOVED, SET_UP, past_of, rows_of, with_outlook
+from rejoint.runs.history import MOVED, SET_UP, past_of, rows_of, with_outlook
 from rejoint.runs.run import RUNS
+from rejoint.session.inputs import FIRST_ROBOT, ArmLike, RobotLike, address_of, arm_of
+from rejoint.session.session import ArmSession
+from rejoint.session.settings import Settings
 from rejoint.system.errors import AddressError, FileError, InputError
 from rejoint.system.files import require_space, saving
-from rejoint.system.progress import Progress, no_progress, paced, part
+from rejoint.system.progress import Progress
 from rejoint.system.stopping import noted
 
 if TYPE_CHECKING:
@@ -40,12 +34,11 @@ if TYPE_CHECKING:
     from rejoint.diagnosis.monitoring.measures import CheckMeasures
 
 BETWEEN = timedelta(minutes=4)
-"""By which the dates of checks in a row lie apart where the date was given (chosen: little more than one takes)"""
+"""Time between the dates of checks in a row where the date was given (chosen)"""
 LOG = "check.parquet"
 """Name of the run log of a check"""
 QUIET = 30.0
-"""[s] without a row after which the journal of a check is that of a killed one (chosen: one that goes on is written
-four times a second)"""
+"""[s] without a row after which the journal of a check is that of a killed one (chosen)"""
 
 _LOGGER = logging.getLogger("rejoint")
 
@@ -70,7 +63,18 @@ class Checked:
     """rows of earlier checks or runs that could not be read, and so did not count"""
 
 
-@paced
+@dataclass(frozen=True, kw_only=True)
+class CheckNotes:
+    """What the owner says of a check."""
+
+    used_h: float | None = None
+    """[h] for which the arm has been used so far; None: an emulated arm's ``hours``"""
+    when: datetime | None = None
+    """date, UTC; None: now. For trying years in minutes"""
+    moved: bool = False
+    """whether the arm was moved, or its zeros were set, since the last check: a new baseline begins"""
+
+
 def check(
     robot: RobotLike = FIRST_ROBOT,
     *,
@@ -78,20 +82,14 @@ def check(
     name: str | None = None,
     arm: ArmLike | None = None,
     tolerance_mm: float | None = None,
-    used_h: float | None = None,
-    when: datetime | None = None,
-    moved: bool = False,
-    repeat: int = 1,
-    period: Period | None = None,
-    seed: int | None = None,
-    on_progress: Progress = no_progress,
-    live: Live | None = None,
+    notes: CheckNotes | None = None,
+    settings: Settings | None = None,
+    observer: Observer | None = None,
 ) -> Checked:
     """Move an arm through a fixed routine of two and a half minutes, and compare it with its own earlier checks.
 
     The first checks after a repair are what later ones are compared with; at least five are needed, and may follow one
-    another at once. A repair in the same history, ``moved``, or another description of the arm begin anew. While the
-    arm moves, Ctrl-C and SIGTERM first bring it to a hold; then `Interrupted` is raised, a KeyboardInterrupt.
+    another at once. A repair in the same history, a move, or another description of the arm begin a new baseline.
 
     Parameters
     ----------
@@ -105,22 +103,12 @@ def check(
         arm, name or file; by default what the address names
     tolerance_mm
         [mm] error of the tool that the owner can bear; by default that of the last check
-    used_h
-        [h] for which the arm has been used so far, if somebody counts; by default an emulated arm's ``hours``
-    when
-        date of the check, UTC; by default now. For trying years in minutes
-    moved
-        the arm was moved, or its zeros set anew, since the last check: begin anew
-    repeat
-        checks in a row
-    period
-        [s] interval of the control periods; by default what the robot suits
-    seed
-        of an emulated arm's noise; by default another one at each check
-    on_progress
-        called with the share that is done and what is being done
-    live
-        shows the arm meanwhile: a `LiveView`
+    notes
+        hours of use, another date, or that the arm was moved
+    settings
+        control period, and seed of an emulated arm's noise: by default another one at each check
+    observer
+        receives progress
 
     Returns
     -------
@@ -140,11 +128,12 @@ def check(
     --------
     >>> for month in range(24):
     ...     date = datetime(2027, 1, 1) + timedelta(days=30 * month)
-    ...     found = rejoint.check(f"emulated:healthy?hours={6 * month}", when=date, tolerance_mm=6.0)
+    ...     notes = rejoint.CheckNotes(when=date)
+    ...     found = rejoint.check(f"emulated:healthy?hours={6 * month}", notes=notes, tolerance_mm=6.0)
     ...     print(found.line)
     """
-    if repeat < 1:
-        raise InputError(f"check: repeat is 1 or more, got {repeat}")
+    said = notes or CheckNotes()
+    used_h, when = said.used_h, said.when
     if tolerance_mm is not None and not 0.0 < tolerance_mm < math.inf:
         raise InputError(f"check: the tolerance is a positive number of millimetres, got {tolerance_mm}")
     if used_h is not None and not 0.0 <= used_h < math.inf:
@@ -152,36 +141,28 @@ def check(
     if name is not None and not any(map(str.isalnum, name)):  # a variable of a script that is not set, say
         raise InputError(f"check: the name of an arm has letters or digits, got {name!r}; leave it out or give one")
     address, chosen = address_of(robot), arm_of(robot, arm)
-    key = name_of(address, chosen.name)
     head = HistoryRow(
-        time=utc_now() if when is None else _utc(when), kind="check", arm=key if name is None else plain_name(name),
+        time=utc_now() if when is None else _utc(when), kind="check",
+        arm=name_of(address, chosen.name) if name is None else plain_name(name),
         robot=address, model=chosen.name, setup=setup_of(chosen), tolerance_mm=tolerance_mm,
         used_h=hours_of(address) if used_h is None else used_h,
     )  # fmt: skip
-    home = Path(history)
-    for number in range(repeat):
-        if number:
-            head = replace(head, time=utc_now() if when is None else head.time + BETWEEN, tolerance_mm=tolerance_mm)
-        progress = part(on_progress, number / repeat, (number + 1) / repeat)
-        found = _once(robot, chosen, head, key, home, moved=moved and not number, period=period, seed=seed,
-                      on_progress=progress, live=live)  # fmt: skip
-    return found
+    with pacing(observer) as update:
+        return _once(robot, chosen, head, Path(history), said, settings or Settings(), observer, update)
 
 
 def _once(
-    robot: RobotLike, arm: Arm, head: HistoryRow, key: str, home: Path, *, moved: bool, period: Period | None,
-    seed: int | None, on_progress: Progress, live: Live | None,
+    robot: RobotLike, arm: Arm, head: HistoryRow, home: Path, notes: CheckNotes, settings: Settings,
+    observer: Observer | None, on_progress: Progress,
 ) -> Checked:  # fmt: skip
-    """Make one check, and leave its log and its rows."""
-    from rejoint.diagnosis.monitoring.judge import PastCheck, outlook
+    from rejoint.diagnosis.monitoring.judge import PastCheck, outlook, say
     from rejoint.diagnosis.monitoring.measures import measure_check, require_followed
-    from rejoint.diagnosis.monitoring.words import say
 
     rows, unread = find_rows(home, head.arm)
     if any(row.kind == "repair" for row in rows):  # whose it was is told by the checks of all arms
         rows, unread = find_rows(home)
-    past = past_of(rows, head.arm, key)
-    begins = MOVED if moved else SET_UP if past.setup not in ("", head.setup) else ""
+    past = past_of(rows, head.arm, name_of(head.robot, arm.name))
+    begins = MOVED if notes.moved else SET_UP if past.setup not in ("", head.setup) else ""
     visits, left = () if begins else past.visits, None if begins == SET_UP else past.left_mm
     mine = [row for row in rows if row.arm == head.arm and row.kind == "check" and not row.joint]
     if mine and mine[-1].time >= head.time:
@@ -192,31 +173,32 @@ def _once(
         )
     tolerance = head.tolerance_mm if head.tolerance_mm is not None or not mine else mine[-1].tolerance_mm
     _keep_killed(home / CHECKS / head.arm)
-    folder = home / CHECKS / head.arm / f"{head.time:%Y%m%dT%H%M%S}-{os.urandom(2).hex()}"
-    with noted(), opened(robot, arm, len(mine) if seed is None else seed, period) as connection:
-        log, warm = _drive(shown(live, connection), folder, on_progress)
-    require_followed(arm, log)
-    measures = measure_check(arm, log, warm)
-    now = PastCheck(time=head.time, measures=measures, used_h=head.used_h)
-    found = outlook([*visits, now], tolerance, left_mm=left)
-    line = say(found, head.robot, _described(head.robot, arm))
-    if begins == SET_UP:  # by mistake as well: another arm under this name, at each check
-        then = mine[-1].model if mine else "another"
-        line = f"A new norm begins, as the arm is described otherwise ({head.model}) than before ({then}). {line}"
-    result = Checked(
-        arm=head.arm, robot=head.robot, line=line, outlook=found, measures=measures, folder=folder, unread=unread
-    )
-    with saving(result):
-        write_rows(folder / SUMMARY, with_outlook(rows_of(replace(head, norm=begins), measures), found, line))
-    return result
+    chosen = settings if settings.seed is not None else replace(settings, seed=len(mine))
+    with ExitStack() as stack:
+        if settings.dry_run:  # what it finds in a simulation is no check of the arm
+            home = Path(stack.enter_context(TemporaryDirectory(prefix="rejoint-dry-run-")))
+        folder = home / CHECKS / head.arm / f"{head.time:%Y%m%dT%H%M%S}-{os.urandom(2).hex()}"
+        with noted(), ArmSession(robot, arm=arm, settings=chosen, observer=observer) as session:
+            log, warm = _drive(session.robot, folder, on_progress)
+        require_followed(arm, log)
+        measures = measure_check(arm, log, warm)
+        now = PastCheck(time=head.time, measures=measures, used_h=head.used_h)
+        found = outlook([*visits, now], tolerance, left_mm=left)
+        line = say(found, head.robot, _described(head.robot, arm))
+        if begins == SET_UP:  # by mistake as well: another arm under this name, at each check
+            then = mine[-1].model if mine else "another"
+            line = f"A new norm begins, as the arm is described otherwise ({head.model}) than before ({then}). {line}"
+        result = Checked(
+            arm=head.arm, robot=head.robot, line=line, outlook=found, measures=measures, folder=folder, unread=unread
+        )
+        with saving(result):
+            write_rows(folder / SUMMARY, with_outlook(rows_of(replace(head, norm=begins), measures), found, line))
+        return result
 
 
 def _drive(robot: Robot, folder: Path, on_progress: Progress) -> tuple[RunLog, Array | None]:
-    """Drive the robot through the check; what it did until an error is kept."""
-    from rejoint.diagnosis.monitoring.record import LABEL, record_check
+    from rejoint.diagnosis.monitoring.routine import LABEL, record_check
 
-    if robot.count != 1:
-        raise InputError(f"a check is of one arm, {robot.address} has {robot.count}; use `record_check` for a batch")
     folder.mkdir(parents=True, exist_ok=True)
     require_space(folder)
     path, names = folder / LOG, robot.arm.joint_names
@@ -243,7 +225,6 @@ def _keep_killed(place: Path) -> None:
 
 
 def _described(address: str, arm: Arm) -> str:
-    """Return what `rejoint repair` has to be told of an arm that is not the one its address names."""
     try:
         usual = arm_of(address, None).name
     except AddressError:  # a robot of the caller's own
@@ -254,11 +235,9 @@ def _described(address: str, arm: Arm) -> str:
 
 
 def _remove_if_empty(folder: Path) -> None:
-    """Remove the folder of a check in which nothing has moved."""
     if not any(folder.iterdir()):
         folder.rmdir()
 
 
 def _utc(when: datetime) -> datetime:
-    """Return a date in UTC without its zone."""
     return when if when.tzinfo is None else when.astimezone(UTC).replace(tzinfo=None)

@@ -1,56 +1,336 @@
-"""Comparison: every controller on the same arm, with the same targets."""
+"""Comparison: every controller on the same arm, with the same targets.
+
+Trials are kept one by one and resumed. What the diagnosis measured open loop counts as trials of ``default``.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from rejoint.arms import Arm
-from rejoint.control.catalogue import ON_REQUEST
-from rejoint.control.comparison.compare import Settings
-from rejoint.control.comparison.racing import Race
-from rejoint.control.comparison.result import Protocol
+from rejoint.arms import Arm, Array
+from rejoint.arms.inertia import LoadedArm
+from rejoint.control.classical import DefaultController
+from rejoint.control.comparison.compare import Settings as TrialSettings
+from rejoint.control.comparison.compare import Trial, TrialRunner
+from rejoint.control.comparison.elimination import Elimination
+from rejoint.control.comparison.holding import Holding, errors_of, found_errors, vary_directions
+from rejoint.control.comparison.ledger import Helper, Ledger
+from rejoint.control.comparison.protocols import KINDS, Driven, measure
+from rejoint.control.comparison.recommend import Recommendation, recommend
+from rejoint.control.comparison.result import Comparison, Protocol, TargetErrors
+from rejoint.control.correction import ToolModel
+from rejoint.control.observer import Observer, pacing
+from rejoint.control.recording import Recording
+from rejoint.control.robot import Robot
 from rejoint.diagnosis.open_loop import DWELL
-from rejoint.runs.given import (
+from rejoint.logs.runlog import RunLog, read_log, write_log
+from rejoint.robots import open_robot
+from rejoint.runs.history import summarise
+from rejoint.runs.run import Run, metered
+from rejoint.runs.stages.helper import LEAST, HelperProcess, Job, core_to_spare
+from rejoint.session.context import calibration_of, correction_of, guard_limits, stance_of
+from rejoint.session.controllers import Controllers, Factory, all_named, listed, make_factories
+from rejoint.session.inputs import (
     ArmLike,
-    CalibrationLike,
-    Live,
+    Borrowed,
     Period,
     RobotLike,
     RunLike,
     Targets,
-    TwinLike,
     address_of,
-    arm_of,
-    as_run,
     as_targets,
     as_twin,
     is_batchable,
     period_of,
 )
-from rejoint.runs.openloop import open_loop
-from rejoint.runs.run import Run, exclusive
-from rejoint.runs.stages.comparing import Compared, ComparisonJob
-from rejoint.runs.stages.controllers import Controllers, all_named, listed, make_factories
-from rejoint.runs.stages.known import calibration_of, correction_of
-from rejoint.runs.stages.loads import PayloadLike, Say, say_heavy, silent, with_load
+from rejoint.session.payload import say_heavy
+from rejoint.session.recorder import kept_if_stopped
+from rejoint.session.session import ArmSession
+from rejoint.session.settings import Settings
+from rejoint.system.errors import GuardTripError
+from rejoint.system.files import digest, require_space, saving, set_aside, write_json
 from rejoint.system.numbers import as_seed
-from rejoint.system.progress import Progress, no_progress, paced
+from rejoint.system.progress import Progress
+from rejoint.system.shell import __version__
+from rejoint.system.stopping import noted
+
+if TYPE_CHECKING:
+    from rejoint.arms.rotations import Orientation
+    from rejoint.control.correction import Modelled
+    from rejoint.diagnosis.calibration.calibration import Calibration
+    from rejoint.twin.twin import Twin
+
+
+DEFAULT = DefaultController.name
+"""Name of the controller"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OpenLoopTrials:
+    """Ten targets, each sent once."""
+
+    targets: Array
+    """(K, 3) [m]"""
+    driven: Driven
+    """as the holds of a comparison on one arm, at its first set"""
+    log: RunLog
+    """as that of a trial of the hold protocol"""
+
+    def errors(self) -> TargetErrors:
+        """Errors of the arm as it was found."""
+        return errors_of(self.driven.columns)
+
+
+def open_loop(run: Run, robot: str, protocol: Protocol, model: ToolModel | None = None) -> OpenLoopTrials | None:
+    """Return what the diagnosis of a run found; None where it was of another robot, or does not suit the protocol."""
+    path = run.folder.log("targets")
+    if robot != run.robot or not path.exists():
+        return None
+    return trials(run.arm, read_log(path), protocol, model)
+
+
+def trials(arm: Arm, log: RunLog, protocol: Protocol, model: ToolModel | None = None) -> OpenLoopTrials | None:
+    """Judge the log of an open-loop run as the comparison judges its own; None where its holds are too short."""
+    recording, targets = _recording(log)
+    found = measure(arm, recording, targets[None], protocol, (DEFAULT, "hold", ((0, 0),), 0), model=model, both=True)
+    if not np.isfinite(found.columns["settled"]).all():
+        return None
+    return OpenLoopTrials(targets=targets, driven=found, log=replace(log, label=f"hold/{DEFAULT}/0/0"))
+
+
+def _recording(log: RunLog) -> tuple[Recording, Array]:
+    """Return a log as what the control loop would have recorded, and its targets (K, 3) [m] in their order."""
+    known = np.isfinite(log.target).all(axis=1)
+    rows = np.flatnonzero(known)
+    target, time = log.target[rows], log.time[rows]
+    index = np.concatenate([[0], np.cumsum((target[1:] != target[:-1]).any(axis=1))])
+    first = np.searchsorted(index, np.arange(index[-1] + 1))
+    begun = time[np.maximum(first - 1, 0)]  # a target comes into force after the last row of the one before
+    count = len(rows)
+    return Recording(
+        arm=log.arm, joint_names=log.joint_names, robot=log.robot, controller=DEFAULT, time=time[:, None],
+        position=log.position[rows][:, None], command=log.command[rows][:, None], target=target[:, None],
+        aim=target[:, None].copy(), target_index=index[:, None].astype(np.intp),
+        since_target=(time - begun[index])[:, None], true_tcp=log.true_tcp[rows][:, None],
+        active=np.ones((count, 1), dtype=bool), reasons=np.zeros((count, 1), dtype=np.uint16),
+        load=np.full((count, 1, log.position.shape[1]), np.nan), turned=np.full((count, 1), np.nan),
+        tripped=np.zeros(1, dtype=np.uint16),
+    ), target[first]  # fmt: skip
+
+
+SOURCE = "the diagnosis"
+"""Where the results of the arm's own controller are from, where it was not driven again"""
+
+THREADS = 2
+"""of emulated arms that move side by side (chosen: results do not depend on it)"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Compared:
+    """What a comparison found, and which controller to use."""
+
+    comparison: Comparison
+    """a row of numbers for each controller, with intervals"""
+    recommendation: Recommendation
+    """the controller to use, and why"""
+    logs: dict[str, RunLog] = field(default_factory=dict)
+    """one run log of each controller and protocol that was driven, by its label, such as ``hold/policy/0/0``"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ComparisonJob:
+    """What a comparison is to do."""
+
+    robot: RobotLike
+    arm: Arm
+    run: Run | None
+    factories: dict[str, Factory]
+    targets: Array
+    settings: TrialSettings
+    period: Period | None
+    twin: Twin | None
+    correct: Callable[[Arm], Modelled] | None
+    model: Calibration | None
+    file: str
+    """of the targets; empty where there is none"""
+    before: OpenLoopTrials | None
+    """what the diagnosis measured at the first set; None where that is not known, or not wanted"""
+    directions: bool
+    turns: Orientation | None = None
+    """(S, K) how the tools are to be turned at the targets; None where that does not matter"""
+    observer: Observer = field(default_factory=Observer)
+    by_name: bool = False
+    """whether another process can make the controllers, from their names"""
+
+    def drive(self, on_progress: Progress, helper: HelperProcess | None = None) -> Compared:
+        """Compare; in a run, resume after the trials that are done, and write the result.
+
+        The caller closes a ``helper``.
+        """
+        run = self.run
+        if run is None:
+            return self._drive(Ledger.nowhere(), [], on_progress, helper)
+        require_space(run.path)
+        ledger = Ledger.begin(run.folder.trials, self._digest(run))
+        try:
+            found = self._drive(ledger, [] if ledger.done else list(run.folder.trial_logs()), on_progress, helper)
+        except BaseException as error:
+            if ledger.done:
+                kept = f"What was tried until then is kept ({len(ledger.done)} runs): the same command goes on."
+                error.add_note(kept)
+            else:
+                ledger.close()
+            raise
+        with saving(found):
+            set_aside(run.folder.comparison)
+            write_json(run.folder.comparison, found.comparison)
+            ledger.close()
+            summarise(run)
+        return found
+
+    def _drive(
+        self, ledger: Ledger, earlier: list[Path], on_progress: Progress, ahead: HelperProcess | None
+    ) -> Compared:
+        """Drive all trials; logs of an ``earlier`` comparison make room for the first of this one."""
+        logs: dict[str, RunLog] = {}
+        before = self.before if DEFAULT in self.factories else None
+
+        def keep(trial: Trial) -> None:
+            while earlier:
+                set_aside(earlier.pop())
+            if (trial.target_set, trial.repetition, trial.first) == (0, 0, 0):  # one of each suffices for the figures
+                logs[trial.label] = trial.log()
+                if self.run is not None:
+                    write_log(self.run.folder.log(trial.label), logs[trial.label])
+
+        with (
+            noted(), metered(self.run.folder if self.run else None, "compare") as meter, self._helped(ahead) as helper,
+            kept_if_stopped(None if self.settings.batched else self.run, "compare"),
+        ):  # fmt: skip
+
+            def watched(count: int, seed: int) -> Robot:
+                return meter.watch(self._open(count, seed))
+
+            result = TrialRunner(
+                watched, self.factories, self.targets, self.settings, on_progress=on_progress, on_trial=keep,
+                ledger=ledger, limits=guard_limits(self.run, self.arm, address_of(self.robot)),
+                stance=stance_of(self.twin, self.run), correction=self.correct, model=self.model,
+                measured=() if before is None else (before.driven,), source=SOURCE, turns=self.turns,
+                helper=helper,
+            ).compare()  # fmt: skip
+            result = self._beside(result, before, self._open if self.settings.batched else watched)
+        if before is not None and self.run is not None:
+            logs[before.log.label] = before.log
+            write_log(self.run.folder.log(before.log.label), before.log)
+        by = "" if self.model is None else self.model.date
+        result = replace(result, targets_file=self.file, period=self.period, calibration=by)
+        return Compared(comparison=result, recommendation=recommend(result), logs=logs)
+
+    def _beside(
+        self, result: Comparison, before: OpenLoopTrials | None, opened: Callable[[int, int], Robot]
+    ) -> Comparison:
+        how = Holding(
+            open_robot=opened, batched=self.settings.batched, seed=self.settings.seed,
+            stance=stance_of(self.twin, self.run),
+            limits=guard_limits(self.run, self.arm, address_of(self.robot)), correction=self.correct, model=self.model,
+        )  # fmt: skip
+        protocol, own = self.settings.protocol, self.factories.get(DEFAULT)
+        try:
+            if self.correct is not None and before is not None:
+                result = replace(result, as_found=before.errors())
+            elif self.correct is not None and own is not None and self.turns is None:
+                result = replace(result, as_found=found_errors(how, own, self.targets[0], protocol))
+            if self.directions:
+                best = recommend(result).controller
+                found = vary_directions(how, best, self.factories[best], self.arm, self.settings.repetitions, protocol)
+                result = replace(result, directions=found)
+        except GuardTripError as error:  # neither is worth a comparison that is decided
+            told = f"What is driven beside a comparison was ended early, and the rest of it left out: {error}."
+            result = replace(result, left_out=(*result.left_out, told))
+        return result
+
+    def without(self, names: Collection[str]) -> ComparisonJob:
+        """Return the job without some controllers."""
+        return replace(self, factories={name: make for name, make in self.factories.items() if name not in names})
+
+    def begin_ahead(self) -> HelperProcess | None:
+        """Start a second process with what can be driven already, where there is one to spare."""
+        tasks = [(name, kind) for name in self.factories for kind in KINDS]
+        return HelperProcess(self._work(), tasks) if self._shareable() else None
+
+    @contextmanager
+    def _helped(self, ahead: HelperProcess | None) -> Iterator[Helper | None]:
+        if ahead is not None or not self._shareable():
+            yield ahead
+        else:
+            with closing(HelperProcess(self._work())) as helper:
+                yield helper
+
+    def _shareable(self) -> bool:
+        settings = self.settings
+        size = 2 * self.targets.shape[0] * self.targets.shape[1] * settings.repetitions * len(self.factories)
+        plain = self.by_name and isinstance(self.robot, str) and not self.observer.shows
+        return plain and settings.batched and size >= LEAST and core_to_spare()
+
+    def _work(self) -> Job:
+        return Job(
+            robot=str(self.robot), arm=self.arm, run=None if self.run is None else self.run.path, twin=self.twin,
+            period=self.period, targets=self.targets, turns=self.turns,
+            settings=self.settings, limits=guard_limits(self.run, self.arm, address_of(self.robot)),
+            correct=self.correct,
+        )  # fmt: skip
+
+    def _open(self, count: int, seed: int) -> Robot:
+        if not isinstance(self.robot, str):
+            robot: Robot = Borrowed(self.robot)
+        else:
+            robot = open_robot(self.robot, arm=self.arm, seed=seed, count=count, period=self.period, threads=THREADS)
+        return self.observer.watch(robot, twin=self.twin, within=self.settings.protocol.threshold)
+
+    def _digest(self, run: Run) -> str:
+        used = run.folder.policy, run.folder.twin, run.folder.gains
+        files = [digest(path.read_bytes()).decode() for path in used if path.exists()]
+        turns = None if self.turns is None else (self.turns.rotation, self.turns.whole, self.turns.weight)
+        about = (
+            __version__, address_of(self.robot), repr(self.arm), repr(self.settings), tuple(self.factories),
+            self.period, files, self.targets.tolist(), repr(self.correct), self.before is None,
+            turns and [part.tolist() for part in turns],
+        )  # fmt: skip
+        return digest(repr(about).encode()).decode()
+
 
 SETS, REPETITIONS = 10, 6
 """Target sets and repetitions where arms are emulated or all is driven (Park et al. 2024: six repetitions)"""
 
-RACE_SETS = 1
-"""Target sets of a race at most (chosen: those of the diagnosis. Twenty targets instead of ten decide hardly more, as
-`python -m benchmarks.racing --sets 2` shows)"""
+ONE_ARM_SETS = 1
+"""Target sets on one arm (chosen: those of the diagnosis)"""
 
-RACE_PROTOCOL = Protocol(hold=DWELL)
-"""A race holds each target as long as the diagnosis does, so that both measure the same"""
+ONE_ARM_PROTOCOL = Protocol(hold=DWELL)
+"""On one arm each target is held as long as in the diagnosis, so that both measure the same"""
 
 
-@paced
+@dataclass(frozen=True, kw_only=True)
+class TrialPlan:
+    """How much a comparison drives."""
+
+    sets: int | None = None
+    """of targets that are drawn; None: 10, on one arm 1"""
+    repetitions: int | None = None
+    """of each set by each controller; None: 6, on one arm 1"""
+    protocol: Protocol | None = None
+    """thresholds [m] and times [s] of a trial; None: those of Park et al. 2024, and holds of 8 s, on one arm of 5 s"""
+    directions: bool = False
+    """whether the recommended controller also comes to five poses from three directions: vAP after ISO 9283"""
+    full: bool = False
+    """on a real arm no controller is eliminated but one that misses three targets in a row"""
+
+
 def compare(
     robot: RobotLike,
     controllers: Controllers = (),
@@ -58,29 +338,16 @@ def compare(
     *,
     run: RunLike | None = None,
     arm: ArmLike | None = None,
-    twin: TwinLike | None = None,
-    calibration: CalibrationLike | None = None,
-    payload: PayloadLike | None = None,
-    tool: ArrayLike | None = None,
-    sets: int | None = None,
-    repetitions: int | None = None,
-    protocol: Protocol | None = None,
-    period: Period | None = None,
-    directions: bool = False,
-    seed: int | None = None,
-    full: bool = False,
-    on_progress: Progress = no_progress,
-    say: Say = silent,
-    live: Live | None = None,
+    plan: TrialPlan | None = None,
+    settings: Settings | None = None,
+    observer: Observer | None = None,
 ) -> Compared:
     """Try controllers on the same arm, with the same targets, from the same start, and recommend one.
 
-    Emulated arms are tried side by side; on a real one the controllers race: the trials take turns, who misses three
-    targets in a row, is beaten beyond doubt, or is no better by what matters than a simpler one is driven no further,
-    and it ends when one is left, or after all sets.
-    What the diagnosis of the run measured open loop is not driven again: it is what ``default`` does. While an arm
-    moves, Ctrl-C and SIGTERM first bring it to a hold; then `Interrupted` is raised, which is a KeyboardInterrupt. In a
-    run, the same call then goes on after the last finished trial.
+    Emulated arms are tried side by side; on a real one the controllers take turns in blocks of targets: one that misses
+    three targets in a row, or is significantly worse than the best, is eliminated; the comparison ends when one is
+    left, or after all targets. What the diagnosis of the run measured open loop is not driven again: it is what
+    ``default`` does. Interrupted in a run, the same call goes on after the last finished trial.
 
     Parameters
     ----------
@@ -95,44 +362,18 @@ def compare(
         found, and ``servo-gains`` and ``servo-gains+push`` beside them
     targets
         (K, 3) or (S, K, 3) [m], or `Pose` objects, or a CSV file in mm with the header ``x,y,z`` and perhaps columns
-        of an orientation, which only baselines heed; by default drawn, ten in a set; in a race the first ten are those
-        of the diagnosis
+        of an orientation, which only baselines heed; by default drawn, ten in a set; on one arm the first ten are
+        those of the diagnosis
     run
         run, or its folder, with the policy and the twin, into which results are written; without one nothing is
     arm
         arm, name or file; needed only without a run, where the address does not tell
-    twin
-        twin whose stiffness the feed-forward controller believes, on which predictive control plans, and as
-        which a real arm must stand; by default that of the run
-    calibration
-        what lies behind the encoders, or its file: all controllers are aimed by it; ``none`` for no correction. By
-        default that of ``run``
-    payload
-        [kg] that the hand carries at its tool centre point, or a `Payload`; everything is computed with it
-    tool
-        (3,) [m] from the tool centre point of the arm's description to the tip of a tool, in the frame of the former
-    sets
-        number of target sets that are drawn; by default 10, in a race at most 1
-    repetitions
-        number of times that each set is driven to by each controller; by default 6, in a race 1
-    protocol
-        thresholds [m] and times [s] of a trial; by default those of Park et al. 2024, and holds of eight seconds, in a
-        race of five, as in the diagnosis
-    period
-        [s] interval of the control periods; by default what the robot suits
-    directions
-        whether the recommended controller also comes to five poses from three directions, in as many cycles as there
-        are repetitions: vAP after ISO 9283 (on a real arm four minutes a cycle)
-    seed
-        of targets and an emulated arm's noise; by default that of the run, else 0
-    full
-        no race: a real arm is driven to all targets with every controller that does not miss three in a row
-    on_progress
-        called with the share that is done and what is being tried
-    say
-        told, in lines, which targets are too heavy, before an arm moves
-    live
-        shows the arm meanwhile: a `LiveView`
+    plan
+        numbers of sets and repetitions, protocol, elimination or not
+    settings
+        twin, calibration, payload, control period, seed and the like
+    observer
+        receives messages, progress, and what is being tried
 
     Returns
     -------
@@ -150,59 +391,59 @@ def compare(
 
     Examples
     --------
-    >>> found = rejoint.compare("emulated:worn", ["integrator", policy], sets=1, repetitions=2)
+    >>> plan = rejoint.TrialPlan(sets=1, repetitions=2)
+    >>> found = rejoint.compare("emulated:worn", ["integrator", policy], plan=plan)
     >>> print(found.recommendation.controller, *found.recommendation.why)
-    >>> print(found.comparison.row("integrator").hold.settled.mean.value)  # metres
+    >>> print(found.comparison.row("integrator").settled.mean.value)  # metres
     """
-    about = None if run is None else as_run(run).seeded(seed)
-    chosen = arm_of(robot, arm) if about is None else about.arm
-    with exclusive(about):
-        return comparison_job(
-            robot, controllers, targets, run=about, arm=chosen, twin=twin, calibration=calibration, payload=payload,
-            tool=tool, sets=sets, repetitions=repetitions, protocol=protocol, period=period, directions=directions,
-            seed=as_seed(seed) if about is None else about.seed, full=full, say=say, live=live,
-        ).drive(on_progress)  # fmt: skip
+    with (
+        pacing(observer) as update,
+        ArmSession(robot, run=run, arm=arm, settings=settings, observer=observer) as session,
+    ):
+        place = session.robot if session.rehearsal is not None else robot
+        job = comparison_job(
+            place, controllers, targets, run=session.run, arm=session.arm, plan=plan, settings=session.settings,
+            observer=session.observer,
+        )  # fmt: skip
+        return job.drive(update)
 
 
 def comparison_job(
-    robot: RobotLike, controllers: Controllers, targets: Targets | None, *, run: Run | None, arm: Arm, seed: int,
-    twin: TwinLike | None = None, calibration: CalibrationLike | None = None, payload: PayloadLike | None = None,
-    tool: ArrayLike | None = None, sets: int | None = None, repetitions: int | None = None,
-    protocol: Protocol | None = None, period: Period | None = None, directions: bool = False, full: bool = False,
-    paper: bool = True, say: Say = silent, live: Live | None = None,
+    robot: RobotLike, controllers: Controllers, targets: Targets | None, *, run: Run | None, arm: Arm,
+    plan: TrialPlan | None, settings: Settings, observer: Observer,
 ) -> ComparisonJob:  # fmt: skip
-    """Put together what `compare` is to do, in a ``run`` or without one, and refuse what does not fit.
+    """Put together what `compare` is to do, and refuse what does not fit.
 
-    Without ``paper`` the paper's PIDs (`ON_REQUEST`) take part only where they are named.
+    The ``arm`` has load and tool of the settings.
     """
-    chosen, controllers = with_load(arm, robot, payload, tool), listed(controllers)
+    controllers, wanted = listed(controllers), plan or TrialPlan()
     real = not is_batchable(robot)
-    race = Race() if real and not full else None
-    points, turns = as_targets(
-        targets, chosen, sets=(SETS if race is None else RACE_SETS) if sets is None else sets, seed=seed
-    )
-    known = as_twin(twin) if twin is not None else None if run is None else run.twin
-    say_heavy(chosen, known, points, say, turns)
+    elimination = Elimination() if real and not wanted.full else None
+    seed = as_seed(settings.seed) if run is None else run.seed
+    sets = (SETS if elimination is None else ONE_ARM_SETS) if wanted.sets is None else wanted.sets
+    points, turns = as_targets(targets, arm, sets=sets, seed=seed)
+    known = as_twin(settings.twin) if settings.twin is not None else None if run is None else run.twin
+    say_heavy(arm, known, points, observer.message, turns)
     factories = make_factories(
-        controllers, chosen, period_of(robot, period), run=run, twin=known, real=real, posed=turns is not None
+        controllers, arm, period_of(robot, settings.period), run=run, twin=known, real=real, posed=turns is not None
     )
-    if not (controllers or paper):
-        factories = {name: make for name, make in factories.items() if name not in ON_REQUEST}
-    settings = Settings(
-        repetitions=(REPETITIONS if race is None else 1) if repetitions is None else repetitions,
+    trials = TrialSettings(
+        repetitions=(REPETITIONS if elimination is None else 1) if wanted.repetitions is None else wanted.repetitions,
         seed=seed, batched=not real,
-        protocol=protocol or (Protocol() if race is None else RACE_PROTOCOL), leave_out=not controllers, race=race,
+        protocol=wanted.protocol or (Protocol() if elimination is None else ONE_ARM_PROTOCOL),
+        leave_out=not controllers, elimination=elimination,
     )  # fmt: skip
-    model = calibration_of(calibration, run, chosen, address_of(robot))
+    address = address_of(robot)
+    model = calibration_of(settings.calibration, run, arm, address)
     before = None
-    if race is not None and run is not None and payload is None and tool is None and turns is None:
-        before = open_loop(run, address_of(robot), settings.protocol, model)
+    if elimination is not None and run is not None and not isinstance(arm, LoadedArm) and turns is None:
+        before = open_loop(run, address, trials.protocol, model)
     if before is not None and targets is None:
         points[0] = before.targets
     return ComparisonJob(
-        robot=robot, arm=chosen, run=run, factories=factories, targets=points, settings=settings, period=period,
-        twin=known, correct=correction_of(calibration, run, chosen, address_of(robot), points),
-        model=model, live=live, by_name=all_named(controllers), directions=directions, turns=turns,
+        robot=robot, arm=arm, run=run, factories=factories, targets=points, settings=trials, period=settings.period,
+        twin=known, correct=correction_of(settings.calibration, run, arm, address, points), model=model,
+        observer=observer, by_name=all_named(controllers), directions=wanted.directions, turns=turns,
         file=str(targets) if isinstance(targets, Path | str) else "",
         before=before if before is not None and np.array_equal(points[0], before.targets) else None,
     )  # fmt: skip

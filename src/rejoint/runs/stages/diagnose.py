@@ -7,42 +7,39 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from rejoint.arms import Arm
+from rejoint.control.observer import Observer, pacing
 from rejoint.control.robot import Robot
 from rejoint.control.servogains import gains_in_force
 from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.logs.runlog import RunLog, write_log
-from rejoint.runs.given import (
+from rejoint.runs.history import summarise
+from rejoint.runs.run import Run, exclusive, mark_quick, remove_if_empty
+from rejoint.session.inputs import (
     FIRST_ROBOT,
     ArmLike,
-    Live,
     LogsLike,
-    Period,
     RobotLike,
     RunLike,
     address_of,
     arm_of,
     as_logs,
     is_robot,
-    opened,
     run_about,
     run_of_logs,
-    shown,
     source_of,
 )
-from rejoint.runs.history.summary import summarise
-from rejoint.runs.metering import metered
-from rejoint.runs.run import Run, exclusive, mark_quick, remove_if_empty
-from rejoint.runs.stages.keeping import start_journal
+from rejoint.session.recorder import start_journal
+from rejoint.session.session import ArmSession
+from rejoint.session.settings import Settings
 from rejoint.system.errors import InputError
-from rejoint.system.files import read_json, require_space, saving, set_aside, write_json
-from rejoint.system.numbers import as_seed
-from rejoint.system.progress import Progress, no_progress, paced
+from rejoint.system.files import read_json, saving, set_aside, write_json
+from rejoint.system.progress import Progress
 from rejoint.system.stopping import noted
 
 if TYPE_CHECKING:  # these need the simulator, which a Raspberry Pi does not have
     from rejoint.diagnosis.diagnosis import Diagnosis
+    from rejoint.diagnosis.excitation import DiagnosisLogs
     from rejoint.diagnosis.healthy import HealthyReference
-    from rejoint.diagnosis.record import DiagnosisLogs
     from rejoint.diagnosis.verdict import Finding
 
 
@@ -68,23 +65,19 @@ class Diagnosed:
         return self.diagnosis.findings
 
 
-@paced
 def diagnose(
     source: RobotLike | LogsLike = FIRST_ROBOT,
     *,
     arm: ArmLike | None = None,
     run: RunLike | None = None,
     healthy: RunLike | Diagnosis | None = None,
-    period: Period | None = None,
-    seed: int | None = None,
     quick: bool = False,
-    on_progress: Progress = no_progress,
-    live: Live | None = None,
+    settings: Settings | None = None,
+    observer: Observer | None = None,
 ) -> Diagnosed:
     """Find out what is wrong with an arm: by driving it, or from logs of any motion.
 
-    A robot is driven to ten targets, open loop, and through an excitation of every joint (three minutes). While it
-    moves, Ctrl-C and SIGTERM first bring it to a hold; then `Interrupted` is raised, which is a KeyboardInterrupt.
+    A robot is driven to ten targets, open loop, and through an excitation of every joint (three minutes).
 
     Parameters
     ----------
@@ -96,16 +89,12 @@ def diagnose(
         run, or its folder, into which logs and diagnosis are written; without one nothing is written
     healthy
         run or diagnosis of an arm known to be good, to compare with; by default an emulated healthy one of its kind
-    period
-        [s] interval of the control periods; by default what the robot suits
-    seed
-        of targets, excitation and an emulated arm's noise; by default that of the run, else 0
     quick
         excite for 90 s instead of 140 s, for a first try: wear shows less surely
-    on_progress
-        called with the share that is done and what is being done
-    live
-        shows the arm meanwhile: a `LiveView`
+    settings
+        control period and seed
+    observer
+        receives progress
 
     Returns
     -------
@@ -130,43 +119,41 @@ def diagnose(
     >>> log = rejoint.RunLog.of(time, command, position, arm="so101")
     >>> rejoint.diagnose(log, arm="so101").findings[0].sentence
     """
+    chosen = settings or Settings()
     if not is_robot(source):
-        if period is not None:
+        if chosen.period is not None:
             raise InputError("diagnosis: logs have the control period that they have; leave it out")
-        return Diagnosed(diagnosis=_from_logs(cast(LogsLike, source), arm, run, healthy, on_progress))
+        with pacing(observer) as update:
+            return Diagnosed(diagnosis=_from_logs(cast(LogsLike, source), arm, run, healthy, update))
     robot = cast(RobotLike, source)
-    chosen = run.arm if isinstance(run, Run) else arm_of(robot, arm)
-    about = run_about(run, address_of(robot), chosen, seed)
+    built = run.arm if isinstance(run, Run) else arm_of(robot, arm)
+    about = run_about(run, address_of(robot), built, chosen.seed)
     about = None if about is None else about.begin()
-    seed = as_seed(seed) if about is None else about.seed
-    with exclusive(about):
-        try:
-            reference = _reference(chosen, healthy)
-            with (
-                noted(),
-                metered(about.folder if about else None, "diagnose") as meter,
-                opened(robot, chosen, seed, period) as connection,
-            ):
-                connection = shown(live, meter.watch(connection))
+    try:
+        with (
+            pacing(observer) as update,
+            noted(),
+            ArmSession(robot, run=about, arm=built, settings=chosen, observer=observer) as session,
+        ):
+            reference = _reference(built, healthy)
+            with session.metered("diagnose") as driven:
                 if healthy is None:
-                    reference = _as_set(connection, reference)
-                return _drive(connection, about, reference, seed, quick=quick, on_progress=on_progress)
-        except BaseException:
-            if about is not None:  # a robot that does not answer, or is not ready, leaves no folder behind
-                remove_if_empty(about)
-            raise
+                    reference = _as_set(driven, reference)
+                return _drive(driven, session.run, reference, session.seed, quick=quick, on_progress=update)
+    except BaseException:
+        if about is not None:  # a robot that does not answer, or is not ready, leaves no folder behind
+            remove_if_empty(about)
+        raise
 
 
 def _drive(
     robot: Robot, run: Run | None, healthy: HealthyReference | None, seed: int, *, quick: bool, on_progress: Progress
 ) -> Diagnosed:
-    """Excite the robot and judge it; what it did until an error is kept in the run."""
     from rejoint.diagnosis.diagnosis import diagnose as drive_and_judge
     from rejoint.diagnosis.excitation import FULL, SHORT
 
     journal = None
     if run is not None:
-        require_space(run.path)
         journal = start_journal(run, "diagnosis", robot, "diagnosis")
     try:
         found, logs = drive_and_judge(
@@ -200,7 +187,6 @@ def _as_set(robot: Robot, reference: HealthyReference | None) -> HealthyReferenc
 
 
 def _write(folder: RunFolder, found: Diagnosis, logs: DiagnosisLogs) -> None:
-    """Write logs and diagnosis; earlier ones are set aside."""
     targets, excitation = folder.log("targets"), folder.log("excitation")
     for earlier in (targets, excitation, folder.diagnosis):
         set_aside(earlier)
@@ -213,7 +199,6 @@ def _from_logs(
     source: LogsLike, arm: ArmLike | None, given: RunLike | None, healthy: RunLike | Diagnosis | None,
     on_progress: Progress,
 ) -> Diagnosis:  # fmt: skip
-    """Judge an arm by logs of any motion."""
     from rejoint.diagnosis.fromlogs import diagnose_logs
 
     run, chosen = run_of_logs(given, source, arm)
@@ -229,10 +214,8 @@ def _from_logs(
 
 
 def _reference(arm: Arm, healthy: RunLike | Diagnosis | None) -> HealthyReference | None:
-    """Take the reference of an arm from one known to be good, else the emulated one of its kind."""
     from rejoint.diagnosis.diagnosis import Diagnosis
-    from rejoint.diagnosis.healthy import healthy_reference
-    from rejoint.diagnosis.knowngood import reference_by
+    from rejoint.diagnosis.healthy import healthy_reference, reference_by
 
     if healthy is None:
         return healthy_reference(arm)

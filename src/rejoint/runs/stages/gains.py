@@ -4,39 +4,26 @@ from __future__ import annotations
 
 from typing import cast
 
-from rejoint.control.comparison.targets import draw_targets
-from rejoint.control.gainsearch import GainsFound, search
-from rejoint.control.geared import GEARED, RIVALS
-from rejoint.control.servogains import ServoGains, Tunable, gains_in_force
-from rejoint.runs.given import (
-    Live,
-    Period,
-    RobotLike,
-    RunLike,
-    address_of,
-    as_run,
-    opened,
-    shown,
-)
-from rejoint.runs.metering import metered
-from rejoint.runs.run import Run, exclusive
-from rejoint.runs.stages.controllers import recommended
-from rejoint.runs.stages.keeping import kept_if_stopped
-from rejoint.runs.stages.known import guard_limits
+from rejoint.control.observer import Observer, pacing
+from rejoint.control.servogains import GEARED, RIVALS, GainsFound, ServoGains, Tunable, gains_in_force, search
+from rejoint.control.targets import draw_targets
+from rejoint.runs.run import Run
+from rejoint.session.controllers import recommended
+from rejoint.session.inputs import RobotLike, RunLike
+from rejoint.session.recorder import kept_if_stopped
+from rejoint.session.session import ArmSession
+from rejoint.session.settings import Settings
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.files import read_json, require_space, saving, set_aside, write_json
-from rejoint.system.progress import Progress, no_progress, paced
+from rejoint.system.files import read_json, saving, set_aside, write_json
 from rejoint.system.stopping import noted
 
 TARGETS = 4
-"""that each round goes to (chosen: two sides and two heights, in ten seconds)"""
+"""that each round goes to (chosen: two sides and two heights)"""
 
 
-@paced
 def gains(
-    robot: RobotLike, run: RunLike, *, period: Period | None = None, on_progress: Progress = no_progress,
-    live: Live | None = None,
-) -> GainsFound:  # fmt: skip
+    robot: RobotLike, run: RunLike, *, settings: Settings | None = None, observer: Observer | None = None
+) -> GainsFound:
     """Search for better gains of the servos' own position loops, on the arm itself (about three minutes).
 
     The arm goes to four targets again and again, with one value more of P, dead zone, startup force and I each time;
@@ -49,12 +36,10 @@ def gains(
         robot or its address: an SO-101 on its own bus, or an emulated one
     run
         run, or its folder, into which ``gains.json`` is written
-    period
-        [s] interval of the control periods; by default what the robot suits
-    on_progress
-        called with the share that is done and what is being tried
-    live
-        shows the arm meanwhile: a `LiveView`
+    settings
+        control period
+    observer
+        receives progress, and what is being tried
 
     Returns
     -------
@@ -77,21 +62,18 @@ def gains(
     >>> found = rejoint.gains("feetech:///dev/ttyACM0", "runs/mine")
     >>> print(found.alone["p"], 1e3 * found.with_alone.tool)
     """
-    about = as_run(run)
     with (
-        exclusive(about), noted(), metered(about.folder, "gains") as meter,
-        opened(robot, about.arm, about.seed, period) as connection,
+        pacing(observer) as update, noted(),
+        ArmSession(robot, run=run, settings=settings, observer=observer) as session,
+        session.metered("gains") as tried,
     ):  # fmt: skip
-        require_space(about.path)
-        points = draw_targets(about.arm, sets=1, count=TARGETS, seed=about.seed)[0]
-        limits = guard_limits(about, about.arm, address_of(robot))
-        with kept_if_stopped(about, "gains"):
-            found = search(
-                cast(Tunable, shown(live, meter.watch(connection))), points, limits=limits, on_progress=on_progress
-            )
-        with saving(found):
-            set_aside(about.folder.gains)
-            write_json(about.folder.gains, found)
+        points = draw_targets(session.arm, sets=1, count=TARGETS, seed=session.seed)[0]
+        with kept_if_stopped(session.run, "gains"):
+            found = search(cast(Tunable, tried), points, limits=session.limits, on_progress=update)
+        if session.run is not None:
+            with saving(found):
+                set_aside(session.run.folder.gains)
+                write_json(session.run.folder.gains, found)
     return found
 
 
@@ -112,13 +94,11 @@ def gains_to_keep(run: Run) -> ServoGains:
 def keep_gains(robot: RobotLike, run: RunLike, wanted: ServoGains) -> ServoGains:
     """Have the servos keep the gains ``wanted`` without power; returns those before.
 
-    The only thing that writes the memory of an arm: each servo's lock is open for as long as it takes. Nothing moves
-    but what other gains let sag or rise.
+    Nothing else writes their memory.
     """
-    about = as_run(run)
-    with exclusive(about), noted(), opened(robot, about.arm, about.seed, None) as connection:
-        before = gains_in_force(connection)
+    with noted(), ArmSession(robot, run=run) as session:
+        before = gains_in_force(session.robot)
         if before is None:
-            raise InputError(f"{address_of(robot)} has no servo gains that could be kept")
-        cast(Tunable, connection).keep(wanted)
+            raise InputError(f"{session.address} has no servo gains that could be kept")
+        cast(Tunable, session.robot).keep(wanted)
     return before

@@ -3,48 +3,57 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from rejoint.arms import Arm
+from rejoint.control.observer import Observer, pacing
 from rejoint.diagnosis.segments import is_excitation
-from rejoint.logs.bare import require_commands
-from rejoint.logs.doubts import forced_remarks
+from rejoint.logs.consistency import forced_remarks, require_commands
 from rejoint.logs.runfolder.folder import LOGS
 from rejoint.logs.runlog import RunLog, read_log
-from rejoint.runs.given import ArmLike, LogsLike, RunLike, as_logs, as_run, run_of_logs
 from rejoint.runs.run import Run, exclusive, mark_quick
+from rejoint.session.inputs import ArmLike, LogsLike, RunLike, as_logs, as_run, run_of_logs
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import write_json
 from rejoint.system.numbers import as_seed
-from rejoint.system.progress import Progress, no_progress, paced
-from rejoint.twin.conditions import GAIN, TORQUE_OFF, declare
+from rejoint.system.progress import Progress
+from rejoint.twin.replay import GAIN, TORQUE_OFF, declare
 
 if TYPE_CHECKING:
     from rejoint.twin.judge import Candidate
     from rejoint.twin.twin import Twin
 
-NOTHING: Mapping[str, str] = {}
+
+@dataclass(frozen=True, kw_only=True)
+class LogPlan:
+    """How logs of any motion are taken, where it is not the usual way; motions go by their labels."""
+
+    beside: Sequence[Candidate] = ()
+    """other twins, such as published ones, to judge beside the fitted one"""
+    hold_out: Sequence[str] | None = None
+    """motions to keep from the fit and judge it by; empty: judge it on what it has seen; None: a quarter of the motions
+    is drawn, of few motions the end of each. Once judged, the twin is fitted to all motions"""
+    gain: Mapping[str, str] = field(default_factory=dict)
+    """the servos' position gain over that which the twin is to have: ``"0.5"``, or one number for each joint"""
+    torque_off: Mapping[str, str] = field(default_factory=dict)
+    """seconds without torque since the start: ``"3-7.5 12-14"``"""
 
 
-@paced
 def identify(
     logs: LogsLike | None = None,
     *,
     arm: ArmLike | None = None,
     run: RunLike | None = None,
-    beside: Sequence[Candidate] = (),
-    hold_out: Sequence[str] | None = None,
-    gain: Mapping[str, str] = NOTHING,
-    torque_off: Mapping[str, str] = NOTHING,
+    plan: LogPlan | None = None,
     seed: int | None = None,
     quick: bool = False,
-    on_progress: Progress = no_progress,
+    observer: Observer | None = None,
 ) -> Twin:
     """Fit a digital twin to an arm's motion: stiffness, damping, friction, inertia, torque limit, offset and delay.
 
-    Logs of an excitation (`Diagnosed.excitation`) tell most. From logs of any other motion, contacts and stops are
-    left out, and whole motions are kept from the fit to judge it by. Ctrl-C is a KeyboardInterrupt, as always.
+    Logs of an excitation (`Diagnosed.excitation`) tell most. From logs of any other motion, contacts and stops are left
+    out, and whole motions are kept from the fit to judge it by.
 
     Parameters
     ----------
@@ -54,21 +63,14 @@ def identify(
         arm, name or file; by default that of the run, or the one of the catalogue that the logs name
     run
         run, or its folder, into which ``twin.toml`` is written; without one nothing is written
-    beside
-        other twins, such as published ones, to judge beside the fitted one on logs of any motion
-    hold_out
-        labels of the motions to keep from the fit and judge it by; empty to judge it on the motions it has seen; by
-        default a quarter of the motions is drawn, of few motions the end of each is taken. Once judged, the twin is
-        fitted to all motions
-    gain, torque_off
-        of motions, by their labels: the servos' position gain over that which the twin is to have (``"0.5"``, or one
-        number for each joint), and seconds without torque since the start (``"3-7.5 12-14"``)
+    plan
+        what to judge beside, what to hold out, and which gains and pauses the motions had
     seed
         of the search, and of what is held out; by default that of the run, else 0
     quick
         search less, for a first try: the fit is worse
-    on_progress
-        called with the share that is done and what is being done
+    observer
+        receives progress
 
     Returns
     -------
@@ -89,27 +91,29 @@ def identify(
     >>> twin = rejoint.identify(found.excitation)
     >>> print(twin.parameters.stiffness, twin.held_out.twin.tcp)
     """
-    if logs is None:
-        if run is None:
-            raise InputError("identification: neither logs nor a run is given")
-        found = as_run(run).seeded(seed)
-        with exclusive(found):
-            mark_quick(found, quick=quick)
-            twin = _from_excitation(found.arm, [_excitation(found)], found.seed, on_progress, quick=quick)
-            _write(found, twin)
+    with pacing(observer) as update:
+        if logs is None:
+            if run is None:
+                raise InputError("identification: neither logs nor a run is given")
+            found = as_run(run).seeded(seed)
+            with exclusive(found):
+                mark_quick(found, quick=quick)
+                twin = _from_excitation(found.arm, [_excitation(found)], found.seed, update, quick=quick)
+                _write(found, twin)
+            return twin
+        about, chosen = run_of_logs(run, logs, arm)
+        with exclusive(about):
+            what = plan or LogPlan()
+            motions = declare(declare(as_logs(logs), GAIN, what.gain), TORQUE_OFF, what.torque_off)
+            require_commands(motions, "identification")
+            if about is None and all(is_excitation(log) for log in motions):
+                return _from_excitation(chosen, motions, as_seed(seed), update, quick=quick)
+            drawn = about.seed if seed is None and about is not None else as_seed(seed)
+            twin = _from_any_motion(chosen, motions, what, drawn, update, quick=quick)
+            if about is not None:
+                _write(about.begin(), twin)
+                mark_quick(about, quick=quick)
         return twin
-    about, chosen = run_of_logs(run, logs, arm)
-    with exclusive(about):
-        motions = declare(declare(as_logs(logs), GAIN, gain), TORQUE_OFF, torque_off)
-        require_commands(motions, "identification")
-        if about is None and all(is_excitation(log) for log in motions):
-            return _from_excitation(chosen, motions, as_seed(seed), on_progress, quick=quick)
-        drawn = about.seed if seed is None and about is not None else as_seed(seed)
-        twin = _from_any_motion(chosen, motions, beside, hold_out, drawn, on_progress, quick=quick)
-        if about is not None:
-            _write(about.begin(), twin)
-            mark_quick(about, quick=quick)
-    return twin
 
 
 def _from_excitation(arm: Arm, logs: Sequence[RunLog], seed: int, on_progress: Progress, *, quick: bool) -> Twin:
@@ -125,21 +129,19 @@ def _from_excitation(arm: Arm, logs: Sequence[RunLog], seed: int, on_progress: P
 def _from_any_motion(
     arm: Arm,
     logs: Sequence[RunLog],
-    beside: Sequence[Candidate],
-    hold_out: Sequence[str] | None,
+    plan: LogPlan,
     seed: int,
     on_progress: Progress,
     *,
     quick: bool,
 ) -> Twin:
     from rejoint.twin.fromlogs import identify_logs
-    from rejoint.twin.holdout import HoldOut
-    from rejoint.twin.motionfit import LogSettings
+    from rejoint.twin.motionfit import HoldOut, LogSettings
 
-    settings = LogSettings(hold_out=HoldOut(names=None if hold_out is None else tuple(hold_out), seed=seed))
+    settings = LogSettings(hold_out=HoldOut(names=None if plan.hold_out is None else tuple(plan.hold_out), seed=seed))
     if quick:
         settings = replace(settings, coarse_seconds=20.0, fit_seconds=20.0, fast_seconds=5.0, contact_seconds=20.0)
-    found = identify_logs(arm, logs, settings, on_progress, beside)
+    found = identify_logs(arm, logs, settings, on_progress, plan.beside)
     notes = (*found.twin.notes, *forced_remarks(logs))
     return replace(found.twin, judgement=found.judgement, fitted=found.fitted, notes=notes)
 
@@ -155,7 +157,6 @@ def _excitation(run: Run) -> RunLog:
 
 
 def _write(run: Run, twin: Twin) -> None:
-    """Write a twin into its run, in place of another and of how that one was judged."""
     from rejoint.twin.file import write_twin
 
     for of_another in (run.folder.judgement, run.folder.kept):

@@ -1,11 +1,112 @@
-"""The report: one page of everything that a run has found."""
+"""Replay: what a twin says an arm would have done, beside what it did."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from rejoint.runs.given import RunLike, as_run
+from rejoint.arms import Array
+from rejoint.logs.consistency import states_alone
+from rejoint.logs.runfolder.folder import RunFolder, locked
+from rejoint.logs.runlog import RunLog
 from rejoint.runs.run import exclusive
+from rejoint.session.inputs import ArmLike, LogsLike, RunLike, TwinLike, arm_of_twin, as_arm, as_logs, as_run, as_twin
+
+if TYPE_CHECKING:
+    from rejoint.twin.judge import Candidate
+    from rejoint.twin.judgement import Judgement
+
+
+TWIN = "twin"
+"""Name of the twin among the predictions"""
+
+THREADS = 2
+"""of the simulation (chosen: results do not depend on it)"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Replayed:
+    """What a twin predicts, and how far that is from what was measured."""
+
+    logs: tuple[RunLog, ...]
+    positions: tuple[Array, ...]
+    """(T, n) [rad] predicted positions, row by row of each log, open loop from its first measured one"""
+    judgement: Judgement | None
+    """errors of every motion, of each twin and of no twin, in free space and in contact; None for logs of states
+    alone"""
+    page: Path | None = None
+    """with figures, where a folder was given"""
+
+
+def replay(
+    twin: TwinLike,
+    logs: LogsLike,
+    *,
+    arm: ArmLike | None = None,
+    beside: Sequence[Candidate] = (),
+    out: Path | str | None = None,
+) -> Replayed:
+    """Predict every motion open loop with a twin, and compare that with what the encoders measured.
+
+    A motion that the twin was fitted to flatters it. Of logs of states alone, the path is sent to the twin as its
+    command: `positions` are then how an arm like it would have followed.
+
+    Parameters
+    ----------
+    twin
+        twin or its file
+    logs
+        run logs of any motion, a file of one, or a folder of them
+    arm
+        arm, name or file; by default that of the run that the twin lies in, or the one of the catalogue that it names
+    beside
+        other twins, such as published ones, to judge on the same motions
+    out
+        folder for a page with figures; without one nothing is written
+
+    Returns
+    -------
+    Replayed
+        predicted ``positions``, and as ``judgement`` how good they are
+
+    Raises
+    ------
+    ContractError
+        if the twin is of another arm
+    InputError
+        if a log is of another arm, or only some hold commands
+
+    Examples
+    --------
+    >>> found = rejoint.replay(twin, log)
+    >>> found.positions[0] - log.position  # (T, n) radians
+    >>> found.judgement.mean["twin"].free.tcp  # metres
+    """
+    from rejoint.twin.judge import Candidate, judge_paths, predict_logs
+
+    known = as_twin(twin)
+    chosen = arm_of_twin(twin) if arm is None else as_arm(arm)
+    known.require(chosen)
+    motions = as_logs(logs)
+    if states_alone(motions, "replay"):
+        sent = [replace(log, command=log.position) for log in motions]
+        follows = predict_logs(chosen, [Candidate.of(TWIN, known)], sent, threads=THREADS)[TWIN]
+        return Replayed(logs=tuple(motions), positions=tuple(follows), judgement=None)
+    with nullcontext() if out is None else locked(RunFolder(Path(out))):
+        paths = predict_logs(chosen, [Candidate.of(TWIN, known), *beside], motions, threads=THREADS)
+        judgement = judge_paths(chosen, paths, motions)
+        page = None if out is None else _write(Path(out), judgement, twin, logs)
+    return Replayed(logs=tuple(motions), positions=tuple(paths[TWIN]), judgement=judgement, page=page)
+
+
+def _write(out: Path, judgement: Judgement, twin: TwinLike, logs: LogsLike) -> Path:
+    from rejoint.pages.report.page import write_replay
+
+    named = [str(given) if isinstance(given, Path | str) else "memory" for given in (twin, logs)]
+    return write_replay(out, judgement, twin=named[0], logs=named[1])
 
 
 def report(run: RunLike) -> Path:

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import tempfile
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rejoint.arms import Arm, load_arm
+from rejoint.control.observer import Observer, pacing
 from rejoint.control.policy import Policy
-from rejoint.runs.given import ArmLike, RunLike, TwinLike, as_arm, as_run, as_twin
 from rejoint.runs.run import exclusive, mark_quick
-from rejoint.runs.stages.known import tuned_gains, twin_under
+from rejoint.session.context import tuned_gains, twin_under
+from rejoint.session.inputs import ArmLike, RunLike, TwinLike, as_arm, as_run, as_twin
 from rejoint.system.errors import InputError
 from rejoint.system.numbers import as_seed
-from rejoint.system.progress import Progress, no_progress, paced
+from rejoint.system.progress import Progress
 
 if TYPE_CHECKING:
     from rejoint.training.presets import Preset
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from rejoint.twin.twin import Twin
 
 QUICK_UPDATES, QUICK_AGENTS = 3, 16
-"""Size of a training for a first try (chosen: seconds; its policy is hardly better than what it began with)"""
+"""Size of a training for a first try (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -33,30 +34,41 @@ class TrainedPolicy(Policy):
     """targets reached, errors and time; its files exist if the policy was trained in a run"""
 
 
-@paced
+@dataclass(frozen=True, kw_only=True)
+class TrainSettings:
+    """How a policy is trained, where it is not the usual way."""
+
+    generic: bool = False
+    """train in a run without a twin, for any worn arm of this kind"""
+    seed: int | None = None
+    """of the networks, the arms that are drawn, and the exploration; None: that of the run, else 0"""
+    threads: int = 2
+    """of the simulation; the policy does not depend on it"""
+    resume: bool = True
+    """go on from a checkpoint of this very training in the run"""
+    trainer: Trainer | None = None
+    """what trains instead of proximal policy optimisation"""
+
+
 def train(
     twin: TwinLike | None = None,
     *,
     arm: ArmLike | None = None,
     run: RunLike | None = None,
     preset: str | Preset = "default",
-    trainer: Trainer | None = None,
-    seed: int | None = None,
-    threads: int = 2,
-    resume: bool = True,
     quick: bool = False,
-    device: str = "cpu",
-    on_progress: Progress = no_progress,
+    settings: TrainSettings | None = None,
+    observer: Observer | None = None,
 ) -> TrainedPolicy:
     """Train a control policy on randomised copies of a twin (proximal policy optimisation).
 
     In a run, a training that was interrupted goes on from its last checkpoint, at most ten updates back, to the same
-    end. Ctrl-C is a KeyboardInterrupt, as always.
+    end.
 
     Parameters
     ----------
     twin
-        twin or its file; without one the run's, and without that any worn arm of this kind is trained for
+        twin or its file; without one that of the run; without a run the policy is for any worn arm of this kind
     arm
         arm, name or file; by default that of the run, or the one of the catalogue that the twin names
     run
@@ -65,21 +77,12 @@ def train(
         recipe: ``default``, ``scratch``, ``paper`` (the literal method), or one of your own. By the default one, a
         training on a twin begins at the policy that comes with the package, where there is one for this arm; by
         ``scratch`` it begins at random weights, as by all others
-    trainer
-        what trains instead of proximal policy optimisation
-    seed
-        of the networks, the arms that are drawn, and the exploration; by default that of the run, else 0
-    threads
-        of the simulation; the policy does not depend on it
-    resume
-        whether to go on from a checkpoint of this very training in the run
     quick
         train for seconds only, for a first try: the policy is hardly better than what it began with
-    device
-        what simulates the twins: ``cpu``, ``cuda`` or ``cuda:1``. Where there is no such GPU, a warning says so, and
-        the processors do. A policy from a GPU differs in its last digits
-    on_progress
-        called with the share that is done and how the training stands
+    settings
+        seed, threads and the like
+    observer
+        receives progress, and how the training stands
 
     Returns
     -------
@@ -89,7 +92,7 @@ def train(
     Raises
     ------
     InputError
-        if both a run and a twin are given, or neither twin, run nor arm
+        if both a run and a twin are given, or neither twin, run nor arm, or the run has no twin
     ContractError
         if the twin is of another arm
 
@@ -99,58 +102,61 @@ def train(
     >>> policy.save("policy.onnx")
     >>> rejoint.train(run="runs/mine")
     """
-    if run is not None:
-        if twin is not None:
-            raise InputError("training: a run has its own twin; give either a run or a twin")
-        found = as_run(run).seeded(seed)
-        with exclusive(found):
-            mark_quick(found, quick=quick)
-            told, tuned, known = found.diagnosis, tuned_gains(found), found.twin
-            gains = tuned.under if tuned is not None else None if told is None else told.servo_gains
-            if tuned is not None and known is not None:
-                known = twin_under(known, tuned.found, tuned.under)
-            task = _Task(found.arm, known, preset, found.seed, threads, resume, quick, device, gains)
-            return task.train(found.path, trainer, on_progress)
-    known = None if twin is None else as_twin(twin)
-    if known is None and arm is None:
-        raise InputError("training: neither a twin, a run nor an arm is given")
-    chosen = as_arm(arm) if arm is not None else load_arm(known.arm)  # type: ignore[union-attr]
-    if known is not None:
-        known.require(chosen)
-    with tempfile.TemporaryDirectory(prefix="rejoint-training-") as folder:
-        task = _Task(chosen, known, preset, as_seed(seed), threads, False, quick, device)
-        return task.train(Path(folder), trainer, on_progress)
+    how = settings or TrainSettings()
+    with pacing(observer) as update:
+        if run is not None:
+            if twin is not None:
+                raise InputError("training: a run has its own twin; give either a run or a twin")
+            found = as_run(run).seeded(how.seed)
+            with exclusive(found):
+                told, tuned, known = found.diagnosis, tuned_gains(found), found.twin
+                if known is None and not how.generic:
+                    raise InputError(
+                        f"{found.path} has no twin.toml; run `rejoint identify {found.path}` first, or ask for a "
+                        "policy for any worn arm of this kind with --generic"
+                    )
+                mark_quick(found, quick=quick)
+                gains = tuned.under if tuned is not None else None if told is None else told.servo_gains
+                if tuned is not None and known is not None:
+                    known = twin_under(known, tuned.found, tuned.under)
+                task = _Task(found.arm, known, preset, found.seed, how, quick, gains)
+                return task.train(found.path, update)
+        known = None if twin is None else as_twin(twin)
+        if known is None and arm is None:
+            raise InputError("training: neither a twin, a run nor an arm is given")
+        chosen = as_arm(arm) if arm is not None else load_arm(known.arm)  # type: ignore[union-attr]
+        if known is not None:
+            known.require(chosen)
+        with tempfile.TemporaryDirectory(prefix="rejoint-training-") as folder:
+            task = _Task(chosen, known, preset, as_seed(how.seed), replace(how, resume=False), quick)
+            return task.train(Path(folder), update)
 
 
 @dataclass(frozen=True)
 class _Task:
-    """What is to be trained."""
-
     arm: Arm
     twin: Twin | None
     preset: str | Preset
     seed: int
-    threads: int
-    resume: bool
+    settings: TrainSettings
     quick: bool
-    device: str
     servo_gains: dict[str, tuple[int, ...]] | None = None
     """that will be in force: the best that a search found, else those of the diagnosis"""
 
-    def train(self, folder: Path, trainer: Trainer | None, on_progress: Progress) -> TrainedPolicy:
+    def train(self, folder: Path, on_progress: Progress) -> TrainedPolicy:
         """Train by PPO or another trainer, and take up the policy that is then in the folder."""
-        if trainer is None:
+        how = self.settings
+        if how.trainer is None:
             from rejoint.training.train import TrainingOptions
             from rejoint.training.train import train as learn
-            from rejoint.twin.chain.warpbatch import device_at_hand
 
             options = TrainingOptions(
-                preset=self.preset, seed=self.seed, threads=self.threads, resume=self.resume,
+                preset=self.preset, seed=self.seed, threads=how.threads, resume=how.resume,
                 iterations=QUICK_UPDATES if self.quick else None, agents=QUICK_AGENTS if self.quick else None,
-                servo_gains=self.servo_gains, device=device_at_hand(self.device),
+                servo_gains=self.servo_gains,
             )  # fmt: skip
             result = learn(self.arm, self.twin, out=folder, options=options, on_progress=on_progress)
         else:
-            result = trainer(self.arm, self.twin, folder, on_progress)
+            result = how.trainer(self.arm, self.twin, folder, on_progress)
         policy = Policy.load(result.policy)
         return TrainedPolicy(**{f.name: getattr(policy, f.name) for f in fields(Policy)}, training=result)

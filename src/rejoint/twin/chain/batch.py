@@ -1,8 +1,6 @@
 """Many twins of one free arm in lockstep, each with its own parameters, time step and gravity: the compiled step.
 
-Same use as `rejoint.twin.batch.TwinBatch`, in which MuJoCo steps the same physics, several times slower, and knows
-tables.
-Every arm moves as it would alone, to the bit.
+Used as `rejoint.twin.batch.TwinBatch`. Every arm moves as it would alone, to the bit.
 """
 
 from __future__ import annotations
@@ -16,8 +14,7 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.system.errors import InputError
-from rejoint.twin.chain.dynamics import GROUP
-from rejoint.twin.chain.links import chain_links
+from rejoint.twin.chain.dynamics import CARRIED, GROUP, INERTIA, LINK, MASS, MOMENT, PLACE, ROTATION
 from rejoint.twin.chain.loop import advance
 from rejoint.twin.chain.step import workspace
 from rejoint.twin.declaration import TIMESTEP
@@ -58,11 +55,9 @@ class ChainBatch:
         timestep: float | Array | None = None,
         gravity_scale: float | Array = 1.0,
     ) -> None:
-        """Give the simulations in ``ids`` (all by default) new parameters; their state stays.
+        """Give the simulations in ``ids`` (indices or mask; all by default) new parameters; their state stays.
 
-        ``parameters`` have the leading shape (m,) of the m simulations chosen, or none for the same twin everywhere.
-        ``ids`` are increasing indices or a mask (nsim,). ``timestep`` [s], a number or (m,), is kept where it is not
-        given; ``gravity_scale``, a number or (m,), is 1 where not given.
+        ``parameters`` have the leading shape (m,) or none. ``timestep`` [s] and ``gravity_scale``: a number or (m,).
         """
         chosen = np.arange(self.nsim)[slice(None) if ids is None else ids]
         if parameters.shape == ():
@@ -93,7 +88,7 @@ class ChainBatch:
         self.rollout(self.ctrl[:, None])
 
     def rollout(self, control: Array, terms: Array | None = None) -> Array:
-        """Advance by ``control`` (nsim, steps, n) [rad], one row a step; return positions (nsim, steps, n).
+        """Advance by ``control`` (nsim, steps, n) [rad], one row a step; return positions of that shape.
 
         With ``terms`` (t, nsim, n) of `rejoint.twin.friction.friction_terms`, dry friction follows the speed.
         """
@@ -102,20 +97,14 @@ class ChainBatch:
         steady = terms is None or is_steady(terms)
         still = self.row("coulomb") if terms is None else dry_friction(terms, np.zeros_like(self.qvel))
         given = np.ascontiguousarray(still[None] if steady else terms)
-        self._advance(given, steady, control, path)
+        motors, state = (self._parameters, given, steady), (self.qpos, self.qvel, self._impulse)
+        arrays = (self._links, motors, self._gravity, self.timestep, control, state, path)
+        if self._pool is None:
+            advance(*arrays, self._parts[0])
+        else:
+            list(self._pool.map(lambda part: advance(*arrays, part), self._parts))
         self.ctrl[:] = control[:, -1]
         return path
-
-    def _advance(self, terms: Array, steady: bool, control: Array, path: Array) -> None:
-        """Take the steps of `rollout`, and fill ``path``; where not ``steady``, friction follows the speed."""
-        arrays = (
-            self._links, self._parameters, terms, steady, self._gravity, self.timestep, control,
-            self.qpos, self.qvel, self._impulse, path,
-        )  # fmt: skip
-        if self._pool is None:
-            advance(*arrays, *self._parts[0])
-        else:
-            list(self._pool.map(lambda part: advance(*arrays, *part), self._parts))
 
     def restart(self, position: Array, velocity: Array | float = 0.0, ids: Ids = None) -> None:
         """Put simulations at ``position`` (m, n) [rad] with ``velocity`` [rad/s], and forget what friction gave."""
@@ -134,3 +123,26 @@ class ChainBatch:
         """Live (nsim, n) values of one of `ROWS`, in SI units."""
         row: Array = self._parameters[ROWS.index(name)]
         return row
+
+
+def chain_links(arm: Arm) -> Array:
+    """Return (n, LINK) the constants of each link, laid out as `rejoint.twin.chain.dynamics` says, in SI units."""
+    links, before = np.zeros((arm.joints, LINK)), np.eye(3)
+    for j, row in enumerate(links):
+        turn = _z_frame(arm.axis[j])
+        place, com = before.T @ arm.offset[j, :3, 3], turn.T @ arm.com[j]
+        inertia = turn.T @ arm.inertia[j] @ turn + arm.mass[j] * (com @ com * np.eye(3) - np.outer(com, com))
+        row[ROTATION:PLACE] = (before.T @ arm.offset[j, :3, :3] @ turn).ravel()
+        row[PLACE:MASS] = place
+        row[MASS], row[MOMENT:INERTIA] = arm.mass[j], arm.mass[j] * com
+        row[INERTIA:CARRIED] = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        row[CARRIED] = arm.mass[j:].sum()
+        before = turn
+    return links
+
+
+def _z_frame(axis: Array) -> Array:
+    """Rotation (3, 3) whose z axis is ``axis``."""
+    away = np.eye(3)[np.argmin(np.abs(axis))]
+    x = np.cross(away, axis) / np.linalg.norm(np.cross(away, axis))
+    return np.stack([x, np.cross(axis, x), axis], axis=-1)

@@ -1,15 +1,8 @@
 """Dynamics of some dozen serial arms at once, compiled: motion and forces joint by joint, inertia, and its inverse.
 
-Bias forces by the recursive Newton-Euler method and inertia by composite bodies (Featherstone 2008, chapters 5 and 6),
-both in link frames whose z axis is the joint.
-
-What is done to a joint stands in one straight piece within a loop over the arms, the lanes, which the compiler turns
-into vector instructions. It does so only if
-
-* it knows that nothing written is read as something else: arrays do not overlap (`NoAlias`), and the quantities of a
-  joint are one row, at distances that it knows;
-* nothing is called in the loop, so sine and cosine are polynomials here;
-* it does not know the number of lanes: short loops of a known length become scalar code.
+Bias forces by recursive Newton-Euler, inertia by composite bodies (Featherstone 2008, chapters 5 and 6), in link frames
+whose z axis is the joint. Loops over the arms, the lanes, become vector instructions only if arrays do not overlap
+(`NoAlias`), the quantities of a joint are one row, nothing is called in the loop, and the number of lanes is not known.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
@@ -21,11 +14,11 @@ from numba import njit
 from numba.core.compiler import Compiler
 
 LANES, GROUP = 64, 8
-"""Arms that are stepped together at most (chosen: 32 take a fifth longer each, 128 a tenth less); they come in groups
-of so many, a vector of the processor or two"""
+"""Arms that are stepped together at most (chosen: 32 take a fifth longer each, 128 a tenth less), in groups of so
+many"""
 ROTATION, PLACE, MASS, MOMENT, INERTIA, CARRIED, LINK = 0, 9, 12, 13, 16, 22, 23
-"""Where the constants of a link begin: rotation and place of its joint's frame in the frame before; mass, first moment
-and inertia about the joint; the mass of all behind it; and how many there are"""
+"""Where the constants of a link begin: rotation and place of its joint; mass, first moment and inertia about it; the
+mass behind it; and their number"""
 # Where the quantities of a joint begin in the row of it that is kept, LANES numbers of each: rotation R, angular
 # velocity W, angular and linear acceleration A and L, force F, moment N; of all that it carries first moment H and
 # inertia I.
@@ -35,7 +28,7 @@ FX, FY, FZ, NX, NY, NZ, HX, HY, HZ = (LANES * k for k in range(18, 27))
 IXX, IYY, IZZ, IXY, IXZ, IYZ, KEPT_ROW = (LANES * k for k in range(27, 34))
 _X, _Y, _Z, _U, _V, _T, REACH_ROW = (LANES * k for k in range(7))  # of a force and a moment that are carried on
 ACCELERATION, TORQUE = LX, NZ
-"""Where the linear acceleration of a joint stands in that, of the base it is minus gravity; and its bias torque"""
+"""Where the linear acceleration of a joint (of the base: minus gravity) and its bias torque are in that"""
 
 
 class NoAlias(Compiler):  # type: ignore[misc]
@@ -109,7 +102,7 @@ def turn(lanes, q, sine, cosine):
 
 @njit(**OPTIONS)
 def forward(lanes, link, before, here, speed, sine, cosine):
-    """Carry motion to a joint from the one ``before``, and tell the force and the moment that it takes."""
+    """Carry motion to a joint from the one ``before``; store the force and moment that it takes."""
     r0, r1, r2, r3, r4, r5, r6, r7, r8 = link[0], link[1], link[2], link[3], link[4], link[5], link[6], link[7], link[8]
     px, py, pz = link[PLACE], link[PLACE + 1], link[PLACE + 2]
     mass, hx, hy, hz = link[MASS], link[MOMENT], link[MOMENT + 1], link[MOMENT + 2]
@@ -157,7 +150,7 @@ def forward(lanes, link, before, here, speed, sine, cosine):
 
 @njit(**OPTIONS)
 def backward(lanes, link, before, here):
-    """Add to what a joint hangs on the force and moment on it, and what it and all behind it weigh."""
+    """Add the force, moment and mass of a joint, and of all behind it, to the one before."""
     px, py, pz, mass = link[PLACE], link[PLACE + 1], link[PLACE + 2], link[CARRIED]
     for l in range(lanes):
         r0, r1, r2 = here[R0 + l], here[R1 + l], here[R2 + l]
@@ -194,7 +187,7 @@ def backward(lanes, link, before, here):
 
 @njit(**OPTIONS)
 def coupling(lanes, links, j, kept, reach, inertia):
-    """Fill the row of joint ``j`` in the ``inertia`` (n, n, LANES): what its acceleration asks of those before it."""
+    """Fill the row of joint ``j`` in the ``inertia`` (n, n, LANES)."""
     here = kept[j + 1]
     for l in range(lanes):
         reach[_X + l], reach[_Y + l], reach[_Z + l] = -here[HY + l], here[HX + l], 0.0
@@ -206,7 +199,7 @@ def coupling(lanes, links, j, kept, reach, inertia):
 
 @njit(**OPTIONS)
 def _carry(lanes, link, here, reach, moment):
-    """Carry a force and a moment on a joint to the one before, and tell the ``moment`` about its axis."""
+    """Carry a force and a moment to the joint before; store the ``moment`` about its axis."""
     px, py, pz = link[PLACE], link[PLACE + 1], link[PLACE + 2]
     for l in range(lanes):
         r0, r1, r2 = here[R0 + l], here[R1 + l], here[R2 + l]

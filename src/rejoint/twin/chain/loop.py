@@ -19,17 +19,12 @@ _dry_friction = njit(inline="always")(friction.dry_friction)
 
 
 def _compiled(sources):
-    """Compile the loop over blocks and steps.
-
-    What is compiled is kept on disk until this file changes. It also depends on ``sources``, those files that the loop
-    calls into: a value from outside the function is part of what the compiled code is known by.
-    """
+    """Compile the loop over blocks and steps, kept on disk until this file or its ``sources`` change."""
 
     @njit(**OPTIONS)
-    def advance(
-        links, parameters, terms, steady, gravity, timestep, control, qpos, qvel, impulse, path, first, last, work
-    ):
-        """Advance the arms from ``first`` to ``last``; the last group is filled up with its last arm."""
+    def advance(links, motors, gravity, timestep, control, state, path, part):
+        """Advance the arms of a ``part``; the last group is filled up with its last arm."""
+        (parameters, terms, steady), (qpos, qvel, impulse), (first, last, work) = motors, state, part
         joints = len(links)
         h = np.empty(LANES)
         servo = np.empty((len(parameters), joints, LANES))
@@ -59,7 +54,7 @@ def _compiled(sources):
                         reference[j, lane] = control[i, k, j]
                         if not steady:
                             servo[FRICTION, j, lane] = _dry_friction(dry[:, j, lane], speed[j, lane])
-                step_block(lanes, links, h, servo, reference, position, speed, push, work)
+                step_block(lanes, links, h, servo, reference, (position, speed, push), work)
                 for lane in range(count):
                     for j in range(joints):
                         path[begin + lane, k, j] = position[j, lane]

@@ -1,8 +1,7 @@
-"""One time step of free serial arms with position servos, compiled: some dozen arms at a time.
+"""One time step of free serial arms with position servos, compiled.
 
-The physics is that of `rejoint.twin.model`, by which MuJoCo judges this one. Damping is implicit. Dry friction is an
-impulse per joint within its limits that brings the joint to rest if it can, found by projected Gauss-Seidel sweeps
-from the impulse of the step before, and as soft as the model says.
+The physics of `rejoint.twin.batch`: implicit damping, and dry friction as an impulse per joint that brings it to rest
+if it can, by projected Gauss-Seidel from the impulse of the step before.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
@@ -27,23 +26,23 @@ from rejoint.twin.chain.dynamics import (
 )
 
 SWEEPS = 5
-"""Gauss-Seidel sweeps of a step (chosen: from the last step's impulses, four are as good as 64 to 1e-9 rad/s)"""
+"""Gauss-Seidel sweeps of a step (chosen: four are as good as 64 to 1e-9 rad/s)"""
 SOFTNESS = 1e-6
-"""What friction yields, by what a free joint would (`rejoint.twin.model.FRICTION_IMPEDANCE`, ``FRICTION_SOFTNESS``)"""
+"""What friction yields, by what a free joint would (`rejoint.twin.batch.FRICTION_IMPEDANCE`, ``FRICTION_SOFTNESS``)"""
 KEPT = 1.0 - 1.0 / 0.9999
-"""Share of its speed that a joint keeps in a step in which friction could stop it (same place)"""
+"""Share of its speed that a joint keeps where friction could stop it (same place)"""
 STIFFNESS, OFFSET, LIMIT, DAMPING, ARMATURE, FRICTION = range(6)
 """Rows of the parameters of servos"""
 
 
 @njit(**OPTIONS)
-def step_block(lanes, links, timestep, servo, reference, position, speed, impulse, work):
+def step_block(lanes, links, timestep, servo, reference, state, work):
     """Advance ``lanes`` arms of n joints by a ``timestep`` (lanes,) [s]; the arrays have room for LANES.
 
-    ``servo`` (6, n, lanes), ``reference``, ``position``, ``speed`` and ``impulse`` (n, lanes) [rad], [rad],
-    [rad/s] and [N m s]; the last three are changed. ``work`` is what `workspace` gives; the first row of its first part
-    holds minus gravity.
+    ``servo`` (6, n, lanes), ``reference`` (n, lanes) [rad]; the ``state`` is changed: position, speed and impulse (n,
+    lanes). ``work`` is that of `workspace`, with minus gravity in its first row.
     """
+    position, speed, impulse = state
     kept, inertia, half, inverse, reach, free, next_speed, scratch, sine, cosine = work
     joints = len(links)
     for j in range(joints):
@@ -73,7 +72,7 @@ def step_block(lanes, links, timestep, servo, reference, position, speed, impuls
                 scratch[l] += inverse[i, k, l] * free[k, l]
         for l in range(lanes):
             next_speed[i, l] = scratch[l]
-    _rest(lanes, joints, timestep, servo, speed, impulse, inverse, next_speed, scratch)
+    _rest(lanes, timestep, servo, speed, impulse, inverse, next_speed, scratch)
     for j in range(joints):
         for l in range(lanes):
             v = next_speed[j, l]
@@ -82,8 +81,9 @@ def step_block(lanes, links, timestep, servo, reference, position, speed, impuls
 
 
 @njit(**OPTIONS)
-def _rest(lanes, joints, timestep, servo, speed, impulse, inverse, next_speed, scratch):
+def _rest(lanes, timestep, servo, speed, impulse, inverse, next_speed, scratch):
     """Find the impulses of dry friction; ``next_speed`` holds the speeds that those so far lead to."""
+    joints = len(speed)
     for _ in range(SWEEPS):
         for j in range(joints):
             for l in range(lanes):

@@ -14,10 +14,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rejoint.arms import mycobot280
-from rejoint.arms.wire.commands import answer
-from rejoint.arms.wire.frames import MAX_PAYLOAD, Decoder, Frame, encode
-from rejoint.arms.wire.motion import MAX_QUEUE
-from rejoint.arms.wire.values import pack_angles
+from rejoint.arms.wire.mover import MAX_QUEUE
+from rejoint.arms.wire.orders import answer
+from rejoint.arms.wire.values import MAX_PAYLOAD, Decoder, Frame, encode, pack_angles
 from rejoint.robots.lab.emulator import Firmware, Timing, serve_tcp
 from rejoint.robots.lab.emulator.firmware import MAX_WRITES
 

@@ -1,11 +1,9 @@
 """The reference: ramps, interpolated paths, queue; straight lines of the tool."""
 
 import numpy as np
-import pytest
 
 from rejoint.arms import mycobot280, tcp_pose
-from rejoint.arms.wire.motion import MAX_QUEUE, Motion
-from rejoint.arms.wire.paths import CARTESIAN_SPEED, joint_path, line_path, solve_pose
+from rejoint.arms.wire.mover import CARTESIAN_SPEED, Motion, joint_path, line_path
 
 ARM = mycobot280()
 FULL = 2.0
@@ -47,16 +45,6 @@ def test_joints_on_a_path_arrive_together_within_speed_and_acceleration():
     assert not m.moving
 
 
-def test_speed_scales_a_path():
-    """A long move at half the speed takes nearly twice the time."""
-    times = []
-    for rate in (1.0, 0.5):
-        m = motion()
-        m.follow(joint_path(m.reference, np.array([20.0, 0.0]), FULL), rate)
-        times.append(int(np.argmax(run(m, 30.0)[:, 0] >= 20.0)))
-    assert times[1] == pytest.approx(2 * times[0], rel=0.05)
-
-
 def test_a_queue_passes_every_waypoint_in_order():
     m = motion()
     stops = [np.array([1.0, 0.0]), np.array([1.0, 1.0]), np.array([-1.0, 0.0])]
@@ -77,12 +65,6 @@ def test_a_ramp_forgets_the_queue_and_starts_where_the_reference_is():
     m.ramp(np.array([0.0, 0.5]), 1.0)
     np.testing.assert_array_equal(m.reference, before)
     np.testing.assert_array_equal(run(m, 2.0)[-1], [0.0, 0.5])
-
-
-def test_a_full_queue_refuses():
-    m = motion()
-    paths = [joint_path(m.reference, np.array([1.0, 0.0]), FULL) for _ in range(MAX_QUEUE + 2)]
-    assert [m.enqueue(path, 1.0) for path in paths] == [True] * (MAX_QUEUE + 1) + [False]
 
 
 def test_hold_and_pause():
@@ -115,31 +97,3 @@ def test_a_line_is_straight_and_keeps_to_the_tool_speed():
     assert off.max() < 5e-4
     np.testing.assert_allclose(tips[-1], goal[:3, 3], atol=5e-4)
     assert path.duration >= np.linalg.norm(way) / CARTESIAN_SPEED - 1e-9
-
-
-def test_a_line_out_of_reach_ends_inside_the_limits():
-    goal = tcp_pose(ARM, START)
-    goal[2, 3] += 0.6
-    path, complete = line_path(ARM, START, goal, np.radians(120.0))
-    assert not complete
-    assert len(path.points) > 3
-    assert np.all((path.points >= ARM.lower) & (path.points <= ARM.upper))
-
-
-def test_a_pose_is_solved_with_its_orientation():
-    rng = np.random.default_rng(3)
-    solved = 0
-    for _ in range(20):
-        wanted = tcp_pose(ARM, rng.uniform(0.8 * ARM.lower, 0.8 * ARM.upper))
-        q = solve_pose(ARM, wanted, START)
-        if q is not None:
-            solved += 1
-            np.testing.assert_allclose(tcp_pose(ARM, q), wanted, atol=1e-3)
-            assert np.all((q >= ARM.lower) & (q <= ARM.upper))
-    assert solved >= 18
-
-
-def test_an_unreachable_pose_has_no_solution():
-    far = tcp_pose(ARM, START)
-    far[0, 3] = 0.6
-    assert solve_pose(ARM, far, START) is None

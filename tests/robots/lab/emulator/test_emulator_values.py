@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rejoint.arms import mycobot280, tcp_pose
+from rejoint.arms.rotations import to_coords, to_pose
 from rejoint.arms.wire import values
 
 ARM = mycobot280()
@@ -49,16 +50,16 @@ angles = st.floats(-3.1, 3.1)
 @given(angles, st.floats(-1.5, 1.5), angles)
 def test_euler_angles_are_zyx_and_invert(rx, ry, rz):
     coords = np.array([0.1, -0.2, 0.3, rx, ry, rz])
-    pose = values.to_pose(coords)
+    pose = to_pose(coords)
     by_hand = axis_rotation(2, rz) @ axis_rotation(1, ry) @ axis_rotation(0, rx)
     np.testing.assert_allclose(pose[:3, :3], by_hand, atol=1e-12)
-    np.testing.assert_allclose(values.to_coords(pose), coords, atol=1e-9)
+    np.testing.assert_allclose(to_coords(pose), coords, atol=1e-9)
 
 
 @given(angles, st.sampled_from([-np.pi / 2, np.pi / 2]), angles)
 def test_euler_angles_at_the_singularity_give_the_same_rotation(rx, ry, rz):
-    pose = values.to_pose(np.array([0, 0, 0, rx, ry, rz]))
-    np.testing.assert_allclose(values.to_pose(values.to_coords(pose)), pose, atol=1e-6)
+    pose = to_pose(np.array([0, 0, 0, rx, ry, rz]))
+    np.testing.assert_allclose(to_pose(to_coords(pose)), pose, atol=1e-6)
 
 
 def test_encoder_counts():

@@ -7,7 +7,7 @@ import pytest
 
 from rejoint.arms import mycobot280, tcp_pose
 from rejoint.robots.lab.emulator import Timing, build_firmware, serve_pty, serve_tcp
-from rejoint.robots.vendor import MyCobot280, MyCobot280Socket
+from rejoint.robots.mycobot import MyCobot280, MyCobot280Socket
 
 ARM = mycobot280()
 QUICK = Timing(state=0.002, acknowledgement=0.001, pace=4.0)

@@ -6,11 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rejoint.arms import load_arm
-from rejoint.robots.lab.emulator.feetech import packets
-from rejoint.robots.lab.emulator.feetech.arm import HOMING, build_arm
-from rejoint.robots.lab.emulator.feetech.bus import ServoBus
-from rejoint.robots.lab.emulator.feetech.packets import BROADCAST, Packet, PacketFinder
-from rejoint.robots.lab.emulator.feetech.registers import MODEL, SIZE, TABLE
+from rejoint.robots.lab.emulator import feetech as packets
+from rejoint.robots.lab.emulator.feetech import BROADCAST, SIZE, TABLE, Packet, PacketFinder, ServoBus, build_arm
 
 ARM = load_arm("so101")
 
@@ -43,7 +40,7 @@ def test_registers_do_not_overlap_and_fit():
 def test_every_servo_answers_its_ping_and_tells_its_model(bus):
     for number in range(1, 7):
         assert answers(bus, number, packets.PING) == [Packet(number, 0)]
-        assert value(bus, number, 3) == MODEL
+        assert value(bus, number, 3) == 777
         assert value(bus, number, 5, 1) == number
     assert answers(bus, 7, packets.PING) == []
     assert [a.id for a in answers(bus, BROADCAST, packets.PING)] == [1, 2, 3, 4, 5, 6]
@@ -88,18 +85,6 @@ def test_goals_stay_within_the_limits_of_the_servo(bus):
     assert value(bus, 1, 56) >= low - 2
 
 
-def test_a_write_that_was_put_off_is_carried_out_by_the_action(bus):
-    here = value(bus, 1, 56)
-    answers(bus, 1, packets.REG_WRITE, 42, word(here + 200))
-    assert value(bus, 1, 64, 1) == 1
-    bus.arm.advance(0.5)
-    assert abs(value(bus, 1, 56) - here) < 5
-    assert answers(bus, BROADCAST, packets.ACTION) == []
-    bus.arm.advance(1.0)
-    assert abs(value(bus, 1, 56) - here - 200) < 40
-    assert value(bus, 1, 64, 1) == 0
-
-
 def test_settings_outlast_the_power_only_if_the_lock_was_open(bus):
     servo = bus.arm.servos[0]
     answers(bus, 1, packets.WRITE, 21, 16)
@@ -112,11 +97,6 @@ def test_settings_outlast_the_power_only_if_the_lock_was_open(bus):
     assert (servo["P_Coefficient"], servo["Lock"], servo["Torque_Enable"]) == (48, 1, 0)
 
 
-def test_measured_registers_cannot_be_written(bus):
-    answers(bus, 1, packets.WRITE, 62, 9)
-    assert value(bus, 1, 62, 1) == 120
-
-
 def test_a_goal_turns_the_torque_on_where_the_joint_is(bus):
     bus.arm.advance(0.5)
     assert answers(bus, 2, packets.WRITE, 40, 0)[0].code == 0
@@ -127,16 +107,6 @@ def test_a_goal_turns_the_torque_on_where_the_joint_is(bus):
     assert value(bus, 2, 40, 1) == 1
     bus.arm.advance(0.5)
     assert abs(value(bus, 2, 56) - limp) < 20
-
-
-@pytest.mark.parametrize("order", [Packet(3, packets.WRITE, bytes([40, 128])), Packet(3, packets.CALIBRATE)])
-def test_the_middle_is_made_of_the_present_position_and_the_arm_stays(bus, order):
-    before = bus.arm.angles[2]
-    bus.execute(order)
-    assert value(bus, 3, 56) == 2048
-    assert bus.arm.servos[2]["Homing_Offset"] != HOMING[2]
-    bus.arm.advance(0.2)
-    assert abs(bus.arm.angles[2] - before) < np.radians(1.0)
 
 
 def test_the_load_is_the_duty_that_the_lead_calls_for(bus):

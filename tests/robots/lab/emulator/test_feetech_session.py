@@ -4,20 +4,19 @@ import numpy as np
 import pytest
 
 from rejoint.arms import load_arm
-from rejoint.robots.lab.emulator import emulate
 from rejoint.robots.lab.emulator.faults import parse_faults
-from rejoint.robots.lab.emulator.feetech.arm import build_arm
-from rejoint.robots.lab.emulator.feetech.packets import (
+from rejoint.robots.lab.emulator.feetech import (
+    ADAPTER,
     BROADCAST,
     READ,
     SYNC_READ,
     SYNC_WRITE,
+    BusSession,
     Packet,
     PacketFinder,
+    build_arm,
     encode,
 )
-from rejoint.robots.lab.emulator.feetech.session import ADAPTER, BusSession
-from rejoint.system.errors import InputError
 
 ARM = load_arm("so101")
 MOVE = encode(Packet(BROADCAST, SYNC_WRITE, bytes([42, 2, 1, 0, 8, 2, 0, 8])))
@@ -118,9 +117,3 @@ def test_a_voltage_that_breaks_down_is_told_with_its_bit():
     first, last = (PacketFinder().feed(data)[0] for _, data in (client.heard[0], client.heard[-1]))
     assert (first.code, first.parameters[0]) == (0, 120)
     assert (last.code, last.parameters[0], last.parameters[3]) == (1, 70, 1)
-
-
-@pytest.mark.parametrize("fault", ["mute=1@0/1", "sag=2"])
-def test_an_arm_behind_a_computer_has_no_faults_of_a_servo_bus(fault):
-    with pytest.raises(InputError, match=r"on its servos' own bus"):
-        emulate(load_arm("mycobot280"), "worn", announce=lambda _: None, faults=parse_faults(fault, 6))

@@ -1,9 +1,6 @@
 import numpy as np
-import pytest
 
-from rejoint.robots.lab.plant.channel import Channel
-from rejoint.robots.lab.plant.streams import stream_keys
-from rejoint.system.errors import InputError
+from rejoint.robots.lab.plant.servo import Channel, stream_keys
 
 KEYS = stream_keys(3, 4)
 
@@ -35,14 +32,3 @@ def test_a_draw_is_a_pure_function_of_seed_arm_and_cycle():
 
 def test_purposes_have_streams_of_their_own():
     assert not set(stream_keys(3, 4)) & set(stream_keys(3, 4, purpose=1))
-
-
-@pytest.mark.parametrize("interval", [(-0.001, 0.01), (0.02, 0.01), (np.nan, 0.01)])
-def test_an_impossible_interval_is_refused(interval):
-    with pytest.raises(InputError, match="latency"):
-        Channel(latency=interval)
-
-
-def test_a_period_of_nothing_is_refused():
-    with pytest.raises(InputError, match="period"):
-        Channel(period=(0.0, 0.01))

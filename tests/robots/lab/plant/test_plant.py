@@ -6,11 +6,8 @@ import pytest
 
 from rejoint.arms import gravity_torque, mycobot280, tcp_position
 from rejoint.robots.lab.plant import plant as plants
-from rejoint.robots.lab.plant import servo
-from rejoint.robots.lab.plant.model import build_model
-from rejoint.robots.lab.plant.plant import Plant
+from rejoint.robots.lab.plant.plant import Plant, build_model
 from rejoint.robots.lab.plant.wear import Wear, load_wear
-from rejoint.system.errors import InputError
 
 ARM = mycobot280()
 REST = ARM.rest[None]
@@ -200,34 +197,6 @@ def test_a_command_has_no_effect_before_its_delay(delay_ms):
     assert differs[delay_ms]
 
 
-def test_a_delay_between_milliseconds_counts_as_the_later_one():
-    plant = Plant(ARM, [wear()], seed=0)
-    plant.command(REST + 0.3, np.array([0.0052]))
-    goals = []
-    for _ in range(8):
-        plant.advance(0.001)
-        goals.append(plant.goal[0, 0] == ARM.rest[0] + 0.3)
-    assert goals == [False] * 6 + [True] * 2
-
-
-def test_commands_take_effect_in_the_order_of_arrival():
-    plant = Plant(ARM, [wear()], seed=0)
-    plant.command(REST + 0.1, np.array([0.010]))
-    plant.command(REST + 0.2, np.array([0.005]))
-    plant.advance(0.008)
-    np.testing.assert_array_equal(plant.goal, REST + 0.2)
-    plant.advance(0.005)
-    np.testing.assert_array_equal(plant.goal, REST + 0.1)
-
-
-def test_more_commands_than_fit_are_refused():
-    plant = Plant(ARM, [wear()], seed=0)
-    for _ in range(servo.QUEUE):
-        plant.command(REST, 0.1)
-    with pytest.raises(InputError, match="commands on their way"):
-        plant.command(REST, 0.1)
-
-
 def test_a_halted_arm_stays_and_forgets_what_was_on_its_way():
     plant = Plant(ARM, [wear("healthy")], seed=0)
     goal = REST.copy()
@@ -265,113 +234,11 @@ def test_the_same_seed_gives_the_same_trajectory_bit_for_bit_at_any_number_of_th
     assert (other[-1] != one[-1]).any(axis=1).all()
 
 
-def test_few_arms_are_stepped_by_one_thread(monkeypatch):
-    asked = []
-    own = plants.Batch
-    monkeypatch.setattr(plants, "Batch", lambda model, count, threads: asked.append(threads) or own(model, count, 1))
-    for count in (1, 6, 2 * plants.ARMS_PER_THREAD):
-        Plant(ARM, [FAMILY[0]] * count, seed=0, threads=2)
-    assert asked == [1, 1, 2]
-
-
 def test_an_arm_in_a_batch_is_the_same_arm_alone_bit_for_bit():
     batch = play(Plant(ARM, FAMILY, seed=7))
     for i in (0, 3):
         alone = play(Plant(ARM, [FAMILY[i]], seed=7, first=i), where=np.array([i]))
         np.testing.assert_array_equal(alone[:, 0], batch[:, i])
-
-
-def test_equal_arms_of_a_batch_have_noise_of_their_own():
-    plant = Plant(ARM, [wear()] * 2, seed=0)
-    plant.command(np.tile(ARM.rest, (2, 1)) + 0.3)
-    plant.advance(0.5)
-    assert (plant.link_position()[0] != plant.link_position()[1]).all()
-
-
-def test_arms_advance_each_by_their_own_time():
-    plant = Plant(ARM, FAMILY, seed=0)
-    still = plant.link_position()
-    plant.command(np.tile(ARM.rest, (5, 1)) + 0.3, where=np.array([True, False, True, True, True]))
-    plant.advance(np.array([0.1, 0.2, 0.0304, 0.0, 0.5]), where=np.array([True, True, True, True, False]))
-    np.testing.assert_allclose(plant.time, [0.1, 0.2, 0.03, 0.0, 0.0], atol=1e-12)
-    moved = np.abs(plant.link_position() - still).max(axis=1)
-    assert (moved[[0, 2]] > 1e-3).all()
-    assert (moved[[3, 4]] == 0).all()
-
-
-def test_reset_of_some_arms_leaves_the_others_alone():
-    plant = Plant(ARM, FAMILY, seed=0)
-    plant.command(np.tile(ARM.rest, (5, 1)) + 0.3)
-    plant.advance(0.3)
-    before = plant.batch.state.copy()
-    plant.reset(np.tile(ARM.rest, (5, 1)), np.array([False, True, False, False, False]))
-    changed = (plant.batch.state != before).any(axis=1)
-    np.testing.assert_array_equal(changed, [False, True, False, False, False])
-
-
-def test_servos_warm_up_under_load_and_stay_plausible():
-    plant = Plant(ARM, [wear()], seed=0)
-    plant.advance(30.0)
-    assert 25.0 < plant.temperature[0, 1] < 40.0
-    assert plant.temperature[0, 1] > plant.temperature[0, 5]
-
-
-@pytest.mark.parametrize(
-    ("call", "found"),
-    [
-        (lambda p: p.command(np.zeros((2, 6))), "shape"),
-        (lambda p: p.command(np.full((1, 6), np.nan)), "finite"),
-        (lambda p: p.command(np.zeros((1, 6)), -0.1), "delay"),
-        (lambda p: p.advance(-1.0), "at least 0"),
-        (lambda p: p.advance(np.nan), "at least 0"),
-        (lambda p: p.encoder(1.0), "age"),
-        (lambda p: p.encoder(-0.1), "age"),
-        (lambda p: p.set_speed_limit(0.0), "above 0"),
-        (lambda p: p.reset(np.zeros(6)), "shape"),
-    ],
-)
-def test_what_no_arm_can_do_is_refused(call, found):
-    with pytest.raises(InputError, match=found):
-        call(Plant(ARM, [wear()], seed=0))
-
-
-def test_a_plant_of_no_arms_is_refused():
-    with pytest.raises(InputError, match="at least one"):
-        Plant(ARM, [], seed=0)
-
-
-def test_a_payload_is_a_heavier_last_link():
-    grams = np.array([0.0, 0.12, 0.25])
-    pair = Plant(ARM, [quiet()] * 3, seed=0, payload=grams)
-    tracks = rows(pair, ARM.rest + np.tile([0.3, 0.2, -0.1, 0.2, 0.1, 0.0], (3, 1)), 0.5)
-    for i, mass in enumerate(grams):
-        total = ARM.mass[-1] + mass
-        com = (ARM.mass[-1] * ARM.com[-1] + mass * ARM.tip[:3, 3]) / total
-        inertia = ARM.inertia[-1].copy()
-        for m, at in ((ARM.mass[-1], ARM.com[-1]), (mass, ARM.tip[:3, 3])):
-            d = at - com
-            inertia += m * (d @ d * np.eye(3) - np.outer(d, d))
-        heavier = dataclasses.replace(
-            ARM,
-            mass=np.array([*ARM.mass[:-1], total]),
-            com=np.array([*ARM.com[:-1], com]),
-            inertia=np.array([*ARM.inertia[:-1], inertia]),
-        )
-        alone = Plant(heavier, [quiet()], seed=0, first=i)
-        alone.joints = pair.joints[i : i + 1].copy()  # the same servos, whatever the weight would suggest
-        alone.reset(REST)
-        # Other principal axes of the same inertia round otherwise, and friction amplifies that.
-        np.testing.assert_allclose(
-            rows(alone, ARM.rest[None] + np.array([[0.3, 0.2, -0.1, 0.2, 0.1, 0.0]]), 0.5)[:, 0],
-            tracks[:, i],
-            atol=1e-6,
-        )
-    assert np.abs(tracks[-1, 2] - tracks[-1, 0]).max() > 0.01
-
-
-def test_a_payload_cannot_be_negative():
-    with pytest.raises(InputError, match="payload"):
-        Plant(ARM, [wear()], seed=0, payload=-0.1)
 
 
 def test_a_frozen_encoder_tells_the_same_while_its_joint_goes_where_it_is_sent():

@@ -9,8 +9,6 @@ from rejoint.robots.lab.plant.plant import joint_records
 from rejoint.robots.lab.plant.wear import Wear, load_wear
 
 ARM = mycobot280()
-UPRIGHT = np.zeros((1, 6))
-"""Joint 1 is vertical there: no gravity upon it."""
 
 
 def wear(**changes: float) -> Wear:

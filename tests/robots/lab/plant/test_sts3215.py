@@ -5,8 +5,7 @@ import pytest
 
 from rejoint.arms import load_arm
 from rejoint.robots.lab.plant import sts3215
-from rejoint.robots.lab.plant.bareservo import STEP_ANGLE, BareServos
-from rejoint.robots.lab.plant.stsplant import StsPlant
+from rejoint.robots.lab.plant.sts3215 import STEP_ANGLE, BareServos, StsPlant
 from rejoint.robots.lab.plant.wear import load_wear
 
 ARM = load_arm("so101")
@@ -88,14 +87,6 @@ def test_the_ramp_arrives_and_never_runs_past_its_goal(acceleration, goal):
     assert seen[-1] == abs(goal)
 
 
-def test_goals_are_held_within_the_limits_unless_these_are_equal():
-    servo = BareServos(2)
-    servo.settings["least"], servo.settings["most"] = [-50, 0], [50, 0]
-    servo.status["goal"] = 90
-    servo.advance(0.3, blocked=True)
-    assert servo.status["reference"].tolist() == [50, 90]
-
-
 def test_torque_off_lets_go_and_torque_on_does_not_jump():
     servo = BareServos(1)
     servo.status["goal"] = 200
@@ -140,12 +131,3 @@ def test_an_arm_with_these_servos_rests_and_sags_as_its_profile_does():
     output = plant.load[0] * 1000
     expected = np.maximum(np.abs(output) - 16, 0) / 8 + 1
     assert np.abs(lead[0] / ARM.encoder_step - expected * np.sign(output))[np.abs(output) > 20].max() <= 1.5
-
-
-def test_arms_of_a_batch_move_as_they_would_alone():
-    wear = load_wear("so101", ARM)
-    both, alone = StsPlant(ARM, [wear, wear], seed=3), StsPlant(ARM, [wear], seed=3, first=1)
-    for plant in (both, alone):
-        plant.command(plant.goal + 0.2)
-        plant.advance(0.3)
-    assert (both.encoder()[1] == alone.encoder()[0]).all()

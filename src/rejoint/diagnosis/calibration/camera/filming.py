@@ -1,8 +1,7 @@
 """Taking a film: the arm goes from posture to posture, and a picture is taken in each.
 
-Nobody knows beforehand where the camera stands. So the arm first goes to some postures about its rest posture; what the
-pictures show there tells where camera and board are, well enough to choose the others, in which the board is seen and
-which tell most. What is taken is kept picture by picture, and an interrupted film goes on where it was.
+The first pictures, about the rest posture, tell where the camera is; the others are chosen by that. An interrupted film
+goes on where it was.
 """
 
 from __future__ import annotations
@@ -16,34 +15,117 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array
+from rejoint.arms import Arm, Array, collides, frames, heights, tcp_pose, tcp_position
 from rejoint.arms.camera.board import Board
-from rejoint.arms.camera.lens import Lens
+from rejoint.arms.camera.lens import TERMS
 from rejoint.arms.camera.rig import Rig
 from rejoint.arms.camera.views import Detector, Unusable
 from rejoint.control.guard import GuardLimits
 from rejoint.control.robot import Robot
 from rejoint.control.start import Stance
-from rejoint.diagnosis.calibration.camera.adjustment import Tip
-from rejoint.diagnosis.calibration.camera.choosing import choose_postures, scouting_postures
+from rejoint.diagnosis.calibration.camera.bundle import USUAL
 from rejoint.diagnosis.calibration.camera.film import Film, Shot, positions
 from rejoint.diagnosis.calibration.camera.starting import first_lens, first_rig, first_sights
-from rejoint.diagnosis.calibration.postures import BEFORE
+from rejoint.diagnosis.calibration.camera.ties import TieProblem, with_poses
+from rejoint.diagnosis.calibration.parameters import DisplacementLayout, belief, displacement_of
+from rejoint.diagnosis.calibration.postures import BEFORE, most_telling, narrowed
 from rejoint.diagnosis.calibration.procedure import StandingDrive
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
 from rejoint.system.stopping import check
 
+CANDIDATES = 240
+"""Postures that are chosen among (chosen)"""
+SPREAD = np.radians(40.0)
+"""[rad] how far joints leave the rest posture (chosen: beyond it boards on a tool turn away)"""
+SCOUTING = {"board": np.radians(20.0), "camera": np.radians(12.0)}
+"""[rad] the same before the place of the camera is known (chosen: the board stays in sight)"""
+_DRAWS = 4000  # at a time
+_TRIES = 25  # of so many draws
+_ROOM = np.radians(5.0)  # from the joint limits
+_AROUND = 0.04  # [m] around the region of targets in which the tool stays (chosen)
+_LOOK = 1.0  # [m] and [rad] of camera and board around where they are believed to be
+
+
+def choose_postures(arm: Arm, rig: Rig, count: int, seed: int = 0, before: float = 0.0) -> Array:
+    """Choose ``count`` postures (count, n) [rad] in which ``rig``, as it is assumed to stand, shows the board.
+
+    D-optimal, one after the other, among those that can be reached from ``before`` [rad] to either side. InputError
+    where the board is seen in too few.
+    """
+    candidates = seen_postures(arm, rig, max(CANDIDATES, 2 * count), seed, before=before)
+    if len(candidates) < count:
+        raise InputError(
+            f"the camera sees the board in {len(candidates)} of {_TRIES * _DRAWS} postures around the rest posture, "
+            f"expected at least {count}; turn the camera to the tool, or the board to the camera"
+        )
+    layout = DisplacementLayout(joints=arm.joints)
+    believed = belief(arm, layout, USUAL)
+    displacement = displacement_of(layout, believed.mean)
+    problem = TieProblem(
+        arm=arm, layout=layout, belief=with_poses(believed, np.eye(len(TERMS))),
+        rig=rig, position=candidates, posture=np.arange(len(candidates)),
+        sights=rig.sight(displacement.tool_pose(arm, candidates)), approach=np.full_like(candidates, np.nan),
+        spread=np.zeros((len(candidates), 6, 6)), by_lens=np.zeros((len(candidates), 6, len(TERMS))),
+    )  # fmt: skip
+    slope = problem.whitener(problem.belief.mean) @ problem.residual(problem.belief.mean)[1][..., : -len(TERMS)]
+    spread = np.diag(np.concatenate([1.0 / np.diag(believed.precision), np.full(12, _LOOK**2)]))
+    chosen: list[int] = []
+    noise = np.broadcast_to(np.eye(6), (len(slope), 6, 6))
+    for _ in range(count):
+        chosen.append(most_telling(slope, noise, spread, chosen))
+        spread = narrowed(spread, slope[chosen[-1]], noise[0])
+    return candidates[chosen]
+
+
+def scouting_postures(arm: Arm, carried: str, count: int, before: float) -> Array:
+    """Choose ``count`` postures (count, n) [rad] about the rest posture, far apart."""
+    drawn = seen_postures(arm, None, CANDIDATES, 0, spread=SCOUTING[carried], before=before)
+    if len(drawn) < count:
+        raise InputError(
+            f"arm {arm.name}: {len(drawn)} postures about the rest posture are free of floor, limits and collisions, "
+            f"expected at least {count}; give the arm another rest posture"
+        )
+    chosen = [arm.rest]
+    while len(chosen) < count:
+        apart = np.linalg.norm(drawn[:, None] - np.array(chosen), axis=-1).min(axis=1)
+        chosen.append(drawn[int(np.argmax(apart))])
+    return np.array(chosen)
+
+
+def seen_postures(
+    arm: Arm, rig: Rig | None, count: int, seed: int, *, spread: float = SPREAD, before: float = 0.0
+) -> Array:
+    """Draw up to ``count`` free postures (C, n) [rad] about rest, which show the board to a ``rig``, if given."""
+    rng, room = np.random.default_rng(seed), _ROOM + before
+    low, high = np.maximum(arm.lower + room, arm.rest - spread), np.minimum(arm.upper - room, arm.rest + spread)
+    found, enough = [np.zeros((0, arm.joints))], 0
+    for _ in range(_TRIES):
+        drawn = rng.uniform(low, high, (_DRAWS, arm.joints))
+        tool = tcp_position(arm, drawn)
+        near = ((tool > arm.targets.lower - _AROUND) & (tool < arm.targets.upper + _AROUND)).all(axis=-1)
+        drawn = drawn[near & (heights(arm, drawn)[:, 1:].min(axis=-1) > arm.floor)]
+        drawn = drawn if rig is None else drawn[rig.shows(tcp_pose(arm, drawn))]
+        for away in (0.0, before, -before) if before else (0.0,):
+            drawn = drawn[(heights(arm, drawn - away)[:, 1:].min(axis=-1) > arm.floor)]
+            drawn = drawn[~collides(arm, frames(arm, drawn - away))]
+        found.append(drawn)
+        enough += len(drawn)
+        if enough >= count:
+            break
+    return np.concatenate(found)[:count]
+
+
 SCOUTS = 12
-"""Pictures about the rest posture, by which the others are chosen (chosen: they count as all others do)"""
+"""Pictures about the rest posture (chosen: they count as all others do)"""
 FEWEST_SCOUTS = 6
-"""of which so many must show the board (chosen: three tell where the camera is, and some may be wrong)"""
+"""of which so many must show the board (chosen: three tell where the camera is)"""
 POSTURES = 14
 """Postures that are chosen then, each from two sides (chosen: 40 pictures with the first ones)"""
 
 Picture = NDArray[np.uint8]
 OnShot = Callable[[Film, str, Picture], object]
-"""Called after each picture with the film so far, the picture's name and the picture, so that they can be kept"""
+"""Called after each picture with the film so far, its name and the picture"""
 
 
 class StillCamera(Protocol):
@@ -54,7 +136,7 @@ class StillCamera(Protocol):
 
 
 class UnseenBoardError(InputError):
-    """The board is not seen where it has to be, so that camera or board are to be moved."""
+    """The board is not seen where it has to be: camera or board must be moved."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,8 +148,6 @@ class CameraGauge:
     board: Board
     carried: str = "board"
     """what the tool carries: ``board`` or ``camera``"""
-    tip: Tip | None = None
-    """where the tool's tip is on the board that it carries, if somebody measured it"""
 
 
 @dataclass(kw_only=True, eq=False)
@@ -85,8 +165,8 @@ class FilmDrive:
     def take(self, count: int = POSTURES, visits: int = 2) -> Film:
         """Take the pictures about the rest posture, then those of ``count`` postures from ``visits`` sides each.
 
-        InputError where the board is not seen at rest, or hardly anywhere; what `rejoint.control.loop.run` raises
-        where the motion had to be ended.
+        InputError where the board is hardly seen; what `rejoint.control.loop.run` raises where the motion had to be
+        ended.
         """
         arm, total = self._arm, SCOUTS + count * visits
         for number, posture in enumerate(scouting_postures(arm, self.film.carried, SCOUTS, BEFORE), start=1):
@@ -105,7 +185,6 @@ class FilmDrive:
 
     @cached_property
     def _drive(self) -> StandingDrive:
-        """Begin to move; nothing moves where all pictures are there."""
         return StandingDrive(self.robot, self.limits, self.stance)
 
     @cached_property
@@ -113,7 +192,6 @@ class FilmDrive:
         return Detector(self.film.board)
 
     def _shoot(self, number: int, total: int, posture: Array, place: int) -> None:
-        """Take one picture, unless it is there."""
         if any(shot.number == number for shot in self.film.shots):
             return
         self.on_progress((number - 1) / total, f"picture {number} of {total}")
@@ -134,21 +212,14 @@ class FilmDrive:
 
 
 def believed_rig(arm: Arm, scouted: Film) -> Rig:
-    """Where camera and board are, by pictures about the rest posture and the encoders; InputError where they fail."""
+    """Where camera and board are, by pictures about the rest posture; InputError where they fail."""
     shots = scouted.usable
     if len(shots) < FEWEST_SCOUTS or scouted.size is None:
         raise UnseenBoardError(
             f"camera: the board is seen well in {len(shots)} of the {len(scouted)} pictures about the rest posture, "
-            f"expected at least {FEWEST_SCOUTS}; {_remedy(scouted)}"
+            f"expected at least {FEWEST_SCOUTS}; turn camera and board to each other, hold the camera "
+            "still, focus it, add light, or put it farther away"
         )
-    lens = first_lens(Lens.usual(*scouted.size), scouted.board, scouted.views)
+    lens = first_lens(scouted.size, scouted.board, scouted.views)
     sights = first_sights(lens, scouted.board, scouted.views)
     return first_rig(arm, lens, scouted.board, scouted.carried, positions(shots, arm)[0], sights)
-
-
-def _remedy(scouted: Film) -> str:
-    """Say what to do about pictures that are of no use, by what most of them have in common."""
-    whys = [one.why for one in scouted.unusable]
-    if sum(why.startswith("blurred") for why in whys) > len(whys) / 2:
-        return "hold the camera still, focus it, add light"
-    return "turn camera and board to each other, or put the camera farther away"

@@ -1,41 +1,58 @@
-"""A first estimate for the adjustment: the lens from the boards alone, then how camera and board stand to the arm."""
+"""A first estimate for the adjustment: the lens from the boards, then how camera and board stand to the arm."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from rejoint.arms import Arm, Array, tcp_pose
 from rejoint.arms.camera.board import Board, BoardView
-from rejoint.arms.camera.lens import Lens
-from rejoint.arms.camera.poses import inverse, nearest_rotation
+from rejoint.arms.camera.lens import Lens, place
 from rejoint.arms.camera.rig import Rig, tool_of
-from rejoint.arms.camera.sighting import focal_length, homography, place, turn_between
+from rejoint.arms.rotations import difference, inverse
 from rejoint.system.errors import InputError
+from rejoint.system.extras import require
 
+WHOLE = 10
+"""Views from which all of a lens is fitted; of fewer its focal length alone (chosen)"""
+_LENSES = 4  # of finding the lens and leaving out views
+_CROOKED, _LEAST_CROOKED = 3.0, 0.6  # times the median rms, and [px], from which a view shows no flat board (chosen)
 _FOCAL = (0.3, 5.0)  # least and most of a focal length, by the width of the picture (webcams: 0.6 to 1.3)
 _ROUNDS = 4  # of finding the poses and leaving out views that do not fit them
 _FAR = 4.0  # times the median distance beyond which a view does not help the first estimate (chosen)
 _LEVER = 0.1  # [m] that makes a length of a turn (chosen: the size of a board)
 _STRETCH = 0.2
-"""Share by which lengths may differ before the board counts as another one (chosen: wear makes 0.05 of them, and boards
-of 20 and 30 mm differ by 0.5)"""
+"""Share by which lengths may differ before the board counts as another one (chosen: wear makes 0.05 of them)"""
 _LEAST = 0.2
-"""Factor of lengths below which no board is that small: the motion does not belong to the pictures (chosen)"""
+"""Factor of lengths below which the motion does not belong to the pictures (chosen)"""
 _TURNED = np.radians(10.0)
-"""[rad] by which the tool must have been turned between views, about two directions (chosen: ten times the play)"""
+"""[rad] by which the tool must have turned about two directions (chosen: ten times the play)"""
 
 
-def first_lens(lens: Lens, board: Board, views: Sequence[BoardView]) -> Lens:
-    """Return ``lens`` with the focal length that makes boards of right angles and one scale, if they tell one."""
-    middle = np.array([lens.cx, lens.cy])
-    found = focal_length([homography(board.corners[v.number, :2], v.pixel - middle) for v in views])
-    if found is None or not _FOCAL[0] < found / lens.width < _FOCAL[1]:
-        return lens
-    numbers = lens.numbers
-    numbers[0] = found
-    return lens.with_numbers(numbers)
+def first_lens(size: tuple[int, int], board: Board, views: Sequence[BoardView]) -> Lens:
+    """Return the lens of pictures of ``size`` [px] that fits the boards best, without views of no flat board."""
+    require("a camera", "camera")
+    import cv2
+
+    usual, few = Lens.usual(*size), len(views) < WHOLE
+    flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_ASPECT_RATIO | cv2.CALIB_FIX_K3
+    flags |= few * (cv2.CALIB_FIX_PRINCIPAL_POINT | cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2)
+    used = np.ones(len(views), bool)
+    for _ in range(_LENSES):
+        shown = [view for view, good in zip(views, used, strict=True) if good]
+        _, matrix, bent, _, _, _, _, rms = cv2.calibrateCameraExtended(
+            [board.corners[view.number].astype(np.float32) for view in shown],
+            [view.pixel.astype(np.float32) for view in shown], size, usual.matrix, np.zeros(5), flags=flags,
+        )  # fmt: skip
+        good = rms[:, 0] <= max(_CROOKED * float(np.median(rms)), _LEAST_CROOKED)
+        if good.all():
+            break
+        used[np.flatnonzero(used)[~good]] = False
+    if not _FOCAL[0] < matrix[0, 0] / usual.width < _FOCAL[1]:
+        return usual
+    return usual.with_numbers(np.array([matrix[0, 0], matrix[0, 2], matrix[1, 2], *np.ravel(bent)[:4]]))
 
 
 def first_sights(lens: Lens, board: Board, views: Sequence[BoardView]) -> Array:
@@ -44,10 +61,10 @@ def first_sights(lens: Lens, board: Board, views: Sequence[BoardView]) -> Array:
 
 
 def first_rig(arm: Arm, lens: Lens, board: Board, carried: str, position: Array, sights: Array) -> Rig:
-    """Find how camera and board stand to the arm, if its encoders at ``position`` (V, n) [rad] were right.
+    """Find how camera and board stand to the arm, as if its encoders at ``position`` (V, n) [rad] were right.
 
-    Linear least squares of A M = F B, first the rotations (Dornaika and Horaud 1998, section III), without the views
-    that are far off. InputError where the tool was turned too little to tell.
+    Linear least squares of A M = F B (Dornaika and Horaud 1998, section III), without views that are far off.
+    InputError where the tool was turned too little.
     """
     tool = tcp_pose(arm, position)
     _require_turns(tool)
@@ -56,7 +73,8 @@ def first_rig(arm: Arm, lens: Lens, board: Board, carried: str, position: Array,
     for _ in range(_ROUNDS):
         standing, mounted = _solve(tool[used], between[used])
         seen = tool_of(carried, standing, mounted, sights)
-        off = np.linalg.norm(seen[:, :3, 3] - tool[:, :3, 3], axis=-1) + _LEVER * turn_between(seen, tool)
+        shift, turn = np.split(difference(seen, tool), 2, axis=-1)
+        off = np.linalg.norm(shift, axis=-1) + _LEVER * np.linalg.norm(turn, axis=-1)
         used = off <= _FAR * np.median(off)
     scale = _scale(tool[used], between[used], standing)
     if not _LEAST < scale < 1.0 / _LEAST:
@@ -73,7 +91,7 @@ def first_rig(arm: Arm, lens: Lens, board: Board, carried: str, position: Array,
 
 
 def _solve(tool: Array, between: Array) -> tuple[Array, Array]:
-    """Poses A and B with A M = F B for poses M ``between`` and F of the ``tool``, (V, 4, 4) each."""
+    """Poses A and B with A M = F B for poses M ``between`` and F of the ``tool`` (V, 4, 4)."""
     one = np.eye(3)
     rows = [
         np.hstack([np.kron(m[:3, :3].T, one), -np.kron(one, f[:3, :3])]) for m, f in zip(between, tool, strict=True)
@@ -82,7 +100,9 @@ def _solve(tool: Array, between: Array) -> tuple[Array, Array]:
     a, b = both[:9].reshape(3, 3).T, both[9:].reshape(3, 3).T
     sign = np.sign(np.linalg.det(a))
     standing, mounted = np.eye(4), np.eye(4)
-    standing[:3, :3], mounted[:3, :3] = nearest_rotation(sign * a), nearest_rotation(sign * b)
+    standing[:3, :3], mounted[:3, :3] = (
+        Rotation.from_matrix(sign * one / np.cbrt(abs(np.linalg.det(one)))).as_matrix() for one in (a, b)
+    )
     left = np.concatenate([np.broadcast_to(one, (len(tool), 3, 3)), -tool[:, :3, :3]], axis=2).reshape(-1, 6)
     right = (tool[:, :3, 3] - between[:, :3, 3] @ standing[:3, :3].T).ravel()
     shift = np.linalg.lstsq(left, right, rcond=None)[0]
@@ -91,7 +111,7 @@ def _solve(tool: Array, between: Array) -> tuple[Array, Array]:
 
 
 def _scale(tool: Array, between: Array, standing: Array) -> float:
-    """Factor of the lengths in M ``between`` that fits A M = F B best, for poses F of the ``tool``, (V, 4, 4) each."""
+    """Factor of the lengths in M ``between`` that fits A M = F B best, for poses F of the ``tool`` (V, 4, 4)."""
     one = np.broadcast_to(np.eye(3), (len(tool), 3, 3))
     lengths = (between[:, :3, 3] @ standing[:3, :3].T)[..., None]
     left = np.concatenate([one, -tool[:, :3, :3], lengths], axis=2).reshape(-1, 7)

@@ -1,28 +1,133 @@
 """A camera before an emulated arm: pictures of the board where the arm's tool really is.
 
-Rendered pictures go the whole way through the detection; corners alone, with the noise that rendered pictures have,
-are a hundred times faster and enough to judge the fit.
+Each pixel is followed backwards through the lens to the board's drawing: no corner is projected, so that pictures can
+judge the detection. The same seed gives the same picture.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, tcp_pose
 from rejoint.arms.camera.board import ON_TOOL, Board, BoardView
 from rejoint.arms.camera.lens import Lens
-from rejoint.arms.camera.poses import inverse
 from rejoint.arms.camera.rig import Rig
-from rejoint.robots.lab.camera.rendering import Looks, Picture, render
+from rejoint.arms.rotations import inverse
+
+Picture = NDArray[np.uint8]
+"""(height, width) grey levels"""
+
+BLACK, WHITE, SKIN, WALL = 35.0, 215.0, 140.0, 120.0
+"""Grey levels of print, paper, a hand, and what is behind (chosen: a board in a room)"""
+
+_FINE = 3  # rays across a pixel (chosen)
+_DOT = 0.25e-3  # [m] of the drawing's dots (chosen: a tenth of a cell; edges of cells are on them)
+_QUIET = 5e-3  # [m] white paper around the board (chosen)
+_MARGIN = 8  # [px] around the board that are rendered with it
+
+
+@dataclass(frozen=True, kw_only=True)
+class Looks:
+    """What befalls a picture."""
+
+    blur: float = 0.7
+    """[px] standard deviation of the blur of lens and focus"""
+    noise: float = 4.0
+    """standard deviation of a pixel [grey levels]"""
+    hidden: float = 0.0
+    """share of the board's width that something covers"""
+
+
+@lru_cache(maxsize=8)
+def drawn(board: Board) -> NDArray[np.float32]:
+    """Draw a board, grey levels in dots of a quarter of a millimetre, with a rim of white paper."""
+    rim = round(_QUIET / _DOT)
+    ink = BLACK + (WHITE - BLACK) / 255.0 * board.drawing(1.0 / _DOT)
+    picture = np.pad(ink.astype(np.float32), rim, constant_values=WHITE)
+    picture.setflags(write=False)
+    return picture
+
+
+def render(board: Board, lens: Lens, pose: Array, seed: int | tuple[int, ...], looks: Looks | None = None) -> Picture:
+    """Picture of a board at ``pose`` (4, 4) in the camera's frame; the wall alone where it is out of sight."""
+    import cv2
+
+    looks = looks or Looks()
+    rng = np.random.default_rng(seed)
+    canvas = _wall(lens)
+    window = _window(board, lens, pose)
+    if window is not None:
+        _paint(canvas, board, lens, pose, window)
+        if looks.hidden > 0.0:
+            _cover(canvas, lens, board, pose, looks.hidden)
+    if looks.blur > 0.0:
+        canvas = cv2.GaussianBlur(canvas, (0, 0), looks.blur)
+    canvas += looks.noise * rng.standard_normal(canvas.shape, dtype=np.float32)
+    return np.clip(np.rint(canvas), 0, 255).astype(np.uint8)
+
+
+def _paint(
+    canvas: NDArray[np.float32], board: Board, lens: Lens, pose: Array, window: tuple[int, int, int, int]
+) -> None:
+    import cv2
+
+    x0, x1, y0, y1 = window
+    size = (_FINE * (x1 - x0), _FINE * (y1 - y0))
+    ray = lens.rays(np.stack(np.meshgrid(np.arange(x0, x1), np.arange(y0, y1)), axis=-1))
+    ray = cv2.resize(ray, size, interpolation=cv2.INTER_LINEAR)
+    ray = np.concatenate([ray, np.ones((*ray.shape[:-1], 1))], axis=-1)
+    mapping = np.linalg.inv(np.column_stack([pose[:3, 0], pose[:3, 1], pose[:3, 3]]))
+    flat = ray @ mapping.T
+    place = flat[..., :2] / flat[..., 2:]  # [m] on the print
+    place = place / np.array([board.stretch_x, board.stretch_y]) + _QUIET
+    dot = (place / _DOT - 0.5).astype(np.float32)  # the centre of the first dot is half a dot from its edge
+    picture = drawn(board)
+    shade = cv2.remap(
+        picture, dot[..., 0], dot[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=-1
+    )
+    on = (dot > 0).all(axis=-1) & (dot[..., 0] < picture.shape[1] - 1) & (dot[..., 1] < picture.shape[0] - 1)
+    part = canvas[y0:y1, x0:x1]
+    fine = np.where(on, shade, cv2.resize(part, size, interpolation=cv2.INTER_NEAREST))
+    canvas[y0:y1, x0:x1] = cv2.resize(fine, (x1 - x0, y1 - y0), interpolation=cv2.INTER_AREA)
+
+
+def _window(board: Board, lens: Lens, pose: Array) -> tuple[int, int, int, int] | None:
+    """Columns and rows of the picture in which the board may be; None where there are none."""
+    outline = board.outline + np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * _QUIET
+    points = outline @ pose[:3, :3].T + pose[:3, 3]
+    if (points[:, 2] < 0.05).any():
+        return None
+    edge = np.linspace(0, 1, 9)[:, None, None]
+    pixel = lens.project((points * (1 - edge) + np.roll(points, 1, axis=0) * edge).reshape(-1, 3))
+    low = np.maximum(np.floor(pixel.min(axis=0)).astype(int) - _MARGIN, 0)
+    high = np.minimum(np.ceil(pixel.max(axis=0)).astype(int) + _MARGIN, [lens.width, lens.height])
+    return None if (low >= high).any() else (int(low[0]), int(high[0]), int(low[1]), int(high[1]))
+
+
+def _wall(lens: Lens) -> NDArray[np.float32]:
+    x, y = np.linspace(-1, 1, lens.width), np.linspace(-1, 1, lens.height)
+    return np.asarray(WALL + 25.0 * x[None, :] - 10.0 * y[:, None], dtype=np.float32)
+
+
+def _cover(canvas: NDArray[np.float32], lens: Lens, board: Board, pose: Array, share: float) -> None:
+    import cv2
+
+    first, second, third, fourth = board.outline
+    reach = np.stack([first, second, second + share * (third - second), first + share * (fourth - first)])
+    pixel = lens.project(reach @ pose[:3, :3].T + pose[:3, 3])
+    cv2.fillConvexPoly(canvas, np.rint(pixel).astype(np.int32), SKIN, lineType=cv2.LINE_AA)
+
 
 LENS = Lens(width=1920, height=1080, f=1400.0, cx=950.0, cy=545.0, k1=-0.08, k2=0.05, p1=8e-4, p2=-5e-4)
 """A web camera of 69 degrees with some distortion (chosen)"""
 AWAY = 0.6
 """[m] of the camera from the region of targets (issue: a table beside the arm)"""
+# [rad] at which it stands beside the arm, about the vertical, from the front (chosen)
 _AZIMUTH = np.radians(-60.0)
-"""[rad] at which it stands beside the arm, about the vertical, from the front (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,11 +156,7 @@ class Scene:
 
 
 def beside(arm: Arm, *, board: Board = ON_TOOL) -> Scene:
-    """Put a camera beside an arm, and a board upright on its tool that faces the camera where the arm rests.
-
-    The camera looks at the middle of the region of targets, from the arm's right and somewhat above. The board hangs
-    beside the tool, its middle 30 mm before the TCP towards the camera.
-    """
+    """Put a camera beside an arm, and a board upright on its tool, 30 mm before the TCP towards the camera."""
     middle = 0.5 * (arm.targets.lower + arm.targets.upper)
     level = np.array([np.cos(_AZIMUTH), np.sin(_AZIMUTH), 0.0])
     standing = looking(middle + AWAY * (0.95 * level + [0.0, 0.0, 0.31]), middle)
@@ -71,7 +172,7 @@ def beside(arm: Arm, *, board: Board = ON_TOOL) -> Scene:
 
 
 def on_tool(arm: Arm, *, board: Board) -> Scene:
-    """Put a camera on an arm's tool that looks along with it, and a board flat on the table below the targets."""
+    """Put a camera on an arm's tool, and a board flat on the table below the targets."""
     middle = 0.5 * (arm.targets.lower + arm.targets.upper)
     lying = np.eye(4)
     lying[:3, :3] = np.diag([1.0, -1.0, -1.0])  # seen from above

@@ -1,18 +1,27 @@
-"""What can go wrong with an emulated arm, and how one asks for it: ``drop=0.05,stall=1.5/4,freeze=3@5,die@20``.
+"""What can go wrong with an emulated arm: ``drop=0.05,stall=1.5/4,freeze=3@5,die@20``.
 
-Times T count in seconds from the first byte that a client sends, and joints J from 1. Which of the answers are
-hit is drawn with the seed, for every fault in a stream of its own: the same ones, whatever else is switched on.
+Times count in seconds from the first byte of a client, joints from 1. Every fault is drawn in a stream of its own.
 """
 
 from __future__ import annotations
 
 import math
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.arms import Arm, Array
 from rejoint.system.errors import InputError
+
+if TYPE_CHECKING:
+    from rejoint.robots.lab.plant.plant import Plant
+
+Mask = NDArray[np.bool_]
 
 HOT_JOINT = 2
 """The joint that gets hot if none is named: the shoulder, which carries most (chosen)"""
@@ -29,35 +38,19 @@ class Stall:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Absence:
-    """A span in which there is no link."""
-
-    after: float
-    """[s]"""
-    duration: float
-    """[s]"""
-
-
-@dataclass(frozen=True, kw_only=True)
 class Onset:
-    """Servos that something happens to."""
+    """What begins after some time, with a few servos or with the link, and may end again."""
 
-    joints: tuple[int, ...]
-    """indices, from 0"""
+    joints: tuple[int, ...] = ()
+    """indices, from 0; none: the link"""
     after: float
     """[s]"""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Spell:
-    """A span in which a servo is not heard of."""
-
-    joint: int
-    """index, from 0"""
-    after: float
+    duration: float = math.inf
     """[s]"""
-    duration: float
-    """[s]"""
+
+    def holds(self, elapsed: float) -> bool:
+        """Whether it lasts ``elapsed`` [s] after the first byte."""
+        return self.after <= elapsed < self.after + self.duration
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +67,7 @@ class Faults:
     slow: float = 0.0
     """[s]"""
     stall: Stall | None = None
-    gone: tuple[Absence, ...] = ()
+    gone: tuple[Onset, ...] = ()
     silent: float | None = None
     """[s]"""
     die: float | None = None
@@ -87,7 +80,7 @@ class Faults:
     current: tuple[Onset, ...] = ()
     overload: tuple[Onset, ...] = ()
     voltage: tuple[Onset, ...] = ()
-    mute: tuple[Spell, ...] = ()
+    mute: tuple[Onset, ...] = ()
     sag: float = 0.0
     """[ohm]"""
 
@@ -97,150 +90,50 @@ SERVO_BUS = ("mute", "sag")
 NONE = Faults()
 
 
-class _Form(NamedTuple):
-    """How a kind of fault is written and read."""
-
-    text: str
-    ranges: str
-    read: Callable[[str | None, str | None, int], object]
-    """from what stands after ``=`` and after ``@``, and the number of joints; ValueError if it is not of this form"""
-
-
 class Known(NamedTuple):
     """A fault that can be asked for."""
 
-    form: _Form
+    form: str
+    """what stands behind its name: `LETTERS` for numbers, in brackets what may be left out"""
     meaning: str
 
 
-def _number(text: str | None, *, most: float = math.inf) -> float:
-    value = float(text or "")
-    if not (math.isfinite(value) and 0.0 <= value <= most):
-        raise ValueError
-    return value
-
-
-def _nothing(text: str | None) -> None:
-    if text is not None:
-        raise ValueError
-
-
-def _share(value: str | None, after: str | None, _joints: int) -> float:
-    _nothing(after)
-    return _number(value, most=1.0)
-
-
-def _seconds(value: str | None, after: str | None, _joints: int) -> float:
-    _nothing(after)
-    return _number(value)
-
-
-def _moment(value: str | None, after: str | None, _joints: int) -> float:
-    _nothing(value)
-    return _number(after)
-
-
-def _pair(text: str | None) -> tuple[float, float]:
-    first, _, second = (text or "").partition("/")
-    return _number(first), _number(second)
-
-
-def _stall(value: str | None, after: str | None, _joints: int) -> Stall:
-    _nothing(after)
-    duration, every = _pair(value)
-    if duration >= every:
-        raise ValueError
-    return Stall(duration=duration, every=every)
-
-
-def _absence(value: str | None, after: str | None, _joints: int) -> Absence:
-    _nothing(after)
-    begin, duration = _pair(value)
-    return Absence(after=begin, duration=duration)
-
-
-def _joint(value: str | None, after: str | None, joints: int) -> Onset:
-    joint = int(value or "")
-    if not 1 <= joint <= joints:
-        raise ValueError
-    return Onset(joints=(joint - 1,), after=_number(after))
-
-
-def _spell(value: str | None, after: str | None, joints: int) -> Spell:
-    joint = int(value or "")
-    if not 1 <= joint <= joints:
-        raise ValueError
-    begin, duration = _pair(after)
-    return Spell(joint=joint - 1, after=begin, duration=duration)
-
-
-def _hot(value: str | None, after: str | None, joints: int) -> Onset:
-    return _joint(str(min(HOT_JOINT, joints)) if value is None else value, after, joints)
-
-
-def _all(value: str | None, after: str | None, joints: int) -> Onset:
-    if value is None:
-        return Onset(joints=tuple(range(joints)), after=_number(after))
-    return _joint(value, after, joints)
-
-
-_SHARE = _Form("P", "P from 0 to 1", _share)
-_AT_JOINT = _Form("J@T", "joint J from 1 to {joints}, T seconds", _joint)
-
+LETTERS = {
+    "P": "P from 0 to 1", "J": "joint J from 1 to {joints}", "S": "S seconds", "D": "D seconds", "E": "E seconds",
+    "T": "T seconds", "R": "R ohm",
+}  # fmt: skip
 KNOWN: dict[str, Known] = {
-    "drop": Known(_SHARE, "share of answers that are lost"),
-    "garbage": Known(_SHARE, "share of answers with random bytes before them or inside"),
-    "stale": Known(_SHARE, "share of answers that repeat the previous one to the same question"),
-    "split": Known(_SHARE, "share of answers that come in two pieces, with a pause between them"),
-    "half": Known(_SHARE, "share of answers that break off inside the frame"),
-    "double": Known(_SHARE, "share of answers that are sent twice"),
-    "echo": Known(_SHARE, "share of answers that come behind an echo of their request"),
-    "slow": Known(_Form("S", "S seconds", _seconds), "every answer takes S longer"),
-    "stall": Known(
-        _Form("D/E", "D seconds every E seconds, D below E", _stall),
-        "the link stands still both ways; what was under way comes late",
-    ),
-    "gone": Known(
-        _Form("T/D", "T and D seconds", _absence), "the connection is closed at T and refused for D, then all is well"
-    ),
-    "silent": Known(_Form("@T", "T seconds", _moment), "from T on nothing comes any more; the connection stays open"),
-    "die": Known(_Form("@T", "T seconds", _moment), "the emulator ends at T without a word"),
-    "freeze": Known(_AT_JOINT, "from T on the encoder of J tells what it told at T; its servo still sees"),
-    "blind": Known(_AT_JOINT, "from T on the servo of J itself sees what it saw at T, and runs away when moved"),
-    "jump": Known(_AT_JOINT, "the first reading of J after T is off by more than any servo can move"),
-    "limit": Known(_AT_JOINT, "from T on the reading of J runs until it is beyond the nearer limit, and stays off"),
-    "overheat": Known(
-        _Form("@T or =J@T", "joint J from 1 to {joints} (otherwise 2), T seconds", _hot),
-        "from T on a servo gets hot, beyond its own threshold, and says so",
-    ),
-    "current": Known(_AT_JOINT, "from T on the servo of J reports over-current, and a current at the top of its scale"),
-    "overload": Known(_AT_JOINT, "from T on the servo of J reports overload"),
-    "voltage": Known(
-        _Form("@T or =J@T", "joint J from 1 to {joints} (otherwise all), T seconds", _all),
-        "from T on the supply is too low, and the servos say so",
-    ),
-    "mute": Known(
-        _Form("J@T/D", "joint J from 1 to {joints}, T and D seconds", _spell),
-        "on a bus of servos: from T on, for D, the servo of J neither hears nor answers; it holds",
-    ),
-    "sag": Known(
-        _Form("R", "R ohm", _seconds), "on a bus of servos: the supply has this resistance and sags under their current"
-    ),
+    "drop": Known("=P", "share of answers that are lost"),
+    "garbage": Known("=P", "share of answers with random bytes before them or inside"),
+    "stale": Known("=P", "share of answers that repeat the previous one to the same question"),
+    "split": Known("=P", "share of answers that come in two pieces, with a pause between them"),
+    "half": Known("=P", "share of answers that break off inside the frame"),
+    "double": Known("=P", "share of answers that are sent twice"),
+    "echo": Known("=P", "share of answers that come behind an echo of their request"),
+    "slow": Known("=S", "every answer takes S longer"),
+    "stall": Known("=D/E", "the link stands still both ways for D every E; what was under way comes late"),
+    "gone": Known("=T/D", "the connection is closed at T and refused for D, then all is well"),
+    "silent": Known("@T", "from T on nothing comes any more; the connection stays open"),
+    "die": Known("@T", "the emulator ends at T without a word"),
+    "freeze": Known("=J@T", "from T on the encoder of J tells what it told at T; its servo still sees"),
+    "blind": Known("=J@T", "from T on the servo of J itself sees what it saw at T, and runs away when moved"),
+    "jump": Known("=J@T", "the first reading of J after T is off by more than any servo can move"),
+    "limit": Known("=J@T", "from T on the reading of J runs until it is beyond the nearer limit, and stays off"),
+    "overheat": Known("[=J]@T", "from T on a servo (otherwise 2) gets hot, beyond its own threshold, and says so"),
+    "current": Known("=J@T", "from T on the servo of J reports over-current, and a current at the top of its scale"),
+    "overload": Known("=J@T", "from T on the servo of J reports overload"),
+    "voltage": Known("[=J]@T", "from T on the supply (otherwise of all) is too low, and the servos say so"),
+    "mute": Known("=J@T/D", "on a bus of servos: from T on, for D, the servo of J neither hears nor answers; it holds"),
+    "sag": Known("=R", "on a bus of servos: the supply has this resistance and sags under their current"),
 }
 """The faults in the words of the command line. One name, one field of `Faults`."""
 
 _REPEATABLE = {field.name for field in fields(Faults) if field.default == ()}
-_ITEM = re.compile(r"(?P<name>\w+)(?:=(?P<value>[^=@]*))?(?:@(?P<after>[^=@]*))?", re.ASCII)
 
 
 def form(name: str) -> str:
     """Return how a fault is written, such as ``freeze=J@T``."""
-    text = KNOWN[name].form.text
-    return name + (text.replace("=", f"{name}=") if text.startswith("@") else f"={text}")
-
-
-def _ranges(name: str, joints: int) -> str:
-    return KNOWN[name].form.ranges.format(joints=joints)
+    return name + KNOWN[name].form
 
 
 def describe(joints: int) -> Iterable[str]:
@@ -248,27 +141,295 @@ def describe(joints: int) -> Iterable[str]:
     return (f"{form(name)}: {known.meaning} ({_ranges(name, joints)})" for name, known in KNOWN.items())
 
 
-def parse_faults(text: str, joints: int) -> Faults:
-    """Read faults, comma separated, of an arm with ``joints`` joints; InputError for what is no fault.
+def _ranges(name: str, joints: int) -> str:
+    return ", ".join(words for letter, words in LETTERS.items() if letter in KNOWN[name].form).format(joints=joints)
 
-    Faults of joints and ``gone`` may be repeated, all others stand once.
-    """
+
+def parse_faults(text: str, joints: int) -> Faults:
+    """Read faults, comma separated, of an arm with ``joints`` joints; InputError for what is no fault."""
     found: dict[str, list[object]] = {}
     for item in filter(None, (part.strip() for part in text.split(","))):
-        match = _ITEM.fullmatch(item)
         name = re.split("[=@]", item)[0]
         if name not in KNOWN:
             known = "".join(f"\n  {line}" for line in describe(joints))
             raise InputError(f"'{item}' is no known fault; known are{known}")
-        wanted = f"expected the fault {form(name)}, {_ranges(name, joints)}, got '{item}'"
-        if match is None:
-            raise InputError(wanted)
         try:
-            value = KNOWN[name].form.read(match["value"], match["after"], joints)
+            value = _read(name, item.removeprefix(name), joints)
         except ValueError:
-            raise InputError(wanted) from None
+            wanted = f"expected the fault {form(name)}, {_ranges(name, joints)}"
+            raise InputError(f"{wanted}, got '{item}'") from None
         found.setdefault(name, []).append(value)
         if name not in _REPEATABLE and len(found[name]) > 1:
             raise InputError(f"the fault {name} may be given once, got '{text}'")
     values = {name: tuple(values) if name in _REPEATABLE else values[0] for name, values in found.items()}
     return Faults(**values)  # type: ignore[arg-type]  # `KNOWN` reads each field as what it is
+
+
+def _read(name: str, text: str, joints: int) -> object:
+    """Read what stands behind the name of a fault; ValueError for what is not of its form."""
+    optional = KNOWN[name].form.replace("[", "(?:").replace("]", ")?")
+    match = re.fullmatch(re.sub("[A-Z]", lambda letter: f"(?P<{letter[0]}>[^=@/]+)", optional), text)
+    if match is None:
+        raise ValueError
+    joint = match.groupdict().get("J")
+    numbers = {letter: float(word) for letter, word in match.groupdict().items() if letter != "J"}
+    if not all(0.0 <= number < math.inf for number in numbers.values()) or numbers.get("P", 0.0) > 1.0:
+        raise ValueError
+    if "E" in numbers:
+        if numbers["D"] >= numbers["E"]:
+            raise ValueError
+        return Stall(duration=numbers["D"], every=numbers["E"])
+    if name not in _REPEATABLE:
+        return numbers.popitem()[1]
+    chosen: tuple[int, ...]
+    if joint is not None:
+        chosen = (range(joints).index(int(joint) - 1),)
+    else:
+        chosen = {"overheat": (min(HOT_JOINT, joints) - 1,), "voltage": tuple(range(joints))}.get(name, ())
+    return Onset(joints=chosen, after=numbers["T"], duration=numbers.get("D", math.inf))
+
+
+SPLIT_PAUSE = 0.05
+"""[s] between the two pieces of an answer (chosen)"""
+MOST_GARBAGE = 12
+"""random bytes at most, as many as half a frame (chosen)"""
+
+_CHANCES = ("drop", "garbage", "stale", "split", "half", "double", "echo")
+
+
+class LinkGoneError(Exception):
+    """The connection is no longer there."""
+
+
+class DeathError(Exception):
+    """The emulator has to end without a word."""
+
+
+class WireFaults:
+    """What the faults do to a link; without faults nothing. Times are [s] after the first byte of a client."""
+
+    def __init__(self, faults: Faults, seed: int = 0) -> None:
+        self._faults = faults
+        self._streams = {name: np.random.default_rng([seed, place]) for place, name in enumerate(_CHANCES)}
+        # id -> the last request of this id and what was answered
+        self._earlier: dict[int, tuple[bytes, bytes]] = {}
+
+    @property
+    def delay(self) -> float:
+        """[s] that every answer takes longer."""
+        return self._faults.slow
+
+    def check(self, elapsed: float) -> None:
+        """DeathError if the emulator has ended, LinkGoneError while there is no link."""
+        if self._faults.die is not None and elapsed >= self._faults.die:
+            raise DeathError
+        if any(gone.holds(elapsed) for gone in self._faults.gone):
+            raise LinkGoneError
+
+    def still_until(self, elapsed: float) -> float:
+        """When the link moves on; ``elapsed`` itself unless it stands still."""
+        if self._faults.silent is not None and elapsed >= self._faults.silent:
+            return math.inf
+        stall = self._faults.stall
+        if stall is None or elapsed < stall.every:
+            return elapsed
+        begin = stall.every * math.floor(elapsed / stall.every)
+        return max(elapsed, begin + stall.duration)
+
+    def pieces(self, request: bytes, answer: bytes) -> list[bytes]:
+        """Return what goes out instead of ``answer``, with a `SPLIT_PAUSE` between pieces; nothing if it is lost."""
+        hit = {name: self._draw(name) for name in _CHANCES}
+        answer = self._perhaps_old(request, answer, old=hit["stale"])
+        if hit["drop"]:
+            return []
+        if hit["half"]:
+            answer = answer[: self._cut("half", answer)]
+        if hit["garbage"]:
+            answer = self._with_garbage(answer)
+        if hit["echo"]:
+            answer = request + answer
+        if hit["double"]:
+            answer = answer * 2
+        if not hit["split"]:
+            return [answer]
+        cut = self._cut("split", answer)
+        return [piece for piece in (answer[:cut], answer[cut:]) if piece]
+
+    def _draw(self, name: str) -> bool:
+        share: float = getattr(self._faults, name)
+        return share > 0.0 and bool(self._streams[name].random() < share)
+
+    def _perhaps_old(self, request: bytes, answer: bytes, *, old: bool) -> bytes:
+        if not self._faults.stale:
+            return answer
+        command = request[3]
+        asked, answered = self._earlier.get(command, (b"", b""))
+        if old and asked == request:
+            return answered
+        self._earlier[command] = request, answer
+        return answer
+
+    def _with_garbage(self, answer: bytes) -> bytes:
+        stream = self._streams["garbage"]
+        noise = stream.bytes(int(stream.integers(1, MOST_GARBAGE, endpoint=True)))
+        place = 0 if stream.random() < 0.5 else self._cut("garbage", answer)
+        return answer[:place] + noise + answer[place:]
+
+    def _cut(self, name: str, answer: bytes) -> int:
+        """Return a place inside ``answer``."""
+        return int(self._streams[name].integers(1, max(len(answer), 2)))
+
+
+VOLTAGE_BIT, OVER_TEMPERATURE_BIT, OVER_CURRENT_BIT, OVERLOAD_BIT = 1 << 0, 1 << 2, 1 << 3, 1 << 5
+"""Bits of the servo status (pymycobot 4.0.7, robot_info)."""
+SUPPLY_VOLTAGE = 12.0
+"""[V] (vendor's product parameters)"""
+
+
+class Ailments:
+    """Of an arm of n joints; the firmware adds them to what it measures."""
+
+    def __init__(self, joints: int) -> None:
+        self.misreading = np.zeros(joints)
+        """(n,) [rad] by which the encoders tell too much"""
+        self.warmth = np.zeros(joints)
+        """(n,) [K] above what the work of the motors explains"""
+        self.current = np.zeros(joints)
+        """(n,) [A] at least, whatever the torque of the motors"""
+        self.voltage = np.full(joints, SUPPLY_VOLTAGE)
+        """(n,) [V] of the supply, at each servo"""
+        self.alarms = np.zeros(joints, dtype=np.uint8)
+        """(n,) status bits that are set, besides over-temperature"""
+
+
+class EmulatedArm(ABC):
+    """An emulated arm of n joints, whatever its wire speaks; ``plant`` holds one arm, already reset."""
+
+    def __init__(self, plant: Plant, arm: Arm) -> None:
+        self.plant, self.arm, self.ailments = plant, arm, Ailments(arm.joints)
+
+    @property
+    def angles(self) -> Array:
+        """(n,) [rad] joint angles as the encoders tell them."""
+        return self.plant.encoder()[0] + self.ailments.misreading
+
+    @property
+    def temperature(self) -> Array:
+        """(n,) [deg C]."""
+        return self.plant.temperature[0] + self.ailments.warmth
+
+    @property
+    def true_tcp(self) -> Array:
+        """(3,) [m] where the tool really is; no request asks for it."""
+        return self.plant.true_tcp()[0]
+
+    @property
+    def true_links(self) -> Array:
+        """(n,) [rad] angles of the links, behind play and flex."""
+        return self.plant.link_position()[0]
+
+    @abstractmethod
+    def advance(self, duration: float) -> None:
+        """Let [s] pass."""
+
+
+READINGS = frozenset({0x20, 0x23, 0x3B, 0x3D, 0xD5})
+"""Questions whose answers are read from the encoders."""
+
+JUMP = np.radians(60.0)
+"""[rad] of an impossible jump: a servo takes 0.4 s for it (chosen)"""
+BEYOND_LIMIT = np.radians(3.0)
+"""[rad] a joint reads beyond its limit: less than what a driver takes for a broken reading (chosen)"""
+RUN_AWAY = np.radians(90.0)
+"""[rad/s] at which such a reading runs there: below the highest speed of the joints (chosen)"""
+HEATING = 10.0
+"""[K/s] of a servo that gets hot (chosen: a real one takes minutes)"""
+HOT = 85.0
+"""[deg C] at which it stays: 15 K above its protection threshold (chosen)"""
+CURRENT_SCALE = 3.25
+"""[A] top of the scale: 500 steps of 6.5 mA (Feetech STS memory table)"""
+LOW_VOLTAGE = 7.0
+"""[V] of a supply that broke down (chosen)"""
+
+
+class ArmFaults:
+    """Lets the faults of the arm begin when their time has come."""
+
+    def __init__(self, faults: Faults, arm: EmulatedArm) -> None:
+        self._emulated = arm
+        servos = arm.arm.joints
+        onsets = [(onset.after, kind, onset.joints) for kind in BEGINNINGS for onset in getattr(faults, kind)]
+        self._waiting = sorted(onsets)
+        self._heating = np.zeros(servos, dtype=bool)
+        # (n,) direction in which a reading runs; 0 for those that stand
+        self._running = np.zeros(servos)
+        # (n,) [rad] jumps that were not read yet
+        self._jumped = np.zeros(servos)
+        self._then = 0.0
+
+    def advance(self, elapsed: float) -> None:
+        """Begin what is due ``elapsed`` [s] after the first byte, and go on with what has begun."""
+        passed, self._then = elapsed - self._then, elapsed
+        while self._waiting and self._waiting[0][0] <= elapsed:
+            after, kind, joints = self._waiting.pop(0)
+            BEGINNINGS[kind](self, np.isin(np.arange(self._emulated.arm.joints), joints))
+            if after == 0.0:
+                passed = np.inf
+        if self._heating.any():
+            self._go_on_heating(passed)
+        if self._running.any():
+            self._go_on_running(passed)
+
+    def was_asked(self, command: int) -> None:
+        """Take a jump back once it was read: it is one of a single reading."""
+        if command in READINGS and self._jumped.any():
+            self._emulated.ailments.misreading -= self._jumped
+            self._jumped[:] = 0.0
+
+    def _inwards(self) -> Array:
+        """(n,) 1 where the lower limit is the nearer one, -1 elsewhere."""
+        arm = self._emulated.arm
+        return np.where(self._emulated.angles < 0.5 * (arm.lower + arm.upper), 1.0, -1.0)
+
+    def _jump(self, joints: Mask) -> None:
+        jump = JUMP * self._inwards() * joints
+        self._jumped += jump
+        self._emulated.ailments.misreading += jump
+
+    def _run_beyond(self, joints: Mask) -> None:
+        self._running[joints] = -self._inwards()[joints]
+
+    def _go_on_running(self, passed: float) -> None:
+        arm, angles = self._emulated.arm, self._emulated.angles
+        end = np.where(self._running > 0, arm.upper + BEYOND_LIMIT, arm.lower - BEYOND_LIMIT)
+        left = np.where(self._running == 0, 0.0, np.maximum(self._running * (end - angles), 0.0))
+        self._emulated.ailments.misreading += self._running * np.minimum(left, RUN_AWAY * passed)
+        self._running[left <= RUN_AWAY * passed] = 0.0
+
+    def _heat(self, joints: Mask) -> None:
+        self._heating |= joints
+
+    def _go_on_heating(self, passed: float) -> None:
+        missing = np.maximum(HOT - self._emulated.temperature, 0.0)
+        self._emulated.ailments.warmth += np.where(self._heating, np.minimum(missing, HEATING * passed), 0.0)
+
+    def _alarm(self, joints: Mask, bit: int) -> None:
+        ailments = self._emulated.ailments
+        ailments.alarms[joints] |= bit
+        if bit == OVER_CURRENT_BIT:
+            ailments.current[joints] = CURRENT_SCALE
+        if bit == VOLTAGE_BIT:
+            ailments.voltage[joints] = LOW_VOLTAGE
+
+
+BEGINNINGS: dict[str, Callable[[ArmFaults, Mask], object]] = {
+    "freeze": lambda self, joints: self._emulated.plant.freeze(joints[None]),
+    "blind": lambda self, joints: self._emulated.plant.blind(joints[None]),
+    "jump": ArmFaults._jump,
+    "limit": ArmFaults._run_beyond,
+    "overheat": ArmFaults._heat,
+    "current": lambda self, joints: self._alarm(joints, OVER_CURRENT_BIT),
+    "overload": lambda self, joints: self._alarm(joints, OVERLOAD_BIT),
+    "voltage": lambda self, joints: self._alarm(joints, VOLTAGE_BIT),
+}
+"""What happens to the servos (n,) of each fault of the arm"""

@@ -1,13 +1,8 @@
-"""The robot's own computer: keeps the limits, runs the moves, powers and releases the servos.
-
-It knows no bytes and no clock: `rejoint.arms.wire.commands` calls it with SI values, and whoever
-owns a clock tells it how much time has passed. Where neither the vendor's manual nor logs of a real
-arm settle what the firmware does, the choice is named.
-"""
+"""The robot's own computer: keeps the limits, runs the moves, powers and releases the servos, and answers requests."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,46 +10,45 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array, tcp_pose
 from rejoint.arms.wire.computer import FULL_SPEED, at_angles, at_place
 from rejoint.arms.wire.mover import Mover
-from rejoint.robots.lab.emulator.ailments import OVER_TEMPERATURE_BIT, Ailments
-from rejoint.robots.lab.emulator.plantlike import Mask, PlantLike
+from rejoint.robots.lab.emulator.faults import OVER_TEMPERATURE_BIT, EmulatedArm, Mask
+
+if TYPE_CHECKING:
+    from rejoint.robots.lab.plant.plant import Plant
 
 TICK_MS = 10
 """[ms] between set-points that the firmware writes while it interpolates (chosen)"""
 COMMAND_DELAY = (0.008, 0.013)
 """[s] from the arrival of a command to its effect in the servos (the plant's own channel)"""
 MAX_WRITES = 64
-"""Goals on their way over the servo bus; the oldest of more are lost (chosen: an order every 8 ms leaves two)"""
+"""Goals on their way over the servo bus; the oldest of more are lost (chosen)"""
 
 CURRENT_PER_TORQUE = 2.7 / 2.94
 """[A/(N m)] of an STS3215 at 12 V: 2.7 A at its stall torque of 30 kg cm (Feetech data sheet)"""
 
+# [rad/s] below this speed a joint counts as standing (chosen)
 _AT_REST = np.radians(2.0)
-"""[rad/s] below this speed a joint counts as standing (chosen)"""
+# [deg C] default protection threshold of Feetech STS servos (their register table)
 _OVER_TEMPERATURE = 70.0
-"""[deg C] default protection threshold of Feetech STS servos (their register table)"""
 
 
 class _Write(NamedTuple):
-    """A goal on its way over the servo bus."""
-
     due_ms: int
     goal: Array
     speed: float
 
 
-class Firmware(Mover):
+class Firmware(EmulatedArm, Mover):
     """State and behaviour of one emulated myCobot; ``plant`` holds one arm, already reset."""
 
-    def __init__(self, plant: PlantLike, arm: Arm, *, seed: int = 0) -> None:
-        super().__init__(arm, plant.goal[0])
+    def __init__(self, plant: Plant, arm: Arm, *, seed: int = 0) -> None:
+        EmulatedArm.__init__(self, plant, arm)
+        Mover.__init__(self, arm, plant.goal[0])
         self.powered = True
         self.enabled = np.ones(arm.joints, dtype=bool)
         self.zero = np.zeros(arm.joints)
         """(n,) [rad] what calibration took as zero, on the encoders' own scale"""
         self.registers: dict[tuple[int, int], int] = {}
         """(servo, address) -> value; kept and read back, without effect on the servos"""
-        self.ailments = Ailments(arm.joints)
-        self._plant = plant
         self._rng = np.random.default_rng(seed)
         self._clock_ms = 0
         self._owed = 0.0
@@ -65,7 +59,7 @@ class Firmware(Mover):
     @property
     def angles(self) -> Array:
         """(n,) [rad] joint angles by the encoders."""
-        return self._plant.encoder()[0] - self.zero + self.ailments.misreading
+        return super().angles - self.zero
 
     @property
     def pose(self) -> Array:
@@ -75,27 +69,17 @@ class Firmware(Mover):
     @property
     def speed(self) -> Array:
         """(n,) [rad/s]."""
-        return self._plant.speed[0]
+        return self.plant.speed[0]
 
     @property
     def torque(self) -> Array:
         """(n,) [N m] of the motors."""
-        return self._plant.torque[0]
-
-    @property
-    def temperature(self) -> Array:
-        """(n,) [deg C]."""
-        return self._plant.temperature[0] + self.ailments.warmth
+        return self.plant.torque[0]
 
     @property
     def hot(self) -> Mask:
         """(n,) whether a servo is over its temperature threshold."""
         return self.temperature >= _OVER_TEMPERATURE
-
-    @property
-    def true_links(self) -> Array:
-        """(n,) [rad] angles of the links, behind play and flex."""
-        return self._plant.link_position()[0]
 
     @property
     def current(self) -> Array:
@@ -111,11 +95,6 @@ class Firmware(Mover):
     def alarms(self) -> NDArray[np.uint8]:
         """(n,) status bits of the servos."""
         return np.where(self.hot, OVER_TEMPERATURE_BIT, 0).astype(np.uint8) | self.ailments.alarms
-
-    @property
-    def true_tcp(self) -> Array:
-        """(3,) [m] where the tool really is; nobody can ask for it over the wire."""
-        return self._plant.true_tcp()[0]
 
     @property
     def moving(self) -> bool:
@@ -139,8 +118,8 @@ class Firmware(Mover):
             self._write(self._motion.ramp_speed, self._motion.goal)
             return
         self.outbox.clear()
-        self._plant.halt()
-        self._track(np.ones(self.arm.joints, dtype=bool), self._plant.goal[0] - self.zero)
+        self.plant.halt()
+        self._track(np.ones(self.arm.joints, dtype=bool), self.plant.goal[0] - self.zero)
 
     def pause(self) -> None:
         """Hold where the reference is, to go on later."""
@@ -166,7 +145,7 @@ class Firmware(Mover):
         self.outbox.clear()
         self._track(wanted & ~self.enabled, self.angles)
         self.enabled = wanted.copy()
-        self._plant.set_power(np.array([bool(wanted.any())]))
+        self.plant.set_power(np.array([bool(wanted.any())]))
         self.outbox.append(_Write(self._clock_ms, self._motion.reference + self.zero, FULL_SPEED))
 
     def calibrate(self, joint: int) -> None:
@@ -175,16 +154,6 @@ class Firmware(Mover):
         self.zero[joint] += shift
         self._motion.hold()
         self._motion.place(joint, float(self._motion.reference[joint]) - shift)
-
-    # --- faults -----------------------------------------------------------------------------
-
-    def freeze(self, joints: Mask) -> None:
-        """Let the encoders of ``joints`` (n,) tell what they tell now, for good; their servos still see."""
-        self._plant.freeze(joints[None])
-
-    def blind(self, joints: Mask) -> None:
-        """Let the servos of ``joints`` (n,) see what they see now, for good."""
-        self._plant.blind(joints[None])
 
     # --- time -------------------------------------------------------------------------------
 
@@ -207,12 +176,11 @@ class Firmware(Mover):
                 self._track(~self.enabled, self.angles)
                 self._write_now()
             self._deliver()
-            self._plant.advance(step * 1e-3)
+            self.plant.advance(step * 1e-3)
             self._clock_ms += step
             left -= step
 
     def _ready(self) -> bool:
-        """Whether a move may start; released servos are switched on by a new goal (chosen)."""
         if self.powered and not self.enabled.all():
             self.enable(np.ones(self.arm.joints, dtype=bool))
         return self.powered
@@ -235,15 +203,13 @@ class Firmware(Mover):
         del self.outbox[:-MAX_WRITES]
 
     def _deliver(self) -> None:
-        """Hand the servos the newest of the goals that have arrived."""
         arrived = [write for write in self.outbox if write.due_ms <= self._clock_ms]
         self.outbox = [write for write in self.outbox if write.due_ms > self._clock_ms]
         if arrived:
-            self._plant.set_speed_limit(arrived[-1].speed)
-            self._plant.command(arrived[-1].goal[None])
+            self.plant.set_speed_limit(arrived[-1].speed)
+            self.plant.command(arrived[-1].goal[None])
 
     def _write_now(self) -> None:
-        """Write the reference without delay: a set-point that was planned long ago."""
         self.outbox.clear()
-        self._plant.set_speed_limit(FULL_SPEED)
-        self._plant.command((self._motion.reference + self.zero)[None])
+        self.plant.set_speed_limit(FULL_SPEED)
+        self.plant.command((self._motion.reference + self.zero)[None])

@@ -1,8 +1,6 @@
-"""The emulated robot where a client finds it: a TCP port, or a pseudo-terminal in place of a serial port.
+"""An emulated robot where a client finds it.
 
-Like the vendor's server on the robot, the TCP server speaks to one client at a time; others wait in
-the backlog. No client can end a server: garbage is skipped, a broken connection makes room for the
-next one. A terminal knows no clients: as with a real serial line, whoever opens it writes on it.
+A TCP port or a pseudo-terminal, one client at a time, in wall-clock time.
 """
 
 from __future__ import annotations
@@ -13,20 +11,289 @@ import os
 import pty
 import socket
 import threading
+import time
 import tty
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from types import TracebackType
-from typing import Any, Self
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from select import select
+from threading import Event
+from typing import Any, Generic, Protocol, Self, TextIO, TypeVar
 from urllib.parse import urlsplit
 
-from rejoint.robots.lab.emulator.conversation import Conversation
-from rejoint.robots.lab.emulator.faults import NONE, Faults
+import numpy as np
+
+from rejoint.arms.wire.orders import answer
+from rejoint.arms.wire.values import Decoder, Frame, encode
+from rejoint.robots.lab.emulator.faults import (
+    NONE,
+    SPLIT_PAUSE,
+    ArmFaults,
+    DeathError,
+    EmulatedArm,
+    Faults,
+    LinkGoneError,
+    WireFaults,
+)
 from rejoint.robots.lab.emulator.firmware import Firmware
-from rejoint.robots.lab.emulator.session import Session, Timing
-from rejoint.robots.lab.emulator.truthlog import TruthLog
-from rejoint.robots.lab.emulator.wirefaults import DeathError, LinkGoneError
-from rejoint.system.listening import listen_tcp
+from rejoint.system.errors import FileError
+from rejoint.system.shell import listen_tcp
+
+
+class TruthLog:
+    """Writes where the tool really is beside `time.monotonic`: CSV, one row a tick."""
+
+    def __init__(self, path: Path, stream: TextIO, joints: int) -> None:
+        self._path, self._stream = path, stream
+        self._put(
+            ["time", "x", "y", "z", *(f"{what}.joint{i + 1}" for what in ("encoder", "link") for i in range(joints))]
+        )
+
+    @classmethod
+    def open(cls, path: Path, joints: int) -> TruthLog:
+        """Begin a new file; FileError if that is not possible."""
+        try:
+            stream = path.open("w", encoding="utf-8", buffering=1)
+        except OSError as error:
+            raise FileError(path, f"cannot be written ({error.strerror})", "choose another path") from error
+        return cls(path, stream, joints)
+
+    def write(self, now: float, arm: EmulatedArm) -> None:
+        """Add a row: [s], [m], [rad]. FileError if the disk is full."""
+        self._put(f"{value:.6f}" for value in [now, *arm.true_tcp, *arm.angles, *arm.true_links])
+
+    def _put(self, row: Iterable[str]) -> None:
+        try:
+            self._stream.write(",".join(row) + "\n")
+        except OSError as error:
+            raise FileError(
+                self._path, f"cannot be written ({error.strerror})", "make room or log elsewhere"
+            ) from error
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._stream.close()
+
+
+R = TypeVar("R")
+
+MAX_CATCH_UP = 1.0
+"""[s] of simulated time made up for at once; a longer suspension of the process is skipped (chosen)"""
+HALF_FRAME_TIMEOUT = 0.05
+"""[s] to wait for the rest of a frame: 50 times the length of the longest at 115200 baud (chosen)"""
+TICK = 0.010
+"""[s] at most between two advances of the plant (chosen)"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Timing:
+    """How long answers take; measured on a myCobot 280: 12-15 ms for get_angles, 7-8 ms for an acknowledgement."""
+
+    state: float = 0.012
+    """[s] from the request to the answer that reports a state"""
+    acknowledgement: float = 0.008
+    """[s] from an order to its acknowledgement"""
+    jitter: float = 0.1
+    """relative standard deviation of both (chosen)"""
+    tick: float = TICK
+    """[s] at most between two advances of the plant"""
+    pace: float = 1.0
+    """simulated seconds per second of the wall clock; anything but 1 is for experiments without a controller"""
+
+
+class ByteStream(Protocol):
+    """A byte stream to one client."""
+
+    def fileno(self) -> int:
+        """Descriptor to wait on."""
+
+    def receive(self) -> bytes:
+        """Return what has arrived; nothing means that the client is gone."""
+
+    def send(self, data: bytes) -> None:
+        """Send everything; OSError if the client is gone."""
+
+
+def await_data(readable: int | None, pause: float) -> bool:
+    """Wait for ``pause`` [s] or until the descriptor ``readable`` has data; whether it has."""
+    return bool(select([] if readable is None else [readable], [], [], pause)[0])
+
+
+class Finder(Protocol[R]):
+    """Finds requests in a stream of bytes."""
+
+    @property
+    def pending(self) -> bool:
+        """Whether the beginning of a request is there, so that its rest is awaited."""
+
+    def feed(self, data: bytes) -> list[R]:
+        """Take bytes; return the requests that are whole now."""
+
+    def expire(self) -> list[R]:
+        """Give up the request whose rest did not come; return those that stood inside it."""
+
+
+class Conversation(ABC, Generic[R]):
+    """The robot's side of all conversations; one thread, one client at a time.
+
+    A test brings its own ``clock`` and ``await_data``.
+    """
+
+    scheme: str
+    """of the addresses at which a driver finds it on a TCP port"""
+
+    def __init__(
+        self,
+        arm: EmulatedArm,
+        *,
+        timing: Timing | None = None,
+        seed: int = 0,
+        log: TruthLog | None = None,
+        faults: Faults = NONE,
+        clock: Callable[[], float] = time.monotonic,
+        await_data: Callable[[int | None, float], bool] = await_data,
+    ) -> None:
+        self._timing = timing or Timing()
+        self._emulated, self._tick, self._pace = arm, self._timing.tick, self._timing.pace
+        self._log = log
+        self._clock, self._await_data = clock, await_data
+        self._wire, self._arm = WireFaults(faults, seed), ArmFaults(faults, arm)
+        # when the first byte came
+        self._began: float | None = None
+        # when the newest bytes came; those that came while a request was worked on count as come with that one
+        self._came = 0.0
+        self._now: float | None = None
+        self._stopping = Event()
+
+    @property
+    def stopping(self) -> bool:
+        """Whether the end was asked for."""
+        return self._stopping.is_set()
+
+    def end(self) -> None:
+        """Ask for the end; the conversation stops within a tick. May be called from any thread."""
+        self._stopping.set()
+
+    def wait(self, readable: int | None, until: float) -> bool:
+        """Let time pass until ``until`` [s] or until ``readable`` has data.
+
+        LinkGoneError or DeathError by the faults.
+        """
+        while not self.stopping:
+            now = self._catch_up()
+            self._wire.check(self._elapsed(now))
+            pause = max(0.0, min(until - now, self._tick))
+            if self._await_data(readable, pause):
+                return True
+            if self._clock() >= until:
+                break
+        return False
+
+    def outlast_absence(self) -> None:
+        """Let time pass until there is a link again; DeathError if the emulator has to end first."""
+        while not self.stopping:
+            try:
+                self._wire.check(self._elapsed(self._catch_up()))
+            except LinkGoneError:
+                self._await_data(None, self._tick)
+            else:
+                return
+
+    def converse(self, channel: ByteStream) -> None:
+        """Answer one client until it is gone or the end was asked for."""
+        finder = self._finder()
+        self._came = self._clock()
+        try:
+            while not self.stopping:
+                requests = self._receive(channel, finder)
+                if requests is None:
+                    return
+                for request in requests:
+                    self._catch_up()
+                    self._answer(channel, request)
+        except OSError:
+            return  # a client that breaks the connection is gone, like one that closes it
+
+    def _receive(self, channel: ByteStream, finder: Finder[R]) -> list[R] | None:
+        """Return the requests that came within a tick; None if the client is gone."""
+        timeout = HALF_FRAME_TIMEOUT if finder.pending else self._tick
+        lay_there = self._await_data(channel.fileno(), 0.0)
+        if not self.wait(channel.fileno(), self._clock() + timeout):
+            return finder.expire()
+        if not self._moves_on():
+            return []
+        if not lay_there:
+            self._came = self._clock()
+        data = channel.receive()
+        if not data:
+            return None
+        if self._began is None:
+            self._began = self._clock()
+            self._arm.advance(0.0)
+        return finder.feed(data)
+
+    @abstractmethod
+    def _finder(self) -> Finder[R]:
+        """Make what finds the requests of a new client."""
+
+    @abstractmethod
+    def _answer(self, channel: ByteStream, request: R) -> None:
+        """Answer with the state at the moment of the request."""
+
+    def _moves_on(self) -> bool:
+        now = self._clock()
+        left = self._wire.still_until(self._elapsed(now)) - self._elapsed(now)
+        if left <= 0.0:
+            return True
+        self.wait(None, now + left)
+        return not self.stopping
+
+    def _elapsed(self, now: float) -> float:
+        """[s] since the first byte, -1 before it."""
+        return -1.0 if self._began is None else now - self._began
+
+    def _catch_up(self) -> float:
+        now = self._clock()
+        if self._now is None:
+            self._now = now
+        if now - self._now >= 1e-3:
+            if self._began is not None:
+                self._arm.advance(self._elapsed(now))
+            self._emulated.advance(min(now - self._now, MAX_CATCH_UP) * self._pace)
+            self._now = now
+            if self._log is not None:
+                self._log.write(now, self._emulated)
+        return now
+
+
+class WireSession(Conversation[Frame]):
+    """One arm with this ``firmware``, whose answers take as long as ``timing`` says."""
+
+    scheme = "tcp"
+
+    def __init__(self, firmware: Firmware, *, seed: int = 0, **options: Any) -> None:  # noqa: ANN401
+        super().__init__(firmware, seed=seed, **options)
+        self._firmware = firmware
+        self._rng = np.random.default_rng(seed)
+
+    def _finder(self) -> Decoder:
+        return Decoder()
+
+    def _answer(self, channel: ByteStream, request: Frame) -> None:
+        reply = answer(self._firmware, request)
+        if reply is None:
+            return
+        self._arm.was_asked(request.command)
+        mean = self._timing.state if reply.is_state else self._timing.acknowledgement
+        delay = mean * max(0.0, 1.0 + self._timing.jitter * self._rng.standard_normal())
+        self.wait(None, self._clock() + delay + self._wire.delay)
+        for place, piece in enumerate(self._wire.pieces(encode(request), encode(reply.frame))):
+            if place:
+                self.wait(None, self._clock() + SPLIT_PAUSE)
+            if self._moves_on():
+                channel.send(piece)
+
 
 BACKLOG = 1
 """Clients that may wait, as in the vendor's server."""
@@ -87,15 +354,11 @@ class Server(ABC):
         self.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop()
 
 
 class _SocketChannel:
-    """One accepted connection."""
-
     def __init__(self, connection: socket.socket) -> None:
         self._connection = connection
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -112,11 +375,9 @@ class _SocketChannel:
 
 
 class _TcpServer(Server):
-    """Listens from its construction by `serve_tcp` on."""
-
-    def __init__(self, session: Conversation[Any], listener: socket.socket, scheme: str) -> None:
+    def __init__(self, session: Conversation[Any], listener: socket.socket) -> None:
         host, port = listener.getsockname()[:2]
-        super().__init__(session, f"{scheme}://{host}:{port}")
+        super().__init__(session, f"{session.scheme}://{host}:{port}")
         self._listener = listener
 
     def _serve(self) -> None:
@@ -142,8 +403,6 @@ class _TcpServer(Server):
 
 
 class _TerminalChannel:
-    """The robot's end of a pseudo-terminal; it never ends, whoever opens and closes the other end."""
-
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
 
@@ -154,13 +413,13 @@ class _TerminalChannel:
         return os.read(self._descriptor, _CHUNK)
 
     def send(self, data: bytes) -> None:
-        with contextlib.suppress(BlockingIOError):  # nobody reads: lost, as on a wire
+        with contextlib.suppress(BlockingIOError):  # no reader: lost, as on a wire
             os.write(self._descriptor, data)
 
 
 class _TerminalServer(Server):
-    def __init__(self, session: Conversation[Any], own: int, client: int, scheme: str) -> None:
-        super().__init__(session, f"{scheme}://{os.ttyname(client)}?baud=1000000")
+    def __init__(self, session: Conversation[Any], own: int, client: int) -> None:
+        super().__init__(session, f"{session.scheme.replace('tcp', 'serial')}://{os.ttyname(client)}?baud=1000000")
         self._own = own
         self._open = [client, own]
 
@@ -185,46 +444,27 @@ def beyond_loopback(address: str) -> bool:
     return place.hostname is not None and not ipaddress.ip_address(place.hostname).is_loopback
 
 
-def serve_tcp(
-    firmware: Firmware,
-    host: str = "127.0.0.1",
-    port: int = 9000,
-    *,
-    timing: Timing | None = None,
-    seed: int = 0,
-    log: TruthLog | None = None,
-    faults: Faults = NONE,
-) -> Server:
-    """Listen on a TCP port (0: any free one); InputError if that is not possible. Run it to serve."""
-    session = Session(firmware, timing=timing or Timing(), seed=seed, log=log, faults=faults)
-    return on_port(session, host, port, scheme="tcp")
+def serve_tcp(firmware: Firmware, host: str = "127.0.0.1", port: int = 9000, **options: Any) -> Server:  # noqa: ANN401
+    """Listen on a TCP port (0: any free one); InputError if that fails. ``options`` are those of `WireSession`."""
+    return on_port(WireSession(firmware, **options), host, port)
 
 
-def serve_pty(
-    firmware: Firmware,
-    *,
-    timing: Timing | None = None,
-    seed: int = 0,
-    log: TruthLog | None = None,
-    faults: Faults = NONE,
-) -> Server:
+def serve_pty(firmware: Firmware, **options: Any) -> Server:  # noqa: ANN401
     """Open a pseudo-terminal that a driver can open like a serial port. Run the server to serve."""
-    session = Session(firmware, timing=timing or Timing(), seed=seed, log=log, faults=faults)
-    return on_terminal(session, scheme="serial")
+    return on_terminal(WireSession(firmware, **options))
 
 
-def on_port(session: Conversation[Any], host: str, port: int, *, scheme: str) -> Server:
-    """Hold a conversation on a TCP port (0: any free one), at an address of ``scheme``; InputError if it cannot be."""
-    return _TcpServer(session, listen_tcp(host, port, BACKLOG), scheme)
+def on_port(session: Conversation[Any], host: str, port: int) -> Server:
+    """Hold a conversation on a TCP port (0: any free one); InputError if it cannot be."""
+    return _TcpServer(session, listen_tcp(host, port, BACKLOG))
 
 
-def on_terminal(session: Conversation[Any], *, scheme: str) -> Server:
-    """Hold a conversation on a pseudo-terminal, at an address of ``scheme``.
+def on_terminal(session: Conversation[Any]) -> Server:
+    """Hold a conversation on a pseudo-terminal.
 
-    The client's end is put into raw mode and kept open here: otherwise the terminal would echo
-    before the first client opens it, and fail when the last one closes it.
+    The client's end is kept open in raw mode, so that it neither echoes nor fails.
     """
     own, client = pty.openpty()
     tty.setraw(client)
     os.set_blocking(own, False)
-    return _TerminalServer(session, own, client, scheme)
+    return _TerminalServer(session, own, client)

@@ -1,45 +1,94 @@
 """A batch of simulated worn arms: what a lab full of real ones would be.
 
-Shares no code with `rejoint.twin`, on purpose (see the package docstring). Arms do not collide with
-anything; mechanical stops end the travel of the joints.
+Its rigid bodies are a MuJoCo model with two hinges per axis: the servo output, with the inertia of motor and gear as
+armature, and behind it play and flex. Gravity, motor, friction, play and flex are applied torques.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, gravity_torque, tcp_pose, tcp_position
+from rejoint.arms import Arm, Array, gravity_torque, tcp_pose
 from rejoint.arms.inertia import SpatialInertia, combined
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.robots.lab.plant import servo
-from rejoint.robots.lab.plant.model import build_model
-from rejoint.robots.lab.plant.scaling import scale_of
-from rejoint.robots.lab.plant.streams import stream_keys
-from rejoint.robots.lab.plant.wear import PARAMETERS, Wear
+from rejoint.robots.lab.plant.servo import STEP, stream_keys
+from rejoint.robots.lab.plant.wear import PARAMETERS, Wear, scale_of
 from rejoint.system.errors import InputError
+
+_DISABLED = (
+    mujoco.mjtDisableBit.mjDSBL_CONSTRAINT,
+    mujoco.mjtDisableBit.mjDSBL_CONTACT,
+    mujoco.mjtDisableBit.mjDSBL_ACTUATION,
+    mujoco.mjtDisableBit.mjDSBL_SENSOR,
+    mujoco.mjtDisableBit.mjDSBL_SPRING,
+    mujoco.mjtDisableBit.mjDSBL_DAMPER,
+    mujoco.mjtDisableBit.mjDSBL_WARMSTART,
+    mujoco.mjtDisableBit.mjDSBL_AUTORESET,
+)
+# [kg m^2] placeholders that keep the inertia matrix regular while MuJoCo compiles the chain.
+_ARMATURE = {"servo": 0.01, "gear": 0.001}
+
+
+def build_model(arm: Arm, gravity: Array = GRAVITY) -> mujoco.MjModel:
+    """Compile the chain of ``arm`` with 2n hinges under ``gravity`` (3,); the plant sets the armatures of each arm."""
+    spec = mujoco.MjSpec()
+    spec.option.gravity = gravity
+    spec.option.timestep = STEP
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    for flag in _DISABLED:
+        spec.option.disableflags |= flag
+    body = spec.worldbody
+    for i, name in enumerate(arm.joint_names):
+        quaternion = np.empty(4)
+        mujoco.mju_mat2Quat(quaternion, arm.offset[i, :3, :3].flatten())
+        inertia = arm.inertia[i]
+        body = body.add_body(
+            name=name,
+            pos=arm.offset[i, :3, 3],
+            quat=quaternion,
+            mass=arm.mass[i],
+            ipos=arm.com[i],
+            fullinertia=[*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2]],
+            explicitinertial=True,
+        )
+        for part, armature in _ARMATURE.items():
+            body.add_joint(name=f"{name}/{part}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=arm.axis[i], armature=armature)
+    return spec.compile()
+
 
 Mask = NDArray[np.bool_]
 Ids = NDArray[np.int64]
 
+# [N m] gravity torque below which a link rests in the middle of its play instead of at a flank.
 _NO_LOAD = 1e-6
-"""[N m] gravity torque below which a link rests in the middle of its play instead of at a flank."""
 
 ARMS_PER_THREAD = 24
-"""Fewer are not worth waking another thread for at every step (chosen: the thread that waits needs twice the processor
-time of one that steps 6 arms itself, and three quarters of it for 60)"""
+"""Arms for which another thread is worth waking (chosen by processor time)"""
+
+
+class Truth(NamedTuple):
+    """What of the arms differs from their description, and no driver is told."""
+
+    payload: Array | float = 0.0
+    """[kg] one for all, or (B,), a point mass held at the TCP"""
+    bodies: Sequence[Arm] | None = None
+    """(B,) the arms as they really are"""
+    gravity: Array = GRAVITY
+    """(3,) [m/s^2] in the frame of the base"""
 
 
 class Plant:
     """B simulated arms with clocks of their own, one per wear, each in millisecond steps.
 
-    Arm i draws its noise from the stream ``first + i`` of ``seed``, so it behaves bit for bit as it
-    would alone, ``Plant(arm, [wears[i]], seed=seed, first=first + i)``, at any number of threads.
+    Arm i draws its noise from the stream ``first + i`` of ``seed`` and behaves bit for bit as it would alone.
     """
 
     def __init__(
@@ -50,22 +99,14 @@ class Plant:
         seed: int,
         threads: int = 1,
         first: int = 0,
-        payload: Array | float = 0.0,
-        bodies: Sequence[Arm] | None = None,
-        gravity: Array = GRAVITY,
+        truth: Truth | None = None,
     ) -> None:
-        """Put the arms at rest; ``payload`` is a number or (B,) [kg], a point mass held at the TCP.
-
-        ``bodies`` are the arms (B) as they really are, where ``arm`` only describes them; ``gravity`` (3,) [m/s^2] in
-        the frame of the base is another one where that stands askew.
-        """
-        if not wears:
-            raise InputError("a plant needs at least one wear profile, got none")
-        self.arm = arm
+        """Put the arms at rest."""
+        self.arm, truth = arm, truth or Truth()
         self.count = len(wears)
-        self._pull = np.asarray(gravity, dtype=float)
-        self._carried = _loaded(arm, np.broadcast_to(np.asarray(payload, dtype=float), self.count), bodies)
-        self._bent = () if bodies is None else tuple(range(self.count))
+        self._pull = np.asarray(truth.gravity, dtype=float)
+        self._carried = _loaded(arm, np.broadcast_to(np.asarray(truth.payload, float), self.count), truth.bodies)
+        self._bent = () if truth.bodies is None else tuple(range(self.count))
         self.joints = np.array([joint_records(arm, wear) for wear in wears])
         """(B, n) what the joints are made of, as `servo.JOINT`"""
         self.servos = np.zeros((self.count, arm.joints), servo.STATE)
@@ -85,6 +126,7 @@ class Plant:
         self.qpos, self.qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
         """(B, 2 n) [rad] and [rad/s]: by turns the angle of a servo's output and that of the gear behind it"""
         self._applied = self.batch.bind("qfrc_applied")
+        self._bodies = self.qpos, self.qvel, self._applied
         self.servos["speed_limit"] = servo.ramp_speed(arm.max_speed)
         self.servos["temperature"] = self.joints["ambient"]
         self.reset(np.tile(arm.rest, (self.count, 1)))
@@ -135,11 +177,7 @@ class Plant:
 
     def true_tcp(self) -> Array:
         """(B, 3) [m] where the tools really are."""
-        links = self.link_position()
-        tcp = tcp_position(self.arm, links)
-        for i in self._bent:
-            tcp[i] = tcp_position(self._carried[i], links[i])
-        return tcp
+        return self.true_pose()[:, :3, 3]
 
     def true_pose(self) -> Array:
         """(B, 4, 4) poses of the tools as they really are."""
@@ -152,16 +190,10 @@ class Plant:
     def encoder(self, age: Array | float | None = None) -> Array:
         """(B, n) [rad] what the encoders said ``age`` (B,) [s] ago, now if None."""
         steps = np.rint(np.broadcast_to(0.0 if age is None else age, self.count) / servo.STEP).astype(np.int64)
-        if (steps < 0).any() or (steps >= servo.HISTORY).any():
-            raise InputError(f"encoder age must be within 0 and {(servo.HISTORY - 1) * servo.STEP} s, got {age}")
         return self._history[np.arange(self.count), (self._tick - steps) % servo.HISTORY]
 
     def reset(self, position: Array, where: Mask | None = None) -> None:
-        """Put the arms where their encoders read ``position`` (B, n) [rad], at rest, in balance, held there.
-
-        The firmware's reference leads by what its gain needs against gravity and its offset, so nothing moves until
-        a command arrives. Clocks and temperatures go on; commands on their way are dropped, encoders are whole again.
-        """
+        """Put the arms where their encoders read ``position`` (B, n) [rad], at rest, in balance, held there."""
         position = self._checked(position)
         angle, gear, load = self._balance(position)
         ids = self._selected(where)
@@ -187,8 +219,6 @@ class Plant:
         """Send ``position`` (B, n) [rad]; it reaches the firmware after ``delay`` (B,) [s], never earlier."""
         position = self._checked(position)
         wait = np.broadcast_to(0.0 if delay is None else delay, self.count)
-        if not (np.isfinite(wait).all() and (wait >= 0).all()):
-            raise InputError(f"a command needs a delay of at least 0 s, got {delay}")
         due = self._tick + np.ceil(wait / servo.STEP - 1e-9).astype(np.int64)
         for i in self._selected(where):
             slot = int(np.argmax(self._due[i]))
@@ -199,8 +229,6 @@ class Plant:
     def advance(self, duration: Array | float, where: Mask | None = None) -> None:
         """Let ``duration`` (B,) [s] pass, rounded to whole milliseconds per arm."""
         wanted = np.broadcast_to(duration, self.count)
-        if not (np.isfinite(wanted).all() and (wanted >= 0).all()):
-            raise InputError(f"an arm advances by at least 0 s, got {duration}")
         steps = np.zeros(self.count, np.int64)
         chosen = self._selected(where)
         steps[chosen] = np.rint(wanted[chosen] / servo.STEP).astype(np.int64)
@@ -230,8 +258,6 @@ class Plant:
     def set_speed_limit(self, speed: Array | float) -> None:
         """Limit the speed of the reference: (B,), (B, n) or a number, [rad/s], above 0."""
         speed = np.asarray(speed, dtype=float)
-        if not (np.isfinite(speed).all() and (speed > 0).all()):
-            raise InputError(f"a speed limit must be above 0 rad/s, got {speed.tolist()}")
         self.servos["speed_limit"] = speed[:, None] if speed.ndim == 1 else speed
 
     def _hold(self, ids: Ids, position: Array) -> None:
@@ -245,10 +271,7 @@ class Plant:
     def _run(self, ids: Ids, steps: int) -> None:
         stepped = None if len(ids) == self.count else ids
         for _ in range(steps):
-            servo.drive(
-                ids, self._tick, self._key, self.joints, self.servos, self._due, self._queue,
-                self.qpos, self.qvel, self._applied,
-            )  # fmt: skip
+            servo.drive(ids, self._tick, self._key, (self.joints, self.servos), (self._due, self._queue), self._bodies)
             self.batch.step(stepped)
             servo.record(ids, self._tick, self.joints, self.servos, self.qpos, self._history)
 
@@ -270,7 +293,6 @@ class Plant:
         return load
 
     def _load_tools(self) -> None:
-        """Give the bodies of the arms in `_carried` their own masses, and places where they have some."""
         if not self._carried:
             return
         mass, com = self.batch.expand("body_mass"), self.batch.expand("body_ipos")
@@ -304,14 +326,10 @@ class Plant:
 
 
 def _loaded(arm: Arm, payload: Array, bodies: Sequence[Arm] | None) -> dict[int, Arm]:
-    """Return the arms of a batch that differ from ``arm``: ``bodies``, and those that carry a ``payload`` (B,) [kg].
+    """Return the arms of a batch that differ from ``arm``.
 
-    It is a point mass joined to their last link.
+    ``bodies``, and those with a ``payload`` (B,) [kg] at their TCP.
     """
-    if not (np.isfinite(payload).all() and (payload >= 0).all()):
-        raise InputError(f"a payload is at least 0 kg, got {payload.tolist()}")
-    if bodies is not None and len(bodies) != len(payload):
-        raise InputError(f"a plant of {len(payload)} arms needs as many bodies, got {len(bodies)}")
     described, carried = arm, {} if bodies is None else dict(enumerate(bodies))
     for i in np.flatnonzero(payload > 0.0):
         arm = carried.get(int(i), described)

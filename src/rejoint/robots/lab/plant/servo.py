@@ -1,29 +1,50 @@
-"""One servo, its gear and what lies behind it, once per millisecond: firmware, motor, friction, play.
+"""One servo, its gear and what lies behind it, once per millisecond, in rad, rad/s and N m; and the channel to it.
 
-Everything about the plant that is not rigid-body mechanics is here, as scalar functions of one joint
-that read like firmware. Positions are in rad, speeds in rad/s, torques in N m.
-
-Sources
--------
-Structure and gains of position servos of this class (proportional and derivative term, dead zone of
-one count, speed-limited goal): register table of Feetech STS servos, whose registers the vendor's
-manual of the myCobot 280 shows. Motor: the linear torque-speed line of a DC motor.
-Friction: LuGre (Canudas de Wit et al. 1995) with the Stribeck curve, in the elasto-plastic form of
-Dupont et al. 2002, whose bristles are purely elastic until they slide; the original creeps under
-any vibration and so has no stiction. The load-dependent part follows Linderoth et al. 2013.
-Play: dead-band spring (Nordin and Gutman 2002).
+Sources: position loop by the register table of Feetech STS servos; motor by the linear torque-speed line; friction
+LuGre (Canudas de Wit et al. 1995) with the Stribeck curve in the elasto-plastic form of Dupont et al. 2002,
+load-dependent after Linderoth et al. 2013; play as a dead-band spring (Nordin and Gutman 2002). Random streams: number
+n of a stream is a pure function of its key and n, mixed by SplitMix64 (Steele, Lea, Flood 2014).
 """
 
-# mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
-# ruff: noqa: ANN001, ANN201
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from rejoint.arms import Array
-from rejoint.robots.lab.plant.streams import uniform
+from rejoint.arms import Arm, Array
+
+# mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
+# ruff: noqa: ANN001, ANN201
+
+
+Keys = NDArray[np.uint64]
+
+_STEP = np.uint64(0x9E3779B97F4A7C15)
+_MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
+_MIX_2 = np.uint64(0x94D049BB133111EB)
+_SHIFT_1, _SHIFT_2, _SHIFT_3, _TO_53_BITS = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(11)
+_UNIT = 2.0**-53
+
+
+def stream_keys(seed: int, count: int, *, first: int = 0, purpose: int = 0) -> Keys:
+    """Keys (count,) of the streams of arms ``first``, ``first + 1``, ... for one purpose."""
+    sequences = (np.random.SeedSequence(seed, spawn_key=(first + i, purpose)) for i in range(count))
+    return np.array([sequence.generate_state(1, np.uint64)[0] for sequence in sequences], dtype=np.uint64)
+
+
+@njit(cache=True)
+def uniform(key, counter):
+    """Return number ``counter`` of the stream ``key``, uniform in [0, 1)."""
+    z = key + np.uint64(counter + 1) * _STEP
+    z = (z ^ (z >> _SHIFT_1)) * _MIX_1
+    z = (z ^ (z >> _SHIFT_2)) * _MIX_2
+    z = z ^ (z >> _SHIFT_3)
+    return np.float64(z >> _TO_53_BITS) * _UNIT
+
 
 STEP = 0.001
 """[s] period of the servo firmware and step of the simulation (chosen: STS servos run about 1 kHz)"""
@@ -58,36 +79,34 @@ AMBIENT = 25.0
 _HEAT_RISE = 60.0  # [deg C] final rise of a servo held at its torque limit (chosen: trips near 80 deg C)
 _HEAT_TIME = 400.0  # [s] thermal time constant (chosen)
 
-JOINT = np.dtype(
-    [
-        ("position_gain", "f8"), ("damping_gain", "f8"), ("torque_limit", "f8"), ("coulomb", "f8"),
-        ("stiction", "f8"), ("load_friction", "f8"), ("play", "f8"), ("link_stiffness", "f8"),
-        ("reflected_inertia", "f8"), ("ripple", "f8"), ("torque_noise", "f8"), ("play_in_loop", "?"),
-        ("encoder_step", "f8"), ("lower", "f8"), ("upper", "f8"), ("offset", "f8"), ("no_load_speed", "f8"),
-        ("grease", "f8"), ("stop_stiffness", "f8"), ("stop_damping", "f8"),
-        ("ambient", "f8"),
-    ]
-)  # fmt: skip
+
+def record_of(*, real: str, whole: str = "", flag: str = "") -> np.dtype[np.void]:
+    """Record type with these fields, by their kind."""
+    kinds = ((real, "f8"), (whole, "i8"), (flag, "?"))
+    return np.dtype([(name, kind) for names, kind in kinds for name in names.split()])
+
+
+JOINT = record_of(
+    real="position_gain damping_gain torque_limit coulomb stiction load_friction play link_stiffness "
+    "reflected_inertia ripple torque_noise encoder_step lower upper offset no_load_speed grease "
+    "stop_stiffness stop_damping ambient",
+    flag="play_in_loop",
+)
 """What a joint is made of; the first fields and the offset are those of `rejoint.robots.lab.plant.wear.Wear`."""
 
-STATE = np.dtype(
-    [
-        ("goal", "f8"), ("reference", "f8"), ("speed_limit", "f8"), ("measured", "f8"),
-        ("measured_speed", "f8"), ("bristle", "f8"), ("torque", "f8"), ("load", "f8"), ("temperature", "f8"),
-        ("powered", "?"), ("frozen", "?"), ("blind", "?"),
-    ]
-)  # fmt: skip
-"""What a servo remembers between two steps, and which readings of its encoder no longer change: those it tells
-(``frozen``), or those it controls by as well (``blind``)."""
+STATE = record_of(
+    real="goal reference speed_limit measured measured_speed bristle torque load temperature",
+    flag="powered frozen blind",
+)
+"""What a servo remembers; an encoder that is ``frozen`` reports, one that is ``blind`` also controls by, an old
+reading."""
 
 
 def gear_armature(stiffness: Array) -> Array:
-    """Inertia [kg m^2] that the gear hinge needs beside the link's own.
+    """Inertia [kg m^2] of the gear hinge beside the link's own.
 
-    A wrist link has 1e-5 kg m^2; on its gear stiffness it would ring at kilohertz, which explicit
-    steps of 1 ms cannot follow. This much inertia on the relative motion alone (it does not weigh on
-    the motion of motor and link together) keeps every gear oscillation at `_GEAR_STEPS` steps per
-    radian, a quarter of the stability limit, whatever the stiffness.
+    It keeps every gear oscillation at `_GEAR_STEPS` steps per radian: explicit steps of 1 ms cannot follow a light
+    wrist.
     """
     return stiffness * (_GEAR_STEPS * STEP) ** 2
 
@@ -180,13 +199,13 @@ def warm_up(joint, servo):
 
 
 @njit(cache=True)
-def drive(ids, tick, key, joints, servos, due, queue, qpos, qvel, applied):
+def drive(ids, tick, key, arms, commands, bodies):
     """Write the torques of the coming step for the arms ``ids``.
 
-    ``tick`` (B,) counts steps, ``key`` (B,) names the noise streams, ``joints`` (B, n) JOINT and
-    ``servos`` (B, n) STATE, ``due`` (B, QUEUE) and ``queue`` (B, QUEUE, n) hold commands on their way,
-    ``qpos``, ``qvel`` and ``applied`` (B, 2n) are MuJoCo's.
+    ``tick`` and ``key`` (B,); of ``arms`` JOINT and STATE (B, n), of ``commands`` due steps (B, QUEUE) and goals
+    (B, QUEUE, n), of ``bodies`` positions, velocities and applied torques (B, 2n).
     """
+    (joints, servos), (due, queue), (qpos, qvel, applied) = arms, commands, bodies
     n = joints.shape[1]
     for i in ids:
         receive(tick[i], due[i], queue[i], servos[i])
@@ -228,3 +247,51 @@ def record(ids, tick, joints, servos, qpos, history):
                 history[i, tick[i] % HISTORY, j] = history[i, (tick[i] - 1) % HISTORY, j]
             else:
                 history[i, tick[i] % HISTORY, j] = read_encoder(joints[i, j], qpos[i, 2 * j], qpos[i, 2 * j + 1])
+
+
+Interval = tuple[float, float]
+
+_DRAWS = 3
+
+
+class Delays(NamedTuple):
+    """What the channel does in one control cycle."""
+
+    latency: Array
+    """(B,) [s] from sending a command to its arrival in the firmware"""
+    age: Array
+    """(B,) [s] how old a joint position is when its answer arrives"""
+    period: Array
+    """(B,) [s] length of the cycle"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Channel:
+    """Uniform distributions of the delays; the defaults are those of an idle wire."""
+
+    latency: Interval = (0.008, 0.013)
+    """[s]"""
+    age: Interval = (0.006, 0.013)
+    """[s]"""
+    period: Interval = (0.020, 0.030)
+    """[s]"""
+
+    def draw(self, keys: Keys, cycle: NDArray[np.int64]) -> Delays:
+        """Delays of cycle number ``cycle`` (B,) for the arms with these stream keys (B,)."""
+        unit = _draw_units(keys, cycle)
+        low, high = np.array([self.latency, self.age, self.period]).T
+        return Delays(*(low + unit * (high - low)).T)
+
+
+@njit(cache=True)
+def _draw_units(keys, cycle):  # noqa: ANN202
+    unit = np.empty((len(keys), _DRAWS))
+    for i in range(len(keys)):
+        for k in range(_DRAWS):
+            unit[i, k] = uniform(keys[i], cycle[i] * _DRAWS + k)
+    return unit
+
+
+def has_these_servos(arm: Arm) -> bool:
+    """Tell whether every joint of ``arm`` is moved by such a servo."""
+    return set(arm.servos) == {"STS3215"}

@@ -1,28 +1,30 @@
-"""The position loop of an STS3215 as its firmware computes it: whole counts and per mille of PWM, once per millisecond.
+"""The position loop of an STS3215 in whole counts and per mille of PWM, once per millisecond.
 
-A second servo beside that of `rejoint.robots.lab.plant.servo`, whose friction, gear and mechanical stops it shares.
-Counts are those of the encoder, from the zero of the joint; what a register holds is read by whoever fills `SETTING`.
+Arms with such servos are here as well.
 
-Sources
--------
-Structure, units and order of operations: read in 0o8o0-blip/sts3215-firmware (MIT; a rewrite that is compared with the
-maker's binary), and checked against kscalelabs/sysid's duty over error on a bench (within 3 %), Feetech's own
-identification (error gain 0.163 per rad and unit of P) and an owner's sag at P = 16 and 32 (lerobot, PR 4310). Units
-of the registers: Feetech's memory table.
+Sources: 0o8o0-blip/sts3215-firmware (MIT), checked against kscalelabs/sysid, Feetech's own identification and an
+owner's sag (lerobot, PR 4310); units by Feetech's memory table. A profile's ``position_gain`` gives the stall torque at
+`RECORDED_P`, its ``offset`` a constant torque.
 """
 
-# mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
-# ruff: noqa: ANN001, ANN201
 from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numba import njit
 
-from rejoint.arms import Arm
-from rejoint.robots.lab.plant.servo import STEP
+from rejoint.arms import Arm, Array
+from rejoint.robots.lab.plant import servo
+from rejoint.robots.lab.plant.plant import Ids, Mask, Plant
+from rejoint.robots.lab.plant.servo import STEP, record_of, uniform
+from rejoint.robots.lab.plant.wear import Wear
 
-SERVO = "STS3215"
-"""As `rejoint.arms.Arm.servos` calls it"""
+# mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
+# ruff: noqa: ANN001, ANN201, ANN202
+
+
 COUNTS = 4096
 """of the encoder a turn"""
 WINDOW = 20
@@ -34,8 +36,7 @@ PWM_MOST = 970
 NOMINAL_VOLTAGE = 12.0
 """[V] at which stall torque and no-load speed are named"""
 STALL_CURRENT = 12.0 / 9.03
-"""[A] by the winding that kscalelabs/sysid fitted at 12 V, 9.03 ohm; the data sheet names 2.7 A, at which the current
-protection would come before the overload protection, and on the same bench it did not"""
+"""[A] by the winding that kscalelabs/sysid fitted, 9.03 ohm; the data sheet names 2.7 A"""
 VOLTAGE, HEAT, CURRENT, OVERLOAD = 1, 4, 8, 32
 """Bits of the status register."""
 GAIN_PER_P = COUNTS / (2 * np.pi) / 4 / PWM_FULL
@@ -48,29 +49,20 @@ _HOT_TICKS = 50  # ticks over the limit that count
 _COOL = 5.0  # [deg C] below the limit at which heat is forgotten
 _INTEGRAL_DIVISOR = 500
 
-SETTING = np.dtype(
-    [
-        ("p", "i8"), ("d", "i8"), ("i", "i8"), ("startup", "i8"), ("integral_limit", "i8"), ("dead_cw", "i8"),
-        ("dead_ccw", "i8"), ("torque_limit", "i8"), ("least", "i8"), ("most", "i8"), ("acceleration", "f8"),
-        ("speed", "f8"), ("threshold", "i8"), ("unloading", "i8"), ("protective", "i8"), ("protection_ticks", "i8"),
-        ("overload", "i8"), ("current_limit", "f8"), ("current_ticks", "i8"), ("heat_limit", "f8"),
-        ("low_voltage", "f8"), ("high_voltage", "f8"), ("torque_on", "i8"), ("voltage", "f8"), ("warmth", "f8"),
-        ("stall", "f8"), ("bias", "f8"), ("viscous", "f8"),
-    ]
-)  # fmt: skip
-"""What a servo is told, in the units of the law: outputs in 0.1 % PWM, ``least`` and ``most`` in counts (equal: none),
-``acceleration`` and ``speed`` of the reference in counts/s^2 and counts/s, currents in A, ``torque_on`` 0, 1 or 2
-(damping); then what it finds: ``voltage`` [V] of its supply, ``warmth`` [K] beside that of its own work, ``stall``
-[N m] at `NOMINAL_VOLTAGE`, ``bias`` [N m], a constant torque on the joint that no model of its masses explains, and
-``viscous`` [N m s/rad], what its friction grows with speed."""
+SETTING = record_of(
+    whole="p d i startup integral_limit dead_cw dead_ccw torque_limit least most threshold unloading protective "
+    "protection_ticks overload current_ticks torque_on",
+    real="acceleration speed current_limit heat_limit low_voltage high_voltage voltage warmth stall bias viscous",
+)
+"""What a servo is given: outputs in 0.1 % PWM, ``least`` and ``most`` in counts (equal: none), counts/s^2, counts/s, A,
+``torque_on`` 0, 1 or 2 (damping); and what it finds: ``voltage`` [V], ``warmth`` [K], ``stall`` [N m], ``bias`` [N m],
+``viscous`` [N m s/rad]."""
 
-STATUS = np.dtype(
-    [
-        ("goal", "i8"), ("reference", "f8"), ("rate", "f8"), ("filtered", "f8"), ("position", "i8"), ("speed", "i8"),
-        ("error", "i8"), ("sum", "f8"), ("output", "i8"), ("moving", "?"), ("current", "f8"), ("alarms", "i8"),
-        ("blocked", "i8"), ("blocked_at", "i8"), ("sign", "i8"), ("over_current", "i8"), ("hot", "i8"),
-    ]
-)  # fmt: skip
+STATUS = record_of(
+    whole="goal position speed error output alarms blocked blocked_at sign over_current hot",
+    real="reference rate filtered sum current",
+    flag="moving",
+)
 """What a servo remembers: counts, counts/s, 0.1 % PWM, A; ``alarms`` are bits, then counters in ticks."""
 
 DEFAULTS = {
@@ -81,11 +73,6 @@ DEFAULTS = {
     "warmth": 0.0, "stall": 2.94, "bias": 0.0, "viscous": 0.0,
 }  # fmt: skip
 """A servo as sold (C018), powered, with its torque on."""
-
-
-def has_these_servos(arm: Arm) -> bool:
-    """Tell whether every joint of ``arm`` is moved by such a servo."""
-    return set(arm.servos) == {SERVO}
 
 
 @njit(cache=True)
@@ -204,11 +191,10 @@ def torque_of(setting, status, powered, speed, no_load_speed):
 
 
 @njit(cache=True)
-def tick_servo(setting, status, errors, positions, tick, count, powered, speed, no_load_speed, temperature):
-    """One millisecond of a servo whose encoder reads ``count``; returns the torque [N m] of its motor.
-
-    While the torque is off, the reference stays with the joint, so that nothing jumps when it comes on.
-    """
+def tick_servo(setting, status, rings, joint, state, tick, count, speed):
+    """One millisecond of a servo whose encoder reads ``count``; returns the torque [N m] of its motor."""
+    errors, positions = rings
+    powered, temperature = state.powered, state.temperature
     sense(status, count, positions, tick)
     if not powered or setting.torque_on != 1:
         status.reference, status.rate, status.sum = float(status.position), 0.0, 0.0
@@ -221,4 +207,188 @@ def tick_servo(setting, status, errors, positions, tick, count, powered, speed, 
         ramp(setting, status)
         status.output = protect(setting, status, output_of(setting, status, errors, tick), temperature + setting.warmth)
         status.moving = status.rate != 0.0 or status.speed != 0
-    return torque_of(setting, status, powered, speed, no_load_speed)
+    return torque_of(setting, status, powered, speed, joint.no_load_speed)
+
+
+STEP_ANGLE = 2 * np.pi / COUNTS
+_NO_LOAD_SPEED = 4.71  # [rad/s] 45 rpm
+_FRICTION = 0.05  # [N m] of a bare servo (fits of Rhoban/bam: 0.051 and 0.053)
+_INERTIA = 0.0261  # [kg m^2] motor and gear, seen from the output (Rhoban/bam)
+
+
+class BareServos:
+    """n servos at rest where they read 0, with a torque each from outside."""
+
+    def __init__(self, count: int, *, lower: float = -np.inf, upper: float = np.inf) -> None:
+        """``lower`` and ``upper`` [rad] are mechanical stops."""
+        self.settings = np.zeros(count, SETTING)
+        for name, value in DEFAULTS.items():
+            self.settings[name] = value
+        self.status = np.zeros(count, STATUS)
+        self.joints, self.servos = np.zeros(count, servo.JOINT), np.zeros(count, servo.STATE)
+        known = {
+            "coulomb": _FRICTION, "stiction": 1.1 * _FRICTION, "reflected_inertia": _INERTIA, "lower": lower,
+            "upper": upper, "no_load_speed": _NO_LOAD_SPEED, "stop_stiffness": 60.0, "stop_damping": 0.5,
+        }  # fmt: skip
+        for name, value in known.items():
+            self.joints[name] = value
+        self.joints["ambient"] = servo.AMBIENT
+        self.joints["torque_limit"] = self.settings["stall"]
+        self.servos["temperature"], self.servos["powered"] = servo.AMBIENT, True
+        self.angle, self.speed, self.push = np.zeros(count), np.zeros(count), np.zeros(count)
+        """(n,) [rad] and [rad/s] of the shafts, and [N m] that pushes them from outside"""
+        self._errors = np.zeros((count, WINDOW), np.int64)
+        self._positions = np.zeros((count, WINDOW), np.int64)
+        self._tick = 0
+
+    def put(self, angle: Array) -> None:
+        """Turn the shafts to ``angle`` (n,) [rad], at rest, and hold them there."""
+        count = np.rint(np.asarray(angle) / STEP_ANGLE).astype(np.int64)
+        self.angle[:], self.speed[:] = angle, 0.0
+        for name in ("goal", "reference", "filtered", "position"):
+            self.status[name] = count
+        self._errors[:], self._positions[:] = 0, count[:, None]
+
+    def advance(self, duration: float, *, blocked: bool = False) -> None:
+        """Let ``duration`` [s] pass, in whole milliseconds; ``blocked`` shafts stand."""
+        steps = round(duration / STEP)
+        _turn(
+            steps, self._tick, (self.settings, self.status, self._errors, self._positions), (self.joints, self.servos),
+            (self.angle, self.speed, self.push), blocked,
+        )  # fmt: skip
+        self._tick += steps
+
+
+@njit(cache=True)
+def _turn(steps, tick, firmware, arms, shafts, blocked):
+    (settings, status, errors, positions), (joints, servos), (angle, speed, push) = firmware, arms, shafts
+    for step in range(steps):
+        for j in range(len(settings)):
+            joint, state = joints[j], servos[j]
+            state.torque = tick_servo(
+                settings[j], status[j], (errors[j], positions[j]), joint, state, tick + step,
+                int(np.rint(angle[j] / STEP_ANGLE)), speed[j],
+            )  # fmt: skip
+            servo.warm_up(joint, state)
+            if blocked:
+                continue
+            torque = state.torque + push[j] + servo.disturbance(joint, angle[j], speed[j], 0.5)
+            torque += servo.friction_torque(joint, state, speed[j], 0.0)
+            speed[j] += STEP * torque / joint.reflected_inertia
+            angle[j] += STEP * speed[j]
+
+
+# mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
+# ruff: noqa: ANN001, ANN202
+
+
+RECORDED_P = 32
+"""P of the servos of the SO-101 on whose logs the profile ``so101`` was measured (kscalelabs/sysid: 4.4 to 6 N m
+stall)"""
+
+
+class StsPlant(Plant):
+    """B arms with STS3215 servos, whose ``settings`` (B, n) of `SETTING` may be changed at any time."""
+
+    def __init__(self, arm: Arm, wears: Sequence[Wear], *, seed: int, **options: Any) -> None:  # noqa: ANN401
+        shape = (len(wears), arm.joints)
+        self.settings = np.zeros(shape, SETTING)
+        for name, value in DEFAULTS.items():
+            self.settings[name] = value
+        gain = np.array([wear.position_gain for wear in wears])
+        self.settings["stall"] = gain / (GAIN_PER_P * RECORDED_P)
+        self.settings["bias"] = gain * np.array([wear.offset for wear in wears])
+        if np.isfinite(arm.servo_acceleration):
+            self.settings["acceleration"] = arm.servo_acceleration / arm.encoder_step
+        no_load = servo.no_load_speed(arm.max_speed)
+        measured = np.array([wear.damping_gain + wear.torque_limit / no_load for wear in wears])
+        self.settings["viscous"] = np.maximum(measured - self.settings["stall"] / no_load, 0.0)
+        self.status = np.zeros(shape, STATUS)
+        """(B, n) how the servos stand, as `STATUS`"""
+        self._errors = np.zeros((*shape, WINDOW), np.int64)
+        self._positions = np.zeros((*shape, WINDOW), np.int64)
+        super().__init__(arm, wears, seed=seed, **options)
+
+    @property
+    def load(self) -> Array:
+        """(B, n) what the servos tell of their torque: their output, as a share of PWM."""
+        return np.asarray(self.status["output"] / PWM_FULL)
+
+    @property
+    def torque_limit(self) -> Array:
+        """(B, n) [N m] of the motors at standstill."""
+        return self.settings["stall"].copy()
+
+    def counts(self, position: Array) -> Ids:
+        """Whole counts (B, n) of joint positions [rad]."""
+        return np.rint(position / self.arm.encoder_step).astype(np.int64)
+
+    def set_speed_limit(self, speed: Array | float) -> None:
+        """Limit the speed of the reference: (B,), (B, n) or a number, [rad/s], above 0."""
+        super().set_speed_limit(speed)
+        self.settings["speed"] = self.servos["speed_limit"] / self.arm.encoder_step
+
+    def halt(self, where: Mask | None = None) -> None:
+        """Freeze the reference where its ramp is now and drop commands on their way."""
+        self._hold(self._selected(where), self.status["reference"] * self.arm.encoder_step)
+
+    def _held(self, position: Array, torque: Array) -> Array:
+        """Command (B, n) [rad] at which the servos give ``torque`` (B, n) [N m] where they read ``position``."""
+        output = PWM_FULL * (torque - self.settings["bias"]) / self.settings["stall"]
+        size = np.maximum(np.abs(output) - self.settings["startup"], 0.0) * 4 / np.maximum(self.settings["p"], 1)
+        lead = np.where(np.abs(output) > 0.5, size + self.settings["dead_cw"], 0.0) * np.sign(output)
+        return np.asarray(position + np.rint(lead) * self.arm.encoder_step)
+
+    def _hold(self, ids: Ids, position: Array) -> None:
+        """Take ``position`` (B, n) [rad] for goal and reference of the arms ``ids``; the joints are where they are."""
+        super()._hold(ids, position)
+        goal, here = self.counts(position), self.counts(self.servos["measured"])
+        status = self.status
+        for name, value in (("goal", goal), ("reference", goal), ("filtered", here), ("position", here)):
+            status[name][ids] = value[ids]
+        for name in ("rate", "speed", "sum", "alarms", "blocked", "over_current", "hot"):
+            status[name][ids] = 0
+        raw = goal - here
+        error = np.sign(raw) * np.maximum(np.abs(raw) - self.settings["dead_cw"], 0)
+        self._errors[ids], self._positions[ids] = error[ids][..., None], here[ids][..., None]
+
+    def _run(self, ids: Ids, steps: int) -> None:
+        stepped = None if len(ids) == self.count else ids
+        for _ in range(steps):
+            _drive(
+                ids, self._tick, self._key, (self.joints, self.servos), (self._due, self._queue), self._bodies,
+                (self.settings, self.status, self._errors, self._positions),
+            )  # fmt: skip
+            self.batch.step(stepped)
+            servo.record(ids, self._tick, self.joints, self.servos, self.qpos, self._history)
+
+
+@njit(cache=True)
+def _drive(ids, tick, key, arms, commands, bodies, firmware):
+    (joints, servos), (due, queue), (qpos, qvel, applied) = arms, commands, bodies
+    settings, status, errors, positions = firmware
+    n = joints.shape[1]
+    for i in ids:
+        if due[i].min() <= tick[i]:
+            servo.receive(tick[i], due[i], queue[i], servos[i])
+            for j in range(n):
+                status[i, j].goal = int(np.rint(servos[i, j].goal / joints[i, j].encoder_step))
+        for j in range(n):
+            joint, state = joints[i, j], servos[i, j]
+            angle, speed = qpos[i, 2 * j], qvel[i, 2 * j]
+            gear_angle, gear_speed = qpos[i, 2 * j + 1], qvel[i, 2 * j + 1]
+            if not state.blind:
+                state.measured = servo.read_encoder(joint, angle, gear_angle)
+            state.torque = tick_servo(
+                settings[i, j], status[i, j], (errors[i, j], positions[i, j]), joint, state, tick[i],
+                int(np.rint(state.measured / joint.encoder_step)), speed,
+            )  # fmt: skip
+            state.load = status[i, j].output / PWM_FULL
+            load = servo.gear_torque(joint, gear_angle, gear_speed)
+            unit = uniform(key[i], tick[i] * n + j) if state.powered else 0.5
+            applied[i, 2 * j] = (
+                state.torque + settings[i, j].bias - settings[i, j].viscous * speed
+                + servo.friction_torque(joint, state, speed, load) + servo.disturbance(joint, angle, speed, unit)
+            )  # fmt: skip
+            applied[i, 2 * j + 1] = load
+            servo.warm_up(joint, state)

@@ -1,32 +1,162 @@
-"""Wear profiles: what the servos and gears of one arm are like, read from files anyone can write."""
+"""Wear profiles: what the servos and gears of one arm are like, on an arm of any size, after any hours of use.
+
+On another arm a joint takes the numbers of the myCobot 280's joint at the same share of the chain. Torques and torques
+per angle go with the ratio T of the efforts, hypot(G, I g/L, 0.3 max G), with gravity torque G, inertia I and reach L;
+damping with T t, inertia with T t^2, t = sqrt(L / L0); angles stay. Then an arm that is only larger or heavier moves
+alike.
+
+Wear goes with load times way (Archard, J. Appl. Phys. 24, 1953). Damage grows as a gamma process (van Noortwijk,
+Reliab. Eng. Syst. Saf. 94, 2009); a damage of one lies between the profiles ``healthy`` and ``worn``.
+"""
 
 from __future__ import annotations
 
 import re
-import tomllib
 from dataclasses import dataclass, fields, replace
+from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array
-from rejoint.arms.size import reference_arm
-from rejoint.robots.lab.plant.ageing import aged, warmed
-from rejoint.robots.lab.plant.scaling import largest_load, scale_of
+from rejoint.arms import Arm, Array, gravity_torque, link_inertia
+from rejoint.arms.inverse import solve_position
+from rejoint.arms.kinematics import GRAVITY
+from rejoint.arms.workspace import heaviest_load, length_size, reach, reference_arm
 from rejoint.robots.lab.plant.servo import AMBIENT, STEP
-from rejoint.system.errors import FileError, ProfileError
+from rejoint.system.errors import FileError, ProfileError, first_line
 from rejoint.system.files import TOML_MOST, read_bounded
+
+FLOOR = 0.3
+"""Least effort of a joint by the largest load (chosen)"""
+
+# Targets along each edge of the region over which the gravity torques are taken (chosen).
+_GRID = 5
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Ratios:
+    """Ratios of an arm to the myCobot 280; exactly one for that arm itself."""
+
+    row: NDArray[np.intp]
+    """(n,) joint of the myCobot 280 whose numbers each joint takes"""
+    torque: Array
+    """(n,) [1]"""
+    time: float
+    """[1]"""
+
+
+@lru_cache(maxsize=16)
+def scale_of(arm: Arm) -> Ratios:
+    """Compare an arm with the myCobot 280."""
+    reference = reference_arm()
+    row = np.rint(np.linspace(0.0, reference.joints - 1, arm.joints)).astype(np.intp)
+    return Ratios(
+        row=row,
+        torque=effort(arm) / effort(reference)[row],
+        time=float(np.sqrt(length_size(arm))),
+    )
+
+
+@lru_cache(maxsize=16)
+def effort(arm: Arm) -> Array:
+    """Torque (n,) [N m] that stands for the size of each joint."""
+    load = largest_load(arm)
+    rate = np.linalg.norm(GRAVITY) / reach(arm)
+    least = max(FLOOR * float(load.max()), np.finfo(float).tiny)
+    return np.sqrt(load**2 + (link_inertia(arm, arm.rest) * rate) ** 2 + least**2)
+
+
+def largest_load(arm: Arm) -> Array:
+    """Largest gravity torque (n,) [N m] of each joint over the region of targets."""
+    return heaviest_load(arm, _GRID)
+
+
+LIFE = 2500.0
+"""[h] of use after which a joint of mean load and travel has a damage of one (chosen)"""
+
+_BLOCK = 5.0  # [h] in which damage comes by a draw of its own (chosen: less than a month of use)
+_SHAPE = 0.5  # of the gamma distribution of a block: damage of 2500 h then scatters by 6 % (chosen)
+_PACE = 0.3  # standard deviation of the logarithm of a joint's own pace (chosen: as `draw_wear` spreads profiles)
+_WEAKENING = 0.3  # logarithm by which a damage of one lowers the torque of a motor (chosen: brushes and magnets)
+# [rad/K] by which the zero of an STS3215 moves, at most (shared facts on monitoring)
+_OFFSET_PER_DEGREE = np.radians(0.02)
+# [1/K] by which friction falls with warmth (Bittencourt and Axehill, J. Dyn. Syst. Meas. Control 134, 2012)
+_GREASE_PER_DEGREE = 0.01
+
+_DRIVE, _FRICTION, _GEAR = range(3)
+# Parameters that grow by what lies between young and old, per damage, and of which mechanism
+_ADDED = {"coulomb": _FRICTION, "stiction": _FRICTION, "load_friction": _FRICTION, "ripple": _FRICTION,
+          "torque_noise": _FRICTION, "play": _GEAR}  # fmt: skip
+# Parameters whose inverse grows so
+_SOFTENED = {"position_gain": _DRIVE, "link_stiffness": _GEAR}
+
+
+def aged(wear: Wear, arm: Arm, hours: float, *, seed: int, young: Wear, old: Wear, least_torque: Array) -> Wear:
+    """Return ``wear`` after ``hours`` of use, by the same seed always in the same way.
+
+    A damage of one lies between ``young`` and ``old``; no motor gets weaker than ``least_torque`` (n,) [N m].
+    """
+    damage = damages(young, arm, hours, seed)
+    changed = {
+        name: getattr(wear, name) + damage[kind] * np.maximum(getattr(old, name) - getattr(young, name), 0.0)
+        for name, kind in _ADDED.items()
+    }
+    for name, kind in _SOFTENED.items():
+        softer = np.maximum(1.0 / getattr(old, name) - 1.0 / getattr(young, name), 0.0)
+        changed[name] = 1.0 / (1.0 / getattr(wear, name) + damage[kind] * softer)
+    changed["damping_gain"] = wear.damping_gain * changed["position_gain"] / wear.position_gain
+    weaker = wear.torque_limit * np.exp(-_WEAKENING * damage[_DRIVE])
+    changed["torque_limit"] = np.maximum(weaker, np.minimum(wear.torque_limit, least_torque))
+    return replace(wear, name=f"{wear.name}, {hours:g} h", **changed)
+
+
+def warmed(wear: Wear, ambient: float, *, seed: int) -> Wear:
+    """Return ``wear`` in a room of ``ambient`` [deg C]: friction and the servos' zeros go with it, wear does not."""
+    above = ambient - AMBIENT
+    own = np.random.default_rng([seed, 2]).uniform(-1.0, 1.0, len(wear.position_gain))
+    thinner = float(np.exp(-_GREASE_PER_DEGREE * above))
+    return replace(
+        wear, coulomb=wear.coulomb * thinner, stiction=wear.stiction * thinner, ambient=ambient,
+        offset=wear.offset + own * _OFFSET_PER_DEGREE * above,
+    )  # fmt: skip
+
+
+def damages(young: Wear, arm: Arm, hours: float, seed: int) -> Array:
+    """Damage (3, n) of drive, friction and gear of every joint after ``hours``; it grows between its draws as well."""
+    blocks = int(hours // _BLOCK) + 1
+    pace = np.exp(np.random.default_rng([seed, 1]).normal(-0.5 * _PACE**2, _PACE, (3, arm.joints)))
+    # One generator for each mechanism and joint, so that more blocks change none of the earlier ones.
+    draws = np.array(
+        [[np.random.default_rng([seed, 1, kind, j]).gamma(_SHAPE, 1.0 / _SHAPE, blocks) for j in range(arm.joints)]
+         for kind in range(3)]
+    )  # fmt: skip
+    passed = draws[..., :-1].sum(axis=-1) + draws[..., -1] * (hours / _BLOCK - (blocks - 1))
+    return np.asarray(pace * severity(young, arm) * passed * _BLOCK / LIFE)
+
+
+def severity(young: Wear, arm: Arm) -> Array:
+    """Return load times travel of every joint (n,) in use, over their mean: at random targets of the arm's region."""
+    axes = [np.linspace(low, high, 4) for low, high in zip(arm.targets.lower, arm.targets.upper, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    posture = solve_position(arm, grid, arm.rest).q
+    travel = np.abs(posture[:, None] - posture[None]).mean(axis=(0, 1))
+    load = (np.abs(gravity_torque(arm, posture)).mean(axis=0) + young.coulomb) / young.torque_limit
+    rubbed: Array = travel * load / (travel * load).mean()
+    return rubbed
+
 
 _PROFILES = files("rejoint.robots.lab.plant") / "profiles"
 _SPREAD = 0.3
+# What a drawn arm has of the torque that lifts it (chosen).
 _LIFT_MARGIN = 1.03
-"""What a drawn arm has of the torque that lifts it (chosen)."""
+# What a joint of a scaled profile has of the torque that moves it against gravity (chosen).
 _MOVE_MARGIN = 1.1
-"""What a joint of a scaled profile has of the torque that moves it against gravity (chosen)."""
+# The only arm whose profiles may scale.
 _SCALING_ARM = "mycobot280"
-"""The only arm whose profiles may scale."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -94,15 +224,13 @@ PARAMETERS = tuple(
 """The names of the per-joint parameters that every profile gives."""
 _POSITIVE = ("position_gain", "torque_limit", "link_stiffness", "reflected_inertia")
 _FILE_NAMES = tuple("play_deg" if name == "play" else name for name in PARAMETERS)
-_OPTIONAL_NAMES = ("offset_deg",)
-_HEAD = ("arm", "scales", "play_in_loop")
 _NUMBER = re.compile(r"-?\d+(\.\d+)?", re.ASCII)
+# What may stand behind the name of a profile: what it means, its least and its largest value
 _OPTIONS = {
     "seed": ("a whole number, draws another arm", 0.0, 2.0**63),
     "hours": ("of use", 0.0, 100_000.0),
     "ambient": ("deg C of the room", -10.0, 50.0),
 }
-"""What may stand behind the name of a profile: what it means, its least and its largest value"""
 _TORQUES = ("position_gain", "torque_limit", "coulomb", "stiction", "link_stiffness", "ripple", "torque_noise")
 
 
@@ -114,15 +242,10 @@ def wear_names() -> tuple[str, ...]:
 
 
 def load_wear(name: str, arm: Arm) -> Wear:
-    """Load a profile for ``arm``: a name of `wear_names` or the path of a TOML file, each with options or without.
+    """Load a profile for ``arm``: a name of `wear_names` or a TOML file, with options as in ``worn?seed=3&hours=500``.
 
-    Options stand behind it, as in ``worn?seed=3&hours=500``.
-
-    A profile that scales is brought to the size of the arm, see `rejoint.robots.lab.plant.scaling`; one that belongs to
-    another arm is refused. ``seed=N`` draws every parameter of every joint from +-30 % around the profile; ``hours=H``
-    lets the arm age by that much use, and ``ambient=C`` [deg C] stand in a warmer or colder room, both in the way of
-    that seed, see `rejoint.robots.lab.plant.ageing`.
-    Raises ProfileError, which names the alternatives or the fields, for anything that is not a usable profile.
+    ``seed=N`` draws every parameter from +-30 % around the profile, ``hours=H`` ages the arm, ``ambient=C`` [deg C] is
+    the room. ProfileError for anything unusable.
     """
     base, options = _options(name)
     wear = _fitted(base, arm)
@@ -138,16 +261,15 @@ def load_wear(name: str, arm: Arm) -> Wear:
 
 def _fitted(base: str, arm: Arm) -> Wear:
     """Return the profile ``base`` for ``arm``, without options."""
-    text = _profile_text(base)
-    owner, scales = _head(_tables(text, base), base)
-    if owner is not None and owner != arm.name and not scales:
+    found = _profile(_text(base), base)
+    if found.arm is not None and found.arm != arm.name and not found.scales:
         raise ProfileError(
-            f"wear {base} describes the arm {owner} alone, not {arm.name}; give --arm {owner} or a run of that "
+            f"wear {base} describes the arm {found.arm} alone, not {arm.name}; give --arm {found.arm} or a run of that "
             f"arm, or a profile that scales with the arm: {', '.join(n for n in wear_names() if wear_arm(n) is None)}"
         )
-    if scales:
-        return scale_wear(parse_wear(text, name=base, joints=reference_arm().joints), arm)
-    return parse_wear(text, name=base, joints=arm.joints)
+    if found.scales:
+        return scale_wear(_wear(found, base, reference_arm().joints), arm)
+    return _wear(found, base, arm.joints)
 
 
 def _options(name: str) -> tuple[str, dict[str, float]]:
@@ -172,25 +294,13 @@ def _options(name: str) -> tuple[str, dict[str, float]]:
 def wear_arm(name: str) -> str | None:
     """Name of the one arm that a profile describes; None for a profile that fits or scales to others."""
     base, _ = _options(name)
-    owner, scales = _head(_tables(_profile_text(base), base), base)
-    return None if scales else owner
+    found = _profile(_text(base), base)
+    return None if found.scales else found.arm
 
 
 def parse_wear(text: str, *, name: str, joints: int) -> Wear:
     """Read a profile for ``joints`` joints from TOML text, as it stands."""
-    data = _tables(text, name)
-    _head(data, name)
-    table = data["joints"]
-    if not set(_FILE_NAMES) <= set(table) <= {*_FILE_NAMES, *_OPTIONAL_NAMES}:
-        missing, unknown = set(_FILE_NAMES) - set(table), set(table) - {*_FILE_NAMES, *_OPTIONAL_NAMES}
-        raise ProfileError(
-            f"wear {name}: [joints] lacks {sorted(missing)} and has unknown {sorted(unknown)}; "
-            f"fields: {', '.join(_FILE_NAMES)}; optional: {', '.join(_OPTIONAL_NAMES)}"
-        )
-    values: dict[str, Any] = {field: _per_joint(table[field], field, name, joints) for field in _FILE_NAMES}
-    values["play"] = np.radians(values.pop("play_deg"))
-    offset = np.radians(_per_joint(table.get("offset_deg", 0.0), "offset_deg", name, joints))
-    return Wear(name=name, play_in_loop=data.get("play_in_loop", False), offset=offset, **values)
+    return _wear(_profile(text, name), name, joints)
 
 
 def scale_wear(wear: Wear, arm: Arm) -> Wear:
@@ -209,9 +319,7 @@ def scale_wear(wear: Wear, arm: Arm) -> Wear:
 def draw_wear(wear: Wear, arm: Arm, seed: int) -> Wear:
     """Draw a neighbour of ``wear``: every parameter of every joint uniform within +-30 %.
 
-    Offsets stay. Stiction stays above Coulomb friction, and no servo gets weaker than what lifts the arm from its
-    heaviest posture in the target region (`lifting_torque`): an arm that cannot lift itself is broken,
-    not worn.
+    Each servo still lifts the arm.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     factor = {name: rng.uniform(1 - _SPREAD, 1 + _SPREAD, arm.joints) for name in PARAMETERS}
@@ -230,52 +338,50 @@ def lifting_torque(wear: Wear, arm: Arm) -> Array:
     return largest_load(arm) * (1 + wear.load_friction) + wear.stiction
 
 
-def _profile_text(base: str) -> str:
+def _text(base: str) -> str:
+    known = f"known profiles: {', '.join(wear_names())}, each also with ?seed=N or ?hours=H, or a .toml file"
     if base in wear_names():
         return (_PROFILES / f"{base}.toml").read_text(encoding="utf-8")
-    if base.endswith(".toml"):
-        return _read_file(base)
-    raise ProfileError(
-        f"no wear profile is called {base!r}; known profiles: {', '.join(wear_names())}, "
-        "each also with ?seed=N or ?hours=H, or the path of a .toml file"
-    )
-
-
-def _tables(text: str, name: str) -> dict[str, Any]:
-    """Contents of a profile whose outline is right."""
+    if not base.endswith(".toml"):
+        raise ProfileError(f"no wear profile is called {base!r}; {known}")
     try:
-        data = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, ValueError, RecursionError) as error:
-        raise ProfileError(f"wear {name}: not valid TOML ({error})") from error
-    if not isinstance(data.get("joints"), dict) or set(data) - {"joints", *_HEAD}:
-        raise ProfileError(f"wear {name}: expected a table [joints] and {', '.join(_HEAD)}, found {sorted(data)}")
-    return data
-
-
-def _head(data: dict[str, Any], name: str) -> tuple[str | None, bool]:
-    """Name of the arm that a profile is for, and whether it scales to others."""
-    for key in ("scales", "play_in_loop"):
-        if not isinstance(data.get(key, False), bool):
-            raise ProfileError(f"wear {name}: {key} must be true or false, got {data[key]!r}")
-    owner, scales = data.get("arm"), data.get("scales", False)
-    if owner is not None and not isinstance(owner, str):
-        raise ProfileError(f"wear {name}: arm must be the name of an arm, got {owner!r}")
-    if scales and owner != _SCALING_ARM:
-        raise ProfileError(f"wear {name}: only profiles with arm = '{_SCALING_ARM}' can scale, got arm {owner!r}")
-    return owner, scales
-
-
-def _read_file(path: str) -> str:
-    try:
-        return read_bounded(Path(path), TOML_MOST, "take another file").decode()
+        return read_bounded(Path(base), TOML_MOST, "take another file").decode()
     except (OSError, ValueError, FileError) as error:
+        raise ProfileError(f"cannot read the wear profile {base!r} ({error}); {known}") from error
+
+
+class _WearFile(msgspec.Struct, forbid_unknown_fields=True):
+    joints: dict[str, Any]
+    arm: str | None = None
+    """the arm it is for"""
+    scales: bool = False
+    """whether it scales to others"""
+    play_in_loop: bool = False
+
+
+def _profile(text: str, name: str) -> _WearFile:
+    try:
+        found = msgspec.toml.decode(text, type=_WearFile)
+    except (msgspec.MsgspecError, ValueError, RecursionError) as error:
+        expected = "expected a table [joints] and, if wished, arm, scales and play_in_loop"
+        raise ProfileError(f"wear {name}: {first_line(error)}; {expected}") from error
+    if found.scales and found.arm != _SCALING_ARM:
+        raise ProfileError(f"wear {name}: only profiles with arm = '{_SCALING_ARM}' can scale, got arm {found.arm!r}")
+    return found
+
+
+def _wear(found: _WearFile, name: str, joints: int) -> Wear:
+    if differing := set(_FILE_NAMES) ^ set(found.joints) - {"offset_deg"}:
         raise ProfileError(
-            f"cannot read the wear profile {path!r} ({error}); known profiles: {', '.join(wear_names())}"
-        ) from error
-
-
-def _per_joint(value: object, field: str, name: str, joints: int) -> Array:
-    values = value if isinstance(value, list) else [value] * joints
-    if len(values) != joints or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
-        raise ProfileError(f"wear {name}: {field} must be a number or a list of {joints} numbers, got {value!r}")
-    return np.array(values, dtype=float)
+            f"wear {name}: [joints] lacks, or does not know, {', '.join(sorted(differing))}; fields: "
+            f"{', '.join(_FILE_NAMES)}; optional: offset_deg"
+        )
+    values: dict[str, Any] = {}
+    for field, value in found.joints.items():
+        try:
+            numbers = np.broadcast_to(msgspec.convert(value, float | list[float]), joints)
+        except ValueError as error:
+            message = f"wear {name}: {field} must be a number or a list of {joints} numbers, got {value!r}"
+            raise ProfileError(message) from error
+        values[field.removesuffix("_deg")] = np.radians(numbers) if field.endswith("_deg") else numbers
+    return Wear(name=name, play_in_loop=found.play_in_loop, **values)

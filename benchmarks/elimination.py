@@ -1,0 +1,188 @@
+"""Whether elimination in blocks recommends what a comparison to the end does, and in how much of the arm's time.
+
+Emulated arms drawn about the worn one, each diagnosed and with its own twin; one policy for all of them (a file,
+`--policy` of `python -m benchmarks.elimination`; without one the generic policy takes part). What every controller does
+at every target is emulated side by side first, twice with other noise, holding for eight seconds. The first time is the
+long way, twenty targets judged by their intervals. Of the second time the comparison in blocks takes the trials that it
+asks for, the first five seconds of each hold; its arm's time is that of these trials. What the recommended controller
+costs is measured on all forty holds: how much farther off it settles than the best one, and how much later it stays
+within 2 mm. ``--sets 2`` goes to twenty targets, ``--shelf`` adds the generic policy beside the other one.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import typer
+
+import rejoint
+from rejoint.arms import mycobot280
+from rejoint.control.catalogue import SHELF, contenders
+from rejoint.control.classical import DefaultController
+from rejoint.control.comparison.compare import Settings, Trial, TrialRunner
+from rejoint.control.comparison.elimination import Elimination
+from rejoint.control.comparison.ledger import Ledger
+from rejoint.control.comparison.protocols import Driven, measure
+from rejoint.control.comparison.recommend import Recommendation, recommend
+from rejoint.control.comparison.result import Comparison
+from rejoint.control.robot import Robot
+from rejoint.control.targets import draw_targets
+from rejoint.robots import open_robot
+from rejoint.runs.run import Meter
+from rejoint.runs.stages.compare import DEFAULT, ONE_ARM_PROTOCOL, ONE_ARM_SETS, trials
+from rejoint.session.controllers import make_factories
+
+ARM = mycobot280()
+PERIOD = (0.045, 0.055)
+"""[s] about what a myCobot needs over TCP (docs/results.md)"""
+SETS = 2
+"""Target sets of the long way"""
+WAY = 2.7
+"""[s] from the end of a trial to the beginning of the next: to the rest posture, and a second there (chosen: what it
+takes over TCP in the mean)"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """One arm."""
+
+    short: Recommendation
+    long: Recommendation
+    seconds: float
+    """of the arm's time in blocks"""
+    held: int
+    """targets at which the recommended controller was held"""
+    worse: tuple[float, float]
+    """by how much the controller of the blocks is worse than the best in all holds: settled [m], time to stay [s]"""
+
+    @property
+    def verdict(self) -> str:
+        """Return ``same``, ``tied`` where the long way could not tell the two apart, or ``OTHER``."""
+        if self.short.controller == self.long.controller:
+            return "same"
+        return "tied" if self.short.controller in self.long.tied else "OTHER"
+
+
+class _Asked(dict):  # type: ignore[type-arg]
+    """Trials as a ledger has them, which remembers those that were asked for."""
+
+    def get(self, key, default=None):  # type: ignore[no-untyped-def]
+        self.setdefault("asked", []).append(found := super().get(key, default))
+        return found
+
+
+def try_arm(number: int, policy: Path | None, sets: int, *, shelf: bool) -> Outcome:
+    """Compare in blocks on the worn arm drawn with the seed ``number``, and go the long way."""
+    address = f"emulated:worn?seed={number}"
+    diagnosed = rejoint.diagnose(address, settings=rejoint.Settings(period=PERIOD, seed=number))
+    twin = rejoint.identify(diagnosed.excitation)
+    names = [*contenders(real=True, shelf=True, policy=policy is not None, twin=True)]
+    names = [name for name in dict.fromkeys((*names, *([SHELF] if shelf else ()))) if name != DEFAULT]
+    given = {name: policy or name if name == "policy" else name for name in names}
+    factories = make_factories(given, ARM, PERIOD, twin=twin)
+
+    def connect(count: int, seed: int) -> Robot:
+        return open_robot(address, count=count, seed=seed, period=PERIOD, threads=1)
+
+    before = trials(ARM, diagnosed.targets, ONE_ARM_PROTOCOL)
+    assert before is not None
+    targets, short = draw_targets(ARM, sets=SETS, seed=number), []
+    targets[0] = before.targets
+
+    def keep(trial: Trial) -> None:
+        if trial.repetition == 1 and trial.kind == "hold":
+            short.append(_short(trial, targets))
+
+    twice = TrialRunner(
+        connect, factories, targets, Settings(seed=number, batched=True, repetitions=2), on_trial=keep
+    ).compare()
+    done, meter = _Asked({part.key: part for driven in short for part in _parts(driven)}), Meter()
+    settings = Settings(seed=number, batched=False, protocol=ONE_ARM_PROTOCOL, elimination=Elimination())
+    everyone = {DEFAULT: DefaultController, **factories}
+    raced = TrialRunner(
+        lambda count, seed: meter.watch(connect(count, seed)), everyone, targets[:sets], settings,
+        measured=(before.driven,), ledger=Ledger(None, done), source="open loop",
+    ).compare()  # fmt: skip
+    best = recommend(raced)
+    return Outcome(
+        short=best, long=recommend(_once(twice)), seconds=meter.moving + sum(map(_seconds, done["asked"])),
+        held=raced.row(best.controller).held, worse=_worse(twice, best.controller),
+    )  # fmt: skip
+
+
+def _short(trial: Trial, targets: np.ndarray) -> Driven:
+    """Measure a trial as a comparison in blocks does."""
+    one = trial.recording.of(slice(trial.arm_index, trial.arm_index + 1))
+    one = replace(one, active=one.active & (one.since_target < ONE_ARM_PROTOCOL.hold + PERIOD[1]))
+    return measure(
+        ARM, one, targets[trial.target_set][None], ONE_ARM_PROTOCOL,
+        (trial.controller, trial.kind, ((trial.target_set, 0),), 0), both=True,
+    )  # fmt: skip
+
+
+def _once(twice: Comparison) -> Comparison:
+    """Return the first of two repetitions."""
+    count = len(twice.controllers)
+
+    def pick(values: tuple) -> tuple:  # type: ignore[type-arg]
+        return tuple(np.array(values, dtype=object).reshape(count, *twice.shape)[:, :, 0].ravel())
+
+    results = {name: pick(values) for name, values in twice.results.items()}
+    return replace(twice, results=results, repetitions=1)
+
+
+def _parts(driven: Driven) -> list[Driven]:
+    """Cut the holds of a set into blocks."""
+    block = Elimination().block
+    return [
+        replace(driven, first=k, columns={name: values[:, k : k + block] for name, values in driven.columns.items()})
+        for k in range(0, driven.targets, block)
+    ]
+
+
+def _seconds(driven: Driven | None) -> float:
+    """[s] that a trial takes on one arm, with the way to its beginning."""
+    if driven is None:  # of the default, where it is still there: driven, and counted by the meter
+        return 0.0
+    return WAY + driven.targets * ONE_ARM_PROTOCOL.hold
+
+
+def _worse(twice: Comparison, ours: str) -> tuple[float, float]:
+    if ours not in twice.controllers:
+        return np.inf, np.inf
+    narrow = twice.protocol.stay_names[-1]
+    settled, stay = (
+        {name: float(np.nanmean(twice.array(metric, name))) for name in twice.controllers}
+        for metric in ("settled", narrow)
+    )
+    return settled[ours] - min(settled.values()), stay[ours] - min(stay.values())
+
+
+def main(
+    arms: int = 4, first: int = 0, policy: Path | None = None, sets: int = ONE_ARM_SETS, *, shelf: bool = False
+) -> None:
+    """Compare on so many arms and count; without a policy the generic one takes part."""
+    found = []
+    for number in range(first, first + arms):
+        begun, one = time.perf_counter(), try_arm(number, policy, sets, shelf=shelf)
+        found.append(one)
+        print(
+            f"arm {number:3}: {one.verdict:5}  blocks: {one.short.controller} after {one.held} targets, "
+            f"{one.seconds / 60:.1f} min; long way: {' or '.join((one.long.controller, *one.long.tied))}; worse than "
+            f"the best by {1e3 * one.worse[0]:.2f} mm, {one.worse[1]:.2f} s  ({time.perf_counter() - begun:.0f} s "
+            "to emulate)", flush=True,
+        )  # fmt: skip
+    verdicts, minutes = [one.verdict for one in found], np.array([one.seconds for one in found]) / 60
+    worse = np.mean([one.worse for one in found], axis=0)
+    print(
+        f"{verdicts.count('same')} of {arms} the same, {verdicts.count('tied')} that the long way cannot tell from its "
+        f"own; worse than the best by {1e3 * worse[0]:.2f} mm and {worse[1]:.2f} s in the mean; "
+        f"{np.median(minutes):.1f} min of the arm's time in the median, {minutes.max():.1f} at most"
+    )
+
+
+if __name__ == "__main__":
+    typer.run(main)

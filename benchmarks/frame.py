@@ -1,0 +1,39 @@
+"""What the benchmarks share: cells and rows of their tables."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.control.comparison.result import Protocol
+from rejoint.system.statistics import paired_difference
+
+Array = NDArray[np.float64]
+NARROW = int(np.argmin(Protocol().within))
+"""Column of the times to stay within 2 mm"""
+
+
+def cell(values: Array) -> str:
+    """Mean / 95th percentile, without what is not known."""
+    return f"{np.nanmean(values):.2f} / {np.nanquantile(values, 0.95):.2f}"
+
+
+def corrected(name: str, tried) -> None:
+    """Print a row about calibrated arms: true error [mm], targets inside the interval, calibrations used."""
+    inside = tried.inside[np.isfinite(tried.error)].mean()
+    print(f"{name:28} {cell(1e3 * tried.error)}   inside {inside:.0%}   used {tried.used.mean():.0%}", flush=True)
+
+
+def holds(name: str, settled: Array, stay: Array, against: tuple[Array, Array] | None) -> None:
+    """Print a row about holds: settled errors (A, K) [m], times to stay within the bands (A, K, W) [s].
+
+    ``against`` is what the generic policy does; pairs are the same arm at the same target, intervals resample arms.
+    """
+    told = ""
+    if against is not None:
+        arms = np.repeat(np.arange(len(settled)), settled.shape[1])
+        apart = paired_difference(settled.ravel(), against[0].ravel(), arms)
+        told = f"; against shelf {np.median(stay[..., NARROW]) / np.median(against[1][..., NARROW]):.2f} of its time"
+        if apart is not None and apart.low is not None:
+            told += f", settled {1e3 * apart.value:+.2f} mm ({1e3 * apart.low:+.2f} to {1e3 * apart.high:+.2f})"
+    within = " / ".join(f"{np.median(one):.2f}" for one in np.moveaxis(stay, -1, 0))
+    far = " and ".join(f"{100 * np.mean(~(settled < 1e-3 * mm)):.1f} % beyond {mm} mm" for mm in (1, 5))
+    print(f"{name:34} settled {cell(1e3 * settled)} mm, {far}, stays within {within} s{told}", flush=True)

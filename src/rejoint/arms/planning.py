@@ -1,0 +1,374 @@
+"""Ways between postures: straight in joint space where that is clear, else with corners, and jerk-limited in time.
+
+Each straight piece has one time-optimal profile of seven pieces for all joints (Biagiotti and Melchiorri, Trajectory
+Planning for Automatic Machines and Robots, 2008, section 3.4). So the arm stays on the line that was checked.
+At corners the next piece begins before the last one ends, as far as limits and clearances allow.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from rejoint.arms.arm import Arm, Array
+from rejoint.arms.collision import clearances, collision_shape, contact
+from rejoint.arms.inertia import link_ends
+from rejoint.arms.kinematics import gravity_torque, tcp_position
+from rejoint.arms.postures import Motors, body_of, frozen, pool_of
+from rejoint.arms.workspace import length_size
+from rejoint.system.errors import InputError
+from rejoint.system.shell import Late
+
+rrt = Late("rejoint.arms.rrt")
+
+RAMP, EASE = 0.1, 0.05
+"""[s] from rest to full speed at constant acceleration, and from none to full acceleration (chosen: a servo of this
+class follows both; the guard allows five times that acceleration)"""
+CLEARANCE = 0.005
+"""[m] by which links are thicker for the planner (chosen: what a worn arm is off its commands where it moves)"""
+STEP, LOW = 0.004, 0.001
+"""[m] that a point of a myCobot 280 moves between two checks at most, and what joint frames and TCP keep above their
+floors (chosen)"""
+_SPEED = 0.999  # of the limit, so that rounding takes no command beyond what the guard allows
+_DRAWN, _CORNERS, _SHORTCUTS = 4000, 200, 80
+LIGHTER, LONGER = 0.95, 0.05
+"""Share of the load from which another way is taken for its load, and what a radian more counts beside the share of
+load (chosen)"""
+_OTHERS, _PARTS = 200, 8
+_OVERLAPS = (1.0, 0.75, 0.5, 0.25)
+_SAMPLE = 0.002  # [s] between the checks of a corner
+_ROUNDED = 3e-5  # [m] by which a posture that was chosen at a bound may be beyond it
+
+
+class PlanningError(InputError):
+    """No way was found; the message names what is in the straight one."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JointTrajectory:
+    """A jerk-limited motion of all joints: pieces with one profile each, which may overlap in time."""
+
+    duration: float
+    """[s]"""
+    start: Array
+    """(n,) [rad]"""
+    goal: Array
+    """(n,) [rad]"""
+    moves: Array
+    """(m, n) [rad] the straight pieces"""
+    begins: Array
+    """(m,) [s] when each begins"""
+    profiles: Array
+    """(m, 5, 8) of each piece's share, at its eight knots: time since it begins [s], then the share and its first three
+    derivatives by time"""
+
+    def at(self, time: Array | float, derivative: int = 0) -> Array:
+        """Positions (..., n) [rad] at ``time`` (...) [s], clamped to the ends; or their derivative, up to the third."""
+        moment = np.asarray(time, dtype=float)
+        result = np.empty((moment.size, len(self.goal)))
+        flat = np.ascontiguousarray(moment).reshape(-1)
+        rrt.follow(self.start, self.moves, self.begins, self.profiles, flat, derivative, result)
+        if derivative == 0:
+            result[flat >= self.duration] = self.goal
+        return result.reshape(*moment.shape, len(self.goal))
+
+
+def plan(
+    arm: Arm,
+    start: Array,
+    goal: Array,
+    *,
+    motors: Motors | None = None,
+    speed: float = 1.0,
+    clearance: float = CLEARANCE,
+    seed: int = 0,
+) -> JointTrajectory:
+    """Plan a motion from rest at ``start`` (n,) to rest at ``goal`` (n,) [rad].
+
+    Parameters
+    ----------
+    arm
+        with its payload and tool, and with the boxes it keeps out of
+    start, goal
+        postures; the start may touch something, then the way leads out of it
+    motors
+        what they can give: where they do not surely lift the arm along the way, the lightest of some others is taken
+    speed
+        share of ``arm.max_speed``; from rest to it takes `RAMP`, or what ``arm.servo_acceleration`` allows
+    clearance
+        [m] by which links count as thicker; where an end of the way is closer, that is enough
+    seed
+        of the search for a detour; the same seed gives the same way
+
+    Returns
+    -------
+    JointTrajectory
+        a way that the guard does not shorten
+
+    Raises
+    ------
+    PlanningError
+        where no way is found; it names what is in the straight way and how far that can be followed
+    InputError
+        for postures that are no postures of the arm
+    """
+    start, goal = _checked(arm, "start", start), _checked(arm, "goal", goal)
+    if not 0.0 < speed <= 1.0 or not clearance >= 0.0:
+        raise InputError(f"speed {speed:g}, clearance {clearance:g} m: expected 0 to 1, and positive")
+    if ((goal < arm.lower - 1e-9) | (goal > arm.upper + 1e-9)).any():
+        j = int(np.argmax(np.maximum(goal - arm.upper, arm.lower - goal)))
+        raise InputError(f"goal: {arm.joint_names[j]} at {np.degrees(goal[j]):.1f} deg is beyond its limits")
+    field = _Field.of(arm, start, goal, clearance)
+    share, item = field.passes(start, goal, leaving=True)
+    way = np.stack([start, goal]) if share == 1.0 else field.detour(start, goal, seed)
+    if way is None:
+        blocked = field.blocked(item, start + share * (goal - start))
+        raise PlanningError(f"{blocked}; no way round it was found")
+    return _timed(field, way if motors is None else field.lightest(way, motors.usable, seed), _limits(arm, speed))
+
+
+def clearance(arm: Arm, q: Array) -> Array:
+    """Smallest distance (...) [m] between links, to the ground and boxes at ``q`` (..., n) [rad]; negative: contact."""
+    posture = np.asarray(q, dtype=float)
+    distances = clearances(arm, posture, np.zeros(arm.joints))[..., arm.joints :]
+    smallest: Array = distances.min(axis=-1, initial=np.inf)
+    return smallest
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Field:
+    """What a way of one arm has to keep clear of, and how far."""
+
+    arm: Arm
+    levers: Array
+    """(n + c, n) [m]"""
+    least: Array
+    """(n + c,) [m]"""
+    step: float
+    """[m]"""
+
+    @classmethod
+    def of(cls, arm: Arm, start: Array, goal: Array, clearance: float) -> _Field:
+        """Return the field of a way; PlanningError where its goal touches something."""
+        body, least = body_of(arm), np.full(len(clearances(arm, start, np.zeros(arm.joints))), clearance)
+        least[: arm.joints] = LOW * length_size(arm)
+        least[arm.joints : arm.joints + len(body.pairs)] *= 2.0
+        always = np.append(np.zeros(arm.joints, dtype=bool), np.isneginf(body.least))
+        ends = np.stack([clearances(arm, q, body.floors) for q in (start, goal)])
+        field = cls(
+            arm=arm, levers=_levers(arm), step=STEP * length_size(arm),
+            least=frozen(np.where(always, -np.inf, np.minimum(least, np.maximum(ends, -_ROUNDED).min(axis=0)))),
+        )  # fmt: skip
+        wrong = (ends[1] < np.minimum(ends[0], 0.0) - _ROUNDED) & ~always
+        if wrong.any():
+            raise PlanningError(f"goal: {field.blocked(int(np.argmin(np.where(wrong, ends[1], np.inf))), goal)}")
+        return field
+
+    def passes(self, start: Array, goal: Array, *, leaving: bool = False) -> tuple[float, int]:
+        """Return how far (0 to 1) a straight way is clear, and which distance ends it."""
+        worst = np.zeros(2)
+        share = rrt.passable(
+            body_of(self.arm), frozen(start), frozen(goal), self.levers, self.least, self.step, leaving, worst
+        )
+        return share, int(worst[0])
+
+    def blocked(self, item: int, q: Array) -> str:
+        """Say what is in the way at ``q`` (n,)."""
+        at = ", ".join(f"{1e3 * value:.0f}" for value in tcp_position(self.arm, q))
+        joints = self.arm.joints
+        if item >= joints:
+            what, other = contact(self.arm, item - joints)
+            return f"{what} would come too near to {other}; the straight way is clear up to ({at}) mm"
+        name = "the tool" if item == joints - 1 else self.arm.joint_names[item + 1]
+        return f"{name} would come too near to its floor; the straight way is clear up to ({at}) mm"
+
+    def detour(self, start: Array, goal: Array, seed: int) -> Array | None:
+        """Return the corners (k, n) of a way with its ends; None where none is found."""
+        rng, body = np.random.default_rng(seed), body_of(self.arm)
+        begin = self._left(start, rng)
+        if begin is None:
+            return None
+        drawn = rng.uniform(body.inner[0], body.inner[1], (_DRAWN, self.arm.joints))
+        near = rng.random(_DRAWN) < 0.6
+        spread = rng.uniform(0.2, 1.5, (_DRAWN, 1)) * rng.standard_normal(drawn.shape)
+        drawn[near] = (begin + rng.random((_DRAWN, 1)) * (goal - begin) + spread)[near]
+        drawn = np.clip(drawn, body.inner[0], body.inner[1])
+        way = np.empty((_CORNERS, self.arm.joints))
+        count = rrt.connect(body, frozen(begin), frozen(goal), frozen(drawn), self.levers, self.least, self.step, way)
+        if not count:
+            return None
+        corners = self._shortened(way[:count], rng)
+        return corners if begin is start else np.vstack([start, corners])
+
+    def lightest(self, way: Array, usable: Array, seed: int) -> Array:
+        """Return the way (k, n), or where it needs more than the ``usable`` torques (n,), one over another posture.
+
+        Of those that are clear it is the one that needs the least, and among equals the shortest.
+        """
+        arm, ends = self.arm, way[[0, -1]]
+        needed = max(1.0, float((np.abs(gravity_torque(arm, ends)) / usable).max()))
+        if _load(arm, way[None], usable)[0] <= needed:
+            return way
+        pool = pool_of(arm).posture
+        over = pool[np.random.default_rng(seed).integers(len(pool), size=_OTHERS)]
+        ways = np.stack([np.tile(ends[0], (_OTHERS, 1)), over, np.tile(ends[1], (_OTHERS, 1))], axis=1)
+        longest = np.abs(np.diff(ways, axis=1)).max(axis=-1).sum(axis=-1)
+        load = np.maximum(_load(arm, ways, usable), needed)
+        for k in np.argsort(load + LONGER * longest):
+            if load[k] > LIGHTER * _load(arm, way[None], usable)[0]:
+                break
+            if self.passes(ends[0], over[k], leaving=True)[0] == 1.0 == self.passes(over[k], ends[1])[0]:
+                return np.asarray(ways[k])
+        return way
+
+    def _left(self, start: Array, rng: np.random.Generator) -> Array | None:
+        """Return ``start`` (n,), or where it touches something the end of a straight way out of that."""
+        if self.passes(start, start)[0] == 1.0:
+            return start
+        body = body_of(self.arm)
+        for size in np.repeat([0.1, 0.3, 0.6, 1.0], 60):
+            trial = start + size * rng.standard_normal(self.arm.joints)
+            trial = np.clip(trial, body.inner[0], body.inner[1])
+            if self.passes(start, trial, leaving=True)[0] == 1.0 and self.passes(trial, trial)[0] == 1.0:
+                return trial
+        return None
+
+    def _shortened(self, way: Array, rng: np.random.Generator) -> Array:
+        """Return the way (k, n) with straight pieces between random places on it, wherever they are clear."""
+        for _ in range(_SHORTCUTS):
+            if len(way) == 2:
+                break
+            sizes = (np.abs(np.diff(way, axis=0)) / self.arm.max_speed).max(axis=-1)
+            first, last = np.sort(rng.uniform(0.0, len(way) - 1.0, 2))
+            if rng.random() < 0.5:
+                first, last = np.floor(first), np.ceil(last)
+            i, j = int(first), int(np.ceil(last))
+            one, other = _along(way, first), _along(way, last)
+            now = (i + 1 - first) * sizes[i] + sizes[i + 1 : j - 1].sum() + (last - (j - 1)) * sizes[j - 1]
+            if j - i < 2 or (np.abs(other - one) / self.arm.max_speed).max() > 0.98 * now:
+                continue
+            if self.passes(one, other)[0] == 1.0:
+                before, after = way[: i + 1] if first > i else way[:i], way[j:] if last < j else way[j + 1 :]
+                way = np.vstack([before, one, other, after])
+        return way
+
+
+def _load(arm: Arm, ways: Array, usable: Array) -> Array:
+    """Largest share (W,) of the ``usable`` torques (n,) that ways (W, k, n) need against gravity."""
+    parts = np.linspace(0.0, 1.0, _PARTS)[:, None, None]
+    q = ways[:, :-1] + parts[:, None] * np.diff(ways, axis=1)
+    found: Array = (np.abs(gravity_torque(arm, q)) / usable).max(axis=(0, 2, 3))
+    return found
+
+
+def _along(way: Array, place: float) -> Array:
+    """Return the posture (n,) at a ``place`` between the corners of a way (k, n), counted from 0."""
+    i = min(int(place), len(way) - 2)
+    found: Array = way[i] + (place - i) * (way[i + 1] - way[i]) if place > i else way[i]
+    return way[i + 1] if place == i + 1 else found
+
+
+@lru_cache(maxsize=32)
+def _levers(arm: Arm) -> Array:
+    """By how much (n + c, n) [m] a joint changes the distances of `clearances` at most, per radian.
+
+    A joint moves a point beyond it by the lengths of the links between them, and none of the distances between links
+    that are both before it, or both behind it.
+    """
+    shape, joints = collision_shape(arm), arm.joints
+    lengths = np.linalg.norm(link_ends(arm.offset, arm.tip), axis=1)
+    far = np.array([[lengths[k:link].sum() for k in range(joints)] for link in range(joints + 1)])
+    pairs = [np.where(np.arange(joints) >= one, far[other], 0.0) for one, other in shape.pairs]
+    ends = [far[end - 1] for end in shape.places]
+    boxed = [far[link] for _ in shape.boxes for link in shape.moving]
+    return frozen(np.array([*far[1:], *pairs, *ends, *boxed]))
+
+
+def _limits(arm: Arm, speed: float) -> Array:
+    """Limits (3, n) of speed, acceleration and jerk."""
+    fastest = _SPEED * speed * arm.max_speed
+    acceleration = np.minimum(_SPEED * arm.max_speed / RAMP, arm.servo_acceleration)
+    return np.stack([fastest, acceleration, acceleration / EASE])
+
+
+def _timed(field: _Field, way: Array, limits: Array) -> JointTrajectory:
+    """Return the motion along the corners (k, n) of a way, with overlapping pieces where that is allowed."""
+    moves = np.diff(way, axis=0)
+    moves = moves[np.abs(moves).max(axis=-1) > 1e-12]
+    profiles = np.array([_profile(move, limits) for move in moves]).reshape(len(moves), 5, 8)
+    lengths = profiles[:, 0, -1]
+    overlaps = np.zeros(max(len(moves) - 1, 0))
+    for k in range(len(overlaps)):
+        most = 0.5 * min(lengths[k], lengths[k + 1], 2.0 * _braking(profiles[k]), 2.0 * _gaining(profiles[k + 1]))
+        for share in _OVERLAPS:
+            corner = _assembled(way[k], moves[k : k + 2], profiles[k : k + 2], np.array([share * most]))
+            if _corner_holds(field, corner, limits):
+                overlaps[k] = share * most
+                break
+    return _assembled(way[0], moves, profiles, overlaps, goal=way[-1])
+
+
+def _assembled(
+    start: Array, moves: Array, profiles: Array, overlaps: Array, goal: Array | None = None
+) -> JointTrajectory:
+    lengths = profiles[:, 0, -1]
+    begins = np.concatenate([[0.0], np.cumsum(lengths[:-1] - overlaps)])[: len(moves)]
+    duration = float(begins[-1] + lengths[-1]) if len(moves) else 0.0
+    end = start + moves.sum(axis=0) if goal is None else goal
+    return JointTrajectory(duration=duration, start=start, goal=end, moves=moves, begins=begins, profiles=profiles)
+
+
+def _corner_holds(field: _Field, corner: JointTrajectory, limits: Array) -> bool:
+    """Tell whether two overlapping pieces keep the limits and the clearances."""
+    first, last = corner.begins[1], corner.profiles[0, 0, -1]
+    inside = np.concatenate([corner.profiles[0, 0], corner.begins[1] + corner.profiles[1, 0]])
+    inside = inside[(inside > first) & (inside < last)]
+    time = np.union1d(np.linspace(first, last, 2 + int((last - first) / _SAMPLE)), np.append(inside, inside + 1e-9))
+    for order in (1, 2, 3):
+        if (np.abs(corner.at(time, order)) > limits[order - 1] * (1.0 + 1e-6)).any():
+            return False
+    apart = clearances(field.arm, corner.at(time), body_of(field.arm).floors)
+    return bool((apart >= field.least - 1e-7).all())
+
+
+def _profile(move: Array, limits: Array) -> Array:
+    """Return the profile (5, 8) from rest to rest of a straight ``move`` (n,), see `JointTrajectory`."""
+    speed, acceleration, jerk = (limits / np.maximum(np.abs(move), 1e-12)).min(axis=1)
+    # The speed from which braking must begin at once: without constant acceleration, and with it.
+    peak = np.cbrt(jerk / 4.0)
+    if peak * jerk > acceleration**2:
+        ramp = acceleration / jerk
+        peak = 0.5 * acceleration * (np.sqrt(ramp**2 + 4.0 / acceleration) - ramp)
+    speed = min(speed, peak)
+    ramp = min(acceleration / jerk, np.sqrt(speed / jerk))
+    steady = speed / (jerk * ramp) - ramp
+    cruise = max(1.0 / speed - 2.0 * ramp - steady, 0.0)
+    times = np.array([ramp, steady, ramp, cruise, ramp, steady, ramp])
+    knots = np.zeros((5, 8))
+    knots[4, :7] = jerk * np.array([1.0, 0.0, -1.0, 0.0, -1.0, 0.0, 1.0])
+    for k, time in enumerate(times):
+        _, s, v, a, j = knots[:, k]
+        knots[:4, k + 1] = (
+            knots[0, k] + time, s + time * (v + time * (a / 2.0 + time * j / 6.0)), v + time * (a + time * j / 2.0),
+            a + time * j,
+        )  # fmt: skip
+    return knots
+
+
+def _braking(profile: Array) -> float:
+    """Time [s] for which a piece gets slower before its end."""
+    return float(profile[0, -1] - profile[0, profile[2] >= profile[2].max() - 1e-9][-1])
+
+
+def _gaining(profile: Array) -> float:
+    """Time [s] for which a piece gets faster after its begin."""
+    return float(profile[0, profile[2] >= profile[2].max() - 1e-9][0])
+
+
+def _checked(arm: Arm, what: str, q: Array) -> Array:
+    posture = np.array(q, dtype=float)
+    if posture.shape != (arm.joints,) or not np.isfinite(posture).all():
+        raise InputError(f"{what}: expected {arm.joints} finite joint positions [rad], got {q}")
+    return posture

@@ -1,0 +1,489 @@
+"""The joint monitor."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.arms import Arm, Array, gravity_torque, position_kinematics
+from rejoint.control.law import plain
+from rejoint.control.robot import JointState, Mask
+from rejoint.logs.runlog import RunLog
+from rejoint.system.errors import InputError
+from rejoint.system.shell import Late
+
+compiled = Late("rejoint.control.compiled")
+
+TRAVEL = 0.020
+"""[m] of the tool that a command may go beyond a constant reading (chosen)"""
+STICKING = 1.5
+"""times the largest sticking that is allowed (chosen)"""
+STICKS = np.radians(4.0)
+"""[rad] of sticking where little is known (chosen)"""
+SHORT_LEVER = 0.13
+"""[m] joints with shorter levers are not judged without load (chosen)"""
+MOVED = np.radians(2.0)
+"""[rad] of motion that shows that a joint moves (chosen)"""
+TURN_ROUND = 0.12
+"""[s] a reading must stand before it is judged without load (chosen)"""
+EXCUSED = 0.15
+"""[s] for which two joints at once are let be (chosen)"""
+ARRIVED = np.radians(1.0)
+"""[rad] of lead within which a stationary joint has arrived (chosen)"""
+SETTLED = 30
+"""changes of a reading after which its sticking is known (chosen)"""
+GAIN, GAIN_SPREAD = 20.0, 2.0
+"""[1/rad] torque share per radian, and its relative deviation where nothing is known (measured)"""
+LEAST_GAIN = 3.0
+"""[1/rad] of any position servo (chosen)"""
+OFFSET_SPREAD, UNKNOWN_OFFSET = 0.02, 0.15
+"""deviations of the load without lead, where the offset is known and where not (chosen)"""
+_EARLIEST = np.radians(2.0)  # [rad] travel from which levers are computed (chosen: 10 mm at 0.28 m)
+_UNKNOWN, _TURNING, _OVERDUE = 2, 3, 4  # as in `watching`, which is imported late
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Knowledge:
+    """What is known of an arm's servos before it moves: their load lines, from `servo_lines`."""
+
+    gain: Array
+    """(n,) or (B, n) [1/rad] torque share per radian of error"""
+    offset: Array | float = 0.0
+    """(n,) [rad] unloaded joint minus command"""
+    within: Array | float = 0.2
+    """(n,) largest relative error of ``gain``; infinite: not known"""
+    noise: Array | float = OFFSET_SPREAD
+    """(n,) deviation of loads about the line"""
+
+    def __post_init__(self) -> None:
+        positive = [np.isfinite(self.gain).all(), np.all(self.gain > 0.0), np.all(self.within > 0.0)]
+        if not (all(positive) and np.all(self.noise > 0.0)):
+            raise InputError(
+                f"following: gains, their errors and noises must be positive, got {self.gain}, {self.within} and "
+                f"{self.noise}"
+            )
+
+
+def states_of(log: RunLog) -> Iterator[JointState]:
+    """Give what was read in each row of a log."""
+    for row in range(len(log)):
+        rows = slice(row, row + 1)
+        load = None if log.servo_load is None else log.servo_load[rows]
+        yield JointState(time=log.time[rows], position=log.position[rows], age=np.zeros(1), load=load)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Bands:
+    """Friction bands: pushes at which joints stand; all (n,) or (B, n), from `standing_bands`.
+
+    Lead: command minus reading. Push: what is left of it beyond the balance.
+    """
+
+    slope: Array
+    """[rad/(N m)] lead that holds a newton metre of gravity"""
+    offset: Array
+    """[rad] lead that a joint without load is held by"""
+    reach: Array
+    """[rad] lead beyond which a servo gives no more torque"""
+    width: Array
+    """[rad] largest push of a stationary joint; infinite: not known"""
+
+    def __post_init__(self) -> None:
+        known = [np.isfinite(self.slope).all(), np.isfinite(self.offset).all()]
+        if not (all(known) and np.all(self.reach > 0.0) and np.all(self.width > 0.0)):
+            raise InputError(
+                f"following: slopes and offsets of bands must be numbers, reach and width positive, got {self.slope}, "
+                f"{self.offset}, {self.reach} and {self.width}"
+            )
+
+    def balance(self, arm: Arm, position: Array) -> Array:
+        """Leads (..., n) [rad] against gravity at ``position`` (..., n) [rad]."""
+        balance: Array = self.slope * gravity_torque(arm, position) + self.offset
+        return balance
+
+
+class Following:
+    """Watches B arms; one `check` per cycle."""
+
+    def __init__(
+        self,
+        arm: Arm,
+        state: JointState,
+        sent: Array,
+        knowledge: Knowledge | None = None,
+        *,
+        bands: Bands | None = None,
+    ) -> None:
+        """Begin at ``state`` with ``sent`` (B, n) [rad] in force."""
+        self._bands = bands
+        shape = state.position.shape
+        self._arm, self._last = arm, state.time.copy()
+        self._tracks = np.zeros(shape, compiled.TRACK)
+        self._tracks["position"] = self._tracks["home"] = state.position
+        self._tracks["held"] = sent
+        self._tracks["reach"] = np.inf if bands is None else bands.reach
+        self._tracks["width"] = np.inf if bands is None else bands.width
+        self._tracks["stuck"] = 0.0 if bands is None else 2.0 * bands.width  # from one end of the band to the other
+        self._tracks["since"] = state.time[:, None]
+        self._know(knowledge or Knowledge(gain=np.full(shape, GAIN), within=np.inf))
+        self._sent_at = np.repeat(state.time[:, None], compiled.HISTORY, axis=1)
+        self._sent = np.repeat(np.asarray(sent, dtype=float)[:, None], compiled.HISTORY, axis=1)
+        self._verdict = np.zeros(shape, dtype=np.int64)
+        self._nothing = np.zeros(shape)
+        self._excused_since, self._excused_last = np.full((2, len(state.time)), -np.inf)
+        self._loaded = False
+
+    def _know(self, knowledge: Knowledge) -> None:
+        tracks, shape = self._tracks, self._tracks.shape
+        given = np.broadcast_to(np.isfinite(knowledge.within), shape)
+        gain = np.where(given, knowledge.gain, GAIN)
+        spread = np.where(given, knowledge.within, GAIN_SPREAD * compiled.SURE) / compiled.SURE
+        tracks["given"], tracks["noise"] = given, knowledge.noise
+        tracks["gain"], tracks["p00"] = gain, (spread * gain) ** 2
+        tracks["least"] = np.maximum((1.0 - 2.0 * spread) * gain, LEAST_GAIN)
+        tracks["offset"] = np.where(given, gain * knowledge.offset, 0.0)
+        tracks["p11"] = np.where(given, knowledge.noise, UNKNOWN_OFFSET) ** 2
+
+    def check(self, state: JointState, sent: Array, aimed: Mask) -> Mask | None:
+        """Joints (B, n) that are not trusted any more, or None, after the command ``sent`` (B, n) [rad].
+
+        Only arms ``aimed`` (B,) at a target are judged by travel: a diagnosis must find stuck joints.
+        """
+        self._loaded = state.load is not None
+        load = self._nothing if state.load is None else state.load
+        balance = self._nothing if self._bands is None else self._bands.balance(self._arm, state.position)
+        compiled.watch(
+            self._tracks,
+            self._sent_at,
+            self._sent,
+            np.array([state.time, self._last]),
+            np.array([state.position, sent, load, balance]),
+            self._loaded,
+            self._arm.encoder_step,
+            self._verdict,
+        )
+        self._last = state.time.copy()
+        worst = self._verdict.max()
+        if worst < _UNKNOWN:
+            return None
+        bad: Mask = self._verdict >= _TURNING
+        late: Mask = (self._tracks["late"] > 0) | (self._tracks["strikes"] > 0)
+        if self._bands is None:
+            travelled, more = self._travelled(state.position, sent)
+            late = late | more
+            bad = bad | (travelled & aimed[:, None])
+        if not bad.any():
+            return None
+        bad = bad & ~self._excused(bad, late)[:, None]
+        return bad if bad.any() else None
+
+    def _excused(self, bad: Mask, late: Mask) -> Mask:
+        """Arms (B,) that are late as a whole: beside a ``bad`` joint (B, n) another one is ``late`` (B, n)."""
+        now, several = self._last, bad.any(axis=-1) & ((bad | late).sum(axis=-1) > 1)
+        begins = several & (now - self._excused_last > EXCUSED)
+        self._excused_since = np.where(begins, now, self._excused_since)
+        self._excused_last = np.where(several, now, self._excused_last)
+        excused: Mask = several & (now - self._excused_since < EXCUSED)
+        return excused
+
+    def bound(self, wanted: Array, position: Array, aimed: Mask) -> Array:
+        """Keep ``wanted`` (B, n) [rad] within `TRAVEL` of readings that hardly ever changed, where no load tells."""
+        if self._loaded:
+            return wanted
+        held = self._tracks["held"]
+        far = (self._tracks["moved"] < MOVED) & (np.abs(wanted - held) > _EARLIEST) & aimed[:, None]
+        if not far.any():
+            return wanted
+        reach = TRAVEL / self._levers(position)
+        return np.where(far, np.minimum(np.maximum(wanted, held - reach), held + reach), wanted)
+
+    def onward(self, way: Array) -> Array:
+        """Motion (B, n) [rad] of ``way`` (B, n) along the commands' travel."""
+        return way * np.sign(self._tracks["travel"])
+
+    def believe(self, state: JointState, sent: Array, joints: Mask) -> None:
+        """Trust ``joints`` (B, n) again that broke loose, with ``sent`` (B, n) [rad] in force."""
+        tracks, where = self._tracks, joints.any(axis=-1)
+        stood = np.abs(tracks["push"]) / compiled.MOST
+        tracks["width"] = np.where(joints, np.maximum(tracks["width"], stood), tracks["width"])
+        tracks["position"][where], tracks["held"][where] = state.position[where], sent[where]
+        tracks["since"][where] = state.time[where, None]
+        for name in ("travel", "pushed", "due", "still", "strikes", "steady", "full", "late"):
+            tracks[name][where] = 0
+        self._verdict[where] = compiled.FINE
+        self._last = np.where(where, state.time, self._last)
+        self._sent_at[where] = state.time[where, None]
+        self._sent[where] = sent[where, None]
+
+    def balance(self, joints: Mask, sent: Array) -> Array:
+        """Return holding commands (B, n) [rad]: ``sent``, but the last equilibrium of ``joints`` (B, n)."""
+        return np.where(joints, self._tracks["held"], sent)
+
+    def describe(self, b: int, joints: Mask) -> str:
+        """Say what was seen of the ``joints`` (n,) of arm ``b``, and what to do."""
+        return "; ".join(self._describe(b, int(j)) for j in np.flatnonzero(joints))
+
+    def _travelled(self, position: Array, sent: Array) -> tuple[Mask, Mask]:
+        """Joints (B, n) whose commands have gone too far from a reading that stands, with no load to explain it."""
+        tracks = self._tracks
+        travel = np.abs(tracks["travel"])
+        stands = self._last[:, None] - tracks["since"] > TURN_ROUND
+        away = np.abs(sent - position) > ARRIVED
+        asked = (self._verdict == _UNKNOWN) & (travel > _EARLIEST) & stands & away & (tracks["moved"] >= MOVED)
+        if not asked.any():
+            return asked, asked
+        lever = self._levers(position)
+        stuck = np.where(tracks["moves"] >= SETTLED, tracks["stuck"], np.maximum(tracks["stuck"], STICKS))
+        beyond = travel - STICKING * stuck
+        return asked & (lever > SHORT_LEVER) & (beyond > TRAVEL / lever), asked & (beyond > 0.0)
+
+    def _levers(self, position: Array) -> Array:
+        """How far (B, n) [m/rad] the tool goes with each joint."""
+        return np.maximum(np.linalg.norm(position_kinematics(self._arm, position)[1], axis=-2), 1e-6)
+
+    def _describe(self, b: int, j: int) -> str:
+        track, name = self._tracks[b, j], self._arm.joint_names[j]
+        seen = (
+            f"{name}: the command moved {np.degrees(abs(track['travel'])):.1f} deg in "
+            f"{self._last[b] - track['since']:.2f} s, the reading 0"
+        )
+        if self._verdict[b, j] == _TURNING:
+            return (
+                f"{seen}; its servo gives {100 * track['load']:.0f} % of its torque, and one that stands would give "
+                f"{100 * track['expected']:.0f} %: the joint turns and its encoder is dead; do not drive the arm "
+                f"before servo and cable of {name} are replaced"
+            )
+        if self._verdict[b, j] == _OVERDUE:
+            push, width = np.degrees(abs(track["push"])), np.degrees(track["width"])
+            seen += f", at a push of {push:.1f} deg, and in its diagnosis it stood up to {width:.1f}"
+        return (
+            f"{seen}; no load tells whether it is stuck, held or loaded more than in its diagnosis, or its encoder is "
+            f"dead; if nothing holds or loads the arm, support it, switch it off, turn {name} by hand and see whether "
+            "its reading changes"
+        )
+
+
+FEWEST = 50
+"""rows for a line (chosen: two seconds)"""
+STILL = 4
+"""rows for which a reading must have stood (chosen)"""
+AT_REST = np.radians(0.1)
+"""[rad] by which commands may differ meanwhile (chosen: an encoder count)"""
+SURE = 4.0
+"""Times residual over spread that a slope may be wrong (chosen)"""
+LEAST_ERROR = 0.01
+"""smallest relative error of a slope (chosen)"""
+LEAST_NOISE = 0.001
+"""share of the largest torque, likewise (chosen: registers count in thousandths)"""
+HUBER = 2.0
+"""Robust deviations from which a row counts less (chosen)"""
+_ROUNDS = 20  # of reweighting (chosen: it settles in ten)
+PER_MEDIAN = 1.4826
+"""Standard deviation of normal residuals over the median of their sizes"""
+
+
+def servo_lines(arm: Arm, logs: Sequence[RunLog]) -> Knowledge | None:
+    """Read the load lines of an arm's servos from ``logs``; None where they hold none.
+
+    A servo's torque is proportional to its error, so loads of stationary joints lie on a line over command minus
+    reading. Joints that do not fit, or that would count as turning in these logs, stay unknown.
+    """
+    told = [log for log in logs if log.servo_load is not None]
+    rows = [_standing(arm, log, log.servo_load) for log in logs if log.servo_load is not None]
+    if not rows:
+        return None
+    lines = [_line(*(np.concatenate([part[k][:, j] for part in rows]) for k in range(3))) for j in range(arm.joints)]
+    gain, offset, within, noise = np.array(lines).T
+    within = np.where(within < compiled.KNOWN, within, np.inf)
+    for log in told:
+        known = _knowledge(gain, offset, within, noise)
+        if known is not None:
+            within = np.where(_turns(arm, log, known), np.inf, within)
+    return _knowledge(gain, offset, within, noise)
+
+
+def _knowledge(gain: Array, offset: Array, within: Array, noise: Array) -> Knowledge | None:
+    known = np.isfinite(within)
+    if not known.any():
+        return None
+    return Knowledge(
+        gain=np.where(known, gain, 1.0),
+        offset=np.where(known, offset / gain, 0.0),
+        within=within,
+        noise=np.where(known, noise, 1.0),
+    )
+
+
+def _standing(arm: Arm, log: RunLog, load: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Leads (T, n) [rad] and the loads (T, n) of a log, and where (T, n) they say something of the line."""
+    low, high = commands_in_force(log)
+    lead = 0.5 * (low + high) - log.position
+    moved = np.vstack([np.ones((1, arm.joints), dtype=bool), np.diff(log.position, axis=0) != 0.0])
+    last = np.maximum.accumulate(np.where(moved, np.arange(len(log))[:, None], 0), axis=0)
+    stands = np.arange(len(log))[:, None] - last >= STILL
+    dead = compiled.COUNTS * arm.encoder_step
+    told = np.abs(load) < compiled.FULL  # not where it is NaN
+    return lead, load, stands & told & (high - low < AT_REST) & (np.abs(lead) > dead)
+
+
+def commands_in_force(log: RunLog) -> tuple[Array, Array]:
+    """Lowest and highest command (T, n) [rad] that may be in force in each row."""
+    rows = np.arange(len(log))
+    oldest = np.searchsorted(log.time, log.time - compiled.SETTLE, side="right") - 1
+    low = high = log.command[np.maximum(rows - 1, 0)]
+    for back in range(2, compiled.HISTORY + 1):
+        command = log.command[np.maximum(np.maximum(rows - back, oldest), 0)]
+        low, high = np.minimum(low, command), np.maximum(high, command)
+    return low, high
+
+
+def _line(lead: Array, load: Array, use: NDArray[np.bool_]) -> tuple[float, float, float, float]:
+    lead, load = lead[use], load[use]
+    unknown = (1.0, 0.0, np.inf, 1.0)
+    if len(lead) < FEWEST or np.ptp(lead) == 0.0:
+        return unknown
+    (slope, offset), noise = robust_fit(np.stack([lead, np.ones_like(lead)], axis=-1), load, LEAST_NOISE)
+    if slope <= 0.0:
+        return unknown
+    return float(slope), float(offset), LEAST_ERROR + SURE * noise / (slope * float(lead.std())), noise
+
+
+def robust_fit(columns: Array, value: Array, least: float) -> tuple[Array, float]:
+    """Coefficients (k,) of ``columns`` (N, k) for ``value`` (N,), and the noise (``least`` or more) (Huber)."""
+    weight = np.ones_like(value)
+    for _ in range(_ROUNDS):
+        root = np.sqrt(weight)
+        found = np.linalg.lstsq(columns * root[:, None], value * root)[0]
+        off = np.abs(value - columns @ found)
+        noise = max(PER_MEDIAN * float(np.median(off)), least)
+        weight = np.minimum(1.0, HUBER * noise / np.maximum(off, 1e-12))
+    return np.asarray(found), noise
+
+
+def _turns(arm: Arm, log: RunLog, known: Knowledge) -> NDArray[np.bool_]:
+    """Joints (n,) that the monitor takes for turning ones somewhere in a log of an arm that was whole."""
+    states = states_of(log)
+    following, found = Following(arm, next(states), log.command[:1], known), np.zeros(arm.joints, dtype=bool)
+    for row, state in enumerate(states):
+        bad = following.check(state, log.command[row : row + 1], np.zeros(1, dtype=bool))
+        if bad is not None:
+            found |= bad[0]
+    return found
+
+
+HELD = 0.05
+"""[s] that a push must last (chosen)"""
+FEWEST_MOVING = 100
+"""rows in motion for a balance (chosen)"""
+SLOWEST, FASTEST = 0.04, 0.4
+"""[rad/s] bounds of slow motion (chosen)"""
+AVERAGED = 5
+"""rows of an averaged speed (chosen)"""
+LEAST_GRAVITY = 0.04
+"""smallest range of gravity that is fitted, over the largest of all joints (chosen)"""
+REACHES = np.radians(np.geomspace(0.3, 20.0, 30))
+"""[rad] reaches that are tried (chosen)"""
+WIDER, _OFTEN = 1.25, 12
+"""Factor on bands that their own logs exceed, and most of them (chosen)"""
+
+
+def standing_bands(arm: Arm, logs: Sequence[RunLog]) -> Bands:
+    """Read the friction bands of an arm's joints from ``logs``; hardly moved joints stay unknown.
+
+    The balance is fitted to slow motion in both directions; the width is the largest push at which the joint stood for
+    `HELD`; the reach makes the band narrowest. No joint is overdue in these logs.
+    """
+    slope, offset, known = _balances(arm, logs)
+    found = Bands(slope=slope, offset=offset, reach=np.full(arm.joints, np.inf), width=np.full(arm.joints, np.inf))
+    if not known.any():
+        return found
+    leads = [_leads(log, found.balance(arm, log.position)) for log in logs]
+    reach, width = _narrowest(arm, logs, leads)
+    width = np.where(known, width, np.inf)
+    for _ in range(_OFTEN):
+        late = np.zeros(arm.joints, dtype=bool)
+        for log, lead in zip(logs, leads, strict=True):
+            late |= _overdue(log, _push(lead, reach), width)
+        if not late.any():
+            break
+        width = np.where(late, WIDER * width, width)
+    return Bands(slope=slope, offset=offset, reach=reach, width=np.where(late, np.inf, width))
+
+
+Leads = tuple[Array, Array, Array]
+"""Lowest and highest lead (T, n) [rad] in force, and the balance"""
+
+
+def _leads(log: RunLog, balance: Array) -> Leads:
+    low, high = commands_in_force(log)
+    return low - log.position, high - log.position, balance
+
+
+def _push(leads: Leads, reach: Array) -> Array:
+    low, high, balance = (plain(array) for array in leads)
+    push = np.empty_like(low)
+    compiled.fill_pushes(low, high, balance, reach, push)
+    return push
+
+
+def _balances(arm: Arm, logs: Sequence[RunLog]) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Slope (n,) [rad/(N m)] and offset (n,) [rad] of the balance, and for which joints (n,) they are known."""
+    slope, offset, known = np.zeros(arm.joints), np.zeros(arm.joints), np.zeros(arm.joints, dtype=bool)
+    if not logs:
+        return slope, offset, known
+    parts = [_in_motion(arm, log) for log in logs]
+    lead, gravity, speed, moving = (np.concatenate([part[k] for part in parts]) for k in range(4))
+    loaded = np.ptp(gravity, axis=0) > LEAST_GRAVITY * np.ptp(gravity, axis=0).max()
+    for j in range(arm.joints):
+        use = moving[:, j].astype(bool)
+        known[j] = np.count_nonzero(use) >= FEWEST_MOVING
+        if known[j]:
+            columns = [loaded[j] * gravity[use, j], np.ones(use.sum()), np.sign(speed[use, j]), speed[use, j]]
+            slope[j], offset[j] = robust_fit(np.stack(columns, axis=-1), lead[use, j], 1e-6)[0][:2]
+    return np.where(loaded, slope, 0.0), offset, known
+
+
+def _in_motion(arm: Arm, log: RunLog) -> tuple[Array, Array, Array, Array]:
+    """Mean lead, gravity torque, speed (T, n), and where the joints are in slow motion (1 or 0)."""
+    low, high = commands_in_force(log)
+    if len(log) < AVERAGED:
+        nothing = np.empty((0, arm.joints))
+        return nothing, nothing, nothing, nothing
+    speed = np.gradient(log.position, log.time, axis=0)
+    mean = np.ones(AVERAGED) / AVERAGED
+    speed = np.stack([np.convolve(speed[:, j], mean, "same") for j in range(arm.joints)], axis=-1)
+    slow = (np.abs(speed) > SLOWEST) & (np.abs(speed) < FASTEST)
+    return 0.5 * (low + high) - log.position, gravity_torque(arm, log.position), speed, slow.astype(float)
+
+
+def _narrowest(arm: Arm, logs: Sequence[RunLog], leads: Sequence[Leads]) -> tuple[Array, Array]:
+    """Reach and width (n,) [rad] of the bands that are narrowest for what the servos can push."""
+    best, reach, width = np.zeros(arm.joints), np.full(arm.joints, np.inf), np.full(arm.joints, np.inf)
+    for tried in REACHES:
+        both = [_held(log, _push(lead, np.full(arm.joints, tried))) for log, lead in zip(logs, leads, strict=True)]
+        found = np.maximum(np.max(both, axis=0), arm.encoder_step)
+        better = tried / found >= best
+        best = np.where(better, tried / found, best)
+        reach, width = np.where(better, tried, reach), np.where(better, found, width)
+    return reach, width
+
+
+def _held(log: RunLog, push: Array) -> Array:
+    """Largest push (n,) [rad] at which joints stood for `HELD`."""
+    readings = 1 + max(1, round(HELD / float(np.median(np.diff(log.time))))) if len(log) > 1 else 1
+    if len(log) <= readings:
+        return np.zeros(push.shape[1])
+    stands = np.vstack([np.zeros((1, push.shape[1]), dtype=bool), np.diff(log.position, axis=0) == 0.0])
+    windows = np.lib.stride_tricks.sliding_window_view(np.where(stands, push, 0.0), readings, axis=0)
+    return np.asarray(np.maximum(windows.min(axis=-1), -windows.max(axis=-1)).max(axis=0))
+
+
+def _overdue(log: RunLog, push: Array, width: Array) -> NDArray[np.bool_]:
+    """Joints (n,) that would be overdue somewhere in a log."""
+    tracks, found = np.zeros(len(width), compiled.TRACK), np.zeros(len(width), dtype=bool)
+    tracks["width"] = width
+    compiled.fill_overdue(tracks, plain(log.time), plain(log.position), plain(push), found)
+    return found

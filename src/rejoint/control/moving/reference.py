@@ -1,0 +1,558 @@
+"""References: paths known ahead (files, standard ones), and streams of targets."""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path as FilePath
+from threading import Lock
+from typing import Protocol
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from rejoint.arms import Arm, Array
+from rejoint.arms.posing import NEAR, TURNED, missed_pose
+from rejoint.arms.rotations import WEIGHT, Orientation, quaternion_of, same_side, stacked, tool_axis
+from rejoint.arms.workspace import length_size
+from rejoint.control.moving.posture import PathPostures
+from rejoint.control.robot import Mask
+from rejoint.control.targets import (
+    PLACE,
+    Pose,
+    beyond_reach,
+    in_words,
+    lowest,
+    read_poses,
+    too_low,
+    turn_knot,
+    turned_as,
+    unit_hint,
+)
+from rejoint.system.errors import FileError, InputError
+from rejoint.system.numbers import as_floats
+
+_HEADER = ("time", *PLACE)
+_MOST = 4_000_000
+"""[bytes] largest file (chosen)"""
+LONGEST = 3600.0
+"""[s] longest path (chosen)"""
+SHORTEST = 0.1
+"""[s] shortest path (chosen)"""
+_LOOK = 0.04
+"""[s] between places judged before the arm moves (chosen)"""
+_OPPOSITE = -0.5
+"""Cosine of the largest turn between two points (chosen)"""
+SPEED_SHARE = 0.8
+"""Share of the joints' speed that a path may use (chosen)"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Path:
+    """Places over time, joined by a cubic spline."""
+
+    time: Array
+    """(T,) [s] increasing, from 0"""
+    place: Array
+    """(T, 3) [m]"""
+    name: str = "path"
+    direction: Array | None = None
+    """(T, 3) tool directions in the base frame; None: any"""
+    quaternion: Array | None = None
+    """(T, 4) w, x, y, z: whole orientations, instead"""
+    weight: float = WEIGHT
+    """[m/rad] that the orientation counts"""
+    axis: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]), repr=False)
+    """(3,) tool direction in its own frame; `on` sets it"""
+    _places: CubicSpline = field(init=False, repr=False)
+    _turn: CubicSpline | None = field(init=False, repr=False, default=None)  # of directions (3,) or quaternions (4,)
+
+    def __post_init__(self) -> None:
+        time = as_floats("path", self.time, "times (T,) in seconds").copy()
+        place = as_floats("path", self.place, "places (T, 3) in metres").copy()
+        if time.ndim != 1 or place.shape != (len(time), 3) or len(time) < 2:
+            raise InputError(f"path: times {time.shape} and places {place.shape}, expected (T,) and (T, 3), T > 1")
+        if not (np.isfinite(time).all() and np.isfinite(place).all()):
+            raise InputError("path: some times or places are no finite numbers")
+        late = np.flatnonzero(np.diff(time) <= 0.0)
+        if len(late):
+            k = int(late[0]) + 1
+            raise InputError(f"path: the time {time[k]:g} s of point {k + 1} is not after {time[k - 1]:g} s before it")
+        time = time - time[0]
+        for name, value in (("time", time), ("place", place)):
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+        turn = self._knots()
+        object.__setattr__(self, "_places", _spline(time, place))
+        object.__setattr__(self, "_turn", None if turn is None else _spline(time, turn))
+
+    def _knots(self) -> Array | None:
+        if self.direction is not None and self.quaternion is not None:
+            raise InputError("path: direction and quaternion are given, expected one of them")
+        given, size = (self.quaternion, 4) if self.direction is None else (self.direction, 3)
+        if given is None:
+            return None
+        turn = as_floats("path", given, f"orientations ({len(self.time)}, {size})")
+        if turn.shape != (len(self.time), size) or not (np.linalg.norm(turn, axis=-1) > 0.0).all():
+            raise InputError(
+                f"path: orientations of shape {turn.shape}, expected ({len(self.time)}, {size}), none zero"
+            )
+        turn = turn / np.linalg.norm(turn, axis=-1, keepdims=True)
+        turn = turn if size == 3 else same_side(turn)
+        if ((turn[1:] * turn[:-1]).sum(axis=-1) < _OPPOSITE).any():
+            raise InputError("path: the tool would turn round between two points; give points between them")
+        return turn
+
+    @property
+    def turned(self) -> bool:
+        """Whether it says how the tool is to be turned."""
+        return self._turn is not None
+
+    def on(self, arm: Arm) -> Path:
+        """Path for the tool of ``arm``."""
+        return replace(self, axis=tool_axis(arm)) if self.turned else self
+
+    def turn_at(self, time: Array | float) -> Orientation | None:
+        """Orientations (...) at ``time`` (...) [s]; None: any."""
+        if self._turn is None:
+            return None
+        return turned_as(self._turn(np.clip(time, 0.0, self.duration)), self.axis, self.weight)
+
+    def pose_at(self, time: float) -> Pose:
+        """Return place and orientation at ``time`` [s] as a `Pose`."""
+        place = self.at(time)
+        if self._turn is None:
+            return Pose(place_m=place)
+        knot = self._turn(np.clip(time, 0.0, self.duration))
+        kind = "quaternion" if self.direction is None else "direction"
+        return Pose(place_m=place, weight_m=self.weight, **{kind: knot})
+
+    @property
+    def duration(self) -> float:
+        """Length in time [s]."""
+        return float(self.time[-1])
+
+    def at(self, time: Array | float) -> Array:
+        """Places (..., 3) [m] at ``time`` (...) [s]; constant outside."""
+        return np.asarray(self._places(np.clip(time, 0.0, self.duration)))
+
+    def velocity(self, time: Array | float) -> Array:
+        """Velocities (..., 3) [m/s] at ``time`` (...) [s]."""
+        return self._derivative(time, 1)
+
+    def acceleration(self, time: Array | float) -> Array:
+        """Accelerations (..., 3) [m/s^2] at ``time`` (...) [s]."""
+        return self._derivative(time, 2)
+
+    def _derivative(self, time: Array | float, order: int) -> Array:
+        time = np.asarray(time)
+        moving = (time >= 0.0) & (time <= self.duration)
+        return np.asarray(moving[..., None] * self._places(np.clip(time, 0.0, self.duration), order))
+
+    def require_followable(self, arm: Arm) -> None:
+        """Raise InputError, which says where, unless ``arm`` reaches every place in time."""
+        if not SHORTEST <= self.duration <= LONGEST:
+            raise InputError(
+                f"path: it takes {self.duration:g} s, {SHORTEST:g} to {LONGEST:.0f} s were expected; give times in "
+                "seconds, and what takes longer as paths one after the other"
+            )
+        times = np.union1d(np.linspace(0.0, self.duration, max(2, round(self.duration / _LOOK))), self.time[:1])
+        places = self.at(times)
+        beyond = beyond_reach(arm, places)
+        if beyond.any():
+            k = int(beyond.argmax())
+            raise InputError(
+                f"path: at {times[k]:.2f} s {_point(places[k])} is out of reach, {1e3 * beyond[k]:.0f} mm too far;"
+                f"{unit_hint(self.place)} give places that the tool can reach"
+            )
+        if too_low(arm, places).any():
+            k = int(places[:, 2].argmin())
+            raise InputError(f"path: at {times[k]:.2f} s {_point(places[k])} {lowest(arm)}; lead it higher")
+        turns = self.turn_at(times)
+        begin = PathPostures(arm, places[:1], turns and turns[:1])
+        postures = begin.along(places[:, None], turns and turns[:, None])[:, 0]
+        if turns is not None:
+            _require_turned(arm, times, places, turns, postures)
+        share = np.abs(np.diff(postures, axis=0)) / np.diff(times)[:, None] / arm.max_speed
+        k, j = (int(index) for index in np.unravel_index(int(share.argmax()), share.shape))
+        if share[k, j] > SPEED_SHARE:
+            raise InputError(
+                f"path: at {times[k]:.2f} s {_point(places[k])} {arm.joint_names[j]} would have to turn at "
+                f"{np.degrees(share[k, j] * arm.max_speed[j]):.0f} deg/s, "
+                f"{np.degrees(SPEED_SHARE * arm.max_speed[j]):.0f} at most were expected; give the path more time there"
+            )
+
+
+def _require_turned(arm: Arm, times: Array, places: Array, turns: Orientation, postures: Array) -> None:
+    """Raise InputError, which says where, unless ``postures`` (T, n) [rad] turn the tool as in ``turns`` (T,)."""
+    off, angle = missed_pose(arm, postures, places, turns)
+    askew = (off > NEAR) | (angle > TURNED)
+    if askew.any():
+        k = int(askew.argmax())
+        raise InputError(
+            f"path: at {times[k]:.2f} s {_point(places[k])} the tool cannot have {in_words(turns[k])}, at best "
+            f"{1e3 * off[k]:.0f} mm and {np.degrees(angle[k]):.0f} deg off; give another orientation there"
+        )
+
+
+def path_of(time: Array, place: Array, turn: Orientation | None, name: str) -> Path:
+    """Path through ``place`` (T, 3) [m] at ``time`` (T,) [s] with orientations (T,) of one kind."""
+    if turn is None:
+        return Path(time=time, place=place, name=name)
+    whole = bool(turn.whole[0])
+    return Path(
+        time=time,
+        place=place,
+        name=name,
+        weight=float(turn.weight[0]),
+        axis=turn.axis,
+        direction=None if whole else turn.rotation @ turn.axis,
+        quaternion=quaternion_of(turn.rotation) if whole else None,
+    )
+
+
+def _spline(time: Array, values: Array) -> CubicSpline:
+    """Cubic spline through ``values`` (T, k); ends as a parabola through three points."""
+    chord, h = np.diff(values, axis=0) / np.diff(time)[:, None], np.diff(time)
+    ends = [chord[0], chord[-1]]
+    if len(h) > 1:
+        ends[0] = chord[0] + (chord[0] - chord[1]) * (h[0] / (h[0] + h[1]))
+        ends[1] = chord[-1] + (chord[-1] - chord[-2]) * (h[-1] / (h[-1] + h[-2]))
+    return CubicSpline(time, values, bc_type=((1, ends[0]), (1, ends[1])))
+
+
+def read_path(file: FilePath) -> Path:
+    """Read a CSV file ``time,x,y,z`` in s and mm, with columns of an orientation or not; FileError names the line."""
+    try:
+        lines = read_poses(file, _MOST, _HEADER)
+    except FileNotFoundError as error:
+        raise FileError(
+            file, "no such file, and no standard path", "standard are circle-8s, random-0.2hz and the like"
+        ) from error
+    if len(lines) < 2:
+        found = "one point" if lines else "no point"
+        raise FileError(file, f"{found} below the header, at least two were expected", "add lines")
+    time, poses = np.array([float(cells[0]) for _, cells, _ in lines]), [pose for *_, pose in lines]
+    try:
+        return _through(time, poses, file.stem)
+    except InputError as error:
+        raise FileError(file, str(error), "give at least two lines of increasing time") from error
+
+
+def _through(time: Array, poses: Sequence[Pose], name: str) -> Path:
+    place = np.array([pose.place_m for pose in poses]).reshape(-1, 3)
+    turned = {pose.turned for pose in poses}
+    if len(turned) > 1 or len({pose.weight_m for pose in poses}) > 1:
+        raise InputError("path: orientations, of one weight, are on every line or on none")
+    if turned != {True}:
+        return Path(time=time, place=place, name=name)
+    whole = poses[0].direction is None
+    rotations = [pose.rotation(np.array([0.0, 0.0, 1.0])) for pose in poses] if whole else []  # they need no axis
+    return Path(
+        time=time,
+        place=place,
+        name=name,
+        weight=poses[0].weight_m,
+        direction=None if whole else np.array([pose.direction for pose in poses]),
+        quaternion=np.array([quaternion_of(one) for one in rotations]) if whole else None,
+    )
+
+
+def _point(place: Array) -> str:
+    return f"({', '.join(f'{value * 1e3:.0f}' for value in place)}) mm"
+
+
+STANDARD = ("circle-20s", "circle-8s", "circle-4s", "random-0.2hz", "random-0.5hz")
+"""Those of the comparison"""
+RADIUS = 0.040
+"""[m] of the circle for a myCobot; scales with the reach"""
+EASE = 1.0
+"""[s] to start and to stop (chosen)"""
+LENGTH = 20.0
+"""[s] of a random path; circles are repeated to about it (chosen)"""
+_SINES, _FILL = 5, 0.7
+"""waves per coordinate, and their share of the target region (chosen)"""
+_STEP = 0.02  # [s] between the points
+_NAME = re.compile(r"(circle)-(\d+(?:\.\d+)?)s|(random)-(\d+(?:\.\d+)?)hz")
+
+
+def is_standard(name: str) -> bool:
+    """Whether a name is that of a standard path."""
+    return _NAME.fullmatch(name) is not None
+
+
+def standard_path(name: str, arm: Arm, seed: int = 0) -> Path:
+    """Make ``circle-Ts`` (once round in T seconds) or ``random-Fhz`` (waves up to F hertz); InputError else."""
+    found = _NAME.fullmatch(name)
+    if found is None:
+        raise InputError(f"no path is called {name!r}; standard paths: {', '.join(STANDARD)}, or give a CSV file")
+    value = float(found[2] or found[4])
+    if not 0.05 <= value <= 600.0:
+        raise InputError(f"path {name}: expected between 0.05 and 600")
+    middle = (arm.targets.lower + arm.targets.upper) / 2
+    if found[1]:
+        laps = max(1, round(LENGTH / value))
+        time, phase = _phase(laps * value)
+        angle = 2.0 * np.pi * phase / value
+        radius = RADIUS * length_size(arm)
+        return Path(
+            time=time,
+            name=name,
+            place=middle + radius * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=-1),
+        )
+    time, phase = _phase(LENGTH)
+    waves = _waves(value, phase, seed)
+    half = _FILL * (arm.targets.upper - arm.targets.lower) / 2
+    return Path(time=time, place=middle + half * waves / np.abs(waves).max(axis=0), name=name)
+
+
+def _phase(length: float) -> tuple[Array, Array]:
+    """Return times (T,), and how far (T,) [s] of ``length`` [s] one that starts and ends at rest has come."""
+    duration = length + EASE
+    time = np.linspace(0.0, duration, round(duration / _STEP) + 1)
+    return time, _rising(time) - _rising(time - length)
+
+
+def _rising(time: Array) -> Array:
+    share = np.clip(time / EASE, 0.0, 1.0)
+    return EASE * (share**3 - share**4 / 2) + np.maximum(time - EASE, 0.0)
+
+
+def _waves(highest: float, time: Array, seed: int) -> Array:
+    rng = np.random.default_rng([seed, round(1e3 * highest)])
+    frequency = highest * rng.uniform(0.25, 1.0, (3, _SINES))
+    start, size = rng.uniform(0.0, 2.0 * np.pi, (3, _SINES)), rng.uniform(0.5, 1.0, (3, _SINES))
+    return (size * np.sin(2.0 * np.pi * frequency * time[:, None, None] + start)).sum(axis=-1)
+
+
+def interpolated(time: Array, at: Array, places: Array) -> Array:
+    """Linear interpolation of ``places`` (K, 3) at ``at`` (K,) for ``time`` (T,): (T, 3)."""
+    return np.stack([np.interp(time, at, column) for column in places.T], axis=-1)
+
+
+LEAD_IN = 2.0
+"""[s] at the start of a path before it moves (chosen)"""
+LAG = 0.08
+"""[s] behind a stream (chosen)"""
+EXTRAPOLATED = 0.2
+"""[s] of extrapolation while a stream pauses (chosen)"""
+_MOST_TURN = float(np.radians(120.0))
+"""[rad] from one target of a stream to the next (chosen)"""
+_FARTHEST = 10.0  # [m] from the base that a target lies at most (chosen: what is farther is in millimetres)
+_RECENT = 2.0  # [s] of a stream that are looked at (chosen: more than the longest lag and what follows look back)
+
+
+class Guide(Protocol):
+    """Where the target of one arm is over time."""
+
+    def place(self, now: float) -> Array:
+        """Target (3,) [m] at ``now`` [s]."""
+
+    def aims(self, now: float, later: Array) -> Array:
+        """Aims (k, 3) [m] ``later`` (k,) [s] than ``now``."""
+
+    def turns(self, now: float, later: Array) -> Orientation | None:
+        """Orientations (k,) then; None: any."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Ahead:
+    """A path known ahead, after a pause at its start."""
+
+    path: Path
+    aim: Path | None = None
+    """corrected path with the same times; None: ``path``"""
+
+    def place(self, now: float) -> Array:
+        """Place (3,) [m] on the path."""
+        return self.path.at(now - LEAD_IN)
+
+    def aims(self, now: float, later: Array) -> Array:
+        """Places (k, 3) [m] that are to come."""
+        return (self.aim or self.path).at(now - LEAD_IN + later)
+
+    def turns(self, now: float, later: Array) -> Orientation | None:
+        """Orientations (k,) that are to come."""
+        return (self.aim or self.path).turn_at(now - LEAD_IN + later)
+
+
+Corrected = Callable[[Array, Orientation | None], tuple[Array, Orientation | None]]
+"""Turns targets (k, 3) [m] and orientations (k,) into aims"""
+
+
+@dataclass(eq=False)
+class Stream:
+    """Targets that arrive online at 10 to 100 Hz: places, or poses.
+
+    The arm follows `LAG` behind, straight between targets; after the last one it goes on for `EXTRAPOLATED`, then
+    holds. `put` is safe in other threads. A stream is followed once.
+    """
+
+    lag: float = LAG
+    """[s]"""
+    corrected: Corrected | None = None
+    time: list[float] = field(default_factory=list)
+    """[s] arrivals on the clock of the run"""
+    targets: list[Array] = field(default_factory=list)
+    """each (3,) [m]"""
+    axis: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]), repr=False)
+    """(3,) tool direction in its own frame"""
+    _knots: list[Array] = field(default_factory=list)  # (3,) directions or (4,) quaternions, unit; none of places
+    _weight: float = 0.0
+    _now: float = 0.0
+    _lock: Lock = field(default_factory=Lock, repr=False)
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.lag <= 1.0:
+            raise InputError(f"stream: the lag must be between 0 and 1 s, got {self.lag}")
+
+    def put(self, target: Sequence[float] | Array | Pose, time: float | None = None) -> None:
+        """Take over a ``target``, a place (3,) [m] or a `Pose`, at ``time`` [s] (default: the present cycle).
+
+        InputError for another kind than the first, a turn over 120 degrees, or an earlier time.
+        """
+        time = self._now if time is None else time
+        pose = target if isinstance(target, Pose) else None
+        place = as_floats("stream", target if pose is None else pose.place_m, "three finite numbers in metres")
+        if place.shape != (3,) or not np.isfinite(place).all() or not np.isfinite(time):
+            raise InputError(f"stream: a target is three finite numbers in metres, got {target} at {time} s")
+        if np.abs(place).max() > _FARTHEST:
+            raise InputError(f"stream: a target is in metres, got {place.tolist()}")
+        knot = None if pose is None or not pose.turned else turn_knot(pose)
+        with self._lock:
+            if self.time and time < self.time[-1]:
+                raise InputError(f"stream: a target of {time:g} s came after one of {self.time[-1]:g} s")
+            self._require_alike(knot)
+            if self.time and time == self.time[-1]:
+                del self.time[-1], self.targets[-1], self._knots[-1:]
+            self.time.append(time)
+            self.targets.append(place)
+            if pose is not None and knot is not None:
+                self._knots.append(same_side(np.stack([*self._knots[-1:], knot]))[-1] if len(knot) == 4 else knot)
+                self._weight = pose.weight_m
+
+    @property
+    def followed(self) -> bool:
+        """Whether an arm was driven behind it."""
+        return self._now > 0.0
+
+    def place(self, now: float) -> Array:
+        """Target (3,) [m] in force."""
+        self._now = now
+        return self._between(self.targets, np.array([now]), now)[0]
+
+    def aims(self, now: float, later: Array) -> Array:
+        """Aims (k, 3) [m] by what has come until ``now``."""
+        return self._poses(now, later)[0]
+
+    def turns(self, now: float, later: Array) -> Orientation | None:
+        """Orientations (k,) by what has come; None for places."""
+        return self._poses(now, later)[1] if self._knots else None
+
+    def received(self) -> tuple[Array, Orientation | None]:
+        """All targets (K, 3) [m] and orientations (K,) that came."""
+        turns = turned_as(np.array(self._knots), self.axis, self._weight) if self._knots else None
+        return np.array(self.targets), turns
+
+    def _poses(self, now: float, later: Array) -> tuple[Array, Orientation | None]:
+        self._now = now
+        time = now + later - self.lag
+        places, turns = self._between(self.targets, time, now), None
+        if self._knots:
+            turns = turned_as(self._between(self._knots, time, now), self.axis, self._weight)
+        return (places, turns) if self.corrected is None else self.corrected(places, turns)
+
+    def _require_alike(self, knot: Array | None) -> None:
+        if not self.targets:
+            return
+        last = self._knots[-1] if self._knots else None
+        if knot is None or last is None or len(knot) != len(last):
+            if knot is not last:
+                raise InputError(
+                    "stream: the first target decides whether all have a direction, a whole orientation, or none; put "
+                    "targets of one kind, or take a stream for each"
+                )
+        elif _turn_between(knot, last) > _MOST_TURN:
+            raise InputError(
+                "stream: from one target to the next the tool would turn by "
+                f"{np.degrees(_turn_between(knot, last)):.0f} deg, at most 120 were expected; put targets between them"
+            )
+
+    def _between(self, values: list[Array], time: Array, now: float) -> Array:
+        """Return ``values`` (k, m) at ``time`` (k,) [s], by what has come until ``now``."""
+        with self._lock:
+            count = bisect_right(self.time, now)
+            first = max(0, bisect_right(self.time, now - _RECENT, hi=count) - 2)
+            times, known = np.array(self.time[first:count]), np.array(values[first:count])
+        if not len(times):
+            raise InputError("stream: nothing has come yet; put the first target before the arm moves")
+        if len(times) == 1:
+            return np.broadcast_to(known[0], (len(time), known.shape[1]))
+        found = interpolated(time, times, known)
+        beyond = np.clip(time - times[-1], 0.0, EXTRAPOLATED)[:, None]
+        return found + beyond * _last_velocity(times, known)
+
+
+def _turn_between(one: Array, other: Array) -> float:
+    """Angle [rad] between two directions (3,), or two quaternions (4,)."""
+    cosine = float(np.clip(one @ other, -1.0, 1.0))
+    return float(np.arccos(cosine)) if len(one) == 3 else 2.0 * float(np.arccos(abs(cosine)))
+
+
+def _last_velocity(times: Array, values: Array) -> Array:
+    """Velocity (m,) [1/s] of the last values (K, m): a line through those of 0.1 s, or the last two."""
+    recent = np.flatnonzero(times >= times[-1] - 0.1)
+    recent = recent if len(recent) > 1 else np.arange(len(times) - 2, len(times))
+    since = times[recent] - times[recent].mean()
+    return np.asarray(since @ (values[recent] - values[recent].mean(axis=0)) / (since @ since))
+
+
+@dataclass(frozen=True, eq=False)
+class Routes:
+    """The guides of B arms side by side."""
+
+    guides: Sequence[Guide]
+
+    @property
+    def count(self) -> int:
+        """Number B of arms."""
+        return len(self.guides)
+
+    @property
+    def waits(self) -> Mask:
+        """(B,) that are known ahead, and wait for their arm."""
+        return np.array([isinstance(guide, Ahead) for guide in self.guides])
+
+    def place(self, now: Array) -> Array:
+        """Targets (B, 3) [m] at ``now`` (B,) [s]."""
+        return np.stack([guide.place(float(time)) for guide, time in zip(self.guides, now, strict=True)])
+
+    def aims(self, now: Array, later: Array) -> Array:
+        """Aims (k, B, 3) [m] ``later`` (k, B) [s] than ``now`` (B,)."""
+        columns = zip(self.guides, now, later.T, strict=True)
+        return np.stack([guide.aims(float(time), column) for guide, time, column in columns], axis=1)
+
+    def turns(self, now: Array, later: Array) -> Orientation | None:
+        """Orientations (k, B) then; None: any."""
+        columns = zip(self.guides, now, later.T, strict=True)
+        found = [guide.turns(float(time), column) for guide, time, column in columns]
+        known = [one for one in found if one is not None]
+        return stacked(known, axis=1) if len(known) == len(found) else None
+
+
+def played(path: Path, rate: float) -> Stream:
+    """Play a path as a stream of ``rate`` [Hz], after a pause at its start; InputError beyond 1 to 1000 Hz."""
+    require_rate(rate)
+    stream = Stream(axis=path.axis)
+    stream.put(path.pose_at(0.0), 0.0)
+    for time in np.arange(LEAD_IN, LEAD_IN + path.duration + 1.0 / rate, 1.0 / rate):
+        stream.put(path.pose_at(time - LEAD_IN), float(time))
+    return stream
+
+
+def require_rate(rate: float) -> None:
+    """Raise InputError for a ``rate`` [Hz] outside 1 to 1000."""
+    if not 1.0 <= rate <= 1000.0:
+        raise InputError(f"stream: the rate must be between 1 and 1000 Hz, got {rate}")

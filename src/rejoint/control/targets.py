@@ -1,0 +1,327 @@
+"""Targets and poses as users give them: as objects, drawn, or in CSV files.
+
+Columns: ``x,y,z`` [mm], then nothing, or ``dx,dy,dz`` (direction), or ``rx,ry,rz`` [deg] (about fixed x, y, z), or
+``qw,qx,qy,qz``, and perhaps ``weight`` [mm] per degree. A line with an empty orientation is a point.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rejoint.arms import Arm, Array, choose_postures, solve_position, tcp_position
+from rejoint.arms.rotations import (
+    WEIGHT,
+    Orientation,
+    between_directions,
+    quaternion_of,
+    rotation_of,
+    to_coords,
+    to_pose,
+    tool_axis,
+    turned,
+)
+from rejoint.arms.workspace import in_metres
+from rejoint.logs.runlog import TWO_TURNS
+from rejoint.system.errors import FileError, InputError
+from rejoint.system.files import read_bounded
+from rejoint.system.numbers import as_floats
+
+PLACE = ("x", "y", "z")
+KINDS = {"direction": ("dx", "dy", "dz"), "angles": ("rx", "ry", "rz"), "quaternion": ("qw", "qx", "qy", "qz")}
+"""Columns of each way to give an orientation"""
+ORIENTED = "dx,dy,dz or rx,ry,rz or qw,qx,qy,qz, and perhaps weight"
+"""What a header may have after the place, in words"""
+_SHOWN = 80  # letters of a header that an error shows
+_NUMBERS = dict(enumerate(("three", "four", "five", "six", "seven", "eight", "nine"), start=3))
+_DEGREE = 1e3 * np.radians(1.0)  # a weight in m/rad, in mm/deg
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Pose:
+    """A place for the tool, and how the tool is to be turned there: in at most one of three ways.
+
+    Examples
+    --------
+    >>> pose = rejoint.Pose(place_m=[0.18, 0.0, 0.2], direction=[0, 0, -1])  # the tool points down
+    """
+
+    place_m: ArrayLike
+    """(3,) in the base frame"""
+    direction: ArrayLike | None = None
+    """(3,) tool direction in the base frame"""
+    angles_rad: ArrayLike | None = None
+    """(3,) [rad] about the fixed x, then y, then z"""
+    quaternion: ArrayLike | None = None
+    """(4,) w, x, y, z"""
+    weight_m: float = WEIGHT
+    """[m] that a radian counts against the place"""
+
+    def __post_init__(self) -> None:
+        given = [(name, value) for name, value in self._ways() if value is not None]
+        if len(given) > 1:
+            raise InputError(f"pose: {given[0][0]} and {given[1][0]} are given, expected one of them")
+        for name, value, size in [("place_m", self.place_m, 3), *((n, v, len(KINDS[n])) for n, v in given)]:
+            found = as_floats("pose", value, f"{size} finite numbers as {name}")
+            if found.shape != (size,) or not np.isfinite(found).all():
+                raise InputError(f"pose: {name} {value!r} is not {size} finite numbers")
+            if name in ("direction", "quaternion") and not np.linalg.norm(found) > 0.0:
+                raise InputError(f"pose: {name} is zero; give one of any other length")
+            farthest = np.abs(found).max() if name == "angles" else 0.0
+            if farthest > TWO_TURNS:
+                said = f"{farthest:.4g} rad ({np.degrees(farthest):.5g} deg)"
+                raise InputError(f"pose: an angle of {said}, beyond two turns; angles_rad is in radians")
+        if not (np.isfinite(self.weight_m) and self.weight_m >= 0.0):
+            raise InputError(f"pose: a weight is a number of metres from 0 on, got {self.weight_m}")
+
+    def _ways(self) -> tuple[tuple[str, ArrayLike | None], ...]:
+        return ("direction", self.direction), ("angles", self.angles_rad), ("quaternion", self.quaternion)
+
+    @property
+    def turned(self) -> bool:
+        """Whether an orientation is asked for."""
+        return self.weight_m > 0.0 and any(value is not None for _, value in self._ways())
+
+    def rotation(self, axis: Array) -> Array:
+        """Wanted frame (3, 3) of a tool along its ``axis`` (3,)."""
+        if self.direction is not None:
+            return pointing(axis, np.asarray(self.direction, dtype=float))
+        if self.angles_rad is not None:
+            return to_pose(np.concatenate([np.zeros(3), np.asarray(self.angles_rad, dtype=float)]))[:3, :3]
+        return np.eye(3) if self.quaternion is None else rotation_of(np.asarray(self.quaternion, dtype=float))
+
+
+def placed(arm: Arm, poses: Sequence[Pose]) -> tuple[Array, Orientation | None]:
+    """Places (K, 3) [m] and orientations (K,) of poses; None for points alone."""
+    axis = tool_axis(arm)
+    places = np.array([np.asarray(pose.place_m, dtype=float) for pose in poses]).reshape(-1, 3)
+    if not any(pose.turned for pose in poses):
+        return places, None
+    return places, Orientation(
+        rotation=np.stack([pose.rotation(axis) for pose in poses]),
+        axis=axis,
+        whole=np.array([pose.direction is None for pose in poses]),
+        weight=np.array([pose.weight_m if pose.turned else 0.0 for pose in poses]),
+    )
+
+
+def in_words(turn: Orientation) -> str:
+    """Say a single orientation () in words; empty: any."""
+    if not turn.counts:
+        return ""
+    if not turn.whole:
+        return "direction {:.2f} {:.2f} {:.2f}".format(*(np.round(turn.rotation @ turn.axis, 2) + 0.0))
+    frame = np.eye(4)
+    frame[:3, :3] = turn.rotation
+    return "rx ry rz {:.1f} {:.1f} {:.1f} deg".format(*(np.round(np.degrees(to_coords(frame)[3:]), 1) + 0.0))
+
+
+def columns(header: Sequence[str], first: Sequence[str] = PLACE) -> Callable[[Sequence[str]], Pose] | None:
+    """Return what makes a pose of a line's cells below ``header``; None for an unknown header.
+
+    It raises InputError for a bad line.
+    """
+    names = [cell.strip().lower() for cell in header]
+    rest = names[len(first) :]
+    weighed = rest[-1:] == ["weight"]
+    kind = next((kind for kind, own in KINDS.items() if rest[: len(rest) - weighed] == list(own)), None)
+    if names[: len(first)] != list(first) or (kind is None and rest):
+        return None
+
+    def pose(line: Sequence[str]) -> Pose:
+        empty = not any(map(str.strip, line[len(first) :]))
+        try:
+            values = np.array([float(cell) for cell in (line[: len(first)] if empty else line)])
+        except ValueError as error:
+            raise InputError("holds no numbers") from error
+        if len(line) != len(names) or not np.isfinite(values).all():
+            raise InputError(f"is not {_NUMBERS[len(names)]} finite numbers")
+        place = values[len(first) - len(PLACE) : len(first)] / 1e3
+        if kind is None or empty:
+            return Pose(place_m=place)
+        own = values[len(first) : len(names) - weighed]
+        weight = values[-1] / _DEGREE if weighed else WEIGHT
+        given = {"angles_rad": np.radians(own)} if kind == "angles" else {kind: own}
+        return Pose(place_m=place, weight_m=float(weight), **given)
+
+    return pose
+
+
+def unknown_header(header: Sequence[str], first: Sequence[str] = PLACE) -> tuple[str, str]:
+    """Return what is wrong with a ``header``, and what to do."""
+    found, expected = ",".join(header), ",".join(first)
+    problem = f"it holds nothing, expected the header '{expected}'"
+    if found:
+        shown = found if len(found) <= _SHOWN else f"{found[:_SHOWN]}..."
+        problem = f"the header is {shown!r}, expected '{expected}'"
+    if len(header) == 1 and any(sign in found for sign in ";\t |"):
+        return problem, "separate columns by commas, and write numbers with points"
+    units = "s, mm and deg" if "time" in first else "mm and deg"
+    return problem, f"name the columns so, and after z perhaps {ORIENTED}; in {units}"
+
+
+def read_poses(path: Path, most: int, first: Sequence[str] = PLACE) -> list[tuple[int, list[str], Pose]]:
+    """Read a CSV file of poses with the columns ``first``: number, cells and pose of each line.
+
+    FileError names bad ones.
+    """
+    try:
+        text = read_bounded(path, most, "give fewer lines").decode("utf-8-sig")
+        rows = enumerate(csv.reader(io.StringIO(text, newline="")), start=1)
+        lines = [(number, line) for number, line in rows if any(map(str.strip, line))]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        if isinstance(error, FileNotFoundError):
+            raise
+        raise FileError(path, f"cannot be read as text ({error})", "give a CSV file") from error
+    header = lines[0][1] if lines else ()
+    make = columns(header, first) if lines else None
+    if make is None:
+        raise FileError(path, *unknown_header(header, first))
+    found = []
+    for number, line in lines[1:]:
+        try:
+            found.append((number, line, make(line)))
+        except InputError as error:
+            what = f"line {number}: {','.join(line)!r} {error}"
+            raise FileError(path, what, "give what the header says") from error
+    return found
+
+
+def turn_knot(pose: Pose) -> Array:
+    """Orientation of a turned pose as a unit direction (3,) or quaternion (4,)."""
+    if pose.direction is not None:
+        knot = np.asarray(pose.direction, dtype=float)
+    elif pose.quaternion is not None:
+        knot = np.asarray(pose.quaternion, dtype=float)
+    else:
+        knot = quaternion_of(pose.rotation(np.zeros(3)))  # angles need no axis
+    return knot / np.linalg.norm(knot)
+
+
+def turned_as(knots: Array, axis: Array, weight: float) -> Orientation:
+    """Orientations (...) of directions (..., 3) or quaternions (..., 4)."""
+    shape, whole = knots.shape[:-1], knots.shape[-1] == 4
+    return Orientation(
+        rotation=rotation_of(knots) if whole else pointing(axis, knots),
+        axis=axis,
+        whole=np.full(shape, whole),
+        weight=np.full(shape, weight),
+    )
+
+
+def pointing(axis: Array, direction: Array) -> Array:
+    """Smallest turns (..., 3, 3) of the unit ``axis`` into ``direction`` (..., 3)."""
+    wanted = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
+    return turned(between_directions(np.broadcast_to(axis, wanted.shape), wanted))
+
+
+T = TypeVar("T")
+
+_HEADER = ["x", "y", "z"]
+_MOST = 250_000
+"""[bytes] largest file that is read (chosen: ten thousand targets)"""
+_MOST_SETS = 10_000
+"""Most sets that are drawn (chosen)"""
+_REACHED = 1e-3
+"""[m] a larger miss is out of reach (chosen)"""
+_POSTURES, _STARTS = 5000, 4
+"""Random postures, and the nearest of them to start from (measured)"""
+_WHOLE = 6
+"""Joints that an arm needs to turn its tool freely"""
+_NAMED = 5
+"""Targets that an error names (chosen: one line)"""
+
+
+def draw_targets(arm: Arm, *, sets: int, count: int = 10, seed: int = 0) -> Array:
+    """Draw (sets, count, 3) [m] targets in the arm's region; more sets keep the first ones."""
+    if not 1 <= sets <= _MOST_SETS or count < 1:
+        raise InputError(f"targets: expected 1 to {_MOST_SETS} sets of at least 1, got {sets} of {count}")
+    streams = np.random.SeedSequence(seed).spawn(sets)
+    return np.stack([arm.targets.sample(np.random.default_rng(stream), (count,)) for stream in streams])
+
+
+def read_targets(path: Path, arm: Arm) -> tuple[Array, Orientation | None]:
+    """Read targets (K, 3) [m] from a CSV file ``x,y,z`` in mm, and orientations (K,) or None.
+
+    FileError names bad lines and targets out of reach.
+    """
+    try:
+        lines = read_poses(path, _MOST)
+    except FileNotFoundError as error:
+        raise FileError(path, "no such file", "check the path") from error
+    if not lines:
+        raise FileError(path, "no targets below the header", "add one line per target")
+    targets, turns = placed(arm, [pose for _, _, pose in lines])
+    problem = refused(arm, [f"line {number}" for number, *_ in lines], targets, turns)
+    if problem:
+        raise FileError(path, problem, f"{unit_hint(targets).lstrip()} give places that the arm reaches".lstrip())
+    return targets, turns
+
+
+def require_reachable(arm: Arm, targets: Array, turns: Orientation | None = None) -> None:
+    """Raise InputError that names targets (S, K, 3) [m], turned as in ``turns`` (S, K), out of reach."""
+    sets, count, _ = targets.shape
+    if not np.isfinite(targets).all():
+        raise InputError("targets: some are no finite numbers; give x, y, z in metres")
+    names = [f"number {k + 1}{f' of set {s + 1}' * (sets > 1)}" for s in range(sets) for k in range(count)]
+    problem = refused(arm, names, targets.reshape(-1, 3), turns and turns.flat)
+    if problem:
+        raise InputError(f"targets: {problem}")
+
+
+def refused(arm: Arm, names: list[str], points: Array, turns: Orientation | None = None) -> str:
+    """Say why ``arm`` cannot be at ``points`` (K, 3) [m]; empty where it can."""
+    goals = choose_postures(arm, points, arm.rest, turn=turns)
+    bad = [k for k, why in enumerate(goals.refusals) if why]
+    told = [
+        f"{names[k]}: {_point(points[k])} {_turned(turns, k)}{goals.refusals[k]}; the nearest place that works is "
+        f"{_point(np.round(goals.nearest[k], 3))}"
+        for k in bad[:_NAMED]
+    ]
+    if bad and turns is not None and arm.joints < _WHOLE and bool(turns.whole[bad].any()):
+        told.append(f"an arm of {arm.joints} joints has a direction dx,dy,dz at most")
+    return "; ".join(told) + (f"; and {len(bad) - _NAMED} more" if len(bad) > _NAMED else "")
+
+
+def _turned(turns: Orientation | None, k: int) -> str:
+    return "" if turns is None else f"with {in_words(turns[k])}: "
+
+
+def beyond_reach(arm: Arm, targets: Array) -> Array:
+    """Distances (K,) [m] of targets (K, 3) [m] beyond the reach; 0 inside."""
+    beyond: Array = solve_position(arm, targets, np.broadcast_to(arm.rest, (len(targets), arm.joints))).error
+    missed = np.flatnonzero(beyond > _REACHED)
+    if len(missed):
+        postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (_POSTURES, arm.joints))
+        apart = np.linalg.norm(tcp_position(arm, postures) - targets[missed, None], axis=-1)
+        starts = postures[np.argsort(apart, axis=1)[:, :_STARTS]]
+        again = solve_position(arm, targets[missed, None], starts, rest_gain=0.0).error.min(axis=1)
+        beyond[missed] = np.minimum.reduce([beyond[missed], apart.min(axis=1), again])
+    return np.where(beyond > _REACHED, beyond, 0.0)
+
+
+def too_low(arm: Arm, places: Array) -> NDArray[np.bool_]:
+    """Whether places (..., 3) [m] are below the guard's floor; (...)."""
+    low: NDArray[np.bool_] = places[..., 2] < arm.floor
+    return low
+
+
+def lowest(arm: Arm) -> str:
+    """Return what to say of a place that is too low."""
+    return f"is lower than {1e3 * arm.floor:g} mm, where the guard keeps the tool from the ground"
+
+
+def unit_hint(places: Array) -> str:
+    """Hint for places (..., 3) [m] that look like metres, or nothing."""
+    return " they look like metres, and millimetres are expected;" if in_metres(places) else ""
+
+
+def _point(target: Array) -> str:
+    return f"({', '.join(f'{value * 1e3:g}' for value in target)}) mm"

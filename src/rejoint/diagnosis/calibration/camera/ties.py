@@ -1,0 +1,223 @@
+"""The arm and the rig from where the camera saw the board, once the lens is known: small enough to be fitted often.
+
+Unknown are the poses of camera and board on the arm, its displacement, and small changes of the lens, which take all
+boards along: a bundle adjustment without its corners. Floating joints, and what no displacement explains, tie the views
+loosely.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.arms import Arm, Array, Displacement, jacobian
+from rejoint.arms.camera.board import BoardView
+from rejoint.arms.camera.lens import CORNER, TERMS, place
+from rejoint.arms.camera.rig import Rig
+from rejoint.arms.camera.views import Detector, Unusable
+from rejoint.arms.displacement import FLOATING
+from rejoint.arms.rotations import difference, inverse, moved
+from rejoint.arms.workspace import length_size
+from rejoint.control.seeing import Sighting
+from rejoint.diagnosis.calibration.measurements import Measurements
+from rejoint.diagnosis.calibration.parameters import SCATTER, Belief, vector_of
+from rejoint.diagnosis.calibration.solver import Fittable, solve
+
+HUBER = 3.55
+"""Length of a view's residual in standard deviations from which the loss grows linearly (95 % of six normal numbers)"""
+POSES = 12
+"""Unknowns after the arm's: shift [m] and turn [rad] of `Rig.standing` and `Rig.mounted`; then the lens"""
+NOWHERE = 10.0
+"""[m] and [rad] standard deviation of poses of which nothing is known"""
+LOOSE, ASKEW = 0.5e-3, np.radians(0.15)
+"""[m] over the reach of a myCobot 280, and [rad]: what no displacement explains (chosen on emulated worn arms: ripple,
+stiction, the simplified law of play)"""
+JOINT = np.radians(0.1)
+"""[rad] the same of each joint (chosen on emulated worn arms)"""
+_ANY = np.array([1e3] * 3 + [1.0] * 4)  # standard deviations of a lens of which nothing is known
+_STEP = 1e-6  # [m] and [rad] of numerical derivatives
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TieProblem(Fittable):
+    """Poses of the board in views, and beliefs: what `rejoint.diagnosis.calibration.solver` solves."""
+
+    rig: Rig
+    """the estimate"""
+    sights: Array
+    """(V, 4, 4) of the board in the frame of the camera"""
+    by_lens: Array
+    """(V, 6, 7) shift [m] and turn [rad] of these, camera axes, by the lens's `TERMS`"""
+    spread: Array
+    """(V, 6, 6) covariance of the tool's pose by what the corners leave open, base axes"""
+    position: Array
+    """(V, n) [rad]"""
+    approach: Array
+    """(V, n) [rad]; NaN where it is unknown"""
+    posture: NDArray[np.int64]
+    """(V,)"""
+    huber: float = HUBER
+
+    @property
+    def lens_precision(self) -> Array:
+        """(7, 7) what the boards tell of the lens, see `lens_ties`."""
+        return self.belief.precision[-len(TERMS) :, -len(TERMS) :]
+
+    @property
+    def postures(self) -> NDArray[np.int64]:
+        """(V,)."""
+        return self.posture
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """(V, 6) all of them."""
+        return np.ones((len(self.posture), 6), dtype=bool)
+
+    def rows(self, where: NDArray[np.bool_]) -> TieProblem:
+        """Return the problem of some of the views."""
+        return replace(
+            self, sights=self.sights[where], by_lens=self.by_lens[where], spread=self.spread[where],
+            position=self.position[where], approach=self.approach[where], posture=self.posture[where],
+        )  # fmt: skip
+
+    def rig_of(self, vector: Array) -> Rig:
+        """Return the rig for the unknowns (k,)."""
+        small, lens = vector[self.layout.body : self.layout.body + POSES], self.rig.lens
+        return replace(
+            self.rig, standing=moved(self.rig.standing, small[:6]), mounted=moved(self.rig.mounted, small[6:]),
+            lens=lens.with_numbers(lens.numbers + vector[self.layout.body + POSES :]),
+        )  # fmt: skip
+
+    def pose(self, vector: Array) -> Array:
+        """Pose (4, 4) in the base of what stands beside the arm: the frame of the measurements."""
+        return self.rig_of(vector).standing
+
+    def misfit(self, vector: Array) -> Array:
+        """Shift [m] and turn [rad] (V, 6) of the tool, see `residual`."""
+        return difference(self.tool(vector), self.reported(vector))
+
+    def residual(self, vector: Array) -> tuple[Array, Array]:
+        """Shift [m] and turn [rad] (V, 6) of the tool, seen less reported; with the derivative (V, 6, k)."""
+        seen, told = self.tool(vector), self.reported(vector)
+        base, body = difference(seen, told), self.layout.body
+        slope = np.zeros((*base.shape, len(vector)))
+        free = self.belief.upper > self.belief.lower
+        for i in np.flatnonzero(free).tolist():
+            other = vector.copy()
+            other[i] += _STEP
+            ends = (seen, self.reported(other)) if i < body else (self.tool(other), told)
+            slope[..., i] = (difference(*ends) - base) / _STEP
+        return base, slope
+
+    def noise(self, vector: Array) -> Array:
+        """Covariance (V, 6, 6) of a residual for known parameters."""
+        return looseness(self.arm, self.displacement(vector), self.position) + self.spread
+
+    def uncorrected(self, out: NDArray[np.bool_], start: Array) -> Array:
+        """Shift [m] and turn [rad] (r, 6) of the tool from where the encoders see it."""
+        body, own = slice(0, self.layout.body), self.belief
+        mean, lower, upper = own.mean.copy(), own.lower.copy(), own.upper.copy()
+        mean[body] = lower[body] = upper[body] = vector_of(self.layout, Displacement.none(self.arm))
+        rigid = replace(self, belief=replace(own, mean=mean, lower=lower, upper=upper))
+        return rigid.rows(out).misfit(solve(rigid.rows(~out), start).vector)
+
+    def measurements(self, vector: Array) -> Measurements:
+        """Where the tool was seen, in the frame of what stands beside the arm."""
+        rig = self.rig_of(vector)
+        point = (inverse(rig.standing) @ self.tool(vector))[:, :3, 3]
+        sigma = np.sqrt(np.trace(self.spread[:, :3, :3], axis1=1, axis2=2) / 3.0)
+        return Measurements(
+            position=self.position, approach=self.approach, point=point, sigma=sigma, posture=self.posture,
+            frame="camera" if rig.carried == "board" else "board", source="camera",
+        )  # fmt: skip
+
+    def tool(self, vector: Array, sights: Array | None = None) -> Array:
+        """Poses (V, 4, 4) of the tool in the base where the camera sees it."""
+        moves = self.by_lens @ vector[self.layout.body + POSES :]
+        return self.rig_of(vector).tool(moved(self.sights if sights is None else sights, moves))
+
+    def reported(self, vector: Array) -> Array:
+        """Poses (V, 4, 4) of the tool in the base by the arm's kinematics."""
+        return self.displacement(vector).tool_pose(self.arm, self.position, self.approach)
+
+
+def looseness(arm: Arm, displacement: Displacement, position: Array) -> Array:
+    """Covariance (V, 6, 6) of the tool's pose around what ``displacement`` says, at ``position`` (V, n) [rad]."""
+    free = 1.0 - np.tanh(displacement.torque(arm, position) / FLOATING) ** 2
+    variance = SCATTER * (0.5 * displacement.play) ** 2 * free + JOINT**2
+    lever = jacobian(arm, position)
+    rest = np.diag([(LOOSE * length_size(arm)) ** 2] * 3 + [ASKEW**2] * 3)
+    return np.asarray((lever * variance[:, None, :]) @ np.swapaxes(lever, -1, -2) + rest)
+
+
+def with_poses(own: Belief, lens: Array) -> Belief:
+    """Return beliefs of the arm, of `POSES`, of which nothing is known, and of the ``lens`` (7, 7)."""
+    count = len(own.mean)
+    size = count + POSES + len(lens)
+    anywhere = np.full(size - count, np.inf)
+    mean, precision = np.concatenate([own.mean, np.zeros(size - count)]), np.zeros((size, size))
+    precision[:count, :count] = own.precision
+    precision[count : count + POSES, count : count + POSES] = NOWHERE**-2.0 * np.eye(POSES)
+    precision[count + POSES :, count + POSES :] = lens
+    return Belief(
+        mean=mean, precision=precision, lower=np.concatenate([own.lower, -anywhere]),
+        upper=np.concatenate([own.upper, anywhere]),
+    )  # fmt: skip
+
+
+def lens_ties(rig: Rig, views: Sequence[BoardView], sights: Array) -> tuple[Array, Array]:
+    """Return how boards move (V, 6, 7) with the lens, and what the corners tell of it (7, 7)."""
+    ties, told = [], np.diag(_ANY**-2.0)
+    for view, pose in zip(views, sights, strict=True):
+        _, by_pose, by_terms = rig.lens.slopes(rig.board.corners[view.number] @ pose[:3, :3].T, pose[:3, 3])
+        by_pose, by_terms = by_pose.reshape(-1, 6), by_terms.reshape(-1, len(TERMS))
+        ties.append(-np.linalg.lstsq(by_pose, by_terms, rcond=None)[0])
+        left = (by_terms + by_pose @ ties[-1]) / CORNER
+        told = told + left.T @ left
+    return np.array(ties), told
+
+
+def tool_spread(rig: Rig, sights: Array, covariance: Array) -> Array:
+    """Covariance (V, 6, 6) of the tool's pose, base axes, where the board's is ``covariance`` (V, 6, 6)."""
+    base = rig.tool(sights)
+    rows = [difference(rig.tool(moved(sights, _STEP * row)), base) / _STEP for row in np.eye(6)]
+    slope = np.stack(rows, axis=-1)
+    return np.asarray(slope @ covariance @ np.swapaxes(slope, -1, -2))
+
+
+def point_sigma(rig: Rig, sights: Array, covariance: Array) -> Array:
+    """Return standard deviations (V,) [m] of the tool's coordinates where boards have ``covariance`` (V, 6, 6)."""
+    return np.asarray(np.sqrt(np.trace(tool_spread(rig, sights, covariance)[:, :3, :3], axis1=1, axis2=2) / 3.0))
+
+
+CROOKED = 1.0
+"""[px] of corners beside a flat board from which a picture is not trusted (chosen: six times a sharp one's)"""
+
+
+class ToolTracker:
+    """Tells from one picture at a time where the tool is, without the encoders."""
+
+    def __init__(self, rig: Rig) -> None:
+        self.rig = rig
+        self.why = ""
+        """why the last picture was of no use; empty where it was"""
+        self._detector = Detector(rig.board)
+
+    def see(self, picture: NDArray[np.uint8], time: float = 0.0) -> Sighting | None:
+        """Where the tool is in a grey or BGR ``picture`` taken at ``time`` [s]; None without a good view."""
+        found = self._detector.find("picture", picture)
+        self.why = found.why if isinstance(found, Unusable) else ""
+        return None if isinstance(found, Unusable) else self.sighting(found, time)
+
+    def sighting(self, view: BoardView, time: float = 0.0) -> Sighting | None:
+        """Return the same for a ``view`` whose corners are known."""
+        placed = place(self.rig.lens, self.rig.board.corners[view.number], view.pixel)
+        if placed.rms > CROOKED:
+            self.why = f"its corners lie {placed.rms:.1f} px beside those of a flat board"
+            return None
+        sights, spread = placed.pose[None], placed.covariance[None]
+        sigma = float(point_sigma(self.rig, sights, spread)[0])
+        return Sighting(place=self.rig.tool(sights)[0, :3, 3], sigma=sigma, time=time)

@@ -1,0 +1,144 @@
+"""Pages from the templates in ``templates/``, and one look per controller in every figure, table and theme.
+
+Colours are the colour-blind-safe set of Okabe and Ito, "Color Universal Design" (2008), and three more; no figure
+relies on colour alone.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from rejoint.control.servogains import RIVALS, inner_name
+from rejoint.pages.words import (
+    MM,
+    NEVER,
+    UNKNOWN,
+    cycles,
+    day_and_time,
+    interval,
+    listed,
+    measured,
+    measured_with,
+    number,
+    plural,
+    sentence,
+)
+from rejoint.system.files import write_whole
+from rejoint.system.statistics import Estimate
+
+if TYPE_CHECKING:
+    import jinja2
+
+INK = "#1b1f24"
+"""Text and axes; becomes the text colour of the page."""
+GROUND = "#ffffff"
+"""Inside of hollow markers and lines of hatches; becomes the ground of the page."""
+
+
+class Look(NamedTuple):
+    """How one series is drawn."""
+
+    colour: str
+    """on a light ground"""
+    dark: str
+    """on a dark ground"""
+    marker: str
+    dash: str | tuple[float, tuple[float, ...]]
+    hatch: str
+
+
+GREY = Look("#6b7280", "#a3abb8", "o", (0, (1, 1.4)), "")
+ORANGE = Look("#c47a00", "#f0ad33", "s", (0, (5, 1.5)), "///")
+RED = Look("#c44e00", "#f57c3a", "D", (0, (4, 1.2, 1, 1.2)), "xxx")
+GREEN = Look("#00815f", "#2cc79b", "^", (0, (7, 1.5)), "...")
+PURPLE = Look("#a8487c", "#df8fbb", "v", (0, (3, 1, 1, 1, 1, 1)), "\\\\\\")
+BLUE = Look("#0069a8", "#56b4e9", "P", "-", "")
+BROWN = Look("#7a5c2e", "#c9a56b", "X", (0, (2, 1)), "+++")
+INDIGO = Look("#5a52c4", "#a9a3f5", "*", (0, (6, 1, 1, 1)), "ooo")
+TEAL = Look("#0f7c86", "#4cc3cd", "p", (0, (2, 1, 4, 1)), "---")
+OLIVE = Look("#6f7a00", "#bcc73e", "h", (0, (5, 1, 1, 1, 5, 1)), "**")
+
+LOOKS = (GREY, ORANGE, RED, GREEN, PURPLE, BLUE, BROWN, INDIGO, TEAL, OLIVE)
+
+CONTROLLERS = {
+    "default": GREY,
+    "pid-sum": ORANGE,
+    "pid-literal": RED,
+    "integrator": GREEN,
+    "feedforward": PURPLE,
+    "push": OLIVE,
+    "shelf": INDIGO,
+    "policy": BLUE,
+    "predictive": TEAL,
+}
+
+UNDER_GAINS = {
+    name: CONTROLLERS[inner_name(name)]._replace(marker="*", dash=(0, (9, 2, 1.5, 2))) for name in RIVALS
+}  # fmt: skip
+"""Controllers under tuned gains of the servos: the colours of the same ones without, and stars"""
+
+
+def look_of(controller: str) -> Look:
+    """Return the look of a controller; one that is unknown is brown."""
+    return UNDER_GAINS.get(controller) or CONTROLLERS.get(controller, BROWN)
+
+
+def colour_number(controller: str) -> int:
+    """Return which of `LOOKS` has the colours of a controller."""
+    return [look.colour for look in LOOKS].index(look_of(controller).colour)
+
+
+def render(template: str, **values: object) -> str:
+    """Fill a template; what it names and is not given is an error."""
+    return _environment().get_template(template).render(**values)
+
+
+def write_page(path: Path, template: str, **values: object) -> Path:
+    """Fill a template and write the page, whole or not at all; returns its path."""
+    html = render(template, **values).rstrip() + "\n"
+    write_whole(path, lambda temporary: temporary.write_text(html, encoding="utf-8"))
+    return path
+
+
+@cache
+def macros(template: str, **values: str) -> Any:  # noqa: ANN401 - what the template has
+    """Return the macros of a template, which find ``values`` by name."""
+    return _environment().get_template(template).make_module(values)
+
+
+@cache
+def _environment() -> jinja2.Environment:
+    import jinja2  # of the extra report; numbers and words need no pages
+
+    found = jinja2.Environment(
+        loader=jinja2.PackageLoader("rejoint.pages", "templates"),
+        autoescape=jinja2.select_autoescape(("html", "svg")),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    found.filters |= {
+        "cell": measured, "cycles": cycles, "day_and_time": day_and_time, "degrees": np.degrees, "ends": _ends,
+        "listed": lambda words: listed(words, "and"), "measured_with": measured_with, "mm": _millimetres,
+        "number": number, "plural": plural, "quoted": lambda names: listed([f"“{name}”" for name in names], "and"),
+        "sentence": sentence,
+    }  # fmt: skip
+    theme = {
+        name: "".join(f"--look-{i}:{getattr(look, key)};" for i, look in enumerate(LOOKS))
+        for name, key in (("light", "colour"), ("dark", "dark"))
+    }
+    found.globals |= {"theme": theme, "unknown": UNKNOWN, "never": NEVER, "interval": interval}
+    found.globals["m"] = found.get_template("macros.html").module
+    return found
+
+
+def _millimetres(value: float | None, digits: int = 2, unit: str = "mm") -> str:
+    """Say a length [m] in millimetres."""
+    return number(None if value is None else MM * value, digits, unit)
+
+
+def _ends(estimate: Estimate, digits: int, factor: float = 1.0, unit: str = "") -> str:
+    return interval(estimate.low, estimate.high, digits, unit, factor)

@@ -1,0 +1,161 @@
+"""What the control loop leaves for those who look on: a ring of records, trails of the last seconds, and the twin.
+
+One writer, no lock: a record is a number and four references; a reader skips slots that were written meanwhile.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+from rejoint.arms import Arm, Array, tcp_position
+from rejoint.control.recording import Cycle
+from rejoint.control.robot import JointState
+from rejoint.twin.simulation import Draw, Simulation
+
+if TYPE_CHECKING:
+    from rejoint.twin.twin import Twin
+
+
+SLOTS = 512
+"""Records in a ring (chosen: ten seconds at the shortest usual period)"""
+_Slot = tuple[int, int, Cycle, JointState, Array]
+
+Records: TypeAlias = "np.recarray[Any, Any]"
+"""K cycles of one arm, the oldest first, by the names of `_kind`"""
+
+
+def _kind(joints: int) -> np.dtype[np.void]:
+    """Name what a record holds: [s], [m], [rad], share of torque, [deg C]; NaN where unknown."""
+    numbers = [(name, "f8") for name in ("time", "run", "index", "reasons", "arm")]
+    points = [(name, "f8", (3,)) for name in ("target", "aim", "true_tcp")]
+    # `wanted` is the command of the controller, before the guard
+    each = [(name, "f8", (joints,)) for name in ("position", "command", "wanted", "load", "temperature")]
+    return np.dtype([*numbers, *points, *each])
+
+
+def lately(records: Records, seconds: float) -> Records:
+    """Return those of the newest run and arm of its last ``seconds``."""
+    if not len(records):
+        return records
+    last = records[-1]
+    return records[(records.run == last.run) & (records.arm == last.arm) & (records.time > last.time - seconds)]
+
+
+class Ring:
+    """The newest cycles of an arm with ``joints`` joints."""
+
+    def __init__(self, joints: int, slots: int = SLOTS) -> None:
+        self._slots: list[_Slot | None] = [None] * slots
+        self._kind, self._size = _kind(joints), slots
+        self.count = 0
+        """records written so far"""
+
+    def write(self, run: int, cycle: Cycle, state: JointState, wanted: Array) -> None:
+        """Write a record; for the control loop."""
+        count = self.count
+        self._slots[count % self._size] = count, run, cycle, state, wanted
+        self.count = count + 1
+
+    def since(self, count: int) -> tuple[Records, int]:
+        """Return what was written after the first ``count`` records, as far as it is still there, and the new count."""
+        end, rows = self.count, []
+        for number in range(max(count, end - self._size, 0), end):
+            slot = self._slots[number % self._size]
+            if slot is not None and slot[0] == number:
+                rows.append(_row(*slot[1:]))
+        return np.array(rows, dtype=self._kind).view(np.recarray), end
+
+
+def _row(run: int, cycle: Cycle, state: JointState, wanted: Array) -> tuple[Any, ...]:
+    b = int(cycle.active.argmax())
+    heat = np.full(wanted.shape[1], np.nan) if state.temperature is None else state.temperature[b]
+    return (
+        cycle.time[b], run, cycle.target_index[b], cycle.reasons[b], b, cycle.target[b], cycle.aim[b],
+        cycle.true_tcp[b], cycle.position[b], cycle.command[b], wanted[b], cycle.load[b], heat,
+    )  # fmt: skip
+
+
+TRAIL = 400
+"""Points of a trail (chosen: at `APART` that is 0.8 m)"""
+APART = 2e-3
+"""[m] between points of a trail (chosen: the eye does not see the corners)"""
+MOVES = 5
+"""Points of its way from which a target is one that moves: others are aimed at again by a little (chosen)"""
+
+
+class Trails:
+    """Keeps what a page draws of one arm besides its posture."""
+
+    def __init__(self, arm: Arm) -> None:
+        self._arm = arm
+        self._tool: deque[Array] = deque(maxlen=TRAIL)
+        self._target: deque[Array] = deque(maxlen=TRAIL)
+        self.errors = (np.nan, np.nan)
+        """[m] newest encoder error and true error; NaN where there is no target, or it is unknown"""
+
+    def follow(self, records: Records) -> None:
+        """Take over what came since the last call."""
+        if not len(records):
+            return
+        tool = tcp_position(self._arm, records.position)
+        error = np.linalg.norm(records.aim - tool, axis=-1)
+        true = np.linalg.norm(records.target - records.true_tcp, axis=-1)
+        for k in range(len(records)):
+            _extend(self._tool, tool[k])
+            _extend(self._target, records.aim[k])
+        self.errors = float(error[-1]), float(true[-1])
+
+    @property
+    def tool(self) -> Array:
+        """(P, 3) [m] trail of the tool, by the encoders."""
+        return np.array(self._tool).reshape(-1, 3)
+
+    @property
+    def target(self) -> Array:
+        """(P, 3) [m] way of an aim that moves; one that jumps leaves none."""
+        return np.array(self._target).reshape(-1, 3)
+
+    @property
+    def moves(self) -> bool:
+        """Whether the target moves."""
+        return len(self._target) > MOVES
+
+
+def _extend(trail: deque[Array], point: Array) -> None:
+    if not np.isfinite(point).all():
+        return
+    way = np.inf if not trail else float(np.linalg.norm(point - trail[-1]))
+    if way > 25.0 * APART:
+        trail.clear()
+    if way > APART:
+        trail.append(point.copy())
+
+
+LONGEST = 0.5
+"""[s] between two records from which the twin is put where the arm is (chosen)"""
+
+
+class Ghost:
+    """A twin that is sent what its arm is sent, from where the arm is at the start of every run of the loop."""
+
+    def __init__(self, arm: Arm, twin: Twin) -> None:
+        self._draw = Draw.of(twin.parameters.repeat(1), twin.stiction, twin.acceleration)
+        self._simulation = Simulation(arm, 1)
+        self._now: tuple[float, float, float] | None = None  # run, arm, time [s] of the record that was followed last
+
+    def follow(self, records: Records) -> Array:
+        """Follow what the arm was sent; returns the joint positions (K, n) [rad] at the times of the records."""
+        predicted = np.empty_like(records.position)
+        for k in range(len(records)):
+            run, arm, now = float(records.run[k]), float(records.arm[k]), float(records.time[k])
+            passed = np.nan if self._now is None or self._now[:2] != (run, arm) else now - self._now[2]
+            if 0.0 < passed <= LONGEST:
+                self._simulation.advance(np.array([passed]))
+            elif passed != 0.0:
+                self._simulation.place(self._draw, records.position[k, None], records.command[k, None])
+            self._simulation.send(records.command[k, None])
+            predicted[k], self._now = self._simulation.measured[0], (run, arm, now)
+        return predicted

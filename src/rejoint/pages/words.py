@@ -1,0 +1,183 @@
+"""Numbers as a reader wants them: rounded to what they are worth, with units, never `nan`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from contextlib import suppress
+from datetime import datetime
+from typing import NamedTuple
+
+from rejoint.robots import place_of
+from rejoint.system.errors import AddressError
+from rejoint.system.statistics import Estimate, Spread
+
+MM = 1e3
+UNKNOWN = "not known"
+NEVER = "never"
+MOST_PLACES = 5
+"""Decimals at most: with the units of the page, what is smaller is rounding noise and shown as 0 (chosen)"""
+
+
+def number(value: float | None, digits: int = 3, unit: str = "") -> str:
+    """Return the value with ``digits`` significant digits and its unit; `UNKNOWN` if there is none."""
+    if value is None or not math.isfinite(value):
+        return UNKNOWN
+    return f"{_zero(value, _places(value, digits))}{_suffix(unit)}"
+
+
+def spread(mean: float | None, std: float | None, digits: int = 3, unit: str = "") -> str:
+    """Return ``mean ± std`` with the decimals of the mean's significant digits."""
+    if mean is None or not math.isfinite(mean):
+        return UNKNOWN
+    places = _places(mean, digits)
+    text = f"{mean:.{places}f}"
+    if std is not None and math.isfinite(std):
+        text += f" ± {std:.{places}f}"
+    return text + _suffix(unit)
+
+
+def interval(low: float | None, high: float | None, digits: int = 3, unit: str = "", factor: float = 1.0) -> str:
+    """Return ``low to high`` times ``factor``, with the decimals of the larger.
+
+    Empty if an end is missing or both are equal.
+    """
+    if low is None or high is None or low == high or not (math.isfinite(low) and math.isfinite(high)):
+        return ""
+    low, high = low * factor, high * factor
+    places = _places(max(abs(low), abs(high)), digits)
+    return f"{_zero(low, places)} to {_zero(high, places)}{_suffix(unit)}"
+
+
+def _zero(value: float, places: int) -> str:
+    text = f"{value:.{places}f}"
+    return text.removeprefix("-") if float(text) == 0 else text
+
+
+def _places(value: float, digits: int) -> int:
+    """Return how many decimals show ``digits`` significant digits of the value."""
+    if abs(value) < 10.0**-MOST_PLACES:
+        return digits - 1
+    rounded = float(f"{value:.{digits - 1}e}")
+    return min(max(0, digits - 1 - math.floor(math.log10(abs(rounded)))), MOST_PLACES)
+
+
+def _suffix(unit: str) -> str:
+    return f"\N{NO-BREAK SPACE}{unit}" if unit else ""
+
+
+class Cell(NamedTuple):
+    """One cell of a table."""
+
+    text: str
+    note: str = ""
+    """small print below; may have several lines"""
+
+
+def measured(value: Spread | Estimate | None, factor: float = MM, digits: int = 2) -> Cell:
+    """Return a value with its interval in small print."""
+    one = value.mean if isinstance(value, Spread) else value
+    if one is None:
+        return Cell(UNKNOWN)
+    return Cell(number(one.value * factor, digits), interval(one.low, one.high, digits, factor=factor))
+
+
+MONTHS = (
+    "January", "February", "March", "April", "May", "June", "July", "August", "September", "October", "November",
+    "December",
+)  # fmt: skip
+
+CONTROLLERS = {
+    "default": "target sent once, as the arm does by itself",
+    "pid-sum": "joint PID of Park et al., integral as a plain sum",
+    "pid-literal": "joint PID of Park et al., integral as printed",
+    "integrator": "moves the command until the measured error is gone",
+    "feedforward": "raises the command against gravity, then integrates",
+    "push": "feedforward, with a push against friction and a little dither",
+    "servo-gains": "target sent once, under better gains of the servos themselves",
+    "servo-gains+integrator": "integrator, under better gains of the servos",
+    "servo-gains+feedforward": "feedforward, under better gains of the servos",
+    "servo-gains+push": "push, under better gains of the servos",
+    "servo-gains+policy": "policy, trained for better gains of the servos and driven under them",
+    "servo-gains+predictive": "predictive, under better gains of the servos",
+    "shelf": "learned in simulation for any worn arm of this build, comes with rejoint",
+    "policy": "learned in simulation of this arm",
+    "predictive": "plans on the twin of this arm, leaves the last millimetre to another",
+}
+"""What each controller does"""
+
+KINDS = {
+    "weak_gain": "soft", "friction": "stiff to turn", "hysteresis": "stops short", "play_in_loop": "hunts",
+    "torque_limit": "out of torque", "low_damping": "rings", "lag": "late", "offset": "offset",
+    "noise": "restless readings",
+}  # fmt: skip
+"""Short name of every kind of finding"""
+
+PARAMETERS_SHOWN: dict[str, tuple[str, float]] = {
+    "offset": ("deg", math.degrees(1.0)), "delay": ("ms", 1e3), "ramp_speed": ("deg/s", math.degrees(1.0)),
+}  # fmt: skip
+"""Parameters of a twin that are shown in another unit than their own, and the factor to it"""
+
+SOURCES = {
+    "touch": "touch, typed in by hand",
+    "camera": "a camera that sees a board",
+    "tracker": "a tracker",
+    "emulated": "the emulator's own knowledge of its tool, and the noise of a ruler",
+}
+"""What measured where the tool is"""
+
+
+def parameter_name(element: str) -> str:
+    """Return what a parameter of a twin is called: ``dry friction of joint1`` for ``coulomb.joint1``."""
+    name, _, joint = element.partition(".")
+    called = "dry friction" if name == "coulomb" else name.replace("_", " ")
+    return f"{called} of {joint}" if joint else called
+
+
+def measured_with(source: str) -> str:
+    """Say what measured; sources of other programs stay as they are."""
+    return SOURCES.get(source, source)
+
+
+def day_and_time(text: str) -> str:
+    """Say a date in ISO 8601 as ``21 November 2026, 11:57``; what is none stays as it is."""
+    try:
+        when = datetime.fromisoformat(text)
+    except ValueError:
+        return text
+    return f"{when.day} {MONTHS[when.month - 1]} {when.year}, {when:%H:%M}"
+
+
+def listed(words: Sequence[str], last: str) -> str:
+    """Join words with commas and ``last`` (and, or) before the last one."""
+    if len(words) < 2:
+        return "".join(words)
+    return f"{', '.join(words[:-1])} {last} {words[-1]}"
+
+
+def plural(count: int, noun: str) -> str:
+    """Return the count with its noun in the right number."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def cycles(count: float) -> str:
+    """``1.05 million control cycles``, or ``768 control cycles`` where they are few."""
+    few = count < 1e5
+    return f"{count:.0f} control cycles" if few else f"{number(count / 1e6, 3)} million control cycles"
+
+
+def short(name: str, width: int = 24) -> str:
+    """Cut a name to ``width`` characters, so that a figure's labels leave room for the figure."""
+    return name if len(name) <= width else f"{name[: width - 1]}…"
+
+
+def sentence(text: str) -> str:
+    """Begin with a capital letter and end with a full stop."""
+    return f"{text[:1].upper()}{text[1:].removesuffix('.')}."
+
+
+def is_virtual(robot: str) -> bool:
+    """Tell an arm in virtual time from a real one, as which counts what is no address, such as ROBOT."""
+    with suppress(AddressError):
+        return place_of(robot).virtual
+    return False

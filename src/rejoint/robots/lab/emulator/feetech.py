@@ -1,0 +1,527 @@
+"""An SO-101 behind the bus of its STS3215 servos: packets, register files, and when each servo answers.
+
+Sources: Feetech's protocol manual and memory table of the STS/SMS series (``sts3215.csv``: defaults of a servo as sold,
+names as in LeRobot), and what LeRobot was seen to send.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Iterable
+from importlib.resources import files
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.arms import Arm
+from rejoint.robots.lab.emulator.faults import NONE, SPLIT_PAUSE, SUPPLY_VOLTAGE, EmulatedArm, Faults
+from rejoint.robots.lab.emulator.servers import ByteStream, Conversation, Server, on_port, on_terminal
+from rejoint.robots.lab.plant.servo import STEP
+from rejoint.robots.lab.plant.sts3215 import BareServos, StsPlant
+
+SIZE = 88
+"""Bytes of the register file (chosen: the last known register is 86)"""
+
+
+class Register(NamedTuple):
+    """A value in the register file."""
+
+    address: int
+    size: int
+    name: str
+    access: str
+    """``read``: measured or fixed; ``ram``: set, lost with the power; ``saved``: kept if written with an open lock"""
+    default: int
+    unit: str
+    sign: int | None
+    """bit of the sign; None for values without one"""
+
+
+with (files(__package__) / "sts3215.csv").open(encoding="utf-8") as _file:
+    TABLE = tuple(
+        Register(int(address), int(size), name, access, int(default), unit, int(sign) if sign else None)
+        for address, size, name, access, default, unit, sign in list(csv.reader(_file))[1:]
+    )
+BY_NAME: dict[str, Register] = {register.name: register for register in TABLE}
+
+
+def factory_settings(servo: int) -> bytearray:
+    """Return the register file of a servo with this ID as it is after its first power-on."""
+    cells = bytearray(SIZE)
+    for register in TABLE:
+        cells[register.address : register.address + register.size] = register.default.to_bytes(register.size, "little")
+    cells[BY_NAME["ID"].address] = servo
+    return cells
+
+
+HEADER = b"\xff\xff"
+BROADCAST = 0xFE
+"""ID that means every servo"""
+MOST_PARAMETERS = 248
+"""that a packet may carry: the vendor's clients cap packets at 250 bytes behind the length"""
+
+PING, READ, WRITE, SYNC_READ, SYNC_WRITE = 0x01, 0x02, 0x03, 0x82, 0x83
+
+
+class Packet(NamedTuple):
+    """An instruction, or the status that a servo answers with."""
+
+    id: int
+    code: int
+    """instruction, or error bits"""
+    parameters: bytes = b""
+
+
+def checksum(body: bytes) -> int:
+    """Return the last byte of a packet whose ID, length, code and parameters are ``body``."""
+    return ~sum(body) & 0xFF
+
+
+def encode(packet: Packet) -> bytes:
+    """Return the bytes of a packet."""
+    body = bytes((packet.id, len(packet.parameters) + 2, packet.code)) + packet.parameters
+    return HEADER + body + bytes((checksum(body),))
+
+
+class PacketFinder:
+    """Finds packets in a stream of bytes that may hold anything else as well."""
+
+    def __init__(self) -> None:
+        self._held = b""
+
+    @property
+    def pending(self) -> bool:
+        """Whether the beginning of a packet is there, so that its rest is awaited."""
+        return bool(self._held)
+
+    def feed(self, data: bytes) -> list[Packet]:
+        """Take bytes and return the packets that are whole now. What cannot begin a packet is dropped."""
+        self._held += data
+        found: list[Packet] = []
+        while True:
+            start = self._held.find(HEADER)
+            if start < 0:
+                self._held = self._held[-1:] if self._held.endswith(b"\xff") else b""
+                return found
+            self._held = self._held[start:]
+            packet, size = _first(self._held)
+            if size == 0:
+                return found
+            self._held = self._held[size:]
+            if packet is not None:
+                found.append(packet)
+
+    def expire(self) -> list[Packet]:
+        """Give up the packet whose rest did not come; return those that stood inside it."""
+        held, self._held = self._held, b""
+        return self.feed(held[1:])
+
+
+def _first(data: bytes) -> tuple[Packet | None, int]:
+    """Packet at the beginning of ``data``, if it is one, and how many bytes are done with: 0 where some are missing."""
+    if len(data) < 4:
+        return (None, 1) if data[2:] == b"\xff" else (None, 0)
+    length = data[3]
+    if data[2] == 0xFF or not 2 <= length <= MOST_PARAMETERS + 2:
+        return None, 1
+    size = length + 4
+    if len(data) < size:
+        return None, 0
+    if checksum(data[2 : size - 1]) != data[size - 1]:
+        return None, 1
+    return Packet(data[2], data[4], data[5 : size - 1]), size
+
+
+def magnitude(value: int, bit: int) -> int:
+    """Return ``value`` as these servos write numbers with a sign: its size, and ``bit`` set where it is negative."""
+    if abs(value) >= 1 << bit:
+        raise ValueError(f"{value} does not fit into {bit} bits and a sign")
+    return -value | 1 << bit if value < 0 else value
+
+
+def signed(word: int, bit: int) -> int:
+    """Return what `magnitude` was made from."""
+    size = word & ~(1 << bit)
+    return -size if word & 1 << bit else size
+
+
+COUNTS = 4096
+"""of the encoder a turn"""
+MIDDLE = 2048
+"""[counts] of a joint at zero"""
+
+_WRITABLE = bytearray(SIZE)
+_SAVED = bytearray(SIZE)
+_NAME = [""] * SIZE
+for _register in TABLE:
+    for _cell in range(_register.address, _register.address + _register.size):
+        _WRITABLE[_cell] = _register.access != "read"
+        _SAVED[_cell] = _register.access == "saved"
+        _NAME[_cell] = _register.name
+
+
+class Servo:
+    """The registers of one servo; its arm keeps the measured ones up to date."""
+
+    def __init__(self, number: int) -> None:
+        self.cells = factory_settings(number)
+        self._kept = bytes(self.cells)
+        self.writes: list[tuple[int, bytes]] = []
+        """every write that it obeyed: address and data"""
+
+    def __getitem__(self, name: str) -> int:
+        """Value of the register that is called so."""
+        register = BY_NAME[name]
+        word = int.from_bytes(self.cells[register.address : register.address + register.size], "little")
+        return word if register.sign is None else signed(word, register.sign)
+
+    def __setitem__(self, name: str, value: int) -> None:
+        """Set a register."""
+        register = BY_NAME[name]
+        word = value if register.sign is None else magnitude(value, register.sign)
+        self.cells[register.address : register.address + register.size] = word.to_bytes(register.size, "little")
+
+    @property
+    def number(self) -> int:
+        """Its ID."""
+        return self["ID"]
+
+    def read(self, address: int, size: int) -> bytes:
+        """Return ``size`` registers from ``address`` on, zeros beyond the last one."""
+        return bytes(self.cells[address : address + size]).ljust(size, b"\0")
+
+    def write(self, address: int, data: bytes) -> set[str]:
+        """Write registers that may be written, kept where the lock is open; return their names.
+
+        A goal turns the torque on.
+        """
+        self.writes.append((address, data))
+        end = min(address + len(data), SIZE)
+        cells = [cell for cell in range(address, end) if _WRITABLE[cell]]
+        for cell in cells:
+            self.cells[cell] = data[cell - address]
+        if self["Lock"] == 0:
+            self.save(cells)
+        touched = {_NAME[cell] for cell in cells}
+        if "Goal_Position" in touched and self["Torque_Enable"] == 0:
+            self["Torque_Enable"] = 1
+            touched.add("Torque_Enable")
+        if "Acceleration" in touched and self["Maximum_Acceleration"]:
+            self["Acceleration"] = min(self["Acceleration"], self["Maximum_Acceleration"])
+        return touched
+
+    def save(self, cells: Iterable[int] = range(SIZE)) -> None:
+        """Keep over a loss of power what stands in these ``cells``, as far as the servo keeps them at all."""
+        kept = bytearray(self._kept)
+        for cell in cells:
+            if _SAVED[cell]:
+                kept[cell] = self.cells[cell]
+        self._kept = bytes(kept)
+
+    def cycle_power(self) -> None:
+        """Lose the power and get it back: what was saved stays, the torque is off and the lock shut."""
+        self.cells = bytearray(self._kept)
+        self["Torque_Limit"] = self["Max_Torque_Limit"]
+
+
+NAMES = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
+"""Motors of an SO-101 in the order of their IDs, 1 to 6 (LeRobot)."""
+HOMING = (-1470, 63, 911, -388, 85, -1021)
+"""[counts] homing offsets of the emulated servos (chosen: as wild as those of real arms)"""
+PROMPT = 254
+"""[100 counts/s^2] acceleration that LeRobot sets, beside leaving most of the other registers as they were sold"""
+CURRENT_UNIT = 0.0065
+"""[A] of the registers of currents"""
+_GRIPPER = (-0.17, 1.75)  # [rad] range of the jaw: so101_new_calib.xml
+# Fields of `sts3215.SETTING` and the registers that they are, as they stand.
+_COPIES = {
+    "p": "P_Coefficient", "d": "D_Coefficient", "i": "I_Coefficient", "startup": "Minimum_Startup_Force",
+    "integral_limit": "Integral_Limit", "dead_cw": "CW_Dead_Zone", "dead_ccw": "CCW_Dead_Zone",
+    "torque_limit": "Torque_Limit", "threshold": "Moving_Velocity_Threshold", "unloading": "Unloading_Condition",
+    "heat_limit": "Max_Temperature_Limit", "torque_on": "Torque_Enable",
+}  # fmt: skip
+# Likewise, times a factor.
+_SCALED = {
+    "protective": ("Protective_Torque", 10), "overload": ("Overload_Torque", 10),
+    "protection_ticks": ("Protection_Time", 10), "current_ticks": ("Over_Current_Protection_Time", 10),
+    "current_limit": ("Protection_Current", CURRENT_UNIT), "low_voltage": ("Min_Voltage_Limit", 0.1),
+    "high_voltage": ("Max_Voltage_Limit", 0.1),
+}  # fmt: skip
+
+
+class ServoArm(EmulatedArm):
+    """Six servos of one arm, powered and holding."""
+
+    plant: StsPlant
+
+    def __init__(self, plant: StsPlant, arm: Arm, *, resistance: float = 0.0) -> None:
+        """``resistance`` [ohm] is that of the supply, which sags under the currents of all servos."""
+        super().__init__(plant, arm)
+        self.resistance = resistance
+        self.gripper = BareServos(1, lower=_GRIPPER[0], upper=_GRIPPER[1])
+        self.servos = [Servo(number) for number in range(1, arm.joints + 2)]
+        self._owed = 0.0
+        for servo, homing, limits in zip(self.servos, HOMING, self._ranges(), strict=True):
+            servo["Homing_Offset"], servo["Torque_Enable"] = homing, 1
+            servo["Acceleration"] = servo["Maximum_Acceleration"] = PROMPT
+            servo["Min_Position_Limit"], servo["Max_Position_Limit"] = limits
+            servo.save()
+        for index in range(len(self.servos)):
+            self.settle(index)
+
+    def advance(self, duration: float) -> None:
+        """Let [s] pass; what is less than a millisecond is owed."""
+        self._owed += duration
+        steps = int(self._owed / STEP)
+        self._owed -= steps * STEP
+        drop = self.resistance * float(np.abs(self._records("status", "current")).sum())
+        settings = self.plant.settings
+        settings["voltage"][0] = np.maximum(self.ailments.voltage - drop, 0.0)
+        settings["warmth"][0] = self.ailments.warmth
+        self.gripper.settings["voltage"] = max(SUPPLY_VOLTAGE - drop, 0.0)
+        self.plant.advance(steps * STEP)
+        self.gripper.advance(steps * STEP)
+
+    def settle(self, index: int) -> None:
+        """Let the servo with this index, from 0, take over what stands in its registers."""
+        servo, setting = self.servos[index], self._record("settings", index)
+        for field, name in _COPIES.items():
+            setting[field] = servo[name]
+        for field, (name, factor) in _SCALED.items():
+            setting[field] = servo[name] * factor
+        low, high = servo["Min_Position_Limit"], servo["Max_Position_Limit"]
+        shift = self._shift(index) if low != high else 0
+        setting["least"], setting["most"] = low + shift, high + shift
+        acceleration = servo["Acceleration"] or servo["Maximum_Acceleration"] * servo["Acceleration_Multiplier"]
+        setting["acceleration"] = 100.0 * max(acceleration, 1)
+        setting["speed"] = float(abs(servo["Goal_Velocity"]) or 50 * servo["Maximum_Velocity_Limit"])
+
+    def go(self, index: int) -> None:
+        """Let a servo take over the goal that stands in its register, and the torque that comes on with it."""
+        self._record("settings", index)["torque_on"] = self.servos[index]["Torque_Enable"]
+        goal = self.servos[index]["Goal_Position"] + self._shift(index)
+        self._record("status", index)["goal"] = goal
+        if index < self.arm.joints:
+            self.plant.servos["goal"][0, index] = goal * self.arm.encoder_step
+
+    def measure(self, index: int) -> None:
+        """Write what a servo measures into its registers."""
+        servo, status, setting = self.servos[index], self._record("status", index), self._record("settings", index)
+        joint = index < self.arm.joints
+        servo["Present_Position"] = (self._count(index) - self._shift(index)) % COUNTS
+        servo["Present_Velocity"] = int(np.clip(status["speed"], -32767, 32767))
+        servo["Present_Load"] = int(np.clip(status["output"], -1023, 1023))
+        servo["Present_Voltage"] = round(float(setting["voltage"]) * 10)
+        heat = self.temperature[index] if joint else self.gripper.servos["temperature"][0]
+        servo["Present_Temperature"] = int(min(heat, 255.0))
+        servo["Status"] = self.alarms(index)
+        servo["Moving"] = int(status["moving"])
+        servo["Goal_In_Force"] = int(status["goal"]) - self._shift(index)
+        least = self.ailments.current[index] if joint else 0.0
+        current = max(abs(float(status["current"])), least)
+        servo["Present_Current"] = round(current / CURRENT_UNIT) * (-1 if status["current"] < 0 else 1)
+        servo["Torque_Enable"] = int(setting["torque_on"])  # over-current switches it off
+
+    def alarms(self, index: int) -> int:
+        """Return the error bits of a servo."""
+        found = int(self._record("status", index)["alarms"])
+        return found | int(self.ailments.alarms[index]) if index < self.arm.joints else found
+
+    def _count(self, index: int) -> int:
+        if index < self.arm.joints:
+            return round(float(self.angles[index]) / self.arm.encoder_step)
+        return int(self.gripper.status["position"][0])
+
+    def _shift(self, index: int) -> int:
+        return self.servos[index]["Homing_Offset"] - HOMING[index] - MIDDLE
+
+    def _record(self, what: str, index: int) -> Any:  # noqa: ANN401 - a record of `sts3215.SETTING` or `STATUS`
+        if index < self.arm.joints:
+            return getattr(self.plant, what)[0, index]
+        return getattr(self.gripper, what)[0]
+
+    def _records(self, what: str, field: str) -> NDArray[np.float64]:
+        return np.append(getattr(self.plant, what)[field][0], getattr(self.gripper, what)[field])
+
+    def _ranges(self) -> list[tuple[int, int]]:
+        """Return the limits [counts] of every servo as LeRobot's calibration leaves them: a full turn for the wrist."""
+        step = self.arm.encoder_step
+        ends = [
+            (MIDDLE + round(a / step), MIDDLE + round(b / step))
+            for a, b in zip(self.arm.lower, self.arm.upper, strict=True)
+        ]
+        ends[-1] = (0, COUNTS - 1)
+        return [*ends, (MIDDLE + round(_GRIPPER[0] / step), MIDDLE + round(_GRIPPER[1] / step))]
+
+
+def build_arm(arm: Arm, wear_name: str, *, seed: int = 0, resistance: float = 0.0) -> ServoArm:
+    """Put an arm with the wear profile ``wear_name`` behind its servos, holding its rest posture."""
+    from rejoint.robots.lab.plant.wear import load_wear
+
+    built = ServoArm(StsPlant(arm, [load_wear(wear_name, arm)], seed=seed), arm, resistance=resistance)
+    built.advance(0.01)  # compiles the plant now instead of during the first request
+    return built
+
+
+BYTE = 10e-6
+"""[s] on the wire at 1 Mbaud, 8N1"""
+TURN = 20e-6
+"""[s] least pause before a servo answers (chosen: the least that was seen)"""
+DELAY_UNIT = 2e-6
+"""[s] of the return delay register"""
+MOST_DATA = 128
+"""bytes that a servo takes or gives at once: its buffer"""
+# [bytes] between the slots of a synchronous read, beside the answer (the firmware's own sum)
+_BETWEEN = 3
+_WORD = 2
+
+
+class Answer(NamedTuple):
+    """A status packet on its way back."""
+
+    servo: int
+    """index, from 0"""
+    after: float
+    """[s] from the end of the request to the end of the answer"""
+    data: bytes
+
+
+class ServoBus:
+    """The servos of ``arm`` on their wire. ``muted`` names those, from 0, that neither hear nor answer now."""
+
+    def __init__(self, arm: ServoArm) -> None:
+        self.arm = arm
+        self.muted: Callable[[], Iterable[int]] = lambda: ()
+
+    def execute(self, request: Packet) -> list[Answer]:
+        """Obey a packet; returns what the servos answer, in the order of time. What is no order is ignored."""
+        hearing = [i for i in range(len(self.arm.servos)) if i not in set(self.muted())]
+        if request.code == SYNC_READ:
+            return self._sync_read(request, hearing)
+        if request.code == SYNC_WRITE:
+            self._sync_write(request, hearing)
+            return []
+        addressed = [i for i in hearing if request.id in (BROADCAST, self.arm.servos[i].number)]
+        if request.id == BROADCAST and request.code != PING:
+            for index in addressed:
+                self._obey(index, request)
+            return []
+        answers = []
+        for index in addressed:
+            number = self.arm.servos[index].number
+            found = self._obey(index, request)
+            if found is not None:
+                slot = number * (_BETWEEN + 6) * BYTE if request.id == BROADCAST else 0.0
+                answers.append(self._status(index, found, slot, number=number))
+        return answers
+
+    def _obey(self, index: int, request: Packet) -> bytes | None:
+        """Obey an order to one servo; returns the data of its answer, None where it answers nothing."""
+        servo, data = self.arm.servos[index], request.parameters
+        if request.code == PING:
+            return b""
+        if request.code == READ and len(data) == _WORD:
+            self.arm.measure(index)
+            return servo.read(data[0], min(data[1], MOST_DATA))
+        if request.code != WRITE or len(data) < _WORD:
+            return None
+        answers = servo["Response_Status_Level"] != 0
+        self._write(index, servo.write(data[0], data[1:]))
+        return b"" if answers else None
+
+    def _write(self, index: int, touched: set[str]) -> None:
+        if touched - {"Goal_Position"}:
+            self.arm.settle(index)
+        if "Goal_Position" in touched:
+            self.arm.go(index)
+
+    def _sync_read(self, request: Packet, hearing: list[int]) -> list[Answer]:
+        if len(request.parameters) < _WORD + 1:
+            return []
+        address, size, *numbers = request.parameters
+        answers = []
+        for place, number in enumerate(numbers):
+            for index in hearing:
+                if self.arm.servos[index].number == number:
+                    self.arm.measure(index)
+                    data = self.arm.servos[index].read(address, min(size, MOST_DATA))
+                    answers.append(self._status(index, data, place * (size + 6 + _BETWEEN) * BYTE))
+        return answers
+
+    def _sync_write(self, request: Packet, hearing: list[int]) -> None:
+        if len(request.parameters) < _WORD:
+            return
+        address, size = request.parameters[:2]
+        rest = request.parameters[2:]
+        by_number = {self.arm.servos[i].number: i for i in hearing}
+        for start in range(0, len(rest) - size, size + 1):
+            index = by_number.get(rest[start])
+            if index is not None and size:
+                self._write(index, self.arm.servos[index].write(address, rest[start + 1 : start + 1 + size]))
+
+    def _status(self, index: int, data: bytes, slot: float, number: int | None = None) -> Answer:
+        servo = self.arm.servos[index]
+        frame = encode(Packet(servo.number if number is None else number, self.arm.alarms(index), data))
+        delay = max(TURN, servo["Return_Delay_Time"] * DELAY_UNIT)
+        return Answer(index, slot + delay + len(frame) * BYTE, frame)
+
+
+ADAPTER = 0.001
+"""[s] that a USB adapter takes for a request and its answer together (chosen)"""
+GET_ANGLES = 0x20
+"""As `rejoint.robots.lab.emulator.faults` names a question whose answer is read from the encoders."""
+
+
+class BusSession(Conversation[Packet]):
+    """The servos of ``arm`` for one client at a time; an answer takes the time on the wire and of the adapter."""
+
+    scheme = "feetech"
+
+    def __init__(
+        self, arm: ServoArm, *, adapter: float = ADAPTER, seed: int = 0, faults: Faults = NONE, **options: Any  # noqa: ANN401
+    ) -> None:  # fmt: skip
+        super().__init__(arm, seed=seed, faults=faults, **options)
+        self.bus = ServoBus(arm)
+        self.bus.muted = self._muted
+        self._adapter, self._spells = adapter, faults.mute
+        # when the last packet has left the wire
+        self._free = 0.0
+
+    def _finder(self) -> PacketFinder:
+        return PacketFinder()
+
+    def _muted(self) -> set[int]:
+        now = self._elapsed(self._clock())
+        return {joint for spell in self._spells if spell.holds(now) for joint in spell.joints}
+
+    def _answer(self, channel: ByteStream, request: Packet) -> None:
+        self._free = max(self._came, self._free) + len(encode(request)) * BYTE
+        answers = self.bus.execute(request)
+        if not answers:
+            return
+        if request.code in (READ, SYNC_READ):
+            self._arm.was_asked(GET_ANGLES)
+        pieces = self._on_wire(request, answers)
+        self._free += answers[-1].after
+        self.wait(None, self._free + self._adapter + self._wire.delay)
+        for place, piece in enumerate(pieces):
+            if place:
+                self.wait(None, self._clock() + SPLIT_PAUSE)
+            if self._moves_on() and piece:
+                channel.send(piece)
+
+    def _on_wire(self, request: Packet, answers: list[Answer]) -> list[bytes]:
+        pieces = [b""]
+        for answer in answers:
+            first, *rest = self._wire.pieces(encode(request), answer.data) or [b""]
+            pieces[-1] += first
+            pieces += rest
+        return pieces
+
+
+def serve_bus(
+    session: BusSession, *, host: str = "127.0.0.1", port: int = 0, pty: bool = False
+) -> Server:  # fmt: skip
+    """Serve a bus on a TCP port (0: any free one) or a pseudo-terminal; InputError if that fails."""
+    return on_terminal(session) if pty else on_port(session, host, port)

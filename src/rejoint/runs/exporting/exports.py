@@ -1,0 +1,342 @@
+"""What was learned about an arm, for other programs and people: URDF, joint zeros, data sheet, controller."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import replace
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, get_args
+
+import numpy as np
+
+from rejoint.arms import Arm, Displacement
+from rejoint.arms.loading import at_targets, unit_arm, write_urdf
+from rejoint.arms.workspace import torque_size
+from rejoint.control.catalogue import POLICY, SHELF, shelf_policy
+from rejoint.control.contract import check_contract
+from rejoint.control.feedforward import NOMINAL_STIFFNESS, FeedforwardController
+from rejoint.control.law import STEP_LIMIT
+from rejoint.control.residual import CommandLaw
+from rejoint.control.servogains import in_words, inner_name
+from rejoint.diagnosis.calibration.calibration import Calibration
+from rejoint.logs.homing import corrected_homing, write_homing
+from rejoint.runs.run import Run
+from rejoint.session.controllers import choice, quick_note, recommended
+from rejoint.session.inputs import RunLike, as_calibration, as_policy, as_run
+from rejoint.system.errors import FileError, InputError
+from rejoint.system.extras import require
+from rejoint.system.files import write_whole
+from rejoint.system.shell import __version__
+
+if TYPE_CHECKING:
+    from rejoint.control.policy import Policy
+    from rejoint.runs.exporting.controllergraph import Design
+
+
+Kind = Literal["urdf", "lerobot", "datasheet", "onnx", "ros2"]
+KINDS: tuple[str, ...] = get_args(Kind)
+
+
+def export_run(run: RunLike, kind: str, out: Path | None = None, *, lerobot: Path | None = None) -> tuple[Path, str]:
+    """Write what a run has found out about its arm as one of `KINDS`; returns the file and a sentence about it.
+
+    By default into the run's folder. FileError or InputError where something that it takes is missing.
+    """
+    about = as_run(run)
+    if kind not in KINDS:
+        raise InputError(f"--format {kind!r}: expected {', '.join(KINDS)}")
+    if (lerobot is None) == (kind == "lerobot"):
+        raise InputError(
+            "--format lerobot takes --lerobot FILE, the calibration file of the arm, and no other format does"
+        )
+    if kind == "datasheet":
+        require("rejoint export --format datasheet", "report")
+        from rejoint.pages.report.page import write_datasheet
+
+        return write_datasheet(about.path, out or about.path / "datasheet.html"), "One page; print it on A4."
+    if kind in ("onnx", "ros2"):
+        return _controller(about, kind, out)
+    return _urdf(about, out) if lerobot is None else _homing(about, lerobot, out)
+
+
+def _rigid(run: Run) -> tuple[Calibration, Displacement]:
+    found = as_calibration(None, run, run.arm)
+    if found is None:
+        raise FileError(run.folder.calibration, "no such file", f"make it with: rejoint calibrate ROBOT {run.path}")
+    if not found.used:
+        raise FileError(
+            run.folder.calibration, "correcting by it does not clearly help, so there is nothing to export",
+            "measure more points",
+        )  # fmt: skip
+    return found, found.displacement.rigid(run.arm, at_targets(run.arm))
+
+
+def _urdf(run: Run, out: Path | None) -> tuple[Path, str]:
+    found, rigid = _rigid(run)
+    path = out or run.path / f"{run.arm.name}.urdf"
+    note = (
+        f"This unit as calibrated on {found.date} from {found.points} measurements ({found.source}): zeros and links "
+        "are in the joint origins, with the mean effect of play and flex over the region of targets."
+    )
+    write_urdf(path, unit_arm(run.arm, rigid), note)
+    return path, "The corrections are in the joint origins; a program that reads encoders needs no other."
+
+
+def _homing(run: Run, source: Path, out: Path | None) -> tuple[Path, str]:
+    _, rigid = _rigid(run)
+    motors, changes = corrected_homing(source, run.arm, rigid.offset)
+    path = out or run.path / "lerobot.json"
+    if path.exists() and path.samefile(source):
+        raise InputError(f"{path} is the file that is read; name another one to write")
+    write_homing(path, motors)
+    told = ", ".join(f"{name} {change:+d}" for name, change in changes.items())
+    return path, f"Homing offsets changed by {told} counts (present position = raw - homing_offset)."
+
+
+def _controller(run: Run, kind: str, out: Path | None) -> tuple[Path, str]:
+    require(f"rejoint export --format {kind}", "onnx", "torch")
+
+    name, why = choice(run, run.arm, None)
+    chosen = f"Controller: {name} ({why}{quick_note(run)})."
+    if kind == "ros2":
+        folder = out or run.path / "ros2"
+        design = write_package(run, folder)
+        return folder, f"{chosen} The controller in it is the {design.name}. {notice(design)}"
+    path = out or run.path / "controller.onnx"
+    if path.suffix != ".onnx":
+        raise InputError(f"{path}: expected a file that ends with .onnx")
+    design = write_controller(run, path)
+    described = path.with_suffix(".yaml").name
+    return path, f"{chosen} The controller is the {design.name}; {described} describes it. {notice(design)}"
+
+
+OUTSIDE = (
+    "No guard is inside: nothing limits the speed of commands, sees collisions, a hot or a stuck joint, or old joint "
+    "states; the runtime must. Positions are kept within the joint limits. No calibration is inside either: the target "
+    "is where the encoders are to see the tool."
+)
+"""What the user of the file must know"""
+
+# [s] for a controller without a network (chosen: those that policies are trained for)
+_PERIODS = (0.018, 0.055)
+
+
+def design_of(run: Run) -> Design:
+    """Return what to write of a run: the recommended controller, else its policy, else the feed-forward.
+
+    InputError for policies that were trained in the manner of the paper.
+    """
+    best = recommended(run)
+    if best == SHELF:
+        return _of_policy(run, shelf_policy(run.arm), f"{SHELF} policy")
+    if best != FeedforwardController.name and run.folder.policy.exists():
+        design = _of_policy(run, as_policy(run.folder.policy), POLICY)
+    else:
+        design = _of_feedforward(run)
+    written = inner_name(best) if design.name == POLICY else best  # a policy says which gains it is for
+    if written == design.name:
+        return design
+    return replace(
+        design, instead=f"This run recommends {best}, which cannot be written so; this is its {design.name} instead."
+    )
+
+
+def _of_feedforward(run: Run) -> Design:
+    from rejoint.runs.exporting.controllergraph import Design
+
+    arm, twin = run.arm, run.twin
+    stiffness = np.full(arm.joints, NOMINAL_STIFFNESS * torque_size(arm))
+    known = stiffness if twin is None else twin.parameters.stiffness
+    law = CommandLaw(
+        anchor="goal", stiffness=tuple(float(value) for value in known), step_limit=float(STEP_LIMIT),
+        authority_floor=0.0, authority_slope=0.0, load_penalty=0.0, envelope_margin=2.0 * np.pi,
+    )  # fmt: skip
+    return Design(
+        arm=arm, law=law, network=None, name=FeedforwardController.name, damping=_damping(run), periods=_PERIODS
+    )
+
+
+def _of_policy(run: Run, policy: Policy, name: str) -> Design:
+    from rejoint.runs.exporting.controllergraph import Design
+
+    contract = policy.contract
+    check_contract(contract, run.arm)
+    if contract.law.anchor != "goal" or contract.layout != "residual":
+        raise InputError(
+            f"{run.folder.policy}: a law of the anchor {contract.law.anchor!r} and the layout {contract.layout!r}, "
+            "expected 'goal' and 'residual'; train with the default preset"
+        )
+    periods = contract.min_period, contract.max_period
+    gains = "" if contract.servo_gains is None else in_words(contract.servo_gains)
+    return Design(
+        arm=run.arm, law=contract.law, network=policy.content, name=name, damping=_damping(run), periods=periods,
+        gains=gains,
+    )  # fmt: skip
+
+
+def _damping(run: Run) -> tuple[float, ...]:
+    return () if run.twin is None else tuple(float(value) for value in run.twin.parameters.damping)
+
+
+def notice(design: Design) -> str:
+    """Return what the user of the file must know: what it is instead of, and what is not in it."""
+    return f"{design.instead} {OUTSIDE}".strip()
+
+
+def write_controller(run: Run, out: Path) -> Design:
+    """Write ``out`` and, with the suffix ``.yaml``, what describes it; returns what was written."""
+    require("rejoint export --format onnx", "onnx", "torch")
+    from onnx import helper
+
+    from rejoint.runs.exporting.controllergraph import controller_graph
+
+    design = design_of(run)
+    model = controller_graph(design)
+    helper.set_model_props(model, metadata(design))
+    data = model.SerializeToString()
+    text = leapp_text(design, out.name, data)
+    write_whole(out, lambda temporary: temporary.write_bytes(data))
+    write_whole(out.with_suffix(".yaml"), lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    return design
+
+
+def metadata(design: Design) -> dict[str, str]:
+    """Return the keys that C++ runtimes of policies read, and those that say what the file is.
+
+    Commands are absolute.
+    """
+    from rejoint.runs.exporting.controllergraph import memory_slots
+
+    arm, n = design.arm, design.arm.joints
+    low, high = design.periods
+    return {
+        "joint_names": ",".join(arm.joint_names),
+        "joint_stiffness": _list(design.law.stiffness),
+        **({"joint_damping": _list(design.damping)} if design.damping else {}),
+        "default_joint_pos": _list([0.0] * n),
+        "action_scale": _list([1.0] * n),
+        "command_names": "target",
+        "observation_names": "joint_pos,target,period,state_in",
+        "rejoint.controller": design.name,
+        "rejoint.arm": arm.name,
+        "rejoint.rest_joint_pos": _list(arm.rest),
+        "rejoint.joint_lower": _list(arm.lower),
+        "rejoint.joint_upper": _list(arm.upper),
+        "rejoint.period_s": f"{low:g},{high:g}",
+        "rejoint.memory": ",".join(f"{name}:{size}" for name, size in memory_slots(n).items()),
+        "rejoint.memory_use": (
+            "zeros begin again; where a command was limited on its way, write what was sent into the entries 'sent' of "
+            "state_out before it goes back as state_in"
+        ),
+        **({"rejoint.servo_gains": design.gains} if design.gains else {}),
+        **({"rejoint.instead": design.instead} if design.instead else {}),
+        "rejoint.not_inside": OUTSIDE,
+        "rejoint.software": __version__,
+    }
+
+
+def leapp_text(design: Design, file: str, data: bytes) -> str:
+    """Return the LEAPP description (version 1.3) of a file with the content ``data``, as YAML."""
+    from rejoint.runs.exporting.controllergraph import memory_slots
+
+    arm, size = design.arm, sum(memory_slots(design.arm.joints).values())
+    names = list(arm.joint_names)
+    slots = [name if length == 1 else f"{name}[{k}]" for name, length in memory_slots(arm.joints).items()
+             for k in range(length)]  # fmt: skip
+    low, high = design.periods
+
+    def tensor(name: str, kind: str, elements: list[str]) -> str:
+        return json.dumps({
+            "name": name, "dtype": "float32", "shape": [1, len(elements)], "type": "tensor", "kind": kind,
+            "element_names": [elements],
+        })  # fmt: skip
+
+    parameters = {
+        "model_path": file, "md5sum": hashlib.md5(data, usedforsecurity=False).hexdigest(),
+        "sha256sum": hashlib.sha256(data).hexdigest(), "backend": "onnx", "warp_segments": 0,
+    }  # fmt: skip
+    assert len(slots) == size  # noqa: S101 - written by the same table
+    about = f"# {notice(design)}"
+    if design.gains:
+        about += f"\n# The servos are to have the gains {design.gains}."
+    return f"""{about}
+# It was made for control periods of {1e3 * low:g} to {1e3 * high:g} ms; refuse others. state_in of zeros begins again.
+models:
+  controller:
+    inputs:
+    - {tensor("joint_pos", "state/joint/position", names)}
+    - {tensor("target", "command/body/position", ["x", "y", "z"])}
+    - {tensor("period", "state/period", ["period"])}
+    - {tensor("state_in", "state/memory", slots)}
+    outputs:
+    - {tensor("joint_command", "target/joint/position", names)}
+    - {tensor("state_out", "state/memory", slots)}
+    parameters: {json.dumps(parameters)}
+pipeline:
+  inputs: {{controller: [joint_pos, target, period]}}
+  outputs: {{controller: [joint_command]}}
+  data_flow: {{}}
+  feedback_flow: {{controller/state_out: [controller/state_in]}}
+frequency: {2.0 / (low + high):.4g}
+system information: {{leapp config version: '1.3', written by: rejoint}}
+"""
+
+
+def _list(values: object) -> str:
+    return ",".join(f"{value:.9g}" for value in np.asarray(values, dtype=float))
+
+
+def usual_period(design: Design) -> float:
+    """Return the control period [s] in the middle of those that a controller was made for."""
+    return sum(design.periods) / 2
+
+
+def package_name(arm: Arm) -> str:
+    """Return a name for a ROS package: lower case, digits and underscores."""
+    return "rejoint_" + "".join(letter if letter.isalnum() else "_" for letter in arm.name.lower())
+
+
+_TEMPLATES = files("rejoint.runs.exporting") / "ros2_files"
+
+# Templates, and where they go
+_FILES = {
+    "package.xml.txt": "package.xml", "setup.py.txt": "setup.py", "setup.cfg.txt": "setup.cfg",
+    "node.py.txt": "{package}/node.py", "controller.py.txt": "{package}/controller.py",
+    "launch.py.txt": "launch/controller.launch.py", "controllers.yaml.txt": "config/controllers.yaml",
+    "README.md.txt": "README.md",
+}  # fmt: skip
+
+
+def write_package(run: Run, folder: Path) -> Design:
+    """Write the package into ``folder``; returns what is in it. Words between @ are filled in."""
+    package = package_name(run.arm)
+    inside = folder / package
+    inside.mkdir(parents=True, exist_ok=True)
+    design = write_controller(run, inside / "controller.onnx")
+    low, high = design.periods
+    words = {
+        "PACKAGE": package, "VERSION": __version__.split("+")[0], "ARM": run.arm.name, "CONTROLLER": design.name,
+        "JOINTS": ", ".join(run.arm.joint_names), "PERIOD": f"{usual_period(design):.4f}", "LOW": f"{low:g}",
+        "HIGH": f"{high:g}", "OUTSIDE": notice(design),
+    }  # fmt: skip
+    for template, place in _FILES.items():
+        text = (_TEMPLATES / template).read_text(encoding="utf-8")
+        for word, value in words.items():
+            text = text.replace(f"@{word}@", value)
+        _write(folder / place.format(package=package), text)
+    _write(inside / "__init__.py", "")
+    _write(folder / "resource" / package, "")
+    found = as_calibration(None, run, run.arm)
+    if found is not None and found.used:
+        unit = unit_arm(run.arm, found.displacement.rigid(run.arm, at_targets(run.arm)))
+        write_urdf(
+            folder / "urdf" / f"{run.arm.name}.urdf", unit, "This unit: the corrections are in the joint origins."
+        )
+    return design
+
+
+def _write(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))

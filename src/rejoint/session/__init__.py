@@ -1,0 +1,1 @@
+"""One object that holds an arm, and what drives it."""

@@ -1,0 +1,340 @@
+"""What holds an arm: robot, guard, twin, calibration, controller, log; the only caller of the control loop."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+
+from rejoint.arms import Arm, Array, tcp_position
+from rejoint.arms.rotations import Orientation
+from rejoint.control.contract import check_controller_period
+from rejoint.control.controller import ControlInput, Controller, heeds_turn
+from rejoint.control.correction import Modelled
+from rejoint.control.feedforward import FeedforwardController
+from rejoint.control.guard import GuardLimits
+from rejoint.control.loop import Schedule, follow, run
+from rejoint.control.observer import Observer
+from rejoint.control.posture import PostureController, PostureGains, PostureWay
+from rejoint.control.recording import Cycle, OnCycle, Recording, attach, recording_of
+from rejoint.control.robot import Mask, Robot
+from rejoint.control.servogains import limits_under, under_gains
+from rejoint.control.start import begin, check_ready, move
+from rejoint.robots import open_robot
+from rejoint.robots.wrapper import WallClock
+from rejoint.runs.run import exclusive
+from rejoint.runs.run import metered as meter_of
+from rejoint.session.context import calibration_of, corrected_by, guard_limits, stance_of, twin_in_force
+from rejoint.session.controllers import choice, make_factories, name_of, quick_note
+from rejoint.session.inputs import (
+    ArmLike,
+    RobotLike,
+    RunLike,
+    address_of,
+    arm_of,
+    as_run,
+    as_twin,
+    is_virtual,
+    period_of,
+)
+from rejoint.session.payload import beside, with_load
+from rejoint.session.recorder import RunRecorder
+from rejoint.session.rehearsal import RehearsedRobot, copied
+from rejoint.session.settings import Settings
+from rejoint.system.errors import InputError
+from rejoint.system.files import require_space
+from rejoint.system.numbers import as_seed
+from rejoint.system.progress import RateLimit
+from rejoint.system.stopping import noted
+
+if TYPE_CHECKING:
+    from rejoint.control.moving.reference import Routes
+    from rejoint.diagnosis.calibration.calibration import Calibration
+    from rejoint.twin.twin import Twin
+
+
+class ArmDriver:
+    """An arm with everything that drives it; a session adds the motions."""
+
+    def __init__(
+        self,
+        robot: RobotLike | None,
+        *,
+        run: RunLike | None = None,
+        arm: ArmLike | None = None,
+        settings: Settings | None = None,
+        observer: Observer | None = None,
+        pace: float | None = None,
+    ) -> None:
+        """Take the run for this process; the robot opens when it is needed.
+
+        Without a robot: for recordings. ``pace`` [simulated seconds per second] ties virtual time to the wall clock.
+        """
+        self.settings, self.observer = settings or Settings(), observer or Observer()
+        about = None if run is None else as_run(run).seeded(self.settings.seed)
+        if robot is None and about is None and arm is None:
+            raise InputError("session: without a robot and a run the arm is needed")
+        bare = about.arm if about is not None else arm_of(robot, arm)
+        told = with_load(bare, robot, self.settings.payload, self.settings.tool)
+        self.arm: Arm = beside(told, self.settings.keep_out)
+        """with payload and tool of the settings"""
+        self.seed = as_seed(self.settings.seed) if about is None else about.seed
+        self.address = "" if robot is None else address_of(robot)
+        self.period = None if robot is None else period_of(robot, self.settings.period)
+        """[s] interval of control periods; None: the open robot knows"""
+        self.limits: GuardLimits | None = None
+        """of the guard; None before the robot is open"""
+        self.beside: list[Callable[[], object]] = []
+        """called in every cycle, for a gripper and the like"""
+        self._given, self._pace = robot, pace
+        self._stack, self._alone = ExitStack(), ExitStack()
+        self._stack.enter_context(self._alone)
+        self._alone.enter_context(exclusive(about))
+        self._named = about  # as the user knows it, also where a copy is worked on
+        self.rehearsal: RehearsedRobot | None = None
+        self.run = about if about is None or not self.settings.dry_run else self._stack.enter_context(copied(about))
+        """the run, in a dry run a copy; None: nothing is written"""
+        self.recorder = RunRecorder(self.run, self.observer.message)
+        self._base: GuardLimits | None = None
+        self._gains, self._in_charge = ExitStack(), cast("Controller | None", object())
+        self._chosen: dict[bool, tuple[str, Controller]] = {}
+        self._last: Cycle | None = None
+        self._sent: Array | None = None
+        self._usual, self._rested = float("nan"), False
+        self._progress = RateLimit(self.observer.progress)
+        self._asking = threading.RLock()  # of threads that ask the arm or begin a motion
+
+    @cached_property
+    def robot(self) -> Robot:
+        """The open robot."""
+        if self.run is not None:
+            require_space(self.run.path)
+        with noted():
+            if self._given is None:
+                raise InputError("session: there is no robot to drive")
+            robot = self._given
+            if isinstance(robot, str):
+                robot = open_robot(robot, arm=self.arm, seed=self.seed, period=self.period)
+                self._stack.callback(robot.close)
+            if robot.count != 1:
+                raise InputError(f"a session drives one arm, {robot.address} has {robot.count}")
+            if self.settings.dry_run:
+                robot = self.rehearsal = RehearsedRobot(robot, self.twin, self.period)
+            self._stack.enter_context(self._gains)
+            self._base = guard_limits(self.run, self.arm, self.address)
+            self.limits = limits_under(self._base, robot, None)
+            if self._pace is not None and isinstance(self._given, str) and is_virtual(robot):
+                robot = WallClock(robot, lambda: self._pace or 1.0)
+        paced = None if self._pace is None else False
+        return self.observer.watch(robot, twin=self.twin, within=self.settings.within, paced=paced)
+
+    @contextmanager
+    def metered(self, stage: str) -> Iterator[Robot]:
+        """Robot for a ``stage`` that drives it by itself, metered."""
+        with meter_of(None if self.run is None else self.run.folder, stage) as meter:
+            yield meter.watch(self.robot)
+
+    @cached_property
+    def twin(self) -> Twin | None:
+        """The twin of the settings or the run, as fitted."""
+        if self.settings.twin is not None:
+            return as_twin(self.settings.twin)
+        return None if self.run is None else self.run.twin
+
+    @property
+    def twin_now(self) -> Twin | None:
+        """The twin under the gains in force."""
+        if self.settings.twin is not None or self.run is None:
+            return self.twin
+        return twin_in_force(self.run, self.robot)
+
+    @cached_property
+    def calibration(self) -> Calibration | None:
+        """The calibration in use; a message says why one is not."""
+        given = self.settings.calibration
+        found = calibration_of(given, self.run, self.arm, self.address)
+        there = given is not None or (self.run is not None and self.run.folder.calibration.exists())
+        if found is None and there and not (isinstance(given, str) and given == "none"):
+            what = given if isinstance(given, str | Path) else "the calibration"
+            what = what if given is not None or self.run is None else self.run.folder.calibration
+            self.observer.message(
+                f"Not corrected: {what} is not applied; it did not clearly help, or is not of {self.address}."
+            )
+        return found
+
+    @cached_property
+    def correction(self) -> Modelled | None:
+        """Corrects where the tool is sent by the calibration."""
+        return corrected_by(self.calibration, self.arm)
+
+    @property
+    def controller(self) -> str:
+        """Name of the controller that drives to points."""
+        return self.driver()[0]
+
+    def driver(self, *, posed: bool = False) -> tuple[str, Controller]:
+        """Return name and object of the controller to points, or to ``posed`` targets; a message says which and why."""
+        if posed not in self._chosen:
+            wanted, why = self.settings.controller, "as asked for"
+            if wanted is None:
+                wanted, why = choice(self._named, self.arm, self.period)
+            ((name, make),) = make_factories(
+                [wanted],
+                self.arm,
+                self.period,
+                run=self.run,
+                twin=self.twin,
+            ).items()
+            controller = make(self.arm)
+            if posed and not heeds_turn(controller):
+                by, why = FeedforwardController.name, f"{name} does not turn the tool"
+                ((name, make),) = make_factories([by], self.arm, self.period, run=self.run, twin=self.twin).items()
+                controller = make(self.arm)
+            quick = quick_note(self._named)
+            if quick or self.settings.controller is None or name_of(self.settings.controller) != name:
+                self.observer.message(f"Controller: {name} ({why}{quick}).")
+            self._chosen[posed] = name, controller
+        return self._chosen[posed]
+
+    def take_up(self, controller: Controller | None) -> None:
+        """Put a controller's gains and limits in force."""
+        robot = self.robot
+        if controller is self._in_charge:
+            return
+        self._gains.close()
+        self._gains.enter_context(under_gains(robot, controller))
+        self.limits = limits_under(self._base, robot, controller)
+        self._in_charge = controller
+
+    def posture_controller(self, way: PostureWay, gains: PostureGains | None = None) -> PostureController:
+        """Return what brings the joints where a way says, by the twin."""
+        twin = self.twin_now
+        if twin is None:
+            return PostureController(self.arm, way, gains=gains)
+        own = twin.parameters
+        return PostureController(self.arm, way, stiffness=own.stiffness, offset=own.offset, gains=gains)
+
+    # --- the one place where the control loop is called ---------------------------------------
+
+    def begin(self, controller: Controller | None = None, *, rest: bool = True) -> tuple[Array, float]:
+        """Look at the arm, and bring it to rest the first time.
+
+        Returns the command (1, n) [rad] in force and the usual period [s] (NaN: not known). NotReadyError where it is
+        unsafe to move the arm; ContractError where ``controller`` does not suit the period.
+        """
+        self.take_up(controller)
+        if rest and not self._rested:
+            stance = stance_of(self.twin_now, self.run)
+            start = self._kept(lambda see: begin(self.robot, self.limits, stance, see), take=False)
+            self._usual, self._sent, self._rested = start.usual_period(), start.command[-1], True
+        elif self._sent is None:
+            check_ready(self.robot)
+            self._sent = self.robot.read().position.copy()
+        if controller is not None:
+            check_controller_period(controller, self._usual)
+        return self._sent, self._usual
+
+    def drive(
+        self,
+        controller: Controller,
+        schedule: Schedule,
+        *,
+        targets: Array | None = None,
+        turns: Orientation | None = None,
+        reference: Routes | None = None,
+        on_cycle: OnCycle | None = None,
+        correction: Modelled | None = None,
+    ) -> Recording:
+        """Let ``controller`` drive from here, by a ``schedule``: to ``targets`` (K, 3) [m], or behind a ``reference``.
+
+        Every way of driving ends here, guarded, recorded and shown; raises as `rejoint.control.loop.run`, with a note
+        on the log.
+        """
+        self.take_up(controller)
+        assert self._sent is not None  # noqa: S101 - callers have begun
+        schedule = replace(schedule, sent=self._sent)
+        if reference is not None:
+            return self._kept(
+                lambda see: follow(self.robot, controller, reference, schedule, limits=self.limits, on_cycle=see),
+                on_cycle,
+            )
+        places = np.full((1, 1, 3), np.nan) if targets is None else np.asarray(targets)[None]
+        return self._kept(
+            lambda see: run(
+                self.robot,
+                controller,
+                places,
+                schedule,
+                limits=self.limits,
+                correction=correction,
+                on_cycle=see,
+                turns=None if turns is None else turns[None],
+            ),
+            on_cycle,
+            controller if isinstance(controller, PostureController) else None,
+        )
+
+    def go(self, posture: Array, give_up: Callable[[ControlInput], Mask] | None = None) -> Recording:
+        """Bring the arm slowly to ``posture`` (n,) [rad]."""
+        return self._kept(
+            lambda see: move(
+                self.robot, posture, sent=self._sent, settle=0.5, limits=self.limits, give_up=give_up, on_cycle=see
+            ),
+            take=False,
+        )
+
+    def _kept(
+        self,
+        motion: Callable[[OnCycle], Recording],
+        on_cycle: OnCycle | None = None,
+        posed: PostureController | None = None,
+        *,
+        take: bool = True,
+    ) -> Recording:
+        places = list[Array]()
+        observed = self.observer.cycle if type(self.observer).cycle is not Observer.cycle else None
+
+        def see(cycle: Cycle) -> None:
+            if posed is not None:
+                places.append(tcp_position(self.arm, posed.posture))
+                cycle = cycle._replace(target=places[-1], aim=places[-1])
+            self._last = cycle
+            if take:
+                self.recorder.see(cycle)
+            for watch in filter(None, (on_cycle, observed)):
+                watch(cycle)
+            for ask in self.beside:
+                ask()
+
+        try:
+            recording = motion(see)
+        except BaseException as error:
+            partial = recording_of(error)
+            if partial is not None and len(partial.time):
+                self._sent = partial.command[-1]
+                attach(error, _at(partial, places))
+            self.recorder.rescue(error)
+            raise
+        self._sent = recording.command[-1]
+        if take:
+            self.recorder.take(_at(recording, places))
+        return recording
+
+    def progress(self, share: float, what: str) -> None:
+        """Hand on the progress of the motion, rate-limited."""
+        self._progress(share, what)
+
+
+def _at(recording: Recording, places: list[Array]) -> Recording:
+    """Return a recording with ``places``, each (1, 3) [m], as its targets; as it is where there are none."""
+    if not places:
+        return recording
+    rows = len(recording.time)
+    filled = np.array([*places[:rows], *[np.full((1, 3), np.nan)] * (rows - len(places))]).reshape(rows, 1, 3)
+    return replace(recording, target=filled, aim=filled)

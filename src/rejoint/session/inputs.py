@@ -1,0 +1,263 @@
+"""What public functions take: paths or objects, addresses or robots; here each becomes the object."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, TypeAlias, cast
+
+from numpy.typing import ArrayLike
+
+from rejoint.arms import CATALOGUE, Arm, Array, load_arm
+from rejoint.control.robot import Robot
+from rejoint.control.targets import Pose, draw_targets, placed, read_targets, require_reachable
+from rejoint.logs.detection import describe
+from rejoint.logs.runfolder.folder import LOGS, RunFolder
+from rejoint.logs.runlog import RunLog, read_log
+from rejoint.robots import DEFAULT_ARM, place_of
+from rejoint.robots.wrapper import RobotWrapper
+from rejoint.runs.run import Run
+from rejoint.system.errors import AddressError, FileError, InputError
+from rejoint.system.numbers import as_floats, as_period, as_seed
+
+if TYPE_CHECKING:
+    from rejoint.arms.rotations import Orientation
+    from rejoint.control.policy import Policy
+    from rejoint.diagnosis.calibration.calibration import Calibration
+    from rejoint.diagnosis.calibration.camera.filming import CameraGauge
+    from rejoint.diagnosis.calibration.procedure import Gauge
+    from rejoint.twin.twin import Twin
+
+ArmLike: TypeAlias = "Arm | str | Path"
+"""An arm, its catalogue name or its file"""
+
+RobotLike: TypeAlias = "Robot | str"
+"""An open robot, or the address of one"""
+
+LogsLike: TypeAlias = "RunLog | Path | str | Sequence[RunLog | Path | str]"
+"""Run logs, their files, or a folder of them"""
+
+TwinLike: TypeAlias = "Twin | Path | str"
+PolicyLike: TypeAlias = "Policy | Path | str"
+CalibrationLike: TypeAlias = "Calibration | Path | str"
+"""A calibration, its file, or ``none`` for no correction"""
+GaugeLike: TypeAlias = "Gauge | CameraGauge | Literal['none']"
+"""What measures the tool, or ``none`` where nothing is to"""
+
+NO_GAUGE: Literal["none"] = "none"
+
+RunLike: TypeAlias = "Run | Path | str"
+"""A run, or its folder"""
+
+Targets: TypeAlias = "ArrayLike | Sequence[Pose] | Path"
+"""(K, 3) or (S, K, 3) [m], poses, or a CSV file in millimetres"""
+
+Period: TypeAlias = "tuple[float, float]"
+"""[s] interval of the control periods"""
+
+
+FIRST_ROBOT = "emulated:worn"
+"""The default robot: a worn arm in this process"""
+
+
+def unfit(given: object, expected: str) -> InputError:
+    """Error for an object of a wrong type."""
+    return InputError(f"an object of type {type(given).__name__} was given, expected {expected}")
+
+
+def as_arm(given: ArmLike) -> Arm:
+    """Arm, from the catalogue or its file."""
+    if isinstance(given, Arm):
+        return given
+    if not isinstance(given, str | Path):
+        raise unfit(given, "an arm, its name, or its TOML, URDF or MJCF file")
+    return load_arm(given)
+
+
+def is_robot(given: RobotLike | LogsLike) -> bool:
+    """Whether it is a robot and no logs: addresses have a colon."""
+    return ":" in given if isinstance(given, str) else isinstance(given, Robot)
+
+
+def address_of(robot: RobotLike) -> str:
+    """Address of a robot, as its user wrote it."""
+    return robot if isinstance(robot, str) else robot.address
+
+
+def arm_of(robot: RobotLike | None, arm: ArmLike | None) -> Arm:
+    """Arm of a robot: its own, else ``arm``, else the address's."""
+    if robot is None:
+        return as_arm(DEFAULT_ARM if arm is None else arm)
+    if not isinstance(robot, str):
+        if not hasattr(robot, "step"):
+            raise unfit(robot, "a robot, as rejoint.open_robot opens it, or its address")
+        return robot.arm
+    return as_arm(place_of(robot).default_arm if arm is None else arm)
+
+
+class Borrowed(RobotWrapper):
+    """A robot that the caller opened, and closes."""
+
+    def close(self) -> None:
+        """Leave it open."""
+
+
+def is_virtual(robot: Robot) -> bool:
+    """Whether time passes in the robot's steps alone."""
+    try:
+        return place_of(robot.address).virtual
+    except AddressError:  # a robot of the caller's own
+        return False
+
+
+def is_batchable(robot: RobotLike) -> bool:
+    """Whether many arms of this robot can be opened at once."""
+    return isinstance(robot, str) and place_of(robot).virtual
+
+
+def period_of(robot: RobotLike, period: Period | None) -> Period | None:
+    """Control periods [s] of a robot; None: only the open robot knows."""
+    return as_period(period) or (place_of(robot).default_period if isinstance(robot, str) else None)
+
+
+def as_logs(given: LogsLike) -> list[RunLog]:
+    """Return run logs from objects, files or a folder; FileError if there is none."""
+    if isinstance(given, RunLog):
+        return [given]
+    if isinstance(given, Iterable) and not isinstance(given, str):
+        return [log for one in given for log in as_logs(one)]
+    if not isinstance(given, Path | str):
+        raise unfit(given, "run logs (rejoint.RunLog.of makes one of arrays), files of them, or a folder of such files")
+    path = Path(given)
+    if path.is_file():
+        return [read_log(path)]
+    files = sorted(path.glob("*.parquet")) if path.is_dir() else []
+    if not files:
+        found = describe(path) if path.exists() else "nothing there"
+        raise FileError(
+            path, f"no folder with run logs (.parquet): {found}", "make one with: rejoint import SOURCE FOLDER"
+        )
+    return [read_log(file) for file in files]
+
+
+def source_of(logs: LogsLike) -> str:
+    """Name the source of a run made from logs."""
+    return f"{LOGS}{logs}" if isinstance(logs, Path | str) else f"{LOGS}memory"
+
+
+def as_twin(given: TwinLike) -> Twin:
+    """Twin, or read it."""
+    if not isinstance(given, Path | str):
+        if not hasattr(given, "parameters"):
+            raise unfit(given, "a twin, as rejoint.identify returns it, or its file")
+        return given
+    from rejoint.twin.file import read_twin
+
+    return read_twin(Path(given))
+
+
+def as_policy(given: PolicyLike) -> Policy:
+    """Policy, or read it."""
+    if not isinstance(given, Path | str):
+        return given
+    from rejoint.control.policy import Policy
+
+    return Policy.load(given)
+
+
+def as_calibration(given: CalibrationLike | None, run: Run | None, arm: Arm) -> Calibration | None:
+    """Calibration given, read, or of the run; None without, or for ``none``.
+
+    ContractError where it is not of ``arm``.
+    """
+    from rejoint.diagnosis.calibration.calibration import read_calibration
+
+    if given is None:
+        file = None if run is None else run.folder.calibration
+        return None if file is None or not file.exists() else read_calibration(file, arm)
+    if isinstance(given, Path | str):
+        return None if str(given) == "none" else read_calibration(Path(given), arm)
+    given.require(arm)
+    return replace(given, arm=arm)  # with what was told of its hand
+
+
+def as_run(given: RunLike) -> Run:
+    """Run, or open its folder."""
+    if isinstance(given, Run):
+        return given
+    if not isinstance(given, str | Path):
+        raise unfit(given, "a run or its folder")
+    return Run.open(given)
+
+
+def run_about(run: RunLike | None, robot: str, arm: Arm, seed: int | None) -> Run | None:
+    """Run that a stage will write into, or None; writes nothing.
+
+    InputError for another robot, arm or seed; ``seed`` None takes the folder's.
+    """
+    if run is None:
+        return None
+    if isinstance(run, str | Path) and not RunFolder(Path(run)).info.exists():
+        return Run.plan(run, robot, arm, as_seed(seed))
+    run = as_run(run)
+    run.require(robot=robot, arm=arm, seed=run.seed if seed is None else seed)
+    return run
+
+
+def run_of_logs(run: RunLike | None, logs: LogsLike, arm: ArmLike | None) -> tuple[Run | None, Arm]:
+    """Run of a stage on logs, without writing, and the arm."""
+    if isinstance(run, Run):
+        return run, run.arm
+    if arm is None and isinstance(run, str | Path) and RunFolder(Path(run)).info.exists():
+        chosen = Run.open(run).arm  # described there
+    else:
+        chosen = arm_named(as_logs(logs)[0].arm, "the logs are") if arm is None else as_arm(arm)
+    return run_about(run, source_of(logs), chosen, None), chosen
+
+
+def arm_named(name: str, whose: str) -> Arm:
+    """Return a catalogue arm that logs or a twin name; InputError for others."""
+    if name not in CATALOGUE:
+        raise InputError(f"{whose} of an arm {name!r}, which is described elsewhere; give its file as the arm")
+    return load_arm(name)
+
+
+def arm_of_twin(twin: TwinLike) -> Arm:
+    """Arm of a twin, from its run or the catalogue."""
+    if isinstance(twin, Path | str):
+        folder = RunFolder(Path(twin).parent)
+        if folder.info.exists() and folder.twin.name == Path(twin).name:
+            return Run.open(folder.path).arm
+    return arm_named(as_twin(twin).arm, "the twin is")
+
+
+def as_targets(
+    given: Targets | None, arm: Arm, *, sets: int, seed: int, reachable: bool = True
+) -> tuple[Array, Orientation | None]:
+    """Return targets (S, K, 3) [m], given, read or drawn, and orientations (S, K) or None.
+
+    InputError or FileError for those out of reach, unless ``reachable`` is left to the caller.
+    """
+    if given is None:
+        return draw_targets(arm, sets=sets, seed=seed), None
+    if isinstance(given, Path | str):
+        points, turns = read_targets(Path(given), arm)
+        return points[None], turns and turns[None]
+    given = list(given) if isinstance(given, Iterator) else given  # else looking at them would leave none
+    kinds = {isinstance(one, Pose) for one in given} if isinstance(given, Iterable) else set()
+    if len(kinds) > 1:
+        raise InputError("targets: some are poses and some are points; give a rejoint.Pose for each, or for none")
+    if kinds == {True}:
+        points, turns = placed(arm, cast("Sequence[Pose]", given))
+        turns = turns and turns[None]
+        if reachable:
+            require_reachable(arm, points[None], turns)
+        return points[None], turns
+    points = as_floats("targets", given, "(targets, 3) or (sets, targets, 3) in metres")
+    if points.ndim not in (2, 3) or points.shape[-1] != 3:
+        raise InputError(f"targets have shape {points.shape}, expected (targets, 3) or (sets, targets, 3) in metres")
+    points = points[None] if points.ndim == 2 else points
+    if reachable:
+        require_reachable(arm, points)
+    return points, None

@@ -1,0 +1,373 @@
+"""Following paths and streams with an arm."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path as FilePath
+from typing import TYPE_CHECKING, TypeAlias, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rejoint.arms import Arm, Array
+from rejoint.arms.rotations import tool_axis
+from rejoint.control.controller import Controller
+from rejoint.control.loop import Schedule
+from rejoint.control.moving.drive import Followed, Pass, Repetition, Sender, corrected_path, corrector, judge, missed
+from rejoint.control.moving.posture import PathPostures, Servos, home_of
+from rejoint.control.moving.reference import (
+    LAG,
+    LEAD_IN,
+    Ahead,
+    Path,
+    Routes,
+    Stream,
+    is_standard,
+    played,
+    read_path,
+    require_rate,
+    standard_path,
+)
+from rejoint.control.moving.tracker import Tracker
+from rejoint.control.observer import Observer
+from rejoint.control.recording import Cycle, Recording
+from rejoint.control.targets import require_reachable
+from rejoint.runs.run import Run
+from rejoint.session.context import require_correctable
+from rejoint.session.controllers import ControllerLike, make_factories
+from rejoint.session.inputs import ArmLike, Period, RobotLike, RunLike
+from rejoint.session.motions import ArmMotion, EndedError
+from rejoint.session.payload import say_folded, say_heavy, say_noticed
+from rejoint.session.session import ArmSession
+from rejoint.session.settings import Settings
+from rejoint.system.errors import InputError
+from rejoint.system.numbers import as_floats, as_within
+from rejoint.system.stopping import noted
+
+if TYPE_CHECKING:
+    from rejoint.arms.rotations import Orientation
+    from rejoint.twin.twin import Twin
+
+PathLike: TypeAlias = "Path | FilePath | ArrayLike"
+"""A path, its file or standard name, or (T, 4) times [s] and places [m]"""
+
+TRACKER, SENT = "tracker", "default"
+"""Names of the twin's controller, and of the plain path"""
+
+WITHIN = 5e-3
+"""[m] accepted rms after the best lag (chosen)"""
+
+LOOKED_AT = 50
+"""Places of a path judged before it is driven (chosen)"""
+
+Factory = Callable[[Arm, float], Controller]
+"""Makes a controller for an arm and its usual period [s]"""
+
+
+def follow(
+    robot: RobotLike,
+    path: PathLike,
+    *,
+    run: RunLike | None = None,
+    arm: ArmLike | None = None,
+    repeat: int = 1,
+    rate_hz: float | None = None,
+    settings: Settings | None = None,
+    observer: Observer | None = None,
+) -> Followed:
+    """Drive an arm along a path, under the guard, and say how well it followed.
+
+    The arm goes slowly to its rest posture and to the start of the path, stands there for two seconds, and moves.
+    Ctrl-C and SIGTERM bring it to a hold; then `Interrupted` is raised. `Session.follow` follows a `Stream`.
+
+    Parameters
+    ----------
+    robot
+        robot or its address
+    path
+        `Path`, CSV file ``time,x,y,z`` in seconds and millimetres, (T, 4) numbers in seconds and metres, or a standard
+        path such as ``circle-8s`` and ``random-0.2hz``
+    run
+        run, or its folder, with the twin; its logs keep the motion
+    arm
+        arm, name or file, where neither run nor address tells
+    repeat
+        how often; each time the aims correct what was missed before
+    rate_hz
+        rate at which the path is sent as a stream instead of being known ahead
+    settings
+        twin, payload, accepted error (``within``) and the like; ``controller``: ``tracker`` (default, needs a twin),
+        ``default``, or your own
+    observer
+        receives messages and progress
+
+    Returns
+    -------
+    Followed
+        ``passes``, one for each time: encoder errors [m], true error, run log; ``followed``
+
+    Raises
+    ------
+    InputError, FileError
+        if the path is out of reach, or too fast, and where; or no twin is known; nothing has moved
+    NotReadyError
+        if it is unsafe to move the arm
+    GuardTripError, RobotError
+        if the motion had to be ended; the arm holds
+
+    Examples
+    --------
+    >>> done = rejoint.follow("emulated:worn", "circle-8s", run="runs/mine")
+    >>> print(done.passes[-1].encoder.rms)
+    """
+    by = None if settings is None else settings.controller
+    if isinstance(by, str) and by not in (TRACKER, SENT):
+        raise InputError(f"no controller called {by!r} follows paths; known: {TRACKER}, {SENT}")
+    with noted(), ArmSession(robot, run=run, arm=arm, settings=settings, observer=observer) as session:
+        return cast(Followed, session.follow(path, repeat=repeat, rate_hz=rate_hz))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Follower:
+    """What follows a path."""
+
+    name: str
+    """of the controller"""
+    make: Factory
+    """makes it, for each time along the path"""
+    home: Array | None = None
+    """(n,) [rad] posture that it keeps near to; None: rest"""
+
+
+@dataclass(kw_only=True, eq=False)
+class PathDrive:
+    """A path or stream to be followed by a session."""
+
+    session: ArmSession
+    path: Path | Stream
+    repeat: int
+    rate: float | None
+    """[Hz] of a path played as a stream; None: known ahead"""
+    duration: float
+    """[s] of a stream"""
+    within: float
+    """[m] root mean square within which a path counts as followed"""
+    controller: ControllerLike
+
+    @classmethod
+    def of(
+        cls,
+        session: ArmSession,
+        path: PathLike | Stream,
+        *,
+        repeat: int,
+        rate: float | None,
+        duration: float | None,
+        within: float | None,
+    ) -> PathDrive:
+        """Check the request before anything moves; InputError where it cannot be followed."""
+        arm, settings = session.arm, session.settings
+        accepted = within if within is not None else WITHIN if settings.within is None else settings.within
+        require_repeatable(path, repeat, rate, accepted)
+        given = followable(path, arm, session.seed, duration)
+        if isinstance(given, Path):
+            few = slice(None, None, max(1, len(given.place) // LOOKED_AT))
+            places, turns = given.place[few], given.turn_at(given.time[few])
+            say_heavy(arm, session.twin, places, session.observer.message, turns)
+            require_correctable(session.calibration, arm, places)
+        by = settings.controller  # one that drives to points follows no path
+        follows = by in (TRACKER, SENT) if isinstance(by, str) else hasattr(by, "command") or callable(by)
+        wanted = by if by is not None and follows else TRACKER
+        follower_of(wanted, arm, session.period, session.run, session.twin)
+        return cls(
+            session=session,
+            path=given,
+            repeat=repeat,
+            rate=rate,
+            duration=duration or 0.0,
+            within=accepted,
+            controller=wanted,
+        )
+
+    def work(self, motion: ArmMotion) -> Followed:
+        """Drive; `EndedError` where the motion is asked to end."""
+        session = self.session
+        session.take_up(None)
+        self._motion = motion
+        self._follower = follower_of(self.controller, session.arm, session.period, session.run, session.twin_now)
+        if not turned(self.path):
+            say_folded(session.arm, self._follower.home, session.observer.message)
+        name = self.path.name if isinstance(self.path, Path) else "stream"
+        self._label = f"follow/{self._follower.name}/{name}"
+        session.recorder.begin(session.robot, "follow", self._label)
+        _, self._usual = session.begin()
+        done = self._behind(self.path) if isinstance(self.path, Stream) else self._along(self.path)
+        session.followed = done
+        say_noticed(session.arm, session.twin_now, done.passes[-1].log, session.observer.message)
+        return done
+
+    def _along(self, path: Path) -> Followed:
+        session, arm, home = self.session, self.session.arm, self._follower.home
+        wanted = path if session.correction is None else corrected_path(arm, path, session.correction, home)
+        duration = LEAD_IN + path.duration + (0.0 if self.rate is None else LAG)
+        aim, passes, repetition = wanted, list[Pass](), Repetition(wanted)
+        last: Recording | None = None
+        for number in range(self.repeat):
+            self._approach(wanted.at(0.0), wanted.turn_at(0.0))
+            guide = Ahead(path=path, aim=aim)
+            told = guide if self.rate is None else played(wanted, self.rate)
+            last = self._carry(told, duration, number)
+            done = judge(arm, last, Ahead(path=path, aim=wanted), model=session.calibration)
+            passes.append(replace(done, log=last.log(0, self._label)))
+            aim = repetition.learn(aim, *missed(arm, last, guide, wanted))
+        return self._followed(path.name, passes, last)
+
+    def _behind(self, stream: Stream) -> Followed:
+        session, arm, home = self.session, self.session.arm, self._follower.home
+        at_once = np.zeros(1)
+        start, turns = stream.place(0.0), stream.turns(0.0, at_once)
+        turn = None if turns is None else turns[0]
+        if session.correction is not None and stream.corrected is None:
+            stream.corrected = corrector(arm, session.correction, start, turn, home)
+            turns = stream.turns(0.0, at_once)
+            turn = None if turns is None else turns[0]
+        self._approach(start, turn)
+        last = self._carry(stream, self.duration, 0)
+        done = replace(judge(arm, last, stream, model=session.calibration), log=last.log(0, self._label))
+        return self._followed("stream", [done], last)
+
+    def _approach(self, start: Array, turn: Orientation | None) -> None:
+        """Bring the arm to the place ``start`` (3,) [m] and ``turn`` ()."""
+        session = self.session
+        posture = PathPostures(session.arm, start[None], turn and turn[None], self._follower.home).last[0]
+        session.go(posture, self._motion.give_up)
+        if self._motion.ended.is_set():
+            raise EndedError
+
+    def _carry(self, guide: Ahead | Stream, duration: float, number: int) -> Recording:
+        """Drive behind a guide for ``duration`` [s]."""
+        session, total = self.session, self.repeat
+
+        def watch(cycle: Cycle) -> None:
+            share = min(float(cycle.since_target[0]) / duration, 1.0)
+            session.progress((number + share) / total, f"time {number + 1} of {total}" if total > 1 else "")
+
+        if total > 1:
+            session.recorder.begin(session.robot, f"follow-{number + 1:02d}", self._label)
+        controller = self._follower.make(session.arm, self._usual)
+        recording = session.drive(
+            controller,
+            Schedule(dwell=duration, give_up=self._motion.give_up),
+            reference=Routes([guide]),
+            on_cycle=watch,
+        )
+        if self._motion.ended.is_set():
+            raise EndedError
+        return recording
+
+    def _followed(self, path: str, passes: list[Pass], last: Recording | None) -> Followed:
+        period = float("nan") if last is None else last.usual_period()
+        gaps = () if last is None else tuple(float(gap) for gap in last.gaps() if gap > 0.0)
+        return Followed(
+            path=path,
+            controller=self._follower.name,
+            within=self.within,
+            passes=tuple(passes),
+            period=period if np.isfinite(period) else None,
+            gaps=gaps,
+        )
+
+
+def as_path(given: PathLike, arm: Arm, seed: int) -> Path:
+    """Path from an object, a file, numbers or a standard name."""
+    if isinstance(given, Path):
+        return given
+    if isinstance(given, str) and is_standard(given):
+        return standard_path(given, arm, seed)
+    if isinstance(given, str | FilePath):
+        return read_path(FilePath(given))
+    expected = "a Path, a file, or points (K, 4) of time [s] and x, y, z [m]"
+    if isinstance(given, Iterator):
+        raise InputError(
+            f"path: expected {expected}, found a generator; make an array of all its points, or put them into a "
+            "rejoint.Stream as they come"
+        )
+    points = as_floats("path", given, expected)
+    if points.ndim != 2 or points.shape[-1] != 4:
+        raise InputError(f"path: an array of shape {points.shape}, expected (points, 4): time [s] and x, y, z [m]")
+    return Path(time=points[:, 0], place=points[:, 1:])
+
+
+def followable(given: PathLike | Stream, arm: Arm, seed: int, duration: float | None) -> Path | Stream:
+    """Stream or path that ``arm`` can follow; InputError where it cannot."""
+    if isinstance(given, Stream):
+        seconds = as_floats("follow", np.nan if duration is None else duration, "a duration in seconds")
+        if seconds.shape != () or not 0.0 < seconds < np.inf:
+            raise InputError("follow: a stream needs a duration in seconds for which it is followed")
+        if given.followed:
+            raise InputError(
+                "follow: this stream was followed already, up to its last target; put targets into another"
+            )
+        given.axis = tool_axis(arm)
+        turns = given.turns(0.0, np.zeros(1))
+        require_reachable(arm, given.place(0.0)[None, None], turns and turns[None])
+        return given
+    if duration is not None:
+        raise InputError("follow: a duration is of a stream; a path takes as long as its times say")
+    path = as_path(given, arm, seed).on(arm)
+    path.require_followable(arm)
+    return path
+
+
+def turned(given: Path | Stream) -> bool:
+    """Whether a path, or a stream's first target, has an orientation."""
+    start = np.zeros(1)
+    return (given.turn_at(start) if isinstance(given, Path) else given.turns(0.0, start)) is not None
+
+
+def require_repeatable(path: PathLike | Stream, repeat: int, rate: float | None, within: float = WITHIN) -> None:
+    """Raise InputError for a bad number of repetitions, ``rate`` or ``within``."""
+    if rate is not None:
+        require_rate(rate)
+    as_within("follow", within)
+    if (
+        not isinstance(repeat, int | np.integer)
+        or repeat < 1
+        or (repeat > 1 and (rate is not None or isinstance(path, Stream)))
+    ):
+        raise InputError("follow: to be repeated at least once, and more often only where the path is known ahead")
+    if rate is not None and isinstance(path, Stream):
+        raise InputError("follow: a rate is for a path that is played as a stream; a stream has its own")
+
+
+def servos_of(twin: Twin) -> Servos:
+    """Return what a tracker takes from the twin of one arm."""
+    own = twin.parameters.repeat(1)
+    return Servos(
+        stiffness=own.stiffness,
+        damping=own.damping,
+        coulomb=own.coulomb,
+        armature=own.armature,
+        torque_limit=own.torque_limit,
+        offset=own.offset,
+        delay=own.delay,
+    )
+
+
+def follower_of(given: ControllerLike, arm: Arm, usual: Period | None, run: Run | None, twin: Twin | None) -> Follower:
+    """Return what follows under a name, or what is given."""
+    if given == SENT:
+        return Follower(name=SENT, make=lambda arm, period: Sender(arm))  # noqa: ARG005 - it knows no time
+    if given == TRACKER:
+        if twin is None:
+            raise InputError(
+                "follow: the tracker needs a twin; run `rejoint identify` first, or take --controller default"
+            )
+        servos = servos_of(twin)
+        home = home_of(arm, servos)
+        return Follower(
+            name=TRACKER, make=lambda arm, period: Tracker(arm, servos, period=period, home=home), home=home[0]
+        )
+    ((name, make),) = make_factories([given], arm, usual, run=run, twin=twin).items()
+    return Follower(name=name, make=lambda arm, period: make(arm))  # noqa: ARG005 - its own affair

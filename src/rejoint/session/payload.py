@@ -1,0 +1,183 @@
+"""What the hand carries: given by the user, judged before the arm tries, and noticed otherwise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rejoint.arms import Arm, Array, Box, Motors, clearance, gravity_torque, position_kinematics
+from rejoint.arms.inertia import LoadedArm, Payload, loaded
+from rejoint.arms.kinematics import GRAVITY
+from rejoint.arms.posing import find_postures
+from rejoint.arms.rotations import Orientation
+from rejoint.control.moving.posture import joint_weights
+from rejoint.logs.runlog import RunLog
+from rejoint.session.inputs import RobotLike
+from rejoint.system.errors import InputError
+
+if TYPE_CHECKING:
+    from rejoint.twin.twin import Twin
+
+PayloadLike: TypeAlias = "float | Payload"
+"""[kg] at the tool centre point, or with its centre of mass"""
+
+Say: TypeAlias = Callable[[str], object]
+"""Receives sentences for the user"""
+
+STILL = 0.4
+"""[s] of standing before a torque counts as load (chosen)"""
+SURE = 3.0
+"""Standard errors from which a load counts as noticed (chosen)"""
+ALONE = 0.08
+"""[kg] standard error of one posture's estimate (measured)"""
+LEAST = 0.04
+"""[kg] that counts as a load at least (chosen)"""
+UNSEEN = 3.0
+"""Factor on torque limits that a twin never saw (chosen)"""
+RUBBING, BELIEVED = 0.1, 0.85
+"""Friction over load, and usable share of a twin's torque limit (chosen)"""
+_NAMED = 5  # targets that a line names
+
+
+def silent(line: str) -> None:
+    """Report nothing."""
+
+
+def with_load(arm: Arm, robot: RobotLike | None, payload: PayloadLike | None, tool: ArrayLike | None) -> Arm:
+    """Arm with payload and tool; InputError for an open robot."""
+    found = loaded(arm, payload, tool)
+    if found is not arm and not isinstance(robot, str):
+        raise InputError("give a payload or a tool with the address of a robot, not with an open one")
+    return found
+
+
+def beside(arm: Arm, boxes: Sequence[Box]) -> Arm:
+    """Arm with more ``boxes`` to keep out of; InputError where one holds a part of the resting arm."""
+    if not boxes:
+        return arm
+    found = replace(arm, keep_out=(*arm.keep_out, *boxes))
+    if clearance(found, arm.rest) < 0.0 <= clearance(arm, arm.rest):
+        raise InputError("keep_out: a part of the arm in its rest posture is inside a box; give boxes around the arm")
+    return found
+
+
+def say_heavy(arm: Arm, twin: Twin | None, targets: Array, say: Say, turns: Orientation | None = None) -> None:
+    """Report ``targets`` (..., 3) [m], turned as in ``turns`` (...), where a given load is too heavy by the twin."""
+    if twin is None or not isinstance(arm, LoadedArm):
+        return
+    points = targets.reshape(-1, 3)
+    sure = heavy(arm, twin, points, turns and turns.flat)
+    perhaps = heavy(arm, twin, points, turns and turns.flat, seen=False) & ~sure.any(axis=1, keepdims=True)
+    if sure.any():
+        say(f"Too heavy for {_named(arm, points, sure)}. The arm tries, but may not come there.")
+    if perhaps.any():
+        say(f"Perhaps too heavy for {_named(arm, points, perhaps)}: what that can lift was never seen. The arm tries.")
+
+
+def believed_motors(twin: Twin) -> Motors:
+    """Motors of a twin; unseen limits may be three times as high, friction at rest counts twice."""
+    from rejoint.twin.parameters import Layout
+
+    own = twin.parameters
+    seen = twin.identified[Layout(len(own.torque_limit)).at("torque_limit")]
+    limit = np.where(seen, own.torque_limit, UNSEEN * own.torque_limit)
+    usable = (BELIEVED * own.torque_limit - 2.0 * own.coulomb) / (1.0 + RUBBING)
+    return Motors(limit, np.maximum(usable, 0.1 * own.torque_limit))
+
+
+def _named(arm: Arm, points: Array, over: NDArray[Any]) -> str:
+    """Name the motors that are too weak, and at which ``points`` (K, 3) [m], where ``over`` (K, n) says so."""
+    which = np.flatnonzero(over.any(axis=1))
+    joints = ", ".join(arm.joint_names[j] for j in range(arm.joints) if over[:, j].any())
+    places = "; ".join(f"({', '.join(f'{1e3 * value:.0f}' for value in points[k])}) mm" for k in which[:_NAMED])
+    more = f" and {len(which) - _NAMED} more" if len(which) > _NAMED else ""
+    return f"the motor of {joints} by the twin: {places}{more}"
+
+
+def heavy(arm: Arm, twin: Twin, targets: Array, turns: Orientation | None = None, *, seen: bool = True) -> NDArray[Any]:
+    """Which joints (K, n) are too weak at ``targets`` (K, 3) [m]; light joints do not count.
+
+    ``seen``: those whose torque limit the twin has seen, or the others.
+    """
+    from rejoint.twin.parameters import Layout
+
+    known = twin.identified[Layout(arm.joints).at("torque_limit")]
+    start = np.broadcast_to(arm.rest, (len(targets), arm.joints))
+    load = np.abs(gravity_torque(arm, find_postures(arm, targets, start, turns)))
+    over = load > believed_motors(twin).usable
+    return over & (joint_weights(arm) <= 1.0) & (known == seen)
+
+
+def noticed_load(arm: Arm, twin: Twin, log: RunLog) -> tuple[float, float]:
+    """Estimate an unreported mass [kg] at the tool and its standard error, from a log; NaN: nothing stood.
+
+    Joints at their torque limit are left out, so it is rather too small.
+    """
+    rows = _standing(log)
+    if not len(rows):
+        return float("nan"), float("nan")
+    position, own = log.position[rows], twin.parameters
+    torque = own.stiffness * (log.command[rows] + own.offset - position)
+    missing = torque - gravity_torque(arm, position)
+    lever = -position_kinematics(arm, position)[1].swapaxes(-1, -2) @ GRAVITY  # [m^2/s^2]: torque per mass
+    free = np.abs(torque) < 0.9 * own.torque_limit  # at its limit a motor gives less than its stiffness says
+    # Friction holds anything between plus and minus its size, all equally likely.
+    least = 0.02 * np.abs(gravity_torque(arm, position)).max()
+    doubt = np.broadcast_to(np.maximum(own.coulomb, least) / np.sqrt(3.0), missing.shape)
+    weight = np.where(free, 1.0 / doubt, 0.0)
+    total = float(((lever * weight) ** 2).sum())
+    if total <= 0.0:
+        return float("nan"), float("nan")
+    doubtful = max(1.0 / np.sqrt(total), ALONE / len(rows))  # joints stick to one side, and share it in a posture
+    return float((lever * weight**2 * missing).sum() / total), float(doubtful)
+
+
+def say_folded(arm: Arm, home: Array | None, say: Say) -> None:
+    """Report that a joint is kept turned where ``home`` (n,) [rad] is not rest."""
+    away = np.zeros(arm.joints) if home is None else home - arm.rest
+    joint = int(np.abs(away).argmax())
+    if away[joint] != 0.0:
+        say(
+            f"A motor of this arm hardly lifts what hangs on it: {arm.joint_names[joint]} is kept about "
+            f"{np.degrees(away[joint]):+.0f} deg from rest on the way, so that less does."
+        )
+
+
+def say_noticed(arm: Arm, twin: Twin | None, log: RunLog | None, say: Say) -> None:
+    """Report an unexpected load that the sag of a ``log`` shows."""
+    if twin is None or log is None:
+        return
+    mass, doubt = noticed_load(arm, twin, log)
+    if not mass > max(LEAST, SURE * doubt):
+        return
+    more = " more than was told" if isinstance(arm, LoadedArm) else ""
+    say(
+        f"The joints sag as if the hand carried about {1e3 * mass:.0f} g{more}: tell it with --payload, or identify "
+        "again if the arm itself has changed."
+    )
+
+
+def _standing(log: RunLog) -> NDArray[Any]:
+    moved = np.abs(np.diff(log.position, axis=0)).max(axis=1) > 1.5 * _step(log)
+    sent = np.abs(np.diff(log.command, axis=0)).max(axis=1) > np.radians(0.5)
+    last, found, posture = log.time[0], [], None
+    for k in range(1, len(log.time)):
+        if moved[k - 1] or sent[k - 1]:
+            last = log.time[k]
+        elif log.time[k] - last >= STILL:
+            if posture is None or np.abs(log.position[k] - posture).max() > np.radians(2.0):
+                found.append(k)
+                posture = log.position[k]
+            else:
+                found[-1] = k  # the later one has settled more
+    return np.array(found, dtype=int)
+
+
+def _step(log: RunLog) -> float:
+    """Smallest motion [rad] that the encoders of a log show."""
+    steps = np.abs(np.diff(log.position, axis=0))
+    return float(steps[steps > 1e-9].min(initial=np.radians(0.1)))

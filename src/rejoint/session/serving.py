@@ -1,0 +1,186 @@
+"""Serving an arm to programs of the vendor's client."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from datetime import datetime
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rejoint.arms import choose_postures, tcp_position
+from rejoint.control.controller import ControlInput
+from rejoint.control.guard import Reason, reason_names
+from rejoint.control.loop import Schedule
+from rejoint.control.observer import Observer
+from rejoint.control.recording import PIECE, Cycle
+from rejoint.control.robot import Mask
+from rejoint.robots.serving.served import Apparent, ServedArm
+from rejoint.robots.serving.server import Answering, OrderLog, Relay, WireServer, pty_wire, tcp_wire
+from rejoint.session.inputs import RobotLike, RunLike
+from rejoint.session.payload import believed_motors
+from rejoint.session.session import ArmSession
+from rejoint.session.settings import Settings
+from rejoint.system.errors import FileError, InputError
+from rejoint.system.shell import listen_tcp
+from rejoint.system.stopping import Interrupted, noted
+
+if TYPE_CHECKING:
+    import socket
+
+WIRE_JOINTS = 6
+"""Joints of the only arm whose wire is spoken: a myCobot"""
+LABEL = "serve/posture"
+LONGEST_PIECE = 3.0 * PIECE
+"""[s] longest run log of a served arm (chosen)"""
+OBSTACLES = np.uint16(Reason.FLOOR | Reason.COLLISION | Reason.POSITION)
+"""What the guard prevents for good"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Serving:
+    """What an arm was served for."""
+
+    address: str
+    """where it was served"""
+    orders: int
+    """of clients, carried out or refused"""
+    log: str
+    """path of the log of orders"""
+
+
+def serve(
+    robot: RobotLike,
+    run: RunLike,
+    *,
+    listen: str = "127.0.0.1:9000",
+    pty: bool = False,
+    pace: float = 1.0,
+    stop: threading.Event | None = None,
+    settings: Settings | None = None,
+    observer: Observer | None = None,
+) -> Serving:
+    """Speak the myCobot's own wire to programs and drive the arm behind it, until interrupted.
+
+    The arm goes slowly to its rest posture; then one client at a time drives it, and it holds in between. Ctrl-C and
+    SIGTERM bring it to a hold, and end the serving.
+
+    Parameters
+    ----------
+    robot
+        robot or its address
+    run
+        run, or its folder, with the twin; orders and motion are logged there
+    listen
+        HOST:PORT of the TCP port, where port 0 is any free one
+    pty
+        serve a serial line (pseudo-terminal) instead
+    pace
+        simulated seconds per second, for an emulated arm of this process
+    stop
+        ends the serving when it is set
+    settings
+        twin, payload, control period and the like; with a calibration coordinates are those of the tool itself
+    observer
+        receives the address for clients, and messages
+
+    Returns
+    -------
+    Serving
+        where it was served, how many orders came, and the path of their log
+
+    Raises
+    ------
+    InputError
+        if the address cannot be used, or the arm is no myCobot; nothing has moved
+    FileError
+        if the run has no twin
+    NotReadyError
+        if it is unsafe to move the arm
+    GuardTripError, RobotError
+        if the motion had to be ended; the arm holds
+
+    Examples
+    --------
+    >>> rejoint.serve("tcp://192.168.1.20:9000", "runs/mine", listen="127.0.0.1:9001")
+    >>> rejoint.serve("tcp://192.168.1.20:9000", "runs/mine", pty=True)
+    """
+    over = threading.Event() if stop is None else stop
+    with (
+        noted(),
+        ExitStack() as stack,
+        ArmSession(robot, run=run, settings=settings, observer=observer, pace=pace) as session,
+    ):
+        arm, about, say = session.arm, session.run, session.observer.message
+        assert about is not None  # noqa: S101 - for the type checker; it was given
+        if arm.joints != WIRE_JOINTS:
+            raise InputError(
+                f"serve: the wire is that of a myCobot with {WIRE_JOINTS} joints, not of {arm.name}; for joint goals "
+                "line by line take --stdio"
+            )
+        if session.twin is None:
+            raise FileError(about.folder.twin, "no such file", f"run `rejoint identify {about.path}` first")
+        session.correction  # noqa: B018 - what does not fit is refused now
+        listener = None if pty else stack.enter_context(listen_tcp(*_host_and_port(listen)))
+        path = about.path / "logs" / f"serve-{datetime.now():%Y%m%d-%H%M%S}.jsonl"
+        log = OrderLog(path, say=say)
+        stack.callback(log.close)
+        session.recorder.begin(session.robot, "serve", LABEL)
+        session.begin()
+        served, server, relay = _put_together(session, log, listener)
+        session.beside.append(relay.serve)
+        log.write("begin", address=server.address, robot=session.address)
+        try:
+            with server:
+                session.observer.served(server.address)
+                _drive(session, served, log, lambda: over.is_set() or server.ended)
+        except Interrupted as asked:
+            say(f"{asked}. {' '.join(asked.__notes__)}")
+        if server.failure is not None:
+            raise server.failure
+        log.write("end", orders=log.orders)
+        return Serving(address=server.address, orders=log.orders, log=str(path))
+
+
+def _put_together(
+    session: ArmSession, log: OrderLog, listener: socket.socket | None
+) -> tuple[ServedArm, WireServer, Relay]:
+    arm, say = session.arm, session.observer.message
+    relay = Relay(getattr(session.robot, "relay", None))
+    twin = session.twin_now
+    motors = None if twin is None else believed_motors(twin)
+    shift = None if session.correction is None else session.correction.shift
+    apparent = Apparent(arm=arm, shift=shift)
+    choose_postures(arm, tcp_position(arm, arm.rest)[None], arm.rest)  # compiled now: no client waits for it
+    served = ServedArm(arm, arm.rest, apparent=apparent, limits=session.limits, motors=motors)
+    answering = Answering(served, log, relay, say)
+    served.on_arrival = answering.arrived
+    server = pty_wire(answering, say) if listener is None else tcp_wire(answering, listener, say)
+    return served, server, relay
+
+
+def _drive(session: ArmSession, served: ServedArm, log: OrderLog, over: Callable[[], bool]) -> None:
+
+    def watch(cycle: Cycle) -> None:
+        served.held_back = " and ".join(reason_names(cycle.reasons[0] & OBSTACLES))
+
+    def give_up(inputs: ControlInput) -> Mask:
+        rests = bool(inputs.since_target[0] > PIECE) and not served.moving
+        return np.array([rests or over()])
+
+    controller = session.posture_controller(served)
+    while not over():
+        before, moving = log.orders, served.moving
+        session.drive(controller, Schedule(dwell=LONGEST_PIECE, give_up=give_up), on_cycle=watch)
+        idle = log.orders == before and not moving  # an arm without orders for days fills no disk
+        session.recorder.turn(keep=not idle)
+
+
+def _host_and_port(text: str) -> tuple[str, int]:
+    host, colon, port = text.rpartition(":")
+    if not colon or not host or not (port.isascii() and port.isdecimal()):
+        raise InputError(f"--listen {text!r}: expected HOST:PORT, such as 127.0.0.1:9000")
+    return host, int(port)

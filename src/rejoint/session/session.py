@@ -1,0 +1,465 @@
+"""The session: one object through which a program drives an arm, one motion at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from types import TracebackType
+from typing import TYPE_CHECKING, Self, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rejoint.arms import Array, choose_postures, plan, tcp_position
+from rejoint.arms.rotations import Orientation
+from rejoint.control.controller import Controller
+from rejoint.control.goal import JointGoals, with_ways
+from rejoint.control.guard import GuardLimits, clear_by
+from rejoint.control.loop import Schedule
+from rejoint.control.posture import PostureGains
+from rejoint.control.recording import PIECE, Cycle
+from rejoint.control.robot import JointState
+from rejoint.control.targets import Pose, placed
+from rejoint.runs.run import Run, exclusive
+from rejoint.session.context import guard_limits
+from rejoint.session.driver import ArmDriver
+from rejoint.session.motions import ArmMotion, GoalCheck, GoalStream, PlannedWay, in_mm
+from rejoint.session.payload import believed_motors
+from rejoint.system.errors import InputError, NotReachedError, NotReadyError
+from rejoint.system.numbers import as_floats, as_within
+from rejoint.system.progress import RateLimit
+from rejoint.system.stopping import noted, pause
+
+if TYPE_CHECKING:
+    from rejoint.control.deployment import Deployed
+    from rejoint.control.moving.drive import Followed
+    from rejoint.control.moving.reference import Stream
+    from rejoint.session.inputs import Targets
+    from rejoint.session.paths import PathLike
+
+WITHIN, WITHIN_TURN = 0.002, float(np.radians(1.0))
+"""[m] and [rad] within which poses are reached (chosen)"""
+WITHIN_JOINT = float(np.radians(0.5))
+"""[rad] within which joint positions are reached (chosen)"""
+EVERY_JOINT = PostureGains(weak=np.inf, close=1e-4, again=3e-4, lead=float(np.radians(19.5)))
+"""Joint positions without a place: every joint is brought close (measured)"""
+TURNS = 2.0 * np.pi
+"""[rad] beyond which a joint position is not in radians"""
+STARTING = 5.0
+"""[s] for the first cycle of a stream (chosen)"""
+_POINT = "a point (3,) in metres"
+_LOOK = 0.01  # [s] between two looks at whether a motion has ended (chosen)
+_SHARES = np.linspace(1.0, 0.0, 65)[:, None]  # of a way to joint positions, looked at from its end
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ArmState:
+    """What is known of an arm at a moment."""
+
+    time_s: float
+    """on the robot's clock"""
+    joints_rad: Array
+    """(n,) measured"""
+    tool_m: Array
+    """(3,) tool centre point by the encoders"""
+    moving: bool
+    """whether a motion is under way"""
+    target_m: Array | None = None
+    """(3,) last target; None before the first cycle"""
+    error_m: float | None = None
+    """of the tool from where it was sent, by the encoders"""
+    turned_rad: float | None = None
+    """orientation error by the encoders; None for points"""
+
+
+class ArmSession(ArmDriver):
+    """An arm with everything that drives it: robot, guard, twin, calibration, controller, log; see `rejoint.connect`.
+
+    One motion at a time, always guarded. Before its first motion the arm is looked at; before its first motion to a
+    point or along a path it goes slowly to its rest posture. Between motions it holds. Use it in a ``with`` block.
+
+    Examples
+    --------
+    >>> with rejoint.connect("tcp://192.168.1.20:9000", run="runs/mine") as arm:
+    ...     arm.move_to([0.2, 0.05, 0.18])
+    ...     arm.move_joints(arm.state.joints_rad + 0.1)
+    ...     print(arm.follow("drawing.csv").passes[-1].encoder.rms)
+    """
+
+    followed: Followed | None = None
+    """result of the last path"""
+    _motion: ArmMotion | None = None
+    _goals: GoalStream | None = None
+    _seen: JointState | Cycle | None = None
+    _closed = False
+
+    def open(self) -> Self:
+        """Connect now; nothing moves. AddressError if no robot answers."""
+        self._require_open()
+        self._seen = self.robot.read()
+        return self
+
+    @contextmanager
+    def lent(self) -> Iterator[Run]:
+        """Leave run and robot to a stage; afterwards the run's new state counts."""
+        if self.run is None:
+            raise InputError("session: a stage writes what it finds into a run; connect with run=FOLDER")
+        self._require_free()
+        self._alone.close()
+        try:
+            yield self.run
+        finally:
+            self._alone.enter_context(exclusive(self._named))
+            for name in ("twin", "calibration", "correction"):
+                self.__dict__.pop(name, None)
+            self._chosen.clear()
+            if self._base is not None:
+                self._base = guard_limits(self.run, self.arm, self.address)
+                self._in_charge = cast("Controller | None", object())
+
+    # --- motions ------------------------------------------------------------------------------
+
+    def move_to(
+        self,
+        target_m: ArrayLike | Pose,
+        *,
+        within_m: float | None = None,
+        within_rad: float = WITHIN_TURN,
+        timeout_s: float = 10.0,
+        wait: bool = True,
+    ) -> ArmState | None:
+        """Bring the tool to ``target_m`` (3,) [m] in the base frame, or to a `Pose`.
+
+        It is reached once the tool stays ``within_m`` (default: the settings', else 2 mm) of its corrected target, by
+        the encoders, and ``within_rad`` of its orientation. ``wait``: return the state at the end; else return None at
+        once, and the next order or `close` raises what ended the motion. InputError for a target out of reach;
+        NotReadyError during a motion; NotReachedError after ``timeout_s``; GuardTripError or RobotError. The arm then
+        holds.
+        """
+        pose = target_m if isinstance(target_m, Pose) else None
+        target = as_floats("move_to", target_m if pose is None else pose.place_m, _POINT)
+        if target.shape != (3,) or not np.isfinite(target).all():
+            raise InputError(f"move_to: expected {_POINT}, got {target_m!r}")
+        within = as_within("move_to", (self.settings.within or WITHIN) if within_m is None else within_m)
+        within_rad, timeout = _bounds("move_to", within_rad, timeout_s)
+        turns = None if pose is None else placed(self.arm, [pose])[1]
+        self._require_free()
+        goals = self.goals(target[None], turns)
+        name, controller = self.driver(posed=turns is not None)
+
+        def work(motion: ArmMotion) -> None:
+            self.begin(controller)
+            self.recorder.begin(self.robot, "move", f"move/{name}")
+            arrival = GoalCheck(motion, self.arm, within, within_rad)
+            self.drive(
+                controller,
+                Schedule(dwell=timeout, give_up=arrival.at_point, goals=goals),
+                targets=target[None],
+                turns=turns,
+                correction=self.correction,
+            )
+            turned = "" if turns is None else f" and {np.degrees(within_rad):g} deg"
+            arrival.require(f"{1e3 * within:g} mm{turned}", timeout)
+
+        return self._start(ArmMotion(in_mm(target), work), wait=wait)
+
+    def goals(self, targets: Array, turns: Orientation | None = None) -> JointGoals:
+        """Choose postures for ``targets`` (K, 3) [m], turned so (K,), and plan the ways.
+
+        InputError names what cannot be done.
+        """
+        start = self.arm.rest if not self._rested else self.state.joints_rad
+        motors = None if self.twin is None else believed_motors(self.twin)
+        found = choose_postures(self.arm, targets, start, turn=turns, motors=motors, chained=True)
+        for k, why in enumerate(found.refusals):
+            if why:
+                number, near = f" {k + 1}" if len(targets) > 1 else "", in_mm(found.nearest[k])
+                raise InputError(f"target{number} {in_mm(targets[k])}: {why}; the nearest place that works is {near}")
+        return with_ways(self.arm, found.q, start, motors=motors)
+
+    def move_joints(
+        self, joints_rad: ArrayLike, *, within_rad: float = WITHIN_JOINT, timeout_s: float = 10.0, wait: bool = True
+    ) -> ArmState | None:
+        """Bring the joints to ``joints_rad`` (n,) [rad] by the encoders, on a planned way; else as `move_to`.
+
+        InputError for a wrong number, degrees, limits, floor, contacts, or no way.
+        """
+        goal = self._joints("move_joints", joints_rad)
+        if (goal < self.arm.lower).any() or (goal > self.arm.upper).any():
+            j = int(np.argmax(np.maximum(self.arm.lower - goal, goal - self.arm.upper)))
+            low, at, high = np.degrees([self.arm.lower[j], goal[j], self.arm.upper[j]])
+            raise InputError(
+                f"move_joints: {self.arm.joint_names[j]} at {at:.0f} deg is outside its limits of {low:.0f} to "
+                f"{high:.0f} deg"
+            )
+        within, timeout = _bounds("move_joints", within_rad, timeout_s)
+        self._require_free()
+        self.open()
+        if not self._clear(goal):
+            raise InputError(
+                "move_joints: there the arm would touch itself or the ground; choose other joint positions"
+            )
+
+        way = self._way(self.state.joints_rad, goal)
+
+        def work(motion: ArmMotion) -> None:
+            self.begin(rest=False)
+            controller = self.posture_controller(way, EVERY_JOINT)
+            self.recorder.begin(self.robot, "joints", f"joints/{controller.name}")
+            arrival = GoalCheck(motion, self.arm, np.inf, within)
+            self.drive(controller, Schedule(dwell=timeout, give_up=arrival.at_joints(goal)))
+            arrival.require(f"{np.degrees(within):g} deg", timeout)
+
+        return self._start(ArmMotion("its joint positions", work), wait=wait)
+
+    def _way(self, start: Array, goal: Array) -> PlannedWay:
+        """Way between postures (n,) [rad], all joints at full speed where that is clear."""
+        planned, speed = plan(self.arm, start, goal), self.arm.max_speed
+        duration = float((np.abs(goal - start) / speed).max())
+
+        def at_once(time: float) -> Array:
+            return start + np.clip(goal - start, -speed * time, speed * time)
+
+        if all(self._clear(at_once(time)) for time in np.linspace(0.0, duration, len(_SHARES))):
+            return PlannedWay(at_once, duration)
+        return PlannedWay(planned.at, planned.duration)
+
+    def send_joints(self, joints_rad: ArrayLike) -> Array:
+        """Send joint positions (n,) [rad] of a stream.
+
+        Return (n,) what is sent of them, inside limits and clear of contacts.
+
+        The arm follows in its own thread, and rests where the stream stops; the next call raises what ended it.
+        InputError for a wrong number, or degrees.
+        """
+        goal = np.clip(self._joints("send_joints", joints_rad), self.arm.lower, self.arm.upper)
+        with self._asking:
+            goals = self._stream()
+            last = goals.goal if goals.goal is not None else self.state.joints_rad
+            if not self._clear(goal):
+                way = last + _SHARES * (goal - last)
+                goal = way[int(np.argmax([self._clear(one) for one in way[:-1]] + [True]))]
+            goals.goal = goal
+            return goal.copy()
+
+    def hold(self) -> None:
+        """Hold the arm until the next order; raises what ended the hold."""
+        with self._asking:
+            self._stream()
+
+    def _stream(self) -> GoalStream:
+        self._require_open()
+        if self._goals is not None and self._motion is not None and self._motion.under_way:
+            return self._goals
+        self._require_free()
+        goals = GoalStream(self.arm)
+
+        def work(motion: ArmMotion) -> None:
+            self.begin(rest=False)
+            controller = self.posture_controller(goals, EVERY_JOINT)
+            self.recorder.begin(self.robot, "joints", f"joints/{controller.name}")
+            while not motion.ended.is_set():
+                self.drive(controller, Schedule(dwell=PIECE, give_up=motion.give_up))
+                self.recorder.turn()
+
+        self._start(ArmMotion("the newest joint positions", work), wait=False)
+        self._goals, waited, motion = goals, 0.0, self._motion
+        while self._last is None and motion is not None and motion.under_way and waited < STARTING:
+            pause(_LOOK)
+            waited += _LOOK
+        if motion is not None and not motion.under_way:
+            self._tell_last()
+        return goals
+
+    def _joints(self, who: str, given: ArrayLike) -> Array:
+        """Return joint positions (n,) [rad]; InputError for what are none."""
+        goal = as_floats(who, given, f"{self.arm.joints} joint positions in radians")
+        if goal.shape != (self.arm.joints,) or not np.isfinite(goal).all():
+            raise InputError(f"{who}: expected {self.arm.joints} joint positions in radians, got {given!r}")
+        if np.abs(goal).max() > 2.0 * TURNS:
+            raise InputError(f"{who}: joint positions {given!r} are beyond two turns; give radians")
+        return goal
+
+    def _clear(self, posture: Array) -> bool:
+        """Whether the guard lets the arm go to ``posture`` (n,) [rad]."""
+        limits = self.limits if self.limits is not None else GuardLimits.of(self.arm)
+        return bool((clear_by(limits, posture) >= 0.0).all())
+
+    def follow(
+        self,
+        path: PathLike | Stream,
+        *,
+        repeat: int = 1,
+        rate_hz: float | None = None,
+        duration_s: float | None = None,
+        within_m: float | None = None,
+        wait: bool = True,
+    ) -> Followed | None:
+        """Drive the tool along ``path``, with ``repeat`` and rate as in `rejoint.follow`.
+
+        A `Stream` needs ``duration_s`` and a first target. ``wait`` as in `move_to`; the result is also `followed`;
+        NotReachedError after `stop`. InputError for a path out of reach or too fast, or without a twin.
+        """
+        from rejoint.session.paths import PathDrive
+
+        self._require_free()
+        drive = PathDrive.of(self, path, repeat=repeat, rate=rate_hz, duration=duration_s, within=within_m)
+        self.followed = None
+        self._start(ArmMotion("the end of its path", drive.work), wait=wait)
+        if wait and self.followed is None:
+            raise NotReachedError("the path was ended before its end; the arm holds")
+        return self.followed if wait else None
+
+    def deploy(self, targets: Targets | None = None) -> Deployed:
+        """Drive to targets in turn; see `rejoint.deploy`."""
+        from rejoint.session.deploying import TargetDrive
+
+        self._require_free()
+        drive = TargetDrive.of(self, targets)
+        motion = ArmMotion("its targets", lambda _: drive.work())
+        self._start(motion, wait=True)
+        done: Deployed = motion.result  # type: ignore[assignment]
+        return done
+
+    # --- what looks at motions and ends them ----------------------------------------------------
+
+    @property
+    def state(self) -> ArmState:
+        """State of the last cycle of a motion, else read now."""
+        with self._asking:
+            self._require_open()
+            moving = self._motion is not None and self._motion.under_way
+            if not moving or self._seen is None:  # else the robot is the motion's to ask
+                self._seen = self.robot.read()
+            newest = self._last if moving and self._last is not None else self._seen
+            return self._state(float(newest.time[0]), newest.position[0], moving=moving)
+
+    def wait(self, timeout_s: float | None = None) -> ArmState:
+        """Wait for the end of the motion, and return the state; raises what ended it.
+
+        NotReachedError after ``timeout_s``, the motion then goes on. Ctrl-C stops the arm.
+        """
+        motion, waited = self._motion, 0.0
+        if motion is None:
+            return self.state
+        try:
+            with noted():
+                while motion.under_way and (timeout_s is None or waited < timeout_s):
+                    pause(_LOOK)
+                    waited += _LOOK
+        except BaseException:  # Ctrl-C, or what the program's own handler of a signal raises
+            self.stop()
+            raise
+        if motion.under_way:
+            raise NotReachedError(f"the arm is still on its way to {motion.goal} after {timeout_s} s of waiting")
+        self._tell_last()
+        return self.state
+
+    def stop(self) -> None:
+        """End the motion; the arm holds."""
+        motion = self._motion
+        if motion is not None:
+            motion.ended.set()  # at once: who asks the arm may have to wait for its answer
+        with self._asking:
+            motion, self._motion = self._motion, None
+            if self._closed and motion is None:
+                return
+            if motion is not None:
+                motion.ended.set()
+                motion.over.wait()
+            self._goals = None
+            self.robot.stop()
+
+    def close(self) -> None:
+        """End the motion, keep the log and release the arm, which holds; raises what ended the last motion."""
+        motion = self._motion
+        self._let_go(None, None, None)
+        if motion is not None and motion.error is not None:
+            raise motion.error
+
+    def _let_go(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        motion = self._motion
+        if motion is not None:
+            motion.ended.set()
+        with self._asking:
+            if self._closed:
+                return
+            self._closed = True
+            try:
+                if self._motion is not None:
+                    self.stop()
+                self.recorder.end()
+                if self.rehearsal is not None and error is None:
+                    self.observer.message(self.rehearsal.summary())
+            finally:
+                self._stack.__exit__(kind, error, trace)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is None:
+            self.close()
+        else:
+            self._let_go(kind, error, trace)
+
+    def _require_open(self) -> None:
+        if self._closed:
+            raise NotReadyError("the arm is closed, and others may drive it; call rejoint.connect again")
+
+    def _require_free(self) -> None:
+        self._require_open()
+        if self._goals is not None and self._motion is not None and self._motion.under_way:
+            self.stop()  # a stream of joint positions gives way to any other motion
+        if self._motion is not None and self._motion.under_way:
+            raise NotReadyError("the arm is still on its way; wait() for it, or stop() it first")
+        self._tell_last()
+
+    def _tell_last(self) -> None:
+        motion, self._motion = self._motion, None
+        if motion is not None and motion.error is not None:
+            raise motion.error
+
+    def _start(self, motion: ArmMotion, *, wait: bool) -> ArmState | None:
+        with self._asking:  # two threads may have looked before either started
+            self._require_free()
+            self.robot  # noqa: B018 - opened by this thread, so that errors are raised here
+            last, self._last = self._last, None  # its target is not where the arm is sent now
+            if last is not None and (self._seen is None or last.time[0] > self._seen.time[0]):
+                self._seen = last
+            self._motion, self._goals, self._progress = motion, None, RateLimit(self.observer.progress)
+            if not wait:
+                motion.start()
+                return None
+        with noted():
+            motion.run()
+        self._tell_last()
+        return self.state
+
+    def _state(self, time: float, joints: Array, *, moving: bool) -> ArmState:
+        tool = tcp_position(self.arm, joints)
+        cycle = self._last
+        aimed = cycle is not None and bool(np.isfinite(cycle.aim[0]).all())
+        return ArmState(
+            time_s=time,
+            joints_rad=joints.copy(),
+            tool_m=tool,
+            moving=moving,
+            target_m=cycle.target[0].copy() if cycle is not None and aimed else None,
+            error_m=float(np.linalg.norm(cycle.aim[0] - tool)) if cycle is not None and aimed else None,
+            turned_rad=None if cycle is None or np.isnan(cycle.turned[0]) else float(cycle.turned[0]),
+        )
+
+
+def _bounds(who: str, within: float, timeout: float) -> tuple[float, float]:
+    """Return an angle [rad] and a time [s] that are positive."""
+    expected = "positive numbers as within_rad and timeout_s, the latter finite"
+    bounds = as_floats(who, (within, timeout), expected)
+    if bounds.shape != (2,) or not (bounds > 0.0).all() or np.isinf(bounds[1]):
+        raise InputError(f"{who}: expected {expected}, got {(within, timeout)}")
+    return float(bounds[0]), float(bounds[1])

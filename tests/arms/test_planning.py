@@ -1,0 +1,201 @@
+"""Planned ways: exact ends, limits of speed, acceleration and jerk, and no contact in MuJoCo's own check."""
+
+from dataclasses import replace
+from functools import cache
+
+import mujoco
+import numpy as np
+import pytest
+
+from rejoint.arms import (
+    Arm,
+    Array,
+    Box,
+    Motors,
+    clearances,
+    frames,
+    gravity_torque,
+    load_arm,
+    mycobot280,
+    so101,
+)
+from rejoint.arms.collision import collision_shape, guarded_floors
+from rejoint.arms.planning import JointTrajectory, clearance, plan
+from rejoint.arms.postures import comfortable_postures
+from rejoint.control.guard import GuardLimits, guard
+from rejoint.control.robot import JointState
+
+GROWN = 0.005
+"""[m] by which the judge's capsules are thicker"""
+BOXES = (
+    Box(lower=np.array([0.15, -0.05, 0.0]), upper=np.array([0.2, 0.05, 0.15])),
+    Box(lower=np.array([-0.1, 0.15, 0.0]), upper=np.array([0.05, 0.2, 0.3])),
+    Box(lower=np.array([-0.25, -0.2, 0.0]), upper=np.array([-0.15, -0.1, 0.35])),
+)
+
+
+@cache
+def boxed(name: str) -> Arm:
+    return replace(load_arm(name), keep_out=BOXES)
+
+
+@cache
+def postures(name: str) -> Array:
+    """Postures with room for the judge's capsules."""
+    arm, rng = boxed(name), np.random.default_rng(0)
+    drawn = rng.uniform(arm.lower + 0.01, arm.upper - 0.01, (4000, arm.joints))
+    clear = clearances(arm, drawn, guarded_floors(arm))
+    return drawn[(clear[:, : arm.joints] > 0.001).all(axis=1) & (clear[:, arm.joints :] > 2.1 * GROWN).all(axis=1)]
+
+
+def planned(name: str, count: int) -> list[JointTrajectory]:
+    rng, found = np.random.default_rng(1), []
+    for _ in range(count):
+        start, goal = postures(name)[rng.integers(len(postures(name)), size=2)]
+        found.append(plan(boxed(name), start, goal))
+        np.testing.assert_array_equal(found[-1].at(np.array([0.0, found[-1].duration])), [start, goal])
+    return found
+
+
+class Judge:
+    """MuJoCo's view of the capsules, the ground and the boxes; links that the shape does not look at may touch."""
+
+    def __init__(self, arm: Arm) -> None:
+        self.arm, shape = arm, collision_shape(arm)
+        spec = mujoco.MjSpec()
+        spec.worldbody.add_geom(
+            name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[2, 2, 0.1], pos=[0, 0, shape.ground]
+        )
+        for k, box in enumerate(arm.keep_out):
+            spec.worldbody.add_geom(
+                name=f"box{k}", type=mujoco.mjtGeom.mjGEOM_BOX, size=(box.upper - box.lower) / 2,
+                pos=(box.upper + box.lower) / 2,
+            )  # fmt: skip
+        ends = self._ends(arm.rest[None])[0]
+        for link in range(arm.joints + 1):
+            body = spec.worldbody.add_body(name=f"link{link}", mocap=True)
+            half = max(np.linalg.norm(ends[link + 1] - ends[link]) / 2, 1e-6)
+            size = [shape.radius + GROWN, half, 0]
+            body.add_geom(name=f"link{link}", type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=size)
+        self.model = spec.compile()
+        self.data = mujoco.MjData(self.model)
+        self.pairs = {frozenset((f"link{i}", f"link{j}")) for i, j in shape.pairs}
+        self.pairs |= {frozenset(("ground", f"link{link}")) for link in range(1, arm.joints + 1)
+                       if shape.grounded[link] and shape.grounded[link + 1]}  # fmt: skip
+        self.pairs |= {frozenset((f"box{k}", f"link{i}")) for k in range(len(arm.keep_out)) for i in shape.moving}
+        geoms = range(self.model.ngeom)
+        names = [self.model.geom(g).name for g in geoms]
+        self.tested = [(i, j) for i in geoms for j in geoms if i < j and frozenset((names[i], names[j])) in self.pairs]
+
+    def _ends(self, q: Array) -> Array:
+        f = frames(self.arm, q)
+        return np.concatenate([np.zeros((len(q), 1, 3)), f.position, f.tcp_position[:, None]], axis=1)
+
+    def touches(self, way: Array) -> bool:
+        for ends in self._ends(way):
+            along = np.diff(ends, axis=0)
+            self.data.mocap_pos[:] = (ends[1:] + ends[:-1]) / 2
+            for link, vector in enumerate(along):
+                mujoco.mju_quatZ2Vec(
+                    self.data.mocap_quat[link], vector if np.linalg.norm(vector) > 1e-9 else np.array([0, 0, 1.0])
+                )
+            mujoco.mj_kinematics(self.model, self.data)
+            if any(mujoco.mj_geomDistance(self.model, self.data, i, j, 0.01, None) < -2e-4 for i, j in self.tested):
+                return True
+        return False
+
+
+@pytest.mark.parametrize("name", ["mycobot280", "so101"])
+def test_no_planned_way_touches_in_mujoco(name):
+    ways, judge = planned(name, 100), Judge(boxed(name))
+    assert sum(len(way.moves) > 1 for way in ways) > 5
+    straight = [np.linspace(way.start, way.goal, 60) for way in ways if len(way.moves) > 1]
+    assert sum(judge.touches(way) for way in straight) > 0.9 * len(straight)
+    assert not any(judge.touches(way.at(np.linspace(0.0, way.duration, 60))) for way in ways)
+
+
+@pytest.mark.parametrize("name", ["mycobot280", "so101"])
+def test_speed_acceleration_and_jerk_keep_their_limits(name):
+    arm = boxed(name)
+    acceleration = np.minimum(arm.max_speed / 0.1, arm.servo_acceleration)
+    for way in planned(name, 20):
+        step = 1e-3
+        q = way.at(np.arange(-0.01, way.duration + 0.01, step))
+        for order, limit in ((1, arm.max_speed), (2, acceleration), (3, acceleration / 0.05)):
+            found = np.abs(np.diff(q, order, axis=0)).max(axis=0) / step**order
+            assert (found <= limit * 1.001).all()
+        np.testing.assert_allclose(np.diff(q, axis=0)[:9], 0.0, atol=1e-12)
+        middle = way.at(np.array([0.3, 0.3 + 1e-6]) * way.duration)
+        np.testing.assert_allclose(
+            np.diff(middle, axis=0)[0] / (1e-6 * way.duration), way.at(0.3 * way.duration, 1), atol=1e-3
+        )
+
+
+@pytest.mark.parametrize("name", ["mycobot280", "so101"])
+def test_the_guard_shortens_no_planned_way(name):
+    arm = boxed(name)
+    limits = GuardLimits.of(arm)
+    for way in planned(name, 20):
+        commands = way.at(np.arange(0.0, way.duration + 0.05, 0.025))
+        sent, speed = commands[:1], np.zeros((1, arm.joints))
+        for command in commands[1:, None]:
+            state = JointState(time=np.zeros(1), position=sent, age=np.zeros(1))
+            answer = guard(limits, command, sent, speed, state, 0.025)
+            assert not answer.reasons.any()
+            sent, speed = answer.command, answer.speed
+
+
+def test_a_straight_way_is_straight_and_as_fast_as_its_limits_allow():
+    arm = mycobot280()
+    goal = arm.rest + np.radians([40.0, 5, -10, 0, 20, 0])
+    way = plan(arm, arm.rest, goal)
+    q = way.at(np.linspace(0.0, way.duration, 50)) - arm.rest
+    np.testing.assert_allclose(q, q[:, :1] / (goal - arm.rest)[0] * (goal - arm.rest), atol=1e-12)
+    assert way.duration == pytest.approx(np.radians(40) / arm.max_speed[0] + 0.15, rel=0.01)
+    assert plan(arm, arm.rest, goal, speed=0.5).duration > 1.5 * way.duration
+    assert plan(arm, arm.rest, arm.rest).duration == 0.0
+
+
+def test_the_same_seed_gives_the_same_detour():
+    arm = boxed("mycobot280")
+    way = next(way for way in planned("mycobot280", 30) if len(way.moves) > 1)
+    again = plan(arm, way.start, way.goal)
+    np.testing.assert_array_equal(again.moves, way.moves)
+
+
+def test_a_way_avoids_what_the_motors_do_not_lift():
+    arm, rng = mycobot280(), np.random.default_rng(4)
+    free = comfortable_postures(arm)
+    usable = np.array([9.0, 0.5, 9.0, 9.0, 9.0, 9.0])
+    light = free[(np.abs(gravity_torque(arm, free)) < 0.9 * usable).all(axis=1)]
+    loads = []
+    for _ in range(60):
+        start, goal = light[rng.integers(len(light), size=2)]
+        way = plan(arm, start, goal, motors=Motors(usable, usable))
+        along = [np.linspace(start, goal, 80), way.at(np.linspace(0.0, way.duration, 80))]
+        loads.append([(np.abs(gravity_torque(arm, q)) / usable).max() for q in along])
+    straight, driven = np.array(loads).T
+    assert (straight > 1.0).sum() >= 5
+    assert (driven > 1.01).sum() < 0.2 * (straight > 1.0).sum()
+    assert (driven <= np.maximum(straight, 1.0) + 0.01).all()
+
+
+def test_an_arm_that_touches_something_gets_out_of_it():
+    arm = mycobot280()
+    start = np.radians([0.0, 0, 150, -150, 0, 0])
+    assert clearance(arm, start) < 0.0
+    way = plan(arm, start, arm.rest)
+    distances = clearances(arm, way.at(np.linspace(0.0, way.duration, 300)), guarded_floors(arm))
+    least = np.minimum(distances[0], 0.0)
+    for row in distances[1:]:
+        assert (row >= least - 1e-7).all()
+        least = np.minimum(np.maximum(least, row), 0.0)
+
+
+def test_clearance_is_the_smallest_distance():
+    arm = so101()
+    q = postures("so101")[:20]
+    found = clearance(arm, q)
+    assert found.shape == (20,)
+    assert clearance(arm, q[3]) == found[3]
+    assert (found >= clearance(boxed("so101"), q)).all()

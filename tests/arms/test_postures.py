@@ -1,0 +1,153 @@
+"""The choice of a posture: every branch is searched, and what is chosen keeps limits, torque and clearances."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from modelfiles import ur5e
+from rejoint.arms import (
+    Arm,
+    Array,
+    Box,
+    Motors,
+    clearances,
+    frames,
+    gravity_torque,
+    mycobot280,
+    so101,
+    solve_position,
+    tcp_position,
+)
+from rejoint.arms.collision import guarded_floors
+from rejoint.arms.postures import choose_postures
+from rejoint.arms.rotations import Orientation, tool_axis
+
+MARGIN = np.radians(0.5)
+ARMS = {"mycobot280": mycobot280, "so101": so101, "ur5e": ur5e}
+
+
+@cache
+def arm_called(name: str) -> Arm:
+    return ARMS[name]()
+
+
+def free_postures(arm: Arm, count: int, seed: int) -> Array:
+    """Random postures inside the limits with some room around them."""
+    rng = np.random.default_rng(seed)
+    drawn = rng.uniform(arm.lower + MARGIN, arm.upper - MARGIN, (20 * count, arm.joints))
+    room = 0.004 * np.ptp(tcp_position(arm, drawn)[:, 2])
+    return drawn[(clearances(arm, drawn, guarded_floors(arm)) > room).all(axis=-1)][:count]
+
+
+def works(arm: Arm, q: Array) -> None:
+    assert (q >= arm.lower).all()
+    assert (q <= arm.upper).all()
+    assert (clearances(arm, q, guarded_floors(arm)) > -3e-5).all()
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_reachable_places_are_found(name):
+    arm = arm_called(name)
+    places = tcp_position(arm, free_postures(arm, 500, 1))
+    goals = choose_postures(arm, places, arm.rest)
+    found = np.array([not why for why in goals.refusals])
+    assert len(places) == 500
+    assert found.mean() >= 0.99
+    np.testing.assert_allclose(tcp_position(arm, goals.q[found]), places[found], atol=1e-5)
+    np.testing.assert_array_equal(goals.nearest[found], places[found])
+    works(arm, goals.q)
+
+
+@pytest.mark.parametrize("name", ARMS)
+@pytest.mark.parametrize("whole", [False, True], ids=["direction", "pose"])
+def test_reachable_poses_are_found(name, whole):
+    arm = arm_called(name)
+    f = frames(arm, free_postures(arm, 200, 2))
+    places, count = f.tcp_position, len(f.tcp_position)
+    turn = Orientation(
+        rotation=f.tcp_rotation, whole=np.full(count, whole), weight=np.full(count, 0.05), axis=tool_axis(arm)
+    )
+    goals = choose_postures(arm, places, arm.rest, turn=turn)
+    found = np.array([not why for why in goals.refusals])
+    assert found.mean() >= 0.99
+    np.testing.assert_allclose(tcp_position(arm, goals.q[found]), places[found], atol=1e-5)
+    assert turn.angle(frames(arm, goals.q).tcp_rotation)[found].max() < 1e-3
+    works(arm, goals.q)
+
+
+@pytest.mark.parametrize("make", [mycobot280, so101])
+def test_comfortable_postures_in_the_old_region_stay_what_they_are(make):
+    arm = make()
+    places = arm.targets.sample(np.random.default_rng(3), (100,))
+    local = solve_position(arm, places, arm.rest).q
+    np.testing.assert_allclose(choose_postures(arm, places, arm.rest).q, local, atol=1e-9)
+
+
+def test_a_weak_joint_is_spared():
+    arm = mycobot280()
+    places = tcp_position(arm, free_postures(arm, 60, 4))
+    limit = np.array([1.0, 1.0, 1.0, 0.05, 1.0, 1.0])
+    local = solve_position(arm, places, arm.rest)
+    heavy = local.converged & (np.abs(gravity_torque(arm, local.q))[:, 3] > limit[3])
+    goals = choose_postures(arm, places[heavy], arm.rest, motors=Motors(limit, limit))
+    assert heavy.sum() > 10
+    assert sum(not why for why in goals.refusals) > 0.8 * heavy.sum()
+    assert (np.abs(gravity_torque(arm, goals.q))[:, 3] <= limit[3]).all()
+
+
+def test_what_is_too_heavy_is_so_in_every_posture():
+    arm = mycobot280()
+    places = tcp_position(arm, free_postures(arm, 60, 5))
+    limit = np.array([0.5, 0.4, 0.2, 0.05, 0.05, 0.05])
+    goals = choose_postures(arm, places, arm.rest, motors=Motors(limit, limit))
+    heavy = [k for k, why in enumerate(goals.refusals) if why.startswith("too heavy")]
+    assert 3 < len(heavy) < 50
+    assert all(any(f"{name} needs" in goals.refusals[k] for name in arm.joint_names) for k in heavy)
+    starts = np.random.default_rng(6).uniform(arm.lower, arm.upper, (2000, arm.joints))
+    for k in heavy[:6]:
+        any_way = solve_position(arm, places[k], starts, rest_gain=0.0)
+        free = any_way.converged & (clearances(arm, any_way.q, guarded_floors(arm)) > 0.0).all(axis=-1)
+        assert free.any()
+        assert (np.abs(gravity_torque(arm, any_way.q[free])) / limit).max(axis=-1).min() > 1.0
+    assert (np.abs(gravity_torque(arm, goals.q)) <= limit + 1e-9).all()
+    np.testing.assert_allclose(tcp_position(arm, goals.q), goals.nearest, atol=2e-5)
+
+
+def test_neighbouring_targets_stay_on_one_branch():
+    arm = mycobot280()
+    share = np.linspace(0.0, 1.0, 80)[:, None]
+    for first, last in (((0.18, -0.18, 0.1), (0.18, 0.15, 0.25)), ((0.05, 0.2, 0.3), (0.25, 0.0, 0.08))):
+        line = np.array(first) + share * (np.array(last) - np.array(first))
+        goals = choose_postures(arm, line, arm.rest, chained=True, motors=Motors(*np.full((2, 6), 0.8)))
+        assert goals.refusals == ("",) * len(line)
+        assert np.abs(np.diff(goals.q, axis=0)).max() < 0.35
+
+
+def test_every_refusal_has_its_reason_and_a_near_place_that_works():
+    arm = replace(mycobot280(), keep_out=(Box(lower=np.array([0.1, -0.3, 0.0]), upper=np.array([0.4, -0.05, 0.3])),))
+    far, low, inside, level = [0.6, 0.0, 0.2], [0.2, 0.1, 0.01], [0.2, -0.15, 0.1], [0.2, 0.1, 0.022]
+    places = np.array([far, low, inside, level])
+    goals = choose_postures(arm, places, arm.rest)
+    for why, words in zip(goals.refusals, ("out of reach by", "below the floor", "box 1", "the ground"), strict=True):
+        assert words in why
+    works(arm, goals.q)
+    np.testing.assert_allclose(tcp_position(arm, goals.q), goals.nearest, atol=2e-5)
+    away = np.linalg.norm(goals.nearest - places, axis=-1)
+    assert (away > 0.0).all()
+    assert (away < [0.35, 0.03, 0.13, 0.02]).all()
+
+
+def test_a_box_changes_the_posture_and_not_the_place():
+    free, rng = mycobot280(), np.random.default_rng(7)
+    place = np.array([[0.2, 0.0, 0.12]])
+    q = choose_postures(free, place, free.rest).q
+    elbow = frames(free, q[0]).position[2]
+    arm = replace(free, keep_out=(Box(lower=elbow - 0.01, upper=elbow + rng.uniform(0.01, 0.02, 3)),))
+    goals = choose_postures(arm, place, arm.rest)
+    assert goals.refusals == ("",)
+    assert (clearances(free, q, guarded_floors(free)) > 0.0).all()
+    assert (clearances(arm, q, guarded_floors(arm)) < 0.0).any()
+    works(arm, goals.q)
+    np.testing.assert_allclose(tcp_position(arm, goals.q), place, atol=1e-5)

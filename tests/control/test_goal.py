@@ -1,0 +1,96 @@
+"""Laws of goals that move along ways: where they are, when their time begins, and that arms arrive."""
+
+import numpy as np
+import pytest
+
+from rejoint.arms import gravity_torque, mycobot280, plan, tcp_position
+from rejoint.control.feedforward import FeedforwardController
+from rejoint.control.goal import JointGoals, on_the_way, side_by_side, waiting, with_ways
+from rejoint.control.loop import Schedule, run
+from rejoint.research.evaluation.family import HELD, ArmFamily, targets_anywhere
+from rejoint.robots import open_robot
+from rejoint.robots.emulated import EmulatedRobot
+from rejoint.robots.lab.plant.wear import load_wear
+from rejoint.system.errors import InputError
+from runs.test_connect import a_twin
+
+ARM = mycobot280()
+POSTURES = np.radians([[100.0, 20.0, -70.0, -20.0, 10.0, 0.0], [-60.0, -30.0, -60.0, 10.0, -20.0, 0.0]])
+
+
+def test_goal_and_target_move_together_and_end_where_they_are_to_be():
+    way = plan(ARM, ARM.rest, POSTURES[0])
+    end = POSTURES[0] + 0.02  # a corrected aim
+    aim = tcp_position(ARM, end)
+    for share in (0.0, 0.3, 0.9):
+        since = np.array([share * way.duration])
+        now = on_the_way(ARM, [way], end[None], aim[None], since)
+        np.testing.assert_allclose(now.target, tcp_position(ARM, now.goal), atol=1e-12)
+        np.testing.assert_allclose(now.goal[0], way.at(float(since[0])) + share * 0.02, atol=1e-9)
+        assert now.since[0] == 0.0
+    late = on_the_way(ARM, [way], end[None], aim[None], np.array([way.duration + 0.5]))
+    np.testing.assert_array_equal(late.goal[0], end)
+    np.testing.assert_allclose(late.since, 0.5)
+
+
+def test_an_arm_arrives_along_its_ways_and_its_time_begins_there():
+    robot = open_robot("emulated:worn", seed=0)
+    goals = with_ways(ARM, POSTURES, ARM.rest)
+    targets = tcp_position(ARM, POSTURES)[None]
+    recording = run(robot, FeedforwardController(ARM), targets, Schedule(dwell=3.0, goals=goals))
+    error = np.linalg.norm(tcp_position(ARM, recording.position[:, 0]) - recording.target[:, 0], axis=-1)
+    for k, way in enumerate(goals.ways[0]):
+        rows = np.flatnonzero(recording.target_index[:, 0] == k)
+        since, time = recording.since_target[rows, 0], recording.time[rows, 0] - recording.time[rows[0], 0]
+        assert (since[time < way.duration - 0.05] == 0.0).all()
+        assert time[-1] - way.duration - 0.5 < since[-1] < time[-1] - way.duration + 0.05  # worn joints lag
+        assert error[rows[-1]] < 3e-3
+    steps = np.abs(np.diff(recording.command[:, 0], axis=0)) / np.diff(recording.time[:, 0])[:, None]
+    assert (steps <= ARM.max_speed * 1.01).all()
+
+
+def test_an_arm_with_a_slow_joint_stays_on_its_way():
+    robot = EmulatedRobot(ARM, [load_wear("healthy", ARM)], seed=0)
+    robot.plant.set_speed_limit(np.array([[0.3, 9.0, 9.0, 9.0, 9.0, 9.0]]))
+    goal = ARM.rest + np.radians([90.0, 20.0, -40.0, 30.0, 20.0, 10.0])
+    goals = with_ways(ARM, goal[None], ARM.rest)
+    recording = run(
+        robot, FeedforwardController(ARM), tcp_position(ARM, goal)[None, None], Schedule(dwell=2.0, goals=goals)
+    )
+    moved, way = recording.position[:, 0] - ARM.rest, goal - ARM.rest
+    ahead = np.abs(moved - moved[:, :1] / way[0] * way).max()
+    assert ahead < np.radians(15.0)
+    assert np.abs(recording.position[-1, 0] - goal).max() < np.radians(3.0)
+
+
+def test_a_way_waits_the_longer_the_more_a_joint_lags():
+    way = with_ways(ARM, POSTURES[:1], ARM.rest).ways[0][0]
+    half = 0.5 * way.duration
+    lags = np.radians([0.0, 5.0, 9.0, 15.0, 40.0])
+    position = way.at(half) + np.outer(lags, np.eye(6)[2])
+    left_out = waiting([way] * 5, np.full(5, half), position)
+    assert (left_out[:2] == 0.0).all()
+    assert (np.diff(left_out[1:]) > 0.0).all()
+    assert left_out[-1] < 1.0
+    assert (waiting([way] * 5, np.full(5, way.duration), position) == 0.0).all()
+
+
+def test_every_target_needs_its_way():
+    one = with_ways(ARM, POSTURES, ARM.rest)
+    both = side_by_side([one, one])
+    assert both.posture.shape == (2, 2, 6)
+    with pytest.raises(InputError):
+        JointGoals(posture=both.posture, ways=one.ways)
+    with pytest.raises(InputError):
+        run(
+            open_robot("emulated:worn"), FeedforwardController(ARM), np.zeros((1, 1, 3)), Schedule(dwell=1.0, goals=one)
+        )
+
+
+def test_targets_anywhere_are_reached_and_held_by_their_postures():
+    family, twins = ArmFamily(arms=2, targets=2, seed=3), [a_twin(), a_twin()]
+    targets, goals = targets_anywhere(ARM, family, twins)
+    np.testing.assert_allclose(tcp_position(ARM, goals.posture), targets, atol=1e-4)
+    assert not ARM.targets.contains(targets).all()
+    limit = twins[0].parameters.torque_limit
+    assert (np.abs(gravity_torque(ARM, goals.posture)) <= HELD * limit + 1e-9).all()
