@@ -17,7 +17,7 @@ _ROUNDS = 100
 """Most steps towards a pose (chosen)"""
 
 
-def solve_pose(arm: Arm, target: Array, start: Array, turn: Orientation) -> Array:
+def solve_pose(arm: Arm, target: Array, start: Array, turn: Orientation, *, rest_gain: float = REST_GAIN) -> Array:
     """Search joint positions (..., n) [rad] for a place (..., 3) [m] and a ``turn`` (...), from ``start`` (..., n).
 
     Ends where place and orientation are right, or at the least weighted sum of squares nearby. Limits are kept.
@@ -30,7 +30,7 @@ def solve_pose(arm: Arm, target: Array, start: Array, turn: Orientation) -> Arra
         if done.all():
             break
         damping = np.minimum(DAMPING, np.linalg.norm(missed, axis=-1) + 1e-4)
-        pull = REST_GAIN * (arm.rest - q)
+        pull = rest_gain * (arm.rest - q)
         drift = (jacobian @ pull[..., None])[..., 0]
         step = dls(jacobian, missed, damping) + pull - dls(jacobian, drift, 1e-4)
         step = np.where(done[..., None], 0.0, clip_norm(step, MOST_STEP))
@@ -38,15 +38,18 @@ def solve_pose(arm: Arm, target: Array, start: Array, turn: Orientation) -> Arra
     return q
 
 
-def find_postures(arm: Arm, target: Array, start: Array, turn: Orientation | None) -> Array:
+def find_postures(
+    arm: Arm, target: Array, start: Array, turn: Orientation | None, *, rest_gain: float = REST_GAIN
+) -> Array:
     """Return the postures (B, n) [rad] of poses, found from ``start`` (B, n).
 
     ``target`` is (B, 3) [m]; without a ``turn`` these are the postures of `solve_position`. Where the way from there
     ends off the pose, or in a touch, `choose_postures` looks elsewhere; out of reach, the best posture nearby is taken.
+    With a ``rest_gain`` of 0 the postures stay near ``start``, else they drift to rest.
     """
     if turn is None:
-        return solve_position(arm, target, start).q
-    found = solve_pose(arm, target, start, turn)
+        return solve_position(arm, target, start, rest_gain=rest_gain).q
+    found = solve_pose(arm, target, start, turn, rest_gain=rest_gain)
     off, angle = missed_pose(arm, found, target, turn)
     for b in np.flatnonzero((off >= NEAR) | (angle > TURNED) | collides(arm, frames(arm, found))):
         goals = choose_postures(arm, target[b : b + 1], start[b], turn=turn[np.array([b])])

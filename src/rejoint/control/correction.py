@@ -11,6 +11,7 @@ from typing import Literal, Protocol
 import numpy as np
 
 from rejoint.arms import Arm, Array, Displacement, frames, tcp_position
+from rejoint.arms.inverse import REST_GAIN
 from rejoint.arms.posing import find_postures
 from rejoint.arms.rotations import Orientation
 from rejoint.control.controller import ControlInput
@@ -135,8 +136,8 @@ class Modelled:
         return tcp_position(self._moved, links) - tcp_position(self.arm, position)
 
     def aim(self, target: Array, start: Array, where: Mask, near: Array | None = None) -> Array:
-        """Aims (B, 3) [m]."""
-        return self._aim(target, None, (start, start if near is None else near), where)
+        """Aims (B, 3) [m], at the postures nearest to ``near`` (B, n) [rad]; without: found from ``start``."""
+        return self._aim(target, None, (start, near), where)
 
     def aim_pose(
         self, target: Array, turn: Orientation, start: Array, where: Mask, near: Array | None = None
@@ -144,7 +145,7 @@ class Modelled:
         """Aims and orientations at the postures of the poses."""
         if len(self._turned) != len(where):
             self._turned = turn.rotation.copy()
-        aims = self._aim(target, turn, (start, start if near is None else near), where)
+        aims = self._aim(target, turn, (start, near), where)
         return aims, replace(turn, rotation=self._turned.copy())
 
     def untwisted(self, turn: Orientation, position: Array, approach: Array | None = None) -> Orientation:
@@ -153,8 +154,9 @@ class Modelled:
         seen, own = frames(self.arm, position).tcp_rotation, frames(self._moved, links).tcp_rotation
         return replace(turn, rotation=seen @ np.swapaxes(own, -1, -2) @ turn.rotation)
 
-    def _aim(self, target: Array, turn: Orientation | None, postures: tuple[Array, Array], where: Mask) -> Array:
+    def _aim(self, target: Array, turn: Orientation | None, postures: tuple[Array, Array | None], where: Mask) -> Array:
         start, near = postures
+        rest_gain = REST_GAIN if near is None else 0.0
         if len(self._since) != len(where):
             self._came = self._posture = start.copy()
             self._since = np.full(len(where), -np.inf)
@@ -165,11 +167,11 @@ class Modelled:
         aimed = where & np.isfinite(target).all(axis=-1)
         if not aimed.any():
             return aims
-        goal, posture = target[aimed], near[aimed]
+        goal, posture = target[aimed], (start if near is None else near)[aimed]
         place = goal.copy()
         wanted = own = None if turn is None else turn[aimed]
         for _ in range(ROUNDS):
-            posture = find_postures(self.arm, place, posture, own)
+            posture = find_postures(self.arm, place, posture, own, rest_gain=rest_gain)
             place = goal - self.shift(posture, start[aimed])
             if wanted is not None:
                 own = self.untwisted(wanted, posture, start[aimed])

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rejoint.arms import Arm, Array, JointTrajectory, Motors, plan, tcp_position
+from rejoint.arms.inverse import REST_GAIN
 from rejoint.arms.posing import find_postures
 from rejoint.arms.rotations import Orientation
 from rejoint.system.errors import InputError
@@ -102,14 +103,16 @@ def pace(lag: float) -> float:
     return float(np.interp(lag, LAGS, (1.0, SLOWEST)))
 
 
-def nearest_postures(arm: Arm, target: Array, start: Array, turn: Orientation | None = None) -> Array:
+def nearest_postures(
+    arm: Arm, target: Array, start: Array, turn: Orientation | None = None, *, rest_gain: float = REST_GAIN
+) -> Array:
     """Return the postures (B, n) [rad] of targets (B, 3) [m] that are found from ``start`` (B, n) [rad].
 
-    A target of NaN is none: its arm keeps ``start``.
+    A target of NaN is none: its arm keeps ``start``. A ``rest_gain`` as in `find_postures`.
     """
     posture = start.copy()
     aimed = np.isfinite(target).all(axis=-1)
     if aimed.any():
         wanted = None if turn is None else turn[aimed]
-        posture[aimed] = find_postures(arm, target[aimed], start[aimed], wanted)
+        posture[aimed] = find_postures(arm, target[aimed], start[aimed], wanted, rest_gain=rest_gain)
     return posture

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Array, JointTrajectory, tcp_position
+from rejoint.arms.inverse import REST_GAIN
 from rejoint.arms.rotations import REACHED_TURN, Orientation
 from rejoint.control.controller import ControlInput, Controller, turned_off
 from rejoint.control.correction import Modelled
@@ -328,7 +329,9 @@ class RunState:
         return renewed
 
     def _aim_again(self) -> Mask | None:
-        fresh = None if self.correction is None else self.correction.again(self.target, self.inputs())
+        if self.correction is None:
+            return None
+        fresh = self.correction.again(self.target, replace(self.inputs(), target=self.aim))  # it moves on the way
         if fresh is None:
             return None
         changed = self.active & (fresh != self.aim).any(axis=-1)
@@ -347,14 +350,14 @@ class RunState:
             return
         target, each = self.target, np.arange(len(self.index))
         self.turn = None if self.turns is None else self.turns[each, self.index]
-        planned = self.sent if self.schedule.goals is None else self.schedule.goals.posture[each, self.index]
+        planned = None if self.schedule.goals is None else self.schedule.goals.posture[each, self.index]
         if self.correction is None:
             fresh = target
         elif self.turn is None:
             fresh = self.correction.aim(target, self.sent, where, planned)
         else:
             fresh, self.turn = self.correction.aim_pose(target, self.turn, self.sent, where, planned)
-        self._aim_at(fresh, planned, where)
+        self._aim_at(fresh, self.sent if planned is None else planned, where)
 
     def _aim_at(self, aim: Array, near: Array, where: Mask) -> None:
         """Aim the arms in ``where`` (B,) at ``aim`` (B, 3) [m], with the postures found from ``near`` (B, n) [rad]."""
@@ -362,7 +365,8 @@ class RunState:
         self.aim = np.where(rows, aim, self.aim)
         turn = None if self.turn is None else self.turn[where]
         self.goal = self.goal.copy()
-        self.goal[where] = nearest_postures(self.limits.arm, self.aim[where], near[where], turn)
+        rest_gain = REST_GAIN if self.schedule.goals is None else 0.0  # a planned posture is kept
+        self.goal[where] = nearest_postures(self.limits.arm, self.aim[where], near[where], turn, rest_gain=rest_gain)
 
     def _stepped(self, state: JointState, command: Array, speed: Array) -> None:
         self.sent, self.speed = np.where(self.active[:, None], command, self.sent), speed
