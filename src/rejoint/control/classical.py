@@ -56,13 +56,11 @@ class IntegratorController:
         arm, gains, measured = self._arm, self._gains, inputs.state.position
         elapsed = self._pace.tick(inputs.state.time)[:, None]
         seen = dls_step(arm, measured, inputs.target, inputs.turn)
-        along = inputs.goal - self._goal if len(self._goal) == len(inputs.goal) else np.zeros_like(measured)
-        self._goal = inputs.goal.copy()
-        # On the way every joint keeps to its own course: the way was checked, and the tool's error leaves it open.
-        off = np.where(along.any(axis=-1, keepdims=True), inputs.goal - measured, seen.step)
-        step = gains.rate * elapsed * fade(seen.error, gains.fade) * off
+        step = gains.rate * elapsed * fade(seen.error, gains.fade) * seen.step
         pull = clip_norm(null_space(seen.jacobian, gains.rest_gain * (inputs.goal - inputs.sent)), gains.rest_step)
         far = np.linalg.norm(seen.error, axis=-1, keepdims=True) > gains.rest_distance
+        along = inputs.goal - self._goal if len(self._goal) == len(inputs.goal) else 0.0  # on the way the goal moves
+        self._goal = inputs.goal.copy()
         return limit_position(arm, limit_lead(inputs.sent + along + step + far * pull, measured, gains.lead))
 
 
