@@ -1,12 +1,11 @@
-"""Many twins of one arm in lockstep, stepped by MuJoCo: the judge of `rejoint.twin.chain`; arms on a table.
+"""Many twins of one arm in lockstep by MuJoCo: the reference for `rejoint.twin.chain`, and arms on a table.
 
-Per joint: torque = clip(stiffness (command + offset - q), +-limit) - damping qdot - dry friction. Contacts and joint
-stops are left out, as the guard keeps commands away from both. Three settings matter: friction constraints are nearly
-rigid (with MuJoCo's own settings a joint creeps 1 deg/s, measured); the Jacobian is dense, since the sparse Cholesky of
-MuJoCo 4.0.0 has a fault; projected Gauss-Seidel is 30 % faster than Newton's method, which stops too early on such
-friction (measured).
+Per joint: torque = clip(stiffness (command + offset - q), +-limit) - damping qdot - dry friction. There are no contacts
+and joint stops; the guard avoids both. Friction constraints are nearly rigid (MuJoCo's default creeps 1 deg/s,
+measured). The Jacobian is dense: the sparse Cholesky of MuJoCo 4.0.0 has a fault. Projected Gauss-Seidel replaces
+Newton's method, which stops too early on such friction (measured).
 
-Only the TCP touches the table, with a soft sphere without size of its own.
+Only the TCP touches the table, with a soft sphere.
 """
 
 from __future__ import annotations
@@ -30,9 +29,9 @@ Ids = NDArray[np.integer] | NDArray[np.bool_] | None
 
 
 class TwinBatch:
-    """``nsim`` simulations of one arm, bit for bit as many single models.
+    """``nsim`` simulations of one arm, bit for bit like single models.
 
-    Writing to ``qpos``, ``qvel``, ``ctrl`` (nsim, n) sets the state of the next step.
+    Write ``qpos``, ``qvel``, ``ctrl`` (nsim, n) to set the state.
     """
 
     def __init__(self, arm: Arm, nsim: int, timestep: float = TIMESTEP, threads: int = 1, table: bool = False) -> None:
@@ -53,7 +52,7 @@ class TwinBatch:
 
     @property
     def timestep(self) -> Array:
-        """(nsim,) [s] time step of each simulation, read-only."""
+        """(nsim,) [s] of each simulation, read-only."""
         view = self._timestep.view()
         view.setflags(write=False)
         return view
@@ -66,7 +65,7 @@ class TwinBatch:
         timestep: float | Array | None = None,
         gravity_scale: float | Array = 1.0,
     ) -> None:
-        """Give the simulations in ``ids`` (indices or mask; all by default) new parameters; their state stays.
+        """Set parameters of the simulations in ``ids`` (indices or mask; default: all), not their state.
 
         ``parameters`` have the leading shape (m,) or none. ``timestep`` [s] and ``gravity_scale``: a number or (m,).
         """
@@ -84,7 +83,7 @@ class TwinBatch:
         self._batch.expand("dof_invweight0")[chosen] *= FRICTION_SOFTNESS
 
     def put_tables(self, tables: Sequence[TablePlane]) -> None:
-        """Put each simulation of a batch made with ``table`` on its table, after `write`."""
+        """Set the tables of a batch made with ``table``, after `write`."""
         if len(tables) != self.nsim:
             raise InputError(f"twin batch: {len(tables)} tables, expected {self.nsim}")
         model = self._batch.model
@@ -96,22 +95,22 @@ class TwinBatch:
                 self._batch.expand(name)[i, model.geom(TIP).id] = value
 
     def set_timestep(self, timestep: float | Array) -> None:
-        """Change the time step [s] of every simulation, a number or (nsim,), and what depends on it."""
+        """Set the time step [s], a number or (nsim,), and what depends on it."""
         self._timestep[:] = timestep
         self._batch.expand("opt.timestep")[:] = self._timestep
         self._batch.expand("dof_solref")[:] = friction_solref(self._timestep)[:, None]
 
     def set_friction(self, friction: Array) -> None:
-        """Change the dry friction (nsim, n) [N m] of every simulation."""
+        """Set the dry friction (nsim, n) [N m]."""
         self._batch.expand("dof_frictionloss")[:] = friction
 
     def set_motors(self, *, armature: Array, damping: Array) -> None:
-        """Change armature (nsim, n) [kg m^2] and damping (nsim, n) [N m s/rad] of every simulation."""
+        """Set armature (nsim, n) [kg m^2] and damping (nsim, n) [N m s/rad]."""
         self._batch.expand("dof_armature")[:] = armature
         self._batch.expand("dof_damping")[:] = damping
 
     def step(self, substeps: int = 1) -> None:
-        """Advance all under the present ``ctrl``."""
+        """Advance all with the present ``ctrl``."""
         self._batch.step(None, nstep=substeps)
 
     def rollout(self, control: Array) -> Array:
@@ -123,7 +122,7 @@ class TwinBatch:
         return self._batch.get_model(index)
 
     def restart(self, position: Array, velocity: Array | float = 0.0, ids: Ids = None) -> None:
-        """Put simulations at ``position`` (m, n) [rad] with ``velocity`` [rad/s], and forget the solver's memory."""
+        """Put simulations at ``position`` (m, n) [rad] with ``velocity`` [rad/s]; clears the solver's warm start."""
         chosen = np.arange(self.nsim)[slice(None) if ids is None else ids]
         self._batch.bind("qacc_warmstart")[chosen] = 0.0
         self._batch.bind("time")[chosen] = 0.0
@@ -133,10 +132,9 @@ class TwinBatch:
 
 
 FRICTION_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
-"""solimp of the friction constraints (MuJoCo, modelling, solver parameters): nearly rigid"""
+"""solimp of the friction constraints: nearly rigid"""
 FRICTION_SOFTNESS = 0.01
-"""On top of it, factor on ``dof_invweight0``, to which the softness of friction is proportional (chosen: below it
-nothing changes)"""
+"""Factor on ``dof_invweight0``, for the softness of friction; chosen"""
 
 TCP_SITE = "tcp"
 
@@ -148,7 +146,7 @@ def twin_model(
     gravity_scale: float = 1.0,
     table: bool = False,
 ) -> mujoco.MjModel:
-    """Compile the model of one twin; actuators and joints are in the arm's order, with its names."""
+    """Compile the model of one twin; actuators and joints have the arm's order and names."""
     if parameters.shape or parameters.joints != arm.joints:
         raise InputError(
             f"twin: parameters of shape {parameters.stiffness_shape}, expected one twin of {arm.joints} joints"
@@ -167,10 +165,7 @@ def twin_model(
 
 
 def model_fields(parameters: TwinParameters, timestep: Array, gravity_scale: Array) -> Iterator[tuple[str, Array]]:
-    """Yield every field of the model that a twin decides, as (name, value), for any leading shape.
-
-    The only place where parameters become MuJoCo's.
-    """
+    """Yield every model field that a twin decides, as (name, value), for any leading shape."""
     p, shape = parameters, parameters.stiffness_shape
     timestep = np.broadcast_to(timestep, p.shape)
     gain = np.zeros((*shape, mujoco.mjNGAIN))
@@ -230,17 +225,17 @@ def _quaternion(rotation: Array) -> Array:
 
 
 RADIUS = 0.005
-"""[m] of the sphere (chosen; the plane lies that much lower)"""
+"""[m] of the sphere; chosen"""
 
 IMPEDANCE = 0.9
-"""solimp of the contact (MuJoCo, modelling, solver parameters): constant, so that stiffness decides what gives"""
+"""solimp of the contact: constant, so that stiffness decides"""
 
 PLANE, TIP = "table", "tip"
-"""Names of the two geometries in the model"""
+"""Geometries in the model"""
 
 
 def add_table(spec: mujoco.MjSpec, tip: mujoco.MjsBody, position: Array) -> None:
-    """Give a model the plane and, on the body ``tip`` at ``position`` (3,) [m], the sphere that touches it."""
+    """Add the plane and, on the body ``tip`` at ``position`` (3,) [m], the sphere to a model."""
     spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC  # a pyramid would stiffen as friction vanishes
     sphere, plane = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_PLANE
@@ -253,7 +248,7 @@ def add_table(spec: mujoco.MjSpec, tip: mujoco.MjsBody, position: Array) -> None
 
 
 def table_pose(table: TablePlane) -> tuple[Array, Array]:
-    """Position (3,) [m] and quaternion (4,) of the plane that holds up the sphere at the table's height."""
+    """Position (3,) [m] and quaternion (4,) of the plane for a table."""
     normal = np.array([-table.slope_x, -table.slope_y, 1.0]) / np.sqrt(1 + table.slope_x**2 + table.slope_y**2)
     turn = np.zeros(4)
     mujoco.mju_quatZ2Vec(turn, normal)
@@ -261,10 +256,10 @@ def table_pose(table: TablePlane) -> tuple[Array, Array]:
 
 
 def table_fields(table: TablePlane, timestep: float, inverse_mass: Array) -> Iterator[tuple[str, Array]]:
-    """Yield what a table decides of the tip's geometry in models with `add_table`, as (field, value).
+    """Yield the tip's fields that a table decides in models with `add_table`, as (field, value).
 
-    ``inverse_mass`` (...) [1/kg] is the ``body_invweight0`` of the tip's body: stiffness = k d / (1 - d) / inverse
-    mass. Critically damped, no faster than the time step allows.
+    ``inverse_mass`` (...) [1/kg] is ``body_invweight0`` of the tip's body: stiffness = k d / (1 - d) / inverse mass.
+    Critically damped, no faster than the time step allows.
     """
     d = IMPEDANCE
     k = np.minimum(table.stiffness * (1 - d) / d * inverse_mass, (2 * timestep * d) ** -2.0)

@@ -1,6 +1,6 @@
 """``twin.toml``: a twin as a file, in SI units.
 
-Intervals are for the reader. One digest covers what decides the twins drawn from this one, another the whole text.
+One digest covers what decides the twins drawn from it, another the whole text. Intervals are for the reader.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from rejoint.twin.table import TablePlane
 from rejoint.twin.twin import HeldOut, Twin
 
 FORMAT = 1
-"""Version of the layout; a reader refuses others"""
+"""Version of the layout"""
 
 ERRORS = ("no_twin", "healthy_twin", "twin")
-"""Tables of errors on motion that the fit has not seen, root mean square"""
+"""Tables of root mean square errors on held-out motion"""
 
 
 def write_twin(path: Path, twin: Twin) -> None:
-    """Write a twin as TOML, whole or not at all."""
+    """Write a twin as TOML, atomically."""
     write_sealed(path, _document(twin))
 
 
