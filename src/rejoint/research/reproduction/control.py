@@ -75,7 +75,7 @@ def run(bench: Bench) -> Findings:
 
 
 def _compare(bench: Bench) -> Comparison:
-    """Comparison of this bench; kept beside its logs once it is done."""
+    """Comparison of this bench, cached beside its logs."""
     path = bench.folder / "comparison.json"
     if path.exists():
         return read_json(path, Comparison)
@@ -109,7 +109,7 @@ def _log(bench: Bench, controller: str) -> Path:
 
 
 def _numbers(label: str, result: Comparison, rows: list[ControllerRow], paper: tuple[str, str, str]) -> list[Number]:
-    """Success, error and cycle time of one controller, or of several seeds together."""
+    """Success, error and cycle time of one controller, or of several seeds."""
     crossed, error, time = (
         np.concatenate([result.array(field, row.controller) for row in rows])
         for field in ("crossed", "crossing_error", "crossing_time")

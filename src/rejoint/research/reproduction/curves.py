@@ -20,9 +20,9 @@ from rejoint.training.presets import PAPER
 from rejoint.training.ranges import Ranges
 
 CONVERGED = -5.0
-"""Reward that Fig. 12 of Park et al. 2024 rises above"""
+"""Reward reached in Fig. 12 of Park et al. 2024"""
 LAST = 3
-"""last policies of a training that are averaged (chosen)"""
+"""Last policies of a training that are averaged; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +30,7 @@ class Course:
     """Policies of one training on fixed arms, first to last."""
 
     updates: tuple[int, ...]
-    """(K,) after which they were kept"""
+    """(K,) of the policies"""
     reward: tuple[float, ...]
     """mean over the episodes"""
     steps: tuple[float, ...]
@@ -54,7 +54,7 @@ CONDITIONS = (WITH, WITHOUT, AT_HOME)
 
 
 def run(bench: Bench) -> Findings:
-    """Judge the kept policies of all trainings on the same arms."""
+    """Evaluate the kept policies of all trainings on the same arms."""
     jobs = [(condition, name) for condition in CONDITIONS for name in condition.trainings]
     courses: dict[str, list[Course]] = {condition.label: [] for condition in CONDITIONS}
     for done, (condition, name) in enumerate(jobs):
@@ -81,7 +81,7 @@ def run(bench: Bench) -> Findings:
 
 
 def course(bench: Bench, name: str, condition: _Condition) -> Course:
-    """Judge every policy that a training has kept."""
+    """Evaluate every policy that a training has kept."""
     folder = bench.training(name)
     path = folder.path / f"course-{condition.arms}.json"
     if path.exists():
@@ -127,7 +127,7 @@ def stays_above(cycles: Array, courses: list[Course], level: float) -> float | N
 
 
 def peak(cycles: Array, courses: list[Course]) -> float:
-    """At which of ``cycles`` (K,) the mean reward is highest."""
+    """Which of ``cycles`` (K,) has the highest mean reward."""
     return float(cycles[np.argmax(np.mean([one.reward for one in courses], axis=0))])
 
 

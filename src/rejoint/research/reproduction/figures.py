@@ -16,7 +16,7 @@ from rejoint.system.files import write_whole
 
 DPI = 120
 COLOURS = 64
-"""of a figure (chosen)"""
+"""of a figure; chosen"""
 
 
 def save(figure: Figure, path: Path) -> None:

@@ -18,11 +18,11 @@ POSTURES = 1000
 EDGE = 9
 """points along each edge of the target box"""
 CLOSE = 1e-3
-"""[m] where the count of damped least-squares steps ends"""
+"""[m] convergence of damped least squares"""
 
 
 def run(bench: Bench) -> Findings:
-    """Compare both tables on random postures, and ask for the whole target box."""
+    """Compare both tables on random postures and the whole target box."""
     vendor, paper = mycobot280(), paper_arm(PAPER_DH_TABLE)
     lengths = {0: DH_TABLE[0].d, 4: DH_TABLE[4].d}
     same = paper_arm(tuple(replace(row, d=lengths.get(i, row.d)) for i, row in enumerate(PAPER_DH_TABLE)))
@@ -70,7 +70,7 @@ def _largest_difference(vendor: Arm, paper: Arm, postures: Array) -> float:
 
 
 def _reachable(arm: Arm) -> NDArray[np.bool_]:
-    """Which points (EDGE^3,) of the target box are reached within 0.1 mm."""
+    """Points (EDGE^3,) of the target box within 0.1 mm."""
     axes = np.linspace(arm.targets.lower, arm.targets.upper, EDGE).T
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     return solve_position(arm, points, arm.rest, tolerance=1e-4).converged
