@@ -1,4 +1,4 @@
-"""What became of each arm of a fleet, the worst first: what was done, what was found, what to do."""
+"""Result of each arm of a fleet, the worst first: actions, findings, advice."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from rejoint.system.files import saving, write_whole
 from rejoint.system.shell import command
 
 DRIFTS, ALARM, PARTLY, ROBOT = 6, 7, 5, 4
-"""Exit codes, as the command line has them: watch it, repair it, not all was done, the robot failed"""
+"""Exit codes of the command line: watch it, repair it, partly done, robot failed"""
 
 # Exit codes, the worst first: bugs and failures, then alarms, then what was left
 _ORDER = (1, ROBOT, 3, 2, ALARM, DRIFTS, PARTLY, 0)
@@ -39,27 +39,26 @@ class FleetRow:
     name: str
     address: str
     end: End
-    """done: all that was asked for, also by an earlier call; failed; left: not now, or not allowed"""
+    """done (also by an earlier call), failed or left"""
     state: str
-    """of a check: learning, steady, drifting, alarm, tolerance reached; of a repair: repaired; else how it ended"""
+    """learning, steady, drifting, alarm, tolerance reached; or repaired; else how it ended"""
     error_mm: float | None
-    """of the tool, newest: the true one where it is known"""
+    """newest tool error: the true one if known"""
     found: str
-    """what was found, or why it failed or was left"""
+    """finding, or why it failed or was left"""
     todo: str
-    """what the owner is to do"""
+    """advice to the user"""
     steps: tuple[tuple[str, float], ...]
-    """steps done in this call, and [s] that each took"""
+    """steps of this call, and [s] of each"""
     lost: int
-    """pieces of work whose process was lost, and which were done again or not"""
+    """tasks whose process was lost"""
     folder: Path
-    """where its files are"""
     code: int
-    """exit code that it alone would end with"""
+    """its exit code"""
 
     @property
     def cells(self) -> list[str]:
-        """Its row of the table `HEADERS`."""
+        """Row of the table `HEADERS`."""
         seconds = sum(took for _, took in self.steps)
         done = ", ".join(name for name, _ in self.steps) + (f" ({seconds:.0f} s)" if self.steps else "")
         again = f"; {self.lost} lost" if self.lost else ""
@@ -69,27 +68,26 @@ class FleetRow:
 
 @dataclass(frozen=True, kw_only=True)
 class FleetResult:
-    """What became of all arms of one call."""
+    """Result of one call."""
 
     verb: Verb
     rows: tuple[FleetRow, ...]
     """the worst first"""
     ended: datetime
-    """UTC, without a zone"""
+    """UTC, naive"""
     seconds: float
-    """[s] that the call took"""
     page: Path
     finished: bool
-    """whether nothing is left to do: the next call begins again"""
+    """whether nothing is left to do"""
 
     @property
     def code(self) -> int:
-        """Exit code of the command: of the arm that is worst."""
+        """Exit code of the worst arm."""
         return min((row.code for row in self.rows), key=_ORDER.index, default=0)
 
 
 def rows_of(campaign: Campaign, standings: Sequence[Standing]) -> tuple[FleetRow, ...]:
-    """Say what became of each arm, by its files; the worst first."""
+    """Make the rows of all arms from their files, the worst first."""
     row = _checked if campaign.verb == "check" else _repaired
     rows = [row(campaign, one) for one in standings]
     return tuple(sorted(rows, key=lambda row: (_ORDER.index(row.code), -(row.error_mm or 0.0), row.name)))
@@ -175,7 +173,6 @@ def write_page(path: Path, result: FleetResult) -> None:
 
 
 MakeExecutor: TypeAlias = Callable[[Sequence[FleetArm]], AbstractContextManager[Executor]]
-"""Makes the executor for some arms"""
 
 
 def run_fleet(
@@ -194,21 +191,21 @@ def run_fleet(
     Parameters
     ----------
     fleet
-        arms, and the folder that everything is kept in
+        arms and folder
     verb
         check or repair
     executor
-        makes who does the work; closed at the end
+        makes the executor of the work
     rules
-        who may move when
+        when arms may move
     only
-        names of arms; by default all of them
+        names of arms; default: all
     options
         of the repair
     tell
-        called with everything that happens
+        receives each event
     begins
-        called with what is to be done, before it begins
+        receives the campaign before it begins
 
     Returns
     -------
@@ -218,10 +215,9 @@ def run_fleet(
     Raises
     ------
     FileError, UnsavedError
-        if another call works in the folder of the fleet, or nothing can be written there; what became of the arms is in
-        the error where there is something
+        if another call uses the fleet's folder, or writing fails; the error holds the result, if any
     InputError
-        if there is no such arm, or no cluster
+        for an unknown arm or cluster
     MissingExtraError
         without the extra ``report``, for a repair without ``train``
     """
