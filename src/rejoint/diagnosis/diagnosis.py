@@ -41,8 +41,7 @@ class Evidence:
 
 
 HIDDEN_MARGIN_MM = 1.0
-"""[mm] between tool and encoders, beyond the healthy range, that is wear on a myCobot 280; goes with the reach;
-chosen"""
+"""[mm] between tool and encoders, beyond the healthy range, of wear on a myCobot 280; goes with the reach; chosen"""
 
 KINDS = {
     "stuck": "stuck",
@@ -80,7 +79,7 @@ class Diagnosis:
     evidence: Evidence | None = None
     """only for a diagnosis from logs"""
     servo_gains: dict[str, tuple[int, ...]] | None = None
-    """the servos' own gains, one per joint (`rejoint.control.servogains`); None: unknown"""
+    """one per joint (`rejoint.control.servogains`); None: unknown"""
 
 
 def diagnose(
@@ -100,7 +99,7 @@ def diagnose(
 
 
 def judge(arm: Arm, logs: DiagnosisLogs, healthy: HealthyReference | None) -> Diagnosis:
-    """Judge an arm by its logs; InputError if they do not fit the arm or hold too little."""
+    """Judge an arm by its logs; InputError if they do not fit or hold too little."""
     if healthy is not None and healthy.arm != arm.name:
         raise InputError(f"the healthy reference is of arm {healthy.arm}, expected {arm.name}")
     measurement = measure(arm, logs.excitation, None if healthy is None else healthy.motors_kg_m2)
@@ -150,7 +149,7 @@ def _verdict(open_loop: OpenLoop, findings: tuple[Finding, ...], healthy: Health
 def causes(
     shown: tuple[Finding, ...], all_of_them: tuple[Finding, ...], told: Finding | None = None
 ) -> tuple[str, list[Finding], str]:
-    """Name the worst findings of the three worst joints of ``shown``, and count the other joints."""
+    """Name the worst findings of the three worst joints of ``shown``, and count the others."""
     joints = {finding.joint: finding for finding in reversed(shown)}  # the worst finding of a joint wins
     worst = sorted(joints.values(), key=lambda f: -f.tcp_mm)[:3]
     named = "; ".join(f"{f.joint} is {KINDS[f.kind]} ({f.tcp_mm:.1f} mm)" for f in worst)

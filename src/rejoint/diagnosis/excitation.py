@@ -1,10 +1,10 @@
-"""The motion that shows what is wrong with an arm: a seeded plan, checked before the arm moves.
+"""The motion for a diagnosis: a seeded plan, checked before the arm moves.
 
 Segments: ``approach``; ``still`` (noise, hunting); ``sweep``, slow, at two speeds; ``step`` of each joint alone (lag,
 overshoot); ``multisine``, band-limited (dynamics); ``hold``, postures of different gravity torques, approached from
-below and above.
+both sides.
 
-Each posture respects joint limits, floor, column and the load at the heaviest target.
+Each posture respects joint limits, floor, column and the largest load.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ from rejoint.system.progress import Progress, no_progress, part
 
 
 def swept(arm: Arm, joints: tuple[int, ...]) -> Array:
-    """Signs (n,) by which the joints of a group move, neighbours opposed; zero for the others."""
+    """Signs (n,) of a group's motion, neighbours opposed; zero for the others."""
     sign = np.zeros(arm.joints)
     sign[list(joints)] = np.where(np.arange(len(joints)) % 2, -1.0, 1.0)
     return sign
 
 
 class CommandPath:
-    """Knots of a trajectory that grows from a start posture (n,) [rad] at time 0."""
+    """Knots of a trajectory from a start posture (n,) [rad] at time 0."""
 
     def __init__(self, start: Array) -> None:
         self._time = [0.0]
@@ -78,11 +78,11 @@ class CommandPath:
         self._add(duration, self._position[-1])
 
     def travel(self, goal: Array, speed: float) -> None:
-        """Go straight to ``goal`` (n,) [rad]; the joint with the longest way moves at ``speed`` [rad/s]."""
+        """Go straight to ``goal`` (n,) [rad]; the joint with the longest way has ``speed`` [rad/s]."""
         self._add(float(np.abs(goal - self._position[-1]).max()) / speed, goal)
 
     def sweep(self, arm: Arm, amplitude: float, travel: float, speeds: Sequence[tuple[float, int]]) -> None:
-        """Sweep every other joint at once about the rest posture by ``amplitude`` [rad].
+        """Sweep every other joint about the rest posture by ``amplitude`` [rad].
 
         ``speeds`` are [rad/s] and cycles; ``travel`` [rad/s] is the speed in between.
         """
@@ -99,7 +99,7 @@ class CommandPath:
             self.wait(_SETTLE)
 
     def follow(self, time: Array, position: Array) -> None:
-        """Append samples (K,) [s] from 0 and (K, n) [rad] that begin at the present posture."""
+        """Append samples (K,) [s] from 0 and (K, n) [rad] from the present posture."""
         begin = self._time[-1]
         self._time.extend((begin + time[1:]).tolist())
         self._position.extend(position[1:])
@@ -115,7 +115,7 @@ class CommandPath:
 
 
 def smooth_ramp(time: Array) -> Array:
-    """Rise smoothly from 0 at time 0 to 1 after a second; any shape."""
+    """Rise smoothly from 0 to 1 within a second."""
     return 0.5 - 0.5 * np.cos(np.pi * np.clip(time, 0.0, 1.0))
 
 
@@ -128,13 +128,13 @@ class Plan:
     sweep_amplitude: float = 0.18
     """[rad]; several times a worn joint's hysteresis"""
     sweep_speeds: tuple[float, ...] = (0.12, 0.5)
-    """[rad/s]; slow: twice the Stribeck velocity; fast: viscous lag outweighs friction"""
+    """[rad/s]; twice the Stribeck velocity; fast: viscous lag outweighs friction"""
     sweep_cycles: tuple[int, ...] = (2, 4)
     """up-and-down cycles at each speed"""
     step_size: float = 0.2
     """[rad]; half of the guard's limit"""
     step_dwell: float = 1.0
-    """[s]; several periods of 2 Hz, the slowest oscillation of worn arms"""
+    """[s]; several periods of 2 Hz"""
     step_speed: float = 2.0
     """[rad/s]; just below the ramp of small servos"""
     multisine_period: float = 15.0
@@ -148,9 +148,9 @@ class Plan:
     """[rad/s] largest speed"""
     postures: int = 8
     hold_offset: float = HOLD_OFFSET
-    """[rad] distance from which a posture is approached"""
+    """[rad] of the approach"""
     hold_speed: float = 0.3
-    """[rad/s] of the last part of the approach"""
+    """[rad/s] at its end"""
     hold_dwell: float = 1.0
     """[s]"""
     travel_speed: float = 0.8
@@ -176,7 +176,7 @@ _LEAST_SPREAD = 0.2
 
 _AMPLITUDES = {"sweep": "sweep_amplitude", "step": "step_size", "multisine": "multisine_amplitude",
                "hold": "posture_spread"}  # fmt: skip
-"""Field of `Plan` to reduce where a segment of a kind is unsafe"""
+"""Field of `Plan` to reduce for an unsafe segment"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -211,7 +211,7 @@ _REMEDY = (
 def plan_excitation(arm: Arm, *, seed: int, start: Array | None = None, plan: Plan = FULL) -> Excitation:
     """Plan the excitation of an arm at ``start`` (n,) [rad] (default: its rest posture).
 
-    Slows and shrinks motion where needed; InputError if that does not suffice.
+    Slows and shrinks motion; InputError if that does not suffice.
     """
     why = unsafe(arm, arm.rest)
     if why:
@@ -327,7 +327,6 @@ def _slowed(plan: Plan, arm: Arm) -> Plan:
 
 
 def _first_leaving(excitation: Excitation) -> tuple[Segment, Array] | None:
-    """First unsafe segment of a plan with the posture (n,) [rad]; else None."""
     arm, time, position = excitation.arm, excitation.time, excitation.position
     fine = np.union1d(time, np.arange(0.0, time[-1], 0.05))
     q = np.stack([np.interp(fine, time, column) for column in position.T], axis=-1)
@@ -357,9 +356,9 @@ def record(
     robot: Robot, *, seed: int, plan: Plan = FULL, on_progress: Progress = no_progress,
     on_cycle: OnCycle | None = None,
 ) -> tuple[DiagnosisLogs, ...]:  # fmt: skip
-    """Drive every arm of ``robot`` through the diagnosis with ``seed``; return the logs of each.
+    """Drive every arm of ``robot`` through the diagnosis; return the logs of each.
 
-    NotReadyError before it moves if that is unsafe; GuardTripError or RobotError if the motion had to be ended.
+    NotReadyError before it moves if unsafe; GuardTripError or RobotError if the motion had to be ended.
     """
     arm = robot.arm
     extra = {"seed": str(seed)}
@@ -388,7 +387,7 @@ def record(
 
 
 def reporting(what: str, duration: float, on_progress: Progress, on_cycle: OnCycle | None, robot: Robot) -> OnCycle:
-    """Return a callback that reports the progress of a motion of ``duration`` [s] after each cycle."""
+    """Progress callback for a motion of ``duration`` [s]."""
     since = float(robot.read().time[0])
 
     def report(cycle: Cycle) -> None:

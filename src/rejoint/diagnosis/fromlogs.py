@@ -1,7 +1,6 @@
 """A diagnosis from logs of any motion, against the same healthy reference.
 
-Only rows of the free arm count. A joint without gravity load has no stiffness here; one that moves in one direction
-only has no friction.
+Stiffness needs a gravity load, friction motion in both directions.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from rejoint.system.progress import Progress, no_progress
 from rejoint.system.statistics import Estimate
 
 _MANY = 8
-"""Number of logs from which each is one independent observation; chosen"""
+"""Number of logs from which each is one observation; chosen"""
 
 SHORTEST = 10.0
 """[s] least free motion; chosen"""
@@ -41,9 +40,9 @@ def diagnose_logs(
     source: str = "logs",
     on_progress: Progress = no_progress,
 ) -> Diagnosis:
-    """Judge an arm by logs of any motion, which come from ``source``.
+    """Judge an arm by logs of any motion from ``source``.
 
-    InputError if the logs are of another arm or hold too little free motion.
+    InputError for logs of another arm or too little free motion.
     """
     if healthy is not None and healthy.arm != arm.name:
         raise InputError(f"the healthy reference is of arm {healthy.arm}, expected {arm.name}")
@@ -87,7 +86,7 @@ def diagnose_logs(
 
 
 def left_out(evidence: Evidence) -> str:
-    """Say which time does not show the free arm, as the end of a sentence."""
+    """Describe the time without free arm, as the end of a sentence."""
     parts = (
         (evidence.contact_seconds, "with the tool on a table"), (evidence.stop_seconds, "at a stop"),
         (evidence.dead_seconds, "of dead readings"),

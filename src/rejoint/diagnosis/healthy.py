@@ -5,8 +5,8 @@ For a catalogue arm it is a file in this package, measured on emulated arms with
 
     python -m rejoint.diagnosis mycobot280
 
-An SO-101 has one for each P in `MEASURED`; `as_set` scales it to the supply. `healthy_reference` measures one for other
-arms. `reference_by` makes a better one from a real good arm.
+An SO-101 has one for each P in `MEASURED`. `healthy_reference` measures one for other arms, `reference_by` makes one
+from a real good arm.
 """
 
 from __future__ import annotations
@@ -57,9 +57,9 @@ NEW = {"so101": "so101-new"}
 """Arms with a wear profile for new ones"""
 
 MEASURED = (16, 32, 64)
-"""P of the measured servos: LeRobot's, as sold, and the largest in a search"""
+"""P: LeRobot's, as sold, and the largest in a search"""
 AS_SOLD, SUPPLY = 32, 12.0
-"""P where gains are unknown, and [V] supply of all references"""
+"""P if unknown, and [V] supply of references"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,13 +86,13 @@ def reference_path(arm: Arm, p: int = AS_SOLD) -> Path:
 
 
 def load_healthy(arm: Arm, p: int = AS_SOLD) -> HealthyReference | None:
-    """Return the package's reference for an arm, or None."""
+    """Return the package's reference for an arm, if any."""
     path = reference_path(arm, p)
     return read_json(path, HealthyReference) if path.exists() else None
 
 
 def healthy_reference(arm: Arm) -> HealthyReference | None:
-    """Return the package's reference or measure one in virtual time; None without the simulator."""
+    """Return the package's reference or measure one; None without the simulator."""
     packaged = load_healthy(arm)
     if packaged is not None or not installed(SIMULATOR):
         return packaged
@@ -104,7 +104,7 @@ def as_set(
 ) -> HealthyReference | None:
     """Return what a healthy arm measures with these ``gains`` and this ``voltage`` (n,) [V].
 
-    Torque scales with P and supply; each joint is taken from the reference of the nearest P.
+    Torque scales with P and supply; each joint uses the reference of the nearest P.
     """
     if _new(arm) is None or reference is None or gains is None or "p" not in gains:
         return reference
@@ -132,7 +132,6 @@ def _by_joint(values: Sequence[int], names: Sequence[str]) -> str:
 
 
 def _new(arm: Arm) -> str | None:
-    """Wear profile of a new arm of this kind; None: `healthy`."""
     return NEW.get(arm.name) if arm.servos else None
 
 
@@ -150,7 +149,7 @@ def _stiffer(row: JointMetrics, factor: float) -> JointMetrics:
 
 
 def measure_healthy(arm: Arm, *, count: int = ARMS, p: int = AS_SOLD) -> HealthyReference:
-    """Diagnose ``count`` emulated healthy arms; ``p`` is that of the servos of an arm in `NEW`."""
+    """Diagnose ``count`` emulated healthy arms; ``p``: gain of the servos of an arm in `NEW`."""
     logs: list[DiagnosisLogs] = []
     new = _new(arm)
     profile = new or "healthy"
@@ -163,7 +162,7 @@ def measure_healthy(arm: Arm, *, count: int = ARMS, p: int = AS_SOLD) -> Healthy
 
 
 def reference_from(arm: Arm, logs: Sequence[DiagnosisLogs], *, source: str, motors: bool = True) -> HealthyReference:
-    """Make a reference from the logs of at least three healthy arms; ``motors``: whether to estimate their inertia."""
+    """Make a reference from the logs of at least three healthy arms; ``motors``: with their inertia."""
     if len(logs) < 3:
         raise InputError(f"a healthy reference needs the logs of at least three diagnoses, got {len(logs)}")
     first = [measure(arm, entry.excitation) for entry in logs]
@@ -230,9 +229,9 @@ POSITIVE = ("stiffness_nm_per_rad", "coulomb_nm", "damping_ratio", "hysteresis_r
 
 
 def reference_by(arm: Arm, good: Diagnosis) -> HealthyReference:
-    """Make a reference of a diagnosis, each interval wider by the spread between arms.
+    """Make a reference from a diagnosis, widened by the spread between arms.
 
-    InputError if the diagnosis is of another kind of arm or says too little.
+    InputError for another kind of arm or too few numbers.
     """
     if good.arm != arm.name:
         raise InputError(f"the arm known to be good is a {good.arm}, expected {arm.name}")
@@ -251,7 +250,6 @@ def reference_by(arm: Arm, good: Diagnosis) -> HealthyReference:
 
 
 def _ranges(arm: Arm, row: JointMetrics) -> JointMetrics:
-    """Turn every interval of a joint into the range within which another arm counts as healthy."""
     changed: dict[str, Any] = {name: _factor(found) for name in POSITIVE if (found := getattr(row, name)) is not None}
     for name, margin in _allowed(arm).items():
         if (found := getattr(row, name)) is not None:

@@ -17,28 +17,28 @@ from rejoint.logs.runlog import RunLog
 from rejoint.system.statistics import Estimate
 
 LOADED = 0.05
-"""[N m] range of gravity's torque on a myCobot 280 that shows a stiffness; chosen"""
+"""[N m] range of gravity's torque on a myCobot 280 for a stiffness; chosen"""
 
 GRAVITY_SHARE = 0.35
-"""Relative half width up to which stiffness from gravity outranks that from inertia; chosen"""
+"""Relative half width up to which stiffness from gravity outranks inertia; chosen"""
 
 KNOWN_WITHIN = 4.0
-"""Ratio of an interval's ends up to which it is used where nothing else tells; chosen"""
+"""Ratio of an interval's ends up to which it is used alone; chosen"""
 
 FEWEST_STEPS, FEWEST_RESTS = 3, 4
 """Steps that overshoot needs, and rests that noise needs; chosen"""
 
 SAME_SERVO = 0.4
-"""Relative error of a motor's inertia taken from a neighbouring joint; chosen"""
+"""Relative error of a motor's inertia from another joint; chosen"""
 
 SAME_KIND = 0.25
-"""Relative error of a motor's inertia taken from a healthy arm; chosen"""
+"""Relative error of a motor's inertia from a healthy arm; chosen"""
 
 MOTOR_SHARE = 0.35
-"""Relative half width up to which a motor's inertia counts as known; chosen"""
+"""Relative half width of a known motor inertia; chosen"""
 
 OFFSET_ALLOWED = 0.01
-"""[rad] offset of a healthy joint without load; chosen: 2 mm at the tool of a myCobot 280"""
+"""[rad] offset of a healthy joint without load; chosen: 2 mm at a myCobot 280's tool"""
 
 DELAY_ERROR = 0.003
 """[s] error of the delay; measured over emulated arms"""
@@ -46,7 +46,7 @@ DELAY_ERROR = 0.003
 
 @dataclass(frozen=True, kw_only=True)
 class JointMetrics:
-    """One joint in numbers; every estimate with its 95 % interval. None: the log does not tell."""
+    """One joint in numbers with 95 % intervals; None: unknown."""
 
     joint: str
     stiffness_nm_per_rad: Estimate | None = None
@@ -54,7 +54,7 @@ class JointMetrics:
     stiffness_source: str = "none"
     """``gravity`` (sag in holds), ``inertia`` (motion) or ``none``"""
     hysteresis_rad: Estimate | None = None
-    """full width of the following error between both directions, lag removed"""
+    """full width between both directions, lag removed"""
     coulomb_nm: Estimate | None = None
     """friction of a moving joint"""
     lag_s: Estimate | None = None
@@ -64,7 +64,7 @@ class JointMetrics:
     overshoot: Estimate | None = None
     """fraction of a step"""
     hunting_rad: Estimate | None = None
-    """rms motion under constant commands, in the worst postures"""
+    """rms under constant commands, worst postures"""
     noise_rad: Estimate | None = None
     """rms of one reading at rest"""
     torque_limit_nm: Estimate | None = None
@@ -93,16 +93,15 @@ class Measurement:
 
     joints: tuple[JointMetrics, ...]
     delay_s: float | None
-    """of commands and answers; None where steps do not separate it from lag"""
+    """of commands and answers; None: not separable from lag"""
     period_s: float
     """median time between readings"""
 
 
 def measure(arm: Arm, log: RunLog, motors: Sequence[float | None] | None = None) -> Measurement:
-    """Measure every joint from the log of an excitation; InputError if it holds too little.
+    """Measure every joint from an excitation; InputError if it holds too little.
 
-    ``motors`` are motor inertias [kg m^2] of a healthy arm, None where unknown: they sharpen the stiffness of joints
-    without gravity load.
+    ``motors``: a healthy arm's motor inertias [kg m^2], if known, for the stiffness of joints without gravity load.
     """
     data = ExcitationLog.of(arm, log)
     delay = arm_delay(data)
@@ -137,8 +136,6 @@ def measure_joint(data: ExcitationLog, joint: int) -> JointMetrics:
 
 @dataclass(frozen=True, kw_only=True)
 class _Stiffness:
-    """Stiffness of a joint, its source, and the motor inertia that goes with it."""
-
     value: Estimate | None = None
     source: str = "none"
     motor: Estimate | None = None
@@ -169,7 +166,6 @@ def _row(data: ExcitationLog, joint: int, law: Law | None, stiffness: _Stiffness
 def _stiffness(
     arm: Arm, laws: list[Law | None], ratios: list[Estimate | None], motors: Sequence[float | None] | None
 ) -> list[_Stiffness]:
-    """Stiffness from gravity where that is precise, else from J/k and the nearest known motor inertia."""
     links = link_inertia(arm, arm.rest)
     found = [_loaded(arm, law, ratio, float(link)) for law, ratio, link in zip(laws, ratios, links, strict=True)]
     known = {joint: row.motor for joint, row in enumerate(found) if row.motor is not None}
@@ -222,7 +218,7 @@ def _damping_ratio(law: Law) -> Estimate | None:
 
 
 def friction_torque(stiffness: Estimate, half_width: Estimate) -> Estimate:
-    """F = k (F/k); a half width that is not above zero gives a bound."""
+    """F = k (F/k), or a bound for a half width of zero."""
     if half_width.value > 0:
         return product(stiffness, half_width)
     high = None if half_width.high is None else max(stiffness.value * half_width.high, 0.0)
@@ -230,7 +226,7 @@ def friction_torque(stiffness: Estimate, half_width: Estimate) -> Estimate:
 
 
 def surely_offset(offset: Estimate, *, doubt: float = 0.0) -> bool:
-    """Whether an offset's interval lies beyond that of a healthy joint and ``doubt`` [rad]."""
+    """Whether an offset's interval lies beyond a healthy joint's and ``doubt`` [rad]."""
     low, high = offset.low, offset.high
     return low is not None and high is not None and max(low, -high) > OFFSET_ALLOWED + doubt
 

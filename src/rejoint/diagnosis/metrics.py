@@ -5,8 +5,8 @@ tau and Coulomb friction F is
 
     e = (d/k) q' + (F/k) sign(q') + (J/k) q'' + tau/k + offset.
 
-`fit_law` fits all five terms to moving moments of any log. It cannot separate delay from lag; the start of a step can.
-So each delay gets its own fit; the one that starts the steps on time wins.
+`fit_law` fits all terms to moving moments of any log. Only the start of a step separates delay from lag, so each delay
+gets its own fit, and the one that starts the steps on time wins.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ from rejoint.diagnosis.segments import FREE, HOLD, STEP, STILL, SWEEP, Excitatio
 from rejoint.system.statistics import Estimate
 
 SETTLED_LAST = 0.4
-"""[s] at the end of a hold or step that counts as settled; chosen"""
+"""[s] at the end of a hold or step; chosen"""
 
 _WINDOW = 0.3
 """[s] of a window; chosen"""
 
 COARSEST = 0.1
-"""[s] between readings up to which a window holds enough; chosen"""
+"""[s] most between readings; chosen"""
 
 _SETTLING = 0.2
 """[s] left out at the beginning of a free stretch; chosen"""
 
 _MOVING = 0.7
-"""Size of the averaged direction from which a window moves: about 0.04 rad/s; chosen"""
+"""Averaged direction of a moving window; chosen: 0.04 rad/s"""
 
 _SLOW, _GENTLE = 0.6, 5.0
-"""[rad/s] and [rad/s^2] of slow motion: beyond, servo limits show; chosen"""
+"""[rad/s] and [rad/s^2] of slow motion; chosen"""
 
 _BOTH_WAYS = 0.1
 """Least share of the windows in either direction; chosen"""
@@ -48,10 +48,10 @@ _FEWEST = 8
 """Independent observations per direction that a law needs; chosen"""
 
 _LIGHT = 0.2
-"""Share of the windows, those of least load, that a fit starts from; chosen: keeps joints at their torque limit out"""
+"""Share of the windows, of least load, that a fit starts from; chosen: keeps saturation out"""
 
 _MANY_LOGS = 8
-"""Number of logs from which each is one independent observation, below stretches of 8 s; chosen"""
+"""Number of logs from which each is one observation; chosen"""
 
 _MIN_TORQUE_RANGE = 2e-3
 """[N m] least range of gravity's torque on a myCobot 280; chosen"""
@@ -80,8 +80,6 @@ class Law:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _LogMotion:
-    """Windows in which a joint moves."""
-
     design: Array
     """(N, 5) columns in the order of the coefficients"""
     error: Array
@@ -122,7 +120,7 @@ def _motion(data: ExcitationLog, joint: int, delays: Array, *, fast: bool) -> _L
 
 
 def fit_law(data: ExcitationLog, joint: int, delay: float = 0.0, *, fast: bool = False) -> Law | None:
-    """Fit the law to slow motion of a joint (friction, stiffness), or to ``fast`` motion as well (inertia).
+    """Fit the law to slow motion (friction, stiffness), or to ``fast`` motion as well (inertia).
 
     None with too little motion, one direction only, or readings further apart than `COARSEST`.
     """
@@ -138,7 +136,7 @@ def fit_law(data: ExcitationLog, joint: int, delay: float = 0.0, *, fast: bool =
 
 
 def fit_effort(data: ExcitationLog, joint: int) -> LinearFit | None:
-    """Fit a joint's torque or current, in its unit, to the terms of its law; None with too little motion."""
+    """Fit a joint's torque or current to the terms of its law; None with too little motion."""
     motion = _motion(data, joint, np.zeros(1), fast=True)
     if data.effort_unit is None or not motion.enough:
         return None
@@ -146,14 +144,14 @@ def fit_effort(data: ExcitationLog, joint: int) -> LinearFit | None:
 
 
 def followed(data: ExcitationLog, joint: int) -> float | None:
-    """Share of the commands' range that a joint covers, in sweeps if any; None if they hardly moved."""
+    """Share of the commands' range that a joint covers, preferably in sweeps; None without range."""
     rows = np.concatenate([data.rows(segment) for segment in data.of_kind(SWEEP, joint) or data.of_kind(FREE)])
     asked = float(np.ptp(data.log.command[rows, joint])) if len(rows) else 0.0
     return float(np.ptp(data.log.position[rows, joint])) / asked if asked > MIN_SWEEP else None
 
 
 def farthest_off(data: ExcitationLog, joint: int, law: Law | None) -> float:
-    """[rad] largest distance of a resting joint from what its law and friction explain."""
+    """[rad] largest distance at rest from what law and friction explain."""
     _, width, _, softness, offset = np.zeros(5) if law is None else law.fit.coefficients
     found = [0.0]
     for segment in data.of_kind(HOLD, joint):
@@ -181,7 +179,7 @@ def overshoot(data: ExcitationLog, joint: int) -> Estimate:
 def hunting(data: ExcitationLog, joint: int) -> Estimate | None:
     """Rms [rad] of the motion at the end of holds: mean, least and most of the worst quarter.
 
-    Only power that correlates with earlier readings counts. None with fewer than four holds of four readings.
+    Without uncorrelated noise. None with fewer than four holds of four readings.
     """
     spans = [data.rows(segment, last=SETTLED_LAST) for segment in data.of_kind(HOLD)]
     spans = [rows for rows in spans if len(rows) >= 4]
@@ -194,7 +192,7 @@ def hunting(data: ExcitationLog, joint: int) -> Estimate | None:
 
 
 def _repeating_share(pieces: list[Array]) -> float:
-    """Largest correlation, 0 to 1, of the pieces with themselves one to five readings earlier; 0 for noise."""
+    """Largest autocorrelation, 0 to 1, of the pieces over one to five readings; 0 for noise."""
     power = sum(float((piece**2).sum()) for piece in pieces)
     if power <= 0.0:
         return 0.0
@@ -211,7 +209,7 @@ def _repeating_share(pieces: list[Array]) -> float:
 
 
 def _share_of_noise(lengths: list[int], shift: int) -> float:
-    """Return this correlation for white noise less its line, in pieces of ``lengths``."""
+    """Return the same for white noise less its line, in pieces of ``lengths``."""
     both = base = 0.0
     for length in lengths:
         line = np.linalg.qr(np.stack([np.ones(length), np.arange(length)], axis=1))[0]
@@ -222,7 +220,7 @@ def _share_of_noise(lengths: list[int], shift: int) -> float:
 
 
 def noise(data: ExcitationLog, joint: int) -> Estimate | None:
-    """Rms [rad] of a single reading at rest, from differences of neighbours; None with under 12."""
+    """Rms [rad] of a reading at rest, from differences of neighbours; None with under 12."""
     rows = [data.rows(segment, skip=0.5) for segment in data.of_kind(STILL)]
     if sum(map(len, rows)) < 12:
         return None
@@ -256,16 +254,16 @@ _MIN_WINDOWS = 40
 """Windows that a delay and a torque limit need; chosen: about 2 s"""
 
 _EXCESS = 0.15
-"""[N m] of a myCobot 280 by which a demand exceeds the torque by chance; chosen"""
+"""[N m] of a myCobot 280 between demand and torque by chance; chosen"""
 
 _MIN_SHARE = 0.006
-"""Share of the steady time at the limit; chosen: emulated arms show 0 without saturation, 0.02 with a rare one"""
+"""Share of the steady time at the limit; chosen on emulated arms"""
 
 _STEADY = 1.5
-"""[rad/s^2] of a myCobot 280 up to which acceleration takes no torque; chosen"""
+"""[rad/s^2] of a myCobot 280 in steady motion; chosen"""
 
 _STANDING = 0.2
-"""[rad/s] above which a joint that lags is at its top speed; chosen"""
+"""[rad/s] of a lagging joint at top speed; chosen"""
 
 _MIN_RATIO = 5e-5
 """[s^2] least trusted J/k: 22 Hz; chosen"""
@@ -326,7 +324,7 @@ class Torque:
     """Torque that a joint was asked for and gave."""
 
     limit: Estimate | None
-    """[N m] at the load: the motor's limit less friction; None if never reached"""
+    """[N m] at the load: the motor's limit less friction; None: not reached"""
     seen: float
     """[N m] largest that it gave"""
     saturated_share: float
@@ -334,10 +332,10 @@ class Torque:
 
 
 def torque_given(data: ExcitationLog, joint: int, law: Law, stiffness: float, delay: float) -> Torque:
-    """Compare the torque that a joint's law asks for with the one its load shows, in steady motion.
+    """Compare the torque that a joint's law asks for with that of its load, in steady motion.
 
     A joint is behind where it hardly turns and the demand is more than twice the torque, beyond friction, `_EXCESS` and
-    10 ms. It is at its limit if that takes `_MIN_SHARE` of the time, near its largest torque.
+    10 ms. At its limit it is behind for `_MIN_SHARE` of the time, near its largest torque.
     """
     segments = [s for s in data.segments if s.kind in (SWEEP, STEP, "multisine", HOLD)]
     averages = window_averages(data, segments, joint, length=_TORQUE_WINDOW, delays=np.array([delay]))

@@ -55,7 +55,7 @@ def window_averages(
 ) -> Averages:
     """Average a joint's signals under windows of ``length`` [s] that overlap by three quarters.
 
-    ``delays`` (D,) [s] are tried. Leaves out the first ``cut`` [s] of each segment and gaps in the readings.
+    Tries ``delays`` (D,) [s]; leaves out ``cut`` [s] of each segment and gaps in the readings.
     """
     parts = []
     for index, segment in enumerate(segments):

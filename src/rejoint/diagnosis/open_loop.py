@@ -23,7 +23,7 @@ DWELL = 5.0
 """[s] per target; chosen: a worn arm rests after 3 s"""
 
 SETTLED = 1.0
-"""[s] at the end of each target over which the error is averaged; chosen"""
+"""[s] at the end of each target for its error; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +59,7 @@ class OpenLoop:
 
 
 def settled_rows(log: RunLog) -> list[NDArray[np.intp]]:
-    """Find the rows of the last second of every target; InputError if the log has no targets."""
+    """Find the rows of the last second of every target; InputError without targets."""
     known = np.asarray(np.isfinite(log.target).all(axis=1))
     if not known.any():
         raise InputError(f"run log {log.label} holds no targets; record one with `rejoint diagnose`")
@@ -97,7 +97,7 @@ def open_loop_errors(arm: Arm, log: RunLog) -> OpenLoop:
 
 
 def modelled_errors(log: RunLog, model: ToolModel) -> TrueError:
-    """Return the mean true error of an open-loop run by a later model of the arm."""
+    """Mean true error by a later model of the arm."""
     rows = settled_rows(log)
     position = np.stack([log.position[part].mean(axis=0) for part in rows])
     return mean_modelled(modelled(model, position, np.stack([log.target[part[0]] for part in rows])))
@@ -121,7 +121,7 @@ class Postures:
 
 
 def settled_postures(targets: RunLog) -> Postures:
-    """Means over the settled end of every target; InputError if the log has no targets."""
+    """Means over the settled end of every target; InputError without targets."""
     rows = settled_rows(targets)
     return Postures(
         position=np.array([targets.position[part].mean(axis=0) for part in rows]),
@@ -130,7 +130,7 @@ def settled_postures(targets: RunLog) -> Postures:
 
 
 def resting_postures(log: RunLog, excluded: Exclusions, *, stops: bool = False) -> Postures:
-    """Evenly spread rows of a log in which the free arm rests; with ``stops`` also blocked ones."""
+    """Evenly spread rows of the free arm at rest; with ``stops`` also blocked ones."""
     quiet = (joint_speed(log.time, log.command) < AT_REST) & (joint_speed(log.time, log.position) < AT_REST)
     usable = ~(excluded.contact | excluded.stale) if stops else excluded.free
     rows = np.flatnonzero(quiet & usable)

@@ -59,7 +59,7 @@ def fit_trimmed(
 ) -> LinearFit:
     """Like `fit_clustered`, without samples more than five robust deviations off.
 
-    Starts from least absolute deviations (Schlossmacher 1973) of the samples ``first`` (N,).
+    Starts from least absolute deviations (Schlossmacher 1973) of ``first`` (N,).
     """
     weight = np.ones(len(response)) if first is None else first.astype(float)
     for _ in range(_LAD_ROUNDS):

@@ -1,6 +1,6 @@
 """Named spans of an excitation, or of logs of any motion.
 
-Logs share one clock, one after the other; spans hold only rows of the free arm (`rejoint.logs.exclusions`).
+Logs share one clock; spans hold only rows of the free arm (`rejoint.logs.exclusions`).
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Segment:
 
 
 def attach_segments(log: RunLog, segments: tuple[Segment, ...], waits: Array | None = None) -> RunLog:
-    """Return the log with its excitation's segments, which waited ``waits`` (k, 2) [s]."""
+    """Log with its excitation's segments, which waited ``waits`` (k, 2) [s]."""
     begin, waited = float(log.time[0]), np.zeros((0, 2)) if waits is None else waits
 
     def on_clock(time: float) -> float:
@@ -65,11 +65,11 @@ class ExcitationLog:
     gravity: Array
     """(T, n) [N m] that holds the arm"""
     reference: Array
-    """(T, n) [rad] of a servo that ramps to each command at top speed, before the next one"""
+    """(T, n) [rad] of a servo that ramps to each command, before the next one"""
 
     @classmethod
     def of(cls, arm: Arm, log: RunLog) -> ExcitationLog:
-        """Read a log with segments; InputError if it is of another arm or has none."""
+        """Read a log with segments; InputError for another arm or no segments."""
         log.require(arm.name, arm.joint_names)
         if _KEY not in log.extra:
             raise InputError(f"run log {log.label} holds no excitation; record one with `rejoint diagnose`")
@@ -89,7 +89,7 @@ class ExcitationLog:
         )
 
     def commanded(self, joint: int, time: Array) -> Array:
-        """Return the reference [rad] of a joint at ``time`` (...) [s]: ramps to each command at top speed."""
+        """Joint's reference [rad] at ``time`` (...) [s]: ramps at top speed."""
         log, speed = self.log, float(self.arm.max_speed[joint])
         row = np.clip(np.searchsorted(log.time, time, side="right") - 1, 0, len(log) - 1)
         start, goal = self.reference[row, joint], log.command[row, joint]
@@ -118,7 +118,7 @@ class ExcitationLog:
         return [s for s in self.segments if s.kind == kind and (joint is None or joint in s.joints)]
 
     def rows(self, segment: Segment, *, skip: float = 0.0, last: float = np.inf) -> NDArray[np.intp]:
-        """Rows of a segment without its first ``skip`` [s]; only the ``last`` [s] of those."""
+        """Rows of a segment without its first ``skip`` [s]; only the ``last`` [s]."""
         begin = max(segment.start + skip, segment.stop - last)
         return np.arange(*np.searchsorted(self.log.time, [begin, segment.stop]))
 
@@ -131,7 +131,7 @@ class ExcitationLog:
 
 
 def _ramp(arm: Arm, log: RunLog) -> Array:
-    """Return the reference (T, n) [rad] just before each command takes effect."""
+    """Return reference (T, n) [rad] just before each command takes effect."""
     reference = np.empty_like(log.command)
     reference[0] = log.command[0]
     way = np.diff(log.time)[:, None] * arm.max_speed
@@ -157,7 +157,7 @@ QUIET = 1.0
 """[s] of constant commands before a span counts as rest; chosen"""
 
 STEP_TIME, STEP_SIZE = 0.15, 0.05
-"""A command that moves this far [rad] within this time [s] is a step; chosen"""
+"""[s] and [rad] of a command step; chosen"""
 
 STEP_LENGTH = 3.0
 """[s] of a step that are used; chosen"""
@@ -217,7 +217,6 @@ def _spans(number: int, log: RunLog, free: Rows, time: Array) -> Iterator[Segmen
 
 
 def _steps(log: RunLog, free: Rows, still: Rows, joint: int) -> Iterator[tuple[int, int]]:
-    """Rows (first, last exclusive) of a joint's steps: from the last row before to the next motion."""
     for arrived, last in free_runs(still, log.time, QUIET):
         first = int(np.searchsorted(log.time, log.time[arrived] - STEP_TIME))
         moved = np.abs(np.diff(log.command[first : arrived + 1, joint]))

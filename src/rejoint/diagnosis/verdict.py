@@ -1,4 +1,4 @@
-"""Named findings from numbers: what is worn, its error at the tool, and a sentence for the user.
+"""Named findings from numbers: what is worn, its error at the tool, and a sentence.
 
 A finding's 95 % interval lies wholly outside the healthy range, on the bad side. Without a reference only absolute
 faults count.
@@ -20,16 +20,16 @@ from rejoint.diagnosis.regression import mean_of
 from rejoint.system.statistics import Estimate
 
 BAD_MM = 3.0
-"""[mm] tool error of a bad finding: that of a healthy myCobot (Park et al. 2024, section IV-B); goes with the reach"""
+"""[mm] tool error of a bad finding: a healthy myCobot's (Park et al. 2024, section IV-B); goes with the reach"""
 
 FELT_MM = 0.05
 """[mm] tool error below which a finding costs nothing; chosen"""
 
 RINGING_RATIO = 0.4
-"""Damping ratio below which a joint rings without a reference: 25 % overshoot (second order)"""
+"""Damping ratio of ringing without a reference: 25 % overshoot (second order)"""
 
 SWINGING_RATIO = 0.5
-"""Damping ratio from which no joint rings: 16 % overshoot (second order)"""
+"""Damping ratio without ringing: 16 % overshoot (second order)"""
 
 QUIET_COUNTS = 2.0
 """Encoder counts of rms motion at rest beyond flicker"""
@@ -38,7 +38,7 @@ SATURATED = 0.3
 """Share of time at the torque limit that hides stiffness and friction; chosen"""
 
 FOLLOWS = 0.3
-"""Share of a slow sweep below which a joint is stuck; chosen: a worn one makes 0.7"""
+"""Share of a slow sweep of a stuck joint; chosen: a worn one makes 0.7"""
 
 STUCK_ERROR = 0.17
 """[rad] following error of a stuck joint without sweep; chosen: twice a worn joint's sag"""
@@ -82,7 +82,7 @@ class Finding:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Case:
-    """Inputs of a rule for one joint; K targets."""
+    """Inputs of a rule; K targets."""
 
     row: JointMetrics
     healthy: JointMetrics | None
@@ -240,10 +240,7 @@ def torque_limit(case: _Case) -> Iterator[Finding]:
 
 
 def low_damping(case: _Case) -> Iterator[Finding]:
-    """Report a joint that rings after a move.
-
-    At its torque limit it rings only if every step overshoots.
-    """
+    """Report a joint that rings after a move; at its torque limit, in every step."""
     ratio, overshoot = case.row.damping_ratio, case.row.overshoot
     if ratio is None or ratio.high is None or overshoot is None or not case.moves:
         return

@@ -1,4 +1,4 @@
-"""A calibration: tool displacement of one arm, its uncertainty, and its file."""
+"""A calibration: displacement, uncertainty and file."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from rejoint.system.statistics import CONFIDENCE
 from rejoint.system.tomltable import read_sealed, write_sealed
 
 GEOMETRY = ("offset", "axis", "tip", "mass", "com")
-"""Fields of an arm that a calibration was computed with"""
+"""Fields of an arm that a calibration depends on"""
 AIMING = 4
-"""Fixed-point steps of `Calibration.aim`; chosen: each divides the rest by about twenty"""
+"""Fixed-point steps of `Calibration.aim`; chosen"""
 _NEAR = 7.81  # squared distance by its covariance that 95 % of draws of three coordinates keep (chi-squared)
 _DRAWS = 256  # of the tool for an interval (chosen: ends repeat within a tenth of the width; the same draws each time)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Calibration:
-    """What a measurement from outside found about one arm, in its base frame.
+    """What was measured about one arm, in its base frame.
 
     Examples
     --------
@@ -58,15 +58,15 @@ class Calibration:
     before: float
     """[m] mean true error by encoders"""
     after: float
-    """[m] the same by this calibration, each point predicted from the others"""
+    """[m] the same by this calibration, points left out"""
     used: bool
-    """whether the correction clearly helped at points left out; else nothing is corrected"""
+    """whether the correction helped at points left out; else it is off"""
     floor: float
-    """[m] sigma, per coordinate, that the model does not explain"""
+    """[m] sigma, per coordinate, beyond the model"""
     suspects: tuple[int, ...] = ()
-    """rows, from 0, that do not fit the others"""
+    """rows, from 0, that do not fit"""
     left_out: Array = field(default_factory=lambda: np.zeros((0, 2)))
-    """(M, 2) [m] errors ``before`` and ``after`` of each point"""
+    """(M, 2) [m] errors ``before`` and ``after``"""
 
     def __post_init__(self) -> None:
         for name in ("covariance", "frame", "left_out"):
@@ -76,7 +76,7 @@ class Calibration:
 
     @property
     def missed(self) -> Array:
-        """(M,) [m] error at each measured point, predicted from the others."""
+        """(M,) [m] error at each point, predicted from the others."""
         return self.left_out[:, 1] if len(self.left_out) else np.array([self.after])
 
     @property
@@ -91,16 +91,16 @@ class Calibration:
     def tool(self, position: Array, approach: Array | None = None) -> Array:
         """Tool (..., 3) [m] at the encoders' ``position`` (..., n) [rad].
 
-        ``approach`` (..., n) [rad] is the position before the last motion, if known.
+        ``approach`` (..., n) [rad]: position before the last motion, if known.
         """
         return self.displacement.tool(self.arm, position, approach)
 
     def shift(self, position: Array, approach: Array | None = None) -> Array:
-        """Return the displacement (..., 3) [m] of the tool from the encoders'."""
+        """Displacement (..., 3) [m] of the tool from the encoders'."""
         return self.tool(position, approach) - tcp_position(self.arm, position)
 
     def spread(self, position: Array) -> Array:
-        """Covariance (..., 3, 3) [m^2] of `tool`: parameters, floating joints, and the rest.
+        """Covariance (..., 3, 3) [m^2] of `tool`.
 
         Where a torque may have either sign, both flanks of the play count.
         """
@@ -118,7 +118,7 @@ class Calibration:
     ) -> tuple[Array, Array]:
         """95 % interval (...), (...) [m] of the distance between tool and ``target`` (..., 3) [m].
 
-        Default target: the encoders' tool. The lower bound is zero where the tool may be there.
+        Default target: the encoders' tool.
         """
         place = tcp_position(self.arm, position) if target is None else target
         ends = [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]
@@ -132,7 +132,6 @@ class Calibration:
         return np.asarray(self._distances(position, target, None).mean(axis=-1))
 
     def _distances(self, position: Array, target: Array | None, approach: Array | None) -> Array:
-        """Draws (..., d) [m] of that distance."""
         target = tcp_position(self.arm, position) if target is None else target
         root = np.linalg.cholesky(self.spread(position))
         draws = np.random.default_rng(0).standard_normal((_DRAWS, 3))
@@ -146,7 +145,7 @@ class Calibration:
     def aim(self, target: Array, start: Array) -> Array:
         """Tool (..., 3) [m] by encoders that puts the real one at ``target`` (..., 3) [m].
 
-        ``start`` (..., n) [rad] is the posture before. Without a correction it returns the target.
+        ``start`` (..., n) [rad] is the posture before.
         """
         target = np.asarray(target, dtype=float)
         if not self.used:
@@ -159,18 +158,18 @@ class Calibration:
         return command
 
     def aim_again(self, target: Array, position: Array, approach: Array | None = None) -> Array:
-        """Do the same as `aim`, once the arm has settled near ``target`` at ``position`` (..., n) [rad]."""
+        """Do the same once the arm has settled near ``target`` at ``position`` (..., n) [rad]."""
         return target - self.shift(position, approach) if self.used else np.array(target, dtype=float)
 
 
 def geometry_of(arm: Arm) -> dict[str, str]:
-    """Digest the fields of an arm that a calibration was computed with."""
+    """Digest the fields of an arm that a calibration depends on."""
     digests = law_digests(bare(arm))
     return {name: digests[name] for name in GEOMETRY}
 
 
 def check_arm(name: str, digests: dict[str, str], arm: Arm) -> None:
-    """Raise ContractError unless the digests of a calibration of arm ``name`` are those of ``arm``."""
+    """Raise ContractError unless the digests are those of ``arm``."""
     own = geometry_of(arm)
     other = [field for field in GEOMETRY if digests.get(field) != own[field]]
     if name == arm.name and not other:
@@ -209,7 +208,7 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
 
 
 def read_calibration(path: Path, arm: Arm) -> Calibration:
-    """Read the calibration of ``arm``; FileError if it is damaged, ContractError if it is of another arm."""
+    """Read a calibration; FileError if damaged, ContractError if of another arm."""
 
     def build(data: dict[str, Any]) -> Calibration:
         check_arm(str(data["arm"]), {str(k): str(v) for k, v in data["geometry"].items()}, arm)

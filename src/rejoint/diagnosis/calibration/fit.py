@@ -1,4 +1,4 @@
-"""From measurements to a calibration: fits under several priors; the likeliest is tested on points left out."""
+"""From measurements to a calibration: the likeliest of several priors, cross-validated."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ from rejoint.system.errors import InputError
 P = TypeVar("P", bound=Fittable)
 
 FOLDS = 12
-"""Groups of postures for cross-validation; chosen for time"""
+"""Groups for cross-validation; chosen for time"""
 SURE = 1.3
-"""Standard errors by which a correction must help at points left out; chosen: nine in ten"""
+"""Standard errors by which a correction must help; chosen"""
 LEAST = 1e-4
 """[m] least useful gain; chosen"""
 ASTRAY = 0.04
-"""Share of an arm's summed link lengths: errors above it mean wrong units, columns or frames; chosen"""
+"""Error, as a share of summed link lengths, of wrong units, columns or frames; chosen"""
 SAME = np.radians(0.5)
 """[rad] within which rows are of one posture; chosen"""
 WRONG = 2.9
@@ -58,10 +58,10 @@ class LeftOut:
     after: Array
     """(M,) [m] distance from the calibration's tool"""
     surprise: Array
-    """(M,) squared Mahalanobis distance: chi-squared, one degree of freedom per coordinate"""
+    """(M,) squared Mahalanobis distance: chi-squared"""
 
     def helps(self, arm: Arm, measured: Measurements) -> bool:
-        """Whether the correction is clearly nearer than the encoders."""
+        """Whether the correction clearly beats the encoders."""
         postures = np.unique(measured.posture)
         gain = np.array([(self.before - self.after)[measured.posture == p].mean() for p in postures])
         noise = float((measured.sigma**2).mean() + floor_of(arm) ** 2)
@@ -71,19 +71,19 @@ class LeftOut:
         return bool(gain.mean() > max(SURE * np.sqrt(spread / len(gain)), LEAST))
 
     def suspects(self, known: NDArray[np.bool_]) -> tuple[int, ...]:
-        """Rows, the worst first, of points that do not fit the others; ``known`` (M, 3) where measured."""
+        """Rows of points that do not fit the others, the worst first; ``known`` (M, 3) where measured."""
         freedom = known.sum(axis=1)
         excess = self.surprise / np.where(freedom > 0, chdtri(np.maximum(freedom, 1), ndtr(-WRONG)), np.inf)
         return tuple(int(i) for i in np.argsort(-excess) if excess[i] > 1.0)
 
 
 def astray(arm: Arm, after: Array) -> bool:
-    """Whether over a fifth of the errors ``after`` (M,) [m] are too large for right points."""
+    """Whether over a fifth of the errors ``after`` (M,) [m] are too large."""
     return bool(np.quantile(after, 0.8, method="lower") > ASTRAY * reach(arm))
 
 
 def disturbed(suspects: tuple[int, ...], points: int) -> bool:
-    """Whether three and a quarter of the ``points`` do not fit: the setup moved."""
+    """Whether so many ``points`` do not fit that the setup has moved."""
     return len(suspects) >= max(3, points / 4)
 
 
@@ -98,7 +98,7 @@ def merge_repeats(measured: Measurements) -> Measurements:
 
 
 def leave_out(problem: Fittable, fitted: Fitted) -> LeftOut:
-    """Predict each posture from fits to the others, with a displacement and without."""
+    """Predict each posture from fits to the others, with and without displacement."""
     before, after, surprise = np.zeros((3, len(problem.postures)))
     for out in folds(problem.postures):
         refit, held = solve(problem.rows(~out), fitted.vector), problem.rows(out)
@@ -124,12 +124,12 @@ CASES = (
     PriorCase(tilt=ASKEW, odds=-0.5),
     PriorCase(twist=1.0, odds=-1.0),
 )
-"""A worn arm, a healthy one, a tilted base, and links unlike their description"""
+"""A worn arm, a healthy one, a tilted base, and inexact links"""
 AGE = 0.3
-"""Growth of the parameters since an earlier calibration, in sigmas of the prior; chosen"""
+"""Change since an earlier calibration, in sigmas of the prior; chosen"""
 
 LINKS_FROM = 5
-"""Postures from which errors of links are fitted; chosen"""
+"""Postures from which links are fitted; chosen"""
 
 
 def fit(
@@ -137,7 +137,7 @@ def fit(
 ) -> Calibration:  # fmt: skip
     """Fit a displacement to ``measurements`` of ``arm`` and test it on points left out.
 
-    ``prior`` is an earlier calibration of this arm (else ContractError). InputError for unusable measurements.
+    ``prior``: an earlier calibration (ContractError for another arm's). InputError for unusable measurements.
     """
     if measurements.position.shape[1] != arm.joints:
         raise InputError(
@@ -161,7 +161,7 @@ def fit(
 def beliefs_of(
     arm: Arm, layout: DisplacementLayout, prior: Calibration | None, postures: int
 ) -> list[tuple[Belief, float]]:
-    """Return the priors for so many ``postures``, each with its log odds."""
+    """Priors for so many ``postures``, with log odds."""
     if prior is not None:
         prior.require(arm)
         return [(earlier(arm, layout, prior), 0.0)]
@@ -170,7 +170,7 @@ def beliefs_of(
 
 
 def earlier(arm: Arm, layout: DisplacementLayout, prior: Calibration) -> Belief:
-    """Return an earlier calibration as prior, widened by `AGE`."""
+    """Earlier calibration as prior, widened by `AGE`."""
     base = belief(arm, layout, PriorCase())
     drift = AGE * np.sqrt(1.0 / np.diag(base.precision))
     for name, sigma in (("offset", OFFSET), ("play", PLAY_SIGMA)):
@@ -187,7 +187,7 @@ def earlier(arm: Arm, layout: DisplacementLayout, prior: Calibration) -> Belief:
 
 
 def likeliest(problem: P, beliefs: Sequence[tuple[Belief, float]]) -> tuple[P, Fitted]:
-    """Solve a problem under each prior; return the likeliest, given their log odds."""
+    """Solve a problem under each prior with its log odds; return the likeliest."""
     solved = []
     for one, odds in beliefs:
         own, tilt = replace(problem, belief=one), problem.layout.at("tilt").start
@@ -198,7 +198,7 @@ def likeliest(problem: P, beliefs: Sequence[tuple[Belief, float]]) -> tuple[P, F
 
 
 def judged(problem: Fittable, fitted: Fitted, measured: Measurements, date: str) -> Calibration:
-    """Test a fit to ``measured`` on rows left out, and make a calibration of it."""
+    """Make a calibration of a fit to ``measured``, tested on rows left out."""
     body, tried = slice(0, problem.layout.body), leave_out(problem, fitted)
     return Calibration(
         arm=problem.arm, displacement=problem.displacement(fitted.vector), covariance=fitted.covariance[body, body],

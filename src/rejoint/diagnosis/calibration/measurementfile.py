@@ -1,8 +1,8 @@
 """Files of measurements: Parquet and CSV.
 
 Columns: ``position.JOINT``; optional ``approach.JOINT``; ``x``, ``y``, ``z``, ``sigma`` of the tool; ``posture``
-number. Parquet is in rad and m; in CSV each name ends with its unit (``position.joint1_deg``, ``X [mm]``). An empty
-cell was not measured. Other columns are ignored.
+number. Parquet is in rad and m; in CSV each name ends with its unit (``position.joint1_deg``, ``X [mm]``). Empty cells
+and other columns are allowed.
 """
 
 from __future__ import annotations
@@ -53,7 +53,6 @@ class Columns:
     """name to column and unit"""
 
     def __len__(self) -> int:
-        """Count the rows."""
         return len(self.sheet)
 
     def line(self, row: int) -> int:
@@ -65,7 +64,7 @@ class Columns:
         return self.sheet.words(self.places[name][0])
 
     def numbers(self, name: str) -> Array:
-        """Column (rows,) in SI units, NaN for an empty cell; FileError for other words."""
+        """Column (rows,) in SI units, NaN for empty cells; FileError for text."""
         column, unit = self.places[name]
         values = self.sheet.numbers([column])[:, 0]
         if np.isinf(values).any():
@@ -86,7 +85,7 @@ class Columns:
 def read_columns(path: Path, meanings: Mapping[str, Units | None], needed: Collection[str]) -> Columns:
     """Read a table with columns ``meanings``: name to units, or None for words.
 
-    FileError for a missing ``needed`` column, a duplicate, or an unknown unit.
+    FileError for a missing ``needed`` column, a duplicate, or a wrong unit.
     """
     require_file(path, SHEET_MOST, "give fewer rows")
     sheet = read_sheet(path)
@@ -136,7 +135,7 @@ _REMEDY = "measure again, or take another file"
 
 
 def write_measurements(path: Path, arm: Arm, measured: Measurements, session: MeasuringSession | None = None) -> None:
-    """Write measurements of ``arm`` as Parquet; ``session``: their progress if interrupted."""
+    """Write measurements as Parquet; ``session``: progress if interrupted."""
     columns: dict[str, Array] = {"posture": measured.posture.astype(float), "sigma": measured.sigma}
     for group in ("position", "approach"):
         columns |= {f"{group}.{name}": getattr(measured, group)[:, i] for i, name in enumerate(arm.joint_names)}
@@ -150,9 +149,9 @@ def write_measurements(path: Path, arm: Arm, measured: Measurements, session: Me
 
 
 def read_measurements(path: Path, arm: Arm, *, frame: str = "base", source: str = "tracker") -> Measurements:
-    """Read measurements of ``arm``, CSV or Parquet; FileError if unusable.
+    """Read measurements, CSV or Parquet; FileError if unusable.
 
-    For CSV, ``frame`` and ``source`` come from the caller.
+    ``frame`` and ``source`` are for CSV.
     """
     if path.suffix.lower() != ".csv":
         return read_table(path, arm, "measurements", partial(_measured, arm=arm))[0]
@@ -175,7 +174,7 @@ def _measured(
 
 
 def write_table(path: Path, arm: Arm, what: str, columns: Mapping[str, Any], about: Mapping[str, Any]) -> None:
-    """Write ``columns`` measured on ``arm`` as Parquet with header ``about`` and a digest."""
+    """Write ``columns`` as Parquet with header ``about`` and a digest."""
     table = pa.table(dict(columns))
     header = {"format": FORMAT, "what": what, "arm": arm.name, "joints": list(arm.joint_names), **about}
     header["digest"] = _digest(table, header)
@@ -184,7 +183,7 @@ def write_table(path: Path, arm: Arm, what: str, columns: Mapping[str, Any], abo
 
 
 def read_table(path: Path, arm: Arm, what: str, build: Callable[[dict[str, list[Any]], dict[str, Any]], T]) -> T:
-    """Return what ``build`` makes of such a table's columns and header; FileError for another kind."""
+    """Apply ``build`` to a table's columns and header; FileError for another kind."""
     with readable(path, what):
         table = read_parquet(path, _REMEDY)
         header = json.loads((table.schema.metadata or {}).get(_KEY, b"{}"))
@@ -199,7 +198,7 @@ def read_table(path: Path, arm: Arm, what: str, build: Callable[[dict[str, list[
 
 @contextmanager
 def readable(path: Path, what: str) -> Iterator[None]:
-    """Turn any error from a file that is no ``what`` into a FileError."""
+    """Turn errors from a file that is no ``what`` into FileError."""
     try:
         yield
     except FileNotFoundError as error:
@@ -257,7 +256,6 @@ def _from_csv(path: Path, arm: Arm, frame: str, source: str) -> Measurements:
 
 
 def _require_units(path: Path, arm: Arm, measured: Measurements, lines: list[int]) -> None:
-    """Raise FileError for joint positions unlike degrees, or points unlike millimetres."""
     beyond = (measured.position < arm.lower - BEYOND) | (measured.position > arm.upper + BEYOND)
     if beyond.any():
         row, joint = (int(index) for index in np.argwhere(beyond)[0])

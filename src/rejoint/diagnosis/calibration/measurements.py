@@ -1,7 +1,6 @@
-"""Measurements of the real tool position.
+"""Measurements of the real tool position, at rest.
 
-A row holds the encoders of the stationary arm and the tool in the measuring frame. Rows of one ``posture`` approach it
-from different sides, which shows play.
+Rows of one ``posture`` approach it from different sides, which shows play.
 """
 
 from __future__ import annotations
@@ -59,7 +58,6 @@ class Measurements:
             raise InputError("measurements: joint positions must be finite and standard deviations positive")
 
     def __len__(self) -> int:
-        """Count the measurements."""
         return len(self.sigma)
 
     def rows(self, where: NDArray[np.bool_] | NDArray[np.intp]) -> Measurements:

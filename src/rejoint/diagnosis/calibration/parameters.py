@@ -2,8 +2,8 @@
 
 Torques and compliances scale with the size of the arm, lengths with its reach (`rejoint.arms.workspace`).
 
-Gravity presses a loaded joint to one flank of its play. An unloaded joint floats: its play is a scatter along the
-direction in which it moves the tool, not a shift. Isotropic noise would trust the wrong coordinates.
+Gravity presses a loaded joint to one flank of its play. An unloaded joint floats: its play is an anisotropic scatter,
+not a shift.
 """
 
 from __future__ import annotations
@@ -20,18 +20,17 @@ from rejoint.arms.rotations import rotation_about
 from rejoint.arms.workspace import length_size, torque_size
 
 OFFSET = np.radians(0.6)
-"""[rad] sigma of an encoder's zero; chosen: homing marks and one gear tooth"""
+"""[rad] sigma of an encoder's zero; chosen"""
 COMPLIANCE = 0.015
 """[rad/(N m)] mean and sigma of a joint's compliance on a myCobot 280; chosen"""
 PLAY, PLAY_SIGMA = np.radians(0.9), np.radians(0.7)
 """[rad] mean and sigma of a joint's play (SO-ARM100 issue 134: about 1 deg on healthy servos)"""
 LEVEL, ASKEW = np.radians(0.1), np.radians(6.0)
-"""[rad] sigma of the tilt, per horizontal axis, of a base on a table and of a tilted one; chosen"""
+"""[rad] sigma of the tilt, per horizontal axis, of a base on a table and a tilted one; chosen"""
 MASS = 0.12
 """[1] sigma of each link's mass, relative to its description; chosen"""
 CARRY, CARRY_SIGMA = 0.2, 0.3
-"""[1] mean and sigma of the share of half its play by which a floating joint leads its last motion; chosen on emulated
-worn arms"""
+"""[1] mean and sigma of a floating joint's lead over its last motion, by half its play; chosen on emulated worn arms"""
 SHIFT, TURN = 1e-3, np.radians(0.3)
 """[m] over the reach of a myCobot 280, and [rad]: sigma of each link's description; chosen"""
 PLACE, ORIENTATION = 1.0, 3.0
@@ -94,7 +93,7 @@ class Belief:
 
 @dataclass(frozen=True, kw_only=True)
 class PriorCase:
-    """A kind of arm with its prior; the measurements select one."""
+    """A kind of arm with its prior."""
 
     play: float = PLAY
     """[rad]"""
@@ -111,7 +110,7 @@ class PriorCase:
 
 
 def belief(arm: Arm, layout: DisplacementLayout, case: PriorCase) -> Belief:
-    """Return the prior of an arm of some case."""
+    """Prior of an arm of some case."""
     n, sigma, mean = arm.joints, np.zeros(layout.size), np.zeros(layout.size)
     lower, upper = np.full(layout.size, -np.inf), np.full(layout.size, np.inf)
     if case.twist == 0.0:
@@ -151,7 +150,7 @@ def gravity_of(tilt: Array) -> Array:
 
 
 def displacement_of(layout: DisplacementLayout, vector: Array) -> Displacement:
-    """Return the displacement of the vector (k,)."""
+    """Displacement of the vector (k,)."""
     return Displacement(
         offset=vector[layout.at("offset")], compliance=vector[layout.at("compliance")], play=vector[layout.at("play")],
         twist=vector[layout.at("twist")].reshape(layout.joints + 1, 6), gravity=gravity_of(vector[layout.at("tilt")]),
@@ -160,7 +159,7 @@ def displacement_of(layout: DisplacementLayout, vector: Array) -> Displacement:
 
 
 def vector_of(layout: DisplacementLayout, displacement: Displacement) -> Array:
-    """Turn a displacement into the vector; the pose of a frame is zero."""
+    """Turn a displacement into the vector, with zero pose."""
     vector = np.zeros(layout.size)
     for name in ("offset", "compliance", "play", "carry"):
         vector[layout.at(name)] = getattr(displacement, name)
@@ -171,9 +170,9 @@ def vector_of(layout: DisplacementLayout, displacement: Displacement) -> Array:
 
 
 FLOOR = 0.5e-3
-"""[m] over the reach of a myCobot 280, sigma of unexplained displacement; chosen on emulated worn arms"""
+"""[m] over the reach of a myCobot 280, sigma of unexplained displacement; chosen"""
 SCATTER = 1.0 / 3.0
-"""Variance of a floating joint by the square of half its play: a third for a uniform distribution; chosen"""
+"""Variance of a floating joint by the square of half its play; chosen: uniform distribution"""
 _STEP = 1e-6  # [rad] for the derivative of the direction of gravity
 _DRAWS = ndtri((np.arange(64) + 0.5) / 64)  # of a torque that is not known exactly
 
@@ -182,10 +181,10 @@ def linearised(
     arm: Arm, layout: DisplacementLayout, vector: Array, position: Array, approach: Array | None = None, *,
     flanks: bool = True,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Return the tool (M, 3) [m] at ``position`` (M, n) [rad] and its derivative (M, 3, k) by the arm's parameters.
+    """Tool (M, 3) [m] at ``position`` (M, n) [rad] and its derivative (M, 3, k) by the parameters.
 
-    ``approach`` (M, n) [rad] as in `Measurements`. Without ``flanks`` the derivative ignores changes of flank, a slope
-    that holds within `FLOATING` alone.
+    ``approach`` (M, n) [rad] as in `Measurements`; ``flanks``: with changes of flank, whose slope holds within
+    `FLOATING`.
     """
     displacement = displacement_of(layout, vector)
     moved, loads = displacement.moved(arm), link_loads(arm, position)
@@ -212,7 +211,7 @@ def linearised(
 
 
 def torque_slopes(layout: DisplacementLayout, vector: Array, loads: Array) -> Array:
-    """Return the derivative (M, n, k) [N m] of the torques by the parameters, from `link_loads`."""
+    """Return derivative (M, n, k) [N m] of the torques by the parameters, from `link_loads`."""
     displacement, tilt = displacement_of(layout, vector), vector[layout.at("tilt")]
     slopes = np.zeros((*loads.shape[:2], layout.body))
     slopes[..., layout.at("mass")] = loads @ displacement.gravity
@@ -223,7 +222,7 @@ def torque_slopes(layout: DisplacementLayout, vector: Array, loads: Array) -> Ar
 
 
 def link_loads(arm: Arm, position: Array) -> Array:
-    """Return each link's weight on each joint: (M, n joints, n links, 3) [N m / (m/s^2)]."""
+    """Each link's weight on each joint: (M, n joints, n links, 3) [N m / (m/s^2)]."""
     f = frames(arm, position)
     com = f.position + np.einsum("mnij,nj->mni", f.rotation, arm.com)
     away = com[:, None] - f.position[:, :, None]
@@ -246,7 +245,7 @@ def _by_twist(arm: Arm, joints: Array, tool: Array) -> Array:
 def scatter(arm: Arm, displacement: Displacement, position: Array, doubt: Array | None = None) -> Array:
     """Covariance (..., 3, 3) [m^2] of the tool by floating joints at ``position`` (..., n) [rad].
 
-    With ``doubt`` (..., n) [N m], sigma of each torque, also by joints that may lie on the other flank.
+    ``doubt`` (..., n) [N m], sigma of each torque, adds joints that may be on the other flank.
     """
     lever, torque = position_kinematics(arm, position)[1], displacement.torque(arm, position)
     side = np.tanh(torque / FLOATING)
@@ -260,5 +259,5 @@ def scatter(arm: Arm, displacement: Displacement, position: Array, doubt: Array 
 
 
 def floor_of(arm: Arm) -> float:
-    """[m] sigma of each coordinate by unexplained displacement, on an arm of this size."""
+    """[m] sigma of each coordinate by unexplained displacement."""
     return FLOOR * length_size(arm)

@@ -1,8 +1,8 @@
-"""Postures to measure at: the most informative first, with the error that they leave.
+"""Postures to measure at, the most informative first.
 
 Chosen one by one, in the region of targets and elsewhere, for the largest gain of information (D-optimal design;
-Atkinson and Donev, Optimum Experimental Designs, 1992, chapter 11). All joints approach upwards and downwards by turns,
-so that each joint's last motion is known.
+Atkinson and Donev, Optimum Experimental Designs, 1992, chapter 11). All joints approach alternately from below and
+above.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ from rejoint.system.errors import InputError
 CANDIDATES = 300
 """Postures to choose from; chosen"""
 BEFORE = np.radians(6.0)
-"""[rad] distance of the approach, per joint; chosen: three times the play"""
+"""[rad] of each joint's approach; chosen: three times the play"""
 MARGIN = 0.05
 """Part of a joint's range kept from each limit; chosen"""
 CLEARANCE = 0.03
 """[m] above the floor on an arm of the reach of a myCobot 280; chosen: worn arms sag"""
 ENOUGH = 1.1
-"""Expected error, relative to that of all points, at which fewer suffice; chosen"""
+"""Relative expected error at which fewer points suffice; chosen"""
 WITHIN = 100
 """Candidates in the region of targets; chosen"""
 _PLACES = 64  # postures over which the error is expected (chosen)
@@ -56,7 +56,7 @@ class Suggestion:
     posture: NDArray[np.int64]
     """(K,) visits of one posture share a number"""
     expected: Array
-    """(K + 1,) [m] root mean square true error left after so many"""
+    """(K + 1,) [m] rms true error left after so many"""
 
     @property
     def fewest(self) -> int:
@@ -76,7 +76,7 @@ def suggest(
 ) -> Suggestion:  # fmt: skip
     """Choose ``count`` visits for measurements of ``sigma`` [m] per coordinate.
 
-    Each posture gets ``visits`` (1 or 2) from opposite sides. InputError for too few free postures.
+    Each posture gets ``visits`` (1 or 2). InputError for too few free postures.
     """
     layout = DisplacementLayout(joints=arm.joints)
     known = earlier(arm, layout, prior) if prior is not None else belief(arm, layout, PriorCase(twist=1.0))
@@ -109,7 +109,7 @@ def suggest(
 def _candidates(arm: Arm, seed: int) -> Array:
     """Free postures (C, n) [rad] in the region of targets and elsewhere, approachable from both sides.
 
-    Elsewhere no joint carries more than its largest load in the region.
+    Elsewhere no joint carries more than in the region.
     """
     rng = np.random.default_rng(seed)
     solution = solve_position(arm, arm.targets.sample(rng, (CANDIDATES,)), arm.rest)
@@ -143,7 +143,7 @@ def _seen(arm: Arm, known: Belief, postures: Array, side: float, sigma: float) -
 
 
 def most_telling(slope: Array, noise: Array, covariance: Array, chosen: list[int]) -> int:
-    """Return the candidate, none of the ``chosen``, that adds most to the determinant of the information.
+    """Candidate, not yet ``chosen``, that adds most to the determinant of the information.
 
     Candidates have ``slope`` (C, d, k) and ``noise`` (C, d, d), the unknowns ``covariance`` (k, k).
     """

@@ -1,4 +1,4 @@
-"""A wedge under the base: gravity then presses floating joints to one side of their play."""
+"""A wedge under the base presses floating joints to one side of their play."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.parameters import scatter
 
 WEDGE = np.radians(2.0)
-"""[rad] slope of the wedge; chosen: half a degree suffices on emulated arms, `python -m benchmarks.wedge`"""
+"""[rad] slope of the wedge; chosen, see `python -m benchmarks.wedge`"""
 RISE = 100.0 * float(np.tan(WEDGE))
 """[mm] rise on 10 cm"""
 WORTH = 0.8

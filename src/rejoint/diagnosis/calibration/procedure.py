@@ -29,12 +29,11 @@ from rejoint.system.stopping import check, noted
 SPAN = 0.5
 """[s] of a tracker's newest rows that are averaged; chosen"""
 PATIENCE = 5.0
-"""[s] without new rows after which a tracker counts as off; chosen"""
+"""[s] without new rows of a tracker that is off; chosen"""
 TRACK_MOST = 1000 * MEGABYTE
 """Largest tracker file; chosen: a day at 100 Hz"""
 FAR = 0.08
-"""Share of an arm's summed link lengths beyond which a coordinate is asked for again; chosen: three times a worn arm's
-error"""
+"""Share of an arm's summed link lengths of an implausible coordinate; chosen: three times a worn arm's error"""
 _TAIL = 64_000  # [bytes] of its end (chosen: 500 rows)
 _UNITS = {"m": 1.0, "mm": 1e-3}
 
@@ -63,7 +62,7 @@ class Gauge(Protocol):
     """[m] per coordinate"""
 
     def measure(self, robot: Robot, stop: Stop) -> Array:
-        """Return the tool (3,) [m]; NaN where a coordinate was not measured."""
+        """Tool (3,) [m]; NaN where a coordinate was not measured."""
 
 
 @dataclass(kw_only=True)
@@ -80,7 +79,7 @@ class EmulatedGauge:
         self._rng = np.random.default_rng([self.seed, 13])
 
     def measure(self, robot: Robot, stop: Stop) -> Array:  # noqa: ARG002 - it knows by itself
-        """Return the true tool (3,) [m] plus noise."""
+        """Return true tool (3,) [m] plus noise."""
         place = robot.true_tcp()[0]
         if not np.isfinite(place).all():
             raise InputError(
@@ -91,10 +90,10 @@ class EmulatedGauge:
 
 @dataclass(kw_only=True)
 class TouchGauge:
-    """Asks the user, who measures with a ruler, a calliper or a height gauge."""
+    """Asks the user, who measures with a ruler."""
 
     ask: Callable[[Stop], str]
-    """returns the user's answer: x, y, z in millimetres, ``-`` for one not measured"""
+    """returns the answer: x, y, z in millimetres, ``-`` for one not measured"""
     complain: Callable[[str], None]
     """prints why an answer is unusable"""
     sigma: float = NOISE
@@ -102,7 +101,7 @@ class TouchGauge:
     frame: str = "base"
 
     def measure(self, robot: Robot, stop: Stop) -> Array:
-        """Ask for the tool (3,) [m]; a point far from the encoders must be repeated."""
+        """Ask for the tool (3,) [m]; implausible points must be repeated."""
         doubted = None
         while True:
             answer = self.ask(stop)
@@ -128,7 +127,7 @@ def _same(point: Array, other: Array | None) -> bool:
 def parse_point(text: str) -> Array:
     """Read x, y and z in millimetres, ``-`` for one not measured; returns (3,) [m].
 
-    Between blanks or semicolons a comma is a decimal comma.
+    Between blanks or semicolons a comma is a decimal point.
     """
     cells = [cell.strip(",") for cell in text.replace(";", " ").split() if cell.strip(",")]
     cells = cells[0].split(",") if len(cells) == 1 else [cell.replace(",", ".") for cell in cells]
@@ -166,7 +165,7 @@ class TrackerGauge:
         self._newest()
 
     def measure(self, robot: Robot, stop: Stop) -> Array:  # noqa: ARG002 - it only has to stand
-        """Return the mean (3,) [m] of the next `SPAN` seconds."""
+        """Mean (3,) [m] of the next `SPAN` seconds."""
         before = self._newest()[-1, 0]
         waited = 0.0
         while waited < PATIENCE + SPAN:
@@ -213,11 +212,11 @@ SETTLE = 1.5
 WINDOW = 0.4
 """[s] at its end whose readings are averaged; chosen"""
 MOVED = np.radians(2.0)
-"""[rad] that a joint may move while it is measured; chosen: a centimetre at the tool"""
+"""[rad] of motion during a measurement; chosen: a centimetre at the tool"""
 TRIES = 3
 """Attempts per posture if the arm moved; chosen"""
 OnMeasured = Callable[[Measurements, int], object]
-"""Called after each posture with all measurements and the number of postures done"""
+"""Called after each posture with all measurements and the number done"""
 
 
 def measure(
@@ -227,8 +226,7 @@ def measure(
 ) -> Measurements:  # fmt: skip
     """Move one arm to the postures of ``plan`` and measure the tool there; resumes ``begun``.
 
-    Repeats a posture in which the arm moved. InputError for no measurements, NotReadyError for a moving arm; errors of
-    `run`.
+    InputError for no measurements, NotReadyError for a moving arm; errors of `run`.
     """
     total = len(plan.posture)
     earlier, done = (None, 0) if begun is None else (begun[0], begun[1].answered)
@@ -272,7 +270,7 @@ class StandingDrive:
             self._sent = begin(robot, self._limits, stance).command[-1]
 
     def stand(self, posture: Array, before: Array) -> tuple[Array, Array]:
-        """Go to ``before`` (n,) [rad], then to ``posture`` (n,); return the readings (n,) here and there."""
+        """Go to ``before`` (n,) [rad], then to ``posture`` (n,); return both readings."""
         came = self._go(before, settle=0.3)
         return _reading(self._go(posture, settle=SETTLE)), came.position[-1, 0]
 
@@ -281,7 +279,7 @@ class StandingDrive:
         self._go(self.robot.arm.rest, settle=0.0)
 
     def _go(self, posture: Array, settle: float) -> Recording:
-        """Go to a posture (n,) [rad] around obstacles or over rest; return the last recording."""
+        """Go to a posture (n,) [rad] around obstacles; return the last recording."""
         arm, start = self.robot.arm, self._sent[0]
         try:
             ways = [plan(arm, start, posture)]
@@ -300,7 +298,7 @@ class StandingDrive:
 
 
 def _measured(drive: StandingDrive, gauge: Gauge, plan: Suggestion, number: int) -> tuple[Array, Array, Array] | None:
-    """Return readings (n,) at one posture and before, and the tool (3,); None: left out or unreachable."""
+    """Return readings (n,) there and before, and the tool (3,); None: left out or unreachable."""
     robot, again = drive.robot, ""
     for _ in range(TRIES):
         try:
@@ -334,7 +332,7 @@ def _reading(recording: Recording) -> Array:
 
 
 def reversals(arm: Arm, measured: Measurements, frame: Array) -> tuple[float, ...]:
-    """Reversal values [m] at the tool (ISO 230-2) of postures measured from both sides, less the encoders' part.
+    """Reversal values [m] at the tool (ISO 230-2) of postures with two approaches, less the encoders' part.
 
     ``frame`` (4, 4) is the measuring frame in the base.
     """

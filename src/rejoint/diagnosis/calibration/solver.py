@@ -1,6 +1,6 @@
-"""Maximum a posteriori parameters for some measurements, by bounded least squares.
+"""Maximum a posteriori parameters by bounded least squares.
 
-Residuals are weighted by the noise of measuring, model and floating joints; the loss is Huber's (1964).
+The noise is that of measuring, model and floating joints; the loss is Huber's (1964).
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from rejoint.diagnosis.calibration.parameters import (
 )
 
 HUBER = 2.8
-"""Residual in standard deviations from which the loss is linear: 95 % of three normal coordinates"""
+"""Residual [sigma] from which the loss is linear: 95 % of three normal coordinates"""
 SLIP, MOST_SLIPS = 30.0, 0.25
-"""Residual in standard deviations of an outlier, and the largest share of outliers; chosen"""
+"""Residual [sigma] of an outlier, and the largest share of outliers; chosen"""
 ITERATIONS = 40
 _ROUNDS = 5  # of a descent with the noise as it was, at most
 _SMALL = 1e-4  # relative gain of a step, or of a round, after which the fit ends
@@ -48,18 +48,18 @@ class Fitted:
     frame: Array
     """(4, 4) pose of the measuring frame in the base"""
     evidence: float
-    """log marginal likelihood up to a constant of the measurements (Laplace's approximation)"""
+    """log marginal likelihood up to a constant (Laplace's approximation)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fittable(ABC):
-    """A problem: R residuals of d numbers each, their first three a position, and a prior."""
+    """A problem: R residuals of d numbers, the first three a position, and a prior."""
 
     arm: Arm
     layout: DisplacementLayout
     belief: Belief
     huber: float
-    """residual in standard deviations from which the loss is linear"""
+    """residual [sigma] from which the loss is linear"""
 
     @property
     @abstractmethod
@@ -73,7 +73,7 @@ class Fittable(ABC):
 
     @abstractmethod
     def rows(self, where: NDArray[np.bool_]) -> Self:
-        """Return the problem of some residuals."""
+        """Problem of some residuals."""
 
     @abstractmethod
     def pose(self, vector: Array) -> Array:
@@ -85,11 +85,11 @@ class Fittable(ABC):
 
     @abstractmethod
     def noise(self, vector: Array) -> Array:
-        """Covariance (R, d, d) of a residual for known parameters; uncorrelated where not measured."""
+        """Covariance (R, d, d) of a residual for known parameters."""
 
     @abstractmethod
     def uncorrected(self, out: NDArray[np.bool_], start: Array) -> Array:
-        """Residuals (r, d) of the rows ``out`` by encoders alone, frame fitted to the others from ``start`` (k,)."""
+        """Residuals (r, d) of rows ``out`` by encoders alone; the others fit the frame from ``start`` (k,)."""
 
     def misfit(self, vector: Array) -> Array:
         """Residuals (R, d)."""
@@ -119,7 +119,7 @@ class CalibrationProblem(Fittable):
         return self.measurements.posture
 
     def rows(self, where: NDArray[np.bool_]) -> CalibrationProblem:
-        """Return the problem of some points."""
+        """Problem of some points."""
         return replace(self, measurements=self.measurements.rows(where))
 
     def uncorrected(self, out: NDArray[np.bool_], start: Array) -> Array:  # noqa: ARG002 - it needs no guess
@@ -146,7 +146,7 @@ class CalibrationProblem(Fittable):
         return pose
 
     def residual(self, vector: Array) -> tuple[Array, Array]:
-        """Predicted less measured coordinates (M, 3) [m], zero where not measured, and derivative (M, 3, k)."""
+        """Predicted less measured coordinates (M, 3) [m], zero where not measured; derivative (M, 3, k)."""
         m = self.measurements
         tool, own = linearised(self.arm, self.layout, vector, m.position, m.approach)
         pose, derivative = self.pose(vector), np.zeros((*tool.shape, self.layout.size))
@@ -212,13 +212,12 @@ def solve(problem: Fittable, start: Array, iterations: int = ITERATIONS) -> Fitt
 
 
 def _plausible(whitener: Array, residual: Array) -> NDArray[np.bool_]:
-    """Which residuals (R, d) are no outliers."""
     near: NDArray[np.bool_] = np.linalg.norm(np.einsum("mij,mj->mi", whitener, residual), axis=1) < SLIP
     return near if near.mean() >= 1.0 - MOST_SLIPS else np.ones_like(near)
 
 
 def _weighed(problem: Fittable, whitener: Array, residual: Array) -> tuple[Array, Array, Array]:
-    """White residuals (R, d), what makes half their squares the loss (R, 1), and its slope (R, 1)."""
+    """White residuals (R, d), factor (R, 1) to half their squared loss, and its slope (R, 1)."""
     white = np.einsum("mij,mj->mi", whitener, residual)
     length = np.maximum(np.linalg.norm(white, axis=1, keepdims=True), 1e-12)
     weight = np.minimum(1.0, problem.huber / length)
@@ -226,7 +225,7 @@ def _weighed(problem: Fittable, whitener: Array, residual: Array) -> tuple[Array
 
 
 def search(problem: Fittable) -> Fitted:
-    """Solve from upright and tilted bases: a slight tilt changes the side of a floating joint."""
+    """Solve from upright and tilted bases: a slight tilt moves a floating joint."""
     upright = solve(problem, problem.belief.mean)
     turns = np.linspace(0.0, 2 * np.pi, _DIRECTIONS, endpoint=False)
     best = upright

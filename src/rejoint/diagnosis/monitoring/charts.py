@@ -1,9 +1,9 @@
 """Charts of one quantity over the checks of an arm: baseline, state, and jumped zeros.
 
-The first checks give mean, scatter and temperature effect. Later ones are judged in standard deviations: an EWMA gives
-the state (Roberts 1959), a two-sided CUSUM the alarm (Page 1954).
+The first checks give mean, scatter and temperature effect. Later ones, in standard deviations, give the state by an
+EWMA (Roberts 1959), the alarm by a two-sided CUSUM (Page 1954).
 
-A collision moves a zero by the same angle in all poses and from both sides. Wear changes sag and friction too.
+A collision moves a zero alike in all poses; wear changes sag and friction too.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ import numpy as np
 from rejoint.arms import Array
 
 FEWEST = 5
-"""Checks that a baseline needs; literature: 5 to 8"""
+"""Checks that a baseline needs; shared facts on monitoring: 5 to 8"""
 MOST = 8
 """Most checks in a baseline"""
 WEIGHT = 0.25
-"""Of the newest check in the EWMA; literature"""
+"""Of the newest check in the EWMA; shared facts on monitoring"""
 DRIFTING = 2.7 * (WEIGHT / (2.0 - WEIGHT)) ** 0.5
 """EWMA of a drift: 2.7 of its own standard deviations"""
 SLACK = 1.25
-"""Standard deviations that a CUSUM forgives; chosen: the usual 0.5 gives false alarms with five checks"""
+"""Slack of the CUSUM in standard deviations; chosen"""
 ALARM = 6.0
-"""CUSUM of an alarm; literature; 0.5 % of 1000 steady quantities raise it in two years"""
+"""CUSUM of an alarm; shared facts on monitoring; 0.5 % false alarms in two years"""
 CUT = 4.0
 """Largest distance that counts, in standard deviations"""
 PRIOR_CHECKS = 6.0
@@ -42,10 +42,10 @@ State = Literal["learning", "steady", "drifting", "alarm"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Chart:
-    """One quantity of one arm since its baseline began; T checks, the newest last."""
+    """One quantity since its baseline began; T checks, the newest last."""
 
     z: Array
-    """(T,) standard deviations from the baseline; NaN in the first `FEWEST` checks"""
+    """(T,) standard deviations from the baseline; NaN in its first checks"""
     cusum: Array
     """(T,) the larger side, positive where the quantity grows"""
     usual: float
@@ -62,7 +62,7 @@ class Chart:
 def chart(value: Array, temperature: Array, *, scatter: float, per_degree: float) -> Chart:
     """Compute the chart of ``value`` (T,) at ``temperature`` (T,) [deg C], NaN where unknown.
 
-    ``scatter`` is the prior sigma of one check, ``per_degree`` the prior effect of a degree.
+    ``scatter``: prior sigma of one check; ``per_degree``: prior effect of a degree.
     """
     count = len(value)
     warm = np.nan_to_num(temperature - temperature[0]) if count else temperature
@@ -94,9 +94,9 @@ def chart(value: Array, temperature: Array, *, scatter: float, per_degree: float
 
 
 def _norm(value: Array, warm: Array, count: int, scatter: float, per_degree: float) -> tuple[float, float, float]:
-    """Mean of the first ``count`` checks, temperature effect on the last one, and standard deviation.
+    """Mean of the first ``count`` checks, temperature effect on the last one, and sigma.
 
-    The scatter is that of neighbouring checks; the slope over temperature a regression with a prior and a linear trend.
+    Sigma is from neighbouring checks, the effect from regression with a prior and a linear trend.
     """
     known, middle = warm[:count].mean(), float(value[:count].mean())
     variance, slope, doubt = scatter**2, 0.0, 0.0
@@ -119,15 +119,15 @@ def _slope(value: Array, warm: Array, variance: float, per_degree: float) -> tup
 
 
 SURE = 5.0
-"""Standard deviations of a jumped zero; chosen: no false one on wearing arms, `python -m benchmarks years`"""
+"""Standard deviations of a jumped zero; chosen, see `python -m benchmarks years`"""
 SHARE = 1.0 / 3.0
-"""Share of the jump below which all else must have stayed; chosen"""
+"""Share of the jump, most change of all else; chosen"""
 STAYED = 0.5
 """Share of the jump that must remain; chosen"""
 BEFORE = 3
-"""Checks before a jump whose median is the old zero; chosen"""
+"""Checks whose median is the old zero; chosen"""
 UNTOLD = 10.0
-"""[K] possible difference where no temperature is known; chosen"""
+"""[K] difference where no temperature is known; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,10 +143,10 @@ class Jump:
 def find_jump(
     deviation: Array, others: Sequence[Array], temperature: Array, *, scatter: float, per_degree: float
 ) -> Jump | None:
-    """Find where the zero of a joint last jumped; None where it has not.
+    """Find where the zero of a joint last jumped, if it has.
 
-    ``deviation`` (T,) [mm] at ``temperature`` (T,) [deg C]; ``others`` (T,) [mm] also change by wear; ``scatter`` [mm]
-    and ``per_degree`` [mm/K] as for `chart`.
+    ``deviation`` (T,) [mm] at ``temperature`` (T,) [deg C]; ``others`` (T,) [mm] also change by wear; ``scatter`` and
+    ``per_degree`` as for `chart`.
     """
     for at in range(len(deviation) - 1, 0, -1):
         way = float(deviation[at] - deviation[at - 1])

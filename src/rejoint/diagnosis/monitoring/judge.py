@@ -1,4 +1,4 @@
-"""Result of all checks of an arm: state, cause, start, and remaining service time."""
+"""Result of all checks of an arm: state, cause, start, remaining service time."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from rejoint.diagnosis.monitoring.remaining import remaining
 from rejoint.system.shell import command
 
 ZERO_PER_DEGREE = np.radians(0.02)
-"""[rad/K] drift of an STS3215's zero; literature"""
+"""[rad/K] drift of an STS3215's zero; shared facts on monitoring"""
 FRICTION_PER_DEGREE = 0.015
-"""[1/K] effect on friction (Bittencourt and Axehill 2012: viscous friction halves in 47 K)"""
+"""[1/K] of friction (Bittencourt and Axehill 2012: viscous friction halves in 47 K)"""
 LOAD_PER_DEGREE = 0.002
-"""[1/K] effect on sag; chosen: copper loses 0.4 %/K of its conductance"""
+"""[1/K] of sag; chosen"""
 SCATTER_MM = {"hysteresis": 0.03, "reversal": 0.05, "sag": 0.07, "deviation": 0.06, "error": 0.10}
 """[mm] sigma of one check of a steady arm; measured: `python -m benchmarks years`"""
 SCATTER_SHARE = 0.005
@@ -99,7 +99,7 @@ class Outlook:
     changes: tuple[Change, ...]
     """worst state first, then the largest change; the tool last"""
     error_mm: float
-    """newest tool error in the five poses, without a controller"""
+    """newest in the five poses, without a controller"""
     error_known: bool
     """whether it is the tool's; else by encoders"""
     tolerance_mm: float | None
@@ -108,11 +108,11 @@ class Outlook:
     moved: tuple[MovedZero, ...] = ()
     """since the baseline began, the largest first"""
     controlled_mm: float | None = None
-    """largest tool error with the repair's controller; None without a repair"""
+    """largest with the repair's controller, if any"""
 
     @property
     def counts_mm(self) -> float:
-        """[mm] error to compare with the tolerance: with the controller of a repair."""
+        """[mm] error to compare with the tolerance."""
         return self.error_mm if self.controlled_mm is None else self.controlled_mm
 
     @property
@@ -122,9 +122,9 @@ class Outlook:
 
 
 def outlook(visits: Sequence[PastCheck], tolerance_mm: float | None = None, *, left_mm: float | None = None) -> Outlook:
-    """Judge an arm by its checks since the baseline began, at least one, the oldest first.
+    """Judge an arm by its checks since the baseline began, the oldest first.
 
-    ``left_mm`` is the tool error with the repair's controller; it grows as much as that of the bare arm.
+    ``left_mm``: tool error with the repair's controller; it grows as that of the bare arm.
     """
     warm = np.array([_nan(visit.measures.temperature_c) for visit in visits])
     drawn = [_change(visits, *one) for one in _quantities(visits, warm)]
@@ -147,7 +147,7 @@ def outlook(visits: Sequence[PastCheck], tolerance_mm: float | None = None, *, l
 
 
 def error_per_degree(measures: CheckMeasures) -> float:
-    """[mm/K] effect of temperature on the tool error through the joints' zeros."""
+    """[mm/K] of the tool error through the joints' zeros."""
     return float(ZERO_PER_DEGREE * np.sqrt(sum(row.lever_mm**2 for row in measures.joints)))
 
 
@@ -174,10 +174,7 @@ def _quantities(visits: Sequence[PastCheck], warm: Array) -> list[tuple[str, str
 
 
 def _ranked(drawn: Sequence[Change]) -> tuple[Change, ...]:
-    """Sort by state, then by distance, friction and sag before the deviation.
-
-    The CUSUM does not help: it is the same for all fast wear.
-    """
+    """Sort by state, then by distance, friction and sag before the deviation."""
     order: tuple[State, ...] = ("alarm", "drifting", "steady", "learning")
     most: dict[tuple[str, str], float] = {}
     for one in drawn:
@@ -242,7 +239,6 @@ def _due(visits: Sequence[PastCheck], error: Array, warm: Array, tolerance: floa
 
 
 def _after(now: datetime, days: float) -> datetime | None:
-    """Return the time so many days later; None for more than a century."""
     return now + timedelta(days=days) if days < 36500.0 else None
 
 
@@ -263,7 +259,7 @@ MEANINGS = {
 
 
 def say(found: Outlook, robot: str, described: str = "") -> str:
-    """Report the state of the arm at ``robot`` in one line; ``described`` are more options of a repair."""
+    """Report the state of the arm at ``robot`` in one line; ``described``: more options of a repair."""
     repair = command("repair", robot) + described
     error = _error(found)
     if found.moved:

@@ -1,8 +1,8 @@
 """What a check measures by encoders: each joint in slow motion and in five poses, and the tool.
 
-After ISO 9283: *accuracy* AP is the distance of the mean attained position from the commanded one, *repeatability* RP
-the scatter about it, vAP the distance between directions of approach. The *reversal value* B is a joint's difference
-between directions (ISO 230-2).
+ISO 9283: *accuracy* AP is the distance of the mean attained position from the command, *repeatability* RP the scatter
+about it, vAP the distance between directions of approach. ISO 230-2: the *reversal value* B is a joint's difference
+between directions.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError, RobotError
 
 LEAST_LEVER = 0.02
-"""[m] least lever; chosen: half the radius of a small flange"""
+"""[m]; chosen"""
 
 _LEAST_RANGE = 0.1
 """[N m] of a myCobot 280, least range of load for sag; chosen"""
 
 LEAST_APPROACHES = 3
-"""Approaches to a pose from one side, of `CYCLES`, that a check needs; chosen"""
+"""Approaches from one side that a check needs; chosen"""
 
 _SWEEP_MIDDLE = 0.6  # share of a sweep, about its middle, in which a joint moves steadily (chosen)
 
 
 DEAD_TIME, DEAD_WAY = 15.0, np.radians(10.0)
-"""[s] and [rad] of commands without a changed reading: the joint is dead; chosen"""
+"""[s] and [rad] of commands without a changed reading of a dead joint; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +41,7 @@ class JointCheck:
 
     joint: str
     hysteresis_mm: float
-    """following error of slow motion, one way minus the other"""
+    """in slow motion, one way minus the other"""
     reversal_mm: float
     """ISO 230-2 B: rest from above minus from below"""
     deviation_mm: float
@@ -62,7 +62,7 @@ class CheckMeasures:
     error_mm: float
     """AP by encoders, mean over poses and sides"""
     repeatability_mm: float
-    """largest RP of a pose from one side, of `CYCLES` approaches (the standard: 30)"""
+    """largest RP of a pose from one side, of `CYCLES` approaches (standard: 30)"""
     approach_mm: float
     """largest vAP of a pose by encoders"""
     true_error_mm: float | None
@@ -74,7 +74,7 @@ class CheckMeasures:
 
 
 def measure_check(arm: Arm, log: RunLog, temperature: Array | None) -> CheckMeasures:
-    """Measure an arm by the log of its check; ``temperature`` (n,) [deg C] of its servos.
+    """Measure an arm by its check; ``temperature`` (n,) [deg C] of its servos.
 
     InputError unless the log holds a whole check of this arm.
     """
@@ -107,7 +107,7 @@ def measure_check(arm: Arm, log: RunLog, temperature: Array | None) -> CheckMeas
 
 
 def require_followed(arm: Arm, log: RunLog) -> None:
-    """Raise RobotError for a joint whose reading froze to the end while its commands moved."""
+    """Raise RobotError for a joint whose reading froze during motion."""
     for j, name in enumerate(arm.joint_names):
         away = np.abs(log.position[:, j] - log.position[-1, j]) > 1.5 * arm.encoder_step
         since = int(np.flatnonzero(away)[-1]) + 1 if away.any() else 0
@@ -121,10 +121,7 @@ def require_followed(arm: Arm, log: RunLog) -> None:
 
 
 def _settled(data: ExcitationLog) -> tuple[Array, Array, Array]:
-    """Means of command, position (poses, sides, cycles, n) [rad] and tool (poses, sides, cycles, 3) [m] at rest.
-
-    An approach without readings becomes the mean of the others.
-    """
+    """Means of command, position (poses, sides, cycles, n) [rad] and tool (poses, sides, cycles, 3) [m] at rest."""
     log, shape = data.log, (POSES, len(SIDES), CYCLES)
     found = [np.full((*shape, width), np.nan) for width in (data.arm.joints, data.arm.joints, 3)]
     for segment in data.of_kind("pose"):

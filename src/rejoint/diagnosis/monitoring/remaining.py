@@ -1,7 +1,7 @@
 """When the tool error will reach the tolerance: a first-passage time, with an interval.
 
-Wear is a Brownian motion with drift, observed by noisy checks; each draw of its posterior gives an inverse Gaussian
-time (Folks and Chhikara, J. R. Stat. Soc. B 40, 1978).
+Wear is a Brownian motion with drift, observed by noisy checks; the time is inverse Gaussian for each posterior draw
+(Folks and Chhikara, J. R. Stat. Soc. B 40, 1978).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from rejoint.arms import Array
 from rejoint.diagnosis.monitoring.charts import FEWEST
 
 DRAWS = 4000
-"""Draws; chosen: an 80 % interval repeats within a few per cent"""
+"""chosen: an 80 % interval repeats within a few per cent"""
 SHARES = (0.1, 0.5, 0.9)
 """Quantiles"""
 _SEEN = 0.9
@@ -28,12 +28,12 @@ _SCATTERS = np.geomspace(0.6, 1.8, 4)
 _SCATTER_FACTOR = 1.5
 """Factor of uncertainty of the scatter; chosen"""
 _POINTS = 200
-"""Most points; more checks are averaged; chosen: the work is cubic"""
+"""Most points, by averaging; chosen: the work is cubic"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Remaining:
-    """Use left until the tolerance is reached, in the unit of the use given."""
+    """Use left until the tolerance is reached."""
 
     early: float
     """10 % quantile"""
@@ -47,8 +47,8 @@ def remaining(
 ) -> Remaining | None:
     """Estimate the use left until an arm's ``error`` (T,) [mm] reaches ``tolerance`` [mm].
 
-    ``use`` (T,) grows; ``warm`` (T,) [K] is relative, NaN where unknown; ``scatter`` [mm] and ``per_degree`` [mm/K] as
-    for `chart`. None for too few checks or no visible wear.
+    ``use`` (T,) grows; ``warm`` (T,) [K] is relative; ``scatter`` and ``per_degree`` as for `chart`. None for too few
+    checks or no wear.
     """
     if len(use) < FEWEST + 1 or use[-1] <= use[0]:
         return None

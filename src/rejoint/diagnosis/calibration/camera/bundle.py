@@ -1,7 +1,7 @@
 """Lens, camera, board and arm from pictures of a board and encoder readings.
 
-A view that does not fit is mended where the board's tilt was ambiguous, else reported. A bent board makes focal lengths
-wrong (6 to 8 % for 2.5 mm in 140 mm, `tests/diagnosis/camera/test_film.py`), so it is refused.
+Mends views with an ambiguous tilt, reports others that do not fit. Refuses a bent board: it makes focal lengths wrong
+(6 to 8 % for 2.5 mm in 140 mm, `tests/diagnosis/camera/test_film.py`).
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from rejoint.diagnosis.calibration.solver import Fitted, solve
 from rejoint.system.errors import InputError
 
 CROOKED = 4.0
-"""Multiple of the views' median rms from which a board is not flat; chosen"""
+"""Multiple of the views' median rms of a board that is not flat; chosen"""
 LEAST_CROOKED = 0.6
 """[px] below which it never is; chosen"""
 ELSEWHERE = 4.0
-"""Root mean square of six deviations from which a view does not fit its joint positions; chosen"""
+"""Rms of six deviations of a view that does not fit its joint positions; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,7 +48,7 @@ class Judged:
 
 
 def judge(problem: TieProblem, vector: Array, views: Sequence[BoardView]) -> Judged:
-    """Check each view alone, with the poses and the arm ``vector`` (k,) of all."""
+    """Check each view with the poses and the arm ``vector`` (k,) of all."""
     rig, whitener = problem.rig_of(vector), problem.whitener(vector)
     lens, corners, told = problem.rig.lens, rig.board.corners, problem.reported(vector)
     placed = [place(lens, corners[view.number], view.pixel, start)
@@ -162,8 +162,8 @@ def bundle(
 ) -> Bundle:
     """Fit lens, poses and arm to ``views`` of ``board`` with the encoders at ``position`` (V, n) [rad].
 
-    ``size`` [px] of the pictures; ``approach`` (V, n) as in `Measurements`; ``carried``: one of `MOUNTINGS`. Views that
-    do not fit are left out; InputError where too few remain.
+    ``size`` [px] of the pictures; ``approach`` (V, n) as in `Measurements`; ``carried``: one of `MOUNTINGS`. InputError
+    for too few views that fit.
     """
     position = np.asarray(position, dtype=float)
     layout, count = DisplacementLayout(joints=arm.joints), len(views)
@@ -206,7 +206,7 @@ def bundle(
 
 
 MOST = 0.005
-"""Bow by the board's longer edge from which it is refused, half of the true one; chosen: 1 mm in 140 mm shows 0.0036"""
+"""Bow by the board's longer edge of a refused board, half of the true one; chosen"""
 SURE = 5.0
 """Standard deviations of a significant bow; chosen"""
 
@@ -222,7 +222,7 @@ def require_flat(found: Bundle) -> None:
 
 
 def bow(found: Bundle) -> tuple[float, float]:
-    """Return the bow [m] of the board as a parabolic surface, and its sigma."""
+    """Board's parabolic bow [m], and its sigma."""
     rows, left, freedom = [], [], 0
     surface = _surface(found.rig.board)
     for view, pose in zip(found.views, found.problem.sights, strict=True):
@@ -249,6 +249,6 @@ def bow(found: Bundle) -> tuple[float, float]:
 
 
 def _surface(board: Board) -> Array:
-    """Shapes (C, 3) of a surface at the corners: bent along x, twisted, bent along y; height about one."""
+    """Shapes (C, 3) at the corners: bent along x, twisted, bent along y; height about one."""
     x, y = (board.corners[:, :2] / board.size.max() * 2.0 - board.size / board.size.max()).T
     return np.stack([x * x, x * y, y * y], axis=-1)

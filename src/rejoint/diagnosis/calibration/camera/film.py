@@ -49,7 +49,7 @@ class Shot:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Film:
-    """Pictures of one size, by one camera of one board in a fixed setup."""
+    """Pictures by one camera of one board in a fixed setup."""
 
     board: Board
     carried: str
@@ -62,7 +62,6 @@ class Film:
     """whether to ignore earlier calibrations"""
 
     def __len__(self) -> int:
-        """Count the pictures."""
         return len(self.shots)
 
     def with_shot(self, shot: Shot, size: tuple[int, int]) -> Film:
@@ -90,7 +89,7 @@ class Film:
         return tuple(shot.seen for shot in self.shots if isinstance(shot.seen, BoardView))
 
     def numbered(self, first: int, last: int) -> Film:
-        """Return a part of the plan, both ends included."""
+        """Part of the plan, both ends included."""
         return replace(self, shots=tuple(shot for shot in self.shots if first <= shot.number <= last))
 
     def again(self) -> Film:
@@ -99,7 +98,7 @@ class Film:
 
 
 def positions(shots: tuple[Shot, ...], arm: Arm) -> tuple[Array, Array]:
-    """Return encoders (V, n) [rad] at shots, and their approaches (V, n)."""
+    """Positions (V, n) [rad] of shots, and their approaches (V, n)."""
     rows = [(shot.position, shot.approach) for shot in shots]
     return tuple(np.array([row[i] for row in rows]).reshape(-1, arm.joints) for i in (0, 1))  # type: ignore[return-value]
 
@@ -176,7 +175,7 @@ def write_postures(path: Path, arm: Arm, film: Film) -> None:
 def read_folder(pattern: str, arm: Arm, board: Board, carried: str = "board") -> Film:
     """Find ``board`` in the pictures of a folder, or of a pattern such as ``pictures/*.jpg``.
 
-    FileError where pictures or `POSTURES` are missing, InputError for pictures of several sizes.
+    FileError without pictures or `POSTURES`, InputError for several sizes.
     """
     paths = _pictures(pattern)
     rows = _postures(paths[0].parent / POSTURES, arm, {path.name for path in paths})

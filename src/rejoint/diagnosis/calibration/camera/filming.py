@@ -1,6 +1,6 @@
-"""Taking an image sequence: the arm visits postures, the camera takes a picture in each.
+"""Taking an image sequence: a picture in each posture.
 
-The first pictures locate the camera; the other postures are chosen by that. An interrupted sequence resumes.
+The first pictures locate the camera, which decides the other postures.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ _LOOK = 1.0  # [m] and [rad] of camera and board around where they are believed 
 
 
 def choose_postures(arm: Arm, rig: Rig, count: int, seed: int = 0, before: float = 0.0) -> Array:
-    """Choose ``count`` postures (count, n) [rad] in which ``rig`` shows the board.
+    """Choose ``count`` postures (count, n) [rad] in which ``rig`` shows the board, approached from ``before`` [rad].
 
-    D-optimal, one by one, among those approachable from ``before`` [rad] on either side. InputError for too few views.
+    D-optimal. InputError for too few views.
     """
     candidates = seen_postures(arm, rig, max(CANDIDATES, 2 * count), seed, before=before)
     if len(candidates) < count:
@@ -94,7 +94,7 @@ def scouting_postures(arm: Arm, carried: str, count: int, before: float) -> Arra
 def seen_postures(
     arm: Arm, rig: Rig | None, count: int, seed: int, *, spread: float = SPREAD, before: float = 0.0
 ) -> Array:
-    """Draw up to ``count`` free postures (C, n) [rad] about rest that show the board to the ``rig``, if any."""
+    """Draw up to ``count`` free postures (C, n) [rad] about rest that the ``rig``, if any, shows."""
     rng, room = np.random.default_rng(seed), _ROOM + before
     low, high = np.maximum(arm.lower + room, arm.rest - spread), np.minimum(arm.upper - room, arm.rest + spread)
     found, enough = [np.zeros((0, arm.joints))], 0
@@ -162,7 +162,7 @@ class FilmDrive:
     def take(self, count: int = POSTURES, visits: int = 2) -> Film:
         """Take the pictures about rest, then ``count`` postures from ``visits`` sides each.
 
-        InputError where the board is hardly visible; errors of `rejoint.control.loop.run`.
+        InputError if the board is hardly visible; errors of `rejoint.control.loop.run`.
         """
         arm, total = self._arm, SCOUTS + count * visits
         for number, posture in enumerate(scouting_postures(arm, self.film.carried, SCOUTS, BEFORE), start=1):

@@ -48,7 +48,7 @@ def fit_film(
 ) -> Filmed:  # fmt: skip
     """Fit lens, camera, board and displacement of ``arm``, tested on views left out.
 
-    ``prior`` is an earlier calibration of this arm. InputError for too few views or a bent board.
+    ``prior``: an earlier calibration. InputError for too few views or a bent board.
     """
     shots = film.usable
     if film.size is None or len(shots) < FEWEST:

@@ -1,4 +1,4 @@
-"""A first estimate: the lens from the boards, then the poses of camera and board."""
+"""First estimates of the lens and of the poses of camera and board."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rejoint.system.errors import InputError
 from rejoint.system.extras import require
 
 WHOLE = 10
-"""Views from which the whole lens is fitted, not its focal length alone; chosen"""
+"""Views that determine more than the focal length; chosen"""
 _LENSES = 4  # of finding the lens and leaving out views
 _CROOKED, _LEAST_CROOKED = 3.0, 0.6  # times the median rms, and [px], from which a view shows no flat board (chosen)
 _FOCAL = (0.3, 5.0)  # least and most of a focal length, by the width of the picture (webcams: 0.6 to 1.3)
@@ -32,7 +32,7 @@ _TURNED = np.radians(10.0)
 
 
 def first_lens(size: tuple[int, int], board: Board, views: Sequence[BoardView]) -> Lens:
-    """Return the lens of pictures of ``size`` [px] that fits the boards best, without views of bent ones."""
+    """Lens of pictures of ``size`` [px] that fits flat boards best."""
     require("a camera", "camera")
     import cv2
 
@@ -56,15 +56,15 @@ def first_lens(size: tuple[int, int], board: Board, views: Sequence[BoardView]) 
 
 
 def first_sights(lens: Lens, board: Board, views: Sequence[BoardView]) -> Array:
-    """Poses (V, 4, 4) of the board in the camera frame, each view alone."""
+    """Poses (V, 4, 4) of the board in the camera frame."""
     return np.array([place(lens, board.corners[view.number], view.pixel).pose for view in views])
 
 
 def first_rig(arm: Arm, lens: Lens, board: Board, carried: str, position: Array, sights: Array) -> Rig:
-    """Find the poses of camera and board, as if the encoders at ``position`` (V, n) [rad] were right.
+    """Find the poses of camera and board by the encoders' ``position`` (V, n) [rad].
 
-    Linear least squares of A M = F B (Dornaika and Horaud 1998, section III), without outliers. InputError where the
-    tool turned too little.
+    Linear least squares of A M = F B (Dornaika and Horaud 1998, section III), without outliers. InputError for too
+    little rotation.
     """
     tool = tcp_pose(arm, position)
     _require_turns(tool)
@@ -111,7 +111,6 @@ def _solve(tool: Array, between: Array) -> tuple[Array, Array]:
 
 
 def _scale(tool: Array, between: Array, standing: Array) -> float:
-    """Factor of the lengths in M ``between`` that fits A M = F B best, for poses F of the ``tool`` (V, 4, 4)."""
     one = np.broadcast_to(np.eye(3), (len(tool), 3, 3))
     lengths = (between[:, :3, 3] @ standing[:3, :3].T)[..., None]
     left = np.concatenate([one, -tool[:, :3, :3], lengths], axis=2).reshape(-1, 7)
@@ -119,7 +118,6 @@ def _scale(tool: Array, between: Array, standing: Array) -> float:
 
 
 def _require_turns(tool: Array) -> None:
-    """Raise InputError unless the tool turned about two directions."""
     axes = tool[:, :3, :3] - tool[:, :3, :3].mean(axis=0)
     spread = np.linalg.svd(axes.reshape(len(tool), -1), compute_uv=False) / np.sqrt(len(tool))
     if len(tool) < 3 or spread[1] < _TURNED:

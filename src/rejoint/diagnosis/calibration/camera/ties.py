@@ -1,7 +1,7 @@
 """The arm and the camera setup from the board's poses, once the lens is known.
 
-Unknown are the poses of camera and board, the displacement, and small changes of the lens: a bundle adjustment without
-its corners. Floating joints and unexplained displacement tie the views loosely.
+Unknown are the poses of camera and board, the displacement, and small changes of the lens. Floating joints and
+unexplained displacement add noise.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from rejoint.diagnosis.calibration.parameters import SCATTER, Belief, vector_of
 from rejoint.diagnosis.calibration.solver import Fittable, solve
 
 HUBER = 3.55
-"""Residual in standard deviations from which the loss is linear: 95 % of six normal numbers"""
+"""Residual [sigma] from which the loss is linear: 95 % of six normal numbers"""
 POSES = 12
 """Unknowns after the arm's: shift [m] and turn [rad] of `Rig.standing` and `Rig.mounted`; then the lens"""
 NOWHERE = 10.0
 """[m] and [rad] sigma of unknown poses"""
 LOOSE, ASKEW = 0.5e-3, np.radians(0.15)
-"""[m] over the reach of a myCobot 280, and [rad]: unexplained displacement; chosen on emulated worn arms"""
+"""[m] over the reach of a myCobot 280, and [rad]: unexplained displacement; chosen"""
 JOINT = np.radians(0.1)
-"""[rad] the same of each joint; chosen on emulated worn arms"""
+"""[rad] the same of each joint; chosen"""
 _ANY = np.array([1e3] * 3 + [1.0] * 4)  # standard deviations of a lens of which nothing is known
 _STEP = 1e-6  # [m] and [rad] of numerical derivatives
 
@@ -47,7 +47,7 @@ class TieProblem(Fittable):
     sights: Array
     """(V, 4, 4) of the board in the camera frame"""
     by_lens: Array
-    """(V, 6, 7) derivative of their shift [m] and turn [rad], camera axes, by the lens's `TERMS`"""
+    """(V, 6, 7) derivative of their shift [m] and turn [rad] by the lens's `TERMS`"""
     spread: Array
     """(V, 6, 6) covariance of the tool's pose by the corners, base axes"""
     position: Array
@@ -74,14 +74,14 @@ class TieProblem(Fittable):
         return np.ones((len(self.posture), 6), dtype=bool)
 
     def rows(self, where: NDArray[np.bool_]) -> TieProblem:
-        """Return the problem of some views."""
+        """Problem of some views."""
         return replace(
             self, sights=self.sights[where], by_lens=self.by_lens[where], spread=self.spread[where],
             position=self.position[where], approach=self.approach[where], posture=self.posture[where],
         )  # fmt: skip
 
     def rig_of(self, vector: Array) -> Rig:
-        """Return the rig for the unknowns (k,)."""
+        """Rig for the unknowns (k,)."""
         small, lens = vector[self.layout.body : self.layout.body + POSES], self.rig.lens
         return replace(
             self.rig, standing=moved(self.rig.standing, small[:6]), mounted=moved(self.rig.mounted, small[6:]),
@@ -97,7 +97,7 @@ class TieProblem(Fittable):
         return difference(self.tool(vector), self.reported(vector))
 
     def residual(self, vector: Array) -> tuple[Array, Array]:
-        """Shift [m] and turn [rad] (V, 6) of the tool, seen less predicted; with the derivative (V, 6, k)."""
+        """Shift [m] and turn [rad] (V, 6) of the tool, seen less predicted; derivative (V, 6, k)."""
         seen, told = self.tool(vector), self.reported(vector)
         base, body = difference(seen, told), self.layout.body
         slope = np.zeros((*base.shape, len(vector)))
@@ -142,7 +142,7 @@ class TieProblem(Fittable):
 
 
 def looseness(arm: Arm, displacement: Displacement, position: Array) -> Array:
-    """Covariance (V, 6, 6) of the tool's pose that ``displacement`` leaves, at ``position`` (V, n) [rad]."""
+    """Covariance (V, 6, 6) of the tool's pose beyond ``displacement``, at ``position`` (V, n) [rad]."""
     free = 1.0 - np.tanh(displacement.torque(arm, position) / FLOATING) ** 2
     variance = SCATTER * (0.5 * displacement.play) ** 2 * free + JOINT**2
     lever = jacobian(arm, position)
@@ -151,7 +151,7 @@ def looseness(arm: Arm, displacement: Displacement, position: Array) -> Array:
 
 
 def with_poses(own: Belief, lens: Array) -> Belief:
-    """Append unknown `POSES` and the ``lens`` (7, 7) to a belief of the arm."""
+    """Append unknown `POSES` and the ``lens`` (7, 7) to a belief."""
     count = len(own.mean)
     size = count + POSES + len(lens)
     anywhere = np.full(size - count, np.inf)
@@ -166,7 +166,7 @@ def with_poses(own: Belief, lens: Array) -> Belief:
 
 
 def lens_ties(rig: Rig, views: Sequence[BoardView], sights: Array) -> tuple[Array, Array]:
-    """Return the boards' derivative (V, 6, 7) by the lens, and the lens's precision (7, 7)."""
+    """Boards' derivative (V, 6, 7) by the lens, and its precision (7, 7)."""
     ties, told = [], np.diag(_ANY**-2.0)
     for view, pose in zip(views, sights, strict=True):
         _, by_pose, by_terms = rig.lens.slopes(rig.board.corners[view.number] @ pose[:3, :3].T, pose[:3, 3])
@@ -178,7 +178,7 @@ def lens_ties(rig: Rig, views: Sequence[BoardView], sights: Array) -> tuple[Arra
 
 
 def tool_spread(rig: Rig, sights: Array, covariance: Array) -> Array:
-    """Covariance (V, 6, 6) of the tool's pose, base axes, for that of the board."""
+    """Covariance (V, 6, 6) of the tool's pose, base axes, from the board's."""
     base = rig.tool(sights)
     rows = [difference(rig.tool(moved(sights, _STEP * row)), base) / _STEP for row in np.eye(6)]
     slope = np.stack(rows, axis=-1)
@@ -186,7 +186,7 @@ def tool_spread(rig: Rig, sights: Array, covariance: Array) -> Array:
 
 
 def point_sigma(rig: Rig, sights: Array, covariance: Array) -> Array:
-    """Return sigma (V,) [m] of the tool's coordinates for board ``covariance`` (V, 6, 6)."""
+    """Sigma (V,) [m] of the tool's coordinates from board ``covariance`` (V, 6, 6)."""
     return np.asarray(np.sqrt(np.trace(tool_spread(rig, sights, covariance)[:, :3, :3], axis1=1, axis2=2) / 3.0))
 
 
@@ -204,7 +204,7 @@ class ToolTracker:
         self._detector = Detector(rig.board)
 
     def see(self, picture: NDArray[np.uint8], time: float = 0.0) -> Sighting | None:
-        """Locate the tool in a grey or BGR ``picture`` of ``time`` [s]; None without a good view."""
+        """Locate the tool in a grey or BGR ``picture``; None without a good view."""
         found = self._detector.find("picture", picture)
         self.why = found.why if isinstance(found, Unusable) else ""
         return None if isinstance(found, Unusable) else self.sighting(found, time)
