@@ -1,10 +1,9 @@
 """Backlash inside the servo loop: motors and joints that are not always in contact.
 
 An unloaded joint rests anywhere between the flanks; to turn it back the motor first crosses the backlash. Logs do not
-separate backlash from friction, so identification has none; training draws it.
+separate it from friction: only training draws it.
 
-Motor and joint are one body while the motor pushes, else two, which exchange momentum on contact (review: Nordin and
-Gutman 2002).
+Out of contact, motor and joint are two bodies, which exchange momentum when they meet (review: Nordin and Gutman 2002).
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
@@ -27,10 +26,10 @@ if TYPE_CHECKING:
     from rejoint.twin.simulation import Twins
 
 RESTITUTION = 0.5
-"""Coefficient of restitution between motor and joint; chosen: greased steel"""
+"""Of motor and joint; chosen: greased steel"""
 
 SOFT = 0.01
-"""[rad/s] closing speed below which they stay in contact; chosen"""
+"""[rad/s] closing speed without rebound; chosen"""
 
 _MOTOR = ("stiffness", "damping", "armature", "torque_limit", "offset")
 _DAMPING, _ARMATURE = _MOTOR.index("damping"), _MOTOR.index("armature")
@@ -39,7 +38,7 @@ _dry_friction = njit(cache=True, nogil=True)(dry_friction)
 
 
 class Backlash:
-    """Motors of N arms of n joints, and their places between the flanks."""
+    """Motors of N arms of n joints in their backlash."""
 
     def __init__(self, arm: Arm, count: int) -> None:
         shape = (count, arm.joints)
@@ -64,7 +63,7 @@ class Backlash:
         return bool(self._half.any())
 
     def renew(self, twin: TwinParameters, backlash: Array, grease: Array, where: Mask) -> None:
-        """Start the arms (m,) in ``where`` (N,), their motors in the middle of the ``backlash`` (m, n) [rad].
+        """Start the arms (m,) in ``where`` (N,), motors in the middle of the ``backlash`` (m, n) [rad].
 
         ``grease`` (m,): damping of a joint in the backlash relative to its motor's.
         """
@@ -77,8 +76,8 @@ class Backlash:
     def part(self, twins: Twins, terms: Array, friction: Array) -> None:
         """Separate motors from joints for one step of ``twins`` with set references.
 
-        Sets ``friction`` (N, n) [N m], by the ``terms`` (t, N, n) of `rejoint.twin.friction`, as well as torque, motor
-        inertia and damping, to zero for joints out of contact.
+        Joints out of contact get no torque, motor inertia, damping and ``friction`` (N, n) [N m]; ``terms`` (t, N, n)
+        are those of `rejoint.twin.friction`.
         """
         if not self.present:
             return

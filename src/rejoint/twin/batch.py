@@ -1,9 +1,9 @@
 """Many twins of one arm in lockstep by MuJoCo: the reference for `rejoint.twin.chain`, and arms on a table.
 
-Per joint: torque = clip(stiffness (command + offset - q), +-limit) - damping qdot - dry friction. There are no contacts
-and joint stops; the guard avoids both. Friction constraints are nearly rigid (MuJoCo's default creeps 1 deg/s,
-measured). The Jacobian is dense: the sparse Cholesky of MuJoCo 4.0.0 has a fault. Projected Gauss-Seidel replaces
-Newton's method, which stops too early on such friction (measured).
+Per joint: torque = clip(stiffness (command + offset - q), +-limit) - damping qdot - dry friction, without contacts and
+joint stops. Friction constraints are nearly rigid (MuJoCo's default creeps 1 deg/s, measured). The Jacobian is dense:
+the sparse Cholesky of MuJoCo 4.0.0 has a fault. Newton's method stops too early on such friction (measured), so the
+solver is projected Gauss-Seidel.
 
 Only the TCP touches the table, with a soft sphere.
 """
@@ -29,10 +29,7 @@ Ids = NDArray[np.integer] | NDArray[np.bool_] | None
 
 
 class TwinBatch:
-    """``nsim`` simulations of one arm, bit for bit like single models.
-
-    Write ``qpos``, ``qvel``, ``ctrl`` (nsim, n) to set the state.
-    """
+    """``nsim`` simulations of one arm; ``qpos``, ``qvel``, ``ctrl`` (nsim, n) are their state."""
 
     def __init__(self, arm: Arm, nsim: int, timestep: float = TIMESTEP, threads: int = 1, table: bool = False) -> None:
         if nsim < 1 or threads < 1:
@@ -65,9 +62,9 @@ class TwinBatch:
         timestep: float | Array | None = None,
         gravity_scale: float | Array = 1.0,
     ) -> None:
-        """Set parameters of the simulations in ``ids`` (indices or mask; default: all), not their state.
+        """Set parameters of the simulations ``ids`` (indices or mask; default: all), not their state.
 
-        ``parameters`` have the leading shape (m,) or none. ``timestep`` [s] and ``gravity_scale``: a number or (m,).
+        ``parameters``: leading shape (m,) or none; ``timestep`` [s] and ``gravity_scale``: a number or (m,).
         """
         chosen = np.arange(self.nsim)[slice(None) if ids is None else ids]
         if parameters.shape == ():
@@ -95,7 +92,7 @@ class TwinBatch:
                 self._batch.expand(name)[i, model.geom(TIP).id] = value
 
     def set_timestep(self, timestep: float | Array) -> None:
-        """Set the time step [s], a number or (nsim,), and what depends on it."""
+        """Set the time step [s], a number or (nsim,)."""
         self._timestep[:] = timestep
         self._batch.expand("opt.timestep")[:] = self._timestep
         self._batch.expand("dof_solref")[:] = friction_solref(self._timestep)[:, None]
@@ -114,15 +111,15 @@ class TwinBatch:
         self._batch.step(None, nstep=substeps)
 
     def rollout(self, control: Array) -> Array:
-        """Advance by ``control`` (nsim, steps, n) [rad], one row a step; return positions (nsim, steps, n)."""
+        """Advance by ``control`` (nsim, steps, n) [rad]; return positions (nsim, steps, n)."""
         return self._batch.rollout(control.shape[1], control, record=("qpos",))["qpos"]
 
     def model(self, index: int) -> mujoco.MjModel:
-        """Copy of one simulation's model, for rendering or inspection."""
+        """Copy of one simulation's model."""
         return self._batch.get_model(index)
 
     def restart(self, position: Array, velocity: Array | float = 0.0, ids: Ids = None) -> None:
-        """Put simulations at ``position`` (m, n) [rad] with ``velocity`` [rad/s]; clears the solver's warm start."""
+        """Restart at ``position`` (m, n) [rad] with ``velocity`` [rad/s], without warm start."""
         chosen = np.arange(self.nsim)[slice(None) if ids is None else ids]
         self._batch.bind("qacc_warmstart")[chosen] = 0.0
         self._batch.bind("time")[chosen] = 0.0
@@ -134,7 +131,7 @@ class TwinBatch:
 FRICTION_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """solimp of the friction constraints: nearly rigid"""
 FRICTION_SOFTNESS = 0.01
-"""Factor on ``dof_invweight0``, for the softness of friction; chosen"""
+"""Factor on ``dof_invweight0`` for friction; chosen"""
 
 TCP_SITE = "tcp"
 
@@ -146,7 +143,7 @@ def twin_model(
     gravity_scale: float = 1.0,
     table: bool = False,
 ) -> mujoco.MjModel:
-    """Compile the model of one twin; actuators and joints have the arm's order and names."""
+    """Compile the model of one twin, with the arm's joint order and names."""
     if parameters.shape or parameters.joints != arm.joints:
         raise InputError(
             f"twin: parameters of shape {parameters.stiffness_shape}, expected one twin of {arm.joints} joints"
@@ -165,7 +162,7 @@ def twin_model(
 
 
 def model_fields(parameters: TwinParameters, timestep: Array, gravity_scale: Array) -> Iterator[tuple[str, Array]]:
-    """Yield every model field that a twin decides, as (name, value), for any leading shape."""
+    """Yield every model field that a twin decides, as (name, value)."""
     p, shape = parameters, parameters.stiffness_shape
     timestep = np.broadcast_to(timestep, p.shape)
     gain = np.zeros((*shape, mujoco.mjNGAIN))
@@ -183,12 +180,12 @@ def model_fields(parameters: TwinParameters, timestep: Array, gravity_scale: Arr
 
 
 def friction_solref(timestep: Array) -> Array:
-    """Solref (..., 2) of the friction constraints, as fast as the time step (...) [s] allows."""
+    """Solref (..., 2) of the friction constraints for a time step (...) [s]."""
     return np.stack([2.0 * timestep, np.ones_like(timestep)], axis=-1)
 
 
 def twin_spec(arm: Arm, table: bool = False) -> mujoco.MjSpec:
-    """Describe the model of an arm without the parameters of a twin."""
+    """Describe the model of an arm without twin."""
     spec = mujoco.MjSpec()
     spec.modelname = arm.name
     option = spec.option
@@ -228,14 +225,14 @@ RADIUS = 0.005
 """[m] of the sphere; chosen"""
 
 IMPEDANCE = 0.9
-"""solimp of the contact: constant, so that stiffness decides"""
+"""solimp of the contact: constant"""
 
 PLANE, TIP = "table", "tip"
 """Geometries in the model"""
 
 
 def add_table(spec: mujoco.MjSpec, tip: mujoco.MjsBody, position: Array) -> None:
-    """Add the plane and, on the body ``tip`` at ``position`` (3,) [m], the sphere to a model."""
+    """Add to a model the plane and, at ``position`` (3,) [m] on ``tip``, the sphere."""
     spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC  # a pyramid would stiffen as friction vanishes
     sphere, plane = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_PLANE
@@ -248,7 +245,7 @@ def add_table(spec: mujoco.MjSpec, tip: mujoco.MjsBody, position: Array) -> None
 
 
 def table_pose(table: TablePlane) -> tuple[Array, Array]:
-    """Position (3,) [m] and quaternion (4,) of the plane for a table."""
+    """Position (3,) [m] and quaternion (4,) of a table's plane."""
     normal = np.array([-table.slope_x, -table.slope_y, 1.0]) / np.sqrt(1 + table.slope_x**2 + table.slope_y**2)
     turn = np.zeros(4)
     mujoco.mju_quatZ2Vec(turn, normal)
@@ -259,7 +256,6 @@ def table_fields(table: TablePlane, timestep: float, inverse_mass: Array) -> Ite
     """Yield the tip's fields that a table decides in models with `add_table`, as (field, value).
 
     ``inverse_mass`` (...) [1/kg] is ``body_invweight0`` of the tip's body: stiffness = k d / (1 - d) / inverse mass.
-    Critically damped, no faster than the time step allows.
     """
     d = IMPEDANCE
     k = np.minimum(table.stiffness * (1 - d) / d * inverse_mass, (2 * timestep * d) ** -2.0)

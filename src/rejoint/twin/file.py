@@ -1,6 +1,6 @@
 """``twin.toml``: a twin as a file, in SI units.
 
-One digest covers what decides the twins drawn from it, another the whole text. Intervals are for the reader.
+One digest covers the parameters, another the whole text.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ FORMAT = 1
 """Version of the layout"""
 
 ERRORS = ("no_twin", "healthy_twin", "twin")
-"""Tables of root mean square errors on held-out motion"""
+"""Rms errors on held-out motion"""
 
 
 def write_twin(path: Path, twin: Twin) -> None:
@@ -34,7 +34,7 @@ def write_twin(path: Path, twin: Twin) -> None:
 
 
 def read_twin(path: Path, arm: Arm | None = None) -> Twin:
-    """Read a twin; FileError if it is missing or damaged, ContractError if it is of another arm."""
+    """Read a twin; FileError if missing or damaged, ContractError if of another arm."""
 
     def build(data: dict[str, Any]) -> Twin:
         twin = _twin(data)

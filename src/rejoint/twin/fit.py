@@ -1,8 +1,8 @@
 """Maximum a posteriori fit of a twin's parameters to windows of motion, by block Gauss-Newton.
 
-A joint's own parameters nearly decide its motion. So one simulation perturbs one parameter of every joint at once, and
-each joint picks the best damping. Levenberg-Marquardt (Nocedal and Wright, chapter 10), pseudo-Huber loss (Charbonnier
-et al. 1997), Gaussian prior; the data's weight is divided by the autocorrelation time of the residuals.
+A joint's own parameters nearly decide its motion, so one simulation perturbs one parameter of every joint. Optimiser of
+Levenberg and Marquardt (Nocedal and Wright, chapter 10), pseudo-Huber loss (Charbonnier et al. 1997), Gaussian prior;
+the data's weight is divided by the residuals' autocorrelation time.
 """
 
 from __future__ import annotations
@@ -25,19 +25,18 @@ POSTURES = 500
 """Rows for a mean gravity torque; chosen"""
 
 STIFFNESS = number("stiffness")
-"""Index of the stiffness among perturbations and sensitivities"""
 
 SCALES = (0.5, 0.7, 0.85, 1.18, 1.41, 2.0)
 """Factors of a joint's common scale that are tried; chosen"""
 
 DAMPINGS = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
-"""Levenberg-Marquardt damping values of one batch, relative to the curvature's diagonal; chosen"""
+"""Levenberg-Marquardt damping relative to the curvature's diagonal; chosen"""
 
 LEAST_GAIN = 0.5
-"""Gain of the negative log posterior that ends a descent; chosen"""
+"""Gain that ends a descent; chosen"""
 
 ROUNDS = 10
-"""Rounds to find weights and scale of windows; chosen: the last changes 1 %"""
+"""Rounds to find weights and scale of windows; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,7 +48,7 @@ class Weights:
     correlation: Array
     """(n,) [rows] autocorrelation time of the residuals"""
     share: Array
-    """(rows, n) of a window's motion: less than one where no twin follows it"""
+    """(rows, n) of a window's motion: small if no twin follows it"""
 
     @property
     def precision(self) -> Array:
@@ -75,7 +74,7 @@ class Problem:
     """Residuals, costs and Jacobians of one set of windows under one prior.
 
     Parameters in ``frozen`` keep their start. ``stride`` scales the finite differences; residuals within ``memory`` [s]
-    are dependent. Errors of windows have Student's distribution of ``freedom`` degrees of freedom.
+    are dependent; window errors have ``freedom`` degrees of freedom (Student).
     """
 
     def __init__(
@@ -98,7 +97,7 @@ class Problem:
         self.frozen = ~np.isin(self.layout.kind, self._live)
 
     def residuals(self, vectors: Array) -> Array:
-        """Predicted minus measured positions (m, rows, n) [rad] for parameter vectors (m, k)."""
+        """Predicted minus measured positions (m, rows, n) [rad] for vectors (m, k)."""
         return np.concatenate(self.replay.predict(unpack(vectors, self.joints)), axis=1) - self.measured
 
     def weights(self, residual: Array) -> Weights:
@@ -111,7 +110,7 @@ class Problem:
     def shares(self, residual: Array) -> Array:
         """Weights (rows, n) of each window's motion for residuals (rows, n), by Student's distribution.
 
-        Iteratively reweighted (Lange, Little and Taylor 1989); a window's mean loss of a joint is one observation.
+        Iteratively reweighted (Lange, Little and Taylor 1989).
         """
         if self.freedom == np.inf:
             return np.ones_like(residual)
@@ -124,7 +123,7 @@ class Problem:
         return np.asarray(share[self.window])
 
     def costs(self, vectors: Array, residuals: Array, weights: Weights) -> tuple[Array, Array, Array]:
-        """Costs (m, n) of each joint alone from the first vector, (m, n) of its group, and (m,) of all."""
+        """Costs (m, n) of each joint alone, (m, n) of its group, and (m,) of all."""
         precision, away, moved = self.prior.precision, vectors - self.prior.mean, vectors - vectors[0]
         pull = away @ precision
         data = (loss(residuals) * weights.precision).sum(axis=1)
@@ -138,10 +137,9 @@ class Problem:
         return np.asarray(values[:, self.layout.of_joints].reshape(len(values), -1, self.joints).sum(axis=1))
 
     def perturbations(self, vector: Array, signs: Array) -> Array:
-        """Parameter vectors (p, k), each with one parameter of every joint, or one of the arm, moved.
+        """Vectors (p, k), each with one parameter of every joint, or one of the arm, moved.
 
-        Instead of the stiffness, all torques and the inertia of a joint move: only gravity and link inertia fix that
-        scale.
+        Instead of the stiffness, all torques and the inertia move: only gravity and link inertia fix that scale.
         """
         groups = self._groups()
         moved = np.tile(vector, (len(groups), 1))
@@ -152,9 +150,9 @@ class Problem:
         return np.clip(moved[self._live], self.prior.lower, self.prior.upper)
 
     def rescaled(self, vector: Array, factors: Sequence[float]) -> Array:
-        """Parameter vectors (f, k) with torques and inertia of each joint scaled by ``factors``.
+        """Vectors (f, k) with torques and inertia of each joint scaled by ``factors``.
 
-        The offset balances gravity in the mean posture; the motor's inertia takes the change of inertia.
+        The offset balances gravity; the motor takes the change of inertia.
         """
         at, scaled = self.layout.at, np.tile(vector, (len(factors), 1))
         stiffness, armature = np.exp(vector[at("stiffness")]), np.exp(vector[at("armature")])
@@ -185,7 +183,7 @@ class Problem:
     def jacobian(self, base: Array, moved: Array, signs: Array) -> Array:
         """Sensitivities (rows, n, q) of each joint to its own parameters and, last, the arm's.
 
-        ``base`` (rows, n) and ``moved`` (p, rows, n) are residuals at the point and at `perturbations`.
+        ``base`` (rows, n) and ``moved`` (p, rows, n): residuals at the point and at `perturbations`.
         """
         groups = self._groups()
         slopes = np.zeros((len(groups), *base.shape))
@@ -228,7 +226,7 @@ class Problem:
 def fit(problem: Problem, start: Array, iterations: int, scales: Sequence[float] = ()) -> Fit:
     """Descend from ``start`` (k,) until a step gains almost nothing.
 
-    Before each step every joint takes the best of the ``scales`` of its torques and inertia: the loss is flat along it.
+    First every joint takes the best of the ``scales``, along which the loss is flat.
     """
     x = np.clip(start, problem.prior.lower, problem.prior.upper)
     fixed = problem.frozen
@@ -263,10 +261,7 @@ def fit(problem: Problem, start: Array, iterations: int, scales: Sequence[float]
 
 
 def search(problem: Problem, starts: Array, rng: np.random.Generator, rounds: int = 3) -> Array:
-    """Random search from ``starts`` (s, k): each joint keeps its best candidate, then draws around it.
-
-    Needed for a flat cost: saturated force hides stiffness.
-    """
+    """Random search from ``starts`` (s, k), joint by joint; needed where saturation hides stiffness."""
     prior, candidates, known = problem.prior, starts, np.empty((0, *problem.measured.shape))
     for i in range(rounds):
         tried = problem.residuals(candidates[len(known) :])
@@ -290,13 +285,12 @@ def _alternating(problem: Problem, iteration: int) -> Array:
 
 
 def _pressed(prior: Prior, x: Array, gradient: Array) -> NDArray[np.bool_]:
-    """Which parameters are at a bound that the cost pushes against."""
     edge = 1e-9 * (prior.upper - prior.lower)
     return ((x <= prior.lower + edge) & (gradient > 0)) | ((x >= prior.upper - edge) & (gradient < 0))
 
 
 def _steps(problem: Problem, x: Array, curvature: Array, gradient: Array, fixed: NDArray[np.bool_]) -> Array:
-    """Return new vectors (d, k), one per damping value, within bounds and a prior sigma of ``x``."""
+    """Return new vectors (d, k), one per damping, within bounds and a prior sigma of ``x``."""
     free = np.flatnonzero(~fixed)
     block = curvature[np.ix_(free, free)]
     trial = np.tile(x, (len(DAMPINGS), 1))
@@ -309,8 +303,7 @@ def _steps(problem: Problem, x: Array, curvature: Array, gradient: Array, fixed:
 def line_up(problem: Problem, candidates: Array, residuals: Array, weights: Weights) -> tuple[Array, float, Array]:
     """Mix each joint's best of the candidates (s, k); return the mixture, its gain and its residuals.
 
-    ``residuals`` (r, rows, n) are those of the first candidates. Also simulates a mixture by groups; the best single
-    candidate wins if neither is better.
+    ``residuals`` (r, rows, n): those of the first candidates. A mixture by groups or a single candidate may win.
     """
     if len(residuals) < len(candidates):
         residuals = np.concatenate([residuals, problem.residuals(candidates[len(residuals) :])])
@@ -340,7 +333,7 @@ def influence(residual: Array) -> Array:
 
 
 def correlation_time(residual: Array, window: NDArray[np.integer], longest: int = 200) -> Array:
-    """(n,) [rows] autocorrelation time 1 + 2 sum rho of residuals (rows, n), to the first rho below 0.05."""
+    """(n,) [rows] 1 + 2 sum rho of residuals (rows, n), to the first rho below 0.05."""
     power = np.maximum(np.mean(residual**2, axis=0), 1e-18)
     total, alive = np.ones(residual.shape[1]), np.ones(residual.shape[1], dtype=bool)
     for lag in range(1, min(longest, len(residual) - 1)):

@@ -1,4 +1,4 @@
-"""Joint friction of a twin: parameters, prior and law; docs/architecture.md shows how to add a term."""
+"""Joint friction of a twin: parameters, prior and law (how to add a term: docs/architecture.md)."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ FRICTION = (
 )  # fmt: skip
 
 DRY = ("coulomb",)
-"""Parameters of dry friction, beside the stiction (`rejoint.twin.structure`)"""
+"""Parameters of dry friction, besides stiction"""
 
 STRIBECK_SPEED = 0.1
-"""[rad/s] at which friction has fallen to that of motion; chosen: two encoder steps in a control period"""
+"""[rad/s] at which friction has fallen to kinetic; chosen"""
 
 
 def friction_fields(twin: TwinParameters) -> Iterator[tuple[str, Array]]:
@@ -38,14 +38,14 @@ def friction_fields(twin: TwinParameters) -> Iterator[tuple[str, Array]]:
 
 
 def friction_terms(twin: TwinParameters, stiction: Array | float) -> Array:
-    """Return terms (t, ..., n) of `dry_friction`: the parameters `DRY` and, last, the ``stiction``."""
+    """Terms (t, ..., n) of `dry_friction`: `DRY`, then ``stiction``."""
     return np.stack([*(getattr(twin, name) for name in DRY), np.broadcast_to(stiction, twin.stiffness_shape)])
 
 
 def dry_friction(terms: Array, speed: Array) -> Array:
     """Dry friction (...) [N m] at ``speed`` (...) [rad/s], from ``terms`` (t, ...).
 
-    Stribeck's law (Stribeck 1902, as in Armstrong-Helouvry et al. 1994); plain arithmetic, also compiled.
+    Stribeck's law (Stribeck 1902, as in Armstrong-Helouvry et al. 1994); also compiled.
     """
     coulomb, stiction = terms[0], terms[-1]
     return coulomb * (1.0 + (stiction - 1.0) * np.exp(-((speed / STRIBECK_SPEED) ** 2)))

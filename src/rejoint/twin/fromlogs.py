@@ -1,7 +1,7 @@
 """Identification from logs of several motions of a little-known arm.
 
-Only free motion counts, whole motions are held out, priors are wide. After the judgement the twin is refitted to all
-motions; the table comes last.
+Only free motion counts, whole motions are held out, priors are wide. After the judgement, all motions are fitted; the
+table comes last.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ LEAST_CONTACT = 5.0
 
 
 FOLLOWED = 0.4
-"""Weight of a motion's worst joint below which it is reported; chosen: three times the typical error"""
+"""Least weight of a motion's worst joint without report; chosen"""
 REFITTED = "errors on held-out motion are those of a fit that had not seen it; the values are fitted to all motions"
 NOTHING = "the motions tell no joint's stiffness, damping or friction"
 UNJUDGED = "no motion was held out: the errors are those on the motions that were fitted"
@@ -73,7 +73,7 @@ def identify_logs(
 ) -> LogIdentification:
     """Fit a twin to logs; judge it, and the candidates ``beside`` it, on held-out motions.
 
-    The returned twin is fitted to all logs. InputError for another arm, too little free motion, or none to hold out.
+    The returned twin is fitted to all logs. InputError for another arm or too little motion.
     """
     for log in logs:
         log.require(arm.name, arm.joint_names)
@@ -124,7 +124,6 @@ def _fit_table(
     settings: LogSettings,
     start: TablePlane | None = None,
 ) -> TablePlane | None:
-    """Fit the table to motion in contact; None with too little of it."""
     if height is None or not settings.table:
         return None
     replay, parameters = problem.replay, unpack(found.vector, problem.joints)
@@ -145,7 +144,6 @@ def _unidentified(twin: Twin) -> list[str]:
 
 
 def _hard_to_follow(problem: Problem, found: Fit, logs: Sequence[RunLog]) -> list[str]:
-    """Report the motions that no twin of the structure follows well, with their weight."""
     motion = np.array([w.log for w in problem.replay.windows])[problem.window]
     weight = {logs[i].label: float(found.weights.share[motion == i].mean(axis=0).min()) for i in np.unique(motion)}
     low = {label: share for label, share in weight.items() if share < FOLLOWED}

@@ -1,7 +1,6 @@
 """Identification: a twin with intervals from logs of an excitation, judged on held-out windows.
 
-Every fourth window is held out. The others are fitted coarsely from many starts (`rejoint.twin.fit`), then at the final
-time step, then for intervals (`rejoint.twin.uncertainty`).
+A coarse fit from many starts (`rejoint.twin.fit`), a final one, then intervals (`rejoint.twin.uncertainty`).
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ class IdentifySettings:
     """Settings of an identification."""
 
     window: float = 6.0
-    """[s] between restarts from the measured state; measured: 1 to 50 s make no difference"""
+    """[s] between restarts from the measured state; measured: 1 to 50 s are equal"""
     coarse_window: float = 2.0
     """[s] the same for the search"""
     hold_out: int = 4
@@ -48,7 +47,7 @@ class IdentifySettings:
     starts: int = 24
     """candidates per round of the random search"""
     timestep: float = TIMESTEP
-    """[s] of the final fit; before, twice that"""
+    """[s] of the final fit"""
     iterations: int = 15
     threads: int = 2
     seed: int = 0
@@ -57,7 +56,7 @@ class IdentifySettings:
 DEFAULT_SETTINGS = IdentifySettings()
 
 STILL_SPEED = 0.03
-"""[rad/s] below which a joint counts as still; chosen"""
+"""[rad/s] of a still joint; chosen"""
 
 SHORTEST = 20.0
 """[s] least motion; chosen"""
@@ -69,7 +68,7 @@ def identify(
     settings: IdentifySettings = DEFAULT_SETTINGS,
     on_progress: Progress = no_progress,
 ) -> Twin:
-    """Fit a twin to the logs of an excitation; InputError if they are of another arm or too short."""
+    """Fit a twin to an excitation; InputError for another arm or too little motion."""
     seconds = sum(float(log.time[-1] - log.time[0]) for log in logs)
     windows = cut(logs, settings.window)
     seen = [w for i, w in enumerate(windows) if i % settings.hold_out != settings.hold_out - 1]
@@ -150,7 +149,7 @@ def _held_out(arm: Arm, replay: Replay, vector: Array) -> HeldOut:
 
 
 def largest_static_torque(arm: Arm, logs: Sequence[RunLog], coulomb: Array) -> Array:
-    """(n,) [N m] largest gravity torque that each motor held, less friction."""
+    """(n,) [N m] largest gravity torque held, less friction."""
     largest = np.zeros(arm.joints)
     for log in logs:
         still = np.abs(measured_velocity(log)) < STILL_SPEED
@@ -160,13 +159,13 @@ def largest_static_torque(arm: Arm, logs: Sequence[RunLog], coulomb: Array) -> A
 
 
 def largest_drive_torque(problem: Problem, parameters: TwinParameters) -> Array:
-    """(n,) [N m] torque of each servo without a limit, exceeded in one row of 200."""
+    """(n,) [N m] servo torque without limit, exceeded in one row of 200."""
     lead = np.concatenate(problem.replay.references(parameters)) + parameters.offset - problem.measured
     return np.quantile(np.abs(parameters.stiffness * lead), 0.995, axis=0)
 
 
 def torque_bounds(problem: Problem, logs: Sequence[RunLog], twin: Twin) -> Array:
-    """Raise lower bounds (k,): the torque limit is at least the torque held or reached."""
+    """Raise lower bounds (k,): the torque limit is at least the torque seen."""
     arm, n = problem.replay.arm, problem.joints
     limited = twin.identified[problem.layout.at("torque_limit")]
     static = largest_static_torque(arm, logs, twin.parameters.coulomb)
@@ -177,7 +176,7 @@ def torque_bounds(problem: Problem, logs: Sequence[RunLog], twin: Twin) -> Array
 
 
 def twin_notes(arm: Arm, logs: Sequence[RunLog], twin: Twin, found: Fit) -> list[str]:
-    """Return notes for the user of a twin."""
+    """Return notes for the user."""
     notes, held_out = [], twin.held_out
     if twin.unknown_scale:
         notes.append(

@@ -1,10 +1,10 @@
 """How well twins predict new logs: open loop, motion by motion, free and in contact.
 
-Motions are replayed whole. A twin is trusted only where joints moved, readings come often, on the commands' clock, and
-it predicts better than the commands with any delay.
+A twin is trusted only where joints moved, readings come often, on the commands' clock, and it is better than the
+commands with any delay.
 
 Candidates may be published parameter sets (docs/published): TOML with stiffness, damping, coulomb and armature, one
-value or one per joint; the rest of `PARAMETERS`, stiction and name are optional.
+value or one per joint; the rest is optional.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from rejoint.twin.table import TablePlane
 from rejoint.twin.twin import Twin
 
 TIMESTEP = 0.010
-"""[s]; measured: as good as a quarter of it on a real low-cost arm"""
+"""[s]; measured: as good as a quarter of it"""
 
 TRACE_ROWS = 2000
 """Rows of the residual for a figure; chosen"""
@@ -76,7 +76,7 @@ def judge(
 ) -> Judgement:
     """Compare candidates, and no twin, on whole logs; ``table`` [m] is its height, default: found.
 
-    InputError without a log or candidate, with equal names, or for another arm.
+    InputError without a log or candidate, for equal names or another arm.
     """
     names = [NO_TWIN, *(c.name for c in candidates)]
     if not logs or not candidates or len(set(names)) != len(names):
@@ -89,7 +89,7 @@ def judge(
 def predict_logs(
     arm: Arm, candidates: Sequence[Candidate], logs: Sequence[RunLog], timestep: float = TIMESTEP, threads: int = 1
 ) -> dict[str, list[Array]]:
-    """Positions (T, n) [rad] in each log by the name of the prediction, no twin first."""
+    """Positions (T, n) [rad] in each log by prediction, no twin first."""
     for log in logs:
         log.require(arm.name, arm.joint_names)
     return {NO_TWIN: _no_twin(logs)} | {c.name: _paths(arm, c, logs, timestep, threads) for c in candidates}
@@ -195,7 +195,7 @@ def _trace(arm: Arm, log: RunLog, rows: Exclusions, paths: dict[str, Array]) -> 
 MOVED = np.radians(2.0)
 """[rad] least travel of a moving joint; chosen"""
 COARSEST = 0.1
-"""[s] between readings above which friction and lag do not show; chosen"""
+"""[s] between readings up to which friction and lag show; chosen"""
 EARLIEST, LATEST = -0.05, 0.3
 """[s] plausible delay of readings after commands; chosen"""
 LAGS = np.arange(-0.5, 0.81, 0.01)
@@ -205,11 +205,11 @@ ROWS = 1000
 FEWEST = 3
 """Motions that an interval needs; chosen"""
 CLEARLY = 0.8
-"""Error relative to the commands' that is clearly smaller; chosen"""
+"""Relative error that is clearly smaller; chosen"""
 
 
 def doubts(arm: Arm, logs: Sequence[RunLog], rows: Sequence[Exclusions], paths: dict[str, list[Array]]) -> list[str]:
-    """Say why no prediction of ``paths`` (first: no twin) is trusted; empty if one is."""
+    """Say why no prediction of ``paths`` is trusted; empty if one is."""
     found = []
     travel = max(float(np.ptp(log.position, axis=0).max()) for log in logs)
     if travel < MOVED:
@@ -234,10 +234,7 @@ def doubts(arm: Arm, logs: Sequence[RunLog], rows: Sequence[Exclusions], paths: 
 
 
 def command_lag(logs: Sequence[RunLog]) -> tuple[float, float]:
-    """Best lag [s] of the commands against readings, and the root mean square rest [rad].
-
-    Ignores joints that hardly move, and constant differences.
-    """
+    """Best lag [s] of the commands, and the rms rest [rad], of moving joints without offsets."""
     totals, count = np.zeros(len(LAGS)), 0
     for log in logs:
         moving = np.flatnonzero(np.ptp(log.position, axis=0) > MOVED)
@@ -275,7 +272,7 @@ def _better(
 
 
 def read_published(path: Path, arm: Arm) -> Candidate:
-    """Read a published parameter set; FileError for a wrong file or value."""
+    """Read a published parameter set; FileError if wrong."""
     remedy, reached = "docs/published holds examples", unpack(unknown_prior(arm).upper, arm.joints)
     try:
         data = tomllib.loads(read_bounded(path, TOML_MOST, remedy).decode())

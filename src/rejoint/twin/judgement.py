@@ -9,12 +9,12 @@ import numpy as np
 from rejoint.arms import Arm, Array, tcp_position
 
 NO_TWIN = "no twin"
-"""The prediction that the arm follows its commands exactly"""
+"""The prediction that the arm is at its command"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PredictionError:
-    """Root mean square distance between a prediction and the encoders."""
+    """Root mean square error of a prediction, by encoders."""
 
     joint: float
     """[rad] over all joints"""
@@ -26,7 +26,7 @@ class PredictionError:
 
 @dataclass(frozen=True, kw_only=True)
 class Errors:
-    """One prediction of one motion, or the mean over motions; None without rows."""
+    """Errors of one motion, or their mean; None without rows."""
 
     free: PredictionError | None
     contact: PredictionError | None
@@ -49,7 +49,7 @@ class MotionErrors:
 
 @dataclass(frozen=True, kw_only=True)
 class Trace:
-    """Residual of the motion that the first candidate predicts worst."""
+    """Residual of the worst motion of the first candidate."""
 
     motion: str
     time: tuple[float, ...]
@@ -75,7 +75,7 @@ class Judgement:
     """over the motions with equal weight, by prediction"""
     worst: Trace
     doubts: tuple[str, ...] = ()
-    """why no prediction is trusted (`rejoint.twin.judge`), if so"""
+    """why no prediction is trusted (`rejoint.twin.judge`)"""
 
 
 def prediction_error(arm: Arm, predicted: Array, measured: Array) -> PredictionError:

@@ -1,10 +1,9 @@
 """Torques from servos that report their load.
 
-Positions give a joint's torques up to a common scale, which gravity and link inertia fix: badly for a vertical axis or
-near the flange. A load is a share of the servo's largest torque. So the slope of load over error at rest
-(`servo_lines`) is stiffness over largest torque, within some percent. Motors of one type have nearly the same largest
-torque, so one joint's weight fixes the scale of the others. The common scale stays that of the masses: data sheets
-differ more (an STS3215's stall torque: 2.9 to 6 N m).
+Positions give a joint's torques up to a common scale, which gravity and link inertia fix, except for a vertical axis or
+near the flange. A load is a share of the largest torque, so the slope of load over error at rest (`servo_lines`) is
+stiffness over largest torque, within some percent. Equal motors share one joint's scale. Stall torques in data sheets
+differ too much to replace the masses (an STS3215: 2.9 to 6 N m).
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from rejoint.twin.parameters import UNKNOWN_PARAMETERS, Layout, Prior, prior
 COMMON = 1.0
 """Sigma of the common log largest torque of one type; chosen"""
 OWN = 0.3
-"""The same of a single motor beside it; chosen: as emulated worn arms"""
+"""The same of a single motor beside it; chosen"""
 ANY = 3.0
 """The same of a stiffness with a known line; chosen"""
 OPEN = tuple(replace(p, alike=None) for p in UNKNOWN_PARAMETERS)
@@ -30,10 +29,7 @@ OPEN = tuple(replace(p, alike=None) for p in UNKNOWN_PARAMETERS)
 
 
 def prior_by_loads(arm: Arm, logs: Sequence[RunLog]) -> Prior | None:
-    """Return the prior of an arm by the loads in its ``logs``; None where they say nothing.
-
-    That needs load lines and two servos of one type (`Arm.servos`).
-    """
+    """Prior of an arm by the loads in its ``logs``; None without load lines or equal servos (`Arm.servos`)."""
     groups = [np.flatnonzero(np.array(arm.servos) == name) for name in sorted(set(arm.servos)) if name]
     alike = [group for group in groups if len(group) > 1]
     lines = servo_lines(arm, logs) if alike else None
@@ -60,7 +56,7 @@ def prior_by_loads(arm: Arm, logs: Sequence[RunLog]) -> Prior | None:
 
 
 def _seen(mean: Array, covariance: Array, row: Array, value: float, error: float) -> tuple[Array, Array]:
-    """Mean (k,) and covariance (k, k) after ``row`` (k,) times the parameters was observed as ``value``."""
+    """Mean (k,) and covariance (k, k) given ``value`` of ``row`` (k,) times the parameters."""
     reach = covariance @ row
     share = reach / (row @ reach + error**2)
     return mean + share * (value - row @ mean), covariance - np.outer(share, reach)

@@ -1,7 +1,7 @@
 """Fit of a twin to the free motion of several logs: windows, held-out motions, structure, values.
 
-Part of the motion decides on the structure (`rejoint.twin.structure`); then windows from all motions are fitted. Whole
-motions are held out, drawn by a seed among similar ones: ordered by contact, then by commanded speed.
+Part of the motion decides on the structure (`rejoint.twin.structure`). Held-out motions are drawn among similar ones,
+by contact and commanded speed.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ SHORTEST_STRETCH = 2.0
 """[s] least free motion of a window; chosen"""
 
 LEAD = 1.0
-"""[s] of free motion before a contact in its window; chosen"""
+"""[s] of free motion before a contact; chosen"""
 
 
 def free_windows(logs: Sequence[RunLog], excluded: Sequence[Exclusions], length: float) -> list[Window]:
@@ -76,7 +76,7 @@ def thin(windows: Sequence[Window], logs: Sequence[RunLog], seconds: float) -> l
 def fastest(windows: Sequence[Window], logs: Sequence[RunLog], seconds: float) -> list[Window]:
     """Keep about ``seconds`` [s] of the windows whose commands accelerate most.
 
-    Jumps to a constant goal do not count: a limited acceleration does not show there.
+    Without jumps to a constant goal, where a limited acceleration does not show.
     """
 
     def acceleration(w: Window) -> float:
@@ -113,7 +113,7 @@ def _pieces(index: int, log: RunLog, run: tuple[int, int], length: float) -> lis
 
 
 FEW_MOTIONS = 4
-"""Number of motions below which the end of each is held out; chosen"""
+"""Motions from which whole ones are held out; chosen"""
 KEPT_END = 0.25
 """Share of a motion held out then; chosen"""
 
@@ -130,7 +130,7 @@ class HoldOut:
 
 
 def part(arm: Arm, logs: Sequence[RunLog], how: HoldOut) -> tuple[list[RunLog], list[RunLog]]:
-    """Split logs into those to fit and those to judge; of few motions the last quarter of each is judged.
+    """Split logs into those to fit and those to judge; of few motions the last quarter of each.
 
     Without hold-out both are all logs. InputError for duplicate, missing or all labels.
     """
@@ -161,7 +161,7 @@ def part(arm: Arm, logs: Sequence[RunLog], how: HoldOut) -> tuple[list[RunLog], 
 
 
 def folds(arm: Arm, logs: Sequence[RunLog], count: int, seed: int = 0) -> NDArray[np.integer]:
-    """(K,) fold number of each log; each fold has motions of every kind."""
+    """(K,) fold of each log; each fold has motions of every kind."""
     touching = [rows.contact.any() for rows in find_exclusions(arm, logs, table_height(arm, logs))]
     speed = [float(np.sqrt(np.mean((np.diff(log.command, axis=0) / np.diff(log.time)[:, None]) ** 2))) for log in logs]
     order = sorted(range(len(logs)), key=lambda i: (bool(touching[i]), round(speed[i], 6), logs[i].label))
@@ -173,18 +173,17 @@ def folds(arm: Arm, logs: Sequence[RunLog], count: int, seed: int = 0) -> NDArra
 
 
 CLUSTERED = 8
-"""Motions from which intervals rest on motions instead of windows; chosen"""
+"""Motions from which intervals rest on them, not on windows; chosen"""
 
 STRIDE = 2.5
-"""Finite-difference steps over those for an excitation: smaller ones measure stick-slip (measured: with 4.5 % of a
-stiffness two halves end 60 % apart, with 12 % 12 %)"""
+"""Finite-difference steps over those for an excitation; measured: smaller ones fit stick-slip"""
 REFINEMENT = 6
-"""Most steps of the final descent, with fine differences; chosen"""
+"""Most steps of the final descent; chosen"""
 MEMORY = 1.0
-"""[s] of one observation beside the prior; chosen between the autocorrelation time and 3 s"""
+"""[s] of one observation beside the prior; chosen"""
 
 FREEDOM = 2.0
-"""Degrees of freedom of the errors of windows; chosen"""
+"""Degrees of freedom of window errors; chosen"""
 
 SHORTEST = 10.0
 """[s] least free motion; chosen"""
@@ -196,15 +195,15 @@ class LogSettings:
 
     hold_out: HoldOut = field(default_factory=HoldOut)
     window: float = 8.0
-    """[s] between restarts from the measured state; measured: 1 to 50 s make no difference"""
+    """[s] between restarts from the measured state; measured: 1 to 50 s are equal"""
     coarse_seconds: float = 100.0
     """[s] for the structure"""
     fit_seconds: float = 400.0
     """[s] for the final fit"""
     fast_seconds: float = 40.0
-    """[s] of the fastest motion: it decides on a limited acceleration and is always fitted"""
+    """[s] of the fastest motion, which shows a limited acceleration"""
     contact_seconds: float = 240.0
-    """[s] of contact for the table; measured: 80 s raise errors by up to a fifth"""
+    """[s] of contact for the table; measured: 80 s are a fifth worse"""
     table: bool = True
     """whether to fit a table in contact"""
     table_height: float | None = None
@@ -225,7 +224,7 @@ def fit_motions(
     settings: LogSettings = DEFAULT_LOG_SETTINGS,
     on_progress: Progress = no_progress,
 ) -> tuple[Problem, Fit, Structure]:
-    """Find a twin's structure for free motion, and fit it; InputError with too little motion."""
+    """Find a twin's structure for free motion, and fit it; InputError for too little."""
     windows = free_windows(logs, excluded, settings.window)
     seconds = sum(float(logs[w.log].time[w.last - 1] - logs[w.log].time[w.first]) for w in windows)
     if seconds < SHORTEST:
@@ -283,6 +282,6 @@ def _problem(
 
 
 def independent(problem: Problem) -> NDArray[np.integer]:
-    """(rows,) numbers of independent stretches: motions, or windows of few motions."""
+    """(rows,) numbers of independent stretches: motions or windows."""
     windows = problem.replay.windows
     return by_motion(windows) if len({w.log for w in windows}) >= CLUSTERED else problem.window

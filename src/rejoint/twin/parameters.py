@@ -1,10 +1,10 @@
 """The parameters of a twin, their units and priors.
 
-The simulated worn arm in `rejoint.robots.lab.plant` is the truth in tests: it shares no physics code with the twin.
-
 Stiffness: Park et al. 2024 train on P = 50..200; a 0.85 kg arm oscillates as in their Fig. 10 with 0.06 P N m/rad
 (measured in simulation, as the other ranges). Bounds contain identified hobby servos (SO-101: stiffness 19-26 N m/rad,
 Coulomb friction 0.25-0.8 N m, viscous friction 0.8-1.6 N m s/rad). Ranges of unknown arms reach to industrial joints.
+
+The plant in `rejoint.robots.lab.plant` shares no physics code with the twin, so that it can test the fit.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from rejoint.twin.friction import FRICTION
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TwinParameters:
-    """Physical parameters of one twin, or of a batch with any leading shape."""
+    """Physical parameters of one twin or a batch, with any leading shape."""
 
     stiffness: Array
     """(..., n) [N m/rad] the servo's position gain"""
@@ -114,7 +114,7 @@ PARAMETERS: tuple[Parameter, ...] = (
               # chosen: faster than most motions, so that a ramp must show itself in the data
               wide={"nominal": 8.0, "sigma": 0.7, "upper": 50.0, "by_speed": False}),
 )  # fmt: skip
-"""In the order of the parameter vector. Differences of offset and delay are chosen."""
+"""In the order of the vector. Differences of offset and delay are chosen."""
 
 JOINT_PARAMETERS = tuple(p for p in PARAMETERS if p.per_joint)
 ARM_PARAMETERS = tuple(p for p in PARAMETERS if not p.per_joint)
@@ -132,21 +132,21 @@ STICTION = 2.0
 """Static over kinetic friction; chosen: dry gears"""
 
 WRIST_INERTIA = 0.2
-"""Share of the largest link inertia below which a joint is of the wrist; chosen"""
+"""Share of the largest link inertia that bounds the wrist; chosen"""
 
 
 @dataclass(frozen=True)
 class Layout:
     """Indices of the parameters of a twin of n joints in its vector of length k.
 
-    In the order of `PARAMETERS`: first those of joints, one value per joint, then those of the arm.
+    In the order of `PARAMETERS`: first those of joints, then those of the arm.
     """
 
     joints: int
 
     @staticmethod
     def of_length(length: int) -> Layout:
-        """Return the layout of vectors of length k."""
+        """Layout of vectors of length k."""
         return Layout((length - len(ARM_PARAMETERS)) // len(JOINT_PARAMETERS))
 
     @cached_property
@@ -181,17 +181,17 @@ class Layout:
 
     @property
     def of_arm(self) -> slice:
-        """Slice of the parameters of the whole arm."""
+        """Slice of the arm's parameters."""
         return slice(len(JOINT_PARAMETERS) * self.joints, self.size)
 
 
 def number(name: str) -> int:
-    """Return the number of a parameter in `PARAMETERS`."""
+    """Return number of a parameter in `PARAMETERS`."""
     return [p.name for p in PARAMETERS].index(name)
 
 
 def vector_names(joint_names: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of the vector's elements, such as ``stiffness.joint2`` and ``delay``."""
+    """Names such as ``stiffness.joint2`` and ``delay``."""
     layout = Layout(len(joint_names))
     return tuple(
         PARAMETERS[kind].name + (f".{joint_names[joint]}" if joint >= 0 else "")
@@ -200,7 +200,7 @@ def vector_names(joint_names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def pack(parameters: TwinParameters) -> Array:
-    """Parameter vector (..., k): logarithms of the positive quantities, the others as they are."""
+    """Parameter vector (..., k), with logarithms of the positive quantities."""
     parts = [getattr(parameters, p.name) for p in PARAMETERS]
     values = np.concatenate([v if p.per_joint else v[..., None] for p, v in zip(PARAMETERS, parts, strict=True)], -1)
     log = Layout(parameters.joints).is_log
@@ -232,7 +232,7 @@ class Prior:
     """(k, k); None: uncorrelated"""
 
     def groups(self, joints: int) -> NDArray[np.integer]:
-        """(n,) number of the group of related joints of each."""
+        """(n,) number of each joint's group."""
         owner, related = Layout(joints).owner, self.precision != 0.0
         return np.array([owner[related[owner == joint].any(axis=0) & (owner >= 0)].min() for joint in range(joints)])
 
@@ -244,10 +244,7 @@ class Prior:
 
 
 def prior(arm: Arm, table: tuple[Parameter, ...] = PARAMETERS) -> Prior:
-    """Prior of an arm from a table, its largest gravity torque, reach, speed and link inertias.
-
-    Values scale with the arm's size as their units demand.
-    """
+    """Prior of an arm from a table, its largest gravity torque, reach, speed and link inertias."""
     load = largest_gravity_torque(arm) / REFERENCE_LOAD
     time = (reach(arm) / REFERENCE_REACH) ** 0.5
     speed = float(arm.max_speed.min()) / REFERENCE_SPEED
@@ -264,7 +261,7 @@ def prior(arm: Arm, table: tuple[Parameter, ...] = PARAMETERS) -> Prior:
 
 
 def _alike(arm: Arm, table: tuple[Parameter, ...]) -> Array | None:
-    """Correlation (k, k) of joints with servos of one type; None without any."""
+    """Correlation (k, k) of joints with equal servos; None without any."""
     layout, servos = Layout(arm.joints), arm.servos or ("",) * arm.joints
     same = np.array([[one == other != "" for other in servos] for one in servos]) & ~np.eye(arm.joints, dtype=bool)
     if not same.any() or not any(p.alike for p in table):
@@ -283,8 +280,8 @@ def nominal_parameters(arm: Arm) -> TwinParameters:
 
 
 HEALTHY_STIFFNESS_FACTOR = 5.0
-"""A healthy servo's stiffness over the prior's worn median: 35 N m/rad, from an STS3215's error under load (SO-ARM100,
-issue 134)"""
+"""A healthy servo's stiffness over the prior's worn median: 35 N m/rad, from an STS3215 under load (SO-ARM100, issue
+134)"""
 HEALTHY_DAMPING_FACTOR = 3.2
 HEALTHY_TORQUE_FACTOR = 2.2
 HEALTHY_FRICTION_FACTOR = 0.6
@@ -292,7 +289,7 @@ HEALTHY_FRICTION_FACTOR = 0.6
 
 
 def healthy_parameters(arm: Arm) -> TwinParameters:
-    """Twin of an arm of this build without wear."""
+    """Twin of an arm without wear."""
     worn = nominal_parameters(arm)
     return TwinParameters(
         stiffness=HEALTHY_STIFFNESS_FACTOR * worn.stiffness,
@@ -308,13 +305,12 @@ def healthy_parameters(arm: Arm) -> TwinParameters:
 
 @lru_cache(maxsize=32)
 def largest_gravity_torque(arm: Arm) -> float:
-    """[N m] about any joint, over postures spread between the limits."""
+    """[N m] about any joint, over all postures."""
     postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (4096, arm.joints))
     return max(float(np.abs(gravity_torque(arm, postures)).max()), 1e-3)
 
 
 def _wrist(arm: Arm) -> NDArray[np.bool_]:
-    """(n,) joints that carry little inertia."""
     inertia = np.zeros(arm.joints)
     for i in range(arm.joints):
         reach = 0.0  # upper bound of the distance from joint i: the chain stretched out
@@ -330,5 +326,5 @@ UNKNOWN_PARAMETERS: tuple[Parameter, ...] = tuple(replace(p, **p.wide) for p in 
 
 
 def unknown_prior(arm: Arm) -> Prior:
-    """Prior of an arm known by its URDF or MJCF alone."""
+    """Prior of an arm known by its URDF or MJCF."""
     return prior(arm, UNKNOWN_PARAMETERS)

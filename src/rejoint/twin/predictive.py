@@ -1,9 +1,8 @@
 """Predictive control: a plan on the arm's own twin for the motion, another controller near the target.
 
-The other controller also takes over where twin and arm disagree, until the next target. Model predictive path integral
-control (Williams et al., ICRA 2017): the plan is the average of simulated candidates, weighted by exp(-cost). Among
-them are the command that holds the goal in the model, and overdriven ones. An offset of the commands takes up the
-model's error (offset-free MPC: Pannocchia and Rawlings, AIChE Journal 49(2), 2003).
+The other controller also takes over where twin and arm disagree. Model predictive path integral control (Williams et
+al., ICRA 2017): the plan is the average of simulated candidates, weighted by exp(-cost), among them overdriven ones. An
+offset of the commands takes up the model's error (offset-free MPC: Pannocchia and Rawlings, AIChE Journal 49(2), 2003).
 """
 
 from __future__ import annotations
@@ -28,12 +27,12 @@ class Holder(Controller, Protocol):
     """A controller that can take over from another one."""
 
     def take_over(self, inputs: ControlInput, where: Mask) -> None:
-        """Continue from the last command of the arms in ``where`` (B,), just before `command`."""
+        """Continue from the last command of the arms in ``where`` (B,)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class HandOver:
-    """When the holder takes over; chosen on worn arms of family 4."""
+    """When the holder takes over; chosen."""
 
     near: float = 0.5e-3
     """[m] tool to target, by encoders"""
@@ -54,7 +53,7 @@ class PredictiveController:
         self, arm: Arm, twins: Draw, holder: Holder, settings: PlanSettings | None = None,
         hand_over: HandOver | None = None,
     ) -> None:  # fmt: skip
-        """Take twins (B,), or one for all, and the controller near the target."""
+        """Take twins (B,), or one for all, and the holder."""
         self._arm, self._holder = arm, holder
         self._planner, self._until = Planner(arm, twins, settings), hand_over or HandOver()
         self.contract = getattr(holder, "contract", None)  # of a policy: it is checked before anything moves
@@ -64,7 +63,7 @@ class PredictiveController:
 
     @classmethod
     def of(cls, arm: Arm, twins: Sequence[Twin], holder: Holder) -> PredictiveController:
-        """Make it for B twins, all compiled; ContractError for twins of other arms."""
+        """Make it for B twins, all compiled; ContractError for other arms."""
         for twin in twins:
             twin.require(arm)
         count, own = len(twins), [twin.parameters for twin in twins]
@@ -108,7 +107,7 @@ class PredictiveController:
         return np.where(self._planning[:, None], self._planner.command(inputs), held)
 
     def _over(self, inputs: ControlInput, missed: Array) -> Mask:
-        """For which arms (B,) the plan is over, given the prediction error ``missed`` (B, n) [rad]."""
+        """For which arms (B,) the plan is over, by the prediction error ``missed`` (B, n) [rad]."""
         until = self._until
         tcp, jacobian = position_kinematics(self._arm, inputs.state.position)
         wrong = np.linalg.norm((jacobian @ missed[..., None])[..., 0], axis=-1)
@@ -120,13 +119,13 @@ class PredictiveController:
 
 
 _OVERDRIVE = np.array([-0.5, 0.0, 0.5, 1.0, 2.0, 4.0])
-"""Candidates: shares of the way to the goal added to the goal's command; chosen"""
+"""Candidates: goal's command plus these shares of the way; chosen"""
 _SHADOW_STEPS = 4
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlanSettings:
-    """Settings of the plan; chosen on twins, the offset's rate on worn arms of family 4."""
+    """Settings of the plan; chosen."""
 
     samples: int = 32
     """per arm and cycle"""
@@ -135,19 +134,19 @@ class PlanSettings:
     horizon: float = 0.28
     """[s] beyond the delay"""
     bend: float = 0.12
-    """[s] from a candidate's first to its last command"""
+    """[s] from first to last command"""
     spread_floor: float = float(np.radians(0.15))
     """[rad] of random candidates"""
     spread_slope: float = 0.25
     """their growth with the largest joint error"""
     temperature: float = 0.1
-    """of the weights, relative to the spread of the costs"""
+    """relative to the spread of the costs"""
     near: float = 0.003
     """[m] distance of half the cost"""
     effort: float = 0.3
     """[1/rad] cost of a change of command"""
     correction: float = 0.4
-    """share of the prediction error corrected per cycle in the twin's position"""
+    """share of the prediction error corrected per cycle"""
     offset_rate: float = 1.0
     """[1/s] the same for the offset of the commands"""
     lead: float = float(np.radians(20.0))
@@ -157,7 +156,7 @@ class PlanSettings:
 
 
 class Planner:
-    """Plans for B arms; each twin's simulation, ``shadow``, runs along."""
+    """Plans for B arms; the twins' simulation ``shadow`` runs along."""
 
     def __init__(self, arm: Arm, twins: Draw, settings: PlanSettings | None = None) -> None:
         """Take the twins of B arms, or one for all."""
@@ -168,7 +167,7 @@ class Planner:
         self._rng = np.random.default_rng(self._settings.seed)
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Take new targets of the arms in ``where`` (B,); offsets and twins stay."""
+        """Take new targets of the arms in ``where`` (B,)."""
         if self._count != len(inputs.sent):
             self._begin(inputs)
         self._take_goals(inputs, where)
@@ -182,7 +181,7 @@ class Planner:
         self._holding[where] -= self._twin.offset[where]
 
     def command(self, inputs: ControlInput) -> Array:
-        """Return the plan's first command (B, n) [rad]; call `follow` before."""
+        """Return the plan's first command (B, n) [rad], after `follow`."""
         moved: Mask = np.logical_or.reduce(inputs.goal != self._goal, axis=-1)
         if moved.any():  # on the way
             self._take_goals(inputs, moved)
@@ -196,7 +195,7 @@ class Planner:
         return limit_position(self._arm, self._plan[:, 0])
 
     def follow(self, inputs: ControlInput) -> Array:
-        """Advance the twins to now and learn from their errors (B, n) [rad]; once per cycle."""
+        """Advance the twins to now and learn from their errors (B, n) [rad]."""
         settings, now = self._settings, inputs.state.time
         elapsed = self._pace.tick(now)
         shadow = self.shadow
@@ -242,7 +241,6 @@ class Planner:
         return limit_position(self._arm, limit_lead(every, measured[:, None, None], settings.lead))
 
     def _costs(self, inputs: ControlInput, candidates: Array) -> Array:
-        """Cost (B, K) of candidates in the twins."""
         settings, samples = self._settings, self._settings.samples
         count, n = inputs.sent.shape
         delay, timestep = self._twin.delay, settings.timestep
@@ -261,7 +259,7 @@ class Planner:
         return self._judge(inputs, candidates, passed)
 
     def _judge(self, inputs: ControlInput, candidates: Array, passed: Array) -> Array:
-        """Cost (B, K): distance, by the goal's Jacobian, averaged over the horizon, plus effort."""
+        """Cost (B, K): mean distance, by the goal's Jacobian, plus effort."""
         settings = self._settings
         miss = passed - self._goal[:, None, None]
         error = np.einsum("bij,bktj->bkti", self._jacobian, miss)

@@ -1,8 +1,8 @@
 """The servo's reference: commands that arrive late and are approached at limited speed or acceleration.
 
-Between commands the reference is a ramp, or the time-optimal motion to rest at the goal (bang-bang; Pontryagin et al.
-1962), exact at any time. An SO-101 (Feetech STS3215) limits its acceleration to 254 x 100 counts/s^2 at most; a
-repeated goal ends the plan and is followed at once (measured).
+Between commands it is a ramp, or the time-optimal motion to rest at the goal (bang-bang; Pontryagin et al. 1962). An
+SO-101 (Feetech STS3215) limits its acceleration to 254 x 100 counts/s^2 at most; a repeated goal ends the plan and is
+followed at once (measured).
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
@@ -22,10 +22,10 @@ REACHED = 1e-12
 
 
 class Reference:
-    """References of m twins for one record of commands, each with its own delay and speed."""
+    """References of m twins for one record of commands."""
 
     def __init__(self, time: Array, command: Array, ramp_speed: Array, start: Array) -> None:
-        """Take sending times (T,) [s], commands (T, n) [rad], speeds (m,) [rad/s] and the start (n,)."""
+        """Take sending times (T,) [s], commands (T, n) [rad], speeds (m,) [rad/s], start (n,)."""
         self.time = time
         self.command = command
         speeds, self.which = np.unique(np.asarray(ramp_speed), return_inverse=True)
@@ -53,9 +53,9 @@ class Reference:
         return approach(self.at[row, twin], self.command[row], (self.ramp_speed[self.which] * elapsed)[..., None])
 
     def mean(self, time: Array, delay: Array, width: float) -> Array:
-        """Return means of references over ``width`` [s] about each of the even times ``time`` (s,) [s].
+        """Means of references over ``width`` [s] about each of the even times ``time`` (s,) [s].
 
-        They remove the effect of commands that always arrive at the same point of a step.
+        They remove the effect of commands in step with the grid.
         """
         edges = np.append(time - 0.5 * width, time[-1] + 0.5 * width)
         late = edges - np.asarray(delay)[:, None]
@@ -71,7 +71,7 @@ class Reference:
 
 
 def _area(reference: Array, goal: Array, speed: Array, elapsed: Array) -> Array:
-    """Integral [rad s] of a reference that approaches ``goal`` for ``elapsed`` [s]; all broadcast."""
+    """Integral [rad s] of a reference that approaches ``goal`` for ``elapsed`` [s]."""
     gap = goal - reference
     moving = np.clip(elapsed, 0.0, np.abs(gap) / speed)
     missing = np.abs(gap) * moving - 0.5 * speed * moving**2
@@ -79,12 +79,12 @@ def _area(reference: Array, goal: Array, speed: Array, elapsed: Array) -> Array:
 
 
 def approach(reference: Array, goal: Array, step: Array | float) -> Array:
-    """Move ``reference`` towards ``goal`` by at most ``step``; all broadcast."""
+    """Move ``reference`` towards ``goal`` by at most ``step``."""
     return reference + np.clip(goal - reference, -step, step)
 
 
 class LiveReference:
-    """Online references of N arms of n joints, with limited speed or acceleration."""
+    """Online references of N arms of n joints."""
 
     def __init__(self, count: int, joints: int) -> None:
         self.position, self.velocity = np.zeros((2, count, joints))
@@ -92,12 +92,12 @@ class LiveReference:
         self._speed, self._acceleration = np.ones(count), np.full(count, np.inf)
 
     def restart(self, where: Mask, position: Array, *, speed: Array, acceleration: Array) -> None:
-        """Rest at ``position`` (m, n) [rad] in ``where`` (N,); limits (m,) [rad/s] or, if finite, (m,) [rad/s^2]."""
+        """Rest at ``position`` (m, n) [rad] in ``where`` (N,); limits (m,) [rad/s] or, if finite, [rad/s^2]."""
         self.position[where], self.velocity[where] = position, 0.0
         self._speed[where], self._acceleration[where] = speed, acceleration
 
     def follow(self, latency: Latency, starts: Array, step: Array) -> Array:
-        """Follow the commands in force at ``starts`` (N, s) [s], a ``step`` (N,) [s] each: (N, s, n) [rad]."""
+        """Follow the commands in force at ``starts`` (N, s) [s], ``step`` (N,) [s] each: (N, s, n) [rad]."""
         goals, limited = latency.in_force(starts), (self._acceleration < np.inf).any()
         again = latency.sent_again(starts) if limited else np.zeros(goals.shape, dtype=bool)
         reach = self._speed * step
@@ -106,7 +106,7 @@ class LiveReference:
         return path
 
     def ahead(self, which: NDArray[np.integer], goals: Array, step: float) -> Array:
-        """Return later references (m, s, n) [rad] of the arms ``which`` (m,) for ``goals`` of that shape."""
+        """Later references (m, s, n) [rad] of the arms ``which`` (m,) for ``goals``."""
         again, each = np.zeros(goals.shape, dtype=bool), np.full(len(which), step)
         position, velocity, speed = self.position[which], self.velocity[which], self._speed[which]
         return np.asarray(follow(position, velocity, goals, again, speed * step, self._acceleration[which], each)[0])
@@ -123,7 +123,7 @@ class LiveReference:
 def follow(position, velocity, goals, again, reach, acceleration, step):  # noqa: ANN001, ANN201
     """Move references (N, n) towards ``goals`` (N, s, n); return them after each step, and speeds.
 
-    By at most ``reach`` (N,) [rad] per ``step`` (N,) [s], or with a finite ``acceleration`` (N,).
+    By ``reach`` (N,) [rad] per ``step`` (N,) [s], or with a finite ``acceleration`` (N,).
     """
     agents, steps, joints = goals.shape
     path, speed = np.empty(goals.shape), np.zeros(velocity.shape)
@@ -143,7 +143,7 @@ def follow(position, velocity, goals, again, reach, acceleration, step):  # noqa
 
 
 class Profile:
-    """References of servos with limited acceleration for one record of commands."""
+    """References with limited acceleration for one record of commands."""
 
     def __init__(self, time: Array, command: Array, acceleration: float) -> None:
         """Take sending times (T,) [s], commands (T, n) [rad] and the acceleration [rad/s^2]."""
@@ -163,7 +163,7 @@ class Profile:
 def advance(
     position: Array, velocity: Array, goal: Array, acceleration: float, elapsed: Array | float
 ) -> tuple[Array, Array]:
-    """Position and velocity after ``elapsed`` [s] of the fastest motion to rest at ``goal``; all broadcast.
+    """Position and velocity after ``elapsed`` [s] of the fastest motion to rest at ``goal``.
 
     Plain arithmetic, also compiled.
     """
@@ -217,7 +217,7 @@ class Latency:
         self._times = np.zeros((count, 2 * substeps + 1))
 
     def clear(self, where: Mask, command: Array, position: Array) -> None:
-        """Restart at time 0 in ``where`` (N,) with constant ``command`` (m, n) and ``position`` (m, n)."""
+        """Restart at time 0 in ``where`` (N,) with constant ``command``, ``position`` (m, n)."""
         self._commands[where] = command[:, None]
         self._sent[where] = -np.inf
         self._positions[where] = position[:, None]
@@ -231,12 +231,12 @@ class Latency:
         self._commands[:, 0], self._sent[:, 0] = command, time
 
     def in_force(self, time: Array) -> Array:
-        """Commands (N, s, n) [rad] that the servos have at ``time`` (N, s) [s]."""
+        """Commands (N, s, n) [rad] at the servos at ``time`` (N, s) [s]."""
         self._check(len(time))
         return _in_force(self._sent, self.command_delay, self._commands, time)
 
     def sent_again(self, time: Array) -> NDArray[np.bool_]:
-        """Whether the commands (N, s, n) in force at ``time`` (N, s) [s] repeat the one before."""
+        """Whether the commands (N, s, n) at ``time`` (N, s) [s] repeat the one before."""
         self._check(len(time))
         same = np.zeros(self._commands.shape)
         same[:, :-1] = self._commands[:, :-1] == self._commands[:, 1:]

@@ -1,8 +1,8 @@
 """Open-loop replay: a twin under the commands of a run log.
 
-Windows start from the measured state, so all windows of all candidates run as one batch. The delay contains the age of
-the reading. A log may declare (`RunLog.extra`): ``gain``, the servos' position gain over the twin's (``0.5`` or ``1 0.5
-1``), and ``torque_off``, spans [s] without torque, which are cut out (``3-7.5 12-14``).
+Windows start from the measured state, so they run as one batch. The delay contains the age of the reading. A log may
+declare (`RunLog.extra`): ``gain``, the servos' position gain over the twin's (``0.5`` or ``1 0.5 1``), and
+``torque_off``, spans [s] without torque, which are cut out (``3-7.5 12-14``).
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from rejoint.twin.simulation import Draw, Simulation
 from rejoint.twin.table import TablePlane
 
 IN_STEP = 0.2
-"""Regularity of command times in the step, 0 to 1, that shifts the delay; chosen"""
+"""Regularity of command times, 0 to 1, that shifts the delay; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Window:
-    """Rows ``first`` to ``last`` (exclusive) of one log, replayed from ``first``."""
+    """Rows ``first`` to ``last`` (exclusive) of one log."""
 
     log: int
     first: int
@@ -48,7 +48,7 @@ def cut(logs: Sequence[RunLog], length: float) -> list[Window]:
 
 
 def divide(windows: Sequence[Window], rows: int) -> list[Window]:
-    """Divide windows into pieces of about ``rows`` rows."""
+    """Divide windows into pieces of about ``rows``."""
     pieces: list[Window] = []
     for w in windows:
         edges = np.linspace(w.first, w.last, max(1, round((w.last - w.first) / rows)) + 1).astype(int).tolist()
@@ -57,7 +57,7 @@ def divide(windows: Sequence[Window], rows: int) -> list[Window]:
 
 
 class Replay:
-    """Replays windows of logs for many twins at once; keeps its simulations between calls."""
+    """Replays windows of logs for many twins at once."""
 
     def __init__(
         self,
@@ -84,7 +84,7 @@ class Replay:
         self._simulations: dict[tuple[int, bool], Simulation] = {}
 
     def predict(self, parameters: TwinParameters, tables: Sequence[TablePlane] = ()) -> list[Array]:
-        """Positions (m, rows, n) [rad] for each window, for twins (m,), with m ``tables`` if given."""
+        """Positions (m, rows, n) [rad] of twins (m,) in each window, with m ``tables`` if given."""
         m, count = parameters.shape[0], len(self.windows)
         simulation = self._simulation(m * count, table=bool(tables))
         which = np.tile(np.arange(m), count)  # simulation = window * m + twin
@@ -116,7 +116,7 @@ class Replay:
         ]
 
     def references(self, parameters: TwinParameters) -> list[Array]:
-        """Return one twin's references (rows, n) [rad] at each window's readings."""
+        """One twin's references (rows, n) [rad] at each window's readings."""
         references = self._references(parameters.repeat(1))
         return [
             references[w.log].sample(self._log(w).time[w.first : w.last], np.atleast_1d(parameters.delay))[0]
@@ -141,8 +141,7 @@ class Replay:
     def _control(self, parameters: TwinParameters) -> Array:
         """Return references (windows * m, steps, n) at the start of each simulation step.
 
-        Means over steps replace them for commands at a fixed point of the step: else the delay would depend on the
-        step.
+        Means over the step, for commands in step with it: else the delay would depend on the step.
         """
         references = self._references(parameters)
         grid = np.arange(self.steps) * self.timestep
@@ -171,7 +170,7 @@ def predict(arm: Arm, parameters: TwinParameters, log: RunLog, timestep: float =
 
 
 def _in_step(time: Array, timestep: float) -> float:
-    """Regularity, 0 to 1, of times (T,) [s] within the steps of a grid."""
+    """Regularity, 0 to 1, of times (T,) [s] on a grid."""
     return float(np.abs(np.exp(2j * np.pi * time / timestep).mean()))
 
 
@@ -195,7 +194,7 @@ GAIN, TORQUE_OFF = "gain", "torque_off"
 
 
 def declare(logs: Sequence[RunLog], key: str, values: Mapping[str, str]) -> list[RunLog]:
-    """Give the logs named in ``values`` their value of ``key``; InputError for an unknown log."""
+    """Give the logs named in ``values`` their ``key``; InputError for an unknown log."""
     unknown = sorted(set(values) - {log.label for log in logs})
     if unknown:
         raise InputError(
@@ -218,7 +217,7 @@ def gains(log: RunLog) -> Array:
 
 
 def spans_off(log: RunLog) -> list[tuple[float, float]]:
-    """Read the spans [s] without torque, from the start of the log."""
+    """Read the spans [s] without torque."""
     spans = []
     for word in log.extra.get(TORQUE_OFF, "").replace(",", " ").split():
         ends = _numbers(log, TORQUE_OFF, word.split("-"))
@@ -229,7 +228,7 @@ def spans_off(log: RunLog) -> list[tuple[float, float]]:
 
 
 def powered(logs: Sequence[RunLog]) -> list[RunLog]:
-    """Cut logs at spans without torque; the pieces are numbered."""
+    """Cut logs at spans without torque."""
     found = []
     for log in logs:
         since, spans = log.time - log.time[0], spans_off(log)

@@ -1,7 +1,7 @@
 """The simulation behind training, tuning, replay and predictive control.
 
 It adds late and limited commands (`rejoint.twin.reference`), backlash, friction by speed and delayed readings to the
-dynamics. Many arms run in lockstep, each with its own parameters, control period and clock.
+dynamics. Each arm has its own clock.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Draw:
 
     @staticmethod
     def of(twin: TwinParameters, stiction: Array | float = 1.0, acceleration: Array | float = np.inf) -> Draw:
-        """Take twins (N,), their whole delay on the command side."""
+        """Take twins (N,), with all delay before the servo."""
         whole, joints = np.zeros(twin.shape), np.zeros(twin.stiffness_shape)
         return Draw(
             twin=twin, command_delay=twin.delay, readback_delay=whole, stiction=joints + stiction,
@@ -73,7 +73,7 @@ class Draw:
 
 
 class Simulation:
-    """``count`` arms of one build; ``twins`` holds their live state, ``time`` their clocks."""
+    """``count`` arms of one build, with live ``twins`` and ``time``."""
 
     def __init__(
         self, arm: Arm, count: int, *, timestep: float = TIMESTEP, threads: int = 1, table: bool = False,
@@ -93,7 +93,7 @@ class Simulation:
         self._friction = np.ones((len(DRY) + 1, count, n))
 
     def place(self, draw: Draw, position: Array, command: Array, where: Mask | None = None) -> None:
-        """Put the arms of ``draw`` (m,) in the places ``where`` (N,), default: all, at time 0.
+        """Put the arms of ``draw`` (m,) in ``where`` (N,), default: all, at time 0.
 
         At ``position`` (m, n) [rad] with constant ``command`` (m, n) [rad].
         """
@@ -109,7 +109,7 @@ class Simulation:
         self.measured[where] = self._quantised(position)
 
     def put_tables(self, tables: Sequence[TablePlane]) -> None:
-        """Set the arms' tables in a simulation made with ``table``, after `place`."""
+        """Set the tables of a simulation with ``table``, after `place`."""
         if isinstance(self.twins, ChainBatch):
             raise InputError("simulation: made without a table, and cannot be put on one")
         self.twins.put_tables(tables)
@@ -119,7 +119,7 @@ class Simulation:
         self.latency.send(command, self.time)
 
     def advance(self, period: Array, offset: Array | None = None) -> None:
-        """Advance by ``period`` (N,) [s] and read; ``offset`` (N, n) [rad] is added to the references."""
+        """Advance by ``period`` (N,) [s] and read; ``offset`` (N, n) [rad] shifts the references."""
         step = period / self.substeps
         self.twins.set_timestep(step)
         starts = self.time[:, None] + step[:, None] * np.arange(self.substeps)
@@ -130,7 +130,7 @@ class Simulation:
         self.measured = self._quantised(self.latency.read(self.time))
 
     def rollout(self, reference: Array) -> Array:
-        """Advance by the ``reference`` (N, steps, n) [rad], one row a step; return positions of that shape."""
+        """Advance by ``reference`` (N, steps, n) [rad]; return positions of that shape."""
         if not self.backlash.present and isinstance(self.twins, ChainBatch):
             return self.twins.rollout(reference, self._friction)
         if is_steady(self._friction) and not self.backlash.present:
@@ -175,7 +175,7 @@ class TwinRobot:
     ) -> None:  # fmt: skip
         """Put the twins at rest in a ``posture`` (n,) [rad], default: that of rest.
 
-        ``copies``: repeats of the same arms, with the same jitter.
+        ``copies``: repeats of all arms, with the same jitter.
         """
         count = len(draw.period)
         self._arm, self._period, self._jitter, self._copies = arm, draw.period, jitter, copies
@@ -201,12 +201,12 @@ class TwinRobot:
         return len(self._period)
 
     def read(self) -> JointState:
-        """Return the newest joint state."""
+        """Newest joint state."""
         now = self.simulation
         return JointState(time=now.time.copy(), position=now.measured.copy(), age=np.zeros(self.count))
 
     def step(self, command: Array, active: Mask | None = None) -> JointState:
-        """Send ``command`` (B, n) [rad], advance by one period; only ``active`` twins are read."""
+        """Send ``command`` (B, n) [rad], advance one period; read only ``active`` twins."""
         simulation, before = self.simulation, self.simulation.measured
         simulation.send(command)
         spread = self._rng.uniform(1.0 - self._jitter, 1.0 + self._jitter, self.count // self._copies)

@@ -1,7 +1,6 @@
 """What a twin needs to explain some logs: active limits, and static friction.
 
-Neither has a gradient, so fits to the same windows are compared, the simplest first; a more elaborate one must pay for
-itself.
+Neither has a gradient, so fits to the same windows are compared; more elaborate structures must pay for themselves.
 """
 
 from __future__ import annotations
@@ -18,25 +17,24 @@ from rejoint.twin.parameters import Layout, Prior, number
 from rejoint.twin.replay import Window
 
 STICTIONS = (1.25, 1.0, 1.5, 2.0)
-"""Ratios of static to kinetic friction, the default first; measured on a real low-cost arm"""
+"""Ratios of static to kinetic friction, default first; measured on a real low-cost arm"""
 
 LIMITS = ("torque_limit", "ramp_speed")
 """Parameters that show only when reached"""
 
 ACCELERATIONS = (40.0, 20.0, 80.0)
-"""[rad/s^2] limits of the reference's acceleration to try after the known one; chosen around the largest setting of an
-STS3215"""
+"""[rad/s^2] limits of the reference's acceleration to try; chosen around an STS3215's largest setting"""
 DELAYS = (-0.008, -0.004, 0.0, 0.004, 0.008, 0.012)
 """[s] changes of the delay to try with them; chosen"""
 EARLIER = 0.01
-"""[s] of delay that imitates a limited acceleration; measured: 5 to 15 ms on a real low-cost arm"""
+"""[s] of delay that imitates a limited acceleration; measured on a real low-cost arm"""
 
 STICTION_GAIN = 0.10
-"""Relative gain in loss that another stiction must bring; chosen"""
+"""Relative gain of another stiction; chosen"""
 GAIN = 0.02
-"""First gain of a limit below which no descent follows; chosen"""
+"""Least first gain of a limit; chosen"""
 LIMIT_GAIN = 0.15
-"""Relative gain that a limit must bring; chosen: a wrong speed limit gains 6 %"""
+"""Relative gain of a limit; chosen: a wrong one gains 6 %"""
 
 FINEST = 1.05
 """Factor between the last accelerations tried; chosen"""
@@ -44,16 +42,15 @@ FINEST = 1.05
 STARTS = 8
 """Candidates of the random search; chosen"""
 NEAR = 0.2
-"""Loss over that of no twin of a good first fit; chosen"""
+"""Relative loss of a good first fit; chosen"""
 SHORT = 3
 """Steps of a descent on few windows; chosen"""
 ROUGH = 6
 """Steps of the first descent; chosen"""
 FURTHER = 2
-"""Steps of a descent from a similar optimum; chosen"""
+"""Steps from a similar optimum; chosen"""
 FAR = 5.0
-"""Rms residual over the median from which a window is left out; chosen between real jumps (4) and infeasible chirps
-(20)"""
+"""Rms residual over the median of a window to leave out; chosen between real jumps (4) and infeasible chirps (20)"""
 
 _RAMPS = (1.0, 2.0, 4.0, 8.0)
 """[rad/s] tried"""
@@ -83,15 +80,12 @@ class Found:
 
 
 def simplest(belief: Prior, stiction: float, acceleration: float = np.inf) -> Structure:
-    """Return the structure without limits but a known ``acceleration`` [rad/s^2]."""
+    """Structure without limits but a known ``acceleration`` [rad/s^2]."""
     return Structure(prior=_without_limits(belief, LIMITS), frozen=LIMITS, stiction=stiction, acceleration=acceleration)
 
 
 def rough_fit(problem: Problem) -> Array:
-    """Fit (k,) from the prior's median, else from the best of a random search.
-
-    The median first: a search ends anywhere along the common scale of a joint's torques.
-    """
+    """Fit (k,) from the prior's median, else from the best of a random search."""
     belief, measured = problem.prior, problem.measured
     x = fit(problem, fit(problem, belief.mean, SHORT).vector, SHORT, SCALES).vector
     no_twin = loss(np.concatenate(problem.replay.commands()) - measured).sum(axis=0)
@@ -106,7 +100,7 @@ def rough_fit(problem: Problem) -> Array:
 
 
 def expressible(problem: Problem, x: Array) -> list[Window]:
-    """Select the windows that a fit (k,) comes near; others would bend all parameters."""
+    """Select the windows that a fit (k,) comes near."""
     by_row = loss(problem.residuals(x[None])[0]).sum(axis=1)
     by_window = np.bincount(problem.window, by_row) / np.bincount(problem.window)
     limit = FAR**2 * np.median(by_window)
@@ -116,8 +110,7 @@ def expressible(problem: Problem, x: Array) -> list[Window]:
 def find_acceleration(make: Callable[[Structure], Problem], simple: Structure, start: Array) -> Structure:
     """Limit the reference's acceleration where that explains the fastest windows, from ``start`` (k,).
 
-    ``make`` turns a structure into a problem of these windows. Each limit gets its own fit. The acceleration of
-    ``simple`` holds where these windows do not tell.
+    ``make`` turns a structure into a problem of these windows. Without evidence, the acceleration of ``simple`` holds.
     """
     known = simple.acceleration
 
@@ -171,7 +164,7 @@ def find_structure(
 ) -> Found:
     """Compare structures on the same windows, from a simple one and its ``start`` (k,).
 
-    ``make`` turns a structure into a problem with so many threads, which do not affect the result.
+    ``make`` turns a structure and a number of threads into a problem.
     """
     problem = make(structure, threads)
     x = fit(problem, start, FURTHER, SCALES).vector
@@ -197,7 +190,7 @@ def find_structure(
 def _climb(
     make: Callable[[Structure], Problem], structure: Structure, x: Array, best: Array, ladder: Sequence[float]
 ) -> Found:
-    """Try the stictions of a ladder until one does not pay, from the optimum ``x`` (k,), losses (n,)."""
+    """Try the stictions of a ladder while they pay, from optimum ``x`` (k,), losses (n,)."""
     for stiction in ladder:
         stickier = replace(structure, stiction=stiction)
         problem = make(stickier)
@@ -218,7 +211,7 @@ def _ladders(stictions: Sequence[float]) -> tuple[list[float], list[float]]:
 
 
 def _with_limit(problem: Problem, x: Array, limit: str) -> tuple[Array, Array]:
-    """Optimum with one limit freed, and its losses (n,); no descent if useless."""
+    """Optimum with one limit freed, and its losses (n,)."""
     candidates = [x]
     place = problem.layout.at(limit)
     if limit == "torque_limit":

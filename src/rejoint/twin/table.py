@@ -15,7 +15,7 @@ class TablePlane:
     """A plane under the tip."""
 
     height: float
-    """[m] of the TCP in contact, in the base frame below the base's origin"""
+    """[m] of the TCP in contact, below the base's origin"""
     slope_x: float
     """along the base's x"""
     slope_y: float

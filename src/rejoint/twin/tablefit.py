@@ -1,4 +1,4 @@
-"""Fit of the table to motion in contact: least squares with a weak prior, the arm being known."""
+"""Fit of the table to motion in contact: least squares with a weak prior."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ NOISE, ROWS = np.radians(0.5), 50
 def fit_table(
     replay: Replay, parameters: TwinParameters, height: float, start: TablePlane | None = None, evaluations: int = 12
 ) -> TablePlane:
-    """Fit the table to a replay, from ``start`` or its prior: level, at ``height`` [m]."""
+    """Fit the table to a replay, from ``start`` or level at ``height`` [m]."""
     measured, weight = np.concatenate(replay.measured()), 1.0 / (NOISE * ROWS**0.5)
     mean = np.array([height, 0.0, 0.0, np.log(STIFFNESS), np.log(FRICTION)])
 

@@ -26,10 +26,10 @@ from rejoint.twin.parameters import (
 from rejoint.twin.table import TablePlane
 
 LEAST_SPREAD = 0.05
-"""Extra spread of the logarithms of drawn twins, for wrong structure; chosen"""
+"""Extra sigma of the logarithms of drawn twins; chosen"""
 
 SCALE_KNOWN = 2.0
-"""Information on a joint's common scale, over the prior's, from which it is known; chosen"""
+"""Information on a joint's common scale, over the prior's, of a known one; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,7 +86,7 @@ class Twin:
 
     @classmethod
     def load(cls, path: Path | str) -> Twin:
-        """Read a twin file (TOML); FileError if it is missing or damaged."""
+        """Read a twin file (TOML); FileError if missing or damaged."""
         from rejoint.twin.file import read_twin
 
         return read_twin(Path(path))
@@ -134,10 +134,7 @@ class Twin:
 
     @property
     def unknown_scale(self) -> tuple[str, ...]:
-        """Joints with torques and inertia known up to a common factor only.
-
-        Only gravity and link inertia fix it, which a joint near the flange hardly feels.
-        """
+        """Joints with torques and inertia known up to a common factor only."""
         layout, sigma = Layout(len(self.joint_names)), np.sqrt(np.diag(self.covariance)) / self.narrowing
         unknown = []
         for joint, name in enumerate(self.joint_names):
@@ -149,13 +146,13 @@ class Twin:
 
     @property
     def unknown(self) -> tuple[str, ...]:
-        """Names of the parameters that keep their prior range."""
+        """Parameters that keep their prior range."""
         return tuple(name for name, known in zip(self.names, self.identified, strict=True) if not known)
 
     def sample(self, rng: np.random.Generator, count: int, least_spread: float = LEAST_SPREAD) -> TwinParameters:
         """Draw ``count`` twins from the covariance, within the physical bounds.
 
-        Logarithms are spread by ``least_spread`` on top. Delays are not negative.
+        ``least_spread`` widens logarithms. Delays are not negative.
         """
         root = _root(self, least_spread)
         drawn = pack(self.parameters) + rng.standard_normal((count, len(self.names))) @ root.T

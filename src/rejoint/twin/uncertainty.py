@@ -5,8 +5,8 @@ with Student's quantile; clusters are motions, or stretches of an excitation. Cu
 are too narrow: a third of such 95 % intervals held the truth (`python -m benchmarks truth`). Stick-slip looks like
 curvature, so the curvature comes from the loss itself.
 
-The common scale of a joint's torques rests on the masses, so the covariance contains their uncertainty ("consider"
-covariance, Schmidt 1966; Bierman 1977, chapter 8).
+Uncertain masses widen the common scale of a joint's torques ("consider" covariance, Schmidt 1966; Bierman 1977, chapter
+8).
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ CLUSTER = 3.0
 TORQUE_LIMIT = number("torque_limit")
 
 REACH = 2.0
-"""Standard deviations at which the loss's curvature is taken; chosen"""
+"""Standard deviations for the loss's curvature; chosen"""
 LEAST_SHARE = 0.01
-"""Least share of the curvature left where the loss does not grow; chosen"""
+"""Least share of the curvature along a flat loss; chosen"""
 SCALE_STEP = float(np.log(SCALES[-2]))
-"""Step of the ladder `SCALES`; measured: without it only 4 of 5 intervals of disjoint halves agree"""
+"""Step of the ladder `SCALES`; measured: without it only 4 of 5 intervals agree"""
 
 IDENTIFIED = 0.5
-"""Share of the prior's sigma below which a parameter is identified; chosen"""
+"""Share of the prior's sigma of an identified parameter; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,7 +52,7 @@ class Uncertainty:
 
 
 def uncertainty(problem: Problem, fit: Fit, clusters: NDArray[np.integer]) -> Uncertainty:
-    """Estimate the covariance of a fit from the scores of ``clusters`` (rows,) and the masses."""
+    """Estimate a fit's covariance from the scores of ``clusters`` (rows,) and the masses."""
     prior = problem.prior
     residual, jacobian = _central_differences(problem, fit.vector)
     covariance = jackknife(prior, *_by_cluster(problem, fit, residual, jacobian, clusters))
@@ -75,7 +75,7 @@ def _resolution(problem: Problem, x: Array) -> Array:
 def jackknife(prior: Prior, curvatures: Array, scores: Array) -> Array:
     """Covariance (k, k) of a posterior from g clusters and n joints: (g, k, k) and (g, n, k).
 
-    Spread of the leave-one-out estimates plus the inverse curvature, scaled to Student's width.
+    Spread of the leave-one-out estimates plus the inverse curvature, by Student's width.
     """
     count, precision = len(scores), prior.precision
     whole = curvatures.sum(axis=0)
@@ -107,7 +107,7 @@ def _by_cluster(
 def _steadied(problem: Problem, fit: Fit, jacobian: Array, covariance: Array) -> Array:
     """Scale sensitivities (rows, n, q) down to the curvature of the loss itself.
 
-    Along the principal directions of each joint's parameters, `REACH` sigma of ``covariance`` (k, k) to either side.
+    Along the principal directions of each joint's parameters, `REACH` sigma of ``covariance`` (k, k).
     """
     prior, n = problem.prior, problem.joints
     own = [np.flatnonzero((problem.owner == joint) & ~problem.frozen) for joint in range(n)]
@@ -141,7 +141,7 @@ def _steadied(problem: Problem, fit: Fit, jacobian: Array, covariance: Array) ->
 def _central_differences(problem: Problem, x: Array) -> tuple[Array, Array]:
     """Residual (rows, n) at ``x`` and sensitivities (rows, n, q), one-sided near a bound.
 
-    The torque limit's is upward: data on a limit never reached give a lower bound only.
+    The torque limit's is upward: a limit never reached has a lower bound only.
     """
     ones = np.ones(len(x))
     up, down = problem.inward(x, ones), problem.inward(x, -ones)
@@ -157,9 +157,9 @@ def _central_differences(problem: Problem, x: Array) -> tuple[Array, Array]:
 
 
 COMMON, OWN = 0.10, 0.10
-"""Sigma of the log mass of all links together, and of each; chosen"""
+"""Sigma of the log mass of all links, and of each; chosen"""
 CENTRE = 0.15
-"""The same of a centre of mass's distance from its joint; chosen"""
+"""The same of a centre of mass's distance; chosen"""
 STEP = 0.1
 """Finite-difference step of the logarithms; chosen"""
 
@@ -167,7 +167,7 @@ STEP = 0.1
 def mass_covariance(problem: Problem, fit: Fit, residual: Array, jacobian: Array, curvature: Array) -> Array:
     """Covariance (k, k) of an estimate by uncertain links.
 
-    ``residual`` (rows, n), ``jacobian`` (rows, n, q) and ``curvature`` (k, k) with the prior are those at the estimate.
+    ``residual`` (rows, n), ``jacobian`` (rows, n, q) and ``curvature`` (k, k), with the prior, at the estimate.
     """
     moved, replay = [], problem.replay
     for arm, sigma in _other_arms(replay.arm):

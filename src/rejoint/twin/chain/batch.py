@@ -1,7 +1,4 @@
-"""Many twins of one free arm in lockstep, by the compiled step; the interface of `rejoint.twin.batch.TwinBatch`.
-
-Every arm moves bit for bit as alone.
-"""
+"""Many twins of one free arm in lockstep, by the compiled step; the interface of `rejoint.twin.batch.TwinBatch`."""
 
 from __future__ import annotations
 
@@ -28,7 +25,7 @@ ROWS = ("stiffness", "offset", "torque_limit", "damping", "armature", "coulomb")
 
 
 class ChainBatch:
-    """``nsim`` simulations of one arm. The arrays ``qpos``, ``qvel``, ``ctrl`` (nsim, n) are live."""
+    """``nsim`` simulations of one arm; ``qpos``, ``qvel``, ``ctrl`` (nsim, n) are live."""
 
     def __init__(self, arm: Arm, nsim: int, timestep: float = TIMESTEP, threads: int = 1) -> None:
         if nsim < 1 or threads < 1:
@@ -85,9 +82,9 @@ class ChainBatch:
         self.rollout(self.ctrl[:, None])
 
     def rollout(self, control: Array, terms: Array | None = None) -> Array:
-        """Advance by ``control`` (nsim, steps, n) [rad], one row a step; return positions of that shape.
+        """Advance by ``control`` (nsim, steps, n) [rad]; return positions of that shape.
 
-        With ``terms`` (t, nsim, n) of `rejoint.twin.friction.friction_terms`, dry friction follows the speed.
+        ``terms`` (t, nsim, n) of `rejoint.twin.friction.friction_terms` make dry friction depend on speed.
         """
         path = np.empty_like(control)
         control = np.ascontiguousarray(control)
@@ -104,7 +101,7 @@ class ChainBatch:
         return path
 
     def restart(self, position: Array, velocity: Array | float = 0.0, ids: Ids = None) -> None:
-        """Put simulations at ``position`` (m, n) [rad] with ``velocity`` [rad/s]; clears the friction impulses."""
+        """Restart at ``position`` (m, n) [rad] with ``velocity`` [rad/s], without friction impulses."""
         chosen = np.arange(self.nsim)[slice(None) if ids is None else ids]
         self.qpos[chosen] = self.ctrl[chosen] = position
         self.qvel[chosen], self._impulse[chosen] = velocity, 0.0
@@ -123,7 +120,7 @@ class ChainBatch:
 
 
 def chain_links(arm: Arm) -> Array:
-    """Return (n, LINK) the constants of each link, see `rejoint.twin.chain.dynamics`."""
+    """(n, LINK) the constants of each link, see `rejoint.twin.chain.dynamics`."""
     links, before = np.zeros((arm.joints, LINK)), np.eye(3)
     for j, row in enumerate(links):
         turn = _z_frame(arm.axis[j])

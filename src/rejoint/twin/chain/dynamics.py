@@ -1,8 +1,8 @@
-"""Compiled dynamics of some dozen serial arms at once: motion, forces, inertia and its inverse.
+"""Compiled dynamics of some dozen serial arms at once.
 
 Bias forces by recursive Newton-Euler, inertia by composite bodies (Featherstone 2008, chapters 5 and 6), in link frames
-whose z axis is the joint. Loops over the arms, the lanes, vectorize only if arrays do not overlap (`NoAlias`), each
-quantity of a joint is one row, the loop calls nothing, and the number of lanes is unknown.
+whose z axis is the joint. Loops over the arms, the lanes, vectorize only without overlap of arrays (`NoAlias`), with
+one row per quantity of a joint, without calls, and with an unknown number of lanes.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
@@ -27,7 +27,7 @@ FX, FY, FZ, NX, NY, NZ, HX, HY, HZ = (LANES * k for k in range(18, 27))
 IXX, IYY, IZZ, IXY, IXZ, IYZ, KEPT_ROW = (LANES * k for k in range(27, 34))
 _X, _Y, _Z, _U, _V, _T, REACH_ROW = (LANES * k for k in range(7))  # of a force and a moment that are carried on
 ACCELERATION, TORQUE = LX, NZ
-"""Indices of the linear acceleration of a joint (of the base: minus gravity) and of its bias torque"""
+"""Indices of a joint's linear acceleration (base: minus gravity) and bias torque"""
 
 
 class NoAlias(Compiler):  # type: ignore[misc]
@@ -101,7 +101,7 @@ def turn(lanes, q, sine, cosine):
 
 @njit(**OPTIONS)
 def forward(lanes, link, before, here, speed, sine, cosine):
-    """Carry motion to a joint from the one ``before``; store its inertial force and moment."""
+    """Carry motion from the joint ``before``; store the inertial force and moment."""
     r0, r1, r2, r3, r4, r5, r6, r7, r8 = link[0], link[1], link[2], link[3], link[4], link[5], link[6], link[7], link[8]
     px, py, pz = link[PLACE], link[PLACE + 1], link[PLACE + 2]
     mass, hx, hy, hz = link[MASS], link[MOMENT], link[MOMENT + 1], link[MOMENT + 2]
@@ -149,7 +149,7 @@ def forward(lanes, link, before, here, speed, sine, cosine):
 
 @njit(**OPTIONS)
 def backward(lanes, link, before, here):
-    """Add the force, moment and mass of a joint, and of all behind it, to the one before."""
+    """Add force, moment and mass of a joint to the one before."""
     px, py, pz, mass = link[PLACE], link[PLACE + 1], link[PLACE + 2], link[CARRIED]
     for l in range(lanes):
         r0, r1, r2 = here[R0 + l], here[R1 + l], here[R2 + l]

@@ -1,4 +1,4 @@
-"""The compiled loop over blocks of arms and steps, with dry friction by speed."""
+"""The compiled loop over blocks of arms and steps."""
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
 # ruff: noqa: ANN001, ANN202 - compiled functions take their types from their arguments
@@ -19,11 +19,11 @@ _dry_friction = njit(inline="always")(friction.dry_friction)
 
 
 def _compiled(sources):
-    """Compile the loop; the disk cache holds until this file or its ``sources`` change."""
+    """Compile the loop, cached on disk until this file or its ``sources`` change."""
 
     @njit(**OPTIONS)
     def advance(links, motors, gravity, timestep, control, state, path, part):
-        """Advance the arms of a ``part``; copies of its last arm fill the last group."""
+        """Advance the arms of a ``part``; copies of the last arm fill the last group."""
         (parameters, terms, steady), (qpos, qvel, impulse), (first, last, work) = motors, state, part
         joints = len(links)
         h = np.empty(LANES)
