@@ -36,7 +36,7 @@ class BoundedActor(DeterministicMixin, Model):  # type: ignore[misc]
         return torch.tanh(self.net(inputs["observations"])), {}
 
     def network(self) -> nn.Sequential:
-        """Return the policy as layers."""
+        """Policy as layers."""
         return nn.Sequential(*self.net, nn.Tanh())
 
 
@@ -74,7 +74,7 @@ class SquashedActor(Model):  # type: ignore[misc]
         return torch.tanh(free), {"log_prob": log_prob}
 
     def network(self) -> nn.Sequential:
-        """Return the mean policy as layers."""
+        """Mean policy as layers."""
         return nn.Sequential(*list(self.body), self.mean, nn.Tanh())
 
 

@@ -20,8 +20,6 @@ BETA1, BETA2, EPS = 0.9, 0.999, 1e-8
 
 @dataclass(frozen=True, eq=False)
 class _Moments:
-    """State of one parameter from its first gradient on."""
-
     step: Tensor
     """number of gradients"""
     exp_avg: Tensor
@@ -62,7 +60,7 @@ class Adam:
         )  # fmt: skip
 
     def state_dict(self) -> dict[str, Any]:
-        """Return a checkpoint with the names of torch's optimiser."""
+        """Checkpoint with the names of torch's optimiser."""
         return {"state": {k: dict(vars(moments)) for k, moments in self._moments.items()}}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:

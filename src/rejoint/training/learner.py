@@ -173,7 +173,6 @@ class Learner:
 
 @contextmanager
 def _switching(interval: float) -> Iterator[None]:
-    """Set Python's switch interval [s] within the block."""
     before = sys.getswitchinterval()
     sys.setswitchinterval(interval)
     try:
@@ -191,7 +190,7 @@ def _save(content: dict[str, Any], path: Path) -> None:
 
 
 def _unsealed(path: Path) -> bytes:
-    """Return the content behind the digest of `_save`; FileError if damaged."""
+    """Content behind the digest of `_save`; FileError if damaged."""
     head, _, data = read_bounded(path, CHECKPOINT_MOST, _RESTART).partition(b"\n")
     if head != _MAGIC + digest(data):
         raise FileError(path, "damaged checkpoint (it is not what was written)", _RESTART)
@@ -209,7 +208,6 @@ def _ceiling(settings: PpoSettings, iteration: int) -> float:
 
 
 def _tensors(state: dict[str, Any]) -> dict[str, Any]:
-    """Arrays as tensors, which load without running code."""
     task = {name: torch.from_numpy(v) if isinstance(v, np.ndarray) else v for name, v in state["task"].items()}
     return state | {"task": task}
 

@@ -66,7 +66,7 @@ class Memory(RandomMemory):  # type: ignore[misc]
     """skrl's memory, which copies whole rows into mini-batches, for speed."""
 
     def sample_by_index(self, names: Sequence[str], *, indexes: Tensor, mini_batches: int = 1) -> list[list[Tensor]]:
-        """Return the rows ``indexes`` (m,) of each tensor in ``mini_batches`` parts."""
+        """Rows ``indexes`` (m,) of each tensor in ``mini_batches`` parts."""
         parts = indexes.tensor_split(mini_batches)
         return [[self.tensors_view[name].index_select(0, part) for name in names] for part in parts]
 

@@ -1,9 +1,7 @@
 """The twins that a policy is trained on: random draws of all differences between arms.
 
-`BroadRanges` is the prior of a worn hobby arm; `IdentifiedRanges` draws from an identified twin. `MixedRanges` takes
-each episode from one or the other: the broad half keeps the policy robust.
-
-The numbers of `BroadRanges` were measured in simulation: a policy trained on them keeps its accuracy on new arms.
+`BroadRanges` is the prior of a worn hobby arm, measured in simulation; `IdentifiedRanges` draws from an identified
+twin. `MixedRanges` takes each episode from one or the other, for robustness.
 """
 
 from __future__ import annotations
@@ -121,7 +119,7 @@ class BroadRanges:
     def reaching(self, twin: Twin) -> BroadRanges:
         """Shift the intervals of all torques to hold the twin's geometric mean over the joints.
 
-        Without it, an arm of another make lies far outside. One with more damping than the prior gets `SLOW_BACKLASH`.
+        An arm with more damping than the prior gets `SLOW_BACKLASH`.
         """
         base = nominal_parameters(self.arm)
         moved: dict[str, Any] = {}
@@ -244,7 +242,7 @@ class PaperRanges:
         return replace(Draw.of(twin), period=1.0 / rng.uniform(*self.frequency, count))
 
     def twins(self, p: Array, d: Array) -> TwinParameters:
-        """Return twins with the paper's P and D (count, 1), ample torque, no friction or delay."""
+        """Twins with the paper's P and D (count, 1), ample torque, no friction or delay."""
         count, joints = len(p), (len(p), self.arm.joints)
         base, load, length = nominal_parameters(self.arm), torque_size(self.arm), length_size(self.arm)
         none, lots = np.zeros(joints), np.full(joints, 100.0)

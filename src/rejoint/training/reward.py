@@ -29,8 +29,8 @@ def paper_reward(
 ) -> Array:
     """Equation 25 of Park et al. 2024 for ``distance`` (N,) [m] and ``joint_speed`` (N, n) [rad/s].
 
-    Weights .1, .1, -5, 10, 10. The paper leaves open: centimetres, the mean joint speed; the time-out is a penalty, as
-    its text says.
+    Weights .1, .1, -5, 10, 10. Our choice: centimetres, the mean joint speed; the time-out is a penalty, as the text
+    says.
     """
     travel = -0.1 * 100.0 * distance - 0.1 * np.abs(joint_speed).mean(axis=-1)
     return travel - 5.0 * timed_out - 10.0 * collided + 10.0 * reached

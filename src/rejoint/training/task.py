@@ -123,7 +123,7 @@ class ReachTask:
     def prepare(self, cycles: int) -> None:
         """Draw new targets and arms for all agents that time out within so many cycles.
 
-        One batch is faster than the draws in `step`, since inverse kinematics are batched.
+        One batch is faster than the draws in `step`.
         """
         if self.settings.ends_on_success or self.settings.collisions:
             return  # when is not known
@@ -192,7 +192,6 @@ class ReachTask:
         return ControlInput(state=state, target=target, goal=goal, sent=self._sent, since_target=since)
 
     def _setpoint(self) -> Setpoint:
-        """Goals and targets in force."""
         moving = self._since < self._travel
         if not moving.any():
             return Setpoint(self._goal, self._aim, self._since - self._travel)
@@ -203,7 +202,6 @@ class ReachTask:
         return Setpoint(goal, target, np.maximum(self._since - self._travel, 0.0))
 
     def _command(self, action: Array) -> None:
-        """Send a command, as `PolicyController` and the control loop do."""
         inputs, observer = self._inputs(), self.observer
         observer.acted(action)
         wanted = self.commander.command(inputs, observer.view, action)
@@ -211,7 +209,6 @@ class ReachTask:
         self.simulation.send(self._sent)
 
     def _advance(self) -> None:
-        """Advance by one control period."""
         s = self.settings
         spread = self._rng.uniform(1.0 - s.jitter, 1.0 + s.jitter, self.agents)
         self._period = np.clip(self._middle * spread, s.min_period, s.max_period)
@@ -226,7 +223,6 @@ class ReachTask:
     def _renew(
         self, ended: Mask, collided: Mask, final: Observation, final_privileged: Observation
     ) -> tuple[Observation, Observation]:
-        """Draw new targets where one has ended, and new arms after the last one or a collision."""
         if not ended.any():
             return final, final_privileged
         self._count[ended] += 1

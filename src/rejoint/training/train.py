@@ -139,7 +139,6 @@ def train(
 
 
 def _resumed(learner: Learner, checkpoint: Path, identity: dict[str, Any]) -> bool:
-    """Continue from a checkpoint; False if it is missing, damaged or of another training."""
     if not checkpoint.exists():
         return True
     try:
@@ -152,7 +151,7 @@ def _resumed(learner: Learner, checkpoint: Path, identity: dict[str, Any]) -> bo
 
 
 def training_ranges(arm: Arm, twin: Twin | None, preset: Preset) -> Ranges:
-    """Return the arms that a preset trains on."""
+    """Arms that a preset trains on."""
     if preset.ranges == "paper":
         return PaperRanges(arm=arm, joint_noise=preset.joint_noise)
     if preset.ranges == "paper-healthy":
@@ -204,7 +203,6 @@ def know_stiffness(recipe: Preset, arm: Arm, twin: Twin | None) -> Preset:
 
 
 def _identity(arm: Arm, twin: Twin | None, recipe: Preset, seed: int, start: WarmStart | None) -> dict[str, Any]:
-    """Return what a checkpoint must agree in."""
     return {
         "arm": arm_digest(arm),
         "twin": "" if twin is None else twin.digest(),
@@ -238,7 +236,6 @@ def policy_contract(arm: Arm, twin: Twin | None, recipe: Preset, seed: int, name
 
 @contextmanager
 def _tensorboard(folder: Path) -> Iterator[SummaryWriter]:
-    """Open TensorBoard's event file."""
     try:
         writer = SummaryWriter(str(folder))
         try:

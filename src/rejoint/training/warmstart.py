@@ -51,7 +51,7 @@ def shelf_start(arm: Arm, recipe: Preset) -> WarmStart | None:
 
 
 def begin_at(content: bytes) -> WarmStart:
-    """Return the network of a policy file's ``content``, checked by `Policy.load`."""
+    """Network of a policy file's ``content``, checked by `Policy.load`."""
     return WarmStart(weights=network_weights(content), digest=digest(content).decode())
 
 

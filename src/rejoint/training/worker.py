@@ -1,6 +1,6 @@
 """A rollout worker: some of the agents, which act alone for a whole rollout.
 
-One worker's networks run while another simulates. Each has its own random numbers, so order has no effect.
+One worker's networks run while another simulates. Each has its own random numbers.
 """
 
 from __future__ import annotations
