@@ -1,7 +1,6 @@
-"""SAC, TD3 and DDPG by skrl on the task of PPO.
+"""SAC, TD3 and DDPG by skrl on the task of PPO, with privileged critics.
 
 Haarnoja et al. 2018, arXiv:1812.05905; Fujimoto et al. 2018, arXiv:1802.09477; Lillicrap et al. 2016, arXiv:1509.02971.
-Privileged critics, bootstrapped time-outs and the untrained policy are as with PPO.
 """
 
 from __future__ import annotations
@@ -64,13 +63,13 @@ class OffPolicySettings:
     """per control cycle"""
     batch: int = 1024
     memory: int = 400
-    """control cycles kept: 200 thousand transitions of 512 agents"""
+    """control cycles kept"""
     warm_up: int = 32
     """control cycles before the first gradient step"""
     learning_rate: float = 5e-4
     polyak: float = 0.01
     noise: tuple[float, float] = (0.3, 0.05)
-    """sigma of the exploration noise of TD3 and DDPG, first and last"""
+    """sigma of the exploration noise (TD3, DDPG), first and last"""
     seed: int = 0
     agents: int = AGENTS
     threads: int = 2
@@ -78,8 +77,6 @@ class OffPolicySettings:
 
 @dataclass(kw_only=True, eq=False)
 class _ReportWindow:
-    """Data since the last report."""
-
     rewards: list[float] = field(default_factory=list)
     ends: list[Any] = field(default_factory=list)
 
@@ -103,12 +100,12 @@ class OffPolicyLearner:
         return self._cycle
 
     def network(self) -> nn.Sequential:
-        """Return the network of the mean action."""
+        """Network of the mean action."""
         actor: BoundedActor | SquashedActor = self.agent.policy
         return actor.network()
 
     def learn(self) -> CurvePoint:
-        """Run the cycles up to the next report."""
+        """Run until the next report."""
         start, window = time.perf_counter(), _ReportWindow()
         for _ in range(min(_REPORT_EVERY, self.settings.cycles - self._cycle)):
             transition = self._interact()
@@ -178,7 +175,7 @@ def train_offpolicy(
 
 
 def trainer(name: str, seed: int) -> Trainer:
-    """Return the trainer of the algorithm ``name``; InputError if there is none."""
+    """Trainer of an algorithm; InputError for unknown ones."""
     settings = OffPolicySettings(algorithm=algorithm(name), seed=seed)
     return lambda arm, twin, out, on_progress: train_offpolicy(
         arm, twin, out=out, settings=settings, on_progress=on_progress
@@ -194,7 +191,7 @@ def algorithm(name: str) -> Algorithm:
 
 
 def noise_at(settings: OffPolicySettings, cycle: int) -> float:
-    """Exploration noise of TD3 and DDPG; falls linearly."""
+    """Exploration noise of TD3 and DDPG."""
     first, last = settings.noise
     return first + (last - first) * min(cycle / settings.cycles, 1.0)
 

@@ -1,4 +1,4 @@
-"""All experiments in the paper's order: run, stored, resumed, and written as a page."""
+"""All experiments: run, stored, resumed, and written as a page."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (TABLE_1, FIG_9, FIG_10, TABLE_3, FIG_11, 
 
 
 def choose(names: Sequence[str]) -> tuple[Experiment, ...]:
-    """Return the experiments of those names, default: all; InputError lists them."""
+    """Named experiments, default: all; InputError for unknown ones."""
     known = {name for one in EXPERIMENTS for name in (one.name, *one.also)}
     for name in names:
         if name not in known:
@@ -43,7 +43,7 @@ class Claim:
 
 
 OnExperiment = Callable[[Experiment, bool], object]
-"""Called before each experiment with whether it is finished"""
+"""Called before each experiment, with whether it is finished"""
 
 
 def run_experiments(
@@ -51,7 +51,7 @@ def run_experiments(
 ) -> list[Finished]:  # fmt: skip
     """Run unfinished experiments and return all findings.
 
-    Shared trainings run first, in parallel. ``again`` repeats experiments, not trainings or comparisons.
+    ``again`` repeats experiments, not trainings or comparisons.
     """
     _claim(bench)
     needed = [one for one in experiments if again or not finished_file(bench, one).exists()]
@@ -65,7 +65,6 @@ def run_experiments(
 
 
 def _claim(bench: Bench) -> None:
-    """Store the folder's settings; InputError if it has others."""
     wanted, path = Claim(seed=bench.seed, quick=bench.quick), bench.folder / "reproduction.json"
     if not path.exists():
         write_json(path, wanted)
@@ -93,7 +92,7 @@ def _run(bench: Bench, experiment: Experiment) -> Finished:
 
 
 def write_page(bench: Bench, page: Path) -> Path:
-    """Write all finished experiments to ``page``, figures beside it."""
+    """Write finished experiments and figures to ``page``."""
     files = {one.name: finished_file(bench, one) for one in EXPERIMENTS}
     found = {name: read_json(file, Finished).findings for name, file in files.items() if file.exists()}
     pictures = page.with_suffix("")
@@ -107,7 +106,7 @@ def write_page(bench: Bench, page: Path) -> Path:
 
 
 def table(headers: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    """Return a Markdown table, with bars escaped."""
+    """Markdown table, with bars escaped."""
     lines = [headers, ["---"] * len(headers), *rows]
     return ["| " + " | ".join(str(cell).replace("|", "\\|") for cell in line) + " |" for line in lines]
 

@@ -79,7 +79,7 @@ class Drawing:
 
 @dataclass(frozen=True, kw_only=True)
 class Grid:
-    """A table of the page beyond the numbers."""
+    """A further table of the page."""
 
     title: str
     headers: tuple[str, ...]
@@ -94,7 +94,7 @@ class Findings:
     """paragraphs"""
     numbers: tuple[Number, ...]
     readings: tuple[str, ...] = ()
-    """how we read open points of the paper"""
+    """how we read open points"""
     grids: tuple[Grid, ...] = ()
     drawings: tuple[Drawing, ...] = ()
 
@@ -126,7 +126,7 @@ class Bench:
 
     @property
     def quick(self) -> bool:
-        """Whether the size is too small for a result."""
+        """Whether it is too small for a result."""
         return self.scale != FULL
 
     def training(self, name: str) -> RunFolder:
@@ -153,5 +153,4 @@ class Experiment:
     about: str
     """one line for the list"""
     trainings: tuple[str, ...] = ()
-    """required trainings"""
     run: Callable[[Bench], Findings]

@@ -1,4 +1,4 @@
-"""Fig. 10: three pairs of P and D in the twin, and their units."""
+"""Fig. 10: three pairs of P and D in the twin."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ STEP = 1.0 / 240.0
 DWELL = 2.0
 """[s] per target; chosen"""
 WINDOW = 0.25
-"""[s] at the end of a target for its error; chosen"""
+"""[s] at the end of a target; chosen"""
 BOUNDLESS = 1e6
-"""[N m] torque limit: none, as in equation 12"""
+"""[N m] no torque limit, as in equation 12"""
 VISITS = 6
 """targets on the figure; chosen"""
 
 
 def run(bench: Bench) -> Findings:
-    """Move twins to the same targets, open loop, in both units."""
+    """Move twins to the same targets, in both units."""
     count = min(VISITS, bench.scale.targets)
     targets = draw_targets(bench.arm, sets=1, count=count, seed=bench.seed)[0]
     ours, literal = PaperRanges(arm=bench.arm), PaperRanges(arm=bench.arm, stiffness_unit=1.0, damping_unit=1.0)

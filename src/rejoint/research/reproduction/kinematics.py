@@ -1,4 +1,4 @@
-"""Table 1: the paper's and the vendor's DH tables are one mechanism."""
+"""Table 1: the paper's and the vendor's DH tables are equal."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from rejoint.research.reproduction.experiment import Bench, Experiment, Findings
 
 POSTURES = 1000
 EDGE = 9
-"""points along each edge of the target box"""
+"""points per edge of the target box"""
 CLOSE = 1e-3
 """[m] convergence of damped least squares"""
 
 
 def run(bench: Bench) -> Findings:
-    """Compare both tables on random postures and the whole target box."""
+    """Compare both tables."""
     vendor, paper = mycobot280(), paper_arm(PAPER_DH_TABLE)
     lengths = {0: DH_TABLE[0].d, 4: DH_TABLE[4].d}
     same = paper_arm(tuple(replace(row, d=lengths.get(i, row.d)) for i, row in enumerate(PAPER_DH_TABLE)))
@@ -56,7 +56,7 @@ def run(bench: Bench) -> Findings:
 
 
 def paper_arm(rows: tuple[DhRow, ...]) -> Arm:
-    """Build the myCobot 280 from a table in the paper's angles."""
+    """Build the myCobot 280 from a table of the paper."""
     vendor, (offset, axis, tip) = mycobot280(), dh_chain(rows)
     return replace(
         vendor, offset=offset, axis=axis, tip=tip, lower=vendor.lower + PAPER_ANGLE_SHIFT,
@@ -77,7 +77,6 @@ def _reachable(arm: Arm) -> NDArray[np.bool_]:
 
 
 def _steps_to(arm: Arm, seed: int) -> float:
-    """Median number of equation 11's steps to within `CLOSE`."""
     targets = arm.targets.sample(np.random.default_rng(seed), (200,))
     q, needed = np.tile(arm.rest, (200, 1)), np.zeros(200)
     for _ in range(200):

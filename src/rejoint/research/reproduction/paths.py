@@ -1,4 +1,4 @@
-"""Fig. 11: paths of the TCP before and after the training."""
+"""Fig. 11: paths of the TCP before and after training."""
 
 from __future__ import annotations
 

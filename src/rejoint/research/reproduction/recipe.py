@@ -1,4 +1,4 @@
-"""Table 3 and Algorithm 1: the paper's training and its open choices."""
+"""Table 3 and Algorithm 1: the paper's training."""
 
 from __future__ import annotations
 
@@ -28,31 +28,31 @@ WORDS = {
     LITERAL: "the last action for Δθ as well",
 }
 LEARNED = 90.0
-"""[%] of targets of a learned task; chosen"""
+"""[%] of targets when learned; chosen"""
 WORKS = 95.0
-"""[%] of targets of a working policy; chosen"""
+"""[%] of targets when working; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrainingOutcome:
-    """End of one training, and its policy on the worn arm."""
+    """One training, and its policy on the worn arm."""
 
     curves: Curves
     crossings: Columns
 
     @property
     def trained(self) -> float:
-        """Targets [%] reached within 5 mm at the end, exploring."""
+        """Targets [%] within 5 mm at the end, exploring."""
         return 100 * float(np.mean(self.curves.success_rate[-LAST:]))
 
     @property
     def success(self) -> float:
-        """Targets [%] of the worn arm reached within 10 mm."""
+        """Targets [%] of the worn arm within 10 mm."""
         return 100 * float(self.crossings["crossed"].mean())
 
     @property
     def error_mm(self) -> Array:
-        """Errors at the crossing or the time-out."""
+        """Errors at the crossing or time-out."""
         error = self.crossings["crossing_error"]
         return 1e3 * error[np.isfinite(error)]
 

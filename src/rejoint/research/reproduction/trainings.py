@@ -1,8 +1,8 @@
 """Shared trainings, and their policies at the paper's task.
 
-``worn-0`` is Table 3's training on the paper's P and D, ``healthy-0`` on those of a normal arm; the number is added to
-the seed. ``limit-5`` takes the printed largest action, ``noise-5`` also the joint noise, ``literal`` also the last
-action as its change of joint angles.
+``worn-0`` is Table 3's training on the paper's P and D, ``healthy-0`` on a normal arm's; the number adds to the seed.
+``limit-5`` takes the printed largest action, ``noise-5`` also the joint noise, ``literal`` also the last action as
+change of joint angles.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ LITERALLY = (LIMITED, NOISY, LITERAL)
 LITERAL_NOISE = float(np.radians(5.0))
 """[rad] sigma of equation 19"""
 LITERAL_LIMIT = float(np.radians(5.0))
-"""[rad] largest joint change in a frame; Park et al. 2024, section IV-D"""
+"""[rad] joint change per frame; Park et al. 2024, section IV-D"""
 
 
 def recipe(name: str) -> tuple[Preset, int]:
@@ -52,7 +52,7 @@ def recipe(name: str) -> tuple[Preset, int]:
 
 
 def finish_trainings(bench: Bench, names: Sequence[str]) -> None:
-    """Run unfinished trainings, ``bench.threads`` processes at a time."""
+    """Run unfinished trainings in ``bench.threads`` processes."""
     missing = [name for name in names if not bench.training(name).policy.exists()]
     if not missing:
         return
@@ -77,7 +77,6 @@ def _begin_worker() -> None:
 
 
 def _work(bench: Bench, name: str) -> str:
-    """Run one training; returns its error as text, for pickling."""
     try:
         _train(bench, name)
     except RejointError as error:
@@ -117,22 +116,19 @@ class Episodes:
 
 
 def worn_ranges(arm: Arm) -> Ranges:
-    """Return arms with the paper's P and D."""
+    """Arms with the paper's P and D."""
     return PaperRanges(arm=arm, joint_noise=PAPER.joint_noise)
 
 
 def healthy_ranges(arm: Arm) -> Ranges:
-    """Return the same task on a normal arm."""
+    """Return normal arms."""
     return PaperRanges.healthy(arm, PAPER.joint_noise)
 
 
 def play(
     controller: PolicyController, ranges: Ranges, arms: int, *, seed: int, noise: float = 0.0, threads: int = 1
 ) -> Episodes:
-    """Run one episode on each of ``arms`` arms drawn from ``ranges``.
-
-    ``noise`` is the exploration in units of the action.
-    """
+    """Run one episode on each of ``arms`` arms; ``noise``: exploration in units of the action."""
     task = ReachTask(controller.arm, ranges, arms, PAPER.task, seed=_SEED + seed, threads=threads)
     rng = np.random.default_rng(seed)
     observation, _ = task.reset(staggered=False)
@@ -155,7 +151,7 @@ def play(
 
 
 def _point(observation: Observation, name: str) -> Array:
-    """Return a point (N, 3) [m] in observations of equation 16."""
+    """Point (N, 3) [m] in observations of equation 16."""
     begin = 0
     for slot in layout_slots("equation-16", (observation.shape[1] - 10) // 3):
         if slot.name == name:

@@ -1,4 +1,4 @@
-"""Fig. 9: a healthy and a worn arm at the same targets, open loop."""
+"""Fig. 9: a healthy and a worn arm, open loop."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Arrival:
 
 
 def run(bench: Bench) -> Findings:
-    """Move both arms to the same targets, open loop."""
+    """Move both arms to the same targets."""
     targets = draw_targets(bench.arm, sets=bench.scale.sets, count=bench.scale.targets, seed=bench.seed)
     arrivals = {}
     for step, profile in enumerate(PAPER_MM):

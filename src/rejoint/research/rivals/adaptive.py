@@ -1,9 +1,9 @@
 """Adaptive regulation of an arm with unknown servos and load.
 
 Tomei, "Adaptive PD controller for robot manipulators", IEEE Trans. Robotics and Automation 7(4), 1991: PD plus gravity
-compensation Y(q) p with ``dp/dt = G Y' (2 e / (1 + 2 e'e) - m v)``. The servo is the PD law; the compensation enters
-the command, divided by the stiffness: ``load / k + mass * lever / k + offset``. The regressor is taken at the goal
-(Kelly 1997), with a dead zone (Peterson and Narendra, IEEE Trans. Automatic Control 27(3), 1982).
+compensation Y(q) p with ``dp/dt = G Y' (2 e / (1 + 2 e'e) - m v)``. The servo is the PD law, so the command gets ``load
+/ k + mass * lever / k + offset``. Regressor at the goal (Kelly 1997), dead zone (Peterson and Narendra, IEEE Trans.
+Automatic Control 27(3), 1982).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class AdaptiveGains:
     """Settings; each a number or (B, 1)."""
 
     softness_rate: Gain
-    """[1/(s rad)] adaptation of the servo's relative inverse stiffness"""
+    """[1/(s rad)] adaptation of the relative inverse stiffness"""
     load_rate: Gain
     """[1/(s rad)] adaptation of the load"""
     offset_rate: Gain
@@ -37,7 +37,7 @@ class AdaptiveGains:
     scale: Gain
     """[rad] error of saturation"""
     damping: Gain
-    """[s] weight of the joint speed against the error"""
+    """[s] weight of the joint speed"""
     dead_zone: Gain
     """[rad]"""
     proportional: Gain
@@ -75,7 +75,7 @@ class AdaptiveController:
         self._regressor[2][where] = 1.0
 
     def command(self, inputs: ControlInput) -> Array:
-        """Return the goal posture with its compensation, (B, n) [rad]."""
+        """Goal posture with its compensation, (B, n) [rad]."""
         gains, measured = self._gains, inputs.state.position
         elapsed = self._pace.tick(inputs.state.time)[:, None]
         speed = self._speed.observe(measured, elapsed)

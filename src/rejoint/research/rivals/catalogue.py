@@ -1,4 +1,4 @@
-"""Rival controllers by name, with bounds of their gains, and tuned gains."""
+"""Rival controllers with tuned gains."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ _SCHEDULED: dict[str, Interval] = {
     "speed": (0.05, 5.0),
     "lead": (np.radians(4.0), np.radians(40.0)),
 }
-"""Bounds of the search; chosen"""
+"""Bounds; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rival:
-    """A controller with gains that can be tuned."""
+    """A controller with tunable gains."""
 
     make: Callable[[Arm, Mapping[str, Array]], Controller]
     """from gains by name, numbers or (B, 1)"""
     intervals: Mapping[str, Interval]
-    """bounds of the search, from their logarithmic centre"""
+    """bounds of the search"""
     gains: Mapping[str, float]
     """by ``rejoint tune NAME`` on the broad ranges, seed 0"""
 
@@ -123,7 +123,7 @@ def find_rival(name: str) -> Rival:
 
 
 def make_rival(name: str, arm: Arm, gains: Mapping[str, float] | None = None) -> Controller:
-    """Build a rival, default: with the tuned gains; InputError for other names."""
+    """Build a rival, default: tuned; InputError for other names."""
     rival = find_rival(name)
     gains = rival.gains if gains is None else gains
     if set(gains) != set(rival.intervals):

@@ -1,8 +1,7 @@
 """Gain-scheduled integral control, alone or with gravity feed-forward.
 
 A rate by distance (Rugh and Shamma, Automatica 36, 2000), dead zone, proportional and damping terms, conditional
-integration (Astrom and Rundqwist, ACC 1989), prediction over the dead time, and a speed limit. Gains are numbers or (B,
-1).
+integration (Astrom and Rundqwist, ACC 1989), prediction, and a speed limit. Gains are numbers or (B, 1).
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ Gain = float | Array
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ScheduledGains:
-    """Gains of both laws; the last four are for the feed-forward alone."""
+    """Gains; the last four are for the feed-forward."""
 
     far_rate: Gain
     """[1/s] integrated fraction of the joint step, far away"""
@@ -46,11 +45,11 @@ class ScheduledGains:
     lead: Gain
     """[rad] anti-windup: largest correction"""
     feedforward: Gain = 0.0
-    """compensated fraction of the sag of nominal servos"""
+    """compensated share of nominal servos' sag"""
     ramp: Gain = 100.0
     """[rad/s] to the raised posture"""
     carry: Gain = 1.0
-    """fraction of the correction kept at a new target"""
+    """share of the correction kept at a new target"""
 
 
 class ScheduledController:
@@ -85,7 +84,7 @@ class ScheduledController:
         self._raised[where] = goal + share * gravity_torque(self._arm, goal) / self._stiffness
 
     def command(self, inputs: ControlInput) -> Array:
-        """Return the command (B, n) [rad]."""
+        """Command (B, n) [rad]."""
         arm, gains, measured = self._arm, self._gains, inputs.state.position
         elapsed = self._pace.tick(inputs.state.time)[:, None]
         speed = self._speed.observe(measured, elapsed)
@@ -109,13 +108,13 @@ class ScheduledController:
 
 
 class JointSpeed:
-    """Joint speeds from measured positions, smoothed over about two cycles."""
+    """Joint speeds, smoothed over about two cycles."""
 
     def __init__(self) -> None:
         self._position = self._speed = np.zeros((0, 0))
 
     def observe(self, position: Array, elapsed: Array) -> Array:
-        """Return speeds (B, n) [rad/s] of positions (B, n) [rad], ``elapsed`` (B, 1) [s] apart."""
+        """Speeds (B, n) [rad/s] of positions (B, n) [rad], ``elapsed`` (B, 1) [s] apart."""
         if self._position.shape != position.shape:
             self._position, self._speed = position.copy(), np.zeros_like(position)
         news = elapsed > 0.0

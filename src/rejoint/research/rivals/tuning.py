@@ -1,7 +1,7 @@
-"""Gains of the rivals by CMA-ES, on the randomised twins of the trainings.
+"""Gains of the rivals by CMA-ES, on randomised twins.
 
-CMA-ES (Hansen, arXiv:1604.00772, package ``cmaes``) searches log gains. Candidates of a generation share their arms;
-each generation has others. The cost is the time to stay within 2 mm plus the settled error.
+CMA-ES (Hansen, arXiv:1604.00772, package ``cmaes``) searches log gains. The cost is the time to stay within 2 mm plus
+the settled error.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Interval = tuple[float, float]
 MakeController = Callable[[Arm, Mapping[str, Array]], Controller]
 """The controller of B arms from gains by name, each (B, 1)"""
 OnGeneration = Callable[[int, float, Mapping[str, float]], object]
-"""Receives generations done, lowest cost and the centre's gains"""
+"""Receives generation number, lowest cost and the centre's gains"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +55,7 @@ def tune(
     arm: Arm, ranges: Ranges, intervals: Mapping[str, Interval], make: MakeController, settings: TuningSettings,
     on_generation: OnGeneration,
 ) -> dict[str, float]:  # fmt: skip
-    """Search gains in ``intervals``; returns the last generation's centre."""
+    """Search gains; returns the last generation's centre."""
     names = list(intervals)
     low, high = np.log(np.array(list(intervals.values()))).T
     search = CMA(
@@ -86,7 +86,7 @@ def tune_rival(
 def candidate_costs(
     arm: Arm, ranges: Ranges, gains: Mapping[str, Array], make: MakeController, settings: TuningSettings, draw_seed: int
 ) -> Array:
-    """Cost (P,) of candidates with ``gains`` (P,) on the same arms and targets."""
+    """Cost (P,) of ``gains`` (P,) on the same arms and targets."""
     count = len(next(iter(gains.values())))
     rng = np.random.default_rng([settings.seed, draw_seed])
     drawn = ranges.draw(rng, settings.arms).rows(np.tile(np.arange(settings.arms), count))
@@ -99,7 +99,7 @@ def candidate_costs(
 
 
 def cost(holds: Columns, settings: TuningSettings) -> Array:
-    """Cost (B, K) [s] of holds: time to stay, and settled error."""
+    """Cost (B, K) [s] of holds."""
     late = np.nan_to_num(holds["stay_2mm"], nan=settings.hold)
     error = np.minimum(np.nan_to_num(holds["settled"], nan=np.inf), settings.settled_cap)
     return late + settings.settled_weight * 1e3 * error
