@@ -1,4 +1,4 @@
-"""The history for the user: rows of checks and runs, table, page, and Prometheus metrics."""
+"""The history: rows of checks and runs, table, page, Prometheus metrics."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def owners(rows: Sequence[HistoryRow]) -> Callable[[HistoryRow], str]:
-    """Return a function from a row to its arm's name, by all ``rows``."""
+    """Return a function from a row to its arm's name."""
     checks: dict[str, list[HistoryRow]] = {}
     for row in sorted((row for row in rows if row.kind == "check" and not row.joint), key=lambda row: row.time):
         checks.setdefault(name_of(row.robot, row.model), []).append(row)
@@ -40,7 +40,7 @@ def owners(rows: Sequence[HistoryRow]) -> Callable[[HistoryRow], str]:
 
 
 MOVED, SET_UP = "moved", "set up"
-"""Reasons of a new baseline: the arm was moved, or has another description"""
+"""Reasons of a new baseline: a move, or another description"""
 
 # Bound of all that a check measures, in millimetres and degrees (chosen: a kilometre)
 _MOST = 1e6
@@ -60,13 +60,13 @@ class Past:
 
 
 def rows_of(head: HistoryRow, measures: CheckMeasures) -> list[HistoryRow]:
-    """Return the rows of a check, the arm's first; ``head`` holds the common fields."""
+    """Rows of a check; ``head`` holds the common fields."""
     tool = replace(head, **{name: getattr(measures, name) for name in _TOOL})
     return [tool, *(replace(head, **asdict(joint)) for joint in measures.joints)]
 
 
 def with_outlook(rows: Sequence[HistoryRow], found: Outlook, line: str) -> list[HistoryRow]:
-    """Add the outlook of the arm and its joints to the rows of a check."""
+    """Add the outlook to the rows of a check."""
     due = found.due
     joints = {name: _worst(found, name) for name in {row.joint for row in rows}}
     arm = replace(
@@ -78,7 +78,7 @@ def with_outlook(rows: Sequence[HistoryRow], found: Outlook, line: str) -> list[
 
 
 def past_of(rows: Sequence[HistoryRow], arm: str, key: str) -> Past:
-    """Return the history of an arm since its baseline began.
+    """Return an arm's history since its baseline began.
 
     A repair counts for its `owners`, or by ``key``.
     """
@@ -109,7 +109,6 @@ def _worst(found: Outlook, joint: str) -> str:
 
 
 def _measures(head: HistoryRow, joints: Sequence[HistoryRow]) -> CheckMeasures | None:
-    """Check from its rows; None if a value is missing or implausible."""
     if not all(map(_believable, (head, *joints))):
         return None
     needed = (head.error_mm, head.repeatability_mm, head.approach_mm)
@@ -130,7 +129,7 @@ def _believable(row: HistoryRow) -> bool:
 
 
 def summarise(run: Run) -> None:
-    """Write ``summary.parquet`` of diagnosis and comparison into a run folder; FileError if that fails.
+    """Write ``summary.parquet`` into a run folder; FileError if that fails.
 
     A finished repair keeps its time.
     """
@@ -190,13 +189,13 @@ _STATES = ("learning", "steady", "drifting", "alarm")
 
 
 def write_prometheus(path: Path, name: str, seen: Outlook, measures: CheckMeasures) -> None:
-    """Write the check of the arm ``name`` to ``path``, atomically; FileError if that fails."""
+    """Write the check of the arm ``name``, atomically; FileError if that fails."""
     text = prometheus_text(name, seen, measures)
     write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def prometheus_text(name: str, seen: Outlook, measures: CheckMeasures) -> str:
-    """Return the metrics of a check as Prometheus text; times in Unix seconds."""
+    """Check as Prometheus text."""
     arm = f'arm="{_escaped(name)}"'
     lines: list[str] = []
 
@@ -238,7 +237,7 @@ def _escaped(text: str) -> str:
 
 HEADERS = ("arm", "state", "error [mm]", "tolerance [mm]", "reached", "last check", "what to do")
 REPAIR, REPAIRED = "repair", "repaired"
-"""Kind of the row of a repair, and the state of an arm not checked since"""
+"""Kind of a repair's row, and the state until the next check"""
 _ORDER = ("alarm", "bad", "drifting", "worn", REPAIRED, "steady", "ok", "learning", "unknown", "")
 
 
@@ -259,7 +258,7 @@ class ArmHistory:
 
     @property
     def checks(self) -> list[HistoryRow]:
-        """Checks with an error, without those of runs, whose motion differs."""
+        """Checks with an error, without those of runs."""
         return [row for row in self.rows if row.kind == "check" and row.counts_mm is not None]
 
     @property
@@ -279,7 +278,7 @@ class ArmHistory:
 
 
 def arms_of(rows: Sequence[HistoryRow]) -> list[ArmHistory]:
-    """Group rows, the oldest first, by arm; urgent arms come first."""
+    """Group rows, the oldest first, by arm; urgent arms first."""
     found = []
     owner = owners(rows)
     whose = [(owner(row), row) for row in rows]
@@ -292,7 +291,7 @@ def arms_of(rows: Sequence[HistoryRow]) -> list[ArmHistory]:
 
 
 def cells(arm: ArmHistory) -> list[str]:
-    """Return one row of the table `HEADERS`."""
+    """One row of the table `HEADERS`."""
     row = arm.newest
     by = "" if row.true_error_mm is not None or arm.error is None else " by encoders"
     return [
@@ -303,7 +302,7 @@ def cells(arm: ArmHistory) -> list[str]:
 
 
 def what_to_do(row: HistoryRow) -> str:
-    """Return the last advice to the user."""
+    """Last advice to the user."""
     if row.kind == REPAIR:
         return f"{command('check', row.robot)} --repeat 5"
     return row.line.rpartition("Do: ")[2] if "Do: " in row.line else ""

@@ -1,4 +1,4 @@
-"""The whole chain: diagnosis, twin, policy, comparison and report. A stage with its file is done."""
+"""The whole chain: diagnosis, twin, policy, comparison and report. Stages with a file are done."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ class Stage:
     why: str = ""
     """why it is kept, if not for being done"""
     result: object = None
-    """result of the function of the same name; for kept stages only diagnosis and comparison"""
+    """of the function of the same name; if kept, only of diagnosis and comparison"""
 
 
 def there(found: Found | None) -> Found:
@@ -161,8 +161,7 @@ class Chain:
 
 
 WORSE = 2.0
-"""Relative error up to which a twin still holds; chosen: unchanged arms 1.0 to 1.8, worn ones 2.9 to 13 (`python -m
-benchmarks again`)"""
+"""Relative error of a twin that still holds; chosen, see `python -m benchmarks again`"""
 WINDOW = 6.0
 """[s] of motion predicted at a time"""
 
@@ -170,7 +169,7 @@ _LOGGER = logging.getLogger("rejoint")
 
 
 def keep_what_holds(run: Run, preset: str) -> Kept | None:
-    """Copy twin and policy of the last repair into ``run`` if its diagnosis confirms them, else return None."""
+    """Copy twin and policy of the last repair into ``run`` if they still hold."""
     if run.folder.twin.exists() or not run.folder.log("excitation").exists():
         return None
     try:
@@ -185,7 +184,7 @@ def keep_what_holds(run: Run, preset: str) -> Kept | None:
 
 
 def last_repair(run: Run) -> Run | None:
-    """Return the newest finished repair of the same robot and arm beside ``run``, if any."""
+    """Newest finished repair of the same arm beside ``run``."""
     found = []
     for path in run.path.parent.glob("*/run.json"):
         folder = RunFolder(path.parent)
@@ -201,7 +200,7 @@ def last_repair(run: Run) -> Run | None:
 def still_holds(run: Run, last: Run, preset: str) -> Kept | None:
     """Test the twin of ``last`` on the excitation of ``run``.
 
-    None if arm, servo gains or ``preset`` have changed.
+    None if arm, servo gains or ``preset`` changed.
     """
     twin, policy, now, before = last.twin, last.policy, run.diagnosis, last.diagnosis
     if twin is None or policy is None or now is None or before is None:
@@ -216,7 +215,7 @@ def still_holds(run: Run, last: Run, preset: str) -> Kept | None:
 
 
 def twin_error(arm: Arm, twin: Twin, log: RunLog) -> float:
-    """Root mean square tool error [m] of the twin's prediction of a log."""
+    """Rms tool error [m] of the twin's prediction of a log."""
     from rejoint.twin.judgement import prediction_error
     from rejoint.twin.replay import Replay, cut
 
@@ -288,9 +287,9 @@ class RepairPlan:
     trials: TrialPlan | None = None
     """as for `compare`; default: 3 sets and 2 repetitions for an emulated arm, 1 and 1 for a real one"""
     fresh: bool | None = None
-    """fit and train even if the last twin and policy still hold; default: only for an emulated arm"""
+    """fit and train even if the last twin and policy hold; default: only for an emulated arm"""
     gauge: GaugeLike | None = None
-    """measuring device, as for `calibrate`, or ``none``; default: none for a real arm"""
+    """measuring device, as for `calibrate`, or ``none`` (default for a real arm)"""
 
 
 def repair(

@@ -1,4 +1,4 @@
-"""A run: one repair and its folder, which one process at a time uses."""
+"""A run: one repair and its folder."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Run:
 
     @classmethod
     def open(cls, path: Path | str) -> Run:
-        """Open a run folder; FileError if it is none, damaged, or of a later version."""
+        """Open a run folder; FileError if missing, damaged, or of a later version."""
         folder = RunFolder(Path(path))
         if not folder.info.exists():
             depths = ("*/run.json", "*/*/run.json")  # those of a robot lie below RUNS together
@@ -69,7 +69,7 @@ class Run:
 
     @classmethod
     def plan(cls, path: Path | str, robot: str, arm: Arm, seed: int = 0) -> Run:
-        """Open the run folder at ``path``, or plan what `create` writes; same errors."""
+        """Open the run folder, or plan what `create` writes; same errors."""
         folder = RunFolder(Path(path))
         if folder.info.exists():
             run = cls.open(path)
@@ -83,16 +83,16 @@ class Run:
 
     @classmethod
     def create(cls, path: Path | str, robot: str, arm: Arm, seed: int = 0) -> Run:
-        """Make the run folder at ``path``, or open it.
+        """Make or open the run folder.
 
-        InputError if it is of another robot, arm or seed, or holds other files.
+        InputError for another robot, arm or seed, or other files.
         """
         return cls.plan(path, robot, arm, seed).begin()
 
     def begin(self) -> Run:
         """Write the description of the run, if missing.
 
-        FileError if the folder is now that of another run.
+        FileError if the folder has another run.
         """
         if self.folder.info.exists():
             there = read_info(self.folder.info)
@@ -108,7 +108,7 @@ class Run:
         return run
 
     def require(self, *, robot: str, arm: Arm, seed: int) -> None:
-        """Raise InputError unless the run is of this robot, seed and arm with the same description."""
+        """Raise InputError unless the run is of this robot, seed and arm description."""
         if (self.robot, self.arm.name, self.seed) != (robot, arm.name, seed):
             raise InputError(
                 f"{self.path} is a run of {self.robot} ({self.arm.name}, seed {self.seed}), "
@@ -121,7 +121,7 @@ class Run:
             )
 
     def is_of(self, robot: str, arm: Arm) -> bool:
-        """Whether the run is of this robot, and of this arm with the same description."""
+        """Whether the run is of this robot and arm description."""
         return self.robot == robot and not differing(bare(self.arm), bare(arm))
 
     @property
@@ -140,7 +140,7 @@ class Run:
         return self.info.seed
 
     def seeded(self, seed: int | None) -> Run:
-        """Return the run with another seed, if one is given."""
+        """Run with another seed, if one is given."""
         return self if seed is None else replace(self, info=replace(self.info, seed=as_seed(seed)))
 
     @property
@@ -178,13 +178,13 @@ class Run:
 
 
 def newest_or_new(robot: str, arm: Arm, seed: int) -> tuple[Path, bool]:
-    """Default run folder of a robot, below `RUNS`; as `newest_or_new_in`."""
+    """Default run folder of a robot, below `RUNS`."""
     name = re.sub(r"[^\w.-]+", "-", f"{arm.name}-{robot}-seed{seed}").strip("-")
     return newest_or_new_in(RUNS / name, robot, arm)
 
 
 def newest_or_new_in(home: Path, robot: str, arm: Arm) -> tuple[Path, bool]:
-    """Find the newest numbered run folder of this robot and arm in ``home`` if interrupted, else a new one.
+    """Find the newest run folder of this robot and arm in ``home`` if interrupted, else a new one.
 
     Returns the path and whether to resume it.
     """
@@ -197,7 +197,7 @@ def newest_or_new_in(home: Path, robot: str, arm: Arm) -> tuple[Path, bool]:
 
 
 def is_of_another(folder: RunFolder, robot: str, arm: Arm) -> bool:
-    """Whether a run is of another robot or arm description; False if unreadable."""
+    """Whether a run is of another robot or arm; False if unreadable."""
     try:
         return folder.info.exists() and not Run.open(folder.path).is_of(robot, arm)
     except FileError:
@@ -205,7 +205,7 @@ def is_of_another(folder: RunFolder, robot: str, arm: Arm) -> bool:
 
 
 def is_finished(folder: RunFolder) -> bool:
-    """Whether a run is finished: `repair` marked it, or all stages and a later report exist."""
+    """Whether a run is marked as finished, or has all stages and a later report."""
     if folder.finished.exists():
         return True
     if not folder.info.exists():
@@ -225,7 +225,7 @@ def mark_quick(run: Run | None, *, quick: bool) -> None:
 
 
 def require_same_pace(run: Run, *, quick: bool) -> None:
-    """Raise InputError if a full repair would use results of a quick one."""
+    """Raise InputError if a full repair would use quick results."""
     if run.folder.quick.exists() and not quick:
         raise InputError(f"{run.path} is of a quick try, which is no result; give another --run, or delete the folder")
 
@@ -252,7 +252,7 @@ def remove_if_empty(run: Run) -> None:
 
 @contextmanager
 def exclusive(run: Run | None) -> Iterator[None]:
-    """Lock the run folder during a stage; a failed stage leaves no new folder."""
+    """Lock the run folder during a stage; a failed one leaves no new folder."""
     if run is None:
         yield
         return
@@ -288,7 +288,7 @@ class Meter:
     travel: float = 0.0
 
     def watch(self, robot: Robot) -> Robot:
-        """Return a robot that counts its motion."""
+        """Robot that counts its motion."""
         return _Metered(robot, self) if robot.count == 1 else robot
 
 
@@ -312,7 +312,7 @@ class _Metered(RobotWrapper):
 
 @contextmanager
 def metered(folder: RunFolder | None, name: str) -> Iterator[Meter]:
-    """Count the motion of a stage, also a failed one, in the costs of the run in ``folder``."""
+    """Add a stage's motion, also if failed, to the costs of the run in ``folder``."""
     meter = Meter()
     try:
         yield meter

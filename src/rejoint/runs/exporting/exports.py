@@ -1,4 +1,4 @@
-"""Results about an arm for other programs and people: URDF, joint zeros, data sheet, controller."""
+"""Results about an arm for other programs: URDF, joint zeros, data sheet, controller."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ KINDS: tuple[str, ...] = get_args(Kind)
 
 
 def export_run(run: RunLike, kind: str, out: Path | None = None, *, lerobot: Path | None = None) -> tuple[Path, str]:
-    """Export a run's results as one of `KINDS`; returns the file and a sentence about it.
+    """Export a run as one of `KINDS`; returns the file and a sentence about it.
 
-    Default ``out``: the run's folder. FileError or InputError for missing inputs.
+    FileError or InputError for missing inputs.
     """
     about = as_run(run)
     if kind not in KINDS:
@@ -124,7 +124,7 @@ _PERIODS = (0.018, 0.055)
 
 
 def design_of(run: Run) -> Design:
-    """Return the recommended controller of a run, else its policy, else the feed-forward.
+    """Recommended controller, else the policy, else the feed-forward.
 
     InputError for policies by the paper's recipe.
     """
@@ -181,7 +181,7 @@ def _damping(run: Run) -> tuple[float, ...]:
 
 
 def notice(design: Design) -> str:
-    """Return the warnings to the user of the file."""
+    """Warnings to the user of the file."""
     return f"{design.instead} {OUTSIDE}".strip()
 
 
@@ -203,7 +203,7 @@ def write_controller(run: Run, out: Path) -> Design:
 
 
 def metadata(design: Design) -> dict[str, str]:
-    """Return metadata: the keys of C++ policy runtimes, and a description."""
+    """Metadata: the keys of C++ policy runtimes, and a description."""
     from rejoint.runs.exporting.controllergraph import memory_slots
 
     arm, n = design.arm, design.arm.joints
@@ -235,7 +235,7 @@ def metadata(design: Design) -> dict[str, str]:
 
 
 def leapp_text(design: Design, file: str, data: bytes) -> str:
-    """Return the LEAPP description (version 1.3) of a file with content ``data``, as YAML."""
+    """LEAPP description (version 1.3) of a file as YAML."""
     from rejoint.runs.exporting.controllergraph import memory_slots
 
     arm, size = design.arm, sum(memory_slots(design.arm.joints).values())
@@ -286,12 +286,12 @@ def _list(values: object) -> str:
 
 
 def usual_period(design: Design) -> float:
-    """Return the middle control period [s] of a controller."""
+    """Middle control period [s] of a controller."""
     return sum(design.periods) / 2
 
 
 def package_name(arm: Arm) -> str:
-    """Return a ROS package name: lower case, digits and underscores."""
+    """ROS package name: lower case, digits and underscores."""
     return "rejoint_" + "".join(letter if letter.isalnum() else "_" for letter in arm.name.lower())
 
 

@@ -1,4 +1,4 @@
-"""Result of each arm of a fleet, the worst first: actions, findings, advice."""
+"""Result of each arm of a fleet, the worst first."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from rejoint.system.files import saving, write_whole
 from rejoint.system.shell import command
 
 DRIFTS, ALARM, PARTLY, ROBOT = 6, 7, 5, 4
-"""Exit codes of the command line: watch it, repair it, partly done, robot failed"""
+"""Exit codes: watch it, repair it, partly done, robot failed"""
 
 # Exit codes, the worst first: bugs and failures, then alarms, then what was left
 _ORDER = (1, ROBOT, 3, 2, ALARM, DRIFTS, PARTLY, 0)
@@ -39,17 +39,17 @@ class FleetRow:
     name: str
     address: str
     end: End
-    """done (also by an earlier call), failed or left"""
+    """done (perhaps earlier), failed or left"""
     state: str
-    """learning, steady, drifting, alarm, tolerance reached; or repaired; else how it ended"""
+    """learning, steady, drifting, alarm, tolerance reached, repaired, or how it ended"""
     error_mm: float | None
-    """newest tool error: the true one if known"""
+    """newest tool error, the true one if known"""
     found: str
-    """finding, or why it failed or was left"""
+    """finding, or reason why not"""
     todo: str
     """advice to the user"""
     steps: tuple[tuple[str, float], ...]
-    """steps of this call, and [s] of each"""
+    """steps of this call, with [s]"""
     lost: int
     """tasks whose process was lost"""
     folder: Path
@@ -87,7 +87,7 @@ class FleetResult:
 
 
 def rows_of(campaign: Campaign, standings: Sequence[Standing]) -> tuple[FleetRow, ...]:
-    """Make the rows of all arms from their files, the worst first."""
+    """Make the rows of all arms, the worst first."""
     row = _checked if campaign.verb == "check" else _repaired
     rows = [row(campaign, one) for one in standings]
     return tuple(sorted(rows, key=lambda row: (_ORDER.index(row.code), -(row.error_mm or 0.0), row.name)))
@@ -159,7 +159,7 @@ _NAMED = 5  # arms whose state stands in the first lines (chosen: they are read 
 
 
 def write_page(path: Path, result: FleetResult) -> None:
-    """Write the page; FileError if it cannot be written."""
+    """Write the page; FileError if that fails."""
     rows, count = result.rows, len(result.rows)
     urgent, done = [row for row in rows if row.code], sum(row.end == "done" for row in rows)
     first = f"{len(urgent)} of {count} arms need somebody." if urgent else f"Nothing to do on {count} arms."
@@ -186,40 +186,11 @@ def run_fleet(
     tell: Callable[[Event], object] = lambda _: None,
     begins: Callable[[Campaign], object] = lambda _: None,
 ) -> FleetResult:
-    """Check or repair the arms of a fleet, and write the page.
+    """Check or repair the arms of a fleet (``only``: their names), and write the page.
 
-    Parameters
-    ----------
-    fleet
-        arms and folder
-    verb
-        check or repair
-    executor
-        makes the executor of the work
-    rules
-        when arms may move
-    only
-        names of arms; default: all
-    options
-        of the repair
-    tell
-        receives each event
-    begins
-        receives the campaign before it begins
-
-    Returns
-    -------
-    FleetResult
-        a row for each arm, the worst first, and the page
-
-    Raises
-    ------
-    FileError, UnsavedError
-        if another call uses the fleet's folder, or writing fails; the error holds the result, if any
-    InputError
-        for an unknown arm or cluster
-    MissingExtraError
-        without the extra ``report``, for a repair without ``train``
+    ``executor`` makes what does the work, ``tell`` receives each event, ``begins`` the campaign at its start. FileError
+    or UnsavedError if another call uses the fleet's folder or writing fails, with the result, if any. InputError for an
+    unknown arm or cluster, MissingExtraError without the extra ``report``, for a repair without ``train``.
     """
     require(f"rejoint fleet {verb}", "report")
     arms, begun = fleet.only(only), time.monotonic()

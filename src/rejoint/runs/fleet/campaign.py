@@ -1,4 +1,4 @@
-"""The steps left for each arm, read from files, and one step: a check or a stage of a repair."""
+"""The steps left for each arm, read from files: a check or stages of a repair."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Step: TypeAlias = Literal["check"] | StageName
 
 @dataclass(frozen=True, kw_only=True)
 class RepairOptions:
-    """Options of every arm's repair, as in `rejoint.repair`."""
+    """Options of each repair, as in `rejoint.repair`."""
 
     preset: str = "default"
     controllers: tuple[str, ...] = ()
@@ -37,7 +37,7 @@ class RepairOptions:
     seed: int | None = None
     quick: bool = False
     needed: bool = False
-    """whether to check each arm first, and repair it only if needed"""
+    """whether to check first, and repair only if needed"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +47,7 @@ class Work:
     arm: FleetArm
     step: Step
     folder: Path
-    """of a check: that of all runs and checks; of a stage: the run"""
+    """of all runs and checks, or the run"""
     options: RepairOptions = field(default_factory=RepairOptions)
 
     @property
@@ -57,13 +57,13 @@ class Work:
 
     @property
     def held(self) -> bool:
-        """Whether a real arm moves, which needs a connection."""
+        """Whether it needs a connection: a real arm moves."""
         return self.moves and not self.arm.virtual
 
 
 @dataclass(frozen=True, kw_only=True)
 class WorkOutcome:
-    """How a task ended; its findings are in its files."""
+    """End of a task; its findings are in files."""
 
     seconds: float
     problem: str = ""
@@ -76,7 +76,7 @@ class WorkOutcome:
 
 @dataclass(frozen=True, kw_only=True)
 class Lost:
-    """The process of a task died, or its node does not answer."""
+    """A task whose process or node died."""
 
     why: str
 
@@ -128,7 +128,7 @@ STALE = {"check": timedelta(hours=12), "repair": timedelta(days=3)}
 
 @dataclass(frozen=True, kw_only=True)
 class CampaignInfo:
-    """Description of a call, written before it begins."""
+    """Description of a call."""
 
     begun: datetime
     """UTC, naive"""
@@ -139,7 +139,7 @@ class CampaignInfo:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Campaign:
-    """Checks or repairs of many arms, with their progress."""
+    """Progress of checks or repairs of many arms."""
 
     fleet: Fleet
     verb: Verb
@@ -153,7 +153,7 @@ class Campaign:
         cls, fleet: Fleet, verb: Verb, options: RepairOptions | None = None, *, only: tuple[str, ...] = (),
         fresh: bool = False,
     ) -> Campaign:  # fmt: skip
-        """Resume an earlier call, or begin; the caller has locked the folder (`state_folder`)."""
+        """Resume or begin a call, with its folder locked (`state_folder`)."""
         path, now, arms = state_file(fleet, verb), utc_now(), fleet.only(only)
         before = read_json(path, CampaignInfo) if path.exists() else None
         # What was begun in the future was so by a wrong clock: no check of now would count for it.
@@ -167,11 +167,11 @@ class Campaign:
         return cls(fleet=fleet, verb=verb, options=options or RepairOptions(), info=info, resumed=before is not None)
 
     def run(self, arm: FleetArm) -> Path:
-        """Return the run folder of an arm under repair."""
+        """Run folder of an arm under repair."""
         return self.fleet.folder / self.info.runs[arm.name]
 
     def left(self, arm: FleetArm) -> tuple[Step, ...]:
-        """Name the remaining steps of an arm, by its files."""
+        """Name the remaining steps of an arm."""
         if self.verb == "check":
             return ("check",) if self.check_of(arm) is None else ()
         files, options = RunFolder(self.run(arm)), self.options
@@ -188,7 +188,7 @@ class Campaign:
         return tuple(name for name, file in stages.items() if name == "report" or not file.exists())
 
     def work(self, arm: FleetArm, step: Step) -> Work:
-        """Return the task of a step."""
+        """Task of a step."""
         folder = self.fleet.folder if step == "check" else self.run(arm)
         return Work(arm=arm, step=step, folder=folder, options=self.options)
 
@@ -205,7 +205,7 @@ class Campaign:
         write_json(state_file(self.fleet, self.verb), done)
 
     def check_of(self, arm: FleetArm) -> HistoryRow | None:
-        """Return the newest check of an arm in this campaign, if any."""
+        """Newest check of an arm in this campaign."""
         begun = self.info.begun
         for place in sorted((self.fleet.folder / CHECKS / arm.name).glob(f"*/{SUMMARY}"), reverse=True):
             if place.parent.name < f"{begun:%Y%m%dT%H%M%S}":  # named after its time; of years, few are read
@@ -233,10 +233,10 @@ def needs_repair(row: HistoryRow) -> bool:
 
 
 def state_folder(fleet: Fleet) -> Path:
-    """Return the folder of a fleet's campaigns and pages."""
+    """Folder of a fleet's campaigns and pages."""
     return fleet.folder / "fleet"
 
 
 def state_file(fleet: Fleet, verb: Verb) -> Path:
-    """Return the file of `CampaignInfo`."""
+    """File of `CampaignInfo`."""
     return state_folder(fleet) / f"{verb}.json"

@@ -1,4 +1,4 @@
-"""The scheduler: each arm's steps in order, within its hours and permissions, by its files."""
+"""The scheduler: each arm's steps in order, within its hours and permissions."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ LOOK = 0.5
 TRIES = 4
 """for one arm's lost tasks; chosen"""
 ROOM = timedelta(minutes=5)
-"""Least time before an arm's hours end to begin a motion; chosen: a diagnosis takes four minutes"""
+"""Least time for a motion before hours end; chosen: a diagnosis takes four minutes"""
 HOLDING = 15.0
-"""[s] for arms to come to a hold at the end; chosen"""
+"""[s] to come to a hold at the end; chosen"""
 IDLE = 30.0
 """[s] between looks at hours when idle; chosen"""
 
@@ -33,10 +33,10 @@ class Executor(Protocol):
         """Start a task and return at once."""
 
     def wait(self, timeout: float) -> Sequence[tuple[Work, WorkOutcome | Lost]]:
-        """Return ended tasks, after ``timeout`` [s] at the latest."""
+        """Return ended tasks within ``timeout`` [s]."""
 
     def hold(self, work: Work) -> None:
-        """Ask for a hold of the arm and the end of its task."""
+        """Ask an arm to hold and its task to end."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,9 +48,9 @@ class Rules:
     stay: bool = False
     """whether to wait for later hours"""
     at_once: int = 1_000_000
-    """most real arms that move at the same time"""
+    """most real arms that move at once"""
     fresh: bool = False
-    """whether to restart all arms after an interrupted call"""
+    """whether to restart an interrupted call"""
     now: Callable[[], datetime] = datetime.now
 
 
@@ -71,7 +71,7 @@ class Standing:
 
     arm: FleetArm
     steps: list[tuple[Step, float]] = field(default_factory=list)
-    """done in this call, and [s] of each"""
+    """done in this call, with [s]"""
     end: End | None = None
     why: str = ""
     """reason of a failure or refusal"""
@@ -95,7 +95,7 @@ class _Lead:
         self._left, self._work, self._executor, self._rules, self._tell = left, work, executor, rules, tell
 
     def lead(self) -> None:
-        """Run until no arm has anything left for this call."""
+        """Run until nothing is left for this call."""
         while True:
             check()
             waiting = self._begin()
@@ -195,25 +195,8 @@ def drive(
 ) -> list[Standing]:
     """Do all remaining steps of all arms; Ctrl-C and SIGTERM first bring moving arms to a hold.
 
-    Parameters
-    ----------
-    arms
-        by default in this order; the arm whose hours end first comes first
-    left
-        names the remaining steps of an arm, in order
-    work
-        makes the task of a step
-    executor
-        runs it
-    rules
-        permissions, hours, and number at once
-    tell
-        receives each event
-
-    Returns
-    -------
-    list
-        state of each arm, in the order of ``arms``
+    ``left`` names an arm's remaining steps in order, ``work`` makes a step's task, ``tell`` receives each event. The
+    arm whose hours end first comes first. Returns the state of each arm, in the order of ``arms``.
     """
     lead = _Lead(arms, left, work, executor, rules, tell)
     with noted():
@@ -227,7 +210,7 @@ def drive(
 
 
 def refused(work: Work, rules: Rules) -> str:
-    """Say why an arm may not move for a task in this call; empty if it may."""
+    """Say why an arm may not move now, or return an empty text."""
     arm = work.arm
     if not arm.may_move:
         return "may_move is not true in the file"
@@ -239,7 +222,7 @@ def refused(work: Work, rules: Rules) -> str:
 
 
 def opening(arm: FleetArm, now: datetime) -> datetime | None:
-    """Return ``now`` if an arm may begin to move, else its next opening, if any."""
+    """Return ``now`` if an arm may begin to move, else its next opening."""
     opens = arm.hours.opens(now)
     closes = None if opens is None else arm.hours.closes(opens)
     if opens == now and closes is not None and closes - now < ROOM:

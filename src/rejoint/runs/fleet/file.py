@@ -31,7 +31,7 @@ class Hours:
     """Hours at which an arm may move, by the local clock."""
 
     spans: tuple[tuple[int, int, int], ...] = ()
-    """weekday from Monday 0, first and last minute of the day, above 1440 for the next day; () for any time"""
+    """weekday from Monday 0, first and last minute of the day (above 1440: the next day); () always"""
     closed: tuple[tuple[date, date], ...] = ()
     """first and last day without motion"""
 
@@ -53,11 +53,10 @@ class Hours:
         return next((one for one in self._changes(now) if self.is_open(one)), None)
 
     def closes(self, now: datetime) -> datetime | None:
-        """Return the end of the present opening; None beyond `HORIZON`."""
+        """End of the present opening; None beyond `HORIZON`."""
         return next((one for one in self._changes(now) if not self.is_open(one)), None)
 
     def _changes(self, now: datetime) -> Iterator[datetime]:
-        """Return times after ``now`` at which hours may begin or end."""
         minutes = {0, *(edge % _FULL for _, first, last in self.spans for edge in (first, last))}
         for day in range(HORIZON):
             midnight = datetime.combine(now.date() + day * _DAY, time())
@@ -113,9 +112,9 @@ class FleetArm:
     name: str
     address: str
     description: str | None = None
-    """name in the catalogue, or file; default: by the address"""
+    """catalogue name or file; default: by the address"""
     bench: str = ""
-    """arms of one bench never move at the same time; empty: none"""
+    """arms of one bench take turns; empty: none"""
     hours: Hours = field(default_factory=Hours)
     tolerance_mm: float | None = None
     may_move: bool = False
@@ -143,7 +142,7 @@ class Fleet:
     arms: tuple[FleetArm, ...]
 
     def only(self, names: tuple[str, ...]) -> tuple[FleetArm, ...]:
-        """Return the named arms, default: all; InputError for an unknown name."""
+        """Named arms, default: all; InputError for an unknown name."""
         known = [arm.name for arm in self.arms]
         unknown = [name for name in names if name not in known]
         if unknown:
@@ -220,5 +219,5 @@ def _description(table: TomlTable, home: Path) -> str | None:
 
 
 def _place(home: Path, text: str) -> Path:
-    """Path in the file, relative to its folder; ``~`` is the home folder."""
+    """Path relative to the file's folder; ``~`` is the home folder."""
     return home / os.path.expanduser(text)  # noqa: PTH111 - that of Path fails where there is no home folder

@@ -1,7 +1,4 @@
-"""An executor on Ray: tasks on any computer of a cluster, and an actor for each moving real arm.
-
-Ray retries nothing.
-"""
+"""An executor on Ray: tasks on a cluster, and an actor for each moving real arm. Ray retries nothing."""
 
 from __future__ import annotations
 
@@ -33,13 +30,13 @@ GOING = 10.0
 
 
 class RayExecutor:
-    """Ray's processes on this machine, or in the cluster at ``address``."""
+    """Ray on this machine, or the cluster at ``address``."""
 
     def __init__(
         self, arms: Sequence[FleetArm], *, address: str | None = None, cpus: int | None = None,
         training_cpus: float = 1.0,
     ) -> None:  # fmt: skip
-        """Start Ray or connect to it; InputError without the cluster, or if it does not reach an arm."""
+        """Start Ray or connect; InputError without the cluster, or if it does not reach an arm."""
         require("rejoint fleet", "fleet")
         real = [arm for arm in arms if not arm.virtual]
         self._training_cpus, self._running = training_cpus, {}  # type: float, dict[Any, tuple[Work, Any]]
@@ -56,7 +53,7 @@ class RayExecutor:
             raise
 
     def begin(self, work: Work) -> None:
-        """Start a task; an actor at the arm's computer holds a moving real arm."""
+        """Start a task, in an actor at the arm's computer if a real arm moves."""
         self._holds.over.remote(work.arm.name)  # a wish to hold that came after the last work had ended
         if not work.held:
             cpus = self._training_cpus if work.step == "train" else 1.0
@@ -71,7 +68,6 @@ class RayExecutor:
         self._running[holder.do.remote(work, self._holds)] = work, holder
 
     def _holder(self, resource: str) -> Any:  # noqa: ANN401 - of Ray
-        """Return new actor for an arm; None if there is one already."""
         options = self._arm.options(name=resource, namespace=NAMESPACE, resources={resource: 1.0})
         until = time.monotonic() + GOING
         while True:
@@ -83,7 +79,7 @@ class RayExecutor:
                 pause(0.1)
 
     def wait(self, timeout: float) -> list[tuple[Work, WorkOutcome | Lost]]:
-        """Return ended tasks, after ``timeout`` [s] at the latest."""
+        """Return ended tasks within ``timeout`` [s]."""
         refused, self._refused = self._refused, []
         references = list(self._running)
         if refused or not references:
@@ -128,7 +124,7 @@ class RayExecutor:
 
 
 def has_token() -> bool:
-    """Whether this computer has a cluster token, without which a cluster is open to all."""
+    """Whether this computer has a cluster token."""
     named = any(name in os.environ for name in ("RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH"))
     return os.environ.get("RAY_AUTH_MODE") != "disabled" and (named or Path("~/.ray/auth_token").expanduser().exists())
 

@@ -45,13 +45,13 @@ def work_in_task(work: Work) -> WorkOutcome:
 
 
 class ArmHolder:
-    """An actor with the only connection to a real arm, for one task."""
+    """An actor with a real arm's only connection, for one task."""
 
     def __init__(self) -> None:
         install()  # so that being ended brings the arm to a hold
 
     def do(self, work: Work, holds: Any) -> WorkOutcome:  # noqa: ANN401 - of Ray
-        """Move the arm; hold it on request, or without an answer."""
+        """Move the arm; hold it on request or without an answer."""
         stop = threading.Event()
         thread = threading.Thread(target=_watch, args=(holds, work.arm.name, stop), daemon=True)
         thread.start()

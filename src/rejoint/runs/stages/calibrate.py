@@ -1,4 +1,4 @@
-"""Measuring the tool in many postures of an arm, stored after each."""
+"""Measuring the tool in many postures of an arm."""
 
 from __future__ import annotations
 
@@ -48,10 +48,7 @@ def measured_of(
     session: ArmSession, robot: Robot, gauge: Gauge, prior: Calibration | None, count: int, visits: int,
     on_progress: Progress, *, fresh: bool = False,
 ) -> tuple[Measurements, Calibration | None]:  # fmt: skip
-    """Measure the open robot of a session; resume in its run unless ``fresh``.
-
-    Also returns the ``prior`` in force.
-    """
+    """Measure a session's open robot; resume unless ``fresh``. Also returns the ``prior``."""
     run = session.run
     begun = None if run is None or fresh else interrupted(run, gauge)
     fresh = fresh or (begun is not None and begun[1].fresh)
@@ -81,7 +78,7 @@ def measured_of(
 
 
 def interrupted(run: Run, gauge: Gauge) -> tuple[Measurements, MeasuringSession] | None:
-    """Return the interrupted measurements and their progress; None for a new or emulated session."""
+    """Interrupted measurements and their progress, if any."""
     if isinstance(gauge, EmulatedGauge) or not run.folder.measurements.exists():
         return None
     try:
@@ -92,7 +89,6 @@ def interrupted(run: Run, gauge: Gauge) -> tuple[Measurements, MeasuringSession]
 
 
 def _require_same(run: Run, gauge: Gauge, plan: Suggestion, measured: Measurements, session: MeasuringSession) -> None:
-    """Raise InputError if the interrupted session has other postures or another device."""
     if (session.plan, measured.source, measured.frame) != (plan.digest, gauge.source, gauge.frame):
         raise InputError(
             f"{run.folder.measurements}: an interrupted session with another number of postures or sides, by something "
@@ -114,7 +110,7 @@ def same(*, fresh: bool) -> str:
 
 
 def log_resumed(file: Path, done: str) -> None:
-    """Log that an interrupted session resumes, and how to restart it."""
+    """Log that a session resumes, and how to restart it."""
     written = datetime.fromtimestamp(file.stat().st_mtime)
     _LOGGER.warning(
         "Going on with what was interrupted at %s: %s (%s). Where arm or gauge were moved since, begin again: --fresh.",
@@ -130,7 +126,7 @@ def film_of(
     session: ArmSession, robot: Robot, gauge: CameraGauge, count: int, visits: int,
     on_progress: Progress, *, fresh: bool = False,
 ) -> Film:  # fmt: skip
-    """Take the image sequence of a session's robot; resume in its run unless ``fresh``."""
+    """Take a session's image sequence; resume unless ``fresh``."""
     arm, run = robot.arm, session.run
     begun = None if run is None else begun_film(run, gauge, fresh=fresh)
     film = begun or Film(board=gauge.board, carried=gauge.carried, fresh=fresh)
@@ -169,7 +165,7 @@ def _set_aside(run: Run | None) -> None:
 
 
 def begun_film(run: Run, gauge: CameraGauge, *, fresh: bool) -> Film | None:
-    """Return the interrupted image sequence of a run; None for a new one."""
+    """Interrupted image sequence of a run, if any."""
     if fresh or not run.folder.views.exists():
         return None
     film, ended = read_film(run.folder.views, run.arm)
@@ -194,7 +190,7 @@ def write_picture(path: Path, picture: Picture) -> None:
 
 
 def write_filmed(run: Run, arm: Arm, film: Film, found: Filmed, *, taken: bool) -> None:
-    """Write the image sequence, its postures if ``taken`` in this run, and the camera setup."""
+    """Write image sequence, postures if ``taken`` in this run, and camera setup."""
     if taken:
         write_postures(run.folder.pictures / POSTURES_FILE, arm, film)
     else:
@@ -216,7 +212,7 @@ class Calibrated:
     """displacement of the tool; ``used`` says whether the correction helps"""
     measurements: Measurements
     reversal: tuple[float, ...]
-    """[m] reversal value at the tool (ISO 230-2) of each posture with two approaches"""
+    """[m] reversal value (ISO 230-2) of each posture with two approaches"""
     filmed: Filmed | None = None
     """fit of a camera's pictures"""
 
@@ -336,7 +332,6 @@ def _measured_before(given: object) -> Measurements | Film | Path | str | None:
 
 
 def _fitted(arm: Arm, measured: Measurements | Film, prior: Calibration | None, *, taken: bool) -> Calibrated:
-    """Fit points or pictures; ``taken``: whether just now in a run."""
     date = f"{datetime.now().astimezone():%Y-%m-%dT%H:%M:%S%z}"
     filmed = None
     try:

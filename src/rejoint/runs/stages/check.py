@@ -1,4 +1,4 @@
-"""The check: a fixed motion of two and a half minutes, compared with earlier checks."""
+"""The check: a fixed motion, compared with earlier checks."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ BETWEEN = timedelta(minutes=4)
 LOG = "check.parquet"
 """Run log of a check"""
 QUIET = 30.0
-"""[s] without a row after which a check's journal is that of a killed one; chosen"""
+"""[s] without a row of a killed check's journal; chosen"""
 
 _LOGGER = logging.getLogger("rejoint")
 
@@ -53,7 +53,7 @@ class Checked:
     line: str
     """result and advice in one line"""
     outlook: Outlook
-    """every quantity of every joint against the baseline, and the remaining time"""
+    """all quantities against the baseline, and the remaining time"""
     measures: CheckMeasures
     """of this check"""
     folder: Path
@@ -70,7 +70,7 @@ class CheckNotes:
     when: datetime | None = None
     """UTC; default: now"""
     moved: bool = False
-    """whether the arm was moved or homed since the last check: a new baseline begins"""
+    """whether the arm was moved or homed since: a new baseline begins"""
 
 
 def check(
@@ -212,7 +212,6 @@ def _drive(robot: Robot, folder: Path, on_progress: Progress) -> tuple[RunLog, A
 
 
 def _keep_killed(place: Path) -> None:
-    """Make run logs of journals that killed checks left below ``place``."""
     for folder in sorted(file.parent for file in place.glob(f"*/{journal_path(Path(LOG)).name}")):
         try:
             for log in recover(folder, quiet=QUIET):

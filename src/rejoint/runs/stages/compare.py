@@ -1,6 +1,6 @@
 """Comparison: every controller on the same arm, with the same targets.
 
-Trials are stored one by one and resumed. The diagnosis counts as trials of ``default``.
+Trials are stored one by one. The diagnosis counts as trials of ``default``.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class OpenLoopTrials:
 
 
 def open_loop(run: Run, robot: str, protocol: Protocol, model: ToolModel | None = None) -> OpenLoopTrials | None:
-    """Return the open-loop trials of a run's diagnosis; None for another robot or an unsuitable protocol."""
+    """Trials of a run's diagnosis; None for another robot or protocol."""
     path = run.folder.log("targets")
     if robot != run.robot or not path.exists():
         return None
@@ -95,7 +95,7 @@ def open_loop(run: Run, robot: str, protocol: Protocol, model: ToolModel | None 
 
 
 def trials(arm: Arm, log: RunLog, protocol: Protocol, model: ToolModel | None = None) -> OpenLoopTrials | None:
-    """Judge an open-loop log as a comparison does; None if its holds are too short."""
+    """Judge an open-loop log as trials; None if its holds are too short."""
     recording, targets = _recording(log)
     found = measure(arm, recording, targets[None], protocol, (DEFAULT, "hold", ((0, 0),), 0), model=model, both=True)
     if not np.isfinite(found.columns["settled"]).all():
@@ -104,7 +104,7 @@ def trials(arm: Arm, log: RunLog, protocol: Protocol, model: ToolModel | None = 
 
 
 def _recording(log: RunLog) -> tuple[Recording, Array]:
-    """Return the log as a recording of the control loop, and its targets (K, 3) [m] in order."""
+    """Log as a recording, and its targets (K, 3) [m]."""
     known = np.isfinite(log.target).all(axis=1)
     rows = np.flatnonzero(known)
     target, time = log.target[rows], log.time[rows]
@@ -124,7 +124,7 @@ def _recording(log: RunLog) -> tuple[Recording, Array]:
 
 
 SOURCE = "the diagnosis"
-"""Source of the default controller's results without new trials"""
+"""Source of the default controller's results"""
 
 THREADS = 2
 """of emulated arms; no effect on results"""
@@ -138,7 +138,7 @@ class Compared:
     """a row for each controller, with intervals"""
     recommendation: Recommendation
     logs: dict[str, RunLog] = field(default_factory=dict)
-    """one run log per controller and protocol, by label, such as ``hold/policy/0/0``"""
+    """one per controller and protocol, such as ``hold/policy/0/0``"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -164,10 +164,10 @@ class ComparisonJob:
     """(S, K) tool orientations at the targets"""
     observer: Observer = field(default_factory=Observer)
     by_name: bool = False
-    """whether another process can make the controllers from their names"""
+    """whether another process can make the controllers by name"""
 
     def drive(self, on_progress: Progress, helper: HelperProcess | None = None) -> Compared:
-        """Compare; in a run, resume after finished trials and write the result. The caller closes ``helper``."""
+        """Compare; in a run, resume and write the result. The caller closes ``helper``."""
         run = self.run
         if run is None:
             return self._drive(Ledger.nowhere(), [], on_progress, helper)
@@ -192,7 +192,6 @@ class ComparisonJob:
     def _drive(
         self, ledger: Ledger, earlier: list[Path], on_progress: Progress, ahead: HelperProcess | None
     ) -> Compared:
-        """Run all trials; the first of them replaces the logs of an ``earlier`` comparison."""
         logs: dict[str, RunLog] = {}
         before = self.before if DEFAULT in self.factories else None
 
@@ -251,11 +250,11 @@ class ComparisonJob:
         return result
 
     def without(self, names: Collection[str]) -> ComparisonJob:
-        """Return the job without some controllers."""
+        """Job without some controllers."""
         return replace(self, factories={name: make for name, make in self.factories.items() if name not in names})
 
     def begin_ahead(self) -> HelperProcess | None:
-        """Start a second process with the trials that are known already, if a core is free."""
+        """Start a second process with the known trials, if a core is free."""
         tasks = [(name, kind) for name in self.factories for kind in KINDS]
         return HelperProcess(self._work(), tasks) if self._shareable() else None
 
@@ -321,9 +320,9 @@ class TrialPlan:
     protocol: Protocol | None = None
     """thresholds [m] and times [s] of a trial; default: Park et al. 2024, holds of 8 s, on one arm of 5 s"""
     directions: bool = False
-    """whether the recommended controller also approaches five poses from three directions: vAP after ISO 9283"""
+    """whether the recommended controller also approaches poses from three directions: vAP (ISO 9283)"""
     full: bool = False
-    """on a real arm, eliminate only controllers that miss three targets in a row"""
+    """on a real arm, eliminate only after three targets missed in a row"""
 
 
 def compare(
@@ -405,7 +404,7 @@ def comparison_job(
     robot: RobotLike, controllers: Controllers, targets: Targets | None, *, run: Run | None, arm: Arm,
     plan: TrialPlan | None, settings: Settings, observer: Observer,
 ) -> ComparisonJob:  # fmt: skip
-    """Assemble and validate a comparison; ``arm`` has the load and tool of the settings."""
+    """Assemble and validate a comparison; ``arm`` includes load and tool."""
     controllers, wanted = listed(controllers), plan or TrialPlan()
     real = not is_batchable(robot)
     elimination = Elimination() if real and not wanted.full else None

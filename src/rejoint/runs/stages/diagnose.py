@@ -1,4 +1,4 @@
-"""Diagnosis: what is wrong with an arm, from its motion or from logs."""
+"""Diagnosis of an arm, from its motion or from logs."""
 
 from __future__ import annotations
 
@@ -178,7 +178,6 @@ def _drive(
 
 
 def _as_set(robot: Robot, reference: HealthyReference | None) -> HealthyReference | None:
-    """Scale the ``reference`` to the servo gains and supply of ``robot``."""
     from rejoint.diagnosis.healthy import as_set
 
     voltage = robot.read().voltage

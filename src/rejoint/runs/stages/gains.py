@@ -1,4 +1,4 @@
-"""Gains: a search for better gains of the servos' own loops on the arm."""
+"""A search for better gains of the servos' own loops."""
 
 from __future__ import annotations
 
@@ -78,9 +78,9 @@ def gains(
 
 
 def gains_to_keep(run: Run) -> ServoGains:
-    """Return the gains of the recommended controller; without a comparison the best for the servos alone.
+    """Recommended controller's gains; without a comparison the best for the servos alone.
 
-    FileError without a search, InputError if the recommended controller uses the gains before it.
+    FileError without a search, InputError if the recommended gains are those before it.
     """
     if not run.folder.gains.exists():
         raise FileError(run.folder.gains, "no such file", f"run `rejoint gains ROBOT {run.path}` first")
@@ -92,7 +92,7 @@ def gains_to_keep(run: Run) -> ServoGains:
 
 
 def keep_gains(robot: RobotLike, run: RunLike, wanted: ServoGains) -> ServoGains:
-    """Write the gains ``wanted`` to the servos' permanent memory; returns those before."""
+    """Write ``wanted`` to the servos' permanent memory; returns the gains before."""
     with noted(), ArmSession(robot, run=run) as session:
         before = gains_in_force(session.robot)
         if before is None:

@@ -1,6 +1,6 @@
-"""A process that runs part of a comparison in virtual time, on a second core.
+"""A process that runs part of a comparison on a second core.
 
-It receives a `Job` and tasks over a pipe and ends with it. It is not forked: threads would not survive.
+It receives a `Job` and tasks over a pipe. It is not forked: threads would not survive.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ from rejoint.system.shell import give_back
 from rejoint.twin.twin import Twin
 
 LEAST = 400
-"""Targets of all trials that are worth a helper; chosen: it starts in two seconds"""
+"""Targets of all trials that are worth a helper; chosen"""
 
 _START = "import sys; sys.path[:] = {path!r}; from rejoint.runs.stages.helper import main; main({line})"
 
 
 def core_to_spare() -> bool:
-    """Whether a second core is free: Ray and others set OMP_NUM_THREADS to one."""
+    """Whether a second core is free, by OMP_NUM_THREADS."""
     return os.name == "posix" and (os.cpu_count() or 1) > 1 and os.environ.get("OMP_NUM_THREADS") != "1"
 
 
@@ -64,7 +64,7 @@ class Job:
         return tuple((s, r) for s in range(len(self.targets)) for r in range(self.settings.repetitions))
 
     def runner(self, name: str) -> TrialRunner:
-        """Return the runner of a controller's trials."""
+        """Runner of a controller's trials."""
         run, period = None if self.run is None else as_run(self.run), period_of(self.robot, self.period)
         factories = make_factories([name], self.arm, period, run=run, twin=self.twin, posed=self.turns is not None)
         return TrialRunner(
@@ -77,7 +77,7 @@ class Job:
 
 
 class HelperProcess:
-    """A running helper; until it gets tasks it does those ``ahead``; close it."""
+    """A running helper; first it does the tasks ``ahead``; close it."""
 
     def __init__(self, job: Job, ahead: Sequence[Task] = ()) -> None:
         self._line, other = Pipe()
@@ -134,7 +134,7 @@ class HelperProcess:
 
 
 def main(line: int) -> None:
-    """Serve `HelperProcess` at the other end of a ``line``, by its file descriptor."""
+    """Serve `HelperProcess` at file descriptor ``line``."""
     asked, tasks = Connection(line), SimpleQueue[Any]()
     Thread(target=_listen, args=(asked, tasks), daemon=True).start()
     job: Job = tasks.get()

@@ -32,10 +32,10 @@ class LogPlan:
     beside: Sequence[Candidate] = ()
     """other twins to judge"""
     hold_out: Sequence[str] | None = None
-    """motions to hold out; empty: none; default: a quarter of the motions, of few motions the end of each. After the
-    judgement the twin is fitted to all"""
+    """motions to hold out; empty: none; default: a quarter of the motions, or of each of few motions; then the twin is
+    fitted to all"""
     gain: Mapping[str, str] = field(default_factory=dict)
-    """the servos' position gain over the twin's: ``"0.5"``, or one number per joint"""
+    """servos' position gain over the twin's: ``"0.5"``, or one number per joint"""
     torque_off: Mapping[str, str] = field(default_factory=dict)
     """[s] spans without torque: ``"3-7.5 12-14"``"""
 

@@ -1,4 +1,4 @@
-"""Replay: a twin's prediction beside the measurement; and the report of a run."""
+"""Replay and report."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Replayed:
     positions: tuple[Array, ...]
     """(T, n) [rad] for each log, open loop from its first measured position"""
     judgement: Judgement | None
-    """errors by motion and twin, in free space and in contact; None for logs without commands"""
+    """errors by motion and twin, free and in contact; None without commands"""
     page: Path | None = None
     """with figures, if asked for"""
 

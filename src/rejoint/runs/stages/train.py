@@ -31,7 +31,7 @@ class TrainedPolicy(Policy):
     """A trained policy and its training."""
 
     training: TrainingResult
-    """targets reached, errors and time; its files exist only in a run"""
+    """its files exist only in a run"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +39,7 @@ class TrainSettings:
     """Options of a training."""
 
     generic: bool = False
-    """train in a run without a twin, for any worn arm of this kind"""
+    """train in a run without a twin, for any worn arm"""
     seed: int | None = None
     """of all random numbers; default: that of the run, else 0"""
     threads: int = 2
