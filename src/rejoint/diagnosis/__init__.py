@@ -1,1 +1,1 @@
-"""What is wrong with an arm: excitation, measurements per joint, and a verdict in words."""
+"""Diagnosis: excitation, measurements per joint, verdict."""

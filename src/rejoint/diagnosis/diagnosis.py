@@ -1,4 +1,4 @@
-"""The diagnosis of an arm: everything measured, everything found, and a verdict that an owner understands."""
+"""The diagnosis of an arm: measurements, findings and a verdict."""
 
 from __future__ import annotations
 
@@ -21,28 +21,27 @@ from rejoint.system.statistics import Estimate
 
 @dataclass(frozen=True, kw_only=True)
 class Evidence:
-    """Logs that a diagnosis was made from."""
+    """What the logs of a diagnosis hold."""
 
     motions: int
     seconds: float
-    """[s] in all"""
+    """[s]"""
     free_seconds: float
-    """[s] that show the free arm"""
+    """[s] of the free arm"""
     contact_seconds: float
     """[s] with the tool on a table, recovery included"""
     stop_seconds: float
     """[s] with a joint at a stop, recovery included"""
     dead_seconds: float
-    """[s] of readings that do not change though they should, recovery included"""
+    """[s] of frozen readings, recovery included"""
     table_height_m: float | None
-    """of the tool on the table, in the base frame; None if it never touches one"""
+    """[m] in the base frame; None without contact"""
     rest_error_mm: Estimate | None
-    """from where the tool was sent to where it rests, by the encoders; None if it never rests"""
+    """[mm] from the tool's target to its rest, by encoders; None without rest"""
 
 
 HIDDEN_MARGIN_MM = 1.0
-"""Distance between tool and encoders, beyond the healthy range, that is wear on a myCobot 280 (chosen); goes with the
-reach"""
+"""[mm] between tool and encoders, beyond the healthy range, of wear on a myCobot 280; goes with the reach; chosen"""
 
 KINDS = {
     "stuck": "stuck",
@@ -56,34 +55,31 @@ KINDS = {
     "offset": "beside its commands everywhere",
     "noise": "restless in its readings",
 }
-"""What each kind of finding makes of a joint, in words"""
+"""What each kind of finding makes of a joint"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Diagnosis:
-    """What is wrong with an arm; plain data that `rejoint.system.files.write_json` can write."""
+    """What is wrong with an arm."""
 
     arm: str
     robot: str
-    """address"""
     condition: str
-    """ok, worn or bad; unknown where logs of other motion do not tell"""
+    """ok, worn or bad; unknown where the logs do not tell"""
     verdict: str
-    """for the owner, in sentences"""
+    """sentences for the user"""
     findings: tuple[Finding, ...]
-    """the worst at the tool first"""
+    """largest tool error first"""
     unseen: tuple[str, ...]
-    """what the encoders cannot tell, in sentences"""
+    """sentences on what encoders cannot tell"""
     open_loop: OpenLoop | None
-    """ten targets; None where there are only logs of other motion"""
+    """ten targets; None for logs of other motion"""
     measurement: Measurement
-    """every joint in numbers"""
     healthy: HealthyReference | None
-    """what it was compared with"""
     evidence: Evidence | None = None
-    """what the logs hold where there are only logs"""
+    """only for a diagnosis from logs"""
     servo_gains: dict[str, tuple[int, ...]] | None = None
-    """of the servos' own loops meanwhile, one of each joint (`rejoint.control.servogains`); None: not told"""
+    """one per joint (`rejoint.control.servogains`); None: unknown"""
 
 
 def diagnose(
@@ -95,7 +91,7 @@ def diagnose(
     on_progress: Progress = no_progress,
     on_cycle: OnCycle | None = None,
 ) -> tuple[Diagnosis, DiagnosisLogs]:
-    """Drive one arm through ten targets and the excitation, and judge what it did."""
+    """Drive one arm through ten targets and the excitation; judge the logs."""
     if robot.count != 1:
         raise InputError(f"a diagnosis is of one arm, {robot.address} has {robot.count}; use `record` for a batch")
     logs = record(robot, seed=seed, plan=plan, on_progress=on_progress, on_cycle=on_cycle)[0]
@@ -103,7 +99,7 @@ def diagnose(
 
 
 def judge(arm: Arm, logs: DiagnosisLogs, healthy: HealthyReference | None) -> Diagnosis:
-    """Judge an arm by its logs; InputError if they do not fit the arm or hold too little."""
+    """Judge an arm by its logs; InputError if they do not fit or hold too little."""
     if healthy is not None and healthy.arm != arm.name:
         raise InputError(f"the healthy reference is of arm {healthy.arm}, expected {arm.name}")
     measurement = measure(arm, logs.excitation, None if healthy is None else healthy.motors_kg_m2)
@@ -153,7 +149,7 @@ def _verdict(open_loop: OpenLoop, findings: tuple[Finding, ...], healthy: Health
 def causes(
     shown: tuple[Finding, ...], all_of_them: tuple[Finding, ...], told: Finding | None = None
 ) -> tuple[str, list[Finding], str]:
-    """Name the worst findings of the three worst joints of ``shown``, and how many more joints there are."""
+    """Name the worst findings of the three worst joints of ``shown``, and count the others."""
     joints = {finding.joint: finding for finding in reversed(shown)}  # the worst finding of a joint wins
     worst = sorted(joints.values(), key=lambda f: -f.tcp_mm)[:3]
     named = "; ".join(f"{f.joint} is {KINDS[f.kind]} ({f.tcp_mm:.1f} mm)" for f in worst)
@@ -162,13 +158,12 @@ def causes(
 
 
 def _unexplained(open_loop: OpenLoop, findings: tuple[Finding, ...], healthy: HealthyReference | None) -> bool:
-    """Whether an arm misses its targets by more than a healthy one, and no finding says why."""
     least, usual = open_loop.error_mm.low, None if healthy is None else healthy.error_mm.high
     return not findings and least is not None and usual is not None and least > usual
 
 
 def ringing_most(findings: tuple[Finding, ...]) -> Finding | None:
-    """Return the finding of the joint that rings most, if any does."""
+    """Return the finding of the joint that rings most, if any."""
     return min((f for f in findings if f.kind == "low_damping"), key=lambda f: f.measured.value, default=None)
 
 

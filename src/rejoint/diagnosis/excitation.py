@@ -1,11 +1,10 @@
-"""The motion that shows what is wrong with an arm: a seeded plan, checked before it is driven.
+"""The motion for a diagnosis: a seeded plan, checked before the arm moves.
 
-``approach`` to the rest posture; ``still`` (noise, hunting); ``sweep``, slowly up and down at two speeds; ``step`` of
-every joint alone (lag, overshoot); ``multisine`` of all joints, band-limited (dynamics); ``hold``, postures of
-different gravity torques, each approached from below and above.
+Segments: ``approach``; ``still`` (noise, hunting); ``sweep``, slow, at two speeds; ``step`` of each joint alone (lag,
+overshoot); ``multisine``, band-limited (dynamics); ``hold``, postures of different gravity torques, approached from
+both sides.
 
-Every posture is checked: joints inside their limits, frames above the floor, the TCP away from the arm's column, no
-joint loaded more than at the heaviest target.
+Each posture respects joint limits, floor, column and the largest load.
 """
 
 from __future__ import annotations
@@ -43,14 +42,14 @@ from rejoint.system.progress import Progress, no_progress, part
 
 
 def swept(arm: Arm, joints: tuple[int, ...]) -> Array:
-    """Signs (n,) by which the joints of a group move, neighbours against each other; zero for the others."""
+    """Signs (n,) of a group's motion, neighbours opposed; zero for the others."""
     sign = np.zeros(arm.joints)
     sign[list(joints)] = np.where(np.arange(len(joints)) % 2, -1.0, 1.0)
     return sign
 
 
 class CommandPath:
-    """Knots of a trajectory that grows from a start posture (n,) [rad] at time 0."""
+    """Knots of a trajectory from a start posture (n,) [rad] at time 0."""
 
     def __init__(self, start: Array) -> None:
         self._time = [0.0]
@@ -64,12 +63,12 @@ class CommandPath:
 
     @property
     def end(self) -> Array:
-        """(n,) [rad] where the trajectory has come to."""
+        """(n,) [rad] last knot."""
         return self._position[-1]
 
     @contextmanager
     def segment(self, name: str, kind: str, joints: tuple[int, ...] = ()) -> Iterator[None]:
-        """Give what is added inside the ``with`` block a name."""
+        """Name what is added inside the ``with`` block."""
         start = self._time[-1]
         yield
         self._segments.append(Segment(name=name, kind=kind, start=start, stop=self._time[-1], joints=joints))
@@ -79,13 +78,13 @@ class CommandPath:
         self._add(duration, self._position[-1])
 
     def travel(self, goal: Array, speed: float) -> None:
-        """Go straight to ``goal`` (n,) [rad]; the joint with the longest way moves at ``speed`` [rad/s]."""
+        """Go straight to ``goal`` (n,) [rad]; the joint with the longest way has ``speed`` [rad/s]."""
         self._add(float(np.abs(goal - self._position[-1]).max()) / speed, goal)
 
     def sweep(self, arm: Arm, amplitude: float, travel: float, speeds: Sequence[tuple[float, int]]) -> None:
-        """Sweep every other joint at once about the rest posture by ``amplitude`` [rad], in cycles of each speed.
+        """Sweep every other joint about the rest posture by ``amplitude`` [rad].
 
-        ``travel`` [rad/s] is the speed of the ways between.
+        ``speeds`` are [rad/s] and cycles; ``travel`` [rad/s] is the speed in between.
         """
         for group in (range(0, arm.joints, 2), range(1, arm.joints, 2)):
             joints = tuple(group)
@@ -100,13 +99,13 @@ class CommandPath:
             self.wait(_SETTLE)
 
     def follow(self, time: Array, position: Array) -> None:
-        """Append samples (K,) [s] from 0 and (K, n) [rad] that begin at the present posture."""
+        """Append samples (K,) [s] from 0 and (K, n) [rad] from the present posture."""
         begin = self._time[-1]
         self._time.extend((begin + time[1:]).tolist())
         self._position.extend(position[1:])
 
     def knots(self) -> tuple[Array, Array]:
-        """Return times (K,) [s] and positions (K, n) [rad] so far."""
+        """Return times (K,) [s] and positions (K, n) [rad]."""
         return np.array(self._time), np.array(self._position)
 
     def _add(self, duration: float, goal: Array) -> None:
@@ -116,89 +115,88 @@ class CommandPath:
 
 
 def smooth_ramp(time: Array) -> Array:
-    """Go from 0 at time 0 to 1 after a second without a kink; any shape."""
+    """Rise smoothly from 0 to 1 within a second."""
     return 0.5 - 0.5 * np.cos(np.pi * np.clip(time, 0.0, 1.0))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """Amplitudes, speeds and durations of an excitation; every default is chosen, the reason beside it."""
+    """Amplitudes, speeds and durations of an excitation; all defaults are chosen."""
 
     still: float = 3.0
-    """[s] a hundred readings at the slowest usual period"""
+    """[s]"""
     sweep_amplitude: float = 0.18
-    """[rad] several times a worn joint's hysteresis (about 0.04 rad)"""
+    """[rad]; several times a worn joint's hysteresis"""
     sweep_speeds: tuple[float, ...] = (0.12, 0.5)
-    """[rad/s] slow: twice the usual Stribeck velocity; fast: where viscous lag outweighs friction"""
+    """[rad/s]; twice the Stribeck velocity; fast: viscous lag outweighs friction"""
     sweep_cycles: tuple[int, ...] = (2, 4)
-    """up-and-down cycles at each speed; half cycles are the clusters of the intervals"""
+    """up-and-down cycles at each speed"""
     step_size: float = 0.2
-    """[rad] 11 deg: half of the guard's lead limit"""
+    """[rad]; half of the guard's limit"""
     step_dwell: float = 1.0
-    """[s] several periods of the slowest oscillation seen in worn arms (2 Hz)"""
+    """[s]; several periods of 2 Hz"""
     step_speed: float = 2.0
-    """[rad/s] just below the 120 deg/s ramp of small servos"""
+    """[rad/s]; just below the ramp of small servos"""
     multisine_period: float = 15.0
-    """[s] one period; lines are 1/15 Hz apart"""
+    """[s]"""
     multisine_periods: int = 2
     multisine_band: float = 2.5
-    """[Hz] highest line: a quarter of the sampling rate of a slow wire"""
+    """[Hz] highest line"""
     multisine_amplitude: float = EXCURSION
-    """[rad] largest excursion of a joint"""
+    """[rad] largest excursion"""
     multisine_speed: float = 1.5
-    """[rad/s] largest speed of a joint"""
+    """[rad/s] largest speed"""
     postures: int = 8
-    """postures of the holds"""
     hold_offset: float = HOLD_OFFSET
-    """[rad] distance from which a posture is approached"""
+    """[rad] of the approach"""
     hold_speed: float = 0.3
-    """[rad/s] of the last part of the approach: slow, so that nothing overshoots"""
+    """[rad/s] at its end"""
     hold_dwell: float = 1.0
     """[s]"""
     travel_speed: float = 0.8
     """[rad/s] between postures"""
     posture_spread: float = HOLD_SPREAD
-    """[rad] how far hold postures may lie from the rest posture"""
+    """[rad] largest distance of hold postures from rest"""
 
 
 FULL = Plan()
-"""About 130 s."""
+"""About 130 s"""
 
 SHORT = Plan(sweep_cycles=(1, 2), multisine_periods=1, postures=5, step_dwell=0.8, still=2.0)
-"""About 75 s: a quick look, with wider intervals."""
+"""About 75 s, with wider intervals"""
 
 _SETTLE = 0.3
-"""[s] pause at the turning points between segments (chosen)."""
+"""[s] pause between segments; chosen"""
 
 _ATTEMPTS, _SMALLER = 12, 0.8
-"""Plans that are tried, and the factor on an amplitude that was too large (chosen)"""
+"""Attempts, and the factor on an amplitude that was too large; chosen"""
 
 _LEAST_SPREAD = 0.2
-"""[rad] of postures to hold, at least (chosen: little more than the approach to them)"""
+"""[rad] least spread of hold postures; chosen"""
 
 _AMPLITUDES = {"sweep": "sweep_amplitude", "step": "step_size", "multisine": "multisine_amplitude",
                "hold": "posture_spread"}  # fmt: skip
-"""What is too large where a segment of a kind is not safe."""
+"""Field of `Plan` to reduce for an unsafe segment"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Excitation:
-    """A joint trajectory by the clock, in named segments."""
+    """A joint trajectory in named segments."""
 
     arm: Arm
     segments: tuple[Segment, ...]
     time: Array
-    """(K,) [s] knots, from 0"""
+    """(K,) [s] from 0"""
     position: Array
-    """(K, n) [rad] at the knots, linear between them"""
+    """(K, n) [rad], linear between"""
 
     @property
     def duration(self) -> float:
-        """Length of the plan [s]."""
+        """[s]."""
         return float(self.time[-1])
 
     def command(self, time: float | Array) -> Array:
-        """Joint positions (..., n) [rad] at ``time`` (...) [s] since the start; held before and after."""
+        """Joint positions (..., n) [rad] at ``time`` (...) [s]; held before and after."""
         t = np.asarray(time, dtype=float)
         return np.stack([np.interp(t, self.time, column) for column in self.position.T], axis=-1)
 
@@ -213,7 +211,7 @@ _REMEDY = (
 def plan_excitation(arm: Arm, *, seed: int, start: Array | None = None, plan: Plan = FULL) -> Excitation:
     """Plan the excitation of an arm at ``start`` (n,) [rad] (default: its rest posture).
 
-    Too fast motions are slowed down, too large ones made smaller; InputError if that does not suffice.
+    Slows and shrinks motion; InputError if that does not suffice.
     """
     why = unsafe(arm, arm.rest)
     if why:
@@ -294,10 +292,7 @@ def _add_holds(path: CommandPath, arm: Arm, plan: Plan, rng: np.random.Generator
 
 
 def hold_postures(arm: Arm, plan: Plan, rng: np.random.Generator) -> Array:
-    """Postures (P, n) [rad] whose gravity torques lie far apart: farthest-point sampling of safe candidates.
-
-    Torques are scaled per joint by their largest value, or by what counts as no load.
-    """
+    """Postures (P, n) [rad] whose gravity torques, scaled per joint, lie far apart (farthest-point sampling)."""
     spread = plan.posture_spread
     q = postures_to_hold(arm, rng, spread=spread, offset=plan.hold_offset)
     while len(q) < plan.postures and spread > _LEAST_SPREAD:
@@ -319,7 +314,6 @@ def hold_postures(arm: Arm, plan: Plan, rng: np.random.Generator) -> Array:
 
 
 def _slowed(plan: Plan, arm: Arm) -> Plan:
-    """Keep the speeds of a plan below shares of the slowest joint's, and its band below what a long arm can follow."""
     limit = float(arm.max_speed.min())
     return replace(
         plan,
@@ -333,7 +327,6 @@ def _slowed(plan: Plan, arm: Arm) -> Plan:
 
 
 def _first_leaving(excitation: Excitation) -> tuple[Segment, Array] | None:
-    """Segment in which a plan first leaves the safe space, and the posture (n,) [rad]; else None."""
     arm, time, position = excitation.arm, excitation.time, excitation.position
     fine = np.union1d(time, np.arange(0.0, time[-1], 0.05))
     q = np.stack([np.interp(fine, time, column) for column in position.T], axis=-1)
@@ -347,27 +340,25 @@ def _first_leaving(excitation: Excitation) -> tuple[Segment, Array] | None:
 
 
 TARGETS_LABEL, EXCITATION_LABEL = "diagnosis/targets", "diagnosis/excitation"
-"""Labels of the run logs."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DiagnosisLogs:
-    """What one arm did for its diagnosis."""
+    """Logs of one arm for its diagnosis."""
 
     targets: RunLog
     """ten targets open loop"""
     excitation: RunLog
-    """the excitation, with its segments in ``extra``"""
+    """segments in ``extra``"""
 
 
 def record(
     robot: Robot, *, seed: int, plan: Plan = FULL, on_progress: Progress = no_progress,
     on_cycle: OnCycle | None = None,
 ) -> tuple[DiagnosisLogs, ...]:  # fmt: skip
-    """Drive every arm of ``robot`` through the diagnosis, with one draw of ``seed``; returns the logs of each.
+    """Drive every arm of ``robot`` through the diagnosis; return the logs of each.
 
-    NotReadyError before it moves if that is unsafe; GuardTripError or RobotError if the motion had to be ended.
-    ``on_cycle`` sees every cycle.
+    NotReadyError before it moves if unsafe; GuardTripError or RobotError if the motion had to be ended.
     """
     arm = robot.arm
     extra = {"seed": str(seed)}
@@ -396,7 +387,7 @@ def record(
 
 
 def reporting(what: str, duration: float, on_progress: Progress, on_cycle: OnCycle | None, robot: Robot) -> OnCycle:
-    """Return what reports the progress of a motion of this ``duration`` [s] after each cycle."""
+    """Progress callback for a motion of ``duration`` [s]."""
     since = float(robot.read().time[0])
 
     def report(cycle: Cycle) -> None:

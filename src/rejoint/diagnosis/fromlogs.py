@@ -1,7 +1,6 @@
-"""A diagnosis from logs of any motion: the numbers per joint as far as they tell, against the same healthy reference.
+"""A diagnosis from logs of any motion, against the same healthy reference.
 
-Rows that do not show the free arm are left out. What logs leave open stays open: a joint that gravity does not load has
-no stiffness here, one that moves in one direction only no friction.
+Stiffness needs a gravity load, friction motion in both directions.
 """
 
 from __future__ import annotations
@@ -27,10 +26,10 @@ from rejoint.system.progress import Progress, no_progress
 from rejoint.system.statistics import Estimate
 
 _MANY = 8
-"""From as many logs on, logs are independent, below the places that the arm rests at (chosen)"""
+"""Number of logs from which each is one observation; chosen"""
 
 SHORTEST = 10.0
-"""[s] of free motion below which a diagnosis is refused (chosen, as for an identification)"""
+"""[s] least free motion; chosen"""
 
 
 def diagnose_logs(
@@ -41,9 +40,9 @@ def diagnose_logs(
     source: str = "logs",
     on_progress: Progress = no_progress,
 ) -> Diagnosis:
-    """Judge an arm by logs of any motion, which come from ``source``.
+    """Judge an arm by logs of any motion from ``source``.
 
-    InputError if the logs are of another arm or hold too little free motion.
+    InputError for logs of another arm or too little free motion.
     """
     if healthy is not None and healthy.arm != arm.name:
         raise InputError(f"the healthy reference is of arm {healthy.arm}, expected {arm.name}")
@@ -87,7 +86,7 @@ def diagnose_logs(
 
 
 def left_out(evidence: Evidence) -> str:
-    """Say what of the logs does not show the free arm, as the end of a sentence."""
+    """Describe the time without free arm, as the end of a sentence."""
     parts = (
         (evidence.contact_seconds, "with the tool on a table"), (evidence.stop_seconds, "at a stop"),
         (evidence.dead_seconds, "of dead readings"),
@@ -113,7 +112,6 @@ def _evidence(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions], 
 
 
 def _rest_error(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]) -> Estimate | None:
-    """Mean [mm] of how far the tool rests from where it was sent, by the encoders."""
     means: list[float] = []
     for log, rows in zip(logs, excluded, strict=True):
         rest = resting_postures(log, rows)
@@ -138,7 +136,6 @@ def _everywhere(logs: Sequence[RunLog], excluded: Sequence[Exclusions]) -> Postu
 
 
 def _rest(evidence: Evidence, healthy: HealthyReference | None) -> str:
-    """Say how far the tool rests from where it was sent; empty where it never rests."""
     error = evidence.rest_error_mm
     if error is None:
         return ""
@@ -156,7 +153,6 @@ def _motions(evidence: Evidence) -> str:
 
 
 def _unmeasured(measurement: Measurement) -> list[str]:
-    """Joints of which these logs say nothing: neither how they move nor that they do not."""
     return [row.joint for row in measurement.joints if row.hysteresis_rad is None]
 
 

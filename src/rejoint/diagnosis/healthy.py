@@ -1,12 +1,12 @@
 """What a healthy arm of the same kind measures, by the same procedure.
 
-That of an arm of the catalogue is a file in this package, measured on emulated arms with the wear profile ``healthy``,
-or that of `NEW`, and written by
+For a catalogue arm it is a file in this package, measured on emulated arms with the wear profile ``healthy`` or that of
+`NEW`, and written by
 
     python -m rejoint.diagnosis mycobot280
 
-An SO-101 has one for each P in `MEASURED`, which `as_set` brings to its supply. For other arms `healthy_reference`
-measures it. A diagnosis of a real arm that is known to be good is better (`reference_by`).
+An SO-101 has one for each P in `MEASURED`. `healthy_reference` measures one for other arms, `reference_by` makes one
+from a real good arm.
 """
 
 from __future__ import annotations
@@ -35,65 +35,64 @@ if TYPE_CHECKING:
     from rejoint.diagnosis.diagnosis import Diagnosis
 
 TOLERANCE = 0.3
-"""Relative spread between healthy arms, on top of what was seen (chosen: vendors publish none)"""
+"""Relative spread between healthy arms beyond what was seen; chosen"""
 
 SIGMAS = 3.0
-"""Standard deviations that still count as healthy (chosen: an arm is judged by some fifty numbers)"""
+"""Standard deviations that count as healthy; chosen"""
 
 OVERSHOOT_ALLOWED = 0.05
-"""Fraction of a step that any healthy arm may shoot over (chosen)."""
+"""Overshoot, as a fraction of a step, of any healthy arm; chosen"""
 
 NO_OFFSET = Estimate(0.0, -OFFSET_ALLOWED, OFFSET_ALLOWED)
-"""What a joint without an offset shows: each servo has its own zero"""
+"""[rad] without an offset: each servo has its own zero"""
 
 ARMS, SEED = 12, 2024
-"""Emulated healthy arms that are measured for the reference (chosen)."""
+"""Emulated healthy arms of a reference, and their seed; chosen"""
 
 ARMS_ON_DEMAND = 6
-"""The same where somebody waits for it (chosen: about 10 s)."""
+"""The same on demand (about 10 s); chosen"""
 
 
 NEW = {"so101": "so101-new"}
-"""Arms whose new ones have a wear profile of their own"""
+"""Arms with a wear profile for new ones"""
 
 MEASURED = (16, 32, 64)
-"""P of the servos under which such arms are measured: LeRobot's, as sold, and the largest in a search"""
+"""P: LeRobot's, as sold, and the largest in a search"""
 AS_SOLD, SUPPLY = 32, 12.0
-"""P where no gains are known, and [V] of the supply of all references"""
+"""P if unknown, and [V] supply of references"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class HealthyReference:
-    """Healthy values; every ``Estimate`` holds the mean and the range within which an arm counts as healthy."""
+    """Healthy values; an ``Estimate`` holds the mean and the healthy range."""
 
     arm: str
     source: str
-    """what was measured, in words"""
     motors_kg_m2: tuple[float | None, ...]
-    """inertia of motor and gear at each joint; None where gravity does not tell"""
+    """inertia of motor and gear at each joint; None where unknown"""
     joints: tuple[JointMetrics, ...]
     error_mm: Estimate
-    """of ten targets open loop, by encoder kinematics"""
+    """of ten targets open loop, by encoders"""
     hidden_mm: Estimate | None
-    """between the tool and where the encoders put it; None where it was unknown"""
+    """between tool and encoders; None: unknown"""
     setting: str = ""
-    """what of the arm at hand it was computed for: P and supply"""
+    """P and supply it was computed for"""
 
 
 def reference_path(arm: Arm, p: int = AS_SOLD) -> Path:
-    """Path of the package's reference of an arm; ``p`` is that of its servos."""
+    """Path of the package's reference of an arm with servo gain ``p``."""
     under = "" if p == AS_SOLD else f"_p{p}"
     return Path(str(files("rejoint.diagnosis"))) / f"healthy_{arm.name}{under}.json"
 
 
 def load_healthy(arm: Arm, p: int = AS_SOLD) -> HealthyReference | None:
-    """Return the package's reference for an arm, None if there is none."""
+    """Return the package's reference for an arm, if any."""
     path = reference_path(arm, p)
     return read_json(path, HealthyReference) if path.exists() else None
 
 
 def healthy_reference(arm: Arm) -> HealthyReference | None:
-    """Return the package's reference for an arm, or measure one in virtual time; None without the simulator."""
+    """Return the package's reference or measure one; None without the simulator."""
     packaged = load_healthy(arm)
     if packaged is not None or not installed(SIMULATOR):
         return packaged
@@ -103,9 +102,9 @@ def healthy_reference(arm: Arm) -> HealthyReference | None:
 def as_set(
     arm: Arm, reference: HealthyReference | None, gains: ServoGains | None, voltage: Array | None
 ) -> HealthyReference | None:
-    """Return what a healthy arm measures with these ``gains`` in its servos, and this ``voltage`` (n,) [V].
+    """Return what a healthy arm measures with these ``gains`` and this ``voltage`` (n,) [V].
 
-    A servo's torque goes with P and with its supply; each joint is taken from the reference of the nearest P.
+    Torque scales with P and supply; each joint uses the reference of the nearest P.
     """
     if _new(arm) is None or reference is None or gains is None or "p" not in gains:
         return reference
@@ -127,14 +126,12 @@ def as_set(
 
 
 def _by_joint(values: Sequence[int], names: Sequence[str]) -> str:
-    """Tell a gain of each joint: what most of them have, then the others by name."""
     most = max(dict.fromkeys(values), key=list(values).count)
     others = [f"{name} {value}" for name, value in zip(names, values, strict=True) if value != most]
     return f"{most} ({', '.join(others)})" if others else str(most)
 
 
 def _new(arm: Arm) -> str | None:
-    """Return the wear profile of a new arm of this kind, None where `healthy` is used."""
     return NEW.get(arm.name) if arm.servos else None
 
 
@@ -152,7 +149,7 @@ def _stiffer(row: JointMetrics, factor: float) -> JointMetrics:
 
 
 def measure_healthy(arm: Arm, *, count: int = ARMS, p: int = AS_SOLD) -> HealthyReference:
-    """Diagnose ``count`` emulated healthy arms; ``p`` is that of the servos of an arm in `NEW`."""
+    """Diagnose ``count`` emulated healthy arms; ``p``: gain of the servos of an arm in `NEW`."""
     logs: list[DiagnosisLogs] = []
     new = _new(arm)
     profile = new or "healthy"
@@ -165,7 +162,7 @@ def measure_healthy(arm: Arm, *, count: int = ARMS, p: int = AS_SOLD) -> Healthy
 
 
 def reference_from(arm: Arm, logs: Sequence[DiagnosisLogs], *, source: str, motors: bool = True) -> HealthyReference:
-    """Make a reference from the logs of at least three healthy arms; ``motors``: whether their inertia can be told."""
+    """Make a reference from the logs of at least three healthy arms; ``motors``: with their inertia."""
     if len(logs) < 3:
         raise InputError(f"a healthy reference needs the logs of at least three diagnoses, got {len(logs)}")
     first = [measure(arm, entry.excitation) for entry in logs]
@@ -222,20 +219,19 @@ def _range(values: list[float]) -> Estimate:
 
 
 def _range_about_zero(values: list[float], allowed: float) -> Estimate:
-    """Mean and healthy range of what is about zero when healthy; ``allowed`` widens it on both sides."""
     mean, spread = float(np.mean(values)), float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
     half = SIGMAS * spread + TOLERANCE * abs(mean) + allowed
     return Estimate(mean, mean - half, mean + half)
 
 
 POSITIVE = ("stiffness_nm_per_rad", "coulomb_nm", "damping_ratio", "hysteresis_rad", "lag_s")
-"""Quantities of a joint that are above zero in any arm"""
+"""Positive quantities of a joint"""
 
 
 def reference_by(arm: Arm, good: Diagnosis) -> HealthyReference:
-    """Make a reference of a diagnosis, each interval wider by the spread between arms.
+    """Make a reference from a diagnosis, widened by the spread between arms.
 
-    InputError if the diagnosis is of another kind of arm or says too little.
+    InputError for another kind of arm or too few numbers.
     """
     if good.arm != arm.name:
         raise InputError(f"the arm known to be good is a {good.arm}, expected {arm.name}")
@@ -254,7 +250,6 @@ def reference_by(arm: Arm, good: Diagnosis) -> HealthyReference:
 
 
 def _ranges(arm: Arm, row: JointMetrics) -> JointMetrics:
-    """Turn every interval of a joint into the range within which another arm counts as healthy."""
     changed: dict[str, Any] = {name: _factor(found) for name in POSITIVE if (found := getattr(row, name)) is not None}
     for name, margin in _allowed(arm).items():
         if (found := getattr(row, name)) is not None:

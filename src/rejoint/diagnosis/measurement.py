@@ -1,4 +1,4 @@
-"""All measurements of an arm: one row per joint, from an excitation or from logs of other motion."""
+"""All measurements of an arm: one row per joint."""
 
 from __future__ import annotations
 
@@ -17,92 +17,91 @@ from rejoint.logs.runlog import RunLog
 from rejoint.system.statistics import Estimate
 
 LOADED = 0.05
-"""[N m] of a myCobot 280 by which gravity's torque must vary for a stiffness to show (chosen)"""
+"""[N m] range of gravity's torque on a myCobot 280 for a stiffness; chosen"""
 
 GRAVITY_SHARE = 0.35
-"""Relative half width up to which the stiffness from gravity is taken, where inertia tells as well (chosen)"""
+"""Relative half width up to which stiffness from gravity outranks inertia; chosen"""
 
 KNOWN_WITHIN = 4.0
-"""Ratio of an interval's ends up to which it is taken where nothing else tells (chosen)"""
+"""Ratio of an interval's ends up to which it is used alone; chosen"""
 
 FEWEST_STEPS, FEWEST_RESTS = 3, 4
-"""Steps and rests below which nothing is said about overshoot and noise (chosen)"""
+"""Steps that overshoot needs, and rests that noise needs; chosen"""
 
 SAME_SERVO = 0.4
-"""Relative error of a motor's inertia taken from a neighbouring joint (chosen: the same servo or the next size)"""
+"""Relative error of a motor's inertia from another joint; chosen"""
 
 SAME_KIND = 0.25
-"""Relative error of a motor's inertia taken from a healthy arm (chosen: gears and rotors do not change with wear)"""
+"""Relative error of a motor's inertia from a healthy arm; chosen"""
 
 MOTOR_SHARE = 0.35
-"""Relative half width up to which a motor's inertia counts as known (chosen as for gravity)."""
+"""Relative half width of a known motor inertia; chosen"""
 
 OFFSET_ALLOWED = 0.01
-"""[rad] that a healthy joint may rest off its command without load (chosen: 2 mm at the tool of a myCobot 280)"""
+"""[rad] offset of a healthy joint without load; chosen: 2 mm at a myCobot 280's tool"""
 
 DELAY_ERROR = 0.003
-"""[s] error of the delay (measured: its scatter over emulated arms)"""
+"""[s] error of the delay; measured over emulated arms"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointMetrics:
-    """One joint in numbers; every estimate with its 95 % interval."""
+    """One joint in numbers with 95 % intervals; None: unknown."""
 
     joint: str
     stiffness_nm_per_rad: Estimate | None = None
-    """of the servo loop: torque per radian of following error; None where the log does not tell"""
+    """torque per radian of following error"""
     stiffness_source: str = "none"
-    """``gravity`` (sag in held postures), ``inertia`` (motion of a joint that gravity does not load) or ``none``"""
+    """``gravity`` (sag in holds), ``inertia`` (motion) or ``none``"""
     hysteresis_rad: Estimate | None = None
-    """full width of the following error between both directions, lag removed"""
+    """full width between both directions, lag removed"""
     coulomb_nm: Estimate | None = None
-    """friction of a moving joint; None where the stiffness is not known or the joint hardly moves"""
+    """friction of a moving joint"""
     lag_s: Estimate | None = None
-    """following error over speed, beyond the delay that all joints share; None if it hardly moves"""
+    """following error over speed, beyond the delay of all joints"""
     damping_ratio: Estimate | None = None
-    """of the servo loop without friction: 1 aperiodic, 0.3 rings"""
+    """without friction: 1 aperiodic, 0.3 rings"""
     overshoot: Estimate | None = None
-    """fraction of a step; None without steps"""
+    """fraction of a step"""
     hunting_rad: Estimate | None = None
-    """rms motion while every command stands still, in the worst postures; None if they never do"""
+    """rms under constant commands, worst postures"""
     noise_rad: Estimate | None = None
-    """rms of a single reading at rest; None without rest"""
+    """rms of one reading at rest"""
     torque_limit_nm: Estimate | None = None
-    """that reaches the load: the motor's limit less stiction; None where it was not reached"""
+    """at the load: the motor's limit less stiction; None: not reached"""
     torque_seen_nm: float = 0.0
-    """largest torque seen; the limit is not below"""
+    """largest torque seen"""
     saturated_share: float = 0.0
     """share of the time at the torque limit"""
     motor_inertia_kg_m2: float | None = None
-    """of motor and gear at the joint; None where gravity does not tell"""
+    """of motor and gear at the joint"""
     sweep_gain: float | None = None
-    """share of a slow sweep that the joint follows; None where no sweep could be sent"""
+    """share of a slow sweep that the joint follows"""
     stuck_rad: float = 0.0
-    """farthest that the joint stayed off what its own stiffness explains, in a held posture"""
+    """largest distance in a hold from what the joint's stiffness explains"""
     coulomb_effort: Estimate | None = None
-    """friction of a moving joint in the unit of the logged current or torque; None without such a column"""
+    """Coulomb friction in the unit of the logged current or torque"""
     viscous_effort: Estimate | None = None
     """the same by speed, in that unit times s/rad"""
     offset_rad: Estimate | None = None
-    """position under no load, minus command; None where the joint hardly moves"""
+    """position without load minus command"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Measurement:
-    """What an excitation says about an arm."""
+    """What logs say about an arm."""
 
     joints: tuple[JointMetrics, ...]
     delay_s: float | None
-    """of commands and answers; None where steps do not tell it from lag"""
+    """of commands and answers; None: not separable from lag"""
     period_s: float
     """median time between readings"""
 
 
 def measure(arm: Arm, log: RunLog, motors: Sequence[float | None] | None = None) -> Measurement:
-    """Measure every joint from the log of an excitation; InputError if it does not hold enough of one.
+    """Measure every joint from an excitation; InputError if it holds too little.
 
-    ``motors`` are the motor inertias [kg m^2] of a healthy arm, None where unknown: they sharpen the stiffness of
-    joints that gravity does not load.
+    ``motors``: a healthy arm's motor inertias [kg m^2], if known, for the stiffness of joints without gravity load.
     """
     data = ExcitationLog.of(arm, log)
     delay = arm_delay(data)
@@ -125,7 +124,7 @@ def measure(arm: Arm, log: RunLog, motors: Sequence[float | None] | None = None)
 
 
 def measure_joint(data: ExcitationLog, joint: int) -> JointMetrics:
-    """Measure one joint from joined logs of any motion; what they do not tell is None."""
+    """Measure one joint from joined logs of any motion."""
     law = fit_law(data, joint)
     k = None if law is None else _from_gravity(data.arm, law)
     if k is not None and (k.low is None or k.high is None or k.high > KNOWN_WITHIN * k.low):
@@ -137,8 +136,6 @@ def measure_joint(data: ExcitationLog, joint: int) -> JointMetrics:
 
 @dataclass(frozen=True, kw_only=True)
 class _Stiffness:
-    """Stiffness of a joint, where it comes from, and the motor inertia that goes with it."""
-
     value: Estimate | None = None
     source: str = "none"
     motor: Estimate | None = None
@@ -169,7 +166,6 @@ def _row(data: ExcitationLog, joint: int, law: Law | None, stiffness: _Stiffness
 def _stiffness(
     arm: Arm, laws: list[Law | None], ratios: list[Estimate | None], motors: Sequence[float | None] | None
 ) -> list[_Stiffness]:
-    """Stiffness from gravity where that is precise, else from J/k and the motor inertia of the nearest known joint."""
     links = link_inertia(arm, arm.rest)
     found = [_loaded(arm, law, ratio, float(link)) for law, ratio, link in zip(laws, ratios, links, strict=True)]
     known = {joint: row.motor for joint, row in enumerate(found) if row.motor is not None}
@@ -189,7 +185,6 @@ def _stiffness(
 
 
 def _from_gravity(arm: Arm, law: Law) -> Estimate | None:
-    """Stiffness by how a joint yields to its load; None where that hardly varies."""
     if law.torque_range < LOADED * torque_size(arm) or law.fit.coefficients[SOFTNESS] <= 0:
         return None
     return reciprocal(law.fit.estimate(SOFTNESS))
@@ -206,7 +201,7 @@ def _loaded(arm: Arm, law: Law | None, ratio: Estimate | None, link: float) -> _
 
 
 def _inertia_ratio(law: Law) -> Estimate:
-    """J/k [s^2] of a law, its interval widened by what the delay may be wrong."""
+    """J/k [s^2] of a law, widened by the delay's error."""
     ratio, lag = law.fit.estimate(INERTIA), float(law.fit.coefficients[LAG])
     half = float(np.hypot((ratio.high or 0.0) - ratio.value, DELAY_ERROR * lag))
     return Estimate(ratio.value, ratio.value - half, ratio.value + half)
@@ -223,7 +218,7 @@ def _damping_ratio(law: Law) -> Estimate | None:
 
 
 def friction_torque(stiffness: Estimate, half_width: Estimate) -> Estimate:
-    """F = k (F/k); a half width that is not above zero gives no friction, but a bound."""
+    """F = k (F/k), or a bound for a half width of zero."""
     if half_width.value > 0:
         return product(stiffness, half_width)
     high = None if half_width.high is None else max(stiffness.value * half_width.high, 0.0)
@@ -231,7 +226,7 @@ def friction_torque(stiffness: Estimate, half_width: Estimate) -> Estimate:
 
 
 def surely_offset(offset: Estimate, *, doubt: float = 0.0) -> bool:
-    """Whether the whole interval of an offset lies beyond that of a healthy joint and ``doubt`` [rad]."""
+    """Whether an offset's interval lies beyond a healthy joint's and ``doubt`` [rad]."""
     low, high = offset.low, offset.high
     return low is not None and high is not None and max(low, -high) > OFFSET_ALLOWED + doubt
 
@@ -243,7 +238,6 @@ def scaled(estimate: Estimate, factor: float) -> Estimate:
 
 
 def _shifted(estimate: Estimate, offset: float) -> Estimate | None:
-    """Add a number to a positive quantity; None if nothing positive is left."""
     value = estimate.value + offset
     if value <= 0:
         return None

@@ -1,13 +1,12 @@
 """What motion and rest say about a joint: its law, overshoot, hunting, noise and torque.
 
-The following error e = command - measured position is all that encoders offer. A position servo of stiffness k and
-damping d that turns an inertia J against gravity torque tau and Coulomb friction F leaves
+The following error e = command - measured position of a servo with stiffness k, damping d, inertia J, gravity torque
+tau and Coulomb friction F is
 
     e = (d/k) q' + (F/k) sign(q') + (J/k) q'' + tau/k + offset.
 
-One regression fits all five terms to the moments in which a joint moves, be it in an excitation or in any other logs
-(`fit_law`). Neither tells a delay from a lag; the first moments of a step do, since a delayed joint does not move at
-all. So every delay gets its own fit, and the one whose fit also starts the steps on time is taken.
+`fit_law` fits all terms to moving moments of any log. Only the start of a step separates delay from lag, so each delay
+gets its own fit, and the one that starts the steps on time wins.
 """
 
 from __future__ import annotations
@@ -25,50 +24,49 @@ from rejoint.diagnosis.segments import FREE, HOLD, STEP, STILL, SWEEP, Excitatio
 from rejoint.system.statistics import Estimate
 
 SETTLED_LAST = 0.4
-"""[s] of a hold or a step that counts as settled (chosen: sixteen readings at 25 ms)"""
+"""[s] at the end of a hold or step; chosen"""
 
 _WINDOW = 0.3
-"""[s] of a window (chosen: of the half seconds that a hobby arm needs for a reversal)"""
+"""[s] of a window; chosen"""
 
 COARSEST = 0.1
-"""[s] between readings above which a window holds too few (chosen: at 0.2 s a healthy SO-101 looks sticky)"""
+"""[s] most between readings; chosen"""
 
 _SETTLING = 0.2
-"""[s] left out at the beginning of a free stretch (chosen)"""
+"""[s] left out at the beginning of a free stretch; chosen"""
 
 _MOVING = 0.7
-"""Size of the averaged direction above which a window counts as moving: about 0.04 rad/s (chosen)"""
+"""Averaged direction of a moving window; chosen: 0.04 rad/s"""
 
 _SLOW, _GENTLE = 0.6, 5.0
-"""[rad/s] and [rad/s^2] of slow motion: beyond, limits of the servo show (chosen)"""
+"""[rad/s] and [rad/s^2] of slow motion; chosen"""
 
 _BOTH_WAYS = 0.1
-"""Least share of the windows in either direction: friction is half of their difference (chosen)"""
+"""Least share of the windows in either direction; chosen"""
 
 _FEWEST = 8
-"""Independent observations in each direction that a law needs: five coefficients, and a spread (chosen)"""
+"""Independent observations per direction that a law needs; chosen"""
 
 _LIGHT = 0.2
-"""Share of the windows, those of the least load, that a fit starts from (chosen: of a joint at its limit for most of
-the time a third tells its stiffness within 15 %, a fifth within 3 %)"""
+"""Share of the windows, of least load, that a fit starts from; chosen: keeps saturation out"""
 
 _MANY_LOGS = 8
-"""From as many logs on, logs are the independent observations, below stretches of 8 s (chosen)"""
+"""Number of logs from which each is one observation; chosen"""
 
 _MIN_TORQUE_RANGE = 2e-3
-"""[N m] of a myCobot 280 by which gravity's torque must vary to be fitted (chosen)"""
+"""[N m] least range of gravity's torque on a myCobot 280; chosen"""
 
 MIN_SWEEP = 0.1
-"""[rad] of commands below which nothing is said about how they were followed (chosen)"""
+"""[rad] least range of commands for a sweep gain; chosen"""
 
 _MIN_STEP = 0.02
-"""[rad] motion below which an overshoot is not expressed as a fraction of it (chosen)"""
+"""[rad] least motion for a relative overshoot; chosen"""
 
 CHANCE = 3.0
-"""Standard errors from which a correlation is none of chance (chosen)"""
+"""Standard errors from which a correlation is not chance; chosen"""
 
 LAG, WIDTH, INERTIA, SOFTNESS, OFFSET = range(5)
-"""Coefficients of a law: d/k [s], F/k [rad], J/k [s^2], 1/k [rad/(N m)], offset of the error [rad]"""
+"""Coefficients of a law: d/k [s], F/k [rad], J/k [s^2], 1/k [rad/(N m)], offset [rad]"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,25 +75,21 @@ class Law:
 
     fit: LinearFit
     torque_range: float
-    """[N m] by which gravity's torque varies"""
+    """[N m] range of gravity's torque"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _LogMotion:
-    """The windows in which a joint moves."""
-
     design: Array
     """(N, 5) columns in the order of the coefficients"""
     error: Array
     """(D, N) [rad] for each delay"""
     effort: Array
-    """(N,) torque or current"""
     cluster: NDArray[np.intp]
-    """(N,) number of the independent observation"""
+    """(N,) independent observation"""
 
     @property
     def enough(self) -> bool:
-        """Whether there are enough observations in both directions."""
         forward = self.design[:, WIDTH] > 0.0
         ways = [len(np.unique(self.cluster[way])) for way in (forward, ~forward)]
         return min(ways) >= _FEWEST and bool(_BOTH_WAYS < forward.mean() < 1.0 - _BOTH_WAYS)
@@ -126,9 +120,9 @@ def _motion(data: ExcitationLog, joint: int, delays: Array, *, fast: bool) -> _L
 
 
 def fit_law(data: ExcitationLog, joint: int, delay: float = 0.0, *, fast: bool = False) -> Law | None:
-    """Fit the law to slow motion of a joint, which tells most, or to ``fast`` motion as well, which tells inertia.
+    """Fit the law to slow motion (friction, stiffness), or to ``fast`` motion as well (inertia).
 
-    None where there is too little motion, one direction only, or readings further apart than `COARSEST`.
+    None with too little motion, one direction only, or readings further apart than `COARSEST`.
     """
     if not data.log.commanded or float(np.median(np.diff(data.log.time))) > COARSEST:
         return None
@@ -142,7 +136,7 @@ def fit_law(data: ExcitationLog, joint: int, delay: float = 0.0, *, fast: bool =
 
 
 def fit_effort(data: ExcitationLog, joint: int) -> LinearFit | None:
-    """Fit the torque or current of a joint, in its unit, to the terms of its law; None with too little motion."""
+    """Fit a joint's torque or current to the terms of its law; None with too little motion."""
     motion = _motion(data, joint, np.zeros(1), fast=True)
     if data.effort_unit is None or not motion.enough:
         return None
@@ -150,14 +144,14 @@ def fit_effort(data: ExcitationLog, joint: int) -> LinearFit | None:
 
 
 def followed(data: ExcitationLog, joint: int) -> float | None:
-    """Share of the commands' range that a joint covers, in sweeps if there are any; None if they hardly moved."""
+    """Share of the commands' range that a joint covers, preferably in sweeps; None without range."""
     rows = np.concatenate([data.rows(segment) for segment in data.of_kind(SWEEP, joint) or data.of_kind(FREE)])
     asked = float(np.ptp(data.log.command[rows, joint])) if len(rows) else 0.0
     return float(np.ptp(data.log.position[rows, joint])) / asked if asked > MIN_SWEEP else None
 
 
 def farthest_off(data: ExcitationLog, joint: int, law: Law | None) -> float:
-    """Farthest [rad] that a joint rests off what its law explains, friction on either side included."""
+    """[rad] largest distance at rest from what law and friction explain."""
     _, width, _, softness, offset = np.zeros(5) if law is None else law.fit.coefficients
     found = [0.0]
     for segment in data.of_kind(HOLD, joint):
@@ -169,7 +163,7 @@ def farthest_off(data: ExcitationLog, joint: int, law: Law | None) -> float:
 
 
 def overshoot(data: ExcitationLog, joint: int) -> Estimate:
-    """How far a joint shoots beyond where it settles after a step, by its motion."""
+    """Overshoot of a joint's steps, as a fraction of the motion."""
     shares = []
     for segment in data.of_kind(STEP, joint):
         rows, end = data.rows(segment), data.rows(segment, last=SETTLED_LAST)
@@ -183,10 +177,9 @@ def overshoot(data: ExcitationLog, joint: int) -> Estimate:
 
 
 def hunting(data: ExcitationLog, joint: int) -> Estimate | None:
-    """Rms [rad] of the motion at the end of holds: mean of the worst quarter, with its least and most as bounds.
+    """Rms [rad] of the motion at the end of holds: mean, least and most of the worst quarter.
 
-    Only power that correlates with earlier readings counts: motion repeats itself, noise does not. None with fewer than
-    four holds of four readings.
+    Without uncorrelated noise. None with fewer than four holds of four readings.
     """
     spans = [data.rows(segment, last=SETTLED_LAST) for segment in data.of_kind(HOLD)]
     spans = [rows for rows in spans if len(rows) >= 4]
@@ -199,10 +192,7 @@ def hunting(data: ExcitationLog, joint: int) -> Estimate | None:
 
 
 def _repeating_share(pieces: list[Array]) -> float:
-    """Largest correlation, 0 to 1, of the pieces with themselves one to five readings earlier; 0 for noise.
-
-    Noise without its line correlates as well; the rest has to differ from that by more than chance.
-    """
+    """Largest autocorrelation, 0 to 1, of the pieces over one to five readings; 0 for noise."""
     power = sum(float((piece**2).sum()) for piece in pieces)
     if power <= 0.0:
         return 0.0
@@ -219,7 +209,7 @@ def _repeating_share(pieces: list[Array]) -> float:
 
 
 def _share_of_noise(lengths: list[int], shift: int) -> float:
-    """Correlation with itself ``shift`` readings earlier of white noise without its line, in pieces of ``lengths``."""
+    """Return the same for white noise less its line, in pieces of ``lengths``."""
     both = base = 0.0
     for length in lengths:
         line = np.linalg.qr(np.stack([np.ones(length), np.arange(length)], axis=1))[0]
@@ -230,7 +220,7 @@ def _share_of_noise(lengths: list[int], shift: int) -> float:
 
 
 def noise(data: ExcitationLog, joint: int) -> Estimate | None:
-    """Rms [rad] of a single reading at rest, from differences of neighbours; None with under 12."""
+    """Rms [rad] of a reading at rest, from differences of neighbours; None with under 12."""
     rows = [data.rows(segment, skip=0.5) for segment in data.of_kind(STILL)]
     if sum(map(len, rows)) < 12:
         return None
@@ -246,42 +236,41 @@ def _without_drift(time: Array, value: Array) -> Array:
 
 
 DELAYS = np.arange(0.005, 0.0801, 0.005)
-"""[s] delays that are tried: from an idle wire to two periods of a slow one"""
+"""[s] tried: from an idle bus to two periods of a slow one"""
 
 _USUAL_DELAY = 0.02
-"""[s] where no joint moves (chosen)"""
+"""[s] where no joint moves; chosen"""
 
 _ONSET = 0.12
-"""[s] of a step that decide about the delay (chosen)"""
+"""[s] of a step that decide about the delay; chosen"""
 
 _STEP = 0.0025
-"""[s] of the simulation of a step's beginning (chosen: a tenth of a usual period)"""
+"""[s] step of that simulation; chosen"""
 
 _TORQUE_WINDOW = 0.2
-"""[s] (chosen: half of the shortest time that a weak joint stays at its limit)"""
+"""[s]; chosen"""
 
 _MIN_WINDOWS = 40
-"""Windows that a delay and a torque limit need: about 2 s (chosen)"""
+"""Windows that a delay and a torque limit need; chosen: about 2 s"""
 
 _EXCESS = 0.15
-"""[N m] of a myCobot 280 that a demand exceeds what was given by chance (chosen)"""
+"""[N m] of a myCobot 280 between demand and torque by chance; chosen"""
 
 _MIN_SHARE = 0.006
-"""Share of the steady time that a joint must be behind (chosen: 0 without saturation on emulated arms, 0.02 at a limit
-that only the heaviest postures reach)"""
+"""Share of the steady time at the limit; chosen on emulated arms"""
 
 _STEADY = 1.5
-"""[rad/s^2] of a myCobot 280 up to which acceleration takes no torque: 0.05 N m (chosen)"""
+"""[rad/s^2] of a myCobot 280 in steady motion; chosen"""
 
 _STANDING = 0.2
-"""[rad/s] above which a joint that is behind is at its top speed (chosen: half of that of a slow servo)"""
+"""[rad/s] of a lagging joint at top speed; chosen"""
 
 _MIN_RATIO = 5e-5
-"""[s^2] J/k below which a fit is not trusted: 22 Hz (chosen)"""
+"""[s^2] least trusted J/k: 22 Hz; chosen"""
 
 
 def arm_delay(data: ExcitationLog) -> float:
-    """Time [s] of commands and answers on their way: lower quartile over the joints."""
+    """Delay [s] of commands and answers: lower quartile over the joints."""
     found = []
     for joint in range(data.arm.joints):
         motion = _motion(data, joint, DELAYS, fast=True)
@@ -305,7 +294,7 @@ def _lowest(cost: Array) -> float:
 
 
 def _onset_costs(data: ExcitationLog, joint: int, fits: Array) -> Array:
-    """Sum of squared errors (D,) of simulated step beginnings, by the laws (D, 5) of each delay."""
+    """Squared errors (D,) of simulated step beginnings, by the laws (D, 5) of each delay."""
     log, steps = data.log, data.of_kind(STEP, joint)
     data.require(len(steps) >= 2, "steps", joint)
     offsets = np.arange(0.0, _ONSET, _STEP)
@@ -332,23 +321,21 @@ def _onset_costs(data: ExcitationLog, joint: int, fits: Array) -> Array:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Torque:
-    """How much torque a joint was asked for and gave."""
+    """Torque that a joint was asked for and gave."""
 
     limit: Estimate | None
-    """[N m] that reached the load where the joint stayed behind: the motor's limit less friction; None if it never
-    did"""
+    """[N m] at the load: the motor's limit less friction; None: not reached"""
     seen: float
-    """[N m] largest that it gave: the limit is not lower than this"""
+    """[N m] largest that it gave"""
     saturated_share: float
-    """share of the excitation's time that the joint spent at its limit"""
+    """share of the time at the limit"""
 
 
 def torque_given(data: ExcitationLog, joint: int, law: Law, stiffness: float, delay: float) -> Torque:
-    """Compare what a joint's law asks for with what its load shows that it gave, while it hardly accelerates.
+    """Compare the torque that a joint's law asks for with that of its load, in steady motion.
 
-    A joint is behind where it hardly turns and the demand is more than twice what it gave, beyond friction, `_EXCESS`
-    and 10 ms of wrong timing. It is at its limit if that happens in `_MIN_SHARE` of the time, near the largest torque
-    that it gave.
+    A joint is behind where it hardly turns and the demand is more than twice the torque, beyond friction, `_EXCESS` and
+    10 ms. At its limit it is behind for `_MIN_SHARE` of the time, near its largest torque.
     """
     segments = [s for s in data.segments if s.kind in (SWEEP, STEP, "multisine", HOLD)]
     averages = window_averages(data, segments, joint, length=_TORQUE_WINDOW, delays=np.array([delay]))

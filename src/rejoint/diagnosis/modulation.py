@@ -1,7 +1,7 @@
 """Speeds and accelerations without differentiating noise: averages under smooth windows.
 
 For a window w(t) that is zero with its first derivatives at both ends, int q'' w = int q w'' (modulating functions,
-Shinbrot 1957). Linear relations between signals hold between such averages.
+Shinbrot 1957).
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from rejoint.arms import Array
 from rejoint.diagnosis.segments import ExcitationLog, Segment
 
 _GRID = 0.0025
-"""[s] readings are interpolated linearly to this grid (chosen: a tenth of a usual period)."""
+"""[s] step of the interpolated readings; chosen"""
 
 _STILL_SPEED = 0.05
-"""[rad/s] below which a joint counts less as moving (chosen: one encoder count in 30 ms)"""
+"""[rad/s] below which a joint counts less as moving; chosen"""
 
 _SPARSE = 0.5
-"""Share of a window that may lie between two readings (chosen)"""
+"""Largest share of a window between two readings; chosen"""
 
 _LONG = 4.0
-"""[s] segments longer than this are cut into several clusters (chosen: several times the slowest oscillation)."""
+"""[s] longest cluster; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -33,21 +33,21 @@ class Averages:
     """Window averages of one joint's signals, N windows, D delays."""
 
     error: Array
-    """(D, N) [rad] command, delayed, minus measured position"""
+    """(D, N) [rad] delayed command minus measured position"""
     command_speed: Array
-    """(N,) [rad/s] of the command, without delay"""
+    """(N,) [rad/s], without delay"""
     speed: Array
-    """(N,) [rad/s] measured"""
+    """(N,) [rad/s]"""
     acceleration: Array
-    """(N,) [rad/s^2] measured"""
+    """(N,) [rad/s^2]"""
     direction: Array
-    """(N,) sign of the speed, -1 to 1"""
+    """(N,) -1 to 1"""
     gravity: Array
-    """(N,) [N m] torque that holds the arm against gravity at the measured posture"""
+    """(N,) [N m] that holds the arm"""
     effort: Array
-    """(N,) torque or current, in the unit of its column; zero without one"""
+    """(N,) torque or current, in the log's unit; else zero"""
     cluster: NDArray[np.intp]
-    """(N,) number of the motion that the window belongs to"""
+    """(N,) number of the motion"""
 
 
 def window_averages(
@@ -55,8 +55,7 @@ def window_averages(
 ) -> Averages:
     """Average a joint's signals under windows of ``length`` [s] that overlap by three quarters.
 
-    ``delays`` (D,) [s] are tried; the first ``cut`` [s] of each segment, and windows with a pause of the readings, are
-    left out.
+    Tries ``delays`` (D,) [s]; leaves out ``cut`` [s] of each segment and gaps in the readings.
     """
     parts = []
     for index, segment in enumerate(segments):
@@ -103,7 +102,7 @@ def _averages(
 
 
 def _read(readings: Array, time: Array, length: float) -> NDArray[np.bool_]:
-    """Tell of each ``time`` (K,) [s] whether the ``readings`` (T,) [s] around it are near enough."""
+    """Whether the ``readings`` (T,) [s] around each ``time`` (K,) [s] are near enough."""
     apart = np.diff(readings)
     before = np.clip(np.searchsorted(readings, time, side="right") - 1, 0, len(apart) - 1)
     return np.asarray(apart[before] <= max(_SPARSE * length, 2.0 * float(np.median(apart))))

@@ -1,7 +1,4 @@
-"""Ten targets open loop: how far from its targets an arm comes to rest (Park et al. 2024, Figs. 8 and 9).
-
-Errors are those of encoder kinematics; where the true TCP is known, its error stands beside.
-"""
+"""Ten targets open loop: tool errors at rest (Park et al. 2024, Figs. 8 and 9)."""
 
 from __future__ import annotations
 
@@ -23,10 +20,10 @@ TARGETS = 10
 """Park et al. 2024, section IV-A"""
 
 DWELL = 5.0
-"""[s] per target (chosen: a worn arm has come to rest after 3 s)"""
+"""[s] per target; chosen: a worn arm rests after 3 s"""
 
 SETTLED = 1.0
-"""[s] at the end of each target over which the error is averaged (chosen)."""
+"""[s] at the end of each target for its error; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,11 +32,11 @@ class TargetError:
 
     target_mm: tuple[float, float, float]
     error_mm: float
-    """settled, by encoder kinematics"""
+    """settled, by encoders"""
     sag_mm: float
-    """downward part of it; negative: too high"""
+    """downward part; negative: too high"""
     true_error_mm: float | None
-    """of the tool itself; None where it is unknown"""
+    """of the tool itself; None: unknown"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,21 +45,21 @@ class OpenLoop:
 
     targets: tuple[TargetError, ...]
     error_mm: Estimate
-    """mean over the targets, with its 95 % interval"""
+    """mean over the targets, 95 % interval"""
     spread_mm: float
     """standard deviation over the targets"""
     true_error_mm: Estimate | None
     hidden_mm: float | None
-    """mean distance between the tool and where the encoders put it; None where it is unknown"""
+    """mean distance between tool and encoders; None: unknown"""
 
     @property
     def true_error(self) -> TrueError:
-        """Mean true error over the targets, and how it is known."""
+        """Mean true error over the targets, and its source."""
         return NOT_KNOWN if self.true_error_mm is None else TrueError.of("known", self.true_error_mm, unit=1e-3)
 
 
 def settled_rows(log: RunLog) -> list[NDArray[np.intp]]:
-    """Find the rows of the last second of every target; InputError if the log has no targets."""
+    """Find the rows of the last second of every target; InputError without targets."""
     known = np.asarray(np.isfinite(log.target).all(axis=1))
     if not known.any():
         raise InputError(f"run log {log.label} holds no targets; record one with `rejoint diagnose`")
@@ -100,22 +97,22 @@ def open_loop_errors(arm: Arm, log: RunLog) -> OpenLoop:
 
 
 def modelled_errors(log: RunLog, model: ToolModel) -> TrueError:
-    """Return the mean true error of an open-loop run by what was found out later about the arm."""
+    """Mean true error by a later model of the arm."""
     rows = settled_rows(log)
     position = np.stack([log.position[part].mean(axis=0) for part in rows])
     return mean_modelled(modelled(model, position, np.stack([log.target[part[0]] for part in rows])))
 
 
 AT_REST = 0.05
-"""[rad/s] of the fastest joint and command below which a row counts as rest (chosen)"""
+"""[rad/s] of the fastest joint and command at rest; chosen"""
 
 PER_LOG = 20
-"""Postures of a log that are looked at, evenly over its rest (chosen)"""
+"""Postures taken from each log; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Postures:
-    """K postures in which an arm was asked to be still."""
+    """K postures of rest."""
 
     position: Array
     """(K, n) [rad] measured"""
@@ -124,7 +121,7 @@ class Postures:
 
 
 def settled_postures(targets: RunLog) -> Postures:
-    """Means over the settled end of every target; InputError if the log has no targets."""
+    """Means over the settled end of every target; InputError without targets."""
     rows = settled_rows(targets)
     return Postures(
         position=np.array([targets.position[part].mean(axis=0) for part in rows]),
@@ -133,7 +130,7 @@ def settled_postures(targets: RunLog) -> Postures:
 
 
 def resting_postures(log: RunLog, excluded: Exclusions, *, stops: bool = False) -> Postures:
-    """Rows of a log in which the free arm rests, evenly spread; with ``stops`` also blocked ones."""
+    """Evenly spread rows of the free arm at rest; with ``stops`` also blocked ones."""
     quiet = (joint_speed(log.time, log.command) < AT_REST) & (joint_speed(log.time, log.position) < AT_REST)
     usable = ~(excluded.contact | excluded.stale) if stops else excluded.free
     rows = np.flatnonzero(quiet & usable)
@@ -142,7 +139,7 @@ def resting_postures(log: RunLog, excluded: Exclusions, *, stops: bool = False) 
 
 
 def joined(parts: Sequence[Postures]) -> Postures:
-    """Put the postures of several logs together."""
+    """Join the postures of several logs."""
     return Postures(
         position=np.concatenate([part.position for part in parts]),
         command=np.concatenate([part.command for part in parts]),

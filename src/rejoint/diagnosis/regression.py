@@ -1,7 +1,7 @@
-"""Least squares with intervals that know that neighbouring samples are dependent.
+"""Least squares with intervals for dependent neighbouring samples.
 
-Samples of one motion share its stick-slip and vibration, so the covariance is clustered by motion (sandwich estimator,
-Liang and Zeger 1986, with the small-sample factor of Stata's ``vce(cluster)``); quantiles are Student's.
+The covariance is clustered by motion (sandwich estimator, Liang and Zeger 1986, with the small-sample factor of Stata's
+``vce(cluster)``); quantiles are Student's.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from rejoint.arms import Array
 from rejoint.system.statistics import Estimate, student95
 
 _LAD_ROUNDS = 12
-"""Reweightings until least absolute deviations stand still to a percent of an interval (measured)."""
+"""Reweightings of least absolute deviations; measured: converged to a percent of an interval"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -27,7 +27,7 @@ class LinearFit:
     covariance: Array
     """(p, p)"""
     freedom: int
-    """degrees of freedom of the intervals"""
+    """degrees of freedom"""
 
     def estimate(self, index: int) -> Estimate:
         """Coefficient ``index`` with its interval."""
@@ -57,9 +57,9 @@ def fit_clustered(design: Array, response: Array, cluster: NDArray[np.intp]) -> 
 def fit_trimmed(
     design: Array, response: Array, cluster: NDArray[np.intp], first: NDArray[np.bool_] | None = None
 ) -> LinearFit:
-    """Like `fit_clustered`, without samples more than five robust deviations off (a stuck or saturated joint).
+    """Like `fit_clustered`, without samples more than five robust deviations off.
 
-    Least absolute deviations come first (iteratively reweighted, Schlossmacher 1973), of the samples ``first`` (N,).
+    Starts from least absolute deviations (Schlossmacher 1973) of ``first`` (N,).
     """
     weight = np.ones(len(response)) if first is None else first.astype(float)
     for _ in range(_LAD_ROUNDS):
@@ -72,7 +72,7 @@ def fit_trimmed(
 
 
 def mean_of(values: Array) -> Estimate:
-    """Mean of independent values (N,) with the interval of Student's t."""
+    """Mean of independent values (N,) with Student's interval."""
     value = float(values.mean())
     if len(values) < 2:
         return Estimate(value, None, None)

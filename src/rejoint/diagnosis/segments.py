@@ -1,7 +1,6 @@
-"""Named spans of an excitation, or of logs of any motion, as the measurements need them.
+"""Named spans of an excitation, or of logs of any motion.
 
-Logs are put one after the other on one clock; no span holds a row that does not show the free arm
-(`rejoint.logs.exclusions`).
+Logs share one clock; spans hold only rows of the free arm (`rejoint.logs.exclusions`).
 """
 
 from __future__ import annotations
@@ -33,15 +32,15 @@ class Segment:
     kind: str
     """approach, still, sweep, step, multisine or hold"""
     start: float
-    """[s] since the excitation began; in a run log on the robot's clock"""
+    """[s] since the excitation began; in a log on its clock"""
     stop: float
     """[s]"""
     joints: tuple[int, ...] = ()
-    """indices of the joints that it judges"""
+    """joints that it judges"""
 
 
 def attach_segments(log: RunLog, segments: tuple[Segment, ...], waits: Array | None = None) -> RunLog:
-    """Return the log with the segments of its excitation, which waited as ``waits`` (k, 2) [s] say."""
+    """Log with its excitation's segments, which waited ``waits`` (k, 2) [s]."""
     begin, waited = float(log.time[0]), np.zeros((0, 2)) if waits is None else waits
 
     def on_clock(time: float) -> float:
@@ -52,25 +51,25 @@ def attach_segments(log: RunLog, segments: tuple[Segment, ...], waits: Array | N
 
 
 def is_excitation(log: RunLog) -> bool:
-    """Tell whether a log says that it is of an excitation."""
+    """Whether a log says that it is of an excitation."""
     return _KEY in log.extra
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExcitationLog:
-    """A run log of an excitation with what every measurement needs of it."""
+    """A run log with its segments and derived signals."""
 
     arm: Arm
     log: RunLog
     segments: tuple[Segment, ...]
     gravity: Array
-    """(T, n) [N m] torque that holds the arm against gravity at the measured postures"""
+    """(T, n) [N m] that holds the arm"""
     reference: Array
-    """(T, n) [rad] of a servo that ramps to each command at the joint's top speed, before the next one"""
+    """(T, n) [rad] of a servo that ramps to each command, before the next one"""
 
     @classmethod
     def of(cls, arm: Arm, log: RunLog) -> ExcitationLog:
-        """Read the segments that a log carries; InputError if it is of another arm or carries none."""
+        """Read a log with segments; InputError for another arm or no segments."""
         log.require(arm.name, arm.joint_names)
         if _KEY not in log.extra:
             raise InputError(f"run log {log.label} holds no excitation; record one with `rejoint diagnose`")
@@ -84,13 +83,13 @@ class ExcitationLog:
 
     @classmethod
     def with_segments(cls, arm: Arm, log: RunLog, segments: tuple[Segment, ...]) -> ExcitationLog:
-        """Take segments that somebody has found in a log, on the log's clock."""
+        """Use segments found in a log, on its clock."""
         return cls(
             arm=arm, log=log, segments=segments, gravity=gravity_torque(arm, log.position), reference=_ramp(arm, log)
         )
 
     def commanded(self, joint: int, time: Array) -> Array:
-        """Return the reference [rad] of a joint at ``time`` (...) [s]: ramps to each command at its top speed."""
+        """Joint's reference [rad] at ``time`` (...) [s]: ramps at top speed."""
         log, speed = self.log, float(self.arm.max_speed[joint])
         row = np.clip(np.searchsorted(log.time, time, side="right") - 1, 0, len(log) - 1)
         start, goal = self.reference[row, joint], log.command[row, joint]
@@ -105,13 +104,13 @@ class ExcitationLog:
 
     @property
     def effort_unit(self) -> str | None:
-        """Unit of `effort`, empty where the log does not say it; None without a column."""
+        """Empty where the log does not say it; None without a column."""
         name = "torque" if self.log.current is None else "current"
         return None if getattr(self.log, name) is None else self.log.units.get(name, "")
 
     @property
     def excited(self) -> bool:
-        """Whether the log is of an excitation, or of any other motion."""
+        """Whether the log is of an excitation."""
         return any(s.kind == SWEEP for s in self.segments)
 
     def of_kind(self, kind: str, joint: int | None = None) -> list[Segment]:
@@ -119,7 +118,7 @@ class ExcitationLog:
         return [s for s in self.segments if s.kind == kind and (joint is None or joint in s.joints)]
 
     def rows(self, segment: Segment, *, skip: float = 0.0, last: float = np.inf) -> NDArray[np.intp]:
-        """Rows of a segment without its first ``skip`` [s], and of those only the ``last`` [s]."""
+        """Rows of a segment without its first ``skip`` [s]; only the ``last`` [s]."""
         begin = max(segment.start + skip, segment.stop - last)
         return np.arange(*np.searchsorted(self.log.time, [begin, segment.stop]))
 
@@ -132,7 +131,7 @@ class ExcitationLog:
 
 
 def _ramp(arm: Arm, log: RunLog) -> Array:
-    """Return the reference (T, n) [rad] at every row, just before its command takes effect."""
+    """Return reference (T, n) [rad] just before each command takes effect."""
     reference = np.empty_like(log.command)
     reference[0] = log.command[0]
     way = np.diff(log.time)[:, None] * arm.max_speed
@@ -143,32 +142,32 @@ def _ramp(arm: Arm, log: RunLog) -> Array:
 
 
 FREE, STEP, HOLD, STILL, SWEEP = "free", "step", "hold", "still", "sweep"
-"""Kinds of spans; all but the first are those of an excitation"""
+"""Kinds of spans; all but the first belong to an excitation"""
 
 _APART = 60.0
-"""[s] between one log and the next on the common clock"""
+"""[s] between logs on the common clock"""
 
 SHORTEST = 1.0
-"""[s] of free motion that are worth a span (chosen: three windows of the measurement)"""
+"""[s] least free motion of a span; chosen"""
 
 LONGEST = 300.0
-"""[s] of a span of free motion (chosen: window averages number up to a thousand parts of 2 s)"""
+"""[s] longest span of free motion; chosen"""
 
 QUIET = 1.0
-"""[s] without moving commands before a span counts as rest (chosen: several lags)"""
+"""[s] of constant commands before a span counts as rest; chosen"""
 
 STEP_TIME, STEP_SIZE = 0.15, 0.05
-"""[s] within which a command moves by so much [rad] in a step (chosen: faster than a servo follows)"""
+"""[s] and [rad] of a command step; chosen"""
 
 STEP_LENGTH = 3.0
-"""[s] of a step that are used, at most (chosen)"""
+"""[s] of a step that are used; chosen"""
 
 _SAME = 1e-6
-"""[rad] by which a constant command may change: rounding of a file (chosen)"""
+"""[rad] rounding of a constant command; chosen"""
 
 
 def join_logs(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]) -> ExcitationLog:
-    """Put logs on one clock and name their spans by the number of their log; InputError for another arm."""
+    """Join logs on one clock, spans named by log number; InputError for another arm."""
     segments: list[Segment] = []
     times, begin = [], 0.0
     for number, (log, rows) in enumerate(zip(logs, excluded, strict=True)):
@@ -189,7 +188,7 @@ def join_logs(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]) 
 
 
 def log_of(segment: Segment) -> int:
-    """Return the number of the log that a span is of."""
+    """Return the number of a span's log."""
     return int(segment.name.partition("/")[0])
 
 
@@ -218,7 +217,6 @@ def _spans(number: int, log: RunLog, free: Rows, time: Array) -> Iterator[Segmen
 
 
 def _steps(log: RunLog, free: Rows, still: Rows, joint: int) -> Iterator[tuple[int, int]]:
-    """Rows (first, last exclusive) of a joint's steps: from the last row before to the next motion."""
     for arrived, last in free_runs(still, log.time, QUIET):
         first = int(np.searchsorted(log.time, log.time[arrived] - STEP_TIME))
         moved = np.abs(np.diff(log.command[first : arrived + 1, joint]))

@@ -1,7 +1,7 @@
-"""From numbers to named findings: what is worn, how much it matters at the tool, and a sentence for the owner.
+"""Named findings from numbers: what is worn, its error at the tool, and a sentence.
 
-A finding is made where the 95 % interval lies wholly outside the healthy range, on the bad side. Without a reference
-only what is wrong in itself is named. Sentences leave out the numbers that a twin fits as well.
+A finding's 95 % interval lies wholly outside the healthy range, on the bad side. Without a reference only absolute
+faults count.
 """
 
 from __future__ import annotations
@@ -20,41 +20,40 @@ from rejoint.diagnosis.regression import mean_of
 from rejoint.system.statistics import Estimate
 
 BAD_MM = 3.0
-"""Error at the tool from which a finding is bad: that of a healthy myCobot (3.09 mm, Park et al. 2024, section IV-B);
-goes with the reach"""
+"""[mm] tool error of a bad finding: a healthy myCobot's (Park et al. 2024, section IV-B); goes with the reach"""
 
 FELT_MM = 0.05
-"""Error at the tool below which a finding costs nothing there (chosen)"""
+"""[mm] tool error below which a finding costs nothing; chosen"""
 
 RINGING_RATIO = 0.4
-"""Damping ratio below which a joint rings without a reference: 25 % overshoot (second order)"""
+"""Damping ratio of ringing without a reference: 25 % overshoot (second order)"""
 
 SWINGING_RATIO = 0.5
-"""Damping ratio from which no joint rings, whatever a healthy one has: 16 % overshoot (second order)"""
+"""Damping ratio without ringing: 16 % overshoot (second order)"""
 
 QUIET_COUNTS = 2.0
-"""Encoder counts of rms motion at rest that flicker between two counts cannot explain"""
+"""Encoder counts of rms motion at rest beyond flicker"""
 
 SATURATED = 0.3
-"""Share of the time at the torque limit from which stiffness and friction cannot be told (chosen)"""
+"""Share of time at the torque limit that hides stiffness and friction; chosen"""
 
 FOLLOWS = 0.3
-"""Share of a slow sweep below which a joint is stuck (chosen: a worn one makes 0.7 of it)"""
+"""Share of a slow sweep of a stuck joint; chosen: a worn one makes 0.7"""
 
 STUCK_ERROR = 0.17
-"""[rad] of following error from which a joint that does not sweep is stuck (chosen: twice the sag of a worn joint)"""
+"""[rad] following error of a stuck joint without sweep; chosen: twice a worn joint's sag"""
 
 STUCK_COUNTS = 10.0
-"""Encoder counts off what stiffness explains from which a joint is called stuck: a degree (chosen)."""
+"""Encoder counts off what stiffness explains of a stuck joint; chosen"""
 
 GRAVITY_DOUBT = 0.2
-"""Share of a joint's sag by which its offset may be wrong, as the masses are (chosen)"""
+"""Relative error of sag by wrong masses; chosen"""
 
 UNLOADED = 1e-6
 """[N m] of gravity up to which a joint is unloaded: rounding"""
 
 WORKING_SPEED = 0.5
-"""[rad/s] at which a lag becomes millimetres (chosen)"""
+"""[rad/s] at which a lag becomes millimetres; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,52 +66,50 @@ class Finding:
     severity: str
     """worn or bad"""
     quantity: str
-    """what was measured, with its unit, such as ``stiffness_nm_per_rad``"""
+    """with unit, such as ``stiffness_nm_per_rad``"""
     measured: Estimate
     healthy: Estimate | None
     """mean and healthy range; None without a reference"""
     tcp_mm: float
-    """what it means at the tool, in the ten target postures"""
+    """tool error in the ten target postures"""
     sentence: str
 
     @property
     def felt(self) -> bool:
-        """Whether it costs anything at the tool: what turns the tool about its tip does not."""
+        """Whether it matters at the tool."""
         return self.tcp_mm >= FELT_MM
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Case:
-    """One joint with everything that a rule looks at; K targets."""
+    """Inputs of a rule; K targets."""
 
     row: JointMetrics
     healthy: JointMetrics | None
     levers: Array
-    """(K,) [m] way of the TCP per radian in the postures"""
+    """(K,) [m/rad] of the TCP"""
     loads: Array
-    """(K,) [N m] size of the gravity torque there"""
+    """(K,) [N m] size of the gravity torque"""
     errors: Array
-    """(K,) [rad] size of the settled following error there"""
+    """(K,) [rad] size of the settled following error"""
     encoder_step: float
     """[rad]"""
     common_lag: float
-    """[s] by which all joints are late"""
+    """[s] delay of all joints"""
     bad_mm: float
-    """from which a finding is bad"""
+    """of a bad finding"""
 
     @property
     def lever(self) -> float:
-        """[m] mean way of the TCP per radian."""
+        """[m/rad] mean."""
         return float(self.levers.mean())
 
     @property
     def moves(self) -> bool:
-        """Whether the joint moves freely enough for its stiffness and friction to show."""
         return self.row.lag_s is not None and self.row.saturated_share <= SATURATED
 
     @property
     def hunts(self) -> bool:
-        """Whether the joint swings while it should hold still."""
         swing = self.row.hunting_rad
         return swing is not None and (swing.low or 0.0) > QUIET_COUNTS * self.encoder_step
 
@@ -133,7 +130,6 @@ class _Case:
         return bool(measured and reference and measured.low is not None and measured.low > (reference.high or np.inf))
 
     def below(self, quantity: str) -> bool:
-        """Whether the whole interval lies below the healthy range."""
         measured, reference = self._pair(quantity)
         return bool(measured and reference and measured.high is not None and measured.high < (reference.low or -np.inf))
 
@@ -144,7 +140,7 @@ class _Case:
 def find(
     arm: Arm, measurement: Measurement, postures: Postures, healthy: HealthyReference | None
 ) -> tuple[Finding, ...]:
-    """Name everything that is wrong, the worst at the tool first."""
+    """Name everything that is wrong, largest tool error first."""
     q, commands = postures.position, postures.command
     levers = np.linalg.norm(position_kinematics(arm, q)[1], axis=-2)
     loads, errors = np.abs(gravity_torque(arm, q)), np.abs(commands - q)
@@ -161,7 +157,7 @@ def find(
 
 
 def stuck(case: _Case) -> Iterator[Finding]:
-    """Tell whether the joint does not move when commanded, or its error is out of the measurable range."""
+    """Report a joint that does not move when commanded, or is beyond measurement."""
     gain, far = case.row.sweep_gain, float(case.errors.max())
     if gain is not None:  # one that breaks loose on a long way may come near its targets, and stick elsewhere
         far = max(far, case.row.stuck_rad)
@@ -176,7 +172,7 @@ def stuck(case: _Case) -> Iterator[Finding]:
 
 
 def weak_gain(case: _Case) -> Iterator[Finding]:
-    """Tell whether the servo answers a following error with too little torque."""
+    """Report a servo with too little torque per following error."""
     k = case.row.stiffness_nm_per_rad
     if k is None or not case.below("stiffness_nm_per_rad") or not case.moves:
         return
@@ -189,7 +185,7 @@ def weak_gain(case: _Case) -> Iterator[Finding]:
 
 
 def friction(case: _Case) -> Iterator[Finding]:
-    """Tell whether the joint is hard to move."""
+    """Report a joint that is hard to move."""
     force = case.row.coulomb_nm
     if force is None or not case.beyond("coulomb_nm") or not case.moves or case.hunts:
         return
@@ -201,7 +197,7 @@ def friction(case: _Case) -> Iterator[Finding]:
 
 
 def hysteresis(case: _Case) -> Iterator[Finding]:
-    """Tell whether the joint stops short although neither friction nor softness is surely the cause."""
+    """Report a joint that stops short for an unclear reason."""
     width = case.row.hysteresis_rad
     explained = case.below("stiffness_nm_per_rad") or case.beyond("coulomb_nm")
     if width is None or not case.beyond("hysteresis_rad") or explained or not case.moves or case.hunts:
@@ -215,7 +211,7 @@ def hysteresis(case: _Case) -> Iterator[Finding]:
 
 
 def play_in_loop(case: _Case) -> Iterator[Finding]:
-    """Tell whether the joint does not come to rest although nothing is asked for."""
+    """Report a joint that does not come to rest."""
     swing = case.row.hunting_rad
     if swing is None or not case.hunts or (case.healthy is not None and not case.beyond("hunting_rad")):
         return
@@ -228,7 +224,7 @@ def play_in_loop(case: _Case) -> Iterator[Finding]:
 
 
 def torque_limit(case: _Case) -> Iterator[Finding]:
-    """Tell whether the motor gives all it has and the joint still does not follow."""
+    """Report a joint whose motor is at its limit and does not follow."""
     limit, k, width = case.row.torque_limit_nm, case.row.stiffness_nm_per_rad, case.row.hysteresis_rad
     if limit is None or k is None:
         return
@@ -244,10 +240,7 @@ def torque_limit(case: _Case) -> Iterator[Finding]:
 
 
 def low_damping(case: _Case) -> Iterator[Finding]:
-    """Tell whether the joint rings after a move.
-
-    One at its torque limit rings only if it shoots over in every step.
-    """
+    """Report a joint that rings after a move; at its torque limit, in every step."""
     ratio, overshoot = case.row.damping_ratio, case.row.overshoot
     if ratio is None or ratio.high is None or overshoot is None or not case.moves:
         return
@@ -269,7 +262,7 @@ def low_damping(case: _Case) -> Iterator[Finding]:
 
 
 def lag(case: _Case) -> Iterator[Finding]:
-    """Tell whether the joint follows late for another reason than a weak gain."""
+    """Report a joint that follows late for another reason than a weak gain."""
     late, reference = case.row.lag_s, case.healthy.lag_s if case.healthy is not None else None
     if (
         late is None
@@ -290,7 +283,7 @@ def lag(case: _Case) -> Iterator[Finding]:
 
 
 def offset(case: _Case) -> Iterator[Finding]:
-    """Tell whether the joint rests beside its commands by the same angle everywhere, load or not."""
+    """Report a joint with the same offset everywhere, with or without load."""
     found, k, weight = case.row.offset_rad, case.row.stiffness_nm_per_rad, float(case.loads.mean())
     if found is None or not case.moves or (k is None and weight > UNLOADED):
         return
@@ -303,7 +296,7 @@ def offset(case: _Case) -> Iterator[Finding]:
 
 
 def noise(case: _Case) -> Iterator[Finding]:
-    """Tell whether the readings jump although nothing moves. A joint that hunts does move."""
+    """Report readings that jump though the joint is stationary."""
     level = case.row.noise_rad
     if level is None or not case.beyond("noise_rad") or case.hunts:
         return
@@ -316,11 +309,11 @@ def noise(case: _Case) -> Iterator[Finding]:
 RULES: tuple[Callable[[_Case], Iterator[Finding]], ...] = (
     stuck, weak_gain, friction, hysteresis, play_in_loop, torque_limit, low_damping, lag, offset, noise,
 )  # fmt: skip
-"""All rules, each for one joint."""
+"""Rules for one joint"""
 
 
 def _common_lag(measurement: Measurement, healthy: HealthyReference | None) -> float:
-    """Return what all joints are late by against the reference: the wire or the firmware, not wear."""
+    """Delay of all joints beyond the reference: bus or firmware, not wear."""
     if healthy is None:
         return 0.0
     pairs = [(row.lag_s, good.lag_s) for row, good in zip(measurement.joints, healthy.joints, strict=True)]
@@ -333,6 +326,5 @@ def _interval(estimate: Estimate) -> str:
 
 
 def _against(case: _Case, quantity: str, digits: str, factor: float = 1.0) -> str:
-    """Say what a healthy joint has, in the unit that ``factor`` makes of that of the metrics."""
     reference = getattr(case.healthy, quantity) if case.healthy is not None else None
     return "" if reference is None else f", a healthy one {factor * reference.value:{digits}}"

@@ -1,1 +1,1 @@
-"""What the product never imports: the experiments of the paper, arms never met, classical and off-policy rivals."""
+"""Experiments of the paper and rival controllers; not imported by the product."""

@@ -1,8 +1,6 @@
-"""SAC, TD3 and DDPG by skrl on the task of PPO.
+"""SAC, TD3 and DDPG by skrl on the task of PPO, with privileged critics.
 
 Haarnoja et al. 2018, arXiv:1812.05905; Fujimoto et al. 2018, arXiv:1802.09477; Lillicrap et al. 2016, arXiv:1509.02971.
-As with PPO, critics see a privileged observation, time-outs are bootstrapped, and the untrained policy is the classical
-law.
 """
 
 from __future__ import annotations
@@ -50,7 +48,6 @@ Algorithm = Literal["sac", "td3", "ddpg"]
 ALGORITHMS: tuple[Algorithm, ...] = ("sac", "td3", "ddpg")
 
 AGENTS = 512
-"""that act at the same time"""
 _REPORT_EVERY = 32  # control cycles
 
 
@@ -61,18 +58,18 @@ class OffPolicySettings:
     algorithm: Algorithm
     preset: Preset = DEFAULT
     cycles: int = 3840
-    """control cycles: two million transitions (chosen)"""
+    """two million transitions; chosen"""
     gradient_steps: int = 2
-    """after every control cycle"""
+    """per control cycle"""
     batch: int = 1024
     memory: int = 400
-    """control cycles that are remembered: 200 thousand transitions of 512 agents"""
+    """control cycles kept"""
     warm_up: int = 32
     """control cycles before the first gradient step"""
     learning_rate: float = 5e-4
     polyak: float = 0.01
     noise: tuple[float, float] = (0.3, 0.05)
-    """standard deviation of the exploration noise of TD3 and DDPG, first and last"""
+    """sigma of the exploration noise (TD3, DDPG), first and last"""
     seed: int = 0
     agents: int = AGENTS
     threads: int = 2
@@ -80,8 +77,6 @@ class OffPolicySettings:
 
 @dataclass(kw_only=True, eq=False)
 class _ReportWindow:
-    """What happened since the last report."""
-
     rewards: list[float] = field(default_factory=list)
     ends: list[Any] = field(default_factory=list)
 
@@ -101,16 +96,16 @@ class OffPolicyLearner:
 
     @property
     def cycle(self) -> int:
-        """Control cycles done so far."""
+        """Control cycles so far."""
         return self._cycle
 
     def network(self) -> nn.Sequential:
-        """Return the network of the mean action, between -1 and 1."""
+        """Network of the mean action."""
         actor: BoundedActor | SquashedActor = self.agent.policy
         return actor.network()
 
     def learn(self) -> CurvePoint:
-        """Run the cycles up to the next report."""
+        """Run until the next report."""
         start, window = time.perf_counter(), _ReportWindow()
         for _ in range(min(_REPORT_EVERY, self.settings.cycles - self._cycle)):
             transition = self._interact()
@@ -180,7 +175,7 @@ def train_offpolicy(
 
 
 def trainer(name: str, seed: int) -> Trainer:
-    """Return the trainer of the algorithm ``name``; InputError if there is none."""
+    """Trainer of an algorithm; InputError for unknown ones."""
     settings = OffPolicySettings(algorithm=algorithm(name), seed=seed)
     return lambda arm, twin, out, on_progress: train_offpolicy(
         arm, twin, out=out, settings=settings, on_progress=on_progress
@@ -188,7 +183,7 @@ def trainer(name: str, seed: int) -> Trainer:
 
 
 def algorithm(name: str) -> Algorithm:
-    """Check the name of an algorithm; InputError names those there are."""
+    """Check the name of an algorithm; InputError lists them."""
     for known in ALGORITHMS:
         if known == name:
             return known
@@ -196,7 +191,7 @@ def algorithm(name: str) -> Algorithm:
 
 
 def noise_at(settings: OffPolicySettings, cycle: int) -> float:
-    """Exploration noise of TD3 and DDPG: it falls linearly."""
+    """Exploration noise of TD3 and DDPG."""
     first, last = settings.noise
     return first + (last - first) * min(cycle / settings.cycles, 1.0)
 

@@ -1,1 +1,1 @@
-"""A repair: its folder, its stages, its history, what leaves it, and many of them at once."""
+"""A repair: folder, stages, history, exports, fleets."""

@@ -1,4 +1,4 @@
-"""The history as its owner sees it: rows of checks and runs, the table, the page, and what Prometheus reads."""
+"""The history: rows of checks and runs, table, page, Prometheus metrics."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def owners(rows: Sequence[HistoryRow]) -> Callable[[HistoryRow], str]:
-    """Return what tells the name of the arm that a row is about, by all ``rows`` of a history."""
+    """Return a function from a row to its arm's name."""
     checks: dict[str, list[HistoryRow]] = {}
     for row in sorted((row for row in rows if row.kind == "check" and not row.joint), key=lambda row: row.time):
         checks.setdefault(name_of(row.robot, row.model), []).append(row)
@@ -40,7 +40,7 @@ def owners(rows: Sequence[HistoryRow]) -> Callable[[HistoryRow], str]:
 
 
 MOVED, SET_UP = "moved", "set up"
-"""Why a new norm begins with a check: the arm was moved, or has another description"""
+"""Reasons of a new baseline: a move, or another description"""
 
 # Bound of all that a check measures, in millimetres and degrees (chosen: a kilometre)
 _MOST = 1e6
@@ -49,24 +49,24 @@ _TOOL = ("error_mm", "repeatability_mm", "approach_mm", "true_error_mm", "true_a
 
 @dataclass(frozen=True, kw_only=True)
 class Past:
-    """What the history knows of an arm since its norm began."""
+    """History of an arm since its baseline began."""
 
     visits: tuple[PastCheck, ...]
-    """its checks, the oldest first"""
+    """the oldest first"""
     setup: str
-    """fingerprint of its description then; empty where it is not known"""
+    """fingerprint of its description, or empty"""
     left_mm: float | None
-    """tool error that the controller of its last repair left; None where there was none"""
+    """tool error with the controller of its last repair, if any"""
 
 
 def rows_of(head: HistoryRow, measures: CheckMeasures) -> list[HistoryRow]:
-    """Return the rows of a check, that of the arm first; ``head`` says what is the same in all of them."""
+    """Rows of a check; ``head`` holds the common fields."""
     tool = replace(head, **{name: getattr(measures, name) for name in _TOOL})
     return [tool, *(replace(head, **asdict(joint)) for joint in measures.joints)]
 
 
 def with_outlook(rows: Sequence[HistoryRow], found: Outlook, line: str) -> list[HistoryRow]:
-    """Add to the rows of a check how the arm stands by it, and each joint."""
+    """Add the outlook to the rows of a check."""
     due = found.due
     joints = {name: _worst(found, name) for name in {row.joint for row in rows}}
     arm = replace(
@@ -78,7 +78,7 @@ def with_outlook(rows: Sequence[HistoryRow], found: Outlook, line: str) -> list[
 
 
 def past_of(rows: Sequence[HistoryRow], arm: str, key: str) -> Past:
-    """Return what the history knows of an arm since its baseline began.
+    """Return an arm's history since its baseline began.
 
     A repair counts for its `owners`, or by ``key``.
     """
@@ -109,7 +109,6 @@ def _worst(found: Outlook, joint: str) -> str:
 
 
 def _measures(head: HistoryRow, joints: Sequence[HistoryRow]) -> CheckMeasures | None:
-    """Put a check together from its rows; None where a value is missing or no believable number."""
     if not all(map(_believable, (head, *joints))):
         return None
     needed = (head.error_mm, head.repeatability_mm, head.approach_mm)
@@ -130,7 +129,7 @@ def _believable(row: HistoryRow) -> bool:
 
 
 def summarise(run: Run) -> None:
-    """Write ``summary.parquet`` into a run folder: what diagnosis and comparison found; FileError if it cannot.
+    """Write ``summary.parquet`` into a run folder; FileError if that fails.
 
     A finished repair keeps its time.
     """
@@ -190,13 +189,13 @@ _STATES = ("learning", "steady", "drifting", "alarm")
 
 
 def write_prometheus(path: Path, name: str, seen: Outlook, measures: CheckMeasures) -> None:
-    """Write the check of the arm ``name`` into ``path``, whole or not at all; FileError if it cannot."""
+    """Write the check of the arm ``name``, atomically; FileError if that fails."""
     text = prometheus_text(name, seen, measures)
     write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def prometheus_text(name: str, seen: Outlook, measures: CheckMeasures) -> str:
-    """Return the metrics of a check in Prometheus' text format; times are seconds since 1970."""
+    """Check as Prometheus text."""
     arm = f'arm="{_escaped(name)}"'
     lines: list[str] = []
 
@@ -238,34 +237,33 @@ def _escaped(text: str) -> str:
 
 HEADERS = ("arm", "state", "error [mm]", "tolerance [mm]", "reached", "last check", "what to do")
 REPAIR, REPAIRED = "repair", "repaired"
-"""Kind of the row of a finished repair, and the state of an arm that was not checked since"""
+"""Kind of a repair's row, and the state until the next check"""
 _ORDER = ("alarm", "bad", "drifting", "worn", REPAIRED, "steady", "ok", "learning", "unknown", "")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ArmHistory:
-    """One arm with all its rows."""
+    """All rows of one arm."""
 
     name: str
     rows: tuple[HistoryRow, ...]
-    """of the arm as a whole, the oldest first"""
+    """of the whole arm, the oldest first"""
     joints: tuple[HistoryRow, ...]
-    """of its joints"""
 
     @property
     def newest(self) -> HistoryRow:
-        """The last check or repair, or the last run where there is neither."""
+        """The last check or repair, else the last run."""
         told = [row for row in self.rows if row.kind in ("check", "repair")]
         return (told or list(self.rows))[-1]
 
     @property
     def checks(self) -> list[HistoryRow]:
-        """Checks that tell an error; those of runs are of other motion, and do not go into one line with them."""
+        """Checks with an error, without those of runs."""
         return [row for row in self.rows if row.kind == "check" and row.counts_mm is not None]
 
     @property
     def error(self) -> float | None:
-        """[mm] newest error of the tool that counts for its owner."""
+        """[mm] newest tool error that counts."""
         return self.newest.counts_mm
 
     @property
@@ -275,12 +273,12 @@ class ArmHistory:
 
     @property
     def state(self) -> str:
-        """How it stands, in a word or two."""
+        """State in a word or two."""
         return "tolerance reached" if self.over else REPAIRED if self.newest.kind == REPAIR else self.newest.state
 
 
 def arms_of(rows: Sequence[HistoryRow]) -> list[ArmHistory]:
-    """Put rows, the oldest first, together by arm; what needs to be done first comes first."""
+    """Group rows, the oldest first, by arm; urgent arms first."""
     found = []
     owner = owners(rows)
     whose = [(owner(row), row) for row in rows]
@@ -293,7 +291,7 @@ def arms_of(rows: Sequence[HistoryRow]) -> list[ArmHistory]:
 
 
 def cells(arm: ArmHistory) -> list[str]:
-    """Return one row of the table `HEADERS`."""
+    """One row of the table `HEADERS`."""
     row = arm.newest
     by = "" if row.true_error_mm is not None or arm.error is None else " by encoders"
     return [
@@ -304,7 +302,7 @@ def cells(arm: ArmHistory) -> list[str]:
 
 
 def what_to_do(row: HistoryRow) -> str:
-    """Return the last part of what the owner was told; after a repair, that a norm is to be made."""
+    """Last advice to the user."""
     if row.kind == REPAIR:
         return f"{command('check', row.robot)} --repeat 5"
     return row.line.rpartition("Do: ")[2] if "Do: " in row.line else ""

@@ -1,7 +1,4 @@
-"""The whole chain: diagnosis, twin, policy, comparison and report.
-
-Each stage is done where its file is not there yet.
-"""
+"""The whole chain: diagnosis, twin, policy, comparison and report. Stages with a file are done."""
 
 from __future__ import annotations
 
@@ -77,30 +74,29 @@ Found = TypeVar("Found")
 StageName = Literal["diagnose", "calibrate", "identify", "gains", "train", "compare", "report"]
 STAGES: tuple[StageName, ...] = get_args(StageName)
 MOVING: tuple[StageName, ...] = ("diagnose", "calibrate", "gains", "compare")
-"""Stages in which the arm moves"""
+"""Stages that move the arm"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Stage:
-    """How a stage of a repair stands."""
+    """Progress of a stage."""
 
     name: StageName
     state: Literal["started", "kept", "done"]
-    """kept: an earlier call has done it, as it was asked for then"""
+    """kept: done by an earlier call with the same inputs"""
     file: Path
-    """by which the stage counts as done"""
+    """marks the stage as done"""
     number: int
-    """its place among the stages of this repair, from 1"""
+    """from 1"""
     total: int
-    """number of them"""
     why: str = ""
-    """it is kept, where not for being done already"""
+    """why it is kept, if not for being done"""
     result: object = None
-    """what the function of the same name returned; of what is kept, diagnosis and comparison only"""
+    """of the function of the same name; if kept, only of diagnosis and comparison"""
 
 
 def there(found: Found | None) -> Found:
-    """Return what a finished run has found; FileError if its file was removed since."""
+    """Return a finished run's result; FileError if its file was removed."""
     if found is None:
         raise FileError("run folder", "a file of a finished repair is missing", "repair again")
     return found
@@ -110,7 +106,7 @@ def stages_of(
     robot: RobotLike, arm: Arm, files: RunFolder, *, controllers: Controllers = (), gauge: GaugeLike | None = None,
     quick: bool = False,
 ) -> dict[StageName, Path]:  # fmt: skip
-    """Name the stages of a repair in their order, each with the file by which it counts as done."""
+    """Name the stages of a repair in order, each with its file."""
     places = (
         files.diagnosis, files.calibration, files.twin, files.gains, files.policy, files.comparison, files.report,
     )  # fmt: skip
@@ -124,19 +120,19 @@ def stages_of(
 
 
 class Chain:
-    """Stages that are done only where their file is not there yet; the report is always written again."""
+    """Does stages without a file; always writes the report."""
 
     def __init__(self, run: Run, files: dict[StageName, Path], observer: Observer, *, only: StageName | None) -> None:
         self.run, self._files, self.observer = run, files, observer
         self._only, self.why = only, ""
-        """a stage to do alone; why twin and policy are those of an earlier repair"""
+        """a single stage; why twin and policy are kept"""
 
     def does(self, *names: StageName) -> bool:
-        """Tell whether these stages are all to be done in this call."""
+        """Whether this call does all these stages."""
         return self._only is None and not any(self._files[name].exists() for name in names)
 
     def do(self, name: StageName, work: Callable[[Observer], object]) -> None:
-        """Do a stage, or say that it is done already."""
+        """Do a stage, or report that it is done."""
         if name not in self._files or self._only not in (None, name):
             return
         number, total = list(self._files).index(name), len(self._files)
@@ -165,19 +161,15 @@ class Chain:
 
 
 WORSE = 2.0
-"""times its own error up to which a twin still holds (chosen: unchanged arms come to 1.0 to 1.8, after 400 h of hard
-work to 2.9 to 13: `python -m benchmarks again`)"""
+"""Relative error of a twin that still holds; chosen, see `python -m benchmarks again`"""
 WINDOW = 6.0
-"""[s] of motion that is predicted at a time (as in an identification)"""
+"""[s] of motion predicted at a time"""
 
 _LOGGER = logging.getLogger("rejoint")
 
 
 def keep_what_holds(run: Run, preset: str) -> Kept | None:
-    """Take twin and policy of the last repair over into ``run``, freshly diagnosed, where they still hold.
-
-    Else None.
-    """
+    """Copy twin and policy of the last repair into ``run`` if they still hold."""
     if run.folder.twin.exists() or not run.folder.log("excitation").exists():
         return None
     try:
@@ -192,7 +184,7 @@ def keep_what_holds(run: Run, preset: str) -> Kept | None:
 
 
 def last_repair(run: Run) -> Run | None:
-    """Return the newest finished repair of the same robot and arm beside ``run``; None where there is none."""
+    """Newest finished repair of the same arm beside ``run``."""
     found = []
     for path in run.path.parent.glob("*/run.json"):
         folder = RunFolder(path.parent)
@@ -206,9 +198,9 @@ def last_repair(run: Run) -> Run | None:
 
 
 def still_holds(run: Run, last: Run, preset: str) -> Kept | None:
-    """Judge the twin of ``last`` by the excitation of ``run``.
+    """Test the twin of ``last`` on the excitation of ``run``.
 
-    None where arm, servo gains or ``preset`` have changed.
+    None if arm, servo gains or ``preset`` changed.
     """
     twin, policy, now, before = last.twin, last.policy, run.diagnosis, last.diagnosis
     if twin is None or policy is None or now is None or before is None:
@@ -223,7 +215,7 @@ def still_holds(run: Run, last: Run, preset: str) -> Kept | None:
 
 
 def twin_error(arm: Arm, twin: Twin, log: RunLog) -> float:
-    """Root mean square error [m] of the tool that the twin predicts for a log."""
+    """Rms tool error [m] of the twin's prediction of a log."""
     from rejoint.twin.judgement import prediction_error
     from rejoint.twin.replay import Replay, cut
 
@@ -242,15 +234,14 @@ def _take_over(run: Run, last: Run, why: Kept) -> None:
 
 
 QUICK_TARGETS = 3
-"""Targets that controllers are compared on for a first try (chosen)"""
+"""Targets of a quick comparison; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Repaired:
-    """What a repair came to, read from its folder."""
+    """Result of a repair, read from its folder."""
 
     run: Run
-    """folder with everything"""
 
     @cached_property
     def diagnosis(self) -> Diagnosis:
@@ -259,12 +250,12 @@ class Repaired:
 
     @cached_property
     def twin(self) -> Twin:
-        """The simulation that was fitted to the arm."""
+        """The twin fitted to the arm."""
         return there(self.run.twin)
 
     @cached_property
     def policy(self) -> Policy:
-        """The policy that was trained on it."""
+        """The policy trained on it."""
         return there(self.run.policy)
 
     @cached_property
@@ -279,28 +270,26 @@ class Repaired:
 
     @property
     def page(self) -> Path:
-        """The report: one page that opens in a browser."""
+        """The report, for a browser."""
         return self.run.folder.report
 
 
 @dataclass(frozen=True, kw_only=True)
 class RepairPlan:
-    """What a repair does, where it is not the usual."""
+    """Options of a repair."""
 
     preset: str | Preset = "default"
-    """recipe of the training: ``default``, ``scratch`` (from random weights), ``paper`` (the literal method), or your
-    own"""
+    """training recipe: ``default``, ``scratch`` (from random weights), ``paper`` (literal), or your own"""
     controllers: Controllers = ()
-    """as for `compare`; none given: as there, without the paper's PIDs"""
+    """as for `compare`; default: the same without the paper's PIDs"""
     targets: Targets | None = None
     """as for `compare`"""
     trials: TrialPlan | None = None
-    """as for `compare`; None: 3 sets and 2 repetitions for an emulated arm, 1 and 1 for a real one"""
+    """as for `compare`; default: 3 sets and 2 repetitions for an emulated arm, 1 and 1 for a real one"""
     fresh: bool | None = None
-    """fit and train even where twin and policy of the last repair still hold; None: only for an emulated arm"""
+    """fit and train even if the last twin and policy hold; default: only for an emulated arm"""
     gauge: GaugeLike | None = None
-    """what measures the tool, as for `calibrate`, or ``none``; None: an emulated arm tells by itself, a real one is not
-    calibrated"""
+    """measuring device, as for `calibrate`, or ``none`` (default for a real arm)"""
 
 
 def repair(
@@ -316,42 +305,41 @@ def repair(
 ) -> Repaired:
     """Diagnose an arm, fit its twin, train a policy, compare every controller on the arm, and write the report.
 
-    Interrupted, the same call goes on where it stopped. Nothing is changed on the arm itself. While the arm moves,
-    Ctrl-C and SIGTERM first bring it to a hold; then `Interrupted` is raised, which is a KeyboardInterrupt.
+    The same call resumes an interrupted repair. It changes nothing on the arm. While the arm moves, Ctrl-C and SIGTERM
+    first bring it to a hold; then it raises `Interrupted`, a KeyboardInterrupt.
 
     Parameters
     ----------
     robot
-        robot or its address; by default a worn arm emulated in this process
+        robot or its address; default: a worn arm emulated in this process
     run
-        run, or its folder; by default below ``runs/``: the newest of this robot if it was interrupted, else a new one
+        run, or its folder; default: below ``runs/``, the newest of this robot if interrupted, else a new one
     arm
-        arm, name or file (`load_arm` cuts one out of a URDF); by default what the address names, else a myCobot 280
+        arm, name or file (`load_arm` extracts one from a URDF); default: by the address, else a myCobot 280
     quick
-        do little of everything, to see in a minute whether all of it works; no result
+        test all steps in a minute, without a valid result
     plan
-        recipe, controllers, targets, what measures the tool
+        recipe, controllers, targets, measuring device
     only
-        do this one stage and no other: for who has the stages done by several computers, in their order
+        do this stage alone
     settings
         control period and seed
     observer
-        receives each stage when it starts and when it is done, with its result, and progress, each of the stages
-        counting the same
+        receives each stage at its start and end, with its result, and progress
 
     Returns
     -------
     Repaired
-        what was wrong, which controller to use and why, the policy, and the page of the report
+        diagnosis, recommended controller, policy, and page of the report
 
     Raises
     ------
     MissingExtraError
         without the extras ``train`` and ``report``
     InputError
-        if the run is of another robot, or there is no such preset, controller or target: before the robot is opened
+        for a run of another robot, or an unknown preset, controller or target, before the robot is opened
     AddressError, GuardTripError, RobotError, UnsavedError
-        as the stages raise them; what is finished is kept
+        from the stages; finished ones are kept
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""A run: one repair, its folder, what it is about, and that one process at a time works in it."""
+"""A run: one repair and its folder."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ if TYPE_CHECKING:
 
 
 RUNS = Path("runs")
-"""Where run folders are made, in the folder one stands in."""
+"""Default parent of run folders"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
-    """One repair: the folder with its files, the robot, arm and seed that it is about, and what its stages found.
+    """One repair: its folder, robot, arm, seed and results.
 
     Examples
     --------
@@ -47,14 +47,13 @@ class Run:
     """
 
     folder: RunFolder
-    """where each file is"""
     info: RunInfo
-    """robot, arm and seed as run.json names them"""
+    """content of run.json"""
     arm: Arm
 
     @classmethod
     def open(cls, path: Path | str) -> Run:
-        """Open an existing run folder; FileError if it is none, or damaged, or of a later version."""
+        """Open a run folder; FileError if missing, damaged, or of a later version."""
         folder = RunFolder(Path(path))
         if not folder.info.exists():
             depths = ("*/run.json", "*/*/run.json")  # those of a robot lie below RUNS together
@@ -70,7 +69,7 @@ class Run:
 
     @classmethod
     def plan(cls, path: Path | str, robot: str, arm: Arm, seed: int = 0) -> Run:
-        """Open the run folder at ``path``, or say what `create` will make of it, without writing; errors as there."""
+        """Open the run folder, or plan what `create` writes; same errors."""
         folder = RunFolder(Path(path))
         if folder.info.exists():
             run = cls.open(path)
@@ -84,16 +83,16 @@ class Run:
 
     @classmethod
     def create(cls, path: Path | str, robot: str, arm: Arm, seed: int = 0) -> Run:
-        """Make the run folder at ``path``, or open it.
+        """Make or open the run folder.
 
-        InputError if it is of another robot, arm or seed, or holds other files.
+        InputError for another robot, arm or seed, or other files.
         """
         return cls.plan(path, robot, arm, seed).begin()
 
     def begin(self) -> Run:
-        """Write what the run is about, if that is not done yet.
+        """Write the description of the run, if missing.
 
-        FileError where the folder has become that of another run.
+        FileError if the folder has another run.
         """
         if self.folder.info.exists():
             there = read_info(self.folder.info)
@@ -109,7 +108,7 @@ class Run:
         return run
 
     def require(self, *, robot: str, arm: Arm, seed: int) -> None:
-        """Raise InputError unless the run is of this robot, arm and seed, and the arm described as it was then."""
+        """Raise InputError unless the run is of this robot, seed and arm description."""
         if (self.robot, self.arm.name, self.seed) != (robot, arm.name, seed):
             raise InputError(
                 f"{self.path} is a run of {self.robot} ({self.arm.name}, seed {self.seed}), "
@@ -122,7 +121,7 @@ class Run:
             )
 
     def is_of(self, robot: str, arm: Arm) -> bool:
-        """Tell whether the run is of this robot and arm, and the arm described as it was then."""
+        """Whether the run is of this robot and arm description."""
         return self.robot == robot and not differing(bare(self.arm), bare(arm))
 
     @property
@@ -132,21 +131,21 @@ class Run:
 
     @property
     def robot(self) -> str:
-        """Address of the robot; ``logs:`` and where they were, if the run was made from logs alone."""
+        """Address of the robot; for logs alone ``logs:`` and their place."""
         return self.info.robot
 
     @property
     def seed(self) -> int:
-        """Seed of everything random."""
+        """Seed of all random numbers."""
         return self.info.seed
 
     def seeded(self, seed: int | None) -> Run:
-        """Return the run with another seed, if one is given."""
+        """Run with another seed, if one is given."""
         return self if seed is None else replace(self, info=replace(self.info, seed=as_seed(seed)))
 
     @property
     def diagnosis(self) -> Diagnosis | None:
-        """What is wrong with the arm; None before its stage has run."""
+        """What is wrong with the arm, if diagnosed."""
         from rejoint.diagnosis.diagnosis import Diagnosis
 
         path = self.folder.diagnosis
@@ -154,21 +153,21 @@ class Run:
 
     @property
     def twin(self) -> Twin | None:
-        """The identified twin; None before its stage has run."""
+        """The twin, if identified."""
         from rejoint.twin.file import read_twin
 
         return read_twin(self.folder.twin, self.arm) if self.folder.twin.exists() else None
 
     @property
     def policy(self) -> Policy | None:
-        """The trained policy; None before its stage has run."""
+        """The policy, if trained."""
         from rejoint.control.policy import Policy
 
         return Policy.load(self.folder.policy) if self.folder.policy.exists() else None
 
     @property
     def comparison(self) -> Comparison | None:
-        """Every controller on the same arm; None before its stage has run."""
+        """Every controller on the arm, if compared."""
         path = self.folder.comparison
         return read_json(path, Comparison) if path.exists() else None
 
@@ -179,15 +178,15 @@ class Run:
 
 
 def newest_or_new(robot: str, arm: Arm, seed: int) -> tuple[Path, bool]:
-    """Default run folder of a robot, below `RUNS`; as `newest_or_new_in`."""
+    """Default run folder of a robot, below `RUNS`."""
     name = re.sub(r"[^\w.-]+", "-", f"{arm.name}-{robot}-seed{seed}").strip("-")
     return newest_or_new_in(RUNS / name, robot, arm)
 
 
 def newest_or_new_in(home: Path, robot: str, arm: Arm) -> tuple[Path, bool]:
-    """Find the newest numbered run folder of this robot and arm in ``home`` if it was interrupted, else a new one.
+    """Find the newest run folder of this robot and arm in ``home`` if interrupted, else a new one.
 
-    Returns the path and whether it is to be resumed.
+    Returns the path and whether to resume it.
     """
     numbers = sorted(int(p.name) for p in home.glob("*") if p.name.isdecimal()) if home.is_dir() else []
     last = numbers[-1] if numbers else 0
@@ -198,7 +197,7 @@ def newest_or_new_in(home: Path, robot: str, arm: Arm) -> tuple[Path, bool]:
 
 
 def is_of_another(folder: RunFolder, robot: str, arm: Arm) -> bool:
-    """Tell whether a run is of another robot, or of the arm as described before; False for what cannot be read."""
+    """Whether a run is of another robot or arm; False if unreadable."""
     try:
         return folder.info.exists() and not Run.open(folder.path).is_of(robot, arm)
     except FileError:
@@ -206,7 +205,7 @@ def is_of_another(folder: RunFolder, robot: str, arm: Arm) -> bool:
 
 
 def is_finished(folder: RunFolder) -> bool:
-    """Tell whether a run is finished: `repair` said so, or all stages and a later report are there."""
+    """Whether a run is marked as finished, or has all stages and a later report."""
     if folder.finished.exists():
         return True
     if not folder.info.exists():
@@ -220,24 +219,24 @@ def is_finished(folder: RunFolder) -> bool:
 
 
 def mark_quick(run: Run | None, *, quick: bool) -> None:
-    """Note that a stage did little of everything, if it did: what follows from it in this folder is no result."""
+    """Mark a quick stage: the folder's results are not valid."""
     if run is not None and quick:
         write_json(run.folder.quick, {"quick": datetime.now().isoformat(timespec="seconds")})
 
 
 def require_same_pace(run: Run, *, quick: bool) -> None:
-    """Raise InputError where a full repair would build on what a quick one left."""
+    """Raise InputError if a full repair would use quick results."""
     if run.folder.quick.exists() and not quick:
         raise InputError(f"{run.path} is of a quick try, which is no result; give another --run, or delete the folder")
 
 
 def finish(run: Run) -> None:
-    """Note that all of a run is done: the next repair of that robot begins another one."""
+    """Mark a run as finished."""
     write_json(run.folder.finished, {"finished": datetime.now().isoformat(timespec="seconds")})
 
 
 def remove_if_empty(run: Run) -> None:
-    """Remove the folder of a run in which nothing has been done yet, such as one whose robot did not answer."""
+    """Remove the folder of a run without results."""
     path = run.folder.path
     with suppress(OSError):  # logs are there
         (path / "logs").rmdir()
@@ -253,7 +252,7 @@ def remove_if_empty(run: Run) -> None:
 
 @contextmanager
 def exclusive(run: Run | None) -> Iterator[None]:
-    """Keep other processes out of the run folder during a stage; one that fails leaves no folder it has not begun."""
+    """Lock the run folder during a stage; a failed one leaves no new folder."""
     if run is None:
         yield
         return
@@ -283,13 +282,13 @@ def _digest(folder: RunFolder) -> str:
 
 @dataclass(eq=False)
 class Meter:
-    """Counts what the robots that it watches do; arms that move side by side in virtual time cost nothing."""
+    """Counts the motion of robots."""
 
     moving: float = 0.0
     travel: float = 0.0
 
     def watch(self, robot: Robot) -> Robot:
-        """Return the robot as one whose motion is counted."""
+        """Robot that counts its motion."""
         return _Metered(robot, self) if robot.count == 1 else robot
 
 
@@ -313,7 +312,7 @@ class _Metered(RobotWrapper):
 
 @contextmanager
 def metered(folder: RunFolder | None, name: str) -> Iterator[Meter]:
-    """Count the motion of a stage, and add it to what the run in ``folder`` has cost, also where the stage fails."""
+    """Add a stage's motion, also if failed, to the costs of the run in ``folder``."""
     meter = Meter()
     try:
         yield meter

@@ -1,4 +1,4 @@
-"""Make the policy from the shelf for an arm of the catalogue again: ``python -m rejoint.training mycobot280``."""
+"""Train the generic policy of a catalogue arm again: ``python -m rejoint.training mycobot280``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Actors and critics of SAC, TD3 and DDPG as skrl models: actions between -1 and 1, values of actions."""
+"""Actors and critics of SAC, TD3 and DDPG as skrl models."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _FIRST_LOG_STD = -1.0  # chosen: about PPO's initial noise
 
 
 def bounded(size: int) -> gymnasium.spaces.Box:
-    """Space of all vectors of a size with elements between -1 and 1."""
+    """Space of vectors with elements between -1 and 1."""
     return gymnasium.spaces.Box(-1.0, 1.0, (size,), dtype=np.float32)
 
 
 class BoundedActor(DeterministicMixin, Model):  # type: ignore[misc]
-    """Deterministic policy: the same perceptron as PPO's, and tanh."""
+    """Deterministic policy: PPO's perceptron, and tanh."""
 
     def __init__(self, observation_size: int, joints: int, layers: Sequence[int]) -> None:
         Model.__init__(self, observation_space=unbounded(observation_size), action_space=bounded(joints), device="cpu")
@@ -32,16 +32,16 @@ class BoundedActor(DeterministicMixin, Model):  # type: ignore[misc]
         _shrink(self.net[-1])
 
     def compute(self, inputs: dict[str, Tensor], role: str = "") -> tuple[Tensor, dict[str, Any]]:  # noqa: ARG002
-        """Actions (N, n), as skrl asks for them."""
+        """Actions (N, n)."""
         return torch.tanh(self.net(inputs["observations"])), {}
 
     def network(self) -> nn.Sequential:
-        """Return the whole policy as layers."""
+        """Policy as layers."""
         return nn.Sequential(*self.net, nn.Tanh())
 
 
 class SquashedActor(Model):  # type: ignore[misc]
-    """Gaussian policy through tanh, whose noise depends on the observation (Haarnoja et al. 2018, appendix C)."""
+    """Gaussian policy through tanh, with noise by observation (Haarnoja et al. 2018, appendix C)."""
 
     def __init__(self, observation_size: int, joints: int, layers: Sequence[int]) -> None:
         Model.__init__(self, observation_space=unbounded(observation_size), action_space=bounded(joints), device="cpu")
@@ -53,10 +53,10 @@ class SquashedActor(Model):  # type: ignore[misc]
         with torch.no_grad():
             self.log_std.bias.fill_(_FIRST_LOG_STD)
         self.spread = float(np.exp(_FIRST_LOG_STD))
-        """mean standard deviation of the last actions, before tanh"""
+        """mean sigma of the last actions, before tanh"""
 
     def compute(self, inputs: dict[str, Tensor], role: str = "") -> tuple[Tensor, dict[str, Any]]:  # noqa: ARG002
-        """Mean action before tanh (N, n) and the logarithm of the noise."""
+        """Mean action before tanh (N, n) and log noise."""
         hidden = self.body(inputs["observations"])
         return self.mean(hidden), {"log_std": self.log_std(hidden).clamp(*_LOG_STD)}
 
@@ -74,12 +74,12 @@ class SquashedActor(Model):  # type: ignore[misc]
         return torch.tanh(free), {"log_prob": log_prob}
 
     def network(self) -> nn.Sequential:
-        """Return the mean policy as layers."""
+        """Mean policy as layers."""
         return nn.Sequential(*list(self.body), self.mean, nn.Tanh())
 
 
 class ActionCritic(DeterministicMixin, Model):  # type: ignore[misc]
-    """Value of an action, an observation and a privileged observation together."""
+    """Value of an action, an observation and a privileged observation."""
 
     def __init__(self, observation_size: int, privileged_size: int, joints: int, layers: Sequence[int]) -> None:
         Model.__init__(
@@ -90,7 +90,7 @@ class ActionCritic(DeterministicMixin, Model):  # type: ignore[misc]
         self.net = perceptron((observation_size + privileged_size + joints, *layers, 1))
 
     def compute(self, inputs: dict[str, Tensor], role: str = "") -> tuple[Tensor, dict[str, Any]]:  # noqa: ARG002
-        """Values (N, 1), as skrl asks for them."""
+        """Values (N, 1)."""
         parts = [inputs["observations"], inputs["states"], inputs["taken_actions"]]
         return self.net(torch.cat(parts, dim=-1)), {}
 

@@ -1,7 +1,6 @@
-"""Adam (Kingma and Ba 2015, arXiv:1412.6980) by torch's own function, all parameters in one call.
+"""Adam (Kingma and Ba 2015, arXiv:1412.6980), all parameters in one call.
 
-`torch.optim.Adam` does the same, to the bit, but imports torch's compiler when it is made, which nothing here needs:
-eighty megabytes and a second.
+Bit for bit `torch.optim.Adam`, which also imports torch's compiler: 80 MB and a second.
 """
 
 from __future__ import annotations
@@ -16,21 +15,19 @@ from torch.nn import Parameter
 from torch.optim.adam import adam
 
 BETA1, BETA2, EPS = 0.9, 0.999, 1e-8
-"""The paper's own"""
+"""The paper's"""
 
 
 @dataclass(frozen=True, eq=False)
 class _Moments:
-    """What is remembered of one parameter from its first gradient on."""
-
     step: Tensor
-    """gradients so far, a number in a tensor"""
+    """number of gradients"""
     exp_avg: Tensor
     exp_avg_sq: Tensor
 
 
 class Adam:
-    """An optimiser of parameters, as skrl asks for one."""
+    """An optimiser for skrl."""
 
     def __init__(self, parameters: Iterable[Parameter]) -> None:
         self._parameters = list(parameters)
@@ -38,13 +35,13 @@ class Adam:
         self.learning_rate = 1e-3
 
     def zero_grad(self) -> None:
-        """Forget all gradients."""
+        """Clear all gradients."""
         for parameter in self._parameters:
             parameter.grad = None
 
     @torch.no_grad()
     def step(self) -> None:
-        """Improve the parameters that have a gradient; the others stay, and so does what is remembered of them."""
+        """Update the parameters that have a gradient."""
         moved: list[Tensor] = []
         gradients, moments = [], []
         for k, parameter in enumerate(self._parameters):
@@ -63,11 +60,11 @@ class Adam:
         )  # fmt: skip
 
     def state_dict(self) -> dict[str, Any]:
-        """Return what a checkpoint must keep, under the names that torch's own optimiser gives."""
+        """Checkpoint with the names of torch's optimiser."""
         return {"state": {k: dict(vars(moments)) for k, moments in self._moments.items()}}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from what `state_dict` returned."""
+        """Restore `state_dict`."""
         self._moments = {
             k: _Moments(**{name: value.clone() for name, value in one.items()}) for k, one in state["state"].items()
         }

@@ -1,7 +1,6 @@
-"""How torch computes while a training runs: settings that outlive the call that makes them, and so are put back.
+"""Torch's settings during a training, restored afterwards.
 
-The precision is that of the whole process: trainings in one process must follow one another, not run side by side in
-threads, and nothing else may multiply meanwhile that needs more.
+They hold for the whole process: run no trainings side by side in threads.
 """
 
 from __future__ import annotations
@@ -12,13 +11,12 @@ from contextlib import contextmanager
 import torch
 
 PRECISION = "medium"
-"""Of matrix products while PPO trains: factors in bfloat16 where the processor multiplies it (AMX, AVX512-BF16), sums
-in float32 (chosen: a training is faster and ends no worse). Everywhere else torch keeps its own, full float32"""
+"""Of matrix products in PPO: bfloat16 factors where the processor has them, float32 sums; chosen for speed"""
 
 
 @contextmanager
 def products(precision: str) -> Iterator[None]:
-    """Multiply float32 matrices with a ``precision`` of torch, and as before afterwards."""
+    """Set torch's ``precision`` of float32 matrix products within the block."""
     before = torch.get_float32_matmul_precision()
     torch.set_float32_matmul_precision(precision)
     try:
@@ -29,7 +27,7 @@ def products(precision: str) -> Iterator[None]:
 
 @contextmanager
 def on_threads(count: int) -> Iterator[None]:
-    """Compute on ``count`` threads, and on as many as before afterwards."""
+    """Compute on ``count`` threads within the block."""
     before = torch.get_num_threads()
     torch.set_num_threads(count)
     try:

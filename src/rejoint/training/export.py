@@ -1,4 +1,4 @@
-"""From a trained network to a policy file: ONNX with the contract in its metadata."""
+"""Policy files from trained networks: ONNX with the contract in its metadata."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _IR_VERSION = 8  # what ONNX Runtime 1.14 and newer read
 
 
 def export_policy(path: Path, network: nn.Sequential, contract: PolicyContract) -> PolicyContract:
-    """Write ``network`` as a policy file; returns the contract as written, with its probe filled in.
+    """Write ``network`` as a policy file; returns the contract with its probe.
 
     The exported function is the mean action clipped to [-1, 1].
     """
@@ -45,7 +45,7 @@ def export_policy(path: Path, network: nn.Sequential, contract: PolicyContract) 
 
 
 def policy_graph(network: nn.Sequential, observation_size: int, joints: int) -> onnx.ModelProto:
-    """Build the ONNX graph of a perceptron of linear, ELU and tanh layers, with a final clip to [-1, 1]."""
+    """Build the ONNX graph of linear, ELU and tanh layers, with a final clip to [-1, 1]."""
     nodes, weights, last = [], [], INPUT
     for index, layer in enumerate(network):
         output = f"layer{index}"

@@ -1,4 +1,4 @@
-"""The training as a loop: rollout workers act, skrl's PPO learns, and it can be interrupted after every update."""
+"""The training loop: rollout workers act, skrl's PPO learns; interruptible after every update."""
 
 from __future__ import annotations
 
@@ -29,15 +29,13 @@ from rejoint.training.warmstart import WarmStart, take_over
 from rejoint.training.worker import RolloutWorker
 
 REACHED_DISTANCE = 0.010
-"""[m] a target counts as reached below this distance at its end; Park et al. 2024, section IV-A."""
+"""[m] of a reached target at its end; Park et al. 2024, section IV-A"""
 
 SWITCH_INTERVAL = 1e-4
-"""[s] after which a worker that waits for Python's lock gets it (chosen: about what Python does between two physics
-steps; with its default of 5 ms a worker whose step is done waits for all that the other one computes)"""
+"""[s] until a waiting worker gets Python's lock; chosen: about the Python time between physics steps"""
 
 LEARNING_THREADS = 1
-"""Of torch (chosen: two that sleep while they wait for one another are slower than one, also on idle cores; two that
-turn in place are quicker there, and many times slower beside other programs)"""
+"""Of torch; chosen: more are slower beside other programs"""
 
 _CHECKPOINT_FORMAT = 5
 
@@ -45,28 +43,28 @@ _MAGIC = b"rejoint checkpoint "
 _RESTART = "delete it, or train with --fresh"
 
 CHECKPOINT_MOST = 2000 * MEGABYTE
-"""Largest checkpoint that is read (chosen: some fifty times the largest that the presets write)"""
+"""Largest checkpoint; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CurvePoint:
-    """How the training stood after one update."""
+    """State of the training after one update."""
 
     step: int
-    """transitions so far"""
+    """transitions"""
     reward: float
-    """mean per control cycle, exploration noise included"""
+    """mean per control cycle, with exploration noise"""
     success_rate: float
-    """fraction of the targets that were held (ours) or reached (the paper) at their end"""
+    """fraction of the targets held (ours) or reached (the paper) at their end"""
     error_mm: float
-    """median distance at the end of a target"""
+    """median at the end of a target"""
     noise: float
-    """standard deviation of the exploration noise"""
+    """sigma of the exploration noise"""
     learning_rate: float
     policy_loss: float
     value_loss: float
     wall_s: float
-    """time since the training started, pauses not counted"""
+    """without pauses"""
 
 
 class Learner:
@@ -76,9 +74,9 @@ class Learner:
         self, tasks: Sequence[ReachTask], settings: PpoSettings, *, seed: int, threads: int = 1,
         start: WarmStart | None = None,
     ) -> None:  # fmt: skip
-        """Take the task of each worker; ``threads`` of them act at the same time, to the same result.
+        """Take one task per worker; ``threads`` run at once, without effect on the result.
 
-        The actor begins with the weights of ``start``, or with random ones.
+        The actor's weights are those of ``start``, else random.
         """
         torch.manual_seed(seed)
         size, self.threads = tasks[0].observer.size, threads
@@ -94,7 +92,7 @@ class Learner:
 
     @property
     def iteration(self) -> int:
-        """Updates done so far."""
+        """Number of updates."""
         return len(self.curve)
 
     def iterate(self) -> CurvePoint:
@@ -111,7 +109,7 @@ class Learner:
         return point
 
     def _roll(self) -> Rollout:
-        """Let all workers act, each on one thread; torch's number of threads is each thread's own."""
+        """Run all workers, each on one thread; torch's number of threads is per thread."""
         pool, cycles = (
             ThreadPoolExecutor(self.threads, initializer=partial(torch.set_num_threads, 1)),
             self.settings.rollout,
@@ -121,7 +119,7 @@ class Learner:
             return join(list(rolled))
 
     def save(self, path: Path, identity: dict[str, Any]) -> None:
-        """Write a checkpoint; ``identity`` names what it belongs to."""
+        """Write a checkpoint for the training ``identity``."""
         content = {
             "format": _CHECKPOINT_FORMAT,
             "identity": identity,
@@ -133,9 +131,9 @@ class Learner:
         write_whole(path, lambda temporary: _save(content, temporary))
 
     def load(self, path: Path, identity: dict[str, Any]) -> bool:
-        """Continue from a checkpoint; False where it belongs to another training, FileError if damaged.
+        """Continue from a checkpoint; False if it is of another training, FileError if damaged.
 
-        What is in it is tensors and plain data; no code in it would be run.
+        A checkpoint holds tensors and plain data, no code.
         """
         try:
             content = torch.load(io.BytesIO(_unsealed(path)), map_location="cpu", weights_only=True)
@@ -175,7 +173,6 @@ class Learner:
 
 @contextmanager
 def _switching(interval: float) -> Iterator[None]:
-    """Let threads take turns at Python's lock after ``interval`` [s], and as before afterwards."""
     before = sys.getswitchinterval()
     sys.setswitchinterval(interval)
     try:
@@ -185,7 +182,7 @@ def _switching(interval: float) -> Iterator[None]:
 
 
 def _save(content: dict[str, Any], path: Path) -> None:
-    """Write a checkpoint behind its digest: torch reads tensors without looking at their checksums."""
+    """Write a checkpoint with its digest: torch does not verify tensors."""
     buffer = io.BytesIO()
     torch.save(content, buffer)
     data = buffer.getvalue()
@@ -193,7 +190,7 @@ def _save(content: dict[str, Any], path: Path) -> None:
 
 
 def _unsealed(path: Path) -> bytes:
-    """Return what `_save` wrote behind the digest; FileError if it is something else."""
+    """Content behind the digest of `_save`; FileError if damaged."""
     head, _, data = read_bounded(path, CHECKPOINT_MOST, _RESTART).partition(b"\n")
     if head != _MAGIC + digest(data):
         raise FileError(path, "damaged checkpoint (it is not what was written)", _RESTART)
@@ -211,7 +208,6 @@ def _ceiling(settings: PpoSettings, iteration: int) -> float:
 
 
 def _tensors(state: dict[str, Any]) -> dict[str, Any]:
-    """Arrays as tensors: a checkpoint of tensors and plain data can be read without running code in it."""
     task = {name: torch.from_numpy(v) if isinstance(v, np.ndarray) else v for name, v in state["task"].items()}
     return state | {"task": task}
 

@@ -1,4 +1,4 @@
-"""Actor and critic of PPO as skrl models, and what other learners build their networks from."""
+"""Actor and critic of PPO as skrl models, and shared parts of networks."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from skrl.models.torch import DeterministicMixin, Model
 from torch import Tensor, nn
 
 LAST_LAYER_SCALE = 0.01
-"""Factor on the actor's last layer: the untrained policy is the classical law it corrects (chosen)."""
+"""Factor on the actor's last layer, so that the untrained policy is the classical law; chosen"""
 
 
 def unbounded(size: int) -> gymnasium.spaces.Box:
@@ -22,10 +22,9 @@ def unbounded(size: int) -> gymnasium.spaces.Box:
 
 
 class Actor(Model):  # type: ignore[misc]
-    """Gaussian policy whose noise has a ceiling that the training lowers.
+    """Gaussian policy with a falling noise ceiling.
 
-    skrl's own draws an action whenever it is asked for a density, and takes logarithms of the noise of each sample:
-    a twentieth of the learning.
+    Faster than skrl's own, which samples for each density.
     """
 
     def __init__(self, observation_size: int, joints: int, layers: Sequence[int], log_std: float) -> None:
@@ -40,41 +39,38 @@ class Actor(Model):  # type: ignore[misc]
 
     @property
     def log_std(self) -> Tensor:
-        """Logarithm (n,) of the exploration noise."""
+        """Log exploration noise (n,)."""
         return self.free_log_std.clamp(max=self.ceiling)
 
     def compute(self, inputs: dict[str, Tensor], role: str = "") -> tuple[Tensor, dict[str, Any]]:  # noqa: ARG002
-        """Mean action (..., n) and logarithm of the noise, as skrl asks for them."""
+        """Mean action (..., n) and log noise."""
         return self.net(inputs["observations"]), {"log_std": self.log_std}
 
     def act(self, inputs: dict[str, Tensor], *, role: str = "") -> tuple[Tensor, dict[str, Any]]:
-        """Mean action (..., n) and logarithm (..., 1) of the density of the actions taken, as skrl asks for them."""
+        """Mean action (..., n) and log density (..., 1) of the actions taken."""
         mean, outputs = self.compute(inputs, role)
         apart = (inputs["taken_actions"] - mean) * (-outputs["log_std"]).exp()
         return mean, {"log_prob": self._log_density(apart)[..., None]}
 
     def distribution(self, *, role: str = "") -> torch.distributions.Normal:  # noqa: ARG002
-        """Distribution of the noise alone; skrl reports its width."""
+        """Distribution of the noise alone, whose width skrl reports."""
         log_std = self.log_std.detach()
         return torch.distributions.Normal(torch.zeros_like(log_std), log_std.exp())
 
     def sample(self, observation: Tensor, random: torch.Generator) -> tuple[Tensor, Tensor]:
-        """Draw actions (N, n) for observations (N, size), with the logarithms (N,) of their densities.
-
-        Several threads may do so at the same time.
-        """
+        """Draw actions (N, n) for observations (N, size), with log densities (N,); thread-safe."""
         mean: Tensor = self.net(observation)
         apart = torch.randn(mean.shape, generator=random)
         return mean + self.log_std.exp() * apart, self._log_density(apart)
 
     def _log_density(self, apart: Tensor) -> Tensor:
-        """Logarithms (...) of the densities of actions ``apart`` (..., n) standard deviations from the mean."""
+        """Log densities (...) of actions ``apart`` (..., n) sigma from the mean."""
         constant = self.log_std.sum() + 0.5 * apart.shape[-1] * np.log(2.0 * np.pi)
         return -0.5 * (apart**2).sum(dim=-1) - constant
 
 
 class Critic(DeterministicMixin, Model):  # type: ignore[misc]
-    """Value of an observation together with a privileged observation."""
+    """Value of an observation and a privileged observation."""
 
     def __init__(self, observation_size: int, privileged_size: int, joints: int, layers: Sequence[int]) -> None:
         spaces = {"observation_space": unbounded(observation_size), "action_space": unbounded(joints)}
@@ -83,17 +79,17 @@ class Critic(DeterministicMixin, Model):  # type: ignore[misc]
         self.net = perceptron((observation_size + privileged_size, *layers, 1))
 
     def compute(self, inputs: dict[str, Tensor], role: str = "") -> tuple[Tensor, dict[str, Any]]:  # noqa: ARG002
-        """Values (..., 1), as skrl asks for them."""
+        """Values (..., 1)."""
         return self.net(torch.cat([inputs["observations"], inputs["states"]], dim=-1)), {}
 
     def value(self, observation: Tensor, privileged: Tensor) -> Tensor:
-        """Values (...); several threads may ask at the same time."""
+        """Values (...); thread-safe."""
         values: Tensor = self.compute({"observations": observation, "states": privileged})[0][..., 0]
         return values
 
 
 def perceptron(sizes: Sequence[int]) -> nn.Sequential:
-    """Fully connected layers with ELU between them, which overwrites what it is given: there is less to remember."""
+    """Linear layers with in-place ELU between them."""
     layers: list[nn.Module] = []
     for before, after in itertools.pairwise(sizes):
         layers += [nn.Linear(before, after), nn.ELU(inplace=True)]

@@ -1,7 +1,6 @@
 """Proximal policy optimisation (Schulman et al. 2017, arXiv:1707.06347) by skrl, from whole rollouts.
 
-skrl's agent acts and records cycle by cycle, all agents in one. Here rollout workers do so at the same time, each with
-its own random numbers; what they did is put into skrl's memory at once, and skrl learns from it.
+Workers act at the same time, each with its own random numbers; their rollouts go into skrl's memory at once.
 """
 
 from __future__ import annotations
@@ -24,16 +23,16 @@ from rejoint.training.presets import PpoSettings
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rollout:
-    """T control cycles of N agents; tensors have the leading shape (T, N) where nothing else is said."""
+    """T control cycles of N agents; default shape (T, N)."""
 
     observation: Tensor
     privileged: Tensor
     action: Tensor
     log_density: Tensor
-    """logarithm of the density of the action when it was taken"""
+    """of the action when taken"""
     value: Tensor
     final_value: Tensor
-    """value of the state in which a target timed out, before the next one appeared; 0 elsewhere"""
+    """value of the state in which a target timed out; 0 elsewhere"""
     next_observation: Tensor
     """(1, N, size) after the last cycle"""
     next_privileged: Tensor
@@ -42,11 +41,11 @@ class Rollout:
     terminated: Tensor
     truncated: Tensor
     distance: Tensor
-    """[m] between TCP and target"""
+    """[m] TCP to target"""
 
     @property
     def ended(self) -> Tensor:
-        """Whether the target ended in this cycle, in one way or the other."""
+        """Whether the target ended in this cycle."""
         return self.terminated | self.truncated
 
 
@@ -58,22 +57,22 @@ class Losses(NamedTuple):
 
 
 def join(rollouts: list[Rollout]) -> Rollout:
-    """Put the agents of several rollouts of the same length side by side."""
+    """Join the agents of rollouts of the same length."""
     names = [f.name for f in fields(Rollout)]
     return Rollout(**{name: torch.cat([getattr(rollout, name) for rollout in rollouts], dim=1) for name in names})
 
 
 class Memory(RandomMemory):  # type: ignore[misc]
-    """skrl's memory, which copies whole rows into mini-batches: a quarter of the time of copying number by number."""
+    """skrl's memory, which copies whole rows into mini-batches, for speed."""
 
     def sample_by_index(self, names: Sequence[str], *, indexes: Tensor, mini_batches: int = 1) -> list[list[Tensor]]:
-        """Return the rows ``indexes`` (m,) of each tensor, in as many parts as there are mini-batches."""
+        """Rows ``indexes`` (m,) of each tensor in ``mini_batches`` parts."""
         parts = indexes.tensor_split(mini_batches)
         return [[self.tensors_view[name].index_select(0, part) for name in names] for part in parts]
 
 
 class Ppo(PPO):  # type: ignore[misc]
-    """skrl's agent, which learns from rollouts that others have made."""
+    """skrl's agent, which learns from given rollouts."""
 
     def __init__(self, actor: Actor, critic: Critic, settings: PpoSettings, *, agents: int) -> None:
         self.settings = settings
@@ -93,7 +92,7 @@ class Ppo(PPO):  # type: ignore[misc]
         self.enable_training_mode(True)
 
     def learn(self, rollout: Rollout, learning_rate: float, *, iteration: int) -> Losses:
-        """Improve both networks by one rollout, whose ``iteration``-th update this is."""
+        """Improve both networks by one rollout."""
         columns = {
             "observations": rollout.observation, "states": rollout.privileged, "actions": rollout.action,
             "log_prob": rollout.log_density[..., None], "values": rollout.value[..., None],
@@ -114,7 +113,7 @@ class Ppo(PPO):  # type: ignore[misc]
         return Losses(tracked["Loss / Policy loss"], tracked["Loss / Value loss"])
 
     def _rewards(self, rollout: Rollout) -> Tensor:
-        """Rewards (T, N); a time-out is no failure: it goes on with the value of the state that it cut off."""
+        """Rewards (T, N); a time-out adds the value of its state."""
         return self.settings.reward_scale * rollout.reward + self.settings.discount * rollout.final_value
 
 

@@ -1,7 +1,4 @@
-"""The recipes: ours, from the shelf's policy or from random weights, and the paper's literal one.
-
-They share every line of machinery.
-"""
+"""Training recipes: ours, from the generic policy or random weights, and the paper's."""
 
 from __future__ import annotations
 
@@ -21,74 +18,72 @@ class PpoSettings:
     """Settings of proximal policy optimisation (Schulman et al. 2017, arXiv:1707.06347)."""
 
     agents: int = 1024
-    """arms that act at the same time (chosen: with 512 and rollouts of twice the length policies are no better)"""
+    """arms at the same time; chosen"""
     rollout: int = 16
-    """control cycles between two updates"""
+    """control cycles between updates"""
     iterations: int = 150
     """updates"""
     epochs: int = 3
     mini_batches: int = 13
-    """in each epoch (chosen: as good as five epochs of eight in 120 updates, and less of the time is spent learning)"""
+    """per epoch; chosen"""
     learning_rate: float = 1e-3
     final_learning_rate: float = 1e-4
-    """reached linearly with the last iteration"""
+    """at the last iteration, linear"""
     clip: float = 0.2
     discount: float = 0.98
     gae_lambda: float = 0.95
     gradient_clip: float = 1.0
     value_weight: float = 1.0
     reward_scale: float = 0.1
-    """factor on the reward that brings returns, and with them the critic's gradients, to about one"""
+    """to scale returns to about one"""
     log_std: float = -0.7
-    """initial logarithm of the exploration noise"""
+    """initial log exploration noise"""
     log_std_ceiling: tuple[float, float] = (-0.4, -2.0)
-    """its upper bound at the start, and at ``ceiling_falls`` of the training: the policy that is deployed
-    has no noise, and must have settled without it"""
+    """its upper bound at the start, and at ``ceiling_falls`` of the training: deployment has no noise"""
     ceiling_falls: float = 0.8
     critic_first: int = 0
-    """updates, at first, in which the critic alone learns: one that knows nothing would spoil a good actor"""
+    """first updates of the critic alone: an untrained one would spoil a good actor"""
     actor_layers: tuple[int, ...] = (128, 64)
     critic_layers: tuple[int, ...] = (128, 64)
 
     @property
     def transitions(self) -> int:
-        """Control cycles of all agents in the whole training."""
+        """Control cycles of all agents."""
         return self.agents * self.rollout * self.iterations
 
 
 @dataclass(frozen=True, kw_only=True)
 class Preset:
-    """A complete recipe."""
+    """A recipe."""
 
     name: str
     ranges: Literal["identified", "paper", "paper-healthy"] = "identified"
-    """``identified``: the twin's covariance mixed with broad ranges; ``paper``: the paper's P and D of a worn arm;
-    ``paper-healthy``: its one pair of P and D of an arm without wear"""
+    """``identified``: the twin's covariance mixed with broad ranges; ``paper``: P and D of a worn arm;
+    ``paper-healthy``: P and D without wear"""
     joint_noise: float = float(np.radians(1.0))
-    """[rad] standard deviation of the paper's joint noise; used by the paper's ranges only"""
+    """[rad] sigma of the paper's joint noise, for its ranges only"""
     task: TaskSettings = field(default_factory=TaskSettings)
     ppo: PpoSettings = field(default_factory=PpoSettings)
     warm: PpoSettings | None = None
-    """instead of ``ppo`` where a training on a twin begins at the policy from the shelf; None: it never does"""
+    """instead of ``ppo`` for a training from the generic policy; None: never"""
 
 
 FADE = 0.0005
-"""[m] distance at which the steps of the law under our policy have faded to half (chosen: the feed-forward controller's
-own leaves too little to it, with none arms hunt at a control period of 50 ms)"""
+"""[m] distance at which the law's steps have faded to half; chosen: no arm hunts at a period of 50 ms"""
 
 LOAD_PENALTY = 3.0
-"""How far the law under our policy spares joints with weight (chosen: with it fewer holds settle above 1 mm)"""
+"""Penalty of loaded joints in the law; chosen"""
 
 ANYWHERE = 0.5
-"""Share of the targets of our trainings that are drawn in all the room that the arm reaches"""
+"""Share of targets drawn in the whole workspace"""
 
 WARM = PpoSettings(
     iterations=49,
     log_std=-1.0,  # with -1.5 and half the learning rate policies settle as near, and come no sooner than the shelf's
     critic_first=3,
 )
-"""Settings of a training that begins at the policy from the shelf (chosen on arms of family 1 and on that of `make
-repair`, see `python -m benchmarks.warmstart` and docs/research.md)"""
+"""Training from the generic policy; chosen on arms of family 1 and `make repair`, see `python -m benchmarks.warmstart`
+and docs/research.md"""
 
 SCRATCH = Preset(
     name="scratch",
@@ -97,7 +92,7 @@ SCRATCH = Preset(
         anywhere=ANYWHERE,
     ),
 )
-"""Always from random weights"""
+"""From random weights"""
 
 DEFAULT = replace(SCRATCH, name="default", warm=WARM)
 
@@ -141,7 +136,7 @@ PAPER = Preset(
         critic_layers=(64, 64, 64),
     ),
 )
-"""Park et al. 2024, section III-D and Table 3; what the paper leaves open is marked."""
+"""Park et al. 2024, section III-D and Table 3; comments mark what the paper leaves open"""
 
 PRESETS = {preset.name: preset for preset in (DEFAULT, SCRATCH, PAPER)}
 

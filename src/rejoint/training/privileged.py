@@ -1,7 +1,6 @@
-"""The privileged observation, which only the critic sees: the twin's own state and parameters, scaled to about one.
+"""The privileged observation of the critic: the twin's own state and parameters, scaled to about one.
 
-The critic is used in training alone, so it may know what no encoder shows; its better values make the
-policy's gradient less noisy (asymmetric actor-critic; Pinto et al. 2018, arXiv:1710.06542).
+It makes the policy's gradient less noisy (asymmetric actor-critic; Pinto et al. 2018, arXiv:1710.06542).
 """
 
 from __future__ import annotations
@@ -18,12 +17,12 @@ _FIXED_SCALARS = 4
 
 
 def privileged_size(joints: int) -> int:
-    """Length of the privileged observation of n joints."""
+    """Length of the privileged observation."""
     return _MOVING_SCALARS + 2 * joints + _FIXED_SCALARS + 6 * joints
 
 
 def privileged_constants(arm: Arm, draw: Draw) -> Observation:
-    """Privileged observation (m, size) of new arms; the part that moves is left at zero."""
+    """Privileged observation (m, size) of new arms; the varying part is zero."""
     base, twin = nominal_parameters(arm), draw.twin
     scalars = np.stack(
         [
@@ -49,10 +48,10 @@ def privileged_constants(arm: Arm, draw: Draw) -> Observation:
 def fill_privileged(
     privileged: Observation, distance: Array, speed: Array, velocity: Array, lag: Array, period: Array
 ) -> None:
-    """Fill in the part that changes each cycle.
+    """Fill in the varying part.
 
-    ``distance`` (N,) [m] of the TCP, its ``speed`` (N,) [m/s], joint ``velocity`` (N, n) [rad/s], ``lag`` (N, n)
-    [rad] of the joints behind the servo's reference, control ``period`` (N,) [s].
+    ``distance`` (N,) [m] of the TCP, its ``speed`` (N,) [m/s], joint ``velocity`` (N, n) [rad/s], ``lag`` (N, n) [rad]
+    behind the servo's reference, control ``period`` (N,) [s].
     """
     n = velocity.shape[1]
     privileged[:, 0] = 10.0 * distance

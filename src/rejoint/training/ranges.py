@@ -1,11 +1,7 @@
-"""Which twins a policy is trained on: draws of everything that differs from arm to arm.
+"""The twins that a policy is trained on: random draws of all differences between arms.
 
-`BroadRanges` is what one believes of a worn hobby arm without any data; `IdentifiedRanges` draws from
-the covariance of an identified twin. `MixedRanges` takes each episode from one or the other: where
-the data speak too surely (a twin is simpler than an arm), the broad half keeps the policy robust.
-
-The numbers of `BroadRanges` were measured in simulation: a policy trained on them alone kept its accuracy
-on arms it had not met. Breadth matters more than the centre.
+`BroadRanges` is the prior of a worn hobby arm, measured in simulation; `IdentifiedRanges` draws from an identified
+twin. `MixedRanges` takes each episode from one or the other, for robustness.
 """
 
 from __future__ import annotations
@@ -24,15 +20,14 @@ from rejoint.twin.twin import LEAST_SPREAD, Twin
 Interval = tuple[float, float]
 
 TWIN_SHARE = 0.5
-"""Fraction of the arms that are drawn around the identified twin (chosen: with 0.8 the policy is a little faster on
-the arm itself, with 0.5 a little steadier on one whose gears play inside the loop)."""
+"""Fraction of arms drawn around the identified twin; chosen: 0.8 is faster on the arm, 0.5 steadier with backlash"""
 
 SLOW_BACKLASH: Interval = (0.0, float(np.radians(1.8)))
-"""[rad] backlash of arms whose motors cross it slowly (chosen: new servos of this class show about a degree).
+"""[rad] of arms whose motors cross backlash slowly; chosen: new servos of this class show about a degree.
 
-A motor crosses backlash in its width times damping over spare torque: with the prior's damping within a control
-period or two, with that of an SO-101 in ten. There a policy that has never met it swings; elsewhere training with it
-cost accuracy where there was no backlash (chosen for that)."""
+The time to cross is width times damping over spare torque: a control period or two by the prior, ten with an SO-101. A
+policy without such training swings there; elsewhere the training costs accuracy.
+"""
 
 
 class Ranges(Protocol):
@@ -44,13 +39,13 @@ class Ranges(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class BroadRanges:
-    """Independent ranges around the prior of an arm. Intervals are factors on the prior's medians."""
+    """Independent ranges around the prior of an arm; intervals are factors on its medians."""
 
     arm: Arm
     stiffness: Interval = (3.0 / 7.0, 12.0 / 7.0)
-    """3 to 12 N m/rad near the base of a myCobot 280: 0.06 times the P of 50 to 200 of Park et al. 2024"""
+    """3 to 12 N m/rad near the base of a myCobot 280: 0.06 times P of Park et al. 2024"""
     joint_spread: Interval = (0.75, 1.25)
-    """factor of each joint's stiffness on its own"""
+    """of each joint's stiffness"""
     damping: Interval = (0.4, 2.4)
     """log-uniform; 0.1 to 0.6 N m s/rad"""
     damping_spread: Interval = (0.8, 1.2)
@@ -59,34 +54,34 @@ class BroadRanges:
     coulomb: Interval = (0.0, 0.25 / 0.08)
     """up to 0.25 N m"""
     frictionless: float = 0.2
-    """fraction of the arms without any dry friction (chosen: with half of them, settling on worn arms suffers)"""
+    """fraction of arms without dry friction; chosen"""
     stiction: Interval = (1.0, 2.2)
-    """friction at rest over friction in motion (chosen: lubricated gears up to dry plastic)"""
+    """static over kinetic friction; chosen: lubricated gears up to dry plastic"""
     torque_limit: Interval = (0.65 / 0.92, 1.3 / 0.92)
     """0.65 to 1.3 N m: some arms can barely lift themselves"""
     weak_joints: float = 0.08
-    """chance that a joint is nearly powerless: the others must then do its work (chosen: one in every second arm)"""
+    """probability of a nearly powerless joint; chosen"""
     weakness: Interval = (0.05, 0.5)
-    """factor on the torque limit of such a joint: from stuck to slow"""
+    """factor on its torque limit"""
     ramp_speed: Interval = (0.7, 1.31)
     """80 to 150 deg/s"""
     acceleration: float = np.inf
-    """[rad/s^2] of the servos' references; inf: their speed is limited instead"""
+    """[rad/s^2] of the servos' references; inf: limited speed instead"""
     offset: float = float(np.radians(0.5))
-    """[rad] standard deviation of the joint offsets"""
+    """[rad] sigma"""
     gravity_scale: Interval = (0.85, 1.15)
     command_delay: Interval = (0.005, 0.040)
     """[s]"""
     readback_delay: Interval = (0.005, 0.030)
     """[s]"""
     period: Interval = (0.018, 0.055)
-    """[s] what the wires of hobby arms allow, from an idle bus to 50 ms over TCP"""
+    """[s] from an idle bus to 50 ms over TCP"""
     backlash: Interval = (0.0, 0.0)
-    """[rad] of arms whose encoders sit behind the gears; see `SLOW_BACKLASH`"""
+    """[rad], with encoders behind the gears; see `SLOW_BACKLASH`"""
     backlash_free: float = 0.4
-    """fraction of the arms whose encoders sit before the gears, so that the servos see no backlash (chosen)"""
+    """fraction of arms with encoders before the gears; chosen"""
     grease: Interval = (0.02, 0.2)
-    """log-uniform; from a joint that coasts through a degree of backlash to one that hardly does (chosen)"""
+    """log-uniform; from a joint that coasts through a degree of backlash to one that does not; chosen"""
 
     def draw(self, rng: np.random.Generator, count: int) -> Draw:
         """Draw ``count`` arms."""
@@ -122,11 +117,9 @@ class BroadRanges:
         return {"backlash": rng.uniform(*self.backlash, joints) * seen, "grease": _log_uniform(rng, self.grease, whole)}
 
     def reaching(self, twin: Twin) -> BroadRanges:
-        """Shift the intervals of all torques until each holds the twin's geometric mean over the joints.
+        """Shift the intervals of all torques to hold the twin's geometric mean over the joints.
 
-        Arms of another make than the prior's, such as one with much more friction, lie far outside of it; a
-        broad half that has none like them would teach the policy to shake them. One with more damping than any of
-        the prior's gets `SLOW_BACKLASH`.
+        An arm with more damping than the prior gets `SLOW_BACKLASH`.
         """
         base = nominal_parameters(self.arm)
         moved: dict[str, Any] = {}
@@ -140,26 +133,23 @@ class BroadRanges:
         return replace(self, **moved)
 
     def weaken(self, rng: np.random.Generator, count: int) -> Array:
-        """Draw factors (count, n) on the torque limits that make some joints nearly powerless."""
+        """Draw factors (count, n) on the torque limits."""
         shape = (count, self.arm.joints)
         return np.where(rng.random(shape) < self.weak_joints, rng.uniform(*self.weakness, shape), 1.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class IdentifiedRanges:
-    """Draws from the correlated covariance of an identified twin.
+    """Draws from the covariance of an identified twin.
 
-    Its intervals hold the truth as often as they say (`python -m benchmarks truth`), so they are not widened.
-    Parameters that the data could not tell apart keep their prior range. Stiction is the twin's where logs have told
-    it; where it is assumed it is drawn broadly (chosen: an assumption is not knowledge). What a twin does not hold
-    (gravity, period, the way out's share of the delay) is drawn from ``broad``, and so are powerless joints: an
-    excitation that never needs a joint's full torque does not show them.
+    Its intervals are calibrated (`python -m benchmarks truth`), so they are not widened. An assumed stiction, and what
+    a twin does not hold (gravity, period, share of the delays, powerless joints), come from ``broad``.
     """
 
     broad: BroadRanges
     twin: Twin
     outward: Interval = (0.3, 0.7)
-    """share of the total delay that lies on the way out"""
+    """share of the command delay in the total"""
 
     def draw(self, rng: np.random.Generator, count: int) -> Draw:
         """Draw ``count`` arms."""
@@ -179,7 +169,7 @@ class IdentifiedRanges:
         )
 
     def _accelerations(self, rng: np.random.Generator, count: int) -> Array:
-        """Limits (count,) [rad/s^2] of the servos' references, spread as `Twin.sample` spreads what it knows."""
+        """Limits (count,) [rad/s^2] of the references, spread as in `Twin.sample`."""
         if self.twin.acceleration == np.inf:  # nothing is drawn: other numbers stay what they were
             return np.full(count, np.inf)
         return self.twin.acceleration * np.exp(LEAST_SPREAD * rng.standard_normal(count))
@@ -187,7 +177,7 @@ class IdentifiedRanges:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MixedRanges:
-    """Takes each arm from ``first`` with probability ``share``, otherwise from ``second``."""
+    """Takes each arm from ``first`` with probability ``share``, else from ``second``."""
 
     first: Ranges
     second: Ranges
@@ -210,37 +200,36 @@ class MixedRanges:
 
 
 HEALTHY_STIFFNESS, HEALTHY_DAMPING = 1e4, 1e3
-"""P and D with which an arm moves as one without wear; Park et al. 2024, section IV-C, first condition of Fig. 10."""
+"""P and D without wear; Park et al. 2024, section IV-C, first condition of Fig. 10"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PaperRanges:
     """The randomisation of Park et al. 2024, section III-D, rescaled to an arm of this weight.
 
-    Their P and D are units of a physics engine: P = 50..200 read as N m/rad leaves nothing to learn
-    on a 0.85 kg arm. With 0.06 P N m/rad and 0.012 D N m s/rad their Fig. 10 holds (measured).
+    P = 50..200 N m/rad would leave nothing to learn on a 0.85 kg arm. With 0.06 P N m/rad and 0.012 D N m s/rad their
+    Fig. 10 holds (measured).
     """
 
     arm: Arm
     stiffness: Interval = (50.0, 200.0)
     """P of the paper"""
     damping_divisor: Interval = (10.0, 50.0)
-    """D lies between P/50 and P/10"""
+    """D between P/50 and P/10"""
     stiffness_unit: float = 0.06
-    """[N m/rad] of one unit of P on a myCobot 280; goes with the load of the arm, as the other torques"""
+    """[N m/rad] per unit of P on a myCobot 280; goes with the load"""
     damping_unit: float = 0.012
-    """[N m s/rad] of one unit of D"""
+    """[N m s/rad] per unit of D"""
     armature: float = 0.02
     """[kg m^2]"""
     joint_noise: float = float(np.radians(1.0))
-    """[rad] standard deviation of equation 19, drawn once per episode. The paper's 5 degrees exceed what the
-    action can correct together with the sag, and cannot be learned (measured)"""
+    """[rad] sigma of equation 19, once per episode; the paper's 5 degrees cannot be learned (measured)"""
     frequency: Interval = (30.0, 60.0)
-    """[Hz] control frequency"""
+    """[Hz]"""
 
     @classmethod
     def healthy(cls, arm: Arm, joint_noise: float) -> PaperRanges:
-        """Make the ranges of the same task without wear: one pair of P and D, that of a normal arm."""
+        """Make the ranges of the task without wear: one pair of P and D."""
         one, ratio = (HEALTHY_STIFFNESS, HEALTHY_STIFFNESS), HEALTHY_STIFFNESS / HEALTHY_DAMPING
         return cls(arm=arm, stiffness=one, damping_divisor=(ratio, ratio), joint_noise=joint_noise)
 
@@ -253,7 +242,7 @@ class PaperRanges:
         return replace(Draw.of(twin), period=1.0 / rng.uniform(*self.frequency, count))
 
     def twins(self, p: Array, d: Array) -> TwinParameters:
-        """Return twins with the paper's P and D (count, 1): PD servos of ample torque, without friction or delay."""
+        """Twins with the paper's P and D (count, 1), ample torque, no friction or delay."""
         count, joints = len(p), (len(p), self.arm.joints)
         base, load, length = nominal_parameters(self.arm), torque_size(self.arm), length_size(self.arm)
         none, lots = np.zeros(joints), np.full(joints, 100.0)
@@ -270,7 +259,7 @@ class PaperRanges:
 
 
 def identified_ranges(arm: Arm, twin: Twin) -> MixedRanges:
-    """Mix draws around an identified twin with the broad ranges; `TWIN_SHARE` of the arms come from the twin."""
+    """Mix draws around an identified twin with the broad ranges."""
     broad = BroadRanges(arm=arm).reaching(twin)
     return MixedRanges(first=IdentifiedRanges(broad=broad, twin=twin), second=broad, share=TWIN_SHARE)
 

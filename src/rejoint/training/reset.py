@@ -1,4 +1,4 @@
-"""Reset states: the arms that take the places of others in training, and how they stand at first."""
+"""Initial states of new arms in training."""
 
 from __future__ import annotations
 
@@ -18,22 +18,21 @@ class ResetStates(NamedTuple):
 
     draw: Draw
     position: Array
-    """(m, n) [rad] where they stand"""
+    """(m, n) [rad]"""
     command: Array
-    """(m, n) [rad] what they have been commanded"""
+    """(m, n) [rad]"""
 
     def rows(self, index: NDArray[np.integer]) -> ResetStates:
-        """Return some of them."""
+        """Return some rows."""
         return ResetStates(self.draw.rows(index), self.position[index], self.command[index])
 
 
 def draw_reset_states(
     ranges: Ranges, limits: GuardLimits, rng: np.random.Generator, count: int, *, spread: float, lead_limit: float
 ) -> ResetStates:
-    """Draw ``count`` arms around their rest with a standard deviation of ``spread`` [rad].
+    """Draw ``count`` arms around rest with sigma ``spread`` [rad].
 
-    The first command leads each by a part of its sag, as after an earlier motion, but by no more than
-    ``lead_limit`` [rad]; with 0 it stands at its command.
+    The first command leads by part of the sag, at most ``lead_limit`` [rad].
     """
     draw = ranges.draw(rng, count)
     position = _start_postures(limits, rng, count, spread)
@@ -41,7 +40,7 @@ def draw_reset_states(
 
 
 def _start_postures(limits: GuardLimits, rng: np.random.Generator, count: int, spread: float) -> Array:
-    """Postures (m, n) [rad] around rest, inside the guard's limits and above the floor."""
+    """Postures (m, n) [rad] inside the guard's limits and above the floor."""
     arm = limits.arm
     position = arm.rest + rng.normal(0.0, spread, (count, arm.joints))
     position = np.clip(position, limits.lower, limits.upper)
@@ -50,7 +49,7 @@ def _start_postures(limits: GuardLimits, rng: np.random.Generator, count: int, s
 
 
 def _start_lead(arm: Arm, rng: np.random.Generator, draw: Draw, position: Array, limit: float) -> Array:
-    """Lead (m, n) [rad] of the first command: none up to all of what holds the arm in place."""
+    """Lead (m, n) [rad] of the first command: none up to the whole sag."""
     if limit == 0.0:
         return np.zeros_like(position)
     torque = draw.gravity_scale[:, None] * gravity_torque(arm, position)

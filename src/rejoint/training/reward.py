@@ -1,4 +1,4 @@
-"""What the policy is paid for. Distances in metres, speeds in m/s and rad/s, angles in radians."""
+"""Rewards, from distances in m, speeds in m/s and rad/s, angles in rad."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ from rejoint.arms import Array
 
 
 def residual_reward(distance: Array, speed: Array, action: Array) -> Array:
-    """Reward (N,) that keeps paying for accuracy down to a tenth of a millimetre.
+    """Reward (N,) that rises with accuracy down to a tenth of a millimetre.
 
-    Three exponentials of different width give a slope at every distance (N,) [m]; the speed (N,) of the TCP
-    costs only near the target, the action (N, n) a little everywhere. Chosen by simulation: with speed at 0.5
-    instead of 0.2, policies take a twentieth longer to come and stay within 2 mm.
+    Three exponentials give a slope at every ``distance`` (N,) [m]; the TCP's ``speed`` (N,) costs only near the target,
+    the ``action`` (N, n) everywhere. Chosen by simulation.
     """
     attraction = 0.4 * np.exp(-distance / 0.010) + 0.5 * np.exp(-distance / 0.003) + 0.4 * np.exp(-distance / 0.001)
     haste = 0.2 * np.minimum(speed, 1.0) * np.exp(-distance / 0.020)
@@ -30,8 +29,8 @@ def paper_reward(
 ) -> Array:
     """Equation 25 of Park et al. 2024 for ``distance`` (N,) [m] and ``joint_speed`` (N, n) [rad/s].
 
-    Weights .1, .1, -5, 10, 10; the distance counts in centimetres and the joint speed as its mean (the
-    paper leaves both open), and the weight of the time-out is read as a penalty, as its text says.
+    Weights .1, .1, -5, 10, 10. Our choice: centimetres, the mean joint speed; the time-out is a penalty, as the text
+    says.
     """
     travel = -0.1 * 100.0 * distance - 0.1 * np.abs(joint_speed).mean(axis=-1)
     return travel - 5.0 * timed_out - 10.0 * collided + 10.0 * reached

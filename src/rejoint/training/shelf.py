@@ -1,11 +1,10 @@
-"""How the policies from the shelf are made: one for any worn arm of a build of the catalogue, without a twin.
+"""Training of the generic policies: one for any worn arm of a catalogue build, without a twin.
 
     python -m rejoint.training mycobot280
     python -m rejoint.training so101
 
-write `rejoint.control.catalogue.shelf_path` again. The recipe is the default preset on broad ranges, first on targets
-in the target region, where it learns sooner, then on targets anywhere. On another kind of processor the same seed gives
-another policy, so the files are not compared by their digests but by what they do: `python -m benchmarks shelf`.
+write `rejoint.control.catalogue.shelf_path` again: the default preset on broad ranges, first with targets in the target
+region, then anywhere. Other processors give other files from the same seed; compare by `python -m benchmarks shelf`.
 """
 
 from __future__ import annotations
@@ -23,30 +22,29 @@ from rejoint.training.train import DECAY_START, TrainingOptions, TrainingResult,
 from rejoint.training.warmstart import begin_at
 
 SO101_STIFFNESS = (12.0, 12.0, 12.0, 10.8, 10.8)
-"""[N m/rad] that the law under its policy believes (chosen: between worn servos and those of `_so101_ranges`; with 18
-it settles as near at P = 32 and a quarter farther at P = 16)"""
+"""[N m/rad] of the law under the policy; chosen between worn servos and those of `_so101_ranges`"""
 
 
 ANYWHERE_TOO = PpoSettings(iterations=450, log_std=-1.0, critic_first=6)
-"""Settings of the second part (chosen)"""
+"""Settings of the second part; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe:
-    """What one of them is trained with."""
+    """Training of one generic policy."""
 
     seed: int = 0
-    """chosen: the first; no other was tried"""
+    """chosen: no other was tried"""
     preset: Preset = DEFAULT
     ranges: Callable[[Arm], Ranges] = lambda arm: BroadRanges(arm=arm)
 
 
 def _so101_ranges(arm: Arm) -> Ranges:
-    """Half of them worn, half SO-101 as they are found, in factors on the medians of a worn arm of this weight.
+    """Half worn, half as-found SO-101, in factors on the medians of a worn arm of this weight.
 
-    An STS3215 has 0.163 P N m/rad for each N m of its stall torque, and benches give that as 2.9 to 6 N m: 7.7 N m/rad
-    and more with LeRobot's P = 16, up to 31 with the 32 as sold. A real SO-101 had a viscous friction of 0.8 to 1.6
-    N m s/rad and a dry one of 0.25 to 0.82 N m (the wear profile ``so101``).
+    An STS3215 has 0.163 P N m/rad per N m of its stall torque (benches: 2.9 to 6 N m): 7.7 N m/rad and more with
+    LeRobot's P = 16, up to 31 with the 32 as sold. A real SO-101 had viscous friction of 0.8 to 1.6 N m s/rad and dry
+    friction of 0.25 to 0.82 N m (the wear profile ``so101``).
     """
     worn = BroadRanges(arm=arm, acceleration=arm.servo_acceleration)
     found = replace(
@@ -65,7 +63,7 @@ RECIPES = {"mycobot280": Recipe(), "so101": Recipe(preset=_so101_preset(), range
 
 
 def make_shelf_policy(name: str, file: Path) -> TrainingResult:
-    """Train the policy for the arm of the catalogue that is called ``name``, and put it into ``file``."""
+    """Train the policy for the catalogue arm ``name``, and write ``file``."""
     arm, recipe = load_arm(name), RECIPES[name]
     with tempfile.TemporaryDirectory(prefix="rejoint-shelf-") as folder:
         near = replace(recipe.preset, task=replace(recipe.preset.task, anywhere=0.0))

@@ -1,14 +1,11 @@
-"""The task a policy learns: bring the tool to a target and hold it there, on arms drawn at random.
+"""The learning task: bring the tool to a target and hold it there, on randomly drawn arms.
 
-N agents run in lockstep: each control cycle is a fixed number of physics steps, whose length differs
-from agent to agent and from cycle to cycle, so that every agent has its own control period and all
-of them still advance in one call. Observation, command law and guard are those of deployment, but for the guard's
-limits of acceleration and of contacts: the first would hold back what a policy tries while it learns, and has no
-measurable effect on what it has learned (docs/benchmarks.md); the second costs time, and nothing touches anything here.
+N agents run in lockstep: a control cycle is a fixed number of physics steps, whose length varies by agent and cycle.
+Observation, command law and guard are those of deployment, without the guard's limits of acceleration (no measurable
+effect on the policy, docs/benchmarks.md) and contacts.
 
-A target is held for a fixed number of cycles. Its end is a time-out, not a failure: the return is
-bootstrapped from the state before the next target appears. So it is after a collision, where the task
-knows of any: with nothing more to lose, a policy would crash on purpose to end a bad episode.
+A target ends by time-out, not failure: the return is bootstrapped from the last state. So it is after a collision; else
+a policy would crash on purpose to end a bad episode.
 """
 
 from __future__ import annotations
@@ -36,62 +33,60 @@ from rejoint.twin.simulation import Simulation
 
 @dataclass(frozen=True, kw_only=True)
 class TaskSettings:
-    """What distinguishes one task from another."""
+    """Settings of a task."""
 
     layout: Layout = "residual"
     law: CommandLaw = field(default_factory=CommandLaw)
     reward: Literal["residual", "equation-25"] = "residual"
     posture_weight: float = 0.2
-    """[1/rad^2] cost of the way back to the rest posture in the null space, in the residual reward (chosen: a
-    policy that does not pay for it wanders to the joint limits in a few dozen targets)"""
+    """[1/rad^2] cost of the null-space distance from rest; chosen: without it the policy drifts to the joint limits"""
     anywhere: float = 0.0
-    """share of the targets that are drawn in all the room that the arm reaches, with a way there; the others are drawn
-    in its target region, and in force at once"""
+    """share of targets in the whole workspace, with a trajectory there; others are in the target region, and
+    immediate"""
     hold_steps: int = 120
     """control cycles per target"""
     targets: int = 6
-    """targets in a row before the arm is exchanged for another"""
+    """targets per arm"""
     min_period: float = 0.018
     """[s]"""
     max_period: float = 0.055
     """[s]"""
     jitter: float = 0.2
-    """relative half-width of each agent's control periods around their middle"""
+    """relative half-width of each agent's control periods"""
     start_spread: float = float(np.radians(12.0))
-    """[rad] standard deviation of the start posture around the arm's rest"""
+    """[rad] sigma around rest"""
     start_sag: bool = True
-    """whether the first command leads the arm by a part of its sag, as after an earlier motion"""
+    """whether the first command leads by part of the sag"""
     ends_on_success: bool = False
-    """whether reaching 5 mm ends the episode (the paper) or is to be held (ours)"""
+    """whether reaching 5 mm ends the episode (the paper)"""
     collisions: bool = False
-    """whether touching the ground or itself ends the target and exchanges the arm (the paper); else not looked at, for
-    the simulation has no contacts and an arm near its targets touches nothing"""
+    """whether a collision ends the target and exchanges the arm (the paper); else ignored"""
 
 
 class Transition(NamedTuple):
     """One control cycle of N agents."""
 
     observation: Observation
-    """(N, size) what the next decision is made on"""
+    """(N, size) for the next decision"""
     privileged: Observation
-    """(N, p) what only the critic sees"""
+    """(N, p) for the critic"""
     final_observation: Observation
-    """(N, size) the end of this cycle; differs from ``observation`` where a target or episode ended"""
+    """(N, size) at the end of this cycle, before new targets"""
     final_privileged: Observation
     reward: Array
     """(N,)"""
     terminated: Mask
-    """(N,) success where that ends the episode"""
+    """(N,) success, where it ends the episode"""
     truncated: Mask
     """(N,) time-outs and collisions"""
     collided: Mask
-    """(N,) whether the arm has come to touch the ground or itself"""
+    """(N,) with the ground or itself"""
     distance: Array
-    """(N,) [m] between true TCP of the twin and target at the end of this cycle"""
+    """(N,) [m] of the twin's true TCP to the target"""
 
 
 class ReachTask:
-    """N arms that are given targets; every array has the leading axis of the agents."""
+    """N arms with targets; arrays have a leading axis of agents."""
 
     def __init__(
         self, arm: Arm, ranges: Ranges, agents: int, settings: TaskSettings, *, seed: int, threads: int = 1,
@@ -115,7 +110,7 @@ class ReachTask:
         self._constants = np.zeros((agents, privileged_size(n)), dtype=np.float32)
 
     def reset(self, *, staggered: bool = True) -> tuple[Observation, Observation]:
-        """Begin everywhere, ``staggered`` each agent at another point of its episode; returns both observations."""
+        """Restart all agents, ``staggered`` at different points of their episodes; returns both observations."""
         everyone = np.ones(self.agents, dtype=bool)
         self._new_arms(everyone)
         self._new_targets(everyone)
@@ -126,11 +121,9 @@ class ReachTask:
         return self.observer.observe(self._inputs()), self._privileged(distance, np.zeros(self.agents))
 
     def prepare(self, cycles: int) -> None:
-        """Draw the targets and arms of all agents whose targets time out within so many cycles.
+        """Draw new targets and arms for all agents that time out within so many cycles.
 
-        `step` does it for an agent when its target ends; together it costs less, since inverse kinematics of seventy
-        arms take three times as long as those of four (measured). They are searched from the commands of now, which is
-        about where an arm is when its target ends as well.
+        One batch is faster than the draws in `step`.
         """
         if self.settings.ends_on_success or self.settings.collisions:
             return  # when is not known
@@ -170,12 +163,12 @@ class ReachTask:
         return Transition(observation, privileged, final, final_privileged, reward, reached, cut, collided, distance)
 
     def state(self) -> dict[str, Any]:
-        """Everything that a checkpoint must keep; copies."""
+        """Return copies for a checkpoint."""
         arrays = {name: value.copy() for name, value in self._arrays().items()}
         return {"random": self._rng.bit_generator.state, **arrays}
 
     def load_state(self, state: dict[str, Any]) -> None:
-        """Continue from what `state` returned, bit for bit, if nothing was prepared then that was not used up."""
+        """Continue from `state`, bit for bit, if no prepared targets were left."""
         self._foreseen[:] = False
         self._rng.bit_generator.state = state["random"]
         for name, value in self._arrays().items():
@@ -199,7 +192,6 @@ class ReachTask:
         return ControlInput(state=state, target=target, goal=goal, sent=self._sent, since_target=since)
 
     def _setpoint(self) -> Setpoint:
-        """Goals and targets in force: on a way they move, every joint at the same share of its speed."""
         moving = self._since < self._travel
         if not moving.any():
             return Setpoint(self._goal, self._aim, self._since - self._travel)
@@ -210,7 +202,6 @@ class ReachTask:
         return Setpoint(goal, target, np.maximum(self._since - self._travel, 0.0))
 
     def _command(self, action: Array) -> None:
-        """Decide and send, as `PolicyController` and the control loop do."""
         inputs, observer = self._inputs(), self.observer
         observer.acted(action)
         wanted = self.commander.command(inputs, observer.view, action)
@@ -218,7 +209,6 @@ class ReachTask:
         self.simulation.send(self._sent)
 
     def _advance(self) -> None:
-        """Let one control period pass."""
         s = self.settings
         spread = self._rng.uniform(1.0 - s.jitter, 1.0 + s.jitter, self.agents)
         self._period = np.clip(self._middle * spread, s.min_period, s.max_period)
@@ -233,7 +223,6 @@ class ReachTask:
     def _renew(
         self, ended: Mask, collided: Mask, final: Observation, final_privileged: Observation
     ) -> tuple[Observation, Observation]:
-        """Give new targets where a target has ended, and new arms after the last one or a collision."""
         if not ended.any():
             return final, final_privileged
         self._count[ended] += 1
@@ -262,7 +251,7 @@ class ReachTask:
         self.commander.reset(self._inputs(), where)
 
     def _draw_targets(self, where: Mask, start: Array) -> None:
-        """Draw the next targets of the arms in ``where`` (N,): postures anywhere, or near ``start`` (N, n) places."""
+        """Draw the next targets of the arms in ``where`` (N,): anywhere, or in the region near ``start`` (N, n)."""
         count = int(where.sum())
         place = self.arm.targets.sample(self._rng, (count,))
         goal = solve_position(self.arm, place, start[where]).q
@@ -274,7 +263,6 @@ class ReachTask:
         self._next_aim[where], self._next_goal[where] = place, goal
 
     def _new_arms(self, where: Mask) -> None:
-        """Exchange arms for others, standing at a posture near rest."""
         foreseen, unforeseen = where & self._foreseen, where & ~self._foreseen
         if foreseen.any() and self._prepared is not None:
             self._place(foreseen, self._prepared.rows(self._prepared_row[foreseen]))
@@ -289,7 +277,6 @@ class ReachTask:
         )
 
     def _place(self, where: Mask, states: ResetStates) -> None:
-        """Put arms in their reset ``states`` (m,) in the places of the arms in ``where`` (N,)."""
         draw, position, command = states
         self.simulation.place(draw, position, command, where)
         self._sent[where] = command
@@ -301,7 +288,7 @@ class ReachTask:
         self.commander.reset_learned(self._inputs(), where)
 
     def _privileged(self, distance: Array, speed: Array, rows: Rows = ALL) -> Observation:
-        """Return what only the critic sees (N, p) of all agents, or of some ``rows`` only."""
+        """Privileged observation (N, p), or some ``rows`` of it."""
         privileged = self._constants[rows].copy()
         twins = self.simulation.twins
         lag = self.simulation.reference.position[rows] - twins.qpos[rows]

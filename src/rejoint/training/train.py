@@ -1,4 +1,4 @@
-"""Train a policy for an arm: from a twin to ``policy.onnx`` and its curves."""
+"""Train a policy for an arm: ``policy.onnx`` and its curves."""
 
 from __future__ import annotations
 
@@ -32,40 +32,40 @@ from rejoint.twin.parameters import nominal_parameters
 from rejoint.twin.twin import Twin
 
 WORKERS = 2
-"""Rollout workers that share the agents, whatever the number of threads: what they do does not depend on it."""
+"""Rollout workers; independent of the number of threads"""
 
 DECAY_START = 0.7
-"""[s] of the law where motors cross backlash slowly (chosen: within it such a joint comes near and swings once)"""
+"""[s] of the law where motors cross backlash slowly; chosen: such a joint swings once"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingOptions:
-    """How to train, apart from the recipe."""
+    """Options of a training beside the recipe."""
 
     preset: str | Preset = "default"
     seed: int = 0
     agents: int | None = None
-    """the preset's own number by default"""
+    """default: the preset's"""
     threads: int = 2
-    """of the simulation; the policy does not depend on it"""
+    """of the simulation; no effect on the policy"""
     iterations: int | None = None
-    """updates; the preset's own number by default"""
+    """updates; default: the preset's"""
     checkpoint_every: int = 10
-    """updates between two checkpoints"""
+    """updates"""
     snapshot_every: int | None = None
-    """updates between two policies that are kept beside the last one, the untrained one first; None: none"""
+    """updates between kept policies, the untrained one first; None: none"""
     resume: bool = False
-    """continue from a checkpoint in ``out`` if there is one of this very training"""
+    """continue from this training's checkpoint in ``out``, if any"""
     servo_gains: dict[str, tuple[int, ...]] | None = None
-    """of the servos that the twin was identified on, for the contract"""
+    """of the identified servos, for the contract"""
     ranges: Ranges | None = None
-    """which arms to train on where there is no twin; by default those of the preset"""
+    """arms to train on without a twin; default: the preset's"""
     start: WarmStart | None = None
-    """network to begin with; by default that of the generic policy where there is a twin, else random weights"""
+    """default: the generic policy with a twin, else random weights"""
 
     @property
     def recipe(self) -> Preset:
-        """The preset with the numbers of agents and iterations asked for."""
+        """The preset with these numbers of agents and iterations."""
         preset = self.preset if isinstance(self.preset, Preset) else load_preset(self.preset)
         warm = None if preset.warm is None else self._sized(preset.warm)
         return replace(preset, ppo=self._sized(preset.ppo), warm=warm)
@@ -78,7 +78,7 @@ class TrainingOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingResult:
-    """What a training left behind."""
+    """Result of a training."""
 
     policy: Path
     curves: Path
@@ -88,15 +88,15 @@ class TrainingResult:
     steps: int
     """transitions"""
     success_rate: float
-    """in training, with exploration noise, at the end"""
+    """at the end, with exploration noise"""
     error_mm: float
-    """the same: median distance at the end of a target"""
+    """the same: median at the end of a target"""
     reward: float
     wall_s: float
 
 
 Trainer = Callable[[Arm, Twin | None, Path, Progress], TrainingResult]
-"""Trains a policy for an arm on its twin and leaves `rejoint.logs.runfolder.folder.Outputs` in a folder."""
+"""Trains a policy and writes `rejoint.logs.runfolder.folder.Outputs` into a folder"""
 
 
 def train(
@@ -109,8 +109,8 @@ def train(
 ) -> TrainingResult:
     """Train a policy and write ``policy.onnx`` and the folder ``training`` into ``out``.
 
-    Without a ``twin`` the policy is trained on the broad ranges alone. An interrupted training leaves a
-    checkpoint and no policy; with `TrainingOptions.resume` it goes on from there to the same end.
+    Without a ``twin`` it uses the broad ranges alone. An interrupted training leaves a checkpoint;
+    `TrainingOptions.resume` continues it to the same end.
     """
     options = TrainingOptions() if options is None else options
     recipe, files = know_stiffness(options.recipe, arm, twin), Outputs(out)
@@ -139,10 +139,6 @@ def train(
 
 
 def _resumed(learner: Learner, checkpoint: Path, identity: dict[str, Any]) -> bool:
-    """Continue from a checkpoint; False where there is none, or one of another training, which may be wanted again.
-
-    So it is with a damaged one: to begin again takes a minute or a few and comes to the same end.
-    """
     if not checkpoint.exists():
         return True
     try:
@@ -155,7 +151,7 @@ def _resumed(learner: Learner, checkpoint: Path, identity: dict[str, Any]) -> bo
 
 
 def training_ranges(arm: Arm, twin: Twin | None, preset: Preset) -> Ranges:
-    """Which arms a preset trains on."""
+    """Arms that a preset trains on."""
     if preset.ranges == "paper":
         return PaperRanges(arm=arm, joint_noise=preset.joint_noise)
     if preset.ranges == "paper-healthy":
@@ -166,7 +162,7 @@ def training_ranges(arm: Arm, twin: Twin | None, preset: Preset) -> Ranges:
 
 
 def write_curves(path: Path, curve: Sequence[CurvePoint]) -> None:
-    """Write training curves as Parquet, one column per field of `CurvePoint`."""
+    """Write training curves as Parquet."""
     table = pa.table({f.name: [getattr(point, f.name) for point in curve] for f in fields(CurvePoint)})
     write_whole(path, lambda temporary: pq.write_table(table, temporary, write_page_checksum=True))
 
@@ -174,7 +170,7 @@ def write_curves(path: Path, curve: Sequence[CurvePoint]) -> None:
 def make_learner(
     arm: Arm, twin: Twin | None, recipe: Preset, options: TrainingOptions, start: WarmStart | None = None
 ) -> Learner:
-    """Set up what a training works on, at its beginning."""
+    """Set up the learner."""
     ranges, workers = options.ranges or training_ranges(arm, twin, recipe), min(WORKERS, recipe.ppo.agents)
     sizes = [len(part) for part in np.array_split(np.arange(recipe.ppo.agents), workers)]
     tasks = [
@@ -192,9 +188,9 @@ def make_learner(
 
 
 def know_stiffness(recipe: Preset, arm: Arm, twin: Twin | None) -> Preset:
-    """Tell a law that raises its goals against gravity how soft the servos are: as the twin has it, else the prior.
+    """Set the servos' stiffness in a law with gravity compensation: the twin's, else the prior's.
 
-    Where backlash may make joints swing, the law also lets the gains of unloaded joints decay.
+    With possible backlash, the gains of unloaded joints also decay.
     """
     law = recipe.task.law
     if law.anchor != "goal" or law.stiffness:
@@ -207,7 +203,6 @@ def know_stiffness(recipe: Preset, arm: Arm, twin: Twin | None) -> Preset:
 
 
 def _identity(arm: Arm, twin: Twin | None, recipe: Preset, seed: int, start: WarmStart | None) -> dict[str, Any]:
-    """Name what a checkpoint must agree in to be continued."""
     return {
         "arm": arm_digest(arm),
         "twin": "" if twin is None else twin.digest(),
@@ -219,7 +214,7 @@ def _identity(arm: Arm, twin: Twin | None, recipe: Preset, seed: int, start: War
 
 
 def policy_contract(arm: Arm, twin: Twin | None, recipe: Preset, seed: int, name: str | None = None) -> PolicyContract:
-    """Write down what a policy was trained for; ``name`` of the recipe where it is not the preset's."""
+    """Make the contract of a policy; ``name`` of the recipe if not the preset's."""
     return PolicyContract(
         arm=arm.name,
         arm_digests=law_digests(arm),
@@ -241,7 +236,6 @@ def policy_contract(arm: Arm, twin: Twin | None, recipe: Preset, seed: int, name
 
 @contextmanager
 def _tensorboard(folder: Path) -> Iterator[SummaryWriter]:
-    """Open TensorBoard's file of curves; its errors name no file."""
     try:
         writer = SummaryWriter(str(folder))
         try:
@@ -259,7 +253,7 @@ def _write_scalars(writer: SummaryWriter, point: CurvePoint) -> None:
 
 
 def describe(point: CurvePoint) -> str:
-    """Say in a few words how a training stands."""
+    """Describe the state of a training."""
     return f"success {100 * point.success_rate:.0f} %, error {point.error_mm:.2f} mm, reward {point.reward:.2f}"
 
 

@@ -1,8 +1,4 @@
-"""Where a training on a twin begins: at the policy that the shelf has for this build, or at random weights.
-
-The shelf's policy knows worn arms in general; what is left to learn is this one. Only its actor is taken over: a critic
-sees what no file of a policy holds, and learns that again.
-"""
+"""Initial weights of a training on a twin: the actor of the build's generic policy, or random."""
 
 from __future__ import annotations
 
@@ -23,23 +19,22 @@ from rejoint.system.files import digest
 from rejoint.training.presets import Preset
 
 Weights = tuple[NDArray[np.float32], ...]
-"""Of a perceptron: of each layer first its matrix, then what it adds"""
+"""Matrix, then bias, of each layer"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WarmStart:
-    """A network to begin with."""
+    """Initial weights."""
 
     weights: Weights
     digest: str
-    """of the file that it is from"""
+    """of the source file"""
 
 
 def shelf_start(arm: Arm, recipe: Preset) -> WarmStart | None:
-    """Return the network that the shelf has for trainings of ``arm`` by this ``recipe``; None where none suits.
+    """Return the generic network for trainings of ``arm`` by this ``recipe``; None where none suits.
 
-    It suits where it was trained for the same arm, observation and control periods, and for the same law but for what
-    that law believes of the single arm: its stiffness, and whether its motors cross backlash slowly.
+    Arm, observation and control periods must agree, and the law but for stiffness and slow backlash.
     """
     if recipe.warm is None:
         return None
@@ -56,19 +51,19 @@ def shelf_start(arm: Arm, recipe: Preset) -> WarmStart | None:
 
 
 def begin_at(content: bytes) -> WarmStart:
-    """Return the network in the ``content`` of a policy file that `Policy.load` has judged."""
+    """Network of a policy file's ``content``, checked by `Policy.load`."""
     return WarmStart(weights=network_weights(content), digest=digest(content).decode())
 
 
 def network_weights(content: bytes) -> Weights:
-    """Read the weights out of the ``content`` of a policy file that `Policy.load` has judged: a chain of layers."""
+    """Read the weights of a policy file's ``content``, checked by `Policy.load`."""
     graph = onnx.load_from_string(content).graph
     known = {weight.name: numpy_helper.to_array(weight) for weight in graph.initializer}
     return tuple(known[name] for node in graph.node if node.op_type == "Gemm" for name in node.input[1:])
 
 
 def take_over(network: nn.Sequential, start: WarmStart) -> None:
-    """Give a perceptron the weights to begin with."""
+    """Copy the weights into a perceptron."""
     with torch.no_grad():
         for parameter, values in zip(network.parameters(), start.weights, strict=True):
             parameter.copy_(torch.from_numpy(values.copy()))

@@ -1,7 +1,6 @@
-"""A rollout worker: some of the agents, which act by themselves for a whole rollout.
+"""A rollout worker: some of the agents, which act alone for a whole rollout.
 
-The agents of a training are split into workers, so that the observations of one are computed while another one is being
-simulated. Each has its own random numbers: what they do does not depend on when they do it.
+One worker's networks run while another simulates. Each has its own random numbers.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from rejoint.training.task import ReachTask, Transition
 
 
 class RolloutWorker:
-    """The agents of one task, with their exploration noise and where they stand."""
+    """The agents of one task with their exploration noise."""
 
     def __init__(self, task: ReachTask, *, seed: int) -> None:
         self.task = task
@@ -55,14 +54,14 @@ class RolloutWorker:
         )
 
     def state(self) -> dict[str, Any]:
-        """Everything that a checkpoint must keep."""
+        """State for a checkpoint."""
         return {
             "exploration": self._exploration.get_state(), "observation": self._observation,
             "privileged": self._privileged, "task": self.task.state(),
         }  # fmt: skip
 
     def load_state(self, state: dict[str, Any]) -> None:
-        """Continue from what `state` returned, bit for bit."""
+        """Continue from `state`, bit for bit."""
         self._exploration.set_state(state["exploration"])
         self._observation, self._privileged = state["observation"], state["privileged"]
         self.task.load_state(state["task"])
@@ -73,7 +72,7 @@ def _stack(transitions: list[Transition], name: str) -> Tensor:
 
 
 def _final_values(critic: Critic, transitions: list[Transition]) -> Tensor:
-    """Values (T, N) of the states that a time-out cut off."""
+    """Values (T, N) of time-out states."""
     late = _stack(transitions, "truncated")
     ends = [[torch.from_numpy(array[t.truncated]) for array in (t.final_observation, t.final_privileged)]
             for t in transitions]  # fmt: skip

@@ -1,1 +1,1 @@
-"""The fitted model of an arm: parameters, MuJoCo model, batch and identification."""
+"""The fitted model of an arm."""

@@ -1,11 +1,9 @@
-"""Backlash inside the servo loop: motors and joints that are not always in touch.
+"""Backlash inside the servo loop: motors and joints that are not always in contact.
 
-A joint without weight rests anywhere between the flanks; to turn it back the motor first crosses the backlash, and a
-policy that never met that swings about the target (most of the settled error on an arm with a degree of it, measured).
-The twin of identification has none, since logs do not tell it from friction; in training it is drawn.
+An unloaded joint rests anywhere between the flanks; to turn it back the motor first crosses the backlash. Logs do not
+separate it from friction: only training draws it.
 
-Motor and joint are one body while the motor pushes, else two, which exchange momentum where they meet (Nordin and
-Gutman 2002 review such models).
+Out of contact, motor and joint are two bodies, which exchange momentum when they meet (review: Nordin and Gutman 2002).
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
@@ -28,10 +26,10 @@ if TYPE_CHECKING:
     from rejoint.twin.simulation import Twins
 
 RESTITUTION = 0.5
-"""Part of the closing speed with which motor and joint part when they meet (chosen: steel teeth, some grease)"""
+"""Of motor and joint; chosen: greased steel"""
 
 SOFT = 0.01
-"""[rad/s] closing speed below which they stay in touch (chosen: an encoder count in 0.15 s)"""
+"""[rad/s] closing speed without rebound; chosen"""
 
 _MOTOR = ("stiffness", "damping", "armature", "torque_limit", "offset")
 _DAMPING, _ARMATURE = _MOTOR.index("damping"), _MOTOR.index("armature")
@@ -40,7 +38,7 @@ _dry_friction = njit(cache=True, nogil=True)(dry_friction)
 
 
 class Backlash:
-    """Motors of N arms of n joints, and where they stand between the flanks."""
+    """Motors of N arms of n joints in their backlash."""
 
     def __init__(self, arm: Arm, count: int) -> None:
         shape = (count, arm.joints)
@@ -51,12 +49,12 @@ class Backlash:
 
     @cached_property
     def _unloaded(self) -> NDArray[np.bool_]:
-        """(n,) joints that rest on no flank."""
+        """(n,) joints on no flank."""
         return unloaded_joints(self._arm)
 
     @cached_property
     def _link(self) -> Array:
-        """(n,) [kg m^2] inertia that a motor meets."""
+        """(n,) [kg m^2] inertia at a motor."""
         return link_inertia(self._arm, self._arm.rest)
 
     @property
@@ -65,9 +63,9 @@ class Backlash:
         return bool(self._half.any())
 
     def renew(self, twin: TwinParameters, backlash: Array, grease: Array, where: Mask) -> None:
-        """Take over the arms (m,) in ``where`` (N,), their motors in the middle of the ``backlash`` (m, n) [rad].
+        """Start the arms (m,) in ``where`` (N,), motors in the middle of the ``backlash`` (m, n) [rad].
 
-        ``grease`` (m,) is the damping of a joint inside of it by that of its motor.
+        ``grease`` (m,): damping of a joint in the backlash relative to its motor's.
         """
         self._half[where] = 0.5 * backlash * self._unloaded if backlash.any() else 0.0
         self._ahead[where] = self._speed[where] = 0.0
@@ -76,10 +74,10 @@ class Backlash:
         self._motor[where] = np.stack([getattr(twin, name) for name in _MOTOR], axis=-1)
 
     def part(self, twins: Twins, terms: Array, friction: Array) -> None:
-        """Part motors from joints for one step of ``twins``, whose references are set.
+        """Separate motors from joints for one step of ``twins`` with set references.
 
-        ``friction`` (N, n) [N m], by the ``terms`` (t, N, n) of `rejoint.twin.friction`, becomes zero for joints that
-        are out of touch; they get no torque, armature and damping of their motors either.
+        Joints out of contact get no torque, motor inertia, damping and ``friction`` (N, n) [N m]; ``terms`` (t, N, n)
+        are those of `rejoint.twin.friction`.
         """
         if not self.present:
             return
@@ -94,7 +92,7 @@ class Backlash:
         friction[free] = 0.0
 
     def state(self) -> dict[str, Array]:
-        """Everything that a checkpoint must keep, as live arrays."""
+        """Live arrays for a checkpoint."""
         return {
             "half": self._half, "ahead": self._ahead, "speed": self._speed, "touch": self._touch,
             "grease": self._grease, "motor": self._motor,

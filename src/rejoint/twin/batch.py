@@ -1,12 +1,11 @@
-"""Many twins of one arm in lockstep, stepped by MuJoCo: the judge of `rejoint.twin.chain`; arms on a table.
+"""Many twins of one arm in lockstep by MuJoCo: the reference for `rejoint.twin.chain`, and arms on a table.
 
-Per joint: torque = clip(stiffness (command + offset - q), +-limit) - damping qdot - dry friction. Contacts and joint
-stops are left out, as the guard keeps commands away from both. Three settings matter: friction constraints are nearly
-rigid (with MuJoCo's own settings a joint creeps 1 deg/s, measured); the Jacobian is dense, since the sparse Cholesky of
-MuJoCo 4.0.0 has a fault; projected Gauss-Seidel is 30 % faster than Newton's method, which stops too early on such
-friction (measured).
+Per joint: torque = clip(stiffness (command + offset - q), +-limit) - damping qdot - dry friction, without contacts and
+joint stops. Friction constraints are nearly rigid (MuJoCo's default creeps 1 deg/s, measured). The Jacobian is dense:
+the sparse Cholesky of MuJoCo 4.0.0 has a fault. Newton's method stops too early on such friction (measured), so the
+solver is projected Gauss-Seidel.
 
-Only the TCP touches the table, with a soft sphere without size of its own.
+Only the TCP touches the table, with a soft sphere.
 """
 
 from __future__ import annotations
@@ -30,10 +29,7 @@ Ids = NDArray[np.integer] | NDArray[np.bool_] | None
 
 
 class TwinBatch:
-    """``nsim`` simulations of one arm, bit for bit as many single models.
-
-    Writing to ``qpos``, ``qvel``, ``ctrl`` (nsim, n) sets the state of the next step.
-    """
+    """``nsim`` simulations of one arm; ``qpos``, ``qvel``, ``ctrl`` (nsim, n) are their state."""
 
     def __init__(self, arm: Arm, nsim: int, timestep: float = TIMESTEP, threads: int = 1, table: bool = False) -> None:
         if nsim < 1 or threads < 1:
@@ -53,7 +49,7 @@ class TwinBatch:
 
     @property
     def timestep(self) -> Array:
-        """(nsim,) [s] time step of each simulation, read-only."""
+        """(nsim,) [s] of each simulation, read-only."""
         view = self._timestep.view()
         view.setflags(write=False)
         return view
@@ -66,9 +62,9 @@ class TwinBatch:
         timestep: float | Array | None = None,
         gravity_scale: float | Array = 1.0,
     ) -> None:
-        """Give the simulations in ``ids`` (indices or mask; all by default) new parameters; their state stays.
+        """Set parameters of the simulations ``ids`` (indices or mask; default: all), not their state.
 
-        ``parameters`` have the leading shape (m,) or none. ``timestep`` [s] and ``gravity_scale``: a number or (m,).
+        ``parameters``: leading shape (m,) or none; ``timestep`` [s] and ``gravity_scale``: a number or (m,).
         """
         chosen = np.arange(self.nsim)[slice(None) if ids is None else ids]
         if parameters.shape == ():
@@ -84,7 +80,7 @@ class TwinBatch:
         self._batch.expand("dof_invweight0")[chosen] *= FRICTION_SOFTNESS
 
     def put_tables(self, tables: Sequence[TablePlane]) -> None:
-        """Put each simulation of a batch made with ``table`` on its table, after `write`."""
+        """Set the tables of a batch made with ``table``, after `write`."""
         if len(tables) != self.nsim:
             raise InputError(f"twin batch: {len(tables)} tables, expected {self.nsim}")
         model = self._batch.model
@@ -96,34 +92,34 @@ class TwinBatch:
                 self._batch.expand(name)[i, model.geom(TIP).id] = value
 
     def set_timestep(self, timestep: float | Array) -> None:
-        """Change the time step [s] of every simulation, a number or (nsim,), and what depends on it."""
+        """Set the time step [s], a number or (nsim,)."""
         self._timestep[:] = timestep
         self._batch.expand("opt.timestep")[:] = self._timestep
         self._batch.expand("dof_solref")[:] = friction_solref(self._timestep)[:, None]
 
     def set_friction(self, friction: Array) -> None:
-        """Change the dry friction (nsim, n) [N m] of every simulation."""
+        """Set the dry friction (nsim, n) [N m]."""
         self._batch.expand("dof_frictionloss")[:] = friction
 
     def set_motors(self, *, armature: Array, damping: Array) -> None:
-        """Change armature (nsim, n) [kg m^2] and damping (nsim, n) [N m s/rad] of every simulation."""
+        """Set armature (nsim, n) [kg m^2] and damping (nsim, n) [N m s/rad]."""
         self._batch.expand("dof_armature")[:] = armature
         self._batch.expand("dof_damping")[:] = damping
 
     def step(self, substeps: int = 1) -> None:
-        """Advance all under the present ``ctrl``."""
+        """Advance all with the present ``ctrl``."""
         self._batch.step(None, nstep=substeps)
 
     def rollout(self, control: Array) -> Array:
-        """Advance by ``control`` (nsim, steps, n) [rad], one row a step; return positions (nsim, steps, n)."""
+        """Advance by ``control`` (nsim, steps, n) [rad]; return positions (nsim, steps, n)."""
         return self._batch.rollout(control.shape[1], control, record=("qpos",))["qpos"]
 
     def model(self, index: int) -> mujoco.MjModel:
-        """Copy of one simulation's model, for rendering or inspection."""
+        """Copy of one simulation's model."""
         return self._batch.get_model(index)
 
     def restart(self, position: Array, velocity: Array | float = 0.0, ids: Ids = None) -> None:
-        """Put simulations at ``position`` (m, n) [rad] with ``velocity`` [rad/s], and forget the solver's memory."""
+        """Restart at ``position`` (m, n) [rad] with ``velocity`` [rad/s], without warm start."""
         chosen = np.arange(self.nsim)[slice(None) if ids is None else ids]
         self._batch.bind("qacc_warmstart")[chosen] = 0.0
         self._batch.bind("time")[chosen] = 0.0
@@ -133,10 +129,9 @@ class TwinBatch:
 
 
 FRICTION_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
-"""solimp of the friction constraints (MuJoCo, modelling, solver parameters): nearly rigid"""
+"""solimp of the friction constraints: nearly rigid"""
 FRICTION_SOFTNESS = 0.01
-"""On top of it, factor on ``dof_invweight0``, to which the softness of friction is proportional (chosen: below it
-nothing changes)"""
+"""Factor on ``dof_invweight0`` for friction; chosen"""
 
 TCP_SITE = "tcp"
 
@@ -148,7 +143,7 @@ def twin_model(
     gravity_scale: float = 1.0,
     table: bool = False,
 ) -> mujoco.MjModel:
-    """Compile the model of one twin; actuators and joints are in the arm's order, with its names."""
+    """Compile the model of one twin, with the arm's joint order and names."""
     if parameters.shape or parameters.joints != arm.joints:
         raise InputError(
             f"twin: parameters of shape {parameters.stiffness_shape}, expected one twin of {arm.joints} joints"
@@ -167,10 +162,7 @@ def twin_model(
 
 
 def model_fields(parameters: TwinParameters, timestep: Array, gravity_scale: Array) -> Iterator[tuple[str, Array]]:
-    """Yield every field of the model that a twin decides, as (name, value), for any leading shape.
-
-    The only place where parameters become MuJoCo's.
-    """
+    """Yield every model field that a twin decides, as (name, value)."""
     p, shape = parameters, parameters.stiffness_shape
     timestep = np.broadcast_to(timestep, p.shape)
     gain = np.zeros((*shape, mujoco.mjNGAIN))
@@ -188,12 +180,12 @@ def model_fields(parameters: TwinParameters, timestep: Array, gravity_scale: Arr
 
 
 def friction_solref(timestep: Array) -> Array:
-    """Solref (..., 2) of the friction constraints, as fast as the time step (...) [s] allows."""
+    """Solref (..., 2) of the friction constraints for a time step (...) [s]."""
     return np.stack([2.0 * timestep, np.ones_like(timestep)], axis=-1)
 
 
 def twin_spec(arm: Arm, table: bool = False) -> mujoco.MjSpec:
-    """Describe the model of an arm without the parameters of a twin."""
+    """Describe the model of an arm without twin."""
     spec = mujoco.MjSpec()
     spec.modelname = arm.name
     option = spec.option
@@ -230,17 +222,17 @@ def _quaternion(rotation: Array) -> Array:
 
 
 RADIUS = 0.005
-"""[m] of the sphere (chosen; the plane lies that much lower)"""
+"""[m] of the sphere; chosen"""
 
 IMPEDANCE = 0.9
-"""solimp of the contact (MuJoCo, modelling, solver parameters): constant, so that stiffness decides what gives"""
+"""solimp of the contact: constant"""
 
 PLANE, TIP = "table", "tip"
-"""Names of the two geometries in the model"""
+"""Geometries in the model"""
 
 
 def add_table(spec: mujoco.MjSpec, tip: mujoco.MjsBody, position: Array) -> None:
-    """Give a model the plane and, on the body ``tip`` at ``position`` (3,) [m], the sphere that touches it."""
+    """Add to a model the plane and, at ``position`` (3,) [m] on ``tip``, the sphere."""
     spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC  # a pyramid would stiffen as friction vanishes
     sphere, plane = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_PLANE
@@ -253,7 +245,7 @@ def add_table(spec: mujoco.MjSpec, tip: mujoco.MjsBody, position: Array) -> None
 
 
 def table_pose(table: TablePlane) -> tuple[Array, Array]:
-    """Position (3,) [m] and quaternion (4,) of the plane that holds up the sphere at the table's height."""
+    """Position (3,) [m] and quaternion (4,) of a table's plane."""
     normal = np.array([-table.slope_x, -table.slope_y, 1.0]) / np.sqrt(1 + table.slope_x**2 + table.slope_y**2)
     turn = np.zeros(4)
     mujoco.mju_quatZ2Vec(turn, normal)
@@ -261,10 +253,9 @@ def table_pose(table: TablePlane) -> tuple[Array, Array]:
 
 
 def table_fields(table: TablePlane, timestep: float, inverse_mass: Array) -> Iterator[tuple[str, Array]]:
-    """Yield what a table decides of the tip's geometry in models with `add_table`, as (field, value).
+    """Yield the tip's fields that a table decides in models with `add_table`, as (field, value).
 
-    ``inverse_mass`` (...) [1/kg] is the ``body_invweight0`` of the tip's body: stiffness = k d / (1 - d) / inverse
-    mass. Critically damped, no faster than the time step allows.
+    ``inverse_mass`` (...) [1/kg] is ``body_invweight0`` of the tip's body: stiffness = k d / (1 - d) / inverse mass.
     """
     d = IMPEDANCE
     k = np.minimum(table.stiffness * (1 - d) / d * inverse_mass, (2 * timestep * d) ** -2.0)

@@ -1,6 +1,6 @@
 """``twin.toml``: a twin as a file, in SI units.
 
-Intervals are for the reader. One digest covers what decides the twins drawn from this one, another the whole text.
+One digest covers the parameters, another the whole text.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from rejoint.twin.table import TablePlane
 from rejoint.twin.twin import HeldOut, Twin
 
 FORMAT = 1
-"""Version of the layout; a reader refuses others"""
+"""Version of the layout"""
 
 ERRORS = ("no_twin", "healthy_twin", "twin")
-"""Tables of errors on motion that the fit has not seen, root mean square"""
+"""Rms errors on held-out motion"""
 
 
 def write_twin(path: Path, twin: Twin) -> None:
-    """Write a twin as TOML, whole or not at all."""
+    """Write a twin as TOML, atomically."""
     write_sealed(path, _document(twin))
 
 
 def read_twin(path: Path, arm: Arm | None = None) -> Twin:
-    """Read a twin; FileError if it is missing or damaged, ContractError if it is of another arm."""
+    """Read a twin; FileError if missing or damaged, ContractError if of another arm."""
 
     def build(data: dict[str, Any]) -> Twin:
         twin = _twin(data)

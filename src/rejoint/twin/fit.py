@@ -1,9 +1,8 @@
 """Maximum a posteriori fit of a twin's parameters to windows of motion, by block Gauss-Newton.
 
-A joint's own parameters decide its motion, nearly. So one simulation perturbs one parameter of every joint at once, and
-each joint picks the best of several damping values. Levenberg-Marquardt (Nocedal and Wright, chapter 10) on a
-pseudo-Huber loss (Charbonnier et al. 1997), with a Gaussian prior; the data's weight is divided by the integrated
-autocorrelation time of the residuals.
+A joint's own parameters nearly decide its motion, so one simulation perturbs one parameter of every joint. Optimiser of
+Levenberg and Marquardt (Nocedal and Wright, chapter 10), pseudo-Huber loss (Charbonnier et al. 1997), Gaussian prior;
+the data's weight is divided by the residuals' autocorrelation time.
 """
 
 from __future__ import annotations
@@ -20,64 +19,62 @@ from rejoint.twin.parameters import PARAMETERS, Layout, Prior, number, unpack
 from rejoint.twin.replay import Replay
 
 HUBER = np.radians(1.7)
-"""[rad] where the loss turns from square to absolute; measured on logs of a real low-cost arm"""
+"""[rad] where the loss becomes linear; measured on a real low-cost arm"""
 
 POSTURES = 500
-"""Rows that a mean gravity torque is taken from (chosen)"""
+"""Rows for a mean gravity torque; chosen"""
 
 STIFFNESS = number("stiffness")
-"""Row of the perturbations, and column of the sensitivities, that are the stiffness's"""
 
 SCALES = (0.5, 0.7, 0.85, 1.18, 1.41, 2.0)
-"""Factors of a joint's common scale that are tried (chosen: steps of 20 to 40 %)"""
+"""Factors of a joint's common scale that are tried; chosen"""
 
 DAMPINGS = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
-"""Levenberg-Marquardt damping values tried in one batch, relative to the curvature's diagonal (chosen)"""
+"""Levenberg-Marquardt damping relative to the curvature's diagonal; chosen"""
 
 LEAST_GAIN = 0.5
-"""Gain of the negative log posterior below which a descent ends: half of one sigma^2 (chosen)"""
+"""Gain that ends a descent; chosen"""
 
 ROUNDS = 10
-"""Rounds in which weights and scale of windows are found (chosen: the last changes 1 %)"""
+"""Rounds to find weights and scale of windows; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Weights:
-    """How much a residual of each joint counts."""
+    """Weights of residuals."""
 
     scale: Array
-    """(n,) [rad] typical size of a residual"""
+    """(n,) [rad] typical residual"""
     correlation: Array
-    """(n,) [rows] integrated autocorrelation time of the residuals"""
+    """(n,) [rows] autocorrelation time of the residuals"""
     share: Array
-    """(rows, n) of a window's motion: near one where a twin follows it as it follows others, else less"""
+    """(rows, n) of a window's motion: small if no twin follows it"""
 
     @property
     def precision(self) -> Array:
-        """(rows, n) [1/rad^2] weight of one squared residual."""
+        """(rows, n) [1/rad^2] of one squared residual."""
         return self.share / (self.scale**2 * self.correlation)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fit:
-    """Result of a fit, over the parameter vector of length k."""
+    """Result of a fit."""
 
     vector: Array
-    """(k,) estimate"""
+    """(k,)"""
     cost: float
     iterations: int
     converged: bool
     at_bound: NDArray[np.bool_]
-    """(k,) elements held at a physical bound"""
+    """(k,) held at a physical bound"""
     weights: Weights
 
 
 class Problem:
     """Residuals, costs and Jacobians of one set of windows under one prior.
 
-    Parameters in ``frozen`` stay where a fit starts. ``stride`` scales the finite differences; residuals closer than
-    ``memory`` [s] are not independent. Errors of windows have Student's distribution of ``freedom`` degrees of freedom:
-    the fewer, the less those count that stay far from every fit.
+    Parameters in ``frozen`` keep their start. ``stride`` scales the finite differences; residuals within ``memory`` [s]
+    are dependent; window errors have ``freedom`` degrees of freedom (Student).
     """
 
     def __init__(
@@ -100,11 +97,11 @@ class Problem:
         self.frozen = ~np.isin(self.layout.kind, self._live)
 
     def residuals(self, vectors: Array) -> Array:
-        """Predicted minus measured positions (m, rows, n) [rad] for parameter vectors (m, k)."""
+        """Predicted minus measured positions (m, rows, n) [rad] for vectors (m, k)."""
         return np.concatenate(self.replay.predict(unpack(vectors, self.joints)), axis=1) - self.measured
 
     def weights(self, residual: Array) -> Weights:
-        """Estimate size and correlation of residuals (rows, n)."""
+        """Estimate scale and correlation of residuals (rows, n)."""
         share = self.shares(residual)
         scale = np.maximum(np.sqrt(np.mean(2.0 * share * loss(residual), axis=0)), self.floor)
         correlation = np.maximum(correlation_time(residual, self.window), self.memory)
@@ -113,7 +110,7 @@ class Problem:
     def shares(self, residual: Array) -> Array:
         """Weights (rows, n) of each window's motion for residuals (rows, n), by Student's distribution.
 
-        Iteratively reweighted (Lange, Little and Taylor 1989), a window's mean loss of a joint being one observation.
+        Iteratively reweighted (Lange, Little and Taylor 1989).
         """
         if self.freedom == np.inf:
             return np.ones_like(residual)
@@ -126,7 +123,7 @@ class Problem:
         return np.asarray(share[self.window])
 
     def costs(self, vectors: Array, residuals: Array, weights: Weights) -> tuple[Array, Array, Array]:
-        """Costs (m, n) of moving each joint alone from the first vector, (m, n) its group, and (m,) all."""
+        """Costs (m, n) of each joint alone, (m, n) of its group, and (m,) of all."""
         precision, away, moved = self.prior.precision, vectors - self.prior.mean, vectors - vectors[0]
         pull = away @ precision
         data = (loss(residuals) * weights.precision).sum(axis=1)
@@ -136,14 +133,13 @@ class Problem:
         return alone, grouped, own.sum(axis=1) + 0.5 * (pull * away)[:, self.layout.of_arm].sum(axis=1)
 
     def _by_joint(self, values: Array) -> Array:
-        """Sum (m, n) over each joint's parameters of values (m, k)."""
+        """Sum (m, n) of values (m, k) over each joint's parameters."""
         return np.asarray(values[:, self.layout.of_joints].reshape(len(values), -1, self.joints).sum(axis=1))
 
     def perturbations(self, vector: Array, signs: Array) -> Array:
-        """Parameter vectors (p, k): in each, one parameter of every joint, or one of the arm, is moved.
+        """Vectors (p, k), each with one parameter of every joint, or one of the arm, moved.
 
-        Instead of the stiffness, all torques and the inertia of a joint: only gravity and link inertia fix that scale,
-        and errors of single differences would pass for knowledge of it.
+        Instead of the stiffness, all torques and the inertia move: only gravity and link inertia fix that scale.
         """
         groups = self._groups()
         moved = np.tile(vector, (len(groups), 1))
@@ -154,9 +150,9 @@ class Problem:
         return np.clip(moved[self._live], self.prior.lower, self.prior.upper)
 
     def rescaled(self, vector: Array, factors: Sequence[float]) -> Array:
-        """Parameter vectors (f, k) whose joints move alike: torques and inertia are scaled together.
+        """Vectors (f, k) with torques and inertia of each joint scaled by ``factors``.
 
-        The offset makes up for gravity in the mean posture; the motor's inertia takes all of the change.
+        The offset balances gravity; the motor takes the change of inertia.
         """
         at, scaled = self.layout.at, np.tile(vector, (len(factors), 1))
         stiffness, armature = np.exp(vector[at("stiffness")]), np.exp(vector[at("armature")])
@@ -170,24 +166,24 @@ class Problem:
 
     @cached_property
     def gravity(self) -> Array:
-        """(n,) [N m] torque that holds the links, mean over the motion."""
+        """(n,) [N m] torque against gravity, mean over the motion."""
         rows = np.linspace(0, len(self.measured) - 1, min(len(self.measured), POSTURES)).astype(int)
         return np.asarray(gravity_torque(self.replay.arm, self.measured[rows]).mean(axis=0))
 
     @cached_property
     def link_inertia(self) -> Array:
-        """(n,) [kg m^2] of all links behind each joint, in the mean posture."""
+        """(n,) [kg m^2] of all links behind each joint, mean posture."""
         return link_inertia(self.replay.arm, self.measured.mean(axis=0))
 
     def inward(self, vector: Array, signs: Array) -> Array:
-        """Turn those ``signs`` (k,) round whose step would leave the bounds."""
+        """Flip those ``signs`` (k,) whose step would leave the bounds."""
         moved = vector + signs * self.steps
         return np.where((moved > self.prior.upper) | (moved < self.prior.lower), -signs, signs)
 
     def jacobian(self, base: Array, moved: Array, signs: Array) -> Array:
         """Sensitivities (rows, n, q) of each joint to its own parameters and, last, the arm's.
 
-        ``base`` (rows, n) and ``moved`` (p, rows, n) are residuals at the point and at `perturbations`.
+        ``base`` (rows, n) and ``moved`` (p, rows, n): residuals at the point and at `perturbations`.
         """
         groups = self._groups()
         slopes = np.zeros((len(groups), *base.shape))
@@ -211,11 +207,11 @@ class Problem:
         return curvature, gradient
 
     def columns(self, joint: int) -> NDArray[np.integer]:
-        """Places in the parameter vector of one joint's parameters and, last, the arm's."""
+        """Return indices of one joint's parameters and, last, the arm's."""
         return np.concatenate([np.flatnonzero(self.owner == joint), np.flatnonzero(self.owner == -1)])
 
     def clusters(self, length: float) -> NDArray[np.integer]:
-        """(rows,) numbers of the stretches of about ``length`` [s] that the windows fall into."""
+        """(rows,) number of each stretch of about ``length`` [s]."""
         time = np.concatenate([self.replay.times(i) for i in range(len(self.replay.windows))])
         keys = np.stack([self.window, (time // length).astype(int)], axis=1)
         return np.unique(keys, axis=0, return_inverse=True)[1].ravel()
@@ -230,8 +226,7 @@ class Problem:
 def fit(problem: Problem, start: Array, iterations: int, scales: Sequence[float] = ()) -> Fit:
     """Descend from ``start`` (k,) until a step gains almost nothing.
 
-    Before each step every joint takes the best of the ``scales`` of its torques and inertia, along which the loss is
-    flat and a descent stops anywhere.
+    First every joint takes the best of the ``scales``, along which the loss is flat.
     """
     x = np.clip(start, problem.prior.lower, problem.prior.upper)
     fixed = problem.frozen
@@ -266,10 +261,7 @@ def fit(problem: Problem, start: Array, iterations: int, scales: Sequence[float]
 
 
 def search(problem: Problem, starts: Array, rng: np.random.Generator, rounds: int = 3) -> Array:
-    """Random search from ``starts`` (s, k): each joint keeps its best candidate, then draws around it.
-
-    Needed where the cost is flat: a joint whose force saturates shows no trace of its stiffness.
-    """
+    """Random search from ``starts`` (s, k), joint by joint; needed where saturation hides stiffness."""
     prior, candidates, known = problem.prior, starts, np.empty((0, *problem.measured.shape))
     for i in range(rounds):
         tried = problem.residuals(candidates[len(known) :])
@@ -293,13 +285,12 @@ def _alternating(problem: Problem, iteration: int) -> Array:
 
 
 def _pressed(prior: Prior, x: Array, gradient: Array) -> NDArray[np.bool_]:
-    """Tell which parameters stand at a bound that the cost pushes against: they stall their neighbours."""
     edge = 1e-9 * (prior.upper - prior.lower)
     return ((x <= prior.lower + edge) & (gradient > 0)) | ((x >= prior.upper - edge) & (gradient < 0))
 
 
 def _steps(problem: Problem, x: Array, curvature: Array, gradient: Array, fixed: NDArray[np.bool_]) -> Array:
-    """Return new vectors (d, k), one for each damping value, within bounds and a prior sigma of ``x``."""
+    """Return new vectors (d, k), one per damping, within bounds and a prior sigma of ``x``."""
     free = np.flatnonzero(~fixed)
     block = curvature[np.ix_(free, free)]
     trial = np.tile(x, (len(DAMPINGS), 1))
@@ -310,10 +301,9 @@ def _steps(problem: Problem, x: Array, curvature: Array, gradient: Array, fixed:
 
 
 def line_up(problem: Problem, candidates: Array, residuals: Array, weights: Weights) -> tuple[Array, float, Array]:
-    """Let each joint pick its best candidate (s, k); return the mixture, its gain on the first and its residuals.
+    """Mix each joint's best of the candidates (s, k); return the mixture, its gain and its residuals.
 
-    ``residuals`` (r, rows, n) are those of the first candidates. The mixture is simulated, as is one in which groups
-    choose together; the best single candidate wins where they are no better.
+    ``residuals`` (r, rows, n): those of the first candidates. A mixture by groups or a single candidate may win.
     """
     if len(residuals) < len(candidates):
         residuals = np.concatenate([residuals, problem.residuals(candidates[len(residuals) :])])
@@ -338,12 +328,12 @@ def loss(residual: Array) -> Array:
 
 
 def influence(residual: Array) -> Array:
-    """Weight of a residual in the linearised problem, loss'(r) / r."""
+    """Weight of a residual in the linear problem, loss'(r) / r."""
     return 1.0 / np.sqrt(1.0 + (residual / HUBER) ** 2)
 
 
 def correlation_time(residual: Array, window: NDArray[np.integer], longest: int = 200) -> Array:
-    """(n,) [rows] integrated autocorrelation time 1 + 2 sum rho of residuals (rows, n), to the first rho below 0.05."""
+    """(n,) [rows] 1 + 2 sum rho of residuals (rows, n), to the first rho below 0.05."""
     power = np.maximum(np.mean(residual**2, axis=0), 1e-18)
     total, alive = np.ones(residual.shape[1]), np.ones(residual.shape[1], dtype=bool)
     for lag in range(1, min(longest, len(residual) - 1)):

@@ -1,7 +1,4 @@
-"""Friction in the joints of a twin: its parameters, their prior, and its law.
-
-All others take it from this file; docs/architecture.md shows how to add a term.
-"""
+"""Joint friction of a twin: parameters, prior and law (how to add a term: docs/architecture.md)."""
 
 from __future__ import annotations
 
@@ -26,36 +23,34 @@ FRICTION = (
               # chosen: 0.03 to 1.5 N m within two sigma
               wide={"nominal": 0.2, "sigma": 1.0, "upper": 10.0, "wrist": 1.0}),
 )  # fmt: skip
-"""Rows of the table of parameters (`rejoint.twin.parameters.PARAMETERS`)"""
 
 DRY = ("coulomb",)
-"""Those that dry friction is made of, beside the stiction, of which a few values are compared
-(`rejoint.twin.structure`)"""
+"""Parameters of dry friction, besides stiction"""
 
 STRIBECK_SPEED = 0.1
-"""[rad/s] at which friction has fallen to that of motion (chosen: two encoder steps in a control period)"""
+"""[rad/s] at which friction has fallen to kinetic; chosen"""
 
 
 def friction_fields(twin: TwinParameters) -> Iterator[tuple[str, Array]]:
-    """Yield the fields of the MuJoCo model that friction decides, as (name, value (..., n))."""
+    """Yield the MuJoCo model fields of friction, as (name, value (..., n))."""
     yield "dof_damping", twin.damping
     yield "dof_frictionloss", twin.coulomb
 
 
 def friction_terms(twin: TwinParameters, stiction: Array | float) -> Array:
-    """Return what `dry_friction` takes (t, ..., n): the parameters `DRY` and, last, the ``stiction``."""
+    """Terms (t, ..., n) of `dry_friction`: `DRY`, then ``stiction``."""
     return np.stack([*(getattr(twin, name) for name in DRY), np.broadcast_to(stiction, twin.stiffness_shape)])
 
 
 def dry_friction(terms: Array, speed: Array) -> Array:
-    """Dry friction (...) [N m] at a joint's ``speed`` (...) [rad/s], from the ``terms`` (t, ...) of `friction_terms`.
+    """Dry friction (...) [N m] at ``speed`` (...) [rad/s], from ``terms`` (t, ...).
 
-    Stribeck's law (Stribeck 1902, as in Armstrong-Helouvry et al. 1994); plain arithmetic, which is compiled as well.
+    Stribeck's law (Stribeck 1902, as in Armstrong-Helouvry et al. 1994); also compiled.
     """
     coulomb, stiction = terms[0], terms[-1]
     return coulomb * (1.0 + (stiction - 1.0) * np.exp(-((speed / STRIBECK_SPEED) ** 2)))
 
 
 def is_steady(terms: Array) -> bool:
-    """Tell whether dry friction is the same at every speed."""
+    """Whether dry friction is the same at every speed."""
     return bool((terms[-1] == 1.0).all())

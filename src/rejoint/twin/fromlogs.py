@@ -1,7 +1,7 @@
-"""Identification from logs of several motions of an arm of which little is known.
+"""Identification from logs of several motions of a little-known arm.
 
-Contacts, stops and dead readings are left out, whole motions held out, priors wide. The judged twin is then fitted
-again, to all motions; the table comes last.
+Only free motion counts, whole motions are held out, priors are wide. After the judgement, all motions are fitted; the
+table comes last.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ from rejoint.twin.twin import HeldOut, Twin
 from rejoint.twin.uncertainty import uncertainty
 
 FITTED, HEALTHY = "fitted twin", "healthy twin"
-"""Names of the predictions that a judgement holds beside `NO_TWIN`"""
+"""Predictions in a judgement beside `NO_TWIN`"""
 
 LEAST_CONTACT = 5.0
-"""[s] of contact from which a table is fitted (chosen: more than one recovery)"""
+"""[s] least contact for a table fit; chosen"""
 
 
 FOLLOWED = 0.4
-"""Weight of a motion's worst joint below which it is named (chosen: three times as far off as the typical window)"""
+"""Least weight of a motion's worst joint without report; chosen"""
 REFITTED = "errors on held-out motion are those of a fit that had not seen it; the values are fitted to all motions"
 NOTHING = "the motions tell no joint's stiffness, damping or friction"
 UNJUDGED = "no motion was held out: the errors are those on the motions that were fitted"
@@ -54,14 +54,14 @@ UNJUDGED = "no motion was held out: the errors are those on the motions that wer
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LogIdentification:
-    """What logs have told about an arm."""
+    """Result of an identification from logs."""
 
     twin: Twin
-    """with the table, if there is one; ``twin.held_out`` are the free-space means of ``judgement``"""
+    """``held_out`` are the free-space means of ``judgement``"""
     fitted: tuple[str, ...]
-    """motions that the fit has seen"""
+    """motions in the fit"""
     judgement: Judgement
-    """of the fitted twin, a healthy one and none, on motions that the fit has not seen"""
+    """on held-out motions"""
 
 
 def identify_logs(
@@ -71,10 +71,9 @@ def identify_logs(
     on_progress: Progress = no_progress,
     beside: Sequence[Candidate] = (),
 ) -> LogIdentification:
-    """Fit a twin to logs and judge it, and the candidates ``beside`` it, on those kept from the fit.
+    """Fit a twin to logs; judge it, and the candidates ``beside`` it, on held-out motions.
 
-    The returned twin is fitted to all logs. InputError if the logs are of another arm, hold too little free motion, or
-    lack one to hold out.
+    The returned twin is fitted to all logs. InputError for another arm or too little motion.
     """
     for log in logs:
         log.require(arm.name, arm.joint_names)
@@ -125,7 +124,6 @@ def _fit_table(
     settings: LogSettings,
     start: TablePlane | None = None,
 ) -> TablePlane | None:
-    """Fit the table to motion in contact, from ``start`` if given; None with too little of it."""
     if height is None or not settings.table:
         return None
     replay, parameters = problem.replay, unpack(found.vector, problem.joints)
@@ -146,7 +144,6 @@ def _unidentified(twin: Twin) -> list[str]:
 
 
 def _hard_to_follow(problem: Problem, found: Fit, logs: Sequence[RunLog]) -> list[str]:
-    """Name the motions that no twin of the structure follows as it follows the others, with their weight."""
     motion = np.array([w.log for w in problem.replay.windows])[problem.window]
     weight = {logs[i].label: float(found.weights.share[motion == i].mean(axis=0).min()) for i in np.unique(motion)}
     low = {label: share for label, share in weight.items() if share < FOLLOWED}

@@ -1,7 +1,6 @@
-"""Identification: from run logs of an excitation to a twin with intervals, judged on motion it was not fitted to.
+"""Identification: a twin with intervals from logs of an excitation, judged on held-out windows.
 
-Every fourth window is held out. The others are fitted coarsely from many starts (`rejoint.twin.fit`), then at the
-twin's own time step, then for their intervals (`rejoint.twin.uncertainty`).
+A coarse fit from many starts (`rejoint.twin.fit`), a final one, then intervals (`rejoint.twin.uncertainty`).
 """
 
 from __future__ import annotations
@@ -37,18 +36,18 @@ from rejoint.twin.uncertainty import CLUSTER, Uncertainty, uncertainty
 
 @dataclass(frozen=True, kw_only=True)
 class IdentifySettings:
-    """How to identify; the defaults take 3 s of processor for the motion of a diagnosis (measured)."""
+    """Settings of an identification."""
 
     window: float = 6.0
-    """[s] between restarts from the measured state (measured: 1 to 50 s make no difference)"""
+    """[s] between restarts from the measured state; measured: 1 to 50 s are equal"""
     coarse_window: float = 2.0
-    """[s] the same for the search: few oscillations, so that the phase does not run away"""
+    """[s] the same for the search"""
     hold_out: int = 4
-    """every hold_out-th window is kept from the fit"""
+    """every hold_out-th window is held out"""
     starts: int = 24
-    """candidates of each round of the random search"""
+    """candidates per round of the random search"""
     timestep: float = TIMESTEP
-    """[s] of the final fit; the search and the first descent take twice that"""
+    """[s] of the final fit"""
     iterations: int = 15
     threads: int = 2
     seed: int = 0
@@ -57,10 +56,10 @@ class IdentifySettings:
 DEFAULT_SETTINGS = IdentifySettings()
 
 STILL_SPEED = 0.03
-"""[rad/s] below which a joint counts as still: an encoder step in 50 ms (chosen)"""
+"""[rad/s] of a still joint; chosen"""
 
 SHORTEST = 20.0
-"""[s] of motion below which an identification is refused (chosen)"""
+"""[s] least motion; chosen"""
 
 
 def identify(
@@ -69,7 +68,7 @@ def identify(
     settings: IdentifySettings = DEFAULT_SETTINGS,
     on_progress: Progress = no_progress,
 ) -> Twin:
-    """Fit a twin to the logs of an excitation; InputError if they are of another arm or too short."""
+    """Fit a twin to an excitation; InputError for another arm or too little motion."""
     seconds = sum(float(log.time[-1] - log.time[0]) for log in logs)
     windows = cut(logs, settings.window)
     seen = [w for i, w in enumerate(windows) if i % settings.hold_out != settings.hold_out - 1]
@@ -104,7 +103,7 @@ def identify(
 def fitted_twin(
     problem: Problem, found: Fit, knowledge: Uncertainty, held_out: HeldOut, table: TablePlane | None = None
 ) -> Twin:
-    """Put together what is known, with bounds that hold what the arm has shown."""
+    """Assemble a twin, with bounds from the torques seen."""
     replay, belief = problem.replay, problem.prior
     twin = Twin(
         arm=replay.arm.name,
@@ -150,7 +149,7 @@ def _held_out(arm: Arm, replay: Replay, vector: Array) -> HeldOut:
 
 
 def largest_static_torque(arm: Arm, logs: Sequence[RunLog], coulomb: Array) -> Array:
-    """(n,) [N m] largest gravity torque that each motor held still, less friction."""
+    """(n,) [N m] largest gravity torque held, less friction."""
     largest = np.zeros(arm.joints)
     for log in logs:
         still = np.abs(measured_velocity(log)) < STILL_SPEED
@@ -160,13 +159,13 @@ def largest_static_torque(arm: Arm, logs: Sequence[RunLog], coulomb: Array) -> A
 
 
 def largest_drive_torque(problem: Problem, parameters: TwinParameters) -> Array:
-    """(n,) [N m] torque of each servo without a limit, exceeded in one row of 200."""
+    """(n,) [N m] servo torque without limit, exceeded in one row of 200."""
     lead = np.concatenate(problem.replay.references(parameters)) + parameters.offset - problem.measured
     return np.quantile(np.abs(parameters.stiffness * lead), 0.995, axis=0)
 
 
 def torque_bounds(problem: Problem, logs: Sequence[RunLog], twin: Twin) -> Array:
-    """Raise lower bounds (k,): the torque limit is no lower than the gravity torque held, or the torques reached."""
+    """Raise lower bounds (k,): the torque limit is at least the torque seen."""
     arm, n = problem.replay.arm, problem.joints
     limited = twin.identified[problem.layout.at("torque_limit")]
     static = largest_static_torque(arm, logs, twin.parameters.coulomb)
@@ -177,7 +176,7 @@ def torque_bounds(problem: Problem, logs: Sequence[RunLog], twin: Twin) -> Array
 
 
 def twin_notes(arm: Arm, logs: Sequence[RunLog], twin: Twin, found: Fit) -> list[str]:
-    """Say what a user of a twin should know, in words."""
+    """Return notes for the user."""
     notes, held_out = [], twin.held_out
     if twin.unknown_scale:
         notes.append(

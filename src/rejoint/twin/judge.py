@@ -1,10 +1,10 @@
-"""How well twins predict logs that they were not fitted to: open loop, motion by motion, free and in contact apart.
+"""How well twins predict new logs: open loop, motion by motion, free and in contact.
 
-Motions are replayed whole. A twin is trusted only where joints moved, readings come often enough, on the clock of the
-commands, and it predicts them better than the commands, however delayed.
+A twin is trusted only where joints moved, readings come often, on the commands' clock, and it is better than the
+commands with any delay.
 
-Published parameter sets, as in docs/published, are judged beside it: a TOML file with stiffness, damping, coulomb and
-armature, one value or one for each joint; the rest of `PARAMETERS`, stiction and name may be left out.
+Candidates may be published parameter sets (docs/published): TOML with stiffness, damping, coulomb and armature, one
+value or one per joint; the rest is optional.
 """
 
 from __future__ import annotations
@@ -37,28 +37,28 @@ from rejoint.twin.table import TablePlane
 from rejoint.twin.twin import Twin
 
 TIMESTEP = 0.010
-"""[s] as good as a quarter of it on a real low-cost arm (measured)"""
+"""[s]; measured: as good as a quarter of it"""
 
 TRACE_ROWS = 2000
-"""Rows of the residual over time that a figure needs (chosen)"""
+"""Rows of the residual for a figure; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """A twin that is to be judged."""
+    """A twin to judge."""
 
     name: str
     parameters: TwinParameters
     stiction: float = STICTION
     """friction at rest over friction in motion"""
     table: TablePlane | None = None
-    """where contacts are to be predicted too"""
+    """for contacts"""
     acceleration: float = np.inf
     """[rad/s^2] of the servos' references, while commands keep changing"""
 
     @staticmethod
     def of(name: str, twin: Twin) -> Candidate:
-        """Take everything from a fitted twin."""
+        """Take all fields from a fitted twin."""
         return Candidate(
             name=name, parameters=twin.parameters, stiction=twin.stiction, table=twin.table,
             acceleration=twin.acceleration,
@@ -74,9 +74,9 @@ def judge(
     timestep: float = TIMESTEP,
     threads: int = 1,
 ) -> Judgement:
-    """Compare candidates, and no twin at all, on whole logs; ``table`` [m] is its height, found if not given.
+    """Compare candidates, and no twin, on whole logs; ``table`` [m] is its height, default: found.
 
-    InputError without a log or candidate, with equal names, or for another arm.
+    InputError without a log or candidate, for equal names or another arm.
     """
     names = [NO_TWIN, *(c.name for c in candidates)]
     if not logs or not candidates or len(set(names)) != len(names):
@@ -89,7 +89,7 @@ def judge(
 def predict_logs(
     arm: Arm, candidates: Sequence[Candidate], logs: Sequence[RunLog], timestep: float = TIMESTEP, threads: int = 1
 ) -> dict[str, list[Array]]:
-    """Positions (T, n) [rad] in each log by the name of what predicts them, no twin first."""
+    """Positions (T, n) [rad] in each log by prediction, no twin first."""
     for log in logs:
         log.require(arm.name, arm.joint_names)
     return {NO_TWIN: _no_twin(logs)} | {c.name: _paths(arm, c, logs, timestep, threads) for c in candidates}
@@ -98,7 +98,7 @@ def predict_logs(
 def judge_paths(
     arm: Arm, paths: dict[str, list[Array]], logs: Sequence[RunLog], *, table: float | None = None
 ) -> Judgement:
-    """Compare what `predict_logs` returned with what was measured; ``table`` as for `judge`."""
+    """Compare the result of `predict_logs` with the measurement."""
     table = table_height(arm, logs) if table is None else table
     rows = find_exclusions(arm, logs, table)
     names = list(paths)
@@ -123,7 +123,6 @@ def _no_twin(logs: Sequence[RunLog]) -> list[Array]:
 
 
 def _paths(arm: Arm, candidate: Candidate, logs: Sequence[RunLog], timestep: float, threads: int) -> list[Array]:
-    """Positions (T, n) [rad] of one candidate in each log."""
     windows = [Window(log=i, first=0, last=len(log)) for i, log in enumerate(logs)]
     tables = [] if candidate.table is None else [candidate.table]
     paths: dict[int, Array] = {}
@@ -194,23 +193,23 @@ def _trace(arm: Arm, log: RunLog, rows: Exclusions, paths: dict[str, Array]) -> 
 
 
 MOVED = np.radians(2.0)
-"""[rad] of travel below which a joint has not moved: little more than friction hides (chosen)"""
+"""[rad] least travel of a moving joint; chosen"""
 COARSEST = 0.1
-"""[s] between readings above which motion shows no friction and no lag (chosen, as for a diagnosis)"""
+"""[s] between readings up to which friction and lag show; chosen"""
 EARLIEST, LATEST = -0.05, 0.3
-"""[s] by which readings may follow commands: two periods early, and no servo is later (chosen)"""
+"""[s] plausible delay of readings after commands; chosen"""
 LAGS = np.arange(-0.5, 0.81, 0.01)
-"""[s] that are tried"""
+"""[s] tried"""
 ROWS = 1000
-"""Rows of a log that a lag is sought in (chosen)"""
+"""Rows of a log for the lag; chosen"""
 FEWEST = 3
-"""Motions below which no interval is known (chosen, as for the report)"""
+"""Motions that an interval needs; chosen"""
 CLEARLY = 0.8
-"""Error over that of the commands that counts as smaller there (chosen)"""
+"""Relative error that is clearly smaller; chosen"""
 
 
 def doubts(arm: Arm, logs: Sequence[RunLog], rows: Sequence[Exclusions], paths: dict[str, list[Array]]) -> list[str]:
-    """Say why no prediction of ``paths``, the first of which is no twin, is to be trusted; empty if one is."""
+    """Say why no prediction of ``paths`` is trusted; empty if one is."""
     found = []
     travel = max(float(np.ptp(log.position, axis=0).max()) for log in logs)
     if travel < MOVED:
@@ -235,10 +234,7 @@ def doubts(arm: Arm, logs: Sequence[RunLog], rows: Sequence[Exclusions], paths: 
 
 
 def command_lag(logs: Sequence[RunLog]) -> tuple[float, float]:
-    """Lag [s] of the commands that suits the readings best, and what it leaves [rad], root mean square.
-
-    Joints that hardly move, and constant differences, are left out.
-    """
+    """Best lag [s] of the commands, and the rms rest [rad], of moving joints without offsets."""
     totals, count = np.zeros(len(LAGS)), 0
     for log in logs:
         moving = np.flatnonzero(np.ptp(log.position, axis=0) > MOVED)
@@ -254,7 +250,7 @@ def command_lag(logs: Sequence[RunLog]) -> tuple[float, float]:
 
 
 def _delayed(log: RunLog, lag: float) -> Array:
-    """Commands (T, n) [rad] that were in force ``lag`` [s] before each reading."""
+    """Commands (T, n) [rad] in force ``lag`` [s] before each reading."""
     return np.asarray(
         log.command[np.clip(np.searchsorted(log.time, log.time - lag, side="right") - 1, 0, len(log) - 1)]
     )
@@ -276,7 +272,7 @@ def _better(
 
 
 def read_published(path: Path, arm: Arm) -> Candidate:
-    """Read a published set; FileError names the file or the value that is wrong."""
+    """Read a published parameter set; FileError if wrong."""
     remedy, reached = "docs/published holds examples", unpack(unknown_prior(arm).upper, arm.joints)
     try:
         data = tomllib.loads(read_bounded(path, TOML_MOST, remedy).decode())

@@ -1,4 +1,4 @@
-"""What judging twins on logs comes to: plain data, which need no simulator."""
+"""The result of judging twins on logs."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ import numpy as np
 from rejoint.arms import Arm, Array, tcp_position
 
 NO_TWIN = "no twin"
-"""Name of the prediction that the arm is where it was told to be"""
+"""The prediction that the arm is at its command"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PredictionError:
-    """Distance between a prediction and the encoders, root mean square over time."""
+    """Root mean square error of a prediction, by encoders."""
 
     joint: float
     """[rad] over all joints"""
     joints: tuple[float, ...]
     """(n,) [rad]"""
     tcp: float
-    """[m] of the TCP by forward kinematics of the encoders"""
+    """[m] of the TCP by encoders"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Errors:
-    """One prediction of one motion, or the mean over motions; None where there are no such rows."""
+    """Errors of one motion, or their mean; None without rows."""
 
     free: PredictionError | None
     contact: PredictionError | None
@@ -39,45 +39,43 @@ class MotionErrors:
 
     motion: str
     seconds: float
-    """[s]"""
     contact_seconds: float
-    """[s] with the tip on the table, recovery included"""
+    """[s] in contact with the table, recovery included"""
     left_out_seconds: float
     """[s] at stops or with dead readings, recovery included"""
     errors: dict[str, Errors]
-    """by the name of the prediction"""
+    """by prediction"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Trace:
-    """Residual over time of the motion that the first candidate predicts worst, for a figure."""
+    """Residual of the worst motion of the first candidate."""
 
     motion: str
     time: tuple[float, ...]
-    """(T,) [s] since its start"""
+    """(T,) [s]"""
     contact: tuple[bool, ...]
     """(T,)"""
     tcp: dict[str, tuple[float, ...]]
-    """(T,) [m] error by the name of the prediction"""
+    """(T,) [m] by prediction"""
     joints: tuple[tuple[float, ...], ...]
-    """(n, T) [rad] predicted minus measured positions of the first candidate"""
+    """(n, T) [rad] predicted minus measured, first candidate"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Judgement:
-    """What a replay of logs says about twins."""
+    """Result of a replay of logs."""
 
     arm: str
     joint_names: tuple[str, ...]
     table_height: float | None
-    """[m] where the tip touched a table; None if it never did"""
+    """[m] of the tip in contact; None without contact"""
     motions: tuple[MotionErrors, ...]
     mean: dict[str, Errors]
-    """over the motions, each counting the same, by the name of the prediction"""
+    """over the motions with equal weight, by prediction"""
     worst: Trace
     doubts: tuple[str, ...] = ()
-    """why no prediction is to be trusted, however small its error (`rejoint.twin.judge`); empty where nothing is
-    missing"""
+    """why no prediction is trusted (`rejoint.twin.judge`)"""
 
 
 def prediction_error(arm: Arm, predicted: Array, measured: Array) -> PredictionError:

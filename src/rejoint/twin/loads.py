@@ -1,12 +1,9 @@
-"""What servos that report their load say of their torques.
+"""Torques from servos that report their load.
 
-Positions alone tell a joint's torques up to a common scale, which gravity and the links' inertia fix: badly where
-little of either is felt, as about a vertical axis or near the flange. A load is a share of the servo's largest torque.
-So the line of load over error, read where the joint stands (`servo_lines`), is stiffness over largest torque,
-within some percent; and motors of one type have nearly the same largest torque. What the weight of the arm says of one
-joint's torques holds for the others by that. The scale of all of them stays that of the masses: a load in N m would
-need the motor's own constant, and data sheets and benches differ in it by more than masses do (an STS3215's stall
-torque: 2.9 to 6 N m).
+Positions give a joint's torques up to a common scale, which gravity and link inertia fix, except for a vertical axis or
+near the flange. A load is a share of the largest torque, so the slope of load over error at rest (`servo_lines`) is
+stiffness over largest torque, within some percent. Equal motors share one joint's scale. Stall torques in data sheets
+differ too much to replace the masses (an STS3215: 2.9 to 6 N m).
 """
 
 from __future__ import annotations
@@ -22,20 +19,17 @@ from rejoint.logs.runlog import RunLog
 from rejoint.twin.parameters import UNKNOWN_PARAMETERS, Layout, Prior, prior
 
 COMMON = 1.0
-"""Standard deviation of the common logarithm of the largest torques of one type (chosen: a factor of three)"""
+"""Sigma of the common log largest torque of one type; chosen"""
 OWN = 0.3
-"""The same of a single motor beside it (chosen: those of emulated worn arms differ by 0.3)"""
+"""The same of a single motor beside it; chosen"""
 ANY = 3.0
-"""The same of a stiffness whose line is known, which comes by the largest torque alone (chosen: a factor of twenty)"""
+"""The same of a stiffness with a known line; chosen"""
 OPEN = tuple(replace(p, alike=None) for p in UNKNOWN_PARAMETERS)
-"""The table of parameters: wide, and the likeness of motors comes in by `OWN`"""
+"""Wide parameters, without ``alike``: `OWN` replaces it"""
 
 
 def prior_by_loads(arm: Arm, logs: Sequence[RunLog]) -> Prior | None:
-    """Return the prior of an arm of which ``logs`` report loads; None where they say nothing.
-
-    That needs lines of load over error, and two servos of one type (`Arm.servos`).
-    """
+    """Prior of an arm by the loads in its ``logs``; None without load lines or equal servos (`Arm.servos`)."""
     groups = [np.flatnonzero(np.array(arm.servos) == name) for name in sorted(set(arm.servos)) if name]
     alike = [group for group in groups if len(group) > 1]
     lines = servo_lines(arm, logs) if alike else None
@@ -62,7 +56,7 @@ def prior_by_loads(arm: Arm, logs: Sequence[RunLog]) -> Prior | None:
 
 
 def _seen(mean: Array, covariance: Array, row: Array, value: float, error: float) -> tuple[Array, Array]:
-    """Mean (k,) and covariance (k, k) after ``row`` (k,) times the parameters was seen to be ``value``."""
+    """Mean (k,) and covariance (k, k) given ``value`` of ``row`` (k,) times the parameters."""
     reach = covariance @ row
     share = reach / (row @ reach + error**2)
     return mean + share * (value - row @ mean), covariance - np.outer(share, reach)

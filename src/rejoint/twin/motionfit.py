@@ -1,8 +1,7 @@
-"""Fit of a twin to the free motion of several logs: which windows, which motions are held out, structure, values.
+"""Fit of a twin to the free motion of several logs: windows, held-out motions, structure, values.
 
-A part of the motion decides on the structure (`rejoint.twin.structure`); then windows spread over all motions are
-fitted. Whole motions are held out, drawn by a seed from each few of similar kind: ordered by contact, then by commanded
-speed.
+Part of the motion decides on the structure (`rejoint.twin.structure`). Held-out motions are drawn among similar ones,
+by contact and commanded speed.
 """
 
 from __future__ import annotations
@@ -35,14 +34,14 @@ from rejoint.twin.structure import (
 )
 
 SHORTEST_STRETCH = 2.0
-"""[s] of free motion that are worth a window (chosen: a few times the memory of a geared joint)"""
+"""[s] least free motion of a window; chosen"""
 
 LEAD = 1.0
-"""[s] of free motion before a contact that its window starts with (chosen)"""
+"""[s] of free motion before a contact; chosen"""
 
 
 def free_windows(logs: Sequence[RunLog], excluded: Sequence[Exclusions], length: float) -> list[Window]:
-    """Cut the free motion of the logs into windows of at most about ``length`` [s]."""
+    """Cut free motion into windows of at most about ``length`` [s]."""
     windows: list[Window] = []
     for index, (log, rows) in enumerate(zip(logs, excluded, strict=True)):
         for run in free_runs(rows.free, log.time, SHORTEST_STRETCH):
@@ -51,7 +50,7 @@ def free_windows(logs: Sequence[RunLog], excluded: Sequence[Exclusions], length:
 
 
 def contact_windows(logs: Sequence[RunLog], excluded: Sequence[Exclusions], length: float) -> list[Window]:
-    """Cut what surrounds the contacts of the logs into windows of about ``length`` [s]."""
+    """Cut the surroundings of contacts into windows of about ``length`` [s]."""
     windows: list[Window] = []
     for index, (log, rows) in enumerate(zip(logs, excluded, strict=True)):
         for first, last in free_runs(rows.contact & rows.readable, log.time, SHORTEST_STRETCH):
@@ -63,7 +62,7 @@ def contact_windows(logs: Sequence[RunLog], excluded: Sequence[Exclusions], leng
 
 
 def thin(windows: Sequence[Window], logs: Sequence[RunLog], seconds: float) -> list[Window]:
-    """Keep about ``seconds`` [s] of the windows, evenly spread over them and so over the motions."""
+    """Keep about ``seconds`` [s] of the windows, evenly spread."""
     lengths = np.array([logs[w.log].time[w.last - 1] - logs[w.log].time[w.first] for w in windows])
     total = float(lengths.sum())
     if total <= seconds:
@@ -75,9 +74,9 @@ def thin(windows: Sequence[Window], logs: Sequence[RunLog], seconds: float) -> l
 
 
 def fastest(windows: Sequence[Window], logs: Sequence[RunLog], seconds: float) -> list[Window]:
-    """Keep about ``seconds`` [s] of the windows, those whose commands accelerate most.
+    """Keep about ``seconds`` [s] of the windows whose commands accelerate most.
 
-    Only commands that keep changing count: jumps to a constant goal pass a limited acceleration by.
+    Without jumps to a constant goal, where a limited acceleration does not show.
     """
 
     def acceleration(w: Window) -> float:
@@ -95,13 +94,13 @@ def fastest(windows: Sequence[Window], logs: Sequence[RunLog], seconds: float) -
 
 
 def merged(one: Sequence[Window], other: Sequence[Window]) -> list[Window]:
-    """Put two selections of windows together, each window once."""
+    """Merge two selections of windows without duplicates."""
     every = {(w.log, w.first, w.last): w for w in (*one, *other)}
     return [every[key] for key in sorted(every)]
 
 
 def by_motion(windows: Sequence[Window]) -> NDArray[np.integer]:
-    """(rows,) number of the motion that each row of the windows is of."""
+    """(rows,) motion number of each row of the windows."""
     motions = np.repeat([w.log for w in windows], [w.last - w.first for w in windows])
     return np.unique(motions, return_inverse=True)[1].ravel()
 
@@ -114,27 +113,26 @@ def _pieces(index: int, log: RunLog, run: tuple[int, int], length: float) -> lis
 
 
 FEW_MOTIONS = 4
-"""Below as many motions the end of each is held out instead of whole motions (chosen)"""
+"""Motions from which whole ones are held out; chosen"""
 KEPT_END = 0.25
-"""Share of a motion that is held out then (chosen)"""
+"""Share of a motion held out then; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class HoldOut:
-    """How to part logs."""
+    """Which motions to hold out."""
 
     names: tuple[str, ...] | None = None
-    """labels of the motions kept from the fit; empty: none; None: drawn"""
+    """their labels; empty: none; None: drawn"""
     every: int = 4
-    """one motion of as many is drawn"""
+    """one of as many is drawn"""
     seed: int = 0
 
 
 def part(arm: Arm, logs: Sequence[RunLog], how: HoldOut) -> tuple[list[RunLog], list[RunLog]]:
-    """Split logs into those to fit and those to judge by; of few motions the last quarter of each is judged.
+    """Split logs into those to fit and those to judge; of few motions the last quarter of each.
 
-    Where nothing is held out both are all of them. InputError where labels are not unique, or those to hold out are
-    missing or all.
+    Without hold-out both are all logs. InputError for duplicate, missing or all labels.
     """
     ordered = sorted(logs, key=lambda log: log.label)
     names = [log.label for log in ordered]
@@ -163,7 +161,7 @@ def part(arm: Arm, logs: Sequence[RunLog], how: HoldOut) -> tuple[list[RunLog], 
 
 
 def folds(arm: Arm, logs: Sequence[RunLog], count: int, seed: int = 0) -> NDArray[np.integer]:
-    """(K,) number below ``count`` of the fold that each log falls into: each fold has motions of every kind."""
+    """(K,) fold of each log; each fold has motions of every kind."""
     touching = [rows.contact.any() for rows in find_exclusions(arm, logs, table_height(arm, logs))]
     speed = [float(np.sqrt(np.mean((np.diff(log.command, axis=0) / np.diff(log.time)[:, None]) ** 2))) for log in logs]
     order = sorted(range(len(logs)), key=lambda i: (bool(touching[i]), round(speed[i], 6), logs[i].label))
@@ -175,46 +173,43 @@ def folds(arm: Arm, logs: Sequence[RunLog], count: int, seed: int = 0) -> NDArra
 
 
 CLUSTERED = 8
-"""From as many motions on, intervals rest on differences between motions, below between windows (chosen)"""
+"""Motions from which intervals rest on them, not on windows; chosen"""
 
 STRIDE = 2.5
-"""Finite-difference steps over those for an excitation, 11 % of a stiffness: smaller ones measure stick-slip along the
-common scale (measured: with 4.5 % the elbow's stiffnesses from two halves end 60 % apart, with 12 % 12 %)"""
+"""Finite-difference steps over those for an excitation; measured: smaller ones fit stick-slip"""
 REFINEMENT = 6
-"""Most steps of the final descent, with the finite differences of an excitation (chosen: two or three do)"""
+"""Most steps of the final descent; chosen"""
 MEMORY = 1.0
-"""[s] of motion that count as one observation beside the prior (chosen: by their autocorrelation, 0.1 to 0.4 s, one
-motion overrules the prior where it hardly tells; with 3 s the prior overruled a minute of a lone servo)"""
+"""[s] of one observation beside the prior; chosen"""
 
 FREEDOM = 2.0
-"""Degrees of freedom of the errors of windows (chosen: up to a third of them may be far off)"""
+"""Degrees of freedom of window errors; chosen"""
 
 SHORTEST = 10.0
-"""[s] of free motion below which an identification is refused (chosen: ten observations of each joint)"""
+"""[s] least free motion; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LogSettings:
-    """How to identify from logs; the defaults take about 30 s of processor time."""
+    """Settings of an identification from logs."""
 
     hold_out: HoldOut = field(default_factory=HoldOut)
-    """which motions are kept from the fit that is judged"""
     window: float = 8.0
-    """[s] between restarts from the measured state (measured: 1 to 50 s make no difference)"""
+    """[s] between restarts from the measured state; measured: 1 to 50 s are equal"""
     coarse_seconds: float = 100.0
-    """[s] of motion that decides on the structure"""
+    """[s] for the structure"""
     fit_seconds: float = 400.0
-    """[s] of motion of the final fit, spread over all motions"""
+    """[s] for the final fit"""
     fast_seconds: float = 40.0
-    """[s] of the motion that accelerates most: it decides on a limited acceleration and is always fitted"""
+    """[s] of the fastest motion, which shows a limited acceleration"""
     contact_seconds: float = 240.0
-    """[s] of motion in contact that the table is fitted to (measured: with 80 s errors are up to a fifth larger)"""
+    """[s] of contact for the table; measured: 80 s are a fifth worse"""
     table: bool = True
-    """whether to fit a table where the arm touches one"""
+    """whether to fit a table in contact"""
     table_height: float | None = None
-    """[m] of the tip on the table; None finds it in the logs"""
+    """[m] of the tip; None: found in the logs"""
     stictions: tuple[float, ...] = STICTIONS
-    """ratios of friction at rest to friction in motion that are tried"""
+    """ratios of static to kinetic friction to try"""
     timestep: float = TIMESTEP
     threads: int = 2
 
@@ -229,7 +224,7 @@ def fit_motions(
     settings: LogSettings = DEFAULT_LOG_SETTINGS,
     on_progress: Progress = no_progress,
 ) -> tuple[Problem, Fit, Structure]:
-    """Find the structure of a twin for the free motion of logs, and fit it; InputError with too little of it."""
+    """Find a twin's structure for free motion, and fit it; InputError for too little."""
     windows = free_windows(logs, excluded, settings.window)
     seconds = sum(float(logs[w.log].time[w.last - 1] - logs[w.log].time[w.first]) for w in windows)
     if seconds < SHORTEST:
@@ -265,7 +260,7 @@ def settle(
     arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions], structure: Structure, start: Array | None,
     settings: LogSettings = DEFAULT_LOG_SETTINGS,
 ) -> tuple[Problem, Fit]:  # fmt: skip
-    """Fit windows spread over all of the logs, from ``start`` (k,), sought if None."""
+    """Fit windows from all logs, from ``start`` (k,), default: searched."""
     windows = free_windows(logs, excluded, settings.window)
     if start is None:
         slow = thin(windows, logs, settings.coarse_seconds)
@@ -287,6 +282,6 @@ def _problem(
 
 
 def independent(problem: Problem) -> NDArray[np.integer]:
-    """(rows,) numbers of the stretches that intervals take as independent: motions, or windows where there are few."""
+    """(rows,) numbers of independent stretches: motions or windows."""
     windows = problem.replay.windows
     return by_motion(windows) if len({w.log for w in windows}) >= CLUSTERED else problem.window

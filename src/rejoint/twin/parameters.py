@@ -1,12 +1,10 @@
 """The parameters of a twin, their units and priors.
 
-The simulated worn arm in `rejoint.robots.lab.plant` is reality, the twin what can be known of it: they share no physics
-code, or the fit would prove nothing.
+Stiffness: Park et al. 2024 train on P = 50..200; a 0.85 kg arm oscillates as in their Fig. 10 with 0.06 P N m/rad
+(measured in simulation, as the other ranges). Bounds contain identified hobby servos (SO-101: stiffness 19-26 N m/rad,
+Coulomb friction 0.25-0.8 N m, viscous friction 0.8-1.6 N m s/rad). Ranges of unknown arms reach to industrial joints.
 
-Stiffness: Park et al. 2024 train on P = 50..200, and a 0.85 kg arm oscillates as in their Fig. 10 with 0.06 P N m/rad
-(measured in simulation). The other ranges were measured on the same arm. Bounds hold what hobby servos were identified
-with (stiffness 19-26 N m/rad, Coulomb friction 0.25-0.8 N m, viscous friction 0.8-1.6 N m s/rad on an SO-101). Ranges
-of unknown arms span the market, from hobby servos to industrial joints.
+The plant in `rejoint.robots.lab.plant` shares no physics code with the twin, so that it can test the fit.
 """
 
 from __future__ import annotations
@@ -26,24 +24,24 @@ from rejoint.twin.friction import FRICTION
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TwinParameters:
-    """Physical parameters of one twin, or of a batch of twins with any leading shape."""
+    """Physical parameters of one twin or a batch, with any leading shape."""
 
     stiffness: Array
-    """(..., n) [N m/rad] torque per angle between command and joint: the servo's position gain"""
+    """(..., n) [N m/rad] the servo's position gain"""
     damping: Array
-    """(..., n) [N m s/rad] viscous friction, back-EMF and the servo's derivative gain together"""
+    """(..., n) [N m s/rad] viscous friction, back-EMF and derivative gain"""
     coulomb: Array
     """(..., n) [N m] dry friction"""
     armature: Array
-    """(..., n) [kg m^2] inertia of motor and gears, seen at the joint"""
+    """(..., n) [kg m^2] inertia of motor and gears at the joint"""
     torque_limit: Array
-    """(..., n) [N m] largest torque of the servo"""
+    """(..., n) [N m]"""
     offset: Array
-    """(..., n) [rad] the joint's position under no load, minus the command"""
+    """(..., n) [rad] position without load minus command"""
     delay: Array
-    """(...) [s] from sending a command to reading its first effect: latency plus age of the answer"""
+    """(...) [s] from a command to reading its first effect"""
     ramp_speed: Array
-    """(...) [rad/s] speed at which the servo moves its reference towards a new command"""
+    """(...) [rad/s] speed of the servo's reference"""
 
     def __post_init__(self) -> None:
         for parameter in PARAMETERS:
@@ -66,7 +64,7 @@ class TwinParameters:
 
     @property
     def joints(self) -> int:
-        """Number of joints n."""
+        """Number of joints."""
         return self.stiffness_shape[-1]
 
     @property
@@ -81,7 +79,7 @@ class TwinParameters:
         return TwinParameters(**{field.name: getattr(self, field.name)[index] for field in fields(self)})
 
     def repeat(self, count: int) -> TwinParameters:
-        """Give ``count`` copies of a single twin a leading axis."""
+        """Repeat a single twin along a leading axis."""
         return TwinParameters(
             **{f.name: np.broadcast_to(getattr(self, f.name), (count, *np.shape(getattr(self, f.name))))
                for f in fields(self)}
@@ -116,85 +114,84 @@ PARAMETERS: tuple[Parameter, ...] = (
               # chosen: faster than most motions, so that a ramp must show itself in the data
               wide={"nominal": 8.0, "sigma": 0.7, "upper": 50.0, "by_speed": False}),
 )  # fmt: skip
-"""The table. The order is that of the parameter vector. Differences of offset and delay are chosen."""
+"""In the order of the vector. Differences of offset and delay are chosen."""
 
 JOINT_PARAMETERS = tuple(p for p in PARAMETERS if p.per_joint)
 ARM_PARAMETERS = tuple(p for p in PARAMETERS if not p.per_joint)
 
 REFERENCE_LOAD = 0.838
-"""[N m] largest gravity torque of the myCobot 280, for which the table's values hold"""
+"""[N m] largest gravity torque of the myCobot 280"""
 
 REFERENCE_REACH = 0.5216700000000001
-"""[m] summed link lengths of the same arm"""
+"""[m] its summed link lengths"""
 
 REFERENCE_SPEED = float(np.radians(150.0))
-"""[rad/s] joint speed of the same arm"""
+"""[rad/s] its joint speed"""
 
 STICTION = 2.0
-"""Friction of a joint at rest over that of a moving one (chosen: dry gears); without it a twin lifts a load at which a
-joint sticks"""
+"""Static over kinetic friction; chosen: dry gears"""
 
 WRIST_INERTIA = 0.2
-"""A joint is of the wrist below this fraction of the largest link inertia (chosen)"""
+"""Share of the largest link inertia that bounds the wrist; chosen"""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Places of the parameters of a twin of n joints in its vector of length k.
+    """Indices of the parameters of a twin of n joints in its vector of length k.
 
-    In the order of `PARAMETERS`, each with its value for every joint: first those of joints, then those of the arm.
+    In the order of `PARAMETERS`: first those of joints, then those of the arm.
     """
 
     joints: int
 
     @staticmethod
     def of_length(length: int) -> Layout:
-        """Return the layout of vectors of this ``length`` k."""
+        """Layout of vectors of length k."""
         return Layout((length - len(ARM_PARAMETERS)) // len(JOINT_PARAMETERS))
 
     @cached_property
     def kind(self) -> NDArray[np.integer]:
-        """(k,) number in `PARAMETERS` of the parameter that stands at each place."""
+        """(k,) number in `PARAMETERS`."""
         return np.repeat(np.arange(len(PARAMETERS)), [self.joints if p.per_joint else 1 for p in PARAMETERS])
 
     @cached_property
     def owner(self) -> NDArray[np.integer]:
-        """(k,) joint that each place belongs to; -1 for the whole arm."""
+        """(k,) joint; -1 for the whole arm."""
         return np.concatenate([np.arange(self.joints) if p.per_joint else np.array([-1]) for p in PARAMETERS])
 
     @cached_property
     def is_log(self) -> NDArray[np.bool_]:
-        """(k,) which places hold logarithms."""
+        """(k,) which elements are logarithms."""
         return np.array([p.log for p in PARAMETERS])[self.kind]
 
     @property
     def size(self) -> int:
-        """Length k of the vector."""
+        """Length k."""
         return len(self.kind)
 
     def at(self, name: str) -> slice:
-        """Return the places of one parameter, one for each joint or the single one of the arm."""
+        """Slice of one parameter."""
         first, last = np.searchsorted(self.kind, [number(name), number(name) + 1])
         return slice(int(first), int(last))
 
     @property
     def of_joints(self) -> slice:
-        """Places of all parameters of joints."""
+        """Slice of all parameters of joints."""
         return slice(0, len(JOINT_PARAMETERS) * self.joints)
 
     @property
     def of_arm(self) -> slice:
-        """Places of the parameters of the whole arm."""
+        """Slice of the arm's parameters."""
         return slice(len(JOINT_PARAMETERS) * self.joints, self.size)
 
 
 def number(name: str) -> int:
-    """Return the number of a parameter in `PARAMETERS`."""
+    """Return number of a parameter in `PARAMETERS`."""
     return [p.name for p in PARAMETERS].index(name)
 
 
 def vector_names(joint_names: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of the elements of the parameter vector, such as ``stiffness.joint2`` and ``delay``."""
+    """Names such as ``stiffness.joint2`` and ``delay``."""
     layout = Layout(len(joint_names))
     return tuple(
         PARAMETERS[kind].name + (f".{joint_names[joint]}" if joint >= 0 else "")
@@ -203,7 +200,7 @@ def vector_names(joint_names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def pack(parameters: TwinParameters) -> Array:
-    """Parameter vector (..., k): logarithms of the positive quantities, the others as they are."""
+    """Parameter vector (..., k), with logarithms of the positive quantities."""
     parts = [getattr(parameters, p.name) for p in PARAMETERS]
     values = np.concatenate([v if p.per_joint else v[..., None] for p, v in zip(PARAMETERS, parts, strict=True)], -1)
     log = Layout(parameters.joints).is_log
@@ -211,7 +208,7 @@ def pack(parameters: TwinParameters) -> Array:
 
 
 def unpack(vector: Array, joints: int) -> TwinParameters:
-    """Parameters with the leading shape of ``vector`` (..., k); the inverse of `pack`."""
+    """Inverse of `pack` for ``vector`` (..., k)."""
     layout = Layout(joints)
     if vector.shape[-1] != layout.size:
         raise InputError(f"twin: parameter vector of {vector.shape[-1]} elements, expected {layout.size}")
@@ -222,20 +219,20 @@ def unpack(vector: Array, joints: int) -> TwinParameters:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Prior:
-    """What is believed of an arm before any data, over the parameter vector of length k."""
+    """Prior of an arm over the parameter vector."""
 
     mean: Array
-    """(k,) medians, as logarithms where the parameter is positive"""
+    """(k,) medians, as in `pack`"""
     sigma: Array
-    """(k,) standard deviations in the same terms"""
+    """(k,)"""
     lower: Array
-    """(k,) physical bounds in the same terms"""
+    """(k,) physical bounds"""
     upper: Array
     correlation: Array | None = None
-    """(k, k) of the elements with one another; None: they have nothing to do with one another"""
+    """(k, k); None: uncorrelated"""
 
     def groups(self, joints: int) -> NDArray[np.integer]:
-        """(n,) number of the group of related joints that each belongs to."""
+        """(n,) number of each joint's group."""
         owner, related = Layout(joints).owner, self.precision != 0.0
         return np.array([owner[related[owner == joint].any(axis=0) & (owner >= 0)].min() for joint in range(joints)])
 
@@ -247,10 +244,7 @@ class Prior:
 
 
 def prior(arm: Arm, table: tuple[Parameter, ...] = PARAMETERS) -> Prior:
-    """Prior of an arm from a table, its largest gravity torque, reach, speed and link inertias.
-
-    Every value goes with the arm's size as its unit demands: a larger arm sags and rings by the same angles.
-    """
+    """Prior of an arm from a table, its largest gravity torque, reach, speed and link inertias."""
     load = largest_gravity_torque(arm) / REFERENCE_LOAD
     time = (reach(arm) / REFERENCE_REACH) ** 0.5
     speed = float(arm.max_speed.min()) / REFERENCE_SPEED
@@ -267,7 +261,7 @@ def prior(arm: Arm, table: tuple[Parameter, ...] = PARAMETERS) -> Prior:
 
 
 def _alike(arm: Arm, table: tuple[Parameter, ...]) -> Array | None:
-    """Correlation (k, k) of the parameters of joints with alike servos; None without any."""
+    """Correlation (k, k) of joints with equal servos; None without any."""
     layout, servos = Layout(arm.joints), arm.servos or ("",) * arm.joints
     same = np.array([[one == other != "" for other in servos] for one in servos]) & ~np.eye(arm.joints, dtype=bool)
     if not same.any() or not any(p.alike for p in table):
@@ -286,16 +280,16 @@ def nominal_parameters(arm: Arm) -> TwinParameters:
 
 
 HEALTHY_STIFFNESS_FACTOR = 5.0
-"""A healthy servo over the prior's worn median: 35 N m/rad, from a healthy STS3215's error under load (SO-ARM100, issue
+"""A healthy servo's stiffness over the prior's worn median: 35 N m/rad, from an STS3215 under load (SO-ARM100, issue
 134)"""
 HEALTHY_DAMPING_FACTOR = 3.2
 HEALTHY_TORQUE_FACTOR = 2.2
 HEALTHY_FRICTION_FACTOR = 0.6
-"""The other healthy values over the prior's medians (chosen from the servo's data sheet)."""
+"""Other healthy values over the prior's medians; chosen from the servo's data sheet"""
 
 
 def healthy_parameters(arm: Arm) -> TwinParameters:
-    """Twin of an arm of this build that shows no wear: what one would assume without identification."""
+    """Twin of an arm without wear."""
     worn = nominal_parameters(arm)
     return TwinParameters(
         stiffness=HEALTHY_STIFFNESS_FACTOR * worn.stiffness,
@@ -311,13 +305,12 @@ def healthy_parameters(arm: Arm) -> TwinParameters:
 
 @lru_cache(maxsize=32)
 def largest_gravity_torque(arm: Arm) -> float:
-    """[N m] largest gravity torque about any joint, over postures spread between the limits."""
+    """[N m] about any joint, over all postures."""
     postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (4096, arm.joints))
     return max(float(np.abs(gravity_torque(arm, postures)).max()), 1e-3)
 
 
 def _wrist(arm: Arm) -> NDArray[np.bool_]:
-    """(n,) joints that carry little inertia: mass behind each, times the square of its reach."""
     inertia = np.zeros(arm.joints)
     for i in range(arm.joints):
         reach = 0.0  # upper bound of the distance from joint i: the chain stretched out
@@ -329,9 +322,9 @@ def _wrist(arm: Arm) -> NDArray[np.bool_]:
 
 
 UNKNOWN_PARAMETERS: tuple[Parameter, ...] = tuple(replace(p, **p.wide) for p in PARAMETERS)  # type: ignore[arg-type]
-"""The table of parameters with the ranges of an unknown arm."""
+"""For an unknown arm"""
 
 
 def unknown_prior(arm: Arm) -> Prior:
-    """Prior of an arm of which nothing is known but its URDF or MJCF."""
+    """Prior of an arm known by its URDF or MJCF."""
     return prior(arm, UNKNOWN_PARAMETERS)

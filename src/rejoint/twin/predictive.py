@@ -1,10 +1,8 @@
-"""Predictive control: the motion to a target is planned on the arm's own twin, the rest is left to another controller.
+"""Predictive control: a plan on the arm's own twin for the motion, another controller near the target.
 
-Near the target, and where twin and arm disagree, the encoders know more than the twin: there another controller takes
-over until the next target. Model predictive path integral control (Williams et al., ICRA 2017): candidates around the
-last plan are simulated, and their average weighted by exp(-cost) is the plan; among them the command that holds the
-goal in the model, and the same overdriven. What the model lacks is an offset of the commands (offset-free MPC:
-Pannocchia and Rawlings, AIChE Journal 49(2), 2003).
+The other controller also takes over where twin and arm disagree. Model predictive path integral control (Williams et
+al., ICRA 2017): the plan is the average of simulated candidates, weighted by exp(-cost), among them overdriven ones. An
+offset of the commands takes up the model's error (offset-free MPC: Pannocchia and Rawlings, AIChE Journal 49(2), 2003).
 """
 
 from __future__ import annotations
@@ -26,28 +24,28 @@ from rejoint.twin.twin import Twin
 
 
 class Holder(Controller, Protocol):
-    """A controller that can go on from what another one has sent."""
+    """A controller that can take over from another one."""
 
     def take_over(self, inputs: ControlInput, where: Mask) -> None:
-        """Continue from the last command of the arms in ``where`` (B,); `command` follows in the same cycle."""
+        """Continue from the last command of the arms in ``where`` (B,)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class HandOver:
-    """When the plan is left; ``near`` and ``late`` were chosen on worn arms of family 4."""
+    """When the holder takes over; chosen."""
 
     near: float = 0.5e-3
-    """[m] distance of the tool from its target, by the encoders"""
+    """[m] tool to target, by encoders"""
     late: float = 1.0
     """[s] since the target was set"""
     lost: float = 0.010
-    """[m] by which the twin mispredicts the tool"""
+    """[m] tool prediction error"""
     memory: float = 0.1
-    """[s] over which that is averaged"""
+    """[s] over which it is averaged"""
 
 
 class PredictiveController:
-    """Drives B arms, each on its own twin."""
+    """Controls B arms, each by its own twin."""
 
     name = PREDICTIVE
 
@@ -55,7 +53,7 @@ class PredictiveController:
         self, arm: Arm, twins: Draw, holder: Holder, settings: PlanSettings | None = None,
         hand_over: HandOver | None = None,
     ) -> None:  # fmt: skip
-        """Take the twins (B,) of the arms, or one for all, and the controller for the last millimetres."""
+        """Take twins (B,), or one for all, and the holder."""
         self._arm, self._holder = arm, holder
         self._planner, self._until = Planner(arm, twins, settings), hand_over or HandOver()
         self.contract = getattr(holder, "contract", None)  # of a policy: it is checked before anything moves
@@ -65,7 +63,7 @@ class PredictiveController:
 
     @classmethod
     def of(cls, arm: Arm, twins: Sequence[Twin], holder: Holder) -> PredictiveController:
-        """Make it for B arms and their twins, all compiled; ContractError for twins of other arms."""
+        """Make it for B twins, all compiled; ContractError for other arms."""
         for twin in twins:
             twin.require(arm)
         count, own = len(twins), [twin.parameters for twin in twins]
@@ -87,7 +85,7 @@ class PredictiveController:
         return cls(arm, draw, holder)
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Plan for the new targets of the arms in ``where`` (B,)."""
+        """Plan for new targets of the arms in ``where`` (B,)."""
         count = len(inputs.sent)
         if len(self._planning) != count:
             self._planning, self._wrong, self._time = np.zeros(count, dtype=bool), np.zeros(count), np.zeros(count)
@@ -109,7 +107,7 @@ class PredictiveController:
         return np.where(self._planning[:, None], self._planner.command(inputs), held)
 
     def _over(self, inputs: ControlInput, missed: Array) -> Mask:
-        """Tell for which arms (B,) the plan is over, given what the twins ``missed`` (B, n) [rad]."""
+        """For which arms (B,) the plan is over, by the prediction error ``missed`` (B, n) [rad]."""
         until = self._until
         tcp, jacobian = position_kinematics(self._arm, inputs.state.position)
         wrong = np.linalg.norm((jacobian @ missed[..., None])[..., 0], axis=-1)
@@ -121,47 +119,47 @@ class PredictiveController:
 
 
 _OVERDRIVE = np.array([-0.5, 0.0, 0.5, 1.0, 2.0, 4.0])
-"""Shares of the way to the goal that are added to the goal's command, as candidates (chosen)"""
+"""Candidates: goal's command plus these shares of the way; chosen"""
 _SHADOW_STEPS = 4
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlanSettings:
-    """How the plan is made; chosen on twins, the rate of the offset on worn arms of family 4."""
+    """Settings of the plan; chosen."""
 
     samples: int = 32
-    """candidates per arm and cycle, the overdriven ones among them"""
+    """per arm and cycle"""
     timestep: float = 0.008
     """[s] of the rollouts"""
     horizon: float = 0.28
-    """[s] beyond the dead time"""
+    """[s] beyond the delay"""
     bend: float = 0.12
-    """[s] in which a candidate moves from its first to its last command"""
+    """[s] from first to last command"""
     spread_floor: float = float(np.radians(0.15))
-    """[rad] of the random candidates"""
+    """[rad] of random candidates"""
     spread_slope: float = 0.25
     """their growth with the largest joint error"""
     temperature: float = 0.1
-    """of the weights, by the spread of the costs"""
+    """relative to the spread of the costs"""
     near: float = 0.003
-    """[m] distance that costs half as much as far away"""
+    """[m] distance of half the cost"""
     effort: float = 0.3
-    """[1/rad] cost of the change of the command"""
+    """[1/rad] cost of a change of command"""
     correction: float = 0.4
-    """share of the prediction error taken over into the twin's position each cycle"""
+    """share of the prediction error corrected per cycle"""
     offset_rate: float = 1.0
-    """[1/s] the same into the offset of the commands"""
+    """[1/s] the same for the offset of the commands"""
     lead: float = float(np.radians(20.0))
-    """[rad] largest distance between command and measured position"""
+    """[rad] largest following error"""
     offset_limit: float = float(np.radians(30.0))
     seed: int = 0
 
 
 class Planner:
-    """Plans for B arms, each on its own twin, which ``shadow`` simulates as it is now."""
+    """Plans for B arms; the twins' simulation ``shadow`` runs along."""
 
     def __init__(self, arm: Arm, twins: Draw, settings: PlanSettings | None = None) -> None:
-        """Take the twins of B arms, or one for however many there will be."""
+        """Take the twins of B arms, or one for all."""
         self._arm, self._given, self._settings = arm, twins, settings or PlanSettings()
         self._pace = Pace()
         self._count = 0
@@ -169,14 +167,13 @@ class Planner:
         self._rng = np.random.default_rng(self._settings.seed)
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Take over new targets of the arms in ``where`` (B,); offsets and twins carry over."""
+        """Take new targets of the arms in ``where`` (B,)."""
         if self._count != len(inputs.sent):
             self._begin(inputs)
         self._take_goals(inputs, where)
         self._plan[where] = (self._holding - self._offset)[where, None]
 
     def _take_goals(self, inputs: ControlInput, where: Mask) -> None:
-        """Take over the goals of the arms in ``where`` (B,)."""
         goal = inputs.goal[where]
         self._goal[where] = goal
         self._jacobian[where] = position_kinematics(self._arm, goal)[1]
@@ -184,7 +181,7 @@ class Planner:
         self._holding[where] -= self._twin.offset[where]
 
     def command(self, inputs: ControlInput) -> Array:
-        """Return the first command of the plan, (B, n) [rad]; `follow` comes before it."""
+        """Return the plan's first command (B, n) [rad], after `follow`."""
         moved: Mask = np.logical_or.reduce(inputs.goal != self._goal, axis=-1)
         if moved.any():  # on the way
             self._take_goals(inputs, moved)
@@ -198,7 +195,7 @@ class Planner:
         return limit_position(self._arm, self._plan[:, 0])
 
     def follow(self, inputs: ControlInput) -> Array:
-        """Bring the shadows to now and learn from what they missed, (B, n) [rad]; once per control cycle."""
+        """Advance the twins to now and learn from their errors (B, n) [rad]."""
         settings, now = self._settings, inputs.state.time
         elapsed = self._pace.tick(now)
         shadow = self.shadow
@@ -244,7 +241,6 @@ class Planner:
         return limit_position(self._arm, limit_lead(every, measured[:, None, None], settings.lead))
 
     def _costs(self, inputs: ControlInput, candidates: Array) -> Array:
-        """Cost (B, K) of candidates in the twins."""
         settings, samples = self._settings, self._settings.samples
         count, n = inputs.sent.shape
         delay, timestep = self._twin.delay, settings.timestep
@@ -263,7 +259,7 @@ class Planner:
         return self._judge(inputs, candidates, passed)
 
     def _judge(self, inputs: ControlInput, candidates: Array, passed: Array) -> Array:
-        """Mean over the horizon of the distance's cost, and the effort; distances by the goal's Jacobian."""
+        """Cost (B, K): mean distance, by the goal's Jacobian, plus effort."""
         settings = self._settings
         miss = passed - self._goal[:, None, None]
         error = np.einsum("bij,bktj->bkti", self._jacobian, miss)

@@ -1,9 +1,8 @@
-"""What the servo is asked for: commands that arrive late and are approached at limited speed or acceleration.
+"""The servo's reference: commands that arrive late and are approached at limited speed or acceleration.
 
-Between two sendings the reference is a line and then a rest, or the time-optimal motion to rest at the goal (bang-bang;
-Pontryagin et al. 1962), so it is exact at any time and for any delay. An SO-101 (Feetech STS3215) limits its
-acceleration, to 254 x 100 counts/s^2 at most; a goal that is sent again ends the plan and is followed at once
-(measured). Every arm has delays and a period of its own.
+Between commands it is a ramp, or the time-optimal motion to rest at the goal (bang-bang; Pontryagin et al. 1962). An
+SO-101 (Feetech STS3215) limits its acceleration to 254 x 100 counts/s^2 at most; a repeated goal ends the plan and is
+followed at once (measured).
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
@@ -19,14 +18,14 @@ from rejoint.control.robot import Mask
 from rejoint.system.errors import InputError
 
 REACHED = 1e-12
-"""[rad] from its command at which a reference has arrived: rounding"""
+"""[rad] rounding"""
 
 
 class Reference:
-    """References of m twins that follow one record of commands, each with its own delay and speed."""
+    """References of m twins for one record of commands."""
 
     def __init__(self, time: Array, command: Array, ramp_speed: Array, start: Array) -> None:
-        """Take sending times (T,) [s], commands (T, n) [rad], speeds (m,) [rad/s] and where to start (n,)."""
+        """Take sending times (T,) [s], commands (T, n) [rad], speeds (m,) [rad/s], start (n,)."""
         self.time = time
         self.command = command
         speeds, self.which = np.unique(np.asarray(ramp_speed), return_inverse=True)
@@ -46,7 +45,7 @@ class Reference:
         self._area: Array | None = None
 
     def sample(self, time: Array, delay: Array) -> Array:
-        """Return references (m, s, n) [rad] at ``time`` (s,) [s] for delays (m,) [s]; at first the start."""
+        """Return references (m, s, n) [rad] at ``time`` (s,) [s] for delays (m,) [s]."""
         late = time - np.asarray(delay)[:, None]
         row = np.clip(np.searchsorted(self.time, late, side="right") - 1, 0, len(self.time) - 1)
         elapsed = np.maximum(late - self.time[row], 0.0)
@@ -54,9 +53,9 @@ class Reference:
         return approach(self.at[row, twin], self.command[row], (self.ramp_speed[self.which] * elapsed)[..., None])
 
     def mean(self, time: Array, delay: Array, width: float) -> Array:
-        """Return means of references over ``width`` [s] about each of the even times ``time`` (s,) [s].
+        """Means of references over ``width`` [s] about each of the even times ``time`` (s,) [s].
 
-        Commands that all come at the same place of a step are then in force from where they come.
+        They remove the effect of commands in step with the grid.
         """
         edges = np.append(time - 0.5 * width, time[-1] + 0.5 * width)
         late = edges - np.asarray(delay)[:, None]
@@ -72,7 +71,7 @@ class Reference:
 
 
 def _area(reference: Array, goal: Array, speed: Array, elapsed: Array) -> Array:
-    """Integral [rad s] of a reference over the time ``elapsed`` [s] in which it approaches ``goal``; all broadcast."""
+    """Integral [rad s] of a reference that approaches ``goal`` for ``elapsed`` [s]."""
     gap = goal - reference
     moving = np.clip(elapsed, 0.0, np.abs(gap) / speed)
     missing = np.abs(gap) * moving - 0.5 * speed * moving**2
@@ -80,25 +79,25 @@ def _area(reference: Array, goal: Array, speed: Array, elapsed: Array) -> Array:
 
 
 def approach(reference: Array, goal: Array, step: Array | float) -> Array:
-    """Move ``reference`` towards ``goal`` by at most ``step``; all broadcast."""
+    """Move ``reference`` towards ``goal`` by at most ``step``."""
     return reference + np.clip(goal - reference, -step, step)
 
 
 class LiveReference:
-    """References of N arms of n joints, as commands come; some limit their speed, others their acceleration."""
+    """Online references of N arms of n joints."""
 
     def __init__(self, count: int, joints: int) -> None:
         self.position, self.velocity = np.zeros((2, count, joints))
-        """(N, n) [rad], [rad/s]; the velocity is that of references with limited acceleration"""
+        """(N, n) [rad], [rad/s]; velocity only with limited acceleration"""
         self._speed, self._acceleration = np.ones(count), np.full(count, np.inf)
 
     def restart(self, where: Mask, position: Array, *, speed: Array, acceleration: Array) -> None:
-        """Rest at ``position`` (m, n) [rad] in ``where`` (N,); limits (m,) [rad/s] or, if finite, (m,) [rad/s^2]."""
+        """Rest at ``position`` (m, n) [rad] in ``where`` (N,); limits (m,) [rad/s] or, if finite, [rad/s^2]."""
         self.position[where], self.velocity[where] = position, 0.0
         self._speed[where], self._acceleration[where] = speed, acceleration
 
     def follow(self, latency: Latency, starts: Array, step: Array) -> Array:
-        """Follow the commands in force at ``starts`` (N, s) [s], a ``step`` (N,) [s] each: (N, s, n) [rad]."""
+        """Follow the commands in force at ``starts`` (N, s) [s], ``step`` (N,) [s] each: (N, s, n) [rad]."""
         goals, limited = latency.in_force(starts), (self._acceleration < np.inf).any()
         again = latency.sent_again(starts) if limited else np.zeros(goals.shape, dtype=bool)
         reach = self._speed * step
@@ -107,13 +106,13 @@ class LiveReference:
         return path
 
     def ahead(self, which: NDArray[np.integer], goals: Array, step: float) -> Array:
-        """Return where references (m, s, n) [rad] of the arms ``which`` (m,) would be after ``goals`` of that shape."""
+        """Later references (m, s, n) [rad] of the arms ``which`` (m,) for ``goals``."""
         again, each = np.zeros(goals.shape, dtype=bool), np.full(len(which), step)
         position, velocity, speed = self.position[which], self.velocity[which], self._speed[which]
         return np.asarray(follow(position, velocity, goals, again, speed * step, self._acceleration[which], each)[0])
 
     def state(self) -> dict[str, Array]:
-        """Everything that a checkpoint must keep, as live arrays."""
+        """Live arrays for a checkpoint."""
         return {
             "position": self.position, "velocity": self.velocity, "speed": self._speed,
             "acceleration": self._acceleration,
@@ -122,9 +121,9 @@ class LiveReference:
 
 @njit(cache=True, nogil=True, boundscheck=True)
 def follow(position, velocity, goals, again, reach, acceleration, step):  # noqa: ANN001, ANN201
-    """Move references (N, n) towards the ``goals`` (N, s, n); return where they are after each step, and speeds.
+    """Move references (N, n) towards ``goals`` (N, s, n); return them after each step, and speeds.
 
-    By at most ``reach`` (N,) [rad] in a ``step`` (N,) [s], or with the ``acceleration`` (N,), if that is finite.
+    By ``reach`` (N,) [rad] per ``step`` (N,) [s], or with a finite ``acceleration`` (N,).
     """
     agents, steps, joints = goals.shape
     path, speed = np.empty(goals.shape), np.zeros(velocity.shape)
@@ -144,7 +143,7 @@ def follow(position, velocity, goals, again, reach, acceleration, step):  # noqa
 
 
 class Profile:
-    """References of servos that follow one record of commands with limited acceleration."""
+    """References with limited acceleration for one record of commands."""
 
     def __init__(self, time: Array, command: Array, acceleration: float) -> None:
         """Take sending times (T,) [s], commands (T, n) [rad] and the acceleration [rad/s^2]."""
@@ -152,7 +151,7 @@ class Profile:
         self.position, self.velocity = _states(time, np.ascontiguousarray(command), acceleration)
 
     def sample(self, time: Array, delay: Array) -> Array:
-        """Return references (m, s, n) [rad] at ``time`` (s,) [s] for delays (m,) [s]; at first the first command."""
+        """Return references (m, s, n) [rad] at ``time`` (s,) [s] for delays (m,) [s]."""
         delays, which = np.unique(np.asarray(delay), return_inverse=True)
         late = time - delays[:, None]
         row = np.clip(np.searchsorted(self.time, late, side="right") - 1, 0, len(self.time) - 1)
@@ -164,9 +163,9 @@ class Profile:
 def advance(
     position: Array, velocity: Array, goal: Array, acceleration: float, elapsed: Array | float
 ) -> tuple[Array, Array]:
-    """Position and velocity after ``elapsed`` [s] of the fastest motion to rest at ``goal``; all broadcast.
+    """Position and velocity after ``elapsed`` [s] of the fastest motion to rest at ``goal``.
 
-    Plain arithmetic, which is compiled as well.
+    Plain arithmetic, also compiled.
     """
     away = goal - position
     direction = np.where(away >= 0.5 * velocity * np.abs(velocity) / acceleration, 1.0, -1.0)
@@ -185,7 +184,7 @@ _advance = njit(cache=True)(advance)
 
 @njit(cache=True)
 def _states(time: Array, command: Array, acceleration: float) -> tuple[Array, Array]:
-    """Position and velocity (T, n) of the reference at each sending, once the new command is known."""
+    """Position and velocity (T, n) at each command."""
     position, velocity = np.empty_like(command), np.zeros_like(command)
     position[0] = command[0]
     for k in range(1, len(time)):
@@ -201,11 +200,11 @@ def _states(time: Array, command: Array, acceleration: float) -> tuple[Array, Ar
 
 
 DEPTH = 4
-"""Commands that are remembered: 40 ms of delay at the shortest period of 18 ms."""
+"""Commands kept: 40 ms of delay at the shortest period of 18 ms"""
 
 
 class Latency:
-    """Commands on their way out and positions on their way back, for N arms of n joints."""
+    """Delayed commands and readings of N arms of n joints."""
 
     def __init__(self, count: int, joints: int, substeps: int) -> None:
         self.command_delay = np.zeros(count)
@@ -218,7 +217,7 @@ class Latency:
         self._times = np.zeros((count, 2 * substeps + 1))
 
     def clear(self, where: Mask, command: Array, position: Array) -> None:
-        """Begin at time 0 in ``where`` (N,), ``command`` (m, n) and ``position`` (m, n) being constant."""
+        """Restart at time 0 in ``where`` (N,) with constant ``command``, ``position`` (m, n)."""
         self._commands[where] = command[:, None]
         self._sent[where] = -np.inf
         self._positions[where] = position[:, None]
@@ -232,26 +231,26 @@ class Latency:
         self._commands[:, 0], self._sent[:, 0] = command, time
 
     def in_force(self, time: Array) -> Array:
-        """Commands (N, s, n) [rad] that the servos know at ``time`` (N, s) [s]."""
+        """Commands (N, s, n) [rad] at the servos at ``time`` (N, s) [s]."""
         self._check(len(time))
         return _in_force(self._sent, self.command_delay, self._commands, time)
 
     def sent_again(self, time: Array) -> NDArray[np.bool_]:
-        """Tell which of the commands (N, s, n) in force at ``time`` (N, s) [s] repeat the one before."""
+        """Whether the commands (N, s, n) at ``time`` (N, s) [s] repeat the one before."""
         self._check(len(time))
         same = np.zeros(self._commands.shape)
         same[:, :-1] = self._commands[:, :-1] == self._commands[:, 1:]
         return _in_force(self._sent, self.command_delay, same, time) > 0.0
 
     def record(self, time: Array, position: Array) -> None:
-        """Record positions (N, substeps, n) [rad] that were passed at ``time`` (N, substeps) [s]."""
+        """Record positions (N, substeps, n) [rad] at ``time`` (N, substeps) [s]."""
         new = time.shape[1]
         self._positions[:, :-new] = self._positions[:, new:]
         self._times[:, :-new] = self._times[:, new:]
         self._positions[:, -new:], self._times[:, -new:] = position, time
 
     def read(self, time: Array) -> Array:
-        """Positions (N, n) [rad] that arrive at ``time`` (N,) [s], interpolated between substeps."""
+        """Positions (N, n) [rad] that arrive at ``time`` (N,) [s], interpolated."""
         self._check(len(time))
         return _read(self._times, self._positions, time, self.readback_delay)
 
@@ -260,7 +259,7 @@ class Latency:
             raise InputError(f"latency: times of {count} arms, expected {len(self._sent)}")
 
     def state(self) -> dict[str, Array]:
-        """Everything that a checkpoint must keep, as live arrays."""
+        """Live arrays for a checkpoint."""
         return {
             "command_delay": self.command_delay, "readback_delay": self.readback_delay, "commands": self._commands,
             "sent": self._sent, "positions": self._positions, "times": self._times,

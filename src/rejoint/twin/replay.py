@@ -1,8 +1,8 @@
-"""Open-loop replay: what a twin would have done under the commands of a run log.
+"""Open-loop replay: a twin under the commands of a run log.
 
-Windows start from the measured state, so that all windows of all candidates run as one batch. The delay contains the
-age of the answer. A log may declare its conditions (`RunLog.extra`): ``gain``, the servos' position gain over the
-twin's (``0.5`` or ``1 0.5 1``), and ``torque_off``, times in seconds without torque, where it is cut (``3-7.5 12-14``).
+Windows start from the measured state, so they run as one batch. The delay contains the age of the reading. A log may
+declare (`RunLog.extra`): ``gain``, the servos' position gain over the twin's (``0.5`` or ``1 0.5 1``), and
+``torque_off``, spans [s] without torque, which are cut out (``3-7.5 12-14``).
 """
 
 from __future__ import annotations
@@ -23,13 +23,12 @@ from rejoint.twin.simulation import Draw, Simulation
 from rejoint.twin.table import TablePlane
 
 IN_STEP = 0.2
-"""How much commands keep to one place of the time steps, 0 to 1, that lets them come late or early (chosen: stamps that
-wander by milliseconds have 0.01)"""
+"""Regularity of command times, 0 to 1, that shifts the delay; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Window:
-    """Rows ``first`` to ``last`` (exclusive) of one log, replayed from the state at ``first``."""
+    """Rows ``first`` to ``last`` (exclusive) of one log."""
 
     log: int
     first: int
@@ -37,7 +36,7 @@ class Window:
 
 
 def cut(logs: Sequence[RunLog], length: float) -> list[Window]:
-    """Cut logs into windows of about ``length`` [s]; shorter logs are one window each."""
+    """Cut logs into windows of about ``length`` [s]."""
     windows: list[Window] = []
     for index, log in enumerate(logs):
         duration = float(log.time[-1] - log.time[0])
@@ -49,7 +48,7 @@ def cut(logs: Sequence[RunLog], length: float) -> list[Window]:
 
 
 def divide(windows: Sequence[Window], rows: int) -> list[Window]:
-    """Divide windows into pieces of about ``rows`` rows."""
+    """Divide windows into pieces of about ``rows``."""
     pieces: list[Window] = []
     for w in windows:
         edges = np.linspace(w.first, w.last, max(1, round((w.last - w.first) / rows)) + 1).astype(int).tolist()
@@ -58,7 +57,7 @@ def divide(windows: Sequence[Window], rows: int) -> list[Window]:
 
 
 class Replay:
-    """Replays windows of logs for many candidate twins at once; its simulation batches are kept between calls."""
+    """Replays windows of logs for many twins at once."""
 
     def __init__(
         self,
@@ -85,7 +84,7 @@ class Replay:
         self._simulations: dict[tuple[int, bool], Simulation] = {}
 
     def predict(self, parameters: TwinParameters, tables: Sequence[TablePlane] = ()) -> list[Array]:
-        """Positions (m, rows, n) [rad] for each window, for twins (m,), leaning on m ``tables`` if given."""
+        """Positions (m, rows, n) [rad] of twins (m,) in each window, with m ``tables`` if given."""
         m, count = parameters.shape[0], len(self.windows)
         simulation = self._simulation(m * count, table=bool(tables))
         which = np.tile(np.arange(m), count)  # simulation = window * m + twin
@@ -106,18 +105,18 @@ class Replay:
         ]
 
     def measured(self) -> list[Array]:
-        """Positions (rows, n) [rad] of each window as they were read."""
+        """Measured positions (rows, n) [rad] of each window."""
         return [self._log(w).position[w.first : w.last] for w in self.windows]
 
     def commands(self) -> list[Array]:
-        """Commands (rows, n) [rad] in force when each window's answers were read."""
+        """Commands (rows, n) [rad] in force at each window's readings."""
         return [
             self._log(w).command[np.maximum(np.arange(w.first, w.last) - 1, 0)]  # row k is sent after its answer
             for w in self.windows
         ]
 
     def references(self, parameters: TwinParameters) -> list[Array]:
-        """Compute references (rows, n) [rad] of one twin's servos when each window's answers were read."""
+        """One twin's references (rows, n) [rad] at each window's readings."""
         references = self._references(parameters.repeat(1))
         return [
             references[w.log].sample(self._log(w).time[w.first : w.last], np.atleast_1d(parameters.delay))[0]
@@ -140,10 +139,9 @@ class Replay:
         return self._simulations[count, table]
 
     def _control(self, parameters: TwinParameters) -> Array:
-        """Compute references (windows * m, steps, n) at the start of each simulation step.
+        """Return references (windows * m, steps, n) at the start of each simulation step.
 
-        Positions lead the motion by half a step, commands lag by as much; where all commands come at one place of a
-        step, means over steps are taken, so that the delay does not depend on the step.
+        Means over the step, for commands in step with it: else the delay would depend on the step.
         """
         references = self._references(parameters)
         grid = np.arange(self.steps) * self.timestep
@@ -166,25 +164,25 @@ class Replay:
 
 
 def predict(arm: Arm, parameters: TwinParameters, log: RunLog, timestep: float = TIMESTEP) -> Array:
-    """Positions (T, n) [rad] of the twin, from the first measured state on, open loop."""
+    """Open-loop positions (T, n) [rad] of the twin from the first measured state."""
     whole = Window(log=0, first=0, last=len(log))
     return Replay(arm, [log], [whole], timestep).predict(parameters.repeat(1))[0][0]
 
 
 def _in_step(time: Array, timestep: float) -> float:
-    """Tell from 0 to 1 how much times (T,) [s] keep to one place of the steps of a grid."""
+    """Regularity, 0 to 1, of times (T,) [s] on a grid."""
     return float(np.abs(np.exp(2j * np.pi * time / timestep).mean()))
 
 
 def measured_velocity(log: RunLog) -> Array:
-    """(T, n) [rad/s] by central differences over two rows to either side, which average encoder steps."""
+    """(T, n) [rad/s] by central differences over two rows to either side."""
     rows = np.arange(len(log))
     before, after = np.maximum(rows - 2, 0), np.minimum(rows + 2, len(log) - 1)
     return (log.position[after] - log.position[before]) / (log.time[after] - log.time[before])[:, None]
 
 
 def _interpolate(path: Array, timestep: float, time: Array) -> Array:
-    """Read paths (m, s, n) on an even grid from ``time[0]`` on at ``time`` (rows,)."""
+    """Paths (m, s, n) of an even grid from ``time[0]``, at ``time`` (rows,)."""
     place = (time - time[0]) / timestep
     index = np.minimum(place.astype(int), path.shape[1] - 2)
     part = (place - index)[:, None]
@@ -196,7 +194,7 @@ GAIN, TORQUE_OFF = "gain", "torque_off"
 
 
 def declare(logs: Sequence[RunLog], key: str, values: Mapping[str, str]) -> list[RunLog]:
-    """Give the logs named in ``values`` their value of ``key``; InputError if there is no such log."""
+    """Give the logs named in ``values`` their ``key``; InputError for an unknown log."""
     unknown = sorted(set(values) - {log.label for log in logs})
     if unknown:
         raise InputError(
@@ -210,7 +208,7 @@ def declare(logs: Sequence[RunLog], key: str, values: Mapping[str, str]) -> list
 
 
 def gains(log: RunLog) -> Array:
-    """Position gain (n,) of each servo over that of the twin."""
+    """Position gain (n,) of the servos over the twin's."""
     n = len(log.joint_names)
     found = _numbers(log, GAIN, log.extra.get(GAIN, "1").replace(",", " ").split())
     if len(found) not in (1, n) or (found <= 0).any():
@@ -219,7 +217,7 @@ def gains(log: RunLog) -> Array:
 
 
 def spans_off(log: RunLog) -> list[tuple[float, float]]:
-    """Read the times [s] since the start of the log, from and to, without torque."""
+    """Read the spans [s] without torque."""
     spans = []
     for word in log.extra.get(TORQUE_OFF, "").replace(",", " ").split():
         ends = _numbers(log, TORQUE_OFF, word.split("-"))
@@ -230,7 +228,7 @@ def spans_off(log: RunLog) -> list[tuple[float, float]]:
 
 
 def powered(logs: Sequence[RunLog]) -> list[RunLog]:
-    """Cut logs where the servos give no torque; the pieces of one log are numbered."""
+    """Cut logs at spans without torque."""
     found = []
     for log in logs:
         since, spans = log.time - log.time[0], spans_off(log)

@@ -1,8 +1,7 @@
-"""The one simulation that training, tuning, replay and predictive control step.
+"""The simulation behind training, tuning, replay and predictive control.
 
-Commands come late and are approached at limited speed or acceleration (`rejoint.twin.reference`), gears may have
-backlash, dry friction follows the speed, positions are old when read. Many arms run in lockstep, each with its own
-parameters, control period and clock.
+It adds late and limited commands (`rejoint.twin.reference`), backlash, friction by speed and delayed readings to the
+dynamics. Each arm has its own clock.
 """
 
 from __future__ import annotations
@@ -29,38 +28,38 @@ if TYPE_CHECKING:
     from rejoint.twin.table import TablePlane
 
 Twins = Union["ChainBatch", "TwinBatch"]
-"""Free arms, and arms that may touch a table"""
+"""Free arms, or arms that may touch a table"""
 
 SUBSTEPS = 6
-"""Physics steps in a control cycle: 3 to 9 ms each"""
+"""Physics steps per control cycle: 3 to 9 ms each"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Draw:
-    """N arms to simulate: everything in which one differs from another."""
+    """N arms to simulate: all their differences."""
 
     twin: TwinParameters
-    """parameters with the leading shape (N,)"""
+    """leading shape (N,)"""
     command_delay: Array
-    """(N,) [s] from sending a command to its arrival"""
+    """(N,) [s] until a command arrives"""
     readback_delay: Array
-    """(N,) [s] age of a measured position when it arrives"""
+    """(N,) [s] age of a reading"""
     stiction: Array
-    """(N, n) friction of a joint at rest over that of a moving one"""
+    """(N, n) static over kinetic friction"""
     acceleration: Array
-    """(N,) [rad/s^2] of the servos' references while commands keep changing; inf: their speed is limited instead"""
+    """(N,) [rad/s^2] of the servos' references while commands change; inf: limited speed instead"""
     gravity_scale: Array
-    """(N,) factor on gravity: unknown masses and payload"""
+    """(N,) for unknown masses and payload"""
     period: Array
-    """(N,) [s] middle of the control periods"""
+    """(N,) [s] mean control period"""
     backlash: Array
-    """(N, n) [rad] free motion of the gears inside the servo loop"""
+    """(N, n) [rad] inside the servo loop"""
     grease: Array
-    """(N,) damping of a joint inside that backlash by that of its motor"""
+    """(N,) damping of a joint in the backlash, relative to its motor's"""
 
     @staticmethod
     def of(twin: TwinParameters, stiction: Array | float = 1.0, acceleration: Array | float = np.inf) -> Draw:
-        """Take twins (N,) as they are; the whole of their delay lies on the way out."""
+        """Take twins (N,), with all delay before the servo."""
         whole, joints = np.zeros(twin.shape), np.zeros(twin.stiffness_shape)
         return Draw(
             twin=twin, command_delay=twin.delay, readback_delay=whole, stiction=joints + stiction,
@@ -74,7 +73,7 @@ class Draw:
 
 
 class Simulation:
-    """``count`` arms of one build; their state is live in ``twins``, their clocks are in ``time``."""
+    """``count`` arms of one build, with live ``twins`` and ``time``."""
 
     def __init__(
         self, arm: Arm, count: int, *, timestep: float = TIMESTEP, threads: int = 1, table: bool = False,
@@ -90,13 +89,13 @@ class Simulation:
         self.time = np.zeros(count)
         """(N,) [s]"""
         self.measured = np.zeros((count, n))
-        """(N, n) [rad] the newest positions that have been read, in encoder steps"""
+        """(N, n) [rad] newest readings, in encoder steps"""
         self._friction = np.ones((len(DRY) + 1, count, n))
 
     def place(self, draw: Draw, position: Array, command: Array, where: Mask | None = None) -> None:
-        """Put the arms of ``draw`` (m,) in the places ``where`` (N,), everywhere by default, at time 0.
+        """Put the arms of ``draw`` (m,) in ``where`` (N,), default: all, at time 0.
 
-        They are at ``position`` (m, n) [rad]; ``command`` (m, n) [rad] has long been in force.
+        At ``position`` (m, n) [rad] with constant ``command`` (m, n) [rad].
         """
         where = np.ones(len(self.time), dtype=bool) if where is None else where
         self.twins.write(draw.twin, where, gravity_scale=draw.gravity_scale)
@@ -110,17 +109,17 @@ class Simulation:
         self.measured[where] = self._quantised(position)
 
     def put_tables(self, tables: Sequence[TablePlane]) -> None:
-        """Put each arm of a simulation that was made with ``table`` on its own; after `place`."""
+        """Set the tables of a simulation with ``table``, after `place`."""
         if isinstance(self.twins, ChainBatch):
             raise InputError("simulation: made without a table, and cannot be put on one")
         self.twins.put_tables(tables)
 
     def send(self, command: Array) -> None:
-        """Send ``command`` (N, n) [rad] now."""
+        """Send ``command`` (N, n) [rad]."""
         self.latency.send(command, self.time)
 
     def advance(self, period: Array, offset: Array | None = None) -> None:
-        """Let ``period`` (N,) [s] pass, and read; ``offset`` (N, n) [rad] is added to the references."""
+        """Advance by ``period`` (N,) [s] and read; ``offset`` (N, n) [rad] shifts the references."""
         step = period / self.substeps
         self.twins.set_timestep(step)
         starts = self.time[:, None] + step[:, None] * np.arange(self.substeps)
@@ -131,7 +130,7 @@ class Simulation:
         self.measured = self._quantised(self.latency.read(self.time))
 
     def rollout(self, reference: Array) -> Array:
-        """Advance by the servos' ``reference`` (N, steps, n) [rad], one row a step; return positions of that shape."""
+        """Advance by ``reference`` (N, steps, n) [rad]; return positions of that shape."""
         if not self.backlash.present and isinstance(self.twins, ChainBatch):
             return self.twins.rollout(reference, self._friction)
         if is_steady(self._friction) and not self.backlash.present:
@@ -147,7 +146,7 @@ class Simulation:
         return positions
 
     def state(self) -> dict[str, Array]:
-        """Everything that a checkpoint must keep, as live arrays; of arms that touch no table."""
+        """Live arrays for a checkpoint; not with tables."""
         twins = self.twins.state() if isinstance(self.twins, ChainBatch) else {}
         return {
             "time": self.time, "measured": self.measured, "friction": self._friction,
@@ -168,15 +167,15 @@ def _on_table(arm: Arm, count: int, timestep: float, threads: int) -> TwinBatch:
 
 
 class TwinRobot:
-    """One twin per drawn arm, in lockstep, each with its own period, delays and clock."""
+    """One twin per drawn arm, in lockstep."""
 
     def __init__(
         self, arm: Arm, draw: Draw, *, seed: int, jitter: float = 0.2, copies: int = 1,
         posture: Array | None = None, address: str = "twins",
     ) -> None:  # fmt: skip
-        """Put the twins at rest in a ``posture`` (n,) [rad], by default that of rest, held by the first command.
+        """Put the twins at rest in a ``posture`` (n,) [rad], default: that of rest.
 
-        ``copies``: the batch holds the same arms that many times over, with the same jitter.
+        ``copies``: repeats of all arms, with the same jitter.
         """
         count = len(draw.period)
         self._arm, self._period, self._jitter, self._copies = arm, draw.period, jitter, copies
@@ -193,7 +192,7 @@ class TwinRobot:
 
     @property
     def address(self) -> str:
-        """What it is."""
+        """Label."""
         return self._address
 
     @property
@@ -202,12 +201,12 @@ class TwinRobot:
         return len(self._period)
 
     def read(self) -> JointState:
-        """Return the newest joint state."""
+        """Newest joint state."""
         now = self.simulation
         return JointState(time=now.time.copy(), position=now.measured.copy(), age=np.zeros(self.count))
 
     def step(self, command: Array, active: Mask | None = None) -> JointState:
-        """Send ``command`` (B, n) [rad] and let one period pass; twins that are not ``active`` are not read."""
+        """Send ``command`` (B, n) [rad], advance one period; read only ``active`` twins."""
         simulation, before = self.simulation, self.simulation.measured
         simulation.send(command)
         spread = self._rng.uniform(1.0 - self._jitter, 1.0 + self._jitter, self.count // self._copies)
@@ -217,11 +216,11 @@ class TwinRobot:
         return self.read()
 
     def true_tcp(self) -> Array:
-        """(B, 3) [m] of the twins' links: encoders see all their backlash."""
+        """(B, 3) [m] of the twins' links, without backlash."""
         return tcp_position(self._arm, self.simulation.twins.qpos)
 
     def stop(self) -> None:
-        """Hold where they are; twins that have stopped are not read."""
+        """Hold position; stopped twins are not read."""
 
     def close(self) -> None:
         """Nothing to release."""

@@ -1,7 +1,6 @@
-"""What a twin must hold to explain some logs: limits that were reached, and how much joints stick.
+"""What a twin needs to explain some logs: active limits, and static friction.
 
-Neither has a gradient, so fits to the same windows are compared, from the simplest structure up; a more elaborate one
-must pay for itself.
+Neither has a gradient, so fits to the same windows are compared; more elaborate structures must pay for themselves.
 """
 
 from __future__ import annotations
@@ -18,47 +17,45 @@ from rejoint.twin.parameters import Layout, Prior, number
 from rejoint.twin.replay import Window
 
 STICTIONS = (1.25, 1.0, 1.5, 2.0)
-"""Ratios of friction at rest to friction in motion, the one to beat first (measured on a real low-cost arm)"""
+"""Ratios of static to kinetic friction, default first; measured on a real low-cost arm"""
 
 LIMITS = ("torque_limit", "ramp_speed")
-"""Parameters that leave no trace unless they are reached"""
+"""Parameters that show only when reached"""
 
 ACCELERATIONS = (40.0, 20.0, 80.0)
-"""[rad/s^2] limits of the reference's acceleration, after the known one; the first that helps is refined (chosen:
-around 39, the largest setting of an STS3215)"""
+"""[rad/s^2] limits of the reference's acceleration to try; chosen around an STS3215's largest setting"""
 DELAYS = (-0.008, -0.004, 0.0, 0.004, 0.008, 0.012)
-"""[s] changes of the delay that are tried with other accelerations (chosen)"""
+"""[s] changes of the delay to try with them; chosen"""
 EARLIER = 0.01
-"""[s] by which the delay makes up for a limited acceleration (measured: 5 to 15 ms on a real low-cost arm)"""
+"""[s] of delay that imitates a limited acceleration; measured on a real low-cost arm"""
 
 STICTION_GAIN = 0.10
-"""Relative gain in loss that another stiction must bring (chosen: windows of one motion favour a wrong one by 5 %)"""
+"""Relative gain of another stiction; chosen"""
 GAIN = 0.02
-"""Gain of the first look at a limit below which no descent follows (chosen)"""
+"""Least first gain of a limit; chosen"""
 LIMIT_GAIN = 0.15
-"""The same for a limit: one that is reached brings several times as much (measured); a wrong speed limit gains 6 %"""
+"""Relative gain of a limit; chosen: a wrong one gains 6 %"""
 
 FINEST = 1.05
-"""Factor between the accelerations that are tried last (chosen: below it the loss is flat)"""
+"""Factor between the last accelerations tried; chosen"""
 
 STARTS = 8
-"""Candidates of the random search before the first descent (chosen)"""
+"""Candidates of the random search; chosen"""
 NEAR = 0.2
-"""Loss of a first fit over that of no twin that counts as near (chosen)"""
+"""Relative loss of a good first fit; chosen"""
 SHORT = 3
-"""Steps of a descent on few windows (chosen)"""
+"""Steps of a descent on few windows; chosen"""
 ROUGH = 6
-"""Steps of the first descent (chosen)"""
+"""Steps of the first descent; chosen"""
 FURTHER = 2
-"""Steps of a descent that starts at the optimum of a similar structure (chosen)"""
+"""Steps from a similar optimum; chosen"""
 FAR = 5.0
-"""Rms residual of a window over the median one, from which it is left out (chosen: jumps of a real arm stay within 4,
-chirps beyond its servos reach 20)"""
+"""Rms residual over the median of a window to leave out; chosen between real jumps (4) and infeasible chirps (20)"""
 
 _RAMPS = (1.0, 2.0, 4.0, 8.0)
-"""[rad/s] reference speeds that are tried"""
+"""[rad/s] tried"""
 _TORQUES = (0.4, 0.6, 0.8)
-"""Torque limits that are tried, over the largest torque that a servo without limit would give"""
+"""Tried, over the largest torque without limit"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,14 +65,14 @@ class Structure:
     prior: Prior
     frozen: tuple[str, ...]
     stiction: float
-    """friction at rest over friction in motion, of all joints"""
+    """static over kinetic friction"""
     acceleration: float = np.inf
-    """[rad/s^2] of the reference, while commands keep changing"""
+    """[rad/s^2] of the reference, while commands change"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Found:
-    """The structure that the data ask for, and its optimum on the windows that decided."""
+    """The selected structure and its optimum."""
 
     structure: Structure
     vector: Array
@@ -83,15 +80,12 @@ class Found:
 
 
 def simplest(belief: Prior, stiction: float, acceleration: float = np.inf) -> Structure:
-    """Give the structure without limits, but for what is known of the reference's ``acceleration`` [rad/s^2]."""
+    """Structure without limits but a known ``acceleration`` [rad/s^2]."""
     return Structure(prior=_without_limits(belief, LIMITS), frozen=LIMITS, stiction=stiction, acceleration=acceleration)
 
 
 def rough_fit(problem: Problem) -> Array:
-    """Fit (k,) from the prior's median; from the best of a random search where that does not come near.
-
-    The median first: a search ends anywhere along the common scale of a joint's torques.
-    """
+    """Fit (k,) from the prior's median, else from the best of a random search."""
     belief, measured = problem.prior, problem.measured
     x = fit(problem, fit(problem, belief.mean, SHORT).vector, SHORT, SCALES).vector
     no_twin = loss(np.concatenate(problem.replay.commands()) - measured).sum(axis=0)
@@ -106,7 +100,7 @@ def rough_fit(problem: Problem) -> Array:
 
 
 def expressible(problem: Problem, x: Array) -> list[Window]:
-    """Select the windows that a fit (k,) comes near; others would bend all parameters for motion out of reach."""
+    """Select the windows that a fit (k,) comes near."""
     by_row = loss(problem.residuals(x[None])[0]).sum(axis=1)
     by_window = np.bincount(problem.window, by_row) / np.bincount(problem.window)
     limit = FAR**2 * np.median(by_window)
@@ -116,8 +110,7 @@ def expressible(problem: Problem, x: Array) -> list[Window]:
 def find_acceleration(make: Callable[[Structure], Problem], simple: Structure, start: Array) -> Structure:
     """Limit the reference's acceleration where that explains the fastest windows, from ``start`` (k,).
 
-    ``make`` turns a structure into a problem of these windows. Each limit is judged by its own fit. The acceleration of
-    ``simple`` is that known of the servos: it holds where these windows do not tell.
+    ``make`` turns a structure into a problem of these windows. Without evidence, the acceleration of ``simple`` holds.
     """
     known = simple.acceleration
 
@@ -149,14 +142,14 @@ def find_acceleration(make: Callable[[Structure], Problem], simple: Structure, s
 
 
 def _by_delay(problem: Problem, x: Array) -> Array:
-    """Give vectors (m, k) that differ from ``x`` in the delay."""
+    """Vectors (m, k) that differ from ``x`` in the delay."""
     around = np.tile(x, (len(DELAYS), 1))
     around[:, problem.layout.at("delay")] += np.array(DELAYS)[:, None]
     return np.clip(around, problem.prior.lower, problem.prior.upper)
 
 
 def _lowest(problem: Problem, vectors: Array) -> Array:
-    """Losses (n,) of the best of the ``vectors`` (m, k)."""
+    """Least losses (n,) of the ``vectors`` (m, k)."""
     losses = loss(problem.residuals(vectors)).sum(axis=1)
     return np.asarray(losses[np.argmin(losses.sum(axis=1))])
 
@@ -171,7 +164,7 @@ def find_structure(
 ) -> Found:
     """Compare structures on the same windows, from a simple one and its ``start`` (k,).
 
-    ``make`` turns a structure into a problem that takes as many threads, on which the result does not depend.
+    ``make`` turns a structure and a number of threads into a problem.
     """
     problem = make(structure, threads)
     x = fit(problem, start, FURTHER, SCALES).vector
@@ -197,7 +190,7 @@ def find_structure(
 def _climb(
     make: Callable[[Structure], Problem], structure: Structure, x: Array, best: Array, ladder: Sequence[float]
 ) -> Found:
-    """Try the stictions of a ladder until one does not pay, from the optimum ``x`` (k,) and its losses (n,)."""
+    """Try the stictions of a ladder while they pay, from optimum ``x`` (k,), losses (n,)."""
     for stiction in ladder:
         stickier = replace(structure, stiction=stiction)
         problem = make(stickier)
@@ -218,7 +211,7 @@ def _ladders(stictions: Sequence[float]) -> tuple[list[float], list[float]]:
 
 
 def _with_limit(problem: Problem, x: Array, limit: str) -> tuple[Array, Array]:
-    """Optimum with one limit freed, and its losses (n,), without a descent where no limit helps."""
+    """Optimum with one limit freed, and its losses (n,)."""
     candidates = [x]
     place = problem.layout.at(limit)
     if limit == "torque_limit":
@@ -244,7 +237,7 @@ def _with_limit(problem: Problem, x: Array, limit: str) -> tuple[Array, Array]:
 
 
 def _drive_torque(problem: Problem, x: Array) -> Array:
-    """(n,) [N m] torques of servos without limit, exceeded in one row of 200."""
+    """(n,) [N m] torques without limit, exceeded in one row of 200."""
     lead = np.concatenate(problem.replay.commands()) - problem.measured
     return np.asarray(np.quantile(np.abs(np.exp(x[problem.layout.at("stiffness")]) * lead), 0.995, axis=0))
 
@@ -255,7 +248,6 @@ def _without_limits(belief: Prior, names: Sequence[str]) -> Prior:
 
 
 def _losses(problem: Problem, x: Array) -> Array:
-    """Compute the loss (n,) of each joint."""
     return np.asarray(loss(problem.residuals(x[None])[0]).sum(axis=0))
 
 

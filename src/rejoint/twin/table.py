@@ -1,4 +1,4 @@
-"""The table that an arm is on, as a plane under its tip."""
+"""The table under an arm, as a plane."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ class TablePlane:
     """A plane under the tip."""
 
     height: float
-    """[m] of the TCP when it touches, in the base frame below the base's origin"""
+    """[m] of the TCP in contact, below the base's origin"""
     slope_x: float
-    """height gained per length along the base's x"""
+    """along the base's x"""
     slope_y: float
     stiffness: float
-    """[N/m] of tip, links and table together against the tip being pushed down"""
+    """[N/m] of tip, links and table together, vertical"""
     friction: float
-    """Coulomb coefficient of the sliding tip"""
+    """Coulomb coefficient of the tip"""
 
     def __post_init__(self) -> None:
         if not np.isfinite(astuple(self)).all() or self.stiffness <= 0 or self.friction < 0:
             raise InputError(f"table: needs finite values, a stiffness above 0 and no negative friction, got {self}")
 
     def surface(self, points: Array) -> Array:
-        """Height (...) [m] of the table under points (..., 3) [m]."""
+        """Height (...) [m] under points (..., 3) [m]."""
         return self.height + self.slope_x * points[..., 0] + self.slope_y * points[..., 1]

@@ -1,4 +1,4 @@
-"""Fit of the table under an arm to motion in contact: least squares with a weak prior, the arm being known."""
+"""Fit of the table to motion in contact: least squares with a weak prior."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from rejoint.twin.table import TablePlane
 
 # height [m], slopes, log stiffness [N/m], log friction
 _SIGMA = np.array([0.02, 0.05, 0.05, 1.0, 0.7])
-"""Prior standard deviations (chosen): level within 3 degrees, soft or hard within a factor of e"""
+"""Prior sigma; chosen: level within 3 degrees, stiffness within a factor of e"""
 _STEP = np.array([0.001, 0.01, 0.01, 0.2, 0.2])
 """Finite-difference steps (chosen)"""
 _LOWER = np.array([-np.inf, -0.3, -0.3, np.log(100.0), np.log(0.05)])
 _UPPER = np.array([np.inf, 0.3, 0.3, np.log(1e5), np.log(1.5)])
 
 STIFFNESS, FRICTION = 1000.0, 0.3
-"""Where a fit starts [N/m]: a hand-sized arm gives about as much itself (chosen)"""
+"""Start of a fit [N/m], [1]; chosen: a hand-sized arm"""
 
 NOISE, ROWS = np.radians(0.5), 50
-"""[rad] of a prediction in contact, and rows that say as much as one: a second (chosen)"""
+"""[rad] of a prediction in contact, and rows of one observation; chosen"""
 
 
 def fit_table(
     replay: Replay, parameters: TwinParameters, height: float, start: TablePlane | None = None, evaluations: int = 12
 ) -> TablePlane:
-    """Fit the table to the windows of a replay, from ``start`` or its prior: level, at ``height`` [m]."""
+    """Fit the table to a replay, from ``start`` or level at ``height`` [m]."""
     measured, weight = np.concatenate(replay.measured()), 1.0 / (NOISE * ROWS**0.5)
     mean = np.array([height, 0.0, 0.0, np.log(STIFFNESS), np.log(FRICTION)])
 
@@ -46,7 +46,7 @@ def fit_table(
         return np.vstack([((np.array(moved) - base) / steps[:, None]).T, np.diag(1.0 / _SIGMA)])
 
     def loss(z: Array) -> Array:
-        """Pseudo-Huber with its derivatives, square for the prior."""
+        """Pseudo-Huber with derivatives, square for the prior."""
         motion = np.arange(len(z)) < len(z) - len(mean)
         root = np.sqrt(1.0 + z)
         return np.where(motion, [2.0 * (root - 1.0), 1.0 / root, -0.5 / root**3], [z, np.ones_like(z), 0.0 * z])

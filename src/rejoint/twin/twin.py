@@ -1,4 +1,4 @@
-"""The fitted twin: values, intervals, what is not known, how well it predicts."""
+"""The fitted twin: values, intervals, unknowns, prediction error."""
 
 from __future__ import annotations
 
@@ -26,29 +26,28 @@ from rejoint.twin.parameters import (
 from rejoint.twin.table import TablePlane
 
 LEAST_SPREAD = 0.05
-"""Extra spread of the logarithms of drawn twins: no twin has the structure of the real arm (chosen)"""
+"""Extra sigma of the logarithms of drawn twins; chosen"""
 
 SCALE_KNOWN = 2.0
-"""Information on a joint's common scale, over the prior's, from which it is known (chosen)"""
+"""Information on a joint's common scale, over the prior's, of a known one; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HeldOut:
-    """Errors on motion that the fit has not seen."""
+    """Errors on held-out motion."""
 
     seconds: float
-    """[s] length of that motion"""
+    """[s]"""
     no_twin: PredictionError
-    """the command taken as the prediction"""
+    """the command as prediction"""
     healthy_twin: PredictionError
-    """an arm of this build that shows no wear"""
+    """an arm of this build without wear"""
     twin: PredictionError
-    """the fitted twin"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Twin:
-    """Parameters of one arm with their covariance, over a parameter vector of length k.
+    """Parameters of one arm with their covariance, over a vector of length k.
 
     Examples
     --------
@@ -61,39 +60,39 @@ class Twin:
     joint_names: tuple[str, ...]
     parameters: TwinParameters
     covariance: Array
-    """(k, k) of the vector that `pack` makes: logarithms of the positive quantities"""
+    """(k, k) of the vector of `pack`"""
     lower: Array
-    """(k,) physical bounds of the vector"""
+    """(k,) physical bounds"""
     upper: Array
     narrowing: Array
-    """(k,) standard deviation by the data over that of the prior"""
+    """(k,) sigma by the data over that of the prior"""
     identified: NDArray[np.bool_]
-    """(k,) whether the data say more than the prior did"""
+    """(k,) whether the data outweigh the prior"""
     held_out: HeldOut
     fit_seconds: float
-    """[s] length of the motion that the fit has seen"""
+    """[s] of motion in the fit"""
     notes: tuple[str, ...] = field(default=())
-    """what a user of the twin should know, in words"""
+    """for the user"""
     stiction: float = STICTION
-    """friction at rest over friction in motion"""
+    """static over kinetic friction"""
     acceleration: float = np.inf
-    """[rad/s^2] of the servos' references while commands keep changing (`rejoint.twin.reference`); inf: not limited"""
+    """[rad/s^2] of the servos' references while commands change (`rejoint.twin.reference`)"""
     table: TablePlane | None = None
-    """what the arm leaned on in the logs, if anything; no part of the arm"""
+    """contact in the logs; not part of the arm"""
     judgement: Judgement | None = None
-    """how it predicts the motions kept from the fit; not on file"""
+    """on held-out motions; not on file"""
     fitted: tuple[str, ...] = ()
-    """labels of the motions that such a fit has seen; not on file"""
+    """labels of the motions in the fit; not on file"""
 
     @classmethod
     def load(cls, path: Path | str) -> Twin:
-        """Read a twin file (TOML); FileError if it is missing or damaged."""
+        """Read a twin file (TOML); FileError if missing or damaged."""
         from rejoint.twin.file import read_twin
 
         return read_twin(Path(path))
 
     def save(self, path: Path | str) -> None:
-        """Write a twin file (TOML), whole or not at all; FileError if that fails."""
+        """Write a twin file (TOML), atomically; FileError if that fails."""
         from rejoint.twin.file import write_twin
 
         write_twin(Path(path), self)
@@ -122,12 +121,12 @@ class Twin:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names (k,) of the parameter vector's elements."""
+        """Names (k,) of the parameters."""
         return vector_names(self.joint_names)
 
     @property
     def interval(self) -> tuple[TwinParameters, TwinParameters]:
-        """Lower and upper ends of the 95 % intervals, within the bounds."""
+        """Ends of the 95 % intervals, within the bounds."""
         mean, sigma = pack(self.parameters), np.sqrt(np.diag(self.covariance))
         n = len(self.joint_names)
         low, high = np.maximum(mean - NORMAL95 * sigma, self.lower), np.minimum(mean + NORMAL95 * sigma, self.upper)
@@ -135,10 +134,7 @@ class Twin:
 
     @property
     def unknown_scale(self) -> tuple[str, ...]:
-        """Joints whose torques and inertia are known up to a common factor only.
-
-        Only gravity and link inertia fix it, and a joint near the flange feels little of either.
-        """
+        """Joints with torques and inertia known up to a common factor only."""
         layout, sigma = Layout(len(self.joint_names)), np.sqrt(np.diag(self.covariance)) / self.narrowing
         unknown = []
         for joint, name in enumerate(self.joint_names):
@@ -150,13 +146,13 @@ class Twin:
 
     @property
     def unknown(self) -> tuple[str, ...]:
-        """Names of the parameters that keep their prior range."""
+        """Parameters that keep their prior range."""
         return tuple(name for name, known in zip(self.names, self.identified, strict=True) if not known)
 
     def sample(self, rng: np.random.Generator, count: int, least_spread: float = LEAST_SPREAD) -> TwinParameters:
-        """Draw ``count`` twins from the correlated covariance, within the physical bounds.
+        """Draw ``count`` twins from the covariance, within the physical bounds.
 
-        Logarithms are spread by ``least_spread`` on top. Drawn delays are not below zero.
+        ``least_spread`` widens logarithms. Delays are not negative.
         """
         root = _root(self, least_spread)
         drawn = pack(self.parameters) + rng.standard_normal((count, len(self.names))) @ root.T
@@ -164,7 +160,7 @@ class Twin:
         return unpack(np.clip(drawn, lower, self.upper), len(self.joint_names))
 
     def require(self, arm: Arm) -> None:
-        """Refuse with a ContractError if this twin is of another arm."""
+        """Raise ContractError if this twin is of another arm."""
         if self.arm != arm.name or self.joint_names != arm.joint_names:
             raise ContractError(
                 f"twin of arm {self.arm!r} with joints {', '.join(self.joint_names)}; expected {arm.name!r} with "
@@ -172,7 +168,7 @@ class Twin:
             )
 
     def digest(self) -> str:
-        """Fingerprint of everything that decides the twins drawn from this one."""
+        """Fingerprint of what decides the twins drawn from this one."""
         h = hashlib.sha256("\n".join([self.arm, *self.names]).encode())
         values = [getattr(self.parameters, p.name) for p in PARAMETERS]
         for array in (*values, self.covariance, self.lower, self.upper, self.identified.astype(float)):
@@ -188,7 +184,7 @@ class Twin:
 
 @lru_cache(maxsize=8)
 def _root(twin: Twin, least_spread: float) -> Array:
-    """Matrix (k, k) whose product with its transpose is the covariance of `Twin.sample`; kept for trainings."""
+    """Matrix square root (k, k) of the covariance of `Twin.sample`, cached."""
     covariance = twin.covariance + np.diag(np.where(Layout(len(twin.joint_names)).is_log, least_spread**2, 0.0))
     values, vectors = np.linalg.eigh(covariance)
     root: Array = vectors * np.sqrt(np.maximum(values, 0.0))

@@ -1,12 +1,12 @@
-"""How well a fit knows its parameters.
+"""The uncertainty of a fit.
 
 The jackknife over clusters, each left out by one Newton step (CR3 of Bell and McCaffrey 2002; Cameron and Miller 2015),
 with Student's quantile; clusters are motions, or stretches of an excitation. Curvature and scores alone (Huber 1967)
-are far too narrow: a third of such 95 % intervals held the truth (`python -m benchmarks truth`). Stick-slip passes for
-curvature, so that of each direction is taken from the loss itself.
+are too narrow: a third of such 95 % intervals held the truth (`python -m benchmarks truth`). Stick-slip looks like
+curvature, so the curvature comes from the loss itself.
 
-Masses are what the common scale of a joint's torques rests on: the covariance has a part for how far the estimate would
-move with them ("consider" covariance, Schmidt 1966; Bierman 1977, chapter 8).
+Uncertain masses widen the common scale of a joint's torques ("consider" covariance, Schmidt 1966; Bierman 1977, chapter
+8).
 """
 
 from __future__ import annotations
@@ -24,37 +24,35 @@ from rejoint.twin.parameters import Prior, number, unpack
 from rejoint.twin.replay import Replay
 
 CLUSTER = 3.0
-"""[s] longer than a stick-slip cycle and than the slowest oscillation of a worn arm (chosen)"""
+"""[s]; chosen: longer than stick-slip and the slowest oscillation"""
 
 TORQUE_LIMIT = number("torque_limit")
-"""Column of the sensitivities that is the torque limit's"""
 
 REACH = 2.0
-"""Standard deviations from which the loss's own curvature is taken (chosen: the ends of an interval)"""
+"""Standard deviations for the loss's curvature; chosen"""
 LEAST_SHARE = 0.01
-"""Least share of the curvature left of a direction along which the loss does not grow (chosen)"""
+"""Least share of the curvature along a flat loss; chosen"""
 SCALE_STEP = float(np.log(SCALES[-2]))
-"""Step of the ladder `SCALES`, half a 95 % interval: without it only 4 of 5 intervals of disjoint halves agree
-(measured)"""
+"""Step of the ladder `SCALES`; measured: without it only 4 of 5 intervals agree"""
 
 IDENTIFIED = 0.5
-"""A parameter counts as identified when the data at least halve its prior standard deviation (chosen)"""
+"""Share of the prior's sigma of an identified parameter; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Uncertainty:
-    """Covariance of an estimate over the parameter vector of length k."""
+    """Covariance of an estimate."""
 
     covariance: Array
-    """(k, k) of the posterior: what the data do not say, the prior does"""
+    """(k, k) of the posterior"""
     narrowing: Array
-    """(k,) standard deviation by the data over that of the prior"""
+    """(k,) sigma by the data over that of the prior"""
     identified: NDArray[np.bool_]
     """(k,)"""
 
 
 def uncertainty(problem: Problem, fit: Fit, clusters: NDArray[np.integer]) -> Uncertainty:
-    """Estimate the covariance of a fit from the scores of ``clusters`` (rows,) and the masses."""
+    """Estimate a fit's covariance from the scores of ``clusters`` (rows,) and the masses."""
     prior = problem.prior
     residual, jacobian = _central_differences(problem, fit.vector)
     covariance = jackknife(prior, *_by_cluster(problem, fit, residual, jacobian, clusters))
@@ -68,16 +66,16 @@ def uncertainty(problem: Problem, fit: Fit, clusters: NDArray[np.integer]) -> Un
 
 
 def _resolution(problem: Problem, x: Array) -> Array:
-    """Covariance (k, k) of the common scale of each joint, which a fit takes from a ladder."""
+    """Covariance (k, k) of each joint's common scale, by the ladder."""
     up, down = problem.rescaled(x, (np.exp(0.5 * SCALE_STEP), np.exp(-0.5 * SCALE_STEP)))
     step = (up - down) / NORMAL95
     return np.outer(step, step) * (problem.owner[:, None] == problem.owner)
 
 
 def jackknife(prior: Prior, curvatures: Array, scores: Array) -> Array:
-    """Covariance (k, k) of a posterior from g clusters and its n joints: (g, k, k) and (g, n, k).
+    """Covariance (k, k) of a posterior from g clusters and n joints: (g, k, k) and (g, n, k).
 
-    Spread of the estimates without each cluster, plus the inverse curvature, scaled to Student's width.
+    Spread of the leave-one-out estimates plus the inverse curvature, by Student's width.
     """
     count, precision = len(scores), prior.precision
     whole = curvatures.sum(axis=0)
@@ -91,7 +89,7 @@ def jackknife(prior: Prior, curvatures: Array, scores: Array) -> Array:
 def _by_cluster(
     problem: Problem, fit: Fit, residual: Array, jacobian: Array, clusters: NDArray[np.integer]
 ) -> tuple[Array, Array]:
-    """Curvature (g, k, k) of each cluster, and score (g, n, k) of each of its joints."""
+    """Curvature (g, k, k) of each cluster, and score (g, n, k) of its joints."""
     count, k = int(clusters.max()) + 1, len(fit.vector)
     curvatures, scores = np.zeros((count, k, k)), np.zeros((count, problem.joints, k))
     rows = [np.flatnonzero(clusters == g) for g in range(count)]
@@ -107,10 +105,9 @@ def _by_cluster(
 
 
 def _steadied(problem: Problem, fit: Fit, jacobian: Array, covariance: Array) -> Array:
-    """Scale sensitivities (rows, n, q) down to the curvature that the loss itself shows.
+    """Scale sensitivities (rows, n, q) down to the curvature of the loss itself.
 
-    Along the principal directions of each joint's own parameters, `REACH` standard deviations of ``covariance`` (k, k)
-    to either side.
+    Along the principal directions of each joint's parameters, `REACH` sigma of ``covariance`` (k, k).
     """
     prior, n = problem.prior, problem.joints
     own = [np.flatnonzero((problem.owner == joint) & ~problem.frozen) for joint in range(n)]
@@ -144,7 +141,7 @@ def _steadied(problem: Problem, fit: Fit, jacobian: Array, covariance: Array) ->
 def _central_differences(problem: Problem, x: Array) -> tuple[Array, Array]:
     """Residual (rows, n) at ``x`` and sensitivities (rows, n, q), one-sided near a bound.
 
-    The torque limit's is upward: of a limit that was never reached, the data only say that it is not lower.
+    The torque limit's is upward: a limit never reached has a lower bound only.
     """
     ones = np.ones(len(x))
     up, down = problem.inward(x, ones), problem.inward(x, -ones)
@@ -160,17 +157,17 @@ def _central_differences(problem: Problem, x: Array) -> tuple[Array, Array]:
 
 
 COMMON, OWN = 0.10, 0.10
-"""Standard deviation of the logarithm of all masses together, and of each by itself (chosen)"""
+"""Sigma of the log mass of all links, and of each; chosen"""
 CENTRE = 0.15
-"""The same of the distance of a link's centre of mass from its joint (chosen likewise)"""
+"""The same of a centre of mass's distance; chosen"""
 STEP = 0.1
-"""Finite-difference step of the logarithms (chosen: as far as the uncertainty goes)"""
+"""Finite-difference step of the logarithms; chosen"""
 
 
 def mass_covariance(problem: Problem, fit: Fit, residual: Array, jacobian: Array, curvature: Array) -> Array:
-    """Covariance (k, k) that an estimate has since its links are not known exactly.
+    """Covariance (k, k) of an estimate by uncertain links.
 
-    ``residual`` (rows, n), ``jacobian`` (rows, n, q) and ``curvature`` (k, k) with the prior are those at the estimate.
+    ``residual`` (rows, n), ``jacobian`` (rows, n, q) and ``curvature`` (k, k), with the prior, at the estimate.
     """
     moved, replay = [], problem.replay
     for arm, sigma in _other_arms(replay.arm):

@@ -1,1 +1,1 @@
-"""Where the tool really is: measured from outside, modelled as displacements, judged on points left out."""
+"""True tool positions: measured from outside, modelled as displacements."""

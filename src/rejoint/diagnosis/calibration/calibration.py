@@ -1,4 +1,4 @@
-"""A calibration: where the tool of one arm is behind its encoders, how sure that is, and its file."""
+"""A calibration: displacement, uncertainty and file."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from rejoint.system.statistics import CONFIDENCE
 from rejoint.system.tomltable import read_sealed, write_sealed
 
 GEOMETRY = ("offset", "axis", "tip", "mass", "com")
-"""Fields of an arm that a calibration was computed with"""
+"""Fields of an arm that a calibration depends on"""
 AIMING = 4
-"""Fixed-point steps of `Calibration.aim` (chosen: each divides what is left by about twenty)"""
+"""Fixed-point steps of `Calibration.aim`; chosen"""
 _NEAR = 7.81  # squared distance by its covariance that 95 % of draws of three coordinates keep (chi-squared)
 _DRAWS = 256  # of the tool for an interval (chosen: ends repeat within a tenth of the width; the same draws each time)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Calibration:
-    """What was found out about one arm from outside, in the base frame of that arm.
+    """What was measured about one arm, in its base frame.
 
     Examples
     --------
@@ -45,29 +45,28 @@ class Calibration:
     arm: Arm
     displacement: Displacement
     covariance: Array
-    """(k, k) of the parameters of the displacement, see `parameters.DisplacementLayout`"""
+    """(k, k) of the parameters, see `parameters.DisplacementLayout`"""
     frame: Array
     """(4, 4) pose of the measuring frame in the base"""
     frame_name: str
-    """``base``, or the name of the frame whose pose was fitted along"""
+    """``base``, or the name of a fitted frame"""
     source: str
-    """what measured: ``touch``, ``camera``, ``tracker``, or ``emulated``: an emulator told"""
+    """``touch``, ``camera``, ``tracker`` or ``emulated``"""
     date: str
-    """when, as the caller says it"""
     points: int
-    """number of measurements that the fit has seen"""
+    """measurements in the fit"""
     before: float
-    """[m] mean true error of what the encoders say, over measured points"""
+    """[m] mean true error by encoders"""
     after: float
-    """[m] the same of this calibration, over the same points, each predicted from the others"""
+    """[m] the same by this calibration, points left out"""
     used: bool
-    """whether the correction clearly helped at points left out; if not, nothing is corrected"""
+    """whether the correction helped at points left out; else it is off"""
     floor: float
-    """[m] standard deviation of what this model does not explain, on each coordinate"""
+    """[m] sigma, per coordinate, beyond the model"""
     suspects: tuple[int, ...] = ()
-    """rows of the measurements, from 0, that do not fit to the others"""
+    """rows, from 0, that do not fit"""
     left_out: Array = field(default_factory=lambda: np.zeros((0, 2)))
-    """(M, 2) [m] errors ``before`` and ``after`` of each measured point"""
+    """(M, 2) [m] errors ``before`` and ``after``"""
 
     def __post_init__(self) -> None:
         for name in ("covariance", "frame", "left_out"):
@@ -77,7 +76,7 @@ class Calibration:
 
     @property
     def missed(self) -> Array:
-        """(M,) [m] by how much this calibration misses each measured point that it has not seen."""
+        """(M,) [m] error at each point, predicted from the others."""
         return self.left_out[:, 1] if len(self.left_out) else np.array([self.after])
 
     @property
@@ -86,22 +85,22 @@ class Calibration:
         return DisplacementLayout(joints=self.arm.joints)
 
     def require(self, arm: Arm) -> None:
-        """Refuse with a ContractError if this calibration is of another arm."""
+        """Raise ContractError if this calibration is of another arm."""
         check_arm(self.arm.name, geometry_of(self.arm), arm)
 
     def tool(self, position: Array, approach: Array | None = None) -> Array:
-        """Where the tool (..., 3) [m] is while the encoders say ``position`` (..., n) [rad].
+        """Tool (..., 3) [m] at the encoders' ``position`` (..., n) [rad].
 
-        ``approach`` (..., n) [rad] is where they were before the last motion, if that is known.
+        ``approach`` (..., n) [rad]: position before the last motion, if known.
         """
         return self.displacement.tool(self.arm, position, approach)
 
     def shift(self, position: Array, approach: Array | None = None) -> Array:
-        """Return how far (..., 3) [m] the tool is from where the encoders say it is."""
+        """Displacement (..., 3) [m] of the tool from the encoders'."""
         return self.tool(position, approach) - tcp_position(self.arm, position)
 
     def spread(self, position: Array) -> Array:
-        """Covariance (..., 3, 3) [m^2] of the tool around `tool`: parameters, floating joints, and what remains.
+        """Covariance (..., 3, 3) [m^2] of `tool`.
 
         Where a torque may have either sign, both flanks of the play count.
         """
@@ -117,9 +116,9 @@ class Calibration:
     def interval(
         self, position: Array, target: Array | None = None, approach: Array | None = None
     ) -> tuple[Array, Array]:
-        """95 % interval (...), (...) [m] of the distance of the tool from ``target`` (..., 3) [m].
+        """95 % interval (...), (...) [m] of the distance between tool and ``target`` (..., 3) [m].
 
-        Without a target: from where the encoders see it. It begins at zero where the tool may be there.
+        Default target: the encoders' tool.
         """
         place = tcp_position(self.arm, position) if target is None else target
         ends = [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]
@@ -129,11 +128,10 @@ class Calibration:
         return np.where(there, 0.0, low), high
 
     def expected(self, position: Array, target: Array | None = None) -> Array:
-        """Mean (...) [m] of the distance whose interval `interval` tells."""
+        """Mean (...) [m] of the distance of `interval`."""
         return np.asarray(self._distances(position, target, None).mean(axis=-1))
 
     def _distances(self, position: Array, target: Array | None, approach: Array | None) -> Array:
-        """Draws (..., d) [m] of that distance."""
         target = tcp_position(self.arm, position) if target is None else target
         root = np.linalg.cholesky(self.spread(position))
         draws = np.random.default_rng(0).standard_normal((_DRAWS, 3))
@@ -145,9 +143,9 @@ class Calibration:
         return np.sqrt(np.trace(self.spread(position), axis1=-2, axis2=-1))
 
     def aim(self, target: Array, start: Array) -> Array:
-        """Where the encoders must see the tool (..., 3) [m] for it to be at ``target`` (..., 3) [m].
+        """Tool (..., 3) [m] by encoders that puts the real one at ``target`` (..., 3) [m].
 
-        ``start`` (..., n) [rad] is the posture that the arm comes from. Without a correction it is the target itself.
+        ``start`` (..., n) [rad] is the posture before.
         """
         target = np.asarray(target, dtype=float)
         if not self.used:
@@ -160,18 +158,18 @@ class Calibration:
         return command
 
     def aim_again(self, target: Array, position: Array, approach: Array | None = None) -> Array:
-        """Return the same as `aim`, once the arm has settled near ``target`` at ``position`` (..., n) [rad]."""
+        """Do the same once the arm has settled near ``target`` at ``position`` (..., n) [rad]."""
         return target - self.shift(position, approach) if self.used else np.array(target, dtype=float)
 
 
 def geometry_of(arm: Arm) -> dict[str, str]:
-    """Digest the fields of an arm, with its hand as described, that a calibration was computed with."""
+    """Digest the fields of an arm that a calibration depends on."""
     digests = law_digests(bare(arm))
     return {name: digests[name] for name in GEOMETRY}
 
 
 def check_arm(name: str, digests: dict[str, str], arm: Arm) -> None:
-    """Refuse with a ContractError if a calibration of arm ``name`` with these digests is not of ``arm``."""
+    """Raise ContractError unless the digests are those of ``arm``."""
     own = geometry_of(arm)
     other = [field for field in GEOMETRY if digests.get(field) != own[field]]
     if name == arm.name and not other:
@@ -181,10 +179,9 @@ def check_arm(name: str, digests: dict[str, str], arm: Arm) -> None:
 
 
 FORMAT = 1
-"""Version of the layout; a reader refuses others"""
+"""Version of the layout"""
 
 _PARTS = ("offset", "compliance", "play", "carry", "mass")
-"""Of a displacement, one number for each joint"""
 
 _ABOUT = """Where the tool of one robot arm is behind its encoders. SI units.
 suspects: rows that do not fit to the others
@@ -206,12 +203,12 @@ covariance: of the parameters of the displacement: mass less one, gravity as til
 
 
 def write_calibration(path: Path, calibration: Calibration) -> None:
-    """Write a calibration as TOML, whole or not at all."""
+    """Write a calibration as TOML, atomically."""
     write_sealed(path, _document(calibration))
 
 
 def read_calibration(path: Path, arm: Arm) -> Calibration:
-    """Read the calibration of ``arm``; FileError if it is damaged, ContractError if it is of another arm."""
+    """Read a calibration; FileError if damaged, ContractError if of another arm."""
 
     def build(data: dict[str, Any]) -> Calibration:
         check_arm(str(data["arm"]), {str(k): str(v) for k, v in data["geometry"].items()}, arm)

@@ -1,4 +1,4 @@
-"""From measurements to a calibration: fit under several priors, the likeliest one, tried on points left out."""
+"""From measurements to a calibration: the likeliest of several priors, cross-validated."""
 
 from __future__ import annotations
 
@@ -32,23 +32,21 @@ from rejoint.system.errors import InputError
 P = TypeVar("P", bound=Fittable)
 
 FOLDS = 12
-"""Postures are left out one by one up to so many, in groups beyond (chosen: time)"""
+"""Groups for cross-validation; chosen for time"""
 SURE = 1.3
-"""Standard errors by which a correction must help at points left out (chosen: nine in ten)"""
+"""Standard errors by which a correction must help; chosen"""
 LEAST = 1e-4
-"""[m] least gain that is worth a correction (chosen)"""
+"""[m] least useful gain; chosen"""
 ASTRAY = 0.04
-"""Share of an arm's summed link lengths, 21 mm on a myCobot: more at over a fifth of the points left out means wrong
-units, columns or frames (chosen: 14 times what a worn arm is left with)"""
+"""Error, as a share of summed link lengths, of wrong units, columns or frames; chosen"""
 SAME = np.radians(0.5)
-"""[rad] within which rows are of one posture (chosen: postures of a plan are tens of degrees apart)"""
+"""[rad] within which rows are of one posture; chosen"""
 WRONG = 2.9
-"""Standard deviations from which a point is suspected (chosen: of ten right points, one arm in fifty has one)"""
+"""Standard deviations of a suspect point; chosen"""
 DISTURBED = (
     "So many do not fit that something changed between them: a horn that slipped, an encoder that jumped, an arm or a "
     "camera that was moved. Look at the arm, and measure all of them again."
 )
-"""What is said where `disturbed` holds"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,14 +54,14 @@ class LeftOut:
     """Every measured point, predicted from those of other postures."""
 
     before: Array
-    """(M,) [m] distance of the point from where the encoders say the tool is"""
+    """(M,) [m] distance from the encoders' tool"""
     after: Array
-    """(M,) [m] distance from where the calibration on the others says it is"""
+    """(M,) [m] distance from the calibration's tool"""
     surprise: Array
-    """(M,) squared distance by its predicted covariance: chi-squared, of as many degrees as there are coordinates"""
+    """(M,) squared Mahalanobis distance: chi-squared"""
 
     def helps(self, arm: Arm, measured: Measurements) -> bool:
-        """Tell whether the correction is clearly nearer than the encoders."""
+        """Whether the correction clearly beats the encoders."""
         postures = np.unique(measured.posture)
         gain = np.array([(self.before - self.after)[measured.posture == p].mean() for p in postures])
         noise = float((measured.sigma**2).mean() + floor_of(arm) ** 2)
@@ -73,24 +71,24 @@ class LeftOut:
         return bool(gain.mean() > max(SURE * np.sqrt(spread / len(gain)), LEAST))
 
     def suspects(self, known: NDArray[np.bool_]) -> tuple[int, ...]:
-        """Rows, the worst first, whose points (M, 3), ``known`` where measured, do not fit to the others."""
+        """Rows of points that do not fit the others, the worst first; ``known`` (M, 3) where measured."""
         freedom = known.sum(axis=1)
         excess = self.surprise / np.where(freedom > 0, chdtri(np.maximum(freedom, 1), ndtr(-WRONG)), np.inf)
         return tuple(int(i) for i in np.argsort(-excess) if excess[i] > 1.0)
 
 
 def astray(arm: Arm, after: Array) -> bool:
-    """Tell whether the errors ``after`` (M,) [m] are too large for right points, a fifth of them excepted."""
+    """Whether over a fifth of the errors ``after`` (M,) [m] are too large."""
     return bool(np.quantile(after, 0.8, method="lower") > ASTRAY * reach(arm))
 
 
 def disturbed(suspects: tuple[int, ...], points: int) -> bool:
-    """Tell whether so many of ``points`` do not fit that not the points are wrong: three, and a quarter."""
+    """Whether so many ``points`` do not fit that the setup has moved."""
     return len(suspects) >= max(3, points / 4)
 
 
 def merge_repeats(measured: Measurements) -> Measurements:
-    """Give rows of the same posture one number: they do not test one another."""
+    """Give rows of the same posture one number."""
     number = measured.posture.copy()
     for row in range(1, len(measured)):
         near = np.abs(measured.position[:row] - measured.position[row]).max(axis=1) < SAME
@@ -100,7 +98,7 @@ def merge_repeats(measured: Measurements) -> Measurements:
 
 
 def leave_out(problem: Fittable, fitted: Fitted) -> LeftOut:
-    """Predict every place from fits that have not seen its posture, with a displacement and without."""
+    """Predict each posture from fits to the others, with and without displacement."""
     before, after, surprise = np.zeros((3, len(problem.postures)))
     for out in folds(problem.postures):
         refit, held = solve(problem.rows(~out), fitted.vector), problem.rows(out)
@@ -114,7 +112,7 @@ def leave_out(problem: Fittable, fitted: Fitted) -> LeftOut:
 
 
 def folds(posture: NDArray[np.int64]) -> list[NDArray[np.bool_]]:
-    """Rows (M,) that are left out together."""
+    """Return groups of rows (M,) to leave out."""
     numbers = np.unique(posture)
     groups = np.arange(len(numbers)) % min(FOLDS, len(numbers))
     return [np.isin(posture, numbers[groups == group]) for group in np.unique(groups)]
@@ -126,21 +124,20 @@ CASES = (
     PriorCase(tilt=ASKEW, odds=-0.5),
     PriorCase(twist=1.0, odds=-1.0),
 )
-"""A worn arm, a healthy one, one on a base askew, and one whose links differ from their description"""
+"""A worn arm, a healthy one, a tilted base, and inexact links"""
 AGE = 0.3
-"""Share of the prior's deviations by which an arm may have changed since (chosen: 30 % more wear is 0.3 of the play)"""
+"""Change since an earlier calibration, in sigmas of the prior; chosen"""
 
 LINKS_FROM = 5
-"""Postures from which errors of links are fitted (chosen: with 3, one emulated arm in 40 became 18 mm worse)"""
+"""Postures from which links are fitted; chosen"""
 
 
 def fit(
     arm: Arm, measurements: Measurements, *, prior: Calibration | None = None, date: str = ""
 ) -> Calibration:  # fmt: skip
-    """Fit a displacement to ``measurements`` of ``arm`` and try it on points left out.
+    """Fit a displacement to ``measurements`` of ``arm`` and test it on points left out.
 
-    ``prior`` is an earlier calibration of this arm (else ContractError). InputError where the measurements cannot be
-    used.
+    ``prior``: an earlier calibration (ContractError for another arm's). InputError for unusable measurements.
     """
     if measurements.position.shape[1] != arm.joints:
         raise InputError(
@@ -164,7 +161,7 @@ def fit(
 def beliefs_of(
     arm: Arm, layout: DisplacementLayout, prior: Calibration | None, postures: int
 ) -> list[tuple[Belief, float]]:
-    """Return the priors for so many ``postures``, each with the logarithm of its odds."""
+    """Priors for so many ``postures``, with log odds."""
     if prior is not None:
         prior.require(arm)
         return [(earlier(arm, layout, prior), 0.0)]
@@ -173,7 +170,7 @@ def beliefs_of(
 
 
 def earlier(arm: Arm, layout: DisplacementLayout, prior: Calibration) -> Belief:
-    """Return what an earlier calibration lets one believe: the same, but for what may have changed since."""
+    """Earlier calibration as prior, widened by `AGE`."""
     base = belief(arm, layout, PriorCase())
     drift = AGE * np.sqrt(1.0 / np.diag(base.precision))
     for name, sigma in (("offset", OFFSET), ("play", PLAY_SIGMA)):
@@ -190,7 +187,7 @@ def earlier(arm: Arm, layout: DisplacementLayout, prior: Calibration) -> Belief:
 
 
 def likeliest(problem: P, beliefs: Sequence[tuple[Belief, float]]) -> tuple[P, Fitted]:
-    """Solve a problem under each prior; return the likeliest, given the logarithms of their odds."""
+    """Solve a problem under each prior with its log odds; return the likeliest."""
     solved = []
     for one, odds in beliefs:
         own, tilt = replace(problem, belief=one), problem.layout.at("tilt").start
@@ -201,7 +198,7 @@ def likeliest(problem: P, beliefs: Sequence[tuple[Belief, float]]) -> tuple[P, F
 
 
 def judged(problem: Fittable, fitted: Fitted, measured: Measurements, date: str) -> Calibration:
-    """Try what was fitted to ``measured`` on rows left out, and make a calibration of it."""
+    """Make a calibration of a fit to ``measured``, tested on rows left out."""
     body, tried = slice(0, problem.layout.body), leave_out(problem, fitted)
     return Calibration(
         arm=problem.arm, displacement=problem.displacement(fitted.vector), covariance=fitted.covariance[body, body],

@@ -1,8 +1,8 @@
-"""Files of measurements: Parquet, and CSV from a tracker or a spreadsheet.
+"""Files of measurements: Parquet and CSV.
 
-Columns: ``position.JOINT`` and, where known, ``approach.JOINT``; ``x``, ``y``, ``z``, ``sigma`` of the tool;
-``posture``, its number. Parquet is in rad and m; in CSV every name ends with its unit (``position.joint1_deg``, ``X
-[mm]``). An empty cell was not measured. Other columns are left alone.
+Columns: ``position.JOINT``; optional ``approach.JOINT``; ``x``, ``y``, ``z``, ``sigma`` of the tool; ``posture``
+number. Parquet is in rad and m; in CSV each name ends with its unit (``position.joint1_deg``, ``X [mm]``). Empty cells
+and other columns are allowed.
 """
 
 from __future__ import annotations
@@ -31,42 +31,40 @@ from rejoint.system.files import CHANGED, MEGABYTE, require_file, write_whole
 from rejoint.system.textfile import Sheet, read_sheet, split_unit
 
 SHEET_MOST = 4 * MEGABYTE
-"""Largest such file that is read (chosen: ten thousand rows)"""
+"""Largest CSV file; chosen: ten thousand rows"""
 ANGLES = {"deg": np.pi / 180.0, "rad": 1.0}
 """[rad] units of angles"""
 LENGTHS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 25.4e-3}
 """[m] units of lengths"""
 COUNT = {"": 1.0}
-"""What has no unit"""
 
 _ROOT = re.compile(r"[^a-z0-9]")
 
 Units = Mapping[str, float]
-"""Endings of titles, and what is one of each in SI units"""
+"""Suffixes of titles and their SI factor"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Columns:
-    """The columns of a sheet that have a meaning."""
+    """The known columns of a table."""
 
     sheet: Sheet
     places: Mapping[str, tuple[int, float]]
     """name to column and unit"""
 
     def __len__(self) -> int:
-        """Count the rows."""
         return len(self.sheet)
 
     def line(self, row: int) -> int:
-        """Return the line of a row in the file."""
+        """Line of a row in the file."""
         return int(self.sheet.lines[row])
 
     def words(self, name: str) -> list[str]:
-        """Return the cells of a column."""
+        """Cells of a column."""
         return self.sheet.words(self.places[name][0])
 
     def numbers(self, name: str) -> Array:
-        """Return a column (rows,) in SI units, NaN for an empty cell; FileError for other words."""
+        """Column (rows,) in SI units, NaN for empty cells; FileError for text."""
         column, unit = self.places[name]
         values = self.sheet.numbers([column])[:, 0]
         if np.isinf(values).any():
@@ -75,7 +73,7 @@ class Columns:
         return unit * values
 
     def filled(self, name: str) -> Array:
-        """Return a column in which no cell may be empty."""
+        """Column without empty cells; else FileError."""
         values = self.numbers(name)
         if np.isnan(values).any():
             row = int(np.argmax(np.isnan(values)))
@@ -85,9 +83,9 @@ class Columns:
 
 
 def read_columns(path: Path, meanings: Mapping[str, Units | None], needed: Collection[str]) -> Columns:
-    """Read a table whose columns may have ``meanings``: name to units, or None for words.
+    """Read a table with columns ``meanings``: name to units, or None for words.
 
-    FileError where a ``needed`` one is missing, a title is there twice, or has no unit that is known.
+    FileError for a missing ``needed`` column, a duplicate, or a wrong unit.
     """
     require_file(path, SHEET_MOST, "give fewer rows")
     sheet = read_sheet(path)
@@ -108,7 +106,6 @@ def read_columns(path: Path, meanings: Mapping[str, Units | None], needed: Colle
 
 
 def _meaning(path: Path, title: str, meanings: Mapping[str, Units | None]) -> tuple[str, float] | None:
-    """Return which of the ``meanings`` a title has, and its unit; None for something else."""
     name, ending = split_unit(title, {*ANGLES, *LENGTHS})
     plain = (name if ending is None else f"{name}_{ending}").casefold()
     for name, units in meanings.items():
@@ -138,7 +135,7 @@ _REMEDY = "measure again, or take another file"
 
 
 def write_measurements(path: Path, arm: Arm, measured: Measurements, session: MeasuringSession | None = None) -> None:
-    """Write measurements of ``arm`` as Parquet; ``session`` says how far they have come, None: to the end."""
+    """Write measurements as Parquet; ``session``: progress if interrupted."""
     columns: dict[str, Array] = {"posture": measured.posture.astype(float), "sigma": measured.sigma}
     for group in ("position", "approach"):
         columns |= {f"{group}.{name}": getattr(measured, group)[:, i] for i, name in enumerate(arm.joint_names)}
@@ -152,9 +149,9 @@ def write_measurements(path: Path, arm: Arm, measured: Measurements, session: Me
 
 
 def read_measurements(path: Path, arm: Arm, *, frame: str = "base", source: str = "tracker") -> Measurements:
-    """Read measurements of ``arm``, CSV or Parquet; FileError if they cannot be used.
+    """Read measurements, CSV or Parquet; FileError if unusable.
 
-    A CSV file does not say in which ``frame`` its points are and what their ``source`` is.
+    ``frame`` and ``source`` are for CSV.
     """
     if path.suffix.lower() != ".csv":
         return read_table(path, arm, "measurements", partial(_measured, arm=arm))[0]
@@ -163,7 +160,7 @@ def read_measurements(path: Path, arm: Arm, *, frame: str = "base", source: str 
 
 
 def read_interrupted(path: Path, arm: Arm) -> tuple[Measurements, MeasuringSession] | None:
-    """Read interrupted measurements and how far they had come; None where they came to the end."""
+    """Read interrupted measurements and their progress; None if complete."""
     measured, session = read_table(path, arm, "measurements", partial(_measured, arm=arm))
     return None if session is None else (measured, session)
 
@@ -177,7 +174,7 @@ def _measured(
 
 
 def write_table(path: Path, arm: Arm, what: str, columns: Mapping[str, Any], about: Mapping[str, Any]) -> None:
-    """Write ``columns`` measured on ``arm`` as Parquet; the header has what it is ``about`` and a digest."""
+    """Write ``columns`` as Parquet with header ``about`` and a digest."""
     table = pa.table(dict(columns))
     header = {"format": FORMAT, "what": what, "arm": arm.name, "joints": list(arm.joint_names), **about}
     header["digest"] = _digest(table, header)
@@ -186,7 +183,7 @@ def write_table(path: Path, arm: Arm, what: str, columns: Mapping[str, Any], abo
 
 
 def read_table(path: Path, arm: Arm, what: str, build: Callable[[dict[str, list[Any]], dict[str, Any]], T]) -> T:
-    """Return what ``build`` makes of the columns and the header of such a table; FileError if it is another."""
+    """Apply ``build`` to a table's columns and header; FileError for another kind."""
     with readable(path, what):
         table = read_parquet(path, _REMEDY)
         header = json.loads((table.schema.metadata or {}).get(_KEY, b"{}"))
@@ -201,7 +198,7 @@ def read_table(path: Path, arm: Arm, what: str, build: Callable[[dict[str, list[
 
 @contextmanager
 def readable(path: Path, what: str) -> Iterator[None]:
-    """Make a FileError of whatever is raised by a file that is no ``what``."""
+    """Turn errors from a file that is no ``what`` into FileError."""
     try:
         yield
     except FileNotFoundError as error:
@@ -231,7 +228,7 @@ def _assemble(columns: dict[str, Array], arm: Arm, frame: str, source: str) -> M
 
 
 BEYOND = np.radians(10.0)
-"""[rad] beyond its limits that a joint may be (chosen: limits are coarse, servos get pushed)"""
+"""[rad] by which a joint may exceed its limits; chosen"""
 
 
 def _from_csv(path: Path, arm: Arm, frame: str, source: str) -> Measurements:
@@ -259,7 +256,6 @@ def _from_csv(path: Path, arm: Arm, frame: str, source: str) -> Measurements:
 
 
 def _require_units(path: Path, arm: Arm, measured: Measurements, lines: list[int]) -> None:
-    """Raise FileError where joint positions cannot be degrees of this arm, or points not millimetres."""
     beyond = (measured.position < arm.lower - BEYOND) | (measured.position > arm.upper + BEYOND)
     if beyond.any():
         row, joint = (int(index) for index in np.argwhere(beyond)[0])

@@ -1,7 +1,6 @@
-"""Measurements of where the tool really is.
+"""Measurements of the real tool position, at rest.
 
-One row is one measurement: encoders of the standing arm, and the tool in the frame of whatever measured it. Rows of the
-same ``posture`` are visits from different sides, so that play shows.
+Rows of one ``posture`` approach it from different sides, which shows play.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from rejoint.system.errors import InputError
 Numbers = NDArray[np.int64]
 
 NOISE = 0.5e-3
-"""[m] standard deviation of a coordinate where it is not told (chosen: a ruler read with care)"""
+"""[m] default sigma of a coordinate; chosen: a ruler read with care"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -26,17 +25,17 @@ class Measurements:
     """M measurements of one arm of n joints."""
 
     position: Array
-    """(M, n) [rad] what the encoders said"""
+    """(M, n) [rad] by encoders"""
     approach: Array
-    """(M, n) [rad] where the encoders came from; NaN where it is not known"""
+    """(M, n) [rad] before the last motion; NaN where unknown"""
     point: Array
-    """(M, 3) [m] the tool in the frame ``frame``; NaN where a coordinate was not measured"""
+    """(M, 3) [m] tool in ``frame``; NaN where not measured"""
     sigma: Array
-    """(M,) [m] standard deviation of each coordinate, as far as it is known"""
+    """(M,) [m] sigma of each coordinate"""
     posture: Numbers
-    """(M,) number of the posture: rows of the same number are visits of the same one"""
+    """(M,) rows of one number visit one posture"""
     frame: str = "base"
-    """``base``: that of the arm; any other name: one whose pose is fitted along"""
+    """``base``, or the name of a frame to fit"""
     source: str = "touch"
     """``touch``, ``camera`` or ``tracker``"""
 
@@ -59,11 +58,10 @@ class Measurements:
             raise InputError("measurements: joint positions must be finite and standard deviations positive")
 
     def __len__(self) -> int:
-        """Count the measurements."""
         return len(self.sigma)
 
     def rows(self, where: NDArray[np.bool_] | NDArray[np.intp]) -> Measurements:
-        """Return some of them."""
+        """Return some rows."""
         return Measurements(
             position=self.position[where], approach=self.approach[where], point=self.point[where],
             sigma=self.sigma[where], posture=self.posture[where], frame=self.frame, source=self.source,
@@ -72,23 +70,23 @@ class Measurements:
 
 @dataclass(frozen=True, kw_only=True)
 class MeasuringSession:
-    """How far a measuring drive had come when it was interrupted."""
+    """Progress of an interrupted measuring session."""
 
     plan: str
-    """digest of the postures that it went to, `rejoint.diagnosis.calibration.postures.Suggestion.digest`"""
+    """digest of its postures, `rejoint.diagnosis.calibration.postures.Suggestion.digest`"""
     answered: int
-    """postures that were measured or left out"""
+    """postures measured or left out"""
     fresh: bool = False
-    """whether no earlier calibration was to be believed"""
+    """whether to ignore earlier calibrations"""
 
 
 FEWEST = 4
-"""Points with all coordinates that a pose needs (chosen: three, and one to spare)"""
+"""Least number of complete points of a pose; chosen"""
 _FLAT = 0.02  # [m] least extent of the points across their longest direction (chosen: ten times the error of a point)
 
 
 def align(arm: Arm, measurements: Measurements) -> Array:
-    """Pose (4, 4) of the measuring frame nearest to the encoders (Kabsch 1976); InputError if it is open."""
+    """Pose (4, 4) of the measuring frame nearest to the encoders (Kabsch 1976); InputError if undetermined."""
     whole = np.isfinite(measurements.point).all(axis=1)
     if whole.sum() < FEWEST:
         raise InputError(

@@ -1,11 +1,9 @@
-"""The vector that a calibration fits: its entries, prior and bounds.
+"""The parameter vector of a calibration: entries, prior and bounds.
 
-Beliefs are those that hold for any arm of this class before anything was measured. Torques, and with them compliances,
-go with the size of the arm; lengths with its reach (`rejoint.arms.workspace`).
+Torques and compliances scale with the size of the arm, lengths with its reach (`rejoint.arms.workspace`).
 
-A joint that gravity presses to a flank of its play lies there each time. One without weight floats: where it came to
-lie depends on how the arm got there, so its play is no shift but a scatter along the direction in which it moves the
-tool. A fit that took that scatter for noise of equal size in all directions would trust the wrong coordinates.
+Gravity presses a loaded joint to one flank of its play. An unloaded joint floats: its play is an anisotropic scatter,
+not a shift.
 """
 
 from __future__ import annotations
@@ -22,27 +20,25 @@ from rejoint.arms.rotations import rotation_about
 from rejoint.arms.workspace import length_size, torque_size
 
 OFFSET = np.radians(0.6)
-"""[rad] sigma of an encoder's zero (chosen: what homing marks and one gear tooth leave)"""
+"""[rad] sigma of an encoder's zero; chosen"""
 COMPLIANCE = 0.015
-"""[rad/(N m)] mean and sigma of a joint's compliance on a myCobot 280 (chosen: 25 to 500 N m/rad)"""
+"""[rad/(N m)] mean and sigma of a joint's compliance on a myCobot 280; chosen"""
 PLAY, PLAY_SIGMA = np.radians(0.9), np.radians(0.7)
 """[rad] mean and sigma of a joint's play (SO-ARM100 issue 134: about 1 deg on healthy servos)"""
 LEVEL, ASKEW = np.radians(0.1), np.radians(6.0)
-"""[rad] sigma of the tilt of a base on a table, and of one askew, about each horizontal axis (chosen)"""
+"""[rad] sigma of the tilt, per horizontal axis, of a base on a table and a tilted one; chosen"""
 MASS = 0.12
-"""[1] standard deviation of each link's mass by what its description says (chosen)"""
+"""[1] sigma of each link's mass, relative to its description; chosen"""
 CARRY, CARRY_SIGMA = 0.2, 0.3
-"""[1] mean and sigma of the share of half its play by which a floating joint runs ahead of its last motion (chosen on
-emulated worn arms)"""
+"""[1] mean and sigma of a floating joint's lead over its last motion, by half its play; chosen on emulated worn arms"""
 SHIFT, TURN = 1e-3, np.radians(0.3)
-"""[m] over the reach of a myCobot 280, and [rad]: sigma of each link's description (chosen: printed parts, press
-fits)"""
+"""[m] over the reach of a myCobot 280, and [rad]: sigma of each link's description; chosen"""
 PLACE, ORIENTATION = 1.0, 3.0
-"""[m] and [rad] sigma of a measuring frame's pose around its first estimate: unknown"""
+"""[m] and [rad] sigma of a measuring frame around its first estimate"""
 
 MOST = {"offset": np.radians(6.0), "compliance": 0.3, "play": np.radians(8.0), "tilt": np.radians(20.0), "mass": 0.5,
         "carry": 1.0}  # fmt: skip
-"""Bounds, in the units of above (chosen: beyond them something else is wrong)"""
+"""Bounds, in the units above; chosen"""
 
 
 KINDS = ("offset", "compliance", "play", "carry", "mass", "tilt", "twist")
@@ -51,11 +47,11 @@ KINDS = ("offset", "compliance", "play", "carry", "mass", "tilt", "twist")
 
 @dataclass(frozen=True, kw_only=True)
 class DisplacementLayout:
-    """Places of the parameters of an arm of n joints in the vector."""
+    """Indices of the parameters of an arm of n joints."""
 
     joints: int
     frame: bool = False
-    """whether the pose of the measuring frame is fitted along, as the last six parameters"""
+    """whether the last six parameters are the pose of the measuring frame"""
 
     @property
     def size(self) -> int:
@@ -64,11 +60,11 @@ class DisplacementLayout:
 
     @property
     def body(self) -> int:
-        """Number of those parameters that belong to the arm: all but the pose of the frame."""
+        """Number of parameters of the arm, without the frame."""
         return 5 * self.joints + 2 + 6 * (self.joints + 1)
 
     def at(self, name: str) -> slice:
-        """Return where a kind of parameters stands: one of `KINDS`, or ``frame``."""
+        """Slice of one of `KINDS`, or ``frame``."""
         n = self.joints
         ends = {"offset": n, "compliance": 2 * n, "play": 3 * n, "carry": 4 * n, "mass": 5 * n, "tilt": 5 * n + 2,
                 "twist": self.body, "frame": self.size}  # fmt: skip
@@ -77,18 +73,18 @@ class DisplacementLayout:
         return slice(ends[names[place - 1]] if place else 0, ends[name])
 
     def names(self) -> tuple[str, ...]:
-        """Name every parameter of the arm, such as ``play 2``."""
+        """Names of the arm's parameters, such as ``play 2``."""
         return tuple(f"{kind} {i + 1}" for kind in KINDS for i in range(self.at(kind).stop - self.at(kind).start))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Belief:
-    """A normal distribution over the vector (k,), cut off at bounds."""
+    """A normal distribution over the vector (k,), truncated at bounds."""
 
     mean: Array
     """(k,)"""
     precision: Array
-    """(k, k) inverse of the covariance"""
+    """(k, k) inverse covariance"""
     lower: Array
     """(k,)"""
     upper: Array
@@ -97,24 +93,24 @@ class Belief:
 
 @dataclass(frozen=True, kw_only=True)
 class PriorCase:
-    """What kind of arm one may have before oneself; the measurements decide which it is."""
+    """A kind of arm with its prior."""
 
     play: float = PLAY
-    """[rad] mean"""
+    """[rad]"""
     play_sigma: float = PLAY_SIGMA
     """[rad]"""
     compliance: float = COMPLIANCE
-    """[rad/(N m)] mean and standard deviation on an arm of the size of a myCobot 280"""
+    """[rad/(N m)] mean and sigma on an arm of the size of a myCobot 280"""
     tilt: float = LEVEL
-    """[rad] standard deviation"""
+    """[rad] sigma"""
     twist: float = 0.0
     """scale of the errors of the arm's description"""
     odds: float = 0.0
-    """logarithm of how much more likely than others, before anything was measured"""
+    """log odds against the others"""
 
 
 def belief(arm: Arm, layout: DisplacementLayout, case: PriorCase) -> Belief:
-    """Return the prior of an arm of some case."""
+    """Prior of an arm of some case."""
     n, sigma, mean = arm.joints, np.zeros(layout.size), np.zeros(layout.size)
     lower, upper = np.full(layout.size, -np.inf), np.full(layout.size, np.inf)
     if case.twist == 0.0:
@@ -146,7 +142,7 @@ def tilt_of(gravity: Array) -> Array:
 
 
 def gravity_of(tilt: Array) -> Array:
-    """Gravity (3,) [m/s^2] in the frame of a base that is askew by ``tilt`` (2,) [rad]."""
+    """Gravity (3,) [m/s^2] in a base tilted by ``tilt`` (2,) [rad]."""
     angle = float(np.hypot(*tilt))
     if angle == 0.0:
         return GRAVITY.copy()
@@ -154,7 +150,7 @@ def gravity_of(tilt: Array) -> Array:
 
 
 def displacement_of(layout: DisplacementLayout, vector: Array) -> Displacement:
-    """Turn the vector (k,) into a displacement."""
+    """Displacement of the vector (k,)."""
     return Displacement(
         offset=vector[layout.at("offset")], compliance=vector[layout.at("compliance")], play=vector[layout.at("play")],
         twist=vector[layout.at("twist")].reshape(layout.joints + 1, 6), gravity=gravity_of(vector[layout.at("tilt")]),
@@ -163,7 +159,7 @@ def displacement_of(layout: DisplacementLayout, vector: Array) -> Displacement:
 
 
 def vector_of(layout: DisplacementLayout, displacement: Displacement) -> Array:
-    """Turn a displacement into the vector; the pose of a frame is zero."""
+    """Turn a displacement into the vector, with zero pose."""
     vector = np.zeros(layout.size)
     for name in ("offset", "compliance", "play", "carry"):
         vector[layout.at(name)] = getattr(displacement, name)
@@ -174,11 +170,9 @@ def vector_of(layout: DisplacementLayout, displacement: Displacement) -> Array:
 
 
 FLOOR = 0.5e-3
-"""[m] over the reach of a myCobot 280, sigma of what no displacement explains (chosen: 0.5 to 1 mm on emulated worn
-arms)"""
+"""[m] over the reach of a myCobot 280, sigma of unexplained displacement; chosen"""
 SCATTER = 1.0 / 3.0
-"""Variance of a floating joint's place by the square of half its play: a third where every place is as likely
-(chosen)"""
+"""Variance of a floating joint by the square of half its play; chosen: uniform distribution"""
 _STEP = 1e-6  # [rad] for the derivative of the direction of gravity
 _DRAWS = ndtri((np.arange(64) + 0.5) / 64)  # of a torque that is not known exactly
 
@@ -187,10 +181,10 @@ def linearised(
     arm: Arm, layout: DisplacementLayout, vector: Array, position: Array, approach: Array | None = None, *,
     flanks: bool = True,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Return the tool (M, 3) [m] at ``position`` (M, n) [rad] and its derivative (M, 3, k) by the arm's parameters.
+    """Tool (M, 3) [m] at ``position`` (M, n) [rad] and its derivative (M, 3, k) by the parameters.
 
-    ``approach`` (M, n) [rad] is where the encoders came from. Without ``flanks`` the derivative leaves out that joints
-    change the flank of their play, a slope that holds within `FLOATING` alone.
+    ``approach`` (M, n) [rad] as in `Measurements`; ``flanks``: with changes of flank, whose slope holds within
+    `FLOATING`.
     """
     displacement = displacement_of(layout, vector)
     moved, loads = displacement.moved(arm), link_loads(arm, position)
@@ -217,7 +211,7 @@ def linearised(
 
 
 def torque_slopes(layout: DisplacementLayout, vector: Array, loads: Array) -> Array:
-    """Return the derivative (M, n, k) [N m] of the torques by the arm's parameters, from its `link_loads`."""
+    """Return derivative (M, n, k) [N m] of the torques by the parameters, from `link_loads`."""
     displacement, tilt = displacement_of(layout, vector), vector[layout.at("tilt")]
     slopes = np.zeros((*loads.shape[:2], layout.body))
     slopes[..., layout.at("mass")] = loads @ displacement.gravity
@@ -228,7 +222,7 @@ def torque_slopes(layout: DisplacementLayout, vector: Array, loads: Array) -> Ar
 
 
 def link_loads(arm: Arm, position: Array) -> Array:
-    """Return what each link weighs on each joint: (M, n joints, n links, 3) [N m / (m/s^2)]."""
+    """Each link's weight on each joint: (M, n joints, n links, 3) [N m / (m/s^2)]."""
     f = frames(arm, position)
     com = f.position + np.einsum("mnij,nj->mni", f.rotation, arm.com)
     away = com[:, None] - f.position[:, :, None]
@@ -237,7 +231,7 @@ def link_loads(arm: Arm, position: Array) -> Array:
 
 
 def _by_twist(arm: Arm, joints: Array, tool: Array) -> Array:
-    """Return the derivative (M, 3, 6 n + 6) of the tool by small errors of the transforms."""
+    """Return derivative (M, 3, 6 n + 6) of the tool by small errors of the transforms."""
     f, count = frames(arm, joints), len(joints)
     first = np.broadcast_to(np.eye(3), (count, 1, 3, 3))
     turned = np.concatenate([first, f.rotation], axis=1)  # frame before each transform
@@ -249,9 +243,9 @@ def _by_twist(arm: Arm, joints: Array, tool: Array) -> Array:
 
 
 def scatter(arm: Arm, displacement: Displacement, position: Array, doubt: Array | None = None) -> Array:
-    """Covariance (..., 3, 3) [m^2] of the tool by joints that float in their play at ``position`` (..., n) [rad].
+    """Covariance (..., 3, 3) [m^2] of the tool by floating joints at ``position`` (..., n) [rad].
 
-    With the ``doubt`` (..., n) [N m], sigma of each torque, also by those that may lie on the other flank.
+    ``doubt`` (..., n) [N m], sigma of each torque, adds joints that may be on the other flank.
     """
     lever, torque = position_kinematics(arm, position)[1], displacement.torque(arm, position)
     side = np.tanh(torque / FLOATING)
@@ -265,5 +259,5 @@ def scatter(arm: Arm, displacement: Displacement, position: Array, doubt: Array 
 
 
 def floor_of(arm: Arm) -> float:
-    """[m] standard deviation of each coordinate by what no displacement explains, on an arm of this size."""
+    """[m] sigma of each coordinate by unexplained displacement."""
     return FLOOR * length_size(arm)

@@ -1,8 +1,8 @@
-"""Postures to measure at: those that tell most, in order, and what error they leave, before anything was measured.
+"""Postures to measure at, the most informative first.
 
-Chosen one by one, in the region of targets and anywhere else, for the largest gain of information (D-optimal design;
-Atkinson and Donev, Optimum Experimental Designs, 1992, chapter 11): a model of one arm holds best where it was fitted.
-Each is approached with all joints upwards and downwards by turns, so that each joint's last motion is known.
+Chosen one by one, in the region of targets and elsewhere, for the largest gain of information (D-optimal design;
+Atkinson and Donev, Optimum Experimental Designs, 1992, chapter 11). All joints approach alternately from below and
+above.
 """
 
 from __future__ import annotations
@@ -31,41 +31,41 @@ from rejoint.diagnosis.calibration.parameters import (
 from rejoint.system.errors import InputError
 
 CANDIDATES = 300
-"""Postures to choose from (chosen: twice as many gain 1 % of information)"""
+"""Postures to choose from; chosen"""
 BEFORE = np.radians(6.0)
-"""[rad] from which each posture is approached, joint by joint (chosen: three times the play)"""
+"""[rad] of each joint's approach; chosen: three times the play"""
 MARGIN = 0.05
-"""Part of a joint's range that is kept from each limit (chosen)"""
+"""Part of a joint's range kept from each limit; chosen"""
 CLEARANCE = 0.03
-"""[m] above the floor on an arm of the reach of a myCobot 280: worn arms sag (chosen)"""
+"""[m] above the floor on an arm of the reach of a myCobot 280; chosen: worn arms sag"""
 ENOUGH = 1.1
-"""Expected error by that of all suggested points at which fewer suffice (chosen)"""
+"""Relative expected error at which fewer points suffice; chosen"""
 WITHIN = 100
-"""How many of the candidates are in the region of targets; the others are anywhere (chosen)"""
+"""Candidates in the region of targets; chosen"""
 _PLACES = 64  # postures over which the error is expected (chosen)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Suggestion:
-    """Postures to visit one after the other."""
+    """Postures to visit in order."""
 
     postures: Array
     """(K, n) [rad]"""
     approach: Array
-    """(K, n) [rad] where each is come to from"""
+    """(K, n) [rad] start of each approach"""
     posture: NDArray[np.int64]
-    """(K,) number of the posture: visits of the same one from different sides have the same"""
+    """(K,) visits of one posture share a number"""
     expected: Array
-    """(K + 1,) [m] root mean square true error that is left after so many"""
+    """(K + 1,) [m] rms true error left after so many"""
 
     @property
     def fewest(self) -> int:
-        """How many of them suffice: more gain less than a tenth."""
+        """Number that suffices."""
         return int(np.argmax(self.expected <= ENOUGH * self.expected[-1]))
 
     @property
     def digest(self) -> str:
-        """Digest of where the arm goes, to a microradian."""
+        """Digest of the postures, to a microradian."""
         ways = np.round(1e6 * np.concatenate([self.postures, self.approach])).astype("<i8")
         return hashlib.sha256(ways.tobytes()).hexdigest()[:16]
 
@@ -74,10 +74,9 @@ def suggest(
     arm: Arm, count: int, *, visits: int = 2, sigma: float = 5e-4, prior: Calibration | None = None,
     seed: int = 0,
 ) -> Suggestion:  # fmt: skip
-    """Choose ``count`` visits for measurements of ``sigma`` [m] on each coordinate.
+    """Choose ``count`` visits for measurements of ``sigma`` [m] per coordinate.
 
-    Each posture is visited ``visits`` (1 or 2) times, from opposite sides. ``prior`` is what is known already.
-    InputError where too few postures are free.
+    Each posture gets ``visits`` (1 or 2). InputError for too few free postures.
     """
     layout = DisplacementLayout(joints=arm.joints)
     known = earlier(arm, layout, prior) if prior is not None else belief(arm, layout, PriorCase(twist=1.0))
@@ -108,9 +107,9 @@ def suggest(
 
 
 def _candidates(arm: Arm, seed: int) -> Array:
-    """Free postures (C, n) [rad] in the region of targets and anywhere, to be approached from both sides.
+    """Free postures (C, n) [rad] in the region of targets and elsewhere, approachable from both sides.
 
-    Anywhere no joint carries more than it does somewhere in the region: the motors of a worn arm lift that.
+    Elsewhere no joint carries more than in the region.
     """
     rng = np.random.default_rng(seed)
     solution = solve_position(arm, arm.targets.sample(rng, (CANDIDATES,)), arm.rest)
@@ -122,13 +121,12 @@ def _candidates(arm: Arm, seed: int) -> Array:
 
 
 def _approachable(arm: Arm, q: Array) -> Array:
-    """Return those of the postures (C, n) [rad] that are free, and free on both sides."""
     free = [_free(arm, q - away) for away in (0.0, BEFORE, -BEFORE)]
     return np.asarray(q[np.logical_and.reduce(free)])
 
 
 def _free(arm: Arm, q: Array) -> NDArray[np.bool_]:
-    """Tell which postures (C, n) keep clear of limits, floor and collisions."""
+    """Which postures (C, n) keep clear of limits, floor and collisions."""
     room = MARGIN * (arm.upper - arm.lower)
     inside = ((q > arm.lower + room) & (q < arm.upper - room)).all(axis=1)
     moving = np.append(rising_frames(arm), True)
@@ -137,7 +135,7 @@ def _free(arm: Arm, q: Array) -> NDArray[np.bool_]:
 
 
 def _seen(arm: Arm, known: Belief, postures: Array, side: float, sigma: float) -> tuple[Array, Array]:
-    """Return what measurements tell: derivatives (C, 3, k) and covariances (C, 3, 3) of the tool."""
+    """Return derivatives (C, 3, k) and covariances (C, 3, 3) of the tool at candidates."""
     layout = DisplacementLayout(joints=arm.joints)
     _, slope = linearised(arm, layout, known.mean, postures, postures - BEFORE * side)
     noise = scatter(arm, displacement_of(layout, known.mean), postures)
@@ -145,9 +143,9 @@ def _seen(arm: Arm, known: Belief, postures: Array, side: float, sigma: float) -
 
 
 def most_telling(slope: Array, noise: Array, covariance: Array, chosen: list[int]) -> int:
-    """Return the candidate, none of the ``chosen``, that adds most to the determinant of the information.
+    """Candidate, not yet ``chosen``, that adds most to the determinant of the information.
 
-    Candidates have ``slope`` (C, d, k) and ``noise`` (C, d, d), the unknowns the ``covariance`` (k, k).
+    Candidates have ``slope`` (C, d, k) and ``noise`` (C, d, d), the unknowns ``covariance`` (k, k).
     """
     told = np.linalg.solve(noise, slope @ covariance @ np.swapaxes(slope, -1, -2))
     gain = np.linalg.slogdet(np.eye(told.shape[-1]) + told)[1]
@@ -156,7 +154,7 @@ def most_telling(slope: Array, noise: Array, covariance: Array, chosen: list[int
 
 
 def narrowed(covariance: Array, slope: Array, noise: Array) -> Array:
-    """Return the ``covariance`` (k, k) after something with the derivative (d, k) was measured."""
+    """Return the ``covariance`` (k, k) after a measurement with derivative (d, k)."""
     told = covariance @ slope.T
     return covariance - told @ np.linalg.solve(slope @ told + noise, told.T)
 

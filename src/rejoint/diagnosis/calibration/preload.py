@@ -1,7 +1,4 @@
-"""What would press floating joints to one side of their play: a wedge under the base.
-
-A joint without weight lies in its play where chance left it. A base askew lets gravity pull on a base joint.
-"""
+"""A wedge under the base presses floating joints to one side of their play."""
 
 from __future__ import annotations
 
@@ -17,36 +14,36 @@ from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.parameters import scatter
 
 WEDGE = np.radians(2.0)
-"""[rad] slope of the wedge (chosen: on emulated arms half a degree does, `python -m benchmarks.wedge`)"""
+"""[rad] slope of the wedge; chosen, see `python -m benchmarks.wedge`"""
 RISE = 100.0 * float(np.tan(WEDGE))
-"""[mm] by which it rises on 10 cm"""
+"""[mm] rise on 10 cm"""
 WORTH = 0.8
-"""Share of what chance decides that a useful wedge leaves (chosen)"""
+"""Share of the random error that a useful wedge leaves; chosen"""
 _SIDES = {"-x": (0.0, 1.0), "+x": (0.0, -1.0), "-y": (-1.0, 0.0), "+y": (1.0, 0.0)}
-"""Side of the base that is raised, and the axis (x, y) about which that turns it"""
+"""Raised side of the base, and the axis (x, y) of that turn"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Preload:
-    """What could be done about joints that float, and what that would bring."""
+    """Benefit of a wedge."""
 
     joints: tuple[str, ...]
-    """names of the joints that float at half of the postures or more"""
+    """that float at half of the postures or more"""
     chance: float
-    """[m] root mean square of the tool's error by floating joints, as the arm stands"""
+    """[m] root mean square tool error by floating joints"""
     wedge: float
     """[m] the same on a wedge"""
     side: str
-    """side of the base that is to be raised, such as ``+y``"""
+    """side of the base to raise, such as ``+y``"""
 
     @property
     def wedge_helps(self) -> bool:
-        """Whether the wedge is worth its trouble."""
+        """Whether the wedge is worth it."""
         return bool(self.joints) and self.wedge <= WORTH * self.chance
 
 
 def preload(found: Calibration, position: Array) -> Preload:
-    """Compute what a wedge brings at ``position`` (M, n) [rad]."""
+    """Compute the benefit of a wedge at ``position`` (M, n) [rad]."""
     arm, own = found.arm, found.displacement
     sides = {side: _chance(arm, _tilted(own, axis), position) for side, axis in _SIDES.items()}
     best = min(sides, key=lambda side: sides[side])

@@ -1,4 +1,4 @@
-"""Measuring an arm under the guard from posture to posture, by a ruler, a tracker's file, or an emulator."""
+"""Measuring an arm under the guard from posture to posture."""
 
 from __future__ import annotations
 
@@ -27,48 +27,47 @@ from rejoint.system.progress import Progress, no_progress
 from rejoint.system.stopping import check, noted
 
 SPAN = 0.5
-"""[s] of a tracker's newest rows that are averaged (chosen: the arm stands still for longer)"""
+"""[s] of a tracker's newest rows that are averaged; chosen"""
 PATIENCE = 5.0
-"""[s] for which a tracker may write nothing before it is taken to be off (chosen)"""
+"""[s] without new rows of a tracker that is off; chosen"""
 TRACK_MOST = 1000 * MEGABYTE
-"""Largest file of a tracker that is read (chosen: a day at 100 Hz)"""
+"""Largest tracker file; chosen: a day at 100 Hz"""
 FAR = 0.08
-"""Share of an arm's summed link lengths, 42 mm on a myCobot, beyond which a coordinate is asked for again (chosen:
-three times what worn arms are off)"""
+"""Share of an arm's summed link lengths of an implausible coordinate; chosen: three times a worn arm's error"""
 _TAIL = 64_000  # [bytes] of its end (chosen: 500 rows)
 _UNITS = {"m": 1.0, "mm": 1e-3}
 
 
 @dataclass(frozen=True)
 class Stop:
-    """A posture in which the arm stands and waits to be measured."""
+    """A posture in which the arm waits to be measured."""
 
     number: int
     """from 1"""
     total: int
     believed: Array
-    """(3,) [m] where its encoders see the tool, in the frame of the base"""
+    """(3,) [m] tool by encoders, in the base frame"""
     again: str = ""
-    """why it is measured once more; empty the first time"""
+    """why it is measured again, or empty"""
 
 
 class Gauge(Protocol):
-    """Measures the tool of an arm that stands still."""
+    """A device that measures the tool of a stationary arm."""
 
     source: str
-    """``touch``, ``camera``, ``tracker``, or ``emulated`` where nothing measured: an emulator told"""
+    """``touch``, ``camera``, ``tracker`` or ``emulated``"""
     frame: str
-    """``base`` where points are in the frame of the arm's base, else a name"""
+    """``base``, or the name of another frame of its points"""
     sigma: float
-    """[m] standard deviation of each coordinate"""
+    """[m] per coordinate"""
 
     def measure(self, robot: Robot, stop: Stop) -> Array:
-        """Return where the tool is (3,) [m]; NaN where a coordinate was not measured."""
+        """Tool (3,) [m]; NaN where a coordinate was not measured."""
 
 
 @dataclass(kw_only=True)
 class EmulatedGauge:
-    """Asks an emulated arm where its tool is, with the noise of somebody who measures it."""
+    """Reads the tool of an emulated arm, with noise."""
 
     sigma: float = NOISE
     seed: int = 0
@@ -80,7 +79,7 @@ class EmulatedGauge:
         self._rng = np.random.default_rng([self.seed, 13])
 
     def measure(self, robot: Robot, stop: Stop) -> Array:  # noqa: ARG002 - it knows by itself
-        """Return the true place, with noise."""
+        """Return true tool (3,) [m] plus noise."""
         place = robot.true_tcp()[0]
         if not np.isfinite(place).all():
             raise InputError(
@@ -91,18 +90,18 @@ class EmulatedGauge:
 
 @dataclass(kw_only=True)
 class TouchGauge:
-    """Asks a person, who types what a ruler, a calliper or a height gauge says."""
+    """Asks the user, who measures with a ruler."""
 
     ask: Callable[[Stop], str]
-    """prints where the arm is and returns the answer: x, y, z in millimetres, ``-`` for one not measured"""
+    """returns the answer: x, y, z in millimetres, ``-`` for one not measured"""
     complain: Callable[[str], None]
-    """prints why an answer cannot be used; then it is asked again"""
+    """prints why an answer is unusable"""
     sigma: float = NOISE
     source: str = "touch"
     frame: str = "base"
 
     def measure(self, robot: Robot, stop: Stop) -> Array:
-        """Ask until the answer can be used; a point far from the encoders counts when it is repeated."""
+        """Ask for the tool (3,) [m]; implausible points must be repeated."""
         doubted = None
         while True:
             answer = self.ask(stop)
@@ -126,9 +125,9 @@ def _same(point: Array, other: Array | None) -> bool:
 
 
 def parse_point(text: str) -> Array:
-    """Read x, y and z in millimetres, ``-`` for one that was not measured, nothing for none; returns (3,) [m].
+    """Read x, y and z in millimetres, ``-`` for one not measured; returns (3,) [m].
 
-    Between blanks or semicolons a comma is a decimal comma.
+    Between blanks or semicolons a comma is a decimal point.
     """
     cells = [cell.strip(",") for cell in text.replace(";", " ").split() if cell.strip(",")]
     cells = cells[0].split(",") if len(cells) == 1 else [cell.replace(",", ".") for cell in cells]
@@ -149,14 +148,14 @@ def parse_point(text: str) -> Array:
 
 @dataclass(kw_only=True)
 class TrackerGauge:
-    """Reads the end of a CSV file that a tracker writes: columns time [s], x, y and z."""
+    """Reads the end of a tracker's CSV file: columns time [s], x, y and z."""
 
     path: Path
     unit: str = "mm"
-    """of x, y and z: ``mm`` or ``m``"""
+    """``mm`` or ``m``"""
     sigma: float = NOISE
     frame: str = "tracker"
-    """``base`` where its points are in the frame of the arm's base"""
+    """as in `Gauge`"""
     source: str = "tracker"
     wait: Callable[[float], None] = time.sleep
 
@@ -166,7 +165,7 @@ class TrackerGauge:
         self._newest()
 
     def measure(self, robot: Robot, stop: Stop) -> Array:  # noqa: ARG002 - it only has to stand
-        """Return the mean of what is written in the next `SPAN` seconds."""
+        """Mean (3,) [m] of the next `SPAN` seconds."""
         before = self._newest()[-1, 0]
         waited = 0.0
         while waited < PATIENCE + SPAN:
@@ -207,17 +206,17 @@ class TrackerGauge:
 
 
 SPEED = 0.5
-"""[rad/s] of the fastest joint on the way (chosen: a fifth of what joints can do)"""
+"""[rad/s] of the fastest joint; chosen"""
 SETTLE = 1.5
-"""[s] in which an arm comes to rest (chosen: worn arms ring for less than one)"""
+"""[s] for an arm to settle; chosen"""
 WINDOW = 0.4
-"""[s] at its end whose readings are averaged (chosen: 16 at 25 ms)"""
+"""[s] at its end whose readings are averaged; chosen"""
 MOVED = np.radians(2.0)
-"""[rad] that a joint may move while it is measured (chosen: more is a centimetre at the tool)"""
+"""[rad] of motion during a measurement; chosen: a centimetre at the tool"""
 TRIES = 3
-"""Times that a posture is measured in which the arm did not stand still (chosen)"""
+"""Attempts per posture if the arm moved; chosen"""
 OnMeasured = Callable[[Measurements, int], object]
-"""Called after each posture with all measurements and how many postures are done"""
+"""Called after each posture with all measurements and the number done"""
 
 
 def measure(
@@ -225,10 +224,9 @@ def measure(
     stance: Stance | None = None, on_progress: Progress = no_progress, on_measured: OnMeasured | None = None,
     begun: tuple[Measurements, MeasuringSession] | None = None,
 ) -> Measurements:  # fmt: skip
-    """Bring one arm to the postures of ``plan`` and measure the tool there, going on with what was ``begun``.
+    """Move one arm to the postures of ``plan`` and measure the tool there; resumes ``begun``.
 
-    A posture that was not kept while it was measured is measured again. InputError where nothing was measured,
-    NotReadyError where the arm does not stand still; what `run` raises where the motion had to be ended.
+    InputError for no measurements, NotReadyError for a moving arm; errors of `run`.
     """
     total = len(plan.posture)
     earlier, done = (None, 0) if begun is None else (begun[0], begun[1].answered)
@@ -264,7 +262,7 @@ def _with_row(
 
 
 class StandingDrive:
-    """Brings one arm to postures, slowly and under the guard; begins at rest."""
+    """Moves one arm to postures, slowly and under the guard."""
 
     def __init__(self, robot: Robot, limits: GuardLimits | None = None, stance: Stance | None = None) -> None:
         self.robot, self._limits = robot, limits or GuardLimits.of(robot.arm)
@@ -272,7 +270,7 @@ class StandingDrive:
             self._sent = begin(robot, self._limits, stance).command[-1]
 
     def stand(self, posture: Array, before: Array) -> tuple[Array, Array]:
-        """Go to ``before`` (n,) [rad], then to ``posture`` (n,); return the readings (n,) here and there."""
+        """Go to ``before`` (n,) [rad], then to ``posture`` (n,); return both readings."""
         came = self._go(before, settle=0.3)
         return _reading(self._go(posture, settle=SETTLE)), came.position[-1, 0]
 
@@ -281,7 +279,7 @@ class StandingDrive:
         self._go(self.robot.arm.rest, settle=0.0)
 
     def _go(self, posture: Array, settle: float) -> Recording:
-        """Go to a posture (n,) [rad], round what is in the way, or over rest; return the last piece's recording."""
+        """Go to a posture (n,) [rad] around obstacles; return the last recording."""
         arm, start = self.robot.arm, self._sent[0]
         try:
             ways = [plan(arm, start, posture)]
@@ -300,7 +298,7 @@ class StandingDrive:
 
 
 def _measured(drive: StandingDrive, gauge: Gauge, plan: Suggestion, number: int) -> tuple[Array, Array, Array] | None:
-    """Measure at one posture: readings (n,) there and before, and the tool (3,); None: left out, or no way there."""
+    """Return readings (n,) there and before, and the tool (3,); None: left out or unreachable."""
     robot, again = drive.robot, ""
     for _ in range(TRIES):
         try:
@@ -320,7 +318,6 @@ def _measured(drive: StandingDrive, gauge: Gauge, plan: Suggestion, number: int)
 
 
 def _gone(robot: Robot, position: Array) -> str:
-    """Say which joint moved how far from ``position`` (n,) [rad] during the measurement, if any did."""
     with noted():
         away = np.abs(robot.read().position[0] - position)
     j = int(np.argmax(away))
@@ -330,15 +327,14 @@ def _gone(robot: Robot, position: Array) -> str:
 
 
 def _reading(recording: Recording) -> Array:
-    """Mean of the last readings (n,) [rad]."""
     rows = recording.time[:, 0] > recording.time[-1, 0] - WINDOW
     return np.asarray(recording.position[rows, 0].mean(axis=0))
 
 
 def reversals(arm: Arm, measured: Measurements, frame: Array) -> tuple[float, ...]:
-    """Reversal values [m] at the tool (ISO 230-2) of postures measured from both sides, less what the encoders saw.
+    """Reversal values [m] at the tool (ISO 230-2) of postures with two approaches, less the encoders' part.
 
-    ``frame`` (4, 4) is the pose of the measuring frame in the base.
+    ``frame`` (4, 4) is the measuring frame in the base.
     """
     away = measured.point @ frame[:3, :3].T + frame[:3, 3] - tcp_position(arm, measured.position)
     found = []

@@ -1,7 +1,6 @@
-"""The likeliest parameters for some measurements: maximum a posteriori, by least squares within bounds.
+"""Maximum a posteriori parameters by bounded least squares.
 
-Residuals are weighed by the noise of the measuring, of the model, and of floating joints. A loss that grows linearly
-(Huber 1964) keeps one wrong point from spoiling the fit.
+The noise is that of measuring, model and floating joints; the loss is Huber's (1964).
 """
 
 from __future__ import annotations
@@ -27,11 +26,9 @@ from rejoint.diagnosis.calibration.parameters import (
 )
 
 HUBER = 2.8
-"""Length of a point's residual in standard deviations from which the loss grows linearly (95 % of three coordinates
-that are normally distributed are shorter)"""
+"""Residual [sigma] from which the loss is linear: 95 % of three normal coordinates"""
 SLIP, MOST_SLIPS = 30.0, 0.25
-"""Length of a residual in standard deviations from which a point is left out, and the largest share of such points: of
-more it is not they that are wrong (chosen: 3 to 6 cm)"""
+"""Residual [sigma] of an outlier, and the largest share of outliers; chosen"""
 ITERATIONS = 40
 _ROUNDS = 5  # of a descent with the noise as it was, at most
 _SMALL = 1e-4  # relative gain of a step, or of a round, after which the fit ends
@@ -41,7 +38,7 @@ _DIRECTIONS, _QUICK = 8, 4
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fitted:
-    """A solution, and how sure it is."""
+    """A solution and its uncertainty."""
 
     layout: DisplacementLayout
     vector: Array
@@ -51,24 +48,23 @@ class Fitted:
     frame: Array
     """(4, 4) pose of the measuring frame in the base"""
     evidence: float
-    """logarithm of the marginal likelihood, but for a constant of the measurements (Laplace's approximation)"""
+    """log marginal likelihood up to a constant (Laplace's approximation)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fittable(ABC):
-    """What is fitted: R residuals of d numbers each, their first three a place, and a prior."""
+    """A problem: R residuals of d numbers, the first three a position, and a prior."""
 
     arm: Arm
     layout: DisplacementLayout
-    """where the arm's parameters stand in the vector (k,)"""
     belief: Belief
     huber: float
-    """length of a residual in standard deviations from which the loss grows linearly"""
+    """residual [sigma] from which the loss is linear"""
 
     @property
     @abstractmethod
     def postures(self) -> NDArray[np.int64]:
-        """(R,) number of the posture of each."""
+        """(R,) posture number of each."""
 
     @property
     @abstractmethod
@@ -77,7 +73,7 @@ class Fittable(ABC):
 
     @abstractmethod
     def rows(self, where: NDArray[np.bool_]) -> Self:
-        """Return the problem of some of the residuals."""
+        """Problem of some residuals."""
 
     @abstractmethod
     def pose(self, vector: Array) -> Array:
@@ -89,45 +85,45 @@ class Fittable(ABC):
 
     @abstractmethod
     def noise(self, vector: Array) -> Array:
-        """Covariance (R, d, d) of a residual for known parameters; apart where a number was not measured."""
+        """Covariance (R, d, d) of a residual for known parameters."""
 
     @abstractmethod
     def uncorrected(self, out: NDArray[np.bool_], start: Array) -> Array:
-        """Residuals (r, d) of the rows ``out`` by the encoders alone, placed by the others from ``start`` (k,)."""
+        """Residuals (r, d) of rows ``out`` by encoders alone; the others fit the frame from ``start`` (k,)."""
 
     def misfit(self, vector: Array) -> Array:
         """Residuals (R, d)."""
         return self.residual(vector)[0]
 
     def whitener(self, vector: Array) -> Array:
-        """Matrices (R, d, d) that turn residuals into numbers of unit variance."""
+        """Matrices (R, d, d) that give residuals unit variance."""
         return np.asarray(np.linalg.inv(np.linalg.cholesky(self.noise(vector))))
 
     def displacement(self, vector: Array) -> Displacement:
-        """Return the arm's displacement for the unknowns (k,)."""
+        """Displacement for the unknowns (k,)."""
         return displacement_of(self.layout, vector)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CalibrationProblem(Fittable):
-    """Measurements and beliefs of one arm."""
+    """Measurements and prior of one arm."""
 
     measurements: Measurements
     frame: Array
-    """(4, 4) first estimate of the pose of the measuring frame in the base"""
+    """(4, 4) first estimate of the measuring frame in the base"""
     huber: float = HUBER
 
     @property
     def postures(self) -> NDArray[np.int64]:
-        """(M,) number of the posture of each."""
+        """(M,) posture numbers."""
         return self.measurements.posture
 
     def rows(self, where: NDArray[np.bool_]) -> CalibrationProblem:
-        """Return the problem of some of the points."""
+        """Problem of some points."""
         return replace(self, measurements=self.measurements.rows(where))
 
     def uncorrected(self, out: NDArray[np.bool_], start: Array) -> Array:  # noqa: ARG002 - it needs no guess
-        """Residuals (r, 3) [m] of the encoders' own forward kinematics, zero where nothing was measured."""
+        """Residuals (r, 3) [m] of plain kinematics, zero where not measured."""
         held = self.measurements.rows(out)
         pose = align(self.arm, self.measurements.rows(~out)) if self.layout.frame else self.frame
         seen = (tcp_position(self.arm, held.position) - pose[:3, 3]) @ pose[:3, :3]
@@ -150,7 +146,7 @@ class CalibrationProblem(Fittable):
         return pose
 
     def residual(self, vector: Array) -> tuple[Array, Array]:
-        """Predicted less measured coordinates (M, 3) [m], zero where not measured, and their derivative (M, 3, k)."""
+        """Predicted less measured coordinates (M, 3) [m], zero where not measured; derivative (M, 3, k)."""
         m = self.measurements
         tool, own = linearised(self.arm, self.layout, vector, m.position, m.approach)
         pose, derivative = self.pose(vector), np.zeros((*tool.shape, self.layout.size))
@@ -178,7 +174,7 @@ class CalibrationProblem(Fittable):
 
 
 def solve(problem: Fittable, start: Array, iterations: int = ITERATIONS) -> Fitted:
-    """Descend from ``start`` (k,), the noise taken where the descent before ended."""
+    """Iterate from ``start`` (k,), with the noise of the last iterate."""
     belief, vector = problem.belief, np.array(start, dtype=float)
     free, cost = belief.upper > belief.lower, np.inf
     vector[~free] = belief.lower[~free]
@@ -216,13 +212,12 @@ def solve(problem: Fittable, start: Array, iterations: int = ITERATIONS) -> Fitt
 
 
 def _plausible(whitener: Array, residual: Array) -> NDArray[np.bool_]:
-    """Tell which residuals (R, d) may be no slips: even what a bounded pull does to a fit is too much for those."""
     near: NDArray[np.bool_] = np.linalg.norm(np.einsum("mij,mj->mi", whitener, residual), axis=1) < SLIP
     return near if near.mean() >= 1.0 - MOST_SLIPS else np.ones_like(near)
 
 
 def _weighed(problem: Fittable, whitener: Array, residual: Array) -> tuple[Array, Array, Array]:
-    """White residuals (R, d), what makes half their squares the loss (R, 1), and its slope (R, 1)."""
+    """White residuals (R, d), factor (R, 1) to half their squared loss, and its slope (R, 1)."""
     white = np.einsum("mij,mj->mi", whitener, residual)
     length = np.maximum(np.linalg.norm(white, axis=1, keepdims=True), 1e-12)
     weight = np.minimum(1.0, problem.huber / length)
@@ -230,7 +225,7 @@ def _weighed(problem: Fittable, whitener: Array, residual: Array) -> tuple[Array
 
 
 def search(problem: Fittable) -> Fitted:
-    """Solve from upright and askew bases: the side of a floating joint changes with the slightest tilt."""
+    """Solve from upright and tilted bases: a slight tilt moves a floating joint."""
     upright = solve(problem, problem.belief.mean)
     turns = np.linspace(0.0, 2 * np.pi, _DIRECTIONS, endpoint=False)
     best = upright

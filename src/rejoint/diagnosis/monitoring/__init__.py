@@ -1,1 +1,1 @@
-"""An arm over months: a short check, charts of its history, and its remaining time."""
+"""An arm over months: checks, charts, and remaining service time."""

@@ -1,10 +1,9 @@
-"""Charts of one quantity over the checks of an arm: its baseline, its state, and zeros that jumped.
+"""Charts of one quantity over the checks of an arm: baseline, state, and jumped zeros.
 
-The first checks say what is usual: mean, scatter, effect of warmth. Later ones are judged in standard deviations: an
-EWMA gives the state (Roberts 1959), a two-sided CUSUM the alarm (Page 1954).
+The first checks give mean, scatter and temperature effect. Later ones, in standard deviations, give the state by an
+EWMA (Roberts 1959), the alarm by a two-sided CUSUM (Page 1954).
 
-A collision moves a zero at once, by the same angle in all poses and from both sides. Wear shows in sag and friction
-too, so a sudden change of the deviation alone is no wear.
+A collision moves a zero alike in all poses; wear changes sag and friction too.
 """
 
 from __future__ import annotations
@@ -18,52 +17,52 @@ import numpy as np
 from rejoint.arms import Array
 
 FEWEST = 5
-"""Checks that a norm needs (shared facts on monitoring: 5 to 8)"""
+"""Checks that a baseline needs; shared facts on monitoring: 5 to 8"""
 MOST = 8
-"""Checks that a norm takes in, as they come"""
+"""Most checks in a baseline"""
 WEIGHT = 0.25
-"""Of the newest check in the EWMA (shared facts on monitoring)"""
+"""Of the newest check in the EWMA; shared facts on monitoring"""
 DRIFTING = 2.7 * (WEIGHT / (2.0 - WEIGHT)) ** 0.5
-"""EWMA from which a quantity is said to drift: 2.7 of its own standard deviations"""
+"""EWMA of a drift: 2.7 of its own standard deviations"""
 SLACK = 1.25
-"""Standard deviations that a CUSUM forgives (chosen: half of one, as is usual, gives false alarms with five checks)"""
+"""Slack of the CUSUM in standard deviations; chosen"""
 ALARM = 6.0
-"""CUSUM that is an alarm (shared facts on monitoring; of 1000 steady quantities over two years 0.5 % called out)"""
+"""CUSUM of an alarm; shared facts on monitoring; 0.5 % false alarms in two years"""
 CUT = 4.0
-"""Standard deviations as which a larger distance counts, so that no single odd check is an alarm"""
+"""Largest distance that counts, in standard deviations"""
 PRIOR_CHECKS = 6.0
-"""Checks that the known scatter counts for (chosen: five checks alone may scatter by next to nothing)"""
+"""Checks that the prior scatter counts for; chosen"""
 
 LATELY = 3
-"""Checks whose median says by how much a quantity changed (chosen)"""
+"""Checks whose median is the recent change; chosen"""
 
 State = Literal["learning", "steady", "drifting", "alarm"]
-"""Too few checks to say; as at the beginning; moving away; surely not as at the beginning"""
+"""Too few checks; as at the beginning; moving away; surely changed"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Chart:
-    """One quantity of one arm since its norm began; T checks, the newest last."""
+    """One quantity since its baseline began; T checks, the newest last."""
 
     z: Array
-    """(T,) distance from the baseline in standard deviations; NaN in the first `FEWEST` checks"""
+    """(T,) standard deviations from the baseline; NaN in its first checks"""
     cusum: Array
-    """(T,) the larger of both sides, positive where the quantity grows"""
+    """(T,) the larger side, positive where the quantity grows"""
     usual: float
-    """mean of the norm, at its own warmth"""
+    """mean of the baseline, at its own temperature"""
     change: float
-    """newest value, at the warmth of the norm, less `usual`"""
+    """newest value, at the baseline's temperature, less `usual`"""
     lately: float
-    """the same, the middle of the last `LATELY` checks"""
+    """the same, median of the last `LATELY` checks"""
     state: State
     since: int | None
-    """index of the last check before the quantity began to leave, by the CUSUM; or None"""
+    """index of the last check before the change, by the CUSUM"""
 
 
 def chart(value: Array, temperature: Array, *, scatter: float, per_degree: float) -> Chart:
-    """Draw the chart of ``value`` (T,) at ``temperature`` (T,) [deg C], NaN where unknown.
+    """Compute the chart of ``value`` (T,) at ``temperature`` (T,) [deg C], NaN where unknown.
 
-    ``scatter`` is the prior standard deviation of one check, ``per_degree`` the prior effect of a degree.
+    ``scatter``: prior sigma of one check; ``per_degree``: prior effect of a degree.
     """
     count = len(value)
     warm = np.nan_to_num(temperature - temperature[0]) if count else temperature
@@ -95,10 +94,9 @@ def chart(value: Array, temperature: Array, *, scatter: float, per_degree: float
 
 
 def _norm(value: Array, warm: Array, count: int, scatter: float, per_degree: float) -> tuple[float, float, float]:
-    """Mean of the first ``count`` checks, what warmth adds to the last one, and its standard deviation.
+    """Mean of the first ``count`` checks, temperature effect on the last one, and sigma.
 
-    The scatter is that of neighbouring checks; the slope over warmth a regression with a prior, beside a straight
-    change over time.
+    Sigma is from neighbouring checks, the effect from regression with a prior and a linear trend.
     """
     known, middle = warm[:count].mean(), float(value[:count].mean())
     variance, slope, doubt = scatter**2, 0.0, 0.0
@@ -121,35 +119,34 @@ def _slope(value: Array, warm: Array, variance: float, per_degree: float) -> tup
 
 
 SURE = 5.0
-"""Standard deviations from which a zero has jumped (chosen: no arm that wears is said to, `python -m benchmarks
-years`)"""
+"""Standard deviations of a jumped zero; chosen, see `python -m benchmarks years`"""
 SHARE = 1.0 / 3.0
-"""Of the jump, below which all else must have stayed (chosen: wear moves sag by as much)"""
+"""Share of the jump, most change of all else; chosen"""
 STAYED = 0.5
-"""Share of the jump that must remain until the newest check (chosen)"""
+"""Share of the jump that must remain; chosen"""
 BEFORE = 3
-"""Checks before a jump whose median says where the zero was (chosen)"""
+"""Checks whose median is the old zero; chosen"""
 UNTOLD = 10.0
-"""[K] by which checks may differ where no temperature is known (chosen: a room over the seasons)"""
+"""[K] difference where no temperature is known; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Jump:
-    """The zero of a joint has moved between two checks."""
+    """A joint's zero that moved between two checks."""
 
     at: int
     """index of the first check after it"""
     way: float
-    """in the unit of the deviations, with sign"""
+    """change, in the unit of the deviations"""
 
 
 def find_jump(
     deviation: Array, others: Sequence[Array], temperature: Array, *, scatter: float, per_degree: float
 ) -> Jump | None:
-    """Find where the zero of a joint last jumped; None where it has not.
+    """Find where the zero of a joint last jumped, if it has.
 
-    ``deviation`` (T,) [mm] at ``temperature`` (T,) [deg C]; ``others`` (T,) [mm] are what wear changes as well;
-    ``scatter`` [mm] and ``per_degree`` [mm/K] as for `chart`.
+    ``deviation`` (T,) [mm] at ``temperature`` (T,) [deg C]; ``others`` (T,) [mm] also change by wear; ``scatter`` and
+    ``per_degree`` as for `chart`.
     """
     for at in range(len(deviation) - 1, 0, -1):
         way = float(deviation[at] - deviation[at - 1])

@@ -1,4 +1,4 @@
-"""What the checks of an arm say together, in one line: state, cause, since when, and how long it will last."""
+"""Result of all checks of an arm: state, cause, start, remaining service time."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ from rejoint.diagnosis.monitoring.remaining import remaining
 from rejoint.system.shell import command
 
 ZERO_PER_DEGREE = np.radians(0.02)
-"""[rad/K] by which the zero of an STS3215 may move (shared facts on monitoring)"""
+"""[rad/K] drift of an STS3215's zero; shared facts on monitoring"""
 FRICTION_PER_DEGREE = 0.015
-"""[1/K] effect of warmth on friction (Bittencourt and Axehill 2012: viscous friction halves in 47 K)"""
+"""[1/K] of friction (Bittencourt and Axehill 2012: viscous friction halves in 47 K)"""
 LOAD_PER_DEGREE = 0.002
-"""[1/K] effect of warmth on sag (chosen: copper loses 0.4 %/K of its conductance)"""
+"""[1/K] of sag; chosen"""
 SCATTER_MM = {"hysteresis": 0.03, "reversal": 0.05, "sag": 0.07, "deviation": 0.06, "error": 0.10}
-"""[mm] standard deviation of one check of a steady arm (measured: `python -m benchmarks years`)"""
+"""[mm] sigma of one check of a steady arm; measured: `python -m benchmarks years`"""
 SCATTER_SHARE = 0.005
-"""The same as a share of the value (measured as above)"""
+"""The same as a share of the value; measured as above"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PastCheck:
-    """One check in the history of an arm."""
+    """One check of an arm."""
 
     time: datetime
-    """UTC, without a zone"""
+    """UTC, naive"""
     measures: CheckMeasures
     used_h: float | None = None
-    """[h] of use so far; None where they are not counted"""
+    """of use so far; None: not counted"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Change:
-    """One quantity of one joint, or of the tool, over the checks."""
+    """Change of one quantity of a joint, or of the tool."""
 
     joint: str
     """empty for the tool"""
@@ -47,85 +47,84 @@ class Change:
     """hysteresis, reversal, sag, deviation or error"""
     state: State
     usual_mm: float
-    """at the beginning"""
+    """baseline"""
     now_mm: float
-    """at the warmth of the beginning"""
+    """at the baseline's temperature"""
     since: datetime | None
-    """of the last check before it began to leave; None where it has not"""
+    """last check before the change, if any"""
     cusum: float
-    """standard deviations that have come together, with sign"""
+    """signed, in standard deviations"""
     away: float = 0.0
-    """standard deviations by which the median of the last three lies off, with sign"""
+    """median of the last three, signed, in standard deviations"""
 
     @property
     def better(self) -> bool:
-        """Whether there is less of it than there was: nothing wears like that."""
+        """Whether the quantity fell: wear never does that."""
         return abs(self.now_mm) < abs(self.usual_mm)
 
 
 @dataclass(frozen=True, kw_only=True)
 class MovedZero:
-    """The zero of a joint is not where it was: the arm was bumped, or set again."""
+    """A joint's zero that moved: a collision or a new homing."""
 
     joint: str
     degrees: float
-    """with the sign of the deviation"""
+    """signed"""
     after: datetime
-    """of the last check before"""
+    """last check before"""
     before: datetime
-    """of the first check after"""
+    """first check after"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Due:
-    """When the tolerance will be reached: 10, 50 and 90 % of the possible times lie before."""
+    """When the tolerance will be reached: 10, 50 and 90 % quantiles."""
 
     early: datetime
     middle: datetime | None
     late: datetime | None
-    """None where it may never be reached, or not in a lifetime"""
+    """None: perhaps never, or after a century"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Outlook:
-    """How an arm stands by its checks since its norm began."""
+    """State of an arm by its checks since the baseline began."""
 
     state: State
     checks: int
     since: datetime
-    """of the first of them"""
+    """first check"""
     newest: datetime
-    """of the last of them"""
+    """last check"""
     changes: tuple[Change, ...]
-    """worst state first, then the joint that changed most; the tool last"""
+    """worst state first, then the largest change; the tool last"""
     error_mm: float
-    """of the tool in the five poses, newest, without a controller"""
+    """newest in the five poses, without a controller"""
     error_known: bool
-    """whether that is where the tool really is; else it is by the encoders"""
+    """whether it is the tool's; else by encoders"""
     tolerance_mm: float | None
     due: Due | None
-    """None where nothing can be said, no wear shows, or zeros have moved"""
+    """None: unknown, no wear, or moved zeros"""
     moved: tuple[MovedZero, ...] = ()
-    """joints whose zeros have moved since the norm began, the furthest first"""
+    """since the baseline began, the largest first"""
     controlled_mm: float | None = None
-    """of the tool with the controller of its repair, at most; None without a repair"""
+    """largest with the repair's controller, if any"""
 
     @property
     def counts_mm(self) -> float:
-        """[mm] error that the tolerance is compared with: with the controller where the arm was repaired."""
+        """[mm] error to compare with the tolerance."""
         return self.error_mm if self.controlled_mm is None else self.controlled_mm
 
     @property
     def over(self) -> bool:
-        """Whether the tolerance is reached already."""
+        """Whether the tolerance is reached."""
         return self.tolerance_mm is not None and self.counts_mm >= self.tolerance_mm
 
 
 def outlook(visits: Sequence[PastCheck], tolerance_mm: float | None = None, *, left_mm: float | None = None) -> Outlook:
-    """Judge an arm by its checks since the baseline began, the oldest first; there is at least one.
+    """Judge an arm by its checks since the baseline began, the oldest first.
 
-    ``left_mm`` is the tool error that the controller of the last repair left: it nears ``tolerance_mm`` by as much as
-    the bare arm becomes worse.
+    ``left_mm``: tool error with the repair's controller; it grows as that of the bare arm.
     """
     warm = np.array([_nan(visit.measures.temperature_c) for visit in visits])
     drawn = [_change(visits, *one) for one in _quantities(visits, warm)]
@@ -148,12 +147,12 @@ def outlook(visits: Sequence[PastCheck], tolerance_mm: float | None = None, *, l
 
 
 def error_per_degree(measures: CheckMeasures) -> float:
-    """[mm/K] by which warmth may move the tool's error: the zeros of all joints, each for itself."""
+    """[mm/K] of the tool error through the joints' zeros."""
     return float(ZERO_PER_DEGREE * np.sqrt(sum(row.lever_mm**2 for row in measures.joints)))
 
 
 def _quantities(visits: Sequence[PastCheck], warm: Array) -> list[tuple[str, str, Array, Array, float]]:
-    """Joint, quantity, values (T,) [mm], temperature (T,), and mm per degree that warmth may do."""
+    """Joint, quantity, values (T,) [mm], temperature (T,), and mm/K."""
     found = []
     first = visits[0].measures
     for j, row in enumerate(first.joints):
@@ -175,10 +174,7 @@ def _quantities(visits: Sequence[PastCheck], warm: Array) -> list[tuple[str, str
 
 
 def _ranked(drawn: Sequence[Change]) -> tuple[Change, ...]:
-    """Put the likely cause first: the worst state, then the joint furthest off, friction and sag before the deviation.
-
-    Not by the CUSUM, of which all joints that wear fast have the same.
-    """
+    """Sort by state, then by distance, friction and sag before the deviation."""
     order: tuple[State, ...] = ("alarm", "drifting", "steady", "learning")
     most: dict[tuple[str, str], float] = {}
     for one in drawn:
@@ -212,7 +208,7 @@ def _moved(visits: Sequence[PastCheck]) -> tuple[MovedZero, ...]:
 
 
 def _scatter(name: str, value: Array) -> float:
-    """[mm] standard deviation of one check's quantity where the arm does not change."""
+    """[mm] sigma of one check's quantity on a steady arm."""
     return max(SCATTER_MM[name], SCATTER_SHARE * abs(float(np.median(value[:FEWEST]))))
 
 
@@ -226,7 +222,6 @@ def _change(visits: Sequence[PastCheck], joint: str, name: str, value: Array, wa
 
 
 def _due(visits: Sequence[PastCheck], error: Array, warm: Array, tolerance: float) -> Due | None:
-    """Estimate when the tolerance is reached, by use where the owner counts it, else by the calendar."""
     days = np.array([(visit.time - visits[0].time) / timedelta(days=1) for visit in visits])
     hours = np.array([_nan(visit.used_h) for visit in visits])
     grows = bool(np.isfinite(hours).all() and (np.diff(hours) >= 0.0).all())  # else somebody has told them wrongly
@@ -244,7 +239,6 @@ def _due(visits: Sequence[PastCheck], error: Array, warm: Array, tolerance: floa
 
 
 def _after(now: datetime, days: float) -> datetime | None:
-    """Return the time so many days later; None for more than a century, which is no prediction."""
     return now + timedelta(days=days) if days < 36500.0 else None
 
 
@@ -253,7 +247,7 @@ def _nan(value: float | None) -> float:
 
 
 MONTH = timedelta(days=30)
-"""Between two checks of an arm that does not change (chosen)"""
+"""Between checks of a steady arm; chosen"""
 MEANINGS = {
     "hysteresis": "friction or weakness in slow motion",
     "reversal": "difference between its two directions",
@@ -261,11 +255,11 @@ MEANINGS = {
     "deviation": "distance from its commands",
     "error": "tool error",
 }
-"""What each quantity is, in words"""
+"""Quantities in words"""
 
 
 def say(found: Outlook, robot: str, described: str = "") -> str:
-    """Say in one line how the arm at address ``robot`` is; ``described`` are more options of a repair."""
+    """Report the state of the arm at ``robot`` in one line; ``described``: more options of a repair."""
     repair = command("repair", robot) + described
     error = _error(found)
     if found.moved:
@@ -299,7 +293,7 @@ def _ask(found: Outlook, error: str, repair: str) -> str:
 
 
 def cause_of(found: Outlook) -> str:
-    """Name what changed most; empty where nothing did."""
+    """Name what changed most, or return an empty text."""
     if found.moved:
         names, ways = [one.joint for one in found.moved], [f"{abs(one.degrees):.1f}" for one in found.moved]
         zeros = f"The zero of {names[0]} has" if len(names) == 1 else f"The zeros of {_list(names)} have"

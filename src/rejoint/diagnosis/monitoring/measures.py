@@ -1,8 +1,8 @@
-"""What a check measures, by the encoders: each joint in slow motion and in five poses, and the tool after ISO 9283.
+"""What a check measures by encoders: each joint in slow motion and in five poses, and the tool.
 
-*Accuracy* AP is the distance of the mean attained position from the commanded one, *repeatability* RP the scatter about
-it, vAP the distance between directions of approach (ISO 9283); the *reversal value* B is the difference that the
-direction makes to a joint (ISO 230-2).
+ISO 9283: *accuracy* AP is the distance of the mean attained position from the command, *repeatability* RP the scatter
+about it, vAP the distance between directions of approach. ISO 230-2: the *reversal value* B is a joint's difference
+between directions.
 """
 
 from __future__ import annotations
@@ -20,65 +20,63 @@ from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError, RobotError
 
 LEAST_LEVER = 0.02
-"""[m] least lever that turns angles into millimetres (chosen: half the radius of a small tool flange)"""
+"""[m]; chosen"""
 
 _LEAST_RANGE = 0.1
-"""[N m] of a myCobot 280, range of a joint's load from which its sag shows (chosen: more than an encoder count)"""
+"""[N m] of a myCobot 280, least range of load for sag; chosen"""
 
 LEAST_APPROACHES = 3
-"""of `CYCLES` to a pose from one side that a check needs (chosen: the fewest that scatter)"""
+"""Approaches from one side that a check needs; chosen"""
 
 _SWEEP_MIDDLE = 0.6  # share of a sweep, about its middle, in which a joint moves steadily (chosen)
 
 
 DEAD_TIME, DEAD_WAY = 15.0, np.radians(10.0)
-"""[s] and [rad] of commands without any reading that changes: the joint does not follow (chosen: a weak one stood for
-12 s)"""
+"""[s] and [rad] of commands without a changed reading of a dead joint; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointCheck:
-    """One joint, in millimetres at the tool: angle times mean lever in the poses."""
+    """One joint, in millimetres at the tool: angle times mean lever."""
 
     joint: str
     hysteresis_mm: float
-    """following error of slow motion one way minus the other"""
+    """in slow motion, one way minus the other"""
     reversal_mm: float
-    """ISO 230-2 B: where it comes to rest from above minus from below"""
+    """ISO 230-2 B: rest from above minus from below"""
     deviation_mm: float
-    """command minus where it comes to rest, mean of both sides, with sign: sag and offset"""
+    """command minus rest, mean of both sides: sag and offset"""
     sag_mm: float | None
-    """what it gives way to its weight, by how `deviation_mm` changes from pose to pose; None where the weight hardly
-    changes"""
+    """change of `deviation_mm` with the load; None for a constant load"""
     lever_mm: float
-    """[mm/rad] that angles were multiplied with"""
+    """[mm/rad]"""
     temperature_c: float | None
-    """of the servo; None where it does not tell"""
+    """of the servo; None: unknown"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CheckMeasures:
-    """What one check measured."""
+    """Results of one check."""
 
     joints: tuple[JointCheck, ...]
     error_mm: float
-    """mean over the poses and both sides of AP by the encoders"""
+    """AP by encoders, mean over poses and sides"""
     repeatability_mm: float
-    """largest RP of a pose from one side, of `CYCLES` approaches (the standard asks for 30)"""
+    """largest RP of a pose from one side, of `CYCLES` approaches (standard: 30)"""
     approach_mm: float
-    """largest vAP of a pose, of the two directions of approach, by the encoders"""
+    """largest vAP of a pose by encoders"""
     true_error_mm: float | None
-    """as `error_mm`, of the tool itself; None where it is unknown"""
+    """as `error_mm`, of the tool itself; None: unknown"""
     true_approach_mm: float | None
     """as `approach_mm`, of the tool itself"""
     temperature_c: float | None
-    """mean of the servos; None where they do not tell"""
+    """mean of the servos"""
 
 
 def measure_check(arm: Arm, log: RunLog, temperature: Array | None) -> CheckMeasures:
-    """Measure an arm by the log of its check; ``temperature`` (n,) [deg C] of its servos.
+    """Measure an arm by its check; ``temperature`` (n,) [deg C] of its servos.
 
-    InputError if the log is not of a whole check of this arm.
+    InputError unless the log holds a whole check of this arm.
     """
     data = ExcitationLog.of(arm, log)
     command, position, tool = _settled(data)
@@ -109,7 +107,7 @@ def measure_check(arm: Arm, log: RunLog, temperature: Array | None) -> CheckMeas
 
 
 def require_followed(arm: Arm, log: RunLog) -> None:
-    """Raise RobotError where the reading of a joint stood still to the end of a check while its commands moved."""
+    """Raise RobotError for a joint whose reading froze during motion."""
     for j, name in enumerate(arm.joint_names):
         away = np.abs(log.position[:, j] - log.position[-1, j]) > 1.5 * arm.encoder_step
         since = int(np.flatnonzero(away)[-1]) + 1 if away.any() else 0
@@ -123,10 +121,7 @@ def require_followed(arm: Arm, log: RunLog) -> None:
 
 
 def _settled(data: ExcitationLog) -> tuple[Array, Array, Array]:
-    """Means of command, position (poses, sides, cycles, n) [rad] and tool (poses, sides, cycles, 3) [m] at rest.
-
-    An approach without readings is the mean of the others.
-    """
+    """Means of command, position (poses, sides, cycles, n) [rad] and tool (poses, sides, cycles, 3) [m] at rest."""
     log, shape = data.log, (POSES, len(SIDES), CYCLES)
     found = [np.full((*shape, width), np.nan) for width in (data.arm.joints, data.arm.joints, 3)]
     for segment in data.of_kind("pose"):
@@ -147,13 +142,13 @@ def _settled(data: ExcitationLog) -> tuple[Array, Array, Array]:
 
 
 def _levers(arm: Arm, posture: Array) -> Array:
-    """Mean way of the tool per radian (n,) [m] in postures (K, n) [rad]."""
+    """Mean lever (n,) [m/rad] in postures (K, n) [rad]."""
     jacobian = position_kinematics(arm, posture)[1]
     return np.maximum(np.linalg.norm(jacobian, axis=-2).mean(axis=0), LEAST_LEVER)
 
 
 def _hysteresis(data: ExcitationLog, joint: int) -> float:
-    """[rad] following error in the middle of slow sweeps upwards minus downwards."""
+    """[rad] following error of slow sweeps upwards minus downwards."""
     sides: tuple[list[float], list[float]] = ([], [])
     for segment in data.of_kind("sweep", joint):
         cut = 0.5 * (1.0 - _SWEEP_MIDDLE) * (segment.stop - segment.start)
@@ -167,7 +162,7 @@ def _hysteresis(data: ExcitationLog, joint: int) -> float:
 
 
 def _sag(deviation: Array, torque: Array, least: float) -> float | None:
-    """[mm] slope of deviations (poses,) [mm] over torques (poses,) [N m], at the mean torque."""
+    """[mm] slope of deviations (poses,) [mm] over torques (poses,) [N m], times the mean torque."""
     if np.ptp(torque) < least:
         return None
     slope = np.polyfit(torque - torque.mean(), deviation, 1)[0]

@@ -1,7 +1,7 @@
-"""When the tool's error will reach the owner's tolerance: a first-passage time, with an interval.
+"""When the tool error will reach the tolerance: a first-passage time, with an interval.
 
-Wear is a Brownian motion with drift, each check a look at it with scatter; the time is drawn from all that the checks
-leave possible, each draw an inverse Gaussian (Folks and Chhikara, J. R. Stat. Soc. B 40, 1978).
+Wear is a Brownian motion with drift, observed by noisy checks; the time is inverse Gaussian for each posterior draw
+(Folks and Chhikara, J. R. Stat. Soc. B 40, 1978).
 """
 
 from __future__ import annotations
@@ -14,42 +14,41 @@ from rejoint.arms import Array
 from rejoint.diagnosis.monitoring.charts import FEWEST
 
 DRAWS = 4000
-"""(chosen: the ends of an 80 % interval then repeat within a few per cent)"""
+"""chosen: an 80 % interval repeats within a few per cent"""
 SHARES = (0.1, 0.5, 0.9)
-"""Of the draws below the quantiles that are told"""
+"""Quantiles"""
 _SEEN = 0.9
-"""Share of the possible drifts that must lead to the tolerance (chosen, as the interval)"""
+"""Share of drifts that must reach the tolerance; chosen"""
 _UNEVEN, _UNEVEN_FACTOR = 0.5, 1.6
-"""Prior of the random part of wear, as a share of the change seen, and its factor (chosen: wear comes in spells,
-`python -m benchmarks years`)"""
+"""Prior of wear's random share, and its factor; chosen: `python -m benchmarks years`"""
 _DIFFUSIONS = np.geomspace(0.05, 2.0, 9)
-"""Such shares that are tried"""
+"""Shares on the grid"""
 _SCATTERS = np.geomspace(0.6, 1.8, 4)
-"""Scatters of a check that are tried, as multiples of the one believed"""
+"""Scatters on the grid, relative to the prior"""
 _SCATTER_FACTOR = 1.5
-"""Factor within which the scatter is believed (chosen: it was measured on other arms)"""
+"""Factor of uncertainty of the scatter; chosen"""
 _POINTS = 200
-"""Most points; neighbours among more checks are averaged (chosen: the work grows with the cube)"""
+"""Most points, by averaging; chosen: the work is cubic"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Remaining:
-    """Use that is left until the tolerance is reached; the unit is that of the use given."""
+    """Use left until the tolerance is reached."""
 
     early: float
-    """one in ten of the times possible lies before"""
+    """10 % quantile"""
     middle: float
     late: float
-    """one in ten lies after; infinite where it may never be reached"""
+    """90 % quantile; infinite if perhaps never"""
 
 
 def remaining(
     use: Array, error: Array, warm: Array, tolerance: float, *, scatter: float, per_degree: float
 ) -> Remaining | None:
-    """Estimate how much more use an arm has until its ``error`` (T,) [mm] reaches ``tolerance`` [mm].
+    """Estimate the use left until an arm's ``error`` (T,) [mm] reaches ``tolerance`` [mm].
 
-    ``use`` (T,) grows; ``warm`` (T,) [K] is relative, NaN where unknown; ``scatter`` [mm] and ``per_degree`` [mm/K] as
-    for `chart`. None with too few checks or no visible wear.
+    ``use`` (T,) grows; ``warm`` (T,) [K] is relative; ``scatter`` and ``per_degree`` as for `chart`. None for too few
+    checks or no wear.
     """
     if len(use) < FEWEST + 1 or use[-1] <= use[0]:
         return None
@@ -128,7 +127,7 @@ def _passages(
 def _state(
     rng: np.random.Generator, drawn: Array, diffusion: float, noise: float, x: Array, error: Array, design: Array
 ) -> Array:
-    """Draw where the error is now (N,), without its last scatter, given lines ``drawn`` (N, 3)."""
+    """Draw the present error (N,), without its scatter, given lines ``drawn`` (N, 3)."""
     common = diffusion**2 * np.minimum.outer(x - x[0], x - x[0])
     gain = np.linalg.solve(common + noise**2 * np.eye(len(x)), common[:, -1])
     left = error - drawn @ design.T

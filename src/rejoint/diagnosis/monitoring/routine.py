@@ -1,7 +1,7 @@
-"""The motion of a check, always the same for one arm: two to three minutes.
+"""The motion of a check: two to three minutes.
 
-Every other joint goes slowly back and forth, then the rest; then the tool goes to the five poses of ISO 9283:1998 in
-the region of targets, each five times from below and five times from above in all joints.
+Every other joint sweeps slowly, then the rest; then the tool visits the five poses of ISO 9283:1998, five times each
+from below and above.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from rejoint.system.progress import Progress, no_progress
 POSES = 5
 """ISO 9283:1998: P1 to P5"""
 CYCLES = 5
-"""Times that each pose is approached from each side (chosen)"""
+"""Approaches to each pose from each side; chosen"""
 SIDES = ("below", "above")
 
 _SWEEP_SPEED = 0.12  # [rad/s] twice the usual Stribeck velocity, as the slow sweeps of a diagnosis
@@ -41,7 +41,7 @@ _SMALLER = 0.8 ** np.arange(10)  # shares of amplitude and region that are tried
 
 
 def plan_check(arm: Arm) -> Excitation:
-    """Plan the check of an arm in its rest posture, smaller where there is no room; InputError without any."""
+    """Plan the check of an arm at rest, within its space; InputError without space."""
     postures, offset = _poses(arm)
     amplitude = _amplitude(arm)
     slowest = float(arm.max_speed.min())
@@ -63,7 +63,7 @@ def plan_check(arm: Arm) -> Excitation:
 
 
 def _poses(arm: Arm) -> tuple[Array, float]:
-    """Postures (5, n) [rad] of the poses, and the distance [rad] from which all joints can approach them."""
+    """Postures (5, n) [rad], and the distance [rad] of their approach."""
     for size in _SMALLER:
         q = solve_position(arm, iso_poses(arm, RISING_LEFT, float(size)), arm.rest).q
         for offset in HOLD_OFFSET * _SMALLER[:4]:
@@ -81,7 +81,7 @@ def _poses(arm: Arm) -> tuple[Array, float]:
 
 
 def _amplitude(arm: Arm) -> float:
-    """[rad] by which joints can go back and forth about the rest posture."""
+    """[rad] of the sweeps about rest."""
     for share in _SMALLER:
         ends = np.array(
             [sign * share * _AMPLITUDE * swept(arm, tuple(range(first, arm.joints, 2)))
@@ -99,9 +99,9 @@ LABEL = "check"
 def record_check(
     robot: Robot, *, on_progress: Progress = no_progress, on_cycle: OnCycle | None = None
 ) -> Sequence[tuple[RunLog, Array | None]]:  # fmt: skip
-    """Drive every arm of ``robot`` through the check; returns its log and the servos' mean temperatures (n,) [deg C].
+    """Drive every arm of ``robot`` through the check; return logs and mean servo temperatures (n,) [deg C].
 
-    NotReadyError before anything moves, GuardTripError or RobotError on the way.
+    NotReadyError before the motion, GuardTripError or RobotError in it.
     """
     plan = plan_check(robot.arm)  # refused, if it is, before anything moves
     begin(robot)

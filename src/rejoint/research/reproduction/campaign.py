@@ -1,4 +1,4 @@
-"""All experiments in the paper's order: run, kept, resumed, and written as a page."""
+"""All experiments: run, stored, resumed, and written as a page."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (TABLE_1, FIG_9, FIG_10, TABLE_3, FIG_11, 
 
 
 def choose(names: Sequence[str]) -> tuple[Experiment, ...]:
-    """Return the experiments of those names, all by default; InputError names them."""
+    """Named experiments, default: all; InputError for unknown ones."""
     known = {name for one in EXPERIMENTS for name in (one.name, *one.also)}
     for name in names:
         if name not in known:
@@ -36,22 +36,22 @@ def choose(names: Sequence[str]) -> tuple[Experiment, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class Claim:
-    """What a folder is for; everything in it agrees in this."""
+    """Settings that all results in a folder share."""
 
     seed: int
     quick: bool
 
 
 OnExperiment = Callable[[Experiment, bool], object]
-"""Called before each experiment with whether it is finished already."""
+"""Called before each experiment, with whether it is finished"""
 
 
 def run_experiments(
     bench: Bench, experiments: Sequence[Experiment], *, again: bool = False, on_experiment: OnExperiment,
 ) -> list[Finished]:  # fmt: skip
-    """Run what is not finished and return all findings.
+    """Run unfinished experiments and return all findings.
 
-    Shared trainings run first, side by side. ``again`` repeats experiments, not trainings or comparisons.
+    ``again`` repeats experiments, not trainings or comparisons.
     """
     _claim(bench)
     needed = [one for one in experiments if again or not finished_file(bench, one).exists()]
@@ -65,7 +65,6 @@ def run_experiments(
 
 
 def _claim(bench: Bench) -> None:
-    """Note what the folder is for; InputError if it is for something else."""
     wanted, path = Claim(seed=bench.seed, quick=bench.quick), bench.folder / "reproduction.json"
     if not path.exists():
         write_json(path, wanted)
@@ -77,7 +76,7 @@ def _claim(bench: Bench) -> None:
 
 
 def finished_file(bench: Bench, experiment: Experiment) -> Path:
-    """Where a finished experiment is kept."""
+    """File of a finished experiment."""
     return bench.folder / "results" / f"{experiment.name}.json"
 
 
@@ -93,7 +92,7 @@ def _run(bench: Bench, experiment: Experiment) -> Finished:
 
 
 def write_page(bench: Bench, page: Path) -> Path:
-    """Write all finished experiments to ``page``, figures beside it."""
+    """Write finished experiments and figures to ``page``."""
     files = {one.name: finished_file(bench, one) for one in EXPERIMENTS}
     found = {name: read_json(file, Finished).findings for name, file in files.items() if file.exists()}
     pictures = page.with_suffix("")
@@ -107,11 +106,10 @@ def write_page(bench: Bench, page: Path) -> Path:
 
 
 def table(headers: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    """Return a Markdown table; bars inside of cells are kept as text."""
+    """Markdown table, with bars escaped."""
     lines = [headers, ["---"] * len(headers), *rows]
     return ["| " + " | ".join(str(cell).replace("|", "\\|") for cell in line) + " |" for line in lines]
 
 
 def _anchor(title: str) -> str:
-    """Return the anchor that Markdown viewers give a heading."""
     return "".join(letter for letter in title.lower() if letter.isalnum() or letter in " -").replace(" ", "-")

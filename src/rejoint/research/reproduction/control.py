@@ -38,7 +38,7 @@ PAPER = {
 
 
 def run(bench: Bench) -> Findings:
-    """Compare by the paper's protocol, and holding every target."""
+    """Compare by the paper's protocol, and by holds."""
     result = _compare(bench)
     rows = {row.controller: row for row in result.rows}
     seconds = [float(read_curves(bench.training(name).outputs.curves).wall_s[-1]) for name in WORN]
@@ -75,7 +75,6 @@ def run(bench: Bench) -> Findings:
 
 
 def _compare(bench: Bench) -> Comparison:
-    """Comparison of this bench; kept beside its logs once it is done."""
     path = bench.folder / "comparison.json"
     if path.exists():
         return read_json(path, Comparison)
@@ -109,7 +108,6 @@ def _log(bench: Bench, controller: str) -> Path:
 
 
 def _numbers(label: str, result: Comparison, rows: list[ControllerRow], paper: tuple[str, str, str]) -> list[Number]:
-    """Success, error and cycle time of one controller, or of several seeds together."""
     crossed, error, time = (
         np.concatenate([result.array(field, row.controller) for row in rows])
         for field in ("crossed", "crossing_error", "crossing_time")
@@ -128,7 +126,7 @@ def _numbers(label: str, result: Comparison, rows: list[ControllerRow], paper: t
 
 
 def _clusters(seeds: int, shape: tuple[int, int, int]) -> Labels:
-    """Cluster labels of several seeds (seeds * S, R, K), flat."""
+    """Cluster labels (seeds * S, R, K), flat."""
     labels = cluster(shape)[1]
     return np.concatenate([labels + i * (labels.max() + 1) for i in range(seeds)])
 

@@ -1,4 +1,4 @@
-"""Fig. 12: reward and steps over the training, with and without the worn arm's ranges."""
+"""Fig. 12: reward and steps over the training, with and without wear."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from rejoint.training.presets import PAPER
 from rejoint.training.ranges import Ranges
 
 CONVERGED = -5.0
-"""Reward that Fig. 12 of Park et al. 2024 rises above"""
+"""Reward reached in Fig. 12 of Park et al. 2024"""
 LAST = 3
-"""last policies of a training that are averaged (chosen)"""
+"""Averaged last policies; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Course:
-    """Policies of one training on fixed arms, first to last."""
+    """Policies of one training on fixed arms."""
 
     updates: tuple[int, ...]
-    """(K,) after which they were kept"""
+    """(K,) of the policies"""
     reward: tuple[float, ...]
     """mean over the episodes"""
     steps: tuple[float, ...]
@@ -54,7 +54,7 @@ CONDITIONS = (WITH, WITHOUT, AT_HOME)
 
 
 def run(bench: Bench) -> Findings:
-    """Judge the kept policies of all trainings on the same arms."""
+    """Evaluate the policies of all trainings on the same arms."""
     jobs = [(condition, name) for condition in CONDITIONS for name in condition.trainings]
     courses: dict[str, list[Course]] = {condition.label: [] for condition in CONDITIONS}
     for done, (condition, name) in enumerate(jobs):
@@ -81,7 +81,7 @@ def run(bench: Bench) -> Findings:
 
 
 def course(bench: Bench, name: str, condition: _Condition) -> Course:
-    """Judge every policy that a training has kept."""
+    """Evaluate the policies of a training."""
     folder = bench.training(name)
     path = folder.path / f"course-{condition.arms}.json"
     if path.exists():
@@ -109,25 +109,25 @@ def course(bench: Bench, name: str, condition: _Condition) -> Course:
 
 
 def at_end(courses: list[Course], key: str) -> Array:
-    """Mean of each training's last policies (seeds,)."""
+    """Means (seeds,) of the last policies."""
     return np.array([np.mean(getattr(one, key)[-LAST:]) for one in courses])
 
 
 def separates(own: list[Course], other: list[Course]) -> bool:
-    """Whether every training with the ranges ends better than every one without."""
+    """Whether every training with wear ends better than those without."""
     better = at_end(own, "reward").min() > at_end(other, "reward").max()
     return bool(better and at_end(own, "steps").max() < at_end(other, "steps").min())
 
 
 def stays_above(cycles: Array, courses: list[Course], level: float) -> float | None:
-    """First of ``cycles`` (K,) from which the mean reward stays above ``level``, or None."""
+    """First of ``cycles`` (K,) with a mean reward lastingly above ``level``."""
     below = np.flatnonzero(np.mean([one.reward for one in courses], axis=0) <= level)
     first = 0 if not len(below) else int(below[-1]) + 1
     return float(cycles[first]) if first < len(cycles) else None
 
 
 def peak(cycles: Array, courses: list[Course]) -> float:
-    """At which of ``cycles`` (K,) the mean reward is highest."""
+    """Which of ``cycles`` (K,) has the highest reward."""
     return float(cycles[np.argmax(np.mean([one.reward for one in courses], axis=0))])
 
 

@@ -1,4 +1,4 @@
-"""What an experiment is given and what it hands back."""
+"""Inputs and results of an experiment."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SEEDS = 3
-"""Trainings of each kind (chosen: the smallest number that shows a spread)."""
+"""Trainings of each kind; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scale:
-    """How much is run."""
+    """Size of the experiments."""
 
     sets: int = 5
-    """target sets; the paper has one"""
+    """the paper has one"""
     repetitions: int = 6
     """n of the paper's Table 4"""
     targets: int = 10
@@ -34,11 +34,11 @@ class Scale:
     agents: int = 512
     """Table 3"""
     updates: int | None = None
-    """of a training; None: Table 3's 5000 time steps"""
+    """None: Table 3's 5000 time steps"""
     snapshot_every: int = 5
-    """updates between policies of Fig. 12 (chosen)"""
+    """updates between policies of Fig. 12; chosen"""
     judged: int = 96
-    """arms on which such a policy is judged (chosen)"""
+    """arms per such policy; chosen"""
 
 
 FULL = Scale()
@@ -46,7 +46,7 @@ QUICK = Scale(
     sets=1, repetitions=2, targets=3, protocol=Protocol(dwell=2.0, hold=2.0), agents=16, updates=2, snapshot_every=2,
     judged=8,
 )  # fmt: skip
-"""Enough to try every step, too little for a result."""
+"""Enough to try every step"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,11 +55,11 @@ class Number:
 
     what: str
     ours: str
-    """as it is printed, with unit and spread"""
+    """as printed, with unit and spread"""
     paper: str = ""
-    """likewise; empty where the paper prints none"""
+    """likewise; empty where the paper has none"""
     value: float | None = None
-    """ours, bare, in the unit of ``ours``"""
+    """ours in that unit"""
 
     def __post_init__(self) -> None:
         if self.value is not None:
@@ -73,13 +73,13 @@ class Drawing:
     key: str
     """its file is KEY.png"""
     alt: str
-    """what it shows, for those who do not see it"""
+    """text alternative"""
     caption: str
 
 
 @dataclass(frozen=True, kw_only=True)
 class Grid:
-    """A table of the page beyond the numbers."""
+    """A further table of the page."""
 
     title: str
     headers: tuple[str, ...]
@@ -91,50 +91,50 @@ class Findings:
     """What an experiment found."""
 
     text: tuple[str, ...]
-    """what was run and what came out, in paragraphs"""
+    """paragraphs"""
     numbers: tuple[Number, ...]
     readings: tuple[str, ...] = ()
-    """where the paper is open, and what was run"""
+    """how we read open points"""
     grids: tuple[Grid, ...] = ()
     drawings: tuple[Drawing, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
 class Finished:
-    """A finished experiment, as it is kept."""
+    """A stored experiment."""
 
     experiment: str
     seed: int
     quick: bool
     software: str
     seconds: float
-    """wall-clock time it took, trainings that it waited for not counted"""
+    """wall-clock time without trainings"""
     findings: Findings
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Bench:
-    """Where an experiment works."""
+    """Folder and settings of an experiment."""
 
     folder: Path
     arm: Arm
     seed: int
     scale: Scale = FULL
     threads: int = 2
-    """of simulations, and trainings at a time"""
+    """of simulations, and parallel trainings"""
     on_progress: Progress = no_progress
 
     @property
     def quick(self) -> bool:
-        """Whether less is run than a result needs."""
+        """Whether it is too small for a result."""
         return self.scale != FULL
 
     def training(self, name: str) -> RunFolder:
-        """Folder of a training, see `rejoint.research.reproduction.trainings`."""
+        """Folder of a training (`rejoint.research.reproduction.trainings`)."""
         return RunFolder(self.folder / "trainings" / name)
 
     def draw(self, figure: Figure, drawing: Drawing) -> Drawing:
-        """Keep a figure as a file of the page."""
+        """Save a figure of the page."""
         from rejoint.research.reproduction.figures import save
 
         save(figure, self.folder / "figures" / f"{drawing.key}.png")
@@ -146,12 +146,11 @@ class Experiment:
     """One experiment of the paper."""
 
     name: str
-    """as it is chosen on the command line"""
+    """on the command line"""
     also: tuple[str, ...] = ()
-    """other names that choose it"""
+    """aliases"""
     title: str
     about: str
     """one line for the list"""
     trainings: tuple[str, ...] = ()
-    """trainings that must be finished before it runs"""
     run: Callable[[Bench], Findings]

@@ -1,4 +1,4 @@
-"""Figures of the reproduction, in the report's style."""
+"""Figures of the reproduction."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from rejoint.system.files import write_whole
 
 DPI = 120
 COLOURS = 64
-"""of a figure (chosen)"""
+"""of a figure; chosen"""
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a small PNG: few colours, no metadata."""
+    """Write a small PNG."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=DPI, facecolor="white", metadata={"Software": None})
     small = Image.open(buffer).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)

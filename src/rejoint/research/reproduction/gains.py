@@ -1,4 +1,4 @@
-"""Fig. 10: three pairs of P and D in the twin, and their units."""
+"""Fig. 10: three pairs of P and D in the twin."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from rejoint.twin.batch import TwinBatch
 PAIRS = ((1e4, 1e3), (1e3, 50.0), (200.0, 10.0))
 """Park et al. 2024, section IV-C"""
 WORDS = ("minimal error and oscillation", "large oscillations, low error", "large errors and oscillations")
-"""What the paper says of each"""
+"""The paper's words"""
 
 STEP = 1.0 / 240.0
 """[s] time step"""
 DWELL = 2.0
-"""[s] per target (chosen: the oscillations of the softest pair have died away)"""
+"""[s] per target; chosen"""
 WINDOW = 0.25
-"""[s] at the end of a target for its error (chosen)"""
+"""[s] at the end of a target; chosen"""
 BOUNDLESS = 1e6
-"""[N m] torque limit of these twins: none, as in equation 12"""
+"""[N m] no torque limit, as in equation 12"""
 VISITS = 6
-"""targets on the figure (chosen: more hide one another)"""
+"""targets on the figure; chosen"""
 
 
 def run(bench: Bench) -> Findings:
-    """Move twins through the same targets, open loop, in both units."""
+    """Move twins to the same targets, in both units."""
     count = min(VISITS, bench.scale.targets)
     targets = draw_targets(bench.arm, sets=1, count=count, seed=bench.seed)[0]
     ours, literal = PaperRanges(arm=bench.arm), PaperRanges(arm=bench.arm, stiffness_unit=1.0, damping_unit=1.0)

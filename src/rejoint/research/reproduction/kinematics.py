@@ -1,4 +1,4 @@
-"""Table 1: the paper's and the vendor's DH tables are one mechanism."""
+"""Table 1: the paper's and the vendor's DH tables are equal."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from rejoint.research.reproduction.experiment import Bench, Experiment, Findings
 
 POSTURES = 1000
 EDGE = 9
-"""points along each edge of the target box"""
+"""points per edge of the target box"""
 CLOSE = 1e-3
-"""[m] where the count of damped least-squares steps ends"""
+"""[m] convergence of damped least squares"""
 
 
 def run(bench: Bench) -> Findings:
-    """Compare both tables on random postures, and ask for the whole target box."""
+    """Compare both tables."""
     vendor, paper = mycobot280(), paper_arm(PAPER_DH_TABLE)
     lengths = {0: DH_TABLE[0].d, 4: DH_TABLE[4].d}
     same = paper_arm(tuple(replace(row, d=lengths.get(i, row.d)) for i, row in enumerate(PAPER_DH_TABLE)))
@@ -56,7 +56,7 @@ def run(bench: Bench) -> Findings:
 
 
 def paper_arm(rows: tuple[DhRow, ...]) -> Arm:
-    """Build the myCobot 280 from a table in the paper's angles."""
+    """Build the myCobot 280 from a table of the paper."""
     vendor, (offset, axis, tip) = mycobot280(), dh_chain(rows)
     return replace(
         vendor, offset=offset, axis=axis, tip=tip, lower=vendor.lower + PAPER_ANGLE_SHIFT,
@@ -70,14 +70,13 @@ def _largest_difference(vendor: Arm, paper: Arm, postures: Array) -> float:
 
 
 def _reachable(arm: Arm) -> NDArray[np.bool_]:
-    """Which points (EDGE^3,) of the target box are reached within 0.1 mm."""
+    """Points (EDGE^3,) of the target box within 0.1 mm."""
     axes = np.linspace(arm.targets.lower, arm.targets.upper, EDGE).T
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     return solve_position(arm, points, arm.rest, tolerance=1e-4).converged
 
 
 def _steps_to(arm: Arm, seed: int) -> float:
-    """Median number of equation 11's steps to within `CLOSE`."""
     targets = arm.targets.sample(np.random.default_rng(seed), (200,))
     q, needed = np.tile(arm.rest, (200, 1)), np.zeros(200)
     for _ in range(200):

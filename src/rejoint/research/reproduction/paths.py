@@ -1,4 +1,4 @@
-"""Fig. 11: paths of the TCP before and after the training."""
+"""Fig. 11: paths of the TCP before and after training."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from rejoint.research.reproduction.experiment import Bench, Drawing, Experiment,
 from rejoint.research.reproduction.trainings import WORN, Episodes, play, worn_ranges
 
 DRAWN = 12
-"""paths on the figure (chosen: more hide one another)"""
+"""paths on the figure; chosen"""
 ARMS = 256
-"""episodes behind the numbers"""
+"""episodes"""
 
 
 def run(bench: Bench) -> Findings:
-    """Play the same episodes untrained and trained."""
+    """Play the same episodes before and after training."""
     folder, ranges = bench.training(WORN[0]), worn_ranges(bench.arm)
     noises = pq.read_table(folder.outputs.curves, columns=["noise"])["noise"].to_numpy()
     arms = min(ARMS, 4 * bench.scale.judged)

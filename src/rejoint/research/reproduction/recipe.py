@@ -1,4 +1,4 @@
-"""Table 3 and Algorithm 1: the paper's training and its open choices."""
+"""Table 3 and Algorithm 1: the paper's training."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from rejoint.robots import open_robot
 from rejoint.training.presets import PAPER
 
 LAST = 5
-"""updates at the end of a training that are averaged (chosen)"""
+"""last updates that are averaged; chosen"""
 
 NAMES = (*WORN, *LITERALLY)
 WORDS = {
@@ -28,37 +28,37 @@ WORDS = {
     LITERAL: "the last action for Δθ as well",
 }
 LEARNED = 90.0
-"""[%] of targets from which the task counts as learned (chosen)"""
+"""[%] of targets when learned; chosen"""
 WORKS = 95.0
-"""[%] of targets from which a policy counts as working (chosen)"""
+"""[%] of targets when working; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrainingOutcome:
-    """One training: its end, and its policy on the worn arm."""
+    """One training, and its policy on the worn arm."""
 
     curves: Curves
     crossings: Columns
 
     @property
     def trained(self) -> float:
-        """Targets [%] reached within 5 mm at the end of the training, exploring."""
+        """Targets [%] within 5 mm at the end, exploring."""
         return 100 * float(np.mean(self.curves.success_rate[-LAST:]))
 
     @property
     def success(self) -> float:
-        """Targets [%] of the worn arm reached within 10 mm."""
+        """Targets [%] of the worn arm within 10 mm."""
         return 100 * float(self.crossings["crossed"].mean())
 
     @property
     def error_mm(self) -> Array:
-        """Errors at the crossing or the time-out."""
+        """Errors at the crossing or time-out."""
         error = self.crossings["crossing_error"]
         return 1e3 * error[np.isfinite(error)]
 
 
 def run(bench: Bench) -> Findings:
-    """Compare the trainings that differ in what the paper prints or leaves open."""
+    """Compare trainings over the paper's open points."""
     outcomes = {}
     for done, name in enumerate(NAMES):
         bench.on_progress(done / len(NAMES), f"policy of {name} on the worn arm")

@@ -1,8 +1,8 @@
-"""Trainings that the experiments share, and their policies at the paper's task.
+"""Shared trainings, and their policies at the paper's task.
 
-``worn-0`` is Table 3's training on the paper's P and D, ``healthy-0`` on those of a normal arm, with the number
-added to the seed. ``limit-5`` takes the printed largest action, ``noise-5`` the joint noise too, ``literal`` the
-last action for its change of joint angles too.
+``worn-0`` is Table 3's training on the paper's P and D, ``healthy-0`` on a normal arm's; the number adds to the seed.
+``limit-5`` takes the printed largest action, ``noise-5`` also the joint noise, ``literal`` also the last action as
+change of joint angles.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ LITERALLY = (LIMITED, NOISY, LITERAL)
 LITERAL_NOISE = float(np.radians(5.0))
 """[rad] sigma of equation 19"""
 LITERAL_LIMIT = float(np.radians(5.0))
-"""[rad] largest joint change in a frame; Park et al. 2024, section IV-D"""
+"""[rad] joint change per frame; Park et al. 2024, section IV-D"""
 
 
 def recipe(name: str) -> tuple[Preset, int]:
-    """Preset and what is added to the seed, for the training called ``name``."""
+    """Preset and seed increment of a training."""
     kind, _, number = name.rpartition("-")
     if kind == "worn":
         return PAPER, int(number)
@@ -52,10 +52,7 @@ def recipe(name: str) -> tuple[Preset, int]:
 
 
 def finish_trainings(bench: Bench, names: Sequence[str]) -> None:
-    """Run unfinished trainings, ``bench.threads`` at a time in processes.
-
-    A training gains little from a second core.
-    """
+    """Run unfinished trainings in ``bench.threads`` processes."""
     missing = [name for name in names if not bench.training(name).policy.exists()]
     if not missing:
         return
@@ -80,7 +77,6 @@ def _begin_worker() -> None:
 
 
 def _work(bench: Bench, name: str) -> str:
-    """Run one training; returns its error: not every one can be pickled."""
     try:
         _train(bench, name)
     except RejointError as error:
@@ -98,7 +94,7 @@ def _train(bench: Bench, name: str) -> None:
 
 
 _SEED = 1_000_003
-"""Added to the seed of the arms that policies are judged on."""
+"""Seed increment of the evaluated arms"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,34 +104,31 @@ class Episodes:
     reward: Array
     """(N,) accumulated"""
     steps: Array
-    """(N,) control cycles of the episode"""
+    """(N,) control cycles"""
     reached: Array
     """(N,) 1 or 0"""
     collided: Array
     """(N,) 1 or 0"""
     tcp: Array
-    """(T, N, 3) [m] TCP, the start first; NaN after the end"""
+    """(T, N, 3) [m], the start first; NaN after the end"""
     target: Array
     """(N, 3) [m]"""
 
 
 def worn_ranges(arm: Arm) -> Ranges:
-    """Arms as the paper's P and D make them."""
+    """Arms with the paper's P and D."""
     return PaperRanges(arm=arm, joint_noise=PAPER.joint_noise)
 
 
 def healthy_ranges(arm: Arm) -> Ranges:
-    """Return the same task on a normal arm."""
+    """Return normal arms."""
     return PaperRanges.healthy(arm, PAPER.joint_noise)
 
 
 def play(
     controller: PolicyController, ranges: Ranges, arms: int, *, seed: int, noise: float = 0.0, threads: int = 1
 ) -> Episodes:
-    """Run one episode on each of ``arms`` arms drawn from ``ranges``.
-
-    ``noise`` is the exploration in units of the action; 0 as deployed.
-    """
+    """Run one episode on each of ``arms`` arms; ``noise``: exploration in units of the action."""
     task = ReachTask(controller.arm, ranges, arms, PAPER.task, seed=_SEED + seed, threads=threads)
     rng = np.random.default_rng(seed)
     observation, _ = task.reset(staggered=False)
@@ -158,7 +151,7 @@ def play(
 
 
 def _point(observation: Observation, name: str) -> Array:
-    """One of the points (N, 3) [m] in observations of equation 16."""
+    """Point (N, 3) [m] in observations of equation 16."""
     begin = 0
     for slot in layout_slots("equation-16", (observation.shape[1] - 10) // 3):
         if slot.name == name:

@@ -1,4 +1,4 @@
-"""Fig. 9: a healthy and a worn arm at the same targets, open loop."""
+"""Fig. 9: a healthy and a worn arm, open loop."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from rejoint.robots import open_robot
 from rejoint.system.statistics import cluster, spread
 
 DWELL = 5.0
-"""[s] per target (chosen)"""
+"""[s] per target; chosen"""
 PAPER_MM = {"healthy": 3.09, "worn": 22.7}
 """Park et al. 2024, section IV-B"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Arrival:
-    """Where an arm came to rest."""
+    """Errors of an arm at rest."""
 
     encoder_mm: Array
-    """(S, K) settled error by its encoders"""
+    """(S, K) by encoders"""
     true_mm: Array
-    """(S, K) settled error of the tool"""
+    """(S, K) of the tool"""
 
 
 def run(bench: Bench) -> Findings:
-    """Send both arms to the same targets, open loop."""
+    """Move both arms to the same targets."""
     targets = draw_targets(bench.arm, sets=bench.scale.sets, count=bench.scale.targets, seed=bench.seed)
     arrivals = {}
     for step, profile in enumerate(PAPER_MM):

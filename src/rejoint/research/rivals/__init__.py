@@ -1,1 +1,1 @@
-"""Rivals of the learned policy: tuned classical laws and adaptive control."""
+"""Rivals of the policy: tuned classical and adaptive control."""

@@ -1,10 +1,9 @@
 """Adaptive regulation of an arm with unknown servos and load.
 
-Tomei, "Adaptive PD controller for robot manipulators", IEEE Trans. Robotics and Automation 7(4), 1991: PD plus a
-gravity compensation Y(q) p with ``dp/dt = G Y' (2 e / (1 + 2 e'e) - m v)``. The servo is the PD law, so the
-compensation enters the command, divided by the stiffness: ``load / k + mass * lever / k + offset``. The regressor is
-taken at the goal (Kelly 1997), with a dead zone (Peterson and Narendra, IEEE Trans. Automatic Control 27(3), 1982)
-against drift by stiction.
+Tomei, "Adaptive PD controller for robot manipulators", IEEE Trans. Robotics and Automation 7(4), 1991: PD plus gravity
+compensation Y(q) p with ``dp/dt = G Y' (2 e / (1 + 2 e'e) - m v)``. The servo is the PD law, so the command gets ``load
+/ k + mass * lever / k + offset``. Regressor at the goal (Kelly 1997), dead zone (Peterson and Narendra, IEEE Trans.
+Automatic Control 27(3), 1982).
 """
 
 from __future__ import annotations
@@ -30,27 +29,27 @@ class AdaptiveGains:
     """Settings; each a number or (B, 1)."""
 
     softness_rate: Gain
-    """[1/(s rad)] adaptation of the servo's inverse stiffness, by its nominal value"""
+    """[1/(s rad)] adaptation of the relative inverse stiffness"""
     load_rate: Gain
-    """[1/(s rad)] adaptation of the unknown load"""
+    """[1/(s rad)] adaptation of the load"""
     offset_rate: Gain
     """[1/s] adaptation of the offset"""
     scale: Gain
-    """[rad] error from which the adaptation saturates"""
+    """[rad] error of saturation"""
     damping: Gain
-    """[s] weight of the joint speed against the error"""
+    """[s] weight of the joint speed"""
     dead_zone: Gain
-    """[rad] errors below this do not adapt"""
+    """[rad]"""
     proportional: Gain
-    """further gain on the joint error, beside the servo's own"""
+    """beside the servo's own"""
     derivative: Gain
-    """[s] further gain on the joint speed"""
+    """[s] of the joint speed"""
     prior: Gain
-    """[1] initial softness by that of nominal servos"""
+    """[1] initial relative softness"""
 
 
 class AdaptiveController:
-    """Tomei's law for servos that take positions."""
+    """Tomei's law for position servos."""
 
     def __init__(self, arm: Arm, name: str, gains: AdaptiveGains) -> None:
         self._arm, self._name, self._gains = arm, name, gains
@@ -64,7 +63,7 @@ class AdaptiveController:
         return self._name
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Take over new goals in ``where`` (B,); the estimates stay."""
+        """Take new goals in ``where`` (B,); the estimates stay."""
         count, n = inputs.sent.shape
         if self._estimate.shape[1] != count:
             self._estimate, self._regressor = np.zeros((2, 3, count, n))
@@ -76,7 +75,7 @@ class AdaptiveController:
         self._regressor[2][where] = 1.0
 
     def command(self, inputs: ControlInput) -> Array:
-        """Return the goal posture with its compensation, (B, n) [rad]."""
+        """Goal posture with its compensation, (B, n) [rad]."""
         gains, measured = self._gains, inputs.state.position
         elapsed = self._pace.tick(inputs.state.time)[:, None]
         speed = self._speed.observe(measured, elapsed)

@@ -1,4 +1,4 @@
-"""Rivals by name: bounds of their gains, and tuned gains."""
+"""Rival controllers with tuned gains."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ _SCHEDULED: dict[str, Interval] = {
     "speed": (0.05, 5.0),
     "lead": (np.radians(4.0), np.radians(40.0)),
 }
-"""Bounds of the search (chosen: a decade or two each)"""
+"""Bounds; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rival:
-    """A controller with gains that can be tuned."""
+    """A controller with tunable gains."""
 
     make: Callable[[Arm, Mapping[str, Array]], Controller]
     """from gains by name, numbers or (B, 1)"""
     intervals: Mapping[str, Interval]
-    """bounds of the search; their logarithmic centre is its start"""
+    """bounds of the search"""
     gains: Mapping[str, float]
-    """found by ``rejoint tune NAME`` on the broad ranges, seed 0"""
+    """by ``rejoint tune NAME`` on the broad ranges, seed 0"""
 
 
 def _scheduled(name: str, anchored: bool, arm: Arm, gains: Mapping[str, Array]) -> Controller:
@@ -116,14 +116,14 @@ RIVALS: dict[str, Rival] = {
 
 
 def find_rival(name: str) -> Rival:
-    """Look up a rival; InputError names the alternatives."""
+    """Look up a rival; InputError lists them."""
     if name not in RIVALS:
         raise InputError(f"no rival is called {name!r}; known rivals: {', '.join(RIVALS)}")
     return RIVALS[name]
 
 
 def make_rival(name: str, arm: Arm, gains: Mapping[str, float] | None = None) -> Controller:
-    """Build a rival, by default with the tuned gains; InputError for other names."""
+    """Build a rival, default: tuned; InputError for other names."""
     rival = find_rival(name)
     gains = rival.gains if gains is None else gains
     if set(gains) != set(rival.intervals):

@@ -1,8 +1,7 @@
-"""Gain-scheduled integral control, alone or around a gravity feed-forward.
+"""Gain-scheduled integral control, alone or with gravity feed-forward.
 
-A rate by distance (Rugh and Shamma, Automatica 36, 2000), a dead zone, proportional and damping terms, conditional
-integration (Astrom and Rundqwist, ACC 1989), prediction over the dead time, and a speed limit. With ``feedforward`` the
-command starts from the raised posture. Gains are numbers or (B, 1).
+A rate by distance (Rugh and Shamma, Automatica 36, 2000), dead zone, proportional and damping terms, conditional
+integration (Astrom and Rundqwist, ACC 1989), prediction, and a speed limit. Gains are numbers or (B, 1).
 """
 
 from __future__ import annotations
@@ -23,38 +22,38 @@ Gain = float | Array
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ScheduledGains:
-    """Settings of both laws; the last four matter to the feed-forward alone."""
+    """Gains; the last four are for the feed-forward."""
 
     far_rate: Gain
-    """[1/s] integrated fraction of the joint step, far from the target"""
+    """[1/s] integrated fraction of the joint step, far away"""
     near_rate: Gain
     """[1/s] the same at the target"""
     schedule: Gain
-    """[m] distance at which the rate is half way between the two"""
+    """[m] distance of the mean rate"""
     deadband: Gain
-    """[m] closer to the target nothing is integrated"""
+    """[m]"""
     proportional: Gain
-    """fraction of the joint step that is added without being remembered"""
+    """fraction of the joint step, not integrated"""
     damping: Gain
-    """[s] times the measured joint speed is subtracted"""
+    """[s] of the measured joint speed"""
     prediction: Gain
-    """[s] by which the measured position is extrapolated at its speed"""
+    """[s] of extrapolation"""
     moving: Gain
-    """[rad/s] a joint that moves faster is not pushed"""
+    """[rad/s] joints above it are not integrated"""
     speed: Gain
-    """[rad/s] largest speed of what is integrated"""
+    """[rad/s] limit of the integration"""
     lead: Gain
     """[rad] anti-windup: largest correction"""
     feedforward: Gain = 0.0
-    """fraction of the sag of nominal servos that is compensated beforehand"""
+    """compensated share of nominal servos' sag"""
     ramp: Gain = 100.0
-    """[rad/s] speed at which the raised posture is approached"""
+    """[rad/s] to the raised posture"""
     carry: Gain = 1.0
-    """fraction of the correction that is kept at a new target"""
+    """share of the correction kept at a new target"""
 
 
 class ScheduledController:
-    """The law; ``anchored`` to the goal posture (feed-forward) or not (integrator)."""
+    """The law; ``anchored`` to the goal posture (feed-forward) or not."""
 
     def __init__(self, arm: Arm, name: str, gains: ScheduledGains, *, anchored: bool) -> None:
         self._arm, self._name, self._gains, self._anchored = arm, name, gains, anchored
@@ -68,7 +67,7 @@ class ScheduledController:
         return self._name
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Take over new targets of the arms in ``where`` (B,)."""
+        """Take new targets of the arms in ``where`` (B,)."""
         gains, sent = self._gains, inputs.sent
         if len(self._integral) != len(sent):
             self._integral = np.zeros_like(sent) if self._anchored else sent.copy()
@@ -85,7 +84,7 @@ class ScheduledController:
         self._raised[where] = goal + share * gravity_torque(self._arm, goal) / self._stiffness
 
     def command(self, inputs: ControlInput) -> Array:
-        """Return the integrated command with its passing terms, (B, n) [rad]."""
+        """Command (B, n) [rad]."""
         arm, gains, measured = self._arm, self._gains, inputs.state.position
         elapsed = self._pace.tick(inputs.state.time)[:, None]
         speed = self._speed.observe(measured, elapsed)
@@ -109,13 +108,13 @@ class ScheduledController:
 
 
 class JointSpeed:
-    """Joint speeds from measured positions, smoothed over about two cycles."""
+    """Joint speeds, smoothed over about two cycles."""
 
     def __init__(self) -> None:
         self._position = self._speed = np.zeros((0, 0))
 
     def observe(self, position: Array, elapsed: Array) -> Array:
-        """Return speeds (B, n) [rad/s] of positions (B, n) [rad], ``elapsed`` (B, 1) [s] apart."""
+        """Speeds (B, n) [rad/s] of positions (B, n) [rad], ``elapsed`` (B, 1) [s] apart."""
         if self._position.shape != position.shape:
             self._position, self._speed = position.copy(), np.zeros_like(position)
         news = elapsed > 0.0

@@ -1,7 +1,7 @@
-"""Gains of the rivals by CMA-ES, on the randomised twins of the trainings.
+"""Gains of the rivals by CMA-ES, on randomised twins.
 
-CMA-ES (Hansen, arXiv:1604.00772, package ``cmaes``) searches the gains' logarithms. Candidates of a generation drive
-the same arms; every generation draws others. The cost is the time to stay within 2 mm plus the settled error.
+CMA-ES (Hansen, arXiv:1604.00772, package ``cmaes``) searches log gains. The cost is the time to stay within 2 mm plus
+the settled error.
 """
 
 from __future__ import annotations
@@ -25,27 +25,27 @@ from rejoint.twin.simulation import TwinRobot
 T = TypeVar("T")
 Interval = tuple[float, float]
 MakeController = Callable[[Arm, Mapping[str, Array]], Controller]
-"""From gains by name, each (B, 1), to the controller of B arms"""
+"""The controller of B arms from gains by name, each (B, 1)"""
 OnGeneration = Callable[[int, float, Mapping[str, float]], object]
-"""Receives generations done, lowest cost and the centre's gains"""
+"""Receives generation number, lowest cost and the centre's gains"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TuningSettings:
-    """How much is tried."""
+    """Size of the search."""
 
     generations: int = 40
     candidates: int = 12
     """per generation"""
     arms: int = 24
-    """twins that every candidate drives"""
+    """twins per candidate"""
     targets: int = 2
     hold: float = 3.0
-    """[s] per target (chosen: the good ones have settled after two)"""
+    """[s] per target; chosen"""
     spread: float = 0.2
-    """initial standard deviation by the width of a gain's interval"""
+    """initial sigma relative to a gain's interval"""
     settled_weight: float = 2.0
-    """[s] per mm of settled error (chosen)"""
+    """[s/mm] of settled error; chosen"""
     settled_cap: float = 0.010
     """[m] cap of settled errors"""
     seed: int = 0
@@ -55,7 +55,7 @@ def tune(
     arm: Arm, ranges: Ranges, intervals: Mapping[str, Interval], make: MakeController, settings: TuningSettings,
     on_generation: OnGeneration,
 ) -> dict[str, float]:  # fmt: skip
-    """Search gains in ``intervals``; returns the last generation's centre, since the best candidate was lucky."""
+    """Search gains; returns the last generation's centre."""
     names = list(intervals)
     low, high = np.log(np.array(list(intervals.values()))).T
     search = CMA(
@@ -78,7 +78,7 @@ def tune(
 def tune_rival(
     arm: Arm, ranges: Ranges, settings: TuningSettings, name: str, on_generation: OnGeneration = lambda *_: None
 ) -> dict[str, float]:
-    """Search the gains of the rival called ``name``, as `tune`."""
+    """Search the gains of a rival, as `tune`."""
     rival = find_rival(name)
     return tune(arm, ranges, rival.intervals, rival.make, settings, on_generation)
 
@@ -86,7 +86,7 @@ def tune_rival(
 def candidate_costs(
     arm: Arm, ranges: Ranges, gains: Mapping[str, Array], make: MakeController, settings: TuningSettings, draw_seed: int
 ) -> Array:
-    """Cost (P,) of candidates with ``gains`` (P,) on the same arms and targets."""
+    """Cost (P,) of ``gains`` (P,) on the same arms and targets."""
     count = len(next(iter(gains.values())))
     rng = np.random.default_rng([settings.seed, draw_seed])
     drawn = ranges.draw(rng, settings.arms).rows(np.tile(np.arange(settings.arms), count))
@@ -99,7 +99,7 @@ def candidate_costs(
 
 
 def cost(holds: Columns, settings: TuningSettings) -> Array:
-    """Cost (B, K) [s] of holds: time to stay, and settled error."""
+    """Cost (B, K) [s] of holds."""
     late = np.nan_to_num(holds["stay_2mm"], nan=settings.hold)
     error = np.minimum(np.nan_to_num(holds["settled"], nan=np.inf), settings.settled_cap)
     return late + settings.settled_weight * 1e3 * error

@@ -1,7 +1,4 @@
-"""A controller as one ONNX graph.
-
-Observation, network, command law, and its memory as a tensor, written for PyTorch.
-"""
+"""A controller as one ONNX graph, written for PyTorch; its memory is a tensor."""
 
 from __future__ import annotations
 
@@ -40,14 +37,14 @@ from rejoint.system.errors import InputError
 F = TypeVar("F")
 
 OPSET, IR_VERSION = 18, 8
-"""ONNX operators of December 2022, and a form that ONNX Runtime 1.14 and newer read"""
+"""For ONNX Runtime 1.14 and newer"""
 
 GAP = 0.5
-"""[s] after which the controller begins again (as `rejoint.control.loop` has it)"""
+"""[s] after which the controller restarts (as in `rejoint.control.loop`)"""
 
 
 def memory_slots(joints: int) -> dict[str, int]:
-    """Return names and sizes of what is remembered from cycle to cycle, in order; zeros begin again."""
+    """Names and sizes of the memory, in order; zeros restart it."""
     n = joints
     return {
         "sent": n, "begun": 1, "target": 3, "since_target": 1, "goal": n, "correction": n, "speed": n, "position": n,
@@ -57,23 +54,22 @@ def memory_slots(joints: int) -> dict[str, int]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Design:
-    """What is written as a graph."""
+    """Content of a graph."""
 
     arm: Arm
     law: CommandLaw
     """with the anchor ``goal``"""
     network: bytes | None
-    """of the policy, an ONNX file; None: the law alone, which is then the feed-forward controller"""
+    """the policy's ONNX file; None: the law alone, the feed-forward controller"""
     name: str = "policy"
-    """of the controller"""
     damping: tuple[float, ...] = ()
-    """[N m s/rad] of the servos, () where it is not known"""
+    """[N m s/rad] of the servos, or ()"""
     periods: tuple[float, float] = (0.018, 0.055)
-    """[s] shortest and longest control period that it is for"""
+    """[s] shortest and longest control period"""
     gains: str = ""
-    """in words, of the servos' own loops that it was trained for; empty where they are not known"""
+    """servo gains of the training, in words, or empty"""
     instead: str = ""
-    """a sentence, where the run recommends another controller, which cannot be written; else empty"""
+    """a sentence if the run recommends another controller, else empty"""
 
 
 def controller_graph(design: Design) -> onnx.ModelProto:
@@ -103,7 +99,7 @@ def _tensor(value: Any) -> Tensor:  # noqa: ANN401 - whatever NumPy takes
 
 
 def _arm_tensors(arm: Arm) -> list[Tensor]:
-    """Return what `_pose` and `_search` take of an arm of n joints.
+    """Constants of `_pose` and `_search`.
 
     Three parts (n, 4, 4) of each joint's frame, constant, with sine and with cosine; axes (n, 3), centres of mass (n,
     4), tip (4,), rest posture and limits (n,).
@@ -127,7 +123,7 @@ def _scripted(function: F) -> F:
 
 @_scripted
 def _pose(arm: list[Tensor], q: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Return joint axes, origins [m], centres of mass [m] (n, 3) each, TCP (3,) [m], Jacobian transposed (n, 3)."""
+    """Joint axes, origins [m], centres of mass [m] (n, 3) each, TCP (3,) [m], Jacobian transposed (n, 3)."""
     still, sine, cosine, axis, com, tip = arm[0], arm[1], arm[2], arm[3], arm[4], arm[5]
     frame, index = torch.eye(4, dtype=torch.float64)[:3], torch.arange(q.shape[0])
     frames = torch.zeros((q.shape[0], 3, 4), dtype=torch.float64)
@@ -141,7 +137,7 @@ def _pose(arm: list[Tensor], q: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor,
 
 @_scripted
 def _dls(transpose: Tensor, error: Tensor, damping: Tensor) -> Tensor:
-    """Return the damped least-squares step (n,) [rad] for an ``error`` (3,) [m]."""
+    """Damped least-squares step (n,) [rad] for ``error`` (3,) [m]."""
     gram = transpose.t() @ transpose + damping * damping * torch.eye(3, dtype=torch.float64)
     # by its cofactors: ONNX has no operator to solve
     cofactors = torch.linalg.cross(torch.roll(gram, -1, 0), torch.roll(gram, -2, 0))
@@ -150,7 +146,7 @@ def _dls(transpose: Tensor, error: Tensor, damping: Tensor) -> Tensor:
 
 @_scripted
 def _clip_norm(step: Tensor, limit: float) -> Tensor:
-    """Return a step (n,), scaled down so that no entry is larger than the limit."""
+    """Step (n,), its largest entry scaled to ``limit``."""
     return step * torch.clamp(limit / torch.clamp(torch.max(torch.abs(step)), min=1e-12), max=1.0)
 
 
@@ -158,7 +154,7 @@ def _clip_norm(step: Tensor, limit: float) -> Tensor:
 def _search(
     arm: list[Tensor], target: Tensor, q: Tensor, rounds: Tensor, settings: tuple[float, float, float, float]
 ) -> Tensor:
-    """Return the posture (n,) [rad] of a ``target`` (3,) [m] after at most so many rounds from ``q``."""
+    """Posture (n,) [rad] of a ``target`` (3,) [m] after ``rounds`` from ``q``."""
     tolerance, most_damping, rest_gain, most_step = settings
     rest, lower, upper = arm[6], arm[7], arm[8]
     q = torch.minimum(torch.maximum(q, lower), upper)
@@ -193,7 +189,7 @@ class _CycleGraph(nn.Module):
         self.spared = _tensor(1.0 - 1.0 / (1.0 + self.law.load_penalty * load / max(load.max(), 1e-9)))
 
     def forward(self, joint_pos: Tensor, target: Tensor, period: Tensor, state_in: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the command and what is remembered."""
+        """Command and memory."""
         arm, law, slots = self.arm, self.law, memory_slots(self.n)
         position, target, state = (one.double().reshape(-1) for one in (joint_pos, target, state_in))
         old = dict(zip(slots, torch.split(state, list(slots.values())), strict=True))
@@ -248,7 +244,7 @@ class _CycleGraph(nn.Module):
     def _loosen(
         self, step: Tensor, distance: Tensor, span: Tensor, way: Tensor, fresh: Tensor, old: dict[str, Tensor]
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """Return what is added (n,) [rad] for joints that stick, and its memory (`FeedforwardController`)."""
+        """Addition (n,) [rad] for stuck joints, and its memory."""
         eager, came = torch.where(fresh, 1.0, old["eager"]), torch.where(fresh, 0.0, old["came"])
         share = step / step.abs().max().clamp(min=1e-9)
         sticks, loose = way == 0.0, way * old["pushed"] > 0.0
@@ -278,7 +274,7 @@ class _CycleGraph(nn.Module):
         self, position: Tensor, sent: Tensor, seen: tuple[Tensor, Tensor, Tensor], since: Tensor,
         known: dict[str, Tensor],
     ) -> Tensor:  # fmt: skip
-        """Return the action (n,) of the network for the observation of the layout ``residual``."""
+        """Network's action (n,) for the observation layout ``residual``."""
         if self.design.network is None:
             return torch.zeros(self.n, dtype=torch.float64)
         step, error, distance = seen
@@ -292,7 +288,7 @@ class _CycleGraph(nn.Module):
         return _answer(self.design.network, numbers.clamp(-LIMIT, LIMIT).float().reshape(1, -1)).reshape(-1).double()
 
     def _weigh(self, step: Tensor, distance: Tensor, since: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
-        """Return what of step and action is integrated, (n,) [rad] each (`rejoint.control.residual.Commander`)."""
+        """Integrated parts of step and action (n,) [rad] (`rejoint.control.residual.Commander`)."""
         law, largest, ratio = self.law, step.abs().max(), distance / self.law.load_penalty_distance
         push = _clip_norm(step, float(law.step_limit)) * (distance / (distance + law.learning.fade))
         push = push * (1.0 - self.spared / (ratio * ratio + 1.0))

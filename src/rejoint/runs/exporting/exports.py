@@ -1,4 +1,4 @@
-"""What was learned about an arm, for other programs and people: URDF, joint zeros, data sheet, controller."""
+"""Results about an arm for other programs: URDF, joint zeros, data sheet, controller."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ KINDS: tuple[str, ...] = get_args(Kind)
 
 
 def export_run(run: RunLike, kind: str, out: Path | None = None, *, lerobot: Path | None = None) -> tuple[Path, str]:
-    """Write what a run has found out about its arm as one of `KINDS`; returns the file and a sentence about it.
+    """Export a run as one of `KINDS`; returns the file and a sentence about it.
 
-    By default into the run's folder. FileError or InputError where something that it takes is missing.
+    FileError or InputError for missing inputs.
     """
     about = as_run(run)
     if kind not in KINDS:
@@ -117,16 +117,16 @@ OUTSIDE = (
     "states; the runtime must. Positions are kept within the joint limits. No calibration is inside either: the target "
     "is where the encoders are to see the tool."
 )
-"""What the user of the file must know"""
+"""Warning to the user of the file"""
 
 # [s] for a controller without a network (chosen: those that policies are trained for)
 _PERIODS = (0.018, 0.055)
 
 
 def design_of(run: Run) -> Design:
-    """Return what to write of a run: the recommended controller, else its policy, else the feed-forward.
+    """Recommended controller, else the policy, else the feed-forward.
 
-    InputError for policies that were trained in the manner of the paper.
+    InputError for policies by the paper's recipe.
     """
     best = recommended(run)
     if best == SHELF:
@@ -181,12 +181,12 @@ def _damping(run: Run) -> tuple[float, ...]:
 
 
 def notice(design: Design) -> str:
-    """Return what the user of the file must know: what it is instead of, and what is not in it."""
+    """Warnings to the user of the file."""
     return f"{design.instead} {OUTSIDE}".strip()
 
 
 def write_controller(run: Run, out: Path) -> Design:
-    """Write ``out`` and, with the suffix ``.yaml``, what describes it; returns what was written."""
+    """Write ``out`` and its description, with suffix ``.yaml``."""
     require("rejoint export --format onnx", "onnx", "torch")
     from onnx import helper
 
@@ -203,10 +203,7 @@ def write_controller(run: Run, out: Path) -> Design:
 
 
 def metadata(design: Design) -> dict[str, str]:
-    """Return the keys that C++ runtimes of policies read, and those that say what the file is.
-
-    Commands are absolute.
-    """
+    """Metadata: the keys of C++ policy runtimes, and a description."""
     from rejoint.runs.exporting.controllergraph import memory_slots
 
     arm, n = design.arm, design.arm.joints
@@ -238,7 +235,7 @@ def metadata(design: Design) -> dict[str, str]:
 
 
 def leapp_text(design: Design, file: str, data: bytes) -> str:
-    """Return the LEAPP description (version 1.3) of a file with the content ``data``, as YAML."""
+    """LEAPP description (version 1.3) of a file as YAML."""
     from rejoint.runs.exporting.controllergraph import memory_slots
 
     arm, size = design.arm, sum(memory_slots(design.arm.joints).values())
@@ -289,12 +286,12 @@ def _list(values: object) -> str:
 
 
 def usual_period(design: Design) -> float:
-    """Return the control period [s] in the middle of those that a controller was made for."""
+    """Middle control period [s] of a controller."""
     return sum(design.periods) / 2
 
 
 def package_name(arm: Arm) -> str:
-    """Return a name for a ROS package: lower case, digits and underscores."""
+    """ROS package name: lower case, digits and underscores."""
     return "rejoint_" + "".join(letter if letter.isalnum() else "_" for letter in arm.name.lower())
 
 
@@ -310,7 +307,7 @@ _FILES = {
 
 
 def write_package(run: Run, folder: Path) -> Design:
-    """Write the package into ``folder``; returns what is in it. Words between @ are filled in."""
+    """Write the package into ``folder``, filling in words between @."""
     package = package_name(run.arm)
     inside = folder / package
     inside.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""What became of each arm of a fleet, the worst first: what was done, what was found, what to do."""
+"""Result of each arm of a fleet, the worst first."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from rejoint.system.files import saving, write_whole
 from rejoint.system.shell import command
 
 DRIFTS, ALARM, PARTLY, ROBOT = 6, 7, 5, 4
-"""Exit codes, as the command line has them: watch it, repair it, not all was done, the robot failed"""
+"""Exit codes: watch it, repair it, partly done, robot failed"""
 
 # Exit codes, the worst first: bugs and failures, then alarms, then what was left
 _ORDER = (1, ROBOT, 3, 2, ALARM, DRIFTS, PARTLY, 0)
@@ -39,27 +39,26 @@ class FleetRow:
     name: str
     address: str
     end: End
-    """done: all that was asked for, also by an earlier call; failed; left: not now, or not allowed"""
+    """done (perhaps earlier), failed or left"""
     state: str
-    """of a check: learning, steady, drifting, alarm, tolerance reached; of a repair: repaired; else how it ended"""
+    """learning, steady, drifting, alarm, tolerance reached, repaired, or how it ended"""
     error_mm: float | None
-    """of the tool, newest: the true one where it is known"""
+    """newest tool error, the true one if known"""
     found: str
-    """what was found, or why it failed or was left"""
+    """finding, or reason why not"""
     todo: str
-    """what the owner is to do"""
+    """advice to the user"""
     steps: tuple[tuple[str, float], ...]
-    """steps done in this call, and [s] that each took"""
+    """steps of this call, with [s]"""
     lost: int
-    """pieces of work whose process was lost, and which were done again or not"""
+    """tasks whose process was lost"""
     folder: Path
-    """where its files are"""
     code: int
-    """exit code that it alone would end with"""
+    """its exit code"""
 
     @property
     def cells(self) -> list[str]:
-        """Its row of the table `HEADERS`."""
+        """Row of the table `HEADERS`."""
         seconds = sum(took for _, took in self.steps)
         done = ", ".join(name for name, _ in self.steps) + (f" ({seconds:.0f} s)" if self.steps else "")
         again = f"; {self.lost} lost" if self.lost else ""
@@ -69,27 +68,26 @@ class FleetRow:
 
 @dataclass(frozen=True, kw_only=True)
 class FleetResult:
-    """What became of all arms of one call."""
+    """Result of one call."""
 
     verb: Verb
     rows: tuple[FleetRow, ...]
     """the worst first"""
     ended: datetime
-    """UTC, without a zone"""
+    """UTC, naive"""
     seconds: float
-    """[s] that the call took"""
     page: Path
     finished: bool
-    """whether nothing is left to do: the next call begins again"""
+    """whether nothing is left to do"""
 
     @property
     def code(self) -> int:
-        """Exit code of the command: of the arm that is worst."""
+        """Exit code of the worst arm."""
         return min((row.code for row in self.rows), key=_ORDER.index, default=0)
 
 
 def rows_of(campaign: Campaign, standings: Sequence[Standing]) -> tuple[FleetRow, ...]:
-    """Say what became of each arm, by its files; the worst first."""
+    """Make the rows of all arms, the worst first."""
     row = _checked if campaign.verb == "check" else _repaired
     rows = [row(campaign, one) for one in standings]
     return tuple(sorted(rows, key=lambda row: (_ORDER.index(row.code), -(row.error_mm or 0.0), row.name)))
@@ -161,7 +159,7 @@ _NAMED = 5  # arms whose state stands in the first lines (chosen: they are read 
 
 
 def write_page(path: Path, result: FleetResult) -> None:
-    """Write the page; FileError if it cannot be written."""
+    """Write the page; FileError if that fails."""
     rows, count = result.rows, len(result.rows)
     urgent, done = [row for row in rows if row.code], sum(row.end == "done" for row in rows)
     first = f"{len(urgent)} of {count} arms need somebody." if urgent else f"Nothing to do on {count} arms."
@@ -175,7 +173,6 @@ def write_page(path: Path, result: FleetResult) -> None:
 
 
 MakeExecutor: TypeAlias = Callable[[Sequence[FleetArm]], AbstractContextManager[Executor]]
-"""Makes the executor for some arms"""
 
 
 def run_fleet(
@@ -189,41 +186,11 @@ def run_fleet(
     tell: Callable[[Event], object] = lambda _: None,
     begins: Callable[[Campaign], object] = lambda _: None,
 ) -> FleetResult:
-    """Check or repair the arms of a fleet, and write the page.
+    """Check or repair the arms of a fleet (``only``: their names), and write the page.
 
-    Parameters
-    ----------
-    fleet
-        arms, and the folder that everything is kept in
-    verb
-        check or repair
-    executor
-        makes who does the work; closed at the end
-    rules
-        who may move when
-    only
-        names of arms; by default all of them
-    options
-        of the repair
-    tell
-        called with everything that happens
-    begins
-        called with what is to be done, before it begins
-
-    Returns
-    -------
-    FleetResult
-        a row for each arm, the worst first, and the page
-
-    Raises
-    ------
-    FileError, UnsavedError
-        if another call works in the folder of the fleet, or nothing can be written there; what became of the arms is in
-        the error where there is something
-    InputError
-        if there is no such arm, or no cluster
-    MissingExtraError
-        without the extra ``report``, for a repair without ``train``
+    ``executor`` makes what does the work, ``tell`` receives each event, ``begins`` the campaign at its start. FileError
+    or UnsavedError if another call uses the fleet's folder or writing fails, with the result, if any. InputError for an
+    unknown arm or cluster, MissingExtraError without the extra ``report``, for a repair without ``train``.
     """
     require(f"rejoint fleet {verb}", "report")
     arms, begun = fleet.only(only), time.monotonic()

@@ -1,4 +1,4 @@
-"""What is left to do of each arm, read from files, and one step of it: a check or a stage of a repair."""
+"""The steps left for each arm, read from files: a check or stages of a repair."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Step: TypeAlias = Literal["check"] | StageName
 
 @dataclass(frozen=True, kw_only=True)
 class RepairOptions:
-    """What a repair of every arm is asked for, as `rejoint.repair` takes it."""
+    """Options of each repair, as in `rejoint.repair`."""
 
     preset: str = "default"
     controllers: tuple[str, ...] = ()
@@ -37,7 +37,7 @@ class RepairOptions:
     seed: int | None = None
     quick: bool = False
     needed: bool = False
-    """whether each arm is checked first, and repaired only where the check says so"""
+    """whether to check first, and repair only if needed"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +47,7 @@ class Work:
     arm: FleetArm
     step: Step
     folder: Path
-    """of a check: below which all runs and checks are; of a stage: the run"""
+    """of all runs and checks, or the run"""
     options: RepairOptions = field(default_factory=RepairOptions)
 
     @property
@@ -57,33 +57,32 @@ class Work:
 
     @property
     def held(self) -> bool:
-        """Whether somebody has to hold a connection for it: the arm moves, and is real."""
+        """Whether it needs a connection: a real arm moves."""
         return self.moves and not self.arm.virtual
 
 
 @dataclass(frozen=True, kw_only=True)
 class WorkOutcome:
-    """How a piece of work ended; what it found is in its files."""
+    """End of a task; its findings are in files."""
 
     seconds: float
-    """[s] that it took"""
     problem: str = ""
-    """why it failed, in one line; empty where it did not"""
+    """error in one line, or empty"""
     code: int = 0
-    """exit code of the command line for that error"""
+    """exit code of that error"""
     trace: str = ""
-    """where a bug is; empty for everything expected"""
+    """of an unexpected error"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Lost:
-    """What was at work is gone: a process that was killed, a node that does not answer."""
+    """A task whose process or node died."""
 
     why: str
 
 
 def do_work(work: Work) -> WorkOutcome:
-    """Do one piece of work; whatever goes wrong is in the outcome, so that it reaches who leads."""
+    """Do one task; errors are in the outcome."""
     begun, problem, code, trace = time.monotonic(), "", 0, ""
     try:
         _do(work)
@@ -124,38 +123,37 @@ def _do(work: Work) -> None:
 Verb: TypeAlias = Literal["check", "repair"]
 
 STALE = {"check": timedelta(hours=12), "repair": timedelta(days=3)}
-"""After which an interrupted call is not resumed (chosen: a check is of one day)"""
+"""Age from which an interrupted call is not resumed; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CampaignInfo:
-    """What one call, and those that go on with it, are about; written before anything is done."""
+    """Description of a call."""
 
     begun: datetime
-    """UTC, without a zone"""
+    """UTC, naive"""
     runs: dict[str, str]
-    """by the name of each arm: of a repair, its run folder, below that of the fleet"""
+    """run folder by arm name, for a repair"""
     finished: bool = False
-    """whether nothing was left to do"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Campaign:
-    """Checks or repairs of many arms, as far as they are."""
+    """Progress of checks or repairs of many arms."""
 
     fleet: Fleet
     verb: Verb
     options: RepairOptions
     info: CampaignInfo
     resumed: bool
-    """whether an earlier call had begun it"""
+    """whether an earlier call began it"""
 
     @classmethod
     def open(
         cls, fleet: Fleet, verb: Verb, options: RepairOptions | None = None, *, only: tuple[str, ...] = (),
         fresh: bool = False,
     ) -> Campaign:  # fmt: skip
-        """Go on with what an earlier call left, or begin; who calls has the folder to itself (`state_folder`)."""
+        """Resume or begin a call, with its folder locked (`state_folder`)."""
         path, now, arms = state_file(fleet, verb), utc_now(), fleet.only(only)
         before = read_json(path, CampaignInfo) if path.exists() else None
         # What was begun in the future was so by a wrong clock: no check of now would count for it.
@@ -169,11 +167,11 @@ class Campaign:
         return cls(fleet=fleet, verb=verb, options=options or RepairOptions(), info=info, resumed=before is not None)
 
     def run(self, arm: FleetArm) -> Path:
-        """Return the run folder of an arm that is repaired."""
+        """Run folder of an arm under repair."""
         return self.fleet.folder / self.info.runs[arm.name]
 
     def left(self, arm: FleetArm) -> tuple[Step, ...]:
-        """Name the steps of an arm that are not done, in their order, by its files."""
+        """Name the remaining steps of an arm."""
         if self.verb == "check":
             return ("check",) if self.check_of(arm) is None else ()
         files, options = RunFolder(self.run(arm)), self.options
@@ -190,24 +188,24 @@ class Campaign:
         return tuple(name for name, file in stages.items() if name == "report" or not file.exists())
 
     def work(self, arm: FleetArm, step: Step) -> Work:
-        """Return a step as it is to be done."""
+        """Task of a step."""
         folder = self.fleet.folder if step == "check" else self.run(arm)
         return Work(arm=arm, step=step, folder=folder, options=self.options)
 
     @property
     def through(self) -> bool:
-        """Whether nothing is left to do that the file allows."""
+        """Whether nothing is left that the file allows."""
         asked = [arm for arm in self.fleet.arms if arm.name in self.info.runs]
         allowed = [arm for arm in asked if arm.may_move and (self.verb == "check" or arm.may_repair)]
         return not any(self.left(arm) for arm in allowed)
 
     def finish(self) -> None:
-        """Note that it is through: the next call begins again."""
+        """Mark the campaign as finished."""
         done = CampaignInfo(begun=self.info.begun, runs=self.info.runs, finished=True)
         write_json(state_file(self.fleet, self.verb), done)
 
     def check_of(self, arm: FleetArm) -> HistoryRow | None:
-        """Return the newest check of an arm since this was begun; None where there is none."""
+        """Newest check of an arm in this campaign."""
         begun = self.info.begun
         for place in sorted((self.fleet.folder / CHECKS / arm.name).glob(f"*/{SUMMARY}"), reverse=True):
             if place.parent.name < f"{begun:%Y%m%dT%H%M%S}":  # named after its time; of years, few are read
@@ -230,15 +228,15 @@ def _run_of(fleet: Fleet, arm: FleetArm, before: str | None) -> str:
 
 
 def needs_repair(row: HistoryRow) -> bool:
-    """Tell whether a check says that its arm is to be repaired."""
+    """Whether a check asks for a repair."""
     return row.state == "alarm" or row.over
 
 
 def state_folder(fleet: Fleet) -> Path:
-    """Return where a fleet keeps what its calls are about, and their pages."""
+    """Folder of a fleet's campaigns and pages."""
     return fleet.folder / "fleet"
 
 
 def state_file(fleet: Fleet, verb: Verb) -> Path:
-    """Return the file of `CampaignInfo`."""
+    """File of `CampaignInfo`."""
     return state_folder(fleet) / f"{verb}.json"

@@ -1,4 +1,4 @@
-"""What happens next: each arm's steps in their order, within its hours and with its permissions, by its files."""
+"""The scheduler: each arm's steps in order, within its hours and permissions."""
 
 from __future__ import annotations
 
@@ -15,48 +15,48 @@ from rejoint.system.stopping import check, noted, pause, shielded
 End: TypeAlias = Literal["done", "failed", "left"]
 
 LOOK = 0.5
-"""[s] between two looks at the clock and at signals (chosen)"""
+"""[s] between looks at clock and signals; chosen"""
 TRIES = 4
-"""of one arm's work whose process is lost again and again (chosen: killed three times by chance is rare)"""
+"""for one arm's lost tasks; chosen"""
 ROOM = timedelta(minutes=5)
-"""Least time before the end of an arm's hours in which it begins to move (chosen: a diagnosis takes four minutes)"""
+"""Least time for a motion before hours end; chosen: a diagnosis takes four minutes"""
 HOLDING = 15.0
-"""[s] that arms are given to come to a hold at the end (chosen: they take two)"""
+"""[s] to come to a hold at the end; chosen"""
 IDLE = 30.0
-"""[s] between two looks at hours where nothing else is to be done (chosen)"""
+"""[s] between looks at hours when idle; chosen"""
 
 
 class Executor(Protocol):
-    """Who does the work: processes here or elsewhere."""
+    """Runs tasks in processes here or elsewhere."""
 
     def begin(self, work: Work) -> None:
-        """Have a piece of work done; returns at once."""
+        """Start a task and return at once."""
 
     def wait(self, timeout: float) -> Sequence[tuple[Work, WorkOutcome | Lost]]:
-        """Return what has ended, after ``timeout`` [s] at the latest."""
+        """Return ended tasks within ``timeout`` [s]."""
 
     def hold(self, work: Work) -> None:
-        """Ask for the arm to be brought to a hold, and the work ended."""
+        """Ask an arm to hold and its task to end."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rules:
-    """What holds for all arms of one call."""
+    """Rules for all arms of one call."""
 
     somebody: bool = False
-    """whether somebody is there, as the caller says"""
+    """whether a person is present"""
     stay: bool = False
-    """whether to wait for hours that begin later"""
+    """whether to wait for later hours"""
     at_once: int = 1_000_000
-    """real arms that move at the same time at most"""
+    """most real arms that move at once"""
     fresh: bool = False
-    """whether to begin with all arms again, though an earlier call was cut short"""
+    """whether to restart an interrupted call"""
     now: Callable[[], datetime] = datetime.now
 
 
 @dataclass(frozen=True, kw_only=True)
 class Event:
-    """Something that happened to an arm."""
+    """An event of an arm."""
 
     arm: FleetArm
     step: Step
@@ -67,23 +67,23 @@ class Event:
 
 @dataclass(kw_only=True, eq=False)
 class Standing:
-    """How one arm stands in this call."""
+    """State of one arm in this call."""
 
     arm: FleetArm
     steps: list[tuple[Step, float]] = field(default_factory=list)
-    """done in this call, and [s] that each took"""
+    """done in this call, with [s]"""
     end: End | None = None
     why: str = ""
-    """why it failed or was left"""
+    """reason of a failure or refusal"""
     outcome: WorkOutcome | None = None
-    """of what failed"""
+    """of a failure"""
     lost: int = 0
-    """pieces of work whose process was lost"""
+    """tasks whose process was lost"""
     left: tuple[Step, ...] | None = None
-    """steps that are not done; None where that has to be looked for"""
+    """remaining steps; None: unknown"""
     running: Work | None = None
     held: bool = False
-    """whether it was asked to hold"""
+    """whether a hold was asked for"""
 
 
 class _Lead:
@@ -95,7 +95,7 @@ class _Lead:
         self._left, self._work, self._executor, self._rules, self._tell = left, work, executor, rules, tell
 
     def lead(self) -> None:
-        """Go on until no arm has anything left that can be done in this call."""
+        """Run until nothing is left for this call."""
         while True:
             check()
             waiting = self._begin()
@@ -193,27 +193,10 @@ def drive(
     rules: Rules,
     tell: Callable[[Event], object] = lambda _: None,
 ) -> list[Standing]:
-    """Have everything done that is left of all arms; Ctrl-C and SIGTERM first bring arms that move to a hold.
+    """Do all remaining steps of all arms; Ctrl-C and SIGTERM first bring moving arms to a hold.
 
-    Parameters
-    ----------
-    arms
-        in the order in which they begin where nothing else decides: whose hours end first comes first
-    left
-        names the steps of an arm that are not done, in their order
-    work
-        makes a piece of work of a step
-    executor
-        does it
-    rules
-        permissions, hours, and how many at once
-    tell
-        called with everything that happens
-
-    Returns
-    -------
-    list
-        of how each arm stands, in the order of ``arms``
+    ``left`` names an arm's remaining steps in order, ``work`` makes a step's task, ``tell`` receives each event. The
+    arm whose hours end first comes first. Returns the state of each arm, in the order of ``arms``.
     """
     lead = _Lead(arms, left, work, executor, rules, tell)
     with noted():
@@ -227,7 +210,7 @@ def drive(
 
 
 def refused(work: Work, rules: Rules) -> str:
-    """Say why an arm may not move for some work in this call; empty where it may."""
+    """Say why an arm may not move now, or return an empty text."""
     arm = work.arm
     if not arm.may_move:
         return "may_move is not true in the file"
@@ -239,7 +222,7 @@ def refused(work: Work, rules: Rules) -> str:
 
 
 def opening(arm: FleetArm, now: datetime) -> datetime | None:
-    """Return ``now`` where an arm may begin to move, else when it next may; None where it never may."""
+    """Return ``now`` if an arm may begin to move, else its next opening."""
     opens = arm.hours.opens(now)
     closes = None if opens is None else arm.hours.closes(opens)
     if opens == now and closes is not None and closes - now < ROOM:

@@ -1,4 +1,4 @@
-"""When an arm may move: hours of the week, and days on which it may not."""
+"""The fleet file: arms, and when they may move."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from rejoint.system.tomltable import TomlTable, read_toml
 
 DAYS = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")
 HORIZON = 400
-"""[days] that are looked through for the next opening (chosen: longer than a year)"""
+"""[days] to search for the next opening; chosen"""
 
 _SPAN = re.compile(r"\s*(\w+)(?:\s*-\s*(\w+))?\s+(\d\d):(\d\d)\s*-\s*(\d\d):(\d\d)\s*")
 _DATES = re.compile(r"\s*(\d{4}-\d\d-\d\d)(?:\s+to\s+(\d{4}-\d\d-\d\d))?\s*")
@@ -28,16 +28,15 @@ _FULL = 24 * 60  # minutes of a day
 
 @dataclass(frozen=True, kw_only=True)
 class Hours:
-    """Hours at which an arm may move, by the clock of the computer that leads."""
+    """Hours at which an arm may move, by the local clock."""
 
     spans: tuple[tuple[int, int, int], ...] = ()
-    """weekday from Monday 0, first minute of the day, and the minute at which it ends, above 1440 on the day after; ()
-    for any time"""
+    """weekday from Monday 0, first and last minute of the day (above 1440: the next day); () always"""
     closed: tuple[tuple[date, date], ...] = ()
-    """first and last day on which it may not move"""
+    """first and last day without motion"""
 
     def is_open(self, now: datetime) -> bool:
-        """Tell whether the arm may move at ``now``."""
+        """Whether the arm may move at ``now``."""
         if any(first <= now.date() <= last for first, last in self.closed):
             return False
         minute = 60 * now.hour + now.minute
@@ -48,17 +47,16 @@ class Hours:
         )
 
     def opens(self, now: datetime) -> datetime | None:
-        """Return ``now`` where the arm may move, else when it next may; None where that is not within `HORIZON`."""
+        """Return ``now`` if open, else the next opening; None beyond `HORIZON`."""
         if self.is_open(now):
             return now
         return next((one for one in self._changes(now) if self.is_open(one)), None)
 
     def closes(self, now: datetime) -> datetime | None:
-        """Return when an arm that may move at ``now`` next may not; None where that is not within `HORIZON`."""
+        """End of the present opening; None beyond `HORIZON`."""
         return next((one for one in self._changes(now) if not self.is_open(one)), None)
 
     def _changes(self, now: datetime) -> Iterator[datetime]:
-        """Go through the times after ``now`` at which something may begin or end."""
         minutes = {0, *(edge % _FULL for _, first, last in self.spans for edge in (first, last))}
         for day in range(HORIZON):
             midnight = datetime.combine(now.date() + day * _DAY, time())
@@ -68,14 +66,14 @@ class Hours:
 
 
 def read_hours(spans: Sequence[str], closed: Sequence[str] = ()) -> Hours:
-    """Read ``Mon-Fri 08:00-18:00`` and ``2026-12-24 to 2027-01-06``; ValueError says which text is none such."""
+    """Read ``Mon-Fri 08:00-18:00`` and ``2026-12-24 to 2027-01-06``; ValueError names a wrong text."""
     return Hours(
         spans=tuple(one for text in spans for one in _span(text)), closed=tuple(_dates(text) for text in closed)
     )
 
 
 def _span(text: str) -> list[tuple[int, int, int]]:
-    """Read the hours of one day, or of each of several: ``Fri 22:00-06:00`` ends on Saturday."""
+    """Read the hours of one or several days: ``Fri 22:00-06:00`` ends on Saturday."""
     found = _SPAN.fullmatch(text)
     names = [] if found is None else [found[1], found[2] or found[1]]
     if found is None or not all(name.title() in DAYS for name in names):
@@ -100,7 +98,7 @@ def _dates(text: str) -> tuple[date, date]:
 
 
 FOLDER = "runs"
-"""Where runs and checks are kept, beside the file, if it does not say"""
+"""Default folder of runs and checks, beside the file"""
 
 _SHARED = ("hours", "closed", "tolerance_mm", "may_move", "needs_somebody", "may_repair")
 _TOP = ("folder", *_SHARED, "arm")
@@ -109,14 +107,14 @@ _ARM = ("name", "address", "description", "bench", *_SHARED)
 
 @dataclass(frozen=True, kw_only=True)
 class FleetArm:
-    """One arm, as its owner describes it."""
+    """One arm of the file."""
 
     name: str
     address: str
     description: str | None = None
-    """name in the catalogue or file; None for what the address says"""
+    """catalogue name or file; default: by the address"""
     bench: str = ""
-    """arms of one bench never move at the same time; empty for one that stands alone"""
+    """arms of one bench take turns; empty: none"""
     hours: Hours = field(default_factory=Hours)
     tolerance_mm: float | None = None
     may_move: bool = False
@@ -125,12 +123,12 @@ class FleetArm:
 
     @property
     def virtual(self) -> bool:
-        """Whether it is emulated: it exists in whichever process asks for it, and nothing moves."""
+        """Whether it is emulated."""
         return place_of(self.address).virtual
 
     @property
     def resource(self) -> str:
-        """What a computer of a cluster says that it has if it reaches this arm."""
+        """Cluster resource of computers that reach this arm."""
         return f"arm-{self.name}"
 
 
@@ -140,11 +138,11 @@ class Fleet:
 
     path: Path
     folder: Path
-    """below which all runs and checks are"""
+    """of all runs and checks"""
     arms: tuple[FleetArm, ...]
 
     def only(self, names: tuple[str, ...]) -> tuple[FleetArm, ...]:
-        """Return the arms that are called so, all where no name is given; InputError for a name that none has."""
+        """Named arms, default: all; InputError for an unknown name."""
         known = [arm.name for arm in self.arms]
         unknown = [name for name in names if name not in known]
         if unknown:
@@ -153,7 +151,7 @@ class Fleet:
 
 
 def read_fleet(path: Path | str) -> Fleet:
-    """Read FLEET.toml; FileError names the line and the key that cannot be used."""
+    """Read FLEET.toml; FileError names the wrong line and key."""
     place = Path(path)
     top = read_toml(place, _TOP, "check the path of the file with the arms")
     home = place.resolve().parent  # other processes stand in other folders
@@ -221,5 +219,5 @@ def _description(table: TomlTable, home: Path) -> str | None:
 
 
 def _place(home: Path, text: str) -> Path:
-    """Return a path of the file as seen from its folder; ``~`` is the home folder, as on the command line."""
+    """Path relative to the file's folder; ``~`` is the home folder."""
     return home / os.path.expanduser(text)  # noqa: PTH111 - that of Path fails where there is no home folder

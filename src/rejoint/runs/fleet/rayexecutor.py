@@ -1,7 +1,4 @@
-"""Work done by Ray: tasks on any computer of a cluster, and an actor for each real arm while it moves.
-
-Ray retries nothing.
-"""
+"""An executor on Ray: tasks on a cluster, and an actor for each moving real arm. Ray retries nothing."""
 
 from __future__ import annotations
 
@@ -27,19 +24,19 @@ from rejoint.system.stopping import check, noted, pause
 
 NAMESPACE = "rejoint"
 STORE = 80 * 2**20
-"""[bytes] of Ray's store of objects on one machine (chosen: the least that Ray takes)"""
+"""[bytes] of Ray's object store; chosen: Ray's minimum"""
 GOING = 10.0
-"""[s] in which the actor of an arm's last step has ended (chosen: it takes a tenth of one)"""
+"""[s] for the actor of an arm's last step to end; chosen"""
 
 
 class RayExecutor:
-    """Processes that Ray holds ready: those of this machine, or of the cluster at ``address``."""
+    """Ray on this machine, or the cluster at ``address``."""
 
     def __init__(
         self, arms: Sequence[FleetArm], *, address: str | None = None, cpus: int | None = None,
         training_cpus: float = 1.0,
     ) -> None:  # fmt: skip
-        """Start Ray, or connect to it; InputError where there is no such cluster, or nothing there reaches an arm."""
+        """Start Ray or connect; InputError without the cluster, or if it does not reach an arm."""
         require("rejoint fleet", "fleet")
         real = [arm for arm in arms if not arm.virtual]
         self._training_cpus, self._running = training_cpus, {}  # type: float, dict[Any, tuple[Work, Any]]
@@ -56,7 +53,7 @@ class RayExecutor:
             raise
 
     def begin(self, work: Work) -> None:
-        """Have a piece of work done; a real arm that moves is held by an actor where it is reached."""
+        """Start a task, in an actor at the arm's computer if a real arm moves."""
         self._holds.over.remote(work.arm.name)  # a wish to hold that came after the last work had ended
         if not work.held:
             cpus = self._training_cpus if work.step == "train" else 1.0
@@ -71,7 +68,6 @@ class RayExecutor:
         self._running[holder.do.remote(work, self._holds)] = work, holder
 
     def _holder(self, resource: str) -> Any:  # noqa: ANN401 - of Ray
-        """Return a new actor for an arm; None where there is one, which does not go."""
         options = self._arm.options(name=resource, namespace=NAMESPACE, resources={resource: 1.0})
         until = time.monotonic() + GOING
         while True:
@@ -83,7 +79,7 @@ class RayExecutor:
                 pause(0.1)
 
     def wait(self, timeout: float) -> list[tuple[Work, WorkOutcome | Lost]]:
-        """Return what has ended, after ``timeout`` [s] at the latest."""
+        """Return ended tasks within ``timeout`` [s]."""
         refused, self._refused = self._refused, []
         references = list(self._running)
         if refused or not references:
@@ -94,11 +90,11 @@ class RayExecutor:
         return [self._ended(reference) for reference in ready]
 
     def hold(self, work: Work) -> None:
-        """Ask for the arm to be brought to a hold."""
+        """Ask for a hold of the arm."""
         self._holds.hold.remote(work.arm.name)
 
     def close(self) -> None:
-        """Let all processes go; a cluster stays."""
+        """Release all processes; a cluster stays."""
         with noted():  # for a second Ctrl-C as for the first, see `_begun`
             self._ray.shutdown()
 
@@ -128,7 +124,7 @@ class RayExecutor:
 
 
 def has_token() -> bool:
-    """Tell whether this computer has a token for a cluster: without one anyone may run programs there."""
+    """Whether this computer has a cluster token."""
     named = any(name in os.environ for name in ("RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH"))
     return os.environ.get("RAY_AUTH_MODE") != "disabled" and (named or Path("~/.ray/auth_token").expanduser().exists())
 

@@ -1,4 +1,4 @@
-"""What Ray runs: work on an arm in a process of its own, and the actor that knows which arms are to be held."""
+"""The tasks and actors that Ray runs."""
 
 from __future__ import annotations
 
@@ -13,45 +13,45 @@ if TYPE_CHECKING:
     from rejoint.runs.fleet.campaign import Work, WorkOutcome
 
 PULSE = 0.5
-"""[s] between two questions whether an arm is to be held (chosen)"""
+"""[s] between questions whether to hold an arm; chosen"""
 SILENCE = 10.0
-"""[s] without an answer after which an arm is brought to a hold (chosen: longer than a busy network is silent)"""
+"""[s] without an answer until an arm is held; chosen"""
 
 
 class Holds:
-    """An actor that knows which arms are to be held."""
+    """An actor that stores which arms to hold."""
 
     def __init__(self) -> None:
         self._names: set[str] = set()
 
     def hold(self, name: str) -> None:
-        """Have an arm brought to a hold."""
+        """Ask for a hold."""
         self._names.add(name)
 
     def wanted(self, name: str) -> bool:
-        """Tell whether an arm is to be held."""
+        """Whether to hold an arm."""
         return name in self._names
 
     def over(self, name: str) -> None:
-        """Forget an arm whose work has ended."""
+        """Forget an arm."""
         self._names.discard(name)
 
 
 def work_in_task(work: Work) -> WorkOutcome:
-    """Do work in which nothing real moves."""
+    """Do a task that moves no real arm."""
     from rejoint.runs.fleet.campaign import do_work
 
     return do_work(work)
 
 
 class ArmHolder:
-    """An actor that has the only connection to a real arm, for one piece of work."""
+    """An actor with a real arm's only connection, for one task."""
 
     def __init__(self) -> None:
         install()  # so that being ended brings the arm to a hold
 
     def do(self, work: Work, holds: Any) -> WorkOutcome:  # noqa: ANN401 - of Ray
-        """Do work in which the arm moves; it is held where that is asked for, or no answer comes."""
+        """Move the arm; hold it on request or without an answer."""
         stop = threading.Event()
         thread = threading.Thread(target=_watch, args=(holds, work.arm.name, stop), daemon=True)
         thread.start()

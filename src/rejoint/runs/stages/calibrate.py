@@ -1,4 +1,4 @@
-"""Measuring: the tool in many postures of an arm, by whatever tells where it is, kept as it comes."""
+"""Measuring the tool in many postures of an arm."""
 
 from __future__ import annotations
 
@@ -48,10 +48,7 @@ def measured_of(
     session: ArmSession, robot: Robot, gauge: Gauge, prior: Calibration | None, count: int, visits: int,
     on_progress: Progress, *, fresh: bool = False,
 ) -> tuple[Measurements, Calibration | None]:  # fmt: skip
-    """Measure the open robot of a session, or resume in its run unless ``fresh``.
-
-    Returns the ``prior`` that holds as well.
-    """
+    """Measure a session's open robot; resume unless ``fresh``. Also returns the ``prior``."""
     run = session.run
     begun = None if run is None or fresh else interrupted(run, gauge)
     fresh = fresh or (begun is not None and begun[1].fresh)
@@ -81,10 +78,7 @@ def measured_of(
 
 
 def interrupted(run: Run, gauge: Gauge) -> tuple[Measurements, MeasuringSession] | None:
-    """Return what was measured before an interruption, and how far it had come.
-
-    None for a new or an emulated session.
-    """
+    """Interrupted measurements and their progress, if any."""
     if isinstance(gauge, EmulatedGauge) or not run.folder.measurements.exists():
         return None
     try:
@@ -95,7 +89,6 @@ def interrupted(run: Run, gauge: Gauge) -> tuple[Measurements, MeasuringSession]
 
 
 def _require_same(run: Run, gauge: Gauge, plan: Suggestion, measured: Measurements, session: MeasuringSession) -> None:
-    """Raise InputError where what was interrupted was measured in other postures, or by something else."""
     if (session.plan, measured.source, measured.frame) != (plan.digest, gauge.source, gauge.frame):
         raise InputError(
             f"{run.folder.measurements}: an interrupted session with another number of postures or sides, by something "
@@ -112,12 +105,12 @@ def _kept(run: Run, robot: str, gauge: Gauge, *, fresh: bool) -> str:
 
 
 def same(*, fresh: bool) -> str:
-    """Name what goes on with a session that was interrupted, and was begun ``fresh`` or not."""
+    """Name the command that resumes a session."""
     return "the same command without --fresh" if fresh else "the same command"
 
 
 def log_resumed(file: Path, done: str) -> None:
-    """Tell that an interrupted session goes on, whose ``file`` is the newest of it, and how it would not."""
+    """Log that a session resumes, and how to restart it."""
     written = datetime.fromtimestamp(file.stat().st_mtime)
     _LOGGER.warning(
         "Going on with what was interrupted at %s: %s (%s). Where arm or gauge were moved since, begin again: --fresh.",
@@ -126,14 +119,14 @@ def log_resumed(file: Path, done: str) -> None:
 
 
 QUALITY = 92
-"""of the pictures that are kept, as JPEG counts it (chosen: half a megabyte; corners are found before)"""
+"""JPEG quality of stored pictures; chosen"""
 
 
 def film_of(
     session: ArmSession, robot: Robot, gauge: CameraGauge, count: int, visits: int,
     on_progress: Progress, *, fresh: bool = False,
 ) -> Film:  # fmt: skip
-    """Take the film of the robot of a session; in a run, go on with one that was interrupted, unless ``fresh``."""
+    """Take a session's image sequence; resume unless ``fresh``."""
     arm, run = robot.arm, session.run
     begun = None if run is None else begun_film(run, gauge, fresh=fresh)
     film = begun or Film(board=gauge.board, carried=gauge.carried, fresh=fresh)
@@ -172,7 +165,7 @@ def _set_aside(run: Run | None) -> None:
 
 
 def begun_film(run: Run, gauge: CameraGauge, *, fresh: bool) -> Film | None:
-    """Return what the film of a run that was interrupted holds already; None where a new one begins."""
+    """Interrupted image sequence of a run, if any."""
     if fresh or not run.folder.views.exists():
         return None
     film, ended = read_film(run.folder.views, run.arm)
@@ -187,7 +180,7 @@ def begun_film(run: Run, gauge: CameraGauge, *, fresh: bool) -> Film | None:
 
 
 def write_picture(path: Path, picture: Picture) -> None:
-    """Write a picture as JPEG; FileError where that fails."""
+    """Write a picture as JPEG; FileError if that fails."""
     import cv2
 
     good, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
@@ -197,7 +190,7 @@ def write_picture(path: Path, picture: Picture) -> None:
 
 
 def write_filmed(run: Run, arm: Arm, film: Film, found: Filmed, *, taken: bool) -> None:
-    """Write the ended image sequence, its postures if ``taken`` in this run, and the camera setup."""
+    """Write image sequence, postures if ``taken`` in this run, and camera setup."""
     if taken:
         write_postures(run.folder.pictures / POSTURES_FILE, arm, film)
     else:
@@ -208,35 +201,34 @@ def write_filmed(run: Run, arm: Arm, film: Film, found: Filmed, *, taken: bool) 
 
 
 POINTS = 10
-"""Postures that are measured by default (docs/true-accuracy.md)"""
+"""Default number of postures (docs/true-accuracy.md)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Calibrated:
-    """What a calibration found."""
+    """Result of a calibration."""
 
     calibration: Calibration
-    """where the tool is behind the encoders; ``used`` says whether correcting by it clearly helped"""
+    """displacement of the tool; ``used`` says whether the correction helps"""
     measurements: Measurements
-    """what it was found from"""
     reversal: tuple[float, ...]
-    """[m] reversal value at the tool (ISO 230-2) of each posture that was come to from two sides"""
+    """[m] reversal value (ISO 230-2) of each posture with two approaches"""
     filmed: Filmed | None = None
-    """what a camera's pictures told besides: lens, camera, board, how well each picture fits; None without a camera"""
+    """fit of a camera's pictures"""
 
     @property
     def before(self) -> float:
-        """[m] mean true error at points left out, as the encoders have it."""
+        """[m] mean true error by encoders at points left out."""
         return self.calibration.before
 
     @property
     def after(self) -> float:
-        """[m] the same by the calibration that had not seen them."""
+        """[m] the same by calibrations without these points."""
         return self.calibration.after
 
     @cached_property
     def preload(self) -> Preload:
-        """What would press joints that float to one side of their play, at the postures that were measured."""
+        """Effect of a wedge on floating joints at the measured postures."""
         return preload(self.calibration, self.measurements.position)
 
 
@@ -251,33 +243,33 @@ def calibrate(
     settings: Settings | None = None,
     observer: Observer | None = None,
 ) -> Calibrated:
-    """Measure where the tool of an arm really is, fit what lies behind its encoders, and keep it if correcting helps.
+    """Measure where the tool of an arm really is, fit its displacement, and store a correction that helps.
 
-    The arm goes slowly, under the guard, to postures that tell most, and stands still at each, come to from two sides.
-    In a run, `deploy` and `compare` correct by it from then on, and what was interrupted goes on where it was.
+    The arm moves slowly, under the guard, to informative postures, from two sides each. In a run, `deploy` and
+    `compare` then use the correction, and an interrupted session resumes.
 
     Parameters
     ----------
     robot
-        robot or its address; None where the points were measured before
+        robot or its address; None for earlier measurements
     run
-        run, or its folder, into which ``measurements.parquet`` and ``calibration.toml`` are written; with a camera
-        ``views.parquet``, the pictures and ``camera.toml`` as well
+        run, or its folder, for ``measurements.parquet`` and ``calibration.toml``; with a camera also
+        ``views.parquet``, the pictures and ``camera.toml``
     gauge
-        what measures the tool: `TouchGauge`, `TrackerGauge`, `CameraGauge`, or an object of your own with a ``measure``
-        like theirs; by default an emulated arm's own knowledge, with 0.5 mm of noise. Without a robot measurements, a
-        file of them (Parquet or CSV), or a film of a board
+        measuring device: `TouchGauge`, `TrackerGauge`, `CameraGauge`, or your own object with ``measure``;
+        default: the emulator's truth with 0.5 mm of noise. Without a robot: measurements, their file (Parquet or
+        CSV), or pictures of a board
     count
-        number of postures; by default 10, with a camera 14 and 12 pictures about the rest posture
+        number of postures; default: 10, with a camera 14 and 12 pictures about the rest posture
     visits
-        2: come to each posture from both sides, so that play shows; 1: from one
+        2: approach each posture from both sides, which shows play; 1: from one
     arm
-        arm, name or file; needed only without a run, where the address does not tell
+        arm, name or file, if neither run nor address tells
     settings
-        control period, seed, and as ``calibration`` an earlier one of the same arm to start from, so that few points
-        suffice; ``none``: from nothing, and without what was interrupted. By default that of the run
+        control period, seed, and ``calibration``: an earlier one to start from; ``none``: no prior and no
+        resuming. Default: that of the run
     observer
-        receives progress, and what is being measured
+        receives progress
 
     Returns
     -------
@@ -287,11 +279,11 @@ def calibrate(
     Raises
     ------
     InputError, ContractError
-        if measurements cannot be used, or an earlier calibration is of another arm
+        for unusable measurements, or an earlier calibration of another arm
     NotReadyError, GuardTripError, RobotError
-        if the arm had better not be moved, or its motion had to be ended; what was measured is kept
+        if it is unsafe to move the arm, or the motion had to be ended; measurements are kept
     UnsavedError
-        if the result could not be written; it is in the error
+        if writing failed; the error holds the result
 
     Examples
     --------
@@ -336,12 +328,10 @@ def calibrate(
 
 
 def _measured_before(given: object) -> Measurements | Film | Path | str | None:
-    """Return what was measured before; None for what measures."""
     return given if isinstance(given, Measurements | Film | Path | str) else None
 
 
 def _fitted(arm: Arm, measured: Measurements | Film, prior: Calibration | None, *, taken: bool) -> Calibrated:
-    """Fit points, or what a film shows; ``taken`` tells whether they are kept in a run and were made just now."""
     date = f"{datetime.now().astimezone():%Y-%m-%dT%H:%M:%S%z}"
     filmed = None
     try:
@@ -360,7 +350,6 @@ def _fitted(arm: Arm, measured: Measurements | Film, prior: Calibration | None, 
 
 
 def _write(run: Run, measured: Measurements | Film, result: Calibrated, *, taken: bool) -> None:
-    """Keep what was found in the run; ``taken`` tells whether a film was taken just now."""
     run.begin()
     set_aside(run.folder.calibration)
     write_calibration(run.folder.calibration, result.calibration)

@@ -1,4 +1,4 @@
-"""The check: two and a half minutes that show how an arm stands against its own beginning."""
+"""The check: a fixed motion, compared with earlier checks."""
 
 from __future__ import annotations
 
@@ -34,45 +34,43 @@ if TYPE_CHECKING:
     from rejoint.diagnosis.monitoring.measures import CheckMeasures
 
 BETWEEN = timedelta(minutes=4)
-"""Time between the dates of checks in a row where the date was given (chosen)"""
+"""Between checks in a row with a given date; chosen"""
 LOG = "check.parquet"
-"""Name of the run log of a check"""
+"""Run log of a check"""
 QUIET = 30.0
-"""[s] without a row after which the journal of a check is that of a killed one (chosen)"""
+"""[s] without a row of a killed check's journal; chosen"""
 
 _LOGGER = logging.getLogger("rejoint")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Checked:
-    """What a check found, and how the arm stands by all of its checks."""
+    """Result of a check."""
 
     arm: str
-    """name in the history"""
+    """in the history"""
     robot: str
-    """address"""
     line: str
-    """one line for the owner: cause, millimetres, date, what to do"""
+    """result and advice in one line"""
     outlook: Outlook
-    """every quantity of every joint against the beginning, and when the tolerance will be reached"""
+    """all quantities against the baseline, and the remaining time"""
     measures: CheckMeasures
-    """the newest check alone"""
+    """of this check"""
     folder: Path
-    """where its log and its rows are"""
     unread: tuple[str, ...] = ()
-    """rows of earlier checks or runs that could not be read, and so did not count"""
+    """unreadable rows of earlier checks or runs"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CheckNotes:
-    """What the owner says of a check."""
+    """The user's notes on a check."""
 
     used_h: float | None = None
-    """[h] for which the arm has been used so far; None: an emulated arm's ``hours``"""
+    """use of the arm so far; default: an emulated arm's ``hours``"""
     when: datetime | None = None
-    """date, UTC; None: now. For trying years in minutes"""
+    """UTC; default: now"""
     moved: bool = False
-    """whether the arm was moved, or its zeros were set, since the last check: a new baseline begins"""
+    """whether the arm was moved or homed since: a new baseline begins"""
 
 
 def check(
@@ -88,41 +86,41 @@ def check(
 ) -> Checked:
     """Move an arm through a fixed routine of two and a half minutes, and compare it with its own earlier checks.
 
-    The first checks after a repair are what later ones are compared with; at least five are needed, and may follow one
-    another at once. A repair in the same history, a move, or another description of the arm begin a new baseline.
+    The first checks after a repair are the baseline; it needs five, also in a row. A repair in the same history, a
+    move, or another description of the arm begin a new baseline.
 
     Parameters
     ----------
     robot
-        robot or its address; by default a worn arm emulated in this process. ``emulated:worn?hours=500`` has aged
+        robot or its address; default: a worn arm emulated in this process. ``emulated:worn?hours=500`` has aged
     history
-        folder below which all runs and checks are; rows are looked for in all of it
+        folder of all runs and checks
     name
-        of the arm in the history; by default made of its address
+        of the arm in the history; default: from its address
     arm
-        arm, name or file; by default what the address names
+        arm, name or file; default: by the address
     tolerance_mm
-        [mm] error of the tool that the owner can bear; by default that of the last check
+        [mm] tolerated tool error; default: that of the last check
     notes
         hours of use, another date, or that the arm was moved
     settings
-        control period, and seed of an emulated arm's noise: by default another one at each check
+        control period, and seed of an emulated arm's noise: by default a new one per check
     observer
         receives progress
 
     Returns
     -------
     Checked
-        one line for the owner, and what it rests on
+        result in one line, and its details
 
     Raises
     ------
     AddressError, NotReadyError
-        if no robot answers, or it had better not be moved
+        if no robot answers, or it is unsafe to move it
     GuardTripError, RobotError
-        if the motion had to be ended, or a joint did not follow at all; the arm holds, nothing is added to the history
+        if the motion had to be ended, or a joint did not follow; the arm holds, the history is unchanged
     FileError, UnsavedError
-        if nothing can be written; the result is in the error where there is one
+        if writing failed; the error holds the result, if any
 
     Examples
     --------
@@ -214,7 +212,6 @@ def _drive(robot: Robot, folder: Path, on_progress: Progress) -> tuple[RunLog, A
 
 
 def _keep_killed(place: Path) -> None:
-    """Make run logs of what killed checks of an arm recorded below ``place``; each check has a folder of its own."""
     for folder in sorted(file.parent for file in place.glob(f"*/{journal_path(Path(LOG)).name}")):
         try:
             for log in recover(folder, quiet=QUIET):

@@ -1,6 +1,6 @@
 """Comparison: every controller on the same arm, with the same targets.
 
-Trials are kept one by one and resumed. What the diagnosis measured open loop counts as trials of ``default``.
+Trials are stored one by one. The diagnosis counts as trials of ``default``.
 """
 
 from __future__ import annotations
@@ -68,7 +68,6 @@ if TYPE_CHECKING:
 
 
 DEFAULT = DefaultController.name
-"""Name of the controller"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -78,17 +77,17 @@ class OpenLoopTrials:
     targets: Array
     """(K, 3) [m]"""
     driven: Driven
-    """as the holds of a comparison on one arm, at its first set"""
+    """one arm at its first set"""
     log: RunLog
-    """as that of a trial of the hold protocol"""
+    """as of a hold trial"""
 
     def errors(self) -> TargetErrors:
-        """Errors of the arm as it was found."""
+        """Errors of the arm before repair."""
         return errors_of(self.driven.columns)
 
 
 def open_loop(run: Run, robot: str, protocol: Protocol, model: ToolModel | None = None) -> OpenLoopTrials | None:
-    """Return what the diagnosis of a run found; None where it was of another robot, or does not suit the protocol."""
+    """Trials of a run's diagnosis; None for another robot or protocol."""
     path = run.folder.log("targets")
     if robot != run.robot or not path.exists():
         return None
@@ -96,7 +95,7 @@ def open_loop(run: Run, robot: str, protocol: Protocol, model: ToolModel | None 
 
 
 def trials(arm: Arm, log: RunLog, protocol: Protocol, model: ToolModel | None = None) -> OpenLoopTrials | None:
-    """Judge the log of an open-loop run as the comparison judges its own; None where its holds are too short."""
+    """Judge an open-loop log as trials; None if its holds are too short."""
     recording, targets = _recording(log)
     found = measure(arm, recording, targets[None], protocol, (DEFAULT, "hold", ((0, 0),), 0), model=model, both=True)
     if not np.isfinite(found.columns["settled"]).all():
@@ -105,7 +104,7 @@ def trials(arm: Arm, log: RunLog, protocol: Protocol, model: ToolModel | None = 
 
 
 def _recording(log: RunLog) -> tuple[Recording, Array]:
-    """Return a log as what the control loop would have recorded, and its targets (K, 3) [m] in their order."""
+    """Log as a recording, and its targets (K, 3) [m]."""
     known = np.isfinite(log.target).all(axis=1)
     rows = np.flatnonzero(known)
     target, time = log.target[rows], log.time[rows]
@@ -125,27 +124,26 @@ def _recording(log: RunLog) -> tuple[Recording, Array]:
 
 
 SOURCE = "the diagnosis"
-"""Where the results of the arm's own controller are from, where it was not driven again"""
+"""Source of the default controller's results"""
 
 THREADS = 2
-"""of emulated arms that move side by side (chosen: results do not depend on it)"""
+"""of emulated arms; no effect on results"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Compared:
-    """What a comparison found, and which controller to use."""
+    """Result of a comparison."""
 
     comparison: Comparison
-    """a row of numbers for each controller, with intervals"""
+    """a row for each controller, with intervals"""
     recommendation: Recommendation
-    """the controller to use, and why"""
     logs: dict[str, RunLog] = field(default_factory=dict)
-    """one run log of each controller and protocol that was driven, by its label, such as ``hold/policy/0/0``"""
+    """one per controller and protocol, such as ``hold/policy/0/0``"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ComparisonJob:
-    """What a comparison is to do."""
+    """Inputs of a comparison."""
 
     robot: RobotLike
     arm: Arm
@@ -158,21 +156,18 @@ class ComparisonJob:
     correct: Callable[[Arm], Modelled] | None
     model: Calibration | None
     file: str
-    """of the targets; empty where there is none"""
+    """of the targets, or empty"""
     before: OpenLoopTrials | None
-    """what the diagnosis measured at the first set; None where that is not known, or not wanted"""
+    """the diagnosis's trials of the first set, if used"""
     directions: bool
     turns: Orientation | None = None
-    """(S, K) how the tools are to be turned at the targets; None where that does not matter"""
+    """(S, K) tool orientations at the targets"""
     observer: Observer = field(default_factory=Observer)
     by_name: bool = False
-    """whether another process can make the controllers, from their names"""
+    """whether another process can make the controllers by name"""
 
     def drive(self, on_progress: Progress, helper: HelperProcess | None = None) -> Compared:
-        """Compare; in a run, resume after the trials that are done, and write the result.
-
-        The caller closes a ``helper``.
-        """
+        """Compare; in a run, resume and write the result. The caller closes ``helper``."""
         run = self.run
         if run is None:
             return self._drive(Ledger.nowhere(), [], on_progress, helper)
@@ -197,7 +192,6 @@ class ComparisonJob:
     def _drive(
         self, ledger: Ledger, earlier: list[Path], on_progress: Progress, ahead: HelperProcess | None
     ) -> Compared:
-        """Drive all trials; logs of an ``earlier`` comparison make room for the first of this one."""
         logs: dict[str, RunLog] = {}
         before = self.before if DEFAULT in self.factories else None
 
@@ -256,11 +250,11 @@ class ComparisonJob:
         return result
 
     def without(self, names: Collection[str]) -> ComparisonJob:
-        """Return the job without some controllers."""
+        """Job without some controllers."""
         return replace(self, factories={name: make for name, make in self.factories.items() if name not in names})
 
     def begin_ahead(self) -> HelperProcess | None:
-        """Start a second process with what can be driven already, where there is one to spare."""
+        """Start a second process with the known trials, if a core is free."""
         tasks = [(name, kind) for name in self.factories for kind in KINDS]
         return HelperProcess(self._work(), tasks) if self._shareable() else None
 
@@ -306,29 +300,29 @@ class ComparisonJob:
 
 
 SETS, REPETITIONS = 10, 6
-"""Target sets and repetitions where arms are emulated or all is driven (Park et al. 2024: six repetitions)"""
+"""Default target sets and repetitions (Park et al. 2024: six repetitions)"""
 
 ONE_ARM_SETS = 1
-"""Target sets on one arm (chosen: those of the diagnosis)"""
+"""Target sets on one arm; chosen: those of the diagnosis"""
 
 ONE_ARM_PROTOCOL = Protocol(hold=DWELL)
-"""On one arm each target is held as long as in the diagnosis, so that both measure the same"""
+"""On one arm, with the holds of the diagnosis"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrialPlan:
-    """How much a comparison drives."""
+    """Size of a comparison."""
 
     sets: int | None = None
-    """of targets that are drawn; None: 10, on one arm 1"""
+    """drawn target sets; default: 10, on one arm 1"""
     repetitions: int | None = None
-    """of each set by each controller; None: 6, on one arm 1"""
+    """of each set by each controller; default: 6, on one arm 1"""
     protocol: Protocol | None = None
-    """thresholds [m] and times [s] of a trial; None: those of Park et al. 2024, and holds of 8 s, on one arm of 5 s"""
+    """thresholds [m] and times [s] of a trial; default: Park et al. 2024, holds of 8 s, on one arm of 5 s"""
     directions: bool = False
-    """whether the recommended controller also comes to five poses from three directions: vAP after ISO 9283"""
+    """whether the recommended controller also approaches poses from three directions: vAP (ISO 9283)"""
     full: bool = False
-    """on a real arm no controller is eliminated but one that misses three targets in a row"""
+    """on a real arm, eliminate only after three targets missed in a row"""
 
 
 def compare(
@@ -344,10 +338,10 @@ def compare(
 ) -> Compared:
     """Try controllers on the same arm, with the same targets, from the same start, and recommend one.
 
-    Emulated arms are tried side by side; on a real one the controllers take turns in blocks of targets: one that misses
-    three targets in a row, or is significantly worse than the best, is eliminated; the comparison ends when one is
-    left, or after all targets. What the diagnosis of the run measured open loop is not driven again: it is what
-    ``default`` does. Interrupted in a run, the same call goes on after the last finished trial.
+    Emulated arms run in parallel. On a real one, controllers take turns in blocks of targets. One that misses three
+    targets in a row, or is significantly worse than the best, is eliminated; it ends with one controller left or after
+    all targets. The diagnosis of the run counts as trials of ``default``. In a run, the same call resumes after the
+    last finished trial.
 
     Parameters
     ----------
@@ -355,30 +349,28 @@ def compare(
         robot or its address
     controllers
         names of baselines (``default``, ``pid-sum``, ``pid-literal``, ``integrator``, ``feedforward``), ``push``,
-        ``shelf``, ``predictive``, policies, their files, or controllers of your own; a mapping names them. None given:
-        all baselines, on a real arm without the paper's PIDs (``pid-sum``, ``pid-literal``), the policy that comes with
-        the package (``shelf``) where it suits, on a real arm only where the run has no policy, the policy of the run,
-        and predictive control where there is a twin; after a search for gains of the servos these two under the gains
-        found, and ``servo-gains`` and ``servo-gains+push`` beside them
+        ``shelf``, ``predictive``, policies, their files, or your own controllers; a mapping names them. Default: all
+        baselines (a real arm: no ``pid-sum`` and ``pid-literal``), ``shelf`` where it suits (a real arm: only without
+        a policy in the run), the run's policy, and ``predictive`` with a twin; after a search for servo gains these
+        two under the gains found, with ``servo-gains`` and ``servo-gains+push``
     targets
-        (K, 3) or (S, K, 3) [m], or `Pose` objects, or a CSV file in mm with the header ``x,y,z`` and perhaps columns
-        of an orientation, which only baselines heed; by default drawn, ten in a set; on one arm the first ten are
-        those of the diagnosis
+        (K, 3) or (S, K, 3) [m], or `Pose` objects, or a CSV file in mm with the header ``x,y,z`` and optional
+        orientations, for baselines only; default: drawn, ten in a set; on one arm the first ten are the diagnosis's
     run
-        run, or its folder, with the policy and the twin, into which results are written; without one nothing is
+        run, or its folder, with policy and twin, for the results; default: nothing is written
     arm
-        arm, name or file; needed only without a run, where the address does not tell
+        arm, name or file, if neither run nor address tells
     plan
-        numbers of sets and repetitions, protocol, elimination or not
+        numbers of sets and repetitions, protocol, elimination
     settings
         twin, calibration, payload, control period, seed and the like
     observer
-        receives messages, progress, and what is being tried
+        receives messages, progress, and each trial
 
     Returns
     -------
     Compared
-        ``recommendation``, the whole ``comparison``, and one log of each controller
+        ``recommendation``, ``comparison``, and one log of each controller
 
     Raises
     ------
@@ -387,7 +379,7 @@ def compare(
     GuardTripError, RobotError
         if the motion of a real arm had to be ended
     UnsavedError
-        if the result could not be written; it is in the error
+        if writing failed; the error holds the result
 
     Examples
     --------
@@ -412,10 +404,7 @@ def comparison_job(
     robot: RobotLike, controllers: Controllers, targets: Targets | None, *, run: Run | None, arm: Arm,
     plan: TrialPlan | None, settings: Settings, observer: Observer,
 ) -> ComparisonJob:  # fmt: skip
-    """Put together what `compare` is to do, and refuse what does not fit.
-
-    The ``arm`` has load and tool of the settings.
-    """
+    """Assemble and validate a comparison; ``arm`` includes load and tool."""
     controllers, wanted = listed(controllers), plan or TrialPlan()
     real = not is_batchable(robot)
     elimination = Elimination() if real and not wanted.full else None

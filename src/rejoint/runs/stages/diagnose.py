@@ -1,4 +1,4 @@
-"""Diagnosis: what is wrong with an arm, from its motion or from logs."""
+"""Diagnosis of an arm, from its motion or from logs."""
 
 from __future__ import annotations
 
@@ -45,23 +45,22 @@ if TYPE_CHECKING:  # these need the simulator, which a Raspberry Pi does not hav
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Diagnosed:
-    """What a diagnosis found, and the motion that it was found in."""
+    """Result of a diagnosis, with its motion."""
 
     diagnosis: Diagnosis
-    """every joint in numbers, and what it was compared with"""
     targets: RunLog | None = None
-    """ten targets, each commanded once; None for a diagnosis from logs"""
+    """ten targets, each commanded once; None for logs"""
     excitation: RunLog | None = None
-    """a motion that shows every joint's wear, as `identify` needs it; None for a diagnosis from logs"""
+    """input of `identify`; None for logs"""
 
     @property
     def verdict(self) -> str:
-        """What is wrong, in sentences for the owner."""
+        """What is wrong, in sentences."""
         return self.diagnosis.verdict
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """What is wrong joint by joint, the worst at the tool first; ``tcp_mm`` is what it costs there."""
+        """What is wrong by joint, the largest tool error ``tcp_mm`` first."""
         return self.diagnosis.findings
 
 
@@ -75,22 +74,22 @@ def diagnose(
     settings: Settings | None = None,
     observer: Observer | None = None,
 ) -> Diagnosed:
-    """Find out what is wrong with an arm: by driving it, or from logs of any motion.
+    """Find out what is wrong with an arm: by moving it, or from logs of any motion.
 
-    A robot is driven to ten targets, open loop, and through an excitation of every joint (three minutes).
+    A robot moves to ten targets, open loop, and through an excitation of every joint (three minutes).
 
     Parameters
     ----------
     source
         robot or its address; or run logs, a file of one, or a folder of them. A text with a colon is an address.
     arm
-        arm, name or file; needed for logs in memory or on file, for a robot only where its address does not tell
+        arm, name or file; needed for logs, and for a robot whose address does not tell
     run
-        run, or its folder, into which logs and diagnosis are written; without one nothing is written
+        run, or its folder, for logs and diagnosis; default: nothing is written
     healthy
-        run or diagnosis of an arm known to be good, to compare with; by default an emulated healthy one of its kind
+        run or diagnosis of a good arm to compare with; default: an emulated one of its kind
     quick
-        excite for 90 s instead of 140 s, for a first try: wear shows less surely
+        excite for 90 s instead of 140 s, with wider intervals
     settings
         control period and seed
     observer
@@ -108,9 +107,9 @@ def diagnose(
     AddressError
         if no robot answers
     GuardTripError, RobotError
-        if the motion had to be ended; the arm holds, and the notes of the error say where its log is
+        if the motion had to be ended; the arm holds, and the error's notes name its log
     UnsavedError
-        if the result could not be written; it is in the error
+        if writing failed; the error holds the result
 
     Examples
     --------
@@ -179,7 +178,6 @@ def _drive(
 
 
 def _as_set(robot: Robot, reference: HealthyReference | None) -> HealthyReference | None:
-    """Take the ``reference`` for the gains and the supply that the servos of ``robot`` have."""
     from rejoint.diagnosis.healthy import as_set
 
     voltage = robot.read().voltage

@@ -1,4 +1,4 @@
-"""Gains: what the servos' own loops can do, tried on the arm, and kept there if its owner wants that."""
+"""A search for better gains of the servos' own loops."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from rejoint.system.files import read_json, saving, set_aside, write_json
 from rejoint.system.stopping import noted
 
 TARGETS = 4
-"""that each round goes to (chosen: two sides and two heights)"""
+"""per round; chosen: two sides and two heights"""
 
 
 def gains(
@@ -26,36 +26,36 @@ def gains(
 ) -> GainsFound:
     """Search for better gains of the servos' own position loops, on the arm itself (about three minutes).
 
-    The arm goes to four targets again and again, with one value more of P, dead zone, startup force and I each time;
-    every joint keeps what brings it nearer to its command and leaves it quiet. Nothing is kept over a loss of power,
-    and at the end, or at a signal, the gains are as they were. `compare` then tries them beside all others.
+    The arm repeats four targets with higher values of P, dead zone, startup force and I; each joint keeps what brings
+    it nearer to its command without noise. At the end, or at a signal, the gains are as before. `compare` then tries
+    the best.
 
     Parameters
     ----------
     robot
         robot or its address: an SO-101 on its own bus, or an emulated one
     run
-        run, or its folder, into which ``gains.json`` is written
+        run, or its folder, for ``gains.json``
     settings
         control period
     observer
-        receives progress, and what is being tried
+        receives progress and trials
 
     Returns
     -------
     GainsFound
-        gains by name, one of each joint, as they were and as they are best, and what is left of the errors
+        gains by name, one per joint, before and best, and the remaining errors
 
     Raises
     ------
     InputError
-        if the robot tells no gains; nothing has moved
+        if the robot reports no gains; nothing has moved
     NotReadyError
-        if the arm had better not be moved
+        if it is unsafe to move the arm
     GuardTripError, RobotError
         if the motion had to be ended; the arm holds, its gains are as before
     UnsavedError
-        if the result could not be written; it is in the error
+        if writing failed; the error holds the result
 
     Examples
     --------
@@ -78,9 +78,9 @@ def gains(
 
 
 def gains_to_keep(run: Run) -> ServoGains:
-    """Return the gains of the controller that ``run`` recommends; without a comparison the best for the servos alone.
+    """Recommended controller's gains; without a comparison the best for the servos alone.
 
-    FileError where none were searched for, InputError where the comparison recommends a controller under those before.
+    FileError without a search, InputError if the recommended gains are those before it.
     """
     if not run.folder.gains.exists():
         raise FileError(run.folder.gains, "no such file", f"run `rejoint gains ROBOT {run.path}` first")
@@ -92,10 +92,7 @@ def gains_to_keep(run: Run) -> ServoGains:
 
 
 def keep_gains(robot: RobotLike, run: RunLike, wanted: ServoGains) -> ServoGains:
-    """Have the servos keep the gains ``wanted`` without power; returns those before.
-
-    Nothing else writes their memory.
-    """
+    """Write ``wanted`` to the servos' permanent memory; returns the gains before."""
     with noted(), ArmSession(robot, run=run) as session:
         before = gains_in_force(session.robot)
         if before is None:

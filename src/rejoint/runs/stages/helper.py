@@ -1,6 +1,6 @@
-"""A process that drives a part of a comparison in virtual time, so that a second core has work.
+"""A process that runs part of a comparison on a second core.
 
-It gets a `Job` and tasks over a pipe and ends with it; it is not forked, since threads would not go on there.
+It receives a `Job` and tasks over a pipe. It is not forked: threads would not survive.
 """
 
 from __future__ import annotations
@@ -33,19 +33,19 @@ from rejoint.system.shell import give_back
 from rejoint.twin.twin import Twin
 
 LEAST = 400
-"""Targets of all trials from which a helper is worth its start (chosen: it takes two seconds)"""
+"""Targets of all trials that are worth a helper; chosen"""
 
 _START = "import sys; sys.path[:] = {path!r}; from rejoint.runs.stages.helper import main; main({line})"
 
 
 def core_to_spare() -> bool:
-    """Tell whether this process may use a second core: Ray and others limit theirs to one by OMP_NUM_THREADS."""
+    """Whether a second core is free, by OMP_NUM_THREADS."""
     return os.name == "posix" and (os.cpu_count() or 1) > 1 and os.environ.get("OMP_NUM_THREADS") != "1"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Job:
-    """What a helper must know of a comparison."""
+    """A helper's part of a comparison."""
 
     robot: str
     arm: Arm
@@ -60,11 +60,11 @@ class Job:
 
     @property
     def places(self) -> Places:
-        """Target sets and repetitions of the whole comparison."""
+        """Target sets and repetitions."""
         return tuple((s, r) for s in range(len(self.targets)) for r in range(self.settings.repetitions))
 
     def runner(self, name: str) -> TrialRunner:
-        """Put together what drives the trials of a controller."""
+        """Runner of a controller's trials."""
         run, period = None if self.run is None else as_run(self.run), period_of(self.robot, self.period)
         factories = make_factories([name], self.arm, period, run=run, twin=self.twin, posed=self.turns is not None)
         return TrialRunner(
@@ -77,7 +77,7 @@ class Job:
 
 
 class HelperProcess:
-    """A running helper, to be closed; until it gets tasks it does those ``ahead``."""
+    """A running helper; first it does the tasks ``ahead``; close it."""
 
     def __init__(self, job: Job, ahead: Sequence[Task] = ()) -> None:
         self._line, other = Pipe()
@@ -96,12 +96,12 @@ class HelperProcess:
         self._worker.start()
 
     def settle(self) -> tuple[Task, ...]:
-        """Return what it has begun of itself, and begin no more of it."""
+        """Return the tasks begun ahead, and begin no more."""
         self._ahead.clear()
         return tuple(self._begun)
 
     def drive(self, task: Task, places: Places) -> Result:
-        """Drive the trials of a task and wait for what comes out; HelperLostError if that fails."""
+        """Run the trials of a task; HelperLostError if that fails."""
         self._worker.join()
         found = self._begun.pop(task, None) if places == self._places else None
         return self._ask(task, places) if found is None else found
@@ -125,7 +125,7 @@ class HelperProcess:
         return found
 
     def close(self) -> None:
-        """End it, whatever it does."""
+        """End the process."""
         self.settle()
         if self._process is not None:
             self._process.kill()
@@ -134,7 +134,7 @@ class HelperProcess:
 
 
 def main(line: int) -> None:
-    """Do what `HelperProcess` asks for at the other end of a ``line``, by its file descriptor."""
+    """Serve `HelperProcess` at file descriptor ``line``."""
     asked, tasks = Connection(line), SimpleQueue[Any]()
     Thread(target=_listen, args=(asked, tasks), daemon=True).start()
     job: Job = tasks.get()

@@ -27,17 +27,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class LogPlan:
-    """How logs of any motion are taken, where it is not the usual way; motions go by their labels."""
+    """Options for logs of any motion, by label."""
 
     beside: Sequence[Candidate] = ()
-    """other twins, such as published ones, to judge beside the fitted one"""
+    """other twins to judge"""
     hold_out: Sequence[str] | None = None
-    """motions to keep from the fit and judge it by; empty: judge it on what it has seen; None: a quarter of the motions
-    is drawn, of few motions the end of each. Once judged, the twin is fitted to all motions"""
+    """motions to hold out; empty: none; default: a quarter of the motions, or of each of few motions; then the twin is
+    fitted to all"""
     gain: Mapping[str, str] = field(default_factory=dict)
-    """the servos' position gain over that which the twin is to have: ``"0.5"``, or one number for each joint"""
+    """servos' position gain over the twin's: ``"0.5"``, or one number per joint"""
     torque_off: Mapping[str, str] = field(default_factory=dict)
-    """seconds without torque since the start: ``"3-7.5 12-14"``"""
+    """[s] spans without torque: ``"3-7.5 12-14"``"""
 
 
 def identify(
@@ -52,36 +52,36 @@ def identify(
 ) -> Twin:
     """Fit a digital twin to an arm's motion: stiffness, damping, friction, inertia, torque limit, offset and delay.
 
-    Logs of an excitation (`Diagnosed.excitation`) tell most. From logs of any other motion, contacts and stops are left
-    out, and whole motions are kept from the fit to judge it by.
+    Logs of an excitation (`Diagnosed.excitation`) are best. In logs of other motion, contacts and stops are left out,
+    and whole motions are held out to judge the fit.
 
     Parameters
     ----------
     logs
-        run logs, a file of one, or a folder of them; without any, the excitation of ``run``
+        run logs, a file of one, or a folder of them; default: the excitation of ``run``
     arm
-        arm, name or file; by default that of the run, or the one of the catalogue that the logs name
+        arm, name or file; default: that of the run, or the catalogue arm that the logs name
     run
-        run, or its folder, into which ``twin.toml`` is written; without one nothing is written
+        run, or its folder, for ``twin.toml``; default: nothing is written
     plan
-        what to judge beside, what to hold out, and which gains and pauses the motions had
+        other twins, held-out motions, and gains and pauses of the motions
     seed
-        of the search, and of what is held out; by default that of the run, else 0
+        of the search and the held-out motions; default: that of the run, else 0
     quick
-        search less, for a first try: the fit is worse
+        search less: the fit is worse
     observer
         receives progress
 
     Returns
     -------
     Twin
-        ``parameters`` with ``interval`` (95 %) in SI units; ``held_out`` says how well it predicts motion that the fit
-        has not seen, and, for logs of any motion, ``judgement`` how well each motion
+        ``parameters`` with ``interval`` (95 %) in SI units; ``held_out``: errors on held-out motion; for logs of any
+        motion ``judgement``: errors by motion
 
     Raises
     ------
     InputError
-        if there is too little motion, or the logs are of another arm
+        for too little motion, or logs of another arm
     FileError
         if the run has no excitation log, or a log is damaged
 
@@ -147,7 +147,6 @@ def _from_any_motion(
 
 
 def _excitation(run: Run) -> RunLog:
-    """Read the excitation of a run; FileError says how to come to one."""
     path = run.folder.log("excitation")
     if not path.exists():
         logs = run.robot.removeprefix(LOGS)

@@ -1,4 +1,4 @@
-"""Replay: what a twin says an arm would have done, beside what it did."""
+"""Replay and report."""
 
 from __future__ import annotations
 
@@ -21,24 +21,23 @@ if TYPE_CHECKING:
 
 
 TWIN = "twin"
-"""Name of the twin among the predictions"""
+"""Name among the predictions"""
 
 THREADS = 2
-"""of the simulation (chosen: results do not depend on it)"""
+"""of the simulation; no effect on results"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Replayed:
-    """What a twin predicts, and how far that is from what was measured."""
+    """A twin's prediction and its errors."""
 
     logs: tuple[RunLog, ...]
     positions: tuple[Array, ...]
-    """(T, n) [rad] predicted positions, row by row of each log, open loop from its first measured one"""
+    """(T, n) [rad] for each log, open loop from its first measured position"""
     judgement: Judgement | None
-    """errors of every motion, of each twin and of no twin, in free space and in contact; None for logs of states
-    alone"""
+    """errors by motion and twin, free and in contact; None without commands"""
     page: Path | None = None
-    """with figures, where a folder was given"""
+    """with figures, if asked for"""
 
 
 def replay(
@@ -49,10 +48,9 @@ def replay(
     beside: Sequence[Candidate] = (),
     out: Path | str | None = None,
 ) -> Replayed:
-    """Predict every motion open loop with a twin, and compare that with what the encoders measured.
+    """Predict every motion open loop with a twin, and compare that with the encoders.
 
-    A motion that the twin was fitted to flatters it. Of logs of states alone, the path is sent to the twin as its
-    command: `positions` are then how an arm like it would have followed.
+    Motions of the fit flatter the twin. In logs without commands, the measured trajectory is the command.
 
     Parameters
     ----------
@@ -61,16 +59,16 @@ def replay(
     logs
         run logs of any motion, a file of one, or a folder of them
     arm
-        arm, name or file; by default that of the run that the twin lies in, or the one of the catalogue that it names
+        arm, name or file; default: that of the twin's run, or the catalogue arm that it names
     beside
-        other twins, such as published ones, to judge on the same motions
+        other twins to judge on the same motions
     out
-        folder for a page with figures; without one nothing is written
+        folder for a page with figures; default: nothing is written
 
     Returns
     -------
     Replayed
-        predicted ``positions``, and as ``judgement`` how good they are
+        predicted ``positions``, and their errors as ``judgement``
 
     Raises
     ------
@@ -110,22 +108,22 @@ def _write(out: Path, judgement: Judgement, twin: TwinLike, logs: LogsLike) -> P
 
 
 def report(run: RunLike) -> Path:
-    """Write the report of a run: one self-contained page that opens in a browser, and its figures as PNG files.
+    """Write the report of a run: one self-contained page for a browser, and its figures as PNG files.
 
     Parameters
     ----------
     run
-        run, or its folder; stages that have not been run are named on the page
+        run, or its folder; the page names missing stages
 
     Returns
     -------
     Path
-        of the page, ``report.html`` in the folder
+        of ``report.html`` in the folder
 
     Raises
     ------
     FileError
-        if a file of the run is damaged, or nothing has been run
+        if a file of the run is damaged, or the run is empty
 
     Examples
     --------

@@ -23,31 +23,31 @@ if TYPE_CHECKING:
     from rejoint.twin.twin import Twin
 
 QUICK_UPDATES, QUICK_AGENTS = 3, 16
-"""Size of a training for a first try (chosen)"""
+"""Size of a quick training; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrainedPolicy(Policy):
-    """A policy that was just trained, and how its training went."""
+    """A trained policy and its training."""
 
     training: TrainingResult
-    """targets reached, errors and time; its files exist if the policy was trained in a run"""
+    """its files exist only in a run"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainSettings:
-    """How a policy is trained, where it is not the usual way."""
+    """Options of a training."""
 
     generic: bool = False
-    """train in a run without a twin, for any worn arm of this kind"""
+    """train in a run without a twin, for any worn arm"""
     seed: int | None = None
-    """of the networks, the arms that are drawn, and the exploration; None: that of the run, else 0"""
+    """of all random numbers; default: that of the run, else 0"""
     threads: int = 2
-    """of the simulation; the policy does not depend on it"""
+    """of the simulation; no effect on the policy"""
     resume: bool = True
-    """go on from a checkpoint of this very training in the run"""
+    """continue from this training's checkpoint in the run"""
     trainer: Trainer | None = None
-    """what trains instead of proximal policy optimisation"""
+    """replaces proximal policy optimisation"""
 
 
 def train(
@@ -62,32 +62,30 @@ def train(
 ) -> TrainedPolicy:
     """Train a control policy on randomised copies of a twin (proximal policy optimisation).
 
-    In a run, a training that was interrupted goes on from its last checkpoint, at most ten updates back, to the same
-    end.
+    In a run, an interrupted training resumes at its last checkpoint, at most ten updates back, with the same result.
 
     Parameters
     ----------
     twin
-        twin or its file; without one that of the run; without a run the policy is for any worn arm of this kind
+        twin or its file; default: that of the run; without a run the policy is for any worn arm of this kind
     arm
-        arm, name or file; by default that of the run, or the one of the catalogue that the twin names
+        arm, name or file; default: that of the run, or the catalogue arm that the twin names
     run
-        run, or its folder, into which ``policy.onnx`` and ``training/`` are written; either a run or a twin is given
+        run, or its folder, for ``policy.onnx`` and ``training/``; give either a run or a twin
     preset
-        recipe: ``default``, ``scratch``, ``paper`` (the literal method), or one of your own. By the default one, a
-        training on a twin begins at the policy that comes with the package, where there is one for this arm; by
-        ``scratch`` it begins at random weights, as by all others
+        recipe: ``default``, ``scratch``, ``paper`` (literal), or your own. With ``default``, a training on a twin
+        starts from the arm's generic policy, if any; all others start from random weights
     quick
-        train for seconds only, for a first try: the policy is hardly better than what it began with
+        train for seconds: the policy hardly improves
     settings
         seed, threads and the like
     observer
-        receives progress, and how the training stands
+        receives progress
 
     Returns
     -------
     TrainedPolicy
-        the policy, and as ``training`` how it went
+        the policy and its ``training``
 
     Raises
     ------
@@ -141,10 +139,10 @@ class _Task:
     settings: TrainSettings
     quick: bool
     servo_gains: dict[str, tuple[int, ...]] | None = None
-    """that will be in force: the best that a search found, else those of the diagnosis"""
+    """the best of a search, else those of the diagnosis"""
 
     def train(self, folder: Path, on_progress: Progress) -> TrainedPolicy:
-        """Train by PPO or another trainer, and take up the policy that is then in the folder."""
+        """Train, and load the policy from the folder."""
         how = self.settings
         if how.trainer is None:
             from rejoint.training.train import TrainingOptions

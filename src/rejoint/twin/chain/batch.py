@@ -1,7 +1,4 @@
-"""Many twins of one free arm in lockstep, each with its own parameters, time step and gravity: the compiled step.
-
-Used as `rejoint.twin.batch.TwinBatch`. Every arm moves as it would alone, to the bit.
-"""
+"""Many twins of one free arm in lockstep, by the compiled step; the interface of `rejoint.twin.batch.TwinBatch`."""
 
 from __future__ import annotations
 
@@ -24,11 +21,11 @@ from rejoint.twin.parameters import TwinParameters, nominal_parameters
 Ids = NDArray[np.integer] | NDArray[np.bool_] | None
 
 ROWS = ("stiffness", "offset", "torque_limit", "damping", "armature", "coulomb")
-"""Parameters of a joint, in the order of `rejoint.twin.chain.step`"""
+"""Rows of a joint's parameters for `rejoint.twin.chain.step`"""
 
 
 class ChainBatch:
-    """``nsim`` simulations of one arm. The arrays ``qpos``, ``qvel``, ``ctrl`` (nsim, n) are live."""
+    """``nsim`` simulations of one arm; ``qpos``, ``qvel``, ``ctrl`` (nsim, n) are live."""
 
     def __init__(self, arm: Arm, nsim: int, timestep: float = TIMESTEP, threads: int = 1) -> None:
         if nsim < 1 or threads < 1:
@@ -55,10 +52,7 @@ class ChainBatch:
         timestep: float | Array | None = None,
         gravity_scale: float | Array = 1.0,
     ) -> None:
-        """Give the simulations in ``ids`` (indices or mask; all by default) new parameters; their state stays.
-
-        ``parameters`` have the leading shape (m,) or none. ``timestep`` [s] and ``gravity_scale``: a number or (m,).
-        """
+        """Set parameters, as `rejoint.twin.batch.TwinBatch.write` does."""
         chosen = np.arange(self.nsim)[slice(None) if ids is None else ids]
         if parameters.shape == ():
             parameters = parameters.repeat(len(chosen))
@@ -72,25 +66,25 @@ class ChainBatch:
         self._gravity[chosen] = np.broadcast_to(gravity_scale, len(chosen))[:, None] * GRAVITY
 
     def set_timestep(self, timestep: float | Array) -> None:
-        """Change the time step [s] of every simulation, a number or (nsim,)."""
+        """Set the time step [s], a number or (nsim,)."""
         self.timestep[:] = timestep
 
     def set_friction(self, friction: Array) -> None:
-        """Change the dry friction (nsim, n) [N m] of every simulation."""
+        """Set the dry friction (nsim, n) [N m]."""
         self.row("coulomb")[:] = friction
 
     def set_motors(self, *, armature: Array, damping: Array) -> None:
-        """Change armature (nsim, n) [kg m^2] and damping (nsim, n) [N m s/rad] of every simulation."""
+        """Set armature (nsim, n) [kg m^2] and damping (nsim, n) [N m s/rad]."""
         self.row("armature")[:], self.row("damping")[:] = armature, damping
 
     def step(self) -> None:
-        """Advance all by one time step under the present ``ctrl``."""
+        """Advance all by one time step with the present ``ctrl``."""
         self.rollout(self.ctrl[:, None])
 
     def rollout(self, control: Array, terms: Array | None = None) -> Array:
-        """Advance by ``control`` (nsim, steps, n) [rad], one row a step; return positions of that shape.
+        """Advance by ``control`` (nsim, steps, n) [rad]; return positions of that shape.
 
-        With ``terms`` (t, nsim, n) of `rejoint.twin.friction.friction_terms`, dry friction follows the speed.
+        ``terms`` (t, nsim, n) of `rejoint.twin.friction.friction_terms` make dry friction depend on speed.
         """
         path = np.empty_like(control)
         control = np.ascontiguousarray(control)
@@ -107,26 +101,26 @@ class ChainBatch:
         return path
 
     def restart(self, position: Array, velocity: Array | float = 0.0, ids: Ids = None) -> None:
-        """Put simulations at ``position`` (m, n) [rad] with ``velocity`` [rad/s], and forget what friction gave."""
+        """Restart at ``position`` (m, n) [rad] with ``velocity`` [rad/s], without friction impulses."""
         chosen = np.arange(self.nsim)[slice(None) if ids is None else ids]
         self.qpos[chosen] = self.ctrl[chosen] = position
         self.qvel[chosen], self._impulse[chosen] = velocity, 0.0
 
     def state(self) -> dict[str, Array]:
-        """Everything that a checkpoint must keep, as live arrays."""
+        """Live arrays for a checkpoint."""
         return {
             "qpos": self.qpos, "qvel": self.qvel, "ctrl": self.ctrl, "timestep": self.timestep,
             "impulse": self._impulse, "parameters": self._parameters, "gravity": self._gravity,
         }  # fmt: skip
 
     def row(self, name: str) -> Array:
-        """Live (nsim, n) values of one of `ROWS`, in SI units."""
+        """Live (nsim, n) values of one of `ROWS`."""
         row: Array = self._parameters[ROWS.index(name)]
         return row
 
 
 def chain_links(arm: Arm) -> Array:
-    """Return (n, LINK) the constants of each link, laid out as `rejoint.twin.chain.dynamics` says, in SI units."""
+    """(n, LINK) the constants of each link, see `rejoint.twin.chain.dynamics`."""
     links, before = np.zeros((arm.joints, LINK)), np.eye(3)
     for j, row in enumerate(links):
         turn = _z_frame(arm.axis[j])
@@ -142,7 +136,6 @@ def chain_links(arm: Arm) -> Array:
 
 
 def _z_frame(axis: Array) -> Array:
-    """Rotation (3, 3) whose z axis is ``axis``."""
     away = np.eye(3)[np.argmin(np.abs(axis))]
     x = np.cross(away, axis) / np.linalg.norm(np.cross(away, axis))
     return np.stack([x, np.cross(axis, x), axis], axis=-1)

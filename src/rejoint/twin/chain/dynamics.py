@@ -1,8 +1,8 @@
-"""Dynamics of some dozen serial arms at once, compiled: motion and forces joint by joint, inertia, and its inverse.
+"""Compiled dynamics of some dozen serial arms at once.
 
 Bias forces by recursive Newton-Euler, inertia by composite bodies (Featherstone 2008, chapters 5 and 6), in link frames
-whose z axis is the joint. Loops over the arms, the lanes, become vector instructions only if arrays do not overlap
-(`NoAlias`), the quantities of a joint are one row, nothing is called in the loop, and the number of lanes is not known.
+whose z axis is the joint. Loops over the arms, the lanes, vectorize only without overlap of arrays (`NoAlias`), with
+one row per quantity of a joint, without calls, and with an unknown number of lanes.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
@@ -14,11 +14,10 @@ from numba import njit
 from numba.core.compiler import Compiler
 
 LANES, GROUP = 64, 8
-"""Arms that are stepped together at most (chosen: 32 take a fifth longer each, 128 a tenth less), in groups of so
-many"""
+"""Arms stepped together, at most, and their granularity; chosen"""
 ROTATION, PLACE, MASS, MOMENT, INERTIA, CARRIED, LINK = 0, 9, 12, 13, 16, 22, 23
-"""Where the constants of a link begin: rotation and place of its joint; mass, first moment and inertia about it; the
-mass behind it; and their number"""
+"""Indices of a link's constants: rotation and place of its joint; mass, first moment and inertia about it; the mass
+behind it; their number"""
 # Where the quantities of a joint begin in the row of it that is kept, LANES numbers of each: rotation R, angular
 # velocity W, angular and linear acceleration A and L, force F, moment N; of all that it carries first moment H and
 # inertia I.
@@ -28,14 +27,14 @@ FX, FY, FZ, NX, NY, NZ, HX, HY, HZ = (LANES * k for k in range(18, 27))
 IXX, IYY, IZZ, IXY, IXZ, IYZ, KEPT_ROW = (LANES * k for k in range(27, 34))
 _X, _Y, _Z, _U, _V, _T, REACH_ROW = (LANES * k for k in range(7))  # of a force and a moment that are carried on
 ACCELERATION, TORQUE = LX, NZ
-"""Where the linear acceleration of a joint (of the base: minus gravity) and its bias torque are in that"""
+"""Indices of a joint's linear acceleration (base: minus gravity) and bias torque"""
 
 
 class NoAlias(Compiler):  # type: ignore[misc]
-    """Numba's compiler, told that the arrays it is given do not overlap."""
+    """Numba's compiler for arrays that do not overlap."""
 
     def define_pipelines(self):
-        """Set the flag that Numba's decorators have no option for."""
+        """Set the flag that Numba's decorators lack."""
         self.state.flags.noalias = True
         return super().define_pipelines()
 
@@ -102,7 +101,7 @@ def turn(lanes, q, sine, cosine):
 
 @njit(**OPTIONS)
 def forward(lanes, link, before, here, speed, sine, cosine):
-    """Carry motion to a joint from the one ``before``; store the force and moment that it takes."""
+    """Carry motion from the joint ``before``; store the inertial force and moment."""
     r0, r1, r2, r3, r4, r5, r6, r7, r8 = link[0], link[1], link[2], link[3], link[4], link[5], link[6], link[7], link[8]
     px, py, pz = link[PLACE], link[PLACE + 1], link[PLACE + 2]
     mass, hx, hy, hz = link[MASS], link[MOMENT], link[MOMENT + 1], link[MOMENT + 2]
@@ -150,7 +149,7 @@ def forward(lanes, link, before, here, speed, sine, cosine):
 
 @njit(**OPTIONS)
 def backward(lanes, link, before, here):
-    """Add the force, moment and mass of a joint, and of all behind it, to the one before."""
+    """Add force, moment and mass of a joint to the one before."""
     px, py, pz, mass = link[PLACE], link[PLACE + 1], link[PLACE + 2], link[CARRIED]
     for l in range(lanes):
         r0, r1, r2 = here[R0 + l], here[R1 + l], here[R2 + l]
@@ -199,7 +198,6 @@ def coupling(lanes, links, j, kept, reach, inertia):
 
 @njit(**OPTIONS)
 def _carry(lanes, link, here, reach, moment):
-    """Carry a force and a moment to the joint before; store the ``moment`` about its axis."""
     px, py, pz = link[PLACE], link[PLACE + 1], link[PLACE + 2]
     for l in range(lanes):
         r0, r1, r2 = here[R0 + l], here[R1 + l], here[R2 + l]
@@ -218,7 +216,7 @@ def _carry(lanes, link, here, reach, moment):
 
 @njit(**OPTIONS)
 def invert(lanes, joints, inertia, half, inverse, scratch):
-    """Invert symmetric matrices (n, n, LANES), of which the lower half is given, by their Cholesky factors."""
+    """Invert symmetric matrices (n, n, LANES), given their lower half, by Cholesky factors."""
     for j in range(joints):
         for l in range(lanes):
             scratch[l] = inertia[j, j, l]

@@ -1,4 +1,4 @@
-"""The compiled loop over blocks of arms and their steps, with dry friction that follows the speed."""
+"""The compiled loop over blocks of arms and steps."""
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
 # ruff: noqa: ANN001, ANN202 - compiled functions take their types from their arguments
@@ -19,11 +19,11 @@ _dry_friction = njit(inline="always")(friction.dry_friction)
 
 
 def _compiled(sources):
-    """Compile the loop over blocks and steps, kept on disk until this file or its ``sources`` change."""
+    """Compile the loop, cached on disk until this file or its ``sources`` change."""
 
     @njit(**OPTIONS)
     def advance(links, motors, gravity, timestep, control, state, path, part):
-        """Advance the arms of a ``part``; the last group is filled up with its last arm."""
+        """Advance the arms of a ``part``; copies of the last arm fill the last group."""
         (parameters, terms, steady), (qpos, qvel, impulse), (first, last, work) = motors, state, part
         joints = len(links)
         h = np.empty(LANES)

@@ -1,7 +1,6 @@
-"""One time step of free serial arms with position servos, compiled.
+"""One compiled time step of free serial arms with position servos.
 
-The physics of `rejoint.twin.batch`: implicit damping, and dry friction as an impulse per joint that brings it to rest
-if it can, by projected Gauss-Seidel from the impulse of the step before.
+The physics of `rejoint.twin.batch`; dry friction is an impulse per joint by projected Gauss-Seidel.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
@@ -26,21 +25,21 @@ from rejoint.twin.chain.dynamics import (
 )
 
 SWEEPS = 5
-"""Gauss-Seidel sweeps of a step (chosen: four are as good as 64 to 1e-9 rad/s)"""
+"""Gauss-Seidel sweeps; chosen"""
 SOFTNESS = 1e-6
-"""What friction yields, by what a free joint would (`rejoint.twin.batch.FRICTION_IMPEDANCE`, ``FRICTION_SOFTNESS``)"""
+"""Softness of friction, relative to a free joint"""
 KEPT = 1.0 - 1.0 / 0.9999
-"""Share of its speed that a joint keeps where friction could stop it (same place)"""
+"""Share of speed that a stopped joint keeps"""
 STIFFNESS, OFFSET, LIMIT, DAMPING, ARMATURE, FRICTION = range(6)
 """Rows of the parameters of servos"""
 
 
 @njit(**OPTIONS)
 def step_block(lanes, links, timestep, servo, reference, state, work):
-    """Advance ``lanes`` arms of n joints by a ``timestep`` (lanes,) [s]; the arrays have room for LANES.
+    """Advance ``lanes`` arms of n joints by ``timestep`` (lanes,) [s]; arrays have room for LANES.
 
-    ``servo`` (6, n, lanes), ``reference`` (n, lanes) [rad]; the ``state`` is changed: position, speed and impulse (n,
-    lanes). ``work`` is that of `workspace`, with minus gravity in its first row.
+    ``servo`` (6, n, lanes), ``reference`` (n, lanes) [rad]; changes ``state``: position, speed, impulse (n, lanes).
+    ``work``: a `workspace` with minus gravity in its first row.
     """
     position, speed, impulse = state
     kept, inertia, half, inverse, reach, free, next_speed, scratch, sine, cosine = work
@@ -82,7 +81,7 @@ def step_block(lanes, links, timestep, servo, reference, state, work):
 
 @njit(**OPTIONS)
 def _rest(lanes, timestep, servo, speed, impulse, inverse, next_speed, scratch):
-    """Find the impulses of dry friction; ``next_speed`` holds the speeds that those so far lead to."""
+    """Find the impulses of dry friction, and the ``next_speed`` by them."""
     joints = len(speed)
     for _ in range(SWEEPS):
         for j in range(joints):
@@ -102,7 +101,7 @@ def _rest(lanes, timestep, servo, speed, impulse, inverse, next_speed, scratch):
 
 
 def workspace(joints: int) -> tuple[NDArray[np.float64], ...]:
-    """Make what a block of arms of so many joints is stepped with."""
+    """Allocate the scratch arrays of a block."""
     square, row = (joints, joints, LANES), (joints, LANES)
     shapes = ((joints + 1, KEPT_ROW), square, square, square, REACH_ROW, row, row, LANES, LANES, LANES)
     return tuple(np.zeros(shape) for shape in shapes)

@@ -1,1 +1,1 @@
-"""A camera that sees a ChArUco board: views, one bundle adjustment, its rig file, the tool in a single picture."""
+"""A camera and a ChArUco board: views, bundle adjustment, camera setup, tool in single pictures."""

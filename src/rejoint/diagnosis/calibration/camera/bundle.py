@@ -1,8 +1,7 @@
-"""Lens, camera, board and arm from pictures of a board and the encoders' readings.
+"""Lens, camera, board and arm from pictures of a board and encoder readings.
 
-A view that does not fit the others is mended where the board was only taken for tilted the other way, else named. A bow
-of 2.5 mm in a board of 140 mm makes focal lengths wrong by 6 to 8 % while all corners fit
-(`tests/diagnosis/camera/test_film.py`), so a bent board is refused.
+Mends views with an ambiguous tilt, reports others that do not fit. Refuses a bent board: it makes focal lengths wrong
+(6 to 8 % for 2.5 mm in 140 mm, `tests/diagnosis/camera/test_film.py`).
 """
 
 from __future__ import annotations
@@ -26,31 +25,30 @@ from rejoint.diagnosis.calibration.solver import Fitted, solve
 from rejoint.system.errors import InputError
 
 CROOKED = 4.0
-"""Times the median rms of the views from which a board is not flat (chosen)"""
+"""Multiple of the views' median rms of a board that is not flat; chosen"""
 LEAST_CROOKED = 0.6
-"""[px] below which they do in any case (chosen: what soft pictures of a web camera have)"""
+"""[px] below which it never is; chosen"""
 ELSEWHERE = 4.0
-"""Root mean square of six deviations from which a view does not belong to its joint positions (chosen: play brings more
-in 3 of 320 views)"""
+"""Rms of six deviations of a view that does not fit its joint positions; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Judged:
-    """What became of the views."""
+    """Result of the check of V views."""
 
     good: NDArray[np.bool_]
     """(V,)"""
     sights: Array
-    """(V, 4, 4) of the board in the frame of the camera, mended where needed"""
+    """(V, 4, 4) of the board in the camera frame, mended where needed"""
     bad: tuple[Unusable, ...]
     mended: NDArray[np.bool_]
     """(V,)"""
     rms: Array
-    """(V,) [px] of what is left of the corners"""
+    """(V,) [px] residual of the corners"""
 
 
 def judge(problem: TieProblem, vector: Array, views: Sequence[BoardView]) -> Judged:
-    """Judge every view by itself, with the poses and the arm ``vector`` (k,) of all of them."""
+    """Check each view with the poses and the arm ``vector`` (k,) of all."""
     rig, whitener = problem.rig_of(vector), problem.whitener(vector)
     lens, corners, told = problem.rig.lens, rig.board.corners, problem.reported(vector)
     placed = [place(lens, corners[view.number], view.pixel, start)
@@ -100,9 +98,9 @@ def _elsewhere(seen: Array, told: Array) -> str:
 
 
 FEWEST = 10
-"""Views of which an arm is estimated (chosen: with fewer, a wrong one is not noticed)"""
+"""Least number of views of which an arm is estimated; chosen"""
 USUAL = PriorCase(twist=0.5)
-"""Prior of the arm: it may be worn and stands on a table"""
+"""Prior of a worn arm on a table"""
 
 _ROUNDS = 5  # of the fit, at most
 _KEEP = 0.6  # share of the views that must remain: otherwise the few may be the wrong ones (chosen)
@@ -110,39 +108,39 @@ _KEEP = 0.6  # share of the views that must remain: otherwise the few may be the
 
 @dataclass(frozen=True, kw_only=True)
 class Residual:
-    """How well one view fits."""
+    """Residual of one view."""
 
     name: str
     rms: float
-    """[px] of its corners, per coordinate"""
+    """[px] per coordinate"""
     away: float
-    """[m] between where the tool is seen and where the arm's kinematics with its displacement put it"""
+    """[m] between the tool in the picture and by corrected kinematics"""
     turned: float
     """[rad] the same of its orientation"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Bundle:
-    """What pictures and encoders tell together."""
+    """Fit of pictures and encoders."""
 
     problem: TieProblem
-    """the views that were used"""
+    """with the views used"""
     fitted: Fitted
-    """under the belief `USUAL`, or that of an earlier calibration"""
+    """with the prior `USUAL` or an earlier calibration"""
     views: tuple[BoardView, ...]
     residuals: tuple[Residual, ...]
-    """of these"""
+    """one per view used"""
     left_out: tuple[Unusable, ...]
-    """views that do not fit the others, and why"""
+    """views that do not fit, and why"""
 
     @property
     def rig(self) -> Rig:
-        """How camera, board and arm stand to each other."""
+        """Poses of camera, board and arm."""
         return self.problem.rig_of(self.fitted.vector)
 
     @property
     def displacement(self) -> Displacement:
-        """Where the arm's tool is behind its encoders."""
+        """Displacement of the tool."""
         return self.problem.displacement(self.fitted.vector)
 
     @property
@@ -164,8 +162,8 @@ def bundle(
 ) -> Bundle:
     """Fit lens, poses and arm to ``views`` of ``board`` with the encoders at ``position`` (V, n) [rad].
 
-    ``size`` [px] is that of the pictures, ``approach`` (V, n) where the encoders came from, ``carried`` one of
-    `MOUNTINGS`. Views that do not fit the others are left out; InputError where the rest does not suffice.
+    ``size`` [px] of the pictures; ``approach`` (V, n) as in `Measurements`; ``carried``: one of `MOUNTINGS`. InputError
+    for too few views that fit.
     """
     position = np.asarray(position, dtype=float)
     layout, count = DisplacementLayout(joints=arm.joints), len(views)
@@ -208,14 +206,13 @@ def bundle(
 
 
 MOST = 0.005
-"""Bow by the board's longer edge from which it is refused; the estimate is half of what it is (chosen: 1 mm of 140
-seems 0.0036, a flat board at most 0.001)"""
+"""Bow by the board's longer edge of a refused board, half of the true one; chosen"""
 SURE = 5.0
-"""Standard deviations by which a bow must differ from none (chosen)"""
+"""Standard deviations of a significant bow; chosen"""
 
 
 def require_flat(found: Bundle) -> None:
-    """Raise InputError where the pictures show a bent board."""
+    """Raise InputError if the board is bent."""
     height, sigma = bow(found)
     if height > MOST * found.rig.board.size.max() and height > SURE * sigma:
         raise InputError(
@@ -225,7 +222,7 @@ def require_flat(found: Bundle) -> None:
 
 
 def bow(found: Bundle) -> tuple[float, float]:
-    """Return how far [m] corners of the board, as a parabolic surface, stand out of its plane, and its sigma."""
+    """Board's parabolic bow [m], and its sigma."""
     rows, left, freedom = [], [], 0
     surface = _surface(found.rig.board)
     for view, pose in zip(found.views, found.problem.sights, strict=True):
@@ -252,6 +249,6 @@ def bow(found: Bundle) -> tuple[float, float]:
 
 
 def _surface(board: Board) -> Array:
-    """Shapes (C, 3) of a surface at the corners: bent along x, twisted, bent along y; about one high."""
+    """Shapes (C, 3) at the corners: bent along x, twisted, bent along y; height about one."""
     x, y = (board.corners[:, :2] / board.size.max() * 2.0 - board.size / board.size.max()).T
     return np.stack([x * x, x * y, y * y], axis=-1)

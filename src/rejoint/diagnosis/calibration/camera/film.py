@@ -1,7 +1,7 @@
-"""A film: pictures of a board in many postures of one arm, with what the encoders said at each.
+"""An image sequence: pictures of a board in many postures of one arm, with encoder readings.
 
-A row of ``views.parquet`` is one picture: ``picture``, ``number``, ``posture``, ``side``; ``position.JOINT`` and
-``approach.JOINT`` [rad]; the lists ``corner``, ``x`` and ``y`` [px]; ``why`` it is of no use. ``postures.csv`` beside a
+A row of ``views.parquet`` is a picture: ``picture``, ``number``, ``posture``, ``side``; ``position.JOINT`` and
+``approach.JOINT`` [rad]; the lists ``corner``, ``x`` and ``y`` [px]; ``why`` it is unusable. ``postures.csv`` beside a
 folder of pictures has ``picture``, ``position.JOINT_deg`` and, where known, ``approach.JOINT_deg``, ``posture``,
 ``side``.
 """
@@ -27,18 +27,18 @@ from rejoint.system.files import write_whole
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Shot:
-    """One picture, and the posture in which it was taken."""
+    """One picture and its posture."""
 
     number: int
-    """its place in the plan, from 1"""
+    """in the plan, from 1"""
     position: Array
-    """(n,) [rad] what the encoders said while the arm stood"""
+    """(n,) [rad] by encoders"""
     approach: Array
-    """(n,) [rad] where they came from; NaN where it is unknown"""
+    """(n,) [rad] before the last motion; NaN where unknown"""
     posture: int
-    """number of the posture: shots of the same number are visits of it from different sides"""
+    """shots of the same number visit one posture from different sides"""
     side: int
-    """1: come to with joints turning upwards, -1: downwards, 0: not known"""
+    """1: approached with joints turning upwards, -1: downwards, 0: unknown"""
     seen: BoardView | Unusable
 
     @property
@@ -49,24 +49,23 @@ class Shot:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Film:
-    """Pictures of one size, taken by one camera of one board, nothing of which was shifted meanwhile."""
+    """Pictures by one camera of one board in a fixed setup."""
 
     board: Board
     carried: str
-    """what the tool carries: ``board`` or ``camera`` (`rejoint.arms.camera.rig.MOUNTINGS`)"""
+    """by the tool: ``board`` or ``camera`` (`rejoint.arms.camera.rig.MOUNTINGS`)"""
     size: tuple[int, int] | None = None
-    """[px] width and height of the pictures; None before the first"""
+    """[px] width and height; None before the first picture"""
     shots: tuple[Shot, ...] = field(default=())
-    """in the order of their numbers"""
+    """by number"""
     fresh: bool = False
-    """whether no earlier calibration is to be believed with it"""
+    """whether to ignore earlier calibrations"""
 
     def __len__(self) -> int:
-        """Count the pictures."""
         return len(self.shots)
 
     def with_shot(self, shot: Shot, size: tuple[int, int]) -> Film:
-        """Return the film with one more picture of ``size``; InputError where the others have another one."""
+        """Add a picture of ``size``; InputError where the others have another size."""
         if self.size is not None and size != self.size:
             raise InputError(
                 f"picture {shot.name} has {size[0]} x {size[1]} px, those before it {self.size[0]} x {self.size[1]}; "
@@ -76,40 +75,40 @@ class Film:
 
     @property
     def usable(self) -> tuple[Shot, ...]:
-        """Those in which the board is seen well."""
+        """Shots that show the board well."""
         return tuple(shot for shot in self.shots if isinstance(shot.seen, BoardView))
 
     @property
     def unusable(self) -> tuple[Unusable, ...]:
-        """The others, and why."""
+        """The other shots, and why."""
         return tuple(shot.seen for shot in self.shots if isinstance(shot.seen, Unusable))
 
     @property
     def views(self) -> tuple[BoardView, ...]:
-        """What the usable ones show."""
+        """Views of the usable shots."""
         return tuple(shot.seen for shot in self.shots if isinstance(shot.seen, BoardView))
 
     def numbered(self, first: int, last: int) -> Film:
-        """Return those of a part of the plan, both ends included."""
+        """Part of the plan, both ends included."""
         return replace(self, shots=tuple(shot for shot in self.shots if first <= shot.number <= last))
 
     def again(self) -> Film:
-        """Return what an interrupted film goes on from: what could not be used is taken again."""
+        """Return what an interrupted sequence resumes from: without unusable shots."""
         return replace(self, shots=self.usable)
 
 
 def positions(shots: tuple[Shot, ...], arm: Arm) -> tuple[Array, Array]:
-    """Return the encoders (V, n) [rad] at shots, and where they came from (V, n)."""
+    """Positions (V, n) [rad] of shots, and their approaches (V, n)."""
     rows = [(shot.position, shot.approach) for shot in shots]
     return tuple(np.array([row[i] for row in rows]).reshape(-1, arm.joints) for i in (0, 1))  # type: ignore[return-value]
 
 
 POSTURES = "postures.csv"
-"""File beside pictures that says in which posture each was taken"""
+"""Postures of the pictures in a folder"""
 
 
 def write_film(path: Path, arm: Arm, film: Film, *, ended: bool = False) -> None:
-    """Write a film of ``arm``, whole or not at all; ``ended``: nothing goes on from it."""
+    """Write the pictures of ``arm``, atomically; ``ended``: the sequence is complete."""
     about = {
         "board": asdict(film.board), "carried": film.carried, "size": film.size, "ended": ended, "fresh": film.fresh,
     }  # fmt: skip
@@ -117,7 +116,7 @@ def write_film(path: Path, arm: Arm, film: Film, *, ended: bool = False) -> None
 
 
 def read_film(path: Path, arm: Arm) -> tuple[Film, bool]:
-    """Read a film of ``arm``, and whether it has ended; FileError if it cannot be used."""
+    """Read pictures of ``arm`` and whether they are complete; FileError if unusable."""
 
     def build(columns: dict[str, list[Any]], about: dict[str, Any]) -> tuple[Film, bool]:
         rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
@@ -161,7 +160,7 @@ def _shot(row: dict[str, Any], arm: Arm) -> Shot:
 
 
 def write_postures(path: Path, arm: Arm, film: Film) -> None:
-    """Write ``postures.csv`` of the pictures of a film."""
+    """Write ``postures.csv``."""
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
     names = [f"{group}.{name}_deg" for group in ("position", "approach") for name in arm.joint_names]
@@ -174,9 +173,9 @@ def write_postures(path: Path, arm: Arm, film: Film) -> None:
 
 
 def read_folder(pattern: str, arm: Arm, board: Board, carried: str = "board") -> Film:
-    """Look for ``board`` in the pictures of a folder, or of a pattern such as ``pictures/*.jpg``.
+    """Find ``board`` in the pictures of a folder, or of a pattern such as ``pictures/*.jpg``.
 
-    FileError where pictures or their `POSTURES` are missing, InputError where pictures have several sizes.
+    FileError without pictures or `POSTURES`, InputError for several sizes.
     """
     paths = _pictures(pattern)
     rows = _postures(paths[0].parent / POSTURES, arm, {path.name for path in paths})

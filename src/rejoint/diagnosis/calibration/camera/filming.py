@@ -1,7 +1,6 @@
-"""Taking a film: the arm goes from posture to posture, and a picture is taken in each.
+"""Taking an image sequence: a picture in each posture.
 
-The first pictures, about the rest posture, tell where the camera is; the others are chosen by that. An interrupted film
-goes on where it was.
+The first pictures locate the camera, which decides the other postures.
 """
 
 from __future__ import annotations
@@ -35,11 +34,11 @@ from rejoint.system.progress import Progress, no_progress
 from rejoint.system.stopping import check
 
 CANDIDATES = 240
-"""Postures that are chosen among (chosen)"""
+"""Postures to choose from; chosen"""
 SPREAD = np.radians(40.0)
-"""[rad] how far joints leave the rest posture (chosen: beyond it boards on a tool turn away)"""
+"""[rad] of joints about rest; chosen"""
 SCOUTING = {"board": np.radians(20.0), "camera": np.radians(12.0)}
-"""[rad] the same before the place of the camera is known (chosen: the board stays in sight)"""
+"""[rad] the same before the camera is located; chosen"""
 _DRAWS = 4000  # at a time
 _TRIES = 25  # of so many draws
 _ROOM = np.radians(5.0)  # from the joint limits
@@ -48,10 +47,9 @@ _LOOK = 1.0  # [m] and [rad] of camera and board around where they are believed 
 
 
 def choose_postures(arm: Arm, rig: Rig, count: int, seed: int = 0, before: float = 0.0) -> Array:
-    """Choose ``count`` postures (count, n) [rad] in which ``rig``, as it is assumed to stand, shows the board.
+    """Choose ``count`` postures (count, n) [rad] in which ``rig`` shows the board, approached from ``before`` [rad].
 
-    D-optimal, one after the other, among those that can be reached from ``before`` [rad] to either side. InputError
-    where the board is seen in too few.
+    D-optimal. InputError for too few views.
     """
     candidates = seen_postures(arm, rig, max(CANDIDATES, 2 * count), seed, before=before)
     if len(candidates) < count:
@@ -96,7 +94,7 @@ def scouting_postures(arm: Arm, carried: str, count: int, before: float) -> Arra
 def seen_postures(
     arm: Arm, rig: Rig | None, count: int, seed: int, *, spread: float = SPREAD, before: float = 0.0
 ) -> Array:
-    """Draw up to ``count`` free postures (C, n) [rad] about rest, which show the board to a ``rig``, if given."""
+    """Draw up to ``count`` free postures (C, n) [rad] about rest that the ``rig``, if any, shows."""
     rng, room = np.random.default_rng(seed), _ROOM + before
     low, high = np.maximum(arm.lower + room, arm.rest - spread), np.minimum(arm.upper - room, arm.rest + spread)
     found, enough = [np.zeros((0, arm.joints))], 0
@@ -117,42 +115,41 @@ def seen_postures(
 
 
 SCOUTS = 12
-"""Pictures about the rest posture (chosen: they count as all others do)"""
+"""Pictures about the rest posture; chosen"""
 FEWEST_SCOUTS = 6
-"""of which so many must show the board (chosen: three tell where the camera is)"""
+"""Those that must show the board; chosen: three locate the camera"""
 POSTURES = 14
-"""Postures that are chosen then, each from two sides (chosen: 40 pictures with the first ones)"""
+"""Postures chosen then, each from two sides; chosen"""
 
 Picture = NDArray[np.uint8]
 OnShot = Callable[[Film, str, Picture], object]
-"""Called after each picture with the film so far, its name and the picture"""
+"""Called after each picture with the sequence, its name and the picture"""
 
 
 class StillCamera(Protocol):
-    """Takes pictures of what stands still."""
+    """A camera beside a stationary arm."""
 
     def still(self, number: int) -> Picture:
-        """Take picture ``number`` of a film, grey (height, width); InputError where the camera does not answer."""
+        """Take picture ``number``, grey (height, width); InputError without an answer."""
 
 
 class UnseenBoardError(InputError):
-    """The board is not seen where it has to be: camera or board must be moved."""
+    """The board is not visible; move camera or board."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CameraGauge:
-    """Sees a board: a gauge for `rejoint.calibrate` that needs no ruler."""
+    """A camera as measuring device for `rejoint.calibrate`."""
 
     camera: Callable[[Robot], AbstractContextManager[StillCamera]]
-    """opens the camera for an open robot"""
     board: Board
     carried: str = "board"
-    """what the tool carries: ``board`` or ``camera``"""
+    """by the tool: ``board`` or ``camera``"""
 
 
 @dataclass(kw_only=True, eq=False)
 class FilmDrive:
-    """Takes the film of one arm; what ``film`` holds already is not taken again."""
+    """Takes the image sequence of one arm; resumes ``film``."""
 
     robot: Robot
     camera: StillCamera
@@ -163,10 +160,9 @@ class FilmDrive:
     on_progress: Progress = no_progress
 
     def take(self, count: int = POSTURES, visits: int = 2) -> Film:
-        """Take the pictures about the rest posture, then those of ``count`` postures from ``visits`` sides each.
+        """Take the pictures about rest, then ``count`` postures from ``visits`` sides each.
 
-        InputError where the board is hardly seen; what `rejoint.control.loop.run` raises where the motion had to be
-        ended.
+        InputError if the board is hardly visible; errors of `rejoint.control.loop.run`.
         """
         arm, total = self._arm, SCOUTS + count * visits
         for number, posture in enumerate(scouting_postures(arm, self.film.carried, SCOUTS, BEFORE), start=1):
@@ -212,7 +208,7 @@ class FilmDrive:
 
 
 def believed_rig(arm: Arm, scouted: Film) -> Rig:
-    """Where camera and board are, by pictures about the rest posture; InputError where they fail."""
+    """Locate camera and board by pictures about rest; InputError where that fails."""
     shots = scouted.usable
     if len(shots) < FEWEST_SCOUTS or scouted.size is None:
         raise UnseenBoardError(

@@ -1,4 +1,4 @@
-"""From a film to a calibration and the rig that goes with it."""
+"""From an image sequence to a calibration and its camera setup."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ _CAUSES = 3  # that a line about unusable pictures names
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Filmed:
-    """What a film told."""
+    """Result of a fit to an image sequence."""
 
     calibration: Calibration
     measurements: Measurements
-    """where the tool was seen in each view that was used"""
+    """the tool in each view used"""
     rig: Rig
     rig_sigma: Array
-    """(19,) standard deviations of the lens's `TERMS`, shift [m] and turn [rad] of `Rig.standing` and `Rig.mounted`"""
+    """(19,) sigma of the lens's `TERMS`, shift [m] and turn [rad] of `Rig.standing` and `Rig.mounted`"""
     residuals: tuple[Residual, ...]
-    """how well each view that was used fits"""
+    """of each view used"""
     left_out: tuple[Unusable, ...]
-    """pictures that were not used, and why"""
+    """unused pictures, and why"""
 
     @property
     def rms(self) -> float:
@@ -46,9 +46,9 @@ class Filmed:
 def fit_film(
     arm: Arm, film: Film, *, prior: Calibration | None = None, date: str = ""
 ) -> Filmed:  # fmt: skip
-    """Fit lens, camera, board and displacement to a film of ``arm``, and try it on views left out.
+    """Fit lens, camera, board and displacement of ``arm``, tested on views left out.
 
-    ``prior`` is an earlier calibration of this arm. InputError where the film does not suffice, or the board is bent.
+    ``prior``: an earlier calibration. InputError for too few views or a bent board.
     """
     shots = film.usable
     if film.size is None or len(shots) < FEWEST:

@@ -1,4 +1,4 @@
-"""A first estimate for the adjustment: the lens from the boards, then how camera and board stand to the arm."""
+"""First estimates of the lens and of the poses of camera and board."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rejoint.system.errors import InputError
 from rejoint.system.extras import require
 
 WHOLE = 10
-"""Views from which all of a lens is fitted; of fewer its focal length alone (chosen)"""
+"""Views that determine more than the focal length; chosen"""
 _LENSES = 4  # of finding the lens and leaving out views
 _CROOKED, _LEAST_CROOKED = 3.0, 0.6  # times the median rms, and [px], from which a view shows no flat board (chosen)
 _FOCAL = (0.3, 5.0)  # least and most of a focal length, by the width of the picture (webcams: 0.6 to 1.3)
@@ -24,15 +24,15 @@ _ROUNDS = 4  # of finding the poses and leaving out views that do not fit them
 _FAR = 4.0  # times the median distance beyond which a view does not help the first estimate (chosen)
 _LEVER = 0.1  # [m] that makes a length of a turn (chosen: the size of a board)
 _STRETCH = 0.2
-"""Share by which lengths may differ before the board counts as another one (chosen: wear makes 0.05 of them)"""
+"""Relative error of lengths that means another board; chosen: wear makes 0.05"""
 _LEAST = 0.2
-"""Factor of lengths below which the motion does not belong to the pictures (chosen)"""
+"""Factor of lengths below which motion and pictures do not match; chosen"""
 _TURNED = np.radians(10.0)
-"""[rad] by which the tool must have turned about two directions (chosen: ten times the play)"""
+"""[rad] least turn of the tool about two directions; chosen"""
 
 
 def first_lens(size: tuple[int, int], board: Board, views: Sequence[BoardView]) -> Lens:
-    """Return the lens of pictures of ``size`` [px] that fits the boards best, without views of no flat board."""
+    """Lens of pictures of ``size`` [px] that fits flat boards best."""
     require("a camera", "camera")
     import cv2
 
@@ -56,15 +56,15 @@ def first_lens(size: tuple[int, int], board: Board, views: Sequence[BoardView]) 
 
 
 def first_sights(lens: Lens, board: Board, views: Sequence[BoardView]) -> Array:
-    """Poses (V, 4, 4) of the board in the frame of the camera, each view by itself."""
+    """Poses (V, 4, 4) of the board in the camera frame."""
     return np.array([place(lens, board.corners[view.number], view.pixel).pose for view in views])
 
 
 def first_rig(arm: Arm, lens: Lens, board: Board, carried: str, position: Array, sights: Array) -> Rig:
-    """Find how camera and board stand to the arm, as if its encoders at ``position`` (V, n) [rad] were right.
+    """Find the poses of camera and board by the encoders' ``position`` (V, n) [rad].
 
-    Linear least squares of A M = F B (Dornaika and Horaud 1998, section III), without views that are far off.
-    InputError where the tool was turned too little.
+    Linear least squares of A M = F B (Dornaika and Horaud 1998, section III), without outliers. InputError for too
+    little rotation.
     """
     tool = tcp_pose(arm, position)
     _require_turns(tool)
@@ -111,7 +111,6 @@ def _solve(tool: Array, between: Array) -> tuple[Array, Array]:
 
 
 def _scale(tool: Array, between: Array, standing: Array) -> float:
-    """Factor of the lengths in M ``between`` that fits A M = F B best, for poses F of the ``tool`` (V, 4, 4)."""
     one = np.broadcast_to(np.eye(3), (len(tool), 3, 3))
     lengths = (between[:, :3, 3] @ standing[:3, :3].T)[..., None]
     left = np.concatenate([one, -tool[:, :3, :3], lengths], axis=2).reshape(-1, 7)
@@ -119,7 +118,6 @@ def _scale(tool: Array, between: Array, standing: Array) -> float:
 
 
 def _require_turns(tool: Array) -> None:
-    """Refuse views whose tool was turned about less than two directions: they leave the poses open."""
     axes = tool[:, :3, :3] - tool[:, :3, :3].mean(axis=0)
     spread = np.linalg.svd(axes.reshape(len(tool), -1), compute_uv=False) / np.sqrt(len(tool))
     if len(tool) < 3 or spread[1] < _TURNED:

@@ -1,8 +1,7 @@
-"""The arm and the rig from where the camera saw the board, once the lens is known: small enough to be fitted often.
+"""The arm and the camera setup from the board's poses, once the lens is known.
 
-Unknown are the poses of camera and board on the arm, its displacement, and small changes of the lens, which take all
-boards along: a bundle adjustment without its corners. Floating joints, and what no displacement explains, tie the views
-loosely.
+Unknown are the poses of camera and board, the displacement, and small changes of the lens. Floating joints and
+unexplained displacement add noise.
 """
 
 from __future__ import annotations
@@ -27,43 +26,41 @@ from rejoint.diagnosis.calibration.parameters import SCATTER, Belief, vector_of
 from rejoint.diagnosis.calibration.solver import Fittable, solve
 
 HUBER = 3.55
-"""Length of a view's residual in standard deviations from which the loss grows linearly (95 % of six normal numbers)"""
+"""Residual [sigma] from which the loss is linear: 95 % of six normal numbers"""
 POSES = 12
 """Unknowns after the arm's: shift [m] and turn [rad] of `Rig.standing` and `Rig.mounted`; then the lens"""
 NOWHERE = 10.0
-"""[m] and [rad] standard deviation of poses of which nothing is known"""
+"""[m] and [rad] sigma of unknown poses"""
 LOOSE, ASKEW = 0.5e-3, np.radians(0.15)
-"""[m] over the reach of a myCobot 280, and [rad]: what no displacement explains (chosen on emulated worn arms: ripple,
-stiction, the simplified law of play)"""
+"""[m] over the reach of a myCobot 280, and [rad]: unexplained displacement; chosen"""
 JOINT = np.radians(0.1)
-"""[rad] the same of each joint (chosen on emulated worn arms)"""
+"""[rad] the same of each joint; chosen"""
 _ANY = np.array([1e3] * 3 + [1.0] * 4)  # standard deviations of a lens of which nothing is known
 _STEP = 1e-6  # [m] and [rad] of numerical derivatives
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TieProblem(Fittable):
-    """Poses of the board in views, and beliefs: what `rejoint.diagnosis.calibration.solver` solves."""
+    """Poses of the board in views, and beliefs, for `rejoint.diagnosis.calibration.solver`."""
 
     rig: Rig
-    """the estimate"""
     sights: Array
-    """(V, 4, 4) of the board in the frame of the camera"""
+    """(V, 4, 4) of the board in the camera frame"""
     by_lens: Array
-    """(V, 6, 7) shift [m] and turn [rad] of these, camera axes, by the lens's `TERMS`"""
+    """(V, 6, 7) derivative of their shift [m] and turn [rad] by the lens's `TERMS`"""
     spread: Array
-    """(V, 6, 6) covariance of the tool's pose by what the corners leave open, base axes"""
+    """(V, 6, 6) covariance of the tool's pose by the corners, base axes"""
     position: Array
     """(V, n) [rad]"""
     approach: Array
-    """(V, n) [rad]; NaN where it is unknown"""
+    """(V, n) [rad]; NaN where unknown"""
     posture: NDArray[np.int64]
     """(V,)"""
     huber: float = HUBER
 
     @property
     def lens_precision(self) -> Array:
-        """(7, 7) what the boards tell of the lens, see `lens_ties`."""
+        """(7, 7) from the boards, see `lens_ties`."""
         return self.belief.precision[-len(TERMS) :, -len(TERMS) :]
 
     @property
@@ -73,18 +70,18 @@ class TieProblem(Fittable):
 
     @property
     def known(self) -> NDArray[np.bool_]:
-        """(V, 6) all of them."""
+        """(V, 6), all true."""
         return np.ones((len(self.posture), 6), dtype=bool)
 
     def rows(self, where: NDArray[np.bool_]) -> TieProblem:
-        """Return the problem of some of the views."""
+        """Problem of some views."""
         return replace(
             self, sights=self.sights[where], by_lens=self.by_lens[where], spread=self.spread[where],
             position=self.position[where], approach=self.approach[where], posture=self.posture[where],
         )  # fmt: skip
 
     def rig_of(self, vector: Array) -> Rig:
-        """Return the rig for the unknowns (k,)."""
+        """Rig for the unknowns (k,)."""
         small, lens = vector[self.layout.body : self.layout.body + POSES], self.rig.lens
         return replace(
             self.rig, standing=moved(self.rig.standing, small[:6]), mounted=moved(self.rig.mounted, small[6:]),
@@ -92,15 +89,15 @@ class TieProblem(Fittable):
         )  # fmt: skip
 
     def pose(self, vector: Array) -> Array:
-        """Pose (4, 4) in the base of what stands beside the arm: the frame of the measurements."""
+        """Pose (4, 4) in the base of the measuring frame."""
         return self.rig_of(vector).standing
 
     def misfit(self, vector: Array) -> Array:
-        """Shift [m] and turn [rad] (V, 6) of the tool, see `residual`."""
+        """Residual (V, 6) without derivative."""
         return difference(self.tool(vector), self.reported(vector))
 
     def residual(self, vector: Array) -> tuple[Array, Array]:
-        """Shift [m] and turn [rad] (V, 6) of the tool, seen less reported; with the derivative (V, 6, k)."""
+        """Shift [m] and turn [rad] (V, 6) of the tool, seen less predicted; derivative (V, 6, k)."""
         seen, told = self.tool(vector), self.reported(vector)
         base, body = difference(seen, told), self.layout.body
         slope = np.zeros((*base.shape, len(vector)))
@@ -117,7 +114,7 @@ class TieProblem(Fittable):
         return looseness(self.arm, self.displacement(vector), self.position) + self.spread
 
     def uncorrected(self, out: NDArray[np.bool_], start: Array) -> Array:
-        """Shift [m] and turn [rad] (r, 6) of the tool from where the encoders see it."""
+        """Shift [m] and turn [rad] (r, 6) of the tool from the encoders'."""
         body, own = slice(0, self.layout.body), self.belief
         mean, lower, upper = own.mean.copy(), own.lower.copy(), own.upper.copy()
         mean[body] = lower[body] = upper[body] = vector_of(self.layout, Displacement.none(self.arm))
@@ -125,7 +122,7 @@ class TieProblem(Fittable):
         return rigid.rows(out).misfit(solve(rigid.rows(~out), start).vector)
 
     def measurements(self, vector: Array) -> Measurements:
-        """Where the tool was seen, in the frame of what stands beside the arm."""
+        """Tool positions in the measuring frame."""
         rig = self.rig_of(vector)
         point = (inverse(rig.standing) @ self.tool(vector))[:, :3, 3]
         sigma = np.sqrt(np.trace(self.spread[:, :3, :3], axis1=1, axis2=2) / 3.0)
@@ -135,17 +132,17 @@ class TieProblem(Fittable):
         )  # fmt: skip
 
     def tool(self, vector: Array, sights: Array | None = None) -> Array:
-        """Poses (V, 4, 4) of the tool in the base where the camera sees it."""
+        """Tool poses (V, 4, 4) in the base by the camera."""
         moves = self.by_lens @ vector[self.layout.body + POSES :]
         return self.rig_of(vector).tool(moved(self.sights if sights is None else sights, moves))
 
     def reported(self, vector: Array) -> Array:
-        """Poses (V, 4, 4) of the tool in the base by the arm's kinematics."""
+        """Tool poses (V, 4, 4) in the base by corrected kinematics."""
         return self.displacement(vector).tool_pose(self.arm, self.position, self.approach)
 
 
 def looseness(arm: Arm, displacement: Displacement, position: Array) -> Array:
-    """Covariance (V, 6, 6) of the tool's pose around what ``displacement`` says, at ``position`` (V, n) [rad]."""
+    """Covariance (V, 6, 6) of the tool's pose beyond ``displacement``, at ``position`` (V, n) [rad]."""
     free = 1.0 - np.tanh(displacement.torque(arm, position) / FLOATING) ** 2
     variance = SCATTER * (0.5 * displacement.play) ** 2 * free + JOINT**2
     lever = jacobian(arm, position)
@@ -154,7 +151,7 @@ def looseness(arm: Arm, displacement: Displacement, position: Array) -> Array:
 
 
 def with_poses(own: Belief, lens: Array) -> Belief:
-    """Return beliefs of the arm, of `POSES`, of which nothing is known, and of the ``lens`` (7, 7)."""
+    """Append unknown `POSES` and the ``lens`` (7, 7) to a belief."""
     count = len(own.mean)
     size = count + POSES + len(lens)
     anywhere = np.full(size - count, np.inf)
@@ -169,7 +166,7 @@ def with_poses(own: Belief, lens: Array) -> Belief:
 
 
 def lens_ties(rig: Rig, views: Sequence[BoardView], sights: Array) -> tuple[Array, Array]:
-    """Return how boards move (V, 6, 7) with the lens, and what the corners tell of it (7, 7)."""
+    """Boards' derivative (V, 6, 7) by the lens, and its precision (7, 7)."""
     ties, told = [], np.diag(_ANY**-2.0)
     for view, pose in zip(views, sights, strict=True):
         _, by_pose, by_terms = rig.lens.slopes(rig.board.corners[view.number] @ pose[:3, :3].T, pose[:3, 3])
@@ -181,7 +178,7 @@ def lens_ties(rig: Rig, views: Sequence[BoardView], sights: Array) -> tuple[Arra
 
 
 def tool_spread(rig: Rig, sights: Array, covariance: Array) -> Array:
-    """Covariance (V, 6, 6) of the tool's pose, base axes, where the board's is ``covariance`` (V, 6, 6)."""
+    """Covariance (V, 6, 6) of the tool's pose, base axes, from the board's."""
     base = rig.tool(sights)
     rows = [difference(rig.tool(moved(sights, _STEP * row)), base) / _STEP for row in np.eye(6)]
     slope = np.stack(rows, axis=-1)
@@ -189,31 +186,31 @@ def tool_spread(rig: Rig, sights: Array, covariance: Array) -> Array:
 
 
 def point_sigma(rig: Rig, sights: Array, covariance: Array) -> Array:
-    """Return standard deviations (V,) [m] of the tool's coordinates where boards have ``covariance`` (V, 6, 6)."""
+    """Sigma (V,) [m] of the tool's coordinates from board ``covariance`` (V, 6, 6)."""
     return np.asarray(np.sqrt(np.trace(tool_spread(rig, sights, covariance)[:, :3, :3], axis1=1, axis2=2) / 3.0))
 
 
 CROOKED = 1.0
-"""[px] of corners beside a flat board from which a picture is not trusted (chosen: six times a sharp one's)"""
+"""[px] corner residual of an untrusted picture; chosen"""
 
 
 class ToolTracker:
-    """Tells from one picture at a time where the tool is, without the encoders."""
+    """Locates the tool in single pictures, without encoders."""
 
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
         self.why = ""
-        """why the last picture was of no use; empty where it was"""
+        """why the last picture was unusable, or empty"""
         self._detector = Detector(rig.board)
 
     def see(self, picture: NDArray[np.uint8], time: float = 0.0) -> Sighting | None:
-        """Where the tool is in a grey or BGR ``picture`` taken at ``time`` [s]; None without a good view."""
+        """Locate the tool in a grey or BGR ``picture``; None without a good view."""
         found = self._detector.find("picture", picture)
         self.why = found.why if isinstance(found, Unusable) else ""
         return None if isinstance(found, Unusable) else self.sighting(found, time)
 
     def sighting(self, view: BoardView, time: float = 0.0) -> Sighting | None:
-        """Return the same for a ``view`` whose corners are known."""
+        """Do the same for a ``view`` with known corners."""
         placed = place(self.rig.lens, self.rig.board.corners[view.number], view.pixel)
         if placed.rms > CROOKED:
             self.why = f"its corners lie {placed.rms:.1f} px beside those of a flat board"
