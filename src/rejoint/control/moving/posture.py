@@ -1,7 +1,7 @@
-"""Postures on a path, the arm's home there, and the commands that a motion needs by the twin.
+"""Postures on a path, the arm's home there, and the commands of a motion by the twin.
 
-The posture nearest to home depends on the place alone, so nothing drifts; lightly loaded joints are spared, since they
-stick. Home is rest, or a fold of one joint where a worn motor hardly lifts its load (`python -m benchmarks moving`).
+The posture nearest to home depends on the place alone, so nothing drifts. Lightly loaded joints are spared, since they
+stick. Home is rest, or a fold of one joint whose worn motor is weak (`python -m benchmarks moving`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from rejoint.arms.rotations import Orientation, task
 from rejoint.system.errors import InputError
 
 SPARED = 20.0
-"""Weight of the lightest joints by that of the heaviest (measured)"""
+"""Weight of the lightest joints over that of the heaviest (measured)"""
 _LIGHT = 0.2  # share of the largest gravity torque below which a joint is light (chosen: the wrist)
 _KEEP = 3  # joints that always count as heavy: those of a place in space
 _ROUNDS, _FIRST = 4, 40  # steps of the search from a posture nearby, and from rest
@@ -28,7 +28,7 @@ _SOFT = 1e-8  # [m^2] keeps singular postures finite
 
 @lru_cache(maxsize=32)
 def joint_weights(arm: Arm) -> Array:
-    """Weights (n,): 1, or `SPARED` for lightly loaded joints."""
+    """Weights (n,) from 1 to `SPARED`."""
     postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (2048, arm.joints))
     load = np.abs(gravity_torque(arm, postures)).max(axis=0)
     weights = np.where(load < _LIGHT * load.max(), SPARED, 1.0)
@@ -45,12 +45,12 @@ def spread(arm: Arm, jacobian: Array, way: Array) -> Array:
 
 
 class PathPostures:
-    """Postures of B arms; each search starts from the last one."""
+    """Postures of B arms; a search starts from the last one."""
 
     def __init__(self, arm: Arm, place: Array, turn: Orientation | None = None, home: Array | None = None) -> None:
         """Begin at ``place`` (B, 3) [m], turned as in ``turn`` (B,).
 
-        Without turn they keep near ``home`` (n,) or (B, n) [rad], by default rest.
+        ``home`` (n,) or (B, n) [rad], by default rest, holds without turn.
         """
         self._arm = arm
         self._home = arm.rest if home is None or turn is not None else home
@@ -60,7 +60,7 @@ class PathPostures:
         """(B, n) [rad]"""
 
     def at(self, places: Array, turns: Orientation | None = None) -> Array:
-        """Postures (k, B, n) [rad] of ``places`` (k, B, 3) [m] and ``turns`` (k, B); keeps the middle one."""
+        """Postures (k, B, n) [rad] of ``places`` (k, B, 3) [m] and ``turns`` (k, B); stores the middle one."""
         start = np.broadcast_to(self.last, (len(places), *self.last.shape))
         found = self._search(places, start, _ROUNDS, turns)
         self.last = found[len(found) // 2]
@@ -83,15 +83,15 @@ class PathPostures:
 
 
 _SPARE = 0.35
-"""Share of a motor's torque kept for sticking (chosen)"""
+"""Share of motor torque (chosen)"""
 _FOLDS = np.radians([-60.0, 60.0])  # from rest, of one joint (chosen among 30 to 90 deg)
 _PLACES = 32  # of the region of targets, at which postures are looked at
 
 
 def home_of(arm: Arm, servos: Servos) -> Array:
-    """Postures (B, n) [rad] that arms with these ``servos`` keep near to.
+    """Home (B, n) [rad] of arms with these ``servos``.
 
-    Rest where the loaded motors have torque to spare; else the fold of one light joint that loads the weakest least.
+    Rest where the loaded motors have spare torque; else the fold of one light joint that loads the weakest least.
     """
     places = arm.targets.sample(np.random.default_rng(0), (_PLACES,))
     light = joint_weights(arm) > 1.0
@@ -122,7 +122,7 @@ TURNING = 0.015
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Servos:
-    """Servos of B arms, as a twin has them."""
+    """Servos of B arms by a twin."""
 
     stiffness: Array
     """(B, n) [N m/rad]"""
@@ -137,7 +137,7 @@ class Servos:
     offset: Array
     """(B, n) [rad] unloaded joint minus command"""
     delay: Array
-    """(B,) [s] from sending a command to reading its first effect"""
+    """(B,) [s] from a command to its first effect in a reading"""
 
     def __post_init__(self) -> None:
         shape = np.shape(self.stiffness)
@@ -148,22 +148,22 @@ class Servos:
             raise InputError("servos: stiffness and torque limits must be positive")
 
     def most(self) -> Array:
-        """Largest useful angles (B, n) [rad] between command and joint."""
+        """Largest useful following errors (B, n) [rad]."""
         return self.torque_limit / self.stiffness
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Moment:
-    """A motion of B arms around one moment."""
+    """A motion of B arms at one time."""
 
     around: Array
-    """(3, B, n) [rad] postures ``step`` before, now, and after"""
+    """(3, B, n) [rad] ``step`` before, now, and after"""
     step: float
     """[s]"""
 
     @property
     def position(self) -> Array:
-        """PathPostures (B, n) [rad]."""
+        """Postures (B, n) [rad]."""
         return np.asarray(self.around[1])
 
     @property
@@ -178,7 +178,7 @@ class Moment:
 
 
 def command_for(arm: Arm, servos: Servos, motion: Moment) -> Array:
-    """Commands (B, n) [rad] for a motion: the inverse of the twin."""
+    """Commands (B, n) [rad] of a motion, by the twin's inverse."""
     speed = motion.speed
     torque = (
         link_torque(arm, motion)
@@ -190,7 +190,7 @@ def command_for(arm: Arm, servos: Servos, motion: Moment) -> Array:
 
 
 def link_torque(arm: Arm, motion: Moment) -> Array:
-    """Torques (B, n) [N m] that carry and accelerate the links as point masses."""
+    """Torques (B, n) [N m] of the links as point masses."""
     f = frames(arm, motion.around)
     centre = f.position + np.einsum("tbnij,nj->tbni", f.rotation, arm.com)
     pull = (centre[2] - 2.0 * centre[1] + centre[0]) / motion.step**2 - GRAVITY
