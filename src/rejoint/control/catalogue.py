@@ -24,7 +24,7 @@ BASELINES: dict[str, Callable[[Arm], Controller]] = {
     "integrator": IntegratorController,
     "feedforward": FeedforwardController,
 }
-"""Controllers without learning, the simplest first"""
+"""Without learning, the simplest first"""
 
 PUSH = PushController.name
 POLICY = "policy"
@@ -40,7 +40,7 @@ ON_REQUEST = ("pid-sum", "pid-literal")
 
 
 def contenders(*, real: bool, shelf: bool, policy: bool, twin: bool) -> tuple[str, ...]:
-    """Names of the default contenders; a real arm gets the generic policy until it has its own.
+    """Default contenders; a real arm gets the generic policy until it has its own.
 
     The push takes part under tuned gains only (`servogains.UNDER`).
     """
@@ -78,17 +78,17 @@ def make_controller(
 
 
 def shelf_path(name: str) -> Path:
-    """File of the generic policy for the arm ``name``."""
+    """File of the generic policy for ``name``."""
     return Path(str(files("rejoint.control"))) / "policies" / f"{name}.onnx"
 
 
 def shelf_arms() -> tuple[str, ...]:
-    """Names of the arms with a generic policy."""
+    """Arms with a generic policy."""
     return tuple(name for name in CATALOGUE if shelf_path(name).exists())
 
 
 def shelf_policy(arm: Arm) -> Policy:
-    """Return the generic policy of an arm; ContractError: none."""
+    """Return an arm's generic policy; ContractError: none."""
     if arm.name not in shelf_arms():
         known = ", ".join(shelf_arms())
         raise ContractError(

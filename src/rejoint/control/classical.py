@@ -19,7 +19,7 @@ from rejoint.control.robot import Mask
 
 @dataclass(frozen=True, kw_only=True)
 class IntegratorGains:
-    """Settings of the integrator; chosen on simulated worn arms."""
+    """Settings; chosen on simulated worn arms."""
 
     rate: float = GAIN / NOMINAL_PERIOD
     """[1/s] share of the step; twice as much oscillates in play"""
@@ -28,7 +28,7 @@ class IntegratorGains:
     fade: float = 4e-3
     """[m] error at which the steps fade to half"""
     rest_gain: float = 0.01
-    """share of the way to the goal posture per cycle, in the null space"""
+    """per cycle, in the null space"""
     rest_step: float = np.radians(0.1)
     """[rad] largest step of that pull: an encoder count"""
     rest_distance: float = 0.01
@@ -46,7 +46,7 @@ class IntegratorController:
         self._goal: Array = np.zeros((0, arm.joints))
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Store the goals of the arms in ``where`` (B,)."""
+        """Store the goals of ``where`` (B,)."""
         if len(self._goal) != len(inputs.goal):
             self._goal = inputs.goal.copy()
         self._goal[where] = inputs.goal[where]
@@ -91,11 +91,11 @@ class PidController:
 
     @property
     def name(self) -> str:
-        """Name with the reading of the integral."""
+        """Name with the kind of integral."""
         return "pid-literal" if self._gains.integral_times_period else "pid-sum"
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Clear the integral of the arms in ``where`` (B,)."""
+        """Clear the integral of ``where`` (B,)."""
         if len(self._sum) != len(inputs.sent):
             self._sum, self._last = np.zeros_like(inputs.sent), np.zeros_like(inputs.sent)
         self._sum[where] = 0.0
@@ -113,7 +113,7 @@ class PidController:
 
 
 class DefaultController:
-    """Commands one posture per target."""
+    """Open loop."""
 
     name = "default"
     heeds_turn = True

@@ -1,6 +1,6 @@
-"""Compiled loops of a control step and of the joint monitor.
+"""Compiled loops of control step and joint monitor.
 
-Arrays are contiguous float64. Results equal NumPy's to the bit.
+Arrays are contiguous float64; results equal NumPy's to the bit.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
@@ -18,10 +18,9 @@ OPTIONS = {"cache": True, "nogil": True, "boundscheck": True}
 
 @njit(void(ROWS, IN1, IN2, OUT1, OUT2, OUT3, OUT1, IN1), **OPTIONS)
 def differentiate(rows, time, position, last_time, last_position, velocity, period, rules):  # noqa: ANN001, ANN201
-    """Update velocities of the arms ``rows`` (m,) from ``time`` (m,) [s] and ``position`` (m, n) [rad].
+    """Update velocities of ``rows`` (m,) from ``time`` (m,) [s] and ``position`` (m, n) [rad].
 
     In place: ``last_time`` (B,), ``last_position`` (B, n), ``velocity`` (B, h, n), newest first, mean ``period`` (B,).
-    A repeated reading changes no velocity.
     """
     joints, kept = position.shape[1], velocity.shape[1]
     longest, smoothing = rules[0], rules[1]
@@ -177,9 +176,9 @@ SUDDEN, LIGHT = 0.08, np.radians(2.0)
 COUNTS = 1.1
 """Encoder steps between the servo's and the reported reading (chosen)"""
 STEADY, STEADY_COUNTS = 12, 0.3
-"""Cycles that average encoder flicker, and steps of error then (chosen)"""
+"""Cycles that average encoder flicker, and its steps (chosen)"""
 STEADY_MARGIN, STEADY_NOISE = 0.002, 2.0
-"""Share of the largest torque, and multiple of its noise, allowed for so long (chosen)"""
+"""Share of the largest torque, and multiple of noise, for so long (chosen)"""
 NOISE = 0.015
 """Deviation of a learned load over the largest torque (chosen)"""
 SURE = 1.5
@@ -223,8 +222,7 @@ command travel since then; ``stuck``: its largest value before a change. ``moves
 beyond it; ``pushed`` [rad s], ``due`` [rad s^2]: integrals of the excess."""
 
 FINE, STANDING, UNKNOWN, TURNING, OVERDUE = range(5)
-"""Verdicts: reading changes; stationary by its load; stationary without a load; turning by its load; overdue by its
-push"""
+"""Verdicts: reading changes; stationary by load; stationary, no load; turning by load; overdue by push"""
 
 _TRACKS = types.Array(from_dtype(TRACK), 2, "C")
 

@@ -1,4 +1,4 @@
-"""The contract of a policy file: what it was trained for, checked before the arm moves.
+"""The contract of a policy file, checked before the arm moves.
 
 JSON in the metadata of the ONNX file. The file is checked before ONNX Runtime reads it: a bounded chain of known layers
 with weights inside. Fields: ``onnx.proto`` of ONNX 1.17.
@@ -24,7 +24,6 @@ FORMAT = 3
 """Version; others are refused"""
 
 METADATA_KEY, DIGEST_KEY = "rejoint.contract", "rejoint.digest"
-"""Metadata keys of the contract, and of the digest of contract and network"""
 
 INPUT, OUTPUT = "observation", "action"
 """(B, size) and (B, n), float32"""
@@ -35,7 +34,7 @@ PROBE_TOLERANCE = 1e-4
 """Largest difference of probe answers (chosen: ten times float32 rounding)"""
 
 PERIOD_MARGIN = 1.25
-"""Factor on the trained range of periods (chosen)"""
+"""on trained periods (chosen)"""
 
 LARGEST_TEXT = 1 << 20
 """[characters] (chosen)"""
@@ -50,7 +49,7 @@ _LIMIT_TOLERANCE = 1e-6  # [rad]
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyContract:
-    """Properties that a policy and its arm must share."""
+    """Common properties of policy and arm."""
 
     arm: str
     arm_digests: dict[str, str]
@@ -71,13 +70,11 @@ class PolicyContract:
     probe: tuple[tuple[float, ...], ...]
     """answers to `probe_observations`"""
     twin_digest: str
-    """or empty"""
     preset: str
     seed: int
     software: str
-    """version used in training"""
     history: int = 0
-    """past observations in the network's input"""
+    """past observations in the input"""
     servo_gains: dict[str, tuple[int, ...]] | None = None
     """of the servos in training; None: any"""
     units: dict[str, str] = field(default_factory=lambda: dict(UNITS))
@@ -96,7 +93,7 @@ def probe_observations(size: int) -> Array:
 
 
 def law_digests(arm: Arm) -> dict[str, str]:
-    """Digests of the arm's fields that a law may use, rounded to 1e-9."""
+    """Digests of arm fields for laws, rounded to 1e-9."""
     read: dict[str, Array] = {
         "offset": arm.offset, "axis": arm.axis, "tip": arm.tip[:3, 3], "mass": arm.mass, "com": arm.com,
         "rest": arm.rest, "targets": np.stack([arm.targets.lower, arm.targets.upper]),
@@ -105,7 +102,7 @@ def law_digests(arm: Arm) -> dict[str, str]:
 
 
 def fields_read(law: CommandLaw, layout: Layout) -> tuple[str, ...]:
-    """Fields of `law_digests` that this law uses."""
+    """Fields of `law_digests` in this law."""
     goals = law.anchor == "goal"
     names = {"offset": True, "axis": True, "tip": True, "mass": goals, "com": goals,
              "rest": goals or layout != "residual", "targets": goals}  # fmt: skip
@@ -132,12 +129,12 @@ def _rounded(array: Array) -> bytes:
 
 
 def encode_contract(contract: PolicyContract) -> str:
-    """Contract as JSON text."""
+    """JSON text."""
     return msgspec.json.encode(contract, enc_hook=float).decode()  # NumPy scalars become plain numbers
 
 
 def decode_contract(text: str) -> PolicyContract:
-    """Contract of a text; ContractError."""
+    """Decode JSON text; ContractError."""
     if len(text) > LARGEST_TEXT:
         raise ContractError(f"the policy's contract has {len(text)} characters, expected at most {LARGEST_TEXT}")
     try:
@@ -154,7 +151,7 @@ def decode_contract(text: str) -> PolicyContract:
 
 
 def check_contract(contract: PolicyContract, arm: Arm) -> None:
-    """Raise ContractError unless the policy suits this arm and software; payload and tool do not count."""
+    """Raise ContractError unless the policy suits this arm; payload and tool do not count."""
     arm = bare(arm)
     remedy = "train a policy for this arm"
     expected: tuple[tuple[str, object, object], ...] = (
@@ -197,7 +194,7 @@ def check_period(contract: PolicyContract, period: float) -> None:
 
 
 def check_controller_period(controller: object, period: float) -> None:
-    """Raise ContractError for a policy that does not suit ``period`` [s]; NaN: unknown."""
+    """Raise ContractError unless ``period`` [s] suits; NaN: unknown."""
     contract = getattr(controller, "contract", None)
     if isinstance(contract, PolicyContract) and np.isfinite(period):
         check_period(contract, period)
@@ -227,7 +224,7 @@ LAYERS = ("Gemm", "Elu", "Tanh", "Clip")
 """Allowed operators"""
 
 MOST_LAYERS = 64
-"""(chosen: ours have seven)"""
+"""(chosen)"""
 
 _MODEL = {1, 2, 3, 4, 5, 6, 7, 8, 14}  # all but training, functions and devices
 _GRAPH, _OPSET, _PROPERTY = 7, 8, 14
@@ -242,7 +239,7 @@ _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
 
 
 def read_metadata(data: bytes) -> dict[str, str]:
-    """Metadata of an ONNX file; ValueError for content that is not allowed."""
+    """Metadata of an ONNX file; ValueError."""
     found: dict[str, str] = {}
     layers = 0
     for number, value in _known(data, _MODEL, "model"):
@@ -260,7 +257,7 @@ def read_metadata(data: bytes) -> dict[str, str]:
 
 
 def content_digest(data: bytes, contract: str) -> str:
-    """Digest of an ONNX file without metadata, and of its contract; ValueError."""
+    """Digest of ONNX file and contract; ValueError."""
     digest = hashlib.sha256()
     for number, value in _fields(data):
         if number != _PROPERTY:

@@ -23,7 +23,7 @@ class ControlInput:
     target: Array
     """(B, 3) [m] TCP targets"""
     goal: Array
-    """(B, n) [rad] postures of the targets"""
+    """(B, n) [rad] of the targets"""
     sent: Array
     """(B, n) [rad] last command, after the guard"""
     since_target: Array
@@ -68,14 +68,14 @@ def turned_off(arm: Arm, inputs: ControlInput) -> Array:
 
 
 class Controller(Protocol):
-    """Turns inputs into commands; may keep memory between cycles."""
+    """Turns inputs into commands."""
 
     @property
     def name(self) -> str:
-        """Name in tables and on the command line."""
+        """Name."""
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Forget the old target of the arms in ``where`` (B,)."""
+        """Forget old targets of ``where`` (B,)."""
 
     def command(self, inputs: ControlInput) -> Array:
         """Commands (B, n) [rad]."""

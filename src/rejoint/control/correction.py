@@ -1,4 +1,4 @@
-"""True errors, and corrected targets (*aims*): targets shifted by known tool errors.
+"""True errors, and corrected targets: targets shifted by known tool errors.
 
 Encoder errors count from the corrected target, true errors from the target.
 """
@@ -22,7 +22,6 @@ from rejoint.system.statistics import Estimate
 How = Literal["known", "measured", "modelled", "not known"]
 
 REMEDY = "not known: calibrate"
-"""In place of a true error"""
 
 
 class ToolModel(Protocol):
@@ -37,10 +36,10 @@ class ToolModel(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class TrueError:
-    """Distance of the tool itself from its target."""
+    """True distance from the target."""
 
     how: How = "not known"
-    """``known``: emulated; ``measured``: external; ``modelled``: by a calibration"""
+    """``known``: emulated; ``measured``: external; ``modelled``: calibration"""
     value: float | None = None
     """[m]"""
     low: float | None = None
@@ -50,7 +49,7 @@ class TrueError:
 
     @classmethod
     def of(cls, how: How, estimate: Estimate, unit: float = 1.0) -> TrueError:
-        """From an estimate in units of ``unit`` [m]."""
+        """Estimate in ``unit`` [m]."""
         ends = (None if end is None else unit * end for end in (estimate.low, estimate.high))
         low, high = ends
         return cls(how=how, value=unit * estimate.value, low=low, high=high)
@@ -88,10 +87,7 @@ def modelled(model: ToolModel, position: Array, target: Array) -> Array:
 
 
 def mean_modelled(found: Array) -> TrueError:
-    """Mean of ``found`` (3, ...) [m].
-
-    Its ends are means of ends: errors are alike at all targets.
-    """
+    """Mean of ``found`` (3, ...) [m]; ends too, since errors are alike."""
     known = np.isfinite(found[0])
     if not known.any():
         return NOT_KNOWN
@@ -108,14 +104,14 @@ CALM = 0.3
 STILL = np.radians(0.2)
 """[rad] (chosen: two encoder counts)"""
 NEAR = 2e-3
-"""[m] from the corrected target, within which it is corrected again (chosen)"""
+"""[m] of another correction (chosen)"""
 CHANGE = 2e-4
 """[m] (chosen)"""
 
 
 @dataclass(eq=False)
 class Modelled:
-    """Corrects targets by known displacements, again where the arm has settled."""
+    """Corrects targets by known displacements, again after settling."""
 
     arm: Arm
     displacement: Displacement
@@ -206,7 +202,7 @@ class Modelled:
 
 
 def checked(target: Array, aim: Array) -> Array:
-    """Return ``aim`` (..., 3) [m]; InputError where it is too far from ``target``."""
+    """Return ``aim`` (..., 3) [m]; InputError if too far."""
     far = float(np.linalg.norm(aim - target, axis=-1).max(initial=0.0))
     if not far <= MOST:
         raise InputError(

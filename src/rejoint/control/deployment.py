@@ -1,4 +1,4 @@
-"""Result per target: reached by the encoders at the end of its time, or why not."""
+"""Result per target of a deployment."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Visit:
     true_error: TrueError
     reached: bool
     remark: str
-    """why it was missed, and others"""
+    """why missed"""
     sightings: int = 0
     """accepted camera detections"""
     seen_error: float | None = None
@@ -65,7 +65,7 @@ class Visit:
     orientation: str = ""
     """wanted, in words, or empty"""
     turned: float | None = None
-    """[rad] orientation error by the encoders"""
+    """[rad]"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,6 +73,7 @@ class Deployed:
     """Result of a deployment."""
 
     controller: str
+    """name"""
     visits: tuple[Visit, ...]
     period: float | None
     """[s] median"""
@@ -88,7 +89,7 @@ class Deployed:
 
 
 def deployed_of(error: BaseException, arm: Arm, job: Deployment, model: ToolModel | None = None) -> Deployed | None:
-    """Return result up to ``error``; None before the first target."""
+    """Return result up to ``error``, or None."""
     partial = recording_of(error)
     if partial is None or not len(partial.time) or not np.isfinite(partial.target).any():
         return None
@@ -103,7 +104,7 @@ def judge(
     *,
     ended: BaseException | None = None,
 ) -> Deployed:
-    """Judge each target; ``ended``: the error that ended the recording."""
+    """Judge each target; ``ended``: final error."""
     rows = np.flatnonzero(recording.active[:, 0])
     error = np.linalg.norm(recording.aim[:, 0] - tcp_position(arm, recording.position[:, 0]), axis=-1)
     gap = recording.gaps()

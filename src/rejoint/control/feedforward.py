@@ -27,7 +27,7 @@ from rejoint.system.shell import Late
 compiled = Late("rejoint.control.compiled")
 
 NOMINAL_STIFFNESS = 6.0
-"""[N m/rad] of the servos of a worn myCobot (chosen: twins have 3 to 12); other arms scale with their joint loads"""
+"""[N m/rad] of a worn myCobot's servos (chosen: twins have 3 to 12); other arms scale with load"""
 
 LOOSEN, TAKEN_BACK, CALMER, CLOSE = float(np.radians(10.0)), 0.9, 0.7, 4e-4
 """[rad/s] push of the joint that can do most while stationary; removed share of it; share that remains each time a
@@ -78,7 +78,7 @@ class FeedforwardController:
         self._pace = Pace()
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Take the new goals of the arms in ``where`` (B,); the correction carries over."""
+        """Take new goals of ``where`` (B,); corrections stay."""
         if len(self._position) != len(inputs.sent):
             self.reset_learned(inputs, np.ones(len(inputs.sent), dtype=bool))
         self._take(inputs, where)
@@ -95,7 +95,7 @@ class FeedforwardController:
         return part
 
     def _take(self, inputs: ControlInput, where: Mask) -> None:
-        """Take the goals of the arms in ``where`` (B,), raised by the sag."""
+        """Take goals of ``where`` (B,), raised by the sag."""
         goal = self._goal[where] = inputs.goal[where]
         self._eager[where], self._came[where] = 1.0, 0.0
         stiffness = np.broadcast_to(self._stiffness, self._goal.shape)[where]
@@ -156,7 +156,7 @@ class FeedforwardController:
         return limit_position(self._arm, self._raised + self._correction)
 
     def reset_learned(self, inputs: ControlInput, where: Mask) -> None:
-        """Clear the corrections of the arms in ``where`` (B,); call `reset` next."""
+        """Clear corrections of ``where`` (B,); call `reset` next."""
         if len(self._position) != len(inputs.sent):
             self._goal, self._raised, self._correction, self._speed, self._position = np.zeros((5, *inputs.sent.shape))
             self._pushed, self._eager, self._came = np.zeros((3, *inputs.sent.shape))
@@ -166,7 +166,7 @@ class FeedforwardController:
         self._pace.begin(inputs.state.time, where)
 
     def take_over(self, inputs: ControlInput, where: Mask) -> None:
-        """Continue from another controller's last command, for the arms in ``where`` (B,)."""
+        """Continue from another controller's command, where ``where`` (B,)."""
         self._correction[where] = inputs.sent[where] - self._raised[where]
         self._pushed[where] = 0.0
 
@@ -198,7 +198,7 @@ class PushGains:
     sign: float = 1.5
     """[encoder steps] of missing motion over which the push changes sign (chosen)"""
     near: float = 3e-4
-    """[m] from the target at which the push fades to half (chosen)"""
+    """[m] at which it fades to half (chosen)"""
     most: float = float(np.radians(5.0))
     """[rad] largest friction that counts (chosen: an SO-101's elbow has 4.7 deg at P = 16)"""
 
@@ -212,7 +212,7 @@ class PushController:
     def __init__(
         self, arm: Arm, stiffness: Array | float, friction: Array | float, gains: PushGains | None = None
     ) -> None:
-        """``stiffness`` [N m/rad] and dry ``friction`` [N m], (n,) or one for all."""
+        """``stiffness`` [N m/rad] and dry ``friction`` [N m], (n,) or one."""
         self._arm, self._gains = arm, gains or PushGains()
         self._base = FeedforwardController(arm, stiffness, loosen=0.0)
         lead = np.broadcast_to(np.asarray(friction, dtype=float) / stiffness, (arm.joints,))
@@ -222,7 +222,7 @@ class PushController:
         self._pace, self._last, self._speed = Pace(), np.zeros((0, arm.joints)), np.zeros((0, arm.joints))
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Take the new goals of the arms in ``where`` (B,)."""
+        """Take new goals of ``where`` (B,)."""
         self._base.reset(inputs, where)
 
     def command(self, inputs: ControlInput) -> Array:
@@ -236,7 +236,7 @@ class PushController:
         return limit_position(arm, self._base.command(inputs) + lead)
 
     def _speeds(self, inputs: ControlInput) -> Array:
-        """Joint speeds (B, n) [rad/s]; old states keep theirs."""
+        """Joint speeds (B, n) [rad/s]."""
         position, elapsed = inputs.state.position, self._pace.tick(inputs.state.time)[:, None]
         if len(self._last) != len(position):
             self._last, self._speed = position.copy(), np.zeros_like(position)

@@ -1,8 +1,8 @@
-"""The guard between every controller and the robot.
+"""The guard between controller and robot.
 
-Limits change a command and the motion goes on; trips (`TRIPS`) return the last command, and the loop stops the robot.
-Limits apply in the order lead, position, step, acceleration, floor and contacts; the later one wins. All but the first
-two only shorten the step, so a hold is always allowed. The guard judges the commanded posture.
+Limits change a command; trips (`TRIPS`) return the last one, and the loop stops the robot. Limits apply in the order
+lead, position, step, acceleration, floor, contacts; the later one wins. All but the first two only shorten the step, so
+a hold is always allowed. The guard judges the commanded posture.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from rejoint.system.shell import Late
 Reasons = NDArray[np.uint16]
 
 RAMP = 0.018
-"""[s] from rest to full speed (chosen: the shortest trained period)"""
+"""[s] to full speed (chosen: the shortest trained period)"""
 
 
 class Reason(IntFlag):
@@ -36,31 +36,25 @@ class Reason(IntFlag):
 
     NONE = 0
     POSITION = 1
-    """beyond a joint limit"""
     STEP = 2
-    """too fast for one period"""
+    """too fast"""
     LEAD = 4
     """too far from the measured position"""
     FLOOR = 8
-    """a point of the arm too low"""
+    """too low"""
     NOT_FINITE = 16
-    """command or position is not finite"""
     STALE = 32
-    """old joint state"""
     OUT_OF_RANGE = 64
-    """position far outside the joint limits"""
+    """far outside the joint limits"""
     TEMPERATURE = 128
-    """servo too hot"""
     SERVO_FAULT = 256
-    """servo fault"""
     GAP = 512
     """pause in the answers, or a flagged joint broke loose; the arm held and starts again"""
     NOT_FOLLOWING = 1024
     """reading constant and not trusted, see `rejoint.control.monitor`"""
     ACCELERATION = 2048
-    """too much acceleration"""
     COLLISION = 4096
-    """contact of links, ground or boxes"""
+    """of links, ground or boxes"""
 
 
 TRIPS = (
@@ -76,7 +70,7 @@ TRIPS = (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GuardLimits:
-    """Limits; `GuardLimits.of` makes those of an arm."""
+    """Limits of an arm."""
 
     arm: Arm
     lower: Array
@@ -88,13 +82,13 @@ class GuardLimits:
     max_acceleration: Array
     """(n,) [rad/s^2] away from rest"""
     collisions: bool = True
-    """prevent contacts with arm, ground and boxes"""
+    """prevent contacts"""
     parts: int = 16
-    """of a step that are tried (chosen)"""
+    """tried parts of a step (chosen)"""
     max_lead: float = np.radians(20.0)
     """[rad] largest following error (chosen: twice a worn arm's sag)"""
     max_period: float = 0.1
-    """[s] longest counted period (chosen)"""
+    """[s] (chosen)"""
     tcp_floor: float = 0.0
     """[m]"""
     joint_floor: float = 0.03
@@ -104,13 +98,13 @@ class GuardLimits:
     max_temperature: float = 65.0
     """[deg C] (chosen: 5 below the usual 70)"""
     range_margin: float = np.radians(10.0)
-    """[rad] outside the limits, beyond which a reading is not trusted (chosen)"""
+    """[rad] of readings outside the limits (chosen)"""
     servos: Knowledge | None = None
-    """load lines, for the joint monitor"""
+    """for the joint monitor"""
     bands: Bands | None = None
-    """friction bands, for the joint monitor"""
+    """for the joint monitor"""
     gains: Mapping[str, tuple[int, ...]] | None = None
-    """servo gains for which both hold; None: any"""
+    """of the servos for both; None: any"""
 
     def __post_init__(self) -> None:
         for name in ("lower", "upper", "max_speed", "max_acceleration"):
@@ -128,7 +122,7 @@ class GuardLimits:
 
     @cached_property
     def floors(self) -> Array:
-        """(n,) [m] lowest heights of the joint frames but the first, and of the TCP."""
+        """(n,) [m] of joint frames but the first, and TCP."""
         return np.append(np.full(self.arm.joints - 1, self.joint_floor), self.tcp_floor)
 
     @cached_property
@@ -190,7 +184,7 @@ class Guarded(NamedTuple):
 
     @property
     def tripped(self) -> Mask:
-        """(B,) arms whose motion ends."""
+        """(B,)."""
         return (self.reasons & _TRIP_BITS) != 0
 
 
@@ -200,7 +194,7 @@ def guard(
     """Return the allowed command for ``command`` (B, n) [rad] after ``sent`` (B, n) at ``speed`` (B, n) [rad/s].
 
     ``period`` [s], a number or (B,): time since ``sent``. The result is finite, within a step of ``sent``, and inside
-    the position limits if ``sent`` is. InputError for different shapes.
+    the limits if ``sent`` is. InputError for different shapes.
     """
     _check_shapes(limits.arm.joints, command, sent, speed, state, period)
     last, trips = _check(limits, command, sent, speed, state)
@@ -307,9 +301,9 @@ def _keep_clear(limits: GuardLimits, command: Array, sent: Array) -> tuple[Array
 
 
 def clear_by(limits: GuardLimits, q: Array) -> Array:
-    """Clearances (..., n or more) [m] that must stay above zero at ``q`` (..., n) [rad].
+    """Clearances (..., n or more) [m] at ``q`` (..., n) [rad].
 
-    Heights of the joint frames but the first, and of the TCP, above their floors; then distances between bodies.
+    Heights of the joint frames but the first, and TCP, above floors; then distances between bodies.
     """
     if limits.collisions:
         return clearances(limits.arm, q, limits.floors)

@@ -1,7 +1,7 @@
-"""Parts of control laws, for controllers and training.
+"""Parts of control laws.
 
-Base law: Park et al. 2024, equation 17, with theta_t read as the last command: ``c_t = c_{t-1} + GAIN * step``. Then
-`limit_lead` and the joint limits apply. A measured theta_t would lose the following error that a soft servo needs.
+Base law: Park et al. 2024, equation 17, with theta_t read as the last command: ``c_t = c_{t-1} + GAIN * step``, then
+`limit_lead` and joint limits. A measured theta_t would lose the following error that a soft servo needs.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ GAIN = 0.1
 """Share of the step per cycle (chosen: 0.2 oscillates on worn arms)"""
 
 STEP_LIMIT = np.radians(5.0)
-"""[rad] largest joint change of a step; Park et al. 2024, section IV-D: 0.5 to 5 degrees"""
+"""[rad] per joint; Park et al. 2024, section IV-D: 0.5 to 5 degrees"""
 
 PROJECTION_DAMPING = 1e-4
 """[m] of the null-space projection (chosen)"""
@@ -42,11 +42,7 @@ def dls_step(arm: Arm, measured: Array, target: Array, turn: Orientation | None 
 
 
 def fade(error: Array, distance: float) -> Array:
-    """Factor |e| / (|e| + distance), (..., 1), for TCP errors (..., 3) [m].
-
-    Against hunting under stiction: jumps near the target become rare and small, without the lasting error of a dead
-    zone.
-    """
+    """Factor |e| / (|e| + distance), (..., 1), for TCP errors (..., 3) [m]: against hunting under stiction."""
     size = np.sqrt((error**2).sum(axis=-1, keepdims=True))
     return size / (size + distance)
 
@@ -79,10 +75,10 @@ def null_space(jacobian: Array, motion: Array) -> Array:
 
 
 NOMINAL_PERIOD = 0.025
-"""[s] before the first measurement (chosen: usual are 20 to 30 ms)"""
+"""[s] before a measurement (chosen: 20 to 30 ms)"""
 
 LONGEST_PERIOD = 0.1
-"""[s] longest counted period (chosen)"""
+"""[s] (chosen)"""
 
 
 class Pace:
@@ -102,5 +98,5 @@ class Pace:
         return elapsed
 
     def begin(self, time: Array, where: Mask) -> None:
-        """Restart at ``time`` (B,) [s] for the arms in ``where`` (B,)."""
+        """Restart at ``time`` (B,) [s] where ``where`` (B,)."""
         self.last = np.where(where, time, self.last) if len(self.last) == len(time) else time.copy()

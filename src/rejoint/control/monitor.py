@@ -1,4 +1,4 @@
-"""The joint monitor: finds joints that are stuck, or whose encoder is dead."""
+"""The joint monitor: finds stuck joints and dead encoders."""
 
 from __future__ import annotations
 
@@ -18,36 +18,36 @@ from rejoint.system.shell import Late
 compiled = Late("rejoint.control.compiled")
 
 TRAVEL = 0.020
-"""[m] tool travel of commands beyond a constant reading (chosen)"""
+"""[m] tool travel beyond a constant reading (chosen)"""
 STICKING = 1.5
-"""allowed multiple of the largest sticking (chosen)"""
+"""times the largest sticking (chosen)"""
 STICKS = np.radians(4.0)
 """[rad] sticking of an unknown joint (chosen)"""
 SHORT_LEVER = 0.13
-"""[m] shortest lever judged without load (chosen)"""
+"""[m] judged without load (chosen)"""
 MOVED = np.radians(2.0)
 """[rad] of a moving joint (chosen)"""
 TURN_ROUND = 0.12
-"""[s] of a constant reading before a judgement without load (chosen)"""
+"""[s] of a constant reading before judgement (chosen)"""
 EXCUSED = 0.15
-"""[s] for which two joints at once are allowed (chosen)"""
+"""[s] for two joints at once (chosen)"""
 ARRIVED = np.radians(1.0)
 """[rad] following error at arrival (chosen)"""
 SETTLED = 30
 """changes of a reading before its sticking is known (chosen)"""
 GAIN, GAIN_SPREAD = 20.0, 2.0
-"""[1/rad] torque share per radian, and its relative deviation, of unknown servos (measured)"""
+"""[1/rad] and relative deviation of unknown servos (measured)"""
 LEAST_GAIN = 3.0
 """[1/rad] (chosen)"""
 OFFSET_SPREAD, UNKNOWN_OFFSET = 0.02, 0.15
-"""deviations of the unloaded torque share, known and unknown (chosen)"""
+"""deviations of the unloaded torque share (chosen)"""
 _EARLIEST = np.radians(2.0)  # [rad] travel from which levers are computed (chosen: 10 mm at 0.28 m)
 _UNKNOWN, _TURNING, _OVERDUE = 2, 3, 4  # as in `watching`, which is imported late
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Knowledge:
-    """Load lines of an arm's servos, from `servo_lines`."""
+    """Load lines of servos, from `servo_lines`."""
 
     gain: Array
     """(n,) or (B, n) [1/rad] torque share per radian"""
@@ -181,7 +181,7 @@ class Following:
         return bad if bad.any() else None
 
     def _excused(self, bad: Mask, late: Mask) -> Mask:
-        """Arms (B,) that are late as a whole: a ``bad`` joint and another ``late`` one, (B, n)."""
+        """Arms (B,) late as a whole: a ``bad`` and another ``late`` joint, (B, n)."""
         now, several = self._last, bad.any(axis=-1) & ((bad | late).sum(axis=-1) > 1)
         begins = several & (now - self._excused_last > EXCUSED)
         self._excused_since = np.where(begins, now, self._excused_since)
@@ -219,11 +219,11 @@ class Following:
         self._sent[where] = sent[where, None]
 
     def balance(self, joints: Mask, sent: Array) -> Array:
-        """Return holding commands (B, n) [rad]: ``sent``, but the last equilibrium of ``joints`` (B, n)."""
+        """Return holding commands (B, n) [rad]: ``sent``, or the last equilibrium of ``joints`` (B, n)."""
         return np.where(joints, self._tracks["held"], sent)
 
     def describe(self, b: int, joints: Mask) -> str:
-        """Describe the finding on ``joints`` (n,) of arm ``b``, and what to do."""
+        """Return finding on ``joints`` (n,) of arm ``b``, and advice."""
         return "; ".join(self._describe(b, int(j)) for j in np.flatnonzero(joints))
 
     def _travelled(self, position: Array, sent: Array) -> tuple[Mask, Mask]:
@@ -289,7 +289,6 @@ def servo_lines(arm: Arm, logs: Sequence[RunLog]) -> Knowledge | None:
     """Fit the load lines of an arm's servos; None without loads.
 
     A servo's torque is proportional to its error: loads of stationary joints lie on a line over command minus reading.
-    Joints that do not fit, or would count as turning in these logs, stay unknown.
     """
     told = [log for log in logs if log.servo_load is not None]
     rows = [_standing(arm, log, log.servo_load) for log in logs if log.servo_load is not None]
@@ -387,14 +386,14 @@ LEAST_GRAVITY = 0.04
 REACHES = np.radians(np.geomspace(0.3, 20.0, 30))
 """[rad] (chosen)"""
 WIDER, _OFTEN = 1.25, 12
-"""Factor on bands exceeded in their own logs, and its repetitions (chosen)"""
+"""Factor on exceeded bands, and repetitions (chosen)"""
 
 
 def standing_bands(arm: Arm, logs: Sequence[RunLog]) -> Bands:
     """Fit the friction bands of an arm's joints; hardly moved joints stay unknown.
 
     The balance is fitted to slow motion in both directions. The width is the largest push of a joint stationary for
-    `HELD`; the reach minimises it. No joint is overdue in these logs.
+    `HELD`; the reach minimises it.
     """
     slope, offset, known = _balances(arm, logs)
     found = Bands(slope=slope, offset=offset, reach=np.full(arm.joints, np.inf), width=np.full(arm.joints, np.inf))

@@ -34,16 +34,16 @@ SUCCESS_DISTANCE = 0.005
 """[m] of buffer S; Park et al. 2024, section III-D"""
 
 POINT_SCALE = 5.0
-"""[1/m] of equation 16's points and distance (chosen)"""
+"""[1/m] in equation 16 (chosen)"""
 
 HISTORY = 3
-"""Cycles of velocities and actions (chosen)"""
+"""(chosen)"""
 
 compiled = Late("rejoint.control.compiled")
 
 _RIDGE = DAMPING**2 * np.eye(3)
 LONGEST_WAIT = 2.0
-"""[s] longest time since the target was set (chosen)"""
+"""[s] of the time since the target (chosen)"""
 MIDDLE_PERIOD, LONGEST_PERIOD = 0.035, 0.1
 """[s] trained; longest trusted"""
 PERIOD_SMOOTHING = 0.3
@@ -106,7 +106,7 @@ def look(arm: Arm, position: Array, target: Array, goal: Array) -> View:
 
 
 def layout_slots(layout: Layout, joints: int) -> tuple[Slot, ...]:
-    """Slots of a layout, in order."""
+    """Slots in order."""
     n = joints
     rows: tuple[tuple[str, int, str], ...]
     if layout == "residual":
@@ -144,7 +144,7 @@ def layout_slots(layout: Layout, joints: int) -> tuple[Slot, ...]:
 
 
 def layout_size(layout: Layout, joints: int) -> int:
-    """Length of the observation vector."""
+    """Size of the observation."""
     return sum(slot.size for slot in layout_slots(layout, joints))
 
 
@@ -165,14 +165,14 @@ class Observer:
         self.view = View(*(np.zeros((count, *tail)) for tail in ((3,), (3,), (), (n,), (n,))))
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Start from rest for the arms in ``where`` (B,)."""
+        """Start from rest where ``where`` (B,)."""
         self._position[where] = inputs.state.position[where]
         self._time[where] = inputs.state.time[where]
         self._velocity[where] = 0.0
         self._action[where] = 0.0
 
     def reset_learned(self, where: Mask) -> None:
-        """Drop the learned period of the arms in ``where`` (B,)."""
+        """Drop learned periods where ``where`` (B,)."""
         self._period[where] = MIDDLE_PERIOD
 
     def observe(self, inputs: ControlInput, rows: Rows = ALL) -> Observation:
@@ -210,7 +210,7 @@ class Observer:
         self._action[:, 0] = action
 
     def drop_actions(self, where: Mask) -> None:
-        """Drop the last actions of the arms in ``where`` (B,)."""
+        """Drop last actions where ``where`` (B,)."""
         self._action[where] = 0.0
 
     def state(self) -> dict[str, Array]:

@@ -52,7 +52,7 @@ class PolicyController:
         return "policy"
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Start again for the arms in ``where`` (B,)."""
+        """Restart where ``where`` (B,)."""
         count = len(inputs.sent)
         if count != self._observer.count:
             self._observer = Observer(self.arm, count, self.contract.layout)
@@ -61,7 +61,7 @@ class PolicyController:
         self._commander.reset(inputs, where)
 
     def take_over(self, inputs: ControlInput, where: Mask) -> None:
-        """Continue from another controller's last command, for the arms in ``where`` (B,)."""
+        """Continue from another controller's command, where ``where`` (B,)."""
         self._observer.drop_actions(where)
         self._commander.take_over(inputs, where)
 
@@ -93,13 +93,13 @@ class Policy:
     content: bytes = field(repr=False)
     """of the ONNX file"""
     contract: PolicyContract
-    """arm, observation, law and control periods of the training"""
+    """of the training"""
     source: str = "policy"
     """origin, for messages"""
 
     @classmethod
     def load(cls, path: Path | str) -> Policy:
-        """Read a policy file; FileError if it is missing, damaged or too large."""
+        """Read a policy file; FileError."""
         data = _read(Path(path))
         try:
             metadata = read_metadata(data)
@@ -143,10 +143,7 @@ class Policy:
 
 
 def load_policy(path: Path, arm: Arm) -> PolicyController:
-    """Read a policy file and check it for ``arm``.
-
-    FileError: missing, damaged, too large; ContractError: for something else.
-    """
+    """Read a policy file for ``arm``; FileError, ContractError."""
     return Policy.load(path).controller(arm)
 
 

@@ -1,7 +1,7 @@
-"""Brings a worn arm to joint positions, its tool first, for programs that send angles or poses.
+"""Brings a worn arm to joint positions, its tool first.
 
 The command is the posture, raised by the twin's sag and an integrator. A joint without torque keeps its following
-error, and others make up for the tool. A joint that breaks loose gives most of its push back. A stationary arm near its
+error; others make up for the tool. A joint that breaks loose gives most of its push back. A stationary arm near its
 goal stays uncorrected.
 """
 
@@ -39,7 +39,7 @@ class PostureWay(Protocol):
     """Gives wanted postures, once a cycle."""
 
     def advance(self, state: JointState) -> Wanted:
-        """Take a reading and return the wanted postures."""
+        """Take a reading and return wanted postures."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,31 +47,31 @@ class PostureGains:
     """Settings; chosen by `python -m benchmarks serve`."""
 
     rate: float = 4.0
-    """[1/s] integrated share of a joint's error"""
+    """[1/s] integrated share of the error"""
     fade: float = float(np.radians(0.3))
     """[rad] error at which that fades to half"""
     push: float = float(np.radians(5.0))
-    """[rad/s] extra push of a stationary joint"""
+    """[rad/s] extra push at rest"""
     within: float = float(np.radians(0.06))
     """[rad] error without a push"""
     taken_back: float = 0.9
-    """share of the push removed with motion"""
+    """removed share of the push after motion"""
     moving: float = float(np.radians(5.0))
-    """[rad/s] of a joint that is not corrected"""
+    """[rad/s] without correction"""
     standing: float = float(np.radians(1.0))
     """[rad/s] of a stationary joint"""
     weak: float = float(np.radians(12.0))
-    """[rad] following error of a stationary joint without torque"""
+    """[rad] following error without torque"""
     off: float = float(np.radians(0.3))
     """[rad] error of such a joint"""
     turn: float = 0.03
-    """[m/rad] weight of the tool's direction"""
+    """[m/rad] of the tool's direction"""
     calm: float = 0.15
     """[s] within `STILL` of a stationary arm"""
     close: float = 4e-4
-    """[m] tool error that is not corrected at rest"""
+    """[m] uncorrected tool error at rest"""
     again: float = 7e-4
-    """[m] tool error that is corrected again"""
+    """[m] corrected again"""
     lead: float = float(np.radians(18.0))
     """[rad] largest following error, below the guard's"""
 
@@ -153,7 +153,7 @@ class PostureController:
         return moved, elapsed
 
     def _goal(self, wanted: Wanted) -> Array:
-        """Postures (B, n) [rad] that place the tools although some joints are weak."""
+        """Postures (B, n) [rad] that place the tools despite weak joints."""
         gains, posture = self._gains, wanted.posture
         lead, away = self._command - self._position, posture - self._position
         off = wanted.arrived[:, None] & (np.abs(away) > gains.off)

@@ -15,7 +15,7 @@ from rejoint.control.robot import JointState, Mask, Robot
 from rejoint.logs.runlog import RunLog
 
 GAP = 0.8
-"""[s] pause that counts as a gap (chosen)"""
+"""[s] of a gap (chosen)"""
 _CLOCK = 1e-6  # [s] rounding of clocks that have run for long
 
 
@@ -23,7 +23,7 @@ class Cycle(NamedTuple):
     """One control cycle of B arms."""
 
     time: Array
-    """(B,) [s] of the reading, robot clock"""
+    """(B,) [s] robot clock"""
     position: Array
     """(B, n) [rad]"""
     command: Array
@@ -33,7 +33,6 @@ class Cycle(NamedTuple):
     aim: Array
     """(B, 3) [m] corrected target"""
     target_index: NDArray[np.intp]
-    """(B,)"""
     since_target: Array
     """(B,) [s]"""
     true_tcp: Array
@@ -41,29 +40,28 @@ class Cycle(NamedTuple):
     active: Mask
     """(B,) new reading"""
     reasons: Reasons
-    """(B,) guard flags"""
     load: Array
-    """(B, n) as `JointState.load`; NaN: none"""
+    """(B, n) as `JointState.load`"""
     turned: Array
-    """(B,) [rad] orientation error by the encoders; NaN: any"""
+    """(B,) [rad] orientation error"""
 
 
 PIECE = 600.0
-"""[s] of a run log of an endless drive (chosen)"""
+"""[s] of an endless run log (chosen)"""
 
 OnCycle = Callable[[Cycle], object]
 """Receives every cycle; an exception ends the run"""
 
 
 Look = Callable[[Cycle, JointState, Array], object]
-"""Receives a cycle, its state and the wanted positions (B, n) [rad]"""
+"""Receives a cycle, state and wanted positions (B, n) [rad]"""
 
 Onlooker = Callable[[str, GuardLimits], Look]
-"""Makes a `Look` at the start of a run"""
+"""Makes a `Look` per run"""
 
 
 def look_of(robot: Robot, controller: str, limits: GuardLimits) -> Look | None:
-    """Look of a robot's ``onlooker``, or None."""
+    """Look of ``onlooker``, or None."""
     onlooker: Onlooker | None = getattr(robot, "onlooker", None)
     return None if onlooker is None else onlooker(controller, limits)
 
@@ -108,12 +106,12 @@ class Recording:
         return replace(self, **parts)
 
     def usual_period(self, b: int = 0) -> float:
-        """Median control period [s] of arm ``b``; NaN: none."""
+        """Median control period [s]; NaN: none."""
         periods = np.diff(self.time[self.active[:, b], b])
         return float(np.median(periods)) if len(periods) else float("nan")
 
     def gaps(self, b: int = 0) -> Array:
-        """Gap lengths (T,) [s] of arm ``b``, else 0."""
+        """Gap lengths (T,) [s], else 0."""
         rows = np.flatnonzero(self.active[:, b])
         elapsed = np.diff(self.time[rows, b], prepend=self.time[rows[:1], b])
         marked = (self.reasons[rows, b] & np.uint16(Reason.GAP.value)) != 0
@@ -122,7 +120,7 @@ class Recording:
         return gaps
 
     def waits(self, b: int = 0) -> Array:
-        """Return times [s since the target] and lengths [s] of the waits of arm ``b``, (k, 2)."""
+        """Return times [s since the target] and lengths [s] of waits, (k, 2)."""
         rows = np.flatnonzero(self.active[:, b])
         since = self.since_target[rows, b]
         waited = np.diff(self.time[rows, b]) - np.diff(since)
@@ -131,7 +129,7 @@ class Recording:
         return np.stack([since[1:][where], waited[where]], axis=-1)
 
     def log(self, b: int, label: str, extra: Mapping[str, str] | None = None) -> RunLog:
-        """Run log of arm ``b``, on an increasing clock."""
+        """Run log of arm ``b``."""
         rows = np.flatnonzero(self.active[:, b])
         times = self.time[rows, b]
         earlier = np.concatenate([[-np.inf], np.maximum.accumulate(times)[:-1]])
@@ -201,6 +199,6 @@ def attach(error: BaseException, recording: Recording) -> None:
 
 
 def recording_of(error: BaseException) -> Recording | None:
-    """Return recording of a failed run; None before the first reading."""
+    """Return recording of a failed run, or None."""
     found = getattr(error, "recording", None)
     return found if isinstance(found, Recording) else None

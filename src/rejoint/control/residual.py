@@ -35,15 +35,14 @@ class CommandLaw:
 
     anchor: Literal["goal", "sent", "measured"] = "sent"
     stiffness: tuple[float, ...] = ()
-    """[N m/rad] of the servos in training; for the anchor ``goal``"""
+    """[N m/rad] in training (anchor ``goal``)"""
     learning: FeedforwardGains = field(default_factory=FeedforwardGains)
-    """settings under the anchor ``goal``"""
+    """(anchor ``goal``)"""
     loosen: float = LOOSEN
-    """[rad/s] push of stuck joints there"""
+    """[rad/s] push of stuck joints (anchor ``goal``)"""
     step_gain: float = GAIN
-    """step per cycle"""
     step_limit: float = float(STEP_LIMIT)
-    """[rad] largest element of the step"""
+    """[rad] largest element"""
     authority_floor: float = float(np.radians(0.12))
     """[rad] least authority (chosen: just above an encoder count)"""
     authority_slope: float = 0.5
@@ -53,25 +52,24 @@ class CommandLaw:
     lead_limit: float = float(np.radians(20.0))
     """[rad] largest following error (anti-windup)"""
     rest_gain: float = 0.05
-    """share of the null-space way to the goal posture per cycle (chosen: less lets the wrist drift)"""
+    """null-space share per cycle towards the goal posture (chosen: less lets the wrist drift)"""
     rest_distance: float = 0.01
-    """[m] TCP distance at which that pull fades"""
+    """[m] TCP distance at which it fades"""
 
     load_penalty: float = 0.0
-    """near the target the joint with the largest load moves by 1 + this times less (anchor ``goal``): load causes
-    stick-slip"""
+    """near the target the most loaded joint moves by 1 + this times less: load causes stick-slip (anchor ``goal``)"""
     load_penalty_distance: float = 0.003
-    """[m] TCP distance at which half of that holds (chosen)"""
+    """[m] TCP distance of half of that (chosen)"""
     decay_start: float = 0.0
-    """[s] after which corrections of unloaded joints decrease as a power of time (anchor ``goal``; after Robbins and
-    Monro 1951); 0: never"""
+    """[s] after which corrections of unloaded joints decrease as a power of time (anchor ``goal``; Robbins and Monro
+    1951); 0: never"""
     decay_power: float = 1.5
-    """of that decrease (chosen: 1 lets joints swing after 8 s, 2 stops more short)"""
+    """(chosen: 1 lets joints swing after 8 s, 2 stops more short)"""
     decay_step: float = float(np.radians(1.0))
-    """[rad] largest element of the step for full corrections"""
+    """[rad] largest step element with full corrections"""
 
     envelope_margin: float = float(np.radians(35.0))
-    """[rad] largest distance from the goal posture (anchor ``goal``; chosen)"""
+    """[rad] from the goal posture (anchor ``goal``; chosen)"""
 
     def authority(self, step: Array) -> Array:
         """Return authority (B, 1) [rad] at ``step`` (B, n) [rad]."""
@@ -99,7 +97,7 @@ class CommandLaw:
 
 
 class Commander:
-    """Turns actions of B arms into commands."""
+    """Turns actions into commands."""
 
     def __init__(self, arm: Arm, law: CommandLaw) -> None:
         self._arm, self.law = arm, law
@@ -113,17 +111,17 @@ class Commander:
             self._base = FeedforwardController(arm, np.array(law.stiffness), law.learning, law.loosen)
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Take the new targets of the arms in ``where`` (B,)."""
+        """Take new targets of ``where`` (B,)."""
         if self._base is not None:
             self._base.reset(inputs, where)
 
     def reset_learned(self, inputs: ControlInput, where: Mask) -> None:
-        """Restart with other arms in ``where`` (B,)."""
+        """Restart with other arms where ``where`` (B,)."""
         if self._base is not None:
             self._base.reset_learned(inputs, where)
 
     def take_over(self, inputs: ControlInput, where: Mask) -> None:
-        """Continue from another controller's last command, for the arms in ``where`` (B,)."""
+        """Continue from another controller's command, where ``where`` (B,)."""
         if self._base is not None:  # other anchors start from the last command or the measured position anyway
             self._base.take_over(inputs, where)
 

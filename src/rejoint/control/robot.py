@@ -15,26 +15,26 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointState:
-    """Reading of the joints."""
+    """Reading of the joints; None: unknown."""
 
     time: Array
-    """(B,) [s] of the answer, robot clock"""
+    """(B,) [s] robot clock"""
     position: Array
     """(B, n) [rad]"""
     age: Array
     """(B,) [s] since the last fresh answer"""
     temperature: Array | None = None
-    """(B, n) [deg C]; None: unknown"""
+    """(B, n) [deg C]"""
     fault: NDArray[np.bool_] | None = None
-    """(B, n) servo faults; None: unknown"""
+    """(B, n)"""
     trouble: tuple[str, ...] | None = None
-    """(n,) servo faults of one arm in words"""
+    """(n,) servo faults in words"""
     load: Array | None = None
-    """(B, n) torque over the largest, -1 to 1, positive with the joint; None: unknown"""
+    """(B, n) torque over the largest, -1 to 1, positive with the joint"""
     voltage: Array | None = None
-    """(B, n) [V]; None: unknown"""
+    """(B, n) [V]"""
     elsewhere: Mask | None = None
-    """(B,) others moved the arm in a pause; None: unknown"""
+    """(B,) others moved the arm in a pause"""
 
 
 @runtime_checkable
@@ -47,7 +47,7 @@ class Robot(Protocol):
 
     @property
     def address(self) -> str:
-        """Address as the user wrote it."""
+        """As the user wrote it."""
 
     @property
     def count(self) -> int:

@@ -1,8 +1,8 @@
 """Visual servoing of the last millimetres.
 
-Each detection, with the encoders at its time, measures the tool error there. Near the target a worn joint sticks and
-jumps by a millimetre. So the few joints nearest to the tool swing as little as moves them (dither), and an integrator
-removes the error; then the swing fades. Results: `python -m benchmarks.seeing`.
+Each detection, with the encoders at its time, measures the tool error. Near the target a worn joint sticks and jumps by
+a millimetre. So the few joints nearest to the tool swing as little as moves them (dither), and an integrator removes
+the error; then the swing fades. Results: `python -m benchmarks.seeing`.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ RATTLE = 12e-3
 ALONG = 0.1
 """change of the shift over the tool's motion (chosen)"""
 NEAR = 0.015
-"""[m] from the corrected target, within which detections count (chosen)"""
+"""[m] error within which detections count (chosen)"""
 CHANGE = 2e-4
 """[m] smallest change of a target (chosen)"""
 JUMP = 0.015
-"""[m] from the model, beyond which a detection is rejected (chosen)"""
+"""[m] of a rejected detection from the model (chosen)"""
 HISTORY = 64
 """Stored readings (chosen)"""
 SHIFTED, ALIKE = 3e-3, 3
-"""[m] to one side, at so many targets, of a moved camera or board (chosen)"""
+"""[m] common offset at so many targets of a moved camera or board (chosen)"""
 ENOUGH = 2
-"""detections at a target before the fine motion (chosen)"""
+"""detections before the fine motion (chosen)"""
 FRESH = 0.6
 """[s] age of a new detection (chosen)"""
 
@@ -163,11 +163,11 @@ class Seen(Modelled):
 TAKE_OVER = 0.006
 """[m] error of small joint motions (chosen)"""
 SLOW = np.radians(1.5)
-"""[rad] largest change in `LOOK` cycles at the take-over (chosen)"""
+"""[rad] per `LOOK` at the take-over (chosen)"""
 AT_REST = np.radians(0.1)
-"""[rad] the same at rest (chosen)"""
+"""[rad] per `LOOK` at rest (chosen)"""
 STRANDED, STRANDED_AT = 1.0, 0.015
-"""[s] and [m] of a stationary arm that is taken over (chosen)"""
+"""[s] and [m] at rest before a take-over (chosen)"""
 LOOK = 5
 """cycles (chosen: a tenth of a second)"""
 CALM = 0.35e-3
@@ -177,7 +177,7 @@ RELAX = 0.5
 MOST_CALM = 0.6e-3
 """[m] largest (chosen: the promise)"""
 OFF = 0.6e-3
-"""[m] error at which a resting arm moves again (chosen)"""
+"""[m] error that ends the rest (chosen)"""
 AGREED = 2
 """detections in their mean (chosen)"""
 QUIET = 0.1
@@ -199,11 +199,11 @@ HALF_SWING = 0.05
 FIRST, WIDEST = np.radians(1.2), np.radians(2.0)
 """[rad] first and largest amplitude (chosen)"""
 WIDER, NARROWER = 1.5, 0.8
-"""factors on it for stationary and swinging readings (chosen)"""
+"""factors on it, stationary and swinging (chosen)"""
 SWING = 4.5
 """encoder counts (chosen: half a millimetre at the tool)"""
 STUCK = 3
-"""swings at the widest amplitude before a joint is given up (chosen)"""
+"""widest swings before giving a joint up (chosen)"""
 LEAST_LEVER = 0.05
 """smallest singular value over longest lever (chosen)"""
 
@@ -332,7 +332,7 @@ class Finishing:
             self._fading = now
 
     def _suit(self, readings: Array) -> None:
-        """Increase the swing of stationary joints (T, n) [rad], reduce wide ones; give up stuck joints."""
+        """Increase the swing of stationary joints (T, n) [rad], reduce wide ones, give up stuck ones."""
         counts = np.ptp(readings, axis=0) / self._arm.encoder_step
         stands = self._moving & (counts < 0.5)
         self._standing = np.where(stands & (self._amplitude >= WIDEST), self._standing + 1, 0)

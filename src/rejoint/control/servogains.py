@@ -1,8 +1,8 @@
-"""Gains of the servos' position loops, and a safe search for better ones.
+"""Gains of the servos' position loops, and a safe search.
 
-Whole numbers in the servos' units per joint, by name (``p``, ``i``, ``d``, ``dead``, ...). The search changes one gain
-at a time and drives to a few targets. Each joint keeps a value that reduces its error without unrest. Shaking,
-overloaded or warm joints end a round.
+Whole numbers in servo units per joint, by name (``p``, ``i``, ``d``, ``dead``, ...). The search changes one gain at a
+time and drives to a few targets. Each joint keeps a value that reduces its error without unrest. Shaking, overloaded or
+warm joints end a round.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Tunable(Robot, Protocol):
         """Gains in force; None: unknown."""
 
     def rungs(self) -> tuple[Rung, ...]:
-        """Search order: the safest first, last those that a controller does not need."""
+        """Search order: the safest first, last those for no controller."""
 
     def tune(self, gains: ServoGains) -> None:
         """Set gains in small steps until power-off; RobotError."""
@@ -71,7 +71,7 @@ def gains_in_force(robot: Robot) -> ServoGains | None:
 def under_gains(robot: Robot, controller: object) -> Iterator[None]:
     """Drive under the ``controller``'s gains, then restore the others.
 
-    ContractError for a policy of other gains, InputError where they cannot be set.
+    ContractError for a policy of other gains, InputError.
     """
     require_gains(robot, controller)
     wanted: ServoGains | None = getattr(controller, "servo_gains", None)
@@ -91,7 +91,7 @@ def under_gains(robot: Robot, controller: object) -> Iterator[None]:
 
 @contextmanager
 def put_back(robot: Tunable, before: ServoGains) -> Iterator[None]:
-    """Restore the gains ``before`` at the end."""
+    """Restore ``before`` at the end."""
     try:
         yield
     except BaseException as error:
@@ -109,7 +109,7 @@ def put_back(robot: Tunable, before: ServoGains) -> Iterator[None]:
 
 
 def limits_under(limits: GuardLimits | None, robot: Robot, controller: object) -> GuardLimits | None:
-    """Limits under the gains of ``controller``: without servo data from other gains."""
+    """Limits under the gains of ``controller``."""
     gains: ServoGains | None = getattr(controller, "servo_gains", None) or gains_in_force(robot)
     if limits is None or limits.gains is None or gains is None or not differing(gains, limits.gains):
         return limits
@@ -166,23 +166,23 @@ def in_words(gains: ServoGains) -> str:
 GEARED = "servo-gains"
 """Tuned servo loops alone; ``servo-gains+NAME``: below a controller"""
 UNDER = ("integrator", "feedforward", PUSH, POLICY, PREDICTIVE)
-"""Controllers that also run with tuned gains (chosen)"""
+"""Controllers also run with tuned gains (chosen)"""
 RIVALS = (GEARED, *(f"{GEARED}+{name}" for name in UNDER))
 GEARED_PUSH, GEARED_POLICY, GEARED_PREDICTIVE = (f"{GEARED}+{name}" for name in (PUSH, POLICY, PREDICTIVE))
 
 
 def inner_name(name: str) -> str:
-    """Name of the controller above tuned gains."""
+    """Return controller above tuned gains."""
     return DefaultController.name if name == GEARED else name.removeprefix(f"{GEARED}+")
 
 
 def own_policy(names: Sequence[str]) -> str | None:
-    """Name of a run's own policy, or None."""
+    """Return a run's own policy, or None."""
     return next((name for name in names if inner_name(name) == POLICY), None)
 
 
 class Geared:
-    """A ``controller`` with tuned servo gains (`under_gains` sets them)."""
+    """A ``controller`` with tuned servo gains."""
 
     def __init__(self, controller: Controller, gains: ServoGains) -> None:
         self._controller, self.servo_gains = controller, gains
@@ -252,7 +252,7 @@ class GainsFound:
 def search(
     robot: Tunable, targets: Array, *, limits: GuardLimits | None = None, on_progress: Progress = no_progress
 ) -> GainsFound:
-    """Try the rungs of ``robot``, one arm, at ``targets`` (K, 3) [m], and restore its gains; InputError: no rungs."""
+    """Try the rungs of ``robot``, one arm, at ``targets`` (K, 3) [m], and restore its gains; InputError."""
     before = gains_in_force(robot)
     if before is None or not robot.rungs():
         raise InputError(f"{robot.address} has no servo gains that could be tuned; an SO-101 on its own bus has")
@@ -388,7 +388,7 @@ class _Climb:
 
 
 class _RoundWatch:
-    """Ends a round when a joint shakes, is overloaded or gets warm."""
+    """Ends a round when a joint shakes, labours or gets warm."""
 
     def __init__(self, arm: Arm) -> None:
         self.joints: Mask = np.zeros(arm.joints, dtype=bool)

@@ -1,4 +1,4 @@
-"""Start of every drive: a look, then slow motion; trajectories to a posture."""
+"""Start of every drive: a look, then slow motion."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Stance:
     """(n,) [rad] distance in the diagnosis"""
 
     def away(self, arm: Arm, position: Array, command: Array) -> Array:
-        """Distances (..., n) [rad] of ``position`` (..., n) from it under ``command``."""
+        """Distances (..., n) [rad] of ``position`` (..., n) under ``command``."""
         expected = command + self.offset - gravity_torque(arm, position) / self.stiffness
         away: Array = np.abs(position - expected)
         return away
@@ -73,7 +73,7 @@ class Stance:
 def begin(
     robot: Robot, limits: GuardLimits | None = None, stance: Stance | None = None, on_cycle: OnCycle | None = None
 ) -> Recording:
-    """Look at the robot, move it slowly to rest, and compare with its ``stance``; NotReadyError if unsafe."""
+    """Look, move slowly to rest, and compare with ``stance``; NotReadyError if unsafe."""
     check_ready(robot)
     motion = move(robot, robot.arm.rest, limits=limits, on_cycle=_FirstWay(robot, on_cycle))
     if stance is not None:
@@ -82,7 +82,7 @@ def begin(
 
 
 class _FirstWay:
-    """Raises NotReadyError as soon as a joint leaves its first motion, as reversed or exchanged joints do."""
+    """Raises NotReadyError when a joint leaves its first motion: reversed or exchanged joints."""
 
     def __init__(self, robot: Robot, on_cycle: OnCycle | None) -> None:
         self._arm, self._address, self._on_cycle = robot.arm, robot.address, on_cycle
@@ -117,7 +117,7 @@ class _FirstWay:
 
 
 def check_ready(robot: Robot) -> None:
-    """Raise NotReadyError unless the arms are still, inside their limits, cool and healthy."""
+    """Raise NotReadyError unless the arms are still, inside limits, cool and healthy."""
     first = robot.read()
     state = robot.read()
     if (state.time > first.time).any():  # virtual time stands still
@@ -184,9 +184,9 @@ def move(
     give_up: Callable[[ControlInput], Mask] | None = None,
     on_cycle: OnCycle | None = None,
 ) -> Recording:
-    """Move every arm to ``posture`` (n,) [rad] at ``speed`` [rad/s] and wait ``settle`` [s].
+    """Move to ``posture`` (n,) [rad] at ``speed`` [rad/s] and wait ``settle`` [s].
 
-    It starts at ``sent`` (B, n) [rad], or at the measured position of moved arms.
+    From ``sent`` (B, n) [rad], or the measured position of moved arms.
     """
     state = robot.read()
     start = np.array(state.position if sent is None else in_force(state, sent), dtype=float)

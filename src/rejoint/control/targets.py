@@ -84,7 +84,7 @@ class Pose:
 
     @property
     def turned(self) -> bool:
-        """Whether it has an orientation."""
+        """Whether an orientation is wanted."""
         return self.weight_m > 0.0 and any(value is not None for _, value in self._ways())
 
     def rotation(self, axis: Array) -> Array:
@@ -111,7 +111,7 @@ def placed(arm: Arm, poses: Sequence[Pose]) -> tuple[Array, Orientation | None]:
 
 
 def in_words(turn: Orientation) -> str:
-    """Return a single orientation () in words; empty: any."""
+    """Return an orientation () in words; empty: any."""
     if not turn.counts:
         return ""
     if not turn.whole:
@@ -122,7 +122,7 @@ def in_words(turn: Orientation) -> str:
 
 
 def columns(header: Sequence[str], first: Sequence[str] = PLACE) -> Callable[[Sequence[str]], Pose] | None:
-    """Return the parser of lines below ``header``, which raises InputError; None for an unknown header."""
+    """Return the parser of lines below ``header`` (raises InputError), or None."""
     names = [cell.strip().lower() for cell in header]
     rest = names[len(first) :]
     weighed = rest[-1:] == ["weight"]
@@ -150,7 +150,7 @@ def columns(header: Sequence[str], first: Sequence[str] = PLACE) -> Callable[[Se
 
 
 def unknown_header(header: Sequence[str], first: Sequence[str] = PLACE) -> tuple[str, str]:
-    """Return what is wrong with a ``header``, and what to do."""
+    """Return the problem of a ``header``, and the remedy."""
     found, expected = ",".join(header), ",".join(first)
     problem = f"it holds nothing, expected the header '{expected}'"
     if found:
@@ -255,7 +255,7 @@ def read_targets(path: Path, arm: Arm) -> tuple[Array, Orientation | None]:
 
 
 def require_reachable(arm: Arm, targets: Array, turns: Orientation | None = None) -> None:
-    """Raise InputError that names targets (S, K, 3) [m] out of reach."""
+    """Raise InputError for targets (S, K, 3) [m] out of reach."""
     sets, count, _ = targets.shape
     if not np.isfinite(targets).all():
         raise InputError("targets: some are no finite numbers; give x, y, z in metres")
@@ -266,7 +266,7 @@ def require_reachable(arm: Arm, targets: Array, turns: Orientation | None = None
 
 
 def refused(arm: Arm, names: list[str], points: Array, turns: Orientation | None = None) -> str:
-    """Why ``arm`` cannot be at ``points`` (K, 3) [m]; empty: it can."""
+    """Why ``points`` (K, 3) [m] are impossible, or empty."""
     goals = choose_postures(arm, points, arm.rest, turn=turns)
     bad = [k for k, why in enumerate(goals.refusals) if why]
     told = [
@@ -284,7 +284,7 @@ def _turned(turns: Orientation | None, k: int) -> str:
 
 
 def beyond_reach(arm: Arm, targets: Array) -> Array:
-    """Distances (K,) [m] of targets (K, 3) [m] beyond the reach."""
+    """Distances (K,) [m] beyond the reach."""
     beyond: Array = solve_position(arm, targets, np.broadcast_to(arm.rest, (len(targets), arm.joints))).error
     missed = np.flatnonzero(beyond > _REACHED)
     if len(missed):

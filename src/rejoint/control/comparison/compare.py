@@ -1,7 +1,7 @@
-"""Try every controller on the same arm, with the same targets, from the same start.
+"""Try every controller on the same arm, with the same targets and start.
 
-Emulated arms run all trials of a controller as one batch with the same noise. A real arm runs them in random order, so
-that drift favours no controller.
+Emulated arms run all trials of a controller as one batch with equal noise. A real arm runs them in random order: drift
+favours no controller.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from rejoint.system.errors import ContractError, InputError
 from rejoint.system.progress import Progress, no_progress
 
 PROGRESS_CYCLES = 40
-"""Cycles between two progress reports (chosen)"""
+"""between progress reports (chosen)"""
 
 
 class Targets:
-    """Reports the share of finished targets."""
+    """Progress over targets."""
 
     def __init__(self, report: Progress, total: int) -> None:
         self._report, self._total = report, total
@@ -44,12 +44,12 @@ class Targets:
         self._text = ""
 
     def watch(self, text: str, size: int) -> Callable[[Cycle], None]:
-        """Begin ``size`` targets under the label ``text``; the result receives every cycle."""
+        """Begin ``size`` targets labelled ``text``; the result receives every cycle."""
         self._text, self._size, self._cycles = text, size, 0
         return self._see
 
     def finish(self) -> None:
-        """Count the begun targets as done."""
+        """Count them as done."""
         self._done += self._size
         self._report(self._done / self._total, self._text)
 
@@ -77,7 +77,7 @@ MakeCorrection = Callable[[Arm], Modelled]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trial:
-    """One target set, driven once with one controller."""
+    """One target set with one controller."""
 
     controller: str
     kind: Kind
@@ -86,11 +86,10 @@ class Trial:
     recording: Recording
     arm_index: int
     first: int = 0
-    """index of its first target"""
 
     @property
     def label(self) -> str:
-        """Protocol, controller, target set, repetition: ``hold/policy/0/2``."""
+        """Such as ``hold/policy/0/2``: protocol, controller, target set, repetition."""
         return f"{self.kind}/{self.controller}/{self.target_set}/{self.repetition}"
 
     def log(self) -> RunLog:
@@ -99,7 +98,6 @@ class Trial:
 
 
 OnTrial = Callable[[Trial], object]
-"""Receives every finished trial"""
 
 MOST = 10_000
 """Target sets times repetitions (chosen)"""
@@ -112,14 +110,14 @@ class Settings:
     repetitions: int = 1
     seed: int = 0
     batched: bool
-    """side by side on emulated arms, not in turns on one"""
+    """side by side on emulated arms"""
     protocol: Protocol = field(default_factory=Protocol)
     leave_out: bool = False
-    """leave a policy out that does not suit the measured period"""
+    """leave out a policy of another period"""
     elimination: Elimination | None = None
-    """rules on one arm; None: no elimination"""
+    """None: no elimination"""
     wait: bool = False
-    """drive an uncrossed target to the end although the arm is stationary, as in the paper"""
+    """wait for uncrossed targets although the arm is stationary, as in the paper"""
 
     def __post_init__(self) -> None:
         if self.repetitions < 1:
@@ -129,9 +127,9 @@ class Settings:
 
 
 LONG_GAP = 2.0
-"""[s] gap after which a trial is repeated (chosen)"""
+"""[s] that repeats a trial (chosen)"""
 REPEATS = 2
-"""Most repetitions of such a trial (chosen)"""
+"""of such a trial (chosen)"""
 
 
 @dataclass(eq=False)
@@ -139,7 +137,7 @@ class TrialRunner:
     """Compares ``controllers`` by name on ``targets``.
 
     A guard trip fails a trial of a batch; on one arm it ends the comparison, as does a robot's error. A command that is
-    not a number fails the trial. Trials in the ledger are skipped.
+    not a number fails the trial.
     """
 
     open_robot: OpenRobot
@@ -152,19 +150,17 @@ class TrialRunner:
     """(S, K); None: any"""
     limits: GuardLimits | None = None
     stance: Stance | None = None
-    """expected rest posture of one arm"""
     correction: MakeCorrection | None = None
-    """makes the corrected targets of all controllers"""
+    """makes corrected targets"""
     model: ToolModel | None = None
     """estimates unknown tool errors"""
     ledger: Ledger | None = None
     on_progress: Progress = no_progress
     on_trial: OnTrial | None = None
     measured: Sequence[Driven] = ()
-    """earlier trials, from ``source``"""
     source: str = ""
     helper: Helper | None = None
-    """drives a part of a batch in another process"""
+    """drives a part of a batch"""
 
     def __post_init__(self) -> None:
         targets, settings = np.asarray(self.targets, dtype=float), self.settings
@@ -219,7 +215,7 @@ class TrialRunner:
         return self.open_robot(len(places), self.settings.seed)
 
     def drive_batch(self, robot: Robot, name: str, kind: Kind, places: Places) -> tuple[Driven, Recording]:
-        """Drive all trials of a controller side by side, and close ``robot``."""
+        """Drive a controller's trials side by side, and close ``robot``."""
         try:
             return self._drive(robot, self.controllers[name](robot.arm), name, kind, places)
         finally:

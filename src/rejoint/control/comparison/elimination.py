@@ -1,7 +1,7 @@
 """Elimination of controllers that fail, or are significantly worse than the best.
 
-After each block of targets a controller leaves after three misses in a row, or when a paired t-test on logarithms of
-settled errors finds it worse (Maron and Moore, Hoeffding races, NIPS 1993; Bonferroni's level).
+After each block: three misses in a row, or a paired t-test on logarithms of settled errors (Maron and Moore, Hoeffding
+races, NIPS 1993; Bonferroni's level).
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ class Elimination:
     """Rules of elimination."""
 
     block: int = 5
-    """targets between two tests (chosen)"""
+    """targets per test (chosen)"""
     level: float = 0.1
     """of all tests together (chosen)"""
     nearest: float = 5e-5
-    """[m] smaller errors count as this (chosen)"""
+    """[m] least error (chosen)"""
 
     def __post_init__(self) -> None:
         if self.block < 2 or not 0.0 < self.level < 1.0:
@@ -41,14 +41,14 @@ class Elimination:
 
 
 def missed_in_a_row(crossed: Array) -> bool:
-    """Whether `MISSES` targets in a row were missed; ``crossed`` (N,), NaN: not driven."""
+    """Whether `MISSES` targets in a row of ``crossed`` (N,) were missed; NaN: not driven."""
     known = crossed[np.isfinite(crossed)]
     misses = np.convolve(known == 0.0, np.ones(MISSES), "valid") if len(known) >= MISSES else np.zeros(0)
     return bool((misses == MISSES).any())
 
 
 def worse(results: Mapping[str, Columns], rules: Elimination, tests: int) -> dict[str, str]:
-    """Return controllers that are significantly worse than the best, with the reason; columns (N,)."""
+    """Significantly worse controllers with reasons; columns (N,)."""
     from scipy import stats  # here, since it takes a second to load
 
     logs = {name: np.log(np.maximum(columns["settled"], rules.nearest)) for name, columns in results.items()}
@@ -70,7 +70,7 @@ def worse(results: Mapping[str, Columns], rules: Elimination, tests: int) -> dic
 
 
 class Watched:
-    """Passes commands on until one is not a number, which ends the trial."""
+    """Ends a trial at a command that is not a number."""
 
     def __init__(self, controller: Controller) -> None:
         self._controller, self.name = controller, controller.name
@@ -82,7 +82,7 @@ class Watched:
         self._controller.reset(inputs, where)
 
     def command(self, inputs: ControlInput) -> Array:
-        """Commands (1, n) [rad]; the last one after a failure."""
+        """Commands (1, n) [rad]."""
         wanted = self._controller.command(inputs)
         known = np.isfinite(inputs.state.position).all() and np.isfinite(inputs.sent).all()
         if known and not np.isfinite(wanted).all():
@@ -95,7 +95,7 @@ class Watched:
         return np.array([self.failed])
 
     def mark(self, recording: Recording) -> Recording:
-        """Add the failure's flag."""
+        """Flag the failure."""
         if not self.failed:
             return recording
         flag = np.uint16(Reason.NOT_FINITE.value)

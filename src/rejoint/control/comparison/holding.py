@@ -1,4 +1,4 @@
-"""Drives beside the comparison: the uncorrected arm, and poses approached from three directions."""
+"""Drives beside the comparison: the uncorrected arm, and ISO 9283's directions."""
 
 from __future__ import annotations
 
@@ -35,21 +35,19 @@ AWAY = 0.03
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Holding:
-    """How an arm is driven to held places."""
+    """How to drive held places."""
 
     open_robot: Callable[[int, int], Robot]
     """(arms, noise seed) to a robot"""
     batched: bool
-    """cycles side by side on emulated arms"""
     seed: int
     limits: GuardLimits | None = None
     stance: Stance | None = None
     correction: Callable[[Arm], Modelled] | None = None
     model: ToolModel | None = None
-    """estimates unknown tool errors"""
 
     def hold(self, controller: Callable[[Arm], Controller], targets: Array, protocol: Protocol) -> Columns:
-        """Drive to ``targets`` (R, K, 3) [m] in R cycles; raises as `run`."""
+        """Drive to ``targets`` (R, K, 3) [m], R cycles; raises as `run`."""
         parts = [targets] if self.batched else np.split(targets, len(targets))
         found = []
         robot = self.open_robot(len(parts[0]), self.seed)
@@ -77,7 +75,7 @@ def found_errors(
 
 
 def errors_of(held: Columns) -> TargetErrors:
-    """Mean errors at K targets of columns (R, K)."""
+    """Mean errors of columns (R, K)."""
     unknown = np.full_like(held["settled"], np.nan)
     modelled = np.array([held.get(name, unknown) for name in MODELLED])
     return TargetErrors(
@@ -101,7 +99,7 @@ def _true(true: Array, modelled: Array) -> TrueError:
 def vary_directions(
     how: Holding, name: str, controller: Callable[[Arm], Controller], arm: Arm, cycles: int, protocol: Protocol
 ) -> DirectionVariation | None:
-    """Approach each reachable ISO 9283 pose along each base axis, ``cycles`` times; None: unknown."""
+    """Approach each reachable ISO 9283 pose along the base axes, ``cycles`` times."""
     poses = iso_poses(arm, RISING_AHEAD)
     poses = poses[beyond_reach(arm, poses) == 0.0]
     middle = 0.5 * (arm.targets.upper + arm.targets.lower)

@@ -1,4 +1,4 @@
-"""Finished trials of a comparison on file, and trials shared with a helper process.
+"""Finished trials on file, and trials shared with a helper process.
 
 Each line is JSON with its CRC-32; the first names the comparison. Two processes take trials from the two ends of one
 list.
@@ -31,14 +31,14 @@ LEDGER_MOST = 256 * MEGABYTE
 
 
 class Ledger:
-    """Finished trials of a comparison."""
+    """Finished trials."""
 
     def __init__(self, path: Path | None, done: dict[Key, Driven]) -> None:
         self.path, self.done = path, done
 
     @classmethod
     def begin(cls, path: Path, name: str) -> Ledger:
-        """Open or make the ledger of the comparison ``name``; another one's is set aside."""
+        """Open or make the ledger of ``name``; another one's is set aside."""
         try:
             lines = list(_lines(path))
             if lines and lines[0] == name:
@@ -56,7 +56,7 @@ class Ledger:
 
     @classmethod
     def nowhere(cls) -> Ledger:
-        """Keep trials in memory only."""
+        """Keep trials in memory."""
         return cls(None, {})
 
     def add(self, driven: Driven) -> None:
@@ -105,12 +105,9 @@ def _decode(entry: dict[str, Any]) -> Driven:
 
 
 Task = tuple[str, Kind]
-"""Controller and protocol"""
 Result = tuple[Driven, Recording]
-"""Trials, and the recording of the first ones"""
 
 _LOOK = 0.02
-"""[s] (chosen)"""
 
 
 class HelperLostError(Exception):
@@ -118,10 +115,10 @@ class HelperLostError(Exception):
 
 
 class Helper(Protocol):
-    """Another process that drives trials."""
+    """A process that drives trials."""
 
     def settle(self) -> tuple[Task, ...]:
-        """Tasks that it has begun; it begins no more."""
+        """Its begun tasks; it begins no more."""
 
     def drive(self, task: Task, places: Places) -> Result:
         """Drive the trials of a task; HelperLostError."""
@@ -131,7 +128,7 @@ class Helper(Protocol):
 
 
 class Shared:
-    """Tasks, of which a helper takes the last."""
+    """Tasks shared with a helper."""
 
     def __init__(self, tasks: Sequence[Task], helper: Helper | None, places: Places) -> None:
         begun = () if helper is None else helper.settle()
@@ -142,7 +139,7 @@ class Shared:
             self._courier.start()
 
     def here(self) -> Iterator[Task]:
-        """Yield the tasks of this process."""
+        """Yield this process's tasks."""
         while True:
             while self._left:
                 try:

@@ -1,7 +1,7 @@
-"""The two protocols, their metrics per target, and the table of a comparison.
+"""The two protocols, their metrics, and the table of a comparison.
 
 ``crossing`` (Park et al. 2024, section IV-F): a target ends at the first crossing of the threshold or after the dwell.
-``hold``: every target lasts the same time. Accuracy of poses: ISO 9283:1998 (30 cycles) and ISO 230-2:2014.
+``hold``: every target lasts the same time. Accuracy: ISO 9283:1998 (30 cycles) and ISO 230-2:2014.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Kind = Literal["crossing", "hold"]
 KINDS: tuple[Kind, ...] = ("crossing", "hold")
 
 STANDS_FOR = 3.0
-"""[s] stationary, after which a dwell ends early (chosen)"""
+"""[s] stationary before a dwell ends (chosen)"""
 
 _CHUNK = 8192  # postures per call of the kinematics: enough to be fast, few enough for little memory
 
@@ -39,7 +39,7 @@ Columns = dict[str, Array]
 def schedule(
     kind: Kind, protocol: Protocol, *, keep_going: bool, sent: Array | None = None, wait: bool = True
 ) -> Schedule:
-    """Schedule of a protocol after the last commands ``sent`` (B, n) [rad]."""
+    """Schedule after the last commands ``sent`` (B, n) [rad]."""
     if kind == "crossing":
         return Schedule(
             dwell=protocol.dwell,
@@ -62,7 +62,7 @@ def encoder_tcp(arm: Arm, recording: Recording) -> Array:
 
 
 def measure_crossings(arm: Arm, recording: Recording, targets: Array, protocol: Protocol) -> Columns:
-    """Metrics of the crossing protocol for ``targets`` (B, K, 3) [m].
+    """Metrics of crossing; ``targets`` (B, K, 3) [m].
 
     Targets cut short by a trip are missed; later ones are NaN.
     """
@@ -86,9 +86,9 @@ def measure_crossings(arm: Arm, recording: Recording, targets: Array, protocol: 
 def measure_holds(
     arm: Arm, recording: Recording, targets: Array, protocol: Protocol, model: ToolModel | None = None
 ) -> Columns:
-    """Metrics of the hold protocol for ``targets`` (B, K, 3) [m]; NaN where a trip ended a hold.
+    """Metrics of holding; ``targets`` (B, K, 3) [m]; NaN where a trip ended a hold.
 
-    The ``model`` estimates unknown true errors.
+    ``model`` estimates true errors.
     """
     tcp = encoder_tcp(arm, recording)
     error, true_error = _errors(arm, recording, tcp)
@@ -125,7 +125,7 @@ def _columns(shape: tuple[int, ...], *names: str) -> Columns:
 
 
 def _errors(arm: Arm, recording: Recording, tcp: Array | None = None) -> tuple[Array, Array]:
-    """Return encoder error from the corrected target, and true error from the target, (T, B) [m]."""
+    """Return encoder error, from the corrected target, and true error (T, B) [m]."""
     tcp = encoder_tcp(arm, recording) if tcp is None else tcp
     return (
         np.linalg.norm(tcp - recording.aim, axis=-1),
@@ -154,7 +154,7 @@ class Crossing(NamedTuple):
 
 
 def crossing(since: Array, error: Array, threshold: float) -> Crossing:
-    """First time at which ``error`` (T,) [m] is below ``threshold`` [m], else the end."""
+    """First time at which ``error`` (T,) [m] is below ``threshold`` [m], or the end."""
     below = np.flatnonzero(error < threshold)
     row = int(below[0]) if len(below) else len(error) - 1
     return Crossing(bool(len(below)), float(error[row]), float(since[row]), row)
@@ -185,7 +185,6 @@ def oscillation(since: Array, tcp: Array, window: float) -> float:
 
 
 Place = tuple[int, int]
-"""Target set, repetition"""
 Places = tuple[Place, ...]
 Key = tuple[str, Kind, Places, int]
 """Controller, protocol, trials, first target"""
@@ -193,7 +192,7 @@ Key = tuple[str, Kind, Places, int]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Driven:
-    """A trial on one arm, or those of a batch."""
+    """A trial, or those of a batch."""
 
     controller: str
     kind: Kind
@@ -201,23 +200,20 @@ class Driven:
     columns: Columns
     """(B, K)"""
     cycles: int
-    """with new readings"""
     reasons: dict[str, int]
-    """cycles per guard reason"""
     ended: tuple[Ended, ...]
     failed: bool = False
-    """a command was not a number"""
     first: int = 0
-    """index of its first target"""
+    """index"""
 
     @property
     def key(self) -> Key:
-        """Identity in its comparison."""
+        """Identity."""
         return self.controller, self.kind, self.places, self.first
 
     @property
     def targets(self) -> int:
-        """Number of targets."""
+        """Number."""
         return int(next(iter(self.columns.values())).shape[1])
 
 
@@ -232,7 +228,7 @@ def measure(
     model: ToolModel | None = None,
     both: bool = False,
 ) -> Driven:
-    """Metrics of a recording; ``targets`` (B, K, 3) [m], one arm per trial of ``key``.
+    """Metrics of a recording; ``targets`` (B, K, 3) [m].
 
     ``both``: a hold also gives the crossing.
     """
@@ -278,7 +274,7 @@ RISING_LEFT = np.array([[0, 0, 0], [1, 1, 1], [-1, 1, 1], [-1, -1, -1], [1, -1, 
 
 
 def iso_poses(arm: Arm, plane: Array, size: float = 1.0) -> Array:
-    """Points P1 to P5 (5, 3) [m] of ISO 9283 in a ``plane`` of the region."""
+    """P1 to P5 (5, 3) [m] of ISO 9283 in a ``plane`` of the region."""
     low, high = arm.targets.lower, arm.targets.upper
     return np.asarray(0.5 * (low + high) + 0.5 * size * (1.0 - 2.0 * INSET) * (high - low) * plane)
 
@@ -289,7 +285,7 @@ def position_accuracy(places: Array, target: Array) -> Array:
 
 
 def position_repeatability(places: Array) -> Array:
-    """RP (...) [m]: mean distance of ``places`` (..., R, 3) from their mean, plus 3 sigma; NaN for R < 2."""
+    """RP (...) [m] of ``places`` (..., R, 3): mean distance from their mean, plus 3 sigma; NaN for R < 2."""
     if places.shape[-2] < 2:
         return np.full(places.shape[:-2], np.nan)
     distance = np.linalg.norm(places - places.mean(axis=-2, keepdims=True), axis=-1)
@@ -311,10 +307,10 @@ MODELLED = ("modelled", "modelled_low", "modelled_high")
 
 
 class Tally:
-    """Collects the metrics of one controller."""
+    """Collects a controller's metrics."""
 
     def __init__(self, shape: tuple[int, int, int], protocol: Protocol, *, blocks: bool = False) -> None:
-        """``shape``: target sets, repetitions, targets; ``blocks``: sets come in parts."""
+        """``shape``: sets, repetitions, targets; ``blocks``: sets come in parts."""
         self.protocol, self.blocks = protocol, blocks
         self.columns: Columns = {name: np.full(shape, np.nan) for name in (*METRICS, *protocol.stay_names)}
         self.cycles, self.out, self.source = 0, "", ""

@@ -19,7 +19,7 @@ from rejoint.control.servogains import inner_name
 from rejoint.system.statistics import FEWEST_CLUSTERS, Estimate, above_zero, cluster, paired_difference
 
 SOONER = 0.2
-"""[s] relevant difference of times to stay (chosen)"""
+"""[s] relevant difference (chosen)"""
 NO_INTERVAL = "too few trials for an interval"
 
 
@@ -29,7 +29,7 @@ class Recommendation:
 
     controller: str
     why: tuple[str, ...]
-    """sentences, the most important first"""
+    """the most important first"""
     tied: tuple[str, ...] = ()
     """less simple controllers"""
 
@@ -224,7 +224,7 @@ def _geared(row: ControllerRow) -> tuple[str, ...]:
 
 
 def complexity(controller: str) -> tuple[float, str]:
-    """Rank of a name: the simplest first, unknown ones last."""
+    """Rank: the simplest first, unknown ones last."""
     name = inner_name(controller)
     known = CONTROLLERS.index(name) if name in CONTROLLERS else len(CONTROLLERS)
     return known + 0.5 * (name != controller), controller
@@ -250,7 +250,7 @@ MEANINGS = {
 
 
 def failure(row: ControllerRow) -> str:
-    """Say how it failed; empty: it reached a target without a trip."""
+    """Describe a failure, or empty."""
     name = row.controller
     if row.out:
         return f"{name} {row.out}: what was left of its trials was not driven, and counts neither for nor against it."

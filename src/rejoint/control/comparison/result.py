@@ -19,7 +19,6 @@ from rejoint.system.statistics import Estimate, Spread
 Values = tuple[float | None, ...]
 
 WAS_WORSE = "was worse than "
-"""Begins a reason of elimination"""
 
 METRICS = {
     "crossed": "1 where the threshold was crossed in time, else 0",
@@ -42,7 +41,7 @@ METRICS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Stay:
-    """Time to stay within a distance."""
+    """Time within a distance."""
 
     within: float
     """[m]"""
@@ -72,9 +71,9 @@ class ControllerRow:
 
     controller: str
     success: Estimate
-    """share of targets reached in time"""
+    """share reached in time"""
     crossing_error: Spread | None
-    """[m] encoder error at the end of a target"""
+    """[m] encoder error at a target's end"""
     crossing_true: Spread | None
     """[m] true error there"""
     cycle_time: Spread | None
@@ -82,42 +81,40 @@ class ControllerRow:
     settled: Spread | None
     """[m] encoder error at the end of each hold"""
     settled_true: Spread | None
-    """[m] true error there"""
+    """[m] true"""
     settled_modelled: TrueError | None
-    """true error there by a calibration"""
+    """true, by a calibration"""
     oscillation: Spread | None
-    """[m] rms motion of the encoder TCP there"""
+    """[m] rms motion there"""
     turned: Spread | None
-    """[rad] orientation error by the encoders there"""
+    """[rad] orientation error there"""
     accuracy: Spread | None
-    """[m] AP of ISO 9283 by the encoders"""
+    """[m] AP of ISO 9283, encoders"""
     repeatability: Spread | None
-    """[m] RP by the encoders; None for one repetition"""
+    """[m] RP, encoders"""
     accuracy_true: Spread | None
-    """[m] AP of the tool"""
+    """[m] AP, tool"""
     repeatability_true: Spread | None
-    """[m] RP of the tool"""
+    """[m] RP, tool"""
     stays: tuple[Stay, ...]
-    """the widest distance first"""
     held: int
     """targets held to the end"""
     guard: dict[str, float]
-    """share of cycles per guard reason, the most frequent first"""
+    """share of cycles per reason"""
     ended: tuple[Ended, ...] = ()
-    """in order"""
     out: str = ""
-    """reason of its elimination, or empty"""
+    """reason of elimination"""
     source: str = ""
-    """origin of its first trials, or empty"""
+    """origin of first trials"""
 
     @property
     def beaten(self) -> bool:
-        """Whether a better one eliminated it."""
+        """Whether eliminated by a better one."""
         return self.out.startswith(WAS_WORSE)
 
     @property
     def failures(self) -> int:
-        """Number of trials that ended early."""
+        """Trials that ended early."""
         return len(self.ended)
 
     @property
@@ -139,9 +136,9 @@ class Protocol:
     hold: float = 8.0
     """[s] (chosen)"""
     window: float = 1.0
-    """[s] averaged end of a hold (chosen)"""
+    """[s] averaged end (chosen)"""
     within: tuple[float, ...] = (0.010, 0.005, 0.002)
-    """[m] distances to stay within (chosen)"""
+    """[m] (chosen)"""
 
     def __post_init__(self) -> None:
         for name in ("threshold", "dwell", "hold", "window"):
@@ -160,12 +157,12 @@ class Protocol:
 
 @dataclass(frozen=True, kw_only=True)
 class TargetErrors:
-    """Errors at K targets."""
+    """Errors at targets."""
 
     encoders: Values
     """[m] from the corrected target"""
     true: tuple[TrueError, ...]
-    """of the tool, from the target"""
+    """of the tool"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -177,9 +174,9 @@ class DirectionVariation:
     cycles: int
     """per direction; ISO asks for 30"""
     encoders: Spread
-    """[m] by the encoders"""
+    """[m]"""
     tool: Spread | None
-    """[m] of the tool; None: unknown"""
+    """[m] tool"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,46 +196,47 @@ class Comparison:
     clusters: str
     """unit of resampling: ``target sets``, ``trials`` or ``targets``"""
     rows: tuple[ControllerRow, ...]
+    """one per controller"""
     results: dict[str, Values] = field(repr=False)
-    """tidy table by column (`METRICS`), ordered by controller, target set, repetition, target; None: no result"""
+    """tidy table by column (`METRICS`), ordered by controller, target set, repetition, target"""
     targets_file: str = ""
     """empty: drawn"""
     period: tuple[float, float] | None = None
     """[s] requested; None: the robot's own"""
     left_out: tuple[str, ...] = ()
-    """sentences: what was left out, and why"""
+    """sentences with reasons"""
     calibration: str = ""
-    """date of the calibration, or empty"""
+    """date, or empty"""
     block: int = 0
     """targets between eliminations; 0: none"""
     as_found: TargetErrors | None = None
-    """of the uncorrected arm at the first target set"""
+    """uncorrected arm, first target set"""
     directions: DirectionVariation | None = None
-    """of the recommended controller, if asked for"""
+    """of the recommended controller"""
     orientations: tuple[tuple[str, ...], ...] = ()
-    """in words; empty for points"""
+    """in words"""
 
     def row(self, controller: str) -> ControllerRow:
-        """Statistics of a controller; InputError lists the names."""
+        """Statistics of a controller; InputError."""
         return self.rows[self._index(controller)]
 
     @property
     def controllers(self) -> tuple[str, ...]:
-        """In the order of the rows."""
+        """In row order."""
         return tuple(row.controller for row in self.rows)
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Target sets S, repetitions R, targets K."""
+        """Sets S, repetitions R, targets K."""
         return len(self.targets), self.repetitions, len(self.targets[0])
 
     @property
     def true_known(self) -> bool:
-        """Whether the true tool position was known."""
+        """Whether true errors are known."""
         return "settled_true" in self.results
 
     def array(self, metric: str, controller: str) -> Array:
-        """Column of one controller, (S, R, K); NaN: no result."""
+        """Column of a controller, (S, R, K); NaN: none."""
         values = self.results.get(metric)
         if values is None:
             return np.full(self.shape, np.nan)

@@ -23,7 +23,7 @@ from rejoint.logs.runlog import RunLog
 
 Rows = NDArray[np.intp]
 GiveUp = Callable[[ControlInput], Mask]
-"""Ends a motion early, see `rejoint.control.loop.Schedule`"""
+"""See `rejoint.control.loop.Schedule`"""
 
 _STEP = 0.02  # [s] between the places of a path that is corrected or judged
 _JUDGED = 100  # places of a path at which a model is asked for the tool (chosen: it draws from its covariance at each)
@@ -40,7 +40,7 @@ class Pass:
     """rms of the tool"""
     log: RunLog | None = None
     turned: float | None = None
-    """[rad] rms orientation error by the encoders; None: not asked for"""
+    """[rad] rms; None: not asked for"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,9 +50,8 @@ class Followed:
     path: str
     controller: str
     within: float
-    """[m] accepted error"""
+    """[m]"""
     passes: tuple[Pass, ...]
-    """in order"""
     period: float | None
     """[s] median"""
     gaps: tuple[float, ...]
@@ -60,7 +59,7 @@ class Followed:
 
     @property
     def followed(self) -> bool:
-        """Whether the last pass stayed ``within`` (rms after the best lag) and turned the tool."""
+        """Whether the last pass stayed ``within`` (rms after the lag) and turned the tool."""
         last = self.passes[-1] if self.passes else None
         return last is not None and last.encoder.rms_after <= self.within and (last.turned or 0.0) <= REACHED_TURN
 
@@ -84,7 +83,7 @@ def corrected_path(arm: Arm, path: Path, correction: Modelled, home: Array | Non
 def corrector(
     arm: Arm, correction: Modelled, start: Array, turn: Orientation | None = None, home: Array | None = None
 ) -> Corrected:
-    """Return the corrector of a stream's targets, from ``start`` (3,) [m] and ``turn`` () on."""
+    """Corrector of a stream's targets, from ``start`` (3,) [m] and ``turn`` () on."""
     postures = PathPostures(arm, start[None], turn and turn[None], home)
 
     def correct(places: Array, turns: Orientation | None) -> tuple[Array, Orientation | None]:
@@ -96,7 +95,7 @@ def corrector(
 
 
 def judge(arm: Arm, recording: Recording, guide: Ahead | Stream, b: int = 0, model: ToolModel | None = None) -> Pass:
-    """Errors of arm ``b``; the ``model`` estimates unknown tool errors."""
+    """Errors of arm ``b``; ``model`` estimates tool errors."""
     rows, time = rows_on(recording, guide, b)
     tool = tcp_position(arm, recording.position[rows, b])
     at, places, aims = route_of(guide)
@@ -151,7 +150,7 @@ _LAGS = np.arange(0.0, 0.3001, 0.005)  # [s] that are tried
 
 @dataclass(frozen=True, kw_only=True)
 class Along:
-    """Errors along a path."""
+    """Errors on a path."""
 
     rms: float
     """[m]"""
@@ -180,7 +179,7 @@ def along(time: Array, tool: Array, at: Array, places: Array) -> Along:
 
 
 class Sender:
-    """Sends the inverse kinematics of the moving target: the baseline."""
+    """Sends the inverse kinematics: the baseline."""
 
     name = "default"
 
@@ -204,7 +203,7 @@ DIFFERENT = 0.35e-3
 BELIEVED = 2.0
 """Factor on it (chosen)"""
 DOUBT = 2.0
-"""Weight of differences against repeated errors (chosen)"""
+"""Weight against repeated errors (chosen)"""
 HIGHEST = 3.0
 """[Hz] of learned errors (chosen)"""
 MOST = 0.02

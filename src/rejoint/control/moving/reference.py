@@ -51,7 +51,7 @@ SPEED_SHARE = 0.8
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Path:
-    """Places over time, joined by a cubic spline."""
+    """Places over time, as a cubic spline."""
 
     time: Array
     """(T,) [s] increasing, from 0"""
@@ -139,11 +139,11 @@ class Path:
         return np.asarray(self._places(np.clip(time, 0.0, self.duration)))
 
     def velocity(self, time: Array | float) -> Array:
-        """Velocities (..., 3) [m/s] at ``time`` (...) [s]."""
+        """(..., 3) [m/s] at ``time`` (...) [s]."""
         return self._derivative(time, 1)
 
     def acceleration(self, time: Array | float) -> Array:
-        """Accelerations (..., 3) [m/s^2] at ``time`` (...) [s]."""
+        """(..., 3) [m/s^2] at ``time`` (...) [s]."""
         return self._derivative(time, 2)
 
     def _derivative(self, time: Array | float, order: int) -> Array:
@@ -152,7 +152,7 @@ class Path:
         return np.asarray(moving[..., None] * self._places(np.clip(time, 0.0, self.duration), order))
 
     def require_followable(self, arm: Arm) -> None:
-        """Raise InputError, which names the place, unless ``arm`` can follow."""
+        """Raise InputError unless ``arm`` can follow."""
         if not SHORTEST <= self.duration <= LONGEST:
             raise InputError(
                 f"path: it takes {self.duration:g} s, {SHORTEST:g} to {LONGEST:.0f} s were expected; give times in "
@@ -224,7 +224,7 @@ def _spline(time: Array, values: Array) -> CubicSpline:
 
 
 def read_path(file: FilePath) -> Path:
-    """Read a CSV file ``time,x,y,z`` [s, mm], perhaps with an orientation; FileError names the line."""
+    """Read a CSV file ``time,x,y,z`` [s, mm], perhaps with orientations; FileError."""
     try:
         lines = read_poses(file, _MOST, _HEADER)
     except FileNotFoundError as error:
@@ -278,7 +278,7 @@ _NAME = re.compile(r"(circle)-(\d+(?:\.\d+)?)s|(random)-(\d+(?:\.\d+)?)hz")
 
 
 def is_standard(name: str) -> bool:
-    """Whether the path is a standard one."""
+    """Whether it is standard."""
     return _NAME.fullmatch(name) is not None
 
 
@@ -385,8 +385,8 @@ Corrected = Callable[[Array, Orientation | None], tuple[Array, Orientation | Non
 class Stream:
     """Targets that arrive online at 10 to 100 Hz: places, or poses.
 
-    The arm follows `LAG` behind, straight between targets. After the last one it extrapolates for `EXTRAPOLATED`, then
-    holds. `put` is thread-safe. A stream is followed once.
+    The arm follows `LAG` behind, straight between targets, extrapolates for `EXTRAPOLATED`, then holds. `put` is
+    thread-safe. A stream is followed once.
     """
 
     lag: float = LAG
@@ -434,7 +434,7 @@ class Stream:
 
     @property
     def followed(self) -> bool:
-        """Whether an arm has followed it."""
+        """Whether an arm followed it."""
         return self._now > 0.0
 
     def place(self, now: float) -> Array:
@@ -500,7 +500,7 @@ def _turn_between(one: Array, other: Array) -> float:
 
 
 def _last_velocity(times: Array, values: Array) -> Array:
-    """Velocity (m,) [1/s] of the last values (K, m): a line through 0.1 s, or the last two."""
+    """Last velocity (m,) [1/s] of values (K, m): a line through 0.1 s, or two."""
     recent = np.flatnonzero(times >= times[-1] - 0.1)
     recent = recent if len(recent) > 1 else np.arange(len(times) - 2, len(times))
     since = times[recent] - times[recent].mean()
@@ -520,7 +520,7 @@ class Routes:
 
     @property
     def waits(self) -> Mask:
-        """(B,) planned paths, which wait for their arm."""
+        """(B,) planned paths."""
         return np.array([isinstance(guide, Ahead) for guide in self.guides])
 
     def place(self, now: Array) -> Array:

@@ -1,6 +1,6 @@
 """The tracker: the twin's inverse ahead of time, and an observer of disturbances.
 
-A joint deviates by x: ``M x'' + D x' + k x = k (u + d)``; u was sent beyond the inverse, ``delay`` ago; d is the
+Deviation x of a joint: ``M x'' + D x' + k x = k (u + d)``; u was sent beyond the inverse, ``delay`` ago; d is the
 disturbance. A stationary Kalman filter per joint estimates x, x' and d. The command subtracts d, and adds stiffness and
 damping for the time of its effect.
 """
@@ -31,7 +31,7 @@ class PushObserver:
     """Deviations of B arms from the wanted motion."""
 
     def __init__(self, arm: Arm, servos: Servos, period: float = NOMINAL_PERIOD) -> None:
-        """``period`` [s]: usual control period."""
+        """``period`` [s] of control."""
         self._servos = servos
         self.mass = np.maximum(servos.armature + link_inertia(arm, arm.rest), _LEAST_INERTIA)
         """(B, n) [kg m^2]"""
@@ -116,13 +116,13 @@ class TrackerGains:
     slow: float = 0.08
     """[rad/s] of a slow joint (chosen)"""
     early: float = 0.0075
-    """[s] sent ahead, beyond delay and half a period: the servo's filter"""
+    """[s] beyond delay and half a period: the servo's filter"""
     pace: float = 1.0
     """largest product of a joint's frequency [rad/s] and the delay (measured)"""
     step: float = 0.03
     """[s] between places for speed and acceleration"""
     relief: float = 0.15
-    """[s] in which heavy joints take over errors of light ones"""
+    """[s] in which heavy joints take over from light ones"""
     push_limit: float = float(np.radians(30.0))
     """[rad] largest correction of a disturbance"""
 
@@ -140,7 +140,7 @@ class Tracker:
         period: float = NOMINAL_PERIOD,
         home: Array | None = None,
     ) -> None:
-        """``period`` [s]: usual one; ``home`` (n,) or (B, n) [rad], by default `home_of`."""
+        """``period`` [s] of control; ``home`` (n,) or (B, n) [rad], default `home_of`."""
         self._arm, self._servos, self._gains = arm, servos, gains or TrackerGains()
         self._usual = period
         self.home = home_of(arm, servos) if home is None else home
@@ -148,7 +148,7 @@ class Tracker:
         self._begun = False
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:  # noqa: ARG002 - a gap in the answers forgets nothing
-        """Begin where the arms are; later resets change nothing."""
+        """Begin here; later resets change nothing."""
         if self._begun:
             return
         self._begun = True
@@ -192,7 +192,7 @@ class Tracker:
         return np.clip(most / self._gains.stiffness, 0.0, 1.0)
 
     def _relieve(self, position: Array, away: Array, elapsed: Array) -> Array:
-        """Extra motion (B, n) [rad] of heavy joints for light ones that are ``away`` (B, n)."""
+        """Extra motion (B, n) [rad] of heavy joints for light ones ``away`` (B, n)."""
         light = joint_weights(self._arm) > 1.0
         jacobian = position_kinematics(self._arm, position)[1]
         missed = ((jacobian * light) @ away[..., None])[..., 0]
