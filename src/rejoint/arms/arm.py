@@ -65,8 +65,9 @@ class Arm:
     inertia: Array
     """(n, 3, 3) [kg m^2] about the centres of mass, joint-frame axes"""
     rest: Array
-    """(n,) [rad] start of trials; the null space is pulled to it"""
+    """(n,) [rad] start of trials, and of the null space's pull"""
     targets: Box
+    """region of targets"""
     floor: float
     """[m] lowest TCP"""
     encoder_step: float
@@ -74,9 +75,9 @@ class Arm:
     servo_acceleration: float = np.inf
     """[rad/s^2] limit of the servos' reference; infinite: unknown"""
     servos: tuple[str, ...] = ()
-    """(n,) type and gains; equal texts are equal servos; empty: unknown"""
+    """(n,) type and gains; empty: unknown"""
     keep_out: tuple[Box, ...] = ()
-    """base frame; no moving part may enter"""
+    """base frame, forbidden"""
 
     def __post_init__(self) -> None:
         _freeze(self)
@@ -107,7 +108,7 @@ class Arm:
 
 
 def differing(one: Arm, other: Arm) -> tuple[str, ...]:
-    """Names of fields that differ beyond rounding; `Arm.keep_out` does not count."""
+    """Fields that differ beyond rounding, without `Arm.keep_out`."""
     found = []
     for entry in fields(Arm):
         if entry.name == "keep_out":

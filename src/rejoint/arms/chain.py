@@ -1,4 +1,4 @@
-"""Cuts a serial chain out of a tree of bodies and freezes all others."""
+"""Cuts a serial chain out of a tree; all others are frozen."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rejoint.system.errors import InputError
 
 
 def cut(tree: Tree, base: str | None, tip: str | None) -> Draft:
-    """Draft of the chain from the body ``base`` to the body or site ``tip``.
+    """Draft of the chain from body ``base`` to the body or site ``tip``.
 
     Default ``tip``: last link of the longest chain of hinges without a gripper; default ``base``: the root. Slides are
     held; other bodies add mass to their link. InputError for unknown names, an ambiguous choice, or a joint that can be
@@ -134,7 +134,7 @@ _ACROSS = 1e-6
 
 
 def body_called(tree: Tree, name: str) -> int:
-    """Index of a body; InputError lists the names."""
+    """Index of a body; InputError."""
     names = [body.name for body in tree.bodies]
     if name not in names:
         raise InputError(unknown(name, "body", names))
@@ -153,7 +153,7 @@ def tip_called(tree: Tree, name: str) -> tuple[int, Array]:
 
 
 def root_of(tree: Tree, end: int, notes: list[str]) -> int:
-    """Body at which the arm to ``end`` begins: the root, the load of a mobile base, or the world."""
+    """First body of the arm to ``end``: the root, the load of a mobile base, or the world."""
     path = tree.path(end)
     moving = _mobile_base(tree.joints_of(path))
     if moving:
@@ -198,7 +198,7 @@ def longest(tree: Tree, start: int | None, notes: list[str]) -> tuple[int, Array
 
 
 def unknown(name: str, kind: str, names: Sequence[str]) -> str:
-    """Report an unknown name, with the known ones."""
+    """Report an unknown name."""
     close = difflib.get_close_matches(name, names, n=1)
     hint = f"did you mean {close[0]}? " if close else ""
     shown = [known for known in names if known][:40]
@@ -252,7 +252,6 @@ def _mobile_base(joints: list[Joint]) -> list[Joint]:
 
 
 WORLD = 0
-"""Index of the world"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -294,7 +293,7 @@ class Joint:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Site:
-    """A named frame on a body."""
+    """A named frame."""
 
     name: str
     body: int
@@ -304,7 +303,7 @@ class Site:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tree:
-    """Bodies in one posture; body 0 is the world, parents come first."""
+    """Bodies; body 0 is the world, parents first."""
 
     name: str
     bodies: tuple[Body, ...]
@@ -314,7 +313,7 @@ class Tree:
     notes: tuple[str, ...] = ()
 
     def path(self, body: int) -> list[int]:
-        """Bodies from a root to ``body``, without the world."""
+        """Bodies from a root to ``body``."""
         found = []
         while body != WORLD:
             found.append(body)
@@ -322,9 +321,9 @@ class Tree:
         return found[::-1]
 
     def joints_of(self, bodies: Iterable[int]) -> list[Joint]:
-        """Joints of bodies, in order."""
+        """Joints in order."""
         return [joint for body in bodies for joint in self.joints if joint.body == body]
 
     def names(self, bodies: Iterable[int]) -> str:
-        """Names of bodies."""
+        """Names."""
         return ", ".join(self.bodies[index].name for index in bodies)

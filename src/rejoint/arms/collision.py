@@ -1,7 +1,7 @@
-"""Contacts of an arm with itself, the ground or a box: a capsule along every link.
+"""Contacts of an arm with itself, the ground or a box, by capsules.
 
-Pairs of links that meet in a joint, or overlap at rest or at a target, do not count (Coleman et al. 2014). Distances of
-segments: Ericson 2005, "Real-Time Collision Detection", section 5.1.9.
+Pairs of links that meet in a joint, or overlap at rest or at a target, do not count (Coleman et al. 2014). Distances:
+Ericson 2005, "Real-Time Collision Detection", section 5.1.9.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from rejoint.system.shell import Late
 compiled = Late("rejoint.arms.compiled")
 
 GROUND = 0.0
-"""[m] in the base frame, or the arm's floor below it"""
+"""[m] or the arm's lower floor"""
 
 
 JOINT_CLEARANCE = 0.01
@@ -33,12 +33,12 @@ _STILL = 1e-6
 """[m] rounding"""
 
 GRID = 3
-"""Targets per edge that count as free (chosen)"""
+"""Free targets per edge (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CollisionShape:
-    """Capsules of an arm; link 0 is the base."""
+    """Capsules; link 0 is the base."""
 
     radius: float
     """[m]"""
@@ -49,7 +49,7 @@ class CollisionShape:
     ground: float
     """[m]"""
     moving: NDArray[np.int64]
-    """(L,) links that can enter a box"""
+    """(L,) links that can enter boxes"""
     boxes: Array
     """(K, 6) [m] lower and upper corners"""
 
@@ -61,7 +61,7 @@ class CollisionShape:
 
 @lru_cache(maxsize=32)
 def collision_shape(arm: Arm) -> CollisionShape:
-    """Capsules of an arm and their pairs."""
+    """Capsules and their pairs."""
     f = frames(arm, _work(arm))
     first, links = _ends(f)[0], arm.joints + 1
     radius, ground = LINK_RADIUS_RATIO * reach(arm), min(GROUND, arm.floor)
@@ -83,7 +83,7 @@ def collides(arm: Arm, f: Frames) -> NDArray[np.bool_]:
 
 
 def _gaps(shape: CollisionShape, f: Frames) -> Array:
-    """Distances (B, P + G + L K) [m] of what can touch, at B postures."""
+    """Distances (B, P + G + L K) [m] at B postures."""
     points = _ends(f)[..., 1:, :]
     points = points.reshape(-1, *points.shape[-2:])
     poses = np.empty((points.shape[1], 3, 4, len(points)))
@@ -103,7 +103,7 @@ def _fill(shape: CollisionShape, poses: Array, floors: Array) -> Array:
 
 @lru_cache(maxsize=32)
 def guarded_floors(arm: Arm) -> Array:
-    """Lowest heights (n,) [m] of the joint frames but the first, and of the TCP; -inf where they hardly rise."""
+    """Lowest heights (n,) [m] of the joint frames but the first, and TCP; -inf: hardly rises."""
     joint_floor = arm.floor + JOINT_CLEARANCE * reach(arm) / reach(mycobot280())
     floors = np.append(np.where(rising_frames(arm, joint_floor)[1:], joint_floor, -np.inf), arm.floor)
     floors.setflags(write=False)
@@ -120,7 +120,7 @@ def clearances(arm: Arm, q: Array, floors: Array) -> Array:
 
 
 def contact(arm: Arm, item: int) -> tuple[str, str]:
-    """Names of the two bodies at distance ``item`` of `clearances`."""
+    """Return the two bodies at distance ``item`` of `clearances`."""
     shape, names = collision_shape(arm), arm.joint_names
 
     def link(i: int) -> str:
@@ -145,7 +145,7 @@ def _moving(arm: Arm) -> NDArray[np.int64]:
 
 
 def _work(arm: Arm) -> Array:
-    """Postures (m, n) [rad] without contacts: rest, then a grid of targets."""
+    """Postures (m, n) [rad] without contacts: rest, targets."""
     axes = [np.linspace(low, high, GRID) for low, high in zip(arm.targets.lower, arm.targets.upper, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     solution = solve_position(arm, grid, arm.rest)

@@ -28,9 +28,9 @@ def _steps(terms, sine, cosine):  # noqa: ANN001, ANN202
 
 @njit(void(IN3, IN2, IN2, IN2, int64, OUT4), cache=True, nogil=True)
 def fill_poses(terms, tip, sine, cosine, first, poses):  # noqa: ANN001, ANN201
-    """Fill ``poses`` (n + 1, r, 4, B): r rows from ``first`` on of the frames of joints and TCP.
+    """Fill ``poses`` (n + 1, r, 4, B): r rows from ``first`` of the frames of joints and TCP.
 
-    ``terms`` (n, 16, 3) as `joint_terms`, ``tip`` (4, 4), ``sine`` and ``cosine`` (n, B).
+    ``terms`` (n, 16, 3), ``tip`` (4, 4), ``sine`` and ``cosine`` (n, B).
     """
     steps = _steps(terms, sine, cosine)
     joints, rows, postures = len(steps), poses.shape[1], poses.shape[3]
@@ -94,7 +94,7 @@ def _axis_distance(ends, i, j):  # noqa: ANN001, ANN202
 
 @njit(float64(IN2, int64, IN1, float64), cache=True, nogil=True)
 def _box_slope(ends, link, box, t):  # noqa: ANN001, ANN202
-    """Half the derivative, by ``t``, of the squared distance between a box (6,) and the link's point at ``t``."""
+    """Half the derivative, by ``t``, of the squared distance between box (6,) and link."""
     slope = 0.0
     for r in range(3):
         along = ends[link + 1, r] - ends[link, r]

@@ -1,7 +1,7 @@
-"""Displacements that encoders do not see: play, flex, zero errors, links, a tilted base.
+"""Displacements behind encoders: play, flex, zero errors, links, a tilted base.
 
-Weight presses a joint to one side of its play and bends it. A joint without weight floats, and only its last motion
-tells the side. Model: Khalil and Dombre 2002, chapter 11, with a smooth sign of the torque.
+Weight presses a joint to one side of its play and bends it; without weight only the last motion tells the side. Model:
+Khalil and Dombre 2002, chapter 11, with a smooth sign of the torque.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Displacement:
     mass: Array = field(default_factory=lambda: np.ones(()))
     """(n,) or () factor on masses"""
     carry: Array = field(default_factory=lambda: np.zeros(()))
-    """(n,) or () share of half the play by which a floating joint runs ahead"""
+    """(n,) or () share of half the play ahead, floating"""
 
     def __post_init__(self) -> None:
         _freeze(self)

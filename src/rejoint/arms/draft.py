@@ -1,4 +1,4 @@
-"""An arm as a file describes it, and its completion with noted assumptions."""
+"""An arm as a file describes it, and its completion."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ LONGEST = 30.0
 """[m] larger reaches are refused (chosen)"""
 
 POINT = 1e-3
-"""[m] targets around the resting TCP without a region (chosen)"""
+"""[m] region around the resting TCP (chosen)"""
 
 FLOOR_RATIO = 0.04
 """over the reach (chosen)"""
@@ -38,7 +38,7 @@ FLOOR_RATIO = 0.04
 
 @dataclass(frozen=True, kw_only=True)
 class Loaded:
-    """An arm and the assumptions made for it."""
+    """An arm and its assumptions."""
 
     arm: Arm
     notes: tuple[str, ...] = ()

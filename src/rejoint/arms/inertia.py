@@ -1,6 +1,6 @@
-"""Masses and inertias of links; payload and tool.
+"""Masses and inertias; payload and tool.
 
-Impossible values are replaced by those of a solid cylinder along the link, with a note.
+A solid cylinder along the link replaces impossible values, with a note.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ NOTHING = SpatialInertia(mass=0.0, com=np.zeros(3), inertia=np.zeros((3, 3)))
 
 
 def combined(pieces: Sequence[SpatialInertia]) -> SpatialInertia:
-    """Join rigidly connected bodies of one frame (parallel-axis theorem)."""
+    """Join bodies of one frame (parallel-axis theorem)."""
     mass = sum(piece.mass for piece in pieces)
     if mass <= 0.0:
         return NOTHING
@@ -73,7 +73,7 @@ def combined(pieces: Sequence[SpatialInertia]) -> SpatialInertia:
 
 
 def cylinder(mass: float, end: Array, radius: float) -> Array:
-    """Inertia (3, 3) [kg m^2] of a solid cylinder from the origin to ``end`` (3,) [m], about its centre."""
+    """Inertia (3, 3) [kg m^2] of a cylinder from the origin to ``end`` (3,) [m], about its centre."""
     length = float(np.linalg.norm(end))
     along = end / length
     axial, lateral = mass * radius**2 / 2, mass * (3 * radius**2 + length**2) / 12
@@ -102,7 +102,7 @@ def ball_radius(mass: float) -> float:
 
 
 def usable(inertia: Array) -> bool:
-    """Whether (3, 3) [kg m^2] is possible for a rigid body."""
+    """Whether (3, 3) [kg m^2] is possible."""
     if not np.isfinite(inertia).all() or not np.abs(inertia - inertia.T).max() <= 1e-6 * np.abs(inertia).max():
         return False
     small, middle, large = np.linalg.eigvalsh(inertia)
@@ -208,7 +208,7 @@ class Payload:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LoadedArm(Arm):
-    """An arm with payload or tool; policies of the bare arm suit it."""
+    """An arm with payload or tool."""
 
     bare: Arm
 

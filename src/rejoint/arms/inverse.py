@@ -61,8 +61,8 @@ def solve_position(
 ) -> Solution:
     """Search joint positions of the TCP at ``target`` (..., 3) [m], from ``start`` (..., n) [rad].
 
-    ``rotation`` (..., 3, 3): wanted orientation; without it, the null space pulls to rest. Every iterate keeps the
-    joint limits. ``tolerance`` [m], [rad]. The damping shrinks with the error, so the search converges quadratically.
+    ``rotation`` (..., 3, 3): wanted orientation; without it, the null space pulls to rest. ``tolerance`` [m], [rad].
+    The damping shrinks with the error (quadratic convergence).
     """
     shape = np.broadcast_shapes(target.shape[:-1], start.shape[:-1])
     q = np.clip(np.broadcast_to(start, (*shape, arm.joints)), arm.lower, arm.upper)

@@ -53,7 +53,7 @@ def write_arm_toml(path: Path, arm: Arm, notes: Sequence[str] = ()) -> None:
 
 
 def write_unfinished(path: Path, arm: Arm, notes: Sequence[str] = ()) -> int:
-    """Write an arm without a rest posture; returns the line (from 1) for it."""
+    """Write an arm without rest posture; returns its line (from 1)."""
     zeros = ", ".join(["0"] * arm.joints)
     line = f"# rest_deg = [{zeros}]  # take away the first #: tool in front, elbow up, no joint near a limit"
     lines = [*(f"# {note}" for note in notes), line]
@@ -217,7 +217,7 @@ BASE, TOOL = "base", "tool"
 
 
 def unit_arm(arm: Arm, displacement: Displacement) -> Arm:
-    """Arm of this unit: measured links and zeros, without compliance and play."""
+    """Arm with measured links and zeros, without compliance and play."""
     moved = displacement.moved(arm)
     offset = moved.offset.copy()
     for i, (axis, angle) in enumerate(zip(arm.axis, displacement.offset, strict=True)):

@@ -33,7 +33,7 @@ LEAST_MOMENT = 1e-12
 
 
 def read_tree(path: Path, hold: Mapping[str, float] | None = None) -> Tree:
-    """Read a URDF or MJCF file, with the joints of ``hold`` at those positions [rad] or [m].
+    """Read a URDF or MJCF file, with ``hold`` at positions [rad] or [m].
 
     FileError; InputError for a joint that cannot be held.
     """
@@ -325,7 +325,7 @@ def xacro_error(path: Path) -> FileError:
 
 
 def bare(root: ET.Element) -> str:
-    """Links with masses and joints of a URDF, as text."""
+    """FileError for xacro, with the command."""
     kept = ET.Element("robot", {"name": root.get("name") or "robot"})
     for element in root:
         if element.tag not in ("link", "joint", "mujoco"):
@@ -343,7 +343,7 @@ def bare(root: ET.Element) -> str:
 
 
 def urdf_speeds(root: ET.Element) -> dict[str, float]:
-    """Speed limits [rad/s] by joint; MuJoCo ignores them."""
+    """Links with masses and joints, as text."""
     result = {}
     for joint in root.findall("joint"):
         limit = joint.find("limit")

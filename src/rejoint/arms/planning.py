@@ -24,15 +24,15 @@ from rejoint.system.shell import Late
 rrt = Late("rejoint.arms.rrt")
 
 RAMP, EASE = 0.1, 0.05
-"""[s] from rest to full speed, and from zero to full acceleration (chosen: a servo of this class follows both)"""
+"""[s] to full speed, and to full acceleration (chosen: a servo of this class follows both)"""
 CLEARANCE = 0.005
-"""[m] margin of the links (chosen: a moving worn arm's following error)"""
+"""[m] margin (chosen: a moving worn arm's following error)"""
 STEP, LOW = 0.004, 0.001
-"""[m] of a myCobot 280: largest motion between checks; margin above floors (chosen)"""
+"""[m] of a myCobot 280: motion between checks; margin above floors (chosen)"""
 _SPEED = 0.999  # of the limit, so that rounding takes no command beyond what the guard allows
 _DRAWN, _CORNERS, _SHORTCUTS = 4000, 200, 80
 LIGHTER, LONGER = 0.95, 0.05
-"""Share of the load for which another trajectory is taken, and weight of a radian against the load's share (chosen)"""
+"""Share of the load that makes another trajectory better, and weight of a radian (chosen)"""
 _OTHERS, _PARTS = 200, 8
 _OVERLAPS = (1.0, 0.75, 0.5, 0.25)
 _SAMPLE = 0.002  # [s] between the checks of a corner
@@ -45,7 +45,7 @@ class PlanningError(InputError):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointTrajectory:
-    """A jerk-limited motion of all joints, in pieces that may overlap in time."""
+    """A jerk-limited motion, in pieces that may overlap."""
 
     duration: float
     """[s]"""
@@ -199,7 +199,7 @@ class _Field:
         return corners if begin is start else np.vstack([start, corners])
 
     def lightest(self, way: Array, usable: Array, seed: int) -> Array:
-        """Return the way (k, n), or where it needs more than the ``usable`` torques (n,) the one that needs least."""
+        """Return the way (k, n), or another where it needs more than ``usable`` torques (n,)."""
         arm, ends = self.arm, way[[0, -1]]
         needed = max(1.0, float((np.abs(gravity_torque(arm, ends)) / usable).max()))
         if _load(arm, way[None], usable)[0] <= needed:
@@ -217,7 +217,7 @@ class _Field:
         return way
 
     def _left(self, start: Array, rng: np.random.Generator) -> Array | None:
-        """Return ``start`` (n,), or the end of a straight way out of its contact."""
+        """Return ``start`` (n,), or the way out of its contact."""
         if self.passes(start, start)[0] == 1.0:
             return start
         body = body_of(self.arm)
@@ -265,7 +265,7 @@ def _along(way: Array, place: float) -> Array:
 
 @lru_cache(maxsize=32)
 def _levers(arm: Arm) -> Array:
-    """Largest change (n + c, n) [m] of `clearances` per radian of a joint: lengths of the links between."""
+    """Largest change (n + c, n) [m] of `clearances` per radian of a joint."""
     shape, joints = collision_shape(arm), arm.joints
     lengths = np.linalg.norm(link_ends(arm.offset, arm.tip), axis=1)
     far = np.array([[lengths[k:link].sum() for k in range(joints)] for link in range(joints + 1)])
@@ -346,12 +346,10 @@ def _profile(move: Array, limits: Array) -> Array:
 
 
 def _braking(profile: Array) -> float:
-    """Deceleration time [s] of a piece."""
     return float(profile[0, -1] - profile[0, profile[2] >= profile[2].max() - 1e-9][-1])
 
 
 def _gaining(profile: Array) -> float:
-    """Acceleration time [s] of a piece."""
     return float(profile[0, profile[2] >= profile[2].max() - 1e-9][0])
 
 

@@ -1,9 +1,8 @@
 """Inverse kinematics over all branches, with a choice of posture.
 
-A posture's cost: static torque over what the motor surely lifts, distance from joint limits, clearance, and longest
-joint travel. The search moves promising stored postures to the target by damped least squares, and lowers the cost of
-the best ones in the null space (`rejoint.arms.redundancy`). A comfortable posture that `solve_position` finds from the
-start is kept.
+Cost: static torque over what the motor surely lifts, distance from joint limits, clearance, longest joint travel. The
+search moves stored postures to the target by damped least squares, and lowers the cost of the best in the null space
+(`rejoint.arms.redundancy`). A comfortable posture of `solve_position` is kept.
 """
 
 from __future__ import annotations
@@ -28,21 +27,21 @@ redundancy = Late("rejoint.arms.redundancy")
 MARGIN = float(np.radians(0.5))
 """[rad] inside the joint limits, as the guard's"""
 CLEARANCE, SPACIOUS = 0.002, 0.010
-"""[m] of a myCobot 280: least clearance, and clearance worth nothing more (chosen)"""
+"""[m] of a myCobot 280: least and sufficient clearance (chosen)"""
 POOL, DRAWN = 8000, 40000
 """Stored and drawn postures (chosen: 18 mm apart for a myCobot 280)"""
 STARTS, BESTS, DESCENTS = 40, 4, 10
-"""Stored postures moved to a target, improved ones, and steps (chosen)"""
+"""Moved and improved stored postures, and steps (chosen)"""
 MORE_STARTS, MORE_BESTS, MORE_DESCENTS = 500, 24, 25
 """The same before a target is refused (chosen)"""
 NEIGHBOUR, SWITCH = 0.06, 3.0
-"""[m] of a myCobot 280 between neighbours, and cost from which another branch is tried (chosen)"""
+"""[m] of a myCobot 280 between neighbours, and cost for another branch (chosen)"""
 COMFORTABLE = 0.1
-"""Largest cost of a comfortable posture (chosen: four in five of a myCobot 280)"""
+"""Largest comfortable cost (chosen: four in five of a myCobot 280)"""
 UNLOADED = 0.03
 """Least torque that counts, over the largest joint's"""
 SURE = 0.95
-"""Share of a torque limit at the nearest possible place (chosen)"""
+"""Share of torque limits at the nearest possible place (chosen)"""
 _BISECTIONS, _TRIED = 7, 4
 
 
@@ -60,7 +59,7 @@ class Goals:
     """Postures of K targets."""
 
     q: Array
-    """(K, n) [rad]; of the nearest possible place where a target is refused"""
+    """(K, n) [rad] of the target, or the nearest possible place"""
     refusals: tuple[str, ...]
     """(K,) reasons in one line; empty: possible"""
     nearest: Array
@@ -168,7 +167,7 @@ def _search(demand: _Demand, goal: Array, start: Array, effort: tuple[int, int, 
 
 
 def _refuse(demand: _Demand, goal: Array, start: Array) -> tuple[str, Array, Array]:
-    """Search thoroughly: the refusal (empty: possible), and posture (n,) and place (3,) of the nearest possible."""
+    """Search thoroughly: the refusal or empty, and the nearest possible posture (n,) and place (3,)."""
     arm = demand.arm
     begin = np.array(start)
     begin.setflags(write=False)
@@ -290,7 +289,7 @@ def body_of(arm: Arm) -> Any:  # noqa: ANN401 - `redundancy.ArmTables`, imported
 
 
 def _least(arm: Arm) -> Array:
-    """Least distances (c,) [m]; smaller between links that are usually close."""
+    """Least distances (c,) [m]; smaller between usually close links."""
     drawn = np.random.default_rng(1).uniform(arm.lower, arm.upper, (256, arm.joints))
     apart = clearances(arm, drawn, np.zeros(arm.joints))[:, arm.joints :]
     usual = np.minimum(CLEARANCE * length_size(arm), 0.5 * np.median(apart, axis=0))

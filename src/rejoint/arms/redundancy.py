@@ -21,13 +21,12 @@ FAR = 1000.0
 DAMPING, MOST_STEP, REST_GAIN = 0.05, float(np.radians(10.0)), 0.05
 TOLERANCE, DRIFT = 1e-5, 1e-6
 LOAD, MOST_LOAD, NEAR_LIMIT = 0.85, 1.5, 0.2
-"""Share of a joint's torque that begins to cost, share from which only the largest counts, and costly distance [rad]
-from a limit"""
+"""Share of torque that costs, share from which only the largest counts, and costly distance [rad] from a limit"""
 TRAVEL = 0.6
 """Cost of half a turn"""
 LOCAL_ROUNDS, ROUNDS, DESCENTS = 200, 25, 10
 NEAR_REACH = 0.2
-"""[rad] most joint motion for a lower cost between neighbours"""
+"""[rad] between neighbours for a lower cost"""
 COMFORT_LOAD, COMFORT_LIMIT = 0.8, float(np.radians(3.0))
 
 
@@ -52,7 +51,7 @@ class ArmTables(NamedTuple):  # Numba's files on disk name this class: give this
     least: Array
     """(c,) [m] least distances; minus infinity: constant"""
     sizes: Array
-    """[m] link radius, ground height, clearance worth nothing more"""
+    """[m] link radius, ground height, sufficient clearance"""
 
 
 class Pool(NamedTuple):
@@ -236,7 +235,7 @@ def _swing(turn, wanted, tool, vector):  # noqa: ANN001, ANN202
 
 @njit(int64(BODY, IN1, OUT4, OUT3, OUT1, OUT2), **_OPTIONS)
 def _miss(body, goal, poses, columns, error, jacobian):  # noqa: ANN001, ANN202
-    """Fill ``error`` (6,) [m] from a ``goal`` (17,), and its derivatives (6, n); returns the counting rows: 3 or 6."""
+    """Fill ``error`` (6,) [m] from a ``goal`` (17,), and its derivatives (6, n); returns 3 or 6 rows."""
     joints = columns.shape[1]
     fill_columns(body.axes, poses, columns)
     for r in range(3):
@@ -344,7 +343,7 @@ def _solve(body, goal, q, lower, upper, pull, rounds, poses, columns, error, jac
 
 @njit(int64(OUT2, int64, float64), **_OPTIONS)
 def _keep_new(basis, count, least):  # noqa: ANN001, ANN202
-    """Orthogonalise ``basis[count]``; returns the count, with it if new."""
+    """Orthogonalise ``basis[count]``; returns the new count."""
     joints = basis.shape[1]
     for _ in range(2):
         for c in range(count):
@@ -365,7 +364,7 @@ def _keep_new(basis, count, least):  # noqa: ANN001, ANN202
 
 @njit(int64(IN2, int64, OUT2), **_OPTIONS)
 def _null_space(jacobian, rows, basis):  # noqa: ANN001, ANN202
-    """Fill ``basis`` (n + 1, n) with orthonormal vectors; returns how many, the first ones, move the goal."""
+    """Fill ``basis`` (n + 1, n) with orthonormal vectors; returns how many first ones move the goal."""
     joints = jacobian.shape[1]
     largest, count = 0.0, 0
     for r in range(rows):

@@ -1,4 +1,4 @@
-"""Rotations, poses, quaternions (w, x, y, z) over any leading shape; wanted orientations of tools.
+"""Rotations, poses, quaternions (w, x, y, z), and wanted orientations of tools.
 
 The *direction* of a tool is its axis away from the last joint. Orientation errors are rotation vectors in the base
 frame, weighted in m/rad.
@@ -44,12 +44,12 @@ def rotation_vector(rotation: Array) -> Array:
 
 
 def rotation_error(current: Array, wanted: Array) -> Array:
-    """Rotation vectors (..., 3) [rad] that turn ``current`` into ``wanted`` (..., 3, 3)."""
+    """Rotation vectors (..., 3) [rad] from ``current`` to ``wanted`` (..., 3, 3)."""
     return rotation_vector(wanted @ np.swapaxes(current, -1, -2))
 
 
 def between_directions(current: Array, wanted: Array) -> Array:
-    """Smallest rotation vectors (..., 3) [rad] from unit vectors ``current`` to ``wanted`` (..., 3)."""
+    """Smallest rotation vectors (..., 3) [rad] from ``current`` to ``wanted`` unit vectors (..., 3)."""
     cross = np.cross(current, wanted)
     sine, cosine = np.linalg.norm(cross, axis=-1, keepdims=True), (current * wanted).sum(axis=-1, keepdims=True)
     vector = cross * np.where(sine > 1e-9, np.arctan2(sine, cosine) / np.maximum(sine, 1e-12), 1.0)
@@ -77,7 +77,7 @@ def same_side(quaternions: Array) -> Array:
 
 
 def pose_of(rotation: Array, position: Array) -> Array:
-    """Pose (4, 4) from a rotation (3, 3) and a position (3,) [m]."""
+    """Pose (4, 4)."""
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation, position
     return pose
@@ -147,7 +147,7 @@ class Orientation:
         return np.where(self.counts, size, np.nan)
 
     def rows(self, axes: Array) -> Array:
-        """Return turns per joint motion (..., 3, n): minus the error's derivatives; ``axes`` (..., n, 3)."""
+        """Return turns (..., 3, n) per joint motion: minus the error's derivatives; ``axes`` (..., n, 3)."""
         columns = np.swapaxes(axes, -1, -2)
         own = np.broadcast_to(self.rotation @ self.axis, (*self.weight.shape, 3))
         along = own[..., :, None] * (own[..., None, :] @ columns)

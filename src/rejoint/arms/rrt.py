@@ -32,8 +32,8 @@ def measure(body, q, clear):  # noqa: ANN001, ANN201
 def passable(body, start, goal, levers, least, step, leaving, worst):  # noqa: ANN001, ANN201
     """Share, 0 to 1, of the straight line from ``start`` to ``goal`` (n,) that keeps ``least`` (n + c,) [m].
 
-    ``levers`` (n + c, n) [m] bound the changes per radian. Between two checks no distance changes by more than ``step``
-    [m] or its reserve. ``leaving``: too small distances at the start may grow. Fills ``worst`` (2,): the violated
+    ``levers`` (n + c, n) [m] bound the changes per radian. Between checks a distance changes by ``step`` [m] or its
+    reserve at most. ``leaving``: too small distances at the start may grow. Fills ``worst`` (2,): the violated
     distance, and its share.
     """
     joints = len(start)

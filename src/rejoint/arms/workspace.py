@@ -1,9 +1,9 @@
 """Workspace of an arm: size, rest posture, targets, and room for a diagnosis.
 
 Rest: random postures in front of the base, clear of floor and limits, scored by manipulability (Yoshikawa 1985),
-mid-range, elbow height, heading and holding torque; the best are improved in whole degrees. Targets: the largest box
-that inverse kinematics reaches with margins, at most 0.2 x 0.4 x 0.2 of the reach (Park et al. 2024, section IV-A).
-Constants in N m or mm are a myCobot 280's and scale with load or reach.
+mid-range, elbow height, heading and holding torque. Targets: the largest box that inverse kinematics reaches with
+margins, at most 0.2 x 0.4 x 0.2 of the reach (Park et al. 2024, section IV-A). Constants in N m or mm are a myCobot
+280's.
 """
 
 from __future__ import annotations
@@ -48,25 +48,25 @@ TORQUE_SHARE = 0.9
 """of the largest holding torque, at targets (chosen)"""
 
 _RISING = 0.2
-"""Share of postures that lift a counting joint frame (chosen)"""
+"""Share of postures that lift a joint frame (chosen)"""
 
 _FLAT = 1e-6
 """manipulability over cubed reach on a surface (rounding)"""
 
 _CANDIDATES, _SPREAD = 8, 16
-"""start postures, and their distance in rank"""
+"""start postures and their distance in rank"""
 _CLIMB = 200
 """steps"""
 
 
 def reach(arm: Arm) -> float:
-    """Reach [m]: link lengths from the first joint to the TCP."""
+    """Sum of link lengths [m] to the TCP."""
     return float(np.linalg.norm(link_ends(arm.offset, arm.tip), axis=1).sum())
 
 
 @lru_cache(maxsize=32)
 def rising_frames(arm: Arm, above: float = -np.inf) -> NDArray[np.bool_]:
-    """Which joint frames (n,) change height, and are often ``above`` a height [m]."""
+    """Joint frames (n,) that change height, and are often ``above`` [m]."""
     postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (64, arm.joints))
     height = frames(arm, postures).position[..., 2]
     rising: NDArray[np.bool_] = (np.ptp(height, axis=0) > 1e-6) & ((height > above).mean(axis=0) > _RISING)
@@ -135,7 +135,7 @@ class _Survey:
     """[rad] from the joint limits"""
 
     def clear(self, f: Frames) -> NDArray[np.bool_]:
-        """Whether rising joint frames and TCP are a link radius above the floor, ``(...)``."""
+        """Whether rising joint frames and TCP are a link radius above the floor (...)."""
         height = self.arm.floor + (LINK_RADIUS_RATIO + self.apart) * self.reach
         frames_clear = (f.position[..., rising_frames(self.arm, height), 2] > height).all(axis=-1)
         return frames_clear & (f.tcp_position[..., 2] > height)
@@ -260,7 +260,7 @@ def _largest_box(survey: _Survey) -> Box | None:
 
 
 def _largest_span(good: NDArray[np.bool_]) -> tuple[NDArray[np.int_], NDArray[np.int_]] | None:
-    """First and last index (3,) of the largest all-good box around the middle of a (2S+1)^3 grid."""
+    """First and last index (3,) of the largest good box around the middle of a (2S+1)^3 grid."""
     total = np.zeros(tuple(np.array(good.shape) + 1), dtype=int)
     total[1:, 1:, 1:] = good.cumsum(0).cumsum(1).cumsum(2)
     intervals = [(i, j) for i in range(STEPS + 1) for j in range(STEPS, 2 * STEPS + 1) if 1 <= j - i <= STEPS]
@@ -291,7 +291,7 @@ LEAST_LEVER = 0.02
 
 
 METRES = 5e-3
-"""[m] smaller coordinates were in metres, not millimetres (chosen)"""
+"""[m] of coordinates in metres, not millimetres (chosen)"""
 
 
 def in_metres(places: Array) -> bool:
@@ -389,7 +389,7 @@ _STEPS = 0.8 ** np.arange(8)
 
 
 def is_safe(arm: Arm, q: Array) -> NDArray[np.bool_]:
-    """Which postures (..., n) [rad] are safe in a diagnosis: away from limits, floor and column, and lightly loaded."""
+    """Which postures (..., n) [rad] are safe: away from limits, floor and column, lightly loaded."""
     f = frames(arm, q)
     floor = arm.floor + CLEARANCE * length_size(arm)
     # Frames that never rise or sink, such as a shoulder on its column, may be anywhere.
@@ -430,7 +430,7 @@ def unsafe(arm: Arm, q: Array) -> str:
 
 
 def room(arm: Arm, seed: int = 0) -> tuple[float, float]:
-    """Safe shares (0 to 1) of the excursion about rest and of the spread around it."""
+    """Safe shares (0 to 1) of the excursion and the spread about rest."""
     corners = np.array(list(product((-1.0, 1.0), repeat=min(arm.joints, 7))))
     if arm.joints > 7:
         corners = np.random.default_rng(seed).choice((-1.0, 1.0), (_CORNERS, arm.joints))

@@ -1,4 +1,4 @@
-"""The ChArUco board, its description and its PDF."""
+"""The ChArUco board and its PDF."""
 
 from __future__ import annotations
 
@@ -69,19 +69,19 @@ class Board:
 
     @property
     def corners(self) -> Array:
-        """(C, 3) [m] inner corners in the board frame."""
+        """(C, 3) [m] inner, board frame."""
         x, y = np.meshgrid(np.arange(1, self.columns), np.arange(1, self.rows))
         flat = np.stack([x.ravel() * self.stretch_x, y.ravel() * self.stretch_y, np.zeros(x.size)], axis=-1)
         return np.asarray(self.square * flat)
 
     @property
     def outline(self) -> Array:
-        """(4, 3) [m] outer corners in the board frame."""
+        """(4, 3) [m] outer, board frame."""
         width, height = self.size
         return np.array([[0.0, 0.0, 0.0], [width, 0.0, 0.0], [width, height, 0.0], [0.0, height, 0.0]])
 
     def printed(self, measured_x: float | None = None, measured_y: float | None = None) -> Board:
-        """Board whose 100 mm rulers measure so many millimetres."""
+        """Board whose 100 mm rulers measure these millimetres."""
         return replace(
             self,
             stretch_x=self.stretch_x if measured_x is None else measured_x / RULER,
@@ -94,7 +94,7 @@ class Board:
         return np.asarray(self.opencv().generateImage((across, down), marginSize=0, borderBits=1), dtype=np.uint8)
 
     def opencv(self) -> cv2.aruco.CharucoBoard:
-        """Return OpenCV's board; MissingExtraError without OpenCV, InputError for unknown markers."""
+        """OpenCV's board; MissingExtraError, InputError for unknown markers."""
         require("a camera", "camera")
         import cv2
 
@@ -127,7 +127,7 @@ class BoardView:
 
 
 ON_TABLE = Board()
-"""210 x 150 mm, fits on A4 with its rulers"""
+"""210 x 150 mm, for A4"""
 
 ON_TOOL = Board(square=0.020, marker=0.015)
 """140 x 100 mm"""

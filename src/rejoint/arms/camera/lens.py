@@ -35,7 +35,7 @@ class Lens:
     """radial distortion"""
     k2: float = 0.0
     p1: float = 0.0
-    """tangential distortion"""
+    """tangential"""
     p2: float = 0.0
 
     def __post_init__(self) -> None:
@@ -55,7 +55,7 @@ class Lens:
         return np.array([getattr(self, name) for name in TERMS])
 
     def with_numbers(self, numbers: Array) -> Lens:
-        """Lens of the same image with other `TERMS` (7,)."""
+        """Return same image, other `TERMS` (7,)."""
         return Lens(width=self.width, height=self.height, **dict(zip(TERMS, map(float, numbers), strict=True)))
 
     @property
@@ -90,7 +90,7 @@ class Lens:
         return pixel[:, 0], np.concatenate([slope[..., 3:6], slope[..., :3]], axis=-1), by_terms
 
     def rays(self, pixel: Array) -> Array:
-        """Points (..., 2) at distance 1 along the optical axis, of ``pixel`` (..., 2)."""
+        """Points (..., 2) at distance 1 on the optical axis, of ``pixel`` (..., 2)."""
         require("a camera", "camera")
         import cv2
 

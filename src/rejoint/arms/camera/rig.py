@@ -18,7 +18,6 @@ from rejoint.system.errors import ContractError, InputError
 from rejoint.system.tomltable import read_sealed, write_sealed
 
 MOUNTINGS = ("board", "camera")
-"""What the tool carries"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -30,9 +29,9 @@ class Rig:
     carried: str
     """one of `MOUNTINGS`"""
     standing: Array
-    """(4, 4) of the other one in the base frame"""
+    """(4, 4) of the other one, base frame"""
     mounted: Array
-    """(4, 4) of the carried one in the TCP frame"""
+    """(4, 4) of the carried one, TCP frame"""
 
     def __post_init__(self) -> None:
         if self.carried not in MOUNTINGS:
@@ -43,18 +42,18 @@ class Rig:
             object.__setattr__(self, name, value)
 
     def tool(self, board: Array) -> Array:
-        """Tool poses (..., 4, 4) in the base, of ``board`` (..., 4, 4) in the camera."""
+        """Tool poses (..., 4, 4) in the base, for ``board`` (..., 4, 4) in the camera."""
         return tool_of(self.carried, self.standing, self.mounted, board)
 
     def sight(self, tool: Array) -> Array:
-        """Board poses (..., 4, 4) in the camera, of tool poses ``tool`` (..., 4, 4)."""
+        """Board poses (..., 4, 4) in the camera, for ``tool`` (..., 4, 4)."""
         between = inverse(self.standing) @ tool @ self.mounted
         return between if self.carried == "board" else inverse(between)
 
     def shows(self, tool: Array, margin: float = 20.0, steepest: float = np.radians(55.0)) -> Array:
-        """Whether the whole board is visible at tool poses (..., 4, 4).
+        """Whether the whole board is visible at ``tool`` (..., 4, 4).
 
-        ``margin`` [px] to the image's edge; ``steepest`` [rad] angle between line of sight and board normal.
+        ``margin`` [px] to the edge; ``steepest`` [rad] between line of sight and normal.
         """
         pose = self.sight(tool)
         outline = np.einsum("...ij,cj->...ci", pose[..., :3, :3], self.board.outline) + pose[..., None, :3, 3]
@@ -76,7 +75,7 @@ FORMAT = 1
 
 
 def write_rig(path: Path, arm: Arm, rig: Rig, sigma: Array, date: str = "") -> None:
-    """Write the ``rig`` of ``arm``; ``sigma`` (19,): deviations of lens `TERMS`, `Rig.standing` and `Rig.mounted`."""
+    """Write a rig; ``sigma`` (19,): deviations of `TERMS`, `Rig.standing` and `Rig.mounted`."""
     n = len(TERMS)
     spread = dict(zip(("standing", "mounted"), (sigma[n : n + 6], sigma[n + 6 :]), strict=True))
     told = {

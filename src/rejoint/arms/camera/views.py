@@ -31,14 +31,14 @@ _SHARPEST = 99.0  # percentile of the gradient that stands for edges (chosen)
 
 @dataclass(frozen=True, kw_only=True)
 class Unusable:
-    """An image or view that is left out."""
+    """A rejected image."""
 
     name: str
     why: str
 
 
 class Detector:
-    """Detector of one board; MissingExtraError without OpenCV."""
+    """Detector of a board; MissingExtraError."""
 
     def __init__(self, board: Board) -> None:
         require("a camera", "camera")
@@ -116,7 +116,7 @@ class Detector:
 
 
 def edge_width(grey: NDArray[np.uint8], corners: Array) -> float:
-    """Width [px] of the sharpest edges at ``corners`` (K, 2): contrast over the steepest gradient."""
+    """Width [px] of the sharpest edges at ``corners`` (K, 2): contrast over gradient."""
     import cv2
 
     low = np.maximum(np.floor(corners.min(axis=0)).astype(int) - 4, 0)
@@ -130,7 +130,7 @@ def edge_width(grey: NDArray[np.uint8], corners: Array) -> float:
 
 
 def read_picture(path: Path) -> NDArray[np.uint8] | None:
-    """Grey levels of an image; None where OpenCV cannot read it."""
+    """Grey levels of an image, or None."""
     import cv2
 
     data = np.frombuffer(read_bounded(path, PICTURE_MOST, "take a smaller picture"), np.uint8)

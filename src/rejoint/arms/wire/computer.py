@@ -50,11 +50,11 @@ class Computer(Protocol):
 
     @property
     def planned_angles(self) -> Array:
-        """(n,) [rad] reference."""
+        """(n,) [rad]."""
 
     @property
     def destination(self) -> Array:
-        """(n,) [rad] end of the last planned move."""
+        """(n,) [rad] last planned end."""
 
     @property
     def pose(self) -> Array:

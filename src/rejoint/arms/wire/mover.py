@@ -1,7 +1,7 @@
 """From requests to a moving reference.
 
-A *ramp* moves every joint at the set speed; a *path* is interpolated with limited acceleration, all joints arriving
-together. New moves replace or queue.
+A *ramp* moves every joint at the set speed; a *path* has limited acceleration and joint arrival. New moves replace or
+queue.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ class Mover:
 
     @property
     def planned_angles(self) -> Array:
-        """(n,) [rad] reference."""
+        """(n,) [rad]."""
         return self._motion.reference.copy()
 
     @property
     def destination(self) -> Array:
-        """(n,) [rad] end of the last planned move."""
+        """(n,) [rad]."""
         return self._motion.end
 
     @property
@@ -80,7 +80,7 @@ class Mover:
         return self._ready() and self._take(path, rate, replace=True)
 
     def jog_tool(self, pose: Array, rate: float) -> bool:
-        """Run the tool straight to ``pose`` (4, 4) within reach."""
+        """Run the tool straight to ``pose`` (4, 4)."""
         path, _ = line_path(self.arm, self.planned_angles, pose, FULL_SPEED)
         inside = np.all((path.points >= self.lower) & (path.points <= self.upper), axis=1)
         reach = len(inside) if inside.all() else int(np.argmin(inside))
@@ -131,7 +131,7 @@ _STEP = 0.005
 """[m] between waypoints (chosen)"""
 _TURN_STEP = np.radians(2.0)
 _MAX_JUMP = np.radians(20.0)
-"""[rad] larger jumps change the branch"""
+"""[rad] of another branch"""
 _STARTS = 24
 """Random start postures (chosen)"""
 
@@ -161,7 +161,7 @@ def joint_path(start: Array, goal: Array, speed: float) -> TimedPath:
 
 
 def solve_pose(arm: Arm, pose: Array, start: Array) -> Array | None:
-    """Posture (n,) of a pose (4, 4) nearest to ``start``, or None."""
+    """Posture (n,) of a pose (4, 4) near ``start``, or None."""
     first = _solve(arm, pose, start[None], 100)
     if first is not None:
         return first
@@ -199,7 +199,7 @@ def _solve(arm: Arm, pose: Array, starts: Array, iterations: int, near: Array | 
 
 
 MAX_QUEUE = 32
-"""Waiting moves; more are refused (chosen)"""
+"""(chosen)"""
 
 
 class Motion:
