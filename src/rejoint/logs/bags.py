@@ -40,7 +40,7 @@ _CHUNK_MOST = 1000 * MEGABYTE
 """[bytes] (chosen: a thousand times recorded chunks)"""
 
 Message = tuple[int, Any]
-"""time of recording [ns], decoded message"""
+"""[ns] of recording, decoded message"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,13 +63,13 @@ class Store:
 
     name: str
     magic: dict[str, bytes]
-    """first bytes by ending; empty ending: any"""
+    """first bytes by ending; empty: any"""
     inventory: Callable[[Path], dict[str, Topic]]
     messages: Callable[[Path, set[str]], dict[str, list[Message]]]
     """decodes messages of some topics"""
 
     def files(self, source: Path) -> list[Path]:
-        """Files of this kind at a path, sorted by name."""
+        """Files of this kind, sorted by name."""
         found = sorted(source.iterdir()) if source.is_dir() else [source]
         return [
             file for file in found
@@ -203,7 +203,7 @@ class BagReader:
         return bool(self.store.files(source))
 
     def motions(self, source: Path, arm: Arm, options: ImportOptions) -> list[Pending]:
-        """Motions of the bags at a path, sorted by name."""
+        """Motions at a path, sorted by name."""
         files = self.store.files(source) or ([source] if source.is_file() else [])
         if not files:
             raise FileError(source, f"no file of format {self.store.name} here", "check the path or the format")
@@ -277,7 +277,7 @@ def _reporting(store: Store, file: Path) -> Iterator[None]:
 
 
 def _topics(held: dict[str, Topic], options: ImportOptions, file: Path) -> tuple[str, str | None, list[str]]:
-    """Choose the topics of states and commands, or None."""
+    """Choose topics of states and commands."""
     notes: list[str] = []
     found = ", ".join([f"{name} {topic}" for name, topic in sorted(held.items())][:12]) or "none"
     found += f" and {len(held) - 12} more" if len(held) > 12 else ""

@@ -44,8 +44,8 @@ _PREFIXES = {
 }  # fmt: skip
 """Beginnings of titles"""
 _RECORDERS = {"actual_q": ("rad", "s"), "state.q": ("rad", "ms"), "positioncmptd": ("rad", "ms")}
-"""Recorders with implied units: RTDE of Universal Robots, libfranka's ``logToCSV``, wissem01chiha/dynamic-
-identification (Kinova Gen3)"""
+"""Implied units: RTDE of Universal Robots, libfranka's ``logToCSV``, wissem01chiha/dynamic- identification (Kinova
+Gen3)"""
 _ORDER = sorted(_PREFIXES, key=len, reverse=True)
 _JOINT = re.compile(r"[._ ]?\[?(?P<number>\d+)\]?|[._ ](?P<name>.+)|")
 
@@ -72,7 +72,7 @@ def read_motion(
 ) -> RecordedMotion:  # fmt: skip
     """Make a motion of columns on one clock, or of states and commands on their own.
 
-    Raises FileError for columns that are missing, doubled or without unit, InputError for a wrong map.
+    FileError for missing or double columns, or no unit; InputError for a wrong map.
     """
     tables = [_ForeignTable(frame, arm, options) for frame in frames]
     _check_map(tables, arm, options)

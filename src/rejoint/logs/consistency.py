@@ -1,4 +1,4 @@
-"""Consistency checks of logs: a track, states against commands, logs against each other.
+"""Consistency checks of logs.
 
 Impossible numbers raise an error; unlikely ones go to `Doubts`; others give a note. All thresholds are chosen.
 """
@@ -18,7 +18,7 @@ from rejoint.logs.track import RecordedMotion, Track
 from rejoint.system.errors import FileError, InputError
 
 FORCED = "forced"
-"""Key in ``extra`` of reasons that ``--force`` overrode"""
+"""Key in ``extra`` of overridden reasons"""
 
 _BETWEEN = " | "
 
@@ -51,7 +51,7 @@ def forced_reasons(extra: dict[str, str]) -> tuple[str, ...]:
 
 
 def forced_remarks(logs: Sequence[RunLog]) -> list[str]:
-    """Name the logs imported by force, with reasons."""
+    """Name logs imported by force."""
     found: dict[str, list[str]] = {}
     for log in logs:
         for reason in forced_reasons(log.extra):
@@ -63,7 +63,7 @@ def forced_remarks(logs: Sequence[RunLog]) -> list[str]:
 
 
 def states_alone(logs: Sequence[RunLog], what: str) -> bool:
-    """Whether no log holds commands; InputError of ``what`` if some do."""
+    """Whether no log holds commands; InputError if some do."""
     bare = [log.label for log in logs if not log.commanded]
     if bare and len(bare) < len(logs):
         raise InputError(
@@ -74,7 +74,7 @@ def states_alone(logs: Sequence[RunLog], what: str) -> bool:
 
 
 def require_commands(logs: Sequence[RunLog], what: str) -> None:
-    """Raise InputError for logs of ``what`` without commands."""
+    """Raise InputError for logs without commands."""
     if states_alone(logs, what):
         raise InputError(
             f"{what}: these logs hold no commands, and without them stiffness, friction, lag and zeros cannot be told; "
@@ -83,7 +83,7 @@ def require_commands(logs: Sequence[RunLog], what: str) -> None:
 
 
 def copies(logs: Iterable[tuple[str, RunLog]]) -> dict[str, str]:
-    """Return logs that repeat the readings of an earlier one, with its name; only with motion."""
+    """Return logs that repeat an earlier one, with its name."""
     first: dict[bytes, str] = {}
     found: dict[str, str] = {}
     for name, log in logs:
@@ -98,7 +98,7 @@ def copies(logs: Iterable[tuple[str, RunLog]]) -> dict[str, str]:
 
 
 def refuse_copies(logs: Sequence[RunLog], what: str) -> None:
-    """Raise InputError of ``what`` for duplicates."""
+    """Raise InputError for duplicates."""
     found = copies((log.label, log) for log in logs)
     if found:
         name, original = next(iter(found.items()))
@@ -125,24 +125,24 @@ _MOVING = 0.005
 """[rad/s] rms speed of a command"""
 
 SURE = 1.05
-"""Unexplained part at the best plausible lag over the best, of a flagged log, at an end of the plausible range (44
-motions of a real arm: 1.00)"""
+"""Unexplained part at the best plausible lag over the best of all, at an end of the plausible range (44 motions of a
+real arm: 1.00)"""
 SURE_OF_ANOTHER = 1.5
 """The same inside the range (measured: up to 1.10)"""
 
 _OVERLAP = 0.5
 """Least share of motion in the overlap"""
 _UNLIKE = 0.5
-"""Largest unexplained part of a usable lag"""
+"""Unexplained part of a usable lag"""
 
 _JUMP = np.radians(2.0)
 """[rad] of a command's step in one row"""
 _STEPPING = 0.8
-"""Share of travel in steps of a stepping command"""
+"""Stepped share of travel"""
 _REST = 1.0
 """[s] without commands around a step"""
 _BEGUN = 0.05
-"""Share of travel of a moving joint, above encoder noise"""
+"""Travel share of a moving joint: above encoder noise"""
 _FEWEST_STEPS = 3
 
 
@@ -153,7 +153,7 @@ class Lag:
     best: float
     """[s] negative: states come first"""
     sure: bool
-    """False: a plausible lag explains the states as well"""
+    """False: a plausible lag explains as well"""
 
     @property
     def believed(self) -> bool:
@@ -162,10 +162,7 @@ class Lag:
 
 
 def find_lag(time: Array, position: Array, command: Array) -> Lag | None:
-    """Lag of positions (T, n) [rad] behind the commands in force at ``time`` (T,) [s].
-
-    None for short logs, or without motion.
-    """
+    """Lag of positions (T, n) [rad] behind commands at ``time`` (T,) [s]; None: too short or no motion."""
     if len(time) < 10 or time[-1] - time[0] < SHORTEST:
         return None
     step = float(np.clip(np.median(np.diff(time)), *_GRID))
@@ -250,7 +247,7 @@ def _of_steps(moved: Array, held: Array, step: float) -> Lag | None:
 RATES = (1.0, 10_000.0)
 """[Hz] of logs"""
 SLOWEST = 10.0
-"""[Hz] lower rates show neither friction nor lag"""
+"""[Hz] for friction and lag"""
 LOST = 0.05
 """share of repeated stamps of a coarse clock"""
 SPIKE = 0.05
@@ -262,11 +259,11 @@ SHARPEST = 400.0
 TOO_FAST, SPEED_ROWS = 4.0, 5
 """times the servo's speed, over rows"""
 FAR_OUT = 0.05
-"""share of samples beyond limits of a doubtful unit or zero"""
+"""share of samples for a doubtful unit or zero"""
 GAP_PERIODS = 5.0
 """median periods of a gap"""
 LIMIT_MARGIN = 0.35
-"""[rad] about 20 deg; calibration and zero offsets explain less"""
+"""[rad] beyond calibration and zero offsets"""
 GEAR_REMEDY = "give gear, sign and zero of each joint: --map JOINT=THEIRS/RATIO+OFFSET"
 _OR_LOG = ", or take the times of recording (--stamp log)"
 _TIME_REMEDY = "set the time unit (--time-unit, or the column's name where that says one), or take another file"
@@ -281,7 +278,7 @@ BITS = range(10, 22)
 
 
 def clean(track: Track, doubts: Doubts) -> tuple[Track, list[str]]:
-    """Check numbers and clock of a track; returns it without doubled stamps, and notes."""
+    """Check numbers and clock; returns a track without doubled stamps, and notes."""
     _check_finite(track)
     if len(track) < 2:
         raise FileError(track.path, f"{track.what}: {len(track)} sample(s), a log needs at least 2", "record it again")
@@ -344,7 +341,7 @@ def _check_rate(track: Track, doubts: Doubts) -> list[str]:
 
 
 def check_angles(motion: RecordedMotion, arm: Arm, doubts: Doubts) -> list[str]:
-    """Check angles against their unit and the arm's limits."""
+    """Check angles against unit and limits."""
     _check_turns(motion, arm, doubts)
     notes = _check_limits(motion.state, arm, doubts)
     extent = float(np.abs(motion.state.value).max())
@@ -372,7 +369,7 @@ def binary_turns(values: Array) -> int | None:
 
 
 def on_grid(values: Array, step: float) -> float:
-    """Share of values on multiples of a step, 0 to 1; 0 if they span few."""
+    """Share of values on multiples of a step; 0: few steps."""
     if np.ptp(values) < FEWEST_STEPS * step:
         return 0.0
     return float(np.abs(np.mean(np.exp(2j * np.pi * values / step))))
@@ -483,7 +480,7 @@ LAGS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3)
 RELATED = (0.3, 0.9)
 """correlations: unrelated, and related"""
 MUCH_BETTER = (0.95, 5.0)
-"""correlation with another command, and how much closer to 1, of exchanged joints"""
+"""of exchanged joints: correlation, and how much closer to 1"""
 RESTING = 1e-3
 """[rad] rms at rest: below a 12-bit encoder's step"""
 SAME = 1e-5
@@ -497,7 +494,7 @@ GAIN = 10.0
 LEFT = 0.3
 """[rad] from a constant command (a table pushes a real elbow by 0.2)"""
 FOLLOWED = 0.7
-"""Travel over the command's of a servo that is not weak"""
+"""Travel over the command's"""
 APART = 0.5
 """[rad] median following error beyond any sag"""
 
@@ -538,7 +535,7 @@ def _check_order(state: Track, command: Array) -> list[str]:
 
 
 def _correlations(state: Track, command: Array) -> tuple[Array, Array]:
-    """Lowest and highest correlation over `LAGS` of states (rows) with commands."""
+    """Lowest and highest correlation over `LAGS`, states (rows) with commands."""
     period = float(np.median(np.diff(state.time)))
     n, rows = state.value.shape[1], len(state)
     found = []

@@ -1,8 +1,7 @@
-"""Rows of a log that show the free arm; others are in contact, at a stop, or unread.
+"""Rows of a log with the free arm; others are in contact, at a stop, or unread.
 
-Gravity pulls a free arm below its command, so a tip that rests above its command is held up. If that happens only at
-the bottom of the reach, there is a table. A joint at an end of its travel that is stationary far from its command is at
-a stop.
+Gravity pulls a free arm below its command: a tip at rest above it is held up. If that happens only at the bottom of the
+reach, there is a table. A joint at an end of its travel that is stationary far from its command is at a stop.
 """
 
 from __future__ import annotations
@@ -26,14 +25,14 @@ SLOW = 0.05
 LEAST_HELD = 2.0
 """[s] of held rows for a table (chosen)"""
 MARGIN = 0.010
-"""[m] above the table where contact begins (measured on a real low-cost arm)"""
+"""[m] of contact above the table (measured on a real low-cost arm)"""
 RECOVERY = 3.0
 """[s] after a contact (measured on a real low-cost arm)"""
 
 STOP_ERROR = np.radians(8.0)
 """[rad] error of a blocked joint (chosen: twice a real arm's largest)"""
 USUAL = 3.0
-"""Times a joint's median error at a stop (chosen): sagging joints are always off"""
+"""Times the median error at a stop (chosen): sagging joints are always off"""
 STOP_BAND = np.radians(1.5)
 """[rad] from the end of the travel (chosen)"""
 LEAST_TRAVEL = np.radians(6.0)
@@ -51,7 +50,7 @@ TORQUE_OFF = "torque_off"
 ASKED = np.radians(3.0)
 """[rad] least travel of a command (chosen)"""
 ANSWERED = 0.1
-"""Travel over the command's of a joint without torque (chosen)"""
+"""Travel share without torque (chosen)"""
 UNRELATED = 0.3
 """Correlation, likewise (chosen)"""
 ANSWER_TIMES = (0.0, 0.1, 0.2, 0.3, 0.5)
@@ -60,7 +59,7 @@ ANSWER_TIMES = (0.0, 0.1, 0.2, 0.3, 0.5)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Exclusions:
-    """Rows (T,) that do not show the free arm, with recovery."""
+    """Rows (T,) without the free arm, with recovery."""
 
     contact: Rows
     """tip on the table"""
@@ -125,9 +124,9 @@ def declared_off(joints: Sequence[str]) -> dict[str, str]:
 
 
 def unpowered_joints(log: RunLog) -> tuple[str, ...]:
-    """Joints that never answer their command, and those declared without torque.
+    """Joints that never answer, or are declared without torque.
 
-    Such a joint moves less than a tenth of its command's travel, or unlike it; a stuck joint looks the same.
+    They move less than a tenth of the command's travel, or unlike it; a stuck joint looks the same.
     """
     declared = log.extra.get(TORQUE_OFF, "").split(",")
     silent = {name for name in log.joint_names if name in declared}
@@ -149,7 +148,7 @@ def unpowered_joints(log: RunLog) -> tuple[str, ...]:
 
 
 def free_runs(free: Rows, time: Array, shortest: float) -> list[tuple[int, int]]:
-    """Gapless runs of free rows (first, last exclusive) of at least ``shortest`` [s]."""
+    """Gapless free runs (first, last exclusive) of ``shortest`` [s] or more."""
     if len(time) < 2:
         return []
     gap = np.diff(time) > 5 * np.median(np.diff(time))

@@ -48,7 +48,7 @@ float64 x
 float64 y
 float64 z
 """
-"""Definitions: github.com/ros2/common_interfaces and rcl_interfaces, folders msg"""
+"""github.com/ros2/common_interfaces and rcl_interfaces, folders msg"""
 
 _LAST_SECOND = 2**31
 """ROS 2 stamps are int32 seconds"""
@@ -57,7 +57,7 @@ _LAST_SECOND = 2**31
 def export_log(log: RunLog, path: Path) -> None:
     """Write a log as ``.csv`` or ``.mcap``, whole or not at all.
 
-    Both are exact; MCAP rounds times to nanoseconds. InputError for another ending or impossible times.
+    MCAP rounds times to nanoseconds. InputError for another ending or impossible times.
     """
     if path.suffix == ".csv":
         write_whole(path, lambda temporary: _write_csv(log, temporary))

@@ -25,10 +25,9 @@ _REMEDY = "give the JSON file that lerobot-calibrate wrote"
 
 
 def corrected_homing(source: Path, arm: Arm, offset: Array) -> tuple[dict[str, Any], dict[str, int]]:
-    """LeRobot's calibration with corrected zeros of ``arm``, and each change in counts.
+    """LeRobot's calibration with ``offset`` (n,) [rad] added, and changes in counts.
 
-    ``offset`` (n,) [rad] is added to the encoders' angles. FileError: ``source`` is no calibration; InputError: offset
-    out of range.
+    FileError: ``source`` is no calibration; InputError: offset out of range.
     """
     motors = read_homing(source)
     columns = match_joints(list(motors), arm, ImportOptions(), source, "calibration").columns

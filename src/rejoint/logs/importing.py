@@ -28,7 +28,7 @@ from rejoint.system.errors import FileError, InputError, first_line
 from rejoint.system.progress import Progress, no_progress
 
 PAUSE = 1.0
-"""[s] without a state between motions (chosen: ten times a hobby servo's lag)"""
+"""[s] between motions (chosen: ten times a hobby servo's lag)"""
 FEWEST = 2
 """Rows of a log"""
 CORRUPT = 0.02
@@ -36,7 +36,7 @@ CORRUPT = 0.02
 
 
 def parted(motion: RecordedMotion) -> Iterator[RecordedMotion]:
-    """Split a recording at pauses and corrupt numbers; FileError beyond `CORRUPT`."""
+    """Split at pauses and corrupt numbers; FileError beyond `CORRUPT`."""
     time, notes = motion.state.time, list(motion.notes)
     bad = _corrupt(motion.state)
     if motion.command is not None:
@@ -110,7 +110,7 @@ NO_COMMANDS = (
 
 
 def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = None) -> tuple[RunLog, list[str]]:
-    """Check a motion and put it on the clock of its states.
+    """Check a motion and put it on its states' clock.
 
     Row k holds state k and the last command before it (zero-order hold). FileError where states and commands do not
     match, or by `Doubts`.

@@ -53,10 +53,10 @@ class Match(NamedTuple):
 def match_joints(
     names: Sequence[str], arm: Arm, options: ImportOptions, path: Path, what: str, titles: Sequence[str] | None = None
 ) -> Match:
-    """Find every joint of the arm exactly once among a file's names.
+    """Find every joint of the arm exactly once in a file.
 
     By ``options.columns``, its name (without LeRobot's ``.pos``), SAGE's name for an SO-101, or numbers from 0 or 1.
-    ``titles`` are full column names. FileError for a missing or double joint.
+    ``titles`` are full column names. FileError.
     """
     titles = names if titles is None else titles
     renamed = _renamed(arm, options, {*names, *titles})
@@ -140,7 +140,7 @@ def radians(values: Array, unit: str, half: Array | None, path: Path) -> Array:
 
 
 def half_ranges(path: Path, arm: Arm, options: ImportOptions) -> Array:
-    """Half of each calibrated range (n,) [rad]; negative for a turned motor."""
+    """Half ranges (n,) [rad]; negative: turned motor."""
     try:
         motors = json.loads(read_bounded(path, JSON_MOST, "give the file that lerobot-calibrate wrote"))
         spans = {

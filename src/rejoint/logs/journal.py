@@ -1,9 +1,8 @@
 """Journals: a run log on disk while it is recorded.
 
-A journal is a hidden file beside its run log: a line of JSON, then rows of float64 (time, position, command, target,
-true TCP), each with its CRC-32. A thread writes them, so a slow disk never delays the control loop. After ``kill -9``
-`recover` restores all but the last `INTERVAL`; after a power loss Linux lacks about half a minute. Where writing fails,
-the run goes on in memory.
+A hidden file beside the run log: a line of JSON, then rows of float64 (time, position, command, target, true TCP), each
+with its CRC-32. A thread writes it, so a slow disk never delays the control loop. After ``kill -9`` `recover` restores
+all but the last `INTERVAL`; after a power loss Linux lacks about half a minute. Where writing fails, the run goes on.
 """
 
 from __future__ import annotations
@@ -74,10 +73,7 @@ class Journal:
     def begin(
         cls, path: Path, *, arm: str, joint_names: tuple[str, ...], robot: str, label: str, rows: int = 0
     ) -> Journal:
-        """Open the journal of the run log at ``path``, with space for ``rows``.
-
-        FileError if it cannot be written, or the disk is too full.
-        """
+        """Open the journal of ``path``, with space for ``rows``; FileError."""
         about = {"arm": arm, "joints": list(joint_names), "robot": robot, "label": label}
         head = f"{_MAGIC} {json.dumps(about)}\n".encode()
         size = len(head) + rows * (_row_size(len(joint_names)) + _CHECK)
@@ -110,7 +106,7 @@ class Journal:
             self._rows.append(data + zlib.crc32(data).to_bytes(_CHECK, "little"))
 
     def finish(self, log: RunLog) -> None:
-        """Write the run log and remove the journal, which stays on FileError."""
+        """Write the run log and remove the journal; FileError."""
         self.close()
         try:
             write_log(self.path, log)
@@ -121,7 +117,7 @@ class Journal:
         self.file.unlink(missing_ok=True)
 
     def keep(self, log: RunLog) -> str:
-        """Write the log of a failed run; returns a message."""
+        """Write a failed run's log; returns a message."""
         try:
             self.finish(log)
         except FileError as error:
@@ -129,7 +125,7 @@ class Journal:
         return f"What was recorded until then: {self.path}"
 
     def rescue(self) -> str:
-        """Make a log of a failed run's journal; returns a message."""
+        """Make a failed run's log of its journal; returns a message."""
         self.close()
         try:
             path = _convert(self.file, self.path)
@@ -161,7 +157,7 @@ class Journal:
 
 
 def recover(folder: Path, *, quiet: float = 0.0) -> tuple[Path, ...]:
-    """Make run logs of killed processes' journals in ``folder``; returns them.
+    """Make run logs of killed processes' journals.
 
     Journals in use look the same: call it alone, or with ``quiet`` [s] since the last write. FileError.
     """
@@ -212,7 +208,7 @@ def read_journal(file: Path) -> RunLog | None:
 
 
 def _whole_rows(data: bytes, size: int) -> Array:
-    """Rows (T, size / 8) with correct checksums, finite, on an increasing clock."""
+    """Rows (T, size / 8) with correct checksum and clock."""
     step, rows = size + _CHECK, []
     for start in range(0, len(data) - step + 1, step):
         row, check = data[start : start + size], data[start + size : start + step]

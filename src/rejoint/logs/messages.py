@@ -157,7 +157,7 @@ def nanoseconds(stamp: Any) -> int:  # noqa: ANN401
 def frame_of(
     samples: list[Sample], clock: tuple[str, int], where: tuple[Path, str], arm: Arm, options: ImportOptions
 ) -> tuple[ColumnFrame, list[str]]:  # fmt: skip
-    """Columns of messages; those of other joints are dropped with a note.
+    """Columns of messages; other joints are dropped with a note.
 
     ``clock``: ``header`` or ``log``, and its origin [ns].
     """
@@ -254,7 +254,7 @@ def _begin(goal: TrajectoryGoal, stamp: str) -> int:
 
 
 def _knot(point: dict[str, list[float]], match: Match, options: ImportOptions, file: Path) -> list[Array]:
-    """Positions, velocities, accelerations (n,) of a point, in the arm's order and radians."""
+    """Positions, velocities, accelerations (n,) of a point, in radians."""
     scale, offset = (np.array([getattr(one, key) for one in match.linear]) for key in ("scale", "offset"))
     found = []
     for order, key in enumerate(_ORDERS):

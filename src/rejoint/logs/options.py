@@ -64,8 +64,7 @@ class ImportOptions:
     rate: float | None = None
     """[Hz] of rows without a time"""
     columns: Mapping[str, str] | None = None
-    """name in the log -> column with scale, sign and offset: ``{"time": "t", "elbow": "-q3"}``; see
-    `rejoint.logs.columns`"""
+    """name in the log -> column: ``{"time": "t", "elbow": "-q3"}``; see `rejoint.logs.columns`"""
     names: tuple[str, ...] | None = None
     """of columns without names"""
     state_topic: str | None = None
@@ -75,7 +74,7 @@ class ImportOptions:
     stamp: str | None = None
     """bags: ``header`` (messages) or ``log`` (recording times)"""
     calibration: Path | None = None
-    """LeRobot: calibration file of normalised values; default: by encoder steps"""
+    """LeRobot: of normalised values; default: by encoder steps"""
     torque_off: tuple[str, ...] | None = None
     """joints without torque"""
     force: bool = False
@@ -94,7 +93,7 @@ class ImportOptions:
             raise InputError(f"--rate {self.rate} is no rate; give rows in a second")
 
     def check_joints(self, arm: Arm) -> None:
-        """Raise InputError for unknown joints without torque."""
+        """Raise InputError for unknown joints."""
         for joint in self.torque_off or ():
             if joint not in arm.joint_names:
                 raise InputError(f"--torque-off {joint!r}: {arm.name} has the joints {', '.join(arm.joint_names)}")

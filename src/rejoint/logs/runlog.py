@@ -61,6 +61,7 @@ class RunLog:
     """
 
     arm: str
+    """name"""
     joint_names: tuple[str, ...]
     robot: str
     """address"""

@@ -29,10 +29,7 @@ _INDEXED = SCHEMA.append(pa.field(_FILE, pa.string()))
 
 
 def find_rows(folder: Path, arm: str | None = None) -> tuple[list[HistoryRow], tuple[str, ...]]:
-    """Summary rows below a folder, the oldest first, and unreadable files.
-
-    With ``arm`` only its checks; the cache is not renewed.
-    """
+    """Summary rows below a folder, oldest first, and unreadable files; ``arm``: only its checks."""
     table, problems = find_table(folder, arm)
     rows = rows_from(table)
     return sorted(rows, key=lambda row: (row.arm, row.time, row.kind)), problems  # joints stay in the arm's order

@@ -32,7 +32,7 @@ _NOT_A_NAME = re.compile(r"[^\w.-]+")
 
 
 def name_of(address: str, model: str) -> str:
-    """Name an arm by address and description, without an emulated arm's hours and temperature."""
+    """Name an arm by address and description."""
     return plain_name(f"{model}-{_PASSING.sub('', address)}")
 
 
@@ -48,7 +48,7 @@ def hours_of(address: str) -> float | None:
 
 
 def setup_of(arm: Arm) -> str:
-    """Fingerprint of an arm's description; only equal ones are compared."""
+    """Fingerprint of a description."""
     text = hashlib.sha256()
     for item in fields(arm):
         value = getattr(arm, item.name)
@@ -87,9 +87,9 @@ class HistoryRow:
     version: str = __version__
     """of the software"""
     setup: str = ""
-    """fingerprint of the description; a change begins a new baseline"""
+    """fingerprint of the description"""
     norm: str = ""
-    """why a new baseline begins, or empty"""
+    """reason of a new baseline, or empty"""
     used_h: float | None = None
     """[h] of use, by the user"""
     temperature_c: float | None = None
@@ -100,7 +100,7 @@ class HistoryRow:
     lever_mm: float | None = None
     """[mm/rad] of angles in millimetres"""
     error_mm: float | None = None
-    """by the encoders: AP of a check, diagnosis of a run"""
+    """encoders: AP of a check, diagnosis of a run"""
     repeatability_mm: float | None = None
     approach_mm: float | None = None
     true_error_mm: float | None = None
@@ -122,7 +122,7 @@ class HistoryRow:
     success: float | None = None
     """share of reached targets with it"""
     state: str = ""
-    """of a check: learning, steady, drifting or alarm; of a run its condition"""
+    """of a check: learning, steady, drifting or alarm; else of a run"""
     cause: str = ""
     """largest change, in words"""
     line: str = ""
@@ -135,12 +135,12 @@ class HistoryRow:
 
     @property
     def left_mm(self) -> float | None:
-        """[mm] tool error under a run's controller, true if known."""
+        """[mm] tool error under a run's controller."""
         return self.settled_mm if self.settled_true_mm is None else self.settled_true_mm
 
     @property
     def counts_mm(self) -> float | None:
-        """[mm] tool error that counts: after a repair with the controller."""
+        """[mm] tool error that counts."""
         with_it = self.left_mm if self.kind == "repair" else self.controlled_mm
         bare = self.error_mm if self.true_error_mm is None else self.true_error_mm
         return bare if with_it is None else with_it
