@@ -180,6 +180,22 @@ def test_a_way_avoids_what_the_motors_do_not_lift():
     assert (driven <= np.maximum(straight, 1.0) + 0.01).all()
 
 
+def test_a_joint_that_holds_more_than_it_lifts_is_lightened_before_it_lifts():
+    arm, rng = mycobot280(), np.random.default_rng(4)
+    free = comfortable_postures(arm)
+    motors = Motors(np.full(6, 9.0), np.array([9.0, 0.5, 9.0, 9.0, 9.0, 9.0]))
+    load = np.abs(gravity_torque(arm, free)[:, 1])
+    lifted = []
+    for _ in range(30):
+        start, goal = free[rng.choice(np.flatnonzero(load > 0.6))], free[rng.choice(np.flatnonzero(load < 0.2))]
+        way = plan(arm, start, goal, motors=motors)
+        ways = np.linspace(start, goal, 80), way.at(np.linspace(0.0, way.duration, 80))
+        lifted.append([np.max(gravity_torque(arm, q[1:])[:, 1] * np.sign(np.diff(q[:, 1]).round(9))) for q in ways])
+    straight, driven = np.array(lifted).T
+    assert (driven <= np.maximum(straight, 0.5) + 0.02).all()
+    assert (driven > 0.55).sum() < 0.5 * (straight > 0.55).sum()
+
+
 def test_an_arm_that_touches_something_gets_out_of_it():
     arm = mycobot280()
     start = np.radians([0.0, 0, 150, -150, 0, 0])

@@ -26,7 +26,7 @@ rrt = Late("rejoint.arms.rrt")
 RAMP, EASE = 0.1, 0.05
 """[s] to full speed, and to full acceleration (chosen: a servo of this class follows both)"""
 CLEARANCE = 0.005
-"""[m] margin (chosen: a moving worn arm's following error)"""
+"""[m] margin of links (chosen: a moving worn arm's following error)"""
 STEP, LOW = 0.004, 0.001
 """[m] of a myCobot 280: motion between checks; margin above floors (chosen)"""
 _SPEED = 0.999  # of the limit, so that rounding takes no command beyond what the guard allows
@@ -122,7 +122,7 @@ def plan(
     if way is None:
         blocked = field.blocked(item, start + share * (goal - start))
         raise PlanningError(f"{blocked}; no way round it was found")
-    return _timed(field, way if motors is None else field.lightest(way, motors.usable, seed), _limits(arm, speed))
+    return _timed(field, way if motors is None else field.lightest(way, motors, seed), _limits(arm, speed))
 
 
 def clearance(arm: Arm, q: Array) -> Array:
@@ -198,19 +198,20 @@ class _Field:
         corners = self._shortened(way[:count], rng)
         return corners if begin is start else np.vstack([start, corners])
 
-    def lightest(self, way: Array, usable: Array, seed: int) -> Array:
-        """Return the way (k, n), or another where it needs more than ``usable`` torques (n,)."""
-        arm, ends = self.arm, way[[0, -1]]
-        needed = max(1.0, float((np.abs(gravity_torque(arm, ends)) / usable).max()))
-        if _load(arm, way[None], usable)[0] <= needed:
+    def lightest(self, way: Array, motors: Motors, seed: int) -> Array:
+        """Return the way (k, n), or where the ``motors`` may not lift the arm, the clear one that needs least."""
+        arm, ends, straight = self.arm, way[[0, -1]], _load(self.arm, way[None], motors)[0]
+        if straight <= 1.0:
             return way
         pool = pool_of(arm).posture
         over = pool[np.random.default_rng(seed).integers(len(pool), size=_OTHERS)]
+        heavy = np.abs(gravity_torque(arm, ends[0])) > motors.usable  # such a joint waits until the others lightened it
+        over[::2, heavy] = ends[0, heavy]
         ways = np.stack([np.tile(ends[0], (_OTHERS, 1)), over, np.tile(ends[1], (_OTHERS, 1))], axis=1)
         longest = np.abs(np.diff(ways, axis=1)).max(axis=-1).sum(axis=-1)
-        load = np.maximum(_load(arm, ways, usable), needed)
+        load = np.maximum(_load(arm, ways, motors), 1.0)
         for k in np.argsort(load + LONGER * longest):
-            if load[k] > LIGHTER * _load(arm, way[None], usable)[0]:
+            if load[k] > LIGHTER * straight:
                 break
             if self.passes(ends[0], over[k], leaving=True)[0] == 1.0 == self.passes(over[k], ends[1])[0]:
                 return np.asarray(ways[k])
@@ -248,11 +249,12 @@ class _Field:
         return way
 
 
-def _load(arm: Arm, ways: Array, usable: Array) -> Array:
-    """Largest share (W,) of the ``usable`` torques (n,) on ways (W, k, n)."""
-    parts = np.linspace(0.0, 1.0, _PARTS)[:, None, None]
-    q = ways[:, :-1] + parts[:, None] * np.diff(ways, axis=1)
-    found: Array = (np.abs(gravity_torque(arm, q)) / usable).max(axis=(0, 2, 3))
+def _load(arm: Arm, ways: Array, motors: Motors) -> Array:
+    """Largest share (W,) of what ``motors`` give on ways (W, k, n): less for lifting than for holding."""
+    parts, moves = np.linspace(0.0, 1.0, _PARTS)[:, None, None], np.diff(ways, axis=1)
+    torque = gravity_torque(arm, ways[:, :-1] + parts[:, None] * moves)
+    given = np.where(torque * moves > 0.0, motors.usable, motors.limit)
+    found: Array = (np.abs(torque) / given).max(axis=(0, 2, 3))
     return found
 
 

@@ -22,6 +22,8 @@ from rejoint.system.errors import InputError
 LAGS, SLOWEST = tuple(np.radians([6.0, 18.0])), 0.1
 """[rad] by which a joint may lag behind its way, and from which the arm goes on with that share of its speed (chosen: a
 worn joint lags by 8 deg at full speed, and with twice these lags an arm cut a corner by 7 mm)"""
+STUCK = tuple(np.radians([30.0, 36.0]))
+"""[rad] of lag from which a joint does not come at all, so that the others go on without it (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -100,7 +102,7 @@ def waiting(ways: Sequence[JointTrajectory], since: Array, position: Array) -> A
 
 def pace(lag: float) -> float:
     """Return the share of its speed with which a way goes on while a joint lags by ``lag`` [rad]."""
-    return float(np.interp(lag, LAGS, (1.0, SLOWEST)))
+    return float(np.interp(lag, (*LAGS, *STUCK), (1.0, SLOWEST, SLOWEST, 1.0)))
 
 
 def nearest_postures(

@@ -201,29 +201,18 @@ class ArmSession(ArmDriver):
                 "move_joints: there the arm would touch itself or the ground; choose other joint positions"
             )
 
-        way = self._way(self.state.joints_rad, goal)
+        motors = None if self.twin is None else believed_motors(self.twin)
+        way = plan(self.arm, self.state.joints_rad, goal, motors=motors)
 
         def work(motion: ArmMotion) -> None:
             self.begin(rest=False)
-            controller = self.posture_controller(way, EVERY_JOINT)
+            controller = self.posture_controller(PlannedWay(way.at, way.duration), EVERY_JOINT)
             self.recorder.begin(self.robot, "joints", f"joints/{controller.name}")
             arrival = GoalCheck(motion, self.arm, np.inf, within)
             self.drive(controller, Schedule(dwell=timeout, give_up=arrival.at_joints(goal)))
             arrival.require(f"{np.degrees(within):g} deg", timeout)
 
         return self._start(ArmMotion("its joint positions", work), wait=wait)
-
-    def _way(self, start: Array, goal: Array) -> PlannedWay:
-        """Way between postures (n,) [rad], all joints at full speed where that is clear."""
-        planned, speed = plan(self.arm, start, goal), self.arm.max_speed
-        duration = float((np.abs(goal - start) / speed).max())
-
-        def at_once(time: float) -> Array:
-            return start + np.clip(goal - start, -speed * time, speed * time)
-
-        if all(self._clear(at_once(time)) for time in np.linspace(0.0, duration, len(_SHARES))):
-            return PlannedWay(at_once, duration)
-        return PlannedWay(planned.at, planned.duration)
 
     def send_joints(self, joints_rad: ArrayLike) -> Array:
         """Send joint positions (n,) [rad] of a stream.

@@ -176,7 +176,7 @@ class WebPage:
         )  # fmt: skip
         for handle, text in texts:
             if handle.content != text:
-                handle.content = text
+                handle.content = str(text)  # viser sends no subclass, such as a template's
         if abs(self._bar.value - 100.0 * share) > 0.05:
             self._bar.value = 100.0 * share  # type: ignore[misc]  # declared read-only, and is not
 
