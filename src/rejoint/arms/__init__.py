@@ -1,4 +1,4 @@
-"""What an arm is: geometry, limits, masses; forward and inverse kinematics; the catalogue and arms from files."""
+"""Arms: geometry, limits, masses; kinematics; the catalogue and arms from files."""
 
 from rejoint.arms.arm import Arm, Array, Box, differing
 from rejoint.arms.catalogue import mycobot280, so101

@@ -1,8 +1,7 @@
 """A serial arm: fixed transforms and revolute axes, limits and masses.
 
 Joint i has the frame ``offset[i] @ Rot(axis[i], q[i])`` in the frame of joint i-1 (joint 0: the base). Link i moves
-with joint i; its centre of mass and inertia are in the frame of joint i. ``tip`` is the tool centre point (TCP) in the
-last frame.
+with joint i. ``tip`` is the tool centre point (TCP) in the last frame.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Box:
-    """An axis-aligned region of TCP positions in the base frame."""
+    """An axis-aligned region in the base frame."""
 
     lower: Array
     """(3,) [m]"""
@@ -33,11 +32,11 @@ class Box:
             raise InputError(f"a box needs lower < upper on three axes, got {self.lower}, {self.upper}")
 
     def sample(self, rng: np.random.Generator, shape: tuple[int, ...] = ()) -> Array:
-        """Draw points uniformly; returns ``(*shape, 3)`` [m]."""
+        """Draw points uniformly, ``(*shape, 3)`` [m]."""
         return rng.uniform(self.lower, self.upper, (*shape, 3))
 
     def contains(self, points: Array) -> NDArray[np.bool_]:
-        """Whether points (..., 3) [m] are inside; (...)."""
+        """Which points (..., 3) [m] are inside."""
         return np.all((points >= self.lower) & (points <= self.upper), axis=-1)
 
 
@@ -48,37 +47,37 @@ class Arm:
     name: str
     joint_names: tuple[str, ...]
     offset: Array
-    """(n, 4, 4) fixed transform to each joint frame at zero"""
+    """(n, 4, 4) to each joint frame at zero"""
     axis: Array
-    """(n, 3) unit joint axes in the joint frames"""
+    """(n, 3) unit vectors in the joint frames"""
     tip: Array
-    """(4, 4) TCP in the frame of the last joint"""
+    """(4, 4) in the last joint frame"""
     lower: Array
-    """(n,) [rad] lower joint limits"""
+    """(n,) [rad]"""
     upper: Array
-    """(n,) [rad] upper joint limits"""
+    """(n,) [rad]"""
     max_speed: Array
-    """(n,) [rad/s] speed limit of each joint"""
+    """(n,) [rad/s]"""
     mass: Array
-    """(n,) [kg] link masses"""
+    """(n,) [kg]"""
     com: Array
-    """(n, 3) [m] centres of mass in the joint frames"""
+    """(n, 3) [m] in the joint frames"""
     inertia: Array
     """(n, 3, 3) [kg m^2] about the centres of mass, joint-frame axes"""
     rest: Array
-    """(n,) [rad] posture that the null space is pulled to; trials start here"""
+    """(n,) [rad] start of trials, and of the null space's pull"""
     targets: Box
-    """region in which targets are drawn"""
+    """region of targets"""
     floor: float
-    """[m] lowest height that the guard allows for the TCP"""
+    """[m] lowest TCP"""
     encoder_step: float
-    """[rad] resolution of the joint encoders"""
+    """[rad] resolution"""
     servo_acceleration: float = np.inf
-    """[rad/s^2] at which the servos limit their reference; infinite: not known"""
+    """[rad/s^2] limit of the servos' reference; infinite: unknown"""
     servos: tuple[str, ...] = ()
-    """(n,) type and gains of each servo; joints with the same text have equal servos. Empty: not known"""
+    """(n,) type and gains; empty: unknown"""
     keep_out: tuple[Box, ...] = ()
-    """boxes in the base frame that no moving part may enter"""
+    """base frame, forbidden"""
 
     def __post_init__(self) -> None:
         _freeze(self)
@@ -101,7 +100,7 @@ class Arm:
 
     @property
     def joints(self) -> int:
-        """Number of joints n."""
+        """Number of joints."""
         return len(self.joint_names)
 
     def __repr__(self) -> str:
@@ -109,7 +108,7 @@ class Arm:
 
 
 def differing(one: Arm, other: Arm) -> tuple[str, ...]:
-    """Name the fields in which two descriptions differ beyond the rounding of a file; `Arm.keep_out` does not count."""
+    """Fields that differ beyond rounding, without `Arm.keep_out`."""
     found = []
     for entry in fields(Arm):
         if entry.name == "keep_out":
@@ -132,7 +131,7 @@ def _plain(value: object) -> object:
 
 @dataclass(frozen=True, kw_only=True)
 class DhRow:
-    """A row of a standard Denavit-Hartenberg table: Rz(q + offset) Tz(d) Tx(a) Rx(alpha)."""
+    """Row of a standard Denavit-Hartenberg table: Rz(q + offset) Tz(d) Tx(a) Rx(alpha)."""
 
     d: float
     """[m]"""
@@ -141,11 +140,11 @@ class DhRow:
     alpha: float
     """[rad]"""
     offset: float = 0.0
-    """[rad] added to the joint angle"""
+    """[rad]"""
 
 
 def dh_chain(rows: Sequence[DhRow]) -> tuple[Array, Array, Array]:
-    """Turn a DH table of n rows into ``offset`` (n, 4, 4), ``axis`` (n, 3) and ``tip`` (4, 4)."""
+    """``offset`` (n, 4, 4), ``axis`` (n, 3) and ``tip`` (4, 4) of a DH table."""
     offsets, before = [], np.eye(4)
     for row in rows:
         offsets.append(before @ _rotation_z(row.offset))

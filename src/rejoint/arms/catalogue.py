@@ -38,10 +38,10 @@ PAPER_DH_TABLE = (
     DhRow(d=0.0741, a=0.0, alpha=-np.pi / 2),
     DhRow(d=0.0456, a=0.0, alpha=0.0),
 )
-"""Table 1 of Park et al. 2024."""
+"""Table 1 of Park et al. 2024"""
 
 PAPER_ANGLE_SHIFT = np.radians([180.0, -90.0, 0.0, 90.0, 90.0, 0.0])
-"""Angles of the paper's table minus the vendor's."""
+"""Angles of the paper minus the vendor's"""
 
 _LIMITS_DEG = np.array([[-168, 168], [-140, 140], [-150, 150], [-150, 150], [-155, 160], [-180, 180]])
 _MASSES = np.array([0.16, 0.18, 0.15, 0.09, 0.09, 0.04])
@@ -72,11 +72,11 @@ def mycobot280() -> Arm:
 
 
 REST_DEG = (20.0, 0.0, -85.0, -5.0, 0.0, 0.0)
-"""Elbow up, flange down, TCP inside the target region (chosen)."""
+"""Elbow up, flange down, TCP among the targets (chosen)"""
 
 
 class _MjcfBody(NamedTuple):
-    """A body as the MJCF lists it, in the frame before it."""
+    """A body of the MJCF, in its parent's frame."""
 
     joint: str
     position: tuple[float, float, float]
@@ -131,10 +131,8 @@ _TCP_POSITION = (-0.0079, -0.000218121, -0.0981274)
 _TCP_QUATERNION = (0.707107, 0.0, 0.707107, -2.37788e-17)
 
 _SERVO = "STS3215"
-"""of every joint, with the same gears and gains"""
 _MAX_SPEED_RPM = 45.0
 _COUNTS = 4096
-"""Encoder counts a turn"""
 _ACCELERATION = 254 * 100 * 2 * np.pi / _COUNTS
 """[rad/s^2]"""
 

@@ -1,4 +1,4 @@
-"""Cut a serial chain out of a tree of bodies; everything that hangs on it is frozen."""
+"""Cuts a serial chain out of a tree; all others are frozen."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from rejoint.system.errors import InputError
 
 
 def cut(tree: Tree, base: str | None, tip: str | None) -> Draft:
-    """Make a draft of the chain from the body ``base`` to the body or site ``tip``.
+    """Draft of the chain from body ``base`` to the body or site ``tip``.
 
-    Default ``tip``: the last link of the longest chain of hinges without a gripper; default ``base``: the root above.
-    Slides are held, other bodies add their mass to the link that carries them. InputError for unknown names, an
-    ambiguous choice, or a joint that can be neither driven nor held.
+    Default ``tip``: last link of the longest chain of hinges without a gripper; default ``base``: the root. Slides are
+    held; other bodies add mass to their link. InputError for unknown names, an ambiguous choice, or a joint that can be
+    neither driven nor held.
     """
     notes = list(tree.notes)
     start = None if base is None else body_called(tree, base)
@@ -44,7 +44,7 @@ def cut(tree: Tree, base: str | None, tip: str | None) -> Draft:
 
 
 def _draft(tree: Tree, joints: list[Joint], frame: Array, tip: Array, notes: list[str]) -> Draft:
-    """Draft of the chain of ``joints`` from the base's ``frame`` to the ``tip`` (4, 4), both in the world."""
+    """``frame`` of the base and ``tip``: (4, 4) in the world."""
     offsets, axes, before = [], [], frame
     poses = []
     for joint in joints:
@@ -121,20 +121,20 @@ def _slide_held(joint: Joint) -> str:
 
 
 _GRIPPER = re.compile("grip|jaw|finger|claw", re.IGNORECASE)
-"""Names of joints of grippers (URDFs of SO-100, WidowX, Koch)"""
+"""Joints of grippers (URDFs of SO-100, WidowX, Koch)"""
 
 _FLANGE = "tool0"
-"""Frame at the flange in URDFs of ROS-Industrial"""
+"""Flange in URDFs of ROS-Industrial"""
 
 _TOOL = re.compile(r"tool|tcp|grasp|end_?effector|(^|_)eef?(_|$)", re.IGNORECASE)
-"""Names of frames of tools (URDFs of Universal Robots, Kinova, PAL, Franka Emika)"""
+"""Tool frames (URDFs of Universal Robots, Kinova, PAL, Franka Emika)"""
 
 _ACROSS = 1e-6
-"""Largest product of unit vectors that are at right angles (rounding)."""
+"""Largest product of orthogonal unit vectors (rounding)"""
 
 
 def body_called(tree: Tree, name: str) -> int:
-    """Index of a body; InputError with the names there are."""
+    """Index of a body; InputError."""
     names = [body.name for body in tree.bodies]
     if name not in names:
         raise InputError(unknown(name, "body", names))
@@ -142,7 +142,7 @@ def body_called(tree: Tree, name: str) -> int:
 
 
 def tip_called(tree: Tree, name: str) -> tuple[int, Array]:
-    """Body that a tip (body or site) is on, and the tip's pose (4, 4) in the world."""
+    """Body of a tip (body or site), and its pose (4, 4) in the world."""
     names = [body.name for body in tree.bodies]
     if name in names:
         return names.index(name), tree.bodies[names.index(name)].pose
@@ -153,10 +153,7 @@ def tip_called(tree: Tree, name: str) -> tuple[int, Array]:
 
 
 def root_of(tree: Tree, end: int, notes: list[str]) -> int:
-    """Body at which the arm that ends at ``end`` begins.
-
-    The root, what a mobile base carries, or the world for a root on a hinge.
-    """
+    """First body of the arm to ``end``: the root, the load of a mobile base, or the world."""
     path = tree.path(end)
     moving = _mobile_base(tree.joints_of(path))
     if moving:
@@ -171,10 +168,7 @@ def root_of(tree: Tree, end: int, notes: list[str]) -> int:
 
 
 def longest(tree: Tree, start: int | None, notes: list[str]) -> tuple[int, Array]:
-    """Last link of the only longest chain of hinges below ``start`` (None: anywhere), and its pose.
-
-    Grippers do not count.
-    """
+    """Last link of the longest chain of hinges below ``start`` (None: anywhere), without gripper, and its pose."""
     hinges, slid = _chains(tree, start)
     parents = {tree.bodies[index].parent for index in hinges if index not in (start, WORLD) and not slid[index]}
     leaves = [index for index in hinges if index not in parents and not slid[index]]
@@ -204,7 +198,7 @@ def longest(tree: Tree, start: int | None, notes: list[str]) -> tuple[int, Array
 
 
 def unknown(name: str, kind: str, names: Sequence[str]) -> str:
-    """Say that a model has no such name, and which it has."""
+    """Report an unknown name."""
     close = difflib.get_close_matches(name, names, n=1)
     hint = f"did you mean {close[0]}? " if close else ""
     shown = [known for known in names if known][:40]
@@ -258,19 +252,18 @@ def _mobile_base(joints: list[Joint]) -> list[Joint]:
 
 
 WORLD = 0
-"""Index of the world, the parent of every root body."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Body:
-    """A rigid body of a tree."""
+    """A rigid body."""
 
     name: str
     parent: int
     pose: Array
-    """(4, 4) in the world, in the posture of the tree's joints"""
+    """(4, 4) in the world"""
     content: SpatialInertia
-    """mass, centre and inertia in the body's frame"""
+    """in the body frame"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -279,28 +272,28 @@ class Joint:
 
     name: str
     kind: str
-    """``hinge``, ``slide``, ``ball``, ``free``, ``coupled`` (follows another joint) or ``held`` (by the user)"""
+    """``hinge``, ``slide``, ``ball``, ``free``, ``coupled`` (to another joint) or ``held`` (by the user)"""
     body: int
     anchor: Array
-    """(3,) [m] a point of the axis, in the world"""
+    """(3,) [m] point of the axis, in the world"""
     axis: Array
     """(3,) unit vector in the world"""
     position: float
-    """[rad] joint position in the tree's posture; [m] of a slide"""
+    """[rad], [m] of a slide"""
     lower: float
     upper: float
-    """[rad] limits, NaN where there is none; [m] of a slide"""
+    """[rad], [m] of a slide; NaN: none"""
     speed: float
-    """[rad/s] speed limit, NaN where there is none"""
+    """[rad/s], NaN: none"""
     follows: str = ""
-    """joint that it follows, or empty"""
+    """leading joint, or empty"""
     drives: bool = False
-    """whether joints of other branches follow it, such as fingers"""
+    """leads joints of other branches, such as fingers"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Site:
-    """A named frame on a body."""
+    """A named frame."""
 
     name: str
     body: int
@@ -310,17 +303,17 @@ class Site:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tree:
-    """A model in one posture; body 0 is the world, parents come first."""
+    """Bodies; body 0 is the world, parents first."""
 
     name: str
     bodies: tuple[Body, ...]
     joints: tuple[Joint, ...]
-    """in the order in which they act on their body"""
+    """in order per body"""
     sites: tuple[Site, ...] = ()
     notes: tuple[str, ...] = ()
 
     def path(self, body: int) -> list[int]:
-        """Bodies from a root down to ``body``, without the world."""
+        """Bodies from a root to ``body``."""
         found = []
         while body != WORLD:
             found.append(body)
@@ -328,9 +321,9 @@ class Tree:
         return found[::-1]
 
     def joints_of(self, bodies: Iterable[int]) -> list[Joint]:
-        """Joints of the given bodies, in their order."""
+        """Joints in order."""
         return [joint for body in bodies for joint in self.joints if joint.body == body]
 
     def names(self, bodies: Iterable[int]) -> str:
-        """Names of bodies, for a message."""
+        """Names."""
         return ", ".join(self.bodies[index].name for index in bodies)

@@ -1,7 +1,7 @@
-"""Whether an arm touches itself, the ground or a declared box: a capsule along every link.
+"""Contacts of an arm with itself, the ground or a box, by capsules.
 
-Pairs of links that meet in a joint, or overlap at rest or at a target, do not count (as in Coleman et al. 2014).
-Distances of segments: Ericson 2005, "Real-Time Collision Detection", section 5.1.9.
+Pairs of links that meet in a joint, or overlap at rest or at a target, do not count (Coleman et al. 2014). Distances:
+Ericson 2005, "Real-Time Collision Detection", section 5.1.9.
 """
 
 from __future__ import annotations
@@ -23,45 +23,45 @@ from rejoint.system.shell import Late
 compiled = Late("rejoint.arms.compiled")
 
 GROUND = 0.0
-"""[m] height of the ground in the base frame; an arm whose floor is lower stands on that"""
+"""[m] or the arm's lower floor"""
 
 
 JOINT_CLEARANCE = 0.01
-"""[m] height of joint frames above the TCP's floor, for a myCobot 280 (chosen); scales with the reach"""
+"""[m] of joint frames above the floor, for a myCobot 280 (chosen)"""
 
 _STILL = 1e-6
-"""[m] rounding of an end that does not move"""
+"""[m] rounding"""
 
 GRID = 3
-"""Targets along each edge of their region that are taken for free (chosen)"""
+"""Free targets per edge (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CollisionShape:
-    """Capsules of an arm (link 0: base, link i moves with joint i), and what of them can touch."""
+    """Capsules; link 0 is the base."""
 
     radius: float
-    """[m] of all capsules"""
+    """[m]"""
     pairs: NDArray[np.intp]
-    """(P, 2) links that can touch each other"""
+    """(P, 2) links that can touch"""
     grounded: NDArray[np.bool_]
-    """(n + 2,) which ends, from the base to the TCP, can touch the ground"""
+    """(n + 2,) ends, base to TCP, that can touch the ground"""
     ground: float
-    """[m] height of the plane under the arm"""
+    """[m]"""
     moving: NDArray[np.int64]
-    """(L,) links that move, and so can enter a box"""
+    """(L,) links that can enter boxes"""
     boxes: Array
-    """(K, 6) [m] lower and upper corners of the forbidden boxes"""
+    """(K, 6) [m] lower and upper corners"""
 
     @cached_property
     def places(self) -> NDArray[np.int64]:
-        """(G,) indices of the ends that can touch the ground."""
+        """(G,) ends that can touch the ground."""
         return np.flatnonzero(self.grounded).astype(np.int64)
 
 
 @lru_cache(maxsize=32)
 def collision_shape(arm: Arm) -> CollisionShape:
-    """Derive the capsules of an arm and the pairs that count."""
+    """Capsules and their pairs."""
     f = frames(arm, _work(arm))
     first, links = _ends(f)[0], arm.joints + 1
     radius, ground = LINK_RADIUS_RATIO * reach(arm), min(GROUND, arm.floor)
@@ -78,12 +78,12 @@ def collision_shape(arm: Arm) -> CollisionShape:
 
 
 def collides(arm: Arm, f: Frames) -> NDArray[np.bool_]:
-    """Whether postures with the frames ``f`` (...) touch themselves, the ground or a box; (...)."""
+    """Which postures of the frames ``f`` (...) have a contact."""
     return np.asarray((_gaps(collision_shape(arm), f) < 0.0).any(axis=-1).reshape(f.tcp_position.shape[:-1]))
 
 
 def _gaps(shape: CollisionShape, f: Frames) -> Array:
-    """Distances (B, P + G + L K) [m] of what can touch, at B postures."""
+    """Distances (B, P + G + L K) [m] at B postures."""
     points = _ends(f)[..., 1:, :]
     points = points.reshape(-1, *points.shape[-2:])
     poses = np.empty((points.shape[1], 3, 4, len(points)))
@@ -103,7 +103,7 @@ def _fill(shape: CollisionShape, poses: Array, floors: Array) -> Array:
 
 @lru_cache(maxsize=32)
 def guarded_floors(arm: Arm) -> Array:
-    """Lowest heights (n,) [m] of all joint frames but the first, and of the TCP; -inf for frames that hardly rise."""
+    """Lowest heights (n,) [m] of the joint frames but the first, and TCP; -inf: hardly rises."""
     joint_floor = arm.floor + JOINT_CLEARANCE * reach(arm) / reach(mycobot280())
     floors = np.append(np.where(rising_frames(arm, joint_floor)[1:], joint_floor, -np.inf), arm.floor)
     floors.setflags(write=False)
@@ -113,15 +113,14 @@ def guarded_floors(arm: Arm) -> Array:
 def clearances(arm: Arm, q: Array, floors: Array) -> Array:
     """Heights above ``floors`` (n,), then distances of capsules, (..., n + P + G + L K) [m] at ``q`` (..., n) [rad].
 
-    Heights: all joint frames but the first, and the TCP. Distances: pairs of links, ends and ground, moving links and
-    boxes; below zero where they touch.
+    Heights: joint frames but the first, and TCP. Distances: links, ends and ground, links and boxes; negative: contact.
     """
     clear = _fill(collision_shape(arm), all_poses(arm, q, slice(0, 3)), floors)
     return clear.reshape(*q.shape[:-1], clear.shape[-1])
 
 
 def contact(arm: Arm, item: int) -> tuple[str, str]:
-    """Name what touches what at distance ``item`` of `clearances`, counted after the heights."""
+    """Return the two bodies at distance ``item`` of `clearances`."""
     shape, names = collision_shape(arm), arm.joint_names
 
     def link(i: int) -> str:
@@ -139,14 +138,14 @@ def contact(arm: Arm, item: int) -> tuple[str, str]:
 
 
 def _moving(arm: Arm) -> NDArray[np.int64]:
-    """Links (L,) of which an end moves; one that only turns about itself, as many a column does, is where it is."""
+    """Links (L,) with a moving end."""
     postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (16, arm.joints))
     still = np.ptp(_ends(frames(arm, postures)), axis=0).max(axis=-1) < _STILL
     return np.flatnonzero(~(still[:-1] & still[1:])).astype(np.int64)
 
 
 def _work(arm: Arm) -> Array:
-    """Postures (m, n) [rad] that are taken for free: at rest, first, and at a grid of targets."""
+    """Postures (m, n) [rad] without contacts: rest, targets."""
     axes = [np.linspace(low, high, GRID) for low, high in zip(arm.targets.lower, arm.targets.upper, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     solution = solve_position(arm, grid, arm.rest)
@@ -154,6 +153,6 @@ def _work(arm: Arm) -> Array:
 
 
 def _ends(f: Frames) -> Array:
-    """Return the ends (..., n + 2, 3) [m] of the capsules, one after the other."""
+    """Capsule ends (..., n + 2, 3) [m]."""
     base = np.zeros((*f.tcp_position.shape[:-1], 1, 3))
     return np.concatenate([base, f.position, f.tcp_position[..., None, :]], axis=-2)

@@ -1,4 +1,4 @@
-"""Forward kinematics and distances, compiled by Numba when imported."""
+"""Compiled forward kinematics and distances."""
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
 from __future__ import annotations
@@ -11,12 +11,12 @@ ROWS1, ROWS2 = (types.Array(int64, dimensions, "C", readonly=True) for dimension
 OUT2, OUT3, OUT4 = float64[:, ::1], float64[:, :, ::1], float64[:, :, :, ::1]
 
 POINT = 1e-15
-"""[m^2] squared lengths below which segments count as points or parallel (chosen)"""
+"""[m^2] squared length of a point (chosen)"""
 
 
 @njit(OUT3(IN3, IN2, IN2), cache=True, nogil=True, fastmath={"contract"})
 def _steps(terms, sine, cosine):  # noqa: ANN001, ANN202
-    """Frames (n, 16, B) of the joints, each in the one before."""
+    """Joint frames (n, 16, B), each in its parent."""
     joints, postures = sine.shape
     steps = np.empty((joints, 16, postures))
     for i in range(joints):
@@ -28,9 +28,9 @@ def _steps(terms, sine, cosine):  # noqa: ANN001, ANN202
 
 @njit(void(IN3, IN2, IN2, IN2, int64, OUT4), cache=True, nogil=True)
 def fill_poses(terms, tip, sine, cosine, first, poses):  # noqa: ANN001, ANN201
-    """Fill ``poses`` (n + 1, r, 4, B): r rows from ``first`` on of the frames of joints and TCP.
+    """Fill ``poses`` (n + 1, r, 4, B): r rows from ``first`` of the frames of joints and TCP.
 
-    ``terms`` (n, 16, 3) as `joint_terms`, ``tip`` (4, 4), ``sine`` and ``cosine`` (n, B) of the joint positions.
+    ``terms`` (n, 16, 3), ``tip`` (4, 4), ``sine`` and ``cosine`` (n, B).
     """
     steps = _steps(terms, sine, cosine)
     joints, rows, postures = len(steps), poses.shape[1], poses.shape[3]
@@ -57,7 +57,7 @@ def fill_poses(terms, tip, sine, cosine, first, poses):  # noqa: ANN001, ANN201
 
 @njit(void(IN2, IN4, OUT3), cache=True, nogil=True)
 def fill_columns(axes, poses, columns):  # noqa: ANN001, ANN201
-    """Fill ``columns`` (3, n, B) with the TCP's motion per radian, from `fill_poses` and ``axes`` (n, 3)."""
+    """Fill ``columns`` (3, n, B) with TCP motions per radian; ``axes`` (n, 3)."""
     _, joints, postures = columns.shape
     axis, lever = np.empty(3), np.empty(3)
     for i in range(joints):
@@ -73,7 +73,7 @@ def fill_columns(axes, poses, columns):  # noqa: ANN001, ANN201
 
 @njit(float64(IN2, int64, int64), cache=True, nogil=True)
 def _axis_distance(ends, i, j):  # noqa: ANN001, ANN202
-    """Distance between the axes of the links i and j, of the ``ends`` (n + 2, 3), as `collision.segment_distance`."""
+    """Distance between the axes of links i and j; ``ends`` (n + 2, 3)."""
     a = e = b = c = f = 0.0
     for r in range(3):
         along, across = ends[i + 1, r] - ends[i, r], ends[j + 1, r] - ends[j, r]
@@ -94,7 +94,7 @@ def _axis_distance(ends, i, j):  # noqa: ANN001, ANN202
 
 @njit(float64(IN2, int64, IN1, float64), cache=True, nogil=True)
 def _box_slope(ends, link, box, t):  # noqa: ANN001, ANN202
-    """Half the derivative, by ``t``, of the squared distance between a box (6,) and the point at ``t`` of a link."""
+    """Half the derivative, by ``t``, of the squared distance between box (6,) and link."""
     slope = 0.0
     for r in range(3):
         along = ends[link + 1, r] - ends[link, r]
@@ -105,7 +105,7 @@ def _box_slope(ends, link, box, t):  # noqa: ANN001, ANN202
 
 @njit(float64(IN2, int64, IN1), cache=True, nogil=True)
 def box_distance(ends, link, box):  # noqa: ANN001, ANN201
-    """Distance [m] between a ``link`` axis of ``ends`` (n + 2, 3) and a ``box`` (6,)."""
+    """Distance [m] between the axis of ``link`` and a ``box`` (6,); ``ends`` (n + 2, 3)."""
     low, high = 0.0, 1.0
     for side in range(6):
         r = side % 3
@@ -130,10 +130,9 @@ def box_distance(ends, link, box):  # noqa: ANN001, ANN201
 
 @njit(void(IN4, IN1, ROWS2, ROWS1, float64, float64, ROWS1, IN2, OUT2), cache=True, nogil=True)
 def fill_clearances(poses, floors, pairs, grounded, radius, ground, links, boxes, out):  # noqa: ANN001, ANN201
-    """Fill ``out`` (B, n + P + G + L K) [m] as `collision.clearances` returns it.
+    """Fill ``out`` (B, n + P + G + L K) [m] as `collision.clearances`.
 
-    From ``poses`` (n + 1, 3, 4, B), ``floors`` (n,), ``pairs`` (P, 2), ends ``grounded`` (G,), moving ``links`` (L,)
-    and ``boxes`` (K, 6).
+    ``poses`` (n + 1, 3, 4, B), ``floors`` (n,), ``pairs`` (P, 2), ``grounded`` (G,), ``links`` (L,), ``boxes`` (K, 6).
     """
     joints, first = poses.shape[0], len(floors) + len(pairs)
     boxed = first + len(grounded)

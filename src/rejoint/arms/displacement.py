@@ -1,7 +1,7 @@
-"""Displacements that the encoders do not see: play, flex, zero errors, links, a tilted base.
+"""Displacements behind encoders: play, flex, zero errors, links, a tilted base.
 
-Weight presses a joint to one side of its play and bends it, the same at every visit; a joint without weight floats, and
-only its last motion tells the side. Model: Khalil and Dombre 2002, chapter 11, with a smooth sign of the torque.
+Weight presses a joint to one side of its play and bends it; without weight only the last motion tells the side. Model:
+Khalil and Dombre 2002, chapter 11, with a smooth sign of the torque.
 """
 
 from __future__ import annotations
@@ -15,37 +15,37 @@ from rejoint.arms.kinematics import GRAVITY, gravity_torque, tcp_pose, tcp_posit
 from rejoint.arms.rotations import rotation_about
 
 FLOATING = 0.001
-"""[N m] torque within which the side of the play is not sure (chosen)"""
+"""[N m] of a floating joint (chosen)"""
 
 CARRIED = np.radians(1.0)
-"""[rad] length of the last motion from which its direction counts (chosen)"""
+"""[rad] shortest motion with a direction (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Displacement:
-    """What lies behind the encoders of n joints; zeros: nothing."""
+    """Displacement of n joints; zeros: none."""
 
     offset: Array
-    """(n,) [rad] error of the encoders' zeros"""
+    """(n,) [rad] of the encoders' zeros"""
     compliance: Array
     """(n,) [rad/(N m)] of gear and link"""
     play: Array
     """(n,) [rad] whole width"""
     twist: Array
-    """(n + 1, 6) errors [m, rad] of the fixed transforms to the joints and the TCP"""
+    """(n + 1, 6) errors [m, rad] of the transforms to joints and TCP"""
     gravity: Array
     """(3,) [m/s^2] in the base frame"""
     mass: Array = field(default_factory=lambda: np.ones(()))
-    """(n,) or () factor on the described masses"""
+    """(n,) or () factor on masses"""
     carry: Array = field(default_factory=lambda: np.zeros(()))
-    """(n,) or () share of half the play by which a floating joint runs ahead"""
+    """(n,) or () share of half the play ahead, floating"""
 
     def __post_init__(self) -> None:
         _freeze(self)
 
     @classmethod
     def none(cls, arm: Arm) -> Displacement:
-        """Displacement of an upright arm with true encoders."""
+        """No displacement."""
         n = arm.joints
         return cls(
             offset=np.zeros(n), compliance=np.zeros(n), play=np.zeros(n), twist=np.zeros((n + 1, 6)), gravity=GRAVITY
@@ -57,9 +57,9 @@ class Displacement:
         return gravity_torque(loaded, position, self.gravity)
 
     def joints(self, arm: Arm, position: Array, approach: Array | None = None) -> Array:
-        """Where the links (..., n) [rad] are at rest, with encoders at ``position`` (..., n) [rad].
+        """Return true joint positions (..., n) [rad] at rest, at encoder ``position`` (..., n) [rad].
 
-        ``approach`` (..., n) [rad] is where they were before the last motion; NaN or None: not known.
+        ``approach`` (..., n) [rad]: before the last motion; NaN or None: unknown.
         """
         torque = self.torque(arm, position)
         side = np.tanh(torque / FLOATING)
@@ -67,7 +67,7 @@ class Displacement:
         return np.asarray(position + self.offset - self.compliance * torque - 0.5 * self.play * side)
 
     def rigid(self, arm: Arm, position: Array) -> Displacement:
-        """Return it without play and flex: their mean over ``position`` (M, n) goes to `offset`."""
+        """Without play and flex: their mean over ``position`` (M, n) goes to `offset`."""
         shift = (self.joints(arm, position) - position).mean(axis=0)
         return replace(self, offset=shift, compliance=np.zeros(arm.joints), play=np.zeros(arm.joints))
 
@@ -86,16 +86,16 @@ class Displacement:
         return replace(arm, offset=fixed[:-1], tip=fixed[-1])
 
     def tool(self, arm: Arm, position: Array, approach: Array | None = None) -> Array:
-        """Where the tool (..., 3) [m] is with encoders at ``position`` (..., n) [rad]; see `joints`."""
+        """Return true tool (..., 3) [m] at encoder ``position`` (..., n) [rad]; see `joints`."""
         return tcp_position(self.moved(arm), self.joints(arm, position, approach))
 
     def tool_pose(self, arm: Arm, position: Array, approach: Array | None = None) -> Array:
-        """Its pose (..., 4, 4)."""
+        """Return true tool poses (..., 4, 4)."""
         return tcp_pose(self.moved(arm), self.joints(arm, position, approach))
 
 
 def direction(position: Array, approach: Array | None) -> Array:
-    """Directions (..., n) that joints came from: 1 upwards, -1 downwards, 0 unknown or short."""
+    """Directions (..., n) of the last motion: 1, -1, 0 unknown or short."""
     if approach is None:
         return np.zeros_like(position)
     return np.tanh(np.where(np.isfinite(approach), position - approach, 0.0) / CARRIED)

@@ -1,4 +1,4 @@
-"""An arm as far as a file describes it, and its completion; a note names each assumed value."""
+"""An arm as a file describes it, and its completion."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from rejoint.arms.workspace import NoPostureError, derive_targets, derive_worksp
 from rejoint.system.errors import InputError
 
 DEFAULT_SPEED = np.radians(90.0)
-"""[rad/s] speed limit of a joint without one (chosen)"""
+"""[rad/s] of a joint without one (chosen)"""
 
 DEFAULT_ENCODER_STEP = 2 * np.pi / 4096
-"""[rad] 12 bits a turn, as hobby servos have (chosen)"""
+"""[rad] 12 bits per turn, as hobby servos (chosen)"""
 
 MOST_TURN = 4 * 2 * np.pi
 """[rad] larger limits are ignored (chosen)"""
@@ -27,37 +27,37 @@ FASTEST = 10 * 2 * np.pi
 """[rad/s] larger speeds are ignored (chosen)"""
 
 LONGEST = 30.0
-"""[m] a larger reach is refused (chosen)"""
+"""[m] larger reaches are refused (chosen)"""
 
 POINT = 1e-3
-"""[m] targets around the resting TCP of an arm without a region (chosen)"""
+"""[m] region around the resting TCP (chosen)"""
 
 FLOOR_RATIO = 0.04
-"""Default floor over the reach (chosen)"""
+"""over the reach (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Loaded:
-    """An arm and what had to be assumed to make it."""
+    """An arm and its assumptions."""
 
     arm: Arm
     notes: tuple[str, ...] = ()
-    """one sentence for each missing or wrong value"""
+    """a sentence per missing or wrong value"""
 
 
 class UnfinishedArmError(NoPostureError):
-    """An arm whose rest posture and targets could not be derived."""
+    """No rest posture or targets could be derived."""
 
     def __init__(self, error: NoPostureError, arm: Arm, notes: Sequence[str]) -> None:
         super().__init__(str(error))
         self.arm = arm
-        """with placeholders for the rest posture and the targets"""
+        """with placeholders for them"""
         self.notes = tuple(notes)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Draft:
-    """The fields of an arm, NaN or None where the file is silent; see `Arm`."""
+    """Fields of an `Arm`; NaN or None: unknown."""
 
     name: str
     joint_names: tuple[str, ...]
@@ -68,7 +68,7 @@ class Draft:
     upper: Array
     max_speed: Array
     links: tuple[SpatialInertia, ...]
-    """one for each joint, in its frame; zero mass: unknown"""
+    """per joint, in its frame; zero mass: unknown"""
     rest: Array | None = None
     targets: Box | None = None
     floor: float | None = None
@@ -80,7 +80,7 @@ class Draft:
 
 
 def finish(draft: Draft) -> Loaded:
-    """Complete a draft (`rejoint.arms.workspace`); UnfinishedArmError without rest posture or targets."""
+    """Complete a draft; UnfinishedArmError without rest posture or targets."""
     notes = list(draft.notes)
     lower, upper = _limits(draft, notes)
     links, repairs = plausible_links(draft.joint_names, draft.links, link_ends(draft.offset, draft.tip))

@@ -1,6 +1,6 @@
-"""Masses and inertias of links: lumping, judging and estimating; payload and tool of the hand.
+"""Masses and inertias; payload and tool.
 
-Numbers that no matter can have are replaced by those of a solid cylinder along the link, with a note.
+A solid cylinder along the link replaces impossible values, with a note.
 """
 
 from __future__ import annotations
@@ -16,36 +16,36 @@ from rejoint.system.errors import InputError
 from rejoint.system.numbers import as_floats
 
 LINK_RADIUS_RATIO = 1 / 20
-"""Radius of the estimating cylinder over the reach (chosen)"""
+"""Radius of that cylinder over the reach (chosen)"""
 
 LINK_DENSITY = 1000.0
-"""[kg/m^3] of that cylinder (chosen)"""
+"""[kg/m^3] (chosen)"""
 
 DENSEST = 20000.0
-"""[kg/m^3] no link is denser (tungsten: 19300): the ball bounds its inertia from below"""
+"""[kg/m^3] upper bound (tungsten: 19300)"""
 
 IMPLAUSIBLE_MASS_RATIO = 100.0
-"""a mass this many times the estimate, or below its inverse square, is a placeholder (chosen)"""
+"""over the estimate, or its inverse square: a placeholder (chosen)"""
 
 ROUNDING = 0.05
-"""relative error of the triangle inequality by rounding (chosen)"""
+"""of the triangle inequality (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SpatialInertia:
-    """Mass, centre and inertia of a rigid piece in some frame."""
+    """Mass, centre and inertia of a rigid body."""
 
     mass: float
     """[kg]"""
     com: Array
     """(3,) [m]"""
     inertia: Array
-    """(3, 3) [kg m^2] about the centre of mass"""
+    """(3, 3) [kg m^2] about the centre"""
     doubtful: bool = False
-    """whether most of the mass has no usable inertia"""
+    """most of the mass has no usable inertia"""
 
     def seen_from(self, pose: Array) -> SpatialInertia:
-        """Express the piece, given in the frame ``pose`` (4, 4), in that pose's frame."""
+        """Transform from the frame ``pose`` (4, 4) to its parent."""
         turn = pose[:3, :3]
         return SpatialInertia(
             mass=self.mass,
@@ -59,7 +59,7 @@ NOTHING = SpatialInertia(mass=0.0, com=np.zeros(3), inertia=np.zeros((3, 3)))
 
 
 def combined(pieces: Sequence[SpatialInertia]) -> SpatialInertia:
-    """Join rigidly connected pieces given in one frame (parallel-axis theorem)."""
+    """Join bodies of one frame (parallel-axis theorem)."""
     mass = sum(piece.mass for piece in pieces)
     if mass <= 0.0:
         return NOTHING
@@ -73,7 +73,7 @@ def combined(pieces: Sequence[SpatialInertia]) -> SpatialInertia:
 
 
 def cylinder(mass: float, end: Array, radius: float) -> Array:
-    """Inertia (3, 3) [kg m^2] about its centre of a solid cylinder from the origin to ``end`` (3,) [m]."""
+    """Inertia (3, 3) [kg m^2] of a cylinder from the origin to ``end`` (3,) [m], about its centre."""
     length = float(np.linalg.norm(end))
     along = end / length
     axial, lateral = mass * radius**2 / 2, mass * (3 * radius**2 + length**2) / 12
@@ -81,28 +81,28 @@ def cylinder(mass: float, end: Array, radius: float) -> Array:
 
 
 def inertia_matrix(values: Sequence[float] | Array) -> Array:
-    """Inertia (3, 3) from xx, yy, zz, xy, xz, yz (MuJoCo's ``fullinertia``)."""
+    """Inertia (3, 3) from xx, yy, zz, xy, xz, yz."""
     xx, yy, zz, xy, xz, yz = values
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 def inertia_values(inertia: Array) -> Array:
-    """Six values (6,) of an inertia (3, 3), as `inertia_matrix` takes them."""
+    """Its inverse, (6,)."""
     return inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
 
 def ball(mass: float) -> Array:
-    """Inertia (3, 3) [kg m^2] of a ball of the estimating density."""
+    """Inertia (3, 3) [kg m^2] of a ball of `LINK_DENSITY`."""
     return _ball_moment(mass, LINK_DENSITY) * np.eye(3)
 
 
 def ball_radius(mass: float) -> float:
-    """Radius [m] of that ball."""
+    """Its radius [m]."""
     return float((3 * mass / (4 * np.pi * LINK_DENSITY)) ** (1 / 3))
 
 
 def usable(inertia: Array) -> bool:
-    """Whether (3, 3) [kg m^2] can belong to a rigid body."""
+    """Whether (3, 3) [kg m^2] is possible."""
     if not np.isfinite(inertia).all() or not np.abs(inertia - inertia.T).max() <= 1e-6 * np.abs(inertia).max():
         return False
     small, middle, large = np.linalg.eigvalsh(inertia)
@@ -110,14 +110,14 @@ def usable(inertia: Array) -> bool:
 
 
 def link_ends(offset: Array, tip: Array) -> Array:
-    """Return the ends (n, 3) [m] of the links in the joint frames, from ``offset`` (n, 4, 4) and ``tip`` (4, 4)."""
+    """Link ends (n, 3) [m] in the joint frames; ``offset`` (n, 4, 4), ``tip`` (4, 4)."""
     return np.concatenate([offset[1:, :3, 3], tip[None, :3, 3]])
 
 
 def plausible_links(
     names: Sequence[str], links: Sequence[SpatialInertia], ends: Array
 ) -> tuple[list[SpatialInertia], list[str]]:
-    """Replace what no link can have; returns the links and a note for each replacement; ``ends`` (n, 3) [m]."""
+    """Replace impossible links, with a note each; ``ends`` (n, 3) [m]."""
     reach = float(np.linalg.norm(ends, axis=1).sum())
     if reach == 0.0:
         raise InputError(
@@ -160,7 +160,7 @@ def _plausible(link: SpatialInertia, end: Array, reach: float) -> tuple[SpatialI
 
 
 def _estimate(end: Array, reach: float) -> float:
-    """Mass [kg] of a solid cylinder along a link of an arm of that reach [m]."""
+    """Mass [kg] of a cylinder along a link; ``reach`` [m]."""
     return float(LINK_DENSITY * np.pi * (reach * LINK_RADIUS_RATIO) ** 2 * np.linalg.norm(end))
 
 
@@ -193,36 +193,33 @@ def _ball_moment(mass: float, density: float) -> float:
 
 
 LONGEST_TOOL = 0.5
-"""[m] (chosen: longer is a number in millimetres)"""
+"""[m] (chosen: longer is in millimetres)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Payload:
-    """What a hand carries, as a point mass."""
+    """A point mass in the hand."""
 
     mass: float
     """[kg]"""
     com: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """[m] centre of mass from the bare arm's TCP, in its axes"""
+    """[m] from the bare arm's TCP, in its axes"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LoadedArm(Arm):
-    """An arm with a payload or tool; policies of the bare arm hold for it."""
+    """An arm with payload or tool."""
 
     bare: Arm
 
 
 def bare(arm: Arm) -> Arm:
-    """Arm without what was told of its hand."""
+    """Arm without payload and tool."""
     return arm.bare if isinstance(arm, LoadedArm) else arm
 
 
 def loaded(arm: Arm, payload: Payload | float | None = None, tool: ArrayLike | None = None) -> Arm:
-    """Return ``arm`` with a payload (a number: kg at the TCP), its TCP moved by ``tool`` (3,) [m] in the TCP frame.
-
-    InputError for a mass or length that no such arm carries.
-    """
+    """Add a payload (a number: kg at the TCP) and a ``tool`` (3,) [m] in the TCP frame; InputError."""
     carried = payload if payload is None or isinstance(payload, Payload) else Payload(mass=_mass(payload))
     if (carried is None or carried.mass == 0.0) and tool is None:
         return arm

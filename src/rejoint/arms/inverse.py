@@ -1,4 +1,4 @@
-"""Damped least squares (equation 11 of Park et al. 2024) and the inverse kinematics built on it."""
+"""Damped least squares (Park et al. 2024, equation 11) and inverse kinematics."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from rejoint.arms.kinematics import frames, position_kinematics
 from rejoint.arms.rotations import rotation_error
 
 DAMPING = 0.05
-"""Damping factor lambda [m] of the paper (its section III-C), with positions in metres."""
+"""[m] lambda (Park et al. 2024, section III-C)"""
 TOLERANCE, ROUNDS = 1e-5, 200
-"""[m] within which a place counts as found, and the most steps towards it (chosen)"""
+"""[m] and most steps (chosen)"""
 MOST_STEP, REST_GAIN = float(np.radians(10.0)), 0.05
-"""[rad] of a joint in a step, and the pull to the rest posture in one (chosen)"""
+"""[rad] per joint and step; pull to rest per step (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -26,16 +26,16 @@ class Solution:
     q: Array
     """(..., n) [rad] within the joint limits"""
     error: Array
-    """(...) [m] remaining distance of the TCP"""
+    """(...) [m] TCP"""
     converged: NDArray[np.bool_]
-    """(...) whether the error (and the orientation, if asked for) is within tolerance"""
+    """(...) error, and wanted orientation, within tolerance"""
 
 
 def dls(jacobian: Array, error: Array, damping: float | Array = DAMPING) -> Array:
-    """Damped least-squares step J'(JJ' + lambda^2 I)^-1 e.
+    """Damped least-squares step J'(JJ' + lambda^2 I)^-1 e, (..., n) [rad].
 
-    ``jacobian`` is (..., k, n), ``error`` (..., k), ``damping`` a number or (...); returns (..., n)
-    [rad]. The form with the k x k matrix equals the paper's n x n form and is smaller.
+    ``jacobian`` (..., k, n), ``error`` (..., k), ``damping`` a number or (...). This k x k form equals the paper's n x
+    n form.
     """
     transpose = np.swapaxes(jacobian, -1, -2)
     ridge = np.asarray(damping)[..., None, None] ** 2 * np.eye(jacobian.shape[-2])
@@ -44,7 +44,7 @@ def dls(jacobian: Array, error: Array, damping: float | Array = DAMPING) -> Arra
 
 
 def clip_norm(step: Array, limit: float | Array) -> Array:
-    """Scale whole vectors (..., n) down so that no element exceeds ``limit``, a number or (..., 1), in size."""
+    """Scale vectors (..., n) down to elements of ``limit`` at most, a number or (..., 1)."""
     largest = np.maximum.reduce(np.abs(step), axis=-1, keepdims=True)
     return step * np.minimum(1.0, limit / np.maximum(largest, 1e-12))
 
@@ -59,12 +59,10 @@ def solve_position(
     iterations: int = ROUNDS,
     rest_gain: float = REST_GAIN,
 ) -> Solution:
-    """Find joint positions whose TCP is at ``target`` (..., 3) [m], searching from ``start`` (..., n).
+    """Search joint positions of the TCP at ``target`` (..., 3) [m], from ``start`` (..., n) [rad].
 
-    With ``rotation`` (..., 3, 3) the full pose is asked for, otherwise only the position, and the
-    null space pulls weakly to the rest posture. Joint limits are kept at every iterate.
-    ``tolerance`` is in metres (and in radians for the orientation). The damping shrinks with the
-    error, so that the last iterations converge quadratically.
+    ``rotation`` (..., 3, 3): wanted orientation; without it, the null space pulls to rest. ``tolerance`` [m], [rad].
+    The damping shrinks with the error (quadratic convergence).
     """
     shape = np.broadcast_shapes(target.shape[:-1], start.shape[:-1])
     q = np.clip(np.broadcast_to(start, (*shape, arm.joints)), arm.lower, arm.upper)

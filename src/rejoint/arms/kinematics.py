@@ -11,18 +11,18 @@ from rejoint.arms.arm import Arm, Array
 from rejoint.system.shell import Late
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
-"""[m/s^2] in the base frame; MuJoCo's default."""
+"""[m/s^2] in the base frame, as in MuJoCo"""
 
 
 class Frames(NamedTuple):
-    """Joint frames and TCP frame of a posture, in the base frame."""
+    """Frames of a posture, in the base frame."""
 
     rotation: Array
-    """(..., n, 3, 3) orientation of the joint frames"""
+    """(..., n, 3, 3) joint frames"""
     position: Array
-    """(..., n, 3) [m] origins of the joint frames"""
+    """(..., n, 3) [m] joint origins"""
     axis: Array
-    """(..., n, 3) directions of the joint axes"""
+    """(..., n, 3) joint axes"""
     tcp_rotation: Array
     """(..., 3, 3)"""
     tcp_position: Array
@@ -36,7 +36,7 @@ _CYCLE = np.array([1, 2, 0, 1])  # coordinates in the order of a vector product:
 
 @lru_cache(maxsize=32)
 def joint_terms(arm: Arm) -> Array:
-    """Constants (n, 16, 3) A, B, C: a frame in the one before is A + B sin q + C cos q."""
+    """Constants (n, 16, 3) A, B, C: a frame in its parent is A + B sin q + C cos q."""
     cross = np.zeros((arm.joints, 3, 3))
     x, y, z = arm.axis.T
     cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -z, y, -x
@@ -50,7 +50,7 @@ def joint_terms(arm: Arm) -> Array:
 
 
 def all_poses(arm: Arm, q: Array, rows: slice) -> Array:
-    """Compute ``rows`` of the frames of joints and TCP, (n + 1, r, 4, B), at B postures ``q`` (..., n)."""
+    """``rows`` of the frames of joints and TCP, (n + 1, r, 4, B), at ``q`` (..., n)."""
     angles = q.reshape(-1, arm.joints).T
     waves = np.empty((2, *angles.shape))
     np.sin(angles, out=waves[0])
@@ -61,7 +61,7 @@ def all_poses(arm: Arm, q: Array, rows: slice) -> Array:
 
 
 def frames(arm: Arm, q: Array) -> Frames:
-    """Compute all frames for joint positions ``q`` (..., n) [rad]."""
+    """All frames at ``q`` (..., n) [rad]."""
     n, lead = arm.joints, q.shape[:-1]
     poses = all_poses(arm, q, slice(0, 3))
     axes = (arm.axis[:, None, None] @ poses[:n, :, :3])[:, :, 0]
@@ -90,7 +90,7 @@ def tcp_pose(arm: Arm, q: Array) -> Array:
 
 
 def position_kinematics(arm: Arm, q: Array) -> tuple[Array, Array]:
-    """TCP positions (..., 3) [m] and derivatives (..., 3, n) [m/rad] at ``q`` (..., n) [rad]."""
+    """TCP (..., 3) [m] and its derivatives (..., 3, n) [m/rad] at ``q`` (..., n) [rad]."""
     n, lead = arm.joints, q.shape[:-1]
     poses = all_poses(arm, q, slice(0, 3))
     columns = np.empty((3, n, poses.shape[-1]))
@@ -104,7 +104,7 @@ def jacobian(arm: Arm, q: Array) -> Array:
 
 
 def gravity_torque(arm: Arm, q: Array, gravity: Array = GRAVITY) -> Array:
-    """Torques (..., n) [N m] that hold the arm against ``gravity`` (3,) [m/s^2] at ``q`` (..., n)."""
+    """Return holding torques (..., n) [N m] against ``gravity`` (3,) [m/s^2] at ``q`` (..., n)."""
     f = frames(arm, q)
     com = f.position + np.einsum("...nij,nj->...ni", f.rotation, arm.com)
     # Of all that hangs on each joint: mass, and mass times lever.
@@ -114,7 +114,7 @@ def gravity_torque(arm: Arm, q: Array, gravity: Array = GRAVITY) -> Array:
 
 
 def link_inertia(arm: Arm, q: Array) -> Array:
-    """Moments of inertia (n,) [kg m^2] about each joint axis of all that hangs on it, at ``q`` (n,) [rad]."""
+    """Inertias (n,) [kg m^2] about each joint axis, of all that it moves, at ``q`` (n,) [rad]."""
     f = frames(arm, q)
     com = f.position + np.einsum("nij,nj->ni", f.rotation, arm.com)
     inertia = f.rotation @ arm.inertia @ np.swapaxes(f.rotation, -1, -2)
@@ -125,6 +125,6 @@ def link_inertia(arm: Arm, q: Array) -> Array:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Vector products (..., 3), with coordinates first inside: `numpy.cross` costs several times as much."""
+    """Vector products (..., 3), coordinates first inside; faster than `numpy.cross`."""
     x, y = a.T[_CYCLE], b.T[_CYCLE]
     return (x[:-1] * y[1:] - x[1:] * y[:-1]).T

@@ -1,8 +1,7 @@
 """Arms by name, and in TOML and URDF files.
 
-docs/files.md lists the keys of the TOML file; units are in their names. Joints have a frame and an axis, or a row of a
-standard Denavit-Hartenberg table. Missing values are completed as `rejoint.arms.draft` says. In a URDF, errors of zeros
-and links go into the joint origins, since other programs ignore ``<calibration>`` tags.
+docs/files.md lists the TOML keys. `rejoint.arms.draft` completes missing values. In a URDF, errors of zeros and links
+go into the joint origins: other programs ignore ``<calibration>`` tags.
 """
 
 from __future__ import annotations
@@ -48,13 +47,13 @@ _DH_KEYS = ("d_m", "a_m", "alpha_deg", "offset_deg")
 
 
 def write_arm_toml(path: Path, arm: Arm, notes: Sequence[str] = ()) -> None:
-    """Write an arm that reads back to 1e-12; ``notes`` become comments."""
+    """Write an arm, accurate to 1e-12; ``notes`` become comments."""
     own = {"rest_deg": np.degrees(arm.rest).tolist(), "targets": _bounds(arm.targets)}
     _write(path, [f"# {note}" for note in notes], _table(arm) | own)
 
 
 def write_unfinished(path: Path, arm: Arm, notes: Sequence[str] = ()) -> int:
-    """Write an arm without a rest posture; returns the line (from 1) where its owner gives it."""
+    """Write an arm without rest posture; returns its line (from 1)."""
     zeros = ", ".join(["0"] * arm.joints)
     line = f"# rest_deg = [{zeros}]  # take away the first #: tool in front, elbow up, no joint near a limit"
     lines = [*(f"# {note}" for note in notes), line]
@@ -63,7 +62,7 @@ def write_unfinished(path: Path, arm: Arm, notes: Sequence[str] = ()) -> int:
 
 
 def read_draft(path: Path) -> Draft:
-    """Read an arm's TOML file; FileError names line and key."""
+    """Read an arm's TOML file; FileError."""
     top = read_toml(path, _ARM_KEYS, "check the path of the arm")
     name = top.string("name")
     joints = top.tables("joint", _JOINT_KEYS)
@@ -138,7 +137,7 @@ def _frame(pose: Array) -> dict[str, list[float]]:
 
 
 def _chain(joints: list[TomlTable]) -> tuple[Array, Array, Array]:
-    """``offset`` (n, 4, 4), ``axis`` (n, 3) and the pose (4, 4) that the tip is given in."""
+    """``offset`` (n, 4, 4), ``axis`` (n, 3) and the tip's parent frame (4, 4)."""
     with_row = [joint for joint in joints if "dh" in joint.data]
     if not with_row:
         return np.array([_pose(joint) for joint in joints]), np.array([_axis(joint) for joint in joints]), np.eye(4)
@@ -212,13 +211,13 @@ def _or_nan(value: float | None) -> float:
 
 
 EFFORT = "1000"
-"""[N m] limit that a URDF must name (chosen: none is known)"""
+"""[N m] required in a URDF (chosen: unknown)"""
 BASE, TOOL = "base", "tool"
-"""Names of the first and the last link"""
+"""First and last link"""
 
 
 def unit_arm(arm: Arm, displacement: Displacement) -> Arm:
-    """Arm of this unit: links and zeros as measured, without compliance and play."""
+    """Arm with measured links and zeros, without compliance and play."""
     moved = displacement.moved(arm)
     offset = moved.offset.copy()
     for i, (axis, angle) in enumerate(zip(arm.axis, displacement.offset, strict=True)):
@@ -227,20 +226,20 @@ def unit_arm(arm: Arm, displacement: Displacement) -> Arm:
 
 
 def at_targets(arm: Arm) -> Array:
-    """Postures (27, n) [rad] over the region of targets."""
+    """Postures (27, n) [rad] over the target region."""
     axes = np.linspace(arm.targets.lower, arm.targets.upper, 3).T
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     return solve_position(arm, grid, arm.rest).q
 
 
 def write_urdf(path: Path, arm: Arm, note: str = "") -> None:
-    """Write the URDF of an arm with ``note`` as a comment."""
+    """Write a URDF with ``note`` as a comment."""
     text = urdf_text(arm, note)
     write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def urdf_text(arm: Arm, note: str = "") -> str:
-    """URDF; links are `BASE`, ``link1``, ..., `TOOL`."""
+    """URDF with links `BASE`, ``link1``, ..., `TOOL`."""
     root = ET.Element("robot", name=arm.name)
     if note:
         root.append(ET.Comment(f" {note.replace('--', '-')} "))
@@ -277,7 +276,7 @@ def _urdf_joint(root: ET.Element, name: str, kind: str, parent: str, child: str,
 
 
 def roll_pitch_yaw(rotation: Array) -> Array:
-    """Angles (3,) [rad] about fixed x, y, z of a ``rotation`` (3, 3), as in URDF."""
+    """Angles (3,) [rad] about fixed x, y, z, as in URDF."""
     yaw = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
     rest = rotation_about(np.array([0.0, 0.0, 1.0]), -yaw) @ rotation
     return np.array([np.arctan2(-rest[1, 2], rest[1, 1]), np.arctan2(-rest[2, 0], rest[0, 0]), yaw])
@@ -295,7 +294,7 @@ SUFFIXES = (".toml", ".urdf", ".xml", ".mjcf")
 def load_arm(
     source: str | Path, *, base: str | None = None, tip: str | None = None, hold: Mapping[str, float] | None = None
 ) -> Arm:
-    """Load an arm: by its name, or from its TOML, URDF or MJCF file.
+    """Load an arm by name, or from a TOML, URDF or MJCF file.
 
     Parameters
     ----------
@@ -327,7 +326,7 @@ def load_arm(
 def read_arm(
     source: str | Path, *, base: str | None = None, tip: str | None = None, hold: Mapping[str, float] | None = None
 ) -> Loaded:
-    r"""Load an arm as `load_arm` does, and tell what had to be assumed.
+    r"""Load an arm as `load_arm` does, with notes on assumptions.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
-"""Read a URDF or MJCF file into a tree of bodies through MuJoCo's loader, which is imported when needed.
+"""Read a URDF or MJCF file into a tree of bodies by MuJoCo.
 
-Only kinematics and masses are compiled, so that meshes need not be there.
+Only kinematics and masses are compiled: meshes may be missing.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ _KINDS = {0: "free", 1: "ball", 2: "slide", 3: "hinge"}
 """mjtJoint"""
 
 LEAST_MOMENT = 1e-12
-"""[kg m^2] below, MuJoCo takes an inertia for none"""
+"""[kg m^2] MuJoCo takes less for none"""
 
 
 def read_tree(path: Path, hold: Mapping[str, float] | None = None) -> Tree:
-    """Read a URDF or MJCF file, with the joints of ``hold`` held at those positions [rad] or [m].
+    """Read a URDF or MJCF file, with ``hold`` at positions [rad] or [m].
 
-    FileError names what is wrong with the file, InputError a joint that cannot be held.
+    FileError; InputError for a joint that cannot be held.
     """
     root, hold = parse(path), hold or {}
     mujoco = _mujoco()
@@ -201,7 +201,7 @@ def _bodies(
 
 
 def _holdable(model: Any, name: str, position: float) -> int:  # noqa: ANN401
-    """Index of a joint that can be held at ``position`` [rad] or [m]."""
+    """Index of a joint held at ``position`` [rad] or [m]."""
     names = [model.joint(j).name for j in range(model.njnt)]
     if name not in names:
         raise InputError(unknown(name, "joint", names))
@@ -273,10 +273,9 @@ def _line(error: BaseException) -> str:
 
 
 _JOINT_PARTS = ("parent", "child", "origin", "axis", "limit", "mimic")
-"""What of a URDF's joint is read."""
 
 _EXPRESSION = re.compile(r"\$[{(]")
-"""Beginning of what xacro computes"""
+"""Beginning of a xacro expression"""
 
 _NO_INERTIA = dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "0")
 
@@ -285,7 +284,7 @@ _PREFIX = re.compile(rb"(</?|\s)([A-Za-z_][\w.-]*):(?=[A-Za-z_][\w.-]*[\s=/>])")
 
 
 def parse(path: Path) -> ET.Element:
-    """Root of a whole model; FileError for anything else."""
+    """Root of a model; FileError."""
     try:
         text = read_bounded(path, MODEL_MOST, "check the path of the arm")
         # Prefixes such as drake: are often used without being declared, which MuJoCo does not mind.
@@ -315,7 +314,7 @@ def _is_template(root: ET.Element) -> bool:
 
 
 def xacro_error(path: Path) -> FileError:
-    """Error for a xacro file, with the command that makes a URDF."""
+    """FileError for xacro, with the command that makes a URDF."""
     name = path.name.split(".")[0]
     made = f"{name}.urdf" if path.suffix == ".xacro" else f"{name}-expanded.urdf"
     return FileError(
@@ -326,7 +325,7 @@ def xacro_error(path: Path) -> FileError:
 
 
 def bare(root: ET.Element) -> str:
-    """Keep links with masses and joints of a URDF, as text."""
+    """FileError for xacro, with the command."""
     kept = ET.Element("robot", {"name": root.get("name") or "robot"})
     for element in root:
         if element.tag not in ("link", "joint", "mujoco"):
@@ -344,7 +343,7 @@ def bare(root: ET.Element) -> str:
 
 
 def urdf_speeds(root: ET.Element) -> dict[str, float]:
-    """Speed limits [rad/s] by joint; MuJoCo does not read them."""
+    """Links with masses and joints, as text."""
     result = {}
     for joint in root.findall("joint"):
         limit = joint.find("limit")

@@ -1,8 +1,8 @@
-"""Ways between postures: straight in joint space where that is clear, else with corners, and jerk-limited in time.
+"""Trajectories between postures: straight in joint space, else with corners; jerk-limited.
 
-Each straight piece has one time-optimal profile of seven pieces for all joints (Biagiotti and Melchiorri, Trajectory
-Planning for Automatic Machines and Robots, 2008, section 3.4). So the arm stays on the line that was checked.
-At corners the next piece begins before the last one ends, as far as limits and clearances allow.
+Each straight piece has one time-optimal profile for all joints (Biagiotti and Melchiorri, Trajectory Planning for
+Automatic Machines and Robots, 2008, section 3.4), so the arm stays on the checked line. At corners pieces overlap in
+time as far as limits and clearances allow.
 """
 
 from __future__ import annotations
@@ -24,18 +24,15 @@ from rejoint.system.shell import Late
 rrt = Late("rejoint.arms.rrt")
 
 RAMP, EASE = 0.1, 0.05
-"""[s] from rest to full speed at constant acceleration, and from none to full acceleration (chosen: a servo of this
-class follows both; the guard allows five times that acceleration)"""
+"""[s] to full speed, and to full acceleration (chosen: a servo of this class follows both)"""
 CLEARANCE = 0.005
-"""[m] by which links are thicker for the planner (chosen: what a worn arm is off its commands where it moves)"""
+"""[m] margin of links (chosen: a moving worn arm's following error)"""
 STEP, LOW = 0.004, 0.001
-"""[m] that a point of a myCobot 280 moves between two checks at most, and what joint frames and TCP keep above their
-floors (chosen)"""
+"""[m] of a myCobot 280: motion between checks; margin above floors (chosen)"""
 _SPEED = 0.999  # of the limit, so that rounding takes no command beyond what the guard allows
 _DRAWN, _CORNERS, _SHORTCUTS = 4000, 200, 80
 LIGHTER, LONGER = 0.95, 0.05
-"""Share of the load from which another way is taken for its load, and what a radian more counts beside the share of
-load (chosen)"""
+"""Share of the load that makes another trajectory better, and weight of a radian (chosen)"""
 _OTHERS, _PARTS = 200, 8
 _OVERLAPS = (1.0, 0.75, 0.5, 0.25)
 _SAMPLE = 0.002  # [s] between the checks of a corner
@@ -43,12 +40,12 @@ _ROUNDED = 3e-5  # [m] by which a posture that was chosen at a bound may be beyo
 
 
 class PlanningError(InputError):
-    """No way was found; the message names what is in the straight one."""
+    """No trajectory found; the message names the obstacle."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointTrajectory:
-    """A jerk-limited motion of all joints: pieces with one profile each, which may overlap in time."""
+    """A jerk-limited motion, in pieces that may overlap."""
 
     duration: float
     """[s]"""
@@ -57,15 +54,14 @@ class JointTrajectory:
     goal: Array
     """(n,) [rad]"""
     moves: Array
-    """(m, n) [rad] the straight pieces"""
+    """(m, n) [rad] straight pieces"""
     begins: Array
-    """(m,) [s] when each begins"""
+    """(m,) [s]"""
     profiles: Array
-    """(m, 5, 8) of each piece's share, at its eight knots: time since it begins [s], then the share and its first three
-    derivatives by time"""
+    """(m, 5, 8) at eight knots per piece: time [s], then share of the move and three derivatives"""
 
     def at(self, time: Array | float, derivative: int = 0) -> Array:
-        """Positions (..., n) [rad] at ``time`` (...) [s], clamped to the ends; or their derivative, up to the third."""
+        """Positions (..., n) [rad] at ``time`` (...) [s], clamped; or a derivative, up to the third."""
         moment = np.asarray(time, dtype=float)
         result = np.empty((moment.size, len(self.goal)))
         flat = np.ascontiguousarray(moment).reshape(-1)
@@ -85,34 +81,34 @@ def plan(
     clearance: float = CLEARANCE,
     seed: int = 0,
 ) -> JointTrajectory:
-    """Plan a motion from rest at ``start`` (n,) to rest at ``goal`` (n,) [rad].
+    """Plan a motion between rests, ``start`` (n,) to ``goal`` (n,) [rad].
 
     Parameters
     ----------
     arm
-        with its payload and tool, and with the boxes it keeps out of
+        with payload, tool and forbidden boxes
     start, goal
-        postures; the start may touch something, then the way leads out of it
+        postures; the start may have a contact
     motors
-        what they can give: where they do not surely lift the arm along the way, the lightest of some others is taken
+        their torques; where they may not lift the arm, the lightest detour is taken
     speed
-        share of ``arm.max_speed``; from rest to it takes `RAMP`, or what ``arm.servo_acceleration`` allows
+        share of ``arm.max_speed``
     clearance
-        [m] by which links count as thicker; where an end of the way is closer, that is enough
+        [m] margin of the links, unless an end is closer
     seed
-        of the search for a detour; the same seed gives the same way
+        of the search for a detour
 
     Returns
     -------
     JointTrajectory
-        a way that the guard does not shorten
+        the guard does not shorten it
 
     Raises
     ------
     PlanningError
-        where no way is found; it names what is in the straight way and how far that can be followed
+        no trajectory found; the message names the obstacle
     InputError
-        for postures that are no postures of the arm
+        for postures that do not suit the arm
     """
     start, goal = _checked(arm, "start", start), _checked(arm, "goal", goal)
     if not 0.0 < speed <= 1.0 or not clearance >= 0.0:
@@ -130,7 +126,7 @@ def plan(
 
 
 def clearance(arm: Arm, q: Array) -> Array:
-    """Smallest distance (...) [m] between links, to the ground and boxes at ``q`` (..., n) [rad]; negative: contact."""
+    """Least distance (...) [m] between links, to ground and boxes at ``q`` (..., n) [rad]; negative: contact."""
     posture = np.asarray(q, dtype=float)
     distances = clearances(arm, posture, np.zeros(arm.joints))[..., arm.joints :]
     smallest: Array = distances.min(axis=-1, initial=np.inf)
@@ -139,7 +135,7 @@ def clearance(arm: Arm, q: Array) -> Array:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Field:
-    """What a way of one arm has to keep clear of, and how far."""
+    """Clearances that a trajectory keeps."""
 
     arm: Arm
     levers: Array
@@ -151,7 +147,7 @@ class _Field:
 
     @classmethod
     def of(cls, arm: Arm, start: Array, goal: Array, clearance: float) -> _Field:
-        """Return the field of a way; PlanningError where its goal touches something."""
+        """Field of a trajectory; PlanningError where its goal has a contact."""
         body, least = body_of(arm), np.full(len(clearances(arm, start, np.zeros(arm.joints))), clearance)
         least[: arm.joints] = LOW * length_size(arm)
         least[arm.joints : arm.joints + len(body.pairs)] *= 2.0
@@ -167,7 +163,7 @@ class _Field:
         return field
 
     def passes(self, start: Array, goal: Array, *, leaving: bool = False) -> tuple[float, int]:
-        """Return how far (0 to 1) a straight way is clear, and which distance ends it."""
+        """Clear share (0 to 1) of a straight piece, and the distance that ends it."""
         worst = np.zeros(2)
         share = rrt.passable(
             body_of(self.arm), frozen(start), frozen(goal), self.levers, self.least, self.step, leaving, worst
@@ -175,7 +171,7 @@ class _Field:
         return share, int(worst[0])
 
     def blocked(self, item: int, q: Array) -> str:
-        """Say what is in the way at ``q`` (n,)."""
+        """Name the obstacle at ``q`` (n,)."""
         at = ", ".join(f"{1e3 * value:.0f}" for value in tcp_position(self.arm, q))
         joints = self.arm.joints
         if item >= joints:
@@ -185,7 +181,7 @@ class _Field:
         return f"{name} would come too near to its floor; the straight way is clear up to ({at}) mm"
 
     def detour(self, start: Array, goal: Array, seed: int) -> Array | None:
-        """Return the corners (k, n) of a way with its ends; None where none is found."""
+        """Corners (k, n) of a detour, with its ends; None: none found."""
         rng, body = np.random.default_rng(seed), body_of(self.arm)
         begin = self._left(start, rng)
         if begin is None:
@@ -203,10 +199,7 @@ class _Field:
         return corners if begin is start else np.vstack([start, corners])
 
     def lightest(self, way: Array, motors: Motors, seed: int) -> Array:
-        """Return the way (k, n), or where the ``motors`` do not surely lift the arm on it, one over another posture.
-
-        Of those that are clear it is the one that needs the least, and among equals the shortest.
-        """
+        """Return the way (k, n), or where the ``motors`` may not lift the arm, the clear one that needs least."""
         arm, ends, straight = self.arm, way[[0, -1]], _load(self.arm, way[None], motors)[0]
         if straight <= 1.0:
             return way
@@ -225,7 +218,7 @@ class _Field:
         return way
 
     def _left(self, start: Array, rng: np.random.Generator) -> Array | None:
-        """Return ``start`` (n,), or where it touches something the end of a straight way out of that."""
+        """Return ``start`` (n,), or the way out of its contact."""
         if self.passes(start, start)[0] == 1.0:
             return start
         body = body_of(self.arm)
@@ -237,7 +230,7 @@ class _Field:
         return None
 
     def _shortened(self, way: Array, rng: np.random.Generator) -> Array:
-        """Return the way (k, n) with straight pieces between random places on it, wherever they are clear."""
+        """Shorten the way (k, n) by straight pieces between random places."""
         for _ in range(_SHORTCUTS):
             if len(way) == 2:
                 break
@@ -257,7 +250,7 @@ class _Field:
 
 
 def _load(arm: Arm, ways: Array, motors: Motors) -> Array:
-    """Largest share (W,) of what ``motors`` give that ways (W, k, n) need: to lift less is usable than to hold."""
+    """Largest share (W,) of what ``motors`` give on ways (W, k, n): less for lifting than for holding."""
     parts, moves = np.linspace(0.0, 1.0, _PARTS)[:, None, None], np.diff(ways, axis=1)
     torque = gravity_torque(arm, ways[:, :-1] + parts[:, None] * moves)
     given = np.where(torque * moves > 0.0, motors.usable, motors.limit)
@@ -266,7 +259,7 @@ def _load(arm: Arm, ways: Array, motors: Motors) -> Array:
 
 
 def _along(way: Array, place: float) -> Array:
-    """Return the posture (n,) at a ``place`` between the corners of a way (k, n), counted from 0."""
+    """Posture (n,) at a ``place`` between the corners (k, n), counted from 0."""
     i = min(int(place), len(way) - 2)
     found: Array = way[i] + (place - i) * (way[i + 1] - way[i]) if place > i else way[i]
     return way[i + 1] if place == i + 1 else found
@@ -274,11 +267,7 @@ def _along(way: Array, place: float) -> Array:
 
 @lru_cache(maxsize=32)
 def _levers(arm: Arm) -> Array:
-    """By how much (n + c, n) [m] a joint changes the distances of `clearances` at most, per radian.
-
-    A joint moves a point beyond it by the lengths of the links between them, and none of the distances between links
-    that are both before it, or both behind it.
-    """
+    """Largest change (n + c, n) [m] of `clearances` per radian of a joint."""
     shape, joints = collision_shape(arm), arm.joints
     lengths = np.linalg.norm(link_ends(arm.offset, arm.tip), axis=1)
     far = np.array([[lengths[k:link].sum() for k in range(joints)] for link in range(joints + 1)])
@@ -296,7 +285,7 @@ def _limits(arm: Arm, speed: float) -> Array:
 
 
 def _timed(field: _Field, way: Array, limits: Array) -> JointTrajectory:
-    """Return the motion along the corners (k, n) of a way, with overlapping pieces where that is allowed."""
+    """Motion along the corners (k, n), with overlapping pieces where allowed."""
     moves = np.diff(way, axis=0)
     moves = moves[np.abs(moves).max(axis=-1) > 1e-12]
     profiles = np.array([_profile(move, limits) for move in moves]).reshape(len(moves), 5, 8)
@@ -323,7 +312,6 @@ def _assembled(
 
 
 def _corner_holds(field: _Field, corner: JointTrajectory, limits: Array) -> bool:
-    """Tell whether two overlapping pieces keep the limits and the clearances."""
     first, last = corner.begins[1], corner.profiles[0, 0, -1]
     inside = np.concatenate([corner.profiles[0, 0], corner.begins[1] + corner.profiles[1, 0]])
     inside = inside[(inside > first) & (inside < last)]
@@ -336,7 +324,7 @@ def _corner_holds(field: _Field, corner: JointTrajectory, limits: Array) -> bool
 
 
 def _profile(move: Array, limits: Array) -> Array:
-    """Return the profile (5, 8) from rest to rest of a straight ``move`` (n,), see `JointTrajectory`."""
+    """Profile (5, 8) between rests of a straight ``move`` (n,), see `JointTrajectory`."""
     speed, acceleration, jerk = (limits / np.maximum(np.abs(move), 1e-12)).min(axis=1)
     # The speed from which braking must begin at once: without constant acceleration, and with it.
     peak = np.cbrt(jerk / 4.0)
@@ -360,12 +348,10 @@ def _profile(move: Array, limits: Array) -> Array:
 
 
 def _braking(profile: Array) -> float:
-    """Time [s] for which a piece gets slower before its end."""
     return float(profile[0, -1] - profile[0, profile[2] >= profile[2].max() - 1e-9][-1])
 
 
 def _gaining(profile: Array) -> float:
-    """Time [s] for which a piece gets faster after its begin."""
     return float(profile[0, profile[2] >= profile[2].max() - 1e-9][0])
 
 

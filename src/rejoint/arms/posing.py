@@ -1,4 +1,4 @@
-"""Inverse kinematics of poses: postures that bring a tool to a place and turn it as wanted."""
+"""Inverse kinematics of poses."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from rejoint.arms.postures import choose_postures
 from rejoint.arms.rotations import Orientation, task
 
 NEAR, TURNED = 1e-3, float(np.radians(0.5))
-"""[m], [rad] a pose that the inverse kinematics misses by more is out of reach (chosen)"""
+"""[m], [rad] largest misses of a reachable pose (chosen)"""
 _ROUNDS = 100
-"""Most steps towards a pose (chosen)"""
+"""(chosen)"""
 
 
 def solve_pose(arm: Arm, target: Array, start: Array, turn: Orientation, *, rest_gain: float = REST_GAIN) -> Array:
-    """Search joint positions (..., n) [rad] for a place (..., 3) [m] and a ``turn`` (...), from ``start`` (..., n).
+    """Search joint positions (..., n) [rad] for places (..., 3) [m] and a ``turn`` (...), from ``start`` (..., n).
 
-    Ends where place and orientation are right, or at the least weighted sum of squares nearby. Limits are kept.
+    Ends at the pose, or at the least weighted sum of squares nearby, within the limits.
     """
     shape = np.broadcast_shapes(target.shape[:-1], start.shape[:-1])
     q = np.clip(np.broadcast_to(start, (*shape, arm.joints)), arm.lower, arm.upper)
@@ -41,11 +41,10 @@ def solve_pose(arm: Arm, target: Array, start: Array, turn: Orientation, *, rest
 def find_postures(
     arm: Arm, target: Array, start: Array, turn: Orientation | None, *, rest_gain: float = REST_GAIN
 ) -> Array:
-    """Return the postures (B, n) [rad] of poses, found from ``start`` (B, n).
+    """Postures (B, n) [rad] of poses, found from ``start`` (B, n); ``target`` (B, 3) [m].
 
-    ``target`` is (B, 3) [m]; without a ``turn`` these are the postures of `solve_position`. Where the way from there
-    ends off the pose, or in a touch, `choose_postures` looks elsewhere; out of reach, the best posture nearby is taken.
-    With a ``rest_gain`` of 0 the postures stay near ``start``, else they drift to rest.
+    `choose_postures` helps where that ends off the pose or in a contact. A ``rest_gain`` of 0 keeps postures near
+    ``start``; else they drift to rest.
     """
     if turn is None:
         return solve_position(arm, target, start, rest_gain=rest_gain).q
@@ -58,6 +57,6 @@ def find_postures(
 
 
 def missed_pose(arm: Arm, posture: Array, target: Array, turn: Orientation) -> tuple[Array, Array]:
-    """Return how far (...) [m], and by which angle (...) [rad], postures (..., n) miss their poses; NaN: any angle."""
+    """Errors (...) [m] and (...) [rad] of postures (..., n) from their poses; NaN: any angle."""
     f = frames(arm, posture)
     return np.linalg.norm(target - f.tcp_position, axis=-1), turn.angle(f.tcp_rotation)

@@ -1,11 +1,8 @@
 """Inverse kinematics over all branches, with a choice of posture.
 
-A place leaves a six-joint arm a family of postures. The cost of a posture counts the static torque of each joint as a
-share of what its motor surely lifts against friction, the distance from joint limits, the clearance to the arm itself,
-the ground and the declared boxes, and the longest joint travel. The search begins at stored postures that touch
-nothing, moves the most promising ones to the target by damped least squares, and lowers the cost of the best along the
-postures that keep the target (`rejoint.arms.redundancy`). A comfortable posture that `solve_position` finds from the
-start is kept.
+Cost: static torque over what the motor surely lifts, distance from joint limits, clearance, longest joint travel. The
+search moves stored postures to the target by damped least squares, and lowers the cost of the best in the null space
+(`rejoint.arms.redundancy`). A comfortable posture of `solve_position` is kept.
 """
 
 from __future__ import annotations
@@ -28,59 +25,56 @@ from rejoint.system.shell import Late
 redundancy = Late("rejoint.arms.redundancy")
 
 MARGIN = float(np.radians(0.5))
-"""[rad] by which postures stay inside the joint limits, as the guard's commands do"""
+"""[rad] inside the joint limits, as the guard's"""
 CLEARANCE, SPACIOUS = 0.002, 0.010
-"""[m] of a myCobot 280 that a posture keeps at least from what it could touch, and from which more is worth nothing
-(chosen); goes with the reach"""
+"""[m] of a myCobot 280: least and sufficient clearance (chosen)"""
 POOL, DRAWN = 8000, 40000
-"""Postures that are stored, and the most that are drawn for them (chosen: 18 mm apart for a myCobot 280)"""
+"""Stored and drawn postures (chosen: 18 mm apart for a myCobot 280)"""
 STARTS, BESTS, DESCENTS = 40, 4, 10
-"""Stored postures that are moved to a target, how many of them are improved, and steps of that (chosen)"""
+"""Moved and improved stored postures, and steps (chosen)"""
 MORE_STARTS, MORE_BESTS, MORE_DESCENTS = 500, 24, 25
 """The same before a target is refused (chosen)"""
 NEIGHBOUR, SWITCH = 0.06, 3.0
-"""[m] of a myCobot 280 within which targets are neighbours, and the cost from which another branch than that of the
-neighbour is looked for (chosen: more than a joint at its full torque costs)"""
+"""[m] of a myCobot 280 between neighbours, and cost for another branch (chosen)"""
 COMFORTABLE = 0.1
-"""Cost of a stored posture up to which it counts as comfortable (chosen: four in five of a myCobot 280); at least
-half of them do"""
+"""Largest comfortable cost (chosen: four in five of a myCobot 280)"""
 UNLOADED = 0.03
-"""Least torque that counts as one, as a share of the largest joint's, where no limits are given"""
+"""Least torque that counts, over the largest joint's"""
 SURE = 0.95
-"""Share of a torque limit that the nearest place that works needs at most (chosen)"""
+"""Share of torque limits at the nearest possible place (chosen)"""
 _BISECTIONS, _TRIED = 7, 4
 
 
 class Motors(NamedTuple):
-    """What the motors of an arm can give."""
+    """Torques of an arm's motors."""
 
     limit: Array
-    """(n,) [N m] more than that cannot be held"""
+    """(n,) [N m] largest holding torque"""
     usable: Array
-    """(n,) [N m] what they surely lift, against friction"""
+    """(n,) [N m] surely lifted, against friction"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Goals:
-    """Postures chosen for K targets, in their order."""
+    """Postures of K targets."""
 
     q: Array
-    """(K, n) [rad] chosen postures; where a target is refused, the posture of the nearest place that works"""
+    """(K, n) [rad] of the target, or the nearest possible place"""
     refusals: tuple[str, ...]
-    """(K,) empty where the target works, else why it does not, in one line"""
+    """(K,) reasons in one line; empty: possible"""
     nearest: Array
-    """(K, 3) [m] nearest places that work; the targets themselves where they do"""
+    """(K, 3) [m] nearest possible places"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Demand:
-    """What a search is about, but for its target."""
+    """A search without its target."""
 
     arm: Arm
     scale: Array
     """(n,) [N m] torque that counts as one"""
     most: Array
-    """(n,) [N m] more than that cannot be"""
+    """(n,) [N m] largest"""
 
 
 def choose_postures(
@@ -93,34 +87,34 @@ def choose_postures(
     chained: bool = False,
     thorough: bool = True,
 ) -> Goals:
-    """Choose a posture for each of the ``targets`` (K, 3) [m], coming from ``start`` (n,) or (K, n) [rad].
+    """Choose a posture for each of ``targets`` (K, 3) [m], from ``start`` (n,) or (K, n) [rad].
 
     Parameters
     ----------
     arm
-        with its payload and tool, and with the boxes it keeps out of
+        with payload, tool and forbidden boxes
     targets
-        places of the TCP in the base frame
+        TCP in the base frame
     start
-        where the arm is; of all targets, or of each
+        of all targets, or of each
     turn
-        orientations (K,) that the tool is to have; None: any
+        wanted orientations (K,); None: any
     motors
-        what they can give; postures that they surely lift are preferred. None: no target is too heavy
+        postures that they surely lift are preferred; None: no target is too heavy
     chained
-        whether the arm goes from target to target; then neighbouring targets stay on one branch
+        the arm goes from target to target; neighbours stay on one branch
     thorough
-        whether a target is refused only after a long search, of 0.4 s, which also finds why and what is near
+        search 0.4 s before a target is refused, also for the reason and a near place
 
     Returns
     -------
     Goals
-        postures, refusals and the nearest places that work
+        postures, refusals and the nearest possible places
 
     Raises
     ------
     InputError
-        where shapes are wrong, numbers are not finite, or boxes leave the arm no posture
+        for wrong shapes, numbers that are not finite, or boxes that leave no posture
     """
     places, starts = np.asarray(targets, dtype=float), np.asarray(start, dtype=float)
     _check(arm, places, starts, turn, motors)
@@ -141,13 +135,13 @@ def choose_postures(
 
 
 def comfortable_postures(arm: Arm) -> Array:
-    """Return postures (P, n) [rad], spread over the workspace, with room to joint limits and to all that is near."""
+    """Postures (P, n) [rad] over the workspace, away from limits and contacts."""
     pool = pool_of(arm)
     return frozen(pool.posture[pool.bare <= max(COMFORTABLE, float(np.median(pool.bare)))])
 
 
 def _choose(demand: _Demand, goal: Array, start: Array, near: bool) -> Array | None:
-    """Return the posture (n,) of one goal (17,); None where none was found that can be taken."""
+    """Posture (n,) of one goal (17,), or None."""
     arm, body = demand.arm, body_of(demand.arm)
     stayed, facts = np.empty(arm.joints), np.empty((1, 3))
     begin = np.array(start)
@@ -162,7 +156,7 @@ def _choose(demand: _Demand, goal: Array, start: Array, near: bool) -> Array | N
 
 
 def _search(demand: _Demand, goal: Array, start: Array, effort: tuple[int, int, int]) -> tuple[Array, float, Array]:
-    """Return the best posture (n,) of a goal, its cost, and the posture (n,) that comes nearest to the goal."""
+    """Best posture (n,) of a goal, its cost, and the posture (n,) nearest to the goal."""
     arm = demand.arm
     found, facts, nearest = np.empty(arm.joints), np.empty((1, 3)), np.empty((1, arm.joints + 1))
     size = 0.05 * length_size(arm)
@@ -173,10 +167,7 @@ def _search(demand: _Demand, goal: Array, start: Array, effort: tuple[int, int, 
 
 
 def _refuse(demand: _Demand, goal: Array, start: Array) -> tuple[str, Array, Array]:
-    """Search thoroughly; return why a goal is refused, and the posture (n,) and place (3,) of the nearest that works.
-
-    The first is empty where the search finds a posture after all.
-    """
+    """Search thoroughly: the refusal or empty, and the nearest possible posture (n,) and place (3,)."""
     arm = demand.arm
     begin = np.array(start)
     begin.setflags(write=False)
@@ -195,7 +186,6 @@ def _refuse(demand: _Demand, goal: Array, start: Array) -> tuple[str, Array, Arr
 
 
 def _why(demand: _Demand, goal: Array, start: Array, found: Array, cost: float, closest: Array) -> str:
-    """Say in one line why a goal is refused, from what a thorough search ``found`` (n,), at its ``cost``."""
     arm, effort = demand.arm, (MORE_STARTS, MORE_BESTS, MORE_DESCENTS)
     if cost == np.inf:
         if goal[16] > 0.0:
@@ -229,10 +219,7 @@ def _why(demand: _Demand, goal: Array, start: Array, found: Array, cost: float, 
 
 
 def _nearby(demand: _Demand, goal: Array, start: Array) -> tuple[Array, Array]:
-    """Return the posture (n,) and the place (3,) [m] of the nearest place found that works.
-
-    The search halves the way from stored postures that work to the goal. No joint is loaded to its limit there.
-    """
+    """Posture (n,) and place (3,) [m] nearest to the goal, by bisection from stored postures."""
     demand, pool = replace(demand, most=frozen(SURE * demand.most)), pool_of(demand.arm)
     light = (np.abs(pool.torque) <= demand.most).all(axis=-1)
     away = np.where(light, np.linalg.norm(pool.place[:, :3] - goal[:3], axis=-1), np.inf)
@@ -262,14 +249,14 @@ def _nearby(demand: _Demand, goal: Array, start: Array) -> tuple[Array, Array]:
 
 
 def _neighbours(arm: Arm, goal: Array, other: Array) -> bool:
-    """Tell whether two goals (17,) are so near that the arm should not change its branch between them."""
+    """Whether two goals (17,) should share a branch."""
     apart = np.linalg.norm(goal[:3] - other[:3])
     turned = np.linalg.norm(goal[3:12] - other[3:12]) if goal[16] > 0.0 else 0.0
     return bool(apart < NEIGHBOUR * length_size(arm) and turned < 0.5)
 
 
 def _goal(arm: Arm, place: Array, turn: Orientation | None, k: int) -> Array:
-    """Return a goal (17,) as `rejoint.arms.redundancy` takes it."""
+    """Goal (17,), see `rejoint.arms.redundancy`."""
     goal = np.zeros(17)
     goal[:3], goal[3:12], goal[12:15] = place, np.eye(3).ravel(), tool_axis(arm)
     if turn is not None and turn.weight[k] > 0.0:
@@ -288,7 +275,7 @@ def _demand(arm: Arm, motors: Motors | None) -> _Demand:
 
 @lru_cache(maxsize=32)
 def body_of(arm: Arm) -> Any:  # noqa: ANN401 - `redundancy.ArmTables`, imported when it is first used
-    """Return what the compiled loops read of an arm."""
+    """Return data of an arm for compiled loops."""
     shape = collision_shape(arm)
     sizes = np.array([shape.radius, shape.ground, SPACIOUS * length_size(arm)])
     ranges = np.minimum(MARGIN, 0.25 * (arm.upper - arm.lower))
@@ -302,7 +289,7 @@ def body_of(arm: Arm) -> Any:  # noqa: ANN401 - `redundancy.ArmTables`, imported
 
 
 def _least(arm: Arm) -> Array:
-    """Distances (c,) [m] that postures keep at least; less between links that are near each other in most postures."""
+    """Least distances (c,) [m]; smaller between usually close links."""
     drawn = np.random.default_rng(1).uniform(arm.lower, arm.upper, (256, arm.joints))
     apart = clearances(arm, drawn, np.zeros(arm.joints))[:, arm.joints :]
     usual = np.minimum(CLEARANCE * length_size(arm), 0.5 * np.median(apart, axis=0))
@@ -314,7 +301,7 @@ def _least(arm: Arm) -> Array:
 
 @lru_cache(maxsize=32)
 def pool_of(arm: Arm) -> Any:  # noqa: ANN401 - `redundancy.Pool`, likewise
-    """Return stored postures in which an arm touches nothing; InputError where there are none."""
+    """Return stored postures without contacts; InputError: none."""
     rng, body = np.random.default_rng(0), body_of(arm)
     drawn = frozen(np.vstack([arm.rest, rng.uniform(body.inner[0], body.inner[1], (DRAWN, arm.joints))]))
     place, torque, facts = np.empty((len(drawn), 12)), np.empty(drawn.shape), np.empty((len(drawn), 2))
@@ -338,7 +325,7 @@ def _check(arm: Arm, places: Array, starts: Array, turn: Orientation | None, mot
 
 
 def frozen(array: NDArray[Any]) -> NDArray[Any]:
-    """Return a contiguous array that cannot be written: compiled loops take no other."""
+    """Contiguous read-only array, as compiled loops need."""
     result = np.array(array, order="C")
     result.setflags(write=False)
     return result

@@ -1,7 +1,7 @@
-"""The loops of the search for a posture, compiled: damped least squares, the cost of a posture, descent on it.
+"""Compiled search for a posture: damped least squares, cost, and descent.
 
-A goal is 17 numbers: place (3) [m], rotation (9), the tool's own axis (3), weight [m/rad], and what of the orientation
-counts: 0 nothing, 1 the direction of that axis, 2 all of it.
+A goal is 17 numbers: place (3) [m], rotation (9), tool axis (3), weight [m/rad], and what of the orientation counts: 0
+nothing, 1 the axis, 2 all.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
@@ -17,22 +17,21 @@ from rejoint.arms.arm import Array
 from rejoint.arms.compiled import IN1, IN2, IN3, OUT2, OUT3, OUT4, ROWS1, ROWS2, fill_clearances, fill_columns
 
 FAR = 1000.0
-"""Cost beyond which a posture cannot be taken; what is above says by how much"""
+"""Cost of an impossible posture"""
 DAMPING, MOST_STEP, REST_GAIN = 0.05, float(np.radians(10.0)), 0.05
 TOLERANCE, DRIFT = 1e-5, 1e-6
 LOAD, MOST_LOAD, NEAR_LIMIT = 0.85, 1.5, 0.2
-"""Share of a joint's torque from which it costs much, times of that beyond which the cost of the joint that needs the
-largest share alone grows, and distance [rad] from a limit below which that costs"""
+"""Share of torque that costs, share from which only the largest counts, and costly distance [rad] from a limit"""
 TRAVEL = 0.6
-"""Cost of half a turn of the joint that turns most"""
+"""Cost of half a turn"""
 LOCAL_ROUNDS, ROUNDS, DESCENTS = 200, 25, 10
 NEAR_REACH = 0.2
-"""[rad] that a joint may turn for a lower cost between neighbouring targets"""
+"""[rad] between neighbours for a lower cost"""
 COMFORT_LOAD, COMFORT_LIMIT = 0.8, float(np.radians(3.0))
 
 
 class ArmTables(NamedTuple):  # Numba's files on disk name this class: give this module a new name if the class gets one
-    """What the loops read of an arm; see `Arm` and `CollisionShape`."""
+    """An arm in compiled loops; see `Arm` and `CollisionShape`."""
 
     terms: Array
     tip: Array
@@ -40,7 +39,7 @@ class ArmTables(NamedTuple):  # Numba's files on disk name this class: give this
     lower: Array
     upper: Array
     inner: Array
-    """(2, n) [rad] limits less their margin"""
+    """(2, n) [rad] limits less margin"""
     rest: Array
     mass: Array
     com: Array
@@ -50,18 +49,18 @@ class ArmTables(NamedTuple):  # Numba's files on disk name this class: give this
     moving: NDArray[np.int64]
     boxes: Array
     least: Array
-    """(c,) [m] that each distance between what can touch must have; minus infinity where it is always the same"""
+    """(c,) [m] least distances; minus infinity: constant"""
     sizes: Array
-    """radius of the links, height of the ground, and distance from which on more is worth nothing; [m]"""
+    """[m] link radius, ground height, sufficient clearance"""
 
 
 class Pool(NamedTuple):
-    """Postures in which an arm touches nothing."""
+    """Postures without contacts."""
 
     posture: Array
     """(N, n) [rad]"""
     place: Array
-    """(N, 12) of the TCP: position [m], then rotation"""
+    """(N, 12) TCP position [m], then rotation"""
     torque: Array
     """(N, n) [N m] against gravity"""
     bare: Array
@@ -78,14 +77,14 @@ _OPTIONS = {"cache": True, "nogil": True}
 
 @njit(**_OPTIONS)
 def copy(into, values):  # noqa: ANN001, ANN201
-    """Copy ``values`` (n,): an assignment of slices takes the compiler several seconds more."""
+    """Copy ``values`` (n,); compiles faster than a slice."""
     for i in range(len(values)):
         into[i] = values[i]
 
 
 @njit(void(BODY, IN1, OUT4), **_OPTIONS)
 def place(body, q, poses):  # noqa: ANN001, ANN201
-    """Fill ``poses`` (n + 1, 3, 4, 1) with the frames of one posture, as `fill_poses` does for many."""
+    """Fill ``poses`` (n + 1, 3, 4, 1) of one posture."""
     joints = len(q)
     step = np.empty((4, 4))
     for i in range(joints + 1):
@@ -110,7 +109,7 @@ def place(body, q, poses):  # noqa: ANN001, ANN201
 
 @njit(void(BODY, OUT4, OUT1), **_OPTIONS)
 def _weigh(body, poses, torque):  # noqa: ANN001, ANN202
-    """Fill ``torque`` (n,) [N m] with what holds the arm against gravity, as `kinematics.gravity_torque`."""
+    """Fill ``torque`` (n,) [N m] as `kinematics.gravity_torque`."""
     joints = len(torque)
     mass = x = y = 0.0
     for back in range(joints):
@@ -126,10 +125,10 @@ def _weigh(body, poses, torque):  # noqa: ANN001, ANN202
 
 @njit(float64(BODY, OUT4, IN1, IN1, IN1, OUT1, OUT2, OUT1), **_OPTIONS)
 def _judge(body, poses, q, scale, most, torque, clear, facts):  # noqa: ANN001, ANN202
-    """Return the cost of a posture but for its travel; `FAR` and more where it cannot be taken.
+    """Cost of a posture without travel; `FAR` and more: impossible.
 
-    ``scale`` (n,) [N m] is the torque that counts as one; more than ``most`` (n,) cannot be. ``facts`` (3,) become the
-    largest share of torque, the smallest distance, and that from a limit.
+    ``scale`` (n,) [N m]: torque that counts as one; ``most`` (n,): largest. Fills ``facts`` (3,): largest torque share,
+    smallest distance, distance from a limit.
     """
     joints = len(q)
     _weigh(body, poses, torque)
@@ -166,7 +165,7 @@ def _judge(body, poses, q, scale, most, torque, clear, facts):  # noqa: ANN001, 
 
 @njit(**_OPTIONS)
 def farthest(q, other):  # noqa: ANN001, ANN201
-    """Return the largest difference of two postures (n,)."""
+    """Largest difference of two postures (n,)."""
     largest = 0.0
     for i in range(len(q)):
         largest = max(largest, abs(q[i] - other[i]))
@@ -175,7 +174,7 @@ def farthest(q, other):  # noqa: ANN001, ANN201
 
 @njit(float64(IN1, IN1), **_OPTIONS)
 def _travel(q, start):  # noqa: ANN001, ANN202
-    """Cost of the way from ``start`` (n,) to ``q`` (n,): nearly that of the joint that turns most."""
+    """Cost of travel, nearly that of the joint that turns most."""
     total = 0.0
     for i in range(len(q)):
         total += ((q[i] - start[i]) / np.pi) ** 4
@@ -184,7 +183,7 @@ def _travel(q, start):  # noqa: ANN001, ANN202
 
 @njit(**_OPTIONS)
 def _turn(current, wanted, vector):  # noqa: ANN001, ANN202
-    """Fill the rotation ``vector`` (3,) from ``current`` to ``wanted`` (3, 3); half a turn about its own axis too."""
+    """Fill the rotation ``vector`` (3,) from ``current`` to ``wanted`` (3, 3)."""
     relative = np.zeros((3, 3))
     for r in range(3):
         for k in range(3):
@@ -214,7 +213,7 @@ def _turn(current, wanted, vector):  # noqa: ANN001, ANN202
 
 @njit(**_OPTIONS)
 def _swing(turn, wanted, tool, vector):  # noqa: ANN001, ANN202
-    """Fill the smallest rotation ``vector`` (3,) that turns the axis ``tool`` (3,), in its frame, into ``wanted``."""
+    """Fill the smallest rotation ``vector`` (3,) of the axis ``tool`` (3,), in its frame, into ``wanted``."""
     now = np.empty(3)
     for r in range(3):
         now[r] = turn[r, 0] * tool[0] + turn[r, 1] * tool[1] + turn[r, 2] * tool[2]
@@ -236,10 +235,7 @@ def _swing(turn, wanted, tool, vector):  # noqa: ANN001, ANN202
 
 @njit(int64(BODY, IN1, OUT4, OUT3, OUT1, OUT2), **_OPTIONS)
 def _miss(body, goal, poses, columns, error, jacobian):  # noqa: ANN001, ANN202
-    """Fill what is missed of a ``goal`` (17,), ``error`` (6,) [m], and its derivatives (6, n); see `orientation.task`.
-
-    Returns how many of the rows count: 3 or 6.
-    """
+    """Fill ``error`` (6,) [m] from a ``goal`` (17,), and its derivatives (6, n); returns 3 or 6 rows."""
     joints = columns.shape[1]
     fill_columns(body.axes, poses, columns)
     for r in range(3):
@@ -273,7 +269,7 @@ def _miss(body, goal, poses, columns, error, jacobian):  # noqa: ANN001, ANN202
 
 @njit(void(OUT2, IN2, int64, float64), **_OPTIONS)
 def _factor(gram, jacobian, rows, damping):  # noqa: ANN001, ANN202
-    """Fill the lower triangle of ``gram`` with the Cholesky factor of J J' + damping^2 I."""
+    """Fill ``gram`` with the Cholesky factor of J J' + damping^2 I."""
     for r in range(rows):
         for k in range(r + 1):
             value = damping * damping if r == k else 0.0
@@ -286,7 +282,7 @@ def _factor(gram, jacobian, rows, damping):  # noqa: ANN001, ANN202
 
 @njit(void(OUT2, IN2, int64, IN1, OUT1, OUT1), **_OPTIONS)
 def _least(gram, jacobian, rows, error, work, step):  # noqa: ANN001, ANN202
-    """Fill ``step`` (n,) with J' (J J' + damping^2 I)^-1 e, of the factor ``gram``."""
+    """Fill ``step`` (n,) with J' (J J' + damping^2 I)^-1 e; ``gram`` is the factor."""
     for r in range(rows):
         value = error[r]
         for j in range(r):
@@ -307,9 +303,9 @@ def _least(gram, jacobian, rows, error, work, step):  # noqa: ANN001, ANN202
 
 @njit(float64(BODY, IN1, OUT1, IN1, IN1, float64, int64, OUT4, OUT3, OUT1, OUT2), **_OPTIONS)
 def _solve(body, goal, q, lower, upper, pull, rounds, poses, columns, error, jacobian):  # noqa: ANN001, ANN202
-    """Move ``q`` (n,) to the ``goal``, as `solve_position` does with its ``pull`` to rest; returns what is missed [m].
+    """Move ``q`` (n,) to the ``goal``, as `solve_position`; returns the error [m].
 
-    ``poses`` are those of ``q`` afterwards.
+    Fills ``poses`` of the result.
     """
     joints = len(q)
     gram, work, drift = np.empty((6, 6)), np.empty(6), np.empty(6)
@@ -347,7 +343,7 @@ def _solve(body, goal, q, lower, upper, pull, rounds, poses, columns, error, jac
 
 @njit(int64(OUT2, int64, float64), **_OPTIONS)
 def _keep_new(basis, count, least):  # noqa: ANN001, ANN202
-    """Keep in ``basis[count]`` what is orthogonal to the vectors before it; returns the count with or without it."""
+    """Orthogonalise ``basis[count]``; returns the new count."""
     joints = basis.shape[1]
     for _ in range(2):
         for c in range(count):
@@ -368,7 +364,7 @@ def _keep_new(basis, count, least):  # noqa: ANN001, ANN202
 
 @njit(int64(IN2, int64, OUT2), **_OPTIONS)
 def _null_space(jacobian, rows, basis):  # noqa: ANN001, ANN202
-    """Fill ``basis`` (n + 1, n) with n orthogonal unit vectors; those that move the goal first; returns how many do."""
+    """Fill ``basis`` (n + 1, n) with orthonormal vectors; returns how many first ones move the goal."""
     joints = jacobian.shape[1]
     largest, count = 0.0, 0
     for r in range(rows):
@@ -389,9 +385,9 @@ def _null_space(jacobian, rows, basis):  # noqa: ANN001, ANN202
 
 @njit(float64(BODY, IN1, OUT1, IN1, IN1, IN1, float64, int64, OUT1), **_OPTIONS)
 def _descend(body, goal, q, start, scale, most, reach, rounds, facts):  # noqa: ANN001, ANN202
-    """Lower the cost of ``q`` (n,), which is at the goal, along the postures that are, and return it.
+    """Lower the cost of ``q`` (n,) in the null space, and return it.
 
-    No joint goes further than ``reach`` [rad] from where it was. ``facts`` (3,) are those of `_judge`.
+    No joint moves more than ``reach`` [rad]. ``facts`` (3,) as `_judge`.
     """
     joints = len(q)
     poses, columns = np.empty((joints + 1, 3, 4, 1)), np.empty((3, joints, 1))
@@ -443,9 +439,9 @@ def _descend(body, goal, q, start, scale, most, reach, rounds, facts):  # noqa: 
 
 @njit(void(_POOL, IN1, IN1, IN1, float64, int64[::1], OUT1), **_OPTIONS)
 def _nearest(pool, goal, start, scale, size, chosen, worth):  # noqa: ANN001, ANN202
-    """Fill ``chosen`` (S,) with the postures of the pool that promise most, the best first; -1 where there are fewer.
+    """Fill ``chosen`` (S,) with pool postures, the best first, then -1.
 
-    Promising is near the goal, by ``size`` [m], and of low cost.
+    Best: near the goal, by ``size`` [m], and of low cost.
     """
     room = len(chosen)
     for s in range(room):
@@ -486,7 +482,7 @@ def _nearest(pool, goal, start, scale, size, chosen, worth):  # noqa: ANN001, AN
 
 @njit(void(BODY, IN2, OUT2, OUT2, OUT2), **_OPTIONS)
 def survey(body, postures, places, torques, facts):  # noqa: ANN001, ANN201
-    """Fill ``places`` (N, 12) and ``torques`` (N, n), see `Pool`, and ``facts`` (N, 2): cost without load, distance."""
+    """Fill ``places`` (N, 12), ``torques`` (N, n), and ``facts`` (N, 2): cost without load, distance."""
     joints = postures.shape[1]
     poses, torque, known = np.empty((joints + 1, 3, 4, 1)), np.empty(joints), np.empty(3)
     count = len(body.floors) + len(body.pairs) + len(body.places) + len(body.moving) * len(body.boxes)
@@ -504,10 +500,10 @@ def survey(body, postures, places, torques, facts):  # noqa: ANN001, ANN201
 
 @njit(float64(BODY, IN1, IN1, IN1, IN1, boolean, OUT1, OUT2), **_OPTIONS)
 def stay(body, goal, start, scale, most, near, q, facts):  # noqa: ANN001, ANN201
-    """Fill ``q`` (n,) with the posture of the goal on the branch of ``start`` (n,); returns its cost, or infinity.
+    """Fill ``q`` (n,) with the goal's posture on the branch of ``start`` (n,); returns its cost, or infinity.
 
-    The posture that `solve_position` finds stays as it is where it is comfortable. ``near``: the goal is near the
-    start, so that the cost is lowered from the nearest posture on. ``facts`` (1, 3) are those of `_judge`.
+    A comfortable posture of `solve_position` is kept. ``near``: lower the cost from the nearest posture. ``facts`` (1,
+    3) as `_judge`.
     """
     joints = len(q)
     poses, columns = np.empty((joints + 1, 3, 4, 1)), np.empty((3, joints, 1))
@@ -538,11 +534,10 @@ def stay(body, goal, start, scale, most, near, q, facts):  # noqa: ANN001, ANN20
 
 @njit(float64(BODY, _POOL, IN1, IN1, IN1, IN1, float64, int64, int64, int64, OUT1, OUT2, OUT2), **_OPTIONS)
 def search(body, pool, goal, start, scale, most, size, starts, bests, descents, q, facts, nearest):  # noqa: ANN001, ANN201
-    """Fill ``q`` (n,) with the best posture found for the goal; returns its cost, infinity where none reaches it.
+    """Fill ``q`` (n,) with the goal's best posture; returns its cost, or infinity.
 
-    ``starts`` postures of the pool are moved to the goal; the cost of the ``bests`` of them, each unlike the others, is
-    lowered. ``facts`` (1, 3) are those of `_judge`; ``nearest`` (1, n + 1) is the posture that misses least, and what
-    it misses [m].
+    ``starts`` pool postures are moved to the goal; the ``bests`` different ones are improved. ``facts`` (1, 3) as
+    `_judge`; ``nearest`` (1, n + 1): the posture with the least error, and that error [m].
     """
     joints = len(q)
     poses, columns = np.empty((joints + 1, 3, 4, 1)), np.empty((3, joints, 1))

@@ -1,7 +1,7 @@
-"""Rotations, poses, quaternions (w, x, y, z) over any leading shape; orientations that a tool is to have.
+"""Rotations, poses, quaternions (w, x, y, z), and wanted orientations of tools.
 
-The *direction* of a tool is the axis of its frame along which it stands off the last joint. Orientation errors are
-rotation vectors in the base frame. A radian counts as many metres as the weight says.
+The *direction* of a tool is its axis away from the last joint. Orientation errors are rotation vectors in the base
+frame, weighted in m/rad.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from rejoint.arms.kinematics import frames, position_kinematics
 
 
 def cross_matrix(vector: Array) -> Array:
-    """Matrix (3, 3) that forms the cross product with ``vector`` (3,)."""
+    """Matrix (3, 3) of the cross product with ``vector`` (3,)."""
     x, y, z = vector
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
@@ -31,12 +31,12 @@ def turned(vector: Array) -> Array:
 
 
 def rotation_about(axis: Array, angle: float) -> Array:
-    """Rotation (3, 3) by ``angle`` [rad] about the unit ``axis`` (3,)."""
+    """Rotation (3, 3) by ``angle`` [rad] about a unit ``axis`` (3,)."""
     return turned(angle * np.asarray(axis))
 
 
 def rotation_vector(rotation: Array) -> Array:
-    """Rotation vectors (..., 3) [rad] of rotations (..., 3, 3); NaN of NaN."""
+    """Rotation vectors (..., 3) [rad] of rotations (..., 3, 3)."""
     flat = np.reshape(rotation, (-1, 3, 3))
     found, known = np.full((len(flat), 3), np.nan), np.isfinite(flat).all(axis=(1, 2))
     found[known] = Rotation.from_matrix(flat[known]).as_rotvec()
@@ -44,12 +44,12 @@ def rotation_vector(rotation: Array) -> Array:
 
 
 def rotation_error(current: Array, wanted: Array) -> Array:
-    """Rotation vectors (..., 3) [rad] that turn ``current`` into ``wanted`` (..., 3, 3)."""
+    """Rotation vectors (..., 3) [rad] from ``current`` to ``wanted`` (..., 3, 3)."""
     return rotation_vector(wanted @ np.swapaxes(current, -1, -2))
 
 
 def between_directions(current: Array, wanted: Array) -> Array:
-    """Smallest rotation vectors (..., 3) [rad] that turn unit vectors ``current`` into ``wanted`` (..., 3)."""
+    """Smallest rotation vectors (..., 3) [rad] from ``current`` to ``wanted`` unit vectors (..., 3)."""
     cross = np.cross(current, wanted)
     sine, cosine = np.linalg.norm(cross, axis=-1, keepdims=True), (current * wanted).sum(axis=-1, keepdims=True)
     vector = cross * np.where(sine > 1e-9, np.arctan2(sine, cosine) / np.maximum(sine, 1e-12), 1.0)
@@ -65,19 +65,19 @@ def rotation_of(quaternion: Array) -> Array:
 
 
 def quaternion_of(rotation: Array) -> Array:
-    """Find the unit quaternions (..., 4) of rotations (..., 3, 3)."""
+    """Return unit quaternions (..., 4) of rotations (..., 3, 3)."""
     flat = Rotation.from_matrix(np.reshape(rotation, (-1, 3, 3)))
     return np.asarray(flat.as_quat(scalar_first=True).reshape(*np.shape(rotation)[:-2], 4))
 
 
 def same_side(quaternions: Array) -> Array:
-    """Quaternions (K, 4), each with the sign nearer to the one before."""
+    """Quaternions (K, 4), each on the side of the one before."""
     opposite = (quaternions[1:] * quaternions[:-1]).sum(axis=-1) < 0.0
     return quaternions * np.concatenate([[1.0], np.cumprod(np.where(opposite, -1.0, 1.0))])[:, None]
 
 
 def pose_of(rotation: Array, position: Array) -> Array:
-    """Pose (4, 4) from a rotation (3, 3) and a position (3,) [m]."""
+    """Pose (4, 4)."""
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation, position
     return pose
@@ -103,51 +103,51 @@ def difference(seen: Array, told: Array) -> Array:
 
 
 WEIGHT = 0.05
-"""[m/rad] default weight of an orientation (chosen: a degree counts 0.9 mm)"""
+"""[m/rad] default (chosen: a degree counts 0.9 mm)"""
 REACHED_TURN = float(np.radians(5.0))
-"""[rad] within which an orientation counts as reached (chosen)"""
+"""[rad] (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Orientation:
-    """Wanted orientations of tools; leading shape (...)."""
+    """Wanted tool orientations; leading shape (...)."""
 
     rotation: Array
     """(..., 3, 3) tool frame in the base frame"""
     whole: NDArray[np.bool_]
-    """(...) whether the turn about the tool's own axis counts"""
+    """(...) the turn about the tool axis counts"""
     weight: Array
     """(...) [m/rad] 0: any orientation"""
     axis: Array
-    """(3,) direction of the tool in its own frame, see `tool_axis`"""
+    """(3,) tool axis in the tool frame, see `tool_axis`"""
 
     def __getitem__(self, index: Any) -> Orientation:  # noqa: ANN401 - whatever arrays take
-        """Return some of them, by an index of the leading shape."""
+        """Select by an index of the leading shape."""
         return replace(self, rotation=self.rotation[index], whole=self.whole[index], weight=self.weight[index])
 
     @property
     def flat(self) -> Orientation:
-        """The same in one row."""
+        """In one row."""
         rotation = self.rotation.reshape(-1, 3, 3)
         return replace(self, rotation=rotation, whole=self.whole.ravel(), weight=self.weight.ravel())
 
     @property
     def counts(self) -> NDArray[np.bool_]:
-        """(...) where an orientation is asked for at all."""
+        """(...) where an orientation is wanted."""
         return np.asarray(self.weight > 0.0)
 
     def error(self, rotation: Array) -> Array:
-        """Rotation vectors (..., 3) [rad] that turn tools of ``rotation`` (..., 3, 3) as wanted."""
+        """Rotation vectors (..., 3) [rad] from ``rotation`` (..., 3, 3) to the wanted one."""
         about = between_directions(rotation @ self.axis, self.rotation @ self.axis)
         return np.where(self.whole[..., None], rotation_error(rotation, self.rotation), about)
 
     def angle(self, rotation: Array) -> Array:
-        """Orientation errors (...) [rad]; NaN where none is asked for."""
+        """Orientation errors (...) [rad]; NaN: any."""
         size = np.linalg.norm(self.error(rotation), axis=-1)
         return np.where(self.counts, size, np.nan)
 
     def rows(self, axes: Array) -> Array:
-        """Tool turns per joint motion (..., 3, n), minus the error's derivatives; ``axes`` (..., n, 3)."""
+        """Return turns (..., 3, n) per joint motion: minus the error's derivatives; ``axes`` (..., n, 3)."""
         columns = np.swapaxes(axes, -1, -2)
         own = np.broadcast_to(self.rotation @ self.axis, (*self.weight.shape, 3))
         along = own[..., :, None] * (own[..., None, :] @ columns)
@@ -155,7 +155,7 @@ class Orientation:
 
 
 def stacked(parts: Sequence[Orientation], axis: int) -> Orientation:
-    """Stack orientations along a new leading ``axis``."""
+    """Stack along a new leading ``axis``."""
     return Orientation(
         rotation=np.stack([one.rotation for one in parts], axis),
         whole=np.stack([one.whole for one in parts], axis),
@@ -165,7 +165,7 @@ def stacked(parts: Sequence[Orientation], axis: int) -> Orientation:
 
 
 def tool_axis(arm: Arm) -> Array:
-    """Direction (3,) of a tool in its own frame."""
+    """Tool axis (3,) in the tool frame."""
     tip = bare(arm).tip
     off = tip[:3, :3].T @ tip[:3, 3]
     if np.linalg.norm(off) < 1e-9:
@@ -177,9 +177,9 @@ def tool_axis(arm: Arm) -> Array:
 
 
 def task(arm: Arm, q: Array, target: Array, turn: Orientation | None) -> tuple[Array, Array]:
-    """Return what is missed at ``q`` (..., n) [rad], (..., k) [m], and minus its derivatives (..., k, n).
+    """Error at ``q`` (..., n) [rad], (..., k) [m], and minus its derivatives (..., k, n).
 
-    k is 3 for the place ``target`` (..., 3) [m], 6 with a ``turn`` (weighted radians).
+    k is 3 for ``target`` (..., 3) [m], 6 with a ``turn`` (weighted radians).
     """
     tcp, jacobian = position_kinematics(arm, q)
     if turn is None:
@@ -190,7 +190,7 @@ def task(arm: Arm, q: Array, target: Array, turn: Orientation | None) -> tuple[A
 
 
 def to_coords(pose: Array) -> Array:
-    """Pose (4, 4) to position [m] and rx, ry, rz [rad], R = Rz Ry Rx, (6,); rx is 0 at ry = +-90 deg."""
+    """Position [m] and rx, ry, rz [rad] (R = Rz Ry Rx) of a pose, (6,); rx is 0 at ry = +-90 deg."""
     r = pose[:3, :3]
     cosine = np.hypot(r[0, 0], r[1, 0])
     ry = np.arctan2(-r[2, 0], cosine)

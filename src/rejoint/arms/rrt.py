@@ -1,7 +1,6 @@
-"""The loops of the planner, compiled: straight ways that keep their clearances, and a tree search for others.
+"""Compiled loops of the planner.
 
-The tree search is RRT-Connect (Kuffner and LaValle 2000): one tree grows from each end, each step towards a drawn
-posture, and then as far as it goes towards what the other tree has just reached.
+The tree search is RRT-Connect (Kuffner and LaValle 2000).
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
@@ -14,15 +13,15 @@ from rejoint.arms.compiled import IN1, IN2, IN3, OUT2, fill_clearances
 from rejoint.arms.redundancy import BODY, OUT1, copy, farthest, place
 
 ROUNDING = 1e-7
-"""[m] by which a distance may be smaller than it has to be"""
+"""[m] tolerance of distances"""
 LONGEST, SHORTEST = 1.5, 0.02
-"""[rad] of the joint that turns most in a branch of a tree (chosen)"""
+"""[rad] branch lengths, by the joint that turns most (chosen)"""
 _OPTIONS = {"cache": True, "nogil": True}
 
 
 @njit(void(BODY, IN1, OUT2), **_OPTIONS)
 def measure(body, q, clear):  # noqa: ANN001, ANN201
-    """Fill ``clear`` (1, n + c) [m] with what `clearances` returns of one posture ``q`` (n,)."""
+    """Fill ``clear`` (1, n + c) [m] with `clearances` of one posture ``q`` (n,)."""
     poses = np.empty((len(q) + 1, 3, 4, 1))
     place(body, q, poses)
     fill_clearances(poses, body.floors, body.pairs, body.places, body.sizes[0], body.sizes[1], body.moving, body.boxes,
@@ -31,11 +30,11 @@ def measure(body, q, clear):  # noqa: ANN001, ANN201
 
 @njit(float64(BODY, IN1, IN1, IN2, IN1, float64, boolean, OUT1), **_OPTIONS)
 def passable(body, start, goal, levers, least, step, leaving, worst):  # noqa: ANN001, ANN201
-    """Return how far, 0 to 1, the straight way from ``start`` to ``goal`` (n,) keeps ``least`` (n + c,) [m].
+    """Share, 0 to 1, of the straight line from ``start`` to ``goal`` (n,) that keeps ``least`` (n + c,) [m].
 
-    ``levers`` (n + c, n) [m] bound how much a joint changes a distance per radian. Between two checks none changes by
-    more than ``step`` [m], or by more than it has to spare. ``leaving``: what is smaller than it has to be at the start
-    may grow. ``worst`` (2,) becomes which distance ended the way, and the share of the way at which it did.
+    ``levers`` (n + c, n) [m] bound the changes per radian. Between checks a distance changes by ``step`` [m] or its
+    reserve at most. ``leaving``: too small distances at the start may grow. Fills ``worst`` (2,): the violated
+    distance, and its share.
     """
     joints = len(start)
     clear, before = np.empty((1, len(least))), np.empty(len(least))
@@ -66,7 +65,7 @@ def passable(body, start, goal, levers, least, step, leaving, worst):  # noqa: A
 
 @njit(int64(OUT2, int64, IN1), **_OPTIONS)
 def _closest(nodes, count, q):  # noqa: ANN001, ANN202
-    """Return which of the first ``count`` rows of ``nodes`` is nearest to ``q`` (n,)."""
+    """Nearest to ``q`` (n,) of the first ``count`` rows."""
     best, least = 0, np.inf
     for k in range(count):
         square = 0.0
@@ -79,7 +78,6 @@ def _closest(nodes, count, q):  # noqa: ANN001, ANN202
 
 @njit(**_OPTIONS)
 def _trace(nodes, parents, counts, way):  # noqa: ANN001, ANN202
-    """Fill ``way`` with the corners from the first root to the last nodes of both trees, which meet, to the other."""
     chain = np.empty(len(way), np.int64)
     count = 0
     for tree in range(2):
@@ -98,9 +96,9 @@ def _trace(nodes, parents, counts, way):  # noqa: ANN001, ANN202
 
 @njit(int64(BODY, IN1, IN1, IN2, IN2, IN1, float64, OUT2), **_OPTIONS)
 def connect(body, start, goal, drawn, levers, least, step, way):  # noqa: ANN001, ANN201
-    """Fill ``way`` (M, n) with the corners of a way from ``start`` to ``goal`` (n,); returns their number, 0 for none.
+    """Fill ``way`` (M, n) with corners from ``start`` to ``goal`` (n,); returns their number, 0: none.
 
-    ``drawn`` (D, n) are the random postures to grow towards; the rest as in `passable`.
+    ``drawn`` (D, n): random postures; the rest as in `passable`.
     """
     joints, most = len(start), 2 * len(drawn) + 2
     nodes, parents, counts = np.empty((2, most, joints)), np.empty((2, most), np.int64), np.ones(2, np.int64)
@@ -138,7 +136,7 @@ def connect(body, start, goal, drawn, levers, least, step, way):  # noqa: ANN001
 
 @njit(void(IN1, IN2, IN1, IN3, IN1, int64, OUT2), **_OPTIONS)
 def follow(start, moves, begins, profiles, time, derivative, out):  # noqa: ANN001, ANN201
-    """Fill ``out`` (T, n) with positions, or a derivative, at ``time`` (T,) of the pieces of a `JointTrajectory`."""
+    """Fill ``out`` (T, n) with positions, or a derivative, at ``time`` (T,) of a `JointTrajectory`."""
     for t in range(len(time)):
         for i in range(len(start)):
             out[t, i] = start[i] if derivative == 0 else 0.0

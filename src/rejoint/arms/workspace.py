@@ -1,10 +1,9 @@
-"""Where an arm works: its size, a rest posture and targets by sampling, and room for a diagnosis.
+"""Workspace of an arm: size, rest posture, targets, and room for a diagnosis.
 
 Rest: random postures in front of the base, clear of floor and limits, scored by manipulability (Yoshikawa 1985),
-mid-range, elbow height, heading and holding torque; the best are improved in whole degrees and tried for room. Targets:
-the largest box of points that inverse kinematics reaches with margins, at most 0.2 x 0.4 x 0.2 of the reach (Park et
-al. 2024, section IV-A). A posture is safe for a diagnosis away from limits, floor and column, and loaded no more than
-at the heaviest target. Constants in N m or mm hold for a myCobot 280 and scale with load or reach.
+mid-range, elbow height, heading and holding torque. Targets: the largest box that inverse kinematics reaches with
+margins, at most 0.2 x 0.4 x 0.2 of the reach (Park et al. 2024, section IV-A). Constants in N m or mm are a myCobot
+280's.
 """
 
 from __future__ import annotations
@@ -28,46 +27,46 @@ SAMPLES = 4096
 """postures drawn (chosen)"""
 
 EDGES = np.array([0.2, 0.4, 0.2])
-"""largest edges of the target region over the reach (Park et al. 2024, section IV-A)"""
+"""largest edges over the reach (Park et al. 2024, section IV-A)"""
 
 STEPS = 6
-"""grid steps to an edge of the largest region (chosen)"""
+"""grid steps per edge (chosen)"""
 
 LIMIT_MARGIN = 0.05
-"""part of its range that a joint keeps from each limit at targets (chosen)"""
+"""share of a joint's range from each limit, at targets (chosen)"""
 
 REST_MARGIN = 0.15
 """the same at rest (chosen)"""
 
 REST_HEIGHT = 0.18
-"""least height of the resting TCP above the floor over the reach (chosen)"""
+"""of the TCP above the floor, over the reach (chosen)"""
 
 AXIS_CLEARANCE = 0.15
-"""least distance of targets from the base's axis over the reach (chosen)"""
+"""of targets from the base axis, over the reach (chosen)"""
 
 TORQUE_SHARE = 0.9
-"""part of the largest holding torque that targets may need (chosen)"""
+"""of the largest holding torque, at targets (chosen)"""
 
 _RISING = 0.2
-"""Share of postures that must lift a joint frame for it to count (chosen)"""
+"""Share of postures that lift a joint frame (chosen)"""
 
 _FLAT = 1e-6
-"""manipulability over the cubed reach below which the TCP moves on a surface (rounding)"""
+"""manipulability over cubed reach on a surface (rounding)"""
 
 _CANDIDATES, _SPREAD = 8, 16
-"""start postures of the search, and their distance in rank"""
+"""start postures and their distance in rank"""
 _CLIMB = 200
-"""most steps of the search in whole degrees"""
+"""steps"""
 
 
 def reach(arm: Arm) -> float:
-    """Sum of the link lengths [m] from the first joint to the TCP."""
+    """Sum of link lengths [m] to the TCP."""
     return float(np.linalg.norm(link_ends(arm.offset, arm.tip), axis=1).sum())
 
 
 @lru_cache(maxsize=32)
 def rising_frames(arm: Arm, above: float = -np.inf) -> NDArray[np.bool_]:
-    """Which joint frames (n,) change their height, and lie ``above`` a height [m] in a fair share of postures."""
+    """Joint frames (n,) that change height, and are often ``above`` [m]."""
     postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (64, arm.joints))
     height = frames(arm, postures).position[..., 2]
     rising: NDArray[np.bool_] = (np.ptp(height, axis=0) > 1e-6) & ((height > above).mean(axis=0) > _RISING)
@@ -76,13 +75,13 @@ def rising_frames(arm: Arm, above: float = -np.inf) -> NDArray[np.bool_]:
 
 
 def on_a_surface(arm: Arm, seed: int = 0) -> bool:
-    """Whether the joints move the TCP on a line or surface only."""
+    """Whether the TCP moves on a line or surface only."""
     survey = _survey(arm, seed)
     return survey.manipulability < _FLAT * survey.reach**3
 
 
 def derive_targets(arm: Arm, seed: int = 0) -> Box:
-    """Find the region of targets around the TCP at rest; InputError if there is none."""
+    """Target region around the resting TCP; InputError."""
     found = _largest_box(_survey(arm, seed))
     if found is None:
         raise NoPostureError(
@@ -95,10 +94,9 @@ def derive_targets(arm: Arm, seed: int = 0) -> Box:
 def workspaces(
     arm: Arm, seed: int = 0, *, apart: float = 0.0, margin: float = 0.0
 ) -> Iterator[tuple[Array, Box, bool]]:
-    """Rest postures (n,) [rad], their targets and whether those are wide, the best-scored first.
+    """Rest postures (n,) [rad], targets, and whether those are wide, the best first.
 
-    Postures keep ``apart`` (of the reach) farther from the floor and ``margin`` [rad] from the limits. InputError where
-    there is none.
+    Postures keep ``apart`` (of the reach) more from the floor and ``margin`` [rad] from limits. InputError: none.
     """
     survey = replace(_survey(arm, seed), apart=apart, margin=margin)
     if survey.manipulability < _FLAT * survey.reach**3:
@@ -113,31 +111,31 @@ def workspaces(
 
 
 class NoPostureError(InputError):
-    """No rest posture with targets was found; the owner may give one."""
+    """No rest posture with targets was found."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Survey:
-    """What sampling the whole joint space tells."""
+    """Samples of the joint space."""
 
     arm: Arm
     reach: float
     """[m]"""
     low: Array
     high: Array
-    """(n,) [rad] limits, no wider than half a turn each way"""
+    """(n,) [rad] within half a turn each way"""
     postures: Array
     """(S, n) [rad]"""
     manipulability: float
     torque: float
-    """[N m] the largest values over the samples"""
+    """[N m] largest of the samples"""
     apart: float = 0.0
-    """share of the reach by which rest postures keep farther from the floor"""
+    """extra distance from the floor, over the reach"""
     margin: float = 0.0
-    """[rad] that they keep from the joint limits at least"""
+    """[rad] from the joint limits"""
 
     def clear(self, f: Frames) -> NDArray[np.bool_]:
-        """Tell whether the rising joint frames and the TCP are a link's radius above the floor; ``(...)``."""
+        """Whether rising joint frames and TCP are a link radius above the floor (...)."""
         height = self.arm.floor + (LINK_RADIUS_RATIO + self.apart) * self.reach
         frames_clear = (f.position[..., rising_frames(self.arm, height), 2] > height).all(axis=-1)
         return frames_clear & (f.tcp_position[..., 2] > height)
@@ -164,7 +162,7 @@ def _manipulability(arm: Arm, q: Array) -> Array:
 
 
 def _score(survey: _Survey, q: Array) -> Array:
-    """Score postures (..., n); minus infinity where a limit or the floor is near or the TCP is not in front."""
+    """Scores of postures (..., n); minus infinity: unusable."""
     arm, f = survey.arm, frames(survey.arm, q)
     tcp = f.tcp_position
     middle, half = (survey.high + survey.low) / 2, (survey.high - survey.low) / 2
@@ -188,7 +186,7 @@ def _score(survey: _Survey, q: Array) -> Array:
 
 
 def _rest_candidates(survey: _Survey, seed: int) -> list[Array]:
-    """Best postures (n,) [rad] in whole degrees, improved by a random local search, best first."""
+    """Best postures (n,) [rad] in whole degrees, by random local search."""
     scores = _score(survey, survey.postures)
     order = np.argsort(-scores, kind="stable")[: _CANDIDATES * _SPREAD : _SPREAD]
     best, value = survey.postures[order], scores[order]
@@ -213,7 +211,7 @@ def _rest_candidates(survey: _Survey, seed: int) -> list[Array]:
 
 
 def _whole_degrees(survey: _Survey, posture: Array) -> Array:
-    """Climb from ``posture`` (n,) [rad] to the best score among its neighbours in whole degrees."""
+    """Climb from ``posture`` (n,) [rad] in whole degrees."""
     low, high = np.ceil(np.degrees(survey.low)), np.floor(np.degrees(survey.high))
     here = np.clip(np.rint(np.degrees(posture)), low, high) + 0.0
     unit = np.eye(len(here))
@@ -262,7 +260,7 @@ def _largest_box(survey: _Survey) -> Box | None:
 
 
 def _largest_span(good: NDArray[np.bool_]) -> tuple[NDArray[np.int_], NDArray[np.int_]] | None:
-    """First and last index (3,) of the largest all-good box of a (2S+1)^3 grid that holds its middle point."""
+    """First and last index (3,) of the largest good box around the middle of a (2S+1)^3 grid."""
     total = np.zeros(tuple(np.array(good.shape) + 1), dtype=int)
     total[1:, 1:, 1:] = good.cumsum(0).cumsum(1).cumsum(2)
     intervals = [(i, j) for i in range(STEPS + 1) for j in range(STEPS, 2 * STEPS + 1) if 1 <= j - i <= STEPS]
@@ -285,33 +283,33 @@ def _count(total: NDArray[np.int_], a: tuple[int, int], b: tuple[int, int], c: t
 
 
 UNLOADED = 0.03
-"""Share of the largest load below which a joint carries no weight (chosen)"""
+"""Load over the largest of a joint without weight (chosen)"""
 
 
 LEAST_LEVER = 0.02
-"""Share of the reach per radian below which a joint only turns the tool (chosen)"""
+"""Share of the reach per radian of a joint that only turns the tool (chosen)"""
 
 
 METRES = 5e-3
-"""[m] coordinates in millimetres below it were given in metres (chosen)"""
+"""[m] of coordinates in metres, not millimetres (chosen)"""
 
 
 def in_metres(places: Array) -> bool:
-    """Whether places (..., 3) [m], read in millimetres, were given in metres."""
+    """Whether places (..., 3) [m], read in millimetres, were in metres."""
     known = np.abs(places[np.isfinite(places)])
     return known.size > 0 and bool((known < METRES).all())
 
 
 @lru_cache(maxsize=32)
 def heaviest_load(arm: Arm, per_edge: int = 2) -> Array:
-    """Largest gravity torque (n,) [N m] of each joint over a grid of targets."""
+    """Largest gravity torque (n,) [N m] over a grid of targets."""
     load: Array = np.abs(gravity_torque(arm, _postures(arm, per_edge))).max(axis=0)
     load.setflags(write=False)
     return load
 
 
 def _postures(arm: Arm, per_edge: int) -> Array:
-    """Postures (per_edge^3, n) [rad] that a grid of targets needs."""
+    """Postures (per_edge^3, n) [rad] of a grid of targets."""
     axes = [np.linspace(low, high, per_edge) for low, high in zip(arm.targets.lower, arm.targets.upper, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     return solve_position(arm, grid, arm.rest).q
@@ -319,7 +317,7 @@ def _postures(arm: Arm, per_edge: int) -> Array:
 
 @lru_cache(maxsize=32)
 def unloaded_joints(arm: Arm) -> NDArray[np.bool_]:
-    """Which joints (n,) carry no weight at any target."""
+    """Joints (n,) without weight at any target."""
     load = heaviest_load(arm)
     mask: NDArray[np.bool_] = load < UNLOADED * load.max()
     mask.setflags(write=False)
@@ -328,7 +326,7 @@ def unloaded_joints(arm: Arm) -> NDArray[np.bool_]:
 
 @lru_cache(maxsize=32)
 def moves_tool(arm: Arm) -> NDArray[np.bool_]:
-    """Which joints (n,) move the TCP at targets; the others only turn the tool."""
+    """Joints (n,) that move the TCP at targets."""
     lever = np.linalg.norm(position_kinematics(arm, _postures(arm, 2))[1], axis=-2).max(axis=0)
     mask: NDArray[np.bool_] = lever > LEAST_LEVER * reach(arm)
     mask.setflags(write=False)
@@ -337,61 +335,61 @@ def moves_tool(arm: Arm) -> NDArray[np.bool_]:
 
 @lru_cache(maxsize=32)
 def torque_size(arm: Arm) -> float:
-    """Largest joint load over that of a myCobot 280."""
+    """Largest load over that of a myCobot 280."""
     return float(heaviest_load(arm).max() / heaviest_load(reference_arm()).max())
 
 
 @lru_cache(maxsize=32)
 def length_size(arm: Arm) -> float:
-    """Reach of an arm by that of a myCobot 280."""
+    """Reach over that of a myCobot 280."""
     return reach(arm) / reach(reference_arm())
 
 
 @lru_cache(maxsize=1)
 def reference_arm() -> Arm:
-    """Arm that constants were chosen on."""
+    """Arm of the chosen constants."""
     return mycobot280()
 
 
 SAFE_MARGIN = np.radians(10.0)
-"""[rad] from the joint limits (chosen: a worn arm overshoots)"""
+"""[rad] from joint limits (chosen: a worn arm overshoots)"""
 
 CLEARANCE = 0.05
-"""[m] of joint frames and TCP above the floor (chosen)"""
+"""[m] above the floor (chosen)"""
 
 COLUMN = 0.4
-"""Share of the resting reach that the TCP keeps from the base axis (chosen)"""
+"""TCP from the base axis, over the resting reach (chosen)"""
 
 LOAD_MARGIN = 0.02
-"""[N m] that counts as no load (chosen)"""
+"""[N m] (chosen)"""
 
 EXCURSION = 0.25
-"""[rad] motion of all joints about rest in an excitation (chosen)"""
+"""[rad] of all joints about rest (chosen)"""
 
 HOLD_SPREAD, HOLD_OFFSET = 0.7, 0.15
-"""[rad] distance of held postures from rest, and of their approaches (chosen)"""
+"""[rad] held postures from rest, and their approaches (chosen)"""
 
 POSTURES = 400
-"""Postures around rest among which those to hold are chosen (chosen)"""
+"""Candidates to hold (chosen)"""
 
 _LEAST = 0.25
-"""Share of the excursions that must be safe about rest (chosen)"""
+"""Safe share of the excursions (chosen)"""
 
 _LEAST_HOLDS = 0.1
-"""Share of the postures around rest that must be safe (chosen)"""
+"""Safe share around rest (chosen)"""
 
 _CORNERS = 128
-"""Most corners of the excursion that are tried (chosen)"""
+"""of the excursion (chosen)"""
 
 _SEARCHES = ((0.0, 0.0), (0.05, 0.3), (0.1, 0.3))
-"""Added distances from floor (over the reach) and limits [rad] of the searches in turn (chosen)"""
+"""Extra distances from floor (over the reach) and limits [rad] (chosen)"""
 
 _STEPS = 0.8 ** np.arange(8)
-"""Shares that are tried (chosen)"""
+"""(chosen)"""
 
 
 def is_safe(arm: Arm, q: Array) -> NDArray[np.bool_]:
-    """Whether a diagnosis may go to postures (..., n) [rad]; (...)."""
+    """Which postures (..., n) [rad] are safe: away from limits, floor and column, lightly loaded."""
     f = frames(arm, q)
     floor = arm.floor + CLEARANCE * length_size(arm)
     # Frames that never rise or sink, such as a shoulder on its column, may be anywhere.
@@ -405,13 +403,13 @@ def is_safe(arm: Arm, q: Array) -> NDArray[np.bool_]:
 
 
 def line_is_safe(arm: Arm, start: Array, goal: Array) -> NDArray[np.bool_]:
-    """Whether straight joint motions (..., n) from ``start`` to ``goal`` stay safe; (...)."""
+    """Which straight motions (..., n) stay safe."""
     share = np.linspace(0.0, 1.0, 12)[:, None]
     return np.asarray(is_safe(arm, start[..., None, :] + share * (goal - start)[..., None, :]).all(axis=-1))
 
 
 def unsafe(arm: Arm, q: Array) -> str:
-    """Say why a posture (n,) [rad] is not safe; empty: it is."""
+    """Why a posture (n,) [rad] is unsafe, or empty."""
     f = frames(arm, q)
     floor = arm.floor + CLEARANCE * length_size(arm)
     low = rising_frames(arm, floor) & (f.position[:, 2] < floor)
@@ -432,10 +430,7 @@ def unsafe(arm: Arm, q: Array) -> str:
 
 
 def room(arm: Arm, seed: int = 0) -> tuple[float, float]:
-    """Safe shares (0 to 1) of the excursion about rest and of the spread around it.
-
-    The second is 0 where the first is too small.
-    """
+    """Safe shares (0 to 1) of the excursion and the spread about rest."""
     corners = np.array(list(product((-1.0, 1.0), repeat=min(arm.joints, 7))))
     if arm.joints > 7:
         corners = np.random.default_rng(seed).choice((-1.0, 1.0), (_CORNERS, arm.joints))
@@ -455,7 +450,7 @@ def room(arm: Arm, seed: int = 0) -> tuple[float, float]:
 def postures_to_hold(
     arm: Arm, rng: np.random.Generator, *, spread: float = HOLD_SPREAD, offset: float = HOLD_OFFSET
 ) -> Array:
-    """Draw postures (k, n) [rad] around rest that can be approached from both sides, and from rest."""
+    """Draw postures (k, n) [rad] around rest with safe approaches."""
     q = arm.rest + spread * rng.uniform(-1.0, 1.0, (POSTURES, arm.joints))
     for side in (-offset, offset):
         q = q[line_is_safe(arm, arm.rest, q + side) & line_is_safe(arm, q, q + side)]
@@ -463,7 +458,7 @@ def postures_to_hold(
 
 
 def derive_workspace(arm: Arm, seed: int = 0) -> tuple[Array, Box]:
-    """Find a rest posture (n,) [rad] and targets with room for an excitation; InputError if no posture has any."""
+    """Rest posture (n,) [rad] and targets with room for an excitation; InputError."""
     best: tuple[float, Array, Box] | None = None
     why = ""
     for rest, box, wide in _tried(arm, seed):
@@ -498,5 +493,5 @@ def _tried(arm: Arm, seed: int) -> Iterator[tuple[Array, Box, bool]]:
 
 
 def _most_load(arm: Arm) -> Array:
-    """Load (n,) [N m] that joints may bear."""
+    """Return allowed load (n,) [N m]."""
     return heaviest_load(arm) + LOAD_MARGIN * torque_size(arm)

@@ -1,4 +1,4 @@
-"""Controllers by name, and the generic policies that come with the package (`rejoint.training.shelf` makes them)."""
+"""Controllers by name, and the generic policies of the package."""
 
 from __future__ import annotations
 
@@ -24,29 +24,25 @@ BASELINES: dict[str, Callable[[Arm], Controller]] = {
     "integrator": IntegratorController,
     "feedforward": FeedforwardController,
 }
-"""Everything that was not learned, from the simplest on"""
+"""Without learning, the simplest first"""
 
 PUSH = PushController.name
-"""Feed-forward with a push against the twin's friction"""
 POLICY = "policy"
-"""Name of the policy among the controllers"""
 SHELF = "shelf"
-"""Name of the policy from the shelf among the controllers"""
 PREDICTIVE = "predictive"
-"""Planning on the arm's own twin (`rejoint.twin.predictive`)"""
+"""Planning on the arm's own twin"""
 
 CONTROLLERS = (*BASELINES, PUSH, SHELF, POLICY, PREDICTIVE)
-"""Names of controllers, from the simplest to the most demanding."""
+"""The simplest first"""
 
 ON_REQUEST = ("pid-sum", "pid-literal")
-"""Baselines that only a request drives: they repeat the paper"""
+"""Baselines that repeat the paper; driven on request only"""
 
 
 def contenders(*, real: bool, shelf: bool, policy: bool, twin: bool) -> tuple[str, ...]:
-    """Return who is compared where the user names none, on a ``real`` arm or in virtual time.
+    """Default contenders; a real arm gets the generic policy until it has its own.
 
-    ``shelf``, ``policy`` and ``twin`` tell what there is for this arm. A real arm is driven with the generic policy
-    until it has its own. The push takes part under tuned gains only (`servogains.UNDER`).
+    The push takes part under tuned gains only (`servogains.UNDER`).
     """
     missing = {PUSH: True, SHELF: not shelf or (real and policy), POLICY: not policy, PREDICTIVE: not twin}
     return tuple(name for name in CONTROLLERS if not missing.get(name) and not (real and name in ON_REQUEST))
@@ -56,10 +52,9 @@ def make_controller(
     name: str, arm: Arm, *, stiffness: Array | float | None = None, friction: Array | float | None = None,
     policy: Path | None = None,
 ) -> Controller:  # fmt: skip
-    """Build the controller called ``name``; InputError names the alternatives.
+    """Build the controller ``name``; InputError lists the names.
 
-    ``stiffness`` (n,) [N m/rad] of the servos and ``friction`` (n,) [N m] of the joints are for feed-forward and push,
-    ``policy`` is the file of ``policy``.
+    ``stiffness`` (n,) [N m/rad] and ``friction`` (n,) [N m] serve feed-forward and push; ``policy`` is a file.
     """
     if name == POLICY:
         if policy is None:
@@ -83,17 +78,17 @@ def make_controller(
 
 
 def shelf_path(name: str) -> Path:
-    """Path of the generic policy for the catalogue's arm ``name``."""
+    """File of the generic policy for ``name``."""
     return Path(str(files("rejoint.control"))) / "policies" / f"{name}.onnx"
 
 
 def shelf_arms() -> tuple[str, ...]:
-    """Names of the arms for which there is a policy."""
+    """Arms with a generic policy."""
     return tuple(name for name in CATALOGUE if shelf_path(name).exists())
 
 
 def shelf_policy(arm: Arm) -> Policy:
-    """Return the generic policy for an arm of the catalogue; ContractError for any other arm."""
+    """Return an arm's generic policy; ContractError: none."""
     if arm.name not in shelf_arms():
         known = ", ".join(shelf_arms())
         raise ContractError(
@@ -108,5 +103,5 @@ def shelf_policy(arm: Arm) -> Policy:
 
 
 def shelf_controller(arm: Arm) -> PolicyController:
-    """Return the generic policy's controller for ``arm``; ContractError where none suits."""
+    """Return its controller; ContractError: none."""
     return shelf_policy(arm).controller(arm)

@@ -1,8 +1,8 @@
 """Classical controllers: integrator, PID, and the arm's default (one posture per target, open loop).
 
-The integrator adds shares of the damped least-squares step to the last command, with anti-windup: a soft servo's lead
-builds up until the TCP error is gone. PID: Park et al. 2024, equations 26 and 27, ``theta_{t+1} = theta_t + Kp e_t + Ki
-sum(e) [dt] + Kd (e_t - e_{t-1}) / dt``, with the printed integral (times dt) and as a plain sum. Default: section IV-F.
+The integrator adds shares of the damped least-squares step to the last command, with anti-windup. PID: Park et al.
+2024, equations 26 and 27, ``theta_{t+1} = theta_t + Kp e_t + Ki sum(e) [dt] + Kd (e_t - e_{t-1}) / dt``. Default:
+section IV-F.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from rejoint.control.robot import Mask
 
 @dataclass(frozen=True, kw_only=True)
 class IntegratorGains:
-    """Settings of the integrator; all chosen on simulated worn arms."""
+    """Settings; chosen on simulated worn arms."""
 
     rate: float = GAIN / NOMINAL_PERIOD
-    """[1/s] share of the step per second; twice as much oscillates in play"""
+    """[1/s] share of the step; twice as much oscillates in play"""
     lead: float = np.radians(15.0)
-    """[rad] anti-windup: largest distance of the command from the measured position"""
+    """[rad] largest following error (anti-windup)"""
     fade: float = 4e-3
-    """[m] error at which the steps fade to half; less hunts, more is slow"""
+    """[m] error at which the steps fade to half"""
     rest_gain: float = 0.01
-    """share of the way to the goal posture per cycle, in the null space"""
+    """per cycle, in the null space"""
     rest_step: float = np.radians(0.1)
     """[rad] largest step of that pull: an encoder count"""
     rest_distance: float = 0.01
-    """[m] no pull nearer to the target"""
+    """[m] from the target, below which there is no pull"""
 
 
 class IntegratorController:
@@ -46,13 +46,13 @@ class IntegratorController:
         self._goal: Array = np.zeros((0, arm.joints))
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Remember the goals of the arms in ``where`` (B,)."""
+        """Store the goals of ``where`` (B,)."""
         if len(self._goal) != len(inputs.goal):
             self._goal = inputs.goal.copy()
         self._goal[where] = inputs.goal[where]
 
     def command(self, inputs: ControlInput) -> Array:
-        """Last command, moved with the goal and to the target, (B, n) [rad]."""
+        """Commands (B, n) [rad]."""
         arm, gains, measured = self._arm, self._gains, inputs.state.position
         elapsed = self._pace.tick(inputs.state.time)[:, None]
         seen = dls_step(arm, measured, inputs.target, inputs.turn)
@@ -70,13 +70,13 @@ class PidGains:
 
     proportional: float = 0.40
     integral: float = 0.01
-    """per cycle as a plain sum, per second times ``period``"""
+    """per cycle as a plain sum; per second times ``period``"""
     derivative: float = 5e-3
     """[s]"""
     period: float = 0.02
-    """[s] dt of the equation, a constant there"""
+    """[s] dt of the equation"""
     integral_times_period: bool
-    """True: as printed; False: a plain sum"""
+    """True: as printed"""
 
 
 class PidController:
@@ -91,11 +91,11 @@ class PidController:
 
     @property
     def name(self) -> str:
-        """Name with the reading of the integral."""
+        """Name with the kind of integral."""
         return "pid-literal" if self._gains.integral_times_period else "pid-sum"
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Forget the integral for the arms in ``where`` (B,)."""
+        """Clear the integral of ``where`` (B,)."""
         if len(self._sum) != len(inputs.sent):
             self._sum, self._last = np.zeros_like(inputs.sent), np.zeros_like(inputs.sent)
         self._sum[where] = 0.0
@@ -103,7 +103,7 @@ class PidController:
         self._last[where] = inputs.goal[where] - inputs.state.position[where]
 
     def command(self, inputs: ControlInput) -> Array:
-        """Measured positions plus the correction, (B, n) [rad]."""
+        """Commands (B, n) [rad]."""
         gains, measured = self._gains, inputs.state.position
         error = inputs.goal - measured
         self._sum += error * (gains.period if gains.integral_times_period else 1.0)
@@ -113,7 +113,7 @@ class PidController:
 
 
 class DefaultController:
-    """Commands one posture per target."""
+    """Open loop."""
 
     name = "default"
     heeds_turn = True
@@ -122,7 +122,7 @@ class DefaultController:
         self._arm = arm
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Do nothing: nothing is remembered."""
+        """Do nothing."""
 
     def command(self, inputs: ControlInput) -> Array:
         """Goal postures (B, n) [rad]."""

@@ -1,6 +1,6 @@
-"""The loops of a control step and of the joint monitor, compiled when imported.
+"""Compiled loops of control step and joint monitor.
 
-Arrays are contiguous float64. Results equal NumPy's to the bit.
+Arrays are contiguous float64; results equal NumPy's to the bit.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
@@ -18,10 +18,9 @@ OPTIONS = {"cache": True, "nogil": True, "boundscheck": True}
 
 @njit(void(ROWS, IN1, IN2, OUT1, OUT2, OUT3, OUT1, IN1), **OPTIONS)
 def differentiate(rows, time, position, last_time, last_position, velocity, period, rules):  # noqa: ANN001, ANN201
-    """Take over measurements of the arms ``rows`` (m,): ``time`` (m,) [s], ``position`` (m, n) [rad].
+    """Update velocities of ``rows`` (m,) from ``time`` (m,) [s] and ``position`` (m, n) [rad].
 
-    Updates ``last_time`` (B,), ``last_position`` (B, n), ``velocity`` (B, h, n), newest first, and the mean ``period``
-    (B,). A repeated answer changes no velocity.
+    In place: ``last_time`` (B,), ``last_position`` (B, n), ``velocity`` (B, h, n), newest first, mean ``period`` (B,).
     """
     joints, kept = position.shape[1], velocity.shape[1]
     longest, smoothing = rules[0], rules[1]
@@ -42,11 +41,11 @@ def differentiate(rows, time, position, last_time, last_position, velocity, peri
 
 @njit(void(OUT3, *[IN2, IN2, IN1, IN2, IN1, IN1], *[float64] * 6), **OPTIONS)
 def weigh(out, step, error, distance, action, moves, spared, floor, slope, most, step_limit, fade, near):  # noqa: ANN001, ANN201
-    """Fill ``out`` (2, B, n) with the part of ``step`` (B, n) to integrate, and that of the ``action`` (B, n).
+    """Fill ``out`` (2, B, n) with the part of ``step`` (B, n) to integrate, and that of ``action`` (B, n).
 
     The step is clipped to ``step_limit``, fades with ``error`` (B, 3), and spares joints by ``spared`` (n,) within
-    ``near`` of the target at ``distance`` (B,). The action counts as `CommandLaw.authority` says (``floor``, ``slope``,
-    ``most``) on joints that ``moves`` (n,) the tool.
+    ``near`` of the target at ``distance`` (B,). The action counts as in `CommandLaw.authority`, on joints that
+    ``moves`` (n,) the tool.
     """
     arms, joints = step.shape
     for i in range(arms):
@@ -67,9 +66,9 @@ def weigh(out, step, error, distance, action, moves, spared, floor, slope, most,
 
 @njit(void(OUT2, OUT2, OUT2, IN2, IN1, IN2, IN2, float64, float64, float64, float64), **OPTIONS)
 def integrate(correction, speed, last, position, elapsed, step, extra, rate, limit, moving, smoothing):  # noqa: ANN001, ANN201
-    """Add ``rate * elapsed * step`` to ``correction`` where joints are not on their way, and ``extra`` everywhere.
+    """Add ``rate * elapsed * step`` to ``correction`` of slow joints, and ``extra`` to all.
 
-    All (B, n) but ``elapsed`` (B,). Keeps ``correction`` within +-``limit``; updates ``speed`` and ``last`` position.
+    All (B, n) but ``elapsed`` (B,). Updates ``correction`` (within +-``limit``), ``speed`` and ``last``.
     """
     arms, joints = correction.shape
     for i in range(arms):
@@ -85,10 +84,10 @@ def integrate(correction, speed, last, position, elapsed, step, extra, rate, lim
 
 @njit(void(OUT3, *[IN2] * 3, IN1, IN2, float64), **OPTIONS)
 def limit(stages, measured, last, speed, elapsed, bounds, lead):  # noqa: ANN001, ANN201
-    """Fill ``stages`` (5, B, n), from the wanted command on, with what lead, position, step and acceleration leave.
+    """Fill ``stages`` (5, B, n): wanted command, then limited by lead, position, step and acceleration.
 
-    ``last`` (B, n) was sent at ``speed`` (B, n), ``elapsed`` (1 or B,) [s] ago; ``bounds`` (4, n) are those of
-    `GuardLimits`; ``lead`` is the largest distance from ``measured`` (B, n).
+    ``last`` (B, n) was sent at ``speed`` (B, n), ``elapsed`` (1 or B,) [s] ago; ``bounds`` (4, n) as
+    `GuardLimits.bounds`.
     """
     _, arms, joints = stages.shape
     fastest, acceleration, lower, upper = bounds[0], bounds[1], bounds[2], bounds[3]
@@ -107,10 +106,10 @@ def limit(stages, measured, last, speed, elapsed, bounds, lead):  # noqa: ANN001
 
 @njit(void(OUT2, bool_[:, ::1], IN2, IN2, OUT3, float64), **OPTIONS)
 def shorten(command, why, start, way, clear, tolerance):  # noqa: ANN001, ANN201
-    """Take ``command`` (B, n) back along ``way`` (B, n) from ``start`` (B, n) to where it is clear.
+    """Shorten ``command`` (B, n), ``start`` (B, n) plus ``way`` (B, n), until it is clear.
 
-    ``clear`` (B, S, n + c): clearances at S shares of the way; none may fall below zero, or farther below. ``why`` (2,
-    B): the first violation was of the first n, or of the others.
+    ``clear`` (B, S, n + c): clearances at S shares of the way; none may become negative, or more so. ``why`` (2, B):
+    the first violation was among the first n, or the others.
     """
     arms, shares, kinds = clear.shape
     joints = start.shape[1]
@@ -134,7 +133,7 @@ def shorten(command, why, start, way, clear, tolerance):  # noqa: ANN001, ANN201
 
 @njit(void(OUT2, *[IN2] * 2, *[IN1] * 2), **OPTIONS)
 def take_speed(speed, command, last, elapsed, fastest):  # noqa: ANN001, ANN201
-    """Fill ``speed`` (B, n) of ``command`` (B, n) ``elapsed`` (1 or B,) after ``last`` (B, n); 0 without time."""
+    """Fill ``speed`` (B, n) of ``command`` (B, n), ``elapsed`` (1 or B,) after ``last`` (B, n)."""
     arms, joints = speed.shape
     for i in range(arms):
         time = elapsed[i % len(elapsed)]
@@ -159,51 +158,51 @@ def credible(command, sent, speed, position, lowest, highest, age, oldest):  # n
 
 
 HISTORY = 8
-"""Commands that are remembered (chosen: 160 ms at the shortest period)"""
+"""Stored commands (chosen: 160 ms at the shortest period)"""
 SETTLE = 0.08
-"""[s] from sending a command to a reading that shows it (chosen: latency, a period, age, setting off)"""
+"""[s] from a command to a reading that shows it (chosen)"""
 AFTER = 1
-"""Commands sent after one that has certainly arrived (chosen: so it takes two periods at least)"""
+"""Commands after one that has arrived (chosen)"""
 STILL = 2
-"""Cycles with one reading after which a joint is stationary (chosen)"""
+"""Equal readings of a stationary joint (chosen)"""
 STRIKES = 2
-"""Cycles in a row of a load off by more than `MARGIN` (chosen)"""
+"""Cycles in a row with a load off by `MARGIN` (chosen)"""
 PUSHED, UNPUSHED_STRIKES = np.radians(0.3), 4
 """[rad] command travel below which it takes more cycles (chosen)"""
 MARGIN = 0.03
-"""Share of the largest torque that a load may be off for a cycle (chosen)"""
+"""Share of the largest torque (chosen)"""
 SUDDEN, LIGHT = 0.08, np.radians(2.0)
-"""Share that is too far even for one cycle, in joints that stick by less than that [rad] (chosen)"""
+"""Share that is too much for one cycle, in joints that stick by less than that [rad] (chosen)"""
 COUNTS = 1.1
-"""Encoder steps between the servo's own reading and the reported one (chosen)"""
+"""Encoder steps between the servo's and the reported reading (chosen)"""
 STEADY, STEADY_COUNTS = 12, 0.3
-"""Cycles in which every flicker shows, and encoder steps of error then (chosen)"""
+"""Cycles that average encoder flicker, and its steps (chosen)"""
 STEADY_MARGIN, STEADY_NOISE = 0.002, 2.0
-"""Share of the largest torque, and times its noise, that a load may be off for so long (chosen)"""
+"""Share of the largest torque, and multiple of noise, for so long (chosen)"""
 NOISE = 0.015
-"""Standard deviation of a learned load over the largest torque (chosen)"""
+"""Deviation of a learned load over the largest torque (chosen)"""
 SURE = 1.5
-"""Standard deviations of the expected load that are allowed for (chosen)."""
+"""Allowed deviations of the expected load (chosen)"""
 KNOWN = 0.5
-"""relative error of a gain from which nothing is concluded (chosen)"""
+"""relative error of an unusable gain (chosen)"""
 FULL = 0.9
-"""Share of the largest torque that counts as full (chosen)"""
+"""Share of full torque (chosen)"""
 FULL_CYCLES = 8
-"""Cycles of full torque that show a stuck joint (chosen)"""
+"""Cycles of full torque of a stuck joint (chosen)"""
 MOST, AND = 1.5, np.radians(0.2)
-"""Times the push at which a joint stood in its diagnosis, and [rad] on top, that it may stand (chosen)"""
+"""Allowed multiple of the largest push in the diagnosis, plus [rad] (chosen)"""
 LATE = 2
-"""Readings in a row beyond that (chosen)"""
+"""Readings in a row beyond it (chosen)"""
 PATIENCE = 0.05
 """[s] The excess, integrated twice, may reach the band times its square (chosen)"""
 LONGEST = 0.1
-"""[s] most that counts for one cycle (chosen)"""
+"""[s] longest counted cycle (chosen)"""
 LEARN_SPREAD = np.radians(0.5)
-"""[rad] by which commands may differ where a load is learned (chosen)"""
+"""[rad] spread of commands when a load is learned (chosen)"""
 LEARN_STILL = 4
-"""Cycles of stillness after which a load is learned from (chosen)."""
+"""Stationary cycles before a load is learned (chosen)"""
 LEARN_LAST = 200
-"""Cycles of stillness after which nothing is learned (chosen)"""
+"""Stationary cycles after which none is learned (chosen)"""
 TRACK = np.dtype(
     [
         ("position", "f8"), ("held", "f8"), ("since", "f8"), ("travel", "f8"), ("stuck", "f8"),
@@ -215,16 +214,15 @@ TRACK = np.dtype(
         ("given", "?"),
     ]
 )  # fmt: skip
-"""State of a joint: ``held`` [rad] command when its reading last changed, at ``since`` [s]; ``travel`` [rad] of the
-command from there, ``stuck`` its largest before a change; ``moves`` changes; ``moved`` [rad] from ``home``. A
-stationary joint's load is ``gain`` * (command - position) + ``offset`` with covariance ``p`` and ``noise``; only a
-``given`` gain shows turning joints, one below ``least`` is not learned. Leads beyond ``reach`` [rad] push no harder;
-``width`` [rad] is the largest push in the diagnosis, ``push`` the present one; ``late`` readings were beyond, with
-excess integrals ``pushed`` [rad s] and ``due`` [rad s^2]."""
+"""State of a joint. ``held`` [rad]: command at the last change of the reading, at ``since`` [s]. ``travel`` [rad]:
+command travel since then; ``stuck``: its largest value before a change. ``moves``: changes; ``moved`` [rad] from
+``home``. The load of a stationary joint is ``gain`` * (command - position) + ``offset`` with covariance ``p`` and
+``noise``. Only a ``given`` gain shows turning joints; one below ``least`` is not learned. Following errors beyond
+``reach`` [rad] push no harder. ``width`` and ``push`` [rad]: largest push in the diagnosis, and now. ``late``: readings
+beyond it; ``pushed`` [rad s], ``due`` [rad s^2]: integrals of the excess."""
 
 FINE, STANDING, UNKNOWN, TURNING, OVERDUE = range(5)
-"""Verdicts: the reading changes; stationary by its load; stationary, no load tells; turning by its load; overdue by its
-push"""
+"""Verdicts: reading changes; stationary by load; stationary, no load; turning by load; overdue by push"""
 
 _TRACKS = types.Array(from_dtype(TRACK), 2, "C")
 
@@ -244,7 +242,7 @@ def _follow(track, now, position, command):  # noqa: ANN001, ANN202
 
 @njit(cache=True)
 def _learn(track, lead, spread):  # noqa: ANN001, ANN202
-    """Recursive least squares of load = gain * lead + offset, where the lead lies anywhere within ``spread`` [rad]."""
+    """Recursive least squares of load = gain * lead + offset; the lead is known within ``spread`` [rad]."""
     a, b = track.p00 * lead + track.p01, track.p01 * lead + track.p11
     wrong = track.load - track.gain * lead - track.offset
     unsure = track.gain * spread
@@ -298,7 +296,7 @@ def _turns(track, off, step):  # noqa: ANN001, ANN202
 
 @njit(cache=True)
 def _push(low, high, balance, reach):  # noqa: ANN001, ANN202
-    """By how much [rad] leads anywhere from ``low`` to ``high`` certainly push a joint from its ``balance``."""
+    """Least push [rad] away from ``balance`` of leads from ``low`` to ``high``."""
     least = min(max(low, -reach), reach) - balance
     most = min(max(high, -reach), reach) - balance
     return max(least, 0.0) + min(most, 0.0)
@@ -319,7 +317,7 @@ def _overdue(track, elapsed):  # noqa: ANN001, ANN202
 
 @njit(void(IN2, IN2, IN2, IN1, float64[:, ::1]), **OPTIONS)
 def fill_pushes(low, high, balance, reach, out):  # noqa: ANN001, ANN201
-    """Fill ``out`` (T, n) [rad] with pushes at leads from ``low`` to ``high`` (T, n) [rad]; ``reach`` (n,)."""
+    """Fill ``out`` (T, n) [rad] with pushes of leads from ``low`` to ``high`` (T, n); ``reach`` (n,)."""
     for k in range(out.shape[0]):
         for j in range(out.shape[1]):
             out[k, j] = _push(low[k, j], high[k, j], balance[k, j], reach[j])
@@ -327,7 +325,7 @@ def fill_pushes(low, high, balance, reach, out):  # noqa: ANN001, ANN201
 
 @njit(void(from_dtype(TRACK)[::1], IN1, IN2, IN2, bool_[::1]), **OPTIONS)
 def fill_overdue(tracks, time, position, push, out):  # noqa: ANN001, ANN201
-    """Tell in ``out`` (n,) which joints are overdue in a log of ``time`` (T,) and ``position`` (T, n)."""
+    """Set ``out`` (n,) for overdue joints in a log of ``time`` (T,) and ``position`` (T, n)."""
     for j in range(len(tracks)):
         track = tracks[j]
         for k in range(1, len(time)):
@@ -351,11 +349,11 @@ def _by_load(track, load, loaded, unsettled, low, high, step):  # noqa: ANN001, 
 
 @njit(void(_TRACKS, float64[:, ::1], OUT3, IN2, IN3, bool_, float64, int64[:, ::1]), **OPTIONS)
 def watch(tracks, sent_at, sent, clock, reading, loaded, step, verdict):  # noqa: ANN001, ANN201
-    """Take over a reading and give a ``verdict`` (B, n) on every joint.
+    """Take a reading and give a ``verdict`` (B, n) per joint.
 
-    ``clock`` (2, B) [s]: now, and when the command was sent. ``reading`` (4, B, n): position and command [rad], load
-    (NaN: none), leads against gravity [rad]. ``sent_at`` (B, HISTORY) [s] and ``sent`` (B, HISTORY, n) [rad], newest
-    first, take over the command. A given line decides alone.
+    ``clock`` (2, B) [s]: now, and time of the command. ``reading`` (4, B, n): position and command [rad], load (NaN:
+    none), following error against gravity [rad]. ``sent_at`` (B, HISTORY) [s] and ``sent`` (B, HISTORY, n) [rad],
+    newest first, receive the command.
     """
     now, last, position, command, load, balance = clock[0], clock[1], reading[0], reading[1], reading[2], reading[3]
     arms, joints = position.shape

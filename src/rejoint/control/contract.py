@@ -1,8 +1,7 @@
-"""The contract of a policy file: what it was trained for, checked before anything moves.
+"""The contract of a policy file, checked before the arm moves.
 
-It is JSON in the metadata of the ONNX file, and holds of the arm what the deployed law computes with. The file is
-judged before ONNX Runtime reads it: a bounded chain of known layers with weights inside. Encoding: protobuf.dev;
-fields: ``onnx.proto`` of ONNX 1.17.
+JSON in the metadata of the ONNX file. The file is checked before ONNX Runtime reads it: a bounded chain of known layers
+with weights inside. Fields: ``onnx.proto`` of ONNX 1.17.
 """
 
 from __future__ import annotations
@@ -22,27 +21,26 @@ from rejoint.control.residual import CommandLaw
 from rejoint.system.errors import ContractError, first_line
 
 FORMAT = 3
-"""Version of the contract. A reader refuses others."""
+"""Version; others are refused"""
 
 METADATA_KEY, DIGEST_KEY = "rejoint.contract", "rejoint.digest"
-"""Keys of the contract, and of the digest over contract and network"""
 
 INPUT, OUTPUT = "observation", "action"
-"""Input (B, size) and output (B, n) of the network, float32"""
+"""(B, size) and (B, n), float32"""
 
 UNITS = {"position": "rad", "command": "rad", "length": "m", "time": "s", "action": "1"}
 
 PROBE_TOLERANCE = 1e-4
-"""Largest difference of the answers to the probe (chosen: ten times float32 rounding)"""
+"""Largest difference of probe answers (chosen: ten times float32 rounding)"""
 
 PERIOD_MARGIN = 1.25
-"""Factor on the trained range of control periods (chosen)"""
+"""on trained periods (chosen)"""
 
 LARGEST_TEXT = 1 << 20
-"""[characters] of a contract (chosen)"""
+"""[characters] (chosen)"""
 
 LARGEST_CONSTANT = 1e6
-"""of a law, in SI units (chosen)"""
+"""in SI units (chosen)"""
 
 _PROBE_ROWS = 8
 _SHOWN = 120  # [characters] of a value of the file that a message shows (chosen: it stays a line)
@@ -51,38 +49,34 @@ _LIMIT_TOLERANCE = 1e-6  # [rad]
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyContract:
-    """What must agree between a policy and its arm."""
+    """Common properties of policy and arm."""
 
     arm: str
     arm_digests: dict[str, str]
-    """by field of the arm, see `law_digests`"""
+    """by field, see `law_digests`"""
     joint_names: tuple[str, ...]
     lower: tuple[float, ...]
-    """[rad] lower joint limits"""
+    """[rad]"""
     upper: tuple[float, ...]
-    """[rad] upper joint limits"""
+    """[rad]"""
     layout: Layout
-    """how observations are computed"""
     observation: tuple[Slot, ...]
-    """names, sizes and formulas of the observation, in order"""
+    """slots in order"""
     law: CommandLaw
-    """how actions become commands"""
     min_period: float
-    """[s] shortest control period met in training"""
+    """[s] in training"""
     max_period: float
-    """[s] longest control period met in training"""
+    """[s] in training"""
     probe: tuple[tuple[float, ...], ...]
-    """the network's answers to `probe_observations`; a damaged network gives others"""
+    """answers to `probe_observations`"""
     twin_digest: str
-    """of the twin it was trained on, or empty"""
     preset: str
     seed: int
     software: str
-    """version of the software that trained it"""
     history: int = 0
-    """past observations that the network sees besides the current one"""
+    """past observations in the input"""
     servo_gains: dict[str, tuple[int, ...]] | None = None
-    """of the servos, for which it was trained; None: not asked"""
+    """of the servos in training; None: any"""
     units: dict[str, str] = field(default_factory=lambda: dict(UNITS))
     format: int = FORMAT
 
@@ -99,7 +93,7 @@ def probe_observations(size: int) -> Array:
 
 
 def law_digests(arm: Arm) -> dict[str, str]:
-    """Digest the fields of an arm that a law may compute with, rounded to 1e-9."""
+    """Digests of arm fields for laws, rounded to 1e-9."""
     read: dict[str, Array] = {
         "offset": arm.offset, "axis": arm.axis, "tip": arm.tip[:3, 3], "mass": arm.mass, "com": arm.com,
         "rest": arm.rest, "targets": np.stack([arm.targets.lower, arm.targets.upper]),
@@ -108,7 +102,7 @@ def law_digests(arm: Arm) -> dict[str, str]:
 
 
 def fields_read(law: CommandLaw, layout: Layout) -> tuple[str, ...]:
-    """Name the fields of `law_digests` that decide what this law commands."""
+    """Fields of `law_digests` in this law."""
     goals = law.anchor == "goal"
     names = {"offset": True, "axis": True, "tip": True, "mass": goals, "com": goals,
              "rest": goals or layout != "residual", "targets": goals}  # fmt: skip
@@ -116,7 +110,7 @@ def fields_read(law: CommandLaw, layout: Layout) -> tuple[str, ...]:
 
 
 def arm_digest(arm: Arm) -> str:
-    """Digest all that is known of an arm but `Arm.keep_out`, for trainings."""
+    """Digest of an arm without `Arm.keep_out`."""
     digest = hashlib.sha256()
     for entry in fields(arm):
         if entry.name == "keep_out":
@@ -135,12 +129,12 @@ def _rounded(array: Array) -> bytes:
 
 
 def encode_contract(contract: PolicyContract) -> str:
-    """Contract as JSON text."""
+    """JSON text."""
     return msgspec.json.encode(contract, enc_hook=float).decode()  # NumPy scalars become plain numbers
 
 
 def decode_contract(text: str) -> PolicyContract:
-    """Read what `encode_contract` wrote, ContractError if it is something else."""
+    """Decode JSON text; ContractError."""
     if len(text) > LARGEST_TEXT:
         raise ContractError(f"the policy's contract has {len(text)} characters, expected at most {LARGEST_TEXT}")
     try:
@@ -157,7 +151,7 @@ def decode_contract(text: str) -> PolicyContract:
 
 
 def check_contract(contract: PolicyContract, arm: Arm) -> None:
-    """Refuse (ContractError) a policy that was not trained for this arm and software; payload and tool do not count."""
+    """Raise ContractError unless the policy suits this arm; payload and tool do not count."""
     arm = bare(arm)
     remedy = "train a policy for this arm"
     expected: tuple[tuple[str, object, object], ...] = (
@@ -189,7 +183,7 @@ def check_contract(contract: PolicyContract, arm: Arm) -> None:
 
 
 def check_period(contract: PolicyContract, period: float) -> None:
-    """Refuse (ContractError) a robot whose mean control period [s] was not trained for."""
+    """Raise ContractError for an untrained mean control period [s]."""
     low, high = contract.min_period / PERIOD_MARGIN, contract.max_period * PERIOD_MARGIN
     if not low <= period <= high:
         raise ContractError(
@@ -200,7 +194,7 @@ def check_period(contract: PolicyContract, period: float) -> None:
 
 
 def check_controller_period(controller: object, period: float) -> None:
-    """Refuse (ContractError) a policy that does not suit the control ``period`` [s]; NaN: not known."""
+    """Raise ContractError unless ``period`` [s] suits; NaN: unknown."""
     contract = getattr(controller, "contract", None)
     if isinstance(contract, PolicyContract) and np.isfinite(period):
         check_period(contract, period)
@@ -221,16 +215,16 @@ def _degrees(angles: tuple[float, ...] | Array) -> str:
 
 
 def shown(value: object) -> str:
-    """Print a value from a file in one line of bounded length."""
+    """Print a value in one short line."""
     text = " ".join(str(value).split())
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
 
 
 LAYERS = ("Gemm", "Elu", "Tanh", "Clip")
-"""Operators that a policy's network is made of"""
+"""Allowed operators"""
 
 MOST_LAYERS = 64
-"""(chosen: ours have seven)"""
+"""(chosen)"""
 
 _MODEL = {1, 2, 3, 4, 5, 6, 7, 8, 14}  # all but training, functions and devices
 _GRAPH, _OPSET, _PROPERTY = 7, 8, 14
@@ -245,7 +239,7 @@ _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
 
 
 def read_metadata(data: bytes) -> dict[str, str]:
-    """Metadata of a policy's ONNX file; ValueError says what else it holds."""
+    """Metadata of an ONNX file; ValueError."""
     found: dict[str, str] = {}
     layers = 0
     for number, value in _known(data, _MODEL, "model"):
@@ -263,7 +257,7 @@ def read_metadata(data: bytes) -> dict[str, str]:
 
 
 def content_digest(data: bytes, contract: str) -> str:
-    """Digest an ONNX file without metadata, and its contract; ValueError as above."""
+    """Digest of ONNX file and contract; ValueError."""
     digest = hashlib.sha256()
     for number, value in _fields(data):
         if number != _PROPERTY:

@@ -1,4 +1,4 @@
-"""What a controller promises: joint commands from joint states; and targets that move."""
+"""The interface of controllers."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ControlInput:
-    """All that a controller knows when it decides."""
+    """Inputs of a controller."""
 
     state: JointState
     target: Array
     """(B, 3) [m] TCP targets"""
     goal: Array
-    """(B, n) [rad] postures that bring the tools there"""
+    """(B, n) [rad] of the targets"""
     sent: Array
     """(B, n) [rad] last command, after the guard"""
     since_target: Array
-    """(B,) [s] time since the target was set"""
+    """(B,) [s]"""
     route: Routes | None = None
-    """where the target goes; None where it stands still"""
+    """of moving targets"""
     turn: Orientation | None = None
     """(B,) wanted orientations; None: any"""
 
     def aims(self, later: Array) -> Array:
-        """TCP targets (k, B, 3) [m] ``later`` (k,) or (k, B) [s] than now, as known now."""
+        """TCP targets (k, B, 3) [m] in ``later`` (k,) or (k, B) [s]."""
         count = len(self.since_target)
         later = np.broadcast_to(later if np.ndim(later) == 2 else np.asarray(later)[:, None], (len(later), count))
         if self.route is None:
@@ -56,26 +56,26 @@ class ControlInput:
 
 
 def heeds_turn(controller: object) -> bool:
-    """Whether a controller turns tools as asked; others only place them."""
+    """Whether a controller can turn tools."""
     return bool(getattr(controller, "heeds_turn", False))
 
 
 def turned_off(arm: Arm, inputs: ControlInput) -> Array:
-    """Orientation errors (B,) [rad] by the encoders; NaN where none is asked for."""
+    """Orientation errors (B,) [rad] by the encoders; NaN: none wanted."""
     if inputs.turn is None:
         return np.full(len(inputs.since_target), np.nan)
     return inputs.turn.angle(frames(arm, inputs.state.position).tcp_rotation)
 
 
 class Controller(Protocol):
-    """Turns control inputs into commands; may keep memory between cycles."""
+    """Turns inputs into commands."""
 
     @property
     def name(self) -> str:
-        """Short name used in tables and on the command line."""
+        """Name."""
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Forget the old target of the arms in ``where`` (B,)."""
+        """Forget old targets of ``where`` (B,)."""
 
     def command(self, inputs: ControlInput) -> Array:
-        """Wanted joint positions (B, n) [rad]."""
+        """Commands (B, n) [rad]."""

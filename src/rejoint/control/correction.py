@@ -1,6 +1,6 @@
-"""True errors and how they are known; the *aim*: a target shifted by what lies behind the encoders.
+"""True errors, and corrected targets: targets shifted by known tool errors.
 
-Controllers receive aims, so encoder errors are those from the aim, true errors those from the target.
+Encoder errors count from the corrected target, true errors from the target.
 """
 
 from __future__ import annotations
@@ -22,11 +22,10 @@ from rejoint.system.statistics import Estimate
 How = Literal["known", "measured", "modelled", "not known"]
 
 REMEDY = "not known: calibrate"
-"""What stands where a true error would"""
 
 
 class ToolModel(Protocol):
-    """Tells tool errors without seeing the tool, as a `Calibration` does."""
+    """Estimates tool errors, as a `Calibration` does."""
 
     def expected(self, position: Array, target: Array) -> Array:
         """Mean distances (...) [m] from ``target`` (..., 3) [m] at ``position`` (..., n) [rad]."""
@@ -37,38 +36,38 @@ class ToolModel(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class TrueError:
-    """Distance of the tool itself from its target; without a value it is not known."""
+    """True distance from the target."""
 
     how: How = "not known"
-    """``known``: emulated; ``measured``: from outside; ``modelled``: by a calibration"""
+    """``known``: emulated; ``measured``: external; ``modelled``: calibration"""
     value: float | None = None
     """[m]"""
     low: float | None = None
-    """[m] 95 % interval, lower end"""
+    """[m] 95 % interval"""
     high: float | None = None
-    """[m] upper end"""
+    """[m]"""
 
     @classmethod
     def of(cls, how: How, estimate: Estimate, unit: float = 1.0) -> TrueError:
-        """Return an estimate in units of ``unit`` [m]."""
+        """Estimate in ``unit`` [m]."""
         ends = (None if end is None else unit * end for end in (estimate.low, estimate.high))
         low, high = ends
         return cls(how=how, value=unit * estimate.value, low=low, high=high)
 
     def __str__(self) -> str:
-        """Say it in millimetres, with how it is known."""
+        """In millimetres, with its source."""
         if self.value is None:
             return REMEDY
         return f"{self.millimetres} mm, {self.how}{f' ({self.range})' if self.range else ''}"
 
     @property
     def millimetres(self) -> str:
-        """Millimetres, two decimals below one; empty: not known."""
+        """Millimetres; empty: unknown."""
         return "" if self.value is None else f"{1e3 * self.value:.{2 if self.value < 1e-3 else 1}f}"
 
     @property
     def range(self) -> str:
-        """95 % interval in millimetres, such as ``0.4 to 2.6``, or empty."""
+        """95 % interval in millimetres: ``0.4 to 2.6``, or empty."""
         if self.low is None or self.high is None or self.low == self.high:
             return ""
         return f"{1e3 * self.low:.1f} to {1e3 * self.high:.1f}"
@@ -78,7 +77,7 @@ NOT_KNOWN = TrueError()
 
 
 def modelled(model: ToolModel, position: Array, target: Array) -> Array:
-    """Value, lower and upper end (3, ...) [m] of a model; NaN at positions of NaN."""
+    """Value, lower and upper end (3, ...) [m]; NaN for positions of NaN."""
     found = np.full((3, *np.shape(position)[:-1]), np.nan)
     there = np.isfinite(position).all(axis=-1) & np.isfinite(target).all(axis=-1)
     if there.any():
@@ -88,10 +87,7 @@ def modelled(model: ToolModel, position: Array, target: Array) -> Array:
 
 
 def mean_modelled(found: Array) -> TrueError:
-    """Mean of ``found`` (3, ...) [m] as from `modelled`.
-
-    The ends are means of ends, as errors are alike at all targets.
-    """
+    """Mean of ``found`` (3, ...) [m]; ends too, since errors are alike."""
     known = np.isfinite(found[0])
     if not known.any():
         return NOT_KNOWN
@@ -100,22 +96,22 @@ def mean_modelled(found: Array) -> TrueError:
 
 
 ROUNDS = 4
-"""Fixed-point steps of the aim (measured)"""
+"""Fixed-point steps (measured)"""
 MOST = 0.05
-"""[m] largest shift of a target (chosen)"""
+"""[m] largest shift (chosen)"""
 CALM = 0.3
-"""[s] within `STILL` before an arm counts as settled (chosen)"""
+"""[s] within `STILL` (chosen)"""
 STILL = np.radians(0.2)
 """[rad] (chosen: two encoder counts)"""
 NEAR = 2e-3
-"""[m] from its aim within which a settled arm is aimed again (chosen)"""
+"""[m] of another correction (chosen)"""
 CHANGE = 2e-4
-"""[m] smallest change of an aim (chosen)"""
+"""[m] (chosen)"""
 
 
 @dataclass(eq=False)
 class Modelled:
-    """Aims by known displacements, and once more where the arm has settled."""
+    """Corrects targets by known displacements, again after settling."""
 
     arm: Arm
     displacement: Displacement
@@ -128,28 +124,28 @@ class Modelled:
         self._turned = np.zeros((0, 3, 3))  # wanted encoder orientations
 
     def shift(self, position: Array, approach: Array | None = None) -> Array:
-        """Shifts (..., 3) [m] of the tool from the encoders' view at ``position`` (..., n) [rad].
+        """Shifts (..., 3) [m] from encoder TCP to tool at ``position`` (..., n) [rad].
 
-        ``approach`` (..., n) [rad]: where the arm came from.
+        ``approach`` (..., n) [rad]: earlier position.
         """
         links = self.displacement.joints(self.arm, position, approach)
         return tcp_position(self._moved, links) - tcp_position(self.arm, position)
 
     def aim(self, target: Array, start: Array, where: Mask, near: Array | None = None) -> Array:
-        """Aims (B, 3) [m], at the postures nearest to ``near`` (B, n) [rad]; without: found from ``start``."""
+        """Corrected targets (B, 3) [m], at postures near ``near`` (B, n) [rad], else found from ``start``."""
         return self._aim(target, None, (start, near), where)
 
     def aim_pose(
         self, target: Array, turn: Orientation, start: Array, where: Mask, near: Array | None = None
     ) -> tuple[Array, Orientation]:
-        """Aims and orientations at the postures of the poses."""
+        """Corrected targets and orientations."""
         if len(self._turned) != len(where):
             self._turned = turn.rotation.copy()
         aims = self._aim(target, turn, (start, near), where)
         return aims, replace(turn, rotation=self._turned.copy())
 
     def untwisted(self, turn: Orientation, position: Array, approach: Array | None = None) -> Orientation:
-        """Return encoder orientations (...) of tools that are to be as in ``turn``; else as `shift`."""
+        """Return encoder orientations (...) of tools turned as in ``turn``."""
         links = self.displacement.joints(self.arm, position, approach)
         seen, own = frames(self.arm, position).tcp_rotation, frames(self._moved, links).tcp_rotation
         return replace(turn, rotation=seen @ np.swapaxes(own, -1, -2) @ turn.rotation)
@@ -181,7 +177,7 @@ class Modelled:
         return aims
 
     def again(self, target: Array, inputs: ControlInput) -> Array | None:
-        """Aim once more at the posture in which an arm has settled."""
+        """Correct once more at the settled posture."""
         settled = self._settled(inputs) & ~self._done
         if not settled.any():
             return None
@@ -194,7 +190,6 @@ class Modelled:
         return np.where(changed[:, None], checked(target, fresh), inputs.target)
 
     def _settled(self, inputs: ControlInput) -> Mask:
-        """Arms (B,) that have stood for a while where they were sent."""
         position, now = inputs.state.position, inputs.state.time
         moving = (np.abs(position - self._posture) > STILL).any(axis=-1) | np.isnan(self._since)
         self._posture = np.where(moving[:, None], position, self._posture)
@@ -207,7 +202,7 @@ class Modelled:
 
 
 def checked(target: Array, aim: Array) -> Array:
-    """Return ``aim`` (..., 3) [m]; InputError where it is too far from its ``target``."""
+    """Return ``aim`` (..., 3) [m]; InputError if too far."""
     far = float(np.linalg.norm(aim - target, axis=-1).max(initial=0.0))
     if not far <= MOST:
         raise InputError(

@@ -1,4 +1,4 @@
-"""What became of each target: reached by the encoders at the end of its time or not, and why."""
+"""Result per target of a deployment."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ from rejoint.system.numbers import as_within
 Rows = NDArray[np.intp]
 
 REACHED = Protocol.threshold
-"""[m] within which a target counts as reached"""
+"""[m]"""
 
 _OFTEN = 0.5  # share of its cycles from which a remark names the guard (chosen)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Deployment:
-    """What an arm is to do."""
+    """Targets of a deployment."""
 
     controller: str
     targets: Array
     """(K, 3) [m]"""
     dwell: float
-    """[s] per target"""
+    """[s]"""
     within: float = REACHED
-    """[m] accepted encoder error at the end"""
+    """[m] accepted encoder error"""
     turns: Orientation | None = None
-    """(K,) wanted orientations; None: any"""
+    """(K,); None: any"""
 
     def __post_init__(self) -> None:
         if not 0.0 < self.dwell < np.inf:
@@ -48,49 +48,48 @@ class Deployment:
 
 @dataclass(frozen=True, kw_only=True)
 class Visit:
-    """What became of one target."""
+    """Result at one target."""
 
     target: tuple[float, float, float]
     """[m]"""
     error: float | None
-    """[m] encoder error at the end; None: not tried"""
+    """[m] by the encoders; None: not tried"""
     true_error: TrueError
-    """of the tool at the end"""
     reached: bool
     remark: str
-    """why it was not reached, and other remarks, or empty"""
+    """why missed"""
     sightings: int = 0
-    """accepted detections of the tool by a camera"""
+    """accepted camera detections"""
     seen_error: float | None = None
-    """[m] averaged tool error by the last of them; None: not seen"""
+    """[m] tool error by the camera; None: not seen"""
     orientation: str = ""
-    """wanted orientation in words, or empty"""
+    """wanted, in words, or empty"""
     turned: float | None = None
-    """[rad] orientation error by the encoders at the end"""
+    """[rad]"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Deployed:
-    """What became of a deployment."""
+    """Result of a deployment."""
 
     controller: str
-    """what drove"""
+    """name"""
     visits: tuple[Visit, ...]
     period: float | None
-    """[s] median control period"""
+    """[s] median"""
     gaps: tuple[float, ...]
-    """[s] pauses after which the arm began slowly again"""
+    """[s]"""
     log: RunLog | None = None
-    """commands and readings; None: it ended early"""
+    """None: it ended early"""
 
     @property
     def missed(self) -> tuple[int, ...]:
-        """Numbers of the targets, from 1, that were not reached."""
+        """Numbers of missed targets, from 1."""
         return tuple(number for number, visit in enumerate(self.visits, start=1) if not visit.reached)
 
 
 def deployed_of(error: BaseException, arm: Arm, job: Deployment, model: ToolModel | None = None) -> Deployed | None:
-    """Return what a deployment that ``error`` ended has done; None before the first target."""
+    """Return result up to ``error``, or None."""
     partial = recording_of(error)
     if partial is None or not len(partial.time) or not np.isfinite(partial.target).any():
         return None
@@ -105,7 +104,7 @@ def judge(
     *,
     ended: BaseException | None = None,
 ) -> Deployed:
-    """Say what became of each target; ``ended``: the error that ended the recording."""
+    """Judge each target; ``ended``: final error."""
     rows = np.flatnonzero(recording.active[:, 0])
     error = np.linalg.norm(recording.aim[:, 0] - tcp_position(arm, recording.position[:, 0]), axis=-1)
     gap = recording.gaps()
@@ -165,7 +164,6 @@ def _posed(visit: Visit, turn: Orientation, rows: Rows, recording: Recording) ->
 
 
 def _true_error(recording: Recording, row: int, target: Array, model: ToolModel | None) -> TrueError:
-    """Tell how far the tool is from ``target`` (3,) [m] in a row."""
     true = float(np.linalg.norm(target - recording.true_tcp[row, 0]))
     if np.isfinite(true):
         return TrueError(how="known", value=true)

@@ -1,19 +1,11 @@
-"""Model-based control: inverse kinematics, gravity feed-forward, and the integrator for the rest.
+"""Model-based control: inverse kinematics, gravity feed-forward, and an integrator.
 
-A servo of stiffness k sags by gravity torque / k, so the command is raised by that much beforehand.
-What the model gets wrong the integrator removes and remembers: its correction carries over to the
-next target. Only joints that are not on their way already are corrected; a joint that moves towards
-its goal needs no push, one that is stuck does. It is pushed ever harder, and breaks loose with more
-than it takes to go on: as soon as its reading changes, most of that push is taken back.
+A servo of stiffness k sags by gravity torque / k, so the command is raised by that much. The integrator removes and
+remembers the rest; its correction carries over to the next target. It corrects joints that are not moving yet. A stuck
+joint is pushed ever harder; when its reading changes, most of that push is removed.
 
-The feed-forward with a push against friction, and a little dither.
-
-A joint that stands still needs a torque beyond its friction before it moves. The command of a joint that is to move is
-led by a share of that friction over its servo's stiffness, and trembles by another share, so that the joint creeps
-where it would stick and then jump. Both fade while the joint moves, and at the target. Owners and makers of torque
-arms publish such laws (i2rt, pull request 37; almond-bot/axol, pull request 317, where the error at rest fell from
-0.58 to 0.14 degrees); here the servo is given an angle, so the push is a lead. What the friction is, the arm's twin
-says.
+The push controller adds a push against friction and a dither, which fade with motion and at the target. Sources of such
+laws: i2rt, pull request 37; almond-bot/axol, pull request 317.
 """
 
 from __future__ import annotations
@@ -35,39 +27,36 @@ from rejoint.system.shell import Late
 compiled = Late("rejoint.control.compiled")
 
 NOMINAL_STIFFNESS = 6.0
-"""[N m/rad] assumed of the servos of a worn arm of a myCobot's size where nothing is known (chosen: middle of the 3
-to 12 of the twins trained on); other arms scale with the load of their joints."""
+"""[N m/rad] of a worn myCobot's servos (chosen: twins have 3 to 12); other arms scale with load"""
 
 LOOSEN, TAKEN_BACK, CALMER, CLOSE = float(np.radians(10.0)), 0.9, 0.7, 4e-4
-"""[rad/s] by which the joint that can do most is pushed while it stands; the share of that which is taken back; the
-share of its push that a joint keeps each time it comes loose the other way, until the goal moves again: none hunts for
-ever; and the distance [m] of a myCobot 280 within which nothing is pushed (all chosen on worn arms of family 1)"""
+"""[rad/s] push of the joint that can do most while stationary; removed share of it; share that remains each time a
+joint breaks loose the other way; distance [m] of a myCobot 280 without a push (chosen on worn arms of family 1)"""
 
 SPEED_SMOOTHING = 0.5
-"""Share of the newest difference in the speed estimate (chosen)"""
+"""Share of the newest difference (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FeedforwardGains:
-    """Settings of what the feed-forward controller learns."""
+    """Settings of the integrator."""
 
     rate: float = IntegratorGains.rate
-    """[1/s] fraction of the step that is integrated per second"""
+    """[1/s] integrated share of the step"""
     fade: float = IntegratorGains.fade
-    """[m] distance at which the steps have faded to half"""
+    """[m] distance at which the steps fade to half"""
     learned_limit: float = float(np.radians(45.0))
-    """[rad] largest correction of a joint (chosen: where one is stuck, the others must make up for it)"""
+    """[rad] largest correction (chosen: other joints make up for a stuck one)"""
     forgetting: float = 2.0
-    """[1/s] share of the correction's part in the null space that is forgotten per second far from the target: it moves
-    no tool, and would add up until the arm folds (chosen)"""
+    """[1/s] decay of the correction's null-space part far from the target (chosen)"""
     far: tuple[float, float] = (0.005, 0.015)
-    """[m] distances between which that begins (chosen: closer, the arm is to come to rest)"""
+    """[m] distances between which that begins (chosen)"""
     moving: float = 0.1
-    """[rad/s] a joint faster than this is on its way (chosen: two encoder counts per period of 30 ms)"""
+    """[rad/s] of a moving joint (chosen: two encoder counts per 30 ms)"""
 
 
 class FeedforwardController:
-    """Sends the posture that a sagging arm needs, then integrates what is left."""
+    """Sends the posture raised by the sag, and integrates the rest."""
 
     name = "feedforward"
     heeds_turn = True
@@ -76,7 +65,7 @@ class FeedforwardController:
         self, arm: Arm, stiffness: Array | float | None = None, gains: FeedforwardGains | None = None,
         loosen: float = LOOSEN,
     ) -> None:  # fmt: skip
-        """Take the ``stiffness`` (n,) or (B, n) [N m/rad] of the servos, where known, and the push, see `LOOSEN`."""
+        """``stiffness`` (n,) or (B, n) [N m/rad]; ``loosen`` as `LOOSEN`."""
         self._arm, self._gains, self._loosen = arm, gains or FeedforwardGains(), loosen
         self._close = CLOSE * length_size(arm)
         stiffness = NOMINAL_STIFFNESS * torque_size(arm) if stiffness is None else stiffness
@@ -89,24 +78,24 @@ class FeedforwardController:
         self._pace = Pace()
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Take over the new goals of the arms in ``where`` (B,); what was learned carries over."""
+        """Take new goals of ``where`` (B,); corrections stay."""
         if len(self._position) != len(inputs.sent):
             self.reset_learned(inputs, np.ones(len(inputs.sent), dtype=bool))
         self._take(inputs, where)
         self._correction[where] -= self._unneeded()[where]
 
     def on_the_way(self, inputs: ControlInput) -> Mask:
-        """Tell which arms (B,) have goals that moved since the last cycle."""
+        """Which arms (B,) have moving goals."""
         moved: Mask = np.logical_or.reduce(inputs.goal != self._goal, axis=-1)
         return moved
 
     def _unneeded(self) -> Array:
-        """Return the corrections' parts (B, n) [rad] in the null spaces of the goals."""
+        """Null-space parts (B, n) [rad] of the corrections."""
         part: Array = (self._idle @ self._correction[..., None])[..., 0]
         return part
 
     def _take(self, inputs: ControlInput, where: Mask) -> None:
-        """Take over the goals of the arms in ``where`` (B,), raised by what their servos give way there."""
+        """Take goals of ``where`` (B,), raised by the sag."""
         goal = self._goal[where] = inputs.goal[where]
         self._eager[where], self._came[where] = 1.0, 0.0
         stiffness = np.broadcast_to(self._stiffness, self._goal.shape)[where]
@@ -116,16 +105,16 @@ class FeedforwardController:
         self._idle[where] = null_space(jacobian[:, None], np.eye(self._arm.joints)).swapaxes(-1, -2)
 
     def command(self, inputs: ControlInput) -> Array:
-        """Return the raised goal postures plus the correction, (B, n) [rad]."""
+        """Commands (B, n) [rad]."""
         seen = dls_step(self._arm, inputs.state.position, inputs.target, inputs.turn)
         step = fade(seen.error, self._gains.fade) * seen.step
         distance = np.linalg.norm(seen.error[:, :3], axis=-1)
         return self.correct(inputs, step, self.loosening(inputs, seen.step, distance), distance)
 
     def loosening(self, inputs: ControlInput, step: Array, distance: Array) -> Array:
-        """Return what is added (B, n) [rad] in this cycle because joints stick; `correct` must follow.
+        """Push (B, n) [rad] of stuck joints in this cycle; call `correct` next.
 
-        ``step`` (B, n) [rad] is what the joints miss, ``distance`` (B,) [m] that of the tools from their targets.
+        ``step`` (B, n) [rad]: joint errors; ``distance`` (B,) [m]: tool errors.
         """
         moved = inputs.state.position - self._position
         elapsed = between(inputs.state.time - self._pace.last, 0.0, LONGEST_PERIOD)[:, None]
@@ -140,10 +129,9 @@ class FeedforwardController:
         return added - taken
 
     def correct(self, inputs: ControlInput, step: Array, extra: Array, distance: Array) -> Array:
-        """Integrate ``step`` (B, n) [rad] where joints are not on their way and add ``extra`` (B, n) [rad] everywhere.
+        """Integrate ``step`` (B, n) [rad] of slow joints and add ``extra`` (B, n) [rad]; returns the commands.
 
-        ``distance`` (B,) [m] is that of the tools from their targets. Returns what `command` returns; call one of the
-        two per cycle.
+        ``distance`` (B,) [m]: tool errors. Call this or `command` once per cycle.
         """
         position = plain(inputs.state.position)
         if not step.shape == extra.shape == position.shape == self._correction.shape:
@@ -168,7 +156,7 @@ class FeedforwardController:
         return limit_position(self._arm, self._raised + self._correction)
 
     def reset_learned(self, inputs: ControlInput, where: Mask) -> None:
-        """Drop what was learned about the arms in ``where`` (B,), exchanged for others; `reset` must follow."""
+        """Clear corrections of ``where`` (B,); call `reset` next."""
         if len(self._position) != len(inputs.sent):
             self._goal, self._raised, self._correction, self._speed, self._position = np.zeros((5, *inputs.sent.shape))
             self._pushed, self._eager, self._came = np.zeros((3, *inputs.sent.shape))
@@ -178,12 +166,12 @@ class FeedforwardController:
         self._pace.begin(inputs.state.time, where)
 
     def take_over(self, inputs: ControlInput, where: Mask) -> None:
-        """Go on from the last command of the arms in ``where`` (B,), which another controller gave."""
+        """Continue from another controller's command, where ``where`` (B,)."""
         self._correction[where] = inputs.sent[where] - self._raised[where]
         self._pushed[where] = 0.0
 
     def memory(self) -> dict[str, Array]:
-        """Return everything that is remembered, by name; live arrays."""
+        """State by name; live arrays."""
         return {
             "goal": self._goal, "raised": self._raised, "idle": self._idle, "correction": self._correction,
             "speed": self._speed, "position": self._position, "pushed": self._pushed,
@@ -192,31 +180,31 @@ class FeedforwardController:
 
 
 GOLDEN = np.pi * (3.0 - np.sqrt(5.0))
-"""[rad] by which the dithers of neighbouring joints are out of step: no two of them push the tool alike"""
+"""[rad] dither phase between neighbouring joints"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PushGains:
-    """Settings of the push, chosen on emulated SO-101 under tuned gains (`python -m benchmarks.so101 push`)."""
+    """Settings of the push; chosen by `python -m benchmarks.so101 push`."""
 
     push: float = 0.3
-    """share of the dry friction by which a joint is led (chosen: from half of it on, arms that stick most hunt)"""
+    """share of the dry friction (chosen: arms that stick most hunt at half of it)"""
     dither: float = 0.3
-    """amplitude of the dither in the same terms (chosen: likewise)"""
+    """amplitude, likewise"""
     frequency: float = 8.0
-    """[Hz] of the dither (chosen: six commands of 20 ms a period)"""
+    """[Hz] of the dither (chosen)"""
     moving: float = 0.05
-    """[rad/s] at which a joint's push has faded to 1/e (chosen: one encoder count in 30 ms)"""
+    """[rad/s] at which the push fades to 1/e (chosen)"""
     sign: float = 1.5
-    """[encoder steps] of missing motion over which the push turns its sign (chosen: a reading is sure to one)"""
+    """[encoder steps] of missing motion over which the push changes sign (chosen)"""
     near: float = 3e-4
-    """[m] distance from the target at which the push has faded to half (chosen: what an encoder step moves the tool)"""
+    """[m] at which it fades to half (chosen)"""
     most: float = float(np.radians(5.0))
-    """[rad] most that a joint's friction counts for (chosen: the elbow of an SO-101 as found has 4.7 deg at P = 16)"""
+    """[rad] largest friction that counts (chosen: an SO-101's elbow has 4.7 deg at P = 16)"""
 
 
 class PushController:
-    """Feed-forward, led by a share of each joint's friction."""
+    """Feed-forward with a push against friction."""
 
     name = "push"
     heeds_turn = True
@@ -224,7 +212,7 @@ class PushController:
     def __init__(
         self, arm: Arm, stiffness: Array | float, friction: Array | float, gains: PushGains | None = None
     ) -> None:
-        """``stiffness`` [N m/rad] and dry ``friction`` [N m] of the servos, (n,) or one for all."""
+        """``stiffness`` [N m/rad] and dry ``friction`` [N m], (n,) or one."""
         self._arm, self._gains = arm, gains or PushGains()
         self._base = FeedforwardController(arm, stiffness, loosen=0.0)
         lead = np.broadcast_to(np.asarray(friction, dtype=float) / stiffness, (arm.joints,))
@@ -234,11 +222,11 @@ class PushController:
         self._pace, self._last, self._speed = Pace(), np.zeros((0, arm.joints)), np.zeros((0, arm.joints))
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Take over the new goals of the arms in ``where`` (B,)."""
+        """Take new goals of ``where`` (B,)."""
         self._base.reset(inputs, where)
 
     def command(self, inputs: ControlInput) -> Array:
-        """Return the feed-forward's commands, pushed, (B, n) [rad]."""
+        """Commands (B, n) [rad]."""
         arm, gains, position = self._arm, self._gains, inputs.state.position
         seen = dls_step(arm, position, inputs.target, inputs.turn)
         push = gains.push * np.tanh(seen.step / (gains.sign * arm.encoder_step))
@@ -248,7 +236,7 @@ class PushController:
         return limit_position(arm, self._base.command(inputs) + lead)
 
     def _speeds(self, inputs: ControlInput) -> Array:
-        """Estimate the speeds (B, n) [rad/s] of the joints; those of a state that says nothing new stay."""
+        """Joint speeds (B, n) [rad/s]."""
         position, elapsed = inputs.state.position, self._pace.tick(inputs.state.time)[:, None]
         if len(self._last) != len(position):
             self._last, self._speed = position.copy(), np.zeros_like(position)

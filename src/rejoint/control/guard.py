@@ -1,10 +1,8 @@
-"""The guard between every controller and the robot: what may be sent, and why it was changed.
+"""The guard between controller and robot.
 
-A pure function over a batch of arms; its memory is the last command and its speed. Limits change the command and the
-motion goes on; trips (`TRIPS`) return the last command, and the loop stops the robot. Limits apply in the order lead,
-position, step, acceleration, floor and contacts; the later one wins. All but the first two only shorten the step from
-the last command, so that a hold is always allowed; braking is free. The commanded posture is judged, not the lagging
-arm.
+Limits change a command; trips (`TRIPS`) return the last one, and the loop stops the robot. Limits apply in the order
+lead, position, step, acceleration, floor, contacts; the later one wins. All but the first two only shorten the step, so
+a hold is always allowed. The guard judges the commanded posture.
 """
 
 from __future__ import annotations
@@ -30,39 +28,33 @@ from rejoint.system.shell import Late
 Reasons = NDArray[np.uint16]
 
 RAMP = 0.018
-"""[s] from rest to full speed (chosen: the shortest trained control period)"""
+"""[s] to full speed (chosen: the shortest trained period)"""
 
 
 class Reason(IntFlag):
-    """Why a command was changed, or why the guard tripped."""
+    """Why the guard changed a command or tripped."""
 
     NONE = 0
     POSITION = 1
-    """beyond a joint limit"""
     STEP = 2
-    """farther from the last command than the joint's speed allows in a period"""
+    """too fast"""
     LEAD = 4
-    """further ahead of the measured position than allowed"""
+    """too far from the measured position"""
     FLOOR = 8
-    """a point of the arm would come too low"""
+    """too low"""
     NOT_FINITE = 16
-    """a command or a measured position is not a finite number"""
     STALE = 32
-    """the joint state is too old"""
     OUT_OF_RANGE = 64
-    """a measured position lies far outside the joint limits"""
+    """far outside the joint limits"""
     TEMPERATURE = 128
-    """a servo is too hot"""
     SERVO_FAULT = 256
-    """a servo reports a fault"""
     GAP = 512
-    """a pause in the answers, or a flagged joint broke loose; the arm held, and starts again"""
+    """pause in the answers, or a flagged joint broke loose; the arm held and starts again"""
     NOT_FOLLOWING = 1024
-    """a joint's reading stands still and is not believed, see `rejoint.control.monitor`"""
+    """reading constant and not trusted, see `rejoint.control.monitor`"""
     ACCELERATION = 2048
-    """the command would gain speed, or turn round, faster than allowed"""
     COLLISION = 4096
-    """a link would touch another one or the ground"""
+    """of links, ground or boxes"""
 
 
 TRIPS = (
@@ -73,46 +65,46 @@ TRIPS = (
     | Reason.SERVO_FAULT
     | Reason.NOT_FOLLOWING
 )
-"""Reasons that end the motion."""
+"""Reasons that end the motion"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GuardLimits:
-    """What the guard allows. `GuardLimits.of` fills it for an arm."""
+    """Limits of an arm."""
 
     arm: Arm
     lower: Array
-    """(n,) [rad] lowest command"""
+    """(n,) [rad]"""
     upper: Array
-    """(n,) [rad] highest command"""
+    """(n,) [rad]"""
     max_speed: Array
-    """(n,) [rad/s] largest speed of the command"""
+    """(n,) [rad/s]"""
     max_acceleration: Array
-    """(n,) [rad/s^2] away from rest; infinite: no limit"""
+    """(n,) [rad/s^2] away from rest"""
     collisions: bool = True
-    """whether contacts with the arm, the ground and boxes are prevented"""
+    """prevent contacts"""
     parts: int = 16
-    """of a step that are tried where the whole would collide (chosen)"""
+    """tried parts of a step (chosen)"""
     max_lead: float = np.radians(20.0)
-    """[rad] between command and reading (chosen: twice a worn arm's sag)"""
+    """[rad] largest following error (chosen: twice a worn arm's sag)"""
     max_period: float = 0.1
-    """[s] longest period that counts for a step (chosen)"""
+    """[s] (chosen)"""
     tcp_floor: float = 0.0
-    """[m] lowest height of the TCP"""
+    """[m]"""
     joint_floor: float = 0.03
-    """[m] lowest height of a joint frame, for a myCobot 280"""
+    """[m] of joint frames, for a myCobot 280"""
     max_age: float = 0.5
-    """[s] oldest joint state (chosen: ten periods of the slowest wire)"""
+    """[s] (chosen: ten periods of the slowest wire)"""
     max_temperature: float = 65.0
-    """[deg C] hottest servo (chosen: 5 below the 70 at)"""
+    """[deg C] (chosen: 5 below the usual 70)"""
     range_margin: float = np.radians(10.0)
-    """[rad] a reading farther outside the limits is not trusted (chosen)"""
+    """[rad] of readings outside the limits (chosen)"""
     servos: Knowledge | None = None
-    """known load lines of the servos, for the joint monitor"""
+    """for the joint monitor"""
     bands: Bands | None = None
-    """friction bands from the diagnosis, for the joint monitor without loads"""
+    """for the joint monitor"""
     gains: Mapping[str, tuple[int, ...]] | None = None
-    """of the servos, for which both hold; None: for any"""
+    """of the servos for both; None: any"""
 
     def __post_init__(self) -> None:
         for name in ("lower", "upper", "max_speed", "max_acceleration"):
@@ -130,7 +122,7 @@ class GuardLimits:
 
     @cached_property
     def floors(self) -> Array:
-        """(n,) [m] lowest heights of all joint frames but the first, and of the TCP."""
+        """(n,) [m] of joint frames but the first, and TCP."""
         return np.append(np.full(self.arm.joints - 1, self.joint_floor), self.tcp_floor)
 
     @cached_property
@@ -140,17 +132,17 @@ class GuardLimits:
 
     @cached_property
     def shares(self) -> Array:
-        """(parts + 1, 1) shares of a step."""
+        """(parts + 1, 1)."""
         return np.arange(self.parts + 1)[:, None] / self.parts
 
     @cached_property
     def believed(self) -> tuple[Array, Array]:
-        """(n,), (n,) [rad] lowest and highest measured positions that are believed."""
+        """(n,), (n,) [rad] lowest and highest trusted positions."""
         return self.arm.lower - self.range_margin, self.arm.upper + self.range_margin
 
     @classmethod
     def of(cls, arm: Arm, *, margin: float = np.radians(0.5)) -> GuardLimits:
-        """Limits of an arm; commands stay ``margin`` [rad] inside the joint limits (chosen)."""
+        """Limits of an arm, ``margin`` [rad] inside the joint limits (chosen)."""
         return cls(
             arm=arm,
             lower=arm.lower + margin,
@@ -162,12 +154,12 @@ class GuardLimits:
         )
 
     def of_simulation(self) -> GuardLimits:
-        """Return limits for trainings: no acceleration limit, no contacts, and as many parts as ever."""
+        """Limits for training: no acceleration limit, no contacts."""
         return replace(self, max_acceleration=np.full(self.arm.joints, np.inf), collisions=False, parts=32)
 
 
 def reason_names(reasons: int) -> tuple[str, ...]:
-    """Names of the flags in an element of `Guarded.reasons`."""
+    """Names of the flags."""
     return tuple(reason.name.lower().replace("_", " ") for reason in Reason(int(reasons)) if reason.name)
 
 
@@ -181,28 +173,28 @@ _LIMIT_BITS = np.array(  # as applied
 
 
 class Guarded(NamedTuple):
-    """The guard's answer."""
+    """Answer of the guard."""
 
     command: Array
-    """(B, n) [rad] what is to be sent"""
+    """(B, n) [rad]"""
     reasons: Reasons
-    """(B,) `Reason` flags; 0: unchanged"""
+    """(B,) `Reason` flags"""
     speed: Array
-    """(B, n) [rad/s] of the command, for the next call"""
+    """(B, n) [rad/s] for the next call"""
 
     @property
     def tripped(self) -> Mask:
-        """(B,) arms whose motion must end."""
+        """(B,)."""
         return (self.reasons & _TRIP_BITS) != 0
 
 
 def guard(
     limits: GuardLimits, command: Array, sent: Array, speed: Array, state: JointState, period: float | Array
 ) -> Guarded:
-    """Decide what is sent when ``command`` (B, n) [rad] is wanted after ``sent`` (B, n) at ``speed`` (B, n) [rad/s].
+    """Return the allowed command for ``command`` (B, n) [rad] after ``sent`` (B, n) at ``speed`` (B, n) [rad/s].
 
-    ``period`` [s], a number or (B,), is the time since then. The result is finite, within a step of ``sent``, and
-    inside the position limits if ``sent`` is. InputError where shapes differ.
+    ``period`` [s], a number or (B,): time since ``sent``. The result is finite, within a step of ``sent``, and inside
+    the limits if ``sent`` is. InputError for different shapes.
     """
     _check_shapes(limits.arm.joints, command, sent, speed, state, period)
     last, trips = _check(limits, command, sent, speed, state)
@@ -228,7 +220,7 @@ def guard(
 
 
 def warm_up(limits: GuardLimits) -> None:
-    """Guard a command once, so that compiled loops are ready."""
+    """Compile the loops."""
     rest = limits.arm.rest[None]
     state = JointState(time=np.zeros(1), position=rest, age=np.zeros(1))
     guard(limits, rest, rest, 0.0 * rest, state, 0.0)
@@ -248,7 +240,7 @@ def _check_shapes(
 
 
 def _check(limits: GuardLimits, command: Array, sent: Array, speed: Array, state: JointState) -> tuple[Array, Reasons]:
-    """Posture to hold (B, n), always finite, and the trips (B,)."""
+    """Posture to hold (B, n) and trips (B,)."""
     lowest, highest = limits.believed
     if _nothing_wrong(limits, command, sent, speed, state):
         return sent, np.zeros(len(sent), dtype=np.uint16)
@@ -267,12 +259,11 @@ def _check(limits: GuardLimits, command: Array, sent: Array, speed: Array, state
 
 
 def suffers(limits: GuardLimits, state: JointState) -> NDArray[np.bool_]:
-    """Arms (B,) with a servo too hot or in fault."""
+    """Arms (B,) with a hot or faulty servo."""
     return _servo_trips(limits, state) != 0
 
 
 def _servo_trips(limits: GuardLimits, state: JointState) -> Reasons:
-    """Trips (B,) for what servos tell of themselves."""
     trips = np.zeros(len(state.position), dtype=np.uint16)
     if state.temperature is not None:
         trips = trips + _flag(state.temperature > limits.max_temperature, Reason.TEMPERATURE)
@@ -289,7 +280,6 @@ def _nothing_wrong(limits: GuardLimits, command: Array, sent: Array, speed: Arra
 
 
 def _flag(per_joint: NDArray[np.bool_], reason: Reason) -> Reasons:
-    """``reason`` (B,) where it holds for any joint of an arm."""
     flagged: Reasons = np.asarray(per_joint.any(axis=-1)) * np.uint16(reason.value)
     return flagged
 
@@ -311,9 +301,9 @@ def _keep_clear(limits: GuardLimits, command: Array, sent: Array) -> tuple[Array
 
 
 def clear_by(limits: GuardLimits, q: Array) -> Array:
-    """Return what the guard keeps above zero at ``q`` (..., n) [rad], (..., n or more) [m].
+    """Clearances (..., n or more) [m] at ``q`` (..., n) [rad].
 
-    Heights above their floors of all joint frames but the first, and of the TCP; then distances of what can touch.
+    Heights of the joint frames but the first, and TCP, above floors; then distances between bodies.
     """
     if limits.collisions:
         return clearances(limits.arm, q, limits.floors)

@@ -1,4 +1,4 @@
-"""The joint monitor."""
+"""The joint monitor: finds stuck joints and dead encoders."""
 
 from __future__ import annotations
 
@@ -18,45 +18,45 @@ from rejoint.system.shell import Late
 compiled = Late("rejoint.control.compiled")
 
 TRAVEL = 0.020
-"""[m] of the tool that a command may go beyond a constant reading (chosen)"""
+"""[m] tool travel beyond a constant reading (chosen)"""
 STICKING = 1.5
-"""times the largest sticking that is allowed (chosen)"""
+"""times the largest sticking (chosen)"""
 STICKS = np.radians(4.0)
-"""[rad] of sticking where little is known (chosen)"""
+"""[rad] sticking of an unknown joint (chosen)"""
 SHORT_LEVER = 0.13
-"""[m] joints with shorter levers are not judged without load (chosen)"""
+"""[m] judged without load (chosen)"""
 MOVED = np.radians(2.0)
-"""[rad] of motion that shows that a joint moves (chosen)"""
+"""[rad] of a moving joint (chosen)"""
 TURN_ROUND = 0.12
-"""[s] a reading must stand before it is judged without load (chosen)"""
+"""[s] of a constant reading before judgement (chosen)"""
 EXCUSED = 0.15
-"""[s] for which two joints at once are let be (chosen)"""
+"""[s] for two joints at once (chosen)"""
 ARRIVED = np.radians(1.0)
-"""[rad] of lead within which a stationary joint has arrived (chosen)"""
+"""[rad] following error at arrival (chosen)"""
 SETTLED = 30
-"""changes of a reading after which its sticking is known (chosen)"""
+"""changes of a reading before its sticking is known (chosen)"""
 GAIN, GAIN_SPREAD = 20.0, 2.0
-"""[1/rad] torque share per radian, and its relative deviation where nothing is known (measured)"""
+"""[1/rad] and relative deviation of unknown servos (measured)"""
 LEAST_GAIN = 3.0
-"""[1/rad] of any position servo (chosen)"""
+"""[1/rad] (chosen)"""
 OFFSET_SPREAD, UNKNOWN_OFFSET = 0.02, 0.15
-"""deviations of the load without lead, where the offset is known and where not (chosen)"""
+"""deviations of the unloaded torque share (chosen)"""
 _EARLIEST = np.radians(2.0)  # [rad] travel from which levers are computed (chosen: 10 mm at 0.28 m)
 _UNKNOWN, _TURNING, _OVERDUE = 2, 3, 4  # as in `watching`, which is imported late
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Knowledge:
-    """What is known of an arm's servos before it moves: their load lines, from `servo_lines`."""
+    """Load lines of servos, from `servo_lines`."""
 
     gain: Array
-    """(n,) or (B, n) [1/rad] torque share per radian of error"""
+    """(n,) or (B, n) [1/rad] torque share per radian"""
     offset: Array | float = 0.0
     """(n,) [rad] unloaded joint minus command"""
     within: Array | float = 0.2
-    """(n,) largest relative error of ``gain``; infinite: not known"""
+    """(n,) largest relative error of ``gain``; infinite: unknown"""
     noise: Array | float = OFFSET_SPREAD
-    """(n,) deviation of loads about the line"""
+    """(n,) deviation of loads from the line"""
 
     def __post_init__(self) -> None:
         positive = [np.isfinite(self.gain).all(), np.all(self.gain > 0.0), np.all(self.within > 0.0)]
@@ -68,7 +68,7 @@ class Knowledge:
 
 
 def states_of(log: RunLog) -> Iterator[JointState]:
-    """Give what was read in each row of a log."""
+    """Yield the state in each row."""
     for row in range(len(log)):
         rows = slice(row, row + 1)
         load = None if log.servo_load is None else log.servo_load[rows]
@@ -77,19 +77,19 @@ def states_of(log: RunLog) -> Iterator[JointState]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Bands:
-    """Friction bands: pushes at which joints stand; all (n,) or (B, n), from `standing_bands`.
+    """Friction bands from `standing_bands`: pushes at which joints do not move; (n,) or (B, n).
 
-    Lead: command minus reading. Push: what is left of it beyond the balance.
+    Lead: command minus reading. Push: lead beyond the balance.
     """
 
     slope: Array
-    """[rad/(N m)] lead that holds a newton metre of gravity"""
+    """[rad/(N m)] lead per gravity torque"""
     offset: Array
-    """[rad] lead that a joint without load is held by"""
+    """[rad] lead without load"""
     reach: Array
-    """[rad] lead beyond which a servo gives no more torque"""
+    """[rad] lead of the largest torque"""
     width: Array
-    """[rad] largest push of a stationary joint; infinite: not known"""
+    """[rad] largest push of a stationary joint; infinite: unknown"""
 
     def __post_init__(self) -> None:
         known = [np.isfinite(self.slope).all(), np.isfinite(self.offset).all()]
@@ -106,7 +106,7 @@ class Bands:
 
 
 class Following:
-    """Watches B arms; one `check` per cycle."""
+    """Monitors B arms; one `check` per cycle."""
 
     def __init__(
         self,
@@ -117,7 +117,7 @@ class Following:
         *,
         bands: Bands | None = None,
     ) -> None:
-        """Begin at ``state`` with ``sent`` (B, n) [rad] in force."""
+        """Begin at ``state`` after ``sent`` (B, n) [rad]."""
         self._bands = bands
         shape = state.position.shape
         self._arm, self._last = arm, state.time.copy()
@@ -148,9 +148,9 @@ class Following:
         tracks["p11"] = np.where(given, knowledge.noise, UNKNOWN_OFFSET) ** 2
 
     def check(self, state: JointState, sent: Array, aimed: Mask) -> Mask | None:
-        """Joints (B, n) that are not trusted any more, or None, after the command ``sent`` (B, n) [rad].
+        """Joints (B, n) that are flagged after the command ``sent`` (B, n) [rad], or None.
 
-        Only arms ``aimed`` (B,) at a target are judged by travel: a diagnosis must find stuck joints.
+        Travel counts only for arms ``aimed`` (B,) at a target: a diagnosis must find stuck joints.
         """
         self._loaded = state.load is not None
         load = self._nothing if state.load is None else state.load
@@ -181,7 +181,7 @@ class Following:
         return bad if bad.any() else None
 
     def _excused(self, bad: Mask, late: Mask) -> Mask:
-        """Arms (B,) that are late as a whole: beside a ``bad`` joint (B, n) another one is ``late`` (B, n)."""
+        """Arms (B,) late as a whole: a ``bad`` and another ``late`` joint, (B, n)."""
         now, several = self._last, bad.any(axis=-1) & ((bad | late).sum(axis=-1) > 1)
         begins = several & (now - self._excused_last > EXCUSED)
         self._excused_since = np.where(begins, now, self._excused_since)
@@ -190,7 +190,7 @@ class Following:
         return excused
 
     def bound(self, wanted: Array, position: Array, aimed: Mask) -> Array:
-        """Keep ``wanted`` (B, n) [rad] within `TRAVEL` of readings that hardly ever changed, where no load tells."""
+        """Keep ``wanted`` (B, n) [rad] within `TRAVEL` of constant readings, without load."""
         if self._loaded:
             return wanted
         held = self._tracks["held"]
@@ -201,11 +201,11 @@ class Following:
         return np.where(far, np.minimum(np.maximum(wanted, held - reach), held + reach), wanted)
 
     def onward(self, way: Array) -> Array:
-        """Motion (B, n) [rad] of ``way`` (B, n) along the commands' travel."""
+        """Part of ``way`` (B, n) [rad] along the commands' travel."""
         return way * np.sign(self._tracks["travel"])
 
     def believe(self, state: JointState, sent: Array, joints: Mask) -> None:
-        """Trust ``joints`` (B, n) again that broke loose, with ``sent`` (B, n) [rad] in force."""
+        """Trust ``joints`` (B, n) again after ``sent`` (B, n) [rad]."""
         tracks, where = self._tracks, joints.any(axis=-1)
         stood = np.abs(tracks["push"]) / compiled.MOST
         tracks["width"] = np.where(joints, np.maximum(tracks["width"], stood), tracks["width"])
@@ -219,15 +219,15 @@ class Following:
         self._sent[where] = sent[where, None]
 
     def balance(self, joints: Mask, sent: Array) -> Array:
-        """Return holding commands (B, n) [rad]: ``sent``, but the last equilibrium of ``joints`` (B, n)."""
+        """Return holding commands (B, n) [rad]: ``sent``, or the last equilibrium of ``joints`` (B, n)."""
         return np.where(joints, self._tracks["held"], sent)
 
     def describe(self, b: int, joints: Mask) -> str:
-        """Say what was seen of the ``joints`` (n,) of arm ``b``, and what to do."""
+        """Return finding on ``joints`` (n,) of arm ``b``, and advice."""
         return "; ".join(self._describe(b, int(j)) for j in np.flatnonzero(joints))
 
     def _travelled(self, position: Array, sent: Array) -> tuple[Mask, Mask]:
-        """Joints (B, n) whose commands have gone too far from a reading that stands, with no load to explain it."""
+        """Joints (B, n) whose commands are too far from a constant reading."""
         tracks = self._tracks
         travel = np.abs(tracks["travel"])
         stands = self._last[:, None] - tracks["since"] > TURN_ROUND
@@ -241,7 +241,7 @@ class Following:
         return asked & (lever > SHORT_LEVER) & (beyond > TRAVEL / lever), asked & (beyond > 0.0)
 
     def _levers(self, position: Array) -> Array:
-        """How far (B, n) [m/rad] the tool goes with each joint."""
+        """Lever (B, n) [m/rad] of each joint on the tool."""
         return np.maximum(np.linalg.norm(position_kinematics(self._arm, position)[1], axis=-2), 1e-6)
 
     def _describe(self, b: int, j: int) -> str:
@@ -267,29 +267,28 @@ class Following:
 
 
 FEWEST = 50
-"""rows for a line (chosen: two seconds)"""
+"""rows of a line (chosen: two seconds)"""
 STILL = 4
-"""rows for which a reading must have stood (chosen)"""
+"""rows of a constant reading (chosen)"""
 AT_REST = np.radians(0.1)
-"""[rad] by which commands may differ meanwhile (chosen: an encoder count)"""
+"""[rad] allowed change of commands (chosen: an encoder count)"""
 SURE = 4.0
-"""Times residual over spread that a slope may be wrong (chosen)"""
+"""Allowed error of a slope, times residual over spread (chosen)"""
 LEAST_ERROR = 0.01
-"""smallest relative error of a slope (chosen)"""
+"""relative, of a slope (chosen)"""
 LEAST_NOISE = 0.001
-"""share of the largest torque, likewise (chosen: registers count in thousandths)"""
+"""share of the largest torque (chosen: a register's count)"""
 HUBER = 2.0
-"""Robust deviations from which a row counts less (chosen)"""
+"""Robust deviations beyond which a row counts less (chosen)"""
 _ROUNDS = 20  # of reweighting (chosen: it settles in ten)
 PER_MEDIAN = 1.4826
-"""Standard deviation of normal residuals over the median of their sizes"""
+"""Standard deviation over median absolute residual, normal"""
 
 
 def servo_lines(arm: Arm, logs: Sequence[RunLog]) -> Knowledge | None:
-    """Read the load lines of an arm's servos from ``logs``; None where they hold none.
+    """Fit the load lines of an arm's servos; None without loads.
 
-    A servo's torque is proportional to its error, so loads of stationary joints lie on a line over command minus
-    reading. Joints that do not fit, or that would count as turning in these logs, stay unknown.
+    A servo's torque is proportional to its error: loads of stationary joints lie on a line over command minus reading.
     """
     told = [log for log in logs if log.servo_load is not None]
     rows = [_standing(arm, log, log.servo_load) for log in logs if log.servo_load is not None]
@@ -318,7 +317,7 @@ def _knowledge(gain: Array, offset: Array, within: Array, noise: Array) -> Knowl
 
 
 def _standing(arm: Arm, log: RunLog, load: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Leads (T, n) [rad] and the loads (T, n) of a log, and where (T, n) they say something of the line."""
+    """Leads and loads (T, n) of a log, and where (T, n) they count."""
     low, high = commands_in_force(log)
     lead = 0.5 * (low + high) - log.position
     moved = np.vstack([np.ones((1, arm.joints), dtype=bool), np.diff(log.position, axis=0) != 0.0])
@@ -330,7 +329,7 @@ def _standing(arm: Arm, log: RunLog, load: Array) -> tuple[Array, Array, NDArray
 
 
 def commands_in_force(log: RunLog) -> tuple[Array, Array]:
-    """Lowest and highest command (T, n) [rad] that may be in force in each row."""
+    """Lowest and highest possible command in force (T, n) [rad]."""
     rows = np.arange(len(log))
     oldest = np.searchsorted(log.time, log.time - compiled.SETTLE, side="right") - 1
     low = high = log.command[np.maximum(rows - 1, 0)]
@@ -352,7 +351,7 @@ def _line(lead: Array, load: Array, use: NDArray[np.bool_]) -> tuple[float, floa
 
 
 def robust_fit(columns: Array, value: Array, least: float) -> tuple[Array, float]:
-    """Coefficients (k,) of ``columns`` (N, k) for ``value`` (N,), and the noise (``least`` or more) (Huber)."""
+    """Coefficients (k,) of ``columns`` (N, k) for ``value`` (N,), and the noise, at least ``least`` (Huber)."""
     weight = np.ones_like(value)
     for _ in range(_ROUNDS):
         root = np.sqrt(weight)
@@ -364,7 +363,7 @@ def robust_fit(columns: Array, value: Array, least: float) -> tuple[Array, float
 
 
 def _turns(arm: Arm, log: RunLog, known: Knowledge) -> NDArray[np.bool_]:
-    """Joints (n,) that the monitor takes for turning ones somewhere in a log of an arm that was whole."""
+    """Joints (n,) that the monitor flags as turning in a log of a healthy arm."""
     states = states_of(log)
     following, found = Following(arm, next(states), log.command[:1], known), np.zeros(arm.joints, dtype=bool)
     for row, state in enumerate(states):
@@ -375,26 +374,26 @@ def _turns(arm: Arm, log: RunLog, known: Knowledge) -> NDArray[np.bool_]:
 
 
 HELD = 0.05
-"""[s] that a push must last (chosen)"""
+"""[s] of a push (chosen)"""
 FEWEST_MOVING = 100
-"""rows in motion for a balance (chosen)"""
+"""moving rows of a balance (chosen)"""
 SLOWEST, FASTEST = 0.04, 0.4
-"""[rad/s] bounds of slow motion (chosen)"""
+"""[rad/s] (chosen)"""
 AVERAGED = 5
-"""rows of an averaged speed (chosen)"""
+"""rows (chosen)"""
 LEAST_GRAVITY = 0.04
-"""smallest range of gravity that is fitted, over the largest of all joints (chosen)"""
+"""smallest fitted range of gravity over the largest (chosen)"""
 REACHES = np.radians(np.geomspace(0.3, 20.0, 30))
-"""[rad] reaches that are tried (chosen)"""
+"""[rad] (chosen)"""
 WIDER, _OFTEN = 1.25, 12
-"""Factor on bands that their own logs exceed, and most of them (chosen)"""
+"""Factor on exceeded bands, and repetitions (chosen)"""
 
 
 def standing_bands(arm: Arm, logs: Sequence[RunLog]) -> Bands:
-    """Read the friction bands of an arm's joints from ``logs``; hardly moved joints stay unknown.
+    """Fit the friction bands of an arm's joints; hardly moved joints stay unknown.
 
-    The balance is fitted to slow motion in both directions; the width is the largest push at which the joint stood for
-    `HELD`; the reach makes the band narrowest. No joint is overdue in these logs.
+    The balance is fitted to slow motion in both directions. The width is the largest push of a joint stationary for
+    `HELD`; the reach minimises it.
     """
     slope, offset, known = _balances(arm, logs)
     found = Bands(slope=slope, offset=offset, reach=np.full(arm.joints, np.inf), width=np.full(arm.joints, np.inf))
@@ -414,7 +413,7 @@ def standing_bands(arm: Arm, logs: Sequence[RunLog]) -> Bands:
 
 
 Leads = tuple[Array, Array, Array]
-"""Lowest and highest lead (T, n) [rad] in force, and the balance"""
+"""Lowest and highest lead (T, n) [rad], and the balance"""
 
 
 def _leads(log: RunLog, balance: Array) -> Leads:
@@ -430,7 +429,7 @@ def _push(leads: Leads, reach: Array) -> Array:
 
 
 def _balances(arm: Arm, logs: Sequence[RunLog]) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Slope (n,) [rad/(N m)] and offset (n,) [rad] of the balance, and for which joints (n,) they are known."""
+    """Slope (n,) [rad/(N m)] and offset (n,) [rad] of the balance, and where (n,) they are known."""
     slope, offset, known = np.zeros(arm.joints), np.zeros(arm.joints), np.zeros(arm.joints, dtype=bool)
     if not logs:
         return slope, offset, known
@@ -447,7 +446,7 @@ def _balances(arm: Arm, logs: Sequence[RunLog]) -> tuple[Array, Array, NDArray[n
 
 
 def _in_motion(arm: Arm, log: RunLog) -> tuple[Array, Array, Array, Array]:
-    """Mean lead, gravity torque, speed (T, n), and where the joints are in slow motion (1 or 0)."""
+    """Mean lead, gravity torque, speed (T, n), and slow motion (1 or 0)."""
     low, high = commands_in_force(log)
     if len(log) < AVERAGED:
         nothing = np.empty((0, arm.joints))
@@ -460,7 +459,7 @@ def _in_motion(arm: Arm, log: RunLog) -> tuple[Array, Array, Array, Array]:
 
 
 def _narrowest(arm: Arm, logs: Sequence[RunLog], leads: Sequence[Leads]) -> tuple[Array, Array]:
-    """Reach and width (n,) [rad] of the bands that are narrowest for what the servos can push."""
+    """Reach and width (n,) [rad] of the narrowest bands."""
     best, reach, width = np.zeros(arm.joints), np.full(arm.joints, np.inf), np.full(arm.joints, np.inf)
     for tried in REACHES:
         both = [_held(log, _push(lead, np.full(arm.joints, tried))) for log, lead in zip(logs, leads, strict=True)]
@@ -472,7 +471,7 @@ def _narrowest(arm: Arm, logs: Sequence[RunLog], leads: Sequence[Leads]) -> tupl
 
 
 def _held(log: RunLog, push: Array) -> Array:
-    """Largest push (n,) [rad] at which joints stood for `HELD`."""
+    """Largest push (n,) [rad] of joints stationary for `HELD`."""
     readings = 1 + max(1, round(HELD / float(np.median(np.diff(log.time))))) if len(log) > 1 else 1
     if len(log) <= readings:
         return np.zeros(push.shape[1])
@@ -482,7 +481,6 @@ def _held(log: RunLog, push: Array) -> Array:
 
 
 def _overdue(log: RunLog, push: Array, width: Array) -> NDArray[np.bool_]:
-    """Joints (n,) that would be overdue somewhere in a log."""
     tracks, found = np.zeros(len(width), compiled.TRACK), np.zeros(len(width), dtype=bool)
     tracks["width"] = width
     compiled.fill_overdue(tracks, plain(log.time), plain(log.position), plain(push), found)

@@ -1,8 +1,8 @@
-"""What a policy sees, computed once for training, emulation and the real arm, from joint readings alone.
+"""The observation of a policy, from joint readings alone.
 
-``residual`` (11n + 9): leads, the damped least-squares step at three scales, velocities and actions of three cycles.
-``equation-16`` (3n + 10): the state of Park et al. 2024 without theta_target; Delta theta is command minus position, or
-the last action in ``equation-16-action``.
+``residual`` (11n + 9): following errors, the damped least-squares step at three scales, velocities and actions of three
+cycles. ``equation-16`` (3n + 10): the state of Park et al. 2024 without theta_target; Delta theta is command minus
+position, in ``equation-16-action`` the last action.
 """
 
 from __future__ import annotations
@@ -31,29 +31,29 @@ LIMIT = 8.0
 """Observations are clipped to +-8 (chosen)"""
 
 SUCCESS_DISTANCE = 0.005
-"""[m] of the success buffer S; Park et al. 2024, section III-D"""
+"""[m] of buffer S; Park et al. 2024, section III-D"""
 
 POINT_SCALE = 5.0
-"""[1/m] on points and distance of equation 16 (chosen)"""
+"""[1/m] in equation 16 (chosen)"""
 
 HISTORY = 3
-"""Cycles whose velocities and actions are seen (chosen)"""
+"""(chosen)"""
 
 compiled = Late("rejoint.control.compiled")
 
 _RIDGE = DAMPING**2 * np.eye(3)
 LONGEST_WAIT = 2.0
-"""[s] since the target was set that differ in the observation (chosen)"""
+"""[s] of the time since the target (chosen)"""
 MIDDLE_PERIOD, LONGEST_PERIOD = 0.035, 0.1
-"""[s] of the trained rates; longest trusted"""
+"""[s] trained; longest trusted"""
 PERIOD_SMOOTHING = 0.3
-"""Share of the newest period in their mean (chosen)"""
+"""Share of the newest period (chosen)"""
 _ONE_DEGREE, _FIFTH_OF_A_DEGREE = float(np.radians(1.0)), float(np.radians(0.2))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Slot:
-    """One group of numbers in the observation."""
+    """A group of numbers in the observation."""
 
     name: str
     size: int
@@ -62,22 +62,22 @@ class Slot:
 
 
 class View(NamedTuple):
-    """The target as seen from the measured arm."""
+    """The target seen from the measured arm."""
 
     tcp: Array
-    """(B, 3) [m] measured TCP"""
+    """(B, 3) [m] measured"""
     error: Array
     """(B, 3) [m] target minus measured TCP"""
     distance: Array
     """(B,) [m]"""
     step: Array
-    """(B, n) [rad] damped least-squares step towards the target"""
+    """(B, n) [rad] damped least-squares step"""
     homing: Array
-    """(B, n) [rad] way to the goal posture that keeps the TCP"""
+    """(B, n) [rad] null-space way to the goal posture"""
 
 
 class ObservationInput(NamedTuple):
-    """Everything an observation is made of, for B arms."""
+    """Inputs of an observation, for B arms."""
 
     position: Array
     velocity: Array
@@ -92,7 +92,7 @@ class ObservationInput(NamedTuple):
 
 
 def look(arm: Arm, position: Array, target: Array, goal: Array) -> View:
-    """View targets (B, 3) [m] and ``goal`` postures from positions, (B, n) [rad]."""
+    """View of targets (B, 3) [m] and ``goal`` postures from positions, (B, n) [rad]."""
     tcp, jacobian = position_kinematics(arm, position)
     transpose = np.swapaxes(jacobian, -1, -2)
     error = target - tcp
@@ -106,7 +106,7 @@ def look(arm: Arm, position: Array, target: Array, goal: Array) -> View:
 
 
 def layout_slots(layout: Layout, joints: int) -> tuple[Slot, ...]:
-    """Name every number of a layout, in order."""
+    """Slots in order."""
     n = joints
     rows: tuple[tuple[str, int, str], ...]
     if layout == "residual":
@@ -144,14 +144,14 @@ def layout_slots(layout: Layout, joints: int) -> tuple[Slot, ...]:
 
 
 def layout_size(layout: Layout, joints: int) -> int:
-    """Length of the observation vector."""
+    """Size of the observation."""
     return sum(slot.size for slot in layout_slots(layout, joints))
 
 
 class Observer:
     """Turns control inputs of B arms into observations.
 
-    Call `observe` once per cycle, `acted` after the decision; `view` is the last geometry.
+    Call `observe` once per cycle, then `acted`; `view` is the last geometry.
     """
 
     def __init__(self, arm: Arm, count: int, layout: Layout = "residual") -> None:
@@ -165,18 +165,18 @@ class Observer:
         self.view = View(*(np.zeros((count, *tail)) for tail in ((3,), (3,), (), (n,), (n,))))
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Start from rest for the arms in ``where`` (B,)."""
+        """Start from rest where ``where`` (B,)."""
         self._position[where] = inputs.state.position[where]
         self._time[where] = inputs.state.time[where]
         self._velocity[where] = 0.0
         self._action[where] = 0.0
 
     def reset_learned(self, where: Mask) -> None:
-        """Drop the learned period of the arms in ``where`` (B,)."""
+        """Drop learned periods where ``where`` (B,)."""
         self._period[where] = MIDDLE_PERIOD
 
     def observe(self, inputs: ControlInput, rows: Rows = ALL) -> Observation:
-        """Observation (B, size), or of some ``rows``."""
+        """Observation (B, size), or of ``rows``."""
         state = inputs.state
         position = state.position[rows]
         self._differentiate(state.time[rows], position, rows)
@@ -205,16 +205,16 @@ class Observer:
         return np.minimum(np.maximum(out, -LIMIT, out=out), LIMIT, out=out)
 
     def acted(self, action: Array) -> None:
-        """Remember the action (B, n) that was decided on this observation."""
+        """Store the action (B, n)."""
         self._action[:, 1:] = self._action[:, :-1]
         self._action[:, 0] = action
 
     def drop_actions(self, where: Mask) -> None:
-        """Drop the last actions of the arms in ``where`` (B,): others were sent."""
+        """Drop last actions where ``where`` (B,)."""
         self._action[where] = 0.0
 
     def state(self) -> dict[str, Array]:
-        """Everything that a checkpoint must keep, as live arrays."""
+        """State for a checkpoint, as live arrays."""
         names = ("position", "velocity", "time", "period", "action")
         return {name: getattr(self, f"_{name}") for name in names} | {
             f"view.{name}": value for name, value in self.view._asdict().items()
@@ -232,7 +232,7 @@ class Observer:
 
 
 def _residual(out: Observation, reading: ObservationInput) -> None:
-    """Fill ``out`` (B, 11n + 9) as `layout_slots` says."""
+    """Fill ``out`` (B, 11n + 9)."""
     view, (count, n) = reading.view, reading.position.shape
     distance = view.distance[:, None]
     parts = [
@@ -250,13 +250,13 @@ def _residual(out: Observation, reading: ObservationInput) -> None:
 
 @cache
 def residual_factors(n: int) -> Array:
-    """Factors (11n + 9,) of the observation."""
+    """Factors (11n + 9,)."""
     factors = [4.0, 0.5, 5.0, 1.0 / _ONE_DEGREE, 1.0 / _FIFTH_OF_A_DEGREE, 1.0, 20.0, 1.0, 0.5, 1.0, 20.0, 1.0]
     return np.repeat(factors, [n, HISTORY * n, n, n, n, n, 3, 3, 1, 1, 1, HISTORY * n])
 
 
 def _equation_16(out: Observation, reading: ObservationInput, change: Array, arm: Arm) -> None:
-    """Fill ``out`` (B, 3n + 10) as `layout_slots` says, with ``change`` (B, n) for Delta theta."""
+    """Fill ``out`` (B, 3n + 10), with ``change`` (B, n) for Delta theta."""
     n, view = reading.position.shape[1], reading.view
     columns = out.T
     columns[0] = reading.since_target

@@ -1,4 +1,4 @@
-"""Who watches an arm being driven."""
+"""Observers of a drive."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
 
 class Observer:
-    """Receives what a user may want to see. Every method does nothing until a subclass overrides it.
+    """Receives progress, messages and cycles; override the methods you need.
 
-    Methods are called from the thread that drives the arm and should return at once. What they raise ends the motion.
+    The thread that drives the arm calls the methods: return at once. An exception ends the motion.
 
     Examples
     --------
@@ -27,7 +27,7 @@ class Observer:
     """
 
     shows: bool = False
-    """whether it shows moving arms: trials then run in this process"""
+    """shows moving arms: trials then run in this process"""
 
     def message(self, line: str) -> None:
         """Receive a sentence for the user."""
@@ -36,13 +36,13 @@ class Observer:
         """Receive the done share, 0 to 1, and its label, at most ten times a second."""
 
     def stage(self, stage: object) -> None:
-        """Receive a `Stage` of a repair when it starts and ends."""
+        """Receive a `Stage` of a repair at its start and end."""
 
     def partial(self, result: object) -> None:
         """Receive the result of a motion up to its error."""
 
     def served(self, address: str) -> None:
-        """Receive the address at which a served arm can be reached."""
+        """Receive the address of a served arm."""
 
     def cycle(self, cycle: Cycle) -> None:
         """Receive a control cycle."""
@@ -50,17 +50,17 @@ class Observer:
     def watch(
         self, robot: Robot, *, twin: object = None, within: float | None = None, paced: bool | None = None
     ) -> Robot:
-        """Robot to drive, perhaps wrapped.
+        """Return the robot to drive, perhaps wrapped.
 
-        ``twin``: the `Twin` or None; ``within`` [m]: the accepted error; ``paced``: whether virtual time may be slowed
-        (None: by the address).
+        ``twin``: the `Twin` or None; ``within`` [m]: accepted error; ``paced``: virtual time may be slowed (None: by
+        the address).
         """
         del twin, within, paced
         return robot
 
 
 class Observers(Observer):
-    """Hands everything on to several observers, in their order."""
+    """Passes everything on to several observers."""
 
     def __init__(self, *observers: Observer) -> None:
         self._observers = observers
@@ -104,7 +104,7 @@ class Observers(Observer):
 
 
 class StageObserver(Observers):
-    """Hands on one of several stages; its progress goes from ``start`` to ``end``."""
+    """Observer of one stage; its progress goes from ``start`` to ``end``."""
 
     def __init__(self, observer: Observer, start: float, end: float) -> None:
         super().__init__(observer)
@@ -117,7 +117,7 @@ class StageObserver(Observers):
 
 @contextmanager
 def pacing(observer: Observer | None) -> Iterator[Progress]:
-    """Progress of an observer, rate-limited, and report the end."""
+    """Rate-limited progress of an observer; reports the end."""
     pace = RateLimit((observer or Observer()).progress)
     yield pace
     pace(1.0, "done")

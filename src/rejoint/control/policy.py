@@ -1,4 +1,4 @@
-"""A learned policy as a controller: observation, network, command law. Needs ONNX Runtime, not torch."""
+"""A learned policy as a controller. Needs ONNX Runtime, not torch."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ from rejoint.system.errors import ContractError, FileError, InputError
 from rejoint.system.files import MEGABYTE, read_bounded, write_whole
 
 LARGEST_FILE = 16 * MEGABYTE
-"""[bytes] of a policy file (chosen: two hundred times what ours have)"""
+"""[bytes] (chosen: two hundred times what ours have)"""
 
 _DAMAGED = "not a readable ONNX file, truncated or damaged"
 
 
 class PolicyController:
-    """Drives a batch of arms with a trained network."""
+    """Drives B arms with a trained network."""
 
     def __init__(self, arm: Arm, session: ort.InferenceSession, contract: PolicyContract) -> None:
         self.arm, self.contract = arm, contract
@@ -52,7 +52,7 @@ class PolicyController:
         return "policy"
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Start again for the arms in ``where`` (B,)."""
+        """Restart where ``where`` (B,)."""
         count = len(inputs.sent)
         if count != self._observer.count:
             self._observer = Observer(self.arm, count, self.contract.layout)
@@ -61,28 +61,27 @@ class PolicyController:
         self._commander.reset(inputs, where)
 
     def take_over(self, inputs: ControlInput, where: Mask) -> None:
-        """Go on from the last command of the arms in ``where`` (B,), which another controller gave."""
+        """Continue from another controller's command, where ``where`` (B,)."""
         self._observer.drop_actions(where)
         self._commander.take_over(inputs, where)
 
     def command(self, inputs: ControlInput) -> Array:
-        """Return the wanted joint positions (B, n) [rad]."""
+        """Commands (B, n) [rad]."""
         observer = self._observer
         action = self.act(observer.observe(inputs))
         observer.acted(action)
         return self._commander.command(inputs, observer.view, action)
 
     def act(self, observation: Observation) -> Array:
-        """Mean action (B, n) in [-1, 1] of the network for observations (B, size)."""
+        """Mean action (B, n) in [-1, 1] for observations (B, size)."""
         return _act(self._session, observation)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Policy:
-    """A trained policy: the content of an ONNX file, with what it was trained for.
+    """A trained policy: an ONNX file and its contract.
 
-    The file is foreign until its arm is known: what it holds is judged before ONNX Runtime reads it, see
-    `rejoint.control.contract.read_metadata`.
+    The file is checked before ONNX Runtime reads it.
 
     Examples
     --------
@@ -94,13 +93,13 @@ class Policy:
     content: bytes = field(repr=False)
     """of the ONNX file"""
     contract: PolicyContract
-    """arm, observation, law and control periods that it was trained for"""
+    """of the training"""
     source: str = "policy"
-    """where it came from, for messages"""
+    """origin, for messages"""
 
     @classmethod
     def load(cls, path: Path | str) -> Policy:
-        """Read a policy file; FileError if it is missing, damaged, too large, or no policy at all."""
+        """Read a policy file; FileError."""
         data = _read(Path(path))
         try:
             metadata = read_metadata(data)
@@ -116,21 +115,18 @@ class Policy:
         return cls(content=data, contract=contract, source=str(path))
 
     def save(self, path: Path | str) -> None:
-        """Write the policy file, whole or not at all; FileError if that fails."""
+        """Write the policy file, whole or not at all; FileError."""
         write_whole(Path(path), lambda temporary: temporary.write_bytes(self.content))
 
     def controller(self, arm: Arm) -> PolicyController:
-        """Return what drives ``arm`` with this policy; ContractError if it was trained for something else.
-
-        FileError if its network is damaged.
-        """
+        """Return the controller of ``arm``; ContractError for another arm, FileError for a damaged network."""
         check_contract(self.contract, arm)
         return PolicyController(arm, self._session, self.contract)
 
     def __call__(self, observation: Observation) -> Array:
-        """Mean action (B, n) or (n,) in [-1, 1] of the network for observations (B, size) or (size,).
+        """Mean action (B, n) or (n,) in [-1, 1] for observations (B, size) or (size,).
 
-        ``contract.observation`` says what an observation holds, ``contract.law`` what becomes of an action.
+        ``contract.observation`` lists the slots, ``contract.law`` turns actions into commands.
         """
         rows = np.atleast_2d(np.asarray(observation, dtype=np.float32))
         size = self.contract.observation_size
@@ -140,17 +136,14 @@ class Policy:
 
     @cached_property
     def _session(self) -> ort.InferenceSession:
-        """The network, which has given the answers that the contract records."""
+        """Network that gives the contract's probe answers."""
         session = _open(self.source, self.content)
         _check_network(self.source, self.contract, session)
         return session
 
 
 def load_policy(path: Path, arm: Arm) -> PolicyController:
-    """Read a policy file and check that it fits the arm, before anything moves.
-
-    FileError: missing, damaged, too large, or no policy at all. ContractError: a policy for something else.
-    """
+    """Read a policy file for ``arm``; FileError, ContractError."""
     return Policy.load(path).controller(arm)
 
 
@@ -179,7 +172,6 @@ def _open(source: str, data: bytes) -> ort.InferenceSession:
 
 
 def _check_network(source: str, contract: PolicyContract, session: ort.InferenceSession) -> None:
-    """Check the network's interface and its recorded answers."""
     n, size = len(contract.joint_names), contract.observation_size
     found = [(node.name, node.shape[1:]) for node in (*session.get_inputs(), *session.get_outputs())]
     if found != [(INPUT, [size]), (OUTPUT, [n])]:

@@ -1,8 +1,8 @@
-"""Bringing a worn arm to joint positions, its tool first, for programs that send angles or poses.
+"""Brings a worn arm to joint positions, its tool first.
 
-The command is the posture, raised by the twin's sag and an integrator. A joint without torque keeps its lead, and
-others make up for the tool. A joint that breaks loose gives most of its push back. A stationary arm near its goal is
-left alone.
+The command is the posture, raised by the twin's sag and an integrator. A joint without torque keeps its following
+error; others make up for the tool. A joint that breaks loose gives most of its push back. A stationary arm near its
+goal stays uncorrected.
 """
 
 from __future__ import annotations
@@ -27,57 +27,57 @@ _SMOOTHING = 0.5  # share of the newest difference in the speed estimate (chosen
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Wanted:
-    """Where the arms are to be now."""
+    """Wanted postures."""
 
     posture: Array
     """(B, n) [rad] by the encoders"""
     arrived: Mask
-    """(B,) whether the way is over"""
+    """(B,) the trajectory has ended"""
 
 
 class PostureWay(Protocol):
-    """Says where the arms are to be; asked once a cycle."""
+    """Gives wanted postures, once a cycle."""
 
     def advance(self, state: JointState) -> Wanted:
-        """Take a reading and return where the arms are to be."""
+        """Take a reading and return wanted postures."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PostureGains:
-    """Settings, chosen on an emulated worn arm; see `python -m benchmarks serve`."""
+    """Settings; chosen by `python -m benchmarks serve`."""
 
     rate: float = 4.0
-    """[1/s] share of a joint's error that is integrated per second"""
+    """[1/s] integrated share of the error"""
     fade: float = float(np.radians(0.3))
-    """[rad] error at which that has faded to half"""
+    """[rad] error at which that fades to half"""
     push: float = float(np.radians(5.0))
-    """[rad/s] extra push of a joint that stands off"""
+    """[rad/s] extra push at rest"""
     within: float = float(np.radians(0.06))
-    """[rad] error without such a push"""
+    """[rad] error without a push"""
     taken_back: float = 0.9
-    """share of that push that is taken back when it moves"""
+    """removed share of the push after motion"""
     moving: float = float(np.radians(5.0))
-    """[rad/s] faster joints on their way are not corrected"""
+    """[rad/s] without correction"""
     standing: float = float(np.radians(1.0))
-    """[rad/s] below which a joint stands"""
+    """[rad/s] of a stationary joint"""
     weak: float = float(np.radians(12.0))
-    """[rad] lead under which a joint that stands off has no more torque"""
+    """[rad] following error without torque"""
     off: float = float(np.radians(0.3))
-    """[rad] from which such a joint counts as standing off"""
+    """[rad] error of such a joint"""
     turn: float = 0.03
-    """[m/rad] weight of the tool's direction"""
+    """[m/rad] of the tool's direction"""
     calm: float = 0.15
-    """[s] within `STILL` before the arm is stationary"""
+    """[s] within `STILL` of a stationary arm"""
     close: float = 4e-4
-    """[m] tool error without correction once stationary"""
+    """[m] uncorrected tool error at rest"""
     again: float = 7e-4
-    """[m] beyond which it is again"""
+    """[m] corrected again"""
     lead: float = float(np.radians(18.0))
-    """[rad] largest lead, below the guard's"""
+    """[rad] largest following error, below the guard's"""
 
 
 class PostureController:
-    """Brings B arms to the postures that a `PostureWay` asks for."""
+    """Brings B arms to the postures of a `PostureWay`."""
 
     name = "posture"
 
@@ -90,7 +90,7 @@ class PostureController:
         offset: Array | float = 0.0,
         gains: PostureGains | None = None,
     ) -> None:
-        """``stiffness`` (n,) [N m/rad] and ``offset`` (n,) [rad] are the twin's."""
+        """``stiffness`` (n,) [N m/rad] and ``offset`` (n,) [rad] of the twin."""
         self._arm, self._way, self._gains = arm, way, gains or PostureGains()
         nominal = np.full(arm.joints, NOMINAL_STIFFNESS * torque_size(arm))
         self._stiffness, self._offset = nominal if stiffness is None else stiffness, offset
@@ -99,15 +99,15 @@ class PostureController:
         self._anchor = self._position
         self._stood: Array = np.zeros(0)
         self.posture: Array = np.full((1, arm.joints), np.nan)
-        """(B, n) [rad] wanted in the last cycle, by the encoders"""
+        """(B, n) [rad] last wanted posture"""
         self._weak: Mask = np.zeros((0, arm.joints), dtype=bool)
         self._rests: Mask = np.zeros(0, dtype=bool)
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Do nothing: the way goes on."""
+        """Do nothing."""
 
     def command(self, inputs: ControlInput) -> Array:
-        """Wanted joint positions (B, n) [rad]."""
+        """Commands (B, n) [rad]."""
         state = inputs.state
         wanted = self._way.advance(state)
         self.posture = wanted.posture
@@ -139,7 +139,7 @@ class PostureController:
         self._weak, self._rests = np.zeros(position.shape, dtype=bool), np.zeros(len(position), dtype=bool)
 
     def _observe(self, state: JointState) -> tuple[Array, Array]:
-        """Return how far (B, n) [rad] the joints went since the last cycle, and the time [s] (B, 1) that was."""
+        """Motion (B, n) [rad] and time [s] (B, 1) since the last cycle."""
         assert self._time is not None  # noqa: S101 - for the type checker
         elapsed = between(state.time - self._time, 0.0, 0.1)[:, None]
         moved = state.position - self._position
@@ -153,7 +153,7 @@ class PostureController:
         return moved, elapsed
 
     def _goal(self, wanted: Wanted) -> Array:
-        """Postures (B, n) [rad] that bring the tools to their places although some joints are weak."""
+        """Postures (B, n) [rad] that place the tools despite weak joints."""
         gains, posture = self._gains, wanted.posture
         lead, away = self._command - self._position, posture - self._position
         off = wanted.arrived[:, None] & (np.abs(away) > gains.off)
@@ -167,7 +167,7 @@ class PostureController:
         return goal
 
     def _at_rest(self, wanted: Wanted) -> Mask:
-        """Arms (B,) whose tool is close enough, and which stand."""
+        """Stationary arms (B,) whose tool is close."""
         gains = self._gains
         away = tcp_position(self._arm, self._position) - tcp_position(self._arm, wanted.posture)
         distance = np.linalg.norm(away, axis=-1)
@@ -176,7 +176,7 @@ class PostureController:
         return self._rests
 
     def _learn(self, error: Array, moved: Array, elapsed: Array, arrived: Mask) -> Array:
-        """Integrate the ``error`` (B, n) [rad] of joints that are not on their way; returns what was added."""
+        """Integrate the ``error`` (B, n) [rad] of slow joints; returns the change."""
         gains, size = self._gains, np.abs(error)
         on_its_way = (np.abs(self._speed) > gains.moving) & (self._speed * error > 0.0)
         push = gains.push * np.sign(error) * ((size > gains.within) & arrived)
@@ -188,7 +188,7 @@ class PostureController:
 
 
 def _without(arm: Arm, posture: Array, position: Array, weak: Mask, turn: float) -> Array:
-    """Return postures (B, n) [rad] near ``posture`` with the tool at its place, where ``weak`` joints stay put."""
+    """Postures (B, n) [rad] near ``posture`` with the same tool place and constant ``weak`` joints."""
     goal = np.where(weak, position, posture)
     place, direction = tcp_position(arm, posture), frames(arm, posture).tcp_rotation
     free = ~weak[:, None, :]

@@ -1,4 +1,4 @@
-"""What the control loop saw and sent, one row per cycle."""
+"""Recording of the control loop, one row per cycle."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rejoint.control.robot import JointState, Mask, Robot
 from rejoint.logs.runlog import RunLog
 
 GAP = 0.8
-"""[s] pause in the answers that counts as a gap (chosen)"""
+"""[s] of a gap (chosen)"""
 _CLOCK = 1e-6  # [s] rounding of clocks that have run for long
 
 
@@ -23,47 +23,45 @@ class Cycle(NamedTuple):
     """One control cycle of B arms."""
 
     time: Array
-    """(B,) [s] robot clock at which the state was read"""
+    """(B,) [s] robot clock"""
     position: Array
-    """(B, n) [rad] measured"""
+    """(B, n) [rad]"""
     command: Array
-    """(B, n) [rad] sent right after"""
+    """(B, n) [rad] sent afterwards"""
     target: Array
     """(B, 3) [m] in force; NaN: none"""
     aim: Array
     """(B, 3) [m] corrected target"""
     target_index: NDArray[np.intp]
-    """(B,) its index"""
     since_target: Array
-    """(B,) [s] time since it was set"""
+    """(B,) [s]"""
     true_tcp: Array
-    """(B, 3) [m], NaN: not known"""
+    """(B, 3) [m], NaN: unknown"""
     active: Mask
-    """(B,) whether the state is news"""
+    """(B,) new reading"""
     reasons: Reasons
-    """(B,) flags of the guard"""
     load: Array
-    """(B, n) as `JointState.load`; NaN: none"""
+    """(B, n) as `JointState.load`"""
     turned: Array
-    """(B,) [rad] orientation error by the encoders; NaN: any will do"""
+    """(B,) [rad] orientation error"""
 
 
 PIECE = 600.0
-"""[s] of a run log of an endless drive (chosen)"""
+"""[s] of an endless run log (chosen)"""
 
 OnCycle = Callable[[Cycle], object]
-"""Called after every cycle; what it raises ends the run"""
+"""Receives every cycle; an exception ends the run"""
 
 
 Look = Callable[[Cycle, JointState, Array], object]
-"""Called after every cycle with the state and the wanted joint positions (B, n) [rad]"""
+"""Receives a cycle, state and wanted positions (B, n) [rad]"""
 
 Onlooker = Callable[[str, GuardLimits], Look]
-"""Makes a `Look` at the start of a run; a robot may have one as ``onlooker``"""
+"""Makes a `Look` per run"""
 
 
 def look_of(robot: Robot, controller: str, limits: GuardLimits) -> Look | None:
-    """Look of a robot's onlooker, or None."""
+    """Look of ``onlooker``, or None."""
     onlooker: Onlooker | None = getattr(robot, "onlooker", None)
     return None if onlooker is None else onlooker(controller, limits)
 
@@ -75,34 +73,21 @@ class Recording:
     arm: str
     joint_names: tuple[str, ...]
     robot: str
-    """address of the robot"""
     controller: str
     time: Array
-    """(T, B) [s]"""
     position: Array
-    """(T, B, n) [rad]"""
     command: Array
-    """(T, B, n) [rad]"""
     target: Array
-    """(T, B, 3) [m]"""
     aim: Array
-    """(T, B, 3) [m]"""
     target_index: NDArray[np.intp]
-    """(T, B)"""
     since_target: Array
-    """(T, B) [s]"""
     true_tcp: Array
-    """(T, B, 3) [m]"""
     active: NDArray[np.bool_]
-    """(T, B)"""
     reasons: Reasons
-    """(T, B)"""
     load: Array
-    """(T, B, n)"""
     turned: Array
-    """(T, B) [rad]"""
     tripped: Reasons
-    """(B,) flags of the trip; 0: none"""
+    """(B,) flags of the trip"""
 
     def __post_init__(self) -> None:
         for item in fields(self):
@@ -111,7 +96,7 @@ class Recording:
                 value.setflags(write=False)
 
     def of(self, arms: slice) -> Recording:
-        """Return what was recorded of some arms."""
+        """Select arms."""
         arrays = {item.name: getattr(self, item.name) for item in fields(self)}
         parts: dict[str, Any] = {
             name: value[arms] if name == "tripped" else value[:, arms]
@@ -121,12 +106,12 @@ class Recording:
         return replace(self, **parts)
 
     def usual_period(self, b: int = 0) -> float:
-        """Median control period [s] of arm ``b``; NaN: none."""
+        """Median control period [s]; NaN: none."""
         periods = np.diff(self.time[self.active[:, b], b])
         return float(np.median(periods)) if len(periods) else float("nan")
 
     def gaps(self, b: int = 0) -> Array:
-        """Lengths (T,) [s] of the gaps of arm ``b``, else 0."""
+        """Gap lengths (T,) [s], else 0."""
         rows = np.flatnonzero(self.active[:, b])
         elapsed = np.diff(self.time[rows, b], prepend=self.time[rows[:1], b])
         marked = (self.reasons[rows, b] & np.uint16(Reason.GAP.value)) != 0
@@ -135,7 +120,7 @@ class Recording:
         return gaps
 
     def waits(self, b: int = 0) -> Array:
-        """Return times [s since the target] and lengths [s] of the waits of arm ``b``, (k, 2)."""
+        """Return times [s since the target] and lengths [s] of waits, (k, 2)."""
         rows = np.flatnonzero(self.active[:, b])
         since = self.since_target[rows, b]
         waited = np.diff(self.time[rows, b]) - np.diff(since)
@@ -144,7 +129,7 @@ class Recording:
         return np.stack([since[1:][where], waited[where]], axis=-1)
 
     def log(self, b: int, label: str, extra: Mapping[str, str] | None = None) -> RunLog:
-        """Run log of arm ``b``, on an increasing clock."""
+        """Run log of arm ``b``."""
         rows = np.flatnonzero(self.active[:, b])
         times = self.time[rows, b]
         earlier = np.concatenate([[-np.inf], np.maximum.accumulate(times)[:-1]])
@@ -168,14 +153,14 @@ class Recording:
 
 @dataclass(kw_only=True, eq=False)
 class Recorder:
-    """Collects cycles; `recording` may be asked for at any moment."""
+    """Collects cycles."""
 
     robot: Robot
     controller: str
     cycles: list[Cycle] = field(default_factory=list)
 
     def recording(self, tripped: Reasons) -> Recording:
-        """Return everything so far as arrays; ``tripped`` (B,) as in `Recording`."""
+        """Return all cycles so far; ``tripped`` (B,)."""
         robot, columns = self.robot, self._columns()
         return Recording(
             arm=robot.arm.name,
@@ -209,11 +194,11 @@ class Recorder:
 
 
 def attach(error: BaseException, recording: Recording) -> None:
-    """Tie the recording so far to the error that ended it."""
+    """Attach the recording to an error."""
     error.recording = recording  # type: ignore[attr-defined]
 
 
 def recording_of(error: BaseException) -> Recording | None:
-    """Return the recording of a failed run; None before the first reading."""
+    """Return recording of a failed run, or None."""
     found = getattr(error, "recording", None)
     return found if isinstance(found, Recording) else None

@@ -1,4 +1,4 @@
-"""What a robot promises. It may be a batch of B arms in lockstep, each with its own clock; arrays lead with B."""
+"""The interface of robots: B arms, each with its own clock; arrays lead with B."""
 
 from __future__ import annotations
 
@@ -15,55 +15,55 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointState:
-    """What the encoders said, and when."""
+    """Reading of the joints; None: unknown."""
 
     time: Array
-    """(B,) [s] on the robot's own clock, when the answer arrived"""
+    """(B,) [s] robot clock"""
     position: Array
-    """(B, n) [rad] measured joint positions"""
+    """(B, n) [rad]"""
     age: Array
     """(B,) [s] since the last fresh answer"""
     temperature: Array | None = None
-    """(B, n) [deg C]; None: not reported"""
+    """(B, n) [deg C]"""
     fault: NDArray[np.bool_] | None = None
-    """(B, n) whether a servo reports a fault; None: not reported"""
+    """(B, n)"""
     trouble: tuple[str, ...] | None = None
-    """(n,) complaints of a single arm's servos in words"""
+    """(n,) servo faults in words"""
     load: Array | None = None
-    """(B, n) reported torque over the largest, -1 to 1, positive with the joint; None: not reported"""
+    """(B, n) torque over the largest, -1 to 1, positive with the joint"""
     voltage: Array | None = None
-    """(B, n) [V]; None: not reported"""
+    """(B, n) [V]"""
     elsewhere: Mask | None = None
-    """(B,) whether others moved the arm during a pause; None: not known"""
+    """(B,) others moved the arm in a pause"""
 
 
 @runtime_checkable
 class Robot(Protocol):
-    """One arm, or a batch, that can be read and commanded."""
+    """One arm, or a batch."""
 
     @property
     def arm(self) -> Arm:
-        """The arm's kinematics, limits and masses."""
+        """Kinematics, limits and masses."""
 
     @property
     def address(self) -> str:
-        """Where the robot is, as the user wrote it."""
+        """As the user wrote it."""
 
     @property
     def count(self) -> int:
-        """Number B of arms."""
+        """Number of arms."""
 
     def read(self) -> JointState:
-        """Newest state; RobotError without."""
+        """Newest state; RobotError."""
 
     def step(self, command: Array, active: Mask | None = None) -> JointState:
         """Send ``command`` (B, n) [rad], wait a period, read; arms not ``active`` (B,) repeat their state."""
 
     def true_tcp(self) -> Array:
-        """Return true tool positions (B, 3) [m]; NaN: not known."""
+        """Return true tool positions (B, 3) [m]; NaN: unknown."""
 
     def stop(self) -> None:
-        """Make the arm hold; the power stays on."""
+        """Hold; the power stays on."""
 
     def close(self) -> None:
-        """Release the connection; the arm keeps holding."""
+        """Close the connection; the arm holds."""

@@ -1,8 +1,8 @@
-"""Correcting the last millimetres by a camera, or anything that sees the tool.
+"""Visual servoing of the last millimetres.
 
-Each detection, with the encoders at its time, tells the shift there, at rest or not. Near its aim a worn joint sticks
-and jumps by a millimetre; so the commands of the few joints nearest to the tool swing as little as just moves them
-(dither), and an integrator removes what is missing. Then the swing fades. Results: `python -m benchmarks.seeing`.
+Each detection, with the encoders at its time, measures the tool error. Near the target a worn joint sticks and jumps by
+a millimetre. So the few joints nearest to the tool swing as little as moves them (dither), and an integrator removes
+the error; then the swing fades. Results: `python -m benchmarks.seeing`.
 """
 
 from __future__ import annotations
@@ -21,61 +21,61 @@ from rejoint.control.law import limit_lead, limit_position
 from rejoint.control.robot import Mask
 
 NOISE = 0.3e-3
-"""[m] smallest and default deviation of a detection's coordinates (chosen)"""
+"""[m] least and default deviation of a coordinate (chosen)"""
 UNKNOWN = 3e-3
-"""[m] error of the model before any detection (chosen)"""
+"""[m] error of the model before a detection (chosen)"""
 DRIFT = 0.2e-3
 """[m/sqrt(s)] drift of that (chosen)"""
 RATTLE = 12e-3
-"""[rad/sqrt(s)] wander of a floating link in its play (chosen)"""
+"""[rad/sqrt(s)] wander of a loose link (chosen)"""
 ALONG = 0.1
 """change of the shift over the tool's motion (chosen)"""
 NEAR = 0.015
-"""[m] from its aim within which detections count (chosen)"""
+"""[m] error within which detections count (chosen)"""
 CHANGE = 2e-4
-"""[m] smallest change of an aim (chosen)"""
+"""[m] smallest change of a target (chosen)"""
 JUMP = 0.015
-"""[m] from the model beyond which a detection is rejected (chosen)"""
+"""[m] of a rejected detection from the model (chosen)"""
 HISTORY = 64
-"""Cycles of remembered readings (chosen)"""
+"""Stored readings (chosen)"""
 SHIFTED, ALIKE = 3e-3, 3
-"""[m] to one side, at so many targets: camera or board were moved (chosen)"""
+"""[m] common offset at so many targets of a moved camera or board (chosen)"""
 ENOUGH = 2
-"""detections at a target before the fine motion uses them (chosen)"""
+"""detections before the fine motion (chosen)"""
 FRESH = 0.6
-"""[s] a detection is news (chosen)"""
+"""[s] age of a new detection (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sighting:
-    """Where the tool was seen."""
+    """A detection of the tool."""
 
     time: float
-    """[s] of the picture"""
+    """[s] of the image"""
     place: Array
-    """(3,) [m] of the TCP in the frame of the base"""
+    """(3,) [m] TCP in the base frame"""
     sigma: float = np.nan
-    """[m] deviation of each coordinate; NaN: not known"""
+    """[m] deviation of a coordinate; NaN: unknown"""
 
 
 class Eye(Protocol):
-    """Sees the tool at its own rate; never waits."""
+    """Detects the tool at its own rate; never waits."""
 
     def sighting(self, now: float) -> Sighting | None:
-        """Newest detection at robot time ``now`` [s], or None."""
+        """Newest detection at robot time ``now`` [s]."""
 
 
 @dataclass(eq=False)
 class Seen(Modelled):
-    """Aims of one arm by the model, then by what an eye sees."""
+    """Corrects targets of one arm by the model, then by detections."""
 
     eye: Eye = field(kw_only=True)
     used: int = field(default=0, init=False)
-    """sightings that were believed"""
+    """accepted detections"""
     visits: list[tuple[int, float | None]] = field(default_factory=list, init=False)
-    """per target: accepted detections, and the averaged error [m] by the last"""
+    """per target: accepted detections, and averaged error [m]"""
     beyond: list[Array] = field(default_factory=list, init=False)
-    """(3,) [m] per seen target: seen tool minus the model's"""
+    """(3,) [m] per target: detection minus model"""
     _target: Array = field(default_factory=lambda: np.full(3, np.nan), init=False)
     _extra: Array = field(default_factory=lambda: np.zeros(3), init=False)  # [m] of shift that the model does not know
     _spread: Array = field(default_factory=lambda: np.eye(3), init=False)  # (3, 3) [m^2] its covariance
@@ -86,13 +86,13 @@ class Seen(Modelled):
     _told: deque[tuple[float, Array]] = field(default_factory=lambda: deque(maxlen=HISTORY), init=False)
 
     def aim(self, target: Array, start: Array, where: Mask, near: Array | None = None) -> Array:
-        """Aims (1, 3) [m] of the model."""
+        """Corrected targets (1, 3) [m] of the model."""
         self._target, self._extra, self._count = target[0].copy(), np.zeros(3), 0
         self.visits.append((0, None))
         return super().aim(target, start, where, near)
 
     def again(self, target: Array, inputs: ControlInput) -> Array | None:
-        """Shift the aim by what the newest sighting tells."""
+        """Correct by the newest detection."""
         now, position = float(inputs.state.time[0]), inputs.state.position[0]
         self._told.append((now, position.copy()))
         if not np.isfinite(target).all():
@@ -120,14 +120,14 @@ class Seen(Modelled):
         return fresh[None] if changed and float(np.linalg.norm(fresh - target)) < MOST else None
 
     def missing(self, inputs: ControlInput) -> Array | None:
-        """Way (3,) [m] left by the eye; None without news."""
+        """Error (3,) [m] by detections; None without news."""
         position, now = inputs.state.position[0], float(inputs.state.time[0])
         if self._count < ENOUGH or now - self._believed > FRESH:
             return None
         return np.asarray(self._target - tcp_position(self.arm, position) - self.shift(position) - self._extra)
 
     def shifted(self) -> float | None:
-        """Return the common offset [m] from the model, or None."""
+        """Return common offset [m] from the model, or None."""
         if len(self.beyond) < ALIKE:
             return None
         side = np.mean(self.beyond, axis=0)
@@ -154,67 +154,66 @@ class Seen(Modelled):
         return self._told[0][0] <= time <= self._told[-1][0]
 
     def _position(self, time: float) -> Array:
-        """Return what the encoders said (n,) [rad] at ``time`` [s]."""
+        """Return reading (n,) [rad] at ``time`` [s]."""
         times = np.array([one for one, _ in self._told])
         places = np.stack([one for _, one in self._told])
         return np.array([np.interp(time, times, column) for column in places.T])
 
 
 TAKE_OVER = 0.006
-"""[m] missing from which small joint motions do (chosen)"""
+"""[m] error of small joint motions (chosen)"""
 SLOW = np.radians(1.5)
-"""[rad] largest change in `LOOK` cycles when the fine motion takes over (chosen)"""
+"""[rad] per `LOOK` at the take-over (chosen)"""
 AT_REST = np.radians(0.1)
-"""[rad] the same of a stationary arm (chosen)"""
+"""[rad] per `LOOK` at rest (chosen)"""
 STRANDED, STRANDED_AT = 1.0, 0.015
-"""[s] and [m] after which a stationary arm is taken over (chosen)"""
+"""[s] and [m] at rest before a take-over (chosen)"""
 LOOK = 5
 """cycles (chosen: a tenth of a second)"""
 CALM = 0.35e-3
-"""[m] missing below which the dither ends (chosen)"""
+"""[m] error at which the dither ends (chosen)"""
 RELAX = 0.5
-"""[s] of dither after which twice as much is enough (chosen)"""
+"""[s] of dither after which twice that is enough (chosen)"""
 MOST_CALM = 0.6e-3
-"""[m] and more never is (chosen: what is promised)"""
+"""[m] largest (chosen: the promise)"""
 OFF = 0.6e-3
-"""[m] missing from which a resting arm moves again (chosen)"""
+"""[m] error that ends the rest (chosen)"""
 AGREED = 2
-"""sightings whose mean must say so (chosen)"""
+"""detections in their mean (chosen)"""
 QUIET = 0.1
-"""[s] at rest before that is asked (chosen)"""
+"""[s] at rest before (chosen)"""
 RATE = 6.0
 """[1/s] of the integrator (chosen)"""
 AHEAD = 0.5
-"""share of what is missing that the command leads (chosen)"""
+"""share of the error in the command (chosen)"""
 DAMPING = 0.01
 """[m] of the least squares (chosen)"""
 STEP = np.radians(10.0)
-"""[rad] largest asked joint motion (chosen)"""
+"""[rad] largest wanted joint motion (chosen)"""
 LEAD = np.radians(12.0)
-"""[rad] largest lead (chosen)"""
+"""[rad] largest following error (chosen)"""
 FADE = 0.2
-"""[s] in which the swing ends (chosen: two swings)"""
+"""[s] of the swing's end (chosen)"""
 HALF_SWING = 0.05
 """[s] (chosen: 10 Hz)"""
 FIRST, WIDEST = np.radians(1.2), np.radians(2.0)
 """[rad] first and largest amplitude (chosen)"""
 WIDER, NARROWER = 1.5, 0.8
-"""factors on it for stationary and for swinging readings (chosen)"""
+"""factors on it, stationary and swinging (chosen)"""
 SWING = 4.5
-"""encoder counts (chosen: the tool swings by half a millimetre)"""
+"""encoder counts (chosen: half a millimetre at the tool)"""
 STUCK = 3
-"""swings at the widest amplitude after which a joint is left (chosen)"""
+"""widest swings before giving a joint up (chosen)"""
 LEAST_LEVER = 0.05
-"""smallest singular value over the longest lever (chosen)"""
+"""smallest singular value over longest lever (chosen)"""
 
 
 class Finishing:
-    """Drives by a controller, and the last millimetres by what `seen` sees."""
+    """Drives by a controller, then by detections."""
 
     def __init__(self, arm: Arm, controller: Controller, seen: Seen) -> None:
         self._arm, self._controller, self._seen = arm, controller, seen
         self.state = "far"
-        """``far``: the controller drives; ``fine``; ``hold``"""
         self._amplitude = np.full(arm.joints, FIRST)
         self._told: deque[tuple[float, Array]] = deque(maxlen=12)
         self._aim = np.full(3, np.nan)
@@ -222,16 +221,16 @@ class Finishing:
 
     @property
     def name(self) -> str:
-        """Name of the controller."""
+        """The controller's name."""
         return self._controller.name
 
     @property
     def contract(self) -> object:
-        """That of a policy, else None."""
+        """The policy's contract, else None."""
         return getattr(self._controller, "contract", None)
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Begin a new target; small changes of an aim are none."""
+        """Begin a new target; small changes are none."""
         change = float(np.linalg.norm(inputs.target[0] - self._aim))
         self._aim = inputs.target[0].copy()
         if inputs.since_target[0] > 0.0 and 0.0 < change < TAKE_OVER:
@@ -240,7 +239,7 @@ class Finishing:
         self._controller.reset(inputs, where)
 
     def command(self, inputs: ControlInput) -> Array:
-        """Wanted joint positions (1, n) [rad]."""
+        """Commands (1, n) [rad]."""
         now, position = float(inputs.state.time[0]), inputs.state.position[0]
         self._told.append((now, position.copy()))
         missing = self._seen.missing(inputs)
@@ -333,7 +332,7 @@ class Finishing:
             self._fading = now
 
     def _suit(self, readings: Array) -> None:
-        """Shake joints (T, n) [rad] more that stand, and less that swing widely; leave alone what does not move."""
+        """Increase the swing of stationary joints (T, n) [rad], reduce wide ones, give up stuck ones."""
         counts = np.ptp(readings, axis=0) / self._arm.encoder_step
         stands = self._moving & (counts < 0.5)
         self._standing = np.where(stands & (self._amplitude >= WIDEST), self._standing + 1, 0)
@@ -345,7 +344,7 @@ class Finishing:
         self._amplitude = np.where(counts > SWING, NARROWER * wider, wider)
 
     def _choose(self, jacobian: Array) -> Mask:
-        """Joints (n,) nearest to the tool that can take it in every direction; all, where some cannot."""
+        """Joints (n,) nearest to the tool that move it in every direction; else all."""
         n = self._arm.joints
         longest = float(np.linalg.norm(jacobian, axis=0).max())
         for number in range(1, 2**n):  # bit i is the i-th joint from the tool: lower numbers are nearer to it

@@ -1,8 +1,8 @@
-"""Gains of the servos' position loops: wanted, trained for, in force, and a safe search for better ones.
+"""Gains of the servos' position loops, and a safe search.
 
-Whole numbers in the servos' units per joint, by name (``p``, ``i``, ``d``, ``dead``, ...). Gains that a controller asks
-for are put back afterwards. The search drives to a few targets with one value more of one gain each time; each joint
-keeps what brings it nearer without unrest; shaking, labouring or warm joints end a round.
+Whole numbers in servo units per joint, by name (``p``, ``i``, ``d``, ``dead``, ...). The search changes one gain at a
+time and drives to a few targets. Each joint keeps a value that reduces its error without unrest. Shaking, overloaded or
+warm joints end a round.
 """
 
 from __future__ import annotations
@@ -28,50 +28,50 @@ from rejoint.system.progress import Progress, no_progress
 from rejoint.system.stopping import shielded
 
 ServoGains = Mapping[str, tuple[int, ...]]
-"""(n,) of each name"""
+"""(n,) per name"""
 HOTTEST, HEAVIEST = 55.0, 0.7
-"""[deg C] and torque share at which gains are taken back (chosen)"""
+"""[deg C] and torque share that end a round (chosen)"""
 
 
 class Rung(NamedTuple):
-    """Values that a search tries in turn."""
+    """Values that a search tries."""
 
     names: tuple[str, ...]
-    """of the gains that it sets alike"""
+    """gains set alike"""
     values: tuple[int, ...]
-    """in order; joints beyond one leave it out"""
+    """in order"""
     rising: bool = True
     beside: tuple[tuple[str, int], ...] = ()
-    """what has to be set with it, whatever its value"""
+    """other gains set with it"""
 
 
 class Tunable(Robot, Protocol):
-    """A robot whose servos' own gains can be read and set."""
+    """A robot with adjustable servo gains."""
 
     def servo_gains(self) -> ServoGains | None:
-        """Gains in force; None: not told."""
+        """Gains in force; None: unknown."""
 
     def rungs(self) -> tuple[Rung, ...]:
-        """Return what a search tries, the safest first, last what a controller does not need."""
+        """Search order: the safest first, last those for no controller."""
 
     def tune(self, gains: ServoGains) -> None:
-        """Set the gains in small steps until power-off; RobotError where a servo does not bear it."""
+        """Set gains in small steps until power-off; RobotError."""
 
     def keep(self, gains: ServoGains) -> None:
-        """Set the gains, and keep them without power."""
+        """Set gains permanently."""
 
 
 def gains_in_force(robot: Robot) -> ServoGains | None:
-    """Gains of ``robot``; None: not known."""
+    """Gains in force; None: unknown."""
     ask = getattr(robot, "servo_gains", None)
     return None if ask is None else cast(Tunable, robot).servo_gains()
 
 
 @contextmanager
 def under_gains(robot: Robot, controller: object) -> Iterator[None]:
-    """Drive under the gains that ``controller`` asks for, and put the others back.
+    """Drive under the ``controller``'s gains, then restore the others.
 
-    ContractError for a policy trained for others, InputError where they cannot be set.
+    ContractError for a policy of other gains, InputError.
     """
     require_gains(robot, controller)
     wanted: ServoGains | None = getattr(controller, "servo_gains", None)
@@ -91,7 +91,7 @@ def under_gains(robot: Robot, controller: object) -> Iterator[None]:
 
 @contextmanager
 def put_back(robot: Tunable, before: ServoGains) -> Iterator[None]:
-    """Set the gains ``before`` at the end, however that comes."""
+    """Restore ``before`` at the end."""
     try:
         yield
     except BaseException as error:
@@ -109,10 +109,7 @@ def put_back(robot: Tunable, before: ServoGains) -> Iterator[None]:
 
 
 def limits_under(limits: GuardLimits | None, robot: Robot, controller: object) -> GuardLimits | None:
-    """Limits while ``controller`` drives: the diagnosis holds for its own gains.
-
-    Stiffer servos shift the bands; under an I part nothing is known.
-    """
+    """Limits under the gains of ``controller``."""
     gains: ServoGains | None = getattr(controller, "servo_gains", None) or gains_in_force(robot)
     if limits is None or limits.gains is None or gains is None or not differing(gains, limits.gains):
         return limits
@@ -124,7 +121,7 @@ def limits_under(limits: GuardLimits | None, robot: Robot, controller: object) -
 
 
 def require_gains(robot: Robot, controller: object) -> None:
-    """Refuse (ContractError) a policy that was trained for other gains than it is driven under."""
+    """Raise ContractError for a policy of other gains."""
     contract = getattr(controller, "contract", None)
     if not isinstance(contract, PolicyContract) or contract.servo_gains is None:
         return
@@ -142,7 +139,7 @@ def require_gains(robot: Robot, controller: object) -> None:
 
 
 def differing(wanted: ServoGains, found: ServoGains) -> list[tuple[str, int]]:
-    """Names and joints in which ``wanted`` is not ``found``."""
+    """Names and joints with different gains."""
     return [
         (name, joint)
         for name, values in wanted.items()
@@ -152,14 +149,14 @@ def differing(wanted: ServoGains, found: ServoGains) -> list[tuple[str, int]]:
 
 
 def stiffness_under(stiffness: Array, before: ServoGains | None, now: ServoGains | None) -> Array:
-    """Stiffness (n,) [N m/rad] found under ``before``, under the gains ``now``: it goes with P."""
+    """Stiffness (n,) [N m/rad] under the gains ``now``: proportional to P."""
     if before is None or now is None or "p" not in before or "p" not in now:
         return stiffness
     return np.asarray(stiffness * np.array(now["p"]) / np.maximum(before["p"], 1))
 
 
 def in_words(gains: ServoGains) -> str:
-    """Put gains into words: one number where all joints share it."""
+    """Gains in words."""
     return ", ".join(
         f"{name} {values[0]}" if len(set(values)) == 1 else f"{name} {'/'.join(map(str, values))}"
         for name, values in gains.items()
@@ -167,25 +164,25 @@ def in_words(gains: ServoGains) -> str:
 
 
 GEARED = "servo-gains"
-"""Name of tuned servo loops alone; ``servo-gains+NAME`` is a controller above them"""
+"""Tuned servo loops alone; ``servo-gains+NAME``: below a controller"""
 UNDER = ("integrator", "feedforward", PUSH, POLICY, PREDICTIVE)
-"""Controllers that are also driven under tuned gains (chosen)"""
+"""Controllers also run with tuned gains (chosen)"""
 RIVALS = (GEARED, *(f"{GEARED}+{name}" for name in UNDER))
 GEARED_PUSH, GEARED_POLICY, GEARED_PREDICTIVE = (f"{GEARED}+{name}" for name in (PUSH, POLICY, PREDICTIVE))
 
 
 def inner_name(name: str) -> str:
-    """Name of the controller under tuned gains; others as they are."""
+    """Return controller above tuned gains."""
     return DefaultController.name if name == GEARED else name.removeprefix(f"{GEARED}+")
 
 
 def own_policy(names: Sequence[str]) -> str | None:
-    """Name of a run's own policy among controllers, or None."""
+    """Return a run's own policy, or None."""
     return next((name for name in names if inner_name(name) == POLICY), None)
 
 
 class Geared:
-    """A ``controller`` that asks for servo ``gains`` (`under_gains` sets them)."""
+    """A ``controller`` with tuned servo gains."""
 
     def __init__(self, controller: Controller, gains: ServoGains) -> None:
         self._controller, self.servo_gains = controller, gains
@@ -198,67 +195,64 @@ class Geared:
         self._controller.reset(inputs, where)
 
     def command(self, inputs: ControlInput) -> Array:
-        """Return the controller's command (B, n) [rad]."""
+        """Commands (B, n) [rad]."""
         return self._controller.command(inputs)
 
 
 DWELL = 2.5
 """[s] at each target (chosen)"""
 LOOKED = 0.8
-"""[s] at its end that count (chosen)"""
+"""[s] evaluated at its end (chosen)"""
 GAIN = 0.25
-"""[counts] that a joint must come nearer (chosen)"""
+"""[counts] least improvement (chosen)"""
 LOUDER = 1.5
-"""allowed times the first unrest (chosen), but always `QUIET`"""
+"""allowed multiple of the first unrest (chosen)"""
 QUIET = 1.0
-"""[counts] that are no unrest (chosen)"""
+"""[counts] of no unrest (chosen)"""
 SHAKES = np.radians(2.0)
-"""[rad] of swing within `LOOKED` that ends a round (chosen)"""
+"""[rad] swing within `LOOKED` that ends a round (chosen)"""
 LABOURS = 1.0
-"""[s] beyond `HEAVIEST` that ends it (chosen)"""
+"""[s] beyond `HEAVIEST` that end it (chosen)"""
 
 Values = dict[str, tuple[int, ...]]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Round:
-    """What a round over the targets showed."""
+    """Result of a round over the targets."""
 
     error: tuple[float, ...]
-    """(n,) [rad] mean distance of each joint from its command"""
+    """(n,) [rad] mean error"""
     unrest: tuple[float, ...]
-    """(n,) [rad] mean standard deviation of each joint at rest"""
+    """(n,) [rad] mean standard deviation at rest"""
     tool: float
     """[m] mean tool error by the encoders"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class GainsFound:
-    """What a search found; gains by name, one of each joint."""
+    """Result of a search; gains by name, one per joint."""
 
     arm: str
     robot: str
     """address"""
     found: Values
-    """as they were, and are again"""
+    """before and after the search"""
     under: Values
-    """best below a correcting controller: without the last rung"""
+    """best below a controller"""
     alone: Values
     """best for the servos alone"""
     before: Round
     with_under: Round
     with_alone: Round
     rounds: int
-    """that were driven"""
+    """driven"""
 
 
 def search(
     robot: Tunable, targets: Array, *, limits: GuardLimits | None = None, on_progress: Progress = no_progress
 ) -> GainsFound:
-    """Try the rungs of ``robot``, one arm, at ``targets`` (K, 3) [m]; InputError where it has none.
-
-    However it ends, the gains from before are set again.
-    """
+    """Try the rungs of ``robot``, one arm, at ``targets`` (K, 3) [m], and restore its gains; InputError."""
     before = gains_in_force(robot)
     if before is None or not robot.rungs():
         raise InputError(f"{robot.address} has no servo gains that could be tuned; an SO-101 on its own bus has")
@@ -300,7 +294,7 @@ class _Shown:
     unrest: Array
     tool: float
     bad: Mask
-    """(n,) joints that ended the round"""
+    """(n,)"""
 
 
 @dataclass(eq=False)
@@ -360,7 +354,7 @@ class _Climb:
         return dict(self.gains), seen
 
     def _compare(self, seen: _Shown, first: _Shown) -> tuple[Mask, Mask]:
-        """Joints (n,) that are nearer to their commands than ever, and those that are less quiet than at the start."""
+        """Joints (n,) with the least error, and those less quiet than first."""
         step = self.robot.arm.encoder_step
         nearer: Mask = seen.error < self.best.error - GAIN * step
         return nearer, seen.unrest > np.maximum(LOUDER * first.unrest, QUIET * step)
@@ -394,7 +388,7 @@ class _Climb:
 
 
 class _RoundWatch:
-    """Ends a round as soon as a joint shakes, labours or gets warm."""
+    """Ends a round when a joint shakes, labours or gets warm."""
 
     def __init__(self, arm: Arm) -> None:
         self.joints: Mask = np.zeros(arm.joints, dtype=bool)
@@ -403,7 +397,7 @@ class _RoundWatch:
         self._last: float | None = None
 
     def bad(self, inputs: ControlInput) -> Mask:
-        """Tell (1,) whether the round is to end, see `Schedule.give_up`."""
+        """Whether the round ends, (1,)."""
         state, now = inputs.state, float(inputs.state.time[0])
         elapsed = 0.0 if self._last is None else now - self._last
         self._last = now
@@ -423,7 +417,6 @@ class _RoundWatch:
 
 
 def _with(gains: Values, rung: Rung, value: int, joints: Mask) -> Values:
-    """Gains with a ``value`` of a rung at ``joints`` (n,)."""
     set_to = {**dict.fromkeys(rung.names, value), **dict(rung.beside)}
     return {
         name: tuple(set_to[name] if name in set_to and take else old for old, take in zip(values, joints, strict=True))

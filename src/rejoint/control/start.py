@@ -1,4 +1,4 @@
-"""How every drive begins: a look, then slow motion; trajectories and ways to a posture."""
+"""Start of every drive: a look, then slow motion."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from rejoint.system.errors import NotReadyError
 from rejoint.system.stopping import pause
 
 BEYOND = np.radians(3.0)
-"""[rad] beyond a limit at the start (chosen)"""
+"""[rad] beyond a limit (chosen)"""
 WARMTH = 5.0
-"""[deg C] below the guard's trip at the start (chosen)"""
+"""[deg C] below the guard's trip (chosen)"""
 COLDEST, HOTTEST = -20.0, 120.0
-"""[deg C] bounds of trusted temperatures (chosen)"""
+"""[deg C] trusted (chosen)"""
 LOOK = 0.3
-"""[s] of the first look (chosen)"""
+"""[s] (chosen)"""
 STILL = np.radians(5.0)
-"""[rad] of motion in it (chosen)"""
+"""[rad] motion during the look (chosen)"""
 STANCE = np.radians(15.0)
 """[rad] from the twin's rest posture (chosen)"""
 FARTHER = np.radians(5.0)
-"""[rad] more than in the own diagnosis (chosen)"""
+"""[rad] more than in the diagnosis (chosen)"""
 FALL = GuardLimits.max_lead + np.radians(5.0)
-"""[rad] of falling off the first way (chosen)"""
+"""[rad] of falling off the first motion (chosen)"""
 ASTRAY = np.radians(8.0)
 """[rad] of leaving it without or against weight (chosen)"""
 STRIKES = 2
-"""Readings in a row for that (chosen)"""
+"""Readings in a row (chosen)"""
 LIGHT = 1e-3
 """[N m] without weight (chosen)"""
 
@@ -45,20 +45,20 @@ class Stance:
     """Expected rest posture by a twin."""
 
     stiffness: Array
-    """(n,) [N m/rad] of the servos"""
+    """(n,) [N m/rad]"""
     offset: Array
     """(n,) [rad] unloaded joint minus command"""
     off: Array | float = 0.0
-    """(n,) [rad] distance from there in the own diagnosis"""
+    """(n,) [rad] distance in the diagnosis"""
 
     def away(self, arm: Arm, position: Array, command: Array) -> Array:
-        """Distances (..., n) [rad] of ``position`` (..., n) from it under ``command``."""
+        """Distances (..., n) [rad] of ``position`` (..., n) under ``command``."""
         expected = command + self.offset - gravity_torque(arm, position) / self.stiffness
         away: Array = np.abs(position - expected)
         return away
 
     def check(self, arm: Arm, state: JointState, command: Array) -> None:
-        """Raise NotReadyError unless ``state`` is there under ``command`` (B, n) [rad]."""
+        """Raise NotReadyError unless ``state`` matches under ``command`` (B, n) [rad]."""
         away, most = self.away(arm, state.position, command), np.maximum(STANCE, self.off + FARTHER)
         most = np.broadcast_to(most, away.shape)
         b, j = np.unravel_index(np.argmax(away - most), away.shape)
@@ -73,10 +73,7 @@ class Stance:
 def begin(
     robot: Robot, limits: GuardLimits | None = None, stance: Stance | None = None, on_cycle: OnCycle | None = None
 ) -> Recording:
-    """Look at the robot, bring it slowly to rest, and compare with its ``stance``.
-
-    NotReadyError where it is unsafe to move the arm: before, during or after this motion.
-    """
+    """Look, move slowly to rest, and compare with ``stance``; NotReadyError if unsafe."""
     check_ready(robot)
     motion = move(robot, robot.arm.rest, limits=limits, on_cycle=_FirstWay(robot, on_cycle))
     if stance is not None:
@@ -85,10 +82,7 @@ def begin(
 
 
 class _FirstWay:
-    """Raises NotReadyError as soon as a joint leaves its first way.
-
-    Reversed or exchanged joints leave at once the place that they are to keep.
-    """
+    """Raises NotReadyError when a joint leaves its first motion: reversed or exchanged joints."""
 
     def __init__(self, robot: Robot, on_cycle: OnCycle | None) -> None:
         self._arm, self._address, self._on_cycle = robot.arm, robot.address, on_cycle
@@ -123,7 +117,7 @@ class _FirstWay:
 
 
 def check_ready(robot: Robot) -> None:
-    """Raise NotReadyError unless the arms rest inside their limits, cool and healthy."""
+    """Raise NotReadyError unless the arms are still, inside limits, cool and healthy."""
     first = robot.read()
     state = robot.read()
     if (state.time > first.time).any():  # virtual time stands still
@@ -174,7 +168,7 @@ def play(
     limits: GuardLimits | None = None,
     on_cycle: OnCycle | None = None,
 ) -> Recording:
-    """Send ``trajectory(time)``, times (B,) [s] to commands (B, n) [rad], for ``duration`` [s], guarded."""
+    """Send ``trajectory(time)``, (B,) [s] to (B, n) [rad], for ``duration`` [s], guarded."""
     targets = np.full((robot.count, 1, 3), np.nan)
     return run(robot, Playback(trajectory), targets, Schedule(dwell=duration), limits=limits, on_cycle=on_cycle)
 
@@ -190,9 +184,9 @@ def move(
     give_up: Callable[[ControlInput], Mask] | None = None,
     on_cycle: OnCycle | None = None,
 ) -> Recording:
-    """Bring every arm to ``posture`` (n,) [rad] at ``speed`` [rad/s] and wait ``settle`` [s].
+    """Move to ``posture`` (n,) [rad] at ``speed`` [rad/s] and wait ``settle`` [s].
 
-    The way starts at ``sent`` (B, n) [rad], or at the measured position of moved arms. ``give_up`` as in `Schedule`.
+    From ``sent`` (B, n) [rad], or the measured position of moved arms.
     """
     state = robot.read()
     start = np.array(state.position if sent is None else in_force(state, sent), dtype=float)
@@ -208,7 +202,7 @@ def move(
 
 
 class Playback:
-    """Controller that follows a trajectory by the clock."""
+    """Plays a trajectory by the clock."""
 
     name = "playback"
 
@@ -216,8 +210,8 @@ class Playback:
         self._trajectory = trajectory
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Do nothing: the clock is that of the inputs."""
+        """Do nothing."""
 
     def command(self, inputs: ControlInput) -> Array:
-        """Trajectory's posture (B, n) [rad] at this time."""
+        """Commands (B, n) [rad]."""
         return self._trajectory(inputs.since_target)

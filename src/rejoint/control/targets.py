@@ -1,7 +1,7 @@
-"""Targets and poses as users give them: as objects, drawn, or in CSV files.
+"""Targets and poses: as objects, drawn, or in CSV files.
 
-Columns: ``x,y,z`` [mm], then nothing, or ``dx,dy,dz`` (direction), or ``rx,ry,rz`` [deg] (about fixed x, y, z), or
-``qw,qx,qy,qz``, and perhaps ``weight`` [mm] per degree. A line with an empty orientation is a point.
+Columns: ``x,y,z`` [mm]; perhaps ``dx,dy,dz`` (direction), ``rx,ry,rz`` [deg] (about fixed x, y, z) or ``qw,qx,qy,qz``;
+perhaps ``weight`` [mm] per degree. A line with an empty orientation is a point.
 """
 
 from __future__ import annotations
@@ -36,9 +36,7 @@ from rejoint.system.numbers import as_floats
 
 PLACE = ("x", "y", "z")
 KINDS = {"direction": ("dx", "dy", "dz"), "angles": ("rx", "ry", "rz"), "quaternion": ("qw", "qx", "qy", "qz")}
-"""Columns of each way to give an orientation"""
 ORIENTED = "dx,dy,dz or rx,ry,rz or qw,qx,qy,qz, and perhaps weight"
-"""What a header may have after the place, in words"""
 _SHOWN = 80  # letters of a header that an error shows
 _NUMBERS = dict(enumerate(("three", "four", "five", "six", "seven", "eight", "nine"), start=3))
 _DEGREE = 1e3 * np.radians(1.0)  # a weight in m/rad, in mm/deg
@@ -46,7 +44,7 @@ _DEGREE = 1e3 * np.radians(1.0)  # a weight in m/rad, in mm/deg
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pose:
-    """A place for the tool, and how the tool is to be turned there: in at most one of three ways.
+    """A place of the tool, with at most one of three orientations.
 
     Examples
     --------
@@ -56,13 +54,13 @@ class Pose:
     place_m: ArrayLike
     """(3,) in the base frame"""
     direction: ArrayLike | None = None
-    """(3,) tool direction in the base frame"""
+    """(3,) tool axis in the base frame"""
     angles_rad: ArrayLike | None = None
-    """(3,) [rad] about the fixed x, then y, then z"""
+    """(3,) [rad] about fixed x, then y, then z"""
     quaternion: ArrayLike | None = None
     """(4,) w, x, y, z"""
     weight_m: float = WEIGHT
-    """[m] that a radian counts against the place"""
+    """[m/rad] of the orientation"""
 
     def __post_init__(self) -> None:
         given = [(name, value) for name, value in self._ways() if value is not None]
@@ -86,11 +84,11 @@ class Pose:
 
     @property
     def turned(self) -> bool:
-        """Whether an orientation is asked for."""
+        """Whether an orientation is wanted."""
         return self.weight_m > 0.0 and any(value is not None for _, value in self._ways())
 
     def rotation(self, axis: Array) -> Array:
-        """Wanted frame (3, 3) of a tool along its ``axis`` (3,)."""
+        """Wanted frame (3, 3) of a tool along ``axis`` (3,)."""
         if self.direction is not None:
             return pointing(axis, np.asarray(self.direction, dtype=float))
         if self.angles_rad is not None:
@@ -99,7 +97,7 @@ class Pose:
 
 
 def placed(arm: Arm, poses: Sequence[Pose]) -> tuple[Array, Orientation | None]:
-    """Places (K, 3) [m] and orientations (K,) of poses; None for points alone."""
+    """Places (K, 3) [m] and orientations (K,); None for points alone."""
     axis = tool_axis(arm)
     places = np.array([np.asarray(pose.place_m, dtype=float) for pose in poses]).reshape(-1, 3)
     if not any(pose.turned for pose in poses):
@@ -113,7 +111,7 @@ def placed(arm: Arm, poses: Sequence[Pose]) -> tuple[Array, Orientation | None]:
 
 
 def in_words(turn: Orientation) -> str:
-    """Say a single orientation () in words; empty: any."""
+    """Return an orientation () in words; empty: any."""
     if not turn.counts:
         return ""
     if not turn.whole:
@@ -124,10 +122,7 @@ def in_words(turn: Orientation) -> str:
 
 
 def columns(header: Sequence[str], first: Sequence[str] = PLACE) -> Callable[[Sequence[str]], Pose] | None:
-    """Return what makes a pose of a line's cells below ``header``; None for an unknown header.
-
-    It raises InputError for a bad line.
-    """
+    """Return the parser of lines below ``header`` (raises InputError), or None."""
     names = [cell.strip().lower() for cell in header]
     rest = names[len(first) :]
     weighed = rest[-1:] == ["weight"]
@@ -155,7 +150,7 @@ def columns(header: Sequence[str], first: Sequence[str] = PLACE) -> Callable[[Se
 
 
 def unknown_header(header: Sequence[str], first: Sequence[str] = PLACE) -> tuple[str, str]:
-    """Return what is wrong with a ``header``, and what to do."""
+    """Return the problem of a ``header``, and the remedy."""
     found, expected = ",".join(header), ",".join(first)
     problem = f"it holds nothing, expected the header '{expected}'"
     if found:
@@ -168,10 +163,7 @@ def unknown_header(header: Sequence[str], first: Sequence[str] = PLACE) -> tuple
 
 
 def read_poses(path: Path, most: int, first: Sequence[str] = PLACE) -> list[tuple[int, list[str], Pose]]:
-    """Read a CSV file of poses with the columns ``first``: number, cells and pose of each line.
-
-    FileError names bad ones.
-    """
+    """Read a CSV file of poses: number, cells and pose of each line; FileError."""
     try:
         text = read_bounded(path, most, "give fewer lines").decode("utf-8-sig")
         rows = enumerate(csv.reader(io.StringIO(text, newline="")), start=1)
@@ -195,7 +187,7 @@ def read_poses(path: Path, most: int, first: Sequence[str] = PLACE) -> list[tupl
 
 
 def turn_knot(pose: Pose) -> Array:
-    """Orientation of a turned pose as a unit direction (3,) or quaternion (4,)."""
+    """Orientation as a unit direction (3,) or quaternion (4,)."""
     if pose.direction is not None:
         knot = np.asarray(pose.direction, dtype=float)
     elif pose.quaternion is not None:
@@ -226,17 +218,17 @@ T = TypeVar("T")
 
 _HEADER = ["x", "y", "z"]
 _MOST = 250_000
-"""[bytes] largest file that is read (chosen: ten thousand targets)"""
+"""[bytes] (chosen: ten thousand targets)"""
 _MOST_SETS = 10_000
-"""Most sets that are drawn (chosen)"""
+"""(chosen)"""
 _REACHED = 1e-3
-"""[m] a larger miss is out of reach (chosen)"""
+"""[m] miss out of reach (chosen)"""
 _POSTURES, _STARTS = 5000, 4
-"""Random postures, and the nearest of them to start from (measured)"""
+"""Random postures, and tried ones (measured)"""
 _WHOLE = 6
-"""Joints that an arm needs to turn its tool freely"""
+"""Joints that turn a tool freely"""
 _NAMED = 5
-"""Targets that an error names (chosen: one line)"""
+"""Targets in an error (chosen)"""
 
 
 def draw_targets(arm: Arm, *, sets: int, count: int = 10, seed: int = 0) -> Array:
@@ -248,10 +240,7 @@ def draw_targets(arm: Arm, *, sets: int, count: int = 10, seed: int = 0) -> Arra
 
 
 def read_targets(path: Path, arm: Arm) -> tuple[Array, Orientation | None]:
-    """Read targets (K, 3) [m] from a CSV file ``x,y,z`` in mm, and orientations (K,) or None.
-
-    FileError names bad lines and targets out of reach.
-    """
+    """Read targets (K, 3) [m] from a CSV file ``x,y,z`` in mm, and orientations (K,) or None; FileError."""
     try:
         lines = read_poses(path, _MOST)
     except FileNotFoundError as error:
@@ -266,7 +255,7 @@ def read_targets(path: Path, arm: Arm) -> tuple[Array, Orientation | None]:
 
 
 def require_reachable(arm: Arm, targets: Array, turns: Orientation | None = None) -> None:
-    """Raise InputError that names targets (S, K, 3) [m], turned as in ``turns`` (S, K), out of reach."""
+    """Raise InputError for targets (S, K, 3) [m] out of reach."""
     sets, count, _ = targets.shape
     if not np.isfinite(targets).all():
         raise InputError("targets: some are no finite numbers; give x, y, z in metres")
@@ -277,7 +266,7 @@ def require_reachable(arm: Arm, targets: Array, turns: Orientation | None = None
 
 
 def refused(arm: Arm, names: list[str], points: Array, turns: Orientation | None = None) -> str:
-    """Say why ``arm`` cannot be at ``points`` (K, 3) [m]; empty where it can."""
+    """Why ``points`` (K, 3) [m] are impossible, or empty."""
     goals = choose_postures(arm, points, arm.rest, turn=turns)
     bad = [k for k, why in enumerate(goals.refusals) if why]
     told = [
@@ -295,7 +284,7 @@ def _turned(turns: Orientation | None, k: int) -> str:
 
 
 def beyond_reach(arm: Arm, targets: Array) -> Array:
-    """Distances (K,) [m] of targets (K, 3) [m] beyond the reach; 0 inside."""
+    """Distances (K,) [m] beyond the reach."""
     beyond: Array = solve_position(arm, targets, np.broadcast_to(arm.rest, (len(targets), arm.joints))).error
     missed = np.flatnonzero(beyond > _REACHED)
     if len(missed):
@@ -308,18 +297,18 @@ def beyond_reach(arm: Arm, targets: Array) -> Array:
 
 
 def too_low(arm: Arm, places: Array) -> NDArray[np.bool_]:
-    """Whether places (..., 3) [m] are below the guard's floor; (...)."""
+    """Which places (..., 3) [m] are below the guard's floor."""
     low: NDArray[np.bool_] = places[..., 2] < arm.floor
     return low
 
 
 def lowest(arm: Arm) -> str:
-    """Return what to say of a place that is too low."""
+    """Explain a place that is too low."""
     return f"is lower than {1e3 * arm.floor:g} mm, where the guard keeps the tool from the ground"
 
 
 def unit_hint(places: Array) -> str:
-    """Hint for places (..., 3) [m] that look like metres, or nothing."""
+    """Hint for places (..., 3) [m] that look like metres."""
     return " they look like metres, and millimetres are expected;" if in_metres(places) else ""
 
 

@@ -1,4 +1,4 @@
-"""Bags of ROS 1 and 2 and MCAP files (mcap.dev/spec): which topic holds what, and on which clock."""
+"""Bags of ROS 1 and 2 and MCAP files (mcap.dev/spec): topics and clocks."""
 
 from __future__ import annotations
 
@@ -35,22 +35,22 @@ from rejoint.system.extras import require
 from rejoint.system.files import MEGABYTE, begins_with, require_file
 
 _RECORD_LIMIT = 1 << 28
-"""[bytes] chosen: larger than any chunk a recorder writes"""
+"""[bytes] (chosen: larger than recorded chunks)"""
 _CHUNK_MOST = 1000 * MEGABYTE
-"""Largest chunk that is unpacked (chosen: a thousand times what recorders write)"""
+"""[bytes] (chosen: a thousand times recorded chunks)"""
 
 Message = tuple[int, Any]
-"""time of recording [ns], and what a decoder made of it"""
+"""[ns] of recording, decoded message"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Topic:
-    """One topic of a recording."""
+    """One topic."""
 
     schema: str
     count: int
     seconds: float
-    """[s] that the recording lasts"""
+    """[s]"""
 
     def __str__(self) -> str:
         rate = f", {(self.count - 1) / self.seconds:.3g} Hz" if self.seconds > 0 and self.count > 1 else ""
@@ -59,17 +59,17 @@ class Topic:
 
 @dataclass(frozen=True, kw_only=True)
 class Store:
-    """A kind of file that holds messages."""
+    """A kind of file with messages."""
 
     name: str
     magic: dict[str, bytes]
-    """first bytes by the ending of the name; an empty ending for any"""
+    """first bytes by ending; empty: any"""
     inventory: Callable[[Path], dict[str, Topic]]
     messages: Callable[[Path, set[str]], dict[str, list[Message]]]
-    """decodes the messages of some topics"""
+    """decodes messages of some topics"""
 
     def files(self, source: Path) -> list[Path]:
-        """Return the files of this kind at a path, sorted by name."""
+        """Files of this kind, sorted by name."""
         found = sorted(source.iterdir()) if source.is_dir() else [source]
         return [
             file for file in found
@@ -107,7 +107,6 @@ def _counted(summary: Any) -> dict[str, Topic]:  # noqa: ANN401 - the library is
 
 
 def _mcap_topics(reader: Any) -> dict[str, Topic]:  # noqa: ANN401
-    """Count the messages of each topic of a file that does not."""
     names: dict[str, str] = {}
     times: dict[str, list[int]] = {}
     for schema, channel, message in reader.iter_messages(log_time_order=False):
@@ -136,7 +135,6 @@ def _mcap_reader(stream: IO[bytes]) -> Any:  # noqa: ANN401
 
 
 def _mcap_messages(file: Path, topics: set[str]) -> dict[str, list[Message]]:
-    """Decode messages in the order of the file."""
     found: dict[str, list[Message]] = {}
     with file.open("rb") as stream:
         reader = _mcap_reader(stream)
@@ -168,7 +166,6 @@ def _bag_inventory(file: Path) -> dict[str, Topic]:
 
 
 def _bag_messages(file: Path, topics: set[str]) -> dict[str, list[Message]]:
-    """Decode messages in the order of their times."""
     found: dict[str, list[Message]] = {}
     with _bag(file) as bag:
         chosen = [connection for connection in bag.connections if connection.topic in topics]
@@ -188,25 +185,25 @@ ROSBAG = Store(
 
 
 STATE_TOPIC, COMMAND_TOPIC = "/joint_states", "/joint_commands"
-"""Where ROS 2's joint_state_broadcaster publishes; and, chosen, its counterpart."""
+"""As of ROS 2's joint_state_broadcaster; and, chosen, its counterpart"""
 MESSAGES_MOST = 5_000_000
-"""chosen: 1.4 hours at 1 kHz"""
+"""(chosen: 1.4 hours at 1 kHz)"""
 OTHER_INTERFACES = ("velocity", "effort", "gripper", "hand")
-"""Topics that hold no joint positions (chosen)"""
+"""Topics without joint positions (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BagReader:
-    """Reads the bags of one kind of file."""
+    """Reads bags of one kind."""
 
     store: Store
 
     def fits(self, source: Path, options: ImportOptions) -> bool:  # noqa: ARG002 - it declares nothing about this
-        """Tell whether a path holds such bags."""
+        """Whether a path holds such bags."""
         return bool(self.store.files(source))
 
     def motions(self, source: Path, arm: Arm, options: ImportOptions) -> list[Pending]:
-        """Return the motions of the bags at a path, sorted by name."""
+        """Motions at a path, sorted by name."""
         files = self.store.files(source) or ([source] if source.is_file() else [])
         if not files:
             raise FileError(source, f"no file of format {self.store.name} here", "check the path or the format")
@@ -261,7 +258,7 @@ def _read(store: Store, file: Path, arm: Arm, options: ImportOptions) -> Recorde
 
 @contextmanager
 def _reporting(store: Store, file: Path) -> Iterator[None]:
-    """Turn whatever the decoders raise on damaged bytes into a FileError."""
+    """Turn a decoder's errors into FileError."""
     require(f"{file}: reading {store.name}", "logs")
     try:
         yield
@@ -280,7 +277,7 @@ def _reporting(store: Store, file: Path) -> Iterator[None]:
 
 
 def _topics(held: dict[str, Topic], options: ImportOptions, file: Path) -> tuple[str, str | None, list[str]]:
-    """Choose the topics of states and commands, None for none."""
+    """Choose topics of states and commands."""
     notes: list[str] = []
     found = ", ".join([f"{name} {topic}" for name, topic in sorted(held.items())][:12]) or "none"
     found += f" and {len(held) - 12} more" if len(held) > 12 else ""
@@ -315,7 +312,6 @@ def _stamp(
     samples: dict[str, list[Sample]], goals: list[TrajectoryGoal], topics: tuple[str, str | None],
     kinds: dict[str, str], options: ImportOptions, file: Path,
 ) -> tuple[str, list[str]]:  # fmt: skip
-    """Choose between message stamps and recording times."""
     state, command = topics
     if options.stamp is not None:
         return options.stamp, []

@@ -1,9 +1,9 @@
 """What the columns of a file mean; units are never guessed.
 
 A title is a group, a joint and a unit: ``position.elbow_deg``, ``act_m0``, ``actual_q_5``, ``tau_measured_2``.
-`ImportOptions.columns` maps others: ``time_ms=t``, ``command.elbow=u3``, ``target.x_mm=gx``; ``elbow=q3`` or
-``joint1=m0/6.33-0.184`` for all columns of a joint (torque is divided by the scale, current takes its sign);
-``command=27..32`` for all joints from the base on.
+`ImportOptions.columns` maps others: ``time_ms=t``, ``command.elbow=u3``, ``target.x_mm=gx``. ``elbow=q3`` or
+``joint1=m0/6.33-0.184`` holds for all columns of a joint (torque is divided by the scale, current takes its sign).
+``command=27..32`` names all joints from the base on.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from rejoint.system.errors import FileError, InputError
 from rejoint.system.textfile import shown, split_unit
 
 LENGTHS = {"m": 1.0, "mm": 1e-3}
-"""[m] units of lengths"""
+"""[m]"""
 UNITS: dict[str, dict[str, float]] = {
     "time": {unit: 1.0 / ticks for unit, ticks in TIME_UNITS.items()}, "position": ANGLES, "command": ANGLES,
     "target": LENGTHS, "true_tcp": LENGTHS, "torque": {"Nm": 1.0, "mNm": 1e-3}, "current": {"A": 1.0, "mA": 1e-3},
     "gain": {}, "powered": {},
 }  # fmt: skip
-"""Units of each group in SI units"""
+"""SI units per unit of each group"""
 SI = {"torque": "N m", "current": "A"}
 _TIMES = ("time", "t", "timestamp")
 _PREFIXES = {
@@ -42,37 +42,37 @@ _PREFIXES = {
     "current": "current", "cur": "current", "actual_current": "current", "gain": "gain", "kp": "gain",
     "torque_enable": "powered", "target": "target", "true_tcp": "true_tcp",
 }  # fmt: skip
-"""What titles begin with, in small letters"""
+"""Beginnings of titles"""
 _RECORDERS = {"actual_q": ("rad", "s"), "state.q": ("rad", "ms"), "positioncmptd": ("rad", "ms")}
-"""Recorders whose titles imply units: RTDE of Universal Robots, libfranka's ``logToCSV``, wissem01chiha/dynamic-
-identification (Kinova Gen3)"""
+"""Implied units: RTDE of Universal Robots, libfranka's ``logToCSV``, wissem01chiha/dynamic- identification (Kinova
+Gen3)"""
 _ORDER = sorted(_PREFIXES, key=len, reverse=True)
 _JOINT = re.compile(r"[._ ]?\[?(?P<number>\d+)\]?|[._ ](?P<name>.+)|")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Column:
-    """One column that a log is made of."""
+    """A column of a log."""
 
     index: int
     title: str
     group: str
-    """a key of `UNITS`"""
+    """key of `UNITS`"""
     name: str
-    """joint, its number, or axis; empty where one column counts for all joints"""
+    """joint, its number, or axis; empty: all joints"""
     unit: str | None
-    """that the title says"""
+    """in the title"""
     linear: Linear | None = None
-    """what the user makes of this column alone"""
+    """the user's, for this column"""
 
 
 def read_motion(
     name: str, frames: Sequence[ColumnFrame], arm: Arm, options: ImportOptions, *, robot: str, extra: dict[str, str],
     notes: Sequence[str] = (),
 ) -> RecordedMotion:  # fmt: skip
-    """Make a motion of columns on one clock, or of states and commands on their own clocks.
+    """Make a motion of columns on one clock, or of states and commands on their own.
 
-    Raises FileError for columns that are missing, doubled or without unit, InputError for a wrong map.
+    FileError for missing or double columns, or no unit; InputError for a wrong map.
     """
     tables = [_ForeignTable(frame, arm, options) for frame in frames]
     _check_map(tables, arm, options)
@@ -103,7 +103,7 @@ def read_motion(
 
 
 def holds_positions(titles: Sequence[str], options: ImportOptions) -> bool:
-    """Tell whether titles are those of a log, also by the user's map."""
+    """Whether titles, or the user's map, are a log's."""
     mapped = {
         part
         for text in (options.columns or {}).values()
@@ -119,7 +119,7 @@ _COUNT = 2 * np.pi / COUNTS_PER_TURN
 
 
 class _ForeignTable:
-    """The columns of a frame that have a meaning."""
+    """Columns of a frame with a meaning."""
 
     def __init__(self, frame: ColumnFrame, arm: Arm, options: ImportOptions) -> None:
         self.frame, self.arm, self.options = frame, arm, options
@@ -148,11 +148,10 @@ class _ForeignTable:
 
     @property
     def known(self) -> set[str]:
-        """Titles, and names of joints in them."""
+        """Titles, and joint names in them."""
         return {*self.frame.titles, *(column.name for column in self.columns.values())}
 
     def _mapped(self) -> list[Column]:
-        """Read what the user says of single columns."""
         found: list[Column] = []
         for ours, theirs in (self.options.columns or {}).items():
             titles = self.frame.titles
@@ -185,7 +184,6 @@ class _ForeignTable:
         return found
 
     def _unit(self, column: Column, default: str | None) -> str:
-        """Return the unit of a time or an angle."""
         key = "time_unit" if column.group == "time" else "angle_unit"
         declared, option = getattr(self.options, key), OPTIONS[key]
         if column.unit and declared and column.unit != declared:
@@ -219,7 +217,7 @@ class _ForeignTable:
         return self.frame.values([times[0].index])[:, 0] / TIME_UNITS[unit]
 
     def raw(self, group: str) -> tuple[Array, list[Column]]:
-        """Read a group (T, n) in the arm's order, scaled, in the file's units, and its columns."""
+        """Return a group (T, n) in the arm's order and file units, and its columns."""
         columns = self.of(group)
         if len(columns) == 1 and not columns[0].name and (self.arm.joints == 1 or group in ("gain", "powered")):
             columns = columns * self.arm.joints
@@ -244,7 +242,7 @@ class _ForeignTable:
         return (values * np.sign(scale) if group == "current" else values * scale + offset), columns
 
     def track(self, group: str, half: Array | None) -> Track:
-        """Return states with all else that was measured, or commands."""
+        """States with all measurements, or commands."""
         raw, columns = self.raw(group)
         default = self.recorder[0] if self.recorder else self.frame.angle_unit
         units = [self._unit(column, default) for column in columns]
@@ -260,7 +258,6 @@ class _ForeignTable:
         )  # fmt: skip
 
     def _measured(self) -> dict[str, Array]:
-        """Read torque, current and gains where every joint has them."""
         found: dict[str, Array] = {}
         for group in (*MEASURED, "powered"):
             try:
@@ -302,7 +299,7 @@ class _ForeignTable:
 
 
 def _classified(title: str) -> tuple[str, str, str, str | None] | None:
-    """Return prefix, group, joint or axis, and unit of a title; None for another title."""
+    """Prefix, group, joint or axis, and unit of a title; None: another title."""
     stem, unit = split_unit(title, TIME_UNITS)
     if stem.casefold() in _TIMES:
         return stem.casefold(), "time", "", unit
@@ -338,7 +335,7 @@ def _check_map(tables: Sequence[_ForeignTable], arm: Arm, options: ImportOptions
 
 
 def _half_ranges(state: _ForeignTable, arm: Arm, options: ImportOptions) -> Array | None:
-    """Half of the calibrated range (n,) [rad] of each joint for normalised values."""
+    """Half range (n,) [rad] of joints for normalised values."""
     if options.angle_unit != "normalised":
         return None
     if options.calibration is not None:

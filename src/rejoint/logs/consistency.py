@@ -1,4 +1,4 @@
-"""Consistency checks of logs: of one track, of states against commands, of logs against each other.
+"""Consistency checks of logs.
 
 Impossible numbers raise an error; unlikely ones go to `Doubts`; others give a note. All thresholds are chosen.
 """
@@ -18,22 +18,22 @@ from rejoint.logs.track import RecordedMotion, Track
 from rejoint.system.errors import FileError, InputError
 
 FORCED = "forced"
-"""Key in a log's ``extra`` for the reasons that ``--force`` overrode"""
+"""Key in ``extra`` of overridden reasons"""
 
 _BETWEEN = " | "
 
 
 @dataclass(frozen=True, kw_only=True)
 class Doubts:
-    """Where the checks of one log bring what speaks against it."""
+    """Collects failed checks of a log."""
 
     force: bool = False
-    """go on all the same"""
+    """import all the same"""
     reasons: list[str] = field(default_factory=list)
-    """what would have stopped the import"""
+    """overridden failures"""
 
     def stop(self, path: Path, problem: str, remedy: str) -> None:
-        """Raise FileError, or by force keep the problem as a reason."""
+        """Raise FileError, or store the problem by force."""
         if not self.force:
             raise FileError(path, problem, f"{remedy}; or go on with --force, which keeps this reason in the log")
         if problem not in self.reasons:
@@ -41,17 +41,17 @@ class Doubts:
 
     @property
     def kept(self) -> dict[str, str]:
-        """Entry for the log's ``extra``."""
+        """Entry of ``extra``."""
         return {FORCED: _BETWEEN.join(self.reasons)} if self.reasons else {}
 
 
 def forced_reasons(extra: dict[str, str]) -> tuple[str, ...]:
-    """Return the reasons kept by `Doubts.kept`."""
+    """Reasons of `Doubts.kept`."""
     return tuple(extra[FORCED].split(_BETWEEN)) if extra.get(FORCED) else ()
 
 
 def forced_remarks(logs: Sequence[RunLog]) -> list[str]:
-    """Name the logs that were imported by force, and why not to trust them."""
+    """Name logs imported by force."""
     found: dict[str, list[str]] = {}
     for log in logs:
         for reason in forced_reasons(log.extra):
@@ -63,7 +63,7 @@ def forced_remarks(logs: Sequence[RunLog]) -> list[str]:
 
 
 def states_alone(logs: Sequence[RunLog], what: str) -> bool:
-    """Tell whether no log holds commands; InputError of ``what`` if only some do."""
+    """Whether no log holds commands; InputError if some do."""
     bare = [log.label for log in logs if not log.commanded]
     if bare and len(bare) < len(logs):
         raise InputError(
@@ -74,7 +74,7 @@ def states_alone(logs: Sequence[RunLog], what: str) -> bool:
 
 
 def require_commands(logs: Sequence[RunLog], what: str) -> None:
-    """Raise InputError where the logs for ``what`` hold no commands."""
+    """Raise InputError for logs without commands."""
     if states_alone(logs, what):
         raise InputError(
             f"{what}: these logs hold no commands, and without them stiffness, friction, lag and zeros cannot be told; "
@@ -83,7 +83,7 @@ def require_commands(logs: Sequence[RunLog], what: str) -> None:
 
 
 def copies(logs: Iterable[tuple[str, RunLog]]) -> dict[str, str]:
-    """Find logs that repeat the readings of an earlier one, by its name; logs without motion do not count."""
+    """Return logs that repeat an earlier one, with its name."""
     first: dict[bytes, str] = {}
     found: dict[str, str] = {}
     for name, log in logs:
@@ -98,7 +98,7 @@ def copies(logs: Iterable[tuple[str, RunLog]]) -> dict[str, str]:
 
 
 def refuse_copies(logs: Sequence[RunLog], what: str) -> None:
-    """Raise InputError of ``what`` where one log is a copy of another."""
+    """Raise InputError for duplicates."""
     found = copies((log.label, log) for log in logs)
     if found:
         name, original = next(iter(found.items()))
@@ -110,62 +110,59 @@ def refuse_copies(logs: Sequence[RunLog], what: str) -> None:
 
 
 BELIEVED = (0.0, 0.3)
-"""[s] lags of a servo (a low-cost arm: 0.06 to 0.16 s)"""
+"""[s] plausible lags (a low-cost arm: 0.06 to 0.16 s)"""
 
 SEARCHED = 1.0
-"""[s] searched to both sides"""
+"""[s] to both sides"""
 
 _WINDOW = 0.2
-"""[s] over which a velocity is taken: hides encoder steps"""
+"""[s] of a velocity: hides encoder steps"""
 _GRID = (0.01, 0.05)
-"""[s] finest and coarsest step of the search (chosen)"""
+"""[s] finest and coarsest step"""
 SHORTEST = 4.0
-"""[s] of a log from which lag is judged"""
+"""[s] of a log with a lag"""
 _MOVING = 0.005
-"""[rad/s] rms speed of a command that shows lag"""
+"""[rad/s] rms speed of a command"""
 
 SURE = 1.05
-"""Unexplained part at the best plausible lag over the best of all, from which the log is flagged, at an end of the
-plausible range (44 motions of a real arm: 1.00)"""
+"""Unexplained part at the best plausible lag over the best of all, at an end of the plausible range (44 motions of a
+real arm: 1.00)"""
 SURE_OF_ANOTHER = 1.5
-"""The same inside the range, as in periodic motion (measured: up to 1.10)"""
+"""The same inside the range (measured: up to 1.10)"""
 
 _OVERLAP = 0.5
-"""Share of the motion that must remain where shifted tracks overlap"""
+"""Least share of motion in the overlap"""
 _UNLIKE = 0.5
-"""Unexplained part above which no lag shows anything"""
+"""Unexplained part of a usable lag"""
 
 _JUMP = np.radians(2.0)
-"""[rad] of a command in one row that counts as a step"""
+"""[rad] of a command's step in one row"""
 _STEPPING = 0.8
-"""Share of its travel in steps from which a command counts as stepping"""
+"""Stepped share of travel"""
 _REST = 1.0
-"""[s] without a change of command around a step"""
+"""[s] without commands around a step"""
 _BEGUN = 0.05
-"""Share of its way after which a joint counts as moving: above encoder noise"""
+"""Travel share of a moving joint: above encoder noise"""
 _FEWEST_STEPS = 3
 
 
 @dataclass(frozen=True, kw_only=True)
 class Lag:
-    """Where states follow their commands best."""
+    """Lag of states behind commands."""
 
     best: float
-    """[s] by which states are late; negative where they come first"""
+    """[s] negative: states come first"""
     sure: bool
-    """False where a lag that is believed explains the states as well"""
+    """False: a plausible lag explains as well"""
 
     @property
     def believed(self) -> bool:
-        """Whether a servo can have such a lag."""
+        """Whether the lag is plausible."""
         return BELIEVED[0] <= self.best <= BELIEVED[1]
 
 
 def find_lag(time: Array, position: Array, command: Array) -> Lag | None:
-    """Search for the lag of positions (T, n) [rad] behind the commands in force at ``time`` (T,) [s].
-
-    None for short logs, or without motion.
-    """
+    """Lag of positions (T, n) [rad] behind commands at ``time`` (T,) [s]; None: too short or no motion."""
     if len(time) < 10 or time[-1] - time[0] < SHORTEST:
         return None
     step = float(np.clip(np.median(np.diff(time)), *_GRID))
@@ -203,7 +200,6 @@ def _of_velocities(moved: Array, held: Array, step: float, period: float) -> Lag
 
 
 def _chosen(lags: Array, unexplained: Array, tolerance: float) -> Lag:
-    """Take a believed lag unless another one explains clearly more."""
     alike = bool(unexplained.min() < _UNLIKE)
     unexplained = unexplained + 1e-4  # a perfect fit is no infinitely better one
     best = int(np.argmin(unexplained))
@@ -217,7 +213,7 @@ def _chosen(lags: Array, unexplained: Array, tolerance: float) -> Lag:
 
 
 def _is_stepping(command: Array, step: float) -> bool:
-    """Tell whether a command (T,) mostly jumps, and rests between its jumps."""
+    """Whether a command (T,) mostly steps and rests."""
     change = np.abs(np.diff(command))
     jumps = np.flatnonzero(change > _JUMP)
     if not len(jumps):
@@ -228,7 +224,6 @@ def _is_stepping(command: Array, step: float) -> bool:
 
 
 def _of_steps(moved: Array, held: Array, step: float) -> Lag | None:
-    """Find when joints begin to move, by the median over all steps of their share of the way."""
     reach, rest = round(SEARCHED / step), round(_REST / step)
     shares = []
     for joint in range(held.shape[1]):
@@ -250,40 +245,40 @@ def _of_steps(moved: Array, held: Array, step: float) -> Lag | None:
 
 
 RATES = (1.0, 10_000.0)
-"""[Hz] of logs of a moving arm"""
+"""[Hz] of logs"""
 SLOWEST = 10.0
-"""[Hz] below it a reversal of a hobby arm shows neither friction nor lag"""
+"""[Hz] for friction and lag"""
 LOST = 0.05
-"""share of repeated stamps from which the clock is too coarse"""
+"""share of repeated stamps of a coarse clock"""
 SPIKE = 0.05
-"""[rad] of a single reading off its neighbours"""
+"""[rad] of a reading off its neighbours"""
 SPIKED = 0.2
-"""share of such readings from which they are no damaged digits"""
+"""largest share of such readings"""
 SHARPEST = 400.0
-"""[rad/s^2] that no joint has: ten times an SO-101's limit"""
+"""[rad/s^2] ten times an SO-101's limit"""
 TOO_FAST, SPEED_ROWS = 4.0, 5
-"""how much faster than its servo a joint may seem, over that many rows"""
+"""times the servo's speed, over rows"""
 FAR_OUT = 0.05
-"""share of samples beyond a limit from which unit or zero are doubted"""
+"""share of samples for a doubtful unit or zero"""
 GAP_PERIODS = 5.0
-"""chosen: steps of more median periods than this count as gaps."""
+"""median periods of a gap"""
 LIMIT_MARGIN = 0.35
-"""[rad] chosen: about 20 deg; calibration and zero offsets explain less."""
+"""[rad] beyond calibration and zero offsets"""
 GEAR_REMEDY = "give gear, sign and zero of each joint: --map JOINT=THEIRS/RATIO+OFFSET"
 _OR_LOG = ", or take the times of recording (--stamp log)"
 _TIME_REMEDY = "set the time unit (--time-unit, or the column's name where that says one), or take another file"
 FEWEST_VALUES = 20
-"""Different readings from which a step is looked for (chosen)"""
+"""Different readings for a step"""
 FEWEST_STEPS = 10
-"""Steps that readings have to span to tell anything about them (chosen)"""
+"""Steps spanned by readings"""
 ON, OFF = 0.9, 0.6
-"""chosen: how well readings lie on a grid (1: all) to count as on it, or off it"""
+"""on a grid, and off it (1: all readings)"""
 BITS = range(10, 22)
-"""Bits of encoders that are looked for (chosen)"""
+"""of encoders"""
 
 
 def clean(track: Track, doubts: Doubts) -> tuple[Track, list[str]]:
-    """Check numbers and clock of a track; returns it without doubled stamps, and notes."""
+    """Check numbers and clock; returns a track without doubled stamps, and notes."""
     _check_finite(track)
     if len(track) < 2:
         raise FileError(track.path, f"{track.what}: {len(track)} sample(s), a log needs at least 2", "record it again")
@@ -346,7 +341,7 @@ def _check_rate(track: Track, doubts: Doubts) -> list[str]:
 
 
 def check_angles(motion: RecordedMotion, arm: Arm, doubts: Doubts) -> list[str]:
-    """Compare angles with their unit and the arm's limits."""
+    """Check angles against unit and limits."""
     _check_turns(motion, arm, doubts)
     notes = _check_limits(motion.state, arm, doubts)
     extent = float(np.abs(motion.state.value).max())
@@ -364,7 +359,7 @@ def check_angles(motion: RecordedMotion, arm: Arm, doubts: Doubts) -> list[str]:
 
 
 def binary_turns(values: Array) -> int | None:
-    """Return the bits of the encoder whose steps readings (T, n) [rad] show, or None."""
+    """Return encoder bits of readings (T, n) [rad], or None."""
     for bits in BITS:
         step = 2 * np.pi / 2**bits
         told = [one for joint in values.T if len(one := np.unique(np.round(joint, 12))) >= FEWEST_VALUES]
@@ -374,14 +369,13 @@ def binary_turns(values: Array) -> int | None:
 
 
 def on_grid(values: Array, step: float) -> float:
-    """How well values lie on multiples of a step: 1 for all, 0 if they span few."""
+    """Share of values on multiples of a step; 0: few steps."""
     if np.ptp(values) < FEWEST_STEPS * step:
         return 0.0
     return float(np.abs(np.mean(np.exp(2j * np.pi * values / step))))
 
 
 def _check_turns(motion: RecordedMotion, arm: Arm, doubts: Doubts) -> None:
-    """Look for degrees, and for angles of motors before their gear, that are called something else."""
     state = motion.state
     bits = binary_turns(np.rad2deg(state.value)) if motion.angle_unit == "deg" else None
     if bits is not None:
@@ -408,7 +402,6 @@ def _check_turns(motion: RecordedMotion, arm: Arm, doubts: Doubts) -> None:
 
 
 def _check_speed(state: Track, arm: Arm, doubts: Doubts) -> None:
-    """Compare speeds with the servos' limits: shows a wrong unit of time."""
     if len(state) < SPEED_ROWS * 4:
         return
     speed = np.abs(state.value[SPEED_ROWS:] - state.value[:-SPEED_ROWS])
@@ -423,7 +416,6 @@ def _check_speed(state: Track, arm: Arm, doubts: Doubts) -> None:
 
 
 def _check_jumps(state: Track, doubts: Doubts) -> None:
-    """Look for joints that jump between two rows."""
     if len(state) < SPEED_ROWS:
         return
     way, steps = np.diff(state.value, axis=0), np.diff(state.time)[:, None]
@@ -444,7 +436,6 @@ def _check_jumps(state: Track, doubts: Doubts) -> None:
 
 
 def _spikes(state: Track, doubts: Doubts) -> list[str]:
-    """Find single readings that jump out and back."""
     if len(state) < 3:
         return []
     before, value, after = state.value[:-2], state.value[1:-1], state.value[2:]
@@ -483,35 +474,35 @@ def _check_limits(state: Track, arm: Arm, doubts: Doubts) -> list[str]:
 
 
 FAR = 0.1
-"""[rad] of travel of a command from which copies are looked for"""
+"""[rad] command travel for duplicates"""
 LAGS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3)
-"""[s] chosen: lags at which states are compared with commands."""
+"""[s] of states behind commands"""
 RELATED = (0.3, 0.9)
-"""correlations that show no following, and following"""
+"""correlations: unrelated, and related"""
 MUCH_BETTER = (0.95, 5.0)
-"""correlation with another command, and how much closer to 1 it is than its own, that show exchanged joints"""
+"""of exchanged joints: correlation, and how much closer to 1"""
 RESTING = 1e-3
-"""[rad] rms motion of a joint at rest: below one step of a 12-bit encoder"""
+"""[rad] rms at rest: below a 12-bit encoder's step"""
 SAME = 1e-5
-"""[rad] of rounding in a copied number"""
+"""[rad] rounding of a copied number"""
 COPIED = 0.9
-"""share of copied rows from which a joint counts as copied"""
+"""share of copied rows of a copied joint"""
 FEWEST_MOVING = 20
-"""Moving rows that this takes"""
+"""Moving rows"""
 GAIN = 10.0
-"""ratio of travel to command that means another unit (a real arm's friction: 0.75)"""
+"""travel over command of another unit (a real arm's friction: 0.75)"""
 LEFT = 0.3
-"""[rad] by which a joint may leave a constant command (a table pushes a real elbow 0.2 rad away)"""
+"""[rad] from a constant command (a table pushes a real elbow by 0.2)"""
 FOLLOWED = 0.7
-"""Travel over the command's from which a servo is not weak"""
+"""Travel over the command's"""
 APART = 0.5
-"""[rad] median distance from the command that no sag explains"""
+"""[rad] median following error beyond any sag"""
 
 
 def check_agreement(state: Track, command: Array, doubts: Doubts) -> list[str]:
-    """Compare states with the commands ``(T, n)`` [rad] in force; returns notes.
+    """Check states against the commands ``(T, n)`` [rad] in force; returns notes.
 
-    FileError for exchanged joints; `Doubts` for copies, implausible lags and scales.
+    FileError for exchanged joints; `Doubts` for duplicates, implausible lags and scales.
     """
     notes = _check_order(state, command)
     _check_copies(state, command, doubts)
@@ -544,7 +535,7 @@ def _check_order(state: Track, command: Array) -> list[str]:
 
 
 def _correlations(state: Track, command: Array) -> tuple[Array, Array]:
-    """Lowest and highest correlation over `LAGS` of states (rows) with commands."""
+    """Lowest and highest correlation over `LAGS`, states (rows) with commands."""
     period = float(np.median(np.diff(state.time)))
     n, rows = state.value.shape[1], len(state)
     found = []
@@ -562,7 +553,6 @@ def _correlations(state: Track, command: Array) -> tuple[Array, Array]:
 
 
 def _check_still(state: Track, command: Array, doubts: Doubts) -> None:
-    """Look for joints that leave a constant command."""
     far = np.abs(state.value - command)
     left = np.max(far - np.minimum.accumulate(far, axis=0), axis=0)
     for joint in np.flatnonzero((left > LEFT) & (np.ptp(command, axis=0) == 0.0)):
@@ -602,7 +592,6 @@ def _named(joints: list[str], of: int) -> str:
 
 
 def _check_scale(state: Track, command: Array, doubts: Doubts) -> list[str]:
-    """Compare how far joints move and where they are with their commands."""
     if len(state) < FEWEST_MOVING:
         return []
     notes = []

@@ -1,4 +1,4 @@
-"""What a file is, in words, for errors about it."""
+"""Names the kind of a file in errors."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import pyarrow.parquet as pq
 from rejoint.system.textfile import head, shown
 
 _PACKED = (b"PK\x03\x04", b"\x1f\x8b", b"\x28\xb5\x2f\xfd", b"BZh", b"\xfd7zXZ")
-"""First bytes of ZIP (also spreadsheets), gzip, zstd, bzip2 and xz. Source: the list of the program `file`"""
+"""First bytes of ZIP (also spreadsheets), gzip, zstd, bzip2 and xz; source: the program `file`"""
 _SHOWN = 8
-"""Files of a folder that are named (chosen)"""
+"""Named files of a folder (chosen)"""
 
 
 def describe(path: Path) -> str:
-    """Say what a file or folder is."""
+    """Kind of a file or folder, in words."""
     if path.is_dir():
         return _folder(path)
     if not path.is_file():

@@ -1,10 +1,7 @@
-"""Rows of a log that show the free arm; others are in contact, at a stop, or not read.
+"""Rows of a log with the free arm; others are in contact, at a stop, or unread.
 
-Diagnosis and identification describe the free arm: an arm on its table looks like one with a weak elbow.
-
-Method. Gravity pulls a free arm below its command, so a tip that rests above its command is held up. If that happens
-only at the bottom of the reach, there is a table; its height parts held from free tips. A joint at an end of its travel
-that is stationary far from its command is at a stop.
+Gravity pulls a free arm below its command: a tip at rest above it is held up. If that happens only at the bottom of the
+reach, there is a table. A joint at an end of its travel that is stationary far from its command is at a stop.
 """
 
 from __future__ import annotations
@@ -22,68 +19,68 @@ from rejoint.logs.runlog import RunLog
 Rows = NDArray[np.bool_]
 
 HELD_UP = 0.005
-"""[m] of a tip above its command that counts as held up (a free low-cost arm: at most 4 mm)"""
+"""[m] of a held tip above its command (a free low-cost arm: at most 4 mm)"""
 SLOW = 0.05
-"""[rad/s] below which a row shows whether the tip is held up (chosen)"""
+"""[rad/s] of a usable row (chosen)"""
 LEAST_HELD = 2.0
-"""[s] of being held up below which no table is claimed (chosen)"""
+"""[s] of held rows for a table (chosen)"""
 MARGIN = 0.010
-"""[m] above the table where contact may begin (measured on a real low-cost arm)"""
+"""[m] of contact above the table (measured on a real low-cost arm)"""
 RECOVERY = 3.0
-"""[s] of disturbance after a contact (measured on a real low-cost arm)"""
+"""[s] after a contact (measured on a real low-cost arm)"""
 
 STOP_ERROR = np.radians(8.0)
-"""[rad] of error of a stationary joint that is blocked (chosen: twice a real arm's largest)"""
+"""[rad] error of a blocked joint (chosen: twice a real arm's largest)"""
 USUAL = 3.0
-"""Times a joint's median error that a stop or dead readings need (chosen): sagging joints are always off"""
+"""Times the median error at a stop (chosen): sagging joints are always off"""
 STOP_BAND = np.radians(1.5)
-"""[rad] from the end of the seen travel (chosen)"""
+"""[rad] from the end of the travel (chosen)"""
 LEAST_TRAVEL = np.radians(6.0)
-"""[rad] of travel below which its ends are no stops (chosen)"""
+"""[rad] of travel with stops (chosen)"""
 STOP_TIME = 0.2
-"""[s] for which it stands there (chosen: a reversal is shorter)"""
+"""[s] at a stop (chosen: a reversal is shorter)"""
 
 STALE_TIME = 0.5
-"""[s] without any change, under a moving command, of dead readings (chosen)"""
+"""[s] of constant readings under a moving command (chosen)"""
 STALE_MOTION = np.radians(6.0)
-"""[rad] by which that command has moved: more than friction hides (chosen)"""
+"""[rad] of that command (chosen: more than friction hides)"""
 
 TORQUE_OFF = "torque_off"
-"""Key in a log's ``extra`` for joints that had no torque"""
+"""Key in ``extra`` for joints without torque"""
 ASKED = np.radians(3.0)
-"""[rad] of a command's travel below which a joint at rest shows nothing (chosen)"""
+"""[rad] least travel of a command (chosen)"""
 ANSWERED = 0.1
-"""Travel over the command's of a joint that does not answer (chosen)"""
+"""Travel share without torque (chosen)"""
 UNRELATED = 0.3
-"""The same for its correlation (chosen)"""
+"""Correlation, likewise (chosen)"""
 ANSWER_TIMES = (0.0, 0.1, 0.2, 0.3, 0.5)
-"""[s] after which an answer is looked for (chosen)"""
+"""[s] of searched answers (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Exclusions:
-    """Rows (T,) of one log that do not show the free arm, with recovery."""
+    """Rows (T,) without the free arm, with recovery."""
 
     contact: Rows
-    """the tip on the table, or just off it"""
+    """tip on the table"""
     stop: Rows
-    """a joint at a mechanical stop, or just off it"""
+    """joint at a stop"""
     stale: Rows
-    """readings that do not change though they should"""
+    """readings that should change"""
 
     @property
     def free(self) -> Rows:
-        """(T,) rows that show the free arm."""
+        """(T,) rows of the free arm."""
         return ~(self.contact | self.stop | self.stale)
 
     @property
     def readable(self) -> Rows:
-        """(T,) rows that a twin with a table may predict."""
+        """(T,) rows for a twin with a table."""
         return ~(self.stop | self.stale)
 
 
 def find_exclusions(arm: Arm, logs: Sequence[RunLog], table: float | None = None) -> list[Exclusions]:
-    """Judge every row of logs that share a table at height ``table`` [m] (`table_height`)."""
+    """Judge every row of logs; ``table`` [m] as `table_height`."""
     ends, usual = _travel(logs), _usual_error(logs)
     found = []
     for log in logs:
@@ -102,7 +99,7 @@ def find_exclusions(arm: Arm, logs: Sequence[RunLog], table: float | None = None
 
 
 def table_height(arm: Arm, logs: Sequence[RunLog]) -> float | None:
-    """Height [m] of the tip on a table that the arm leans on; None without one."""
+    """Height [m] of the tip on a table, or None."""
     heights, held, weights, usual = [], [], [], _usual_error(logs)
     for log in logs:
         tip, asked = (tcp_position(arm, q)[:, 2] for q in (log.position, log.command))
@@ -122,15 +119,14 @@ def table_height(arm: Arm, logs: Sequence[RunLog]) -> float | None:
 
 
 def declared_off(joints: Sequence[str]) -> dict[str, str]:
-    """Return the ``extra`` entry for joints without torque."""
+    """Entry of ``extra`` for joints without torque."""
     return {TORQUE_OFF: ",".join(joints)} if joints else {}
 
 
 def unpowered_joints(log: RunLog) -> tuple[str, ...]:
-    """Name the joints that never answer their command, and those declared without torque.
+    """Joints that never answer, or are declared without torque.
 
-    A joint does not answer if it moves less than a tenth of its command's travel, or unlike it. A stuck joint looks the
-    same.
+    They move less than a tenth of the command's travel, or unlike it; a stuck joint looks the same.
     """
     declared = log.extra.get(TORQUE_OFF, "").split(",")
     silent = {name for name in log.joint_names if name in declared}
@@ -152,7 +148,7 @@ def unpowered_joints(log: RunLog) -> tuple[str, ...]:
 
 
 def free_runs(free: Rows, time: Array, shortest: float) -> list[tuple[int, int]]:
-    """Find gapless runs of free rows (first, last exclusive) of at least ``shortest`` [s]."""
+    """Gapless free runs (first, last exclusive) of ``shortest`` [s] or more."""
     if len(time) < 2:
         return []
     gap = np.diff(time) > 5 * np.median(np.diff(time))
@@ -163,13 +159,13 @@ def free_runs(free: Rows, time: Array, shortest: float) -> list[tuple[int, int]]
 
 
 def _travel(logs: Sequence[RunLog]) -> tuple[Array, Array]:
-    """Find the ends (n,) [rad] of the travel that the logs show."""
+    """Return ends (n,) [rad] of the travel."""
     lowest = np.min([log.position.min(axis=0) for log in logs], axis=0)
     return lowest, np.max([log.position.max(axis=0) for log in logs], axis=0)
 
 
 def _usual_error(logs: Sequence[RunLog]) -> Array:
-    """Median error (n,) [rad] of each joint where readings change; 0 where none does."""
+    """Median error (n,) [rad] where readings change, else 0."""
     changing = [np.diff(log.position, axis=0, prepend=log.position[:1]).any(axis=1) for log in logs]
     errors = np.concatenate(
         [np.abs(log.command - log.position)[rows] for log, rows in zip(logs, changing, strict=True)]
@@ -186,7 +182,6 @@ def _stopped(log: RunLog, ends: tuple[Array, Array], usual: Array) -> Rows:
 
 
 def _stale(log: RunLog, usual: Array) -> Rows:
-    """Rows whose readings repeat for long while a command moves on."""
     still = np.concatenate([[False], (log.position[1:] == log.position[:-1]).all(axis=1)])
     dead = np.zeros(len(log), dtype=bool)
     for first, last in free_runs(still, log.time, STALE_TIME):
@@ -205,7 +200,6 @@ def _lasting(rows: Rows, time: Array, seconds: float) -> Rows:
 
 
 def _recovering(time: Array, rows: Rows) -> Rows:
-    """Rows with those that follow within `RECOVERY`."""
     if not rows.any():
         return rows
     latest = np.maximum.accumulate(np.where(rows, time, -np.inf))
@@ -213,7 +207,7 @@ def _recovering(time: Array, rows: Rows) -> Rows:
 
 
 def joint_speed(time: Array, q: Array) -> Array:
-    """(T,) [rad/s] speed of the fastest joint of ``q`` (T, n) [rad], over four rows to either side."""
+    """(T,) [rad/s] of the fastest joint of ``q`` (T, n) [rad], over nine rows."""
     rows = np.arange(len(time))
     before, after = np.maximum(rows - 4, 0), np.minimum(rows + 4, len(time) - 1)
     return np.abs((q[after] - q[before]) / np.maximum(time[after] - time[before], 1e-9)[:, None]).max(axis=1)

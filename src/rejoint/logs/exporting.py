@@ -22,7 +22,7 @@ from rejoint.system.extras import require
 from rejoint.system.files import write_whole
 
 METADATA = "rejoint"
-"""Name of the metadata record that keeps what messages cannot hold."""
+"""Metadata record"""
 POINT_TOPICS = {"target": "/target", "true_tcp": "/true_tcp"}
 _SEPARATOR = "=" * 80
 _HEADER = f"""{_SEPARATOR}
@@ -48,17 +48,16 @@ float64 x
 float64 y
 float64 z
 """
-"""Definitions: github.com/ros2/common_interfaces and rcl_interfaces, folders msg."""
+"""github.com/ros2/common_interfaces and rcl_interfaces, folders msg"""
 
 _LAST_SECOND = 2**31
-"""The stamp of a ROS 2 message counts seconds in an int32."""
+"""ROS 2 stamps are int32 seconds"""
 
 
 def export_log(log: RunLog, path: Path) -> None:
     """Write a log as ``.csv`` or ``.mcap``, whole or not at all.
 
-    Both keep every bit of angles and positions; MCAP rounds times to nanoseconds, and holds ``extra`` as metadata.
-    Raises InputError for another ending or times that MCAP cannot hold.
+    MCAP rounds times to nanoseconds. InputError for another ending or impossible times.
     """
     if path.suffix == ".csv":
         write_whole(path, lambda temporary: _write_csv(log, temporary))

@@ -1,7 +1,7 @@
-"""Errors of joint zeros, as homing offsets in LeRobot's calibration file.
+"""Zero errors as homing offsets in LeRobot's calibration file.
 
-Feetech servos report the raw position less ``homing_offset`` [counts], so an encoder that reads ``offset`` [rad] too
-little needs a smaller one. Ranges and degrees move with it. Dynamixel servos have the other sign.
+Feetech servos report the raw position minus ``homing_offset`` [counts]; Dynamixel servos have the other sign. Ranges
+and degrees move with it.
 """
 
 from __future__ import annotations
@@ -19,16 +19,15 @@ from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import JSON_MOST, read_bounded, write_whole
 
 LARGEST = 2047
-"""[counts] of a homing offset (eleven bits and a sign)"""
+"""[counts] eleven bits and a sign"""
 
 _REMEDY = "give the JSON file that lerobot-calibrate wrote"
 
 
 def corrected_homing(source: Path, arm: Arm, offset: Array) -> tuple[dict[str, Any], dict[str, int]]:
-    """Return LeRobot's calibration with corrected zeros of ``arm``, and each change in counts.
+    """LeRobot's calibration with ``offset`` (n,) [rad] added, and changes in counts.
 
-    ``offset`` (n,) [rad] is added to the encoders' angles; other motors stay. FileError where ``source`` is no
-    calibration, InputError where a servo cannot hold the offset.
+    FileError: ``source`` is no calibration; InputError: offset out of range.
     """
     motors = read_homing(source)
     columns = match_joints(list(motors), arm, ImportOptions(), source, "calibration").columns
@@ -52,7 +51,7 @@ def write_homing(path: Path, motors: dict[str, Any]) -> None:
 
 
 def read_homing(source: Path) -> dict[str, Any]:
-    """Read the motors of LeRobot's calibration; FileError where it is none."""
+    """Read the motors of LeRobot's calibration; FileError."""
     try:
         motors = json.loads(read_bounded(source, JSON_MOST, _REMEDY))
         for motor in motors.values():

@@ -1,4 +1,4 @@
-"""Import foreign logs: detect the format, read, split, check, write all or none."""
+"""Import foreign logs: detect, read, split, check, write all or none."""
 
 from __future__ import annotations
 
@@ -28,18 +28,15 @@ from rejoint.system.errors import FileError, InputError, first_line
 from rejoint.system.progress import Progress, no_progress
 
 PAUSE = 1.0
-"""[s] without a state that ends a motion (chosen: ten times a hobby servo's lag)"""
+"""[s] between motions (chosen: ten times a hobby servo's lag)"""
 FEWEST = 2
 """Rows of a log"""
 CORRUPT = 0.02
-"""Share of impossible numbers up to which they are corrupt (chosen)"""
+"""Largest share of corrupt numbers (chosen)"""
 
 
 def parted(motion: RecordedMotion) -> Iterator[RecordedMotion]:
-    """Split a recording at pauses and corrupt numbers.
-
-    FileError where more than `CORRUPT` of the samples are not finite.
-    """
+    """Split at pauses and corrupt numbers; FileError beyond `CORRUPT`."""
     time, notes = motion.state.time, list(motion.notes)
     bad = _corrupt(motion.state)
     if motion.command is not None:
@@ -83,7 +80,7 @@ def parted(motion: RecordedMotion) -> Iterator[RecordedMotion]:
 
 
 def _corrupt(track: Track) -> NDArray[np.bool_]:
-    """Find samples (T,) with an impossible number among mostly possible ones."""
+    """Return samples (T,) with a corrupt number."""
     finite = np.isfinite(track.value).all(axis=1)
     if (~finite).sum() > CORRUPT * len(track):
         row, joint = (int(i) for i in np.argwhere(~np.isfinite(track.value))[0])
@@ -96,7 +93,7 @@ def _corrupt(track: Track) -> NDArray[np.bool_]:
 
 
 def _in_force(command: Track, first: float, last: float) -> Track:
-    """Keep the commands in force from ``first`` [s] to ``last`` [s]; all where the clocks differ."""
+    """Commands in force from ``first`` to ``last`` [s]; all for other clocks."""
     before = np.flatnonzero(command.time <= first)
     start = command.time[before[-1]] if len(before) else first
     chosen = (command.time >= start) & (command.time <= last)
@@ -104,7 +101,7 @@ def _in_force(command: Track, first: float, last: float) -> Track:
 
 
 _EPOCH = 1e8
-"""[s] chosen: a clock that reads more counts from 1970"""
+"""[s] larger clocks count from 1970 (chosen)"""
 
 NO_COMMANDS = (
     "holds no commands: it is good for `replay` of the states alone; stiffness, friction, lag and "
@@ -113,10 +110,10 @@ NO_COMMANDS = (
 
 
 def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = None) -> tuple[RunLog, list[str]]:
-    """Check a motion and put it on the clock of its states.
+    """Check a motion and put it on its states' clock.
 
-    Row k holds state k and the last command stamped no later (zero-order hold); earlier states are left out. Raises
-    FileError where states and commands do not belong together, or by `Doubts`.
+    Row k holds state k and the last command before it (zero-order hold). FileError where states and commands do not
+    match, or by `Doubts`.
     """
     options = options or ImportOptions()
     doubts = Doubts(force=options.force)
@@ -148,7 +145,7 @@ def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = Non
 
 
 def _joined(state: Track, command: Track) -> tuple[Track, Array, list[str]]:
-    """Return the states from the first command on, the command (T, n) [rad] in force, and notes."""
+    """States from the first command on, commands (T, n) [rad] in force, and notes."""
     held = np.searchsorted(command.time, state.time, side="right") - 1
     known = held >= 0
     notes = []
@@ -188,7 +185,7 @@ def _check_one_clock(state: Track, command: Track) -> None:
 
 
 def _at(time: Array, points: Points | None) -> Array:
-    """Points (T, 3) at exactly these times, else NaN."""
+    """Points (T, 3) at these times, else NaN."""
     values = np.full((len(time), 3), np.nan)
     if points is not None and len(points.time):
         order = np.argsort(points.time, kind="stable")
@@ -200,13 +197,13 @@ def _at(time: Array, points: Points | None) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class Imported:
-    """What came out of an import."""
+    """Result of an import."""
 
     logs: tuple[RunLog, ...]
     notes: tuple[str, ...]
-    """what was left out or looks odd"""
+    """omissions and oddities"""
     skipped: tuple[str, ...] = ()
-    """logs that could not be imported, each with the reason"""
+    """failed logs with reasons"""
 
 
 class _Reader(Protocol):
@@ -219,7 +216,7 @@ _READERS: dict[str, _Reader] = {
     "sage": sage, "table": table, "mcap": BagReader(store=MCAP), "rosbag": BagReader(store=ROSBAG), "lerobot": lerobot,
 }  # fmt: skip
 FORMATS = tuple(_READERS)
-"""Names of the formats that can be imported."""
+"""Importable formats"""
 
 _EXPECTED = (
     "a folder with SAGE's state_motor.csv, text with columns such as time_s, position.JOINT_rad and command.JOINT_rad, "
@@ -236,7 +233,7 @@ def import_logs(
     Parameters
     ----------
     source
-        a file, a motion's folder, or a folder of several of one format
+        a file, a motion's folder, or a folder of several
     out
         new or empty folder; each log becomes ``MOTION.parquet`` in it
     format
@@ -244,12 +241,12 @@ def import_logs(
     options
         units, joint names, topics
     on_progress
-        receives the share of logs that is done, and the name
+        receives the done share and the log's name
 
     Raises
     ------
     FileError
-        for a file that is damaged, contradicts the options or fails the checks; of several logs such ones are skipped
+        for a file that is damaged or fails the checks; such files among several are skipped
     InputError
         for wrong options
 
@@ -299,7 +296,7 @@ def import_logs(
 
 
 def detect(source: Path, options: ImportOptions | None = None) -> str:
-    """Name the format of the logs at a path; FileError unless exactly one fits."""
+    """Format of the logs at a path; FileError unless exactly one fits."""
     options = options or ImportOptions()
     if not source.exists():
         raise FileError(source, "no such file or folder", "check the path")
@@ -329,12 +326,10 @@ def _known(name: str) -> str:
 
 
 def _file_name(motion: str) -> str:
-    """Name of a motion as a file name."""
     return re.sub(r"[^\w.+-]+", "-", motion).strip(".")[:100] or "log"
 
 
 def _write_whole(out: Path, logs: dict[str, RunLog]) -> None:
-    """Write the logs beside ``out``, then move them there."""
     out = out.absolute()
     out.parent.mkdir(parents=True, exist_ok=True)
     temporary = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}."))
@@ -350,7 +345,6 @@ def _write_whole(out: Path, logs: dict[str, RunLog]) -> None:
 
 
 def _remarks(notes: dict[str, list[str]], total: int) -> tuple[str, ...]:
-    """Put the logs' names in front of each note."""
     remarks = []
     for remark, names in notes.items():
         who = names[0] if len(names) == 1 else f"{len(names)} of {max(total, len(names))} logs ({names[0]}, ...)"

@@ -1,4 +1,4 @@
-"""Which column is which joint, and what its numbers mean in radians."""
+"""Columns of joints, and their numbers in radians."""
 
 from __future__ import annotations
 
@@ -21,44 +21,42 @@ _SO101_NAMES = {
     "Rotation": "shoulder_pan", "Pitch": "shoulder_lift", "Elbow": "elbow_flex", "Wrist_Pitch": "wrist_flex",
     "Wrist_Roll": "wrist_roll",
 }  # fmt: skip
-"""Joint names of the first SO-ARM100 model, as SAGE uses them, and of so101_new_calib.xml.
+"""Joint names of the first SO-ARM100 model, as in SAGE, and of so101_new_calib.xml.
 
-Source: TheRobotStudio/SO-ARM100, folders ``Simulation/SO100`` and ``Simulation/SO101``.
-"""
+Source: TheRobotStudio/SO-ARM100, folders ``Simulation/SO100`` and ``Simulation/SO101``."""
 
 COUNTS_PER_TURN = 4096
-"""Positions of the 12-bit encoder in a turn. Source: Feetech STS3215 datasheet."""
+"""12-bit encoder; Feetech STS3215 datasheet"""
 
 ANGLES = {"rad": 1.0, "deg": np.pi / 180.0}
-"""[rad] units of angles"""
+"""[rad]"""
 _NUMBERED = re.compile(r"(.*?)(\d+)")
 _NORMALISED_LIMIT = 101.0
 """LeRobot clips to -100..100 (chosen: with rounding)"""
 
 
 class Match(NamedTuple):
-    """Where a file keeps the joints of the arm."""
+    """Joints of the arm in a file."""
 
     columns: list[int]
-    """(n,) column of each joint of the arm"""
+    """(n,) columns in the arm's order"""
     names: tuple[str, ...]
-    """(n,) what the file calls them"""
+    """(n,) in the file"""
     dropped: tuple[str, ...]
-    """columns that are no joints of the arm"""
+    """other columns"""
     linear: list[Linear]
-    """(n,) what `ImportOptions.columns` makes of each"""
+    """(n,) of `ImportOptions.columns`"""
     numbered: bool
-    """whether the names are only numbers"""
+    """names are only numbers"""
 
 
 def match_joints(
     names: Sequence[str], arm: Arm, options: ImportOptions, path: Path, what: str, titles: Sequence[str] | None = None
 ) -> Match:
-    """Find every joint of the arm exactly once among the names in a file.
+    """Find every joint of the arm exactly once in a file.
 
-    A joint is found by ``options.columns``, by its name (without LeRobot's ``.pos``), by SAGE's name for an SO-101,
-    else by numbers from 0 or 1 up. Other names are dropped. ``titles`` are full column names. Raises FileError where
-    a joint is missing or found twice.
+    By ``options.columns``, its name (without LeRobot's ``.pos``), SAGE's name for an SO-101, or numbers from 0 or 1.
+    ``titles`` are full column names. FileError.
     """
     titles = names if titles is None else titles
     renamed = _renamed(arm, options, {*names, *titles})
@@ -84,7 +82,7 @@ def match_joints(
 
 
 def means_a_joint(name: str, arm: Arm, options: ImportOptions) -> bool:
-    """Tell whether a name means a joint of the arm."""
+    """Whether a name is a joint of the arm."""
     return _meaning(name, name, arm, _renamed(arm, options, {name})) is not None
 
 
@@ -92,7 +90,6 @@ Meaning = tuple[str, Linear] | None
 
 
 def _renamed(arm: Arm, options: ImportOptions, known: set[str]) -> dict[str, tuple[str, Linear]]:
-    """Return the joints that the user maps, with scale and offset."""
     found = {}
     for ours, theirs in (options.columns or {}).items():
         joint = _meaning(split_unit(ours, ANGLES)[0], "", arm, {})
@@ -113,7 +110,7 @@ def _meaning(name: str, title: str, arm: Arm, renamed: dict[str, tuple[str, Line
 
 
 def _numbers(names: Sequence[str], arm: Arm) -> list[Meaning]:
-    """Return the joints that plain numbers mean; m1 only for arms whose joints end in numbers."""
+    """Joints of plain numbers; m1 only if the arm's names end in numbers."""
     parts = [_NUMBERED.fullmatch(name) for name in names]
     counted = all(name[-1:].isdigit() for name in arm.joint_names)
     for stem in {"", *(part[1] for part in parts if part is not None and counted)}:
@@ -127,10 +124,10 @@ def _numbers(names: Sequence[str], arm: Arm) -> list[Meaning]:
 
 
 def radians(values: Array, unit: str, half: Array | None, path: Path) -> Array:
-    """Turn values ``(T, n)`` in the arm's joint order into radians.
+    """Values ``(T, n)`` in radians.
 
-    Normalised values are LeRobot's: -100 and 100 are the ends of the calibrated range, ``half`` (n,) [rad] from its
-    middle (``MotorsBus._normalize`` in huggingface/lerobot). A turn has 4096 encoder steps.
+    LeRobot's normalised -100 and 100 are ``half`` (n,) [rad] from the middle of the calibrated range
+    (``MotorsBus._normalize`` in huggingface/lerobot).
     """
     if unit in ANGLES:
         return values * ANGLES[unit] if unit == "rad" else np.deg2rad(values)
@@ -143,7 +140,7 @@ def radians(values: Array, unit: str, half: Array | None, path: Path) -> Array:
 
 
 def half_ranges(path: Path, arm: Arm, options: ImportOptions) -> Array:
-    """Read half of each joint's calibrated range (n,) [rad]; negative for a turned motor."""
+    """Half ranges (n,) [rad]; negative: turned motor."""
     try:
         motors = json.loads(read_bounded(path, JSON_MOST, "give the file that lerobot-calibrate wrote"))
         spans = {

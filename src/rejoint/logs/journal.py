@@ -1,9 +1,8 @@
 """Journals: a run log on disk while it is recorded.
 
-A journal is a hidden file beside its run log: a line of JSON, then rows of float64 (time, position, command, target,
-true TCP), each with its CRC-32. A thread writes them, so a slow or full disk never delays the control loop. After
-``kill -9`` all but the last `INTERVAL` is there, and `recover` makes a run log of it; after a power loss Linux lacks
-about half a minute. Where writing fails, the run goes on in memory.
+A hidden file beside the run log: a line of JSON, then rows of float64 (time, position, command, target, true TCP), each
+with its CRC-32. A thread writes it, so a slow disk never delays the control loop. After ``kill -9`` `recover` restores
+all but the last `INTERVAL`; after a power loss Linux lacks about half a minute. Where writing fails, the run goes on.
 """
 
 from __future__ import annotations
@@ -25,10 +24,10 @@ from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import read_bounded, require_space, unused, unwritable
 
 INTERVAL = 0.25
-"""[s] between two writes (chosen: half of what may be lost)"""
+"""[s] between writes (chosen)"""
 
 CUT_SHORT = "cut-short"
-"""Ends name and label of a recovered log"""
+"""Suffix of a recovered log"""
 
 _ENDING = ".journal"
 _MAGIC = "rejoint journal 1"
@@ -36,7 +35,7 @@ _CHECK = 4  # bytes of a row's CRC-32
 
 
 class JournalRow(Protocol):
-    """What a journal takes of a control cycle, see `rejoint.control.recording.Cycle`."""
+    """A control cycle, see `rejoint.control.recording.Cycle`."""
 
     @property
     def time(self) -> Array:
@@ -60,13 +59,13 @@ class JournalRow(Protocol):
 
 
 class Journal:
-    """Rows of one arm on their way to disk, from `begin` to `finish` or `discard`."""
+    """Writes rows of one arm, from `begin` to `finish` or `discard`."""
 
     def __init__(self, path: Path, handle: int) -> None:
-        """Take the run log's path and the open file; `begin` makes both."""
+        """Use `begin`."""
         self.path, self.file = path, journal_path(path)
         self.problem: OSError | None = None
-        """what kept rows from being written; the run goes on without"""
+        """first write error"""
         self._handle, self._rows, self._over = handle, deque[bytes](), threading.Event()
         self._thread = threading.Thread(target=self._write_on, name="journal", daemon=True)
 
@@ -74,10 +73,7 @@ class Journal:
     def begin(
         cls, path: Path, *, arm: str, joint_names: tuple[str, ...], robot: str, label: str, rows: int = 0
     ) -> Journal:
-        """Open the journal of the run log at ``path`` and reserve space for ``rows`` rows.
-
-        FileError if it cannot be written, or journal and log do not fit on the disk.
-        """
+        """Open the journal of ``path``, with space for ``rows``; FileError."""
         about = {"arm": arm, "joints": list(joint_names), "robot": robot, "label": label}
         head = f"{_MAGIC} {json.dumps(about)}\n".encode()
         size = len(head) + rows * (_row_size(len(joint_names)) + _CHECK)
@@ -100,17 +96,17 @@ class Journal:
         return journal
 
     def see(self, cycle: JournalRow) -> None:
-        """Take the row of a control cycle."""
+        """Add a control cycle."""
         self.append(cycle.time[0], cycle.position[0], cycle.command[0], cycle.target[0], cycle.true_tcp[0])
 
     def append(self, time: float, position: Array, command: Array, target: Array, true_tcp: Array) -> None:
-        """Take a row: [s], (n,) [rad], (n,) [rad], (3,) [m], (3,) [m]."""
+        """Add a row: [s], (n,) [rad], (n,) [rad], (3,) [m], (3,) [m]."""
         if self.problem is None:
             data = np.concatenate(((time,), position, command, target, true_tcp)).astype("<f8", copy=False).tobytes()
             self._rows.append(data + zlib.crc32(data).to_bytes(_CHECK, "little"))
 
     def finish(self, log: RunLog) -> None:
-        """Write the run log and remove the journal; a FileError names the journal, which stays."""
+        """Write the run log and remove the journal; FileError."""
         self.close()
         try:
             write_log(self.path, log)
@@ -121,7 +117,7 @@ class Journal:
         self.file.unlink(missing_ok=True)
 
     def keep(self, log: RunLog) -> str:
-        """Write the log of a failed run; returns a sentence about it."""
+        """Write a failed run's log; returns a message."""
         try:
             self.finish(log)
         except FileError as error:
@@ -129,7 +125,7 @@ class Journal:
         return f"What was recorded until then: {self.path}"
 
     def rescue(self) -> str:
-        """Make a log of a failed run's journal; returns a sentence about it."""
+        """Make a failed run's log of its journal; returns a message."""
         self.close()
         try:
             path = _convert(self.file, self.path)
@@ -138,12 +134,12 @@ class Journal:
         return "Nothing was recorded." if path is None else f"What was recorded until then: {path}"
 
     def discard(self) -> None:
-        """Remove the journal: nothing happened, or what did is kept elsewhere."""
+        """Remove the journal."""
         self.close()
         self.file.unlink(missing_ok=True)
 
     def close(self) -> None:
-        """Write what is left; the journal stays."""
+        """Flush; the journal stays."""
         if not self._over.is_set():
             self._over.set()
             self._thread.join()
@@ -161,10 +157,9 @@ class Journal:
 
 
 def recover(folder: Path, *, quiet: float = 0.0) -> tuple[Path, ...]:
-    """Turn the journals of killed processes in ``folder`` into run logs; returns these.
+    """Make run logs of killed processes' journals.
 
-    Call it alone in the folder, or with ``quiet`` [s] since the last write: a journal in use looks the same.
-    FileError if a log cannot be written.
+    Journals in use look the same: call it alone, or with ``quiet`` [s] since the last write. FileError.
     """
     found = []
     for file in sorted(folder.glob(f".*{_ENDING}")):
@@ -178,7 +173,10 @@ def recover(folder: Path, *, quiet: float = 0.0) -> tuple[Path, ...]:
 
 
 def _convert(file: Path, path: Path) -> Path | None:
-    """Make a log of a journal and remove it; None without rows. An unreadable journal becomes a visible file."""
+    """Make a log of a journal and remove it; None without rows.
+
+    An unreadable journal becomes a visible file.
+    """
     log = read_journal(file)
     if log is None and any(file.read_bytes()):
         file.replace(file.with_name(f"{path.stem}-damaged{_ENDING}"))
@@ -191,7 +189,7 @@ def _convert(file: Path, path: Path) -> Path | None:
 
 
 def read_journal(file: Path) -> RunLog | None:
-    """Read the whole rows of a journal; None without a header."""
+    """Whole rows of a journal; None without a header."""
     head, _, rest = read_bounded(file, LOG_MOST, "delete it").partition(b"\n")
     try:
         magic, _, text = head.decode().partition(" {")
@@ -210,7 +208,7 @@ def read_journal(file: Path) -> RunLog | None:
 
 
 def _whole_rows(data: bytes, size: int) -> Array:
-    """Rows (T, size / 8) with the right checksum, finite, on an increasing clock."""
+    """Rows (T, size / 8) with correct checksum and clock."""
     step, rows = size + _CHECK, []
     for start in range(0, len(data) - step + 1, step):
         row, check = data[start : start + size], data[start + size : start + step]
@@ -227,7 +225,7 @@ def _row_size(joints: int) -> int:
 
 
 def journal_path(path: Path) -> Path:
-    """Return where the journal of the run log at ``path`` is."""
+    """Journal of the run log at ``path``."""
     return path.with_name(f".{path.stem}{_ENDING}")
 
 
@@ -237,7 +235,6 @@ def _write(handle: int, data: bytes) -> None:
 
 
 def _reserve(handle: int, size: int) -> None:
-    """Reserve space where the system can."""
     if hasattr(os, "posix_fallocate"):
         try:
             os.posix_fallocate(handle, 0, size)

@@ -1,6 +1,5 @@
 """LeRobot datasets of versions 2 and 3 (huggingface/lerobot, folder ``datasets``).
 
-``meta/info.json`` holds version, frame rate and column names, ``data/chunk-*/*.parquet`` the frames:
 ``observation.state`` was measured, ``action`` sent. The user declares the unit. Each episode becomes one log.
 """
 
@@ -29,7 +28,7 @@ _INFO = "meta/info.json"
 _GROUPS = {"observation.state": "position", "action": "command"}
 _SCALARS = ("timestamp", "frame_index", "episode_index")
 _TOLERANCE = 1e-4
-"""[s] tolerance of a stamp. Source: ``tolerance_s`` of LeRobotDataset"""
+"""[s] ``tolerance_s`` of LeRobotDataset"""
 _NEEDED = "a log needs joint states and actions"
 _REMEDY = "download or record the dataset again"
 
@@ -40,16 +39,16 @@ class _Info:
     fps: float
     frames: int
     names: dict[str, tuple[str, ...]]
-    """names of the columns of state and action"""
+    """columns of state and action"""
 
 
 def fits(source: Path, options: ImportOptions) -> bool:  # noqa: ARG001 - it declares nothing about this
-    """Tell whether a folder is a LeRobot dataset."""
+    """Whether a folder is a LeRobot dataset."""
     return (source / _INFO).is_file()
 
 
 def motions(source: Path, arm: Arm, options: ImportOptions) -> list[Pending]:
-    """Return the episodes of a dataset."""
+    """Episodes of a dataset."""
     info = _read_info(source / _INFO, options)
     if options.angle_unit is None:
         raise FileError(
@@ -87,7 +86,6 @@ def _read_info(path: Path, options: ImportOptions) -> _Info:
 
 
 def _names(feature: dict[str, object], options: ImportOptions, path: Path, key: str) -> tuple[str, ...]:
-    """Names of a feature's columns: a list, in older files below a key."""
     shape, held = feature["shape"], feature["names"]
     if isinstance(held, dict) and len(held) == 1:
         held = next(iter(held.values()))
@@ -167,7 +165,7 @@ def _matrix(table: pa.Table, key: str) -> Array:
 
 
 def _time(table: pa.Table, info: _Info) -> tuple[Array, str]:
-    """Seconds of each frame: frame number over rate where the stamps agree."""
+    """Return times [s] of frames: number over rate where the stamps agree."""
     stamps = table["timestamp"].to_numpy().astype(float)
     nominal = table["frame_index"].to_numpy() / info.fps
     if (np.abs(stamps - nominal) < _TOLERANCE).all():

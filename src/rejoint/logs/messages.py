@@ -2,7 +2,7 @@
 
 ``sensor_msgs/JointState``, ``foxglove.JointStates`` (docs.foxglove.dev/docs/sdk/schemas/joint-states),
 ``control_msgs/JointTrajectoryControllerState``, ``trajectory_msgs/JointTrajectory`` and ``std_msgs/Float64MultiArray``,
-as any decoder returns them: dicts, or objects with fields.
+decoded to dicts or objects with fields.
 """
 
 from __future__ import annotations
@@ -21,45 +21,45 @@ from rejoint.system.errors import FileError
 
 NANOSECONDS = 1_000_000_000
 STATES = ("JointState", "JointStates")
-"""Kinds of messages that hold joint positions with their names"""
+"""Message types with joint positions and names"""
 TRAJECTORY, ARRAY, CONTROLLER = "JointTrajectory", "Float64MultiArray", "JointTrajectoryControllerState"
 REMEDY = "record it again, or save what is whole with `mcap recover` or `ros2 bag reindex`"
 _STAMP_NAMES = (("sec", "nanosec"), ("sec", "nsec"), ("seconds", "nanos"), ("secs", "nsecs"))
 _WRONG = (TypeError, ValueError, AttributeError, OverflowError)
-"""What a message that is no such message leads to"""
+"""Errors of a wrong message"""
 
 
 class Sample(NamedTuple):
-    """The joints in one message."""
+    """Joints in one message."""
 
     number: int
     header_ns: int
     log_ns: int
     names: tuple[str, ...]
     groups: Mapping[str, Sequence[float]]
-    """``position``, ``command`` or ``torque`` to one number a joint"""
+    """``position``, ``command`` or ``torque`` to numbers per joint"""
 
 
 class TrajectoryGoal(NamedTuple):
-    """One message of a trajectory."""
+    """A trajectory message."""
 
     number: int
     header_ns: int
     log_ns: int
     names: tuple[str, ...]
     after: list[float]
-    """[s] from its beginning to each point"""
+    """[s] of each point"""
     points: list[dict[str, list[float]]]
-    """``positions``, ``velocities`` and ``accelerations`` of each, as far as given"""
+    """``positions``, ``velocities`` and ``accelerations`` per point"""
 
 
 def kind_of(schema: str) -> str:
-    """Name of a message type without its package: ``JointState`` for ``sensor_msgs/msg/JointState``."""
+    """Message type without its package: ``JointState``."""
     return schema.replace("/", ".").rpartition(".")[2]
 
 
 def samples_of(messages: list[tuple[int, Any]], file: Path, topic: str, schema: str, group: str) -> list[Sample]:
-    """Read joint numbers as a ``group``; FileError names a wrong message."""
+    """Joint numbers as a ``group``; FileError."""
     samples = []
     for number, (log_ns, message) in enumerate(messages, start=1):
         try:
@@ -75,7 +75,6 @@ def samples_of(messages: list[tuple[int, Any]], file: Path, topic: str, schema: 
 
 
 def _joints(message: Any, kind: str, group: str) -> tuple[Any, Any, dict[str, Any]]:  # noqa: ANN401
-    """Return stamp, names and numbers of a message."""
     if kind == ARRAY:
         return None, (), {group: field(message, "data")}
     stamp, joints = field(field(message, "header"), "stamp"), field(message, "joints")
@@ -96,7 +95,6 @@ def _joints(message: Any, kind: str, group: str) -> tuple[Any, Any, dict[str, An
 
 
 def _point(message: Any, *names: str) -> Any:  # noqa: ANN401
-    """Return a controller's point under its new or old name."""
     points = [field(message, name) for name in names]
     return next((point for point in points if point is not None and len(field(point, "positions"))), points[0])
 
@@ -107,7 +105,7 @@ def _effort(effort: Any, position: Any) -> dict[str, Any]:  # noqa: ANN401
 
 
 def goals_of(messages: list[tuple[int, Any]], file: Path, topic: str) -> list[TrajectoryGoal]:
-    """Read trajectories; FileError names the message that is none."""
+    """Trajectories; FileError."""
     goals = []
     for number, (log_ns, message) in enumerate(messages, start=1):
         try:
@@ -135,7 +133,7 @@ def goals_of(messages: list[tuple[int, Any]], file: Path, topic: str) -> list[Tr
 
 
 def field(message: Any, name: str) -> Any:  # noqa: ANN401
-    """Get a field of a dict, an object or protobuf; None where it is not set."""
+    """Field of a dict, an object or protobuf, or None."""
     if message is None or isinstance(message, dict):
         return (message or {}).get(name)
     descriptor = getattr(message, "DESCRIPTOR", None)
@@ -147,7 +145,7 @@ def field(message: Any, name: str) -> Any:  # noqa: ANN401
 
 
 def nanoseconds(stamp: Any) -> int:  # noqa: ANN401
-    """Read a time or duration [ns]; 0 where there is none."""
+    """Time or duration [ns], or 0."""
     if stamp is None:
         return 0
     for seconds, rest in _STAMP_NAMES:
@@ -159,9 +157,9 @@ def nanoseconds(stamp: Any) -> int:  # noqa: ANN401
 def frame_of(
     samples: list[Sample], clock: tuple[str, int], where: tuple[Path, str], arm: Arm, options: ImportOptions
 ) -> tuple[ColumnFrame, list[str]]:  # fmt: skip
-    """Put messages into columns; those about other joints are left out with a note.
+    """Columns of messages; other joints are dropped with a note.
 
-    ``clock`` is the stamp that counts, ``header`` or ``log``, and its origin [ns].
+    ``clock``: ``header`` or ``log``, and its origin [ns].
     """
     file, topic = where
     own: dict[tuple[str, ...], bool] = {}
@@ -209,11 +207,11 @@ def commands_of(
     goals: list[TrajectoryGoal], state: Track, clock: tuple[str, int], where: tuple[Path, str], arm: Arm,
     options: ImportOptions,
 ) -> Track:  # fmt: skip
-    """Sample goals at the times of the states; ``clock`` is the stamp that counts, and its origin [ns].
+    """Sample goals at the times of the states; ``clock`` as `frame_of`.
 
     As ``interpolate_between_points`` of joint_trajectory_controller: from the present state through the points, linear,
-    cubic or quintic by what is given; the last point holds, a new goal replaces the old. Raises FileError for missing
-    joints, or no goal before the last state.
+    cubic or quintic; the last point holds, a new goal replaces the old one. FileError for missing joints, or no goal
+    before the last state.
     """
     from scipy.interpolate import BPoly
 
@@ -256,7 +254,7 @@ def _begin(goal: TrajectoryGoal, stamp: str) -> int:
 
 
 def _knot(point: dict[str, list[float]], match: Match, options: ImportOptions, file: Path) -> list[Array]:
-    """Positions, velocities, accelerations (n,) of a point, in the arm's order and radians."""
+    """Positions, velocities, accelerations (n,) of a point, in radians."""
     scale, offset = (np.array([getattr(one, key) for one in match.linear]) for key in ("scale", "offset"))
     found = []
     for order, key in enumerate(_ORDERS):
@@ -268,7 +266,6 @@ def _knot(point: dict[str, list[float]], match: Match, options: ImportOptions, f
 
 
 def _now(state: Track, time: float) -> list[Array]:
-    """Where the joints are when a goal comes, and how fast."""
     row = int(np.clip(np.searchsorted(state.time, time), 1, len(state) - 1))
     before = max(row - 3, 0)
     speed = (state.value[row] - state.value[before]) / max(state.time[row] - state.time[before], 1e-9)

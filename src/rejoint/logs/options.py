@@ -1,4 +1,4 @@
-"""What a user declares about foreign logs."""
+"""Declarations about foreign logs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rejoint.system.files import TOML_MOST, read_bounded
 
 ANGLE_UNITS = ("rad", "deg", "normalised")
 TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
-"""Ticks of each unit in a second."""
+"""Ticks per second"""
 STAMPS = ("header", "log")
 
 OPTIONS = {
@@ -22,7 +22,7 @@ OPTIONS = {
     "state_topic": "--state-topic", "command_topic": "--command-topic", "stamp": "--stamp",
     "calibration": "--calibration", "columns": "--map", "torque_off": "--torque-off",
 }  # fmt: skip
-"""The option of `rejoint import` for each declaration."""
+"""Options of `rejoint import` per declaration"""
 _N = r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _LINEAR = re.compile(
     rf"\s*(?P<sign>[+-]?)\s*(?:(?P<scale>{_N})\s*\*\s*)?(?P<column>.+?)\s*"
@@ -33,7 +33,7 @@ _LINEAR = re.compile(
 
 @dataclass(frozen=True, kw_only=True)
 class Linear:
-    """``scale`` times a column of the file, plus ``offset`` in its unit."""
+    """``scale`` times a column, plus ``offset`` in its unit."""
 
     column: str
     scale: float = 1.0
@@ -55,31 +55,30 @@ class Linear:
 
 @dataclass(frozen=True, kw_only=True)
 class ImportOptions:
-    """Declarations about the files to import; None leaves it to the file."""
+    """Declarations about imported files; None: as in the file."""
 
     angle_unit: str | None = None
     """``rad``, ``deg``, or ``normalised`` for LeRobot's -100..100"""
     time_unit: str | None = None
     """``s``, ``ms``, ``us`` or ``ns``"""
     rate: float | None = None
-    """[Hz] of the rows of a file without a time"""
+    """[Hz] of rows without a time"""
     columns: Mapping[str, str] | None = None
-    """name in the log -> column with scale, sign and offset, such as ``{"time": "t", "elbow": "-q3"}``; see
-    `rejoint.logs.columns`"""
+    """name in the log -> column: ``{"time": "t", "elbow": "-q3"}``; see `rejoint.logs.columns`"""
     names: tuple[str, ...] | None = None
-    """column names where the file holds none"""
+    """of columns without names"""
     state_topic: str | None = None
-    """bags: topic of the measured joint states; default ``/joint_states``"""
+    """bags: measured joint states; default ``/joint_states``"""
     command_topic: str | None = None
-    """bags: topic of the commanded joint states; default ``/joint_commands``"""
+    """bags: commanded joint states; default ``/joint_commands``"""
     stamp: str | None = None
-    """bags: ``header`` for stamps in the messages, ``log`` for recording times"""
+    """bags: ``header`` (messages) or ``log`` (recording times)"""
     calibration: Path | None = None
-    """LeRobot: calibration file of normalised values; without it the encoder steps give the ranges"""
+    """LeRobot: of normalised values; default: by encoder steps"""
     torque_off: tuple[str, ...] | None = None
-    """joints that had no torque in these logs"""
+    """joints without torque"""
     force: bool = False
-    """import despite failed consistency checks, and keep the reasons"""
+    """import despite failed consistency checks, and store the reasons"""
 
     def __post_init__(self) -> None:
         for name, known in (("angle_unit", ANGLE_UNITS), ("time_unit", tuple(TIME_UNITS)), ("stamp", STAMPS)):
@@ -94,14 +93,14 @@ class ImportOptions:
             raise InputError(f"--rate {self.rate} is no rate; give rows in a second")
 
     def check_joints(self, arm: Arm) -> None:
-        """Raise InputError where a joint without torque is none of the arm."""
+        """Raise InputError for unknown joints."""
         for joint in self.torque_off or ():
             if joint not in arm.joint_names:
                 raise InputError(f"--torque-off {joint!r}: {arm.name} has the joints {', '.join(arm.joint_names)}")
 
 
 def read_map(texts: Iterable[str]) -> dict[str, str]:
-    """Read ``ours=theirs`` pairs or a TOML file of them; InputError names a wrong one."""
+    """Read ``ours=theirs`` pairs or a TOML file; InputError."""
     pairs: list[tuple[str, str]] = []
     for text in texts:
         if text.endswith(".toml"):

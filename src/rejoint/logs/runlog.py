@@ -1,7 +1,6 @@
 """Run logs: commands and readings of one arm, as Parquet.
 
-Row k holds the state read in cycle k and the command sent right after it. Columns are flat (``position.joint1``), so
-that any Parquet tool can plot them.
+Row k holds the state of cycle k and the command sent after it. Columns are flat (``position.joint1``).
 """
 
 from __future__ import annotations
@@ -31,20 +30,20 @@ from rejoint.system.stopping import noted
 Array = NDArray[np.float64]
 
 FORMAT = 1
-"""Version of the run-log layout; a reader refuses others."""
+"""Version; others are refused"""
 
 LOG_MOST = 1000 * MEGABYTE
-"""chosen: some 100 hours at 40 Hz"""
+"""[bytes] (chosen: 100 hours at 40 Hz)"""
 
 VALUES_MOST = 200_000_000
-"""chosen: 1.6 GB of memory; a small file may unfold to any size"""
+"""(chosen: 1.6 GB of memory)"""
 
 TWO_TURNS = 4.0 * np.pi
-"""[rad] chosen: no joint of a serial arm turns further"""
+"""[rad] (chosen: beyond any joint)"""
 
 _METADATA_KEY = b"rejoint"
 AXES = ("x", "y", "z")
-"""Names of the columns of a place"""
+"""Column names of a place"""
 _ARRAYS = ("time", "position", "command", "target", "true_tcp")
 _MEASURED = ("servo_load", "torque", "current", "gain")
 _OPTIONAL = (*_MEASURED, "aim")
@@ -52,7 +51,7 @@ _OPTIONAL = (*_MEASURED, "aim")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RunLog:
-    """What one arm was told and what it did; T rows, n joints.
+    """Commands and readings of one arm; T rows, n joints.
 
     Examples
     --------
@@ -62,36 +61,36 @@ class RunLog:
     """
 
     arm: str
-    """name of the arm"""
+    """name"""
     joint_names: tuple[str, ...]
     robot: str
-    """address of the robot"""
+    """address"""
     label: str
-    """what was run, such as ``excitation`` or ``hold/policy/0/2``"""
+    """such as ``excitation`` or ``hold/policy/0/2``"""
     time: Array
-    """(T,) [s] on the robot's clock, strictly increasing"""
+    """(T,) [s] on the robot's clock, increasing"""
     position: Array
-    """(T, n) [rad] measured joint positions"""
+    """(T, n) [rad] measured"""
     command: Array
-    """(T, n) [rad] sent joint positions; all NaN if not recorded"""
+    """(T, n) [rad] sent; NaN: not recorded"""
     target: Array
-    """(T, 3) [m] TCP target; NaN where there is none"""
+    """(T, 3) [m] of the TCP; NaN: none"""
     true_tcp: Array
-    """(T, 3) [m] where the tool really was; NaN where it is unknown"""
+    """(T, 3) [m] true tool; NaN: unknown"""
     servo_load: Array | None = None
-    """(T, n) reported torque as a share of the servo's largest, positive with the joint; NaN for none"""
+    """(T, n) torque as a share of the largest, positive with the joint"""
     aim: Array | None = None
-    """(T, 3) [m] corrected target; None if it is the target"""
+    """(T, 3) [m] corrected target"""
     torque: Array | None = None
-    """(T, n) measured torque, unit in ``units``"""
+    """(T, n) measured, unit in ``units``"""
     current: Array | None = None
-    """(T, n) motor current, positive with the joint, unit in ``units``"""
+    """(T, n) of motors, positive with the joint, unit in ``units``"""
     gain: Array | None = None
-    """(T, n) P gain of each servo in its own unit, 0 without torque"""
+    """(T, n) P gain in the servo's unit, 0 without torque"""
     units: dict[str, str] = field(default_factory=dict)
-    """unit of ``torque`` (``N m``) and ``current`` (``A``); empty if unknown"""
+    """of ``torque`` (``N m``) and ``current`` (``A``)"""
     extra: dict[str, str] = field(default_factory=dict)
-    """anything else worth keeping: seed, profile, software version"""
+    """seed, profile, software version and others"""
 
     def __repr__(self) -> str:
         last = self.time[-1] - self.time[0] if len(self.time) else 0.0
@@ -131,12 +130,12 @@ class RunLog:
         return not np.isnan(self.command).all() or not self.command.size
 
     def rows(self, which: slice) -> RunLog:
-        """Return some of the rows, with all else as it is."""
+        """Return some rows."""
         return replace(self, **{name: getattr(self, name)[which] for name in self.arrays})
 
     @property
     def arrays(self) -> tuple[str, ...]:
-        """Names of what has one row a reading."""
+        """Names of fields with a row per reading."""
         return (*_ARRAYS, *(name for name in _OPTIONAL if getattr(self, name) is not None))
 
     @classmethod
@@ -151,25 +150,25 @@ class RunLog:
         time
             (T,) [s] at which the positions were read, strictly increasing
         command
-            (T, n) [rad] joint positions that were sent right after row by row
+            (T, n) [rad] joint positions sent after each reading
         position
             (T, n) [rad] measured joint positions
         arm
-            arm, its name or file; its joints are those of the columns, in that order
+            arm, its name or file; its joints are the columns, in order
         label
-            name of the motion; one for each of several logs
+            name of the motion
         target, true_tcp
-            (T, 3) [m] target of the tool, and where it really was, where they are known
+            (T, 3) [m] target and true place of the tool
 
         Returns
         -------
         RunLog
-            of copies of the arrays, which cannot be changed
+            with read-only copies of the arrays
 
         Raises
         ------
         InputError
-            if shapes do not go together, values are not finite, or time does not increase
+            if shapes differ, values are not finite, or time does not increase
 
         Examples
         --------
@@ -189,11 +188,11 @@ class RunLog:
 
     @classmethod
     def load(cls, path: Path | str) -> RunLog:
-        """Read a run log; FileError if missing, damaged or something else."""
+        """Read a run log; FileError."""
         return read_log(Path(path))
 
     def save(self, path: Path | str) -> None:
-        """Write a run log whole or not at all; FileError if that fails."""
+        """Write a run log, whole or not at all; FileError."""
         write_log(Path(path), self)
 
     def require(self, arm: str, joint_names: tuple[str, ...]) -> None:
@@ -227,7 +226,7 @@ def write_log(path: Path, log: RunLog) -> None:
 
 
 def read_log(path: Path) -> RunLog:
-    """Read a run log; FileError names what is wrong."""
+    """Read a run log; FileError."""
     remedy = "record it again or take another file"
     try:
         table = read_parquet(path, remedy)
@@ -263,7 +262,7 @@ def read_log(path: Path) -> RunLog:
 
 
 def read_parquet(path: Path, remedy: str, columns: list[str] | None = None) -> pa.Table:
-    """Read a Parquet file with verified checksums; FileError if it is too large."""
+    """Read a Parquet file with checksums; FileError."""
     require_file(path, LOG_MOST, remedy)
     _load_pandas()
     with pq.ParquetFile(path, page_checksum_verification=True) as file:
@@ -275,7 +274,7 @@ def read_parquet(path: Path, remedy: str, columns: list[str] | None = None) -> p
 
 
 def _load_pandas() -> None:
-    """Load pandas before Arrow does: a signal during its import is lost."""
+    """Load pandas before Arrow does: its import loses signals."""
     if "pandas" not in sys.modules:
         with noted(), suppress(Exception):  # Arrow does without it
             import_module("pandas")
@@ -288,7 +287,6 @@ def _about(log: RunLog) -> dict[str, Any]:
 
 
 def _digest(log: RunLog) -> str:
-    """Fingerprint of all that a log holds."""
     found = hashlib.sha256(json.dumps(_about(log), sort_keys=True).encode())
     for name in log.arrays:  # without loads it is as before
         found.update(np.ascontiguousarray(getattr(log, name), dtype="<f8").tobytes())

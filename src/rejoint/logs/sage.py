@@ -1,6 +1,6 @@
-"""Logs of SAGE (github.com/isaac-sim2real/sage): a folder for each motion.
+"""Logs of SAGE (github.com/isaac-sim2real/sage): a folder per motion.
 
-``control.csv`` (type, timestamp, positions) holds commands, ``state_motor.csv`` states, both in the joint order of
+``control.csv`` (type, timestamp, positions) holds commands, ``state_motor.csv`` states, in the order of
 ``joint_list.txt``, in microseconds and radians.
 """
 
@@ -25,12 +25,12 @@ _REMEDY = "mend the line or leave this motion out"
 
 
 def fits(source: Path, options: ImportOptions) -> bool:  # noqa: ARG001 - it declares nothing about this
-    """Tell whether a folder is a SAGE motion or holds some."""
+    """Whether a folder holds SAGE motions."""
     return bool(_folders(source))
 
 
 def motions(source: Path, arm: Arm, options: ImportOptions) -> list[Pending]:
-    """Return the motions in a folder, sorted by name."""
+    """Motions in a folder, sorted by name."""
     folders = _folders(source)
     if not folders:
         raise FileError(
@@ -70,7 +70,6 @@ def _read(folder: Path, arm: Arm, options: ImportOptions) -> RecordedMotion:
 
 
 def _frame(path: Path, names: list[str], group: str, ticks: float) -> ColumnFrame:
-    """Read the times and positions of a file."""
     sheet = read_sheet(path)
     if sheet.titles[1:3] != ("timestamp", "positions"):
         raise FileError(path, f"line 1: columns {sheet.shown}, expected type, timestamp, positions", _REMEDY)

@@ -1,4 +1,4 @@
-"""Files with columns: text, JSON with records, and NumPy archives; `rejoint.logs.columns` says what they mean."""
+"""Files with columns: text, JSON records, and NumPy archives."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ _REMEDY = "record it again, or write its columns as text"
 
 
 def fits(source: Path, options: ImportOptions) -> bool:
-    """Tell whether a path holds columns of a log."""
+    """Whether a path holds columns of a log."""
     if source.is_dir():
         return bool(_files(source, options)[0])
     return source.is_file() and _titles(source) is not None
 
 
 def motions(source: Path, arm: Arm, options: ImportOptions) -> list[Pending]:
-    """Return the motions of the files at a path, sorted by name."""
+    """Motions of the files at a path, sorted by name."""
     files, others = _files(source, options) if source.is_dir() else ([source], [])
     if not files:
         raise FileError(source, "no file with columns position.JOINT here", "check the path or the format")
@@ -41,7 +41,6 @@ def motions(source: Path, arm: Arm, options: ImportOptions) -> list[Pending]:
 
 
 def _files(folder: Path, options: ImportOptions) -> tuple[list[Path], list[Path]]:
-    """Return the files of a folder with columns of a log, and other tables."""
     found: list[Path] = []
     others: list[Path] = []
     for file in sorted(file for file in folder.iterdir() if file.suffix.lower() in _ENDINGS and file.is_file()):
@@ -54,7 +53,7 @@ def _files(folder: Path, options: ImportOptions) -> tuple[list[Path], list[Path]
 
 
 def _titles(file: Path) -> tuple[str, ...] | None:
-    """Return the titles of a file; empty for JSON and archives, None for other files."""
+    """Titles of a file; empty for JSON and archives, None for other files."""
     if begins_with(file, b"PK\x03\x04"):
         return () if file.suffix.lower() == ".npz" else None
     if file.suffix.lower() == ".json" and begins_with(file, b"{"):
@@ -94,7 +93,7 @@ def _frame(file: Path, columns: dict[str, Array], rows: int, found: str) -> Colu
 
 
 def _records(file: Path) -> ColumnFrame:
-    """Read the records of a JSON file; numbers beside them count for every row."""
+    """Return records of a JSON file; numbers beside them hold for every row."""
     try:
         data = json.loads(read_bounded(file, TEXT_MOST, "cut it into several files"))
         lists = {
@@ -115,7 +114,7 @@ def _number(value: Any) -> float:  # noqa: ANN401 - whatever stands in the file
 
 
 def _archive(file: Path) -> ColumnFrame:
-    """Read the arrays of a NumPy archive; (T, n) ones become columns NAME_0 and so on."""
+    """Arrays of a NumPy archive; (T, n) become columns NAME_0 and so on."""
     try:
         require_file(file, LOG_MOST, "cut it into several files")
         with zipfile.ZipFile(file) as archive:

@@ -1,4 +1,4 @@
-"""What readers return: columns of a file (`ColumnFrame`), samples of the arm's joints (`Track`)."""
+"""What readers return: columns of a file (`ColumnFrame`), samples of joints (`Track`)."""
 
 from __future__ import annotations
 
@@ -12,32 +12,32 @@ from numpy.typing import NDArray
 from rejoint.logs.runlog import Array
 
 MEASURED = ("torque", "current", "gain")
-"""What else a log may hold of each joint and row"""
+"""Other data per joint and row"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ColumnFrame:
-    """Columns of numbers on one clock, T rows."""
+    """Columns on one clock, T rows."""
 
     path: Path
     titles: tuple[str, ...]
     values: Callable[[Sequence[int]], Array]
-    """reads some columns (T, k) in the units of the file"""
+    """reads columns (T, k) in file units"""
     number: NDArray[np.int64]
-    """(T,) place of each row in the file"""
+    """(T,) row in the file"""
     place: str = "row"
-    """what the file counts: ``line``, ``message`` or ``row``"""
+    """``line``, ``message`` or ``row``"""
     time: Array | None = None
-    """(T,) [s] where the reader knows it; else a column holds it"""
+    """(T,) [s]; None: in a column"""
     angle_unit: str | None = None
-    """of angles where neither title nor user says another"""
+    """default of angles"""
     found: str = "a table"
-    """what the file is, in words"""
+    """kind of the file"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Track:
-    """States or commands; T samples of n joints."""
+    """States or commands: T samples of n joints."""
 
     path: Path
     what: str
@@ -45,38 +45,38 @@ class Track:
     time: Array
     """(T,) [s]"""
     value: Array
-    """(T, n) [rad] in the joint order of the arm"""
+    """(T, n) [rad] in the arm's order"""
     columns: tuple[str, ...]
-    """what the file calls the n joints"""
+    """(n,) names in the file"""
     place: str
-    """what the file counts: ``line``, ``message`` or ``row``"""
+    """``line``, ``message`` or ``row``"""
     number: NDArray[np.int64]
-    """(T,) place of each sample in the file"""
+    """(T,) place in the file"""
     more: Mapping[str, Array] = field(default_factory=dict)
-    """(T, n) of those of `MEASURED` that the file holds"""
+    """(T, n) of `MEASURED`"""
 
     def __len__(self) -> int:
         return len(self.time)
 
     def where(self, sample: int) -> str:
-        """Where in the file a sample stands, such as ``line 17``."""
+        """Place of a sample in the file: ``line 17``."""
         return f"{self.place} {self.number[sample]}"
 
     def take(self, chosen: NDArray[np.bool_]) -> Track:
-        """Return the samples where ``chosen`` (T,) holds."""
+        """Return samples where ``chosen`` (T,) holds."""
         more = {name: values[chosen] for name, values in self.more.items()}
         return replace(
             self, time=self.time[chosen], value=self.value[chosen], number=self.number[chosen], more=more
         )  # fmt: skip
 
     def shifted(self, seconds: float) -> Track:
-        """Return the same samples on a clock that starts ``seconds`` later."""
+        """Return samples on a clock that starts ``seconds`` later."""
         return replace(self, time=self.time - seconds)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Points:
-    """TCP positions along a motion."""
+    """TCP positions."""
 
     time: Array
     """(M,) [s]"""
@@ -86,28 +86,27 @@ class Points:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RecordedMotion:
-    """One recorded motion as a reader found it, before the checks."""
+    """A recorded motion before the checks."""
 
     name: str
     state: Track
     command: Track | None
-    """None where the file holds no commands"""
     angle_unit: str
-    """unit that the file's angles were taken to be in"""
+    """in the file"""
     robot: str
-    """where the log came from"""
+    """origin of the log"""
     units: Mapping[str, str] = field(default_factory=dict)
-    """of what `Track.more` holds"""
+    """of `Track.more`"""
     points: dict[str, Points] = field(default_factory=dict)
-    """``target`` and ``true_tcp`` where the file has them"""
+    """``target`` and ``true_tcp``"""
     extra: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
     @property
     def tracks(self) -> tuple[Track, ...]:
-        """States, and commands where there are any."""
+        """States, and commands."""
         return (self.state,) if self.command is None else (self.state, self.command)
 
 
 Pending = tuple[str, Callable[[], RecordedMotion]]
-"""Name of a motion, and what reads it"""
+"""Name of a motion, and its reader"""

@@ -1,7 +1,6 @@
-"""Degrees or LeRobot's normalised values, by the steps of the encoder.
+"""Degrees or LeRobot's normalised values, by encoder steps.
 
-Both lie between -100 and 100. In degrees all joints have the same step; in normalised values each has 200 over the
-counts of its calibrated range.
+In degrees all joints have the same step; in normalised values each has 200 over the counts of its calibrated range.
 """
 
 from __future__ import annotations
@@ -18,11 +17,11 @@ from rejoint.logs.track import RecordedMotion
 from rejoint.system.errors import FileError
 
 SPANS = (1000, 4096)
-"""[counts] calibrated ranges: a quarter turn to a whole one (chosen)"""
+"""[counts] of calibrated ranges (chosen)"""
 
 
 def check_normalised(motion: RecordedMotion, arm: Arm, options: ImportOptions, doubts: Doubts) -> list[str]:
-    """Compare the declared unit with the encoder steps; returns a note where nothing shows it."""
+    """Check the declared unit by encoder steps; returns a note where they show nothing."""
     if options.angle_unit not in ("deg", "normalised"):
         return []
     if options.calibration is None and motion.extra.get("format") != "lerobot":
@@ -51,10 +50,7 @@ def check_normalised(motion: RecordedMotion, arm: Arm, options: ImportOptions, d
 
 
 def calibrated_ranges(raw: Array, arm: Arm, path: Path) -> Array:
-    """Find the calibrated range (n,) [counts] of each joint from normalised readings (T, n).
-
-    FileError where a joint moves too little.
-    """
+    """Calibrated range (n,) [counts] of joints from normalised readings (T, n); FileError without enough motion."""
     joints = [np.unique(np.round(joint, 4)) for joint in raw.T]
     if np.median([_turn_grid(values) for values in joints]) > ON:
         raise FileError(
@@ -75,7 +71,7 @@ def calibrated_ranges(raw: Array, arm: Arm, path: Path) -> Array:
 
 
 def check_steps(motion: RecordedMotion, arm: Arm, doubts: Doubts) -> None:
-    """Look for readings in the steps of the arm's encoders, but in another unit than declared."""
+    """Detect encoder steps in another unit than declared."""
     if "normalised" in motion.angle_unit:  # its steps are those of the calibration
         return
     step = arm.encoder_step
@@ -97,7 +93,7 @@ def check_steps(motion: RecordedMotion, arm: Arm, doubts: Doubts) -> None:
 
 
 def _by_grid(raw: Array, half: Array | None) -> tuple[str, str] | None:
-    """Find the unit of readings (T, n) by their steps; ``half`` (n,) [rad] is the half range."""
+    """Return unit of readings (T, n) by their steps; ``half`` (n,) [rad]."""
     degrees, normalised, told = 0, 0, 0
     steps = []
     for joint in range(raw.shape[1]):
@@ -125,12 +121,11 @@ def _by_grid(raw: Array, half: Array | None) -> tuple[str, str] | None:
 
 
 def _turn_grid(values: Array) -> float:
-    """How well degrees lie on an encoder's grid: LeRobot counts 4095 steps a turn, others 4096."""
+    """Share of degrees on an encoder's grid: LeRobot counts 4095 steps per turn, others 4096."""
     return max(on_grid(values, 360.0 / COUNTS_PER_TURN), on_grid(values, 360.0 / (COUNTS_PER_TURN - 1)))
 
 
 def _best_grid(values: Array) -> tuple[float, float]:
-    """Find the best grid of normalised values; decimal rounding does not count."""
     spans = np.arange(SPANS[0], SPANS[1] + 1)
     steps = 200.0 / spans
     chosen = values if len(values) <= 300 else values[:: len(values) // 300]

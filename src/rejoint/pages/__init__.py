@@ -1,1 +1,1 @@
-"""What people look at: the report with its figures, and the live view."""
+"""The report with its figures, and the live view."""

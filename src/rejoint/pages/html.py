@@ -1,7 +1,6 @@
-"""Pages from the templates in ``templates/``, and one look per controller in every figure, table and theme.
+"""Pages from ``templates/``, and one look per controller in every figure and theme.
 
-Colours are the colour-blind-safe set of Okabe and Ito, "Color Universal Design" (2008), and three more; no figure
-relies on colour alone.
+Colours: Okabe and Ito, "Color Universal Design" (2008), and three more; no figure relies on colour alone.
 """
 
 from __future__ import annotations
@@ -34,18 +33,18 @@ if TYPE_CHECKING:
     import jinja2
 
 INK = "#1b1f24"
-"""Text and axes; becomes the text colour of the page."""
+"""Text and axes"""
 GROUND = "#ffffff"
-"""Inside of hollow markers and lines of hatches; becomes the ground of the page."""
+"""Inside of hollow markers"""
 
 
 class Look(NamedTuple):
-    """How one series is drawn."""
+    """Look of a series."""
 
     colour: str
-    """on a light ground"""
+    """on light ground"""
     dark: str
-    """on a dark ground"""
+    """on dark ground"""
     marker: str
     dash: str | tuple[float, tuple[float, ...]]
     hatch: str
@@ -79,26 +78,26 @@ CONTROLLERS = {
 UNDER_GAINS = {
     name: CONTROLLERS[inner_name(name)]._replace(marker="*", dash=(0, (9, 2, 1.5, 2))) for name in RIVALS
 }  # fmt: skip
-"""Controllers under tuned gains of the servos: the colours of the same ones without, and stars"""
+"""Controllers under tuned servo gains: the same colours, with stars"""
 
 
 def look_of(controller: str) -> Look:
-    """Return the look of a controller; one that is unknown is brown."""
+    """Look of a controller; unknown: brown."""
     return UNDER_GAINS.get(controller) or CONTROLLERS.get(controller, BROWN)
 
 
 def colour_number(controller: str) -> int:
-    """Return which of `LOOKS` has the colours of a controller."""
+    """Index in `LOOKS` of a controller's colours."""
     return [look.colour for look in LOOKS].index(look_of(controller).colour)
 
 
 def render(template: str, **values: object) -> str:
-    """Fill a template; what it names and is not given is an error."""
+    """Fill a template; a missing value is an error."""
     return _environment().get_template(template).render(**values)
 
 
 def write_page(path: Path, template: str, **values: object) -> Path:
-    """Fill a template and write the page, whole or not at all; returns its path."""
+    """Fill a template and write the page, whole or not at all."""
     html = render(template, **values).rstrip() + "\n"
     write_whole(path, lambda temporary: temporary.write_text(html, encoding="utf-8"))
     return path
@@ -106,7 +105,7 @@ def write_page(path: Path, template: str, **values: object) -> Path:
 
 @cache
 def macros(template: str, **values: str) -> Any:  # noqa: ANN401 - what the template has
-    """Return the macros of a template, which find ``values`` by name."""
+    """Macros of a template, with ``values``."""
     return _environment().get_template(template).make_module(values)
 
 
@@ -136,7 +135,7 @@ def _environment() -> jinja2.Environment:
 
 
 def _millimetres(value: float | None, digits: int = 2, unit: str = "mm") -> str:
-    """Say a length [m] in millimetres."""
+    """Length [m] in millimetres."""
     return number(None if value is None else MM * value, digits, unit)
 
 

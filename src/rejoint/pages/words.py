@@ -1,4 +1,4 @@
-"""Numbers as a reader wants them: rounded to what they are worth, with units, never `nan`."""
+"""Numbers for readers: rounded, with units, never `nan`."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ MM = 1e3
 UNKNOWN = "not known"
 NEVER = "never"
 MOST_PLACES = 5
-"""Decimals at most: with the units of the page, what is smaller is rounding noise and shown as 0 (chosen)"""
+"""Most decimals (chosen: smaller is rounding noise)"""
 
 
 def number(value: float | None, digits: int = 3, unit: str = "") -> str:
-    """Return the value with ``digits`` significant digits and its unit; `UNKNOWN` if there is none."""
+    """Value with ``digits`` significant digits and unit, or `UNKNOWN`."""
     if value is None or not math.isfinite(value):
         return UNKNOWN
     return f"{_zero(value, _places(value, digits))}{_suffix(unit)}"
 
 
 def spread(mean: float | None, std: float | None, digits: int = 3, unit: str = "") -> str:
-    """Return ``mean ± std`` with the decimals of the mean's significant digits."""
+    """``mean ± std`` with the mean's decimals."""
     if mean is None or not math.isfinite(mean):
         return UNKNOWN
     places = _places(mean, digits)
@@ -38,10 +38,7 @@ def spread(mean: float | None, std: float | None, digits: int = 3, unit: str = "
 
 
 def interval(low: float | None, high: float | None, digits: int = 3, unit: str = "", factor: float = 1.0) -> str:
-    """Return ``low to high`` times ``factor``, with the decimals of the larger.
-
-    Empty if an end is missing or both are equal.
-    """
+    """``low to high`` times ``factor``; empty if an end is missing or both are equal."""
     if low is None or high is None or low == high or not (math.isfinite(low) and math.isfinite(high)):
         return ""
     low, high = low * factor, high * factor
@@ -55,7 +52,6 @@ def _zero(value: float, places: int) -> str:
 
 
 def _places(value: float, digits: int) -> int:
-    """Return how many decimals show ``digits`` significant digits of the value."""
     if abs(value) < 10.0**-MOST_PLACES:
         return digits - 1
     rounded = float(f"{value:.{digits - 1}e}")
@@ -67,15 +63,15 @@ def _suffix(unit: str) -> str:
 
 
 class Cell(NamedTuple):
-    """One cell of a table."""
+    """A cell of a table."""
 
     text: str
     note: str = ""
-    """small print below; may have several lines"""
+    """small print, perhaps several lines"""
 
 
 def measured(value: Spread | Estimate | None, factor: float = MM, digits: int = 2) -> Cell:
-    """Return a value with its interval in small print."""
+    """Value with its interval in small print."""
     one = value.mean if isinstance(value, Spread) else value
     if one is None:
         return Cell(UNKNOWN)
@@ -111,12 +107,12 @@ KINDS = {
     "torque_limit": "out of torque", "low_damping": "rings", "lag": "late", "offset": "offset",
     "noise": "restless readings",
 }  # fmt: skip
-"""Short name of every kind of finding"""
+"""Names of findings"""
 
 PARAMETERS_SHOWN: dict[str, tuple[str, float]] = {
     "offset": ("deg", math.degrees(1.0)), "delay": ("ms", 1e3), "ramp_speed": ("deg/s", math.degrees(1.0)),
 }  # fmt: skip
-"""Parameters of a twin that are shown in another unit than their own, and the factor to it"""
+"""Displayed units of twin parameters, and factors"""
 
 SOURCES = {
     "touch": "touch, typed in by hand",
@@ -124,23 +120,23 @@ SOURCES = {
     "tracker": "a tracker",
     "emulated": "the emulator's own knowledge of its tool, and the noise of a ruler",
 }
-"""What measured where the tool is"""
+"""Sources of tool measurements"""
 
 
 def parameter_name(element: str) -> str:
-    """Return what a parameter of a twin is called: ``dry friction of joint1`` for ``coulomb.joint1``."""
+    """Name of a twin parameter: ``dry friction of joint1`` for ``coulomb.joint1``."""
     name, _, joint = element.partition(".")
     called = "dry friction" if name == "coulomb" else name.replace("_", " ")
     return f"{called} of {joint}" if joint else called
 
 
 def measured_with(source: str) -> str:
-    """Say what measured; sources of other programs stay as they are."""
+    """Name of a measuring source; unknown ones unchanged."""
     return SOURCES.get(source, source)
 
 
 def day_and_time(text: str) -> str:
-    """Say a date in ISO 8601 as ``21 November 2026, 11:57``; what is none stays as it is."""
+    """ISO 8601 date as ``21 November 2026, 11:57``; other text unchanged."""
     try:
         when = datetime.fromisoformat(text)
     except ValueError:
@@ -149,35 +145,35 @@ def day_and_time(text: str) -> str:
 
 
 def listed(words: Sequence[str], last: str) -> str:
-    """Join words with commas and ``last`` (and, or) before the last one."""
+    """Join words with commas and ``last`` (and, or)."""
     if len(words) < 2:
         return "".join(words)
     return f"{', '.join(words[:-1])} {last} {words[-1]}"
 
 
 def plural(count: int, noun: str) -> str:
-    """Return the count with its noun in the right number."""
+    """Count with its noun."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def cycles(count: float) -> str:
-    """``1.05 million control cycles``, or ``768 control cycles`` where they are few."""
+    """``1.05 million control cycles``."""
     few = count < 1e5
     return f"{count:.0f} control cycles" if few else f"{number(count / 1e6, 3)} million control cycles"
 
 
 def short(name: str, width: int = 24) -> str:
-    """Cut a name to ``width`` characters, so that a figure's labels leave room for the figure."""
+    """Cut a name to ``width`` characters."""
     return name if len(name) <= width else f"{name[: width - 1]}…"
 
 
 def sentence(text: str) -> str:
-    """Begin with a capital letter and end with a full stop."""
+    """Capitalise, and end with a full stop."""
     return f"{text[:1].upper()}{text[1:].removesuffix('.')}."
 
 
 def is_virtual(robot: str) -> bool:
-    """Tell an arm in virtual time from a real one, as which counts what is no address, such as ROBOT."""
+    """Whether an arm runs in virtual time; unknown addresses do not."""
     with suppress(AddressError):
         return place_of(robot).virtual
     return False

@@ -1,4 +1,4 @@
-"""Arms one can drive, by families: emulated, a myCobot through its vendor's client, and what other packages bring."""
+"""Robots by families: emulated, a myCobot by its vendor's client, and those of other packages."""
 
 from __future__ import annotations
 
@@ -21,10 +21,9 @@ def open_robot(
     period: tuple[float, float] | None = None,
     threads: int = 1,
 ) -> Robot:
-    """Connect to the bare joints of the robot at ``address``; nothing guards them, see `rejoint.connect` for an arm.
+    """Connect to the unguarded joints of the robot at ``address``; see `rejoint.connect` for an arm.
 
-    Shorthand for `place_of` and `Place.open`, which see. ``arm`` is an arm, its name in the catalogue, or its file. A
-    myCobot is powered on if it is off and put into fresh mode; nothing moves.
+    ``arm``: an arm, a name or a file. A myCobot is powered on and put into fresh mode; nothing moves.
 
     Examples
     --------

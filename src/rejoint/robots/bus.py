@@ -1,7 +1,4 @@
-"""The wire of a robot family (`Bus`), and what keeps it going (`Link`).
-
-Every failure becomes an error with a name, or the question is asked again.
-"""
+"""The wire of a robot family (`Bus`), and its recovery from failures (`Link`)."""
 
 from __future__ import annotations
 
@@ -33,30 +30,30 @@ from rejoint.system.errors import (
 from rejoint.system.stopping import check, ending, pause
 
 ALARMING = 60.0
-"""[deg C] from which a temperature is asked for once more before it is believed (chosen: below what trips the guard)"""
+"""[deg C] a higher temperature is asked for again (chosen: below the guard's trip)"""
 SAME = 2.0
-"""[deg C] by which two such answers may differ (chosen)"""
+"""[deg C] allowed difference of two such answers (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Vitals:
-    """What n servos say of themselves; None where they say nothing, or nothing this time."""
+    """State of n servos; None: unknown this time."""
 
     temperature: Array | None = None
     """(n,) [deg C]"""
     fault: NDArray[np.bool_] | None = None
-    """(n,) whether a servo reports a fault"""
+    """(n,)"""
     trouble: tuple[str, ...] | None = None
-    """(n,) what each servo complains of, in words, where its bus can tell; empty for nothing"""
+    """(n,) faults in words, or empty"""
 
     @property
     def alarming(self) -> bool:
-        """Whether this would end a motion, so that it had better be asked for once more."""
+        """Whether this would end a motion."""
         hot = self.temperature is not None and bool(np.max(self.temperature) >= ALARMING)
         return hot or (self.fault is not None and bool(np.any(self.fault)))
 
     def agrees(self, other: Vitals) -> bool:
-        """Tell whether two answers say the same."""
+        """Whether two answers are equal."""
         pairs = (self.temperature, other.temperature, SAME), (self.fault, other.fault, 0.0)
         return not any(
             this is not None and that is not None and np.abs(np.subtract(this, that, dtype=float)).max() > slack
@@ -66,114 +63,110 @@ class Vitals:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reading(Vitals):
-    """One answer of a bus."""
+    """An answer of a bus."""
 
     position: Array
-    """(n,) [rad], NaN for a servo that cannot be read"""
+    """(n,) [rad], NaN: unreadable servo"""
     load: Array | None = None
     """(n,) share of the largest torque, -1 to 1, positive with the joint"""
     voltage: Array | None = None
-    """(n,) [V] supply that the servos measure"""
+    """(n,) [V] measured supply"""
 
 
 _CLOCK: int | None = getattr(time, "CLOCK_BOOTTIME", None)  # on Linux `time.monotonic` stands still in a sleep
 
 
 class Clock:
-    """Wall-clock time. A simulated bus brings another one, in which waiting lets its arm move."""
+    """Wall-clock time; a simulated bus brings its own."""
 
     def now(self) -> float:
-        """Return the time [s]; it never runs backwards, and goes on while the computer sleeps, as an arm does."""
+        """Return the monotonic time [s], which includes the computer's sleep."""
         return time.monotonic() if _CLOCK is None else time.clock_gettime(_CLOCK)
 
     def wait(self, duration: float) -> None:
-        """Let ``duration`` [s] pass, none where it is negative; raises `Interrupted` when asked to end."""
+        """Wait for ``duration`` [s]; raises `Interrupted`."""
         pause(duration)
 
 
 class Bus(ABC):
-    """One arm behind its wire. It neither waits for the control period nor repeats a question nor judges an answer.
+    """One arm behind its wire, without timing, repetition or checks.
 
-    After TimeoutError, ValueError, IndexError or struct.error `Link` asks again; after any other OSError it opens the
-    bus again first. `RobotError` ends the motion at once.
+    After TimeoutError, ValueError, IndexError or struct.error `Link` asks again; after another OSError it reopens the
+    bus. `RobotError` ends the motion.
     """
 
     name: str = "robot"
-    """what it speaks to, as messages call it"""
+    """in messages"""
     advice: str = "is the arm switched on, its server running, and the address right?"
-    """what to look at where nothing answers"""
+    """hint where nothing answers"""
     clock: Clock = Clock()
-    """time in which the arm lives"""
 
     @abstractmethod
     def open(self) -> None:
-        """Connect. Called again after the connection broke; `close` comes before."""
+        """Connect, also after `close` of a broken connection."""
 
     def prepare(self, until: float | None = None) -> None:  # noqa: B027 - nothing is a sensible answer
-        """Get a connected arm ready without moving it, by ``until`` [s] where the connection broke.
+        """Prepare a connected arm without motion, by ``until`` [s] after a broken connection.
 
-        PowerLostError if an arm that was ready has lost its power: only its owner may switch it on again.
+        PowerLostError if a prepared arm has lost its power: the user must switch it on.
         """
 
     @abstractmethod
     def read(self) -> Reading:
-        """Ask for the joint positions, and for whatever comes with them at no further cost."""
+        """Ask for the joint positions, and what comes with them."""
 
     def vitals(self) -> tuple[Callable[[], Vitals], ...]:
-        """Further questions, each for a part of the vitals, which are asked in turn where the period leaves time."""
+        """Further questions for vitals, asked in turn when there is time."""
         return ()
 
     @abstractmethod
     def send(self, goal: Array) -> None:
-        """Send joint positions (n,) [rad]; the newest is in force, and is clipped to what the wire can hold."""
+        """Send joint positions (n,) [rad], clipped to the wire's range."""
 
     @abstractmethod
     def stop(self) -> None:
-        """Make the arm hold where it is. Never cuts the power: a worn arm would collapse."""
+        """Hold here, with power on: a worn arm would collapse."""
 
     def servo_gains(self) -> ServoGains | None:
-        """Return the gains of the servos' own loops, as they were read last; None where they are unknown."""
+        """Return the servo gains as last read; None: unknown."""
         return None
 
     def rungs(self) -> tuple[Rung, ...]:
-        """Return what a search for better gains tries, see `rejoint.control.servogains.Tunable`."""
+        """Return the search order of gains, see `rejoint.control.servogains.Tunable`."""
         return ()
 
     def tune(self, gains: ServoGains) -> None:
-        """Bring these gains in small steps to what is given, until the power goes.
-
-        RobotError where a servo cannot bear it.
-        """
+        """Set gains in small steps until power-off; RobotError."""
         raise RobotError(f"the gains of a {self.name} cannot be set: {gains}")
 
     def keep(self, gains: ServoGains) -> None:
-        """Bring these gains to what is given, and have the servos keep them without power."""
+        """Set gains permanently."""
         raise RobotError(f"the gains of a {self.name} cannot be kept: {gains}")
 
     def relay(self, command: int, payload: bytes) -> bytes | None:  # noqa: ARG002 - most wires have nothing to pass on
-        """Ask what is none of the joints, as a gripper, in the words of the arm's own wire; None: no answer."""
+        """Ask another device, such as a gripper, in the wire's words; None: no answer."""
         return None
 
     def resynchronise(self, deadline: float) -> None:  # noqa: B027 - nothing is a sensible answer
-        """Make sure by ``deadline`` [s] that no late answer is taken for that of a later question."""
+        """Make sure by ``deadline`` [s] that no late answer is pending."""
 
     @abstractmethod
     def close(self) -> None:
-        """Release the wire; the arm holds. A bus that is closed or was never opened bears it."""
+        """Release the wire; the arm holds. May be called twice."""
 
 
 ATTEMPTS = 6
-"""Times that a question is asked before its failure is an error (chosen: one answer in fifty may be lost)"""
+"""Attempts per question (chosen: one answer in fifty may be lost)"""
 TIMEOUT = 10.0
-"""[s] for which a link may be dead while an arm is driven (chosen: a server restarts in less)"""
+"""[s] of a dead link while an arm is driven (chosen)"""
 LAST_TIMEOUT = 3.0
-"""[s] of the same for the order to stop (chosen)"""
+"""[s] the same for a stop (chosen)"""
 SILENCE = 3.0
-"""[s] of silence after which a new connection is tried (chosen)"""
+"""[s] without answers before a new connection (chosen)"""
 REOPEN_PAUSE = 0.5
-"""[s] between attempts to connect again (chosen)"""
+"""[s] between connections (chosen)"""
 BROKEN = (OSError, EOFError, termios.error)
-"""What a connection raises that is no more"""
+"""Errors of a broken connection"""
 _GARBLED = (struct.error, ValueError, IndexError)
 _AGAIN = (NoReplyError, StaleReplyError, ImpossibleReplyError, ConnectionLostError)
 
@@ -181,7 +174,7 @@ T = TypeVar("T")
 
 
 class Link:
-    """The bus of one arm at ``address``; opened by `open`, not by construction."""
+    """The bus of one arm at ``address``; connects in `open`."""
 
     def __init__(self, bus: Bus, address: str) -> None:
         self.address = address
@@ -189,7 +182,7 @@ class Link:
         self._connected = False
 
     def open(self) -> None:
-        """Connect and get the arm ready; AddressError if nothing usable answers there. Nothing moves."""
+        """Connect and prepare the arm without motion; AddressError."""
         try:
             self._connect()
         except ConnectionLostError as error:
@@ -208,7 +201,7 @@ class Link:
             raise AddressError(f"{self.address}: {error}") from error
 
     def ask(self, question: Callable[[], T]) -> T:
-        """Ask a ``question`` that may safely be repeated, and return its answer.
+        """Ask a repeatable ``question``.
 
         Raises NoReplyError, ImpossibleReplyError, StaleReplyError, ConnectionLostError or PowerLostError.
         """
@@ -217,7 +210,7 @@ class Link:
         return persist(lambda: self._once(question), self._recover, self._bus.clock)
 
     def close(self) -> None:
-        """Drop the connection; the arm holds."""
+        """Close the connection; the arm holds."""
         self._connected = False
         with contextlib.suppress(*BROKEN):
             self._bus.close()
@@ -235,7 +228,6 @@ class Link:
             raise ImpossibleReplyError(f"{self.address}: garbled answer ({first_line(error)})") from error
 
     def _recover(self, error: RobotError, deadline: float) -> None:
-        """Bring both sides into step after ``error``, on a new connection if there is no other way."""
         if not isinstance(error, ConnectionLostError):
             until = min(deadline, self._bus.clock.now() + SILENCE)
             try:
@@ -247,7 +239,7 @@ class Link:
         self._reopen(error, deadline)
 
     def _reopen(self, cause: RobotError, deadline: float) -> None:
-        """Connect again; ConnectionLostError if that fails, PowerLostError if the arm lost its power meanwhile."""
+        """Reconnect; ConnectionLostError, PowerLostError."""
         while True:
             try:
                 self._connect()
@@ -261,7 +253,7 @@ class Link:
                 self._bus.clock.wait(REOPEN_PAUSE)
 
     def _connect(self) -> None:
-        """Open the bus; ConnectionLostError in one line if nothing is there."""
+        """Open the bus; ConnectionLostError."""
         self.close()
         try:
             self._bus.open()
@@ -278,10 +270,7 @@ def persist(
     clock: Clock,
     until: float | None = None,
 ) -> T:
-    """Ask up to `ATTEMPTS` times until ``until`` [s].
-
-    After each failure but the last ``recover(error, deadline)`` is called.
-    """
+    """Ask up to `ATTEMPTS` times until ``until`` [s], with ``recover(error, deadline)`` in between."""
     attempt, began = 0, clock.now()
     while True:
         attempt += 1

@@ -1,4 +1,4 @@
-"""One arm behind its bus: the control period, which answers are trusted, and what the servos report of their health."""
+"""One arm behind its bus: control period, checks of answers, health of servos."""
 
 from __future__ import annotations
 
@@ -19,28 +19,27 @@ from rejoint.robots.family import Family, Opening, Place
 from rejoint.system.errors import ImpossibleReplyError, InputError, NoReplyError, StaleReplyError
 
 RANGE_MARGIN = np.radians(5.0)
-"""[rad] a joint can be beyond its limit by sag and by the stops (chosen)"""
+"""[rad] beyond a joint limit by sag and stops (chosen)"""
 MAX_SPEED_FACTOR = 2.0
-"""Times the arm's speed limit: for a myCobot 300 deg/s, just above the no-load speed of its servos (chosen)"""
+"""Times the arm's speed limit (chosen: above a myCobot's no-load speed)"""
 JUMP_SLACK = np.radians(5.0)
-"""[rad] covers that answers are sampled up to 30 ms away from their arrival (chosen)"""
+"""[rad] for answers sampled up to 30 ms before arrival (chosen)"""
 DOUBT = 1.0
-"""[s] during which a doubted answer stays as impossible as it was (chosen: longer than it is asked for again)"""
+"""[s] for which a doubtful answer stays impossible (chosen)"""
 SURE = 0.1
-"""[s] of full speed that a single answer may report: after a pause a joint could be anywhere (chosen: two periods of a
-slow wire)"""
+"""[s] of full speed in a single answer (chosen: two periods of a slow wire)"""
 COMMAND_TRAVEL = np.radians(10.0)
-"""[rad] a command that went this far moves at least one joint by an encoder step (chosen)"""
+"""[rad] of a command that moves a joint by an encoder step (chosen)"""
 COMMANDED_JOINTS = 2
-"""joints that must have been sent that far (chosen: one alone may be stuck)"""
+"""joints with such commands (chosen: one may be stuck)"""
 REPEAT_GRACE = 0.3
-"""[s] of identical answers that latency and acceleration explain (chosen)"""
+"""[s] of equal answers by latency and acceleration (chosen)"""
 REPEAT_LIMIT = 1.5
-"""[s] of identical answers under a changed command that nothing explains (chosen)"""
+"""[s] of equal answers under a changed command (chosen)"""
 
 
 def judge(position: Array, arm: Arm) -> None:
-    """ImpossibleReplyError unless these are joint positions (n,) [rad] that ``arm`` can have, NaN for none."""
+    """Raise ImpossibleReplyError for joint positions (n,) [rad] that ``arm`` cannot have; NaN: unknown."""
     if np.shape(position) != (arm.joints,):
         raise ImpossibleReplyError(f"expected {arm.joints} joint angles, got {position!r}")
     unreadable = np.isnan(position)
@@ -58,7 +57,7 @@ def judge(position: Array, arm: Arm) -> None:
 
 
 class Continuity:
-    """Compares every answer with the one before it and with what was commanded."""
+    """Compares every answer with the last one and the commands."""
 
     def __init__(self, arm: Arm) -> None:
         self._max_speed = MAX_SPEED_FACTOR * arm.max_speed
@@ -71,10 +70,9 @@ class Continuity:
         self._waiting_since: float | None = None
 
     def check(self, time: float, position: Array) -> None:
-        """ImpossibleReplyError if no servo gets from the last answer to ``position`` (n,) [rad] by ``time`` [s].
+        """Raise ImpossibleReplyError if no servo can reach ``position`` (n,) [rad] by ``time`` [s].
 
-        A repeated answer had no more time than the first one. After a pause two answers have to agree; two that agree
-        overrule the last one if they suit the one before it.
+        After a pause two answers have to agree; two that agree overrule the last one if they suit the one before it.
         """
         if self._last is None:
             return
@@ -104,10 +102,10 @@ class Continuity:
         return bool((np.abs(position - before) <= self._max_speed * max(time - then, 0.0) + JUMP_SLACK).all())
 
     def accept(self, time: float, position: Array, command: Array | None) -> float:
-        """Take over an answer; return its age [s]: how long it should have changed and did not.
+        """Take an answer; return its age [s]: how long it should have changed.
 
-        Only a change of the commands of two joints by more than 10 deg without any change of an encoder counts.
-        StaleReplyError when that lasts.
+        Only commands of two joints that moved by over 10 deg without any encoder step count. StaleReplyError when that
+        lasts.
         """
         if self._last is None or np.any(position != self._last[1]):
             self._command_then = command
@@ -132,10 +130,10 @@ class Continuity:
 
 
 DOUBTS = 5
-"""Times that an alarm is asked for again at most (chosen)"""
+"""Repeated questions after an alarm (chosen)"""
 
 INTERVAL = 1.0
-"""[s] at most between two questions, which take turns (chosen)"""
+"""[s] between questions (chosen)"""
 # Times what a question costs that a cycle must have left for one (chosen: answers jitter)
 _SPARE = 1.5
 _SMOOTHING = 0.2  # share of the newest cost in its running mean
@@ -144,22 +142,22 @@ V = TypeVar("V", bound=Vitals)
 
 
 class Health:
-    """What the servos of one arm last said of themselves; None where their firmware says nothing."""
+    """Last state of one arm's servos; None: unknown."""
 
     def __init__(self, link: Link, bus: Bus) -> None:
         self._link, self._clock, self._questions = link, bus.clock, bus.vitals()
         self.temperature: Array | None = None
         """(1, n) [deg C]"""
         self.fault: NDArray[np.bool_] | None = None
-        """(1, n) whether a servo reports a fault"""
+        """(1, n)"""
         self.trouble: tuple[str, ...] | None = None
-        """(n,) what each complains of, in words"""
+        """(n,) faults in words"""
         self._turn = 0
         self._due = 0.0
         self._cost = 0.0
 
     def find(self) -> None:
-        """Learn whether this firmware answers its questions; older ones are silent."""
+        """Find the questions that this firmware answers."""
         try:
             for _ in self._questions:
                 self._ask()
@@ -168,12 +166,12 @@ class Health:
             self._questions = ()
 
     def poll(self, spare: float) -> None:
-        """Ask the next question if ``spare`` [s] are enough for it or the last answer is too old."""
+        """Ask the next question if ``spare`` [s] is enough or the last answer is old."""
         if self._questions and (spare > _SPARE * self._cost or self._clock.now() >= self._due):
             self._ask()
 
     def take(self, found: Vitals) -> None:
-        """Take over what an answer says."""
+        """Store an answer."""
         if found.temperature is not None:
             self.temperature = np.array(found.temperature, float)[None]
         if found.fault is not None:
@@ -188,7 +186,7 @@ class Health:
 
 
 def believed(ask: Callable[[], V]) -> V:
-    """Ask again after an alarming answer until two in a row agree: a wrong byte is no alarm."""
+    """Ask again after an alarm until two answers agree."""
     found = ask()
     for _ in range(DOUBTS):
         if not found.alarming:
@@ -203,7 +201,7 @@ T = TypeVar("T")
 
 
 class BusRobot:
-    """One arm behind a bus; every cycle's length is drawn uniformly from ``period`` [s]."""
+    """One arm behind a bus; ``period`` [s] gives uniform cycle lengths."""
 
     def __init__(
         self, bus: Bus, arm: Arm, *, address: str, period: tuple[float, float] = (0.050, 0.050), seed: int = 0
@@ -224,25 +222,25 @@ class BusRobot:
 
     @property
     def arm(self) -> Arm:
-        """The arm's kinematics, limits and masses."""
+        """Kinematics, limits and masses."""
         return self._arm
 
     @property
     def address(self) -> str:
-        """Where the robot is."""
+        """Robot address."""
         return self._link.address
 
     @property
     def count(self) -> int:
-        """One arm."""
+        """One."""
         return 1
 
     def open(self) -> None:
-        """Connect and get the arm ready; nothing moves. AddressError if nothing usable answers."""
+        """Connect and prepare the arm without motion; AddressError."""
         self._link.open()
 
     def read(self) -> JointState:
-        """Ask for the joint positions; an impossible answer is asked for again.
+        """Ask for the joint positions.
 
         Raises NoReplyError, StaleReplyError, ImpossibleReplyError or ConnectionLostError.
         """
@@ -261,10 +259,7 @@ class BusRobot:
         return self._state
 
     def step(self, command: Array, active: Mask | None = None) -> JointState:
-        """Send ``command`` (1, n) [rad], let the period pass, read.
-
-        An arm that is not ``active`` (1,) repeats its last state.
-        """
+        """Send ``command`` (1, n) [rad], wait a period, read; an arm not ``active`` (1,) repeats its state."""
         if command.shape != (1, self._arm.joints) or not np.isfinite(command).all():
             raise InputError(
                 f"expected finite joint positions of shape (1, {self._arm.joints}), got {np.shape(command)}"
@@ -289,38 +284,38 @@ class BusRobot:
         return self.read()
 
     def true_tcp(self) -> Array:
-        """(1, 3) NaN: the place of a real tool is unknown."""
+        """(1, 3) NaN: unknown."""
         return np.full((1, 3), np.nan)
 
     def stop(self) -> None:
-        """Make the arm hold where it is. The power stays on."""
+        """Hold; the power stays on."""
         self._link.ask(self._bus.stop)
         self._command = None
 
     def servo_gains(self) -> ServoGains | None:
-        """Return the gains of the servos' own loops; None where it is unknown them."""
+        """Return the servo gains; None: unknown."""
         return self._bus.servo_gains()
 
     def rungs(self) -> tuple[Rung, ...]:
-        """Return what a search for better gains tries."""
+        """Return the search order of gains."""
         return self._bus.rungs()
 
     def tune(self, gains: ServoGains) -> None:
-        """Bring these gains in small steps to what is given, see `Bus.tune`."""
+        """Set gains in small steps, see `Bus.tune`."""
         self._left = None  # under other gains it sags elsewhere
         self._link.ask(lambda: self._bus.tune(gains))
 
     def keep(self, gains: ServoGains) -> None:
-        """Bring these gains to what is given and keep them without power, see `Bus.keep`."""
+        """Set gains permanently, see `Bus.keep`."""
         self._left = None
         self._link.ask(lambda: self._bus.keep(gains))
 
     def relay(self, command: int, payload: bytes) -> bytes | None:
-        """Ask what is none of the joints, see `Bus.relay`."""
+        """Ask another device, see `Bus.relay`."""
         return self._link.ask(lambda: self._bus.relay(command, payload))
 
     def close(self) -> None:
-        """Drop the connection; the arm keeps holding."""
+        """Close the connection; the arm holds."""
         self._link.close()
 
     def _elsewhere(self, now: float, position: Array) -> Mask:
@@ -329,7 +324,7 @@ class BusRobot:
         return elsewhere(*self._left[1:], position)
 
     def _read_once(self) -> tuple[float, Reading]:
-        """Read, and judge what was read; returns when it arrived [s] as well."""
+        """Read and check; also returns the arrival [s]."""
         began = self._clock.now()
         reading = _own(believed(self._bus.read), self._arm.joints)
         now = self._clock.now()
@@ -341,7 +336,7 @@ class BusRobot:
 
 
 def _own(reading: Reading, joints: int) -> Reading:
-    """Return an answer with arrays of its own; ImpossibleReplyError unless each has ``joints`` values."""
+    """Copy an answer; ImpossibleReplyError for other lengths than ``joints``."""
     told = {name: getattr(reading, name) for name in ("load", "temperature", "fault", "voltage")}
     arrays: dict[str, Any] = {name: np.array(value, float) for name, value in told.items() if value is not None}
     for name, array in arrays.items():
@@ -351,7 +346,7 @@ def _own(reading: Reading, joints: int) -> Reading:
 
 
 def bus_family(bus: Callable[[T, Arm], Bus], *, parse: Callable[[str], T], **options: Any) -> Family[T]:  # noqa: ANN401
-    """Family of arms behind a ``bus``, which is made from what ``parse`` reads; ``options`` are those of `Family`."""
+    """Family of arms behind a ``bus`` of what ``parse`` reads; ``options`` as in `Family`."""
 
     def connect(place: Place[T], opening: Opening) -> Robot:
         robot = BusRobot(

@@ -1,4 +1,4 @@
-"""Cameras before an arm: at this computer, rendered before an emulated arm, and the emulated eye of a closed loop."""
+"""Cameras: of this computer, rendered, and an emulated detector."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ from rejoint.control.seeing import Sighting
 from rejoint.robots.lab.camera.scene import Picture, Scene, beside, on_tool
 
 SIZE = (1920, 1080)
-"""[px] width and height that are asked for"""
+"""[px] wanted width and height"""
 PAUSE = 0.4
-"""[s] of rest before a picture counts (chosen)"""
+"""[s] at rest before an image (chosen)"""
 FRAMES = 5
-"""Pictures that are averaged into one: noise and ripple of the light fall by half (chosen)"""
+"""Averaged images (chosen: halves noise and flicker)"""
 
 _MANUAL = 1.0  # what Video4Linux calls an exposure by hand
 _TRIES = 30  # frames that may fail before the camera counts as gone: a second
 
 
 class LiveCamera:
-    """A camera by its number, as a context manager; focus, exposure and white balance stay as they are."""
+    """A camera by its number, as a context manager; its settings stay."""
 
     def __init__(self, number: int = 0, size: tuple[int, int] = SIZE, exposure: float | None = None) -> None:
         require("a camera", "camera")
@@ -44,7 +44,7 @@ class LiveCamera:
         self._device: cv2.VideoCapture | None = None
 
     def __enter__(self) -> LiveCamera:
-        """Open the camera; InputError where there is none."""
+        """Open the camera; InputError."""
         import cv2
 
         device = cv2.VideoCapture(self.number)
@@ -63,13 +63,13 @@ class LiveCamera:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Give the camera back."""
+        """Release the camera."""
         if self._device is not None:
             self._device.release()
             self._device = None
 
     def picture(self) -> tuple[NDArray[np.uint8], float]:
-        """Newest grey picture and when it came [s], on the clock of `time.monotonic`; InputError if none comes."""
+        """Newest grey image and its time [s] of `time.monotonic`; InputError."""
         import cv2
 
         if self._device is None:
@@ -81,7 +81,7 @@ class LiveCamera:
         raise InputError(f"camera {self.number} gives no pictures any more; check its cable")
 
     def still(self, number: int = 0) -> NDArray[np.uint8]:  # noqa: ARG002 - every picture is another one
-        """Mean of a few pictures after a rest, for an arm that stands still."""
+        """Mean of a few images after a rest."""
         until = time.monotonic() + PAUSE
         while self.picture()[1] < until:
             pass
@@ -90,19 +90,19 @@ class LiveCamera:
 
 
 class EmulatedCamera:
-    """Takes rendered pictures; the same seed and number give the same noise."""
+    """Rendered images; noise by seed and number."""
 
     def __init__(self, scene: Scene, tool: Callable[[], Array], seed: int = 0) -> None:
-        """Watch the tool whose pose (4, 4) in the base ``tool`` tells."""
+        """``tool`` returns the tool's pose (4, 4) in the base."""
         self.scene, self._tool, self._seed = scene, tool, seed
 
     def still(self, number: int) -> Picture:
-        """Render picture ``number``."""
+        """Render image ``number``."""
         return self.scene.shows(self._tool(), (self._seed, number))
 
 
 def watching(board: Board, carried: str, seed: int) -> Callable[[Robot], AbstractContextManager[EmulatedCamera]]:
-    """Return what opens a camera before an emulated arm, which stands beside it or is on its tool."""
+    """Return what opens a camera beside an emulated arm, or on its tool."""
 
     def opened(robot: Robot) -> AbstractContextManager[EmulatedCamera]:
         arm = robot.arm
@@ -118,24 +118,24 @@ def watching(board: Board, carried: str, seed: int) -> Callable[[Robot], Abstrac
 
 
 LATERAL, DEPTH = 1e-4, 5e-4
-"""[m] standard deviations of a detection across and along the line of sight (chosen)"""
+"""[m] deviations of a detection across and along the line of sight (chosen)"""
 
 
 @dataclass(eq=False)
 class EmulatedEye:
-    """Sees the tool of one emulated arm; looked at once a control cycle, as a thread with a camera would be."""
+    """Detects the tool of one emulated arm."""
 
     robot: Robot
     rate: float = 15.0
-    """[1/s] pictures (chosen)"""
+    """[1/s] images (chosen)"""
     late: float = 0.1
-    """[s] from a picture to its sighting (chosen: exposure, transfer and finding the board)"""
+    """[s] from image to detection (chosen)"""
     sight: tuple[float, float, float] = (1.0, 0.0, 0.0)
-    """direction in which it looks, in the frame of the base"""
+    """line of sight in the base frame"""
     lateral: float = LATERAL
     depth: float = DEPTH
     hidden: tuple[tuple[float, float], ...] = ()
-    """(from, to) [s] on the robot's clock in which the tool is hidden"""
+    """(from, to) [s] robot time of a hidden tool"""
     seed: int = 0
     _taken: deque[Sighting] = field(default_factory=lambda: deque(maxlen=64), init=False)
     _next: float = field(default=-np.inf, init=False)  # [s] when the next picture is due
@@ -153,7 +153,7 @@ class EmulatedEye:
         self._noise: Array = self.lateral * np.eye(3) + (self.depth - self.lateral) * np.outer(along, along)
 
     def sighting(self, now: float) -> Sighting | None:
-        """Return the newest sighting that has come by robot time ``now`` [s]; None where there is none."""
+        """Newest detection at robot time ``now`` [s], or None."""
         if now >= self._next:
             due = self._next if now - self._next < 1.0 / self.rate else now  # pictures that were not taken are lost
             self._next = due + 1.0 / self.rate

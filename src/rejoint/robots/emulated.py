@@ -1,4 +1,4 @@
-"""Worn arms in this process, in virtual time: the plant behind a channel with latency and jitter."""
+"""Worn arms in this process, in virtual time, behind a channel with latency and jitter."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _FIELDS = {address: "integral_limit" if name == LIMIT else name for name, addres
 
 
 class EmulatedServos:
-    """The registers that `Tuning` needs, of a batch of arms that all have the same gains."""
+    """Registers of arms with equal gains, for `Tuning`."""
 
     def __init__(self, plant: StsPlant, gains: Gains) -> None:
-        """``gains`` are in force from the start, in place of those of servos as sold."""
+        """``gains`` are in force from the start."""
         self._plant = plant
         joints = plant.arm.joints
         for name, values in for_all(gains, joints).items():
@@ -43,7 +43,7 @@ class EmulatedServos:
 
     @property
     def load(self) -> Array:
-        """(B, n) share of the largest torque, as the driver of the bus tells it (`rejoint.robots.feetech.gains`)."""
+        """(B, n) share of the largest torque (`rejoint.robots.feetech.gains`)."""
         status = self._plant.status
         duty, error = status["output"].tolist(), (status["goal"] - status["position"]).tolist()
         return np.array(
@@ -52,7 +52,7 @@ class EmulatedServos:
         )  # fmt: skip
 
     def tune(self, gains: ServoGains) -> None:
-        """Bring the gains of all arms to these, see `Tuning.tune`; their clocks go on meanwhile."""
+        """Set the gains of all arms, see `Tuning.tune`; time passes."""
         self._tuning.tune(gains)
 
     def _read(self, servo: int, address: int, size: int, _until: float | None) -> bytes:
@@ -73,9 +73,9 @@ _CHANNEL_PURPOSE = 1
 
 
 class EmulatedRobot:
-    """B emulated arms, one per wear; time passes only in `step`.
+    """B emulated arms; time passes only in `step`.
 
-    Arm i draws its noise from the stream ``first + i`` of ``seed`` and moves bit for bit as it would alone.
+    Arm i takes noise from the stream ``first + i`` of ``seed`` and moves bit for bit as it would alone.
     """
 
     def __init__(
@@ -90,10 +90,10 @@ class EmulatedRobot:
         gains: Gains | None = None,
         **options: Any,  # noqa: ANN401
     ) -> None:
-        """Put the arms at rest at ``start`` (B, n) or (n,) [rad], by default in the rest posture.
+        """Put the arms at ``start`` (B, n) or (n,) [rad], by default at rest.
 
-        ``options`` are the fields of `Truth`, ``threads`` and ``first`` of `Plant`, ``command_latency`` and
-        ``readback_age`` [s] of the `Channel`, and ``tells_load``: whether the servos report a load.
+        ``options``: fields of `Truth`; ``threads`` and ``first`` of `Plant`; ``command_latency`` and ``readback_age``
+        [s] of the `Channel`; ``tells_load``: servos report a load.
         """
         self._address, self._tells_load = address, options.pop("tells_load", True)
         delays = {"latency": options.pop("command_latency", None), "age": options.pop("readback_age", None)}
@@ -112,21 +112,21 @@ class EmulatedRobot:
 
     @property
     def arm(self) -> Arm:
-        """The arm's kinematics, limits and masses."""
+        """Kinematics, limits and masses."""
         return self.plant.arm
 
     @property
     def address(self) -> str:
-        """Where the robot is, as the user wrote it."""
+        """Address as the user wrote it."""
         return self._address
 
     @property
     def count(self) -> int:
-        """Number B of arms."""
+        """Number of arms."""
         return self.plant.count
 
     def restart(self, start: Array, where: Mask | None = None) -> None:
-        """Put arms at rest at ``start`` (B, n) or (n,) [rad], which a real one cannot be."""
+        """Put arms at rest at ``start`` (B, n) or (n,) [rad]."""
         shape = (self.count, self.arm.joints)
         if np.shape(start) not in (shape, shape[1:]):
             raise InputError(f"expected a start of shape {shape} or {shape[1:]} [rad], got {np.shape(start)}")
@@ -134,7 +134,7 @@ class EmulatedRobot:
         self._position = self._merge(self.plant.encoder(), where)
 
     def read(self) -> JointState:
-        """Return the newest joint state; reading takes no virtual time."""
+        """Newest state; takes no virtual time."""
         return JointState(
             time=self.plant.time,
             position=self._position.copy(),
@@ -144,7 +144,7 @@ class EmulatedRobot:
         )
 
     def step(self, command: Array, active: Mask | None = None) -> JointState:
-        """Send ``command`` (B, n) [rad], let one period pass, read; arms not ``active`` stand still in time."""
+        """Send ``command`` (B, n) [rad], wait a period, read; arms not ``active`` stand still in time."""
         delays = self._channel.draw(self._keys, self._cycle)
         self.plant.command(command, delays.latency, active)
         self.plant.advance(delays.period, active)
@@ -153,35 +153,35 @@ class EmulatedRobot:
         return self.read()
 
     def true_tcp(self) -> Array:
-        """(B, 3) [m] where the tools really are."""
+        """(B, 3) [m] true tools."""
         return self.plant.true_tcp()
 
     def stop(self) -> None:
-        """Make the arms hold: the firmware's reference stays where its ramp is."""
+        """Hold: the reference stops."""
         self.plant.halt()
 
     def servo_gains(self) -> ServoGains | None:
-        """Return the gains of the servos' own loops; None where they have none that could be told."""
+        """Return the servo gains, or None."""
         return None if self._servos is None else self._servos.gains
 
     def rungs(self) -> tuple[Rung, ...]:
-        """Return what a search for better gains tries."""
+        """Return the search order of gains."""
         return () if self._servos is None else RUNGS
 
     def tune(self, gains: ServoGains) -> None:
-        """Bring the gains of all arms in small steps to these, in virtual time."""
+        """Set the gains of all arms in small steps of virtual time."""
         self._tunable().tune(gains)
         self._position = self.plant.encoder()
 
     def keep(self, gains: ServoGains) -> None:  # noqa: ARG002 - nothing of an arm in this process outlasts it
-        """Refuse (InputError): nothing of an arm in this process outlasts it."""
+        """Raise InputError: emulated arms do not last."""
         raise InputError(
             f"{self._address} forgets its gains at the end of the command; name them in its address, as "
             "emulated:so101?p=48, or keep them in what `rejoint emulate --arm so101` serves"
         )
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Do nothing."""
 
     def _tunable(self) -> EmulatedServos:
         if self._servos is None:
@@ -189,7 +189,7 @@ class EmulatedRobot:
         return self._servos
 
     def _load(self) -> Array:
-        """(B, n) what the servos tell of their torque, as their driver puts it."""
+        """(B, n) torques as the driver reports them."""
         return self.plant.load if self._servos is None else self._servos.load
 
     def _merge(self, position: Array, where: Mask | None) -> Array:

@@ -1,4 +1,4 @@
-"""Robot families: what an address of each looks like, and how the robot there is opened."""
+"""Robot families: their addresses, and how a robot is opened."""
 
 from __future__ import annotations
 
@@ -17,81 +17,81 @@ from rejoint.system.numbers import as_period, as_seed
 T = TypeVar("T")
 
 DEFAULT_ARM = "mycobot280"
-"""Arm of families that do not say: that of the paper"""
+"""Arm of the paper"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Opening:
-    """What a robot is opened with."""
+    """Options of opening a robot."""
 
     arm: Arm
     seed: int
-    """of everything random"""
+    """of all random numbers"""
     count: int
-    """number of arms side by side; 1 where the family is not virtual"""
+    """of arms; 1 unless virtual"""
     period: tuple[float, float]
-    """[s] interval from which the length of every control cycle is drawn"""
+    """[s] range of control periods"""
     threads: int
-    """that a simulation may use"""
+    """of a simulation"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Family(Generic[T]):
-    """Robots that are addressed and opened in one way; T is what `parse` makes of an address."""
+    """Robots with one kind of address; T is the parsed address."""
 
     scheme: str
-    """what stands before the colon of an address; the name of the entry point as well"""
+    """before the colon of an address, and name of the entry point"""
     form: str
-    """of an address, as it is shown to users: ``tcp://HOST:PORT``"""
+    """of an address: ``tcp://HOST:PORT``"""
     parse: Callable[[str], T]
-    """reads a whole address; ValueError says what is wrong with it"""
+    """of a whole address; ValueError"""
     connect: Callable[[Place[T], Opening], Robot]
-    """opens the robot; AddressError if nothing usable is there"""
+    """opens the robot; AddressError"""
     default_arm: str | Callable[[T], str] = DEFAULT_ARM
-    """a name of the catalogue or the path of a description: the arm where none is asked for"""
+    """name or description of the default arm"""
     default_period: tuple[float, float] = (0.050, 0.050)
-    """[s] shortest and longest control period where none is asked for"""
+    """[s] shortest and longest"""
     virtual: bool = False
-    """whether any number of arms can be opened side by side, in virtual time, which costs nothing"""
+    """batches of arms in virtual time"""
     tunable: bool | Callable[[Arm], bool] = False
-    """whether the gains of the servos' own loops can be read and set there, or of which arms they can"""
+    """servo gains can be read and set, or for which arms"""
     needs: tuple[str, ...] = ()
-    """extras of this package, or modules of them, without which no such robot can be opened"""
+    """required extras or modules"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Place(Generic[T]):
-    """Where a robot is: its address, read once."""
+    """A parsed address of a robot."""
 
     text: str
     """as the user wrote it"""
     family: Family[T]
     detail: T
-    """what the family read from the address"""
+    """parsed address"""
 
     @property
     def spot(self) -> str:
-        """What two addresses of one arm have in common, as far as they tell."""
+        """Equal for two addresses of one arm, if known."""
         return str(getattr(self.detail, "spot", self.text))
 
     @property
     def virtual(self) -> bool:
-        """Whether arms come in batches there, in virtual time."""
+        """Whether arms come in batches in virtual time."""
         return self.family.virtual
 
     def tunable(self, arm: Arm) -> bool:
-        """Whether the gains of the servos' own loops of an ``arm`` can be read and set there."""
+        """Whether the servo gains of an ``arm`` can be read and set."""
         can = self.family.tunable
         return can if isinstance(can, bool) else can(arm)
 
     @property
     def default_period(self) -> tuple[float, float]:
-        """Interval [s] of the control periods where nothing else is asked for."""
+        """Range [s] of control periods."""
         return self.family.default_period
 
     @property
     def default_arm(self) -> str:
-        """Name or description of the arm there; MissingExtraError where what knows it is not installed."""
+        """Name or description of the arm there; MissingExtraError."""
         arm = self.family.default_arm
         if isinstance(arm, str):
             return arm
@@ -107,10 +107,9 @@ class Place(Generic[T]):
         period: tuple[float, float] | None = None,
         threads: int = 1,
     ) -> Robot:
-        """Connect to the robot; nothing moves.
+        """Connect to the robot without motion; ``period`` [s].
 
-        The control period is drawn from ``period`` [s]. AddressError if nothing usable is there, MissingExtraError
-        where the family needs more than is installed.
+        AddressError, MissingExtraError.
         """
         arm = arm or load_arm(self.default_arm)
         if count < 1:
@@ -132,7 +131,7 @@ _HERE = dict.fromkeys(("localhost", "0.0.0.0"), "127.0.0.1")  # noqa: S104 - nam
 
 @dataclass(frozen=True, kw_only=True)
 class TcpAddress:
-    """A server that speaks for the robot, or an emulator."""
+    """A server for the robot, or an emulator."""
 
     text: str
     """as the user wrote it"""
@@ -144,7 +143,7 @@ class TcpAddress:
 
     @property
     def spot(self) -> str:
-        """The one place that it means, however it is written."""
+        """Equal for all its addresses."""
         return f"{_HERE.get(self.host, self.host)}:{self.port}"
 
 
@@ -162,12 +161,12 @@ class SerialAddress:
 
     @property
     def spot(self) -> str:
-        """The one place that it means: a device has a name for each adapter and socket as well."""
+        """Equal for all names of the device."""
         return os.path.realpath(self.device)
 
 
 def tcp_address(text: str, *, port: int) -> TcpAddress:
-    """Read ``SCHEME://HOST:PORT``, where ``port`` is taken if none is given; ValueError for anything else."""
+    """Read ``SCHEME://HOST:PORT`` with a default ``port``; ValueError."""
     parts = urlsplit(text)
     given = port if parts.port is None else parts.port
     if not parts.hostname or parts.path not in ("", "/") or parts.query or parts.username or given == 0:
@@ -176,7 +175,7 @@ def tcp_address(text: str, *, port: int) -> TcpAddress:
 
 
 def serial_address(text: str, *, baud: int) -> SerialAddress:
-    """Read ``SCHEME:///dev/DEVICE?baud=N``, where ``baud`` is taken if none is given; ValueError for anything else."""
+    """Read ``SCHEME:///dev/DEVICE?baud=N`` with a default ``baud``; ValueError."""
     parts = urlsplit(text)
     query = parse_qs(parts.query, strict_parsing=True) if parts.query else {}
     if parts.netloc or not parts.path.startswith("/") or parts.path == "/" or set(query) - {"baud"}:

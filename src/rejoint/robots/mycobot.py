@@ -1,8 +1,8 @@
 """A myCobot 280, real or emulated, through the vendor's client; a command takes 8 ms, a reading 12 ms.
 
-Over TCP pymycobot never resynchronises: after a late answer every call returns the previous call's answer. So nothing
-is asked while unexpected bytes wait, and both sides are resynchronised after a failure. The emulator's codec is not
-used here: the client is the independent judge of what the emulator sends.
+Over TCP pymycobot never resynchronises: after a late answer every call returns the previous answer. So no question is
+asked while bytes wait, and both sides are resynchronised after a failure. The emulator's codec is not used: the client
+tests it.
 """
 
 from __future__ import annotations
@@ -45,21 +45,18 @@ common.locale = SimpleNamespace(getdefaultlocale=locale.getlocale)  # the same, 
 common.time = SimpleNamespace(time=time.monotonic, sleep=time.sleep)  # all that it uses of it
 
 LOWEST_DEG: tuple[float, ...] = tuple(RobotLimit.robot_limit["MyCobot280"]["angles_min"])
-"""[deg] lowest joint angles that the clients accept"""
+"""of the clients"""
 HIGHEST_DEG: tuple[float, ...] = tuple(RobotLimit.robot_limit["MyCobot280"]["angles_max"])
-"""[deg] highest joint angles that the clients accept"""
+"""of the clients"""
 
 
 _CODES = [(code, name.lower()) for name, code in vars(common.ProtocolCode).items() if isinstance(code, int)]
 ORDERS: dict[int, str] = dict(reversed(_CODES))
-"""Names that the client gives to commands"""
+"""The client's names of commands"""
 
 
 def make_client(address: TcpAddress | SerialAddress) -> MyCobot280 | MyCobot280Socket:
-    """Construct the vendor's client, which connects and sleeps for 1.5 s.
-
-    OSError where another program has the port.
-    """
+    """Construct the vendor's client, which connects and sleeps 1.5 s; OSError for a busy port."""
     root = logging.getLogger()
     handlers, level = root.handlers[:], root.level
     try:
@@ -80,29 +77,32 @@ def make_client(address: TcpAddress | SerialAddress) -> MyCobot280 | MyCobot280S
 
 
 SENT = 3
-"""Times that a command is sent before its refusal is believed: one wrong byte on the wire looks the same (chosen)"""
+"""Attempts before a refusal counts (chosen)"""
 SPEED_PERCENT = 100
-"""of the firmware's own speed limit (chosen: ours are the guard's)"""
+"""of the firmware's limit (chosen: the guard limits)"""
 UNREADABLE_DEG = 180.08
-"""[deg] what a joint shows whose servo cannot be read (elephantrobotics/pymycobot, issue 43)"""
+"""[deg] of an unreadable servo (elephantrobotics/pymycobot, issue 43)"""
 PROBE_TIMEOUT = 2.0
-"""[s] for a TCP connection to be accepted; a robot in the same network needs milliseconds (chosen)"""
+"""[s] of a TCP connection (chosen)"""
 LATE = 0.3
-"""[s] the client's own TCP timeout: a call that took longer was sent more than once"""
+"""[s] the client's TCP timeout; later calls were sent twice"""
 QUIET = 0.03
-"""[s] of silence after which no answer is on its way any more (chosen: twice what an answer takes)"""
+"""[s] without a late answer (chosen: twice an answer)"""
 RELAY_BUSY = 0.6
-"""[s] during which the vendor's server may still wait for a robot's answer (its own limit is 0.5 s)"""
+"""[s] of the vendor's server after a lost answer (its limit is 0.5 s)"""
 QUIET_RELAY = 3.0
-"""[s] to bring both sides into step after a command that the arm does not know (chosen, as `link.SILENCE`)"""
+"""[s] of resynchronisation after an unknown command (chosen, as `link.SILENCE`)"""
 POWER_UP = 3.0
-"""[s] to wait for the servos after power_on (chosen)"""
+"""[s] after power_on (chosen)"""
 _CUT_FRAME = (struct.error, IndexError, KeyError, TypeError, ValueError, UnicodeError)
 _JOINTS = len(LOWEST_DEG)
 
 
 class MyCobotBus(Bus):
-    """The wire of a myCobot 280. On opening the arm is powered on and put into fresh mode: the newest command wins."""
+    """The wire of a myCobot 280.
+
+    Opening powers the arm and sets fresh mode: the newest command wins.
+    """
 
     name = "myCobot 280"
     advice = f"{Bus.advice} `rejoint emulate` starts an arm to try"
@@ -122,7 +122,7 @@ class MyCobotBus(Bus):
         self._client = make_client(self.address)
 
     def prepare(self, until: float | None = None) -> None:
-        """See that the arm has power, switch it on if this is the first time, and put it into fresh mode."""
+        """Check the power, switch it on the first time, and set fresh mode."""
         if (
             self._confirm("is_power_on", until) != 1 and self._confirm("is_power_on", until) != 1
         ):  # one wrong byte is no news
@@ -146,11 +146,11 @@ class MyCobotBus(Bus):
         return Reading(position=read_angles(self._call("get_angles")))
 
     def vitals(self) -> tuple[Callable[[], Vitals], ...]:
-        """Temperatures and faults, which older firmware does not report."""
+        """Temperatures and faults; older firmware is silent."""
         return self._temperatures, self._faults
 
     def send(self, goal: Array) -> None:
-        """Send joint positions, clipped to the limits of the client, which refuses anything beyond them."""
+        """Send joint positions, clipped to the client's limits."""
         for _ in range(SENT):
             answer = self._call("send_angles", wire_angles(goal), SPEED_PERCENT)
             if answer == 1:
@@ -159,11 +159,11 @@ class MyCobotBus(Bus):
         raise RobotError(f"{self.address}: the arm refused a command (answer {answer}, error code {error})")
 
     def stop(self) -> None:
-        """Stop by the vendor's order; the arm holds where its reference is."""
+        """Stop by the vendor's order."""
         self._call("stop")
 
     def relay(self, command: int, payload: bytes) -> bytes | None:
-        """Send a command of the client's by its number; grippers, lamps and pins answer with single bytes."""
+        """Send a client's command by number; grippers, lamps and pins answer with a byte."""
         try:
             answer = self._call("_mesg", command, *payload)
         except NoReplyError:
@@ -174,10 +174,9 @@ class MyCobotBus(Bus):
         return bytes(single) if len(single) == len(values) else None
 
     def resynchronise(self, deadline: float) -> None:
-        """Wait until no late answer can be taken for another one; ConnectionLostError if that fails.
+        """Wait until no late answer is pending; ConnectionLostError.
 
-        Answers come in order: once a question of another kind is answered at once, and nothing follows, no answer is
-        due.
+        Answers come in order: an immediate answer to another question, and silence after it, show that.
         """
         if not isinstance(self.address, TcpAddress):
             return
@@ -233,7 +232,7 @@ class MyCobotBus(Bus):
             raise StaleReplyError(f"{self.address}: unexpected answers arrive")
 
     def _drain(self, quiet: float) -> bool:
-        """Drop what lies on a TCP connection until nothing came for ``quiet`` [s]; tell whether there was anything."""
+        """Drop TCP bytes until none came for ``quiet`` [s]; whether any did."""
         found = False
         if not isinstance(self.address, TcpAddress):
             return found
@@ -265,21 +264,21 @@ class MyCobotBus(Bus):
 
 
 def read_angles(reply: object) -> Array:
-    """Joint positions (n,) [rad] from the client's answer in degrees, NaN where a servo cannot be read."""
+    """Joint positions (n,) [rad] of an answer in degrees, NaN: unreadable."""
     degrees = _numbers(reply, "joint angles")
     degrees[np.abs(np.abs(degrees) - UNREADABLE_DEG) < 0.005] = np.nan
     return np.radians(degrees)
 
 
 def wire_angles(position: Array) -> list[float]:
-    """Degrees (n,) that the client, which truncates, turns into the nearest hundredth inside its limits."""
+    """Degrees (n,) that the truncating client sends as the nearest hundredth within limits."""
     hundredths = np.round(np.degrees(position) * 100.0)
     degrees = (hundredths + 0.25 * np.sign(hundredths)) / 100.0
     return [float(value) for value in np.clip(degrees, LOWEST_DEG, HIGHEST_DEG)]
 
 
 def _numbers(reply: object, what: str) -> Array:
-    """One number per joint; ImpossibleReplyError otherwise."""
+    """One number per joint; ImpossibleReplyError."""
     numbers = reply if isinstance(reply, list) else []
     if len(numbers) != _JOINTS or not all(type(value) in (int, float) for value in numbers):
         raise ImpossibleReplyError(f"expected {_JOINTS} {what}, got {reply!r}")

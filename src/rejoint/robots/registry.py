@@ -1,4 +1,4 @@
-"""The families that come with this package; what opens their robots is imported when one is opened."""
+"""The families of this package, imported when opened."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from rejoint.robots.feetech.gains import FORM, KNOBS, FeetechAddress, Gains, fee
 from rejoint.system.errors import AddressError, InputError, first_line
 
 SIMULATOR = "mujoco"
-"""Module that emulated arms need."""
+"""Module of emulated arms"""
 # TCP port of the vendor's server on a myCobot
 _PORT = 9000
 # [1/s] of the serial port on a myCobot's Raspberry Pi (vendor's manual); the M5 version needs 115200
@@ -43,18 +43,18 @@ _EMULATED_PERIOD = (0.020, 0.030)
 
 @dataclass(frozen=True, kw_only=True)
 class EmulatedAddress:
-    """An arm that is emulated in this process."""
+    """An arm emulated in this process."""
 
     profile: str
-    """of its wear"""
+    """of wear"""
     payload: float = 0.0
-    """[kg] that its hand really carries, whatever anybody was told"""
+    """[kg] true, unknown to the software"""
     gains: Gains = field(default_factory=dict)
-    """of its servos, where they are not as sold"""
+    """of servos; empty: as sold"""
 
     @property
     def text(self) -> str:
-        """The address of the same arm with an empty hand, whatever its gains."""
+        """Address without payload and gains."""
         return f"emulated:{self.profile}"
 
 
@@ -72,7 +72,7 @@ def _profile(text: str) -> EmulatedAddress:
 
 
 def _payload(given: Mapping[str, str]) -> float:
-    """Read the mass [kg] in the hand from the options of an address; ValueError for what is none."""
+    """Payload [kg] of address options; ValueError."""
     text = given.get("payload", "0")
     try:
         payload = float(text)
@@ -84,7 +84,6 @@ def _payload(given: Mapping[str, str]) -> float:
 
 
 def _profile_arm(address: EmulatedAddress) -> str:
-    """Name of the arm that a wear profile describes, as ``so101``; most scale with any arm."""
     from rejoint.robots.lab.plant.wear import wear_arm
 
     return wear_arm(address.profile) or DEFAULT_ARM
@@ -111,7 +110,7 @@ def _has_gains(arm: Arm) -> bool:
 
 
 def unloaded(address: str) -> str:
-    """Return the address of an emulated arm without what it carries: it is the same arm; others as they are."""
+    """Address of an emulated arm without its payload; others unchanged."""
     return _profile(address).text if address.startswith("emulated:") else address
 
 
@@ -130,10 +129,7 @@ def _feetech(address: FeetechAddress, arm: Arm) -> Bus:
 
 
 def _require_kind(arm: Arm, kind: str, schemes: str) -> None:
-    """Raise InputError for an arm of the catalogue that is never behind such addresses.
-
-    The guard would judge by its links.
-    """
+    """Raise InputError for an arm that such addresses never have: the guard would use its links."""
     if arm.name in CATALOGUE and arm.name != kind:
         raise InputError(
             f"at {schemes} addresses there are arms of the kind {kind}, and this is about a {arm.name}; check the "
@@ -161,17 +157,17 @@ FEETECH = bus_family(
 )  # fmt: skip
 
 FAMILIES: tuple[Family[Any], ...] = (EMULATED, MYCOBOT_TCP, MYCOBOT_SERIAL, FEETECH)
-"""To add one that comes with the package: a module with a `Family`, and its name here"""
+"""Families of this package"""
 
 
 GROUP = "rejoint.robots"
-"""Entry points that name a `Family`"""
+"""Entry points of `Family` objects"""
 
 _OWN: dict[str, Family[Any]] = {family.scheme: family for family in FAMILIES}
 
 
 def place_of(text: str) -> Place[Any]:
-    """Read a robot's address; AddressError with its form, or with those of all families for what none of them reads."""
+    """Read a robot's address; AddressError with the forms."""
     scheme, colon, _ = text.partition(":")
     family = _family(scheme) if colon else None
     if family is None:
@@ -184,7 +180,7 @@ def place_of(text: str) -> Place[Any]:
 
 
 def forms() -> str:
-    """List the forms of address of all families, then the packages whose families cannot be used, each with why."""
+    """Forms of all families, and unusable packages with the reason."""
     found, refused = list(_OWN.values()), []
     for point in entry_points(group=GROUP):
         if point.name in _OWN:
@@ -197,7 +193,7 @@ def forms() -> str:
 
 
 def driver_of(error: BaseException) -> str | None:
-    """Name the package of another's driver that an error passed through; None where there was none."""
+    """Package of another's driver in an error's traceback, or None."""
     drivers = {point.module.partition(".")[0]: point for point in entry_points(group=GROUP)}
     for frame, _ in walk_tb(error.__traceback__):
         point = drivers.get(str(frame.f_globals.get("__name__")).partition(".")[0])
@@ -214,7 +210,7 @@ def _family(scheme: str) -> Family[Any] | None:
 
 
 def _load(point: EntryPoint) -> Family[Any]:
-    """Import a family; AddressError that names its package where it cannot be used."""
+    """Import a family; AddressError with its package."""
     who = f"{_package(point)} (entry point {point.name} = {point.value})"
     try:
         family = point.load()

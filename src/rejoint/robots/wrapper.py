@@ -1,4 +1,4 @@
-"""Robots by way of another one: who adds something to a robot derives from `RobotWrapper`."""
+"""Robots that wrap another one."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from rejoint.control.robot import JointState, Mask, Robot
 from rejoint.system.stopping import pause
 
 BEHIND = 1.0
-"""[s] from which lost time is not made up for (chosen: this machine cannot keep up)"""
+"""[s] of lost time that is not made up for (chosen)"""
 
 
 class RobotWrapper:
-    """Passes everything on to ``robot``, also what only some robots can do."""
+    """Passes everything to ``robot``, also optional methods."""
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
@@ -25,12 +25,12 @@ class RobotWrapper:
 
     @property
     def arm(self) -> Arm:
-        """The arm's kinematics, limits and masses."""
+        """Kinematics, limits and masses."""
         return self._robot.arm
 
     @property
     def address(self) -> str:
-        """Where the robot is."""
+        """Robot address."""
         return self._robot.address
 
     @property
@@ -60,7 +60,7 @@ class RobotWrapper:
 
 
 class WallClock(RobotWrapper):
-    """Virtual time slowed down to ``pace()`` simulated seconds per second."""
+    """Slows virtual time to ``pace()`` simulated seconds per second."""
 
     def __init__(self, robot: Robot, pace: Callable[[], float] = lambda: 1.0) -> None:
         super().__init__(robot)
@@ -69,7 +69,7 @@ class WallClock(RobotWrapper):
         self._time = 0.0  # [s] of the arm that is farthest
 
     def step(self, command: Array, active: Mask | None = None) -> JointState:
-        """Step, and wait until as much time has passed."""
+        """Step, and wait for the time."""
         state = super().step(command, active)
         now, reached = time.monotonic(), float(state.time.max())
         if self._due is None or now - self._due > BEHIND:

@@ -1,1 +1,1 @@
-"""What every room stands on: errors, files written whole, being asked to stop, and what is installed."""
+"""Base of all packages: errors, files, interruption, extras."""

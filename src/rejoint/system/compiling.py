@@ -1,4 +1,4 @@
-"""What the compiled loops need of the system: a compiler, and a place to keep its work."""
+"""Requirements of compiled loops: a compiler, and a cache."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ _KEEPER = ("numba", "core", "caching.py")  # of Numba, which reads and writes wh
 
 
 def require_compiler() -> None:
-    """Raise InputError where compiling is switched off: uncompiled, a control cycle takes longer than its period."""
+    """Raise InputError where compiling is off: a control cycle would exceed its period."""
     if os.environ.get(_OFF, "0").strip() not in ("", "0"):
         raise InputError(f"{_OFF} is set: uncompiled, no arm can be driven or simulated in time; unset it")
 
 
 def explain(error: Exception) -> str | None:
-    """Say in a line what to do where compiled loops cannot be kept, or were kept damaged; else return None.
+    """Explain a cache failure of Numba, or None.
 
-    Numba neither checks what it reads nor syncs: a damaged index is removed here, and the loops are compiled again.
+    Numba neither checks nor syncs its cache: a damaged index is removed here.
     """
     if isinstance(error, RuntimeError) and _NO_PLACE in str(error):
         return (
@@ -46,7 +46,7 @@ def explain(error: Exception) -> str | None:
 
 
 def _kept_in(error: BaseException | None) -> Path | None:
-    """Return the folder of compiled loops that could not be read or written; None where that is not what failed."""
+    """Cache folder of a failure, or None."""
     while error is not None:
         trace = error.__traceback__
         while trace is not None:

@@ -1,7 +1,4 @@
-"""Errors with names and the exit code of the command line.
-
-2 unusable input, 3 the guard stopped, 4 the robot failed.
-"""
+"""Errors by name, with exit codes: 2 unusable input, 3 the guard stopped, 4 the robot failed."""
 
 from __future__ import annotations
 
@@ -10,29 +7,29 @@ from typing import ClassVar
 
 
 class RejointError(Exception):
-    """Base of every error that the project raises on purpose."""
+    """Base of all errors of the project."""
 
     exit_code: ClassVar[int] = 2
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Travel between processes as it is: what a constructor is given differs from what it says (`args`)."""
+        """Pickle as it is: `args` differ from the constructor's."""
         return type(self).__new__, (type(self), *self.args), self.__dict__
 
 
 class InputError(RejointError, ValueError):
-    """A value given by the user cannot be used."""
+    """A value given by the user is unusable."""
 
 
 class AddressError(InputError):
-    """A robot address is malformed, unknown, or nothing answers there."""
+    """A robot address is malformed, unknown, or without answer."""
 
 
 class ProfileError(InputError):
-    """A wear profile does not exist or holds values that make no sense."""
+    """A wear profile is unknown or impossible."""
 
 
 class FileError(RejointError):
-    """A file is missing, truncated, or not what its name says."""
+    """A file is missing, damaged, or of another kind."""
 
     def __init__(self, path: Path | str, problem: str, remedy: str) -> None:
         self.path = Path(path)
@@ -42,11 +39,11 @@ class FileError(RejointError):
 
 
 class MissingExtraError(RejointError):
-    """Something needs packages that the base installation does not bring."""
+    """A package beyond the base installation is missing."""
 
 
 class UnsavedError(FileError):
-    """A result could not be written; it is here all the same, so that it can be shown."""
+    """A result could not be written; the error carries it."""
 
     def __init__(self, error: FileError, result: object) -> None:
         self.result = result
@@ -56,11 +53,11 @@ class UnsavedError(FileError):
 
 
 class ContractError(RejointError):
-    """A policy file does not fit the arm or the robot it is to drive."""
+    """A policy does not fit the arm or the robot."""
 
 
 class RobotError(RejointError):
-    """The robot failed while it was being driven."""
+    """The robot failed while it was driven."""
 
     exit_code: ClassVar[int] = 4
 
@@ -70,27 +67,27 @@ class NoReplyError(RobotError, TimeoutError):
 
 
 class StaleReplyError(RobotError):
-    """The robot answered with an old or repeated state."""
+    """The robot sent an old or repeated state."""
 
 
 class ImpossibleReplyError(RobotError, ValueError):
-    """The robot answered with numbers that no such arm can have."""
+    """The robot sent impossible numbers."""
 
 
 class ConnectionLostError(RobotError, ConnectionError):
-    """The connection to the robot broke and could not be made again safely."""
+    """The connection to the robot broke, without safe recovery."""
 
 
 class PowerLostError(ConnectionLostError):
-    """The arm lost its power: only its owner may switch it on again."""
+    """The arm lost its power: only the user may switch it on."""
 
 
 class NotReadyError(RobotError):
-    """The robot is in no state to be driven: nothing was moved, or it was only on its way to rest."""
+    """The robot is not ready: it did not move, or only towards rest."""
 
 
 class NotReachedError(RejointError, TimeoutError):
-    """The arm did not come to its target in time; it holds where it is."""
+    """The arm did not reach its target in time; it holds."""
 
     exit_code: ClassVar[int] = 5
 
@@ -106,5 +103,5 @@ class GuardTripError(RejointError):
 
 
 def first_line(error: BaseException) -> str:
-    """Return what an error of another library says, cut to one line; its name where it says nothing."""
+    """First line of another library's error, or its name."""
     return (str(error).splitlines() or [type(error).__name__])[0]

@@ -1,4 +1,4 @@
-"""What the base installation lacks: which modules each extra of `pyproject.toml` brings, and how to ask for them."""
+"""Extras of `pyproject.toml`: their modules, and how to install them."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "fleet": ("ray",),
     "live": ("viser", "trimesh", "jinja2"),
 }
-"""Modules that this package imports, by the extra that installs them"""
+"""Imported modules per extra"""
 
 
 _NAMED = 3  # missing modules that a line names (chosen: it stays one line)
 
 
 def installed(module: str) -> bool:
-    """Tell whether a module could be imported, without doing so."""
+    """Whether a module can be imported, without doing so."""
     return find_spec(module) is not None
 
 
 def require(what: str, *needs: str) -> None:
-    """Raise MissingExtraError where one of ``needs``, extras or modules, is not installed for ``what``."""
+    """Raise MissingExtraError unless all ``needs``, extras or modules, are installed for ``what``."""
     modules = [module for need in needs for module in EXTRAS.get(need, (need,))]
     missing = [module for module in modules if not installed(module)]
     if missing:
@@ -37,7 +37,7 @@ def require(what: str, *needs: str) -> None:
 
 
 def explain(error: ImportError) -> str | None:
-    """Say in a line which extra brings the module that could not be imported; None if it is of no extra."""
+    """Name the extra of a missing module, or None."""
     module = (error.name or "").partition(".")[0]
     known = any(module in modules for modules in EXTRAS.values())
     return _line("this", [module]) if known and not installed(module) else None

@@ -1,4 +1,4 @@
-"""Files: written whole or not at all, and read only where they are of a believable size."""
+"""Files: written whole or not at all, read with limits on size."""
 
 from __future__ import annotations
 
@@ -23,29 +23,28 @@ T = TypeVar("T")
 MEGABYTE = 10**6
 
 CHANGED = "damaged (it is not what was written: its digest is another)"
-"""What is wrong with a file whose digest is another"""
 
 JSON_MOST = 64 * MEGABYTE
-"""Largest JSON file that is read (chosen)"""
+"""[bytes] (chosen)"""
 
 TOML_MOST = 4 * MEGABYTE
-"""Largest TOML file that is read (chosen)"""
+"""[bytes] (chosen)"""
 
 SPACE = 50 * MEGABYTE
-"""Least free space before an arm moves (chosen: a run takes 5 MB)"""
+"""[bytes] free before an arm moves (chosen: a run takes 5 MB)"""
 
 MODEL_MOST = 64 * MEGABYTE
-"""Largest URDF or MJCF file of an arm that is read (chosen)"""
+"""[bytes] of a URDF or MJCF file (chosen)"""
 
 UNFINISHED = ".partial"
-"""How the name of a file ends that is being written, or whose writer was killed"""
+"""Suffix of unfinished files"""
 
 UNWRITABLE = "free some space, allow writing there, or choose another folder"
 _DIGEST = re.compile(rb',\n  "digest": "([0-9a-f]{16})"\n}\Z')
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Let ``write`` fill a temporary file, sync it and move it to ``path``: all or nothing; FileError if it fails."""
+    """Let ``write`` fill a temporary file, sync it and move it to ``path``; FileError."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=UNFINISHED)
@@ -65,15 +64,12 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
 
 
 def unwritable(path: Path, error: OSError) -> FileError:
-    """Return the error of a file that cannot be written, which names it."""
+    """Error of a file that cannot be written."""
     return FileError(path, f"cannot be written ({error.strerror or first_line(error)})", UNWRITABLE)
 
 
 def read_bounded(path: Path, most: int, remedy: str) -> bytes:
-    """Read a file of at most ``most`` bytes.
-
-    FileError if it is larger, a pipe or a device, else OSError as it comes.
-    """
+    """Read a file of at most ``most`` bytes; FileError if larger, a pipe or a device; OSError."""
     require_file(path, most, remedy)
     with path.open("rb") as file:
         data = file.read(most + 1)
@@ -83,7 +79,7 @@ def read_bounded(path: Path, most: int, remedy: str) -> bytes:
 
 
 def require_file(path: Path, most: int, remedy: str) -> None:
-    """Raise FileError unless ``path`` is a file of at most ``most`` bytes; FileNotFoundError if nothing is there."""
+    """Raise FileError unless ``path`` is a file of at most ``most`` bytes; FileNotFoundError."""
     found = path.stat()
     if stat.S_ISDIR(found.st_mode):
         raise FileError(path, "cannot be read: it is a folder", "give a file")
@@ -94,7 +90,7 @@ def require_file(path: Path, most: int, remedy: str) -> None:
 
 
 def begins_with(path: Path, first: bytes) -> bool:
-    """Tell whether ``path`` is a file with these first bytes; False where it cannot be read."""
+    """Whether ``path`` is a file with these first bytes."""
     try:
         if not path.is_file():  # a pipe is not opened: it might never answer
             return False
@@ -105,7 +101,7 @@ def begins_with(path: Path, first: bytes) -> bool:
 
 
 def require_space(folder: Path, needed: int = SPACE) -> None:
-    """Raise FileError unless ``needed`` bytes are free where ``folder`` is: better known before an arm has moved."""
+    """Raise FileError unless ``needed`` bytes are free at ``folder``."""
     try:
         free = shutil.disk_usage(folder).free
     except OSError as error:
@@ -115,7 +111,7 @@ def require_space(folder: Path, needed: int = SPACE) -> None:
 
 
 def write_json(path: Path, value: object) -> None:
-    """Write a dataclass (or plain data) as readable JSON; an object gets the digest of its own text as last entry."""
+    """Write a dataclass (or plain data) as readable JSON; objects get a digest as last entry."""
     data = msgspec.json.format(msgspec.json.encode(value), indent=2)
     if data.endswith(b"\n}"):
         data = data[:-2] + b',\n  "digest": "' + digest(data) + b'"\n}'
@@ -123,10 +119,7 @@ def write_json(path: Path, value: object) -> None:
 
 
 def read_json(path: Path, kind: type[T]) -> T:
-    """Read JSON written by `write_json` as an instance of ``kind``.
-
-    FileError if it is not one, or its digest differs.
-    """
+    """Read JSON of `write_json` as ``kind``; FileError."""
     remedy = "delete it and run its stage again"
     try:
         data = read_bounded(path, JSON_MOST, remedy)
@@ -144,7 +137,7 @@ def read_json(path: Path, kind: type[T]) -> T:
 
 @contextmanager
 def saving(result: object) -> Iterator[None]:
-    """Hand on ``result`` with the error if it cannot be written: UnsavedError in place of FileError."""
+    """Raise UnsavedError with ``result`` in place of FileError."""
     try:
         yield
     except FileError as error:
@@ -152,14 +145,14 @@ def saving(result: object) -> Iterator[None]:
 
 
 def set_aside(path: Path) -> None:
-    """Rename a file, if there is one, that another takes the place of, by its time: it may have cost hours."""
+    """Rename an existing file by its time."""
     if path.exists():
         made = datetime.fromtimestamp(path.stat().st_mtime)
         path.replace(unused(path.with_stem(f"{path.stem}-{made:%Y%m%d-%H%M%S}")))
 
 
 def unused(path: Path) -> Path:
-    """Return ``path``, with a number behind its stem where something is there."""
+    """Return ``path``, numbered if it exists."""
     number, free = 2, path
     while os.path.lexists(free):
         free = path.with_stem(f"{path.stem}-{number}")
@@ -168,7 +161,7 @@ def unused(path: Path) -> Path:
 
 
 def digest(data: bytes) -> bytes:
-    """Return the fingerprint of some text by which it is noticed that it was changed."""
+    """Fingerprint against changes."""
     return hashlib.sha256(data).hexdigest()[:16].encode()
 
 

@@ -1,4 +1,4 @@
-"""Numbers that people give: what cannot be meant is refused with its name, before anything is done with it."""
+"""Checks of numbers that users give."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from rejoint.system.errors import InputError
 SHORTEST_PERIOD, LONGEST_PERIOD = 0.001, 1.0
 """[s] control periods (chosen: faster than any servo bus)"""
 FARTHEST = 0.1
-"""[m] within which a target or a path counts as reached at most (chosen: more is a number in millimetres)"""
+"""[m] largest accepted error (chosen: more is in millimetres)"""
 
 
 def as_seed(seed: int | None) -> int:
-    """Return a seed, 0 where none is given; InputError unless it is a whole number from 0 on."""
+    """Return a seed, by default 0; InputError."""
     try:
         found = 0 if seed is None else operator.index(seed)
     except TypeError:
@@ -27,7 +27,7 @@ def as_seed(seed: int | None) -> int:
 
 
 def as_period(period: ArrayLike | None) -> tuple[float, float] | None:
-    """Return the shortest and the longest control period [s]; InputError where no arm is controlled like that."""
+    """Shortest and longest control period [s]; InputError."""
     if period is None:
         return None
     if np.shape(period) == (2,):
@@ -41,7 +41,7 @@ def as_period(period: ArrayLike | None) -> tuple[float, float] | None:
 
 
 def as_within(what: str, given: object) -> float:
-    """Return the distance [m] within which ``what`` counts as reached; InputError where all or nothing would."""
+    """Distance [m] within which ``what`` counts as reached; InputError."""
     found = as_floats(what, given, "a distance in metres")
     if found.shape == () and 0.0 < found <= FARTHEST:
         return float(found)
@@ -51,7 +51,7 @@ def as_within(what: str, given: object) -> float:
 
 
 def as_floats(what: str, given: object, expected: str = "numbers") -> NDArray[np.float64]:
-    """Return numbers as an array of floats; InputError for text, dates, and rows of different length."""
+    """Array of floats; InputError for text, dates, and ragged rows."""
     try:
         array = np.asarray(given)
         if array.dtype.kind in "biuf":

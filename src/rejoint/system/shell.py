@@ -1,4 +1,4 @@
-"""Commands of ours as a shell takes them."""
+"""Command lines of ours, memory, and sockets."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from rejoint.system.errors import InputError
 
 
 def command(*words: object) -> str:
-    """Return ``rejoint`` with ``words`` for a shell: an address may hold an &, the name of a folder blanks."""
+    """``rejoint`` with ``words``, quoted for a shell."""
     return shlex.join(["rejoint", *map(str, words)])
 
 
 def give_back() -> None:
-    """Give free memory back, where the C library can (glibc): it would keep holes that later stages do not fill."""
+    """Return free memory to the system (glibc)."""
     trim = _trim()
     if trim is not None:
         trim(0)
@@ -28,7 +28,7 @@ def give_back() -> None:
 
 @cache
 def _trim() -> Any:  # noqa: ANN401
-    """Return glibc's `malloc_trim`; None where the C library is another one."""
+    """Return glibc's `malloc_trim`, or None."""
     try:
         return ctypes.CDLL(None).malloc_trim if sys.platform == "linux" else None
     except (OSError, AttributeError):
@@ -36,9 +36,9 @@ def _trim() -> Any:  # noqa: ANN401
 
 
 class Late:
-    """A module that is imported when it is first used.
+    """A module imported at first use.
 
-    `importlib.util.LazyLoader` is not safe for threads in Python 3.11.
+    `importlib.util.LazyLoader` is not thread-safe in Python 3.11.
     """
 
     def __init__(self, name: str) -> None:
@@ -51,11 +51,11 @@ class Late:
 
 
 BUFFER = 1 << 16
-"""[bytes] that the system may keep for a connection each way: requests ahead, answers that wait (chosen)"""
+"""[bytes] per connection and direction (chosen)"""
 
 
 def listen_tcp(host: str, port: int, backlog: int = 1) -> socket.socket:
-    """Listen on a TCP port, 0 for any free one; ``backlog`` clients may wait. InputError if that is not possible."""
+    """Listen on a TCP port, 0: any free one; ``backlog`` waiting clients. InputError."""
     refusal = f"cannot listen on {host}:{port}"
     if not 0 <= port <= 65535:
         raise InputError(f"{refusal}: a port is a number from 0 to 65535")

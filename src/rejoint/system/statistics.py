@@ -1,8 +1,8 @@
-"""Numbers with their intervals: the one type for them, and intervals for few and dependent trials.
+"""Numbers with intervals, for few and dependent trials.
 
-Means get a bootstrap that resamples whole clusters (Davison and Hinkley, Bootstrap Methods and Their Application, 1997,
-section 3.8); shares the interval of Wilson (J. Am. Stat. Assoc. 22, 1927) with the trials reduced by the design effect
-(Kish, Survey Sampling, 1965, section 8.2).
+Means: bootstrap over whole clusters (Davison and Hinkley, Bootstrap Methods and Their Application, 1997, section 3.8).
+Shares: Wilson's interval (J. Am. Stat. Assoc. 22, 1927) with trials reduced by the design effect (Kish, Survey
+Sampling, 1965, section 8.2).
 """
 
 from __future__ import annotations
@@ -19,17 +19,16 @@ Labels = NDArray[np.intp]
 
 CONFIDENCE = 0.95
 NORMAL95 = float(ndtri((1.0 + CONFIDENCE) / 2.0))
-"""Half width of the interval of a normal distribution, in standard deviations"""
+"""Half width of the normal interval, in standard deviations"""
 RESAMPLES = 4000
-"""Bootstrap resamples (chosen)."""
+"""(chosen)"""
 FEWEST_CLUSTERS = 5
-"""Fewest clusters of an interval: all resamples of n lie between the least and the greatest, which hold the median with
-a chance of 1 - 2^(1 - n), 94 % for 5."""
+"""of an interval: resamples of n hold the median with a chance of 1 - 2^(1 - n), 94 % for 5"""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number with its 95 % interval; an end that the data leave open is None."""
+    """A number with its 95 % interval; None: open end."""
 
     value: float
     low: float | None
@@ -43,26 +42,23 @@ class Estimate:
 
 @dataclass(frozen=True, kw_only=True)
 class Spread:
-    """A mean with its interval, and how single values scatter around it."""
+    """A mean with its interval, and the scatter of values."""
 
     mean: Estimate
     std: float | None
-    """standard deviation; None for a single value"""
+    """None for one value"""
     p95: float
     """95th percentile"""
     count: int
 
 
 def student95(freedom: int) -> float:
-    """Half width of the interval of Student's t with ``freedom`` degrees, in standard deviations; infinite below 1."""
+    """Half width of Student's t interval with ``freedom`` degrees, in standard deviations; infinite below 1."""
     return float(stdtrit(freedom, (1.0 + CONFIDENCE) / 2.0)) if freedom >= 1 else math.inf
 
 
 def cluster(shape: tuple[int, int, int]) -> tuple[str, Labels]:
-    """Choose the clusters of results (S, R, K): target sets, else trials, else targets.
-
-    Return their name and flat labels.
-    """
+    """Clusters of results (S, R, K): target sets, else trials, else targets; name and flat labels."""
     sets, repetitions, targets = shape
     index = np.arange(sets * repetitions * targets)
     if sets >= FEWEST_CLUSTERS:
@@ -73,7 +69,7 @@ def cluster(shape: tuple[int, int, int]) -> tuple[str, Labels]:
 
 
 def bootstrap_mean(values: Array, labels: Labels, *, seed: int = 0, fewest: int = FEWEST_CLUSTERS) -> Estimate:
-    """Mean of ``values`` (N,) with its interval over clusters ``labels`` (N,), if there are at least ``fewest``."""
+    """Mean of ``values`` (N,) with interval over clusters ``labels`` (N,), if at least ``fewest``."""
     known = np.isfinite(values)
     values, labels = values[known], labels[known]
     if len(values) == 0:
@@ -90,12 +86,12 @@ def bootstrap_mean(values: Array, labels: Labels, *, seed: int = 0, fewest: int 
 
 
 def above_zero(estimate: Estimate) -> bool:
-    """Tell whether the whole interval lies above zero; without an interval it is unknown."""
+    """Whether the whole interval is above zero."""
     return estimate.low is not None and estimate.low > 0.0
 
 
 def spread(values: Array, labels: Labels) -> Spread | None:
-    """Mean with interval, standard deviation and 95th percentile of ``values`` (N,); None without finite values."""
+    """Mean with interval, deviation and 95th percentile of ``values`` (N,), or None."""
     known = values[np.isfinite(values)]
     if len(known) == 0:
         return None
@@ -108,7 +104,7 @@ def spread(values: Array, labels: Labels) -> Spread | None:
 
 
 def wilson(hits: float, trials: float) -> Estimate:
-    """Share ``hits / trials`` with the interval of Wilson; ``trials`` need not be whole."""
+    """Share ``hits / trials`` with Wilson's interval; ``trials`` may be fractional."""
     if not 0 <= hits <= trials or trials <= 0:
         raise ValueError(f"a share needs 0 <= hits <= trials and trials > 0, got {hits} of {trials}")
     share, z2 = hits / trials, NORMAL95**2
@@ -120,7 +116,7 @@ def wilson(hits: float, trials: float) -> Estimate:
 
 
 def clustered_share(hits: Array, labels: Labels) -> Estimate:
-    """Share of ones in ``hits`` (N,) of zeros and ones; its interval knows the clusters ``labels`` (N,)."""
+    """Share of ones in ``hits`` (N,), with interval over clusters ``labels`` (N,)."""
     known = np.isfinite(hits)
     hits, labels = hits[known], labels[known]
     if len(hits) == 0:
@@ -140,6 +136,6 @@ def _design_effect(hits: Array, labels: Labels) -> float:
 
 
 def paired_difference(first: Array, second: Array, labels: Labels, *, seed: int = 0) -> Estimate | None:
-    """Mean of ``first - second`` (N,) over the results that both have, with its interval; None without any."""
+    """Mean of ``first - second`` (N,) over common results, with interval, or None."""
     difference = first - second
     return bootstrap_mean(difference, labels, seed=seed) if np.isfinite(difference).any() else None

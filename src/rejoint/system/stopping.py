@@ -1,9 +1,8 @@
-"""Being asked to stop: a signal handler only notes the wish, and what drives an arm looks at it.
+"""Interruption: a signal handler only sets a flag, which the driver of an arm checks.
 
-An exception from a handler may land inside the vendor's client, which swallows it. So while an arm is driven (`noted`)
-a signal only sets a note; loop, link and waits look at it (`check`, `pause`) and raise `Interrupted` where it is safe.
-Handlers of the host program are called too; those of asyncio and Jupyter, which only cancel a task, count as Python's
-own.
+The vendor's client would swallow an exception from a handler. So while an arm is driven (`noted`), loop, link and waits
+look at the flag (`check`, `pause`) and raise `Interrupted` where it is safe. The host program's handlers are called
+too; those of asyncio and Jupyter count as Python's own.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from types import FrameType
 from typing import ClassVar, TypeAlias
 
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
-"""What asks a program to end; SIGKILL cannot wait."""
+"""Signals that end a program"""
 
 # [s] after which a signal is sent again whose exception was swallowed (chosen: the callback is over by then)
 _AGAIN = 0.1
@@ -30,23 +29,23 @@ _CANCELLING = ("asyncio.runners", "ipykernel.ipkernel")
 
 
 Handler: TypeAlias = "Callable[[int, FrameType | None], object] | int | None"
-"""As `signal.getsignal` returns it"""
+"""As of `signal.getsignal`"""
 
 
 class Interrupted(KeyboardInterrupt):
-    """Somebody asked for the end: Ctrl-C, a signal such as SIGTERM, or what called `ask`."""
+    """The end was asked for: by Ctrl-C, a signal, or `ask`."""
 
     def __init__(self, signum: int, by: str = "") -> None:
         self.signum, self.by = signum, by
         super().__init__(f"interrupted by {by or signal.Signals(signum).name}")
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Travel between processes, as from one of a pool."""
+        """Pickle with all fields."""
         return type(self), (self.signum, self.by), self.__dict__
 
     @property
     def exit_code(self) -> int:
-        """What shells expect of a process that a signal ended: 130 for Ctrl-C, 143 for SIGTERM."""
+        """Exit code of a signal: 130 for Ctrl-C, 143 for SIGTERM."""
         return 128 + self.signum
 
 
@@ -54,10 +53,10 @@ class _Note:
     signum = 0
     by = ""
     hosts: BaseException | None = None
-    """what the handler of the program that we are a part of raised; for the main thread"""
+    """exception of the host program's handler; for the main thread"""
     raised: Interrupted | None = None
     heard: ClassVar[set[int]] = set()
-    """threads that have raised it: each that drives an arm is to bring its own to rest"""
+    """threads that have raised it"""
     noted = 0
     shielded = 0
     hook: Callable[[sys.UnraisableHookArgs], object] = staticmethod(sys.__unraisablehook__)
@@ -67,7 +66,7 @@ _note = _Note()
 
 
 def install() -> None:
-    """Let this module handle all of `SIGNALS`, except those that the parent process ignores, as `nohup`."""
+    """Handle all `SIGNALS` that the parent does not ignore (`nohup`)."""
     _note.raised = None
     if not _note.noted:
         _drop()  # a command is not ended by what was asked of one before it
@@ -83,25 +82,25 @@ def _installed() -> bool:
 
 
 def close() -> None:
-    """Be deaf from now on: the program is ending because it was asked to, and says so without being cut short."""
+    """Ignore further signals: the program is ending."""
     for signum in SIGNALS:
         if signal.getsignal(signum) != signal.SIG_IGN:
             signal.signal(signum, _pass_over)
 
 
 def ignore() -> None:
-    """Ignore signals to the very end: the result decides the exit code."""
+    """Ignore signals for good: the result decides the exit code."""
     for signum in SIGNALS:
         signal.signal(signum, signal.SIG_IGN)
 
 
 def ending() -> bool:
-    """Tell whether the present work is what brings an arm to rest, see `shielded`."""
+    """Whether this is inside `shielded`."""
     return bool(_note.shielded)
 
 
 def check() -> None:
-    """Raise `Interrupted` if an end was asked for, once in each thread that drives an arm; not inside `shielded`."""
+    """Raise `Interrupted` if asked for, once per thread that drives an arm; not inside `shielded`."""
     if _note.signum and not _note.shielded and threading.get_ident() not in _note.heard:
         _note.raised, hosts = Interrupted(_note.signum, _note.by), _note.hosts
         _note.heard.add(threading.get_ident())
@@ -114,7 +113,7 @@ def check() -> None:
 
 
 def ask(by: str) -> None:
-    """Ask for the end as Ctrl-C does, from any thread; ``by`` says in a few words who asks."""
+    """Ask for the end from any thread; ``by`` says who."""
     if not _note.signum:
         _note.by, _note.signum = by, signal.SIGINT
     _note.heard.clear()
@@ -124,10 +123,10 @@ def ask(by: str) -> None:
 
 
 def interrupt(by: str = "the program") -> bool:
-    """Bring all arms that this process drives to a hold, from any thread, as Ctrl-C does in the main one.
+    """Bring all arms of this process to a hold, from any thread.
 
-    The calls that drive them then raise `Interrupted`; ``by`` says there in a few words who asked. Returns whether
-    anything was driven: where nothing was, nothing happens, and a call that is only about to begin goes on.
+    The calls that drive them raise `Interrupted` with ``by``. Returns whether any arm was driven; a call that begins
+    later is not affected.
 
     Examples
     --------
@@ -146,19 +145,19 @@ def _drop() -> None:
 
 
 def raise_again() -> None:
-    """Raise once more, in the main thread, an interruption that a library swallowed."""
+    """Raise a swallowed interruption again, in the main thread."""
     raised, hears = _note.raised, threading.current_thread() is threading.main_thread() and _installed()
     if raised is not None and hears and not _note.noted and sys.exc_info()[1] is None:
         raise raised
 
 
 def interruption() -> Interrupted | None:
-    """Return the interruption that was raised last since `install`, for what turns it into something else."""
+    """Last interruption since `install`, or None."""
     return _note.raised
 
 
 def pause(duration: float) -> None:
-    """Wait for ``duration`` [s], or raise `Interrupted` within a few milliseconds of being asked to."""
+    """Wait for ``duration`` [s]; raises `Interrupted`."""
     until = time.monotonic() + duration
     check()
     while (left := until - time.monotonic()) > 0.0:
@@ -168,7 +167,7 @@ def pause(duration: float) -> None:
 
 @contextmanager
 def noted() -> Iterator[None]:
-    """Keep signals to a note inside; what this thread did not look at is raised at the end."""
+    """Keep signals to a flag inside; raise at the end if unchecked."""
     before = _set_handlers()
     _note.noted += 1
     try:
@@ -190,7 +189,7 @@ def noted() -> Iterator[None]:
 
 @contextmanager
 def shielded() -> Iterator[None]:
-    """Let `check` and `pause` raise nothing inside: what brings the arm to rest must not itself be interrupted."""
+    """Suppress `check` and `pause` inside, while the arm is brought to rest."""
     _note.shielded += 1
     try:
         with noted():
@@ -207,7 +206,7 @@ def _handle(signum: int, frame: FrameType | None) -> None:  # noqa: ARG001 - as 
 
 
 def _pass_over(signum: int, frame: FrameType | None) -> None:
-    """Do nothing: unlike an ignored signal, which processes started from here would ignore as well."""
+    """Do nothing; child processes do not inherit this."""
 
 
 def _unraisable(unraisable: sys.UnraisableHookArgs) -> None:

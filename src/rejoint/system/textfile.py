@@ -1,4 +1,4 @@
-"""Text with columns as programs, spreadsheets and people write it: logs, targets, paths and measurements."""
+"""Text with columns, as programs, spreadsheets and people write it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rejoint.system.errors import FileError, first_line
 from rejoint.system.files import MEGABYTE, read_bounded
 
 TEXT_MOST = 200 * MEGABYTE
-"""Largest text file that is read (chosen)"""
+"""[bytes] (chosen)"""
 
 _SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
 _COMMENTS = ("#", "%", "//")
@@ -44,43 +44,43 @@ _REMEDY = "mend the line or take another file"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sheet:
-    """The cells of a table in a text file."""
+    """A table of a text file."""
 
     path: Path
     titles: tuple[str, ...]
-    """of the columns; ``1``, ``2`` and so on where the file names none"""
+    """of columns, or ``1``, ``2`` and so on"""
     cells: pa.Table
-    """of strings; its columns are called ``0``, ``1`` and so on"""
+    """strings in columns ``0``, ``1`` and so on"""
     lines: NDArray[np.int64]
-    """(rows,) line of each row"""
+    """(rows,)"""
     found: str
-    """encoding and separator in words"""
+    """encoding and separator"""
     plain: bool
-    """UTF-8 with commas and a line of titles: nothing to mention"""
+    """UTF-8 with commas and titles"""
     ends: bool
-    """whether the last line is a whole one"""
+    """the last line is complete"""
 
     def __len__(self) -> int:
         return len(self.lines)
 
     @property
     def shown(self) -> str:
-        """The titles for an error."""
+        """Titles for an error."""
         return shown(self.titles)
 
     def words(self, column: int) -> list[str]:
-        """Return the cells of a column."""
+        """Cells of a column."""
         return [str(cell) for cell in pc.utf8_trim_whitespace(self.cells[str(column)]).to_pylist()]
 
     def commas(self, columns: Sequence[int]) -> bool:
-        """Tell whether some columns have decimal commas: commas in them, and no point."""
+        """Whether columns have decimal commas."""
         comma, point = (
             any(pc.any(pc.match_substring(self.cells[str(i)], sign)).as_py() for i in columns) for sign in ",."
         )
         return comma and not point
 
     def numbers(self, columns: Sequence[int]) -> NDArray[np.float64]:
-        """Read some columns (rows, columns), NaN where a cell is empty; FileError names a cell that is no number."""
+        """Columns (rows, columns) as numbers, NaN: empty; FileError."""
         commas = self.commas(columns)
         values = np.empty((len(self), len(columns)))
         for place, column in enumerate(columns):
@@ -102,26 +102,23 @@ class Sheet:
 
 
 def shown(titles: Sequence[str]) -> str:
-    """Join titles for an error: on one line, and not all of a thousand."""
+    """Join titles in one short line."""
     short = [re.sub(r"\s+", " ", title)[:40] or "(no name)" for title in titles[:_SHOWN]]
     more = f" and {len(titles) - _SHOWN} more" if len(titles) > _SHOWN else ""
     return (", ".join(short) or "none") + more
 
 
 def split_unit(title: str, units: Collection[str]) -> tuple[str, str | None]:
-    """Split ``elbow_deg``, ``elbow [deg]`` or ``elbow (deg)`` into name and unit.
-
-    None where it ends in none of them.
-    """
+    """Split ``elbow_deg``, ``elbow [deg]`` or ``elbow (deg)`` into name and unit, or None."""
     found = _UNIT.match(title)
     unit = "" if found is None else (found["ending"] or found["bracket"]).replace("°", "deg")
     return (found["name"], unit) if found is not None and found["name"] and unit in units else (title, None)
 
 
 def read_sheet(path: Path, *, names: Sequence[str] | None = None, whole: bool = True) -> Sheet:
-    """Read a table; FileError where the file is no text, or its rows do not fit to its titles.
+    """Read a table; FileError.
 
-    ``names`` are the titles where the file has none. Unless ``whole``, a last line without an end is left out.
+    ``names``: titles of a file without them. Unless ``whole``, an incomplete last line is dropped.
     """
     try:
         data = read_bounded(path, TEXT_MOST, "cut it into several files")
@@ -137,7 +134,7 @@ def read_sheet(path: Path, *, names: Sequence[str] | None = None, whole: bool = 
 
 
 def head(path: Path) -> Sheet | None:
-    """Read the beginning of a table; None where it is none: no text, or one without columns."""
+    """Read the beginning of a table, or None."""
     try:
         with path.open("rb") as file:
             data = file.read(_HEAD)
@@ -152,7 +149,6 @@ def head(path: Path) -> Sheet | None:
 
 
 def _decoded(data: bytes, path: Path, *, cut: bool = False) -> tuple[str, str]:
-    """Return the text of a file and the name of its encoding; ``cut`` for the beginning of a longer one."""
     if not data.strip():
         raise FileError(path, "is empty", "record it again")
     codec, name = "utf-8-sig", "UTF-8"
@@ -251,7 +247,7 @@ def _titles(
 
 
 def _require_titles(titles: tuple[str, ...], line: int, path: Path) -> None:
-    """Raise FileError where what should be titles, at least one of them a word, holds values."""
+    """Raise FileError for titles that are all values."""
     values = [title for title in titles if _NUMBER.fullmatch(title)]
     if len(values) > 1:
         word = next(title for title in titles if not _NUMBER.fullmatch(title))

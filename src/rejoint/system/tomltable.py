@@ -1,4 +1,4 @@
-"""TOML files that people write: read with bounds, and whatever cannot be used is named with its line."""
+"""TOML files that people write, read with bounds; errors name the line."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from rejoint.system.files import CHANGED, TOML_MOST, digest, read_bounded, write
 
 
 def read_toml(path: Path, known: tuple[str, ...], remedy: str) -> TomlTable:
-    """Read a TOML file whose top may have the keys ``known``; FileError, with ``remedy`` where there is none."""
+    """Read a TOML file with top keys ``known``; FileError with ``remedy``."""
     try:
         text = read_bounded(path, TOML_MOST, remedy).decode("utf-8-sig")
         data = tomllib.loads(text)
@@ -36,19 +36,19 @@ def read_toml(path: Path, known: tuple[str, ...], remedy: str) -> TomlTable:
 
 @dataclass(frozen=True, kw_only=True)
 class TomlTable:
-    """One table of a TOML file; its readers name the key and the line of a value that cannot be used."""
+    """A table of a TOML file; errors name key and line."""
 
     path: Path
     text: str
     data: dict[str, object]
     header: str
-    """name of the table, empty for the top of the file"""
+    """name, or empty for the top"""
     index: int
-    """which of several tables with that header, from 0"""
+    """among tables of that header, from 0"""
     known: tuple[str, ...]
-    """keys that it may have"""
+    """allowed keys"""
     numbered: bool = False
-    """whether it is one of several with that header"""
+    """one of several"""
 
     def __post_init__(self) -> None:
         for key in self.data:
@@ -58,40 +58,40 @@ class TomlTable:
                 raise self.error(key, f"there is no such key; {hint}")
 
     def error(self, key: str, problem: str) -> FileError:
-        """Return the FileError for a key, with the line on which it stands."""
+        """FileError for a key, with its line."""
         where = f"{self.header} {self.index + 1}: " if self.numbered else f"{self.header}: " * bool(self.header)
         line = _line_of(self.text, self.header, self.index if self.numbered else None, key)
         return FileError(self.path, f"line {line}: {where}{key}: {problem}", "correct the file")
 
     def value(self, key: str, expected: str, valid: Callable[[Any], bool], *, needed: bool = False) -> Any:  # noqa: ANN401
-        """Return a value that is ``valid``, as ``expected`` says; None where it is not given and not needed."""
+        """Value that is ``valid``; None if missing and not ``needed``."""
         found = self.data.get(key)
         if (needed or found is not None) and not valid(found):
             raise self.error(key, f"expected {expected}, found {_shown(found)}")
         return found
 
     def string(self, key: str) -> str:
-        """Return a text that must be there."""
+        """Return a required text."""
         return str(self.value(key, "a text", lambda found: isinstance(found, str) and found != "", needed=True))
 
     def boolean(self, key: str) -> bool | None:
-        """Return true or false; None where it is not given."""
+        """Return a boolean or None."""
         found: bool | None = self.value(key, "true or false", lambda found: isinstance(found, bool))
         return found
 
     def texts(self, key: str) -> tuple[str, ...] | None:
-        """Return a list of texts that is not empty; None where it is not given."""
+        """Return a non-empty list of texts, or None."""
         found = self.value(key, "a list of one text or more", lambda found: _is_list(found, str))
         return None if found is None else tuple(found)
 
     def number(self, key: str, *, above: float = -np.inf) -> float | None:
-        """Return a finite number greater than ``above``; None where it is not given."""
+        """Return a finite number greater than ``above``, or None."""
         bound = f" above {above:g}" if np.isfinite(above) else ""
         found = self.value(key, f"a finite number{bound}", lambda found: _is_number(found) and float(found) > above)
         return None if found is None else float(found)
 
     def numbers(self, key: str, size: int) -> NDArray[np.float64] | None:
-        """Return ``size`` finite numbers; None where they are not given."""
+        """Return ``size`` finite numbers, or None."""
         found = self.value(
             key, f"{size} finite numbers",
             lambda found: isinstance(found, list) and len(found) == size and all(map(_is_number, found)),
@@ -99,12 +99,12 @@ class TomlTable:
         return None if found is None else np.array(found, dtype=float)
 
     def table(self, key: str, known: tuple[str, ...]) -> TomlTable:
-        """Return a table within; an empty one where it is not given."""
+        """Return a table within, perhaps empty."""
         found = self.value(key, "a table", lambda found: isinstance(found, dict))
         return replace(self, data=found or {}, header=self.header or key, known=known)
 
     def tables(self, key: str, known: tuple[str, ...]) -> list[TomlTable]:
-        """Return all ``[[key]]`` tables, of which there must be one."""
+        """Return all ``[[key]]`` tables, at least one."""
         found = self.value(key, f"one [[{key}]] table or more", lambda found: _is_list(found, dict), needed=True)
         return [
             replace(self, data=item, header=key, index=i, known=known, numbered=True) for i, item in enumerate(found)
@@ -112,7 +112,7 @@ class TomlTable:
 
 
 def _line_of(text: str, header: str, index: int | None, key: str) -> int:
-    """Line, from 1, of a key of table number ``index`` with this ``header``; that of the table if the key is absent."""
+    """Line, from 1, of a key of table ``index`` of ``header``, else of the table."""
     seen, current, found = -1, "", 1
     is_key: Callable[[str], object] = re.compile(
         rf"""\s*["']?{re.escape(key)}["']?\s*=|.*\{{.*\b{re.escape(key)}\s*="""
@@ -148,17 +148,16 @@ _SEAL = re.compile(rb"\A# digest of the text below: ([0-9a-f]{16})\n")
 
 
 def write_sealed(path: Path, document: tomlkit.TOMLDocument) -> None:
-    """Write a document as TOML, whole or not at all."""
+    """Write TOML, whole or not at all."""
     text = tomlkit.dumps(document)
     text = f"# digest of the text below: {digest(text.encode()).decode()}\n{text}"
     write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def read_sealed(path: Path, build: Callable[[dict[str, Any]], T], *, name: str, version: int, again: str) -> T:
-    """Read a file of the format ``version`` and ``build`` what it holds, which ``name`` says.
+    """Read a ``name`` file of format ``version`` and ``build`` its content; FileError with the remedy ``again``.
 
-    FileError if it is missing, damaged or something else, with ``again`` as what to do; a file without a digest is
-    read.
+    A file without a digest is accepted.
     """
     try:
         text = read_bounded(path, TOML_MOST, f"{again} again")

@@ -1,4 +1,4 @@
-"""The ChArUco board, its description and its print as a PDF in true size."""
+"""The ChArUco board and its PDF."""
 
 from __future__ import annotations
 
@@ -21,31 +21,31 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 DICTIONARY = "DICT_4X4_50"
-"""Markers of 4 x 4 cells, the coarsest of OpenCV"""
+"""Markers of 4 x 4 cells"""
 
 RULER = 100.0
-"""[mm] length of the printed rulers (chosen)"""
+"""[mm] (chosen)"""
 
 _STRETCH = 0.05
-"""Share by which a print may be off (chosen: "fit to page" makes 0.04)"""
+"""Largest error of a print (chosen: "fit to page" makes 0.04)"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Board:
-    """A ChArUco board as it is printed."""
+    """A ChArUco board as printed."""
 
     columns: int = 7
-    """squares along x"""
+    """along x"""
     rows: int = 5
-    """squares along y"""
+    """along y"""
     square: float = 0.030
-    """[m] edge of a square as drawn"""
+    """[m] as drawn"""
     marker: float = 0.022
-    """[m] edge of a marker as drawn"""
+    """[m] as drawn"""
     dictionary: str = DICTIONARY
-    """name of the markers in OpenCV"""
+    """name in OpenCV"""
     stretch_x: float = 1.0
-    """[1] length of the print over the drawing, along x"""
+    """print over drawing, along x"""
     stretch_y: float = 1.0
 
     def __post_init__(self) -> None:
@@ -64,24 +64,24 @@ class Board:
 
     @property
     def size(self) -> Array:
-        """(2,) [m] of the whole board as printed."""
+        """(2,) [m] as printed."""
         return self.square * np.array([self.columns * self.stretch_x, self.rows * self.stretch_y])
 
     @property
     def corners(self) -> Array:
-        """(C, 3) [m] inner corners in the board's frame, by number."""
+        """(C, 3) [m] inner, board frame."""
         x, y = np.meshgrid(np.arange(1, self.columns), np.arange(1, self.rows))
         flat = np.stack([x.ravel() * self.stretch_x, y.ravel() * self.stretch_y, np.zeros(x.size)], axis=-1)
         return np.asarray(self.square * flat)
 
     @property
     def outline(self) -> Array:
-        """(4, 3) [m] outer corners in the board's frame."""
+        """(4, 3) [m] outer, board frame."""
         width, height = self.size
         return np.array([[0.0, 0.0, 0.0], [width, 0.0, 0.0], [width, height, 0.0], [0.0, height, 0.0]])
 
     def printed(self, measured_x: float | None = None, measured_y: float | None = None) -> Board:
-        """Board whose 100 mm rulers measure so many millimetres on the print."""
+        """Board whose 100 mm rulers measure these millimetres."""
         return replace(
             self,
             stretch_x=self.stretch_x if measured_x is None else measured_x / RULER,
@@ -89,12 +89,12 @@ class Board:
         )
 
     def drawing(self, dots: float) -> NDArray[np.uint8]:
-        """Draw the board, (height, width) grey levels, 0 black, with ``dots`` to a metre."""
+        """Draw the board, (height, width) grey levels, ``dots`` per metre."""
         across, down = (round(dots * self.square * count) for count in (self.columns, self.rows))
         return np.asarray(self.opencv().generateImage((across, down), marginSize=0, borderBits=1), dtype=np.uint8)
 
     def opencv(self) -> cv2.aruco.CharucoBoard:
-        """Return OpenCV's board; MissingExtraError without OpenCV, InputError for unknown markers."""
+        """OpenCV's board; MissingExtraError, InputError for unknown markers."""
         require("a camera", "camera")
         import cv2
 
@@ -113,13 +113,13 @@ class Board:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BoardView:
-    """What one picture shows of the board."""
+    """Corners of the board in one image."""
 
     name: str
     number: NDArray[np.int64]
-    """(K,) which corners of the board"""
+    """(K,) corner numbers"""
     pixel: Array
-    """(K, 2) their pixels"""
+    """(K, 2)"""
 
     def __post_init__(self) -> None:
         if self.pixel.shape != (len(self.number), 2):
@@ -127,14 +127,14 @@ class BoardView:
 
 
 ON_TABLE = Board()
-"""210 x 150 mm, for the table: fits on A4 with its rulers"""
+"""210 x 150 mm, for A4"""
 
 ON_TOOL = Board(square=0.020, marker=0.015)
-"""140 x 100 mm, for the tool"""
+"""140 x 100 mm"""
 
 
 def write_board(path: Path, board: Board) -> None:
-    """Write a board as TOML, sizes in mm."""
+    """Write a board as TOML [mm]."""
     told = asdict(board)
     square, marker = 1e3 * told.pop("square"), 1e3 * told.pop("marker")
     told |= {"square_mm": round(square, 6), "marker_mm": round(marker, 6)}
@@ -144,7 +144,7 @@ def write_board(path: Path, board: Board) -> None:
 
 
 def read_board(path: Path) -> Board:
-    """Read what `write_board` wrote; FileError for anything else."""
+    """Read a board; FileError."""
     remedy = "write it with `rejoint board`"
     try:
         told = tomllib.loads(read_bounded(path, TOML_MOST, remedy).decode())
@@ -159,9 +159,9 @@ def read_board(path: Path) -> Board:
 
 
 PAGES = {"A4": (297.0, 210.0), "A3": (420.0, 297.0), "letter": (279.4, 215.9)}
-"""[mm] width and height of pages, landscape (ISO 216, ANSI Y14.1)"""
+"""[mm] landscape (ISO 216, ANSI Y14.1)"""
 DOTS = 24
-"""Dots to a millimetre, 610 to an inch (chosen)"""
+"""Dots per millimetre (chosen)"""
 
 _BORDER = 8.0  # [mm] that printers leave white (chosen: most leave 3 to 6)
 _QUIET = 6.0  # [mm] white around the board, as markers need (chosen: two cells)
@@ -171,13 +171,13 @@ _TEXT = 3.2  # [mm] size of letters (chosen)
 
 
 def write_pdf(path: Path, board: Board, page: str = "A4") -> None:
-    """Draw ``board`` as a PDF; InputError where it does not fit on the page."""
+    """Draw ``board`` as a PDF; InputError where it does not fit."""
     picture = page_of(board, page)
     write_whole(path, lambda temporary: picture.save(temporary, format="PDF", resolution=DOTS * 25.4))
 
 
 def page_of(board: Board, page: str = "A4") -> Image:
-    """Draw the page in black and white, `DOTS` to a millimetre."""
+    """Draw the page, `DOTS` per millimetre."""
     from PIL import Image, ImageDraw, ImageFont
 
     if page not in PAGES:
@@ -211,7 +211,7 @@ def page_of(board: Board, page: str = "A4") -> Image:
 
 
 def _place(board: Board, page: str) -> tuple[float, float]:
-    """Where on the page [mm] the board's upper left corner comes, so that all of it fits."""
+    """Upper left corner of the board on the page [mm]."""
     width, height = PAGES[page]
     across, down = 1e3 * board.square * board.columns, 1e3 * board.square * board.rows
     beside, below = 2 * _QUIET + 2 * _TICK, 2 * _QUIET + 2 * _TICK + _TEXT

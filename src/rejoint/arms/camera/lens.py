@@ -1,4 +1,4 @@
-"""A lens with the distortion of Brown as in OpenCV, and the pose of a board before it.
+"""A lens with Brown's distortion as in OpenCV, and the pose of a board.
 
 A flat board far away looks alike in two tilts (Schweighofer and Pinz, 2006): both are tried.
 """
@@ -15,27 +15,27 @@ from rejoint.system.errors import InputError
 from rejoint.system.extras import require
 
 TERMS = ("f", "cx", "cy", "k1", "k2", "p1", "p2")
-"""The numbers of a lens in the order of `Lens.numbers`"""
+"""Names in `Lens.numbers`"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Lens:
-    """A camera of square pixels, without its pose."""
+    """A camera of square pixels."""
 
     width: int
     """[px]"""
     height: int
     """[px]"""
     f: float
-    """[px] focal length"""
+    """[px]"""
     cx: float
-    """[px] where the optical axis meets the picture"""
+    """[px] optical axis"""
     cy: float
     k1: float = 0.0
-    """[1] radial distortion"""
+    """radial distortion"""
     k2: float = 0.0
     p1: float = 0.0
-    """[1] tangential distortion"""
+    """tangential"""
     p2: float = 0.0
 
     def __post_init__(self) -> None:
@@ -46,7 +46,7 @@ class Lens:
 
     @classmethod
     def usual(cls, width: int, height: int) -> Lens:
-        """Lens to begin with: a web camera's, 70 degrees wide."""
+        """Lens of a web camera, 70 degrees wide."""
         return cls(width=width, height=height, f=0.72 * width, cx=0.5 * (width - 1), cy=0.5 * (height - 1))
 
     @property
@@ -55,17 +55,17 @@ class Lens:
         return np.array([getattr(self, name) for name in TERMS])
 
     def with_numbers(self, numbers: Array) -> Lens:
-        """Return a lens of the same picture with other `TERMS` (7,)."""
+        """Return same image, other `TERMS` (7,)."""
         return Lens(width=self.width, height=self.height, **dict(zip(TERMS, map(float, numbers), strict=True)))
 
     @property
     def matrix(self) -> Array:
-        """(3, 3) of OpenCV: focal lengths and middle."""
+        """(3, 3) as in OpenCV."""
         return np.array([[self.f, 0.0, self.cx], [0.0, self.f, self.cy], [0.0, 0.0, 1.0]])
 
     @property
     def distortion(self) -> Array:
-        """(4,) of OpenCV."""
+        """(4,) as in OpenCV."""
         return self.numbers[3:]
 
     def project(self, point: Array) -> Array:
@@ -75,7 +75,7 @@ class Lens:
     def slopes(self, lever: Array, place: Array) -> tuple[Array, Array, Array]:
         """Pixels (K, 2) of points at ``lever`` (K, 3) from ``place`` (3,) [m], camera axes.
 
-        And derivatives by shift [m] and turn [rad] of the points about ``place``, (K, 2, 6), and by `TERMS`, (K, 2, 7).
+        Also derivatives by shift [m] and turn [rad] about ``place``, (K, 2, 6), and by `TERMS`, (K, 2, 7).
         """
         require("a camera", "camera")
         import cv2
@@ -90,7 +90,7 @@ class Lens:
         return pixel[:, 0], np.concatenate([slope[..., 3:6], slope[..., :3]], axis=-1), by_terms
 
     def rays(self, pixel: Array) -> Array:
-        """Points (..., 2) at distance 1 along the optical axis that appear at ``pixel`` (..., 2)."""
+        """Points (..., 2) at distance 1 on the optical axis, of ``pixel`` (..., 2)."""
         require("a camera", "camera")
         import cv2
 
@@ -99,16 +99,16 @@ class Lens:
         return cv2.undistortPoints(flat, self.matrix, self.distortion, criteria=ends).reshape(np.shape(pixel))
 
     def shows(self, pixel: Array, margin: float = 0.0) -> Array:
-        """Whether pixels (..., 2) are at least ``margin`` [px] inside the picture; (...)."""
+        """Which pixels (..., 2) are ``margin`` [px] inside the image."""
         size = np.array([self.width, self.height]) - 1.0
         return np.asarray(((pixel >= margin) & (pixel <= size - margin)).all(axis=-1))
 
 
 CORNER = 0.15
-"""[px] standard deviation of a corner's coordinates in a sharp picture"""
+"""[px] deviation of a coordinate in a sharp image"""
 
 FEWEST = 8
-"""Corners of which a pose is estimated (chosen: four fix it)"""
+"""Corners for a pose (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -116,17 +116,17 @@ class Placed:
     """A board before a camera."""
 
     pose: Array
-    """(4, 4) of the board in the frame of the camera"""
+    """(4, 4) in the camera frame"""
     covariance: Array
-    """(6, 6) of shift [m] and turn [rad], camera axes, for corners as good as `CORNER`"""
+    """(6, 6) of shift [m] and turn [rad], camera axes, for `CORNER`"""
     rms: float
-    """[px] of what is left between corners and projection, per coordinate"""
+    """[px] residual per coordinate"""
 
 
 def place(lens: Lens, corners: Array, pixel: Array, start: Array | None = None) -> Placed:
-    """Find the pose of a board with ``corners`` (K, 3) [m] seen at ``pixel`` (K, 2).
+    """Pose of a board with ``corners`` (K, 3) [m] at ``pixel`` (K, 2), from ``start`` (4, 4) or both tilts.
 
-    From ``start`` (4, 4), or both tilts. InputError for fewer than `FEWEST` corners, or corners on a line.
+    InputError for fewer than `FEWEST` corners, or corners on a line.
     """
     require("a camera", "camera")
     import cv2

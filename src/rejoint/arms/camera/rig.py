@@ -1,4 +1,4 @@
-"""How camera, board and arm stand to each other, and its file ``camera.toml`` (SI units and px, sealed by a digest)."""
+"""Poses of camera, board and arm, and their file ``camera.toml`` (SI units and px, with a digest)."""
 
 from __future__ import annotations
 
@@ -18,21 +18,20 @@ from rejoint.system.errors import ContractError, InputError
 from rejoint.system.tomltable import read_sealed, write_sealed
 
 MOUNTINGS = ("board", "camera")
-"""What the tool carries: the board (fixed camera), or the camera (board on the table)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rig:
-    """A camera, a board and an arm; the tool carries one of the first two."""
+    """A camera, a board and an arm."""
 
     lens: Lens
     board: Board
     carried: str
-    """one of `MOUNTINGS`: what the tool carries"""
+    """one of `MOUNTINGS`"""
     standing: Array
-    """(4, 4) in the arm's base: the camera, or the board where the tool carries the camera"""
+    """(4, 4) of the other one, base frame"""
     mounted: Array
-    """(4, 4) in the TCP frame: what the tool carries"""
+    """(4, 4) of the carried one, TCP frame"""
 
     def __post_init__(self) -> None:
         if self.carried not in MOUNTINGS:
@@ -43,19 +42,18 @@ class Rig:
             object.__setattr__(self, name, value)
 
     def tool(self, board: Array) -> Array:
-        """Poses (..., 4, 4) of the tool in the base where the camera sees ``board`` (..., 4, 4)."""
+        """Tool poses (..., 4, 4) in the base, for ``board`` (..., 4, 4) in the camera."""
         return tool_of(self.carried, self.standing, self.mounted, board)
 
     def sight(self, tool: Array) -> Array:
-        """Poses (..., 4, 4) of the board in the camera frame with the tool at ``tool`` (..., 4, 4)."""
+        """Board poses (..., 4, 4) in the camera, for ``tool`` (..., 4, 4)."""
         between = inverse(self.standing) @ tool @ self.mounted
         return between if self.carried == "board" else inverse(between)
 
     def shows(self, tool: Array, margin: float = 20.0, steepest: float = np.radians(55.0)) -> Array:
-        """Whether the whole board is in the picture at tool poses (..., 4, 4), and not too oblique; (...).
+        """Whether the whole board is visible at ``tool`` (..., 4, 4).
 
-        ``margin`` [px] is left to the rim; ``steepest`` [rad] is the largest angle between line of sight and board
-        normal.
+        ``margin`` [px] to the edge; ``steepest`` [rad] between line of sight and normal.
         """
         pose = self.sight(tool)
         outline = np.einsum("...ij,cj->...ci", pose[..., :3, :3], self.board.outline) + pose[..., None, :3, 3]
@@ -67,20 +65,17 @@ class Rig:
 
 
 def tool_of(carried: str, standing: Array, mounted: Array, board: Array) -> Array:
-    """Poses (..., 4, 4) of the tool in the base, see `Rig.tool`."""
+    """Tool poses (..., 4, 4), see `Rig.tool`."""
     between = board if carried == "board" else inverse(board)
     return np.asarray(standing @ between @ inverse(mounted))
 
 
 FORMAT = 1
-"""Version of the layout; a reader refuses others"""
+"""Version; others are refused"""
 
 
 def write_rig(path: Path, arm: Arm, rig: Rig, sigma: Array, date: str = "") -> None:
-    """Write the ``rig`` of ``arm``; ``sigma`` (19,).
-
-    Standard deviations of the lens's `TERMS`, `Rig.standing` and `Rig.mounted`.
-    """
+    """Write a rig; ``sigma`` (19,): deviations of `TERMS`, `Rig.standing` and `Rig.mounted`."""
     n = len(TERMS)
     spread = dict(zip(("standing", "mounted"), (sigma[n : n + 6], sigma[n + 6 :]), strict=True))
     told = {
@@ -107,7 +102,7 @@ def write_rig(path: Path, arm: Arm, rig: Rig, sigma: Array, date: str = "") -> N
 
 
 def read_rig(path: Path, arm: Arm) -> Rig:
-    """Read the rig of ``arm``; FileError if it is damaged, ContractError if it is of another arm."""
+    """Read a rig; FileError, ContractError for another arm."""
 
     def build(data: dict[str, Any]) -> Rig:
         if data["arm"] != arm.name:

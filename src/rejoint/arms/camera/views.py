@@ -1,4 +1,4 @@
-"""Find the board's corners in pictures, and say why a picture is unusable."""
+"""Finds the board's corners in images."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ from rejoint.system.extras import require
 from rejoint.system.files import MEGABYTE, read_bounded
 
 KINDS = (".png", ".jpg", ".jpeg")
-"""Endings of the files that are read as pictures"""
+"""File endings"""
 
 SOFT = 6.0
-"""[px] width of an edge from which a picture counts as blurred (chosen)"""
+"""[px] edge width of a blurred image (chosen)"""
 
 FEWEST_MARKERS = 4
-"""Markers that show another board when none of its corners is seen (chosen)"""
+"""Markers that show another board (chosen)"""
 
 PICTURE_MOST = 100 * MEGABYTE
-"""Largest picture that is read (chosen)"""
+"""[bytes] (chosen)"""
 
 _SHARPEST = 99.0  # percentile of the gradient that stands for edges (chosen)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Unusable:
-    """A picture, or the view of one, that is left out."""
+    """A rejected image."""
 
     name: str
     why: str
 
 
 class Detector:
-    """Looks for one board in pictures; MissingExtraError without OpenCV."""
+    """Detector of a board; MissingExtraError."""
 
     def __init__(self, board: Board) -> None:
         require("a camera", "camera")
@@ -52,7 +52,7 @@ class Detector:
         self._opencv = cv2.aruco.CharucoDetector(board.opencv(), cv2.aruco.CharucoParameters(), searching)
 
     def find(self, name: str, picture: NDArray[np.uint8]) -> BoardView | Unusable:
-        """Find the board in a grey or BGR ``picture``; `Unusable` where too little of it is seen well."""
+        """Find the board in a grey or BGR ``picture``."""
         import cv2
 
         grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
@@ -116,7 +116,7 @@ class Detector:
 
 
 def edge_width(grey: NDArray[np.uint8], corners: Array) -> float:
-    """Width [px] of the sharpest edges around ``corners`` (K, 2): contrast over the steepest gradient."""
+    """Width [px] of the sharpest edges at ``corners`` (K, 2): contrast over gradient."""
     import cv2
 
     low = np.maximum(np.floor(corners.min(axis=0)).astype(int) - 4, 0)
@@ -130,7 +130,7 @@ def edge_width(grey: NDArray[np.uint8], corners: Array) -> float:
 
 
 def read_picture(path: Path) -> NDArray[np.uint8] | None:
-    """Read the grey levels of a picture; None where OpenCV cannot."""
+    """Grey levels of an image, or None."""
     import cv2
 
     data = np.frombuffer(read_bounded(path, PICTURE_MOST, "take a smaller picture"), np.uint8)

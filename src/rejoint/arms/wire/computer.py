@@ -12,50 +12,49 @@ from rejoint.arms import Arm, Array
 FULL_SPEED = float(np.radians(120.0))
 """[rad/s] of the fastest joint at 100 % (chosen: 80 % of the vendor's)"""
 ACCELERATION = float(np.radians(200.0))
-"""[rad/s^2] of interpolated moves (vendor's communication protocol page)"""
+"""[rad/s^2] (vendor's communication protocol page)"""
 
 NO_SOLUTION = 32
 NO_LINE = 33
 COLLISION = 16
-"""Error codes of the vendor's ``get_error_information``; 1..6 name the joint over its limit; 16 stands for every
-contact"""
+"""Error codes of the vendor's ``get_error_information``; 1..6: joint over its limit; 16: any contact"""
 
 HAS_ARRIVED_ANGLE = float(np.radians(1.0))
 HAS_ARRIVED_LENGTH = 0.003
-"""[rad], [m] what counts as in position (chosen)."""
+"""[rad], [m] (chosen)"""
 
 Mask = NDArray[np.bool_]
 
 
 class Computer(Protocol):
-    """An arm of n joints that moves as it is ordered."""
+    """An arm of n joints under orders."""
 
     arm: Arm
     lower: Array
-    """(n,) [rad] limits in force, within those of the arm"""
+    """(n,) [rad] within those of the arm"""
     upper: Array
     """(n,) [rad]"""
     fresh: bool
-    """whether a new move replaces the present one, or is queued"""
+    """a new move replaces the present one, else is queued"""
     powered: bool
     enabled: Mask
-    """(n,) which servos hold"""
+    """(n,)"""
     error: int
-    """as ``get_error_information`` tells it"""
+    """as in ``get_error_information``"""
     registers: dict[tuple[int, int], int]
     """(servo, address) -> value"""
 
     @property
     def angles(self) -> Array:
-        """(n,) [rad] measured joint angles."""
+        """(n,) [rad] measured."""
 
     @property
     def planned_angles(self) -> Array:
-        """(n,) [rad] where the reference is."""
+        """(n,) [rad]."""
 
     @property
     def destination(self) -> Array:
-        """(n,) [rad] where the last of the planned moves ends."""
+        """(n,) [rad] last planned end."""
 
     @property
     def pose(self) -> Array:
@@ -79,7 +78,7 @@ class Computer(Protocol):
 
     @property
     def alarms(self) -> NDArray[np.uint8]:
-        """(n,) status bits of the servos."""
+        """(n,) servo status bits."""
 
     @property
     def moving(self) -> bool:
@@ -96,37 +95,37 @@ class Computer(Protocol):
         """Whether the TCP is at ``pose`` (4, 4)."""
 
     def move_joints(self, angles: Array, rate: float) -> bool:
-        """Go to ``angles`` (n,) [rad] at ``rate`` (0..1); False: refused."""
+        """Move to ``angles`` (n,) [rad] at ``rate`` (0..1); False: refused."""
 
     def move_tool(self, pose: Array, rate: float, *, straight: bool) -> bool:
-        """Bring the tool to ``pose`` (4, 4); False: refused."""
+        """Move the tool to ``pose`` (4, 4); False: refused."""
 
     def jog_joint(self, joint: int, direction: int, rate: float) -> bool:
-        """Run one joint until its limit or a stop; False: refused."""
+        """Run one joint to its limit or a stop; False: refused."""
 
     def jog_tool(self, pose: Array, rate: float) -> bool:
-        """Run the tool straight towards ``pose`` (4, 4); False: refused."""
+        """Run the tool straight to ``pose`` (4, 4); False: refused."""
 
     def stop(self, joint: int | None = None) -> None:
         """Hold: one joint, or the arm."""
 
     def pause(self) -> None:
-        """Hold, to go on later."""
+        """Hold until `resume`."""
 
     def resume(self) -> None:
-        """Go on."""
+        """Continue."""
 
     def clear_queue(self) -> None:
-        """Forget the waiting moves."""
+        """Drop waiting moves."""
 
     def power(self, on: bool) -> None:
-        """Power all servos, or none."""
+        """Power all servos."""
 
     def enable(self, wanted: Mask) -> None:
-        """Let the servos in ``wanted`` (n,) hold; release the others."""
+        """Hold with the servos in ``wanted`` (n,); release the others."""
 
     def calibrate(self, joint: int) -> None:
-        """Take the present position of a joint as its zero."""
+        """Set a joint's zero here."""
 
 
 def at_angles(here: Array, angles: Array) -> bool:

@@ -1,7 +1,7 @@
-"""From requests to a moving reference: for the emulated arm and the served one.
+"""From requests to a moving reference.
 
-A *ramp* moves every joint at the set speed, as the servos do; a *path* is interpolated with limited acceleration, all
-joints arriving together. New moves replace or queue.
+A *ramp* moves every joint at the set speed; a *path* has limited acceleration and joint arrival. New moves replace or
+queue.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from rejoint.arms.wire.computer import ACCELERATION, FULL_SPEED, NO_LINE, NO_SOL
 
 
 class Mover:
-    """Plans the moves of an arm; its reference begins at ``start`` (n,) [rad]."""
+    """Plans the moves of an arm, from ``start`` (n,) [rad]."""
 
     def __init__(self, arm: Arm, start: Array) -> None:
         self.arm = arm
@@ -28,12 +28,12 @@ class Mover:
 
     @property
     def planned_angles(self) -> Array:
-        """(n,) [rad] where the reference is."""
+        """(n,) [rad]."""
         return self._motion.reference.copy()
 
     @property
     def destination(self) -> Array:
-        """(n,) [rad] where the last of the planned moves ends."""
+        """(n,) [rad]."""
         return self._motion.end
 
     @property
@@ -42,10 +42,7 @@ class Mover:
         return self._motion.paused
 
     def move_joints(self, angles: Array, rate: float) -> bool:
-        """Go to ``angles`` (n,) [rad]: a ramp in fresh mode, else a queued path.
-
-        False, and an error code, beyond a limit.
-        """
+        """Move to ``angles`` (n,) [rad]: a ramp in fresh mode, else a queued path; False beyond a limit."""
         beyond = ~((angles >= self.lower - 1e-9) & (angles <= self.upper + 1e-9))
         if beyond.any():
             self.error = int(np.argmax(beyond)) + 1
@@ -59,7 +56,7 @@ class Mover:
         return True
 
     def move_tool(self, pose: Array, rate: float, *, straight: bool) -> bool:
-        """Bring the tool to ``pose`` (4, 4); False, and an error code, where no posture does."""
+        """Move the tool to ``pose`` (4, 4); False, with an error code, without a posture."""
         start = self.planned_angles if self.fresh else self.destination
         if not straight:
             goal = self._posture(pose, start)
@@ -76,14 +73,14 @@ class Mover:
         return self._ready() and self._take(path, rate, replace=self.fresh)
 
     def jog_joint(self, joint: int, direction: int, rate: float) -> bool:
-        """Run one joint until its limit or a stop."""
+        """Run one joint to its limit or a stop."""
         goal = self.planned_angles
         goal[joint] = self.upper[joint] if direction > 0 else self.lower[joint]
         path = joint_path(self.planned_angles, np.clip(goal, self.lower, self.upper), FULL_SPEED)
         return self._ready() and self._take(path, rate, replace=True)
 
     def jog_tool(self, pose: Array, rate: float) -> bool:
-        """Run the tool straight towards ``pose`` (4, 4) as far as the arm reaches."""
+        """Run the tool straight to ``pose`` (4, 4)."""
         path, _ = line_path(self.arm, self.planned_angles, pose, FULL_SPEED)
         inside = np.all((path.points >= self.lower) & (path.points <= self.upper), axis=1)
         reach = len(inside) if inside.all() else int(np.argmin(inside))
@@ -95,22 +92,22 @@ class Mover:
         )
 
     def clear_queue(self) -> None:
-        """Forget the waiting moves."""
+        """Drop waiting moves."""
         self._motion.clear_queue()
 
     def _posture(self, pose: Array, start: Array) -> Array | None:
-        """Return a posture (n,) [rad] for a pose (4, 4); None if there is none."""
+        """Posture (n,) [rad] of a pose (4, 4), or None."""
         return solve_pose(self.arm, pose, start)
 
     def _is_clear(self, angles: Array) -> bool:  # noqa: ARG002 - the vendor's computer does not look
-        """Whether nothing is touched at ``angles`` (n,) [rad]; else an error code."""
+        """Whether ``angles`` (n,) [rad] are clear; else sets an error code."""
         return True
 
     def _ready(self) -> bool:
         return True
 
     def _ramped(self, speed: float, goal: Array) -> None:
-        """Take note that the reference ramps to ``goal`` (n,) [rad] at ``speed`` [rad/s]."""
+        """Note a ramp to ``goal`` (n,) [rad] at ``speed`` [rad/s]."""
 
     def _within_limits(self, path: TimedPath) -> bool:
         return bool(np.all((path.points >= self.lower) & (path.points <= self.upper)))
@@ -124,29 +121,29 @@ class Mover:
 
 
 CARTESIAN_SPEED = 0.1
-"""[m/s] highest tool speed on a line (vendor's protocol page)"""
+"""[m/s] on a line (vendor's protocol page)"""
 TURN_SPEED = np.radians(40.0)
-"""[rad/s] highest turning speed on a straight line (same page)"""
+"""[rad/s] on a line (same page)"""
 
 _TOLERANCE = 2e-4
-"""[m, rad] accepted error of inverse kinematics (chosen)"""
+"""[m, rad] (chosen)"""
 _STEP = 0.005
-"""[m] between waypoints of a line (chosen)"""
+"""[m] between waypoints (chosen)"""
 _TURN_STEP = np.radians(2.0)
 _MAX_JUMP = np.radians(20.0)
-"""Neighbouring waypoints further apart than this are another branch of solutions."""
+"""[rad] of another branch"""
 _STARTS = 24
-"""Random postures from which a pose is searched (chosen)"""
+"""Random start postures (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TimedPath:
-    """Waypoints and when they are passed at full speed."""
+    """Waypoints and their times at full speed."""
 
     points: Array
     """(k, n) [rad]"""
     time: Array
-    """(k,) [s] not decreasing, from 0"""
+    """(k,) [s] from 0"""
 
     def at(self, time: float) -> Array:
         """Posture (n,) at ``time`` [s]."""
@@ -159,12 +156,12 @@ class TimedPath:
 
 
 def joint_path(start: Array, goal: Array, speed: float) -> TimedPath:
-    """Straight way in joint space, the longest joint at ``speed`` [rad/s]."""
+    """Straight line in joint space, the longest joint at ``speed`` [rad/s]."""
     return TimedPath(points=np.stack([start, goal]), time=np.array([0.0, np.abs(goal - start).max() / speed]))
 
 
 def solve_pose(arm: Arm, pose: Array, start: Array) -> Array | None:
-    """Find the posture (n,) for a pose (4, 4) nearest to ``start``; None if there is none."""
+    """Posture (n,) of a pose (4, 4) near ``start``, or None."""
     first = _solve(arm, pose, start[None], 100)
     if first is not None:
         return first
@@ -173,7 +170,7 @@ def solve_pose(arm: Arm, pose: Array, start: Array) -> Array | None:
 
 
 def line_path(arm: Arm, start: Array, pose: Array, speed: float) -> tuple[TimedPath, bool]:
-    """Straight tool line from posture ``start`` to ``pose`` as far as it goes, and whether it arrives."""
+    """Straight tool line from ``start`` to ``pose`` as far as possible, and whether it arrives."""
     here = tcp_pose(arm, start)
     turn = rotation_vector(pose[:3, :3] @ here[:3, :3].T)
     length, angle = float(np.linalg.norm(pose[:3, 3] - here[:3, 3])), float(np.linalg.norm(turn))
@@ -202,22 +199,22 @@ def _solve(arm: Arm, pose: Array, starts: Array, iterations: int, near: Array | 
 
 
 MAX_QUEUE = 32
-"""Moves kept waiting; further ones are refused (chosen)."""
+"""(chosen)"""
 
 
 class Motion:
-    """The reference of n joints; knows durations, no clock."""
+    """The reference of n joints, without a clock."""
 
     def __init__(self, start: Array, *, full_speed: float, acceleration: float) -> None:
         self.reference = start.copy()
         """(n,) [rad]"""
         self.goal = start.copy()
-        """(n,) [rad] where the present move ends"""
+        """(n,) [rad] end of the present move"""
         self.paused = False
         self._full_speed = full_speed
         self._acceleration = acceleration / full_speed
         self.ramp_speed = full_speed
-        """[rad/s] of every joint in the present ramp"""
+        """[rad/s] in the present ramp"""
         self._path: TimedPath | None = None
         self._queue: deque[tuple[TimedPath, float]] = deque()
         self._done = 0.0
@@ -226,37 +223,37 @@ class Motion:
 
     @property
     def moving(self) -> bool:
-        """Whether the reference has not arrived or moves are waiting."""
+        """Whether a move is under way or waiting."""
         return bool(self._queue) or self._path is not None or bool(np.any(self.reference != self.goal))
 
     @property
     def interpolating(self) -> bool:
-        """Whether the firmware itself must write set-points."""
+        """Whether the firmware writes setpoints."""
         return self._path is not None
 
     @property
     def waiting(self) -> int:
-        """Number of moves in the queue behind the present one."""
+        """Number of waiting moves."""
         return len(self._queue)
 
     @property
     def end(self) -> Array:
-        """(n,) [rad] where the last move of the queue ends."""
+        """(n,) [rad] end of the last move."""
         return (self._queue[-1][0].points[-1] if self._queue else self.goal).copy()
 
     def ramp(self, goal: Array, rate: float) -> None:
-        """Drop all moves; every joint runs to ``goal`` at ``rate`` (0..1)."""
+        """Drop all moves; ramp to ``goal`` at ``rate`` (0..1)."""
         self.hold()
         self.goal = goal.copy()
         self.ramp_speed = rate * self._full_speed
 
     def follow(self, path: TimedPath, rate: float) -> None:
-        """Forget everything else and follow ``path``."""
+        """Drop all moves; follow ``path``."""
         self.hold()
         self._begin(path, rate)
 
     def enqueue(self, path: TimedPath, rate: float) -> bool:
-        """Follow ``path`` after all earlier moves; False: the queue is full."""
+        """Queue ``path``; False: the queue is full."""
         if self._path is None and not self._queue and not self.moving:
             self._begin(path, rate)
         elif len(self._queue) < MAX_QUEUE:
@@ -266,7 +263,7 @@ class Motion:
         return True
 
     def hold(self, joint: int | None = None) -> None:
-        """Stop the reference: one joint of a ramp, or everything."""
+        """Stop one joint of a ramp, or everything."""
         if joint is not None and self._path is None:
             self.goal[joint] = self.reference[joint]
             return
@@ -275,15 +272,15 @@ class Motion:
         self._queue.clear()
 
     def clear_queue(self) -> None:
-        """Forget the waiting moves; finish the present one."""
+        """Drop waiting moves."""
         self._queue.clear()
 
     def place(self, joint: int, angle: float) -> None:
-        """Set the reference of a joint that was moved by hand."""
+        """Set the reference of a joint moved by hand."""
         self.reference[joint] = self.goal[joint] = angle
 
     def advance(self, duration: float) -> None:
-        """Let a short ``duration`` [s] pass."""
+        """Advance by a short ``duration`` [s]."""
         if self.paused:
             self._rate = 0.0
             return

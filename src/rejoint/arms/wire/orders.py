@@ -1,6 +1,6 @@
 """From a request frame to its answer; unknown or malformed requests get none.
 
-Orders, questions and layouts: pymycobot 4.0.7 and the vendor's protocol page. Orders are acknowledged by one byte.
+Sources: pymycobot 4.0.7 and the vendor's protocol page. One byte acknowledges an order.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from rejoint.arms.wire.mover import solve_pose
 from rejoint.arms.wire.values import Frame
 
 _JOG_LENGTH = 0.6
-"""[m] longer than any line inside the arm's reach"""
+"""[m] beyond any reach"""
 _JOG_TURN = np.radians(175.0)
 _GRIPPER = 7
-"""Servo id of a gripper (registers only)"""
+"""Servo id of a gripper"""
 
 
 def _all_joints(computer: Computer, on: bool) -> None:
@@ -42,7 +42,7 @@ SWITCHES: dict[int, Callable[[Computer], None]] = {
     0x28: lambda computer: computer.resume(),
     0x29: lambda computer: computer.stop(),
 }
-"""Orders without a payload; they never fail."""
+"""Orders without a payload"""
 
 
 def _rate(speed_percent: int) -> float:
@@ -62,7 +62,7 @@ def _set_free_mode(computer: Computer, payload: bytes) -> bool:
 def _move_one(
     computer: Computer, identity: int, speed_percent: int, *, to: float = 0.0, by: float | None = None
 ) -> bool:
-    """Move one joint ``to`` an angle or ``by`` an angle [rad]; the others keep their destination."""
+    """Move one joint ``to`` or ``by`` an angle [rad]."""
     joint = joint_index(computer, identity)
     if joint is None:
         return False
@@ -180,7 +180,7 @@ def _switch_servo(computer: Computer, identity: int, *, on: bool) -> bool:
 
 
 _FRAMES = {0x81: 12, 0x83: 12, 0x85: 1, 0x87: 1, 0x89: 1}
-"""Orders that change coordinate frames, and their lengths [bytes]; only zeros (the arm's own frames) are accepted"""
+"""Orders for coordinate frames, and lengths [bytes]; only zeros are accepted"""
 
 
 def _own_frame(_: Computer, payload: bytes) -> bool:
@@ -213,23 +213,23 @@ ORDERS: dict[int, tuple[tuple[int, ...], Callable[[Computer, bytes], bool]]] = {
     **{identity: ((length,), _own_frame) for identity, length in _FRAMES.items()},
     0x6A: ((3,), lambda _computer, _payload: True),  # colour of a lamp that is not there
 }
-"""Orders: accepted lengths [bytes] and what is done; False: refused"""
+"""Lengths [bytes] and actions; False: refused"""
 
 
 MODIFY_VERSION = 1
 SYSTEM_VERSION = 73
 """Computer 7.3, the first with the present joint limits"""
 DEFAULT_REGISTERS = {21: 10, 22: 0, 23: 1, 24: 0}
-"""Servo registers P, I, D and minimum start force (vendor's manual)."""
+"""P, I, D and minimum start force (vendor's manual)"""
 
 
 def flag(value: bool) -> bytes:
-    """One byte; as acknowledgement 1 done, 0 refused."""
+    """One byte."""
     return b"\x01" if value else b"\x00"
 
 
 def joint_index(computer: Computer, identity: int) -> int | None:
-    """Index of the joint called 1..n on the wire; None for other servos."""
+    """Index of joint 1..n on the wire; None: another servo."""
     return identity - 1 if 1 <= identity <= computer.arm.joints else None
 
 
@@ -267,7 +267,7 @@ STATES: dict[int, Callable[[Computer], bytes]] = {
     0xF6: lambda computer: values.pack_angles(computer.planned_angles),
     0xF7: lambda computer: values.pack_coords(tcp_pose(computer.arm, computer.planned_angles)),
 }
-"""Questions without a payload."""
+"""Questions without a payload"""
 
 
 def _coords_of(computer: Computer, payload: bytes) -> bytes:
@@ -319,19 +319,19 @@ QUESTIONS: dict[int, tuple[tuple[int, ...], Callable[[Computer, bytes], bytes | 
     0x53: ((2, 3), _register),
     0x8D: ((24,), _inverse_kinematics),
 }
-"""Questions: accepted lengths [bytes] and the answer; None: silence"""
+"""Lengths [bytes] and answers; None: silence"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Reply:
-    """An answer; reports of states are slower than acknowledgements."""
+    """An answer; reports of states are slower."""
 
     frame: Frame
     is_state: bool
 
 
 def answer(computer: Computer, request: Frame) -> Reply | None:
-    """Carry out ``request``; None if the robot stays silent."""
+    """Execute ``request``; None: silence."""
     command, payload = request.command, request.payload
     answered: bytes | None = None
     is_state = command in STATES or command in QUESTIONS

@@ -21,11 +21,10 @@ LENGTH_SCALE = 10.0
 LIMIT_SCALE = 10.0
 
 ENCODER_ZERO = 2048
-"""Encoder count at joint angle zero (vendor's calibration examples)."""
+"""at joint angle zero (vendor's calibration examples)"""
 
 _POSE_SCALE = np.array([LENGTH_SCALE * 1e3] * 3 + [np.degrees(1.0) * ANGLE_SCALE] * 3)
 _SAME = 6
-"""Decimals kept before truncation"""
 
 
 def pack_int16(values: Iterable[float]) -> bytes:
@@ -60,7 +59,7 @@ def unpack_angles(payload: bytes) -> Array:
 
 
 def pack_coords(pose: Array) -> bytes:
-    """TCP pose (4, 4) as three positions and three orientations."""
+    """TCP pose (4, 4) as position and orientation."""
     return pack_int16(to_coords(pose) * _POSE_SCALE)
 
 
@@ -75,27 +74,27 @@ def scale_axis(axis: int, value: float) -> float:
 
 
 def pack_encoders(angles: Array, step: float) -> bytes:
-    """Joint angles (n,) [rad] as encoder counts, ``step`` [rad] a count."""
+    """Joint angles (n,) [rad] as encoder counts of ``step`` [rad]."""
     return pack_int16(ENCODER_ZERO + np.round(angles / step))
 
 
 def encoder_angle(count: float | Array, step: float) -> Array:
-    """Joint angle [rad] at an encoder count."""
+    """Joint angle [rad] of an encoder count."""
     return (np.asarray(count, dtype=float) - ENCODER_ZERO) * step
 
 
 HEADER = b"\xfe\xfe"
 FOOTER = 0xFA
 MAX_PAYLOAD = 28
-"""[bytes] longest payload that the client's reader accepts"""
+"""[bytes] that the client's reader accepts"""
 
 _OVERHEAD = 2
-"""LEN counts the command id and the footer besides the payload."""
+"""[bytes] command id and footer in LEN"""
 
 
 @dataclass(frozen=True)
 class Frame:
-    """One command or one reply; both carry the same id."""
+    """One command or reply."""
 
     command: int
     payload: bytes = b""
@@ -114,7 +113,7 @@ def encode(frame: Frame) -> bytes:
 
 
 def split(buffer: bytes) -> tuple[list[Frame], bytes]:
-    """Find every whole frame in ``buffer``; return them and the rest, shorter than a frame. Garbage is skipped."""
+    """All whole frames in ``buffer``, and the rest."""
     frames: list[Frame] = []
     start = 0
     while True:
@@ -137,23 +136,23 @@ def split(buffer: bytes) -> tuple[list[Frame], bytes]:
 
 
 class Decoder:
-    """Finds frames in a stream that arrives in pieces."""
+    """Finds frames in a stream."""
 
     def __init__(self) -> None:
         self._rest = b""
 
     @property
     def pending(self) -> bool:
-        """Whether bytes are kept that may begin a frame."""
+        """Whether bytes may begin a frame."""
         return bool(self._rest)
 
     def feed(self, data: bytes) -> list[Frame]:
-        """Take the next bytes; return the frames that they complete."""
+        """Take bytes; return completed frames."""
         frames, self._rest = split(self._rest + data)
         return frames
 
     def expire(self) -> list[Frame]:
-        """Give up the rest of a half frame; return the frames behind its header."""
+        """Drop a half frame; return the frames behind its header."""
         frames: list[Frame] = []
         while self._rest:
             found, self._rest = split(self._rest[1:])

@@ -1,1 +1,1 @@
-"""Every controller on the same arm: protocols, metrics, intervals, recommendation."""
+"""Comparison of controllers on one arm."""

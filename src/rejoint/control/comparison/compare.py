@@ -1,8 +1,7 @@
-"""Try every controller on the same arm, with the same targets, from the same start.
+"""Try every controller on the same arm, with the same targets and start.
 
-Emulated arms run all trials of a controller as one batch with the same noise for every controller. A real arm runs them
-in turns and random order, so that drift favours no controller; with elimination in blocks of targets, held once (a hold
-also tells the first crossing).
+Emulated arms run all trials of a controller as one batch with equal noise. A real arm runs them in random order: drift
+favours no controller.
 """
 
 from __future__ import annotations
@@ -33,11 +32,11 @@ from rejoint.system.errors import ContractError, InputError
 from rejoint.system.progress import Progress, no_progress
 
 PROGRESS_CYCLES = 40
-"""Cycles between two reports of progress (chosen)"""
+"""between progress reports (chosen)"""
 
 
 class Targets:
-    """Counts the targets that are finished, and reports their share."""
+    """Progress over targets."""
 
     def __init__(self, report: Progress, total: int) -> None:
         self._report, self._total = report, total
@@ -45,22 +44,22 @@ class Targets:
         self._text = ""
 
     def watch(self, text: str, size: int) -> Callable[[Cycle], None]:
-        """Begin ``size`` targets under the label ``text``; the result sees every cycle."""
+        """Begin ``size`` targets labelled ``text``; the result receives every cycle."""
         self._text, self._size, self._cycles = text, size, 0
         return self._see
 
     def finish(self) -> None:
-        """Count what was begun as done."""
+        """Count them as done."""
         self._done += self._size
         self._report(self._done / self._total, self._text)
 
     def skip(self, size: int) -> None:
-        """Count ``size`` targets that are not driven as done."""
+        """Count ``size`` targets as done."""
         self._size = size
         self.finish()
 
     def skip_rest(self) -> None:
-        """Count all that is left as done."""
+        """Count all others as done."""
         if self._done < self._total:
             self.skip(self._total - self._done)
 
@@ -71,14 +70,14 @@ class Targets:
 
 
 OpenRobot = Callable[[int, int], Robot]
-"""Opens a robot of ``count`` arms with a noise ``seed``."""
+"""(arms, noise seed) to a robot"""
 ControllerFactory = Callable[[Arm], Controller]
 MakeCorrection = Callable[[Arm], Modelled]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trial:
-    """One set of targets, once, with one controller."""
+    """One target set with one controller."""
 
     controller: str
     kind: Kind
@@ -86,9 +85,7 @@ class Trial:
     repetition: int
     recording: Recording
     arm_index: int
-    """which arm of the recording"""
     first: int = 0
-    """index of its first target in the set"""
 
     @property
     def label(self) -> str:
@@ -96,32 +93,31 @@ class Trial:
         return f"{self.kind}/{self.controller}/{self.target_set}/{self.repetition}"
 
     def log(self) -> RunLog:
-        """Run log of this trial."""
+        """Run log."""
         return self.recording.log(self.arm_index, self.label)
 
 
 OnTrial = Callable[[Trial], object]
-"""Called after every trial, so that its log can be kept."""
 
 MOST = 10_000
-"""Most target sets times repetitions (chosen)"""
+"""Target sets times repetitions (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """How a comparison is done."""
+    """Settings of a comparison."""
 
     repetitions: int = 1
     seed: int = 0
     batched: bool
-    """True: side by side on emulated arms; False: in turns on one arm"""
+    """side by side on emulated arms"""
     protocol: Protocol = field(default_factory=Protocol)
     leave_out: bool = False
-    """whether a policy that does not suit the measured period is left out instead of refused"""
+    """leave out a policy of another period"""
     elimination: Elimination | None = None
-    """how controllers are eliminated on one arm; None: not at all"""
+    """None: no elimination"""
     wait: bool = False
-    """whether a stationary arm keeps an uncrossed target to the end, as in the paper"""
+    """wait for uncrossed targets although the arm is stationary, as in the paper"""
 
     def __post_init__(self) -> None:
         if self.repetitions < 1:
@@ -131,17 +127,17 @@ class Settings:
 
 
 LONG_GAP = 2.0
-"""[s] pause in the answers after which a trial is repeated (chosen)"""
+"""[s] that repeats a trial (chosen)"""
 REPEATS = 2
-"""Most repetitions of such a trial; the last one counts"""
+"""of such a trial (chosen)"""
 
 
 @dataclass(eq=False)
 class TrialRunner:
-    """Compares ``controllers`` by name on ``targets``; `compare` drives them.
+    """Compares ``controllers`` by name on ``targets``.
 
-    A trip of the guard fails a trial of a batch, and ends the comparison on one arm, as does an error of the robot. A
-    command that is no number costs its controller the trial. Trials in the ledger are not driven again.
+    A guard trip fails a trial of a batch; on one arm it ends the comparison, as does a robot's error. A command that is
+    not a number fails the trial.
     """
 
     open_robot: OpenRobot
@@ -151,22 +147,20 @@ class TrialRunner:
     settings: Settings
     _: KW_ONLY
     turns: Orientation | None = None
-    """(S, K) wanted orientations; None: any"""
+    """(S, K); None: any"""
     limits: GuardLimits | None = None
     stance: Stance | None = None
-    """expected rest posture of a single arm"""
     correction: MakeCorrection | None = None
-    """makes the aims, for all controllers alike"""
+    """makes corrected targets"""
     model: ToolModel | None = None
-    """tells tool errors that are not known"""
+    """estimates unknown tool errors"""
     ledger: Ledger | None = None
     on_progress: Progress = no_progress
     on_trial: OnTrial | None = None
     measured: Sequence[Driven] = ()
-    """trials that elimination takes over, from ``source``"""
     source: str = ""
     helper: Helper | None = None
-    """drives a part of a batch in another process; ``on_trial`` receives the recordings that it returns"""
+    """drives a part of a batch"""
 
     def __post_init__(self) -> None:
         targets, settings = np.asarray(self.targets, dtype=float), self.settings
@@ -190,7 +184,7 @@ class TrialRunner:
         self._rng = np.random.default_rng(settings.seed)
 
     def compare(self) -> Comparison:
-        """Drive all trials and sum them up; NotReadyError where a single arm is not at rest as its stance says."""
+        """Drive all trials; NotReadyError where the arm is not in its stance."""
         settings, turns = self.settings, self.turns
         robot = self._side_by_side() if settings.batched else self._in_turns()
         tallies = {name: self.tallies[name] for name in self._taking_part}
@@ -217,11 +211,11 @@ class TrialRunner:
         return robot
 
     def open_batch(self, places: Places) -> Robot:
-        """Open a robot with an arm for each trial."""
+        """Open a robot with an arm per trial."""
         return self.open_robot(len(places), self.settings.seed)
 
     def drive_batch(self, robot: Robot, name: str, kind: Kind, places: Places) -> tuple[Driven, Recording]:
-        """Run a protocol for all trials of a controller side by side, and close ``robot``."""
+        """Drive a controller's trials side by side, and close ``robot``."""
         try:
             return self._drive(robot, self.controllers[name](robot.arm), name, kind, places)
         finally:
@@ -251,7 +245,6 @@ class TrialRunner:
         return robot
 
     def _eliminate(self, robot: Robot, rules: Elimination) -> None:
-        """Drive block by block until one is left or all is done."""
         sets, repetitions, count = self.shape
         firsts = range(0, count, rules.block)
         tests = max(len(firsts) * sets * repetitions * (len(self._left()) - 1), 1)
@@ -283,7 +276,6 @@ class TrialRunner:
         return {key: np.swapaxes(columns[key], 0, 1).ravel() for key in ("crossed", "settled")}
 
     def _try(self, robot: Robot, name: str, kind: Kind, place: Place, part: slice) -> None:
-        """Drive a ``part`` of the targets of a trial, unless it is done or its controller eliminated."""
         size, column = part.stop - part.start, self.tallies[name].columns["held" if kind == "hold" else "crossed"]
         if name not in self._left() or np.isfinite(column[place][part]).all():  # the diagnosis measured it
             self._progress.skip(size)
@@ -353,7 +345,6 @@ class TrialRunner:
     def _drive(
         self, robot: Robot, controller: Controller, name: str, kind: Kind, places: Places, part: slice = slice(None)
     ) -> tuple[Driven, Recording]:
-        """Run a protocol for the trials (set, repetition) in ``places``, with a ``part`` of each set."""
         settings, sets, first = self.settings, [s for s, _ in places], part.start or 0
         targets = self.targets[sets][:, part]
         turns = None if self.turns is None else self.turns[sets][:, part]

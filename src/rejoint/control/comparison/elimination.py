@@ -1,8 +1,7 @@
-"""Elimination of controllers on one arm: those that fail, or are significantly worse than the best.
+"""Elimination of controllers that fail, or are significantly worse than the best.
 
-After each block of targets a controller leaves that missed three in a row, or that settles farther off by a paired
-t-test on the logarithms of the settled errors (Maron and Moore, Hoeffding races, NIPS 1993), at a level divided by the
-number of all tests (Bonferroni). Logarithms: errors scatter in proportion to their size.
+After each block: three misses in a row, or a paired t-test on logarithms of settled errors (Maron and Moore, Hoeffding
+races, NIPS 1993; Bonferroni's level).
 """
 
 from __future__ import annotations
@@ -22,19 +21,19 @@ from rejoint.control.robot import Mask
 from rejoint.system.errors import InputError
 
 MISSES = 3
-"""Misses in a row that end a controller (chosen)"""
+"""Misses in a row (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Elimination:
-    """How controllers are eliminated."""
+    """Rules of elimination."""
 
     block: int = 5
-    """targets between two tests (chosen: the fewest at)"""
+    """targets per test (chosen)"""
     level: float = 0.1
     """of all tests together (chosen)"""
     nearest: float = 5e-5
-    """[m] smaller settled errors count as it (chosen)"""
+    """[m] least error (chosen)"""
 
     def __post_init__(self) -> None:
         if self.block < 2 or not 0.0 < self.level < 1.0:
@@ -42,14 +41,14 @@ class Elimination:
 
 
 def missed_in_a_row(crossed: Array) -> bool:
-    """Whether `MISSES` targets in a row were missed; ``crossed`` (N,) in order, NaN: not driven."""
+    """Whether `MISSES` targets in a row of ``crossed`` (N,) were missed; NaN: not driven."""
     known = crossed[np.isfinite(crossed)]
     misses = np.convolve(known == 0.0, np.ones(MISSES), "valid") if len(known) >= MISSES else np.zeros(0)
     return bool((misses == MISSES).any())
 
 
 def worse(results: Mapping[str, Columns], rules: Elimination, tests: int) -> dict[str, str]:
-    """Return who is significantly worse than the best, and why, from (N,) columns; ``tests`` divides the level."""
+    """Significantly worse controllers with reasons; columns (N,)."""
     from scipy import stats  # here, since it takes a second to load
 
     logs = {name: np.log(np.maximum(columns["settled"], rules.nearest)) for name, columns in results.items()}
@@ -71,12 +70,11 @@ def worse(results: Mapping[str, Columns], rules: Elimination, tests: int) -> dic
 
 
 class Watched:
-    """Passes a controller's commands on until one is no number, which ends the trial."""
+    """Ends a trial at a command that is not a number."""
 
     def __init__(self, controller: Controller) -> None:
         self._controller, self.name = controller, controller.name
         self.failed = False
-        """whether it returned no number for finite inputs"""
         self.servo_gains = getattr(controller, "servo_gains", None)
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
@@ -84,7 +82,7 @@ class Watched:
         self._controller.reset(inputs, where)
 
     def command(self, inputs: ControlInput) -> Array:
-        """Command (1, n) [rad]; the last one again after a failure."""
+        """Commands (1, n) [rad]."""
         wanted = self._controller.command(inputs)
         known = np.isfinite(inputs.state.position).all() and np.isfinite(inputs.sent).all()
         if known and not np.isfinite(wanted).all():
@@ -93,11 +91,11 @@ class Watched:
         return wanted
 
     def give_up(self, _inputs: ControlInput) -> Mask:
-        """Whether the trial ends here, (1,); see `Schedule.give_up`."""
+        """Whether the trial ends, (1,)."""
         return np.array([self.failed])
 
     def mark(self, recording: Recording) -> Recording:
-        """Return the recording with the failure flagged as the guard would."""
+        """Flag the failure."""
         if not self.failed:
             return recording
         flag = np.uint16(Reason.NOT_FINITE.value)

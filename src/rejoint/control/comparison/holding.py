@@ -1,4 +1,4 @@
-"""Drives beside the comparison: the arm as found, and poses approached from three directions."""
+"""Drives beside the comparison: the uncorrected arm, and ISO 9283's directions."""
 
 from __future__ import annotations
 
@@ -30,26 +30,24 @@ from rejoint.control.targets import beyond_reach
 from rejoint.system.statistics import Spread, spread
 
 AWAY = 0.03
-"""[m] from which a pose is approached, for a myCobot 280 (chosen)"""
+"""[m] start of an approach, for a myCobot 280 (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Holding:
-    """How an arm is driven to places that are held in turn."""
+    """How to drive held places."""
 
     open_robot: Callable[[int, int], Robot]
-    """opens a robot of so many arms with a noise seed"""
+    """(arms, noise seed) to a robot"""
     batched: bool
-    """whether cycles run side by side on emulated arms"""
     seed: int
     limits: GuardLimits | None = None
     stance: Stance | None = None
     correction: Callable[[Arm], Modelled] | None = None
     model: ToolModel | None = None
-    """tells tool errors that are not known"""
 
     def hold(self, controller: Callable[[Arm], Controller], targets: Array, protocol: Protocol) -> Columns:
-        """Drive to ``targets`` (R, K, 3) [m] in R cycles; raises as `run`."""
+        """Drive to ``targets`` (R, K, 3) [m], R cycles; raises as `run`."""
         parts = [targets] if self.batched else np.split(targets, len(targets))
         found = []
         robot = self.open_robot(len(parts[0]), self.seed)
@@ -77,7 +75,7 @@ def found_errors(
 
 
 def errors_of(held: Columns) -> TargetErrors:
-    """Mean errors at K targets, from columns (R, K)."""
+    """Mean errors of columns (R, K)."""
     unknown = np.full_like(held["settled"], np.nan)
     modelled = np.array([held.get(name, unknown) for name in MODELLED])
     return TargetErrors(
@@ -101,7 +99,7 @@ def _true(true: Array, modelled: Array) -> TrueError:
 def vary_directions(
     how: Holding, name: str, controller: Callable[[Arm], Controller], arm: Arm, cycles: int, protocol: Protocol
 ) -> DirectionVariation | None:
-    """Approach each reachable pose of ISO 9283 along each base axis, ``cycles`` times; None where it cannot be told."""
+    """Approach each reachable ISO 9283 pose along the base axes, ``cycles`` times."""
     poses = iso_poses(arm, RISING_AHEAD)
     poses = poses[beyond_reach(arm, poses) == 0.0]
     middle = 0.5 * (arm.targets.upper + arm.targets.lower)
@@ -118,7 +116,7 @@ def vary_directions(
 
 
 def _variation(away: Array) -> Spread | None:
-    """VAP over the poses of ``away`` (R, D, P, 3) [m], how far from the pose the tool stood."""
+    """VAP over poses, from errors (R, D, P, 3) [m]."""
     means = np.moveaxis(away.mean(axis=0), 0, 1)  # (P, D, 3)
     known = means[np.isfinite(means).all(axis=(1, 2))]
     return spread(np.array([direction_variation(one) for one in known]), np.arange(len(known)))

@@ -1,7 +1,7 @@
-"""The finished trials of a comparison on file, and trials shared with a helper process.
+"""Finished trials on file, and trials shared with a helper process.
 
-Each line is JSON with its CRC-32; half a line does not count. The first line names the comparison. Two processes take
-trials from the two ends of one list; where the helper is lost, this one drives the rest.
+Each line is JSON with its CRC-32; the first names the comparison. Two processes take trials from the two ends of one
+list.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ from rejoint.system.files import MEGABYTE, read_bounded, set_aside, unwritable
 from rejoint.system.stopping import pause
 
 LEDGER_MOST = 256 * MEGABYTE
-"""Largest ledger that is read (chosen)"""
+"""[bytes] (chosen)"""
 
 
 class Ledger:
-    """Finished trials of a comparison; `begin` finds those of an interrupted one."""
+    """Finished trials."""
 
     def __init__(self, path: Path | None, done: dict[Key, Driven]) -> None:
         self.path, self.done = path, done
 
     @classmethod
     def begin(cls, path: Path, name: str) -> Ledger:
-        """Open or make the ledger at ``path`` of the comparison ``name``; that of another is set aside."""
+        """Open or make the ledger of ``name``; another one's is set aside."""
         try:
             lines = list(_lines(path))
             if lines and lines[0] == name:
@@ -56,11 +56,11 @@ class Ledger:
 
     @classmethod
     def nowhere(cls) -> Ledger:
-        """Keep trials in memory alone."""
+        """Keep trials in memory."""
         return cls(None, {})
 
     def add(self, driven: Driven) -> None:
-        """Keep a trial; FileError if it cannot be written."""
+        """Store a trial; FileError."""
         self.done[driven.key] = driven
         if self.path is None:
             return
@@ -73,7 +73,7 @@ class Ledger:
             raise unwritable(self.path, error) from error
 
     def close(self) -> None:
-        """Remove the file: the comparison is written."""
+        """Remove the file."""
         if self.path is not None:
             self.path.unlink(missing_ok=True)
 
@@ -105,33 +105,30 @@ def _decode(entry: dict[str, Any]) -> Driven:
 
 
 Task = tuple[str, Kind]
-"""Controller and protocol"""
 Result = tuple[Driven, Recording]
-"""What a task brought, and the recording of its first trials"""
 
 _LOOK = 0.02
-"""[s] between two looks at a helper (chosen)"""
 
 
 class HelperLostError(Exception):
-    """A helper ended, or could not do what it was asked."""
+    """A helper ended or failed."""
 
 
 class Helper(Protocol):
-    """Another process that drives trials."""
+    """A process that drives trials."""
 
     def settle(self) -> tuple[Task, ...]:
-        """Tasks that it has begun by itself; it begins no more."""
+        """Its begun tasks; it begins no more."""
 
     def drive(self, task: Task, places: Places) -> Result:
-        """Drive the trials of a task; HelperLostError where that fails."""
+        """Drive the trials of a task; HelperLostError."""
 
     def close(self) -> None:
-        """End it, whatever it does."""
+        """End it."""
 
 
 class Shared:
-    """Tasks, of which a helper takes the last, first those that it has begun."""
+    """Tasks shared with a helper."""
 
     def __init__(self, tasks: Sequence[Task], helper: Helper | None, places: Places) -> None:
         begun = () if helper is None else helper.settle()
@@ -142,7 +139,7 @@ class Shared:
             self._courier.start()
 
     def here(self) -> Iterator[Task]:
-        """Yield the tasks for this process until all are done."""
+        """Yield this process's tasks."""
         while True:
             while self._left:
                 try:
@@ -154,7 +151,7 @@ class Shared:
             pause(_LOOK)
 
     def arrived(self) -> Iterator[Result]:
-        """Yield new results of the helper."""
+        """Yield the helper's new results."""
         while True:
             try:
                 yield self._done.get_nowait()

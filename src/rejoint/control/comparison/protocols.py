@@ -1,8 +1,7 @@
-"""The two protocols, what their recordings tell per target, and the table of a comparison.
+"""The two protocols, their metrics, and the table of a comparison.
 
-``crossing`` (Park et al. 2024, section IV-F): the next target comes at the first crossing of the threshold or after the
-dwell. ``hold``: every target lasts the same time. Errors are the encoders' or the true ones, never mixed. Accuracy of
-poses: ISO 9283:1998, which asks for 30 cycles, and ISO 230-2:2014.
+``crossing`` (Park et al. 2024, section IV-F): a target ends at the first crossing of the threshold or after the dwell.
+``hold``: every target lasts the same time. Accuracy: ISO 9283:1998 (30 cycles) and ISO 230-2:2014.
 """
 
 from __future__ import annotations
@@ -28,19 +27,19 @@ Kind = Literal["crossing", "hold"]
 KINDS: tuple[Kind, ...] = ("crossing", "hold")
 
 STANDS_FOR = 3.0
-"""[s] without motion after which the rest of a dwell counts as waited for (chosen)"""
+"""[s] stationary before a dwell ends (chosen)"""
 
 _CHUNK = 8192  # postures per call of the kinematics: enough to be fast, few enough for little memory
 
 
 Columns = dict[str, Array]
-"""Results (B, K) by the names of `METRICS`; NaN: none"""
+"""Metrics (B, K) by name; NaN: none"""
 
 
 def schedule(
     kind: Kind, protocol: Protocol, *, keep_going: bool, sent: Array | None = None, wait: bool = True
 ) -> Schedule:
-    """Schedule of a protocol after the last commands ``sent`` (B, n) [rad]; ``wait``: also for stationary arms."""
+    """Schedule after the last commands ``sent`` (B, n) [rad]."""
     if kind == "crossing":
         return Schedule(
             dwell=protocol.dwell,
@@ -53,7 +52,7 @@ def schedule(
 
 
 def encoder_tcp(arm: Arm, recording: Recording) -> Array:
-    """TCP (T, B, 3) [m] by the encoders; NaN in rows without news."""
+    """TCP (T, B, 3) [m] by the encoders; NaN without a new reading."""
     tcp = np.full((*recording.active.shape, 3), np.nan)
     t, b = np.nonzero(recording.active)
     for start in range(0, len(t), _CHUNK):
@@ -63,9 +62,9 @@ def encoder_tcp(arm: Arm, recording: Recording) -> Array:
 
 
 def measure_crossings(arm: Arm, recording: Recording, targets: Array, protocol: Protocol) -> Columns:
-    """Results of the crossing protocol with ``targets`` (B, K, 3) [m].
+    """Metrics of crossing; ``targets`` (B, K, 3) [m].
 
-    Targets that a trip cut short are missed; those that were left out tell nothing.
+    Targets cut short by a trip are missed; later ones are NaN.
     """
     error, true_error = _errors(arm, recording)
     shape = targets.shape[:2]
@@ -87,9 +86,9 @@ def measure_crossings(arm: Arm, recording: Recording, targets: Array, protocol: 
 def measure_holds(
     arm: Arm, recording: Recording, targets: Array, protocol: Protocol, model: ToolModel | None = None
 ) -> Columns:
-    """Results of the hold protocol with ``targets`` (B, K, 3) [m]; NaN where a trip cut a hold short.
+    """Metrics of holding; ``targets`` (B, K, 3) [m]; NaN where a trip ended a hold.
 
-    A ``model`` tells the true error where it is not known.
+    ``model`` estimates true errors.
     """
     tcp = encoder_tcp(arm, recording)
     error, true_error = _errors(arm, recording, tcp)
@@ -126,7 +125,7 @@ def _columns(shape: tuple[int, ...], *names: str) -> Columns:
 
 
 def _errors(arm: Arm, recording: Recording, tcp: Array | None = None) -> tuple[Array, Array]:
-    """Compute encoder error, from the aim, and true error, from the target, each (T, B) [m]."""
+    """Return encoder error, from the corrected target, and true error (T, B) [m]."""
     tcp = encoder_tcp(arm, recording) if tcp is None else tcp
     return (
         np.linalg.norm(tcp - recording.aim, axis=-1),
@@ -145,26 +144,24 @@ def _segments(recording: Recording, targets: Array) -> list[tuple[int, int, NDAr
 
 
 class Crossing(NamedTuple):
-    """End of a target, Park et al. 2024, section IV-F."""
+    """End of a target."""
 
     reached: bool
     error: float
-    """[m] at the first crossing, or at the end"""
     time: float
-    """[s] of the first crossing, or of the end"""
+    """[s]"""
     row: int
-    """row of that moment"""
 
 
 def crossing(since: Array, error: Array, threshold: float) -> Crossing:
-    """First time at which ``error`` (T,) [m] is below ``threshold`` [m], else the end."""
+    """First time at which ``error`` (T,) [m] is below ``threshold`` [m], or the end."""
     below = np.flatnonzero(error < threshold)
     row = int(below[0]) if len(below) else len(error) - 1
     return Crossing(bool(len(below)), float(error[row]), float(since[row]), row)
 
 
 def stay_time(since: Array, error: Array, within: float) -> float:
-    """Time [s] from which ``error`` (T,) [m] stays below ``within`` [m]; infinite: never."""
+    """Time [s] from which ``error`` (T,) [m] stays below ``within`` [m]; inf: never."""
     outside = np.flatnonzero(~(error < within))
     if len(outside) == 0:
         return float(since[0])
@@ -173,7 +170,7 @@ def stay_time(since: Array, error: Array, within: float) -> float:
 
 
 def settled(since: Array, signal: Array, window: float) -> float:
-    """Mean of ``signal`` (T,) by time over the last ``window`` [s]."""
+    """Time mean of ``signal`` (T,) over the last ``window`` [s]."""
     rows = since >= since[-1] - window
     t, x = since[rows], signal[rows]
     if len(t) < 2:
@@ -182,47 +179,41 @@ def settled(since: Array, signal: Array, window: float) -> float:
 
 
 def oscillation(since: Array, tcp: Array, window: float) -> float:
-    """Rms distance [m] of ``tcp`` (T, 3) [m] from its mean over the last ``window`` [s]."""
+    """Rms distance [m] of ``tcp`` (T, 3) from its mean over the last ``window`` [s]."""
     last = tcp[since >= since[-1] - window]
     return float(np.sqrt(((last - last.mean(axis=0)) ** 2).sum(axis=-1).mean()))
 
 
 Place = tuple[int, int]
-"""A trial: target set, repetition"""
 Places = tuple[Place, ...]
-"""Trials (target set, repetition)"""
 Key = tuple[str, Kind, Places, int]
-"""Controller, protocol, trials, index of the first target"""
+"""Controller, protocol, trials, first target"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Driven:
-    """One trial on one arm, or those of a batch."""
+    """A trial, or those of a batch."""
 
     controller: str
     kind: Kind
     places: Places
     columns: Columns
-    """results (B, K)"""
+    """(B, K)"""
     cycles: int
-    """control cycles with news"""
     reasons: dict[str, int]
-    """cycles with each of the guard's reasons"""
     ended: tuple[Ended, ...]
-    """runs that ended early"""
     failed: bool = False
-    """whether the controller gave a command that is not a number"""
     first: int = 0
-    """index of its first target in the set"""
+    """index"""
 
     @property
     def key(self) -> Key:
-        """What tells it from the others of its comparison."""
+        """Identity."""
         return self.controller, self.kind, self.places, self.first
 
     @property
     def targets(self) -> int:
-        """Number of its targets."""
+        """Number."""
         return int(next(iter(self.columns.values())).shape[1])
 
 
@@ -237,9 +228,9 @@ def measure(
     model: ToolModel | None = None,
     both: bool = False,
 ) -> Driven:
-    """Measure a recording with ``targets`` (B, K, 3) [m] of the trials of a ``key``, one arm each.
+    """Metrics of a recording; ``targets`` (B, K, 3) [m].
 
-    ``both``: a hold also tells the crossing.
+    ``both``: a hold also gives the crossing.
     """
     controller, kind, places, first = key
     columns: Columns = {}
@@ -275,26 +266,26 @@ def measure(
 
 
 INSET = 0.1
-"""Inset of P2 to P5 over the diagonal (ISO 9283)"""
+"""of P2 to P5 over the diagonal (ISO 9283)"""
 RISING_AHEAD = np.array([[0, 0, 0], [-1, -1, -1], [-1, 1, -1], [1, 1, 1], [1, -1, 1]], dtype=float)
-"""P1 to P5 in the diagonal plane that rises away from the base, in half diagonals"""
+"""P1 to P5 in the diagonal plane rising away from the base, in half diagonals"""
 RISING_LEFT = np.array([[0, 0, 0], [1, 1, 1], [-1, 1, 1], [-1, -1, -1], [1, -1, -1]], dtype=float)
-"""The same in the plane that rises to the left"""
+"""The same, rising to the left"""
 
 
 def iso_poses(arm: Arm, plane: Array, size: float = 1.0) -> Array:
-    """Points P1 to P5 (5, 3) [m] of ISO 9283 in a ``plane`` of the targets, scaled by ``size``."""
+    """P1 to P5 (5, 3) [m] of ISO 9283 in a ``plane`` of the region."""
     low, high = arm.targets.lower, arm.targets.upper
     return np.asarray(0.5 * (low + high) + 0.5 * size * (1.0 - 2.0 * INSET) * (high - low) * plane)
 
 
 def position_accuracy(places: Array, target: Array) -> Array:
-    """AP (...) [m]: distance of the mean of ``places`` (..., R, 3) from ``target`` (..., 3)."""
+    """AP (...) [m]: from the mean of ``places`` (..., R, 3) to ``target`` (..., 3)."""
     return np.asarray(np.linalg.norm(places.mean(axis=-2) - target, axis=-1))
 
 
 def position_repeatability(places: Array) -> Array:
-    """RP (...) [m]: mean distance of ``places`` (..., R, 3) from their mean plus 3 sigma; NaN for R < 2."""
+    """RP (...) [m] of ``places`` (..., R, 3): mean distance from their mean, plus 3 sigma; NaN for R < 2."""
     if places.shape[-2] < 2:
         return np.full(places.shape[:-2], np.nan)
     distance = np.linalg.norm(places - places.mean(axis=-2, keepdims=True), axis=-1)
@@ -308,7 +299,7 @@ def direction_variation(means: Array) -> float:
 
 
 def reversal(forwards: Array, backwards: Array) -> Array:
-    """B (...) [m]: distance of the means of places (..., R, 3) approached forwards and backwards."""
+    """B (...) [m]: distance between the means of (..., R, 3) from the two sides."""
     return np.asarray(np.linalg.norm(forwards.mean(axis=-2) - backwards.mean(axis=-2), axis=-1))
 
 
@@ -316,10 +307,10 @@ MODELLED = ("modelled", "modelled_low", "modelled_high")
 
 
 class Tally:
-    """Collects the results of one controller, trial by trial."""
+    """Collects a controller's metrics."""
 
     def __init__(self, shape: tuple[int, int, int], protocol: Protocol, *, blocks: bool = False) -> None:
-        """``shape``: target sets, repetitions, targets; ``blocks``: sets may be driven in part."""
+        """``shape``: sets, repetitions, targets; ``blocks``: sets come in parts."""
         self.protocol, self.blocks = protocol, blocks
         self.columns: Columns = {name: np.full(shape, np.nan) for name in (*METRICS, *protocol.stay_names)}
         self.cycles, self.out, self.source = 0, "", ""
@@ -327,7 +318,7 @@ class Tally:
         self.reasons: dict[str, int] = {}
 
     def add(self, driven: Driven) -> None:
-        """Take over what was driven."""
+        """Add trials."""
         sets, repetitions = np.array(driven.places).T
         at = sets[:, None], repetitions[:, None], np.arange(driven.first, driven.first + driven.targets)[None]
         for name, values in driven.columns.items():
@@ -338,7 +329,7 @@ class Tally:
             self.reasons[reason] = self.reasons.get(reason, 0) + cycles
 
     def row(self, controller: str) -> ControllerRow:
-        """Statistics of everything collected."""
+        """Statistics so far."""
         found = self.columns
         shape = found["crossed"].shape
         labels = cluster((shape[0], shape[1], shape[2]))[1]
@@ -385,7 +376,7 @@ def summarise(
     tallies: dict[str, Tally],
     orientations: Iterable[tuple[str, ...]] = (),
 ) -> Comparison:
-    """Make the comparison from the tallies; ``targets`` (S, K, 3) [m]."""
+    """Comparison from the tallies; ``targets`` (S, K, 3) [m]."""
     first = next(iter(tallies.values()))
     sets, repetitions, count = first.columns["crossed"].shape
     together = {name: np.stack([one.columns[name] for one in tallies.values()]) for name in first.columns}

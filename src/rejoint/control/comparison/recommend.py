@@ -1,8 +1,7 @@
-"""Which controller to use: the simplest of those that no other measurably beats, and why.
+"""Recommendation: the simplest controller that no other beats significantly.
 
-Criteria in order: targets reached, settled encoder error, time to stay within the narrowest distance, then the wider
-ones. A difference whose 95 % interval contains zero is a tie, and a tie goes to the simpler one. Without intervals only
-visible differences count. Eliminated controllers are out, unless all are.
+Criteria in order: targets reached, settled encoder error, time to stay within the narrowest distance, then within the
+wider ones. A difference whose 95 % interval contains zero is a tie. Eliminated controllers are out, unless all are.
 """
 
 from __future__ import annotations
@@ -20,34 +19,33 @@ from rejoint.control.servogains import inner_name
 from rejoint.system.statistics import FEWEST_CLUSTERS, Estimate, above_zero, cluster, paired_difference
 
 SOONER = 0.2
-"""[s] difference of times to stay that matters (chosen)"""
+"""[s] relevant difference (chosen)"""
 NO_INTERVAL = "too few trials for an interval"
-"""What stands where an interval would"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recommendation:
-    """The controller to use."""
+    """The recommended controller."""
 
     controller: str
     why: tuple[str, ...]
-    """sentences for the owner, the most important first"""
+    """the most important first"""
     tied: tuple[str, ...] = ()
-    """less simple controllers that tie with it"""
+    """less simple controllers"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Criterion:
     name: str
     results: Callable[[str], Array]
-    """(N,) of a controller per target; smaller is better"""
+    """(N,) per target; smaller is better"""
     missing: float
-    """what counts where there is no result: the worst"""
+    """value of a missing result"""
     show: Callable[[float], str]
     plain: float
-    """difference above which one is worse where there is no interval"""
+    """significant difference without an interval"""
     matters: float = 0.0
-    """smallest difference in the mean that counts"""
+    """smallest relevant difference"""
 
 
 def recommend(comparison: Comparison) -> Recommendation:
@@ -71,7 +69,7 @@ def recommend(comparison: Comparison) -> Recommendation:
 
 
 def difference(comparison: Comparison, first: str, second: str, name: str = "settled") -> Estimate | None:
-    """Mean of ``first`` minus ``second`` in metric ``name``, with interval; None: no common result."""
+    """Mean of ``first`` minus ``second`` in a metric, with interval; None: no common result."""
     a, b = (comparison.array(name, one).ravel() for one in (first, second))
     return paired_difference(a, b, cluster(comparison.shape)[1])
 
@@ -226,7 +224,7 @@ def _geared(row: ControllerRow) -> tuple[str, ...]:
 
 
 def complexity(controller: str) -> tuple[float, str]:
-    """Rank a name from the simplest on; with tuned servo gains right after itself, unknown ones last."""
+    """Rank: the simplest first, unknown ones last."""
     name = inner_name(controller)
     known = CONTROLLERS.index(name) if name in CONTROLLERS else len(CONTROLLERS)
     return known + 0.5 * (name != controller), controller
@@ -248,11 +246,11 @@ MEANINGS = {
     "servo fault": "a servo reported a fault",
     "not following": "a joint's reading stood still and was not believed",
 }
-"""What the trips of the guard mean, by `reason_names`"""
+"""Meanings of guard trips"""
 
 
 def failure(row: ControllerRow) -> str:
-    """Say how it failed; empty for a controller that was driven to the end and reached a target."""
+    """Describe a failure, or empty."""
     name = row.controller
     if row.out:
         return f"{name} {row.out}: what was left of its trials was not driven, and counts neither for nor against it."

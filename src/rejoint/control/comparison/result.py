@@ -1,6 +1,6 @@
-"""What a comparison found: one tidy table, a row of statistics per controller, and how it was done.
+"""Result of a comparison: one tidy table, and statistics per controller.
 
-Metres, seconds, shares from 0 to 1. Encoder and true errors have separate names; None: not known.
+Metres, seconds, shares from 0 to 1; None: unknown.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from rejoint.system.statistics import Estimate, Spread
 Values = tuple[float | None, ...]
 
 WAS_WORSE = "was worse than "
-"""Begins the reason of an elimination by a better controller"""
 
 METRICS = {
     "crossed": "1 where the threshold was crossed in time, else 0",
@@ -37,92 +36,90 @@ METRICS = {
     "modelled_low": "[m] lower end of its 95 % interval",
     "modelled_high": "[m] upper end",
 }
-"""Columns of the table, besides `Protocol.stay_names` [s] (the hold's length where the error does not stay below)"""
+"""Columns, besides `Protocol.stay_names` [s] (the hold's length: never)"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stay:
-    """Time after which the error stays below a distance."""
+    """Time within a distance."""
 
     within: float
     """[m]"""
     share: Estimate
-    """of the holds in which it does"""
+    """of the holds"""
     median: float | None
-    """[s] over all holds; None where fewer than half ever stay"""
+    """[s] over all holds; None: in fewer than half"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ended:
-    """Why a trial ended before its last target."""
+    """A trial that ended early."""
 
     protocol: str
     """``crossing`` or ``hold``"""
     target_set: int
     repetition: int
     target: int
-    """index of the target in force"""
+    """index"""
     why: str
     """such as ``not finite``, see `reason_names`"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ControllerRow:
-    """Statistics of one controller; None where nothing is known."""
+    """Statistics of one controller; None: unknown."""
 
     controller: str
     success: Estimate
-    """share of the targets reached in time"""
+    """share reached in time"""
     crossing_error: Spread | None
-    """[m] encoder error at the crossing or the time-out"""
+    """[m] encoder error at a target's end"""
     crossing_true: Spread | None
-    """[m] true error at the same moments"""
+    """[m] true error there"""
     cycle_time: Spread | None
-    """[s] for a whole set; with elimination extrapolated from the targets driven to"""
+    """[s] per set; extrapolated after an elimination"""
     settled: Spread | None
-    """[m] encoder error, mean of the last part of each hold"""
+    """[m] encoder error at the end of each hold"""
     settled_true: Spread | None
-    """[m] true error over the same time"""
+    """[m] true"""
     settled_modelled: TrueError | None
-    """true error over the same time by a calibration"""
+    """true, by a calibration"""
     oscillation: Spread | None
-    """[m] rms distance of the encoder TCP from its mean at the end of each hold"""
+    """[m] rms motion there"""
     turned: Spread | None
-    """[rad] orientation error by the encoders over the same time"""
+    """[rad] orientation error there"""
     accuracy: Spread | None
-    """[m] AP of ISO 9283 by the encoders"""
+    """[m] AP of ISO 9283, encoders"""
     repeatability: Spread | None
-    """[m] RP by the encoders; None for one repetition"""
+    """[m] RP, encoders"""
     accuracy_true: Spread | None
-    """[m] AP of the tool itself"""
+    """[m] AP, tool"""
     repeatability_true: Spread | None
-    """[m] RP of the tool itself"""
+    """[m] RP, tool"""
     stays: tuple[Stay, ...]
-    """from the widest distance on; empty: nothing was held"""
     held: int
-    """targets at which it was held to the end"""
+    """targets held to the end"""
     guard: dict[str, float]
-    """share of all cycles with each of the guard's reasons, the most frequent first"""
+    """share of cycles per reason"""
     ended: tuple[Ended, ...] = ()
-    """trials that ended early, in order"""
     out: str = ""
-    """why it was eliminated; empty: it was driven to the end"""
+    """reason of elimination"""
     source: str = ""
-    """where its first results are from, such as ``the diagnosis``"""
+    """origin of first trials"""
 
     @property
     def beaten(self) -> bool:
-        """Whether a better one eliminated it."""
+        """Whether eliminated by a better one."""
         return self.out.startswith(WAS_WORSE)
 
     @property
     def failures(self) -> int:
-        """Number of runs that ended early."""
+        """Trials that ended early."""
         return len(self.ended)
 
     @property
     def true_error(self) -> TrueError:
-        """Mean true error over the holds, and how it is known."""
+        """Mean true error over the holds."""
         if self.settled_true is not None:
             return TrueError.of("known", self.settled_true.mean)
         return self.settled_modelled or NOT_KNOWN
@@ -133,15 +130,15 @@ class Protocol:
     """Settings of both protocols."""
 
     threshold: float = 0.010
-    """[m] reached below this; Park et al. 2024, section IV-A"""
+    """[m] Park et al. 2024, section IV-A"""
     dwell: float = 20.0
-    """[s] longest time per target; Park et al. 2024, section IV-F"""
+    """[s] longest per target; Park et al. 2024, section IV-F"""
     hold: float = 8.0
-    """[s] per target in the hold protocol (chosen)"""
+    """[s] (chosen)"""
     window: float = 1.0
-    """[s] last part of a hold for the settled error (chosen)"""
+    """[s] averaged end (chosen)"""
     within: tuple[float, ...] = (0.010, 0.005, 0.002)
-    """[m] distances to come and stay within (chosen)"""
+    """[m] (chosen)"""
 
     def __post_init__(self) -> None:
         for name in ("threshold", "dwell", "hold", "window"):
@@ -154,99 +151,99 @@ class Protocol:
 
     @property
     def stay_names(self) -> tuple[str, ...]:
-        """Columns of the times to stay, such as ``stay_2mm``."""
+        """Columns such as ``stay_2mm``."""
         return tuple(f"stay_{1e3 * within:g}mm" for within in self.within)
 
 
 @dataclass(frozen=True, kw_only=True)
 class TargetErrors:
-    """Errors at each of K targets."""
+    """Errors at targets."""
 
     encoders: Values
-    """[m] encoder error, from the corrected target"""
+    """[m] from the corrected target"""
     true: tuple[TrueError, ...]
-    """of the tool, from the target, and how it is known"""
+    """of the tool"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DirectionVariation:
-    """vAP of ISO 9283: poses approached along three axes."""
+    """VAP of ISO 9283 along three axes."""
 
     controller: str
     poses: int
     cycles: int
-    """approaches per direction; ISO asks for 30"""
+    """per direction; ISO asks for 30"""
     encoders: Spread
-    """[m] over the poses, by the encoders"""
+    """[m]"""
     tool: Spread | None
-    """[m] of the tool itself; None where it is not known"""
+    """[m] tool"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """Every controller on the same arm with the same targets."""
+    """Controllers on one arm with the same targets."""
 
     robot: str
     """address"""
     arm: str
     seed: int
     batched: bool
-    """whether all trials ran side by side on emulated arms"""
+    """side by side on emulated arms"""
     repetitions: int
     targets: tuple[tuple[tuple[float, float, float], ...], ...]
     """(S, K, 3) [m]"""
     protocol: Protocol
     clusters: str
-    """what the intervals resample: ``target sets``, ``trials`` or ``targets``"""
+    """unit of resampling: ``target sets``, ``trials`` or ``targets``"""
     rows: tuple[ControllerRow, ...]
-    """statistics of the controllers"""
+    """one per controller"""
     results: dict[str, Values] = field(repr=False)
-    """the tidy table by column (`METRICS`), ordered by (controller, target set, repetition, target); None: no result"""
+    """tidy table by column (`METRICS`), ordered by controller, target set, repetition, target"""
     targets_file: str = ""
-    """file of the targets; empty: drawn"""
+    """empty: drawn"""
     period: tuple[float, float] | None = None
-    """[s] requested control period; None: the robot's own"""
+    """[s] requested; None: the robot's own"""
     left_out: tuple[str, ...] = ()
-    """sentences: who was left out, what was not driven, and why"""
+    """sentences with reasons"""
     calibration: str = ""
-    """date of the calibration that corrected all targets, or empty"""
+    """date, or empty"""
     block: int = 0
     """targets between eliminations; 0: none"""
     as_found: TargetErrors | None = None
-    """errors of the uncorrected arm under its own controller at the first target set"""
+    """uncorrected arm, first target set"""
     directions: DirectionVariation | None = None
-    """of the recommended controller; None where that was not asked for"""
+    """of the recommended controller"""
     orientations: tuple[tuple[str, ...], ...] = ()
-    """wanted orientations in words; empty for points"""
+    """in words"""
 
     def row(self, controller: str) -> ControllerRow:
-        """Statistics of a controller; InputError names those there are."""
+        """Statistics of a controller; InputError."""
         return self.rows[self._index(controller)]
 
     @property
     def controllers(self) -> tuple[str, ...]:
-        """Names in the order of the rows."""
+        """In row order."""
         return tuple(row.controller for row in self.rows)
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Target sets S, repetitions R, targets K."""
+        """Sets S, repetitions R, targets K."""
         return len(self.targets), self.repetitions, len(self.targets[0])
 
     @property
     def true_known(self) -> bool:
-        """Whether the true position of the tool was known."""
+        """Whether true errors are known."""
         return "settled_true" in self.results
 
     def array(self, metric: str, controller: str) -> Array:
-        """Return a column for one controller (S, R, K); NaN: no result."""
+        """Column of a controller, (S, R, K); NaN: none."""
         values = self.results.get(metric)
         if values is None:
             return np.full(self.shape, np.nan)
         return np.array(values, dtype=float).reshape(len(self.rows), *self.shape)[self._index(controller)]
 
     def to_pandas(self) -> Any:  # noqa: ANN401 - pandas is not part of the installation
-        """Table as a data frame (needs pandas), one line per controller, set, repetition and target."""
+        """Table as a data frame (needs pandas)."""
         pandas = import_module("pandas")
         names = ("controller", "target_set", "repetition", "target")
         index = pandas.MultiIndex.from_product([self.controllers, *map(range, self.shape)], names=names)

@@ -1,1 +1,1 @@
-"""Targets that move: paths, streams, what follows them, and learning by repetition."""
+"""Targets that move."""

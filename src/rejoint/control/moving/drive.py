@@ -1,7 +1,6 @@
-"""Driving an arm behind a moving target, how well it followed, and learning from repetition.
+"""Driving an arm behind a moving target, its errors, and learning from repetition.
 
-Repetition adds what was missed to the aim, of every frequency the share that repeats (Wiener's filter), in the tool's
-space and without delay.
+Repetition adds the error to the corrected path, per frequency the share that repeats (Wiener's filter), without delay.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from rejoint.logs.runlog import RunLog
 
 Rows = NDArray[np.intp]
 GiveUp = Callable[[ControlInput], Mask]
-"""Ends a motion early, see `rejoint.control.loop.Schedule`"""
+"""See `rejoint.control.loop.Schedule`"""
 
 _STEP = 0.02  # [s] between the places of a path that is corrected or judged
 _JUDGED = 100  # places of a path at which a model is asked for the tool (chosen: it draws from its covariance at each)
@@ -33,41 +32,40 @@ _APPROACH = 15  # of those back is where an arm came from: 0.3 s (chosen: longer
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pass:
-    """One time along a path."""
+    """One repetition of a path."""
 
     encoder: Along
-    """errors by the encoders"""
+    """by the encoders"""
     true_error: TrueError
-    """root mean square of the tool, without a lag"""
+    """rms of the tool"""
     log: RunLog | None = None
     turned: float | None = None
-    """[rad] rms orientation error by the encoders; None: not asked for"""
+    """[rad] rms; None: not asked for"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Followed:
-    """What became of a path."""
+    """Result of a path."""
 
     path: str
     controller: str
     within: float
     """[m]"""
     passes: tuple[Pass, ...]
-    """in order; more than one where the arm learned from repetition"""
     period: float | None
-    """[s] middle of the measured control periods"""
+    """[s] median"""
     gaps: tuple[float, ...]
-    """[s] lengths of the pauses in the answers"""
+    """[s]"""
 
     @property
     def followed(self) -> bool:
-        """Whether the last pass stayed ``within`` (rms after the best lag) and turned the tool."""
+        """Whether the last pass stayed ``within`` (rms after the lag) and turned the tool."""
         last = self.passes[-1] if self.passes else None
         return last is not None and last.encoder.rms_after <= self.within and (last.turned or 0.0) <= REACHED_TURN
 
 
 def corrected_path(arm: Arm, path: Path, correction: Modelled, home: Array | None = None) -> Path:
-    """Aims of a path for an arm that keeps near ``home`` (n,) [rad]."""
+    """Corrected path for an arm near ``home`` (n,) [rad]."""
     time = np.linspace(0.0, path.duration, max(2, round(path.duration / _STEP) + 1))
     places = path.at(time)
     aims = places
@@ -85,7 +83,7 @@ def corrected_path(arm: Arm, path: Path, correction: Modelled, home: Array | Non
 def corrector(
     arm: Arm, correction: Modelled, start: Array, turn: Orientation | None = None, home: Array | None = None
 ) -> Corrected:
-    """Return what turns targets of a stream into aims, from ``start`` (3,) [m] and ``turn`` () on."""
+    """Corrector of a stream's targets, from ``start`` (3,) [m] and ``turn`` () on."""
     postures = PathPostures(arm, start[None], turn and turn[None], home)
 
     def correct(places: Array, turns: Orientation | None) -> tuple[Array, Orientation | None]:
@@ -97,7 +95,7 @@ def corrector(
 
 
 def judge(arm: Arm, recording: Recording, guide: Ahead | Stream, b: int = 0, model: ToolModel | None = None) -> Pass:
-    """Say how well arm ``b`` followed; a ``model`` tells tool errors that are not known."""
+    """Errors of arm ``b``; ``model`` estimates tool errors."""
     rows, time = rows_on(recording, guide, b)
     tool = tcp_position(arm, recording.position[rows, b])
     at, places, aims = route_of(guide)
@@ -113,7 +111,7 @@ def judge(arm: Arm, recording: Recording, guide: Ahead | Stream, b: int = 0, mod
 
 
 def _expected(model: ToolModel, position: Array, time: Array, at: Array, places: Array) -> TrueError:
-    """Root mean square of what a model says of the tool at ``position`` (T, n) [rad] and ``time`` (T,) [s]."""
+    """Rms tool error by a model at ``position`` (T, n) [rad] and ``time`` (T,) [s]."""
     few = slice(None, None, max(1, len(time) // _JUDGED))
     found = modelled(model, position[few], interpolated(time[few], at, places))
     if not np.isfinite(found).all() or not found.size:
@@ -123,7 +121,7 @@ def _expected(model: ToolModel, position: Array, time: Array, at: Array, places:
 
 
 def rows_on(recording: Recording, guide: Ahead | Stream, b: int = 0) -> tuple[Rows, Array]:
-    """Rows (T,) in which arm ``b`` was on its path, and their times (T,) [s]."""
+    """Rows (T,) of arm ``b`` on its path, and their times (T,) [s]."""
     begin = LEAD_IN if isinstance(guide, Ahead) else guide.time[0]
     length = guide.path.duration if isinstance(guide, Ahead) else guide.time[-1] - begin
     time = recording.since_target[:, b] - begin
@@ -132,7 +130,7 @@ def rows_on(recording: Recording, guide: Ahead | Stream, b: int = 0) -> tuple[Ro
 
 
 def route_of(guide: Ahead | Stream) -> tuple[Array, Array, Array]:
-    """Return times (K,) [s], targets (K, 3) and aims (K, 3) [m] of a guide."""
+    """Return times (K,) [s], targets and corrected targets (K, 3) [m]."""
     if isinstance(guide, Ahead):
         time = np.linspace(0.0, guide.path.duration, max(2, round(guide.path.duration / _STEP) + 1))
         return time, guide.path.at(time), (guide.aim or guide.path).at(time)
@@ -142,7 +140,7 @@ def route_of(guide: Ahead | Stream) -> tuple[Array, Array, Array]:
 
 
 def missed(arm: Arm, recording: Recording, guide: Ahead, wanted: Path, b: int = 0) -> tuple[Array, Array]:
-    """Return times (T,) [s] and distances (T, 3) [m] of arm ``b`` from ``wanted`` by its encoders."""
+    """Return times (T,) [s] and encoder errors (T, 3) [m] of arm ``b`` from ``wanted``."""
     rows, time = rows_on(recording, guide, b)
     return time, wanted.at(time) - tcp_position(arm, recording.position[rows, b])
 
@@ -152,16 +150,16 @@ _LAGS = np.arange(0.0, 0.3001, 0.005)  # [s] that are tried
 
 @dataclass(frozen=True, kw_only=True)
 class Along:
-    """Errors along a path."""
+    """Errors on a path."""
 
     rms: float
-    """[m] root mean square"""
+    """[m]"""
     largest: float
     """[m]"""
     lag: float
     """[s] shift of the path for the least rms"""
     rms_after: float
-    """[m] the same after that shift"""
+    """[m] after that shift"""
     largest_after: float
     """[m]"""
 
@@ -181,7 +179,7 @@ def along(time: Array, tool: Array, at: Array, places: Array) -> Along:
 
 
 class Sender:
-    """Sends the inverse kinematics of the moving target: the yardstick."""
+    """Sends the inverse kinematics: the baseline."""
 
     name = "default"
 
@@ -195,26 +193,26 @@ class Sender:
             self._postures = PathPostures(self._arm, inputs.target, inputs.turn)
 
     def command(self, inputs: ControlInput) -> Array:
-        """Postures (B, n) [rad] of the targets now."""
+        """Commands (B, n) [rad]."""
         assert self._postures is not None  # noqa: S101 - the loop resets before it asks
         return np.asarray(self._postures.at(inputs.aims(np.zeros(1)), inputs.turns(np.zeros(1)))[0])
 
 
 DIFFERENT = 0.35e-3
-"""[m/sqrt(Hz)] assumed difference between repetitions (measured)"""
+"""[m/sqrt(Hz)] difference between repetitions (measured)"""
 BELIEVED = 2.0
-"""Times that this counts for (chosen)"""
+"""Factor on it (chosen)"""
 DOUBT = 2.0
-"""Weight of what differs against what repeats (chosen)"""
+"""Weight against repeated errors (chosen)"""
 HIGHEST = 3.0
-"""[Hz] up to which an error is learned (chosen)"""
+"""[Hz] of learned errors (chosen)"""
 MOST = 0.02
-"""[m] by which an aim may leave the path (chosen)"""
+"""[m] largest shift of the path (chosen)"""
 _WIDTH = 0.3  # [Hz] over which shares are alike (chosen: six turns of the slowest standard path)
 
 
 class Repetition:
-    """What was learned of one path, time after time."""
+    """Learns one path by repetition."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -222,7 +220,7 @@ class Repetition:
         self._spectra: list[Array] = []  # (F, 3) of where to aim, less the path, for each time
 
     def learn(self, aim: Path, time: Array, error: Array) -> Path:
-        """Next aim where ``aim`` left errors (T, 3) [m] at ``time`` (T,) [s]."""
+        """Next path after errors (T, 3) [m] of ``aim`` at ``time`` (T,) [s]."""
         place = self._path.at(self._time)
         missed = np.stack([np.interp(self._time, time, column) for column in error.T], axis=-1)
         self._spectra.append(_spectrum(aim.at(self._time) - place + missed))
@@ -232,7 +230,7 @@ class Repetition:
         return path_of(self._time, place, self._path.turn_at(self._time), self._path.name)
 
     def _shift(self) -> Array:
-        """Return by how much (K, 3) [m] the aim is to leave the path."""
+        """Shift (K, 3) [m] of the path."""
         step, count = self._time[1] - self._time[0], 2 * len(self._time)
         found, times = np.stack(self._spectra), len(self._spectra)
         mean, frequency = found.mean(axis=0), np.fft.rfftfreq(count, step)
@@ -246,12 +244,12 @@ class Repetition:
 
 
 def _spectrum(values: Array) -> Array:
-    """Spectrum (F, 3) of ``values`` (K, 3), which are taken to go back the way they came, so that no end jumps."""
+    """Spectrum (F, 3) of ``values`` (K, 3) and their reverse, so that no end jumps."""
     return np.asarray(np.fft.rfft(np.concatenate([values, values[::-1]]), axis=0))
 
 
 def _smooth(values: Array, width: float) -> Array:
-    """Mean of ``values`` (F,) around each, over about ``width`` of them."""
+    """Return moving mean of ``values`` (F,) over about ``width``."""
     reach = int(np.ceil(3.0 * width))
     weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / width) ** 2)
     return np.convolve(np.pad(values, reach, mode="symmetric"), weights / weights.sum(), "valid")

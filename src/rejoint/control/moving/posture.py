@@ -1,7 +1,7 @@
-"""Postures on a path, the arm's home there, and the commands that a motion needs by the twin.
+"""Postures on a path, the arm's home, and commands of a motion by the twin.
 
-The posture nearest to home depends on the place alone, so nothing drifts; lightly loaded joints are spared, since they
-stick. Home is rest, or a fold of one joint where a worn motor hardly lifts its load (`python -m benchmarks moving`).
+The posture nearest to home depends on the place alone, so nothing drifts. Lightly loaded joints are spared: they stick.
+Home is rest, or a fold that relieves a weak motor (`python -m benchmarks moving`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from rejoint.arms.rotations import Orientation, task
 from rejoint.system.errors import InputError
 
 SPARED = 20.0
-"""Weight of the lightest joints by that of the heaviest (measured)"""
+"""of the lightest joints over the heaviest (measured)"""
 _LIGHT = 0.2  # share of the largest gravity torque below which a joint is light (chosen: the wrist)
 _KEEP = 3  # joints that always count as heavy: those of a place in space
 _ROUNDS, _FIRST = 4, 40  # steps of the search from a posture nearby, and from rest
@@ -28,7 +28,7 @@ _SOFT = 1e-8  # [m^2] keeps singular postures finite
 
 @lru_cache(maxsize=32)
 def joint_weights(arm: Arm) -> Array:
-    """Weights (n,): 1, or `SPARED` for lightly loaded joints."""
+    """Weights (n,) from 1 to `SPARED`."""
     postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (2048, arm.joints))
     load = np.abs(gravity_torque(arm, postures)).max(axis=0)
     weights = np.where(load < _LIGHT * load.max(), SPARED, 1.0)
@@ -38,20 +38,17 @@ def joint_weights(arm: Arm) -> Array:
 
 
 def spread(arm: Arm, jacobian: Array, way: Array) -> Array:
-    """Joint motions (..., n) [rad] for a tool motion ``way`` (..., k) [m], mostly of heavy joints."""
+    """Joint motions (..., n) [rad] for tool motions ``way`` (..., k) [m], mostly of heavy joints."""
     turned = np.swapaxes(jacobian, -1, -2) / joint_weights(arm)[:, None]
     ridge = _SOFT * np.eye(way.shape[-1])
     return (turned @ np.linalg.solve(jacobian @ turned + ridge, way[..., None]))[..., 0]
 
 
 class PathPostures:
-    """Postures of B arms; each search starts from the last one."""
+    """Postures of B arms."""
 
     def __init__(self, arm: Arm, place: Array, turn: Orientation | None = None, home: Array | None = None) -> None:
-        """Begin at ``place`` (B, 3) [m], turned as in ``turn`` (B,).
-
-        Without turn they keep near ``home`` (n,) or (B, n) [rad], by default rest.
-        """
+        """Begin at ``place`` (B, 3) [m], turned as in ``turn`` (B,), or near ``home`` (n,) or (B, n) [rad]."""
         self._arm = arm
         self._home = arm.rest if home is None or turn is not None else home
         start = np.broadcast_to(self._home, (len(place), arm.joints))
@@ -60,7 +57,7 @@ class PathPostures:
         """(B, n) [rad]"""
 
     def at(self, places: Array, turns: Orientation | None = None) -> Array:
-        """Postures (k, B, n) [rad] of ``places`` (k, B, 3) [m] and ``turns`` (k, B); keeps the middle one."""
+        """Postures (k, B, n) [rad] of ``places`` (k, B, 3) [m] and ``turns`` (k, B); stores the middle one."""
         start = np.broadcast_to(self.last, (len(places), *self.last.shape))
         found = self._search(places, start, _ROUNDS, turns)
         self.last = found[len(found) // 2]
@@ -83,16 +80,13 @@ class PathPostures:
 
 
 _SPARE = 0.35
-"""Share of a motor's torque kept for sticking (chosen)"""
+"""Share of motor torque (chosen)"""
 _FOLDS = np.radians([-60.0, 60.0])  # from rest, of one joint (chosen among 30 to 90 deg)
 _PLACES = 32  # of the region of targets, at which postures are looked at
 
 
 def home_of(arm: Arm, servos: Servos) -> Array:
-    """Postures (B, n) [rad] that arms with these ``servos`` keep near to.
-
-    Rest where the loaded motors have torque to spare; else the fold of one light joint that loads the weakest least.
-    """
+    """Home (B, n) [rad]: rest where the loaded motors have spare torque; else the fold that loads the weakest least."""
     places = arm.targets.sample(np.random.default_rng(0), (_PLACES,))
     light = joint_weights(arm) > 1.0
     room = np.maximum((1.0 - _SPARE) * servos.torque_limit - servos.coulomb, np.finfo(float).tiny)
@@ -117,12 +111,12 @@ def home_of(arm: Arm, servos: Servos) -> Array:
 
 
 TURNING = 0.015
-"""[rad/s] at which friction has turned to three quarters (chosen)"""
+"""[rad/s] of three quarters of the friction (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Servos:
-    """Servos of B arms, as a twin has them."""
+    """Servos of B arms by a twin."""
 
     stiffness: Array
     """(B, n) [N m/rad]"""
@@ -137,7 +131,7 @@ class Servos:
     offset: Array
     """(B, n) [rad] unloaded joint minus command"""
     delay: Array
-    """(B,) [s] from sending a command to reading its first effect"""
+    """(B,) [s] command to first effect"""
 
     def __post_init__(self) -> None:
         shape = np.shape(self.stiffness)
@@ -148,37 +142,37 @@ class Servos:
             raise InputError("servos: stiffness and torque limits must be positive")
 
     def most(self) -> Array:
-        """Largest useful angles (B, n) [rad] between command and joint."""
+        """Largest useful following errors (B, n) [rad]."""
         return self.torque_limit / self.stiffness
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Moment:
-    """A motion of B arms around one moment."""
+    """A motion of B arms at one time."""
 
     around: Array
-    """(3, B, n) [rad] postures ``step`` before, now, and after"""
+    """(3, B, n) [rad] ``step`` before, now, and after"""
     step: float
     """[s]"""
 
     @property
     def position(self) -> Array:
-        """PathPostures (B, n) [rad]."""
+        """(B, n) [rad]."""
         return np.asarray(self.around[1])
 
     @property
     def speed(self) -> Array:
-        """Speeds (B, n) [rad/s]."""
+        """(B, n) [rad/s]."""
         return (self.around[2] - self.around[0]) / (2.0 * self.step)
 
     @property
     def acceleration(self) -> Array:
-        """Accelerations (B, n) [rad/s^2]."""
+        """(B, n) [rad/s^2]."""
         return (self.around[2] - 2.0 * self.around[1] + self.around[0]) / self.step**2
 
 
 def command_for(arm: Arm, servos: Servos, motion: Moment) -> Array:
-    """Commands (B, n) [rad] for a motion: the inverse of the twin."""
+    """Commands (B, n) [rad] by the twin's inverse."""
     speed = motion.speed
     torque = (
         link_torque(arm, motion)
@@ -190,7 +184,7 @@ def command_for(arm: Arm, servos: Servos, motion: Moment) -> Array:
 
 
 def link_torque(arm: Arm, motion: Moment) -> Array:
-    """Torques (B, n) [N m] that carry and accelerate the links as point masses."""
+    """Torques (B, n) [N m] of point masses."""
     f = frames(arm, motion.around)
     centre = f.position + np.einsum("tbnij,nj->tbni", f.rotation, arm.com)
     pull = (centre[2] - 2.0 * centre[1] + centre[0]) / motion.step**2 - GRAVITY

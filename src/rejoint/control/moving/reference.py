@@ -1,4 +1,4 @@
-"""References: paths known ahead (files, standard ones), and streams of targets."""
+"""References: planned paths (files, standard ones), and streams of targets."""
 
 from __future__ import annotations
 
@@ -36,22 +36,22 @@ from rejoint.system.numbers import as_floats
 
 _HEADER = ("time", *PLACE)
 _MOST = 4_000_000
-"""[bytes] largest file (chosen)"""
+"""[bytes] (chosen)"""
 LONGEST = 3600.0
-"""[s] longest path (chosen)"""
+"""[s] (chosen)"""
 SHORTEST = 0.1
-"""[s] shortest path (chosen)"""
+"""[s] (chosen)"""
 _LOOK = 0.04
-"""[s] between places judged before the arm moves (chosen)"""
+"""[s] between judged places (chosen)"""
 _OPPOSITE = -0.5
-"""Cosine of the largest turn between two points (chosen)"""
+"""Cosine of the largest turn between points (chosen)"""
 SPEED_SHARE = 0.8
-"""Share of the joints' speed that a path may use (chosen)"""
+"""Largest share of joint speed (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Path:
-    """Places over time, joined by a cubic spline."""
+    """Places over time, as a cubic spline."""
 
     time: Array
     """(T,) [s] increasing, from 0"""
@@ -59,13 +59,13 @@ class Path:
     """(T, 3) [m]"""
     name: str = "path"
     direction: Array | None = None
-    """(T, 3) tool directions in the base frame; None: any"""
+    """(T, 3) in the base frame; None: any"""
     quaternion: Array | None = None
-    """(T, 4) w, x, y, z: whole orientations, instead"""
+    """(T, 4) w, x, y, z, instead"""
     weight: float = WEIGHT
-    """[m/rad] that the orientation counts"""
+    """[m/rad] of the orientation"""
     axis: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]), repr=False)
-    """(3,) tool direction in its own frame; `on` sets it"""
+    """(3,) tool axis in the tool frame; `on` sets it"""
     _places: CubicSpline = field(init=False, repr=False)
     _turn: CubicSpline | None = field(init=False, repr=False, default=None)  # of directions (3,) or quaternions (4,)
 
@@ -107,7 +107,7 @@ class Path:
 
     @property
     def turned(self) -> bool:
-        """Whether it says how the tool is to be turned."""
+        """Whether it has orientations."""
         return self._turn is not None
 
     def on(self, arm: Arm) -> Path:
@@ -121,7 +121,7 @@ class Path:
         return turned_as(self._turn(np.clip(time, 0.0, self.duration)), self.axis, self.weight)
 
     def pose_at(self, time: float) -> Pose:
-        """Return place and orientation at ``time`` [s] as a `Pose`."""
+        """Pose at ``time`` [s]."""
         place = self.at(time)
         if self._turn is None:
             return Pose(place_m=place)
@@ -131,7 +131,7 @@ class Path:
 
     @property
     def duration(self) -> float:
-        """Length in time [s]."""
+        """Duration [s]."""
         return float(self.time[-1])
 
     def at(self, time: Array | float) -> Array:
@@ -139,11 +139,11 @@ class Path:
         return np.asarray(self._places(np.clip(time, 0.0, self.duration)))
 
     def velocity(self, time: Array | float) -> Array:
-        """Velocities (..., 3) [m/s] at ``time`` (...) [s]."""
+        """(..., 3) [m/s] at ``time`` (...) [s]."""
         return self._derivative(time, 1)
 
     def acceleration(self, time: Array | float) -> Array:
-        """Accelerations (..., 3) [m/s^2] at ``time`` (...) [s]."""
+        """(..., 3) [m/s^2] at ``time`` (...) [s]."""
         return self._derivative(time, 2)
 
     def _derivative(self, time: Array | float, order: int) -> Array:
@@ -152,7 +152,7 @@ class Path:
         return np.asarray(moving[..., None] * self._places(np.clip(time, 0.0, self.duration), order))
 
     def require_followable(self, arm: Arm) -> None:
-        """Raise InputError, which says where, unless ``arm`` reaches every place in time."""
+        """Raise InputError unless ``arm`` can follow."""
         if not SHORTEST <= self.duration <= LONGEST:
             raise InputError(
                 f"path: it takes {self.duration:g} s, {SHORTEST:g} to {LONGEST:.0f} s were expected; give times in "
@@ -186,7 +186,7 @@ class Path:
 
 
 def _require_turned(arm: Arm, times: Array, places: Array, turns: Orientation, postures: Array) -> None:
-    """Raise InputError, which says where, unless ``postures`` (T, n) [rad] turn the tool as in ``turns`` (T,)."""
+    """Raise InputError unless ``postures`` (T, n) [rad] turn the tool as in ``turns`` (T,)."""
     off, angle = missed_pose(arm, postures, places, turns)
     askew = (off > NEAR) | (angle > TURNED)
     if askew.any():
@@ -198,7 +198,7 @@ def _require_turned(arm: Arm, times: Array, places: Array, turns: Orientation, p
 
 
 def path_of(time: Array, place: Array, turn: Orientation | None, name: str) -> Path:
-    """Path through ``place`` (T, 3) [m] at ``time`` (T,) [s] with orientations (T,) of one kind."""
+    """Path of ``place`` (T, 3) [m] at ``time`` (T,) [s] with orientations (T,) of one kind."""
     if turn is None:
         return Path(time=time, place=place, name=name)
     whole = bool(turn.whole[0])
@@ -214,7 +214,7 @@ def path_of(time: Array, place: Array, turn: Orientation | None, name: str) -> P
 
 
 def _spline(time: Array, values: Array) -> CubicSpline:
-    """Cubic spline through ``values`` (T, k); ends as a parabola through three points."""
+    """Cubic spline of ``values`` (T, k) with parabolic ends."""
     chord, h = np.diff(values, axis=0) / np.diff(time)[:, None], np.diff(time)
     ends = [chord[0], chord[-1]]
     if len(h) > 1:
@@ -224,7 +224,7 @@ def _spline(time: Array, values: Array) -> CubicSpline:
 
 
 def read_path(file: FilePath) -> Path:
-    """Read a CSV file ``time,x,y,z`` in s and mm, with columns of an orientation or not; FileError names the line."""
+    """Read a CSV file ``time,x,y,z`` [s, mm], perhaps with orientations; FileError."""
     try:
         lines = read_poses(file, _MOST, _HEADER)
     except FileNotFoundError as error:
@@ -265,26 +265,25 @@ def _point(place: Array) -> str:
 
 
 STANDARD = ("circle-20s", "circle-8s", "circle-4s", "random-0.2hz", "random-0.5hz")
-"""Those of the comparison"""
 RADIUS = 0.040
-"""[m] of the circle for a myCobot; scales with the reach"""
+"""[m] of a myCobot's circle; scales with the reach"""
 EASE = 1.0
 """[s] to start and to stop (chosen)"""
 LENGTH = 20.0
-"""[s] of a random path; circles are repeated to about it (chosen)"""
+"""[s] of a standard path (chosen)"""
 _SINES, _FILL = 5, 0.7
-"""waves per coordinate, and their share of the target region (chosen)"""
+"""waves per coordinate, and their share of the region (chosen)"""
 _STEP = 0.02  # [s] between the points
 _NAME = re.compile(r"(circle)-(\d+(?:\.\d+)?)s|(random)-(\d+(?:\.\d+)?)hz")
 
 
 def is_standard(name: str) -> bool:
-    """Whether a name is that of a standard path."""
+    """Whether it is standard."""
     return _NAME.fullmatch(name) is not None
 
 
 def standard_path(name: str, arm: Arm, seed: int = 0) -> Path:
-    """Make ``circle-Ts`` (once round in T seconds) or ``random-Fhz`` (waves up to F hertz); InputError else."""
+    """Make ``circle-Ts`` (T seconds per round) or ``random-Fhz`` (up to F hertz); InputError."""
     found = _NAME.fullmatch(name)
     if found is None:
         raise InputError(f"no path is called {name!r}; standard paths: {', '.join(STANDARD)}, or give a CSV file")
@@ -309,7 +308,7 @@ def standard_path(name: str, arm: Arm, seed: int = 0) -> Path:
 
 
 def _phase(length: float) -> tuple[Array, Array]:
-    """Return times (T,), and how far (T,) [s] of ``length`` [s] one that starts and ends at rest has come."""
+    """Return times (T,) [s] and phase (T,) [s] of a motion of ``length`` [s] between rests."""
     duration = length + EASE
     time = np.linspace(0.0, duration, round(duration / _STEP) + 1)
     return time, _rising(time) - _rising(time - length)
@@ -328,30 +327,30 @@ def _waves(highest: float, time: Array, seed: int) -> Array:
 
 
 def interpolated(time: Array, at: Array, places: Array) -> Array:
-    """Linear interpolation of ``places`` (K, 3) at ``at`` (K,) for ``time`` (T,): (T, 3)."""
+    """Linear interpolation (T, 3) of ``places`` (K, 3) at ``at`` (K,) for ``time`` (T,)."""
     return np.stack([np.interp(time, at, column) for column in places.T], axis=-1)
 
 
 LEAD_IN = 2.0
-"""[s] at the start of a path before it moves (chosen)"""
+"""[s] at rest before a path (chosen)"""
 LAG = 0.08
 """[s] behind a stream (chosen)"""
 EXTRAPOLATED = 0.2
-"""[s] of extrapolation while a stream pauses (chosen)"""
+"""[s] in a pause of a stream (chosen)"""
 _MOST_TURN = float(np.radians(120.0))
-"""[rad] from one target of a stream to the next (chosen)"""
+"""[rad] between targets of a stream (chosen)"""
 _FARTHEST = 10.0  # [m] from the base that a target lies at most (chosen: what is farther is in millimetres)
 _RECENT = 2.0  # [s] of a stream that are looked at (chosen: more than the longest lag and what follows look back)
 
 
 class Guide(Protocol):
-    """Where the target of one arm is over time."""
+    """Target of one arm over time."""
 
     def place(self, now: float) -> Array:
         """Target (3,) [m] at ``now`` [s]."""
 
     def aims(self, now: float, later: Array) -> Array:
-        """Aims (k, 3) [m] ``later`` (k,) [s] than ``now``."""
+        """Corrected targets (k, 3) [m] in ``later`` (k,) [s]."""
 
     def turns(self, now: float, later: Array) -> Orientation | None:
         """Orientations (k,) then; None: any."""
@@ -359,35 +358,35 @@ class Guide(Protocol):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Ahead:
-    """A path known ahead, after a pause at its start."""
+    """A planned path, after a rest at its start."""
 
     path: Path
     aim: Path | None = None
-    """corrected path with the same times; None: ``path``"""
+    """corrected path with the same times"""
 
     def place(self, now: float) -> Array:
-        """Place (3,) [m] on the path."""
+        """Target (3,) [m] at ``now`` [s]."""
         return self.path.at(now - LEAD_IN)
 
     def aims(self, now: float, later: Array) -> Array:
-        """Places (k, 3) [m] that are to come."""
+        """Corrected targets (k, 3) [m]."""
         return (self.aim or self.path).at(now - LEAD_IN + later)
 
     def turns(self, now: float, later: Array) -> Orientation | None:
-        """Orientations (k,) that are to come."""
+        """Orientations (k,)."""
         return (self.aim or self.path).turn_at(now - LEAD_IN + later)
 
 
 Corrected = Callable[[Array, Orientation | None], tuple[Array, Orientation | None]]
-"""Turns targets (k, 3) [m] and orientations (k,) into aims"""
+"""Corrects targets (k, 3) [m] and orientations (k,)"""
 
 
 @dataclass(eq=False)
 class Stream:
     """Targets that arrive online at 10 to 100 Hz: places, or poses.
 
-    The arm follows `LAG` behind, straight between targets; after the last one it goes on for `EXTRAPOLATED`, then
-    holds. `put` is safe in other threads. A stream is followed once.
+    The arm follows `LAG` behind, straight between targets, extrapolates for `EXTRAPOLATED`, then holds. `put` is
+    thread-safe. A stream is followed once.
     """
 
     lag: float = LAG
@@ -398,7 +397,7 @@ class Stream:
     targets: list[Array] = field(default_factory=list)
     """each (3,) [m]"""
     axis: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]), repr=False)
-    """(3,) tool direction in its own frame"""
+    """(3,) tool axis in the tool frame"""
     _knots: list[Array] = field(default_factory=list)  # (3,) directions or (4,) quaternions, unit; none of places
     _weight: float = 0.0
     _now: float = 0.0
@@ -409,7 +408,7 @@ class Stream:
             raise InputError(f"stream: the lag must be between 0 and 1 s, got {self.lag}")
 
     def put(self, target: Sequence[float] | Array | Pose, time: float | None = None) -> None:
-        """Take over a ``target``, a place (3,) [m] or a `Pose`, at ``time`` [s] (default: the present cycle).
+        """Add a ``target``, (3,) [m] or a `Pose`, at ``time`` [s] (default: the present cycle).
 
         InputError for another kind than the first, a turn over 120 degrees, or an earlier time.
         """
@@ -435,7 +434,7 @@ class Stream:
 
     @property
     def followed(self) -> bool:
-        """Whether an arm was driven behind it."""
+        """Whether an arm followed it."""
         return self._now > 0.0
 
     def place(self, now: float) -> Array:
@@ -444,15 +443,15 @@ class Stream:
         return self._between(self.targets, np.array([now]), now)[0]
 
     def aims(self, now: float, later: Array) -> Array:
-        """Aims (k, 3) [m] by what has come until ``now``."""
+        """Corrected targets (k, 3) [m] in ``later`` (k,) [s]."""
         return self._poses(now, later)[0]
 
     def turns(self, now: float, later: Array) -> Orientation | None:
-        """Orientations (k,) by what has come; None for places."""
+        """Orientations (k,) then; None for places."""
         return self._poses(now, later)[1] if self._knots else None
 
     def received(self) -> tuple[Array, Orientation | None]:
-        """All targets (K, 3) [m] and orientations (K,) that came."""
+        """All targets (K, 3) [m] and orientations (K,)."""
         turns = turned_as(np.array(self._knots), self.axis, self._weight) if self._knots else None
         return np.array(self.targets), turns
 
@@ -481,7 +480,7 @@ class Stream:
             )
 
     def _between(self, values: list[Array], time: Array, now: float) -> Array:
-        """Return ``values`` (k, m) at ``time`` (k,) [s], by what has come until ``now``."""
+        """Values (k, m) at ``time`` (k,) [s] by what arrived until ``now``."""
         with self._lock:
             count = bisect_right(self.time, now)
             first = max(0, bisect_right(self.time, now - _RECENT, hi=count) - 2)
@@ -496,13 +495,12 @@ class Stream:
 
 
 def _turn_between(one: Array, other: Array) -> float:
-    """Angle [rad] between two directions (3,), or two quaternions (4,)."""
     cosine = float(np.clip(one @ other, -1.0, 1.0))
     return float(np.arccos(cosine)) if len(one) == 3 else 2.0 * float(np.arccos(abs(cosine)))
 
 
 def _last_velocity(times: Array, values: Array) -> Array:
-    """Velocity (m,) [1/s] of the last values (K, m): a line through those of 0.1 s, or the last two."""
+    """Last velocity (m,) [1/s] of values (K, m): a line through 0.1 s, or two."""
     recent = np.flatnonzero(times >= times[-1] - 0.1)
     recent = recent if len(recent) > 1 else np.arange(len(times) - 2, len(times))
     since = times[recent] - times[recent].mean()
@@ -511,18 +509,18 @@ def _last_velocity(times: Array, values: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Routes:
-    """The guides of B arms side by side."""
+    """Guides of B arms."""
 
     guides: Sequence[Guide]
 
     @property
     def count(self) -> int:
-        """Number B of arms."""
+        """Number of arms."""
         return len(self.guides)
 
     @property
     def waits(self) -> Mask:
-        """(B,) that are known ahead, and wait for their arm."""
+        """(B,) planned paths."""
         return np.array([isinstance(guide, Ahead) for guide in self.guides])
 
     def place(self, now: Array) -> Array:
@@ -530,7 +528,7 @@ class Routes:
         return np.stack([guide.place(float(time)) for guide, time in zip(self.guides, now, strict=True)])
 
     def aims(self, now: Array, later: Array) -> Array:
-        """Aims (k, B, 3) [m] ``later`` (k, B) [s] than ``now`` (B,)."""
+        """Corrected targets (k, B, 3) [m] in ``later`` (k, B) [s]."""
         columns = zip(self.guides, now, later.T, strict=True)
         return np.stack([guide.aims(float(time), column) for guide, time, column in columns], axis=1)
 
@@ -543,7 +541,7 @@ class Routes:
 
 
 def played(path: Path, rate: float) -> Stream:
-    """Play a path as a stream of ``rate`` [Hz], after a pause at its start; InputError beyond 1 to 1000 Hz."""
+    """Play a path as a stream of ``rate`` [Hz], after a rest; InputError beyond 1 to 1000 Hz."""
     require_rate(rate)
     stream = Stream(axis=path.axis)
     stream.put(path.pose_at(0.0), 0.0)
@@ -553,6 +551,6 @@ def played(path: Path, rate: float) -> Stream:
 
 
 def require_rate(rate: float) -> None:
-    """Raise InputError for a ``rate`` [Hz] outside 1 to 1000."""
+    """Raise InputError beyond 1 to 1000 Hz."""
     if not 1.0 <= rate <= 1000.0:
         raise InputError(f"stream: the rate must be between 1 and 1000 Hz, got {rate}")

@@ -1,8 +1,8 @@
-"""The tracker: the inverse of the twin ahead of time, and an observer of what the twin does not know.
+"""The tracker: the twin's inverse ahead of time, and an observer of disturbances.
 
-A joint deviates by x, ``M x'' + D x' + k x = k (u + d)``: u was sent beyond the inverse, ``delay`` ago; d is what the
-twin does not know. A stationary Kalman filter per joint estimates x, x' and d; the command subtracts d, and adds
-stiffness and damping at the moment when it begins to work.
+Deviation x of a joint: ``M x'' + D x' + k x = k (u + d)``; u was sent beyond the inverse, ``delay`` ago; d is the
+disturbance. A stationary Kalman filter per joint estimates x, x' and d. The command subtracts d, and adds stiffness and
+damping for the time of its effect.
 """
 
 from __future__ import annotations
@@ -24,32 +24,29 @@ _LEAST_INERTIA = 2e-3  # [kg m^2] believed of a joint (chosen: the least of the 
 
 
 DRIFT, SHOCKS = 1e-3, 1.0
-"""[rad^2/s] and [rad^2/s^3] by which the push on a joint, over its stiffness, and its speed change (chosen)"""
+"""[rad^2/s] and [rad^2/s^3] noise of disturbance and speed (chosen)"""
 
 
 class PushObserver:
-    """Deviations of B arms from the motion that is wanted."""
+    """Deviations of B arms from the wanted motion."""
 
     def __init__(self, arm: Arm, servos: Servos, period: float = NOMINAL_PERIOD) -> None:
-        """``period`` [s] is the usual one of the control cycles."""
+        """``period`` [s] of control."""
         self._servos = servos
         self.mass = np.maximum(servos.armature + link_inertia(arm, arm.rest), _LEAST_INERTIA)
-        """(B, n) [kg m^2] that moves with each joint"""
+        """(B, n) [kg m^2]"""
         noise = max(arm.encoder_step**2 / 12.0, 1e-8)
         self._gain = _filter_gain(self.mass, servos, noise, period)
         self.away, self.speed, self.push = np.zeros((3, *servos.stiffness.shape))
-        """each (B, n): deviation [rad], its speed [rad/s], push over stiffness [rad]"""
+        """(B, n): deviation [rad], its speed [rad/s], disturbance [rad]"""
         self._sent: list[tuple[Array, Array]] = []
 
     def sent(self, time: Array, beyond: Array) -> None:
-        """Take over what was sent at ``time`` (B,) [s] ``beyond`` (B, n) [rad] the inverse."""
+        """Take what was sent at ``time`` (B,) [s] ``beyond`` (B, n) [rad] the inverse."""
         self._sent = [*self._sent[1 - _KEPT :], (time, beyond)]
 
     def see(self, time: Array, elapsed: Array, away: Array) -> None:
-        """Take over deviations ``away`` (B, n) [rad] at ``time`` (B,) [s], ``elapsed`` (B,) [s] after the last.
-
-        0: no news.
-        """
+        """Take deviations ``away`` (B, n) [rad] at ``time`` (B,) [s], ``elapsed`` (B,) [s] after the last."""
         fresh = (elapsed > 0.0)[:, None]
         place, speed = self._pass(time - elapsed, elapsed)
         missed = np.where(fresh, away - place, 0.0)
@@ -57,7 +54,7 @@ class PushObserver:
         self.push = self.push + self._gain[..., 2] * missed
 
     def soon(self, time: Array) -> tuple[Array, Array]:
-        """Deviation and speed (B, n) when a command sent at ``time`` (B,) [s] begins to work."""
+        """Deviation and speed (B, n) when a command of ``time`` (B,) [s] takes effect."""
         return self._pass(time, self._servos.delay)
 
     def _pass(self, start: Array, span: Array) -> tuple[Array, Array]:
@@ -72,7 +69,7 @@ class PushObserver:
         return away, speed
 
     def _in_force(self, time: Array) -> Array:
-        """Return what was last sent before ``time`` (B,) [s]."""
+        """Last (B, n) sent before ``time`` (B,) [s]."""
         found = np.zeros_like(self.push)
         for sent, beyond in self._sent:
             found = np.where((sent <= time)[:, None], beyond, found)
@@ -80,7 +77,7 @@ class PushObserver:
 
 
 def _filter_gain(mass: Array, servos: Servos, noise: float, period: float) -> Array:
-    """Gains (B, n, 3) of the filter in the long run."""
+    """Stationary gains (B, n, 3) of the filter."""
     step = period / _PARTS
     brake, pull = 1.0 / (1.0 + step * servos.damping / mass), step * servos.stiffness / mass
     one = np.zeros((*mass.shape, 3, 3))
@@ -100,7 +97,7 @@ def _filter_gain(mass: Array, servos: Servos, noise: float, period: float) -> Ar
 
 
 _LEAST_DELAY = 0.02
-"""[s] least delay for the gains: fits mistake delay for damping"""
+"""[s] for the gains: fits mistake delay for damping"""
 _RELIEF_DAMPING = 0.01  # [m] keeps what heavy joints take over finite (chosen: a fifth of the usual)
 _SLOWER = 1.2  # times the usual period up to which a wire is as quick as ever (chosen: its jitter)
 _SMOOTHING = 0.1  # share of the newest period in their mean (chosen)
@@ -108,30 +105,30 @@ _SMOOTHING = 0.1  # share of the newest period in their mean (chosen)
 
 @dataclass(frozen=True, kw_only=True)
 class TrackerGains:
-    """Settings; chosen on the worn arms 30001 to 30004, see docs/daily-use.md."""
+    """Settings; chosen on the worn arms 30001 to 30004."""
 
     stiffness: float = 1.25
-    """added stiffness over the servo's"""
+    """added, over the servo's"""
     damping: float = 0.065
-    """[s] the same of damping, over the servo's stiffness"""
+    """[s] added, over the servo's stiffness"""
     slow_damping: float = 0.12
-    """[s] damping added to slow joints, against stick-slip (chosen)"""
+    """[s] for slow joints, against stick-slip (chosen)"""
     slow: float = 0.08
-    """[rad/s] up to about which a joint is slow (chosen)"""
+    """[rad/s] of a slow joint (chosen)"""
     early: float = 0.0075
-    """[s] sent ahead, beyond delay and half a period: the servo's own filter"""
+    """[s] beyond delay and half a period: the servo's filter"""
     pace: float = 1.0
-    """largest product of a held joint's frequency [rad/s] and the delay (measured)"""
+    """largest product of a joint's frequency [rad/s] and the delay (measured)"""
     step: float = 0.03
     """[s] between places for speed and acceleration"""
     relief: float = 0.15
-    """[s] in which heavy joints take over what light ones miss"""
+    """[s] in which heavy joints take over from light ones"""
     push_limit: float = float(np.radians(30.0))
-    """[rad] largest correction of what pushes a joint"""
+    """[rad] largest correction of a disturbance"""
 
 
 class Tracker:
-    """Follows targets that move, for B arms."""
+    """Follows moving targets with B arms."""
 
     name = "tracker"
 
@@ -143,15 +140,15 @@ class Tracker:
         period: float = NOMINAL_PERIOD,
         home: Array | None = None,
     ) -> None:
-        """``period`` [s] is the usual one; ``home`` (n,) or (B, n) [rad] by default `home_of`."""
+        """``period`` [s] of control; ``home`` (n,) or (B, n) [rad], default `home_of`."""
         self._arm, self._servos, self._gains = arm, servos, gains or TrackerGains()
         self._usual = period
         self.home = home_of(arm, servos) if home is None else home
-        """[rad] arms begin near it"""
+        """[rad]"""
         self._begun = False
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:  # noqa: ARG002 - a gap in the answers forgets nothing
-        """Begin where the arms are; later resets change nothing."""
+        """Begin here; later resets change nothing."""
         if self._begun:
             return
         self._begun = True
@@ -169,7 +166,7 @@ class Tracker:
         self._period = np.full(count, self._usual)
 
     def command(self, inputs: ControlInput) -> Array:
-        """Return what is to be sent, (B, n) [rad]."""
+        """Commands (B, n) [rad]."""
         gains, observer, now = self._gains, self._observer, inputs.state.time
         if self._last is not None:
             observer.sent(self._last, self._effective(inputs.sent) - self._wanted)
@@ -188,14 +185,14 @@ class Tracker:
         return limit_position(self._arm, self._wanted - push - self._firm(observer.mass) * held)
 
     def _firm(self, mass: Array) -> Array:
-        """Share (B, n) of the gains that joints of this ``mass`` (B, n) [kg m^2] bear at the delay and the period."""
+        """Stable share (B, n) of the gains of joints with ``mass`` (B, n) [kg m^2]."""
         slower = np.maximum(self._period - _SLOWER * self._usual, 0.0)
         late = (np.maximum(self._servos.delay, _LEAST_DELAY) + 0.5 * self._usual + slower)[:, None]
         most = (self._gains.pace / late) ** 2 * mass / self._servos.stiffness - 1.0
         return np.clip(most / self._gains.stiffness, 0.0, 1.0)
 
     def _relieve(self, position: Array, away: Array, elapsed: Array) -> Array:
-        """Return how far (B, n) [rad] heavy joints go beside the plan for what light ones are ``away`` (B, n)."""
+        """Extra motion (B, n) [rad] of heavy joints for light ones ``away`` (B, n)."""
         light = joint_weights(self._arm) > 1.0
         jacobian = position_kinematics(self._arm, position)[1]
         missed = ((jacobian * light) @ away[..., None])[..., 0]
@@ -203,7 +200,7 @@ class Tracker:
         return dls(jacobian * ~light, -self._missed, _RELIEF_DAMPING)
 
     def _planned(self, inputs: ControlInput) -> Array:
-        """Postures (B, n) [rad] that are wanted now."""
+        """Wanted postures (B, n) [rad]."""
         return np.asarray(self._seen.at(inputs.aims(np.zeros(1)), inputs.turns(np.zeros(1)))[0])
 
     def _motion(self, inputs: ControlInput, shift: Array) -> Moment:
@@ -214,6 +211,6 @@ class Tracker:
         return Moment(around=plan + shift, step=step)
 
     def _effective(self, sent: Array) -> Array:
-        """Return ``sent`` (B, n) [rad], no farther from the joint than its servo makes more torque of: no windup."""
+        """Limit ``sent`` (B, n) [rad] to the servo's torque: no windup."""
         joint = self._expected - self._servos.offset
         return np.clip(sent, joint - self._servos.most(), joint + self._servos.most())

@@ -1,1 +1,1 @@
-"""Summary rows of runs and checks in Parquet: written one file each, read together, without a service."""
+"""Summary rows of runs and checks in Parquet."""

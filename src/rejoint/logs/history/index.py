@@ -1,6 +1,6 @@
 """All summary rows below a folder; only new files are opened.
 
-``.history.parquet`` keeps what was read, by name, size and time of each file; it may be deleted.
+``.history.parquet`` caches them by name, size and time of each file; it may be deleted.
 """
 
 from __future__ import annotations
@@ -20,26 +20,23 @@ from rejoint.system.errors import FileError
 from rejoint.system.files import write_whole
 
 INDEX = ".history.parquet"
-"""Name of the copy"""
+"""Name of the cache"""
 CHECKS = "checks"
-"""Folder of the checks, one below it for each arm"""
+"""Folder of the checks, by arm"""
 
 _FILE = "file"
 _INDEXED = SCHEMA.append(pa.field(_FILE, pa.string()))
 
 
 def find_rows(folder: Path, arm: str | None = None) -> tuple[list[HistoryRow], tuple[str, ...]]:
-    """Read all summary rows below a folder, the oldest first, and say which files are unreadable.
-
-    With ``arm`` the checks of other arms are left out, and the copy is not renewed.
-    """
+    """Summary rows below a folder, oldest first, and unreadable files; ``arm``: only its checks."""
     table, problems = find_table(folder, arm)
     rows = rows_from(table)
     return sorted(rows, key=lambda row: (row.arm, row.time, row.kind)), problems  # joints stay in the arm's order
 
 
 def find_table(folder: Path, arm: str | None = None) -> tuple[pa.Table, tuple[str, ...]]:
-    """Read summary rows as a table of `SCHEMA`, and say which files are unreadable."""
+    """Table of `SCHEMA`, and unreadable files."""
     paths = _files(folder)
     if arm is not None:
         paths = {key: path for key, path in paths.items() if _is_of(path.relative_to(folder), arm)}
@@ -55,7 +52,6 @@ def find_table(folder: Path, arm: str | None = None) -> tuple[pa.Table, tuple[st
 
 
 def _read(paths: dict[str, Path]) -> tuple[pa.Table, tuple[str, ...]]:
-    """Read files by their keys."""
     tables: list[pa.Table] = []
     problems = []
     for key, path in sorted(paths.items()):
@@ -68,7 +64,7 @@ def _read(paths: dict[str, Path]) -> tuple[pa.Table, tuple[str, ...]]:
 
 
 def _copy(folder: Path) -> pa.Table:
-    """Return the copy; empty if missing, damaged or of other columns."""
+    """Return the cache, or an empty one."""
     empty = _INDEXED.empty_table()
     try:
         table = read_parquet(folder / INDEX, "delete it")
@@ -78,10 +74,6 @@ def _copy(folder: Path) -> pa.Table:
 
 
 def _files(folder: Path) -> dict[str, Path]:
-    """Name every file with its size and time.
-
-    Files that vanish meanwhile or may not be read are left out.
-    """
     found = {}
     for place in _folders(folder):
         path = place / SUMMARY
@@ -92,12 +84,11 @@ def _files(folder: Path) -> dict[str, Path]:
 
 
 def _plain(text: bytes) -> str:
-    """Return a file name as valid text."""
     return text.decode(errors="backslashreplace")
 
 
 def _folders(folder: Path) -> Iterator[Path]:
-    """Go once through all folders with summary rows, links included."""
+    """Yield folders with summary rows once, links included."""
     seen = set[tuple[int, int]]()
     for where, below, names in os.walk(folder, followlinks=True):
         place = Path(where)
@@ -114,6 +105,5 @@ def _folders(folder: Path) -> Iterator[Path]:
 
 
 def _is_of(path: Path, arm: str) -> bool:
-    """Tell whether a file may hold rows of an arm."""
     parts = path.parts
     return CHECKS not in parts or parts[parts.index(CHECKS) + 1] == arm

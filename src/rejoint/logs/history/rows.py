@@ -1,7 +1,6 @@
 """Summary rows of runs and checks: one for the arm, one for each joint.
 
-Each file has a name of its own, so that several machines may write into one folder. The columns are the fields of
-`HistoryRow`.
+Unique file names let several machines write into one folder.
 """
 
 from __future__ import annotations
@@ -33,26 +32,23 @@ _NOT_A_NAME = re.compile(r"[^\w.-]+")
 
 
 def name_of(address: str, model: str) -> str:
-    """Name an arm by its address and description.
-
-    Hours of use and room temperature of an emulated arm do not count.
-    """
+    """Name an arm by address and description."""
     return plain_name(f"{model}-{_PASSING.sub('', address)}")
 
 
 def plain_name(text: str) -> str:
-    """Return ``text`` as a name that can be part of a path."""
+    """Make ``text`` a file name."""
     return _NOT_A_NAME.sub("-", text).strip("-.") or "arm"
 
 
 def hours_of(address: str) -> float | None:
-    """[h] of use in an emulated arm's address; None for others."""
+    """[h] of use in an emulated arm's address, or None."""
     found = _HOURS.search(address) if address.startswith("emulated:") else None
     return None if found is None else float(found[1])
 
 
 def setup_of(arm: Arm) -> str:
-    """Fingerprint of an arm's description: numbers of different ones are not compared."""
+    """Fingerprint of a description."""
     text = hashlib.sha256()
     for item in fields(arm):
         value = getattr(arm, item.name)
@@ -63,9 +59,9 @@ def setup_of(arm: Arm) -> str:
 
 
 SUMMARY = "summary.parquet"
-"""Name of every file of summary rows"""
+"""File name of summary rows"""
 FORMAT = 1
-"""Version of the columns; readers skip later ones"""
+"""Version; later ones are skipped"""
 
 _FORMAT_KEY = b"rejoint.history"
 _TIME = pa.timestamp("us")
@@ -74,84 +70,84 @@ _EARLIEST, _LATEST = (pa.scalar(end, _TIME).value for end in (datetime.min, date
 
 @dataclass(frozen=True, kw_only=True)
 class HistoryRow:
-    """What a run or check says of an arm or joint; None is unknown. Times are UTC."""
+    """Summary of an arm or joint; None: unknown; times in UTC."""
 
     time: datetime
-    """when it was made, without a zone"""
+    """without a zone"""
     kind: str
-    """check, run (unfinished) or repair"""
+    """``check``, ``run`` (unfinished) or ``repair``"""
     arm: str
-    """name that its owner knows the arm by"""
+    """user's name of the arm"""
     joint: str = ""
-    """empty in the row of the arm itself"""
+    """empty: the arm"""
     robot: str = ""
     """address"""
     model: str = ""
-    """name of its description, such as mycobot280"""
+    """name of the description, such as mycobot280"""
     version: str = __version__
     """of the software"""
     setup: str = ""
-    """fingerprint of the description; another one begins a new baseline"""
+    """fingerprint of the description"""
     norm: str = ""
-    """why a new baseline begins: moved, or another description; empty for none"""
+    """reason of a new baseline, or empty"""
     used_h: float | None = None
-    """[h] of use so far, where the owner counts them"""
+    """[h] of use, by the user"""
     temperature_c: float | None = None
     hysteresis_mm: float | None = None
     reversal_mm: float | None = None
     deviation_mm: float | None = None
     sag_mm: float | None = None
     lever_mm: float | None = None
-    """[mm/rad] by which angles were turned into millimetres"""
+    """[mm/rad] of angles in millimetres"""
     error_mm: float | None = None
-    """by the encoders: AP of a check, the diagnosis of a run"""
+    """encoders: AP of a check, diagnosis of a run"""
     repeatability_mm: float | None = None
     approach_mm: float | None = None
     true_error_mm: float | None = None
     true_approach_mm: float | None = None
     controlled_mm: float | None = None
-    """of a check after a repair, see `Outlook.controlled_mm`"""
+    """after a repair, see `Outlook.controlled_mm`"""
     tolerance_mm: float | None = None
-    """that the owner gave"""
+    """the user's"""
     stiffness_nm_per_rad: float | None = None
-    """of the servo, by a diagnosis, down to the offset"""
+    """of the servo, by a diagnosis"""
     coulomb_nm: float | None = None
     lag_s: float | None = None
     offset_rad: float | None = None
     controller: str = ""
-    """that a comparison recommends"""
+    """recommended"""
     settled_mm: float | None = None
-    """encoder error at rest with that controller"""
+    """encoder error at rest with it"""
     settled_true_mm: float | None = None
     success: float | None = None
-    """share of targets reached with it"""
+    """share of reached targets with it"""
     state: str = ""
-    """of a check: learning, steady, drifting or alarm; of a run its condition"""
+    """of a check: learning, steady, drifting or alarm; else of a run"""
     cause: str = ""
-    """what changed most, in words"""
+    """largest change, in words"""
     line: str = ""
-    """what the owner was told"""
+    """message to the user"""
     due_early: datetime | None = None
-    """earliest tenth of the possible times of reaching the tolerance"""
+    """10th percentile of the time at the tolerance"""
     due: datetime | None = None
     due_late: datetime | None = None
-    """one in ten lies after; None where it may never be reached"""
+    """90th percentile; None: perhaps never"""
 
     @property
     def left_mm(self) -> float | None:
-        """[mm] tool error under a run's controller, the true one if known."""
+        """[mm] tool error under a run's controller."""
         return self.settled_mm if self.settled_true_mm is None else self.settled_true_mm
 
     @property
     def counts_mm(self) -> float | None:
-        """[mm] tool error that counts: with the controller after a repair."""
+        """[mm] tool error that counts."""
         with_it = self.left_mm if self.kind == "repair" else self.controlled_mm
         bare = self.error_mm if self.true_error_mm is None else self.true_error_mm
         return bare if with_it is None else with_it
 
     @property
     def over(self) -> bool:
-        """Whether that error has reached the tolerance."""
+        """Whether it reached the tolerance."""
         limit, counts = self.tolerance_mm, self.counts_mm
         return limit is not None and counts is not None and counts >= limit
 
@@ -163,26 +159,23 @@ def _column(kind: Any) -> pa.DataType:  # noqa: ANN401
 
 _KINDS = typing.get_type_hints(HistoryRow)
 SCHEMA = pa.schema([(item.name, _column(_KINDS[item.name])) for item in fields(HistoryRow)])
-"""Columns of every file"""
+"""Columns"""
 
 
 def utc_now() -> datetime:
-    """Return the time in UTC, without a zone, as rows have it."""
+    """UTC without a zone."""
     return datetime.now(UTC).replace(tzinfo=None)
 
 
 def write_rows(path: Path, rows: Sequence[HistoryRow]) -> None:
-    """Write summary rows, whole or not at all; FileError if that fails."""
+    """Write summary rows, whole or not at all; FileError."""
     table = pa.Table.from_pylist([asdict(row) for row in rows], schema=SCHEMA)
     table = table.replace_schema_metadata({_FORMAT_KEY: str(FORMAT).encode()})
     write_whole(path, lambda temporary: pq.write_table(table, temporary, write_page_checksum=True))
 
 
 def read_table(path: Path) -> pa.Table:
-    """Read summary rows as a table of `SCHEMA`.
-
-    FileError if damaged, of a later version, or something else.
-    """
+    """Read a table of `SCHEMA`; FileError if damaged or of a later version."""
     remedy = "delete it; the other files are not concerned"
     try:
         table = read_parquet(path, remedy)
@@ -214,12 +207,12 @@ def _require_usable(table: pa.Table) -> None:
 
 
 def read_rows(path: Path) -> list[HistoryRow]:
-    """Read a file of summary rows; errors as `read_table`."""
+    """Read summary rows; errors as `read_table`."""
     return rows_from(read_table(path))
 
 
 def rows_from(table: pa.Table) -> list[HistoryRow]:
-    """Return the rows of a table of `SCHEMA`."""
+    """Rows of a table of `SCHEMA`."""
     texts = {item.name for item in SCHEMA if item.type == pa.string()}
     found = []
     for row in table.to_pylist():

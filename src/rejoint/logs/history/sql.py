@@ -21,10 +21,10 @@ _ZONED = "TIMESTAMP WITH TIME ZONE"
 def ask(
     folder: Path, query: str, left_out: Callable[[str], object] = lambda _: None
 ) -> tuple[list[str], list[tuple[Any, ...]]]:
-    """Answer a query over the table ``history``: names of the columns, and rows.
+    """Answer a query over the table ``history``: column names, and rows.
 
-    The columns are those of `HistoryRow`, times in UTC. ``left_out`` receives damaged files. The query reads nothing
-    else and writes nothing. InputError for a wrong query, FileError without rows, MissingExtraError without DuckDB.
+    Columns as `HistoryRow`, UTC. ``left_out`` receives damaged files. The query cannot read or write files. InputError
+    for a wrong query, FileError without rows, MissingExtraError without DuckDB.
     """
     require("rejoint history --sql", "history")
     import duckdb
@@ -59,7 +59,7 @@ def _answer(connection: duckdb.DuckDBPyConnection, query: str) -> tuple[list[str
 
 
 def _without_zones(found: duckdb.DuckDBPyRelation) -> duckdb.DuckDBPyRelation:
-    """Return times without zones (all are UTC): zones would need another package."""
+    """Return times without zones, which would need another package."""
     if all(str(kind) != _ZONED for kind in found.types):
         return found
     columns = (

@@ -1,4 +1,4 @@
-"""What each stage of a repair cost."""
+"""Cost of the stages of a repair."""
 
 from __future__ import annotations
 
@@ -14,41 +14,41 @@ from rejoint.system.files import read_json, write_json
 
 @dataclass(frozen=True, kw_only=True)
 class StageCost:
-    """What one stage cost, all its attempts together."""
+    """Cost of a stage, all attempts together."""
 
     name: str
     wall: float = 0.0
-    """[s] by this computer's clock; 0 if not measured"""
+    """[s] wall clock; 0: unknown"""
     moving: float = 0.0
-    """[s] of the arm's own time"""
+    """[s] of the arm"""
     travel: float = 0.0
-    """[rad] of all joints together"""
+    """[rad] of all joints"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Effort:
-    """Cost of the stages of a run, in order."""
+    """Cost of all stages, in order."""
 
     stages: tuple[StageCost, ...] = ()
 
     @property
     def wall(self) -> float:
-        """[s] of all stages together."""
+        """[s] of all stages."""
         return sum(stage.wall for stage in self.stages)
 
     @property
     def moving(self) -> float:
-        """[s] of all stages together."""
+        """[s] of all stages."""
         return sum(stage.moving for stage in self.stages)
 
     @property
     def travel(self) -> float:
-        """[rad] of all stages together."""
+        """[rad] of all stages."""
         return sum(stage.travel for stage in self.stages)
 
 
 def cost(one: StageCost | Effort) -> str:
-    """Say it in words."""
+    """In words."""
     time = f"{one.wall / 60:.1f} min"
     if not one.moving:
         return time
@@ -57,7 +57,7 @@ def cost(one: StageCost | Effort) -> str:
 
 
 def add(folder: RunFolder, cost: StageCost) -> None:
-    """Add a stage's cost to the run's file, if it is there."""
+    """Add a stage's cost to the run's file, if there."""
     if not folder.info.exists():
         return
     with suppress(FileError):
@@ -74,5 +74,5 @@ def _add(folder: RunFolder, cost: StageCost) -> None:
 
 
 def read_effort(folder: RunFolder) -> Effort | None:
-    """Return what the stages of a run cost; None where it was not counted."""
+    """Cost of a run's stages, or None."""
     return read_json(folder.effort, Effort) if folder.effort.exists() else None

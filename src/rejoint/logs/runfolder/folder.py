@@ -1,7 +1,4 @@
-"""The run folder: where every stage leaves its files, and a lock for one process.
-
-The next process that takes the lock repairs what a killed one left.
-"""
+"""The run folder: files of every stage, and a lock for one process."""
 
 from __future__ import annotations
 
@@ -22,7 +19,7 @@ from rejoint.system.files import JSON_MOST, UNFINISHED, UNWRITABLE, read_bounded
 
 
 class Located(Protocol):
-    """Something in a folder of its own."""
+    """Something in a folder."""
 
     @property
     def path(self) -> Path:
@@ -30,7 +27,7 @@ class Located(Protocol):
 
 
 class FilePlace:
-    """A path below the folder of what has it as an attribute."""
+    """A path below the owner's folder."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -41,39 +38,38 @@ class FilePlace:
 
 @dataclass(frozen=True)
 class Outputs:
-    """Files of a training in its folder."""
+    """Files of a training."""
 
     path: Path
 
     policy = FilePlace("policy.onnx")
-    """the trained policy with its contract"""
     folder = FilePlace("training")
-    """what a training needs on its way, and its curves"""
+    """work files of a training"""
     curves = FilePlace("training/curves.parquet")
-    """Parquet, one row per update, the fields of `CurvePoint`"""
+    """one row per update, fields of `CurvePoint`"""
     checkpoint = FilePlace("training/checkpoint.pt")
-    """what an interrupted training goes on from"""
+    """state of an interrupted training"""
 
     def snapshot(self, updates: int) -> Path:
-        """Path of the policy kept after so many updates."""
+        """Policy after so many updates."""
         return self.folder / f"policy-{updates:04}.onnx"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Kept:
-    """The earlier repair that twin and policy come from."""
+    """The earlier repair of twin and policy."""
 
     run: str
     """folder"""
     since: str
-    """local date and time when that repair began, ISO 8601"""
+    """its local date and time, ISO 8601"""
     error: float
     """[m] rms tool error of the twin in the new excitation"""
     fitted: float
-    """[m] the same when it was fitted"""
+    """[m] the same at its fit"""
 
     def __str__(self) -> str:
-        """Say it in a sentence."""
+        """In a sentence."""
         return (
             f"the arm still moves as its twin of {self.since[:10]} says, within {1e3 * self.error:.1f} mm "
             f"({1e3 * self.fitted:.1f} then); twin and policy are kept from {self.run}"
@@ -86,79 +82,73 @@ except ImportError:  # not on Windows
     fcntl = None  # type: ignore[assignment]
 
 FORMAT = 2
-"""Version of the layout of a run folder; a reader refuses others"""
+"""Version; others are refused"""
 
 LOGS = "logs:"
-"""Robot of a run made from logs; their folder follows"""
+"""Robot of a run made from logs, before their folder"""
 
 _LOGGER = logging.getLogger("rejoint")
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunInfo:
-    """What a run folder is about."""
+    """Contents of run.json."""
 
     robot: str
     """address of the robot"""
     arm: str
-    """name of the arm"""
     seed: int
     version: str
-    """version of the software that made the folder"""
+    """of the software"""
     created: str
     """local date and time, ISO 8601"""
     arm_file: str = ""
-    """`file_digest` of the arm's own description; empty without one"""
+    """`file_digest` of the arm's description, or empty"""
     format: int = FORMAT
-    """version of the folder's layout"""
 
 
 @dataclass(frozen=True)
 class RunFolder:
-    """Where each stage of a run leaves its files."""
+    """Files of each stage of a run."""
 
     path: Path
 
     info = FilePlace("run.json")
-    """robot, arm and seed (`RunInfo`)"""
+    """`RunInfo`"""
     description = FilePlace("arm.toml")
-    """the arm's own description, where it is not one of the catalogue"""
+    """the arm's own description, if not in the catalogue"""
     diagnosis = FilePlace("diagnosis.json")
-    """what is wrong with the arm"""
     twin = FilePlace("twin.toml")
-    """the identified twin"""
     measurements = FilePlace("measurements.parquet")
-    """where the tool was seen from outside"""
+    """external measurements of the tool"""
     calibration = FilePlace("calibration.toml")
-    """what lies behind the encoders, and whether to correct by it"""
+    """displacements behind the encoders"""
     views = FilePlace("views.parquet")
-    """what a camera saw of the board, picture by picture"""
+    """detections of the board per image"""
     pictures = FilePlace("pictures")
-    """folder of the pictures themselves"""
+    """images"""
     camera = FilePlace("camera.toml")
-    """how camera, board and arm stand to each other"""
+    """poses of camera, board and arm"""
     judgement = FilePlace("judgement.json")
     """twins judged on held-out motion"""
     kept = FilePlace("kept.json")
-    """from which earlier repair twin and policy are, where they are"""
+    """earlier repair of twin and policy"""
     policy = FilePlace("policy.onnx")
-    """the trained policy with its contract"""
     gains = FilePlace("gains.json")
-    """what a search for better gains of the servos found"""
+    """result of a gain search"""
     comparison = FilePlace("comparison.json")
-    """every controller on the same arm"""
+    """controllers on the same arm"""
     effort = FilePlace("effort.json")
-    """what the stages cost: the arm's time, its joints' travel"""
+    """cost of the stages"""
     trials = FilePlace("comparison.trials")
-    """trials of a comparison that is not done yet"""
+    """trials of an unfinished comparison"""
     quick = FilePlace("quick.json")
-    """left by ``--quick``: nothing in the folder is a result"""
+    """mark of ``--quick``: no results"""
     finished = FilePlace("finished.json")
-    """what `rejoint repair` leaves when all of it is done"""
+    """mark of a finished `rejoint repair`"""
     report = FilePlace("report.html")
-    """the page for the owner"""
     figures = FilePlace("figures")
-    """folder of the report's figures as PNG files"""
+    """the report's figures as PNG files"""
 
     def arm(self, name: str) -> str:
         """Return the arm's own description, or ``name`` in the catalogue."""
@@ -166,19 +156,19 @@ class RunFolder:
 
     @property
     def outputs(self) -> Outputs:
-        """What the training leaves: the policy, curves and checkpoints."""
+        """Outputs of the training."""
         return Outputs(self.path)
 
     def log(self, name: str) -> Path:
-        """Path of the run log called ``name``; slashes become dashes."""
+        """Path of a run log; slashes become dashes."""
         return self.path / "logs" / f"{name.replace('/', '-')}.parquet"
 
     def logs(self) -> dict[str, Path]:
-        """Paths of all run logs by name, sorted."""
+        """Run logs by name, sorted."""
         return {path.stem: path for path in sorted((self.path / "logs").glob("*.parquet"))}
 
     def trial_logs(self) -> tuple[Path, ...]:
-        """Paths of the run logs of the comparison."""
+        """Run logs of the comparison."""
         return tuple(path for name, path in self.logs().items() if _TRIAL.fullmatch(name))
 
 
@@ -186,14 +176,14 @@ _TRIAL = re.compile(r"(crossing|hold)-\D+-\d{1,4}-\d{1,4}")
 
 
 class _Head(msgspec.Struct):
-    """What run.json says in every version."""
+    """Fields of run.json in every version."""
 
     version: str = "of some other version"
     format: int = FORMAT
 
 
 def read_info(path: Path) -> RunInfo:
-    """Read run.json; FileError if missing, damaged or of another version."""
+    """Read run.json; FileError."""
     try:
         head = msgspec.json.decode(read_bounded(path, JSON_MOST, "choose another folder"), type=_Head)
     except (OSError, msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
@@ -206,10 +196,9 @@ def read_info(path: Path) -> RunInfo:
 
 @contextmanager
 def locked(folder: RunFolder) -> Iterator[None]:
-    """Lock a run folder for this process, and repair what a killed one left.
+    """Lock a run folder, and repair what a killed process left; FileError if locked or not writable.
 
-    FileError where another process works there, or nothing can be written. Systems without locks neither lock nor
-    repair.
+    Systems without locks neither lock nor repair.
     """
     path = folder.path / ".lock"
     try:
@@ -236,7 +225,7 @@ def locked(folder: RunFolder) -> Iterator[None]:
 
 
 def _lock(handle: int, folder: RunFolder) -> bool:
-    """Take the lock; returns whether the system has locks. FileError if another process has it."""
+    """Take the lock; returns whether the system has locks. FileError: another process has it."""
     if fcntl is not None:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -254,7 +243,6 @@ def _lock(handle: int, folder: RunFolder) -> bool:
 
 
 def _put_right(folder: RunFolder) -> None:
-    """Remove unfinished files; journals become run logs."""
     logs = folder.path / "logs"
     for place in (folder.path, logs, folder.outputs.folder, folder.figures, folder.pictures):
         for unfinished in place.glob(f".*{UNFINISHED}"):

@@ -1,5 +1,4 @@
-"""The live view: a page that shows an arm while it is driven, and can ask for it to be held.
+"""The live view: a page that shows a driven arm, with a button to hold it.
 
-The control loop only puts records into a ring (`records`); a thread (`view`) draws them (`animation`) on the page
-(`page`), the one module that knows viser.
+The control loop writes a ring (`records`); a thread (`view`) draws it (`animation`) on the page (`page`).
 """

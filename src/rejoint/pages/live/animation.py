@@ -1,4 +1,4 @@
-"""What is drawn of an arm, frame by frame, and said about it: capsules along its links, texts, colours."""
+"""Drawing of an arm: capsules, texts, colours."""
 
 from __future__ import annotations
 
@@ -25,58 +25,55 @@ if TYPE_CHECKING:
 Colour = tuple[int, int, int]
 
 LINKS: tuple[Colour, Colour] = (214, 219, 225), (168, 179, 192)
-"""of the arm's links, in turns, so that they are told apart"""
+"""of the links in turn"""
 GHOST: Colour = (47, 111, 237)
 TRAIL: Colour = (235, 120, 30)
 TARGET: Colour = (30, 160, 90)
 TRUE: Colour = (200, 30, 160)
-"""of the tool itself, as far as it is known"""
+"""of the tool"""
 NARROWER = 0.97
-"""Thickness of every other link, by that of its neighbours: caps in the same place flicker (chosen)"""
+"""Thickness of every other link, against flicker (chosen)"""
 TOOL_SHARE = 0.3
-"""Thickness of the tool as it is drawn, by that of a link (chosen: the target shows beside it)"""
+"""Thickness of the tool over a link's (chosen)"""
 
 
 def cell_of(size: float) -> float:
-    """[m] edge of the squares on the ground under an arm that reaches ``size`` [m]."""
+    """[m] edge of a ground square under an arm of reach ``size`` [m]."""
     return 0.05 if size < 1.0 else 0.1
 
 
 def css(colour: Colour) -> str:
-    """Write a colour as style sheets have it."""
+    """Colour in CSS."""
     return f"rgb{colour}"
 
 
 class Skeleton:
-    """The parts of an arm of n joints; link 0 is its base, link i + 1 moves with joint i."""
+    """Parts of an arm of n joints; link 0 is the base."""
 
     def __init__(self, arm: Arm) -> None:
         self.place: Array = arm.offset[:, :3, 3]
-        """(n, 3) [m] origin of each joint frame in the one before"""
+        """(n, 3) [m] joint origins, each in its parent"""
         self.end: Array = np.vstack([self.place, arm.tip[:3, 3]])
-        """(n + 1, 3) [m] where each link ends, in the frame that it moves with"""
+        """(n + 1, 3) [m] link ends, in the link's frame"""
         self.radius = collision_shape(arm).radius
-        """[m] of all capsules"""
+        """[m]"""
         self._axis, self._zero = arm.axis, Rotation.from_matrix(arm.offset[:, :3, :3])
 
     def shape(self, link: int) -> tuple[Array, float]:
-        """End (3,) [m] of the capsule of a link from the origin of its frame, and its radius [m].
-
-        The tool's is thinner.
-        """
+        """End (3,) [m] of a link's capsule in its frame, and radius [m]."""
         if link < len(self.place):
             return self.end[link], self.radius * (1.0 if link % 2 else NARROWER)
         thin, length = TOOL_SHARE * self.radius, float(np.linalg.norm(self.end[link]))
         return self.end[link] * max(1.0 - thin / length, 0.0) if length > thin else self.end[link], thin
 
     def turns(self, q: Array) -> Array:
-        """Orientations (n, 4) of the joint frames, each in the one before, at ``q`` (n,) [rad]: w first."""
+        """Quaternions (n, 4), w first, of joint frames in their parents, at ``q`` (n,) [rad]."""
         turned: Array = (self._zero * Rotation.from_rotvec(q[:, None] * self._axis)).as_quat(scalar_first=True)
         return turned
 
 
 KEPT = 1.5
-"""[s] for which a limit that was met is still told (chosen: time to read it)"""
+"""[s] for which a limit is shown (chosen)"""
 
 # What the guard keeps a command from exceeding; the joint is named whose command it changed most
 _LIMITS = {
@@ -94,7 +91,7 @@ _WORDS = {
 
 
 def guard_words(records: Records, limits: GuardLimits) -> tuple[str, ...]:
-    """Say what the guard did in the last `KEPT` seconds of ``records``, trips first; nothing where it did nothing."""
+    """Actions of the guard in the last `KEPT` seconds, trips first."""
     recent = lately(records, KEPT)
     flags, said = recent.reasons.astype(np.int64), []
     for reason in sorted(Reason, key=lambda one: one not in TRIPS):
@@ -116,7 +113,7 @@ def guard_words(records: Records, limits: GuardLimits) -> tuple[str, ...]:
 
 
 def _touching(reason: Reason, wanted: Array, limits: GuardLimits) -> str:
-    """Say what would be too low, or touch what, where the controller wanted the arm, (n,) [rad]."""
+    """Name the contact or low point at the wanted posture (n,)."""
     clear, floors = clearances(limits.arm, wanted[None], limits.floors)[0], len(limits.floors)
     if reason is Reason.FLOOR:
         low = int(np.argmin(clear[:floors]))
@@ -130,25 +127,25 @@ def _touching(reason: Reason, wanted: Array, limits: GuardLimits) -> str:
 
 RED, AMBER, GREEN, GREY = "#c92a2a", "#b35c00", "#2b8a3e", "#868e96"
 HOT = 55.0
-"""[deg C] from which a temperature is set off (chosen: 10 below the guard's limit)"""
+"""[deg C] of a marked temperature (chosen: 10 below the guard's limit)"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Doing:
-    """What is being done, and how far it is."""
+    """A task and its progress."""
 
     title: str = ""
-    """the command, or the stage of a repair"""
+    """command, or stage of a repair"""
     what: str = ""
-    """in a few words"""
+    """label"""
     share: float = 0.0
-    """that is done, 0 to 1"""
+    """0 to 1"""
     since: float = 0.0
-    """[s] for which it lasts"""
+    """[s]"""
 
     @property
     def left(self) -> float | None:
-        """[s] that it will still take; None before there is enough to say."""
+        """[s] remaining, or None."""
         return self.since * (1.0 - self.share) / self.share if 0.02 < self.share < 1.0 and self.since > 2.0 else None
 
 
@@ -161,33 +158,33 @@ def duration(seconds: float) -> str:
 
 
 def panel() -> Any:  # noqa: ANN401 - macros of a template
-    """Return the macros that write short texts in HTML; given metres, radians and seconds."""
+    """Macros of short texts in HTML; values in metres, radians and seconds."""
     return macros("live.html", red=RED, amber=AMBER, green=GREEN, grey=GREY)
 
 
 SLOWER = 6
-"""frames for each time that texts and the curve are written (chosen)"""
+"""frames per text and curve (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Subject:
-    """An arm that is shown."""
+    """A shown arm."""
 
     arm: Arm
     address: str
     count: int
-    """of arms side by side, of which one is shown"""
+    """of arms; one is shown"""
     ring: Ring
     ghost: Ghost | None
     within: float
-    """[m] error that is accepted"""
+    """[m] accepted error"""
     paced: bool
-    """whether it is slowed down to the pace of the page"""
+    """slowed down to the page's pace"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Begun:
-    """The run of the control loop that began last."""
+    """The last begun run."""
 
     number: int = 0
     controller: str = ""
@@ -195,7 +192,7 @@ class Begun:
 
 
 class Animation:
-    """Draws one arm; it begins with what comes from now on."""
+    """Draws one arm."""
 
     def __init__(self, page: WebPage, subject: Subject, before: Animation | None) -> None:
         self._page, self.subject = page, subject
@@ -210,7 +207,7 @@ class Animation:
             page.pose(now, now)
 
     def draw(self, begun: Begun, doing: Doing, stopped: str) -> None:
-        """Read what came, and draw it."""
+        """Draw new records."""
         fresh, self._read = self.subject.ring.since(self._read)
         ghost = self._ghost(fresh)
         self._trails.follow(fresh)
@@ -224,7 +221,7 @@ class Animation:
         self._count += 1
 
     def _ghost(self, records: Records) -> Array:
-        """Joint positions (K, n) [rad] of what is drawn beside the arm: its twin, or where it is sent."""
+        """Positions (K, n) [rad] of the ghost: the twin, or the commands."""
         return records.command if self.subject.ghost is None else self.subject.ghost.follow(records)
 
     def _label(self, records: Records) -> str:
@@ -248,7 +245,7 @@ class Animation:
 
 
 def _miss(records: Records) -> Array:
-    """Where the tool is drawn (3,) [m]: as far from the drawn target as it is from the real one; NaN where unknown."""
+    """Place (3,) [m] of the drawn tool; NaN: unknown."""
     target, aim, true = records.target[-1], records.aim[-1], records.true_tcp[-1]
     return aim + true - target if np.isfinite(target).all() else true
 

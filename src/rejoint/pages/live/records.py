@@ -1,6 +1,6 @@
-"""What the control loop leaves for those who look on: a ring of records, trails of the last seconds, and the twin.
+"""Records of the control loop for other threads: a ring, trails, and the twin.
 
-One writer, no lock: a record is a number and four references; a reader skips slots that were written meanwhile.
+One writer, no lock: a reader skips slots that were written meanwhile.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ if TYPE_CHECKING:
 
 
 SLOTS = 512
-"""Records in a ring (chosen: ten seconds at the shortest usual period)"""
+"""(chosen: ten seconds at the shortest usual period)"""
 _Slot = tuple[int, int, Cycle, JointState, Array]
 
 Records: TypeAlias = "np.recarray[Any, Any]"
-"""K cycles of one arm, the oldest first, by the names of `_kind`"""
+"""K cycles of one arm, the oldest first; fields of `_kind`"""
 
 
 def _kind(joints: int) -> np.dtype[np.void]:
-    """Name what a record holds: [s], [m], [rad], share of torque, [deg C]; NaN where unknown."""
+    """Fields of a record: [s], [m], [rad], share of torque, [deg C]; NaN: unknown."""
     numbers = [(name, "f8") for name in ("time", "run", "index", "reasons", "arm")]
     points = [(name, "f8", (3,)) for name in ("target", "aim", "true_tcp")]
     # `wanted` is the command of the controller, before the guard
@@ -37,7 +37,7 @@ def _kind(joints: int) -> np.dtype[np.void]:
 
 
 def lately(records: Records, seconds: float) -> Records:
-    """Return those of the newest run and arm of its last ``seconds``."""
+    """Return records of the newest run and arm in the last ``seconds``."""
     if not len(records):
         return records
     last = records[-1]
@@ -45,22 +45,22 @@ def lately(records: Records, seconds: float) -> Records:
 
 
 class Ring:
-    """The newest cycles of an arm with ``joints`` joints."""
+    """Newest cycles of an arm."""
 
     def __init__(self, joints: int, slots: int = SLOTS) -> None:
         self._slots: list[_Slot | None] = [None] * slots
         self._kind, self._size = _kind(joints), slots
         self.count = 0
-        """records written so far"""
+        """of written records"""
 
     def write(self, run: int, cycle: Cycle, state: JointState, wanted: Array) -> None:
-        """Write a record; for the control loop."""
+        """Write a record."""
         count = self.count
         self._slots[count % self._size] = count, run, cycle, state, wanted
         self.count = count + 1
 
     def since(self, count: int) -> tuple[Records, int]:
-        """Return what was written after the first ``count`` records, as far as it is still there, and the new count."""
+        """Return records after the first ``count``, as far as kept, and the new count."""
         end, rows = self.count, []
         for number in range(max(count, end - self._size, 0), end):
             slot = self._slots[number % self._size]
@@ -79,25 +79,25 @@ def _row(run: int, cycle: Cycle, state: JointState, wanted: Array) -> tuple[Any,
 
 
 TRAIL = 400
-"""Points of a trail (chosen: at `APART` that is 0.8 m)"""
+"""Points (chosen: at `APART` that is 0.8 m)"""
 APART = 2e-3
-"""[m] between points of a trail (chosen: the eye does not see the corners)"""
+"""[m] between points (chosen)"""
 MOVES = 5
-"""Points of its way from which a target is one that moves: others are aimed at again by a little (chosen)"""
+"""Points of a moving target (chosen)"""
 
 
 class Trails:
-    """Keeps what a page draws of one arm besides its posture."""
+    """Trails of one arm."""
 
     def __init__(self, arm: Arm) -> None:
         self._arm = arm
         self._tool: deque[Array] = deque(maxlen=TRAIL)
         self._target: deque[Array] = deque(maxlen=TRAIL)
         self.errors = (np.nan, np.nan)
-        """[m] newest encoder error and true error; NaN where there is no target, or it is unknown"""
+        """[m] newest encoder and true error; NaN: none"""
 
     def follow(self, records: Records) -> None:
-        """Take over what came since the last call."""
+        """Take new records."""
         if not len(records):
             return
         tool = tcp_position(self._arm, records.position)
@@ -110,12 +110,12 @@ class Trails:
 
     @property
     def tool(self) -> Array:
-        """(P, 3) [m] trail of the tool, by the encoders."""
+        """(P, 3) [m] by the encoders."""
         return np.array(self._tool).reshape(-1, 3)
 
     @property
     def target(self) -> Array:
-        """(P, 3) [m] way of an aim that moves; one that jumps leaves none."""
+        """(P, 3) [m] of a moving target."""
         return np.array(self._target).reshape(-1, 3)
 
     @property
@@ -135,11 +135,11 @@ def _extend(trail: deque[Array], point: Array) -> None:
 
 
 LONGEST = 0.5
-"""[s] between two records from which the twin is put where the arm is (chosen)"""
+"""[s] gap after which the twin restarts (chosen)"""
 
 
 class Ghost:
-    """A twin that is sent what its arm is sent, from where the arm is at the start of every run of the loop."""
+    """A twin that receives the arm's commands; restarts with every run."""
 
     def __init__(self, arm: Arm, twin: Twin) -> None:
         self._draw = Draw.of(twin.parameters.repeat(1), twin.stiction, twin.acceleration)
@@ -147,7 +147,7 @@ class Ghost:
         self._now: tuple[float, float, float] | None = None  # run, arm, time [s] of the record that was followed last
 
     def follow(self, records: Records) -> Array:
-        """Follow what the arm was sent; returns the joint positions (K, n) [rad] at the times of the records."""
+        """Positions (K, n) [rad] of the twin at the records' times."""
         predicted = np.empty_like(records.position)
         for k in range(len(records)):
             run, arm, now = float(records.run[k]), float(records.arm[k]), float(records.time[k])

@@ -1,4 +1,4 @@
-"""The live view: what looks on while arms are driven, and the thread that makes a page of it."""
+"""The live view: an observer, and the thread of its page."""
 
 from __future__ import annotations
 
@@ -30,22 +30,21 @@ if TYPE_CHECKING:
 
 HOST, PORT = "127.0.0.1", 8080
 RATE = 25.0
-"""[Hz] of the frames at most (chosen: motion looks even)"""
+"""[Hz] of frames (chosen)"""
 ASLEEP = 0.2
-"""[s] between two looks whether somebody opened the page (chosen)"""
+"""[s] between looks for a browser (chosen)"""
 SEEN = 0.7
-"""[s] for which the page stays after the end, so that a browser has the last of it (chosen)"""
+"""[s] of the page after the end (chosen)"""
 HAND_OVER = 0.2e-3
-"""[s] after which Python hands its lock over while the page is served (chosen: the control loop waits for it)"""
+"""[s] of Python's thread switch while serving (chosen: the control loop waits for it)"""
 BUTTON = "the button of the live view"
-"""Who asks for the end where it was pressed"""
+"""Source of an interruption"""
 
 
 class LiveView(Observer):
-    """Shows arms on a page while they are driven; the control loop never waits for it.
+    """Shows driven arms on a page; the control loop never waits for it.
 
-    Give it as ``observer``. Its button asks for the end as Ctrl-C does: the arm holds, nothing is powered off, and
-    `Interrupted` is raised.
+    Pass it as ``observer``. Its button acts as Ctrl-C: the arm holds with power on, and `Interrupted` is raised.
 
     Examples
     --------
@@ -55,7 +54,7 @@ class LiveView(Observer):
     """
 
     def __init__(self, host: str = HOST, port: int = PORT) -> None:
-        """Say where the page will be; port 0 is any free one. There is no password."""
+        """Serve at ``host`` and ``port`` (0: any free one), without a password."""
         self.shows = True
         self._host, self._port = host, port
         self._page: WebPage | None = None
@@ -68,12 +67,11 @@ class LiveView(Observer):
         self._interval = sys.getswitchinterval()
         self._pace = 1.0
         self.frames = 0
-        """that were drawn so far"""
         self.failure = ""
-        """why the page was drawn no further, if it was not"""
+        """why drawing ended, or empty"""
 
     def __enter__(self) -> Self:
-        """Serve the page; MissingExtraError without the extra ``live``, InputError where the port is taken."""
+        """Serve the page; MissingExtraError without the extra ``live``, InputError for a taken port."""
         require("a live view", "live")
         from rejoint.pages.live.page import WebPage
 
@@ -86,7 +84,7 @@ class LiveView(Observer):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Let browsers have the last of it, and end."""
+        """Show the last frame, and end."""
         if error is not None:
             said = first_line(error) or type(error).__name__
             self._stopped = " ".join([f"{said[:1].upper()}{said[1:]}.", *getattr(error, "__notes__", ())])
@@ -102,16 +100,15 @@ class LiveView(Observer):
 
     @property
     def address(self) -> str:
-        """Of the page, for a browser; empty while it is not served."""
+        """Address for a browser; empty before."""
         return "" if self._page is None else self._page.address
 
     def watch(
         self, robot: Robot, *, twin: object = None, within: float | None = None, paced: bool | None = None
     ) -> Robot:
-        """Return the robot as one that is shown, with its ``twin`` as a ghost.
+        """Return a shown robot, with its ``twin`` as a ghost.
 
-        ``within`` [m] is the error that is accepted; virtual time, or ``paced``, is slowed down to the pace of the
-        page.
+        ``within`` [m]: accepted error; virtual time, or ``paced``, runs at the page's pace.
         """
         ghost = None
         if twin is not None:
@@ -128,15 +125,15 @@ class LiveView(Observer):
         return _LiveRobot(shown, self, subject)
 
     def begin(self, title: str) -> None:
-        """Say what begins now: a command, or a stage of a repair."""
+        """Begin a command, or a stage of a repair."""
         self._since, self._doing = time.monotonic(), Doing(title=title)
 
     def progress(self, share: float, what: str) -> None:
-        """Say how far it is; takes what a stage tells its ``on_progress``."""
+        """Show progress."""
         self._doing = replace(self._doing, share=min(max(share, 0.0), 1.0), what=what)
 
     def look(self, subject: Subject, controller: str, limits: GuardLimits) -> Look:
-        """Return what writes the cycles of a run that begins now."""
+        """Return the writer of a run's cycles."""
         number = self._begun.number + 1
         self._begun, self._subject = Begun(number=number, controller=controller, limits=limits), subject
         return partial(subject.ring.write, number)

@@ -1,4 +1,4 @@
-"""Everything that a run folder holds, read once; each stage's part is None where it has not been run."""
+"""Contents of a run folder, read once; None: stage not run."""
 
 from __future__ import annotations
 
@@ -46,28 +46,28 @@ _LAST = 5  # updates that are averaged for "at the end"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Curves:
-    """Training curves with one entry per update, K updates."""
+    """Training curves, K updates."""
 
     step: Array
-    """(K,) transitions so far"""
+    """(K,) transitions"""
     reward: Array
-    """(K,) mean per control cycle"""
+    """(K,) mean per cycle"""
     success_rate: Array
-    """(K,) fraction of the targets"""
+    """(K,)"""
     error_mm: Array
-    """(K,) median distance at the end of a target"""
+    """(K,) median at the end of a target"""
     wall_s: Array
-    """(K,) time since the start"""
+    """(K,) [s]"""
 
     @property
     def outcome(self) -> str:
-        """What the last updates came to, in words."""
+        """Result of the last updates, in words."""
         success, error = (float(np.mean(values[-_LAST:])) for values in (self.success_rate, self.error_mm))
         return f"{number(100 * success, 3, '%')} success and a median error of {number(error, 2, 'mm')}"
 
 
 def read_curves(path: Path) -> Curves:
-    """Read ``training/curves.parquet``; FileError if it is damaged or holds no update."""
+    """Read ``training/curves.parquet``; FileError."""
     remedy = "delete it and train again"
     try:
         table = read_parquet(path, remedy, list(_COLUMNS))
@@ -84,7 +84,7 @@ def read_curves(path: Path) -> Curves:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Contents:
-    """What is known of a run."""
+    """Results of a run."""
 
     folder: RunFolder
     arm: Arm
@@ -92,24 +92,22 @@ class Contents:
     diagnosis: Diagnosis | None
     twin: Twin | None
     judgement: Judgement | None
-    """of the twin and others, where it was fitted to logs alone"""
+    """of twins fitted to logs alone"""
     curves: Curves | None
     contract: PolicyContract | None
     comparison: Comparison | None
     calibration: Calibration | None
-    """what lies behind the encoders"""
     measurements: Measurements | None
-    """where the tool was seen from outside"""
+    """external, of the tool"""
     hold: Mapping[str, RunLog]
-    """one trial of the hold protocol per controller"""
+    """one hold trial per controller"""
     effort: Effort | None = None
-    """what the stages cost"""
     kept: Kept | None = None
-    """from which earlier repair twin and policy are"""
+    """earlier repair of twin and policy"""
 
 
 def read_contents(path: Path) -> Contents:
-    """Read a run folder; FileError names a damaged file, or the folder if nothing in it can be reported."""
+    """Read a run folder; FileError, also for an empty one."""
     folder = RunFolder(path)
     if not path.is_dir():
         raise FileError(path, "no such run folder", "check the path, or make one with `rejoint repair`")
@@ -140,7 +138,6 @@ def _optional(path: Path, read: Callable[[Path], T]) -> T | None:
 
 
 def _arm(path: Path, sources: list[str], names: list[str]) -> Arm:
-    """Build the arm of the first of ``sources`` (a name or a file); all ``names`` must be its name."""
     try:
         arm = load_arm(sources[0] if sources else DEFAULT_ARM)
     except InputError as error:
@@ -153,7 +150,6 @@ def _arm(path: Path, sources: list[str], names: list[str]) -> Arm:
 
 
 def _trials(folder: RunFolder, controllers: tuple[str, ...]) -> dict[str, RunLog]:
-    """Read the first trial of each controller, in the order of ``controllers``."""
     found: dict[str, tuple[int, int, Path]] = {}
     for name, path in folder.logs().items():
         match = _TRIAL.fullmatch(name)
@@ -168,14 +164,13 @@ class MeanErrors:
     """Mean distance from the targets."""
 
     encoders: float | None
-    """[m] where the encoders see the tool"""
+    """[m]"""
     tool: TrueError
-    """where the tool itself is"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BeforeAfter:
-    """An arm as it was found, and with a controller."""
+    """An uncorrected arm, and one with a controller."""
 
     controller: str
     before: MeanErrors
@@ -183,7 +178,7 @@ class BeforeAfter:
 
     @property
     def sentence(self) -> str:
-        """Both in one line for the owner; empty where one of them was not tried."""
+        """Both in one line, or empty."""
         before, after = self.before, self.after
         if before.encoders is None or after.encoders is None:
             return ""
@@ -202,7 +197,7 @@ def _tool(error: TrueError, what: str) -> str:
 
 
 def before_after(contents: Contents, controller: str) -> BeforeAfter | None:
-    """Compare the arm as it was found with what ``controller`` does; None where none was compared."""
+    """Compare the uncorrected arm with ``controller``; None: not compared."""
     if contents.comparison is None:
         return None
     return BeforeAfter(
@@ -211,10 +206,7 @@ def before_after(contents: Contents, controller: str) -> BeforeAfter | None:
 
 
 def found(contents: Contents) -> MeanErrors:
-    """Return the errors of the arm as found.
-
-    Of its own controller at the same targets, else open loop in the diagnosis.
-    """
+    """Errors of the uncorrected arm: under its own controller, else open loop in the diagnosis."""
     own, comparison = DefaultController.name, contents.comparison
     if comparison is not None and own in comparison.controllers and not comparison.calibration:
         return _errors(comparison, own)
@@ -239,18 +231,18 @@ def _errors(comparison: Comparison, controller: str) -> MeanErrors:
 
 
 LEARNERS = ("sac", "td3", "ddpg")
-"""Values of `--learner` besides that of the presets"""
+"""Other values of `--learner`"""
 
 
 class Command(NamedTuple):
-    """A command line and what it does."""
+    """A command line and its meaning."""
 
     what: str
     line: str
 
 
 def commands(contents: Contents) -> dict[str, Command]:
-    """Return the command line of every stage, with all that it takes to repeat what was done."""
+    """Command lines that repeat every stage."""
     run = shlex.quote(str(contents.folder.path))
     info = contents.info
     built = shlex.quote(contents.folder.arm(contents.arm.name))
@@ -306,7 +298,7 @@ def _options(comparison: Comparison) -> str:
 
 
 def _milliseconds(period: tuple[float, float]) -> str:
-    """Write a period [s] as `--period` reads it."""
+    """Period [s] as for `--period`."""
     return "-".join(f"{1e3 * end:.9g}" for end in dict.fromkeys(period))
 
 

@@ -1,4 +1,4 @@
-"""What the run logs of the trials show: paths through targets and errors over time. Pure functions."""
+"""Figures of trials: paths through targets and errors over time."""
 
 from __future__ import annotations
 
@@ -27,27 +27,27 @@ from rejoint.system.files import write_whole
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TargetSpan:
-    """The time in which one target was in force."""
+    """The time of one target."""
 
     target: Array
     """(3,) [m]"""
     aim: Array
-    """(3,) [m] where the TCP should be by the encoders at the end"""
+    """(3,) [m] corrected target at the end"""
     time: Array
-    """(T,) [s] since the target was set; the first entry is 0"""
+    """(T,) [s] since the target, from 0"""
     encoder_error: Array
-    """(T,) [m] distance of the TCP that the encoders tell from the aim"""
+    """(T,) [m] encoder TCP from the corrected target"""
     true_error: Array
-    """(T,) [m] distance of the real TCP from the target; NaN where it is unknown"""
+    """(T,) [m] true TCP from the target; NaN: unknown"""
 
 
 def encoder_path(arm: Arm, log: RunLog) -> Array:
-    """TCP (T, 3) [m] by forward kinematics of the measured joint positions."""
+    """TCP (T, 3) [m] by the encoders."""
     return tcp_position(arm, log.position)
 
 
 def visits(arm: Arm, log: RunLog) -> tuple[TargetSpan, ...]:
-    """Split a log wherever its target changes; rows without a target are left out."""
+    """Split a log by target."""
     tcp, aim = encoder_path(arm, log), log.target if log.aim is None else log.aim
     found = []
     for start, stop in _spans(log):
@@ -76,7 +76,7 @@ def _spans(log: RunLog) -> list[tuple[int, int]]:
 
 
 def error_at(visit: TargetSpan, time: Array) -> Array:
-    """Return the encoder error (K,) [m] as read last at each ``time`` (K,) [s]; NaN after the visit's end."""
+    """Return encoder error (K,) [m] last read at ``time`` (K,) [s]; NaN after the end."""
     rows = np.searchsorted(visit.time, time + 1e-9, side="right") - 1
     error: NDArray[np.float64] = visit.encoder_error[np.clip(rows, 0, None)]
     return np.where(time > visit.time[-1] + _grain(visit), np.nan, error)
@@ -87,10 +87,7 @@ def _grain(visit: TargetSpan) -> float:
 
 
 def spread_over_time(all_visits: Sequence[TargetSpan], time: Array) -> tuple[Array, Array, Array]:
-    """Median, 10th and 90th percentile (K,) [m] of the encoder error over all visits.
-
-    NaN once half of them have ended.
-    """
+    """Median, 10th and 90th percentile (K,) [m] of encoder errors; NaN once half have ended."""
     errors = np.stack([error_at(visit, time) for visit in all_visits])
     enough = np.isfinite(errors).sum(axis=0) * 2 >= len(errors)
     result = np.full((3, len(time)), np.nan)
@@ -99,13 +96,13 @@ def spread_over_time(all_visits: Sequence[TargetSpan], time: Array) -> tuple[Arr
 
 
 def bounds(paths: Sequence[Array], margin: float = 0.012) -> Array:
-    """Box (3, 2) [m] around all ``paths`` (T, 3) [m] with a margin (chosen: a little over the success radius)."""
+    """Box (3, 2) [m] around ``paths`` (T, 3) [m] (margin chosen)."""
     points = np.concatenate(list(paths))
     return np.stack([points.min(axis=0) - margin, points.max(axis=0) + margin], axis=1)
 
 
 PNG_DPI = 160
-"""[1/inch] chosen: sharp in a slide or a printed letter"""
+"""[1/inch] (chosen)"""
 
 _ID = re.compile(r'(\bid="|xlink:href="#|url\(#)')
 _UNSAFE = re.compile(r"[^A-Za-z0-9_-]+")
@@ -116,10 +113,7 @@ _NOISE = re.compile(r" font-family: [^;]*;|\s*<style type=\"text/css\">.*?</styl
 
 
 def inline_svg(figure: Figure, key: str, alt: str) -> Markup:
-    """Return the figure as SVG whose text and colours follow the page.
-
-    ``key`` keeps its identifiers apart, ``alt`` is read out.
-    """
+    """Figure as SVG in the page's colours; ``key`` makes identifiers unique, ``alt`` is read out."""
     buffer = io.StringIO()
     figure.draw_without_rendering()
     figure.set_layout_engine(None)  # the layout is found now; any engine has every file drawn twice
@@ -140,7 +134,7 @@ def _width(figure: Figure) -> str:
 
 
 def save_png(figure: Figure, path: Path) -> None:
-    """Write the figure on white ground as PNG."""
+    """Write the figure as PNG on white."""
     write_whole(
         path,
         lambda temporary: figure.savefig(
@@ -159,13 +153,13 @@ class Picture:
 
 
 class Gallery:
-    """Collects figures while the page is made; `save` writes them all."""
+    """Collects the figures of a page; `save` writes them."""
 
     def __init__(self) -> None:
         self._figures: dict[str, Figure] = {}
 
     def show(self, key: str, figure: Figure, *, alt: str, heading: str = "", caption: str = "") -> Picture:
-        """Take in a figure under a unique ``key`` (its file name) and return it ready for the page."""
+        """Add a figure under a unique ``key`` (its file name); returns it for the page."""
         key = _UNSAFE.sub("-", key)
         if key in self._figures:
             raise ValueError(f"two figures are called {key!r}")
@@ -173,7 +167,7 @@ class Gallery:
         return Picture(svg=inline_svg(figure, key, alt), heading=heading, caption=caption)
 
     def save(self, folder: Path) -> tuple[Path, ...]:
-        """Write every figure as ``folder/KEY.png``."""
+        """Write figures as ``folder/KEY.png``."""
         paths = tuple(folder / f"{key}.png" for key in self._figures)
         for key, figure in self._figures.items():
             save_png(figure, folder / f"{key}.png")
@@ -181,54 +175,54 @@ class Gallery:
 
 
 FONT = 9.5
-"""[pt] chosen: 13 px on the page, about the size of its small print, and still legible at half that"""
+"""[pt] (chosen: legible at half size)"""
 WIDE, HALF = 10.4, 5.2
-"""[inch] widths of figures that stand alone and in two columns"""
+"""[inch] figure widths, one and two columns"""
 LEGEND_COLUMNS = 6
 REACHED_MM = 10.0
-"""[mm] radius within which a target counts as reached; Park et al. 2024, section IV.A"""
+"""[mm] of a reached target; Park et al. 2024, section IV.A"""
 
 
 TURN = np.linspace(0, 2 * np.pi, 61)
-"""[rad] of the points of a circle"""
+"""[rad] of a circle"""
 # Which axes are drawn to the right and upwards; from above x points up, as one sees it over the base
 _VIEWS = {"top": (1, 0), "side": (0, 2)}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Series:
-    """One group of values with its name and look."""
+    """A group of values with name and look."""
 
     label: str
     look: Look
     value: Array
-    """(K,) centre; NaN is left out"""
+    """(K,); NaN is omitted"""
     low: Array | None = None
-    """(K,) lower end of the interval or spread"""
+    """(K,) lower end"""
     high: Array | None = None
     """(K,) upper end"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Ways:
-    """One or more TCP paths in a panel of their own."""
+    """TCP paths in a panel."""
 
     title: str
     look: Look
     paths: Sequence[Array]
-    """each (T, 3) [m]; NaN rows are left out"""
+    """(T, 3) [m] each; NaN is omitted"""
     targets: Array
     """(K, 3) [m]"""
     numbered: bool = True
-    """whether the targets are visited in their order"""
+    """the targets have an order"""
     radius: float = 0.010
-    """[m] drawn around each target"""
+    """[m] around targets"""
 
 
 def canvas(
     size: tuple[float, float], rows: int = 1, columns: int = 1, widths: Sequence[float] | None = None
 ) -> tuple[Figure, NDArray[Any]]:
-    """Make an empty figure of ``size`` [inch] with a grid of styled axes (rows, columns) that share x by column."""
+    """Figure of ``size`` [inch] with styled axes (rows, columns) that share x by column."""
     figure = Figure(figsize=size, layout="constrained", facecolor="none")
     grid = figure.subplots(rows, columns, squeeze=False, sharex="col", width_ratios=widths)
     for axes in grid.flat:
@@ -237,7 +231,7 @@ def canvas(
 
 
 def style(axes: Axes) -> None:
-    """Give axes the look of all figures."""
+    """Style axes."""
     axes.set_facecolor("none")
     axes.set_axisbelow(True)
     for side in ("top", "right"):
@@ -251,12 +245,12 @@ def style(axes: Axes) -> None:
 
 
 def heading(axes: Axes, text: str) -> None:
-    """Write the name of a panel."""
+    """Name a panel."""
     axes.set_title(text, loc="left", fontsize=FONT + 0.5, color=INK, fontweight="bold")
 
 
 def legend(figure: Figure, axes: Axes, order: Sequence[str]) -> None:
-    """Put the labels above the figure in the given order."""
+    """Put labels above the figure, in order."""
     found = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
     labels = [label for label in order if label in found]
     figure.legend(
@@ -273,7 +267,7 @@ def plain_log(axis: Axis) -> None:
 
 
 def error_per_target(series: Sequence[Series], reference: Series | None = None) -> Figure:
-    """Draw the TCP error [mm] at each of K targets as grouped bars, with success radius and ``reference``."""
+    """Draw TCP errors [mm] at K targets as grouped bars, with success radius and ``reference``."""
     figure, grid = canvas((WIDE, 3.2))
     axes, count = grid[0, 0], len(series[0].value)
     width = 0.8 / len(series)
@@ -300,14 +294,14 @@ def error_per_target(series: Sequence[Series], reference: Series | None = None) 
 
 
 def whiskers(one: Series) -> Array | None:
-    """Lengths (2, K) of the error bars below and above; None without an interval."""
+    """Error bar lengths (2, K), or None."""
     if one.low is None or one.high is None:
         return None
     return np.clip(np.stack([one.value - one.low, one.high - one.value]), 0, None)
 
 
 def intervals(rows: Sequence[Series], xlabel: str, *, log: bool = False) -> Figure:
-    """Draw one row per series: its first value with its interval; a second one is hollow."""
+    """Draw a row per series: its value with interval; a second one is hollow."""
     figure, grid = canvas((HALF, 0.75 + 0.3 * len(rows)))
     axes = grid[0, 0]
     for y, one in enumerate(rows):
@@ -329,7 +323,7 @@ def intervals(rows: Sequence[Series], xlabel: str, *, log: bool = False) -> Figu
 
 
 def ways(panels: Sequence[Ways], limits: Array, views: Sequence[str] = ("top", "side")) -> Figure:
-    """Draw every panel's paths from above and from the side, all on the same axes ``limits`` (3, 2) [m]."""
+    """Draw paths from above and the side, on axes ``limits`` (3, 2) [m]."""
     low, high = 1e3 * limits.T
     columns = len(panels)
     width = min(WIDE, 3.1 * columns + 0.4)
@@ -377,7 +371,7 @@ def _ways(axes: Axes, panel: Ways, across: int, up: int) -> None:
 
 
 def error_over_time(time: Array, series: Sequence[Series]) -> Figure:
-    """Draw the encoder error [mm] over ``time`` (K,) [s] since the target was set, log axis, with its spread."""
+    """Draw encoder errors [mm] over ``time`` (K,) [s], log axis, with spread."""
     figure, grid = canvas((WIDE, 3.8))
     axes = grid[0, 0]
     for one in series:
@@ -394,7 +388,7 @@ def error_over_time(time: Array, series: Sequence[Series]) -> Figure:
 
 
 def training_curves(steps: Array, curves: Sequence[tuple[str, Array]], look: Look) -> Figure:
-    """Draw each named curve (K,) over environment ``steps`` (K,), one panel above the other."""
+    """Draw named curves (K,) over ``steps`` (K,), one panel each."""
     figure, grid = canvas((WIDE, 0.5 + 1.35 * len(curves)), len(curves))
     for axes, (name, values) in zip(grid[:, 0], curves, strict=True):
         axes.plot(steps / 1e6, values, color=look.colour, linewidth=1.5)

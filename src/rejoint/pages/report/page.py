@@ -1,4 +1,4 @@
-"""The report: one self-contained HTML page, and its figures as PNG files, from a run folder; and a replay's page."""
+"""The report: one self-contained HTML page, and figures as PNG files; and a replay's page."""
 
 from __future__ import annotations
 
@@ -45,13 +45,13 @@ from rejoint.twin.parameters import ARM_PARAMETERS, PARAMETERS, Parameter, TwinP
 from rejoint.twin.twin import Twin
 
 STAGES = ("diagnose", "calibrate", "identify", "train", "compare")
-"""In the order in which they are run"""
+"""In order"""
 
 CAVEAT = "A motion that a twin was fitted to flatters it; which those are, neither the twin nor the logs tell."
 
 
 def write_report(folder: Path) -> Path:
-    """Write ``report.html`` and ``figures/*.png`` into a run folder and return the page's path.
+    """Write ``report.html`` and ``figures/*.png`` into a run folder; returns the page.
 
     FileError if a file is damaged or nothing has been run.
     """
@@ -63,7 +63,7 @@ def write_report(folder: Path) -> Path:
 
 
 def write_replay(folder: Path, judgement: Judgement, *, twin: str, logs: str) -> Path:
-    """Write ``replay.html``, ``replay.json`` and ``figures/*.png`` into a folder and return the page's path."""
+    """Write ``replay.html``, ``replay.json`` and ``figures/*.png``; returns the page."""
     gallery = Gallery()
     write_json(folder / "replay.json", judgement)
     path = write_page(
@@ -77,14 +77,14 @@ def write_replay(folder: Path, judgement: Judgement, *, twin: str, logs: str) ->
 
 
 def draw_training(folder: RunFolder) -> Path:
-    """Draw the training curves of a run alone, as the PNG file that the report would write; returns its path."""
+    """Draw the training curves of a run as PNG; returns its path."""
     gallery = Gallery()
     Pictures(gallery).training(read_curves(folder.outputs.curves))
     return gallery.save(folder.figures)[0]
 
 
 def report_html(contents: Contents, gallery: Gallery) -> str:
-    """Fill the page, and the gallery with its figures."""
+    """Fill page and gallery."""
     it, lines = contents, commands(contents)
     advice = None if it.comparison is None else recommend(it.comparison)
     sections = [
@@ -140,19 +140,19 @@ def _sections(it: Contents) -> tuple[tuple[str, str, str, bool, str, str], ...]:
 
 
 def mean_error(diagnosis: Diagnosis) -> Estimate | None:
-    """Return the mean error [mm] as the arm was found: at ten targets, or at rest in logs of other motion."""
+    """Mean error [mm] of the uncorrected arm: at ten targets, or at rest in logs."""
     if diagnosis.open_loop is not None:
         return diagnosis.open_loop.error_mm
     return None if diagnosis.evidence is None else diagnosis.evidence.rest_error_mm
 
 
 def target_errors(comparison: Comparison, controller: str) -> TargetErrors:
-    """Return the errors of a controller at each target of the first set, means over the repetitions."""
+    """Errors of a controller at the first set's targets, means over repetitions."""
     return errors_of({name: comparison.array(name, controller)[0] for name in ("settled", "settled_true", *MODELLED)})
 
 
 def errors_as_found(comparison: Comparison) -> TargetErrors | None:
-    """Return those of the arm as it was found: by its own controller, not aimed; None where that was not driven."""
+    """Errors of the uncorrected arm, or None."""
     own = DefaultController.name
     if comparison.calibration or own not in comparison.controllers:
         return comparison.as_found
@@ -160,7 +160,7 @@ def errors_as_found(comparison: Comparison) -> TargetErrors | None:
 
 
 def _tilt(found: Calibration) -> float:
-    """[deg] by which the base stands askew."""
+    """[deg] tilt of the base."""
     return float(np.degrees(np.arccos(np.clip(found.displacement.gravity @ GRAVITY / (GRAVITY @ GRAVITY), -1.0, 1.0))))
 
 
@@ -173,7 +173,7 @@ def _unidentified(twin: Twin, parameter: Parameter) -> list[str]:
 
 
 def write_datasheet(folder: Path, out: Path) -> Path:
-    """Write the data sheet of the arm of a run folder; FileError if a file there is damaged."""
+    """Write the data sheet of a run's arm; FileError."""
     it = read_contents(folder)
     best = None if it.comparison is None else it.comparison.row(recommend(it.comparison).controller)
     back: tuple[float, ...] = ()

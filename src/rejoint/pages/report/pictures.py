@@ -1,4 +1,4 @@
-"""The pictures of the report: results drawn, each with what is read out in its place."""
+"""Figures of the report, with alternative texts."""
 
 from __future__ import annotations
 
@@ -48,23 +48,23 @@ from rejoint.system.statistics import Estimate
 from rejoint.twin.judgement import NO_TWIN, Judgement
 
 STEP, LONGEST = 0.02, 8.0
-"""[s] between points of an error curve, and how much of it is drawn (chosen)"""
+"""[s] between points of an error curve, and its length (chosen)"""
 LONGEST_ARROW = 0.15
-"""Share of the figure that the longest arrow takes at most (chosen: arrows stay apart)"""
+"""Longest arrow over the figure (chosen)"""
 _SCALES = (1, 2, 5, 10, 20, 50)
 _BARS = 3  # controllers in the bar chart: more cannot be told apart at ten targets
 WHERE = {"free": "in free space", "contact": "on the table"}
 
 
 def series_of(label: str, look: Look, *estimates: Estimate | None, factor: float = 1.0) -> Series:
-    """Return estimates (K,) with their ends times ``factor``, NaN where there is none."""
+    """Estimates (K,) with ends, times ``factor``; NaN: none."""
     ends = [(one.value, one.low, one.high) if one is not None else (None,) * 3 for one in estimates]
     value, low, high = factor * np.array(ends, dtype=float).T
     return Series(label=label, look=look, value=value, low=low, high=high)
 
 
 def healthy_error(diagnosis: Diagnosis | None) -> Series | None:
-    """Return mean and range [mm] of what healthy arms miss their targets by, open loop."""
+    """Mean and range [mm] of healthy arms' open-loop errors."""
     if diagnosis is None or diagnosis.healthy is None:
         return None
     found = series_of("healthy arm, mean and range", palette.GREEN, diagnosis.healthy.error_mm)
@@ -78,7 +78,7 @@ class Pictures:
         self.show = gallery.show
 
     def error_per_target(self, contents: Contents, best: str) -> Picture:
-        """Draw settled errors at the first targets: of the arm as it was, the recommended controller, the policy."""
+        """Draw settled errors at the first targets: uncorrected arm, recommended controller, policy."""
         comparison = contents.comparison
         assert comparison is not None  # noqa: S101 - the section is about it
         known = comparison.controllers
@@ -97,7 +97,7 @@ class Pictures:
         )  # fmt: skip
 
     def tool_places(self, found: Calibration, measured: Measurements) -> Picture | None:
-        """Draw where the tool was measured; None where no point has all its coordinates."""
+        """Draw the measured tool; None without a whole point."""
         seen, tool = tcp_position(found.arm, measured.position), in_base(found, measured)
         whole = np.isfinite(tool).all(axis=1)
         if not whole.any():
@@ -115,7 +115,7 @@ class Pictures:
         )  # fmt: skip
 
     def error_over_time(self, arm: Arm, logs: Mapping[str, RunLog]) -> Picture:
-        """Draw the median error after a new target under each controller, and where 80 % lie."""
+        """Draw the median error after a new target per controller, with 10th and 90th percentile."""
         found = {name: group for name, log in logs.items() if (group := visits(arm, log))}
         longest = max((float(visit.time[-1]) for group in found.values() for visit in group), default=0.0)
         time, series, last = np.arange(0.0, min(longest, LONGEST) + STEP / 2, STEP), [], []
@@ -132,7 +132,7 @@ class Pictures:
         )  # fmt: skip
 
     def open_loop(self, diagnosis: Diagnosis) -> Picture:
-        """Draw where the arm came to rest in the diagnosis."""
+        """Draw the arm's rest positions in the diagnosis."""
         targets = () if diagnosis.open_loop is None else diagnosis.open_loop.targets
         errors = np.array([(one.error_mm, one.true_error_mm) for one in targets], dtype=float).T
         names = (("by its encoders", palette.GREY), ("true error of the tool", palette.BROWN))
@@ -148,7 +148,7 @@ class Pictures:
         )  # fmt: skip
 
     def training(self, curves: Curves) -> Picture:
-        """Draw the curves of a training."""
+        """Draw training curves."""
         drawn = (
             ("reward per control cycle", curves.reward), ("success rate [%]", 100 * curves.success_rate),
             ("median error at the end of a target [mm]", curves.error_mm),
@@ -157,7 +157,7 @@ class Pictures:
         return self.show("training", training_curves(curves.step, drawn, palette.BLUE), alt=words)
 
     def predictions(self, judgement: Judgement) -> Iterator[Picture]:
-        """Draw the mean error of every prediction, in free space and in contact."""
+        """Draw the mean error of every prediction, free and in contact."""
         found, looks = scores(judgement), _looks(judgement)
         for kind, where in WHERE.items():
             means = {score.name: mean for score in found if (mean := score.mean(kind)) is not None}
@@ -187,12 +187,12 @@ def _looks(judgement: Judgement) -> dict[str, Look]:
 
 
 def in_base(found: Calibration, measured: Measurements) -> Array:
-    """Measured points (M, 3) [m] in the base frame; NaN where a coordinate was not measured."""
+    """Measured points (M, 3) [m] in the base frame; NaN: not measured."""
     return measured.point @ found.frame[:3, :3].T + found.frame[:3, 3]
 
 
 def arrow_scale(seen: Array, tool: Array) -> int:
-    """Return how many times larger than the figure arrows from ``seen`` to ``tool`` (M, 3) [m] are best drawn."""
+    """Scale of arrows from ``seen`` to ``tool`` (M, 3) [m]."""
     extent = float(np.ptp(seen, axis=0).max())
     longest = float(np.linalg.norm(tool - seen, axis=1).max())
     return max((scale for scale in _SCALES if scale * longest <= LONGEST_ARROW * extent), default=1)
@@ -203,10 +203,7 @@ def _length(scale: int) -> str:
 
 
 def arrows(seen: Array, tool: Array, wrong: NDArray[np.bool_]) -> Figure:
-    """Draw arrows from where the encoders saw the tool to where it was, (M, 3) [m] each.
-
-    ``wrong`` (M,) ones are grey.
-    """
+    """Draw arrows from encoder TCP to tool, (M, 3) [m]; ``wrong`` (M,) ones grey."""
     scale, start = arrow_scale(seen, tool), "where the encoders saw the tool"
     groups = {"measured point": (~wrong, palette.ORANGE), "does not fit to the others": (wrong, palette.GREY)}
     figure, grid = canvas((WIDE, 0.45 * WIDE), 1, 2)
@@ -236,7 +233,7 @@ def _draw(axes: Axes, seen: Array, tool: Array, scale: int, look: Look, label: s
 
 
 def draw_followed(folder: RunFolder, arm: Arm, done: Followed) -> Path:
-    """Draw the first and the last time along a path as ``figures/follow-NAME.png``; returns the path of that."""
+    """Draw the first and last repetition of a path as ``figures/follow-NAME.png``; returns its path."""
     logs = [one.log for one in done.passes if one.log is not None]
     chosen = [("last" if len(logs) > 1 else "arm", logs[-1], BLUE)]
     chosen = ([("first", logs[0], RED)] if len(logs) > 1 else []) + chosen

@@ -1,4 +1,4 @@
-"""Results as cells of words: the same on a page and at the terminal."""
+"""Results as cells of words, for a page or the terminal."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ DEG = float(np.degrees(1.0))
 
 
 def comparison_table(comparison: Comparison) -> tuple[list[str], list[list[str]]]:
-    """Return headers and rows of plain text, first column the controllers' names on the command line."""
+    """Headers and rows of plain text, first column the controllers."""
     rows = [
         [f"{row.controller}{' (by diagnosis)' if row.source else ''}", *(cell.text for cell in cells(row, comparison))]
         for row in comparison.rows
@@ -28,7 +28,7 @@ def comparison_table(comparison: Comparison) -> tuple[list[str], list[list[str]]
 
 
 def headers(comparison: Comparison) -> list[str]:
-    """Return the headers of `cells`."""
+    """Headers of `cells`."""
     within = " / ".join(f"{distance * MM:g}" for distance in comparison.protocol.within)
     return [
         "success [%]", "error at the crossing [mm]", f"{plural(len(comparison.targets[0]), 'target')} [s]",
@@ -38,7 +38,7 @@ def headers(comparison: Comparison) -> list[str]:
 
 
 def cells(row: ControllerRow, comparison: Comparison) -> list[Cell]:
-    """Return what is told of one controller."""
+    """Cells of one controller."""
     success, crossing, settled = row.success, row.crossing_error, measured(row.settled, MM, 3)
     held = plural(row.held, "target") if comparison.block else ""  # at fewer than all where some are eliminated
     true = row.true_error
@@ -68,7 +68,7 @@ def _guard(row: ControllerRow) -> Cell:
 
 
 def directions(comparison: Comparison) -> tuple[str, ...]:
-    """Say how far the place attained varies with the direction of approach, vAP."""
+    """Report vAP: variation with the direction of approach."""
     found = comparison.directions
     if found is None:
         return ()
@@ -82,7 +82,7 @@ def directions(comparison: Comparison) -> tuple[str, ...]:
 
 
 def behind(found: Calibration) -> list[tuple[str, list[Cell]]]:
-    """Return offset, compliance and play behind each joint [deg, deg/(N m), deg], with intervals by the fit."""
+    """Offset, compliance and play per joint [deg, deg/(N m), deg], with the fit's intervals."""
     sigma, rows = np.sqrt(np.diag(found.covariance)), []
     for i, name in enumerate(found.arm.joint_names):
         row = []
@@ -95,23 +95,23 @@ def behind(found: Calibration) -> list[tuple[str, list[Cell]]]:
 
 
 class Quantity(NamedTuple):
-    """One measured quantity of a joint as it is shown."""
+    """A measured quantity of a joint."""
 
     field: str
     """of `JointMetrics`"""
     name: str
     unit: str
     meaning: str
-    """in words that an owner understands"""
+    """plain words"""
     factor: float = 1.0
     """from SI to ``unit``"""
     signed: bool = False
-    """whether it may be below zero"""
+    """may be negative"""
     parameter: str = ""
-    """of a twin, where that is the same property: shown there alone"""
+    """of a twin, if the same property"""
 
     def healthy(self, estimate: Estimate | None) -> str:
-        """Say within what a healthy joint is."""
+        """Range of a healthy joint."""
         if estimate is None or estimate.low is None:
             return UNKNOWN
         low = estimate.low if self.signed else max(estimate.low, 0.0)
@@ -152,21 +152,21 @@ QUANTITIES = (
 
 
 FEWEST = 3
-"""Motions below which no interval is given (chosen: two say nothing about a third)"""
+"""Motions for an interval (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Score:
-    """One prediction over all motions."""
+    """A prediction over all motions."""
 
     name: str
     free_mm: Array
-    """(K,) of each motion; NaN where it has no free space"""
+    """(K,) per motion; NaN: no free space"""
     contact_mm: Array
     """(K,) likewise"""
 
     def mean(self, where: str) -> Estimate | None:
-        """Mean over the motions with its 95 % interval over motions; None if no motion has such rows."""
+        """Mean with 95 % interval over motions, or None."""
         values: Array = getattr(self, f"{where}_mm")
         known = values[np.isfinite(values)]
         if not len(known):
@@ -175,7 +175,7 @@ class Score:
 
 
 def scores(judgement: Judgement) -> tuple[Score, ...]:
-    """Collect the errors of every prediction, motion by motion."""
+    """Errors of every prediction per motion."""
 
     def value(error: PredictionError | None) -> float:
         return float("nan") if error is None else error.tcp * MM
@@ -191,7 +191,7 @@ def scores(judgement: Judgement) -> tuple[Score, ...]:
 
 
 def answer(judgement: Judgement) -> tuple[str, ...]:
-    """Say which prediction to trust, how far, and where not; the first sentence is the answer."""
+    """Say which prediction to trust, how far and where; the answer first."""
     found = scores(judgement)
     lines = [*_free(judgement, found), *_contact(judgement, found)]
     lines.append("All this is by the arm's own encoders: play and flex behind them show in no log.")
@@ -199,7 +199,7 @@ def answer(judgement: Judgement) -> tuple[str, ...]:
 
 
 def gap(one: Score, other: Score) -> Estimate | None:
-    """Mean of how much larger ``other``'s error in free space is, motion by motion [mm], with its interval."""
+    """Mean difference of errors in free space [mm], paired by motion, with interval."""
     difference = other.free_mm - one.free_mm
     known = difference[np.isfinite(difference)]
     return bootstrap_mean(known, np.arange(len(known)), fewest=FEWEST) if len(known) >= FEWEST else None

@@ -1,1 +1,1 @@
-"""SO-100 and SO-101 arms on the bus of their own Feetech servos, through the maker's client."""
+"""SO-100 and SO-101 arms on the bus of their Feetech servos."""

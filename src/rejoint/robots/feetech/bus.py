@@ -1,7 +1,7 @@
-"""An SO-100 or SO-101 on the bus of its servos: one synchronous read and one synchronous write a cycle.
+"""An SO-100 or SO-101 on its servo bus: one synchronous read and write per cycle.
 
-Torque is never switched off; before it comes on, the goal is set to where the joint is. The servos' memory stays
-locked: only `Tuning.keep` writes it.
+Torque is never switched off; before it comes on, the goal is set to the position. Only `Tuning.keep` unlocks the
+servos' memory.
 """
 
 from __future__ import annotations
@@ -39,33 +39,33 @@ from rejoint.system.errors import (
 )
 
 READ, WRITE = 2, 3
-"""Codes of instructions that `FeetechBus.relay` passes on: a servo's ID, an address, and a size or data"""
+"""Instructions of `FeetechBus.relay`: servo ID, address, and size or data"""
 _LIMITS, _GOAL, _TORQUE_LIMIT, _PRESENT = 9, 42, 48, 56
 SOFT = 0.5
-"""share of the torque that the gripper gets, in RAM (as LeRobot limits it)"""
+"""torque share of the gripper, in RAM (as in LeRobot)"""
 
 MOST_SILENT = 3
-"""Questions in a row without an answer after which the gripper is left alone (chosen: each holds up the arm)"""
+"""Unanswered questions before the gripper is given up (chosen)"""
 
 Ask = Callable[[int, bytes], bytes | None]
-"""Passes on an instruction with its parameters; None without an answer"""
+"""Passes on an instruction; None: no answer"""
 
 
 class Gripper:
-    """One servo, from ``low`` (0 %) to ``high`` (100 %) [counts]; the control loop calls `serve` once a cycle."""
+    """A servo from ``low`` (0 %) to ``high`` (100 %) [counts]; the loop calls `serve` once a cycle."""
 
     def __init__(self, ask: Ask, number: int, low: int, high: int) -> None:
         self.goal: float | None = None
-        """[%] open"""
+        """[%]"""
         self.opened: float | None = None
-        """[%] as it was read last"""
+        """[%] last reading"""
         self._ask, self._number, self._low, self._high = ask, number, low, high
         self._sent: float | None = None
         self._silent = 0
 
     @classmethod
     def find(cls, ask: Ask, number: int) -> Self | None:
-        """Return the gripper with the ID ``number``, read once; None where no such servo answers, or has no range."""
+        """Gripper with the ID ``number``; None: no answer, or no range."""
         try:
             data = ask(READ, bytes([number, _LIMITS, 4]))
         except RobotError:
@@ -79,7 +79,7 @@ class Gripper:
         return found
 
     def serve(self) -> None:
-        """Send a new goal, or read how far it is open: one question to the bus."""
+        """Send a new goal, or read the opening."""
         if self._silent >= MOST_SILENT:
             return
         try:
@@ -109,23 +109,23 @@ class Gripper:
 T = TypeVar("T")
 
 MODELS = {777: "STS3215", 2825: "STS3250"}
-"""Servos with this register table and 4096 counts a turn"""
+"""Servos with these registers and 4096 counts per turn"""
 ID, CONFIRMS, LIMITS, HOMING, MODE, TORQUE, GOAL, LOCK, VOLTAGE = 5, 8, 9, 31, 33, 40, 42, 55, 62
-"""Addresses of registers (Feetech's memory table of the STS/SMS series)."""
+"""Register addresses (Feetech's memory table of the STS/SMS series)"""
 ACCELERATION, SPEED, FASTEST = 41, 46, 85
-"""Registers of the way to a goal: acceleration and speed, 0 for the most; and the most of the acceleration"""
+"""Register addresses: acceleration and speed (0: largest), and largest acceleration"""
 PROMPT = 254
-"""[100 counts/s^2] acceleration that LeRobot sets and that description, twin and policies count on"""
+"""[100 counts/s^2] as LeRobot sets it"""
 LAST_ID = 12
-"""up to which another ID is looked for where a servo is missing (chosen)"""
+"""of searched IDs (chosen)"""
 QUIET = 0.03
-"""[s] of silence after which no answer is on its way any more (chosen)"""
+"""[s] without a late answer (chosen)"""
 RETRY = 0.05
-"""[s] between questions whether a silent servo is back (chosen)"""
+"""[s] between questions to a silent servo (chosen)"""
 
 
 class FeetechBus(Bus):
-    """The servos of one arm. The gripper's is left as it is."""
+    """The servos of one arm, without the gripper."""
 
     name = "SO-101"
     advice = f"{Bus.advice} `rejoint emulate --arm so101` starts an arm to try"
@@ -150,7 +150,7 @@ class FeetechBus(Bus):
         self._wire = Wire(self.address.port, self.address.baud)
 
     def prepare(self, until: float | None = None) -> None:
-        """See that every servo is there and of a known kind, read its zero, and let it hold where it is."""
+        """Check all servos, read their zeros, and hold."""
         missing = []
         for servo in self.ids:
             try:
@@ -177,40 +177,40 @@ class FeetechBus(Bus):
         self._was_ready = True
 
     def read(self) -> Reading:
-        """Ask all servos for what they measure."""
+        """Ask all servos."""
         answers = self.wire.read_all(self.ids, PRESENT, BLOCK)
         if len(answers) < len(self.ids):
             self._require([servo for servo in self.ids if servo not in answers])
         return decode([answers[servo] for servo in self.ids], self.zeros, self._tuning.laws, self.supply)
 
     def send(self, goal: Array) -> None:
-        """Send a goal to every servo, clipped to its own limits; the servos do not answer."""
+        """Send goals, clipped to the servos' limits; no answers."""
         self._goal = self.zeros.counts(goal)
         self._send(self._goal)
 
     def stop(self) -> None:
-        """Send the last goals again: to hold the present position instead would let the arm sink."""
+        """Send the last goals again: holding the measured position would let the arm sink."""
         if self._goal is not None:
             self._send(self._goal)
 
     def servo_gains(self) -> ServoGains:
-        """Return the gains of the servos' own loops, by the names of the address and ``limit``, that of the I part."""
+        """Return the servo gains by name; ``limit`` is that of the I part."""
         return dict(self._tuning.values)
 
     def rungs(self) -> tuple[Rung, ...]:
-        """Return what a search for better gains tries."""
+        """Return the search order of gains."""
         return RUNGS
 
     def tune(self, gains: ServoGains) -> None:
-        """Bring the gains in small steps to these, until the power goes, or others are asked for."""
+        """Set gains in small steps until power-off."""
         self._tuning.tune(gains)
 
     def keep(self, gains: ServoGains) -> None:
-        """Bring the gains to these, and have the servos keep them."""
+        """Set gains permanently."""
         self._tuning.keep(gains)
 
     def relay(self, command: int, payload: bytes) -> bytes | None:
-        """Read or write registers of a servo that is none of the joints, as the gripper's; see `gripper`."""
+        """Read or write registers of another servo, such as the gripper's."""
         servo, address, *rest = payload
         if servo in self.ids or address in (ID, LOCK):
             raise RobotError(f"register {address} of servo {servo} is not passed on")
@@ -224,7 +224,7 @@ class FeetechBus(Bus):
     def resynchronise(self, deadline: float) -> None:
         """Drop late answers and wait for silent servos.
 
-        ConnectionLostError where they stay silent, PowerLostError where one comes back without its torque.
+        ConnectionLostError: still silent; PowerLostError: without torque.
         """
         while self.wire.quieten(QUIET) and self.clock.now() < deadline:
             pass
@@ -243,14 +243,14 @@ class FeetechBus(Bus):
 
     @property
     def wire(self) -> Wire:
-        """The open port; OSError without one."""
+        """The open port; OSError."""
         if self._wire is None:
             raise OSError("the port is not open")
         return self._wire
 
     @property
     def zeros(self) -> Zeros:
-        """What counts mean, known once the arm was prepared."""
+        """Zeros of the prepared arm."""
         if self._zeros is None:
             raise OSError("the servos were not asked for their zeros yet")
         return self._zeros
@@ -272,7 +272,7 @@ class FeetechBus(Bus):
             self._write(servo, TORQUE, [1], until)
 
     def _require_torque(self, until: float | None) -> None:
-        """Raise PowerLostError where servos have lost their torque; a goal would switch it on, so they get none."""
+        """Raise PowerLostError for servos without torque, before a goal switches it on."""
         self._limp = {servo for servo in self.ids if self._register(servo, TORQUE, 1, until) != 1}
         if self._limp:
             raise PowerLostError(
@@ -291,7 +291,6 @@ class FeetechBus(Bus):
                 self._write(servo, SPEED, [0, 0], until)
 
     def _registers(self, address: int, until: float | None, *, sign: int = 16) -> Counts:
-        """Two registers of every servo, as a number whose bit ``sign`` is its sign."""
         words = [self._register(servo, address, 2, until) for servo in self.ids]
         return np.array([signed(word, sign) for word in words], dtype=np.int64)
 
@@ -333,7 +332,7 @@ class FeetechBus(Bus):
     def _require(
         self, missing: Sequence[int], strangers: Sequence[int] = (), kind: type[Exception] = TimeoutError
     ) -> None:
-        """Raise an error of a ``kind`` that names the ``missing`` servos, NoReplyError where there is none at all."""
+        """Raise an error of a ``kind`` with the ``missing`` servos, NoReplyError for all."""
         others = f"; others that answer: {_listed(strangers)}" if strangers else ""
         if len(missing) == len(self.ids):
             rate = f" at {self.address.baud} baud" if self.address.port.startswith("/") else ""

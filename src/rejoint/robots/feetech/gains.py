@@ -1,9 +1,7 @@
-"""The position loop of the servos themselves, as an owner may ask for it: ``?p=48&i=4``.
+"""The servos' position loop, also as options of an address: ``?p=48&i=4``.
 
-The address of such an arm is read here as well.
-
-An STS3215 gives P / 4 per mille of duty for each count of error beyond its dead zone, and its startup force on top. The
-load is reported in proportion to the error: less the startup force, plus what the dead zone leaves out.
+An STS3215 gives P / 4 per mille of duty per count of error beyond its dead zone, plus its startup force. It reports the
+load in proportion to the error, without startup force and dead zone.
 """
 
 from __future__ import annotations
@@ -23,14 +21,14 @@ from rejoint.system.stopping import ending, shielded
 
 
 class Knob(NamedTuple):
-    """A gain that may be asked for."""
+    """An adjustable gain."""
 
     names: tuple[str, ...]
-    """of `REGISTERS`, which it sets alike"""
+    """`REGISTERS` that it sets"""
     low: int
     high: int
     stride: int
-    """largest change at once, so that no arm jumps by more than a fraction of its sag"""
+    """largest change at once: limits the arm's jump"""
 
 
 KNOBS: dict[str, Knob] = {
@@ -40,31 +38,31 @@ KNOBS: dict[str, Knob] = {
     "dead": Knob(("dead_cw", "dead_ccw"), 0, 16, 1),
     "startup": Knob(("startup",), 8, 48, 4),
 }
-"""Gains and the limits within which they are tried (chosen: beyond, servos shake)"""
+"""Gains and tried limits (chosen: beyond, servos shake)"""
 LIMIT, LIMITED = "limit", 50
-"""Name of the limit of the I part, and its value with any I: 20 % of PWM (chosen: beyond friction)"""
+"""Limit of the I part, and its value: 20 % of PWM (chosen: beyond friction)"""
 REGISTERS = {LIMIT: 25, "p": 21, "d": 22, "i": 23, "startup": 24, "dead_cw": 26, "dead_ccw": 27}
-"""Where each gain stands, one byte each"""
+"""Addresses, one byte each"""
 FIRST, SIZE = 21, 7
-"""The registers that all of them lie in"""
+"""Block of these registers"""
 _STRIDES = {name: knob.stride for knob in KNOBS.values() for name in knob.names} | {LIMIT: LIMITED}
 PAUSE = 0.05
-"""[s] between two steps (chosen: longer than a servo rings)"""
+"""[s] between steps (chosen: longer than a servo rings)"""
 RUNGS = (
     Rung(("p",), (8, 16, 24, 32, 40, 48, 56, 64)),
     Rung(("dead_cw", "dead_ccw"), (0,), rising=False),
     Rung(("startup",), (16, 24, 32)),
     Rung(("i",), (1, 2, 4, 8), beside=((LIMIT, LIMITED),)),
 )
-"""What a search tries (chosen: within the limits of `KNOBS`)"""
+"""Search order (chosen: within `KNOBS`)"""
 
 Gains = Mapping[str, int]
 Values = dict[str, tuple[int, ...]]
-"""One of each joint, by name"""
+"""One per joint, by name"""
 
 
 def read_gains(given: Mapping[str, str]) -> Gains:
-    """Read gains from the options of an address; ValueError for what is not within its limits."""
+    """Read gains from address options; ValueError."""
     found = {}
     for name, text in given.items():
         knob = KNOBS[name]
@@ -75,31 +73,31 @@ def read_gains(given: Mapping[str, str]) -> Gains:
 
 
 def way(before: int, wanted: int, stride: int) -> list[int]:
-    """Values to write one after the other, from what stands there to what is wanted."""
+    """Values to write, from ``before`` to ``wanted``."""
     step = stride if wanted > before else -stride
     return [*range(before + step, wanted, step), wanted] if wanted != before else []
 
 
 def read_block(blocks: Sequence[bytes]) -> Values:
-    """Return the gains that stand in `SIZE` registers from `FIRST` on, of each servo."""
+    """Gains in blocks of `SIZE` registers from `FIRST`."""
     return {name: tuple(block[cell - FIRST] for block in blocks) for name, cell in REGISTERS.items()}
 
 
 def for_all(gains: Gains, joints: int) -> Values:
-    """Return the same gains for all ``joints``, with the limit that belongs to an I part."""
+    """Equal gains for all ``joints``, with the I part's limit."""
     found = {name: (value,) * joints for knob, value in gains.items() for name in KNOBS[knob].names}
     return {LIMIT: (LIMITED,) * joints, **found} if gains.get("i") else found
 
 
 def stiffer(name: str, before: int, now: int) -> bool:
-    """Tell whether a servo pushes harder with a gain of this name ``now`` than ``before``."""
+    """Whether a servo pushes harder with the gain ``now``."""
     return now < before if name in KNOBS["dead"].names else now > before
 
 
 def steps(before: Mapping[str, tuple[int, ...]], wanted: Mapping[str, tuple[int, ...]]) -> list[dict[str, list[int]]]:
-    """Return what to write, one small step after the other: by name, a value of each joint.
+    """Values to write in small steps, by name, one per joint.
 
-    The limit of the I part is raised before the I part of any joint, and lowered after all.
+    The I part's limit is raised first and lowered last.
     """
     ways = [(name, before[name], wanted[name]) for name in REGISTERS if name in wanted and name != LIMIT]
     if LIMIT in wanted:
@@ -114,22 +112,22 @@ def steps(before: Mapping[str, tuple[int, ...]], wanted: Mapping[str, tuple[int,
 
 
 FULL = 1000.0
-"""Duty of all of PWM, in the unit of the registers"""
+"""Duty of full PWM"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DutyLaw:
-    """Settings of one servo, as its registers hold them."""
+    """Duty settings of one servo."""
 
     p: int
     startup: int
     above: int
-    """[counts] of the dead zone for positive errors"""
+    """[counts] dead zone for positive errors"""
     below: int
-    """[counts] likewise for negative ones"""
+    """[counts] for negative errors"""
 
     def share(self, duty: int, error: int = 0) -> float:
-        """Share of the largest torque, -1 to 1, of a ``duty`` [0.1 %] with its sign, at an ``error`` [counts]."""
+        """Share of the largest torque, -1 to 1, of a signed ``duty`` [0.1 %] at an ``error`` [counts]."""
         size: float = abs(duty) - self.startup
         if size <= 0:
             return min(max(error, -self.below), self.above) * self.p / 4 / FULL
@@ -138,41 +136,41 @@ class DutyLaw:
 
 
 LOCK, LOAD, HEAT = 55, 60, 63
-"""Addresses of registers."""
+"""Register addresses"""
 _NEGATIVE = 1 << 10  # sign of a load
 
 Read = Callable[[int, int, int, float | None], bytes]
-"""Registers of a servo: its ID, address and size, and [s] until when it is asked again"""
+"""Reads registers: ID, address, size, deadline [s]"""
 Write = Callable[[int, int, Sequence[int], float | None], object]
 
 
 class Tuning:
-    """What stands in the registers of the servos ``ids``; ``wanted`` is what is to be in force on every connection."""
+    """Registers of the servos ``ids``; ``wanted`` holds on every connection."""
 
     def __init__(
         self, ids: Sequence[int], wanted: Values, *, read: Read, write: Write, call: Callable[[int], str],
         wait: Callable[[float], object],
     ) -> None:  # fmt: skip
-        """Take how registers are read and written, what a servo is called, and how time passes."""
+        """Callbacks read and write registers, name a servo, and wait."""
         self.values: Values = {}
-        """in force, by the names of `REGISTERS`"""
+        """in force, by `REGISTERS`"""
         self.laws: list[DutyLaw] = []
-        """what a duty says of each servo's error, under these"""
+        """of these values, per servo"""
         self._ids, self._wanted = ids, wanted
         self._read, self._write, self._call, self._wait = read, write, call, wait
 
     def prepare(self, until: float | None) -> None:
-        """Read the gains, and bring them to those that are to be in force."""
+        """Read the gains, and set the wanted ones."""
         self._look_up(until)
         self._walk(self._wanted, until, hottest=HOTTEST)
 
     def tune(self, gains: ServoGains) -> None:
-        """Bring the gains to these, also on later connections. How warm servos are is for who drives them to judge."""
+        """Set gains, also on later connections."""
         self._walk(gains, None)
         self._wanted = {name: tuple(values) for name, values in gains.items()}
 
     def keep(self, gains: ServoGains) -> None:
-        """Bring the gains to these, and open each servo's lock for as long as it takes to save them."""
+        """Save gains; each lock is open meanwhile."""
         self.tune(gains)
         for index, servo in enumerate(self._ids):
             try:
@@ -197,7 +195,7 @@ class Tuning:
         self.laws = [DutyLaw(p=data[0], startup=data[3], above=data[5], below=data[6]) for data in blocks]
 
     def _walk(self, wanted: ServoGains, until: float | None, *, hottest: float = np.inf) -> None:
-        """Go there in small steps; RobotError, and all of them back, where a servo does not bear one."""
+        """Set gains in small steps; RobotError after restoring them."""
         before = self.values
         strange = [name for name in wanted if name not in before or len(wanted[name]) != len(self._ids)]
         if strange:
@@ -220,7 +218,7 @@ class Tuning:
         self._wait(PAUSE)
 
     def _problem(self, step: Mapping[str, Sequence[int]], there: Values, until: float | None, hottest: float) -> str:
-        """Say which servo does not bear to be made stiffer than ``there``; empty where all do."""
+        """Name a servo that does not bear a stiffer gain, or empty."""
         ((name, values),) = step.items()
         for servo, old, value in zip(self._ids, there[name], values, strict=True):
             if not stiffer(name, old, value):  # else one that labours could not be relieved
@@ -241,27 +239,27 @@ _OPTIONS = ("baud", "calibration", "zero", *KNOBS)
 
 @dataclass(frozen=True, kw_only=True)
 class FeetechAddress:
-    """Where a bus is, and what is known of the arm on it."""
+    """A bus, and what is known of its arm."""
 
     text: str
     """as the user wrote it"""
     port: str
-    """as pyserial names it: ``/dev/ttyACM0``, ``socket://HOST:PORT``"""
+    """of pyserial: ``/dev/ttyACM0``, ``socket://HOST:PORT``"""
     baud: int = _BAUD
     """[1/s]"""
     calibration: Path | None = None
-    """LeRobot's calibration of this arm; None for the limits that its servos hold"""
+    """LeRobot's; None: the servos' own limits"""
     zero: tuple[float, ...] = ()
-    """[deg] angle of each joint, by the arm's description, in the middle of its range; none for zero"""
+    """[deg] angle of each joint in the middle of its range; empty: zero"""
     gains: Gains = field(default_factory=dict)
-    """of the servos' own loop, by `rejoint.robots.feetech.gains.KNOBS`; none: as they are"""
+    """by `rejoint.robots.feetech.gains.KNOBS`; empty: unchanged"""
 
     def __str__(self) -> str:
         return self.text
 
     @property
     def spot(self) -> str:
-        """The one place that it means, however it is written."""
+        """Equal for all its addresses."""
         plain = self.text.partition("?")[0]
         if self.port.startswith("/"):
             return serial_address(plain, baud=self.baud).spot
@@ -269,10 +267,7 @@ class FeetechAddress:
 
 
 def feetech_address(text: str) -> FeetechAddress:
-    """Read ``feetech:///dev/DEVICE`` or ``feetech://HOST:PORT``, with options after a question mark.
-
-    ValueError otherwise.
-    """
+    """Read ``feetech:///dev/DEVICE`` or ``feetech://HOST:PORT``, with options; ValueError."""
     plain, _, query = text.partition("?")
     options = parse_qs(query, strict_parsing=True, keep_blank_values=True) if query else {}
     unknown = set(options) - set(_OPTIONS)

@@ -1,7 +1,6 @@
-"""The maker's client, `ftservo-python-sdk`, on any port of pyserial, and what its counts mean in radians.
+"""The client `ftservo-python-sdk` on any port of pyserial, and counts in radians.
 
-A joint is at zero in the middle of its calibrated range, as in LeRobot's degrees, or where ``zero`` of the address
-says.
+A joint is at zero in the middle of its calibrated range, as in LeRobot's degrees, or at the address's ``zero``.
 """
 
 from __future__ import annotations
@@ -43,18 +42,18 @@ from rejoint.robots.feetech.gains import DutyLaw
 from rejoint.system.errors import InputError, RobotError
 
 FRAME = 6
-"""bytes of an answer beside its data: header, ID, length, errors, checksum"""
+"""[bytes] around the data: header, ID, length, errors, checksum"""
 MODEL = 3
-"""Address of the register that tells a servo's kind"""
+"""Register address of the model"""
 CONNECT = 5.0
-"""[s] for another machine to let one in (chosen, as pyserial does)"""
+"""[s] (chosen, as pyserial does)"""
 WAIT = 0.02
-"""[s] of one look for bytes (chosen)"""
+"""[s] of one wait for bytes (chosen)"""
 
 
 class _Port(PortHandler):  # type: ignore[misc]  # the maker's package has no types
     def setupPort(self, _rate: int) -> bool:  # noqa: N802 - the maker's name
-        """Open it; OSError where that fails."""
+        """Open; OSError."""
         place = urlsplit(self.port_name)
         try:
             if place.scheme == "socket":
@@ -72,7 +71,7 @@ class _Port(PortHandler):  # type: ignore[misc]  # the maker's package has no ty
         return True
 
     def readPort(self, length: int, wait: float = WAIT) -> bytes:  # noqa: N802 - the maker's name
-        """Return what comes within ``wait`` [s], as soon as anything does; OSError where the port is gone."""
+        """Return what comes within ``wait`` [s]; OSError."""
         if length <= 0:  # as the client asks behind a packet that says it is shorter than any
             return b""
         if not select([self._descriptor], [], [], wait)[0]:
@@ -83,17 +82,20 @@ class _Port(PortHandler):  # type: ignore[misc]  # the maker's package has no ty
         return data
 
     def clearPort(self) -> None:  # noqa: N802 - the maker's name
-        """Throw away what lies there."""
+        """Drop the buffer."""
         while self.readPort(4096, 0.0):
             pass
 
     def writePort(self, packet: Sequence[int]) -> int:  # noqa: N802 - the maker's name
-        """Return how many bytes were taken."""
+        """Write; returns the number of bytes."""
         return os.write(self._descriptor, bytes(packet))
 
 
 class Wire:
-    """An open bus. Methods raise TimeoutError, ValueError or IndexError (garbled), or OSError (broken)."""
+    """An open bus.
+
+    Methods raise TimeoutError, ValueError or IndexError (garbled), or OSError (broken).
+    """
 
     def __init__(self, port: str, baud: int) -> None:
         self._port = _Port(port)
@@ -103,11 +105,11 @@ class Wire:
         self._finder = GroupSyncRead(self._client, 0, 0)  # finds an answer wherever it is; keeps nothing
 
     def model(self, servo: int) -> int:
-        """Return the model number of a servo; the client's ping asks for it as well, but takes no late answer."""
+        """Model number of a servo; ignores late answers."""
         return int.from_bytes(self.read(servo, MODEL, 2), "little")
 
     def answers(self, servo: int) -> bool:
-        """Tell whether a servo answers."""
+        """Whether a servo answers."""
         try:
             self.model(servo)
         except (TimeoutError, ValueError, IndexError):
@@ -115,7 +117,7 @@ class Wire:
         return True
 
     def read(self, servo: int, address: int, size: int) -> bytes:
-        """Read ``size`` registers of a servo."""
+        """Read ``size`` registers."""
         self._free()
         packet: list[int] = []
         result = self._client.readTx(servo, address, size)
@@ -130,13 +132,13 @@ class Wire:
         return data
 
     def write(self, servo: int, address: int, data: Sequence[int]) -> None:
-        """Write registers of a servo, which confirms it."""
+        """Write registers; the servo confirms."""
         self._free()
         result, _ = self._client.writeTxRx(servo, address, len(data), list(data))
         _judge(result, servo)
 
     def read_all(self, servos: Sequence[int], address: int, size: int) -> dict[int, bytes]:
-        """Read the same ``size`` registers of all ``servos`` at once; those that did not answer are left out."""
+        """Read ``size`` registers of all ``servos``; without silent ones."""
         self._free()
         if self._client.syncReadTx(address, size, list(servos), len(servos)) != COMM_SUCCESS:
             raise OSError("the port did not take the request")
@@ -152,14 +154,14 @@ class Wire:
         return found
 
     def write_all(self, servos: Sequence[int], address: int, data: Sequence[bytes]) -> None:
-        """Write registers of all ``servos`` at once; none of them answers."""
+        """Write registers of all ``servos``, without answers."""
         self._free()
         words = [byte for servo, part in zip(servos, data, strict=True) for byte in (servo, *part)]
         if self._client.syncWriteTxOnly(address, len(data[0]), words, len(words)) != COMM_SUCCESS:
             raise OSError("the port did not take the request")
 
     def quieten(self, pause: float) -> bool:
-        """Throw away what lies there or comes within ``pause`` [s]; tell whether there was anything."""
+        """Drop what comes within ``pause`` [s]; whether anything did."""
         end, found = time.monotonic() + pause, False
         while (left := end - time.monotonic()) > 0.0:
             found = bool(self._port.readPort(4096, left)) or found
@@ -187,12 +189,12 @@ Counts = NDArray[np.int64]
 
 _STEP = 2 * np.pi / COUNTS_PER_TURN
 TURNING = np.radians(300.0)
-"""[rad] range from which on a joint may be calibrated to a whole turn (chosen: LeRobot does so with a wrist)"""
+"""[rad] range of a joint that may turn fully (chosen: LeRobot does so with a wrist)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MotorRanges:
-    """What a calibration of LeRobot says of the motors (n,) of an arm's joints."""
+    """LeRobot's calibration of the motors (n,)."""
 
     ids: tuple[int, ...]
     homing: Counts
@@ -202,25 +204,25 @@ class MotorRanges:
 
 @dataclass(frozen=True, kw_only=True)
 class Zeros:
-    """Counts and radians of n joints, as plain numbers: a control cycle turns a handful of them into each other."""
+    """Counts and radians of n joints, as plain numbers for speed."""
 
     middle: tuple[float, ...]
-    """(n,) [counts] where the joints are at ``zero``"""
+    """(n,) [counts] at ``zero``"""
     zero: tuple[float, ...]
     """(n,) [rad]"""
     low: tuple[int, ...]
-    """(n,) [counts] lowest goals that the servos take"""
+    """(n,) [counts] goals"""
     high: tuple[int, ...]
     """(n,) [counts]"""
 
     def radians(self, counts: Sequence[int]) -> list[float]:
-        """Joint positions (n,) [rad] of what the servos tell."""
+        """Joint positions (n,) [rad]."""
         return [
             (count - middle) * _STEP + zero for count, middle, zero in zip(counts, self.middle, self.zero, strict=True)
         ]
 
     def counts(self, position: Array) -> list[int]:
-        """Goals (n,) of joint positions [rad], within the servos' limits."""
+        """Goals (n,) of positions [rad], within the servos' limits."""
         return [
             min(max(round((angle - zero) / _STEP + middle), low), high)
             for angle, middle, zero, low, high in zip(
@@ -230,7 +232,7 @@ class Zeros:
 
 
 def read_calibration(path: Path, arm: Arm) -> MotorRanges:
-    """Read LeRobot's calibration of ``arm``; FileError where it is none, InputError where its numbers cannot be."""
+    """Read LeRobot's calibration of ``arm``; FileError, InputError for its numbers."""
     motors = read_homing(path)
     columns = match_joints(list(motors), arm, ImportOptions(), path, "calibration").columns
     joints = [list(motors.values())[column] for column in columns]
@@ -250,10 +252,7 @@ def read_calibration(path: Path, arm: Arm) -> MotorRanges:
 def zeros_of(
     arm: Arm, file: MotorRanges | None, homing: Counts, low: Counts, high: Counts, degrees: tuple[float, ...]
 ) -> Zeros:
-    """Zeros of an arm whose servos hold these offsets and limits (n,).
-
-    RobotError where the file or a servo does not fit.
-    """
+    """Zeros from servo offsets and limits (n,); RobotError where file or servo does not fit."""
     if degrees and len(degrees) != arm.joints:
         raise InputError(f"zero= of the address needs {arm.joints} angles, one per joint, got {len(degrees)}")
     if file is not None and (file.homing != homing).any():
@@ -275,7 +274,7 @@ def zeros_of(
 
 
 def _require_swept(arm: Arm, low: Counts, high: Counts) -> None:
-    """Raise RobotError where joints have no range of their own: its middle would be anywhere on the turn."""
+    """Raise RobotError for joints without a calibrated range."""
     whole = (high - low >= COUNTS_PER_TURN - 1) & (arm.upper - arm.lower < TURNING)
     if whole.any():
         names = ", ".join(name for name, bare in zip(arm.joint_names, whole, strict=True) if bare)
@@ -286,19 +285,19 @@ def _require_swept(arm: Arm, low: Counts, high: Counts) -> None:
 
 
 PRESENT, BLOCK = 56, 15
-"""Address of the first measured register, and how many there are (Feetech's memory table of the STS/SMS series)"""
+"""Address and number of measured registers (Feetech's memory table of the STS/SMS series)"""
 FAULTS = {1: "voltage", 2: "encoder", 4: "heat", 8: "over-current", 32: "overload"}
-"""Bits of the status register."""
+"""Bits of the status register"""
 SAGGING = 0.75
-"""share of the voltage at the start below which a supply sags (chosen: servos go silent at half of it)"""
+"""share of the first voltage of a sagging supply (chosen: servos go silent at half of it)"""
 VOLT = 0.1
-"""[V] of the register of the voltage"""
+"""[V] per count"""
 # of these position, load, voltage, temperature, status and goal
 _ROW = struct.Struct("<HxxHBBxBxHxx")
 
 
 def decode(rows: Sequence[bytes], zeros: Zeros, laws: Sequence[DutyLaw], supply: Sequence[float]) -> Reading:
-    """Return what the ``rows`` of n servos say; ``supply`` [V] is what each measured at the start."""
+    """Return reading from the ``rows`` of n servos; ``supply`` [V] at the start."""
     places, loads, voltages, heats, well = [], [], [], [], True
     for row, law, before in zip(rows, laws, supply, strict=True):
         position, duty, volt, heat, status, goal = _ROW.unpack(row)
@@ -318,12 +317,12 @@ def decode(rows: Sequence[bytes], zeros: Zeros, laws: Sequence[DutyLaw], supply:
 
 
 def signed(word: int, bit: int) -> int:
-    """Return a number that is written as its size and a ``bit`` for the sign."""
+    """Return number with a sign ``bit``."""
     return -(word & ~(1 << bit)) if word & 1 << bit else word
 
 
 def _trouble(row: bytes, before: float) -> str | None:
-    """Put into words what a servo complains of; None for nothing, empty for a bit that has no name."""
+    """Fault in words; None: none, empty: unnamed."""
     _, _, volt, _, status, _ = _ROW.unpack(row)
     voltage = volt * VOLT
     words = [name for bit, name in FAULTS.items() if status & bit]

@@ -1,1 +1,1 @@
-"""Simulated reality: worn arms, and the firmware and servers that speak for them. Only a driver opens this door."""
+"""Simulated reality: worn arms, their firmware and servers. Only drivers use it."""

@@ -1,7 +1,7 @@
-"""A camera before an emulated arm: pictures of the board where the arm's tool really is.
+"""A camera before an emulated arm.
 
-Each pixel is followed backwards through the lens to the board's drawing: no corner is projected, so that pictures can
-judge the detection. The same seed gives the same picture.
+Each pixel is traced back through the lens to the drawing, without projected corners, so that images can test the
+detection. Equal seeds give equal images.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Picture = NDArray[np.uint8]
 """(height, width) grey levels"""
 
 BLACK, WHITE, SKIN, WALL = 35.0, 215.0, 140.0, 120.0
-"""Grey levels of print, paper, a hand, and what is behind (chosen: a board in a room)"""
+"""Grey levels of print, paper, hand and background (chosen)"""
 
 _FINE = 3  # rays across a pixel (chosen)
 _DOT = 0.25e-3  # [m] of the drawing's dots (chosen: a tenth of a cell; edges of cells are on them)
@@ -32,19 +32,19 @@ _MARGIN = 8  # [px] around the board that are rendered with it
 
 @dataclass(frozen=True, kw_only=True)
 class Looks:
-    """What befalls a picture."""
+    """Disturbances of an image."""
 
     blur: float = 0.7
-    """[px] standard deviation of the blur of lens and focus"""
+    """[px] standard deviation"""
     noise: float = 4.0
-    """standard deviation of a pixel [grey levels]"""
+    """[grey levels] standard deviation of a pixel"""
     hidden: float = 0.0
-    """share of the board's width that something covers"""
+    """covered share of the board's width"""
 
 
 @lru_cache(maxsize=8)
 def drawn(board: Board) -> NDArray[np.float32]:
-    """Draw a board, grey levels in dots of a quarter of a millimetre, with a rim of white paper."""
+    """Draw a board, grey levels in dots of 0.25 mm, with a white rim."""
     rim = round(_QUIET / _DOT)
     ink = BLACK + (WHITE - BLACK) / 255.0 * board.drawing(1.0 / _DOT)
     picture = np.pad(ink.astype(np.float32), rim, constant_values=WHITE)
@@ -53,7 +53,7 @@ def drawn(board: Board) -> NDArray[np.float32]:
 
 
 def render(board: Board, lens: Lens, pose: Array, seed: int | tuple[int, ...], looks: Looks | None = None) -> Picture:
-    """Picture of a board at ``pose`` (4, 4) in the camera's frame; the wall alone where it is out of sight."""
+    """Image of a board at ``pose`` (4, 4) in the camera frame."""
     import cv2
 
     looks = looks or Looks()
@@ -96,7 +96,7 @@ def _paint(
 
 
 def _window(board: Board, lens: Lens, pose: Array) -> tuple[int, int, int, int] | None:
-    """Columns and rows of the picture in which the board may be; None where there are none."""
+    """Columns and rows of the image that may show the board, or None."""
     outline = board.outline + np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * _QUIET
     points = outline @ pose[:3, :3].T + pose[:3, 3]
     if (points[:, 2] < 0.05).any():
@@ -123,31 +123,31 @@ def _cover(canvas: NDArray[np.float32], lens: Lens, board: Board, pose: Array, s
 
 
 LENS = Lens(width=1920, height=1080, f=1400.0, cx=950.0, cy=545.0, k1=-0.08, k2=0.05, p1=8e-4, p2=-5e-4)
-"""A web camera of 69 degrees with some distortion (chosen)"""
+"""A web camera of 69 degrees (chosen)"""
 AWAY = 0.6
-"""[m] of the camera from the region of targets (issue: a table beside the arm)"""
+"""[m] of the camera from the targets"""
 # [rad] at which it stands beside the arm, about the vertical, from the front (chosen)
 _AZIMUTH = np.radians(-60.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
-    """An emulated camera and board, and the arm that carries one of them."""
+    """An emulated camera and board on an arm."""
 
     arm: Arm
     rig: Rig
     looks: Looks = field(default_factory=Looks)
 
     def picture(self, links: Array, seed: int | tuple[int, ...], looks: Looks | None = None) -> Picture:
-        """Render what the camera sees while the links are at ``links`` (n,) [rad], wherever the encoders are."""
+        """Image with the links at ``links`` (n,) [rad]."""
         return self.shows(tcp_pose(self.arm, links), seed, looks)
 
     def shows(self, tool: Array, seed: int | tuple[int, ...], looks: Looks | None = None) -> Picture:
-        """Render what the camera sees while the tool is at ``tool`` (4, 4) in the base."""
+        """Image with the tool at ``tool`` (4, 4) in the base."""
         return render(self.rig.board, self.rig.lens, self.rig.sight(tool), seed, looks or self.looks)
 
     def view(self, name: str, links: Array, rng: np.random.Generator, noise: float = 0.15) -> BoardView:
-        """Return the corners that the camera sees, with ``noise`` [px], without a picture."""
+        """Visible corners with ``noise`` [px], without an image."""
         pose, corners = self.rig.sight(tcp_pose(self.arm, links)), self.rig.board.corners
         pixel = self.rig.lens.project(corners @ pose[:3, :3].T + pose[:3, 3])
         return BoardView(
@@ -156,7 +156,7 @@ class Scene:
 
 
 def beside(arm: Arm, *, board: Board = ON_TOOL) -> Scene:
-    """Put a camera beside an arm, and a board upright on its tool, 30 mm before the TCP towards the camera."""
+    """Camera beside an arm, and an upright board on its tool, 30 mm before the TCP."""
     middle = 0.5 * (arm.targets.lower + arm.targets.upper)
     level = np.array([np.cos(_AZIMUTH), np.sin(_AZIMUTH), 0.0])
     standing = looking(middle + AWAY * (0.95 * level + [0.0, 0.0, 0.31]), middle)
@@ -172,7 +172,7 @@ def beside(arm: Arm, *, board: Board = ON_TOOL) -> Scene:
 
 
 def on_tool(arm: Arm, *, board: Board) -> Scene:
-    """Put a camera on an arm's tool, and a board flat on the table below the targets."""
+    """Camera on an arm's tool, and a flat board below the targets."""
     middle = 0.5 * (arm.targets.lower + arm.targets.upper)
     lying = np.eye(4)
     lying[:3, :3] = np.diag([1.0, -1.0, -1.0])  # seen from above
@@ -185,7 +185,7 @@ def on_tool(arm: Arm, *, board: Board) -> Scene:
 
 
 def looking(place: Array, at: Array) -> Array:
-    """Pose (4, 4) of a camera at ``place`` (3,) that looks at a point (3,), its picture upright."""
+    """Pose (4, 4) of an upright camera at ``place`` (3,) towards a point (3,)."""
     forwards = (at - place) / np.linalg.norm(at - place)
     right = np.cross(forwards, [0.0, 0.0, 1.0])
     right = right / np.linalg.norm(right) if np.linalg.norm(right) > 1e-6 else np.array([1.0, 0.0, 0.0])

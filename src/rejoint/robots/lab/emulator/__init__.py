@@ -1,4 +1,4 @@
-"""A worn arm behind the myCobot wire protocol: the plant in wall-clock time, on TCP or a pseudo-terminal."""
+"""A worn arm behind the myCobot wire protocol, on TCP or a pseudo-terminal."""
 
 from rejoint.robots.lab.emulator.emulate import build_firmware, emulate
 from rejoint.robots.lab.emulator.faults import Faults, parse_faults

@@ -1,4 +1,4 @@
-"""A worn arm for anyone to connect to: plant, firmware and server put together."""
+"""A worn arm with plant, firmware and server."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from rejoint.robots.lab.plant.servo import has_these_servos
 from rejoint.system.errors import InputError
 
 DIED = 1
-"""Exit code of an emulator that a fault let die."""
+"""Exit code after a fault"""
 
 
 def build_firmware(arm: Arm, wear_name: str, *, seed: int = 0) -> Firmware:
-    """Put an arm with the wear profile ``wear_name``, at rest in its rest posture, behind firmware."""
+    """Firmware of an arm at rest, with the wear profile ``wear_name``."""
     from rejoint.robots.lab.plant.plant import Plant
     from rejoint.robots.lab.plant.wear import load_wear
 
@@ -41,10 +41,9 @@ def emulate(
     log: Path | None = None,
     faults: Faults = NONE,
 ) -> None:
-    """Serve a worn arm on its own wire, at a ``place`` or on a pseudo-terminal; ``announce`` gets its address.
+    """Serve a worn arm at a ``place`` or on a pseudo-terminal; ``announce`` receives its address.
 
-    InputError if the port cannot be used, ProfileError for an unknown wear profile, FileError if the log cannot be
-    written.
+    InputError for the port, ProfileError for the wear profile, FileError for the log.
     """
     on_bus = has_these_servos(arm)
     for name in () if on_bus else SERVO_BUS:

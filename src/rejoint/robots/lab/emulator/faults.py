@@ -1,6 +1,6 @@
-"""What can go wrong with an emulated arm: ``drop=0.05,stall=1.5/4,freeze=3@5,die@20``.
+"""Faults of an emulated arm: ``drop=0.05,stall=1.5/4,freeze=3@5,die@20``.
 
-Times count in seconds from the first byte of a client, joints from 1. Every fault is drawn in a stream of its own.
+Times in seconds after the first byte of a client, joints from 1. Every fault has its own random stream.
 """
 
 from __future__ import annotations
@@ -24,38 +24,38 @@ if TYPE_CHECKING:
 Mask = NDArray[np.bool_]
 
 HOT_JOINT = 2
-"""The joint that gets hot if none is named: the shoulder, which carries most (chosen)"""
+"""Joint that gets hot by default: the shoulder (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stall:
-    """Spans in which the link stands still."""
+    """Spans with a stalled link."""
 
     duration: float
     """[s]"""
     every: float
-    """[s] from the beginning of one to that of the next; the first begins after this time"""
+    """[s] between beginnings; the first comes after it"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Onset:
-    """What begins after some time, with a few servos or with the link, and may end again."""
+    """A fault that begins, and may end, for some servos or the link."""
 
     joints: tuple[int, ...] = ()
-    """indices, from 0; none: the link"""
+    """from 0; empty: the link"""
     after: float
     """[s]"""
     duration: float = math.inf
     """[s]"""
 
     def holds(self, elapsed: float) -> bool:
-        """Whether it lasts ``elapsed`` [s] after the first byte."""
+        """Whether it holds ``elapsed`` [s] after the first byte."""
         return self.after <= elapsed < self.after + self.duration
 
 
 @dataclass(frozen=True, kw_only=True)
 class Faults:
-    """Everything that goes wrong; nothing by default. `KNOWN` says what each of them means."""
+    """All faults; `KNOWN` explains them."""
 
     drop: float = 0.0
     garbage: float = 0.0
@@ -86,15 +86,15 @@ class Faults:
 
 
 SERVO_BUS = ("mute", "sag")
-"""Faults that an arm on its servos' own bus can have, and no other one: a computer in between hides them"""
+"""Faults of arms on their servo bus only"""
 NONE = Faults()
 
 
 class Known(NamedTuple):
-    """A fault that can be asked for."""
+    """Name and meaning of a fault."""
 
     form: str
-    """what stands behind its name: `LETTERS` for numbers, in brackets what may be left out"""
+    """text behind its name: `LETTERS` for numbers, optional parts in brackets"""
     meaning: str
 
 
@@ -126,18 +126,18 @@ KNOWN: dict[str, Known] = {
     "mute": Known("=J@T/D", "on a bus of servos: from T on, for D, the servo of J neither hears nor answers; it holds"),
     "sag": Known("=R", "on a bus of servos: the supply has this resistance and sags under their current"),
 }
-"""The faults in the words of the command line. One name, one field of `Faults`."""
+"""Faults as on the command line; names are fields of `Faults`"""
 
 _REPEATABLE = {field.name for field in fields(Faults) if field.default == ()}
 
 
 def form(name: str) -> str:
-    """Return how a fault is written, such as ``freeze=J@T``."""
+    """How a fault is written: ``freeze=J@T``."""
     return name + KNOWN[name].form
 
 
 def describe(joints: int) -> Iterable[str]:
-    """Return a line per fault: how it is written, what it means, and what its letters stand for."""
+    """Return a line per fault: form, meaning, letters."""
     return (f"{form(name)}: {known.meaning} ({_ranges(name, joints)})" for name, known in KNOWN.items())
 
 
@@ -146,7 +146,7 @@ def _ranges(name: str, joints: int) -> str:
 
 
 def parse_faults(text: str, joints: int) -> Faults:
-    """Read faults, comma separated, of an arm with ``joints`` joints; InputError for what is no fault."""
+    """Read comma-separated faults; InputError."""
     found: dict[str, list[object]] = {}
     for item in filter(None, (part.strip() for part in text.split(","))):
         name = re.split("[=@]", item)[0]
@@ -166,7 +166,7 @@ def parse_faults(text: str, joints: int) -> Faults:
 
 
 def _read(name: str, text: str, joints: int) -> object:
-    """Read what stands behind the name of a fault; ValueError for what is not of its form."""
+    """Read the text behind a fault's name; ValueError."""
     optional = KNOWN[name].form.replace("[", "(?:").replace("]", ")?")
     match = re.fullmatch(re.sub("[A-Z]", lambda letter: f"(?P<{letter[0]}>[^=@/]+)", optional), text)
     if match is None:
@@ -190,23 +190,23 @@ def _read(name: str, text: str, joints: int) -> object:
 
 
 SPLIT_PAUSE = 0.05
-"""[s] between the two pieces of an answer (chosen)"""
+"""[s] between the pieces of an answer (chosen)"""
 MOST_GARBAGE = 12
-"""random bytes at most, as many as half a frame (chosen)"""
+"""[bytes] (chosen)"""
 
 _CHANCES = ("drop", "garbage", "stale", "split", "half", "double", "echo")
 
 
 class LinkGoneError(Exception):
-    """The connection is no longer there."""
+    """The connection is gone."""
 
 
 class DeathError(Exception):
-    """The emulator has to end without a word."""
+    """The emulator must end silently."""
 
 
 class WireFaults:
-    """What the faults do to a link; without faults nothing. Times are [s] after the first byte of a client."""
+    """Applies faults to a link; times in [s] after the first byte."""
 
     def __init__(self, faults: Faults, seed: int = 0) -> None:
         self._faults = faults
@@ -216,18 +216,18 @@ class WireFaults:
 
     @property
     def delay(self) -> float:
-        """[s] that every answer takes longer."""
+        """[s] extra time of every answer."""
         return self._faults.slow
 
     def check(self, elapsed: float) -> None:
-        """DeathError if the emulator has ended, LinkGoneError while there is no link."""
+        """DeathError after the end, LinkGoneError without a link."""
         if self._faults.die is not None and elapsed >= self._faults.die:
             raise DeathError
         if any(gone.holds(elapsed) for gone in self._faults.gone):
             raise LinkGoneError
 
     def still_until(self, elapsed: float) -> float:
-        """When the link moves on; ``elapsed`` itself unless it stands still."""
+        """End of a stall, else ``elapsed``."""
         if self._faults.silent is not None and elapsed >= self._faults.silent:
             return math.inf
         stall = self._faults.stall
@@ -237,7 +237,7 @@ class WireFaults:
         return max(elapsed, begin + stall.duration)
 
     def pieces(self, request: bytes, answer: bytes) -> list[bytes]:
-        """Return what goes out instead of ``answer``, with a `SPLIT_PAUSE` between pieces; nothing if it is lost."""
+        """Pieces sent instead of ``answer``, with a `SPLIT_PAUSE` between; empty: lost."""
         hit = {name: self._draw(name) for name in _CHANCES}
         answer = self._perhaps_old(request, answer, old=hit["stale"])
         if hit["drop"]:
@@ -276,41 +276,40 @@ class WireFaults:
         return answer[:place] + noise + answer[place:]
 
     def _cut(self, name: str, answer: bytes) -> int:
-        """Return a place inside ``answer``."""
         return int(self._streams[name].integers(1, max(len(answer), 2)))
 
 
 VOLTAGE_BIT, OVER_TEMPERATURE_BIT, OVER_CURRENT_BIT, OVERLOAD_BIT = 1 << 0, 1 << 2, 1 << 3, 1 << 5
-"""Bits of the servo status (pymycobot 4.0.7, robot_info)."""
+"""Bits of the servo status (pymycobot 4.0.7, robot_info)"""
 SUPPLY_VOLTAGE = 12.0
 """[V] (vendor's product parameters)"""
 
 
 class Ailments:
-    """Of an arm of n joints; the firmware adds them to what it measures."""
+    """Faults of n joints, added to measurements."""
 
     def __init__(self, joints: int) -> None:
         self.misreading = np.zeros(joints)
-        """(n,) [rad] by which the encoders tell too much"""
+        """(n,) [rad] encoder errors"""
         self.warmth = np.zeros(joints)
-        """(n,) [K] above what the work of the motors explains"""
+        """(n,) [K] extra heat"""
         self.current = np.zeros(joints)
-        """(n,) [A] at least, whatever the torque of the motors"""
+        """(n,) [A] least current"""
         self.voltage = np.full(joints, SUPPLY_VOLTAGE)
-        """(n,) [V] of the supply, at each servo"""
+        """(n,) [V] supply"""
         self.alarms = np.zeros(joints, dtype=np.uint8)
-        """(n,) status bits that are set, besides over-temperature"""
+        """(n,) status bits, besides over-temperature"""
 
 
 class EmulatedArm(ABC):
-    """An emulated arm of n joints, whatever its wire speaks; ``plant`` holds one arm, already reset."""
+    """An emulated arm of n joints; ``plant`` holds one arm."""
 
     def __init__(self, plant: Plant, arm: Arm) -> None:
         self.plant, self.arm, self.ailments = plant, arm, Ailments(arm.joints)
 
     @property
     def angles(self) -> Array:
-        """(n,) [rad] joint angles as the encoders tell them."""
+        """(n,) [rad] by the encoders."""
         return self.plant.encoder()[0] + self.ailments.misreading
 
     @property
@@ -320,40 +319,40 @@ class EmulatedArm(ABC):
 
     @property
     def true_tcp(self) -> Array:
-        """(3,) [m] where the tool really is; no request asks for it."""
+        """(3,) [m] true tool."""
         return self.plant.true_tcp()[0]
 
     @property
     def true_links(self) -> Array:
-        """(n,) [rad] angles of the links, behind play and flex."""
+        """(n,) [rad] true links, behind play and flex."""
         return self.plant.link_position()[0]
 
     @abstractmethod
     def advance(self, duration: float) -> None:
-        """Let [s] pass."""
+        """Advance by [s]."""
 
 
 READINGS = frozenset({0x20, 0x23, 0x3B, 0x3D, 0xD5})
-"""Questions whose answers are read from the encoders."""
+"""Questions that read encoders"""
 
 JUMP = np.radians(60.0)
-"""[rad] of an impossible jump: a servo takes 0.4 s for it (chosen)"""
+"""[rad] of an impossible jump (chosen: a servo takes 0.4 s)"""
 BEYOND_LIMIT = np.radians(3.0)
-"""[rad] a joint reads beyond its limit: less than what a driver takes for a broken reading (chosen)"""
+"""[rad] beyond a joint limit, still credible (chosen)"""
 RUN_AWAY = np.radians(90.0)
-"""[rad/s] at which such a reading runs there: below the highest speed of the joints (chosen)"""
+"""[rad/s] of such a reading (chosen: below the joints' speed)"""
 HEATING = 10.0
-"""[K/s] of a servo that gets hot (chosen: a real one takes minutes)"""
+"""[K/s] (chosen: faster than real)"""
 HOT = 85.0
-"""[deg C] at which it stays: 15 K above its protection threshold (chosen)"""
+"""[deg C] final (chosen: 15 K above the protection threshold)"""
 CURRENT_SCALE = 3.25
-"""[A] top of the scale: 500 steps of 6.5 mA (Feetech STS memory table)"""
+"""[A] full scale: 500 steps of 6.5 mA (Feetech STS memory table)"""
 LOW_VOLTAGE = 7.0
-"""[V] of a supply that broke down (chosen)"""
+"""[V] of a broken supply (chosen)"""
 
 
 class ArmFaults:
-    """Lets the faults of the arm begin when their time has come."""
+    """Begins the arm's faults in time."""
 
     def __init__(self, faults: Faults, arm: EmulatedArm) -> None:
         self._emulated = arm
@@ -368,7 +367,7 @@ class ArmFaults:
         self._then = 0.0
 
     def advance(self, elapsed: float) -> None:
-        """Begin what is due ``elapsed`` [s] after the first byte, and go on with what has begun."""
+        """Advance faults to ``elapsed`` [s] after the first byte."""
         passed, self._then = elapsed - self._then, elapsed
         while self._waiting and self._waiting[0][0] <= elapsed:
             after, kind, joints = self._waiting.pop(0)
@@ -381,13 +380,13 @@ class ArmFaults:
             self._go_on_running(passed)
 
     def was_asked(self, command: int) -> None:
-        """Take a jump back once it was read: it is one of a single reading."""
+        """End a jump after one reading."""
         if command in READINGS and self._jumped.any():
             self._emulated.ailments.misreading -= self._jumped
             self._jumped[:] = 0.0
 
     def _inwards(self) -> Array:
-        """(n,) 1 where the lower limit is the nearer one, -1 elsewhere."""
+        """(n,) 1 nearer to the lower limit, else -1."""
         arm = self._emulated.arm
         return np.where(self._emulated.angles < 0.5 * (arm.lower + arm.upper), 1.0, -1.0)
 
@@ -432,4 +431,4 @@ BEGINNINGS: dict[str, Callable[[ArmFaults, Mask], object]] = {
     "overload": lambda self, joints: self._alarm(joints, OVERLOAD_BIT),
     "voltage": lambda self, joints: self._alarm(joints, VOLTAGE_BIT),
 }
-"""What happens to the servos (n,) of each fault of the arm"""
+"""Actions of the arm's faults on servos (n,)"""

@@ -1,7 +1,7 @@
-"""An SO-101 behind the bus of its STS3215 servos: packets, register files, and when each servo answers.
+"""An SO-101 behind the bus of its STS3215 servos: packets, registers and timing.
 
-Sources: Feetech's protocol manual and memory table of the STS/SMS series (``sts3215.csv``: defaults of a servo as sold,
-names as in LeRobot), and what LeRobot was seen to send.
+Sources: Feetech's protocol manual and memory table of the STS/SMS series (``sts3215.csv``: factory defaults, names as
+in LeRobot), and recorded LeRobot packets.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from rejoint.robots.lab.plant.servo import STEP
 from rejoint.robots.lab.plant.sts3215 import BareServos, StsPlant
 
 SIZE = 88
-"""Bytes of the register file (chosen: the last known register is 86)"""
+"""[bytes] (chosen: the last known register is 86)"""
 
 
 class Register(NamedTuple):
-    """A value in the register file."""
+    """A value in the registers."""
 
     address: int
     size: int
     name: str
     access: str
-    """``read``: measured or fixed; ``ram``: set, lost with the power; ``saved``: kept if written with an open lock"""
+    """``read``: measured or fixed; ``ram``: lost with the power; ``saved``: kept if written unlocked"""
     default: int
     unit: str
     sign: int | None
-    """bit of the sign; None for values without one"""
+    """sign bit, or None"""
 
 
 with (files(__package__) / "sts3215.csv").open(encoding="utf-8") as _file:
@@ -47,7 +47,7 @@ BY_NAME: dict[str, Register] = {register.name: register for register in TABLE}
 
 
 def factory_settings(servo: int) -> bytearray:
-    """Return the register file of a servo with this ID as it is after its first power-on."""
+    """Return registers of a servo with this ID as sold."""
     cells = bytearray(SIZE)
     for register in TABLE:
         cells[register.address : register.address + register.size] = register.default.to_bytes(register.size, "little")
@@ -57,46 +57,46 @@ def factory_settings(servo: int) -> bytearray:
 
 HEADER = b"\xff\xff"
 BROADCAST = 0xFE
-"""ID that means every servo"""
+"""ID of all servos"""
 MOST_PARAMETERS = 248
-"""that a packet may carry: the vendor's clients cap packets at 250 bytes behind the length"""
+"""per packet: clients cap packets at 250 bytes"""
 
 PING, READ, WRITE, SYNC_READ, SYNC_WRITE = 0x01, 0x02, 0x03, 0x82, 0x83
 
 
 class Packet(NamedTuple):
-    """An instruction, or the status that a servo answers with."""
+    """An instruction or a status."""
 
     id: int
     code: int
-    """instruction, or error bits"""
+    """instruction or error bits"""
     parameters: bytes = b""
 
 
 def checksum(body: bytes) -> int:
-    """Return the last byte of a packet whose ID, length, code and parameters are ``body``."""
+    """Last byte of a packet of ID, length, code and parameters."""
     return ~sum(body) & 0xFF
 
 
 def encode(packet: Packet) -> bytes:
-    """Return the bytes of a packet."""
+    """Bytes of a packet."""
     body = bytes((packet.id, len(packet.parameters) + 2, packet.code)) + packet.parameters
     return HEADER + body + bytes((checksum(body),))
 
 
 class PacketFinder:
-    """Finds packets in a stream of bytes that may hold anything else as well."""
+    """Finds packets in a stream of bytes."""
 
     def __init__(self) -> None:
         self._held = b""
 
     @property
     def pending(self) -> bool:
-        """Whether the beginning of a packet is there, so that its rest is awaited."""
+        """Whether a packet has begun."""
         return bool(self._held)
 
     def feed(self, data: bytes) -> list[Packet]:
-        """Take bytes and return the packets that are whole now. What cannot begin a packet is dropped."""
+        """Take bytes and return whole packets."""
         self._held += data
         found: list[Packet] = []
         while True:
@@ -113,13 +113,12 @@ class PacketFinder:
                 found.append(packet)
 
     def expire(self) -> list[Packet]:
-        """Give up the packet whose rest did not come; return those that stood inside it."""
+        """Drop an unfinished packet; return the packets inside."""
         held, self._held = self._held, b""
         return self.feed(held[1:])
 
 
 def _first(data: bytes) -> tuple[Packet | None, int]:
-    """Packet at the beginning of ``data``, if it is one, and how many bytes are done with: 0 where some are missing."""
     if len(data) < 4:
         return (None, 1) if data[2:] == b"\xff" else (None, 0)
     length = data[3]
@@ -134,22 +133,22 @@ def _first(data: bytes) -> tuple[Packet | None, int]:
 
 
 def magnitude(value: int, bit: int) -> int:
-    """Return ``value`` as these servos write numbers with a sign: its size, and ``bit`` set where it is negative."""
+    """``value`` as size and sign ``bit``."""
     if abs(value) >= 1 << bit:
         raise ValueError(f"{value} does not fit into {bit} bits and a sign")
     return -value | 1 << bit if value < 0 else value
 
 
 def signed(word: int, bit: int) -> int:
-    """Return what `magnitude` was made from."""
+    """Inverse of `magnitude`."""
     size = word & ~(1 << bit)
     return -size if word & 1 << bit else size
 
 
 COUNTS = 4096
-"""of the encoder a turn"""
+"""per turn"""
 MIDDLE = 2048
-"""[counts] of a joint at zero"""
+"""[counts] at joint zero"""
 
 _WRITABLE = bytearray(SIZE)
 _SAVED = bytearray(SIZE)
@@ -162,16 +161,16 @@ for _register in TABLE:
 
 
 class Servo:
-    """The registers of one servo; its arm keeps the measured ones up to date."""
+    """Registers of one servo; its arm updates measured ones."""
 
     def __init__(self, number: int) -> None:
         self.cells = factory_settings(number)
         self._kept = bytes(self.cells)
         self.writes: list[tuple[int, bytes]] = []
-        """every write that it obeyed: address and data"""
+        """executed: address and data"""
 
     def __getitem__(self, name: str) -> int:
-        """Value of the register that is called so."""
+        """Value of a register."""
         register = BY_NAME[name]
         word = int.from_bytes(self.cells[register.address : register.address + register.size], "little")
         return word if register.sign is None else signed(word, register.sign)
@@ -184,15 +183,15 @@ class Servo:
 
     @property
     def number(self) -> int:
-        """Its ID."""
+        """ID."""
         return self["ID"]
 
     def read(self, address: int, size: int) -> bytes:
-        """Return ``size`` registers from ``address`` on, zeros beyond the last one."""
+        """Read ``size`` registers; zeros beyond the last."""
         return bytes(self.cells[address : address + size]).ljust(size, b"\0")
 
     def write(self, address: int, data: bytes) -> set[str]:
-        """Write registers that may be written, kept where the lock is open; return their names.
+        """Write registers, permanently if unlocked; return their names.
 
         A goal turns the torque on.
         """
@@ -212,7 +211,7 @@ class Servo:
         return touched
 
     def save(self, cells: Iterable[int] = range(SIZE)) -> None:
-        """Keep over a loss of power what stands in these ``cells``, as far as the servo keeps them at all."""
+        """Save these ``cells``, as far as the servo does."""
         kept = bytearray(self._kept)
         for cell in cells:
             if _SAVED[cell]:
@@ -220,19 +219,19 @@ class Servo:
         self._kept = bytes(kept)
 
     def cycle_power(self) -> None:
-        """Lose the power and get it back: what was saved stays, the torque is off and the lock shut."""
+        """Power off and on: torque off, locked, saved registers kept."""
         self.cells = bytearray(self._kept)
         self["Torque_Limit"] = self["Max_Torque_Limit"]
 
 
 NAMES = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
-"""Motors of an SO-101 in the order of their IDs, 1 to 6 (LeRobot)."""
+"""Motors of an SO-101 by ID, 1 to 6 (LeRobot)"""
 HOMING = (-1470, 63, 911, -388, 85, -1021)
-"""[counts] homing offsets of the emulated servos (chosen: as wild as those of real arms)"""
+"""[counts] (chosen: like real arms)"""
 PROMPT = 254
-"""[100 counts/s^2] acceleration that LeRobot sets, beside leaving most of the other registers as they were sold"""
+"""[100 counts/s^2] as LeRobot sets it"""
 CURRENT_UNIT = 0.0065
-"""[A] of the registers of currents"""
+"""[A] per count"""
 _GRIPPER = (-0.17, 1.75)  # [rad] range of the jaw: so101_new_calib.xml
 # Fields of `sts3215.SETTING` and the registers that they are, as they stand.
 _COPIES = {
@@ -256,7 +255,7 @@ class ServoArm(EmulatedArm):
     plant: StsPlant
 
     def __init__(self, plant: StsPlant, arm: Arm, *, resistance: float = 0.0) -> None:
-        """``resistance`` [ohm] is that of the supply, which sags under the currents of all servos."""
+        """``resistance`` [ohm] of the supply."""
         super().__init__(plant, arm)
         self.resistance = resistance
         self.gripper = BareServos(1, lower=_GRIPPER[0], upper=_GRIPPER[1])
@@ -271,7 +270,7 @@ class ServoArm(EmulatedArm):
             self.settle(index)
 
     def advance(self, duration: float) -> None:
-        """Let [s] pass; what is less than a millisecond is owed."""
+        """Advance by [s], in whole milliseconds."""
         self._owed += duration
         steps = int(self._owed / STEP)
         self._owed -= steps * STEP
@@ -284,7 +283,7 @@ class ServoArm(EmulatedArm):
         self.gripper.advance(steps * STEP)
 
     def settle(self, index: int) -> None:
-        """Let the servo with this index, from 0, take over what stands in its registers."""
+        """Apply the registers of a servo, index from 0."""
         servo, setting = self.servos[index], self._record("settings", index)
         for field, name in _COPIES.items():
             setting[field] = servo[name]
@@ -298,7 +297,7 @@ class ServoArm(EmulatedArm):
         setting["speed"] = float(abs(servo["Goal_Velocity"]) or 50 * servo["Maximum_Velocity_Limit"])
 
     def go(self, index: int) -> None:
-        """Let a servo take over the goal that stands in its register, and the torque that comes on with it."""
+        """Apply a servo's goal, and its torque."""
         self._record("settings", index)["torque_on"] = self.servos[index]["Torque_Enable"]
         goal = self.servos[index]["Goal_Position"] + self._shift(index)
         self._record("status", index)["goal"] = goal
@@ -306,7 +305,7 @@ class ServoArm(EmulatedArm):
             self.plant.servos["goal"][0, index] = goal * self.arm.encoder_step
 
     def measure(self, index: int) -> None:
-        """Write what a servo measures into its registers."""
+        """Write a servo's measurements to its registers."""
         servo, status, setting = self.servos[index], self._record("status", index), self._record("settings", index)
         joint = index < self.arm.joints
         servo["Present_Position"] = (self._count(index) - self._shift(index)) % COUNTS
@@ -324,7 +323,7 @@ class ServoArm(EmulatedArm):
         servo["Torque_Enable"] = int(setting["torque_on"])  # over-current switches it off
 
     def alarms(self, index: int) -> int:
-        """Return the error bits of a servo."""
+        """Error bits of a servo."""
         found = int(self._record("status", index)["alarms"])
         return found | int(self.ailments.alarms[index]) if index < self.arm.joints else found
 
@@ -345,7 +344,7 @@ class ServoArm(EmulatedArm):
         return np.append(getattr(self.plant, what)[field][0], getattr(self.gripper, what)[field])
 
     def _ranges(self) -> list[tuple[int, int]]:
-        """Return the limits [counts] of every servo as LeRobot's calibration leaves them: a full turn for the wrist."""
+        """Limits [counts] per servo as of LeRobot's calibration: a full turn for the wrist."""
         step = self.arm.encoder_step
         ends = [
             (MIDDLE + round(a / step), MIDDLE + round(b / step))
@@ -356,7 +355,7 @@ class ServoArm(EmulatedArm):
 
 
 def build_arm(arm: Arm, wear_name: str, *, seed: int = 0, resistance: float = 0.0) -> ServoArm:
-    """Put an arm with the wear profile ``wear_name`` behind its servos, holding its rest posture."""
+    """Arm with the wear profile ``wear_name`` behind its servos, at rest."""
     from rejoint.robots.lab.plant.wear import load_wear
 
     built = ServoArm(StsPlant(arm, [load_wear(wear_name, arm)], seed=seed), arm, resistance=resistance)
@@ -365,37 +364,37 @@ def build_arm(arm: Arm, wear_name: str, *, seed: int = 0, resistance: float = 0.
 
 
 BYTE = 10e-6
-"""[s] on the wire at 1 Mbaud, 8N1"""
+"""[s] at 1 Mbaud, 8N1"""
 TURN = 20e-6
-"""[s] least pause before a servo answers (chosen: the least that was seen)"""
+"""[s] least pause before an answer (chosen: least seen)"""
 DELAY_UNIT = 2e-6
 """[s] of the return delay register"""
 MOST_DATA = 128
-"""bytes that a servo takes or gives at once: its buffer"""
+"""[bytes] buffer of a servo"""
 # [bytes] between the slots of a synchronous read, beside the answer (the firmware's own sum)
 _BETWEEN = 3
 _WORD = 2
 
 
 class Answer(NamedTuple):
-    """A status packet on its way back."""
+    """A returning status packet."""
 
     servo: int
-    """index, from 0"""
+    """from 0"""
     after: float
-    """[s] from the end of the request to the end of the answer"""
+    """[s] from request to end of the answer"""
     data: bytes
 
 
 class ServoBus:
-    """The servos of ``arm`` on their wire. ``muted`` names those, from 0, that neither hear nor answer now."""
+    """Servos of ``arm`` on their wire; ``muted`` ones, from 0, are silent."""
 
     def __init__(self, arm: ServoArm) -> None:
         self.arm = arm
         self.muted: Callable[[], Iterable[int]] = lambda: ()
 
     def execute(self, request: Packet) -> list[Answer]:
-        """Obey a packet; returns what the servos answer, in the order of time. What is no order is ignored."""
+        """Execute a packet; returns the answers in order of time."""
         hearing = [i for i in range(len(self.arm.servos)) if i not in set(self.muted())]
         if request.code == SYNC_READ:
             return self._sync_read(request, hearing)
@@ -417,7 +416,7 @@ class ServoBus:
         return answers
 
     def _obey(self, index: int, request: Packet) -> bytes | None:
-        """Obey an order to one servo; returns the data of its answer, None where it answers nothing."""
+        """Execute an order to one servo; returns the answer's data, or None."""
         servo, data = self.arm.servos[index], request.parameters
         if request.code == PING:
             return b""
@@ -468,13 +467,13 @@ class ServoBus:
 
 
 ADAPTER = 0.001
-"""[s] that a USB adapter takes for a request and its answer together (chosen)"""
+"""[s] of a USB adapter per request and answer (chosen)"""
 GET_ANGLES = 0x20
-"""As `rejoint.robots.lab.emulator.faults` names a question whose answer is read from the encoders."""
+"""Question that reads encoders, see `rejoint.robots.lab.emulator.faults`"""
 
 
 class BusSession(Conversation[Packet]):
-    """The servos of ``arm`` for one client at a time; an answer takes the time on the wire and of the adapter."""
+    """Servos of ``arm`` for one client at a time, with timing."""
 
     scheme = "feetech"
 
@@ -523,5 +522,5 @@ class BusSession(Conversation[Packet]):
 def serve_bus(
     session: BusSession, *, host: str = "127.0.0.1", port: int = 0, pty: bool = False
 ) -> Server:  # fmt: skip
-    """Serve a bus on a TCP port (0: any free one) or a pseudo-terminal; InputError if that fails."""
+    """Serve a bus on a TCP port (0: any free one) or a pseudo-terminal; InputError."""
     return on_terminal(session) if pty else on_port(session, host, port)

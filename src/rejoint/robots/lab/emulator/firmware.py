@@ -1,4 +1,4 @@
-"""The robot's own computer: keeps the limits, runs the moves, powers and releases the servos, and answers requests."""
+"""The robot's computer: limits, moves, servo power and answers."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     from rejoint.robots.lab.plant.plant import Plant
 
 TICK_MS = 10
-"""[ms] between set-points that the firmware writes while it interpolates (chosen)"""
+"""[ms] between set-points (chosen)"""
 COMMAND_DELAY = (0.008, 0.013)
-"""[s] from the arrival of a command to its effect in the servos (the plant's own channel)"""
+"""[s] from a command to its effect"""
 MAX_WRITES = 64
-"""Goals on their way over the servo bus; the oldest of more are lost (chosen)"""
+"""Goals on the bus; more drop the oldest (chosen)"""
 
 CURRENT_PER_TORQUE = 2.7 / 2.94
-"""[A/(N m)] of an STS3215 at 12 V: 2.7 A at its stall torque of 30 kg cm (Feetech data sheet)"""
+"""[A/(N m)] of an STS3215 at 12 V: 2.7 A at 30 kg cm stall (Feetech data sheet)"""
 
 # [rad/s] below this speed a joint counts as standing (chosen)
 _AT_REST = np.radians(2.0)
@@ -38,7 +38,7 @@ class _Write(NamedTuple):
 
 
 class Firmware(EmulatedArm, Mover):
-    """State and behaviour of one emulated myCobot; ``plant`` holds one arm, already reset."""
+    """An emulated myCobot; ``plant`` holds one arm."""
 
     def __init__(self, plant: Plant, arm: Arm, *, seed: int = 0) -> None:
         EmulatedArm.__init__(self, plant, arm)
@@ -46,9 +46,9 @@ class Firmware(EmulatedArm, Mover):
         self.powered = True
         self.enabled = np.ones(arm.joints, dtype=bool)
         self.zero = np.zeros(arm.joints)
-        """(n,) [rad] what calibration took as zero, on the encoders' own scale"""
+        """(n,) [rad] calibrated zeros by the encoders"""
         self.registers: dict[tuple[int, int], int] = {}
-        """(servo, address) -> value; kept and read back, without effect on the servos"""
+        """(servo, address) -> value; without effect"""
         self._rng = np.random.default_rng(seed)
         self._clock_ms = 0
         self._owed = 0.0
@@ -58,7 +58,7 @@ class Firmware(EmulatedArm, Mover):
 
     @property
     def angles(self) -> Array:
-        """(n,) [rad] joint angles by the encoders."""
+        """(n,) [rad] by the encoders."""
         return super().angles - self.zero
 
     @property
@@ -78,7 +78,7 @@ class Firmware(EmulatedArm, Mover):
 
     @property
     def hot(self) -> Mask:
-        """(n,) whether a servo is over its temperature threshold."""
+        """(n,) over-temperature."""
         return self.temperature >= _OVER_TEMPERATURE
 
     @property
@@ -93,12 +93,12 @@ class Firmware(EmulatedArm, Mover):
 
     @property
     def alarms(self) -> NDArray[np.uint8]:
-        """(n,) status bits of the servos."""
+        """(n,) servo status bits."""
         return np.where(self.hot, OVER_TEMPERATURE_BIT, 0).astype(np.uint8) | self.ailments.alarms
 
     @property
     def moving(self) -> bool:
-        """Whether the reference is under way or a joint still moves."""
+        """Whether the reference or a joint moves."""
         return (self._motion.moving and not self._motion.paused) or bool((np.abs(self.speed) > _AT_REST).any())
 
     def in_position(self, angles: Array) -> bool:
@@ -106,13 +106,13 @@ class Firmware(EmulatedArm, Mover):
         return at_angles(self.angles, angles)
 
     def at_pose(self, pose: Array) -> bool:
-        """Whether the TCP is within 3 mm and a degree of ``pose`` (4, 4), by the encoders."""
+        """Whether the encoder TCP is within 3 mm and a degree of ``pose`` (4, 4)."""
         return at_place(self.pose, pose)
 
     # --- moves ------------------------------------------------------------------------------
 
     def stop(self, joint: int | None = None) -> None:
-        """Hold where the reference is, and forget what was to come: one joint, or the arm."""
+        """Hold one joint, or the arm; drop its moves."""
         self._motion.hold(joint)
         if joint is not None:
             self._write(self._motion.ramp_speed, self._motion.goal)
@@ -122,12 +122,12 @@ class Firmware(EmulatedArm, Mover):
         self._track(np.ones(self.arm.joints, dtype=bool), self.plant.goal[0] - self.zero)
 
     def pause(self) -> None:
-        """Hold where the reference is, to go on later."""
+        """Hold until `resume`."""
         self._motion.paused = True
         self._write(FULL_SPEED)
 
     def resume(self) -> None:
-        """Go on."""
+        """Continue."""
         self._motion.paused = False
         if not self._motion.interpolating:
             self._write(self._motion.ramp_speed, self._motion.goal)
@@ -135,12 +135,12 @@ class Firmware(EmulatedArm, Mover):
     # --- power ------------------------------------------------------------------------------
 
     def power(self, on: bool) -> None:
-        """Power all servos, which then hold where they are, or none: the arm falls."""
+        """Power all servos, which hold, or none: the arm falls."""
         self.powered = on
         self.enable(np.full(self.arm.joints, on))
 
     def enable(self, wanted: Mask) -> None:
-        """Let the servos in ``wanted`` (n,) hold, those newly switched on where they are; release the others."""
+        """Hold with the servos in ``wanted`` (n,); release the others."""
         self._motion.hold()
         self.outbox.clear()
         self._track(wanted & ~self.enabled, self.angles)
@@ -149,7 +149,7 @@ class Firmware(EmulatedArm, Mover):
         self.outbox.append(_Write(self._clock_ms, self._motion.reference + self.zero, FULL_SPEED))
 
     def calibrate(self, joint: int) -> None:
-        """Take the present position of a joint as its zero."""
+        """Set a joint's zero here."""
         shift = float(self.angles[joint])
         self.zero[joint] += shift
         self._motion.hold()
@@ -159,11 +159,11 @@ class Firmware(EmulatedArm, Mover):
 
     @property
     def time(self) -> float:
-        """[s] since the start, on the plant's clock."""
+        """[s] since the start."""
         return self._clock_ms * 1e-3
 
     def advance(self, duration: float) -> None:
-        """Let ``duration`` [s] pass; what is less than a millisecond waits for the next call."""
+        """Advance by ``duration`` [s], in whole milliseconds."""
         self._owed += duration * 1e3
         left = int(self._owed + 1e-6)
         self._owed -= left
@@ -186,7 +186,7 @@ class Firmware(EmulatedArm, Mover):
         return self.powered
 
     def _track(self, joints: Mask, angles: Array) -> None:
-        """Put the reference of ``joints`` (n,) at ``angles`` (n,) [rad], so that nothing pulls."""
+        """Set the reference of ``joints`` (n,) to ``angles`` (n,) [rad]."""
         for joint in np.flatnonzero(joints):
             self._motion.place(int(joint), float(angles[joint]))
 
@@ -194,7 +194,7 @@ class Firmware(EmulatedArm, Mover):
         self._write(speed, goal)
 
     def _write(self, speed: float, goal: Array | None = None) -> None:
-        """Send a goal (n,) [rad], by default the reference, over the servo bus."""
+        """Send a goal (n,) [rad], by default the reference."""
         due_ms = self._clock_ms + round(1e3 * self._rng.uniform(*COMMAND_DELAY))
         if self.outbox:
             due_ms = max(due_ms, self.outbox[-1].due_ms)  # a bus does not overtake itself

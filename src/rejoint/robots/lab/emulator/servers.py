@@ -1,7 +1,4 @@
-"""An emulated robot where a client finds it.
-
-A TCP port or a pseudo-terminal, one client at a time, in wall-clock time.
-"""
+"""Server of an emulated robot: TCP port or pseudo-terminal, one client at a time, wall-clock time."""
 
 from __future__ import annotations
 
@@ -42,7 +39,7 @@ from rejoint.system.shell import listen_tcp
 
 
 class TruthLog:
-    """Writes where the tool really is beside `time.monotonic`: CSV, one row a tick."""
+    """Writes the true tool and `time.monotonic`: CSV, a row per tick."""
 
     def __init__(self, path: Path, stream: TextIO, joints: int) -> None:
         self._path, self._stream = path, stream
@@ -52,7 +49,7 @@ class TruthLog:
 
     @classmethod
     def open(cls, path: Path, joints: int) -> TruthLog:
-        """Begin a new file; FileError if that is not possible."""
+        """Begin a file; FileError."""
         try:
             stream = path.open("w", encoding="utf-8", buffering=1)
         except OSError as error:
@@ -60,7 +57,7 @@ class TruthLog:
         return cls(path, stream, joints)
 
     def write(self, now: float, arm: EmulatedArm) -> None:
-        """Add a row: [s], [m], [rad]. FileError if the disk is full."""
+        """Add a row: [s], [m], [rad]; FileError."""
         self._put(f"{value:.6f}" for value in [now, *arm.true_tcp, *arm.angles, *arm.true_links])
 
     def _put(self, row: Iterable[str]) -> None:
@@ -79,44 +76,44 @@ class TruthLog:
 R = TypeVar("R")
 
 MAX_CATCH_UP = 1.0
-"""[s] of simulated time made up for at once; a longer suspension of the process is skipped (chosen)"""
+"""[s] caught up at once; longer suspensions are skipped (chosen)"""
 HALF_FRAME_TIMEOUT = 0.05
-"""[s] to wait for the rest of a frame: 50 times the length of the longest at 115200 baud (chosen)"""
+"""[s] for the rest of a frame: 50 longest frames at 115200 baud (chosen)"""
 TICK = 0.010
-"""[s] at most between two advances of the plant (chosen)"""
+"""[s] longest step of the plant (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Timing:
-    """How long answers take; measured on a myCobot 280: 12-15 ms for get_angles, 7-8 ms for an acknowledgement."""
+    """Answer times; measured on a myCobot 280: 12-15 ms for get_angles, 7-8 ms for an acknowledgement."""
 
     state: float = 0.012
-    """[s] from the request to the answer that reports a state"""
+    """[s] to a state's answer"""
     acknowledgement: float = 0.008
-    """[s] from an order to its acknowledgement"""
+    """[s] to an acknowledgement"""
     jitter: float = 0.1
-    """relative standard deviation of both (chosen)"""
+    """relative deviation of both (chosen)"""
     tick: float = TICK
-    """[s] at most between two advances of the plant"""
+    """[s] longest step of the plant"""
     pace: float = 1.0
-    """simulated seconds per second of the wall clock; anything but 1 is for experiments without a controller"""
+    """simulated seconds per second; 1 with a controller"""
 
 
 class ByteStream(Protocol):
     """A byte stream to one client."""
 
     def fileno(self) -> int:
-        """Descriptor to wait on."""
+        """Descriptor."""
 
     def receive(self) -> bytes:
-        """Return what has arrived; nothing means that the client is gone."""
+        """Return arrived bytes; empty: the client is gone."""
 
     def send(self, data: bytes) -> None:
-        """Send everything; OSError if the client is gone."""
+        """Send all bytes; OSError."""
 
 
 def await_data(readable: int | None, pause: float) -> bool:
-    """Wait for ``pause`` [s] or until the descriptor ``readable`` has data; whether it has."""
+    """Wait for ``pause`` [s] or data on ``readable``; whether there is data."""
     return bool(select([] if readable is None else [readable], [], [], pause)[0])
 
 
@@ -125,23 +122,20 @@ class Finder(Protocol[R]):
 
     @property
     def pending(self) -> bool:
-        """Whether the beginning of a request is there, so that its rest is awaited."""
+        """Whether a request has begun."""
 
     def feed(self, data: bytes) -> list[R]:
-        """Take bytes; return the requests that are whole now."""
+        """Take bytes; return whole requests."""
 
     def expire(self) -> list[R]:
-        """Give up the request whose rest did not come; return those that stood inside it."""
+        """Drop an unfinished request; return the requests inside."""
 
 
 class Conversation(ABC, Generic[R]):
-    """The robot's side of all conversations; one thread, one client at a time.
-
-    A test brings its own ``clock`` and ``await_data``.
-    """
+    """The robot's side of all conversations; one thread, one client at a time."""
 
     scheme: str
-    """of the addresses at which a driver finds it on a TCP port"""
+    """of TCP addresses"""
 
     def __init__(
         self,
@@ -172,14 +166,11 @@ class Conversation(ABC, Generic[R]):
         return self._stopping.is_set()
 
     def end(self) -> None:
-        """Ask for the end; the conversation stops within a tick. May be called from any thread."""
+        """Ask for the end, within a tick; thread-safe."""
         self._stopping.set()
 
     def wait(self, readable: int | None, until: float) -> bool:
-        """Let time pass until ``until`` [s] or until ``readable`` has data.
-
-        LinkGoneError or DeathError by the faults.
-        """
+        """Wait until ``until`` [s] or data on ``readable``; LinkGoneError or DeathError by faults."""
         while not self.stopping:
             now = self._catch_up()
             self._wire.check(self._elapsed(now))
@@ -191,7 +182,7 @@ class Conversation(ABC, Generic[R]):
         return False
 
     def outlast_absence(self) -> None:
-        """Let time pass until there is a link again; DeathError if the emulator has to end first."""
+        """Wait for a link; DeathError."""
         while not self.stopping:
             try:
                 self._wire.check(self._elapsed(self._catch_up()))
@@ -201,7 +192,7 @@ class Conversation(ABC, Generic[R]):
                 return
 
     def converse(self, channel: ByteStream) -> None:
-        """Answer one client until it is gone or the end was asked for."""
+        """Serve one client until it is gone or the end."""
         finder = self._finder()
         self._came = self._clock()
         try:
@@ -216,7 +207,7 @@ class Conversation(ABC, Generic[R]):
             return  # a client that breaks the connection is gone, like one that closes it
 
     def _receive(self, channel: ByteStream, finder: Finder[R]) -> list[R] | None:
-        """Return the requests that came within a tick; None if the client is gone."""
+        """Return requests within a tick; None: the client is gone."""
         timeout = HALF_FRAME_TIMEOUT if finder.pending else self._tick
         lay_there = self._await_data(channel.fileno(), 0.0)
         if not self.wait(channel.fileno(), self._clock() + timeout):
@@ -235,11 +226,11 @@ class Conversation(ABC, Generic[R]):
 
     @abstractmethod
     def _finder(self) -> Finder[R]:
-        """Make what finds the requests of a new client."""
+        """Make the request finder of a client."""
 
     @abstractmethod
     def _answer(self, channel: ByteStream, request: R) -> None:
-        """Answer with the state at the moment of the request."""
+        """Answer with the state at the request."""
 
     def _moves_on(self) -> bool:
         now = self._clock()
@@ -250,7 +241,7 @@ class Conversation(ABC, Generic[R]):
         return not self.stopping
 
     def _elapsed(self, now: float) -> float:
-        """[s] since the first byte, -1 before it."""
+        """[s] since the first byte, or -1."""
         return -1.0 if self._began is None else now - self._began
 
     def _catch_up(self) -> float:
@@ -268,7 +259,7 @@ class Conversation(ABC, Generic[R]):
 
 
 class WireSession(Conversation[Frame]):
-    """One arm with this ``firmware``, whose answers take as long as ``timing`` says."""
+    """One arm's ``firmware`` with the answer times ``timing``."""
 
     scheme = "tcp"
 
@@ -296,25 +287,25 @@ class WireSession(Conversation[Frame]):
 
 
 BACKLOG = 1
-"""Clients that may wait, as in the vendor's server."""
+"""Waiting clients, as in the vendor's server"""
 SEND_TIMEOUT = 1.0
-"""[s] before a client that takes no answers counts as gone (chosen)"""
+"""[s] before a client that takes no answers is dropped (chosen)"""
 _CHUNK = 1024
 
 
 class Server(ABC):
-    """Serves in the calling thread (`run`) or in one of its own (as a context manager)."""
+    """Serves in this thread (`run`) or its own (context manager)."""
 
     def __init__(self, session: Conversation[Any], address: str) -> None:
         self.address = address
-        """where a robot driver finds it, such as ``tcp://127.0.0.1:9000``"""
+        """such as ``tcp://127.0.0.1:9000``"""
         self._session = session
         self._thread: threading.Thread | None = None
         self.on_death: Callable[[], object] | None = None
-        """what becomes of the process when a fault lets the emulator die"""
+        """called when a fault ends the emulator"""
 
     def run(self) -> None:
-        """Serve until `stop` is called from another thread, a signal ends it, or a fault lets it die."""
+        """Serve until `stop`, a signal or a fault."""
         try:
             while not self._session.stopping:
                 try:
@@ -328,11 +319,11 @@ class Server(ABC):
 
     @abstractmethod
     def _serve(self) -> None:
-        """Serve clients; LinkGoneError and DeathError come from the session."""
+        """Serve clients; LinkGoneError and DeathError."""
 
     @abstractmethod
     def _vanish(self) -> None:
-        """Be out of reach as long as there is no link."""
+        """Be unreachable without a link."""
 
     def start(self) -> None:
         """Serve in a thread."""
@@ -439,30 +430,30 @@ class _TerminalServer(Server):
 
 
 def beyond_loopback(address: str) -> bool:
-    """Whether the server at ``address`` can be reached from other machines."""
+    """Whether other machines can reach ``address``."""
     place = urlsplit(address)
     return place.hostname is not None and not ipaddress.ip_address(place.hostname).is_loopback
 
 
 def serve_tcp(firmware: Firmware, host: str = "127.0.0.1", port: int = 9000, **options: Any) -> Server:  # noqa: ANN401
-    """Listen on a TCP port (0: any free one); InputError if that fails. ``options`` are those of `WireSession`."""
+    """Listen on a TCP port (0: any free one); InputError. ``options`` as in `WireSession`."""
     return on_port(WireSession(firmware, **options), host, port)
 
 
 def serve_pty(firmware: Firmware, **options: Any) -> Server:  # noqa: ANN401
-    """Open a pseudo-terminal that a driver can open like a serial port. Run the server to serve."""
+    """Open a pseudo-terminal; run the server to serve."""
     return on_terminal(WireSession(firmware, **options))
 
 
 def on_port(session: Conversation[Any], host: str, port: int) -> Server:
-    """Hold a conversation on a TCP port (0: any free one); InputError if it cannot be."""
+    """Serve a conversation on a TCP port (0: any free one); InputError."""
     return _TcpServer(session, listen_tcp(host, port, BACKLOG))
 
 
 def on_terminal(session: Conversation[Any]) -> Server:
-    """Hold a conversation on a pseudo-terminal.
+    """Serve a conversation on a pseudo-terminal.
 
-    The client's end is kept open in raw mode, so that it neither echoes nor fails.
+    The client's end stays open in raw mode: no echo, no failure.
     """
     own, client = pty.openpty()
     tty.setraw(client)

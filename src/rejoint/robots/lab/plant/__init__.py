@@ -1,5 +1,4 @@
-"""The simulated worn arm: servo firmware, motor, friction, play, flex, and the channel to it.
+"""The simulated worn arm: firmware, motor, friction, play, flex, and channel.
 
-It stands for reality, and shares no physics code with `rejoint.twin`: a model that is fitted to itself would prove
-nothing.
+It shares no physics code with `rejoint.twin`: a model fitted to itself would prove nothing.
 """

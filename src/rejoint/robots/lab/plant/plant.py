@@ -1,7 +1,7 @@
-"""A batch of simulated worn arms: what a lab full of real ones would be.
+"""A batch of simulated worn arms.
 
-Its rigid bodies are a MuJoCo model with two hinges per axis: the servo output, with the inertia of motor and gear as
-armature, and behind it play and flex. Gravity, motor, friction, play and flex are applied torques.
+The MuJoCo model has two hinges per axis: the servo output, with armature, and behind it play and flex. Gravity, motor,
+friction, play and flex are applied torques.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _ARMATURE = {"servo": 0.01, "gear": 0.001}
 
 
 def build_model(arm: Arm, gravity: Array = GRAVITY) -> mujoco.MjModel:
-    """Compile the chain of ``arm`` with 2n hinges under ``gravity`` (3,); the plant sets the armatures of each arm."""
+    """Compile ``arm`` with 2n hinges under ``gravity`` (3,), without armatures."""
     spec = mujoco.MjSpec()
     spec.option.gravity = gravity
     spec.option.timestep = STEP
@@ -71,24 +71,24 @@ Ids = NDArray[np.int64]
 _NO_LOAD = 1e-6
 
 ARMS_PER_THREAD = 24
-"""Arms for which another thread is worth waking (chosen by processor time)"""
+"""(measured by processor time)"""
 
 
 class Truth(NamedTuple):
-    """What of the arms differs from their description, and no driver is told."""
+    """Unknown deviations of the arms from their description."""
 
     payload: Array | float = 0.0
-    """[kg] one for all, or (B,), a point mass held at the TCP"""
+    """[kg] at the TCP, or (B,)"""
     bodies: Sequence[Arm] | None = None
-    """(B,) the arms as they really are"""
+    """(B,) true arms"""
     gravity: Array = GRAVITY
-    """(3,) [m/s^2] in the frame of the base"""
+    """(3,) [m/s^2] in the base frame"""
 
 
 class Plant:
-    """B simulated arms with clocks of their own, one per wear, each in millisecond steps.
+    """B simulated arms, one per wear, in steps of a millisecond.
 
-    Arm i draws its noise from the stream ``first + i`` of ``seed`` and behaves bit for bit as it would alone.
+    Arm i takes noise from the stream ``first + i`` of ``seed`` and behaves bit for bit as it would alone.
     """
 
     def __init__(
@@ -108,9 +108,9 @@ class Plant:
         self._carried = _loaded(arm, np.broadcast_to(np.asarray(truth.payload, float), self.count), truth.bodies)
         self._bent = () if truth.bodies is None else tuple(range(self.count))
         self.joints = np.array([joint_records(arm, wear) for wear in wears])
-        """(B, n) what the joints are made of, as `servo.JOINT`"""
+        """(B, n) as `servo.JOINT`"""
         self.servos = np.zeros((self.count, arm.joints), servo.STATE)
-        """(B, n) how the servos stand, as `servo.STATE`"""
+        """(B, n) as `servo.STATE`"""
         self._tick = np.zeros(self.count, np.int64)
         self._key = stream_keys(seed, self.count, first=first)
         self._due = np.full((self.count, servo.QUEUE), servo.NEVER)
@@ -118,13 +118,12 @@ class Plant:
         self._history = np.zeros((self.count, servo.HISTORY, arm.joints))
         worth = max(1, min(threads, self.count // ARMS_PER_THREAD))
         self.batch = Batch(build_model(arm, self._pull), self.count, worth)
-        """the bodies in MuJoCo"""
         armature = self.batch.expand("dof_armature")
         armature[:, 0::2] = self.joints["reflected_inertia"]
         armature[:, 1::2] = servo.gear_armature(self.joints["link_stiffness"])
         self._load_tools()
         self.qpos, self.qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
-        """(B, 2 n) [rad] and [rad/s]: by turns the angle of a servo's output and that of the gear behind it"""
+        """(B, 2 n) [rad] and [rad/s]: servo output and gear in turn"""
         self._applied = self.batch.bind("qfrc_applied")
         self._bodies = self.qpos, self.qvel, self._applied
         self.servos["speed_limit"] = servo.ramp_speed(arm.max_speed)
@@ -133,7 +132,7 @@ class Plant:
 
     @property
     def time(self) -> Array:
-        """(B,) [s] on the arms' own clocks."""
+        """(B,) [s]."""
         return np.asarray(self._tick * servo.STEP)
 
     @property
@@ -143,44 +142,44 @@ class Plant:
 
     @property
     def torque(self) -> Array:
-        """(B, n) [N m] of the motors in the last step."""
+        """(B, n) [N m] of the motors."""
         return self.servos["torque"].copy()
 
     @property
     def load(self) -> Array:
-        """(B, n) what the servos tell of their torque: a share of their limit, smoothed over 10 ms."""
+        """(B, n) reported torque share, smoothed over 10 ms."""
         return self.servos["load"].copy()
 
     @property
     def torque_limit(self) -> Array:
-        """(B, n) [N m] of the motors at standstill."""
+        """(B, n) [N m] motors at standstill."""
         return self.joints["torque_limit"].copy()
 
     @property
     def temperature(self) -> Array:
-        """(B, n) [deg C] of the servos."""
+        """(B, n) [deg C]."""
         return self.servos["temperature"].copy()
 
     @property
     def power(self) -> Mask:
-        """(B,) whether the servos are powered."""
+        """(B,)."""
         return np.asarray(self.servos["powered"].all(axis=1))
 
     @property
     def goal(self) -> Array:
-        """(B, n) [rad] the command that the firmware follows."""
+        """(B, n) [rad] command in the firmware."""
         return self.servos["goal"].copy()
 
     def link_position(self) -> Array:
-        """(B, n) [rad] angles of the links themselves, behind play and flex."""
+        """(B, n) [rad] true links, behind play and flex."""
         return self.qpos[:, 0::2] + self.qpos[:, 1::2]
 
     def true_tcp(self) -> Array:
-        """(B, 3) [m] where the tools really are."""
+        """(B, 3) [m] true tools."""
         return self.true_pose()[:, :3, 3]
 
     def true_pose(self) -> Array:
-        """(B, 4, 4) poses of the tools as they really are."""
+        """(B, 4, 4) true tools."""
         links = self.link_position()
         pose = tcp_pose(self.arm, links)
         for i in self._bent:
@@ -188,12 +187,12 @@ class Plant:
         return pose
 
     def encoder(self, age: Array | float | None = None) -> Array:
-        """(B, n) [rad] what the encoders said ``age`` (B,) [s] ago, now if None."""
+        """(B, n) [rad] encoder reading ``age`` (B,) [s] ago."""
         steps = np.rint(np.broadcast_to(0.0 if age is None else age, self.count) / servo.STEP).astype(np.int64)
         return self._history[np.arange(self.count), (self._tick - steps) % servo.HISTORY]
 
     def reset(self, position: Array, where: Mask | None = None) -> None:
-        """Put the arms where their encoders read ``position`` (B, n) [rad], at rest, in balance, held there."""
+        """Put the arms at encoder ``position`` (B, n) [rad], at rest, in balance."""
         position = self._checked(position)
         angle, gear, load = self._balance(position)
         ids = self._selected(where)
@@ -216,7 +215,7 @@ class Plant:
         self._hold(ids, self._held(position, torque))
 
     def command(self, position: Array, delay: Array | float | None = None, where: Mask | None = None) -> None:
-        """Send ``position`` (B, n) [rad]; it reaches the firmware after ``delay`` (B,) [s], never earlier."""
+        """Send ``position`` (B, n) [rad]; it arrives after ``delay`` (B,) [s]."""
         position = self._checked(position)
         wait = np.broadcast_to(0.0 if delay is None else delay, self.count)
         due = self._tick + np.ceil(wait / servo.STEP - 1e-9).astype(np.int64)
@@ -227,7 +226,7 @@ class Plant:
             self._due[i, slot], self._queue[i, slot] = due[i], position[i]
 
     def advance(self, duration: Array | float, where: Mask | None = None) -> None:
-        """Let ``duration`` (B,) [s] pass, rounded to whole milliseconds per arm."""
+        """Advance by ``duration`` (B,) [s], in whole milliseconds."""
         wanted = np.broadcast_to(duration, self.count)
         steps = np.zeros(self.count, np.int64)
         chosen = self._selected(where)
@@ -238,25 +237,25 @@ class Plant:
             done = int(until)
 
     def set_power(self, on: Mask) -> None:
-        """Switch the servos of each arm (B,). Off: limp, only friction remains. On: hold where it is."""
+        """Switch the servos of each arm (B,). Off: only friction. On: hold."""
         rising = np.flatnonzero(on & ~self.power)
         self.servos["powered"] = np.asarray(on)[:, None]
         self._hold(rising, self.encoder())
 
     def halt(self, where: Mask | None = None) -> None:
-        """Freeze the firmware's reference where its ramp is now and drop commands on their way."""
+        """Stop the reference and drop pending commands."""
         self._hold(self._selected(where), self.servos["reference"])
 
     def freeze(self, joints: Mask) -> None:
-        """From now on the encoders of ``joints`` (B, n) tell what they tell now; their servos still see."""
+        """Freeze the reported encoders of ``joints`` (B, n)."""
         self.servos["frozen"] |= joints
 
     def blind(self, joints: Mask) -> None:
-        """From now on the servos of ``joints`` (B, n) see what they see now: they run away once they are moved."""
+        """Freeze the encoders that the servos of ``joints`` (B, n) use: they run away."""
         self.servos["blind"] |= joints
 
     def set_speed_limit(self, speed: Array | float) -> None:
-        """Limit the speed of the reference: (B,), (B, n) or a number, [rad/s], above 0."""
+        """Limit the reference's speed: (B,), (B, n) or a number, [rad/s], above 0."""
         speed = np.asarray(speed, dtype=float)
         self.servos["speed_limit"] = speed[:, None] if speed.ndim == 1 else speed
 
@@ -265,7 +264,7 @@ class Plant:
         self.servos["goal"][ids] = self.servos["reference"][ids] = position[ids]
 
     def _held(self, position: Array, torque: Array) -> Array:
-        """Command (B, n) [rad] at which the servos give ``torque`` (B, n) [N m] where they read ``position``."""
+        """Command (B, n) [rad] for ``torque`` (B, n) [N m] at ``position``."""
         return np.asarray(position + torque / self.joints["position_gain"] - self.joints["offset"])
 
     def _run(self, ids: Ids, steps: int) -> None:
@@ -276,7 +275,7 @@ class Plant:
             servo.record(ids, self._tick, self.joints, self.servos, self.qpos, self._history)
 
     def _balance(self, position: Array) -> tuple[Array, Array, Array]:
-        """Servo angles, gear angles and motor torques (B, n) of arms at rest whose encoders read ``position``."""
+        """Servo angles, gear angles and motor torques (B, n) at rest."""
         joints, seen = self.joints, np.zeros_like(position)
         load = self._gravity(position)
         for _ in range(5):  # the gear turns the links by a degree or two, which hardly changes the load
@@ -326,10 +325,7 @@ class Plant:
 
 
 def _loaded(arm: Arm, payload: Array, bodies: Sequence[Arm] | None) -> dict[int, Arm]:
-    """Return the arms of a batch that differ from ``arm``.
-
-    ``bodies``, and those with a ``payload`` (B,) [kg] at their TCP.
-    """
+    """Arms that differ from ``arm``: ``bodies``, and those with a ``payload`` (B,) [kg]."""
     described, carried = arm, {} if bodies is None else dict(enumerate(bodies))
     for i in np.flatnonzero(payload > 0.0):
         arm = carried.get(int(i), described)
@@ -345,7 +341,7 @@ def _loaded(arm: Arm, payload: Array, bodies: Sequence[Arm] | None) -> dict[int,
 
 
 def joint_records(arm: Arm, wear: Wear) -> NDArray[np.void]:
-    """Put together all that the joints (n,) of an arm of some wear are made of, as `servo.JOINT`."""
+    """`servo.JOINT` (n,) of an arm of some wear."""
     if wear.position_gain.shape != (arm.joints,):
         raise InputError(f"wear {wear.name} is for {len(wear.position_gain)} joints, arm {arm.name} has {arm.joints}")
     records = np.zeros(arm.joints, servo.JOINT)

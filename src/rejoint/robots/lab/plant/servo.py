@@ -1,9 +1,8 @@
-"""One servo, its gear and what lies behind it, once per millisecond, in rad, rad/s and N m; and the channel to it.
+"""One servo, its gear and its link, per millisecond, in rad, rad/s and N m; and the channel.
 
-Sources: position loop by the register table of Feetech STS servos; motor by the linear torque-speed line; friction
-LuGre (Canudas de Wit et al. 1995) with the Stribeck curve in the elasto-plastic form of Dupont et al. 2002,
-load-dependent after Linderoth et al. 2013; play as a dead-band spring (Nordin and Gutman 2002). Random streams: number
-n of a stream is a pure function of its key and n, mixed by SplitMix64 (Steele, Lea, Flood 2014).
+Sources: position loop by Feetech's STS register table; linear torque-speed line; LuGre friction (Canudas de Wit et al.
+1995) with Stribeck curve, elasto-plastic (Dupont et al. 2002), load-dependent (Linderoth et al. 2013); play as a
+dead-band spring (Nordin and Gutman 2002). Random streams: counter-based, SplitMix64 (Steele, Lea, Flood 2014).
 """
 
 from __future__ import annotations
@@ -31,14 +30,14 @@ _UNIT = 2.0**-53
 
 
 def stream_keys(seed: int, count: int, *, first: int = 0, purpose: int = 0) -> Keys:
-    """Keys (count,) of the streams of arms ``first``, ``first + 1``, ... for one purpose."""
+    """Stream keys (count,) of arms ``first``, ``first + 1``, ... for one purpose."""
     sequences = (np.random.SeedSequence(seed, spawn_key=(first + i, purpose)) for i in range(count))
     return np.array([sequence.generate_state(1, np.uint64)[0] for sequence in sequences], dtype=np.uint64)
 
 
 @njit(cache=True)
 def uniform(key, counter):
-    """Return number ``counter`` of the stream ``key``, uniform in [0, 1)."""
+    """Return number ``counter`` of a stream, uniform in [0, 1)."""
     z = key + np.uint64(counter + 1) * _STEP
     z = (z ^ (z >> _SHIFT_1)) * _MIX_1
     z = (z ^ (z >> _SHIFT_2)) * _MIX_2
@@ -47,15 +46,15 @@ def uniform(key, counter):
 
 
 STEP = 0.001
-"""[s] period of the servo firmware and step of the simulation (chosen: STS servos run about 1 kHz)"""
+"""[s] (chosen: STS servos run at about 1 kHz)"""
 HISTORY = 256
-"""Encoder readings kept per joint, one per step (chosen)."""
+"""Encoder readings per joint (chosen)"""
 QUEUE = 8
-"""Commands of one arm that may be on their way at a time (chosen)."""
+"""Pending commands per arm (chosen)"""
 NEVER = np.iinfo(np.int64).max
-"""Due step of an empty slot of that queue."""
+"""Due step of an empty slot"""
 RAMP_SPEED = np.radians(120.0)
-"""[rad/s] default speed limit of the reference of a myCobot 280 (chosen: 80 % of the vendor's 150 deg/s)"""
+"""[rad/s] of a myCobot 280's reference (chosen: 80 % of the vendor's 150 deg/s)"""
 
 _NO_LOAD_SPEED = 5.0  # [rad/s] STS3215 at 12 V: 45 rpm and some more without its own friction
 _NO_LOAD_MARGIN = 1.05  # least no-load speed by the joint's largest speed (chosen, as above)
@@ -75,13 +74,13 @@ _STOP_MARGIN = np.radians(3.0)  # [rad] mechanical stops lie beyond the joint li
 _STOP_STIFFNESS = 60.0  # [N m/rad] of a myCobot 280, as the viscous torques (chosen)
 _STOP_DAMPING = 0.5  # [N m s/rad] chosen
 AMBIENT = 25.0
-"""[deg C] temperature of a servo that never worked (chosen)"""
+"""[deg C] (chosen)"""
 _HEAT_RISE = 60.0  # [deg C] final rise of a servo held at its torque limit (chosen: trips near 80 deg C)
 _HEAT_TIME = 400.0  # [s] thermal time constant (chosen)
 
 
 def record_of(*, real: str, whole: str = "", flag: str = "") -> np.dtype[np.void]:
-    """Record type with these fields, by their kind."""
+    """Record type with fields by kind."""
     kinds = ((real, "f8"), (whole, "i8"), (flag, "?"))
     return np.dtype([(name, kind) for names, kind in kinds for name in names.split()])
 
@@ -92,37 +91,35 @@ JOINT = record_of(
     "stop_stiffness stop_damping ambient",
     flag="play_in_loop",
 )
-"""What a joint is made of; the first fields and the offset are those of `rejoint.robots.lab.plant.wear.Wear`."""
+"""Properties of a joint, as `rejoint.robots.lab.plant.wear.Wear`"""
 
 STATE = record_of(
     real="goal reference speed_limit measured measured_speed bristle torque load temperature",
     flag="powered frozen blind",
 )
-"""What a servo remembers; an encoder that is ``frozen`` reports, one that is ``blind`` also controls by, an old
-reading."""
+"""State of a servo; ``frozen``: reports an old reading, ``blind``: also controls by it"""
 
 
 def gear_armature(stiffness: Array) -> Array:
-    """Inertia [kg m^2] of the gear hinge beside the link's own.
+    """Inertia [kg m^2] of the gear hinge.
 
-    It keeps every gear oscillation at `_GEAR_STEPS` steps per radian: explicit steps of 1 ms cannot follow a light
-    wrist.
+    It limits gear oscillations to `_GEAR_STEPS` steps per radian, as 1 ms steps need.
     """
     return stiffness * (_GEAR_STEPS * STEP) ** 2
 
 
 def ramp_speed(max_speed: Array) -> Array:
-    """Default speed limit (n,) [rad/s] of the references of joints that can move at ``max_speed`` (n,) [rad/s]."""
+    """Default speed (n,) [rad/s] of references; ``max_speed`` (n,) [rad/s]."""
     return np.asarray(RAMP_SPEED * (max_speed / _RAMP_SHARE_OF))
 
 
 def no_load_speed(max_speed: Array) -> Array:
-    """Speed (n,) [rad/s] at which motors have no torque left: of the servo, or more where a joint is faster."""
+    """Speed (n,) [rad/s] of motors without torque."""
     return np.maximum(_NO_LOAD_SPEED, _NO_LOAD_MARGIN * max_speed)
 
 
 def fill_constants(records: NDArray[np.void], torque: Array, time: float) -> None:
-    """Write into JOINT records (n,) what profiles do not give, for an arm of scales ``torque`` (n,) and ``time``."""
+    """Fill JOINT records (n,) with what profiles lack; ``torque`` (n,) and ``time``: scales."""
     records["grease"] = np.minimum(_GREASE * (torque * time), _GREASE_TIME * records["link_stiffness"])
     records["stop_stiffness"] = _STOP_STIFFNESS * torque
     records["stop_damping"] = _STOP_DAMPING * (torque * time)
@@ -130,7 +127,7 @@ def fill_constants(records: NDArray[np.void], torque: Array, time: float) -> Non
 
 @njit(cache=True)
 def read_encoder(joint, servo_angle, gear_angle):
-    """Angle in whole counts; an encoder behind the gear sees the play but not the flex."""
+    """Angle in whole counts; an encoder behind the gear sees the play, not the flex."""
     angle = servo_angle
     if joint.play_in_loop:
         angle += min(max(gear_angle, -0.5 * joint.play), 0.5 * joint.play)
@@ -139,7 +136,7 @@ def read_encoder(joint, servo_angle, gear_angle):
 
 @njit(cache=True)
 def motor_torque(joint, servo, angle, speed):
-    """Run the position loop on the encoder angle and return the torque of the motor."""
+    """Position loop on the encoder angle; returns the motor torque."""
     servo.measured_speed += _SPEED_FILTER * ((angle - servo.measured) / STEP - servo.measured_speed)
     servo.measured = angle
     if not servo.powered:
@@ -156,7 +153,7 @@ def motor_torque(joint, servo, angle, speed):
 
 @njit(cache=True)
 def friction_torque(joint, servo, speed, load):
-    """Friction of motor and gear at ``speed`` under the transmitted torque ``load``; opposes the motion."""
+    """Friction of motor and gear at ``speed`` under the transmitted torque ``load``."""
     stribeck = np.exp(-((speed / _STRIBECK_SPEED) ** 2))
     most = joint.coulomb + (joint.stiction - joint.coulomb) * stribeck + joint.load_friction * abs(load)
     stiffness = joint.reflected_inertia * _BRISTLE_RATE**2
@@ -168,7 +165,7 @@ def friction_torque(joint, servo, speed, load):
 
 @njit(cache=True)
 def gear_torque(joint, angle, speed):
-    """Torque of gear and link upon the link when it is turned by ``angle`` against the servo output."""
+    """Torque on the link, turned by ``angle`` against the servo output."""
     half = 0.5 * joint.play
     bent = angle - min(max(angle, -half), half)
     if bent == 0.0:
@@ -181,7 +178,7 @@ def gear_torque(joint, angle, speed):
 
 @njit(cache=True)
 def disturbance(joint, angle, speed, unit):
-    """Gear ripple and mechanical stops; ``unit`` in [0, 1) draws the torque noise of a running motor."""
+    """Gear ripple and stops; ``unit`` in [0, 1) draws the torque noise."""
     torque = joint.ripple * np.sin(_RIPPLE_PERIODS * angle)
     torque += joint.torque_noise * np.sqrt(12.0) * (unit - 0.5)
     beyond = angle - min(max(angle, joint.lower - _STOP_MARGIN), joint.upper + _STOP_MARGIN)
@@ -192,7 +189,7 @@ def disturbance(joint, angle, speed, unit):
 
 @njit(cache=True)
 def warm_up(joint, servo):
-    """One step of a first-order thermal model heated by the copper losses."""
+    """Step of a first-order thermal model, heated by copper losses."""
     load = servo.torque / joint.torque_limit
     rise = _HEAT_RISE * load * load
     servo.temperature += STEP / _HEAT_TIME * (joint.ambient + rise - servo.temperature)
@@ -200,10 +197,10 @@ def warm_up(joint, servo):
 
 @njit(cache=True)
 def drive(ids, tick, key, arms, commands, bodies):
-    """Write the torques of the coming step for the arms ``ids``.
+    """Write the next torques of the arms ``ids``.
 
-    ``tick`` and ``key`` (B,); of ``arms`` JOINT and STATE (B, n), of ``commands`` due steps (B, QUEUE) and goals
-    (B, QUEUE, n), of ``bodies`` positions, velocities and applied torques (B, 2n).
+    ``tick`` and ``key`` (B,); ``arms``: JOINT and STATE (B, n); ``commands``: due steps (B, QUEUE), goals (B, QUEUE,
+    n); ``bodies``: positions, velocities, torques (B, 2n).
     """
     (joints, servos), (due, queue), (qpos, qvel, applied) = arms, commands, bodies
     n = joints.shape[1]
@@ -227,7 +224,7 @@ def drive(ids, tick, key, arms, commands, bodies):
 
 @njit(cache=True)
 def receive(tick, due, queue, servos):
-    """Take over the commands of one arm that have arrived, the latest arrival last."""
+    """Take arrived commands of one arm, the latest last."""
     while True:
         slot = np.argmin(due)
         if due[slot] > tick:
@@ -239,7 +236,7 @@ def receive(tick, due, queue, servos):
 
 @njit(cache=True)
 def record(ids, tick, joints, servos, qpos, history):
-    """Count one step and keep the encoder readings (B, HISTORY, n) after it."""
+    """Count a step and store encoder readings (B, HISTORY, n)."""
     for i in ids:
         tick[i] += 1
         for j in range(joints.shape[1]):
@@ -255,19 +252,19 @@ _DRAWS = 3
 
 
 class Delays(NamedTuple):
-    """What the channel does in one control cycle."""
+    """The channel in one cycle."""
 
     latency: Array
-    """(B,) [s] from sending a command to its arrival in the firmware"""
+    """(B,) [s] from a command to its arrival"""
     age: Array
-    """(B,) [s] how old a joint position is when its answer arrives"""
+    """(B,) [s] of a reading at its arrival"""
     period: Array
-    """(B,) [s] length of the cycle"""
+    """(B,) [s]"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Channel:
-    """Uniform distributions of the delays; the defaults are those of an idle wire."""
+    """Uniform delays; defaults: an idle wire."""
 
     latency: Interval = (0.008, 0.013)
     """[s]"""
@@ -277,7 +274,7 @@ class Channel:
     """[s]"""
 
     def draw(self, keys: Keys, cycle: NDArray[np.int64]) -> Delays:
-        """Delays of cycle number ``cycle`` (B,) for the arms with these stream keys (B,)."""
+        """Delays of ``cycle`` (B,) by stream keys (B,)."""
         unit = _draw_units(keys, cycle)
         low, high = np.array([self.latency, self.age, self.period]).T
         return Delays(*(low + unit * (high - low)).T)
@@ -293,5 +290,5 @@ def _draw_units(keys, cycle):  # noqa: ANN202
 
 
 def has_these_servos(arm: Arm) -> bool:
-    """Tell whether every joint of ``arm`` is moved by such a servo."""
+    """Whether all joints of ``arm`` have such servos."""
     return set(arm.servos) == {"STS3215"}

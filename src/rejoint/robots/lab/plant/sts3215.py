@@ -1,10 +1,8 @@
-"""The position loop of an STS3215 in whole counts and per mille of PWM, once per millisecond.
+"""The position loop of an STS3215 in counts and per mille of PWM, per millisecond.
 
-Arms with such servos are here as well.
-
-Sources: 0o8o0-blip/sts3215-firmware (MIT), checked against kscalelabs/sysid, Feetech's own identification and an
-owner's sag (lerobot, PR 4310); units by Feetech's memory table. A profile's ``position_gain`` gives the stall torque at
-`RECORDED_P`, its ``offset`` a constant torque.
+Sources: 0o8o0-blip/sts3215-firmware (MIT), checked against kscalelabs/sysid, Feetech's own identification and a
+measured sag (lerobot, PR 4310); units by Feetech's memory table. A profile's ``position_gain`` gives the stall torque
+at `RECORDED_P`, its ``offset`` a constant torque.
 """
 
 from __future__ import annotations
@@ -26,21 +24,21 @@ from rejoint.robots.lab.plant.wear import Wear
 
 
 COUNTS = 4096
-"""of the encoder a turn"""
+"""per turn"""
 WINDOW = 20
-"""[ticks] over which speed and the derivative are taken (register 81: 20 ms)"""
+"""[ticks] of speed and derivative (register 81: 20 ms)"""
 PWM_FULL = 1000
-"""of the unit of outputs: 0.1 % of PWM"""
+"""[0.1 %]"""
 PWM_MOST = 970
-"""at which the bridge saturates"""
+"""saturation"""
 NOMINAL_VOLTAGE = 12.0
-"""[V] at which stall torque and no-load speed are named"""
+"""[V] of stall torque and no-load speed"""
 STALL_CURRENT = 12.0 / 9.03
-"""[A] by the winding that kscalelabs/sysid fitted, 9.03 ohm; the data sheet names 2.7 A"""
+"""[A] by the winding of kscalelabs/sysid, 9.03 ohm; the data sheet says 2.7 A"""
 VOLTAGE, HEAT, CURRENT, OVERLOAD = 1, 4, 8, 32
-"""Bits of the status register."""
+"""Bits of the status register"""
 GAIN_PER_P = COUNTS / (2 * np.pi) / 4 / PWM_FULL
-"""[1/rad] share of the stall torque that one radian of error calls for with P = 1: 0.163"""
+"""[1/rad] share of the stall torque per radian at P = 1: 0.163"""
 
 _SPEED_STEP = 50  # [counts/s] in which speeds are told
 _ENCODER_SHARE = 0.8  # of the newest reading in the filtered one
@@ -54,8 +52,8 @@ SETTING = record_of(
     "protection_ticks overload current_ticks torque_on",
     real="acceleration speed current_limit heat_limit low_voltage high_voltage voltage warmth stall bias viscous",
 )
-"""What a servo is given: outputs in 0.1 % PWM, ``least`` and ``most`` in counts (equal: none), counts/s^2, counts/s, A,
-``torque_on`` 0, 1 or 2 (damping); and what it finds: ``voltage`` [V], ``warmth`` [K], ``stall`` [N m], ``bias`` [N m],
+"""Settings: outputs in 0.1 % PWM, ``least`` and ``most`` in counts (equal: none), counts/s^2, counts/s, A,
+``torque_on`` 0, 1 or 2 (damping). Environment: ``voltage`` [V], ``warmth`` [K], ``stall`` [N m], ``bias`` [N m],
 ``viscous`` [N m s/rad]."""
 
 STATUS = record_of(
@@ -63,7 +61,7 @@ STATUS = record_of(
     real="reference rate filtered sum current",
     flag="moving",
 )
-"""What a servo remembers: counts, counts/s, 0.1 % PWM, A; ``alarms`` are bits, then counters in ticks."""
+"""State: counts, counts/s, 0.1 % PWM, A; ``alarms`` are bits, then counters in ticks"""
 
 DEFAULTS = {
     "p": 32, "d": 32, "i": 0, "startup": 16, "integral_limit": 0, "dead_cw": 1, "dead_ccw": 1, "torque_limit": 1000,
@@ -72,12 +70,12 @@ DEFAULTS = {
     "heat_limit": 70.0, "low_voltage": 4.0, "high_voltage": 14.0, "torque_on": 1, "voltage": NOMINAL_VOLTAGE,
     "warmth": 0.0, "stall": 2.94, "bias": 0.0, "viscous": 0.0,
 }  # fmt: skip
-"""A servo as sold (C018), powered, with its torque on."""
+"""As sold (C018), powered, torque on"""
 
 
 @njit(cache=True)
 def ramp(setting, status):
-    """Move the reference by one tick towards the goal, on a trapezoid of speed."""
+    """Move the reference by one tick, on a trapezoid of speed."""
     goal = float(status.goal)
     if setting.least != setting.most:
         goal = min(max(goal, float(setting.least)), float(setting.most))
@@ -96,7 +94,7 @@ def ramp(setting, status):
 
 @njit(cache=True)
 def sense(status, count, positions, tick):
-    """Take over an encoder reading [counts], and the speed over `WINDOW`; ``positions`` (WINDOW,) is a ring."""
+    """Take an encoder reading [counts], and the speed over `WINDOW`; ``positions`` (WINDOW,) is a ring."""
     status.filtered += _ENCODER_SHARE * (count - status.filtered)
     status.position = int(np.rint(status.filtered))
     slot = tick % WINDOW
@@ -107,7 +105,7 @@ def sense(status, count, positions, tick):
 
 @njit(cache=True)
 def output_of(setting, status, errors, tick):
-    """One tick of the position loop: the wanted output [0.1 % PWM]; ``errors`` (WINDOW,) is a ring."""
+    """Output [0.1 % PWM] of the position loop; ``errors`` (WINDOW,) is a ring."""
     raw = int(status.reference) - status.position
     error = max(raw - setting.dead_cw, 0) if raw > 0 else min(raw + setting.dead_ccw, 0)
     slot = tick % WINDOW
@@ -135,7 +133,7 @@ def output_of(setting, status, errors, tick):
 
 @njit(cache=True)
 def protect(setting, status, output, temperature):
-    """Set and clear the alarms of one tick, and return what of ``output`` they leave."""
+    """Update the alarms of a tick; returns the allowed ``output``."""
     turned = output * status.sign < 0
     if abs(output) > setting.overload:
         if status.blocked == 0 or abs(status.position - status.blocked_at) > _TRAVEL:
@@ -176,7 +174,7 @@ def protect(setting, status, output, temperature):
 
 @njit(cache=True)
 def torque_of(setting, status, powered, speed, no_load_speed):
-    """Torque [N m] of the motor at ``speed`` [rad/s], by the linear torque-speed line at the voltage there is."""
+    """Motor torque [N m] at ``speed`` [rad/s], by the torque-speed line at the present voltage."""
     braked = setting.stall * speed / no_load_speed
     if not powered or setting.torque_on == 0:
         status.output, status.current = 0, 0.0
@@ -192,7 +190,7 @@ def torque_of(setting, status, powered, speed, no_load_speed):
 
 @njit(cache=True)
 def tick_servo(setting, status, rings, joint, state, tick, count, speed):
-    """One millisecond of a servo whose encoder reads ``count``; returns the torque [N m] of its motor."""
+    """One millisecond of a servo whose encoder reads ``count``; returns the motor torque [N m]."""
     errors, positions = rings
     powered, temperature = state.powered, state.temperature
     sense(status, count, positions, tick)
@@ -217,10 +215,10 @@ _INERTIA = 0.0261  # [kg m^2] motor and gear, seen from the output (Rhoban/bam)
 
 
 class BareServos:
-    """n servos at rest where they read 0, with a torque each from outside."""
+    """n servos without an arm."""
 
     def __init__(self, count: int, *, lower: float = -np.inf, upper: float = np.inf) -> None:
-        """``lower`` and ``upper`` [rad] are mechanical stops."""
+        """``lower`` and ``upper`` [rad]: mechanical stops."""
         self.settings = np.zeros(count, SETTING)
         for name, value in DEFAULTS.items():
             self.settings[name] = value
@@ -236,13 +234,13 @@ class BareServos:
         self.joints["torque_limit"] = self.settings["stall"]
         self.servos["temperature"], self.servos["powered"] = servo.AMBIENT, True
         self.angle, self.speed, self.push = np.zeros(count), np.zeros(count), np.zeros(count)
-        """(n,) [rad] and [rad/s] of the shafts, and [N m] that pushes them from outside"""
+        """(n,) [rad], [rad/s] of the shafts, and external torque [N m]"""
         self._errors = np.zeros((count, WINDOW), np.int64)
         self._positions = np.zeros((count, WINDOW), np.int64)
         self._tick = 0
 
     def put(self, angle: Array) -> None:
-        """Turn the shafts to ``angle`` (n,) [rad], at rest, and hold them there."""
+        """Set the shafts to ``angle`` (n,) [rad] and hold."""
         count = np.rint(np.asarray(angle) / STEP_ANGLE).astype(np.int64)
         self.angle[:], self.speed[:] = angle, 0.0
         for name in ("goal", "reference", "filtered", "position"):
@@ -250,7 +248,7 @@ class BareServos:
         self._errors[:], self._positions[:] = 0, count[:, None]
 
     def advance(self, duration: float, *, blocked: bool = False) -> None:
-        """Let ``duration`` [s] pass, in whole milliseconds; ``blocked`` shafts stand."""
+        """Advance by ``duration`` [s], in whole milliseconds; ``blocked`` shafts do not move."""
         steps = round(duration / STEP)
         _turn(
             steps, self._tick, (self.settings, self.status, self._errors, self._positions), (self.joints, self.servos),
@@ -283,12 +281,11 @@ def _turn(steps, tick, firmware, arms, shafts, blocked):
 
 
 RECORDED_P = 32
-"""P of the servos of the SO-101 on whose logs the profile ``so101`` was measured (kscalelabs/sysid: 4.4 to 6 N m
-stall)"""
+"""P of the SO-101 of the profile ``so101`` (kscalelabs/sysid: 4.4 to 6 N m stall)"""
 
 
 class StsPlant(Plant):
-    """B arms with STS3215 servos, whose ``settings`` (B, n) of `SETTING` may be changed at any time."""
+    """B arms with STS3215 servos and adjustable ``settings`` (B, n) of `SETTING`."""
 
     def __init__(self, arm: Arm, wears: Sequence[Wear], *, seed: int, **options: Any) -> None:  # noqa: ANN401
         shape = (len(wears), arm.joints)
@@ -304,43 +301,43 @@ class StsPlant(Plant):
         measured = np.array([wear.damping_gain + wear.torque_limit / no_load for wear in wears])
         self.settings["viscous"] = np.maximum(measured - self.settings["stall"] / no_load, 0.0)
         self.status = np.zeros(shape, STATUS)
-        """(B, n) how the servos stand, as `STATUS`"""
+        """(B, n) `STATUS`"""
         self._errors = np.zeros((*shape, WINDOW), np.int64)
         self._positions = np.zeros((*shape, WINDOW), np.int64)
         super().__init__(arm, wears, seed=seed, **options)
 
     @property
     def load(self) -> Array:
-        """(B, n) what the servos tell of their torque: their output, as a share of PWM."""
+        """(B, n) output as a share of PWM."""
         return np.asarray(self.status["output"] / PWM_FULL)
 
     @property
     def torque_limit(self) -> Array:
-        """(B, n) [N m] of the motors at standstill."""
+        """(B, n) [N m] motors at standstill."""
         return self.settings["stall"].copy()
 
     def counts(self, position: Array) -> Ids:
-        """Whole counts (B, n) of joint positions [rad]."""
+        """Return counts (B, n) of joint positions [rad]."""
         return np.rint(position / self.arm.encoder_step).astype(np.int64)
 
     def set_speed_limit(self, speed: Array | float) -> None:
-        """Limit the speed of the reference: (B,), (B, n) or a number, [rad/s], above 0."""
+        """Limit the reference's speed: (B,), (B, n) or a number, [rad/s], above 0."""
         super().set_speed_limit(speed)
         self.settings["speed"] = self.servos["speed_limit"] / self.arm.encoder_step
 
     def halt(self, where: Mask | None = None) -> None:
-        """Freeze the reference where its ramp is now and drop commands on their way."""
+        """Stop the reference and drop pending commands."""
         self._hold(self._selected(where), self.status["reference"] * self.arm.encoder_step)
 
     def _held(self, position: Array, torque: Array) -> Array:
-        """Command (B, n) [rad] at which the servos give ``torque`` (B, n) [N m] where they read ``position``."""
+        """Command (B, n) [rad] for ``torque`` (B, n) [N m] at ``position``."""
         output = PWM_FULL * (torque - self.settings["bias"]) / self.settings["stall"]
         size = np.maximum(np.abs(output) - self.settings["startup"], 0.0) * 4 / np.maximum(self.settings["p"], 1)
         lead = np.where(np.abs(output) > 0.5, size + self.settings["dead_cw"], 0.0) * np.sign(output)
         return np.asarray(position + np.rint(lead) * self.arm.encoder_step)
 
     def _hold(self, ids: Ids, position: Array) -> None:
-        """Take ``position`` (B, n) [rad] for goal and reference of the arms ``ids``; the joints are where they are."""
+        """Set goal and reference of the arms ``ids`` to ``position`` (B, n) [rad]."""
         super()._hold(ids, position)
         goal, here = self.counts(position), self.counts(self.servos["measured"])
         status = self.status

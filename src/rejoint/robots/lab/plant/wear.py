@@ -1,12 +1,11 @@
-"""Wear profiles: what the servos and gears of one arm are like, on an arm of any size, after any hours of use.
+"""Wear profiles: servos and gears of an arm of any size after any hours of use.
 
-On another arm a joint takes the numbers of the myCobot 280's joint at the same share of the chain. Torques and torques
-per angle go with the ratio T of the efforts, hypot(G, I g/L, 0.3 max G), with gravity torque G, inertia I and reach L;
-damping with T t, inertia with T t^2, t = sqrt(L / L0); angles stay. Then an arm that is only larger or heavier moves
-alike.
+A joint takes the numbers of the myCobot 280's joint at the same share of the chain. Torques scale with the ratio T of
+the efforts, hypot(G, I g/L, 0.3 max G): gravity torque G, inertia I, reach L. Damping scales with T t, inertia with T
+t^2, t = sqrt(L / L0); angles stay.
 
-Wear goes with load times way (Archard, J. Appl. Phys. 24, 1953). Damage grows as a gamma process (van Noortwijk,
-Reliab. Eng. Syst. Saf. 94, 2009); a damage of one lies between the profiles ``healthy`` and ``worn``.
+Wear is load times travel (Archard, J. Appl. Phys. 24, 1953). Damage is a gamma process (van Noortwijk, Reliab. Eng.
+Syst. Saf. 94, 2009), one from ``healthy`` to ``worn``.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ from rejoint.system.errors import FileError, ProfileError, first_line
 from rejoint.system.files import TOML_MOST, read_bounded
 
 FLOOR = 0.3
-"""Least effort of a joint by the largest load (chosen)"""
+"""Least effort over the largest load (chosen)"""
 
 # Targets along each edge of the region over which the gravity torques are taken (chosen).
 _GRID = 5
@@ -39,14 +38,13 @@ _GRID = 5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Ratios:
-    """Ratios of an arm to the myCobot 280; exactly one for that arm itself."""
+    """Ratios of an arm to the myCobot 280."""
 
     row: NDArray[np.intp]
-    """(n,) joint of the myCobot 280 whose numbers each joint takes"""
+    """(n,) joint of the myCobot 280 per joint"""
     torque: Array
-    """(n,) [1]"""
+    """(n,)"""
     time: float
-    """[1]"""
 
 
 @lru_cache(maxsize=16)
@@ -63,7 +61,7 @@ def scale_of(arm: Arm) -> Ratios:
 
 @lru_cache(maxsize=16)
 def effort(arm: Arm) -> Array:
-    """Torque (n,) [N m] that stands for the size of each joint."""
+    """Torque (n,) [N m] for the size of each joint."""
     load = largest_load(arm)
     rate = np.linalg.norm(GRAVITY) / reach(arm)
     least = max(FLOOR * float(load.max()), np.finfo(float).tiny)
@@ -71,12 +69,12 @@ def effort(arm: Arm) -> Array:
 
 
 def largest_load(arm: Arm) -> Array:
-    """Largest gravity torque (n,) [N m] of each joint over the region of targets."""
+    """Largest gravity torque (n,) [N m] over the targets."""
     return heaviest_load(arm, _GRID)
 
 
 LIFE = 2500.0
-"""[h] of use after which a joint of mean load and travel has a damage of one (chosen)"""
+"""[h] to a damage of one at mean load and travel (chosen)"""
 
 _BLOCK = 5.0  # [h] in which damage comes by a draw of its own (chosen: less than a month of use)
 _SHAPE = 0.5  # of the gamma distribution of a block: damage of 2500 h then scatters by 6 % (chosen)
@@ -96,10 +94,7 @@ _SOFTENED = {"position_gain": _DRIVE, "link_stiffness": _GEAR}
 
 
 def aged(wear: Wear, arm: Arm, hours: float, *, seed: int, young: Wear, old: Wear, least_torque: Array) -> Wear:
-    """Return ``wear`` after ``hours`` of use, by the same seed always in the same way.
-
-    A damage of one lies between ``young`` and ``old``; no motor gets weaker than ``least_torque`` (n,) [N m].
-    """
+    """``wear`` after ``hours``, by seed; no motor gets below ``least_torque`` (n,) [N m]."""
     damage = damages(young, arm, hours, seed)
     changed = {
         name: getattr(wear, name) + damage[kind] * np.maximum(getattr(old, name) - getattr(young, name), 0.0)
@@ -115,7 +110,7 @@ def aged(wear: Wear, arm: Arm, hours: float, *, seed: int, young: Wear, old: Wea
 
 
 def warmed(wear: Wear, ambient: float, *, seed: int) -> Wear:
-    """Return ``wear`` in a room of ``ambient`` [deg C]: friction and the servos' zeros go with it, wear does not."""
+    """``wear`` in a room of ``ambient`` [deg C], which changes friction and zeros."""
     above = ambient - AMBIENT
     own = np.random.default_rng([seed, 2]).uniform(-1.0, 1.0, len(wear.position_gain))
     thinner = float(np.exp(-_GREASE_PER_DEGREE * above))
@@ -126,7 +121,7 @@ def warmed(wear: Wear, ambient: float, *, seed: int) -> Wear:
 
 
 def damages(young: Wear, arm: Arm, hours: float, seed: int) -> Array:
-    """Damage (3, n) of drive, friction and gear of every joint after ``hours``; it grows between its draws as well."""
+    """Damage (3, n) of drive, friction and gear after ``hours``."""
     blocks = int(hours // _BLOCK) + 1
     pace = np.exp(np.random.default_rng([seed, 1]).normal(-0.5 * _PACE**2, _PACE, (3, arm.joints)))
     # One generator for each mechanism and joint, so that more blocks change none of the earlier ones.
@@ -139,7 +134,7 @@ def damages(young: Wear, arm: Arm, hours: float, seed: int) -> Array:
 
 
 def severity(young: Wear, arm: Arm) -> Array:
-    """Return load times travel of every joint (n,) in use, over their mean: at random targets of the arm's region."""
+    """Load times travel (n,) over its mean, at random targets."""
     axes = [np.linspace(low, high, 4) for low, high in zip(arm.targets.lower, arm.targets.upper, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     posture = solve_position(arm, grid, arm.rest).q
@@ -161,7 +156,7 @@ _SCALING_ARM = "mycobot280"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Wear:
-    """State of the n servos of an arm; every array is (n,). `dataclasses.replace` makes variants."""
+    """State of n servos; arrays are (n,)."""
 
     name: str
     position_gain: Array
@@ -169,29 +164,29 @@ class Wear:
     damping_gain: Array
     """[N m s/rad] derivative gain of the firmware"""
     torque_limit: Array
-    """[N m] motor torque at standstill"""
+    """[N m] at standstill"""
     coulomb: Array
-    """[N m] friction while moving"""
+    """[N m] moving"""
     stiction: Array
-    """[N m] friction before moving"""
+    """[N m] stationary"""
     load_friction: Array
-    """[1] further friction as a fraction of the transmitted torque"""
+    """friction over transmitted torque"""
     play: Array
-    """[rad] full width of the free motion of the gear"""
+    """[rad] full width of the gear"""
     link_stiffness: Array
-    """[N m/rad] of gear and link behind the encoder"""
+    """[N m/rad] behind the encoder"""
     reflected_inertia: Array
-    """[kg m^2] of motor and gear, seen from the output"""
+    """[kg m^2] motor and gear at the output"""
     ripple: Array
-    """[N m] amplitude of the gear ripple"""
+    """[N m] amplitude"""
     torque_noise: Array
-    """[N m] standard deviation from one millisecond to the next"""
+    """[N m] standard deviation per millisecond"""
     play_in_loop: bool = False
-    """whether the encoder sits behind the gear and sees the play (never the flex)"""
+    """the encoder is behind the gear and sees the play"""
     offset: Array | float = 0.0
-    """[rad] where the firmware brings a joint without load, minus the command"""
+    """[rad] unloaded joint minus command"""
     ambient: float = AMBIENT
-    """[deg C] of the room; a servo that never worked is as warm"""
+    """[deg C]"""
 
     def __post_init__(self) -> None:
         n = np.shape(self.position_gain)
@@ -221,7 +216,7 @@ class Wear:
 PARAMETERS = tuple(
     field.name for field in fields(Wear) if field.name not in ("name", "play_in_loop", "offset", "ambient")
 )
-"""The names of the per-joint parameters that every profile gives."""
+"""Per-joint parameters of every profile"""
 _POSITIVE = ("position_gain", "torque_limit", "link_stiffness", "reflected_inertia")
 _FILE_NAMES = tuple("play_deg" if name == "play" else name for name in PARAMETERS)
 _NUMBER = re.compile(r"-?\d+(\.\d+)?", re.ASCII)
@@ -235,17 +230,16 @@ _TORQUES = ("position_gain", "torque_limit", "coulomb", "stiction", "link_stiffn
 
 
 def wear_names() -> tuple[str, ...]:
-    """Names of the profiles that come with the package."""
+    """Names of the package's profiles."""
     return tuple(
         sorted(entry.name.removesuffix(".toml") for entry in _PROFILES.iterdir() if entry.name.endswith(".toml"))
     )
 
 
 def load_wear(name: str, arm: Arm) -> Wear:
-    """Load a profile for ``arm``: a name of `wear_names` or a TOML file, with options as in ``worn?seed=3&hours=500``.
+    """Load a profile for ``arm``: a name or a TOML file, with options: ``worn?seed=3&hours=500``.
 
-    ``seed=N`` draws every parameter from +-30 % around the profile, ``hours=H`` ages the arm, ``ambient=C`` [deg C] is
-    the room. ProfileError for anything unusable.
+    ``seed=N`` draws parameters within +-30 %, ``hours=H`` ages, ``ambient=C`` [deg C]. ProfileError.
     """
     base, options = _options(name)
     wear = _fitted(base, arm)
@@ -260,7 +254,6 @@ def load_wear(name: str, arm: Arm) -> Wear:
 
 
 def _fitted(base: str, arm: Arm) -> Wear:
-    """Return the profile ``base`` for ``arm``, without options."""
     found = _profile(_text(base), base)
     if found.arm is not None and found.arm != arm.name and not found.scales:
         raise ProfileError(
@@ -273,7 +266,7 @@ def _fitted(base: str, arm: Arm) -> Wear:
 
 
 def _options(name: str) -> tuple[str, dict[str, float]]:
-    """Part a profile's name from its options; ProfileError for one that is not known or not a number in its range."""
+    """Split a profile's name from its options; ProfileError."""
     base, query, rest = name.partition("?")
     options: dict[str, float] = {}
     for part in rest.split("&") if query else []:
@@ -292,19 +285,19 @@ def _options(name: str) -> tuple[str, dict[str, float]]:
 
 
 def wear_arm(name: str) -> str | None:
-    """Name of the one arm that a profile describes; None for a profile that fits or scales to others."""
+    """Name of the one arm of a profile; None: for others too."""
     base, _ = _options(name)
     found = _profile(_text(base), base)
     return None if found.scales else found.arm
 
 
 def parse_wear(text: str, *, name: str, joints: int) -> Wear:
-    """Read a profile for ``joints`` joints from TOML text, as it stands."""
+    """Read a profile for ``joints`` joints from TOML text."""
     return _wear(_profile(text, name), name, joints)
 
 
 def scale_wear(wear: Wear, arm: Arm) -> Wear:
-    """Bring the profile of a myCobot 280 to the size of ``arm``."""
+    """Scale a myCobot 280's profile to ``arm``."""
     scale = scale_of(arm)
     values: dict[str, Any] = {name: getattr(wear, name)[scale.row] for name in (*PARAMETERS, "offset")}
     for name in _TORQUES:
@@ -317,10 +310,7 @@ def scale_wear(wear: Wear, arm: Arm) -> Wear:
 
 
 def draw_wear(wear: Wear, arm: Arm, seed: int) -> Wear:
-    """Draw a neighbour of ``wear``: every parameter of every joint uniform within +-30 %.
-
-    Each servo still lifts the arm.
-    """
+    """Draw a neighbour of ``wear``, uniform within +-30 %, that still lifts the arm."""
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     factor = {name: rng.uniform(1 - _SPREAD, 1 + _SPREAD, arm.joints) for name in PARAMETERS}
     drawn: dict[str, Any] = {name: getattr(wear, name) * factor[name] for name in PARAMETERS}
@@ -334,7 +324,7 @@ def draw_wear(wear: Wear, arm: Arm, seed: int) -> Wear:
 
 
 def lifting_torque(wear: Wear, arm: Arm) -> Array:
-    """Motor torque (n,) [N m] that lifts the arm from standstill in any posture of its target region."""
+    """Motor torque (n,) [N m] that lifts the arm from standstill at all targets."""
     return largest_load(arm) * (1 + wear.load_friction) + wear.stiction
 
 
@@ -353,9 +343,8 @@ def _text(base: str) -> str:
 class _WearFile(msgspec.Struct, forbid_unknown_fields=True):
     joints: dict[str, Any]
     arm: str | None = None
-    """the arm it is for"""
+    """the only arm"""
     scales: bool = False
-    """whether it scales to others"""
     play_in_loop: bool = False
 
 
