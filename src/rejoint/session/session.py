@@ -27,7 +27,7 @@ from rejoint.session.driver import ArmDriver
 from rejoint.session.motions import ArmMotion, GoalCheck, GoalStream, PlannedWay, in_mm
 from rejoint.session.payload import believed_motors
 from rejoint.system.errors import InputError, NotReachedError, NotReadyError
-from rejoint.system.numbers import as_floats, as_within
+from rejoint.system.numbers import as_floats, as_place, as_within
 from rejoint.system.progress import RateLimit
 from rejoint.system.stopping import noted, pause
 
@@ -48,7 +48,6 @@ TURNS = 2.0 * np.pi
 """[rad] beyond which a joint position is not in radians"""
 STARTING = 5.0
 """[s] for the first cycle of a stream (chosen)"""
-_POINT = "a point (3,) in metres"
 _LOOK = 0.01  # [s] between two looks at whether a motion has ended (chosen)
 _SHARES = np.linspace(1.0, 0.0, 65)[:, None]  # of a way to joint positions, looked at from its end
 
@@ -138,9 +137,7 @@ class ArmSession(ArmDriver):
         holds.
         """
         pose = target_m if isinstance(target_m, Pose) else None
-        target = as_floats("move_to", target_m if pose is None else pose.place_m, _POINT)
-        if target.shape != (3,) or not np.isfinite(target).all():
-            raise InputError(f"move_to: expected {_POINT}, got {target_m!r}")
+        target = as_place("move_to", target_m if pose is None else pose.place_m)
         within = as_within("move_to", (self.settings.within or WITHIN) if within_m is None else within_m)
         within_rad, timeout = _bounds("move_to", within_rad, timeout_s)
         turns = None if pose is None else placed(self.arm, [pose])[1]

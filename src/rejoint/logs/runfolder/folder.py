@@ -123,6 +123,8 @@ class RunFolder:
     """robot, arm and seed (`RunInfo`)"""
     description = FilePlace("arm.toml")
     """the arm's own description, where it is not one of the catalogue"""
+    settings = FilePlace("settings.json")
+    """payload, tool and the like of the diagnosis (`KeptSettings`)"""
     diagnosis = FilePlace("diagnosis.json")
     """what is wrong with the arm"""
     twin = FilePlace("twin.toml")
