@@ -97,3 +97,29 @@ def test_a_dry_comparison_moves_nothing() -> None:
     np.testing.assert_array_equal(after.time, before.time)
     np.testing.assert_array_equal(after.position, before.position)
     assert any("nothing moved" in line for line in said)
+
+
+def test_what_an_arm_does_is_recorded_in_motions_and_between(run: Run) -> None:
+    with rejoint.connect("emulated:worn", run=run) as arm:
+        with arm.recording("idle") as idle:
+            assert arm.state.time_s == 0.0
+        assert not idle.log.commanded, "nothing was sent"
+        held = arm.record(1.0)
+        assert 1.0 <= np.ptp(held.time) < 1.5
+        assert np.abs(np.diff(held.position, axis=0)).max() < np.radians(5.0)
+        with arm.recording("pick") as taken:
+            arm.move_to([0.18, 0.03, 0.21], within_m=0.01)
+            end = arm.move_joints(arm.state.joints_rad + 0.05, within_rad=0.05)
+        assert taken.log.commanded
+        np.testing.assert_allclose(taken.log.position[-1], end.joints_rad, atol=1e-9)
+        assert np.isfinite(taken.log.target).all(axis=-1).any()
+        arm.move_to([0.17, 0.0, 0.2], within_m=1e-6, timeout_s=600.0, wait=False)
+        assert len(arm.record(0.5)) > 10, "a motion is recorded as it is"
+        arm.stop()
+        for wrong in (0.0, np.nan, None, "10 s"):
+            with pytest.raises(rejoint.InputError, match="duration in seconds"):
+                arm.record(wrong)
+    logs = Run.open(run.path).logs
+    assert {name.split("-")[0] for name in logs} >= {"idle", "record", "pick", "move"}
+    whole = next(log for name, log in logs.items() if name.startswith("pick"))
+    np.testing.assert_array_equal(whole.position, taken.log.position)

@@ -93,6 +93,8 @@ class ArmDriver:
         """of the guard; None before the robot is open"""
         self.beside: list[Callable[[], object]] = []
         """called in every cycle, for a gripper and the like"""
+        self.watching: list[OnCycle] = []
+        """called with every cycle, and with every reading between motions"""
         self._given, self._pace = robot, pace
         self._stack, self._alone = ExitStack(), ExitStack()
         self._stack.enter_context(self._alone)
@@ -307,7 +309,7 @@ class ArmDriver:
             self._last = cycle
             if take:
                 self.recorder.see(cycle)
-            for watch in filter(None, (on_cycle, observed)):
+            for watch in filter(None, (on_cycle, observed, *self.watching)):
                 watch(cycle)
             for ask in self.beside:
                 ask()

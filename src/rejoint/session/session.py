@@ -18,16 +18,18 @@ from rejoint.control.goal import JointGoals, with_ways
 from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.loop import Schedule
 from rejoint.control.posture import PostureGains
-from rejoint.control.recording import PIECE, Cycle
+from rejoint.control.recording import PIECE, Cycle, cycle_at_rest
 from rejoint.control.robot import JointState
 from rejoint.control.targets import Pose, placed
 from rejoint.runs.run import Run, exclusive
 from rejoint.session.context import guard_limits
 from rejoint.session.driver import ArmDriver
+from rejoint.session.inputs import is_virtual
 from rejoint.session.motions import ArmMotion, GoalCheck, GoalStream, PlannedWay, in_mm
 from rejoint.session.payload import believed_motors
+from rejoint.session.recorder import RunRecorder, StateRecord
 from rejoint.system.errors import InputError, NotReachedError, NotReadyError
-from rejoint.system.numbers import as_floats, as_place, as_within
+from rejoint.system.numbers import as_floats, as_place, as_seconds, as_within
 from rejoint.system.progress import RateLimit
 from rejoint.system.stopping import noted, pause
 
@@ -35,6 +37,7 @@ if TYPE_CHECKING:
     from rejoint.control.deployment import Deployed
     from rejoint.control.moving.drive import Followed
     from rejoint.control.moving.reference import Stream
+    from rejoint.logs.runlog import RunLog
     from rejoint.session.inputs import Targets
     from rejoint.session.paths import PathLike
 
@@ -329,8 +332,43 @@ class ArmSession(ArmDriver):
             moving = self._motion is not None and self._motion.under_way
             if not moving or self._seen is None:  # else the robot is the motion's to ask
                 self._seen = self.robot.read()
+                if self.watching:
+                    cycle = cycle_at_rest(self._seen, self.robot.true_tcp())
+                    for see in self.watching:
+                        see(cycle)
             newest = self._last if moving and self._last is not None else self._seen
             return self._state(float(newest.time[0]), newest.position[0], moving=moving)
+
+    @contextmanager
+    def recording(self, name: str = "record") -> Iterator[StateRecord]:
+        """Record in a ``with`` block what the arm does: driven by this session, by a hand, or by another program.
+
+        Afterwards ``log`` of what is yielded is a `RunLog`; with a run also ``logs/NAME-DATE.parquet``. RobotError at
+        the end where the arm could not be read.
+        """
+        self._require_open()
+        record = StateRecord(self.robot, RunRecorder(self.run, self.observer.message), name, lambda: self.state)
+        self.watching.append(record.see)
+        try:
+            with record:
+                yield record
+        finally:
+            self.watching.remove(record.see)
+
+    def record(self, duration_s: float, *, name: str = "record") -> RunLog:
+        """Record for ``duration_s`` on the robot's clock, as `recording`; an emulated arm without a motion holds."""
+        seconds = as_seconds("record", duration_s)
+        with noted(), self.recording(name) as record:
+            virtual, held = self.rehearsal is not None or is_virtual(self.robot), False
+            while not record.lasts(seconds):
+                held = held or (virtual and not self.state.moving)
+                if held:  # its time passes only in motions
+                    self.hold()
+                pause(_LOOK)
+            if held:
+                self.stop()
+        assert record.log is not None  # noqa: S101 - for the type checker; the block is over
+        return record.log
 
     def wait(self, timeout_s: float | None = None) -> ArmState:
         """Wait for the end of the motion, and return the state; raises what ended it.
