@@ -373,7 +373,7 @@ def test_a_path_is_stopped_on_its_way_and_what_cannot_be_followed_is_refused(run
     with rejoint.connect("emulated:worn", run=run) as arm:
         with pytest.raises(rejoint.InputError, match="out of reach"):
             arm.follow(rejoint.Path(time=TIME, place=WAVE + 0.4))
-        with pytest.raises(rejoint.InputError, match="needs a duration"):
+        with pytest.raises(rejoint.InputError, match="duration in seconds"):
             arm.follow(rejoint.Stream())
         with pytest.raises(rejoint.InputError, match="repeated"):
             arm.follow("circle-8s", repeat=2, rate_hz=30.0)

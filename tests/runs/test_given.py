@@ -1,5 +1,7 @@
 """What the stages are given: nearly right values are refused with their name, not taken for something else."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -15,11 +17,10 @@ TIME, MOTION = np.arange(50) * 0.03, np.zeros((50, 6))
 
 
 @pytest.mark.parametrize("seed", [-1, 1.5, "3", float("nan")])
-@pytest.mark.parametrize("stage", [rejoint.open_robot, rejoint.diagnose, rejoint.compare])
-def test_a_seed_is_a_whole_number_from_zero_on(stage, seed) -> None:
-    options = {"seed": seed} if stage is rejoint.open_robot else {"settings": rejoint.Settings(seed=seed)}
+@pytest.mark.parametrize("make", [partial(open_robot, WORN), rejoint.Settings])
+def test_a_seed_is_a_whole_number_from_zero_on(make, seed) -> None:
     with pytest.raises(InputError, match="expected a whole number from 0 on"):
-        stage(WORN, **options)
+        make(seed=seed)
 
 
 @pytest.mark.parametrize("period", [0.03, (0.03,), (20, 30), (0.05, 0.02), (0, 0), (np.nan, 1), "30", ("a", "b")])

@@ -29,7 +29,7 @@ def run(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("wrong", [{"dwell": np.inf}, {"dwell": 0.0}, {"within": 5.0}, {"within": np.nan}], ids=str)
 def test_a_deployment_without_end_or_measure(run: Path, wrong: dict[str, float]) -> None:
-    with pytest.raises(rejoint.InputError, match=r"deployment: .* positive"):
+    with pytest.raises(rejoint.InputError, match="positive"):
         rejoint.deploy(NOBODY, TARGETS, run=run, settings=rejoint.Settings(controller="integrator", **wrong))
 
 

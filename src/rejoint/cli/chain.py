@@ -12,7 +12,7 @@ import typer
 import rejoint
 from rejoint.cli import options as opt
 from rejoint.cli import show
-from rejoint.cli.console import Terminal, live_view
+from rejoint.cli.console import Terminal, live_view, watched
 from rejoint.cli.measuring import gauge_by_word
 from rejoint.control.observer import Observer
 from rejoint.control.robot import Robot
@@ -40,7 +40,7 @@ TITLES = {
 
 
 @opt.with_arm
-@opt.with_settings("period")
+@opt.with_settings("payload", "tool", "period", "dry_run")
 def repair(
     robot: opt.Robot = "emulated:worn",
     run: opt.RunOption = None,
@@ -70,8 +70,16 @@ def repair(
     Example: `rejoint repair serial:///dev/ttyAMA0`
     """
     require("rejoint repair", "train", "report")
-    terminal = Terminal(json=json)
+    terminal = Terminal(json=json, dry=settings.dry_run)
     chosen = opt.choose_arm(terminal, pick, robot)
+    if settings.dry_run:
+        with watched(terminal, "repair", "simulating", live) as observer:
+            rejoint.diagnose(robot, arm=chosen, quick=quick, settings=settings, observer=observer)
+            trials = rejoint.TrialPlan(sets=1, repetitions=1)
+            rejoint.compare(robot, ["default"], targets, arm=chosen, plan=trials, settings=settings, observer=observer)
+        terminal.say("The first is the diagnosis, the second the comparison of one controller with ten targets.")
+        terminal.finish({"robot": robot})
+        return
     path, resumed = (run, run.exists()) if run else newest_or_new(robot, chosen, seed)
     job = Run.plan(path, robot, chosen, seed)
     terminal.say(f"{'Going on with' if resumed else 'Starting'} the repair of {robot} in {path}")

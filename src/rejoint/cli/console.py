@@ -145,8 +145,9 @@ class ConsoleObserver(Observer):
 class Terminal:
     """Where a command writes. One per command."""
 
-    def __init__(self, *, json: bool = False) -> None:
-        self.json = json
+    def __init__(self, *, json: bool = False, dry: bool = False) -> None:
+        """Take whether the command ends with JSON, and whether its results are of a simulation."""
+        self.json, self._dry, self._of = json, dry, "In the simulation: " if dry else ""
         self.results = _Output(file=_results(), highlight=False, soft_wrap=True)
         self.notes = notes()
 
@@ -160,11 +161,16 @@ class Terminal:
 
     def result(self, text: str) -> None:
         """Print a line of the result."""
-        self.results.print(text, markup=False)
+        self.results.print(f"{self._of}{text}", markup=False)
+
+    def next(self, text: str) -> None:
+        """Print the command that comes next; a dry run leads to none."""
+        if not self._dry:
+            self.result(f"Next: {text}")
 
     def table(self, title: str, headers: Sequence[str], rows: Sequence[Sequence[str]], bold: int | None = None) -> None:
         """Print a table with the row ``bold`` set off; a wide one is split, its first column in each part."""
-        width = self.results.width if self.results.is_terminal else WIDTH
+        title, width = f"{self._of}{title}", self.results.width if self.results.is_terminal else WIDTH
         page = _Output(file=_results(), width=width, highlight=False)
         for part, widths in _parts(headers, rows, width):
             table = Table(title=Text(title), title_justify="left", header_style="bold")
@@ -180,6 +186,7 @@ class Terminal:
     def finish(self, value: object) -> None:
         """Print ``value`` as one JSON object on the last line, if ``--json`` was given."""
         if self.json:
+            value = {**value, "dry_run": True} if self._dry and isinstance(value, dict) else value
             try:
                 with _left():
                     sys.stdout.write(msgspec.json.encode(value, enc_hook=_plain).decode() + "\n")

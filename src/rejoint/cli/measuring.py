@@ -83,7 +83,7 @@ def calibrate(
     Example: `rejoint calibrate serial:///dev/ttyAMA0 runs/mine --measure touch --count 10`, or
     `rejoint calibrate serial:///dev/ttyAMA0 runs/mine --measure camera`
     """
-    terminal = Terminal(json=json)
+    terminal = Terminal(json=json, dry=settings.dry_run)
     kind, _, what = (measure or "").partition("=")
     if kind != "camera" and (board is not None or board_on != "tool"):
         raise InputError("--board and --board-on go with --measure camera")
@@ -123,7 +123,7 @@ def calibrate(
             )
     show.calibration(terminal, found)
     if found.calibration.used:
-        terminal.result(f"Next: {command('deploy', robot, run)}")
+        terminal.next(command("deploy", robot, run))
     terminal.finish({
         "run": str(run), "used": found.calibration.used, "before_mm": 1e3 * found.before, "after_mm": 1e3 * found.after,
         "points": found.calibration.points, "suspects": found.calibration.suspects,

@@ -76,7 +76,7 @@ def check(
     or the tolerance is reached. Example, for a weekly cron job:
     `rejoint check tcp://192.168.1.20:9000 --name bench-3 --tolerance 3 --json`
     """
-    terminal = Terminal(json=json)
+    terminal = Terminal(json=json, dry=settings.dry_run)
     chosen = opt.choose_arm(terminal, pick, robot)
     with (
         terminal.unsaved(lambda found: terminal.result(found.line)),
@@ -91,7 +91,7 @@ def check(
                 observer=StageObserver(observer, number / repeat, (number + 1) / repeat),
             )  # fmt: skip
     if settings.dry_run:
-        terminal.finish({"arm": found.arm, "robot": found.robot, "dry_run": True})
+        terminal.finish({"arm": found.arm, "robot": found.robot})
         return
     for problem in found.unread:
         terminal.say(f"left out: {problem}")

@@ -60,7 +60,7 @@ def diagnose_from_logs(terminal: Terminal, job: Run, logs: Path, good: Path | No
     with watched(terminal, "diagnose", "diagnosing", None) as observer:
         found = rejoint.diagnose(logs, run=job, healthy=good, observer=observer).diagnosis
     show.diagnosis(terminal, found)
-    terminal.result(f"Next: {command('identify', '--logs', logs, '--run', job.path)}")
+    terminal.next(command("identify", "--logs", logs, "--run", job.path))
     terminal.finish({"run": str(job.path), "diagnosis": found})
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 import re
 from collections.abc import Callable, Mapping
@@ -28,6 +29,17 @@ ROBOT_HELP = (
     "Robot: emulated:PROFILE (in process), tcp://HOST:PORT, serial:///dev/ttyAMA0, or feetech:///dev/ttyACM0 (SO-101)."
 )
 
+
+def meaning(field: str) -> str:
+    """Return what a field of `Settings` means, as its documentation says it: without the unit and what is Python's."""
+    source = inspect.getsource(Settings)
+    found = re.search(
+        rf'^    {field}: [^\n]*\n    """(?:\[\S+\] )?(.*?)(?:\. In\s+Python .*?)?"""', source, re.M | re.S
+    )
+    assert found is not None, field  # noqa: S101 - a test asks for each
+    return found[1][:1].upper() + re.sub(r"\s+", " ", found[1][1:])
+
+
 Robot = Annotated[str, typer.Argument(help=ROBOT_HELP, metavar="ROBOT")]
 OptionalRobot = Annotated[
     str | None, typer.Argument(help=f"{ROBOT_HELP} By default emulated:worn.", metavar="ROBOT", show_default=False)
@@ -51,7 +63,7 @@ Hold = Annotated[
     ),
 ]
 Seed = Annotated[int, typer.Option(help="Seed of everything random.", min=0)]
-RunSeed = Annotated[int | None, typer.Option("--seed", help="Seed; by default that of the run.", min=0)]
+RunSeed = Annotated[int | None, typer.Option("--seed", help=f"{meaning('seed')}.", min=0)]
 Quick = Annotated[bool, typer.Option("--quick", help="Do little of everything, for a first try; no result.")]
 RepairSets = Annotated[
     int | None, typer.Option("--sets", help="Target sets of ten targets each; by default 3, on a real arm 1.", min=1)
@@ -67,10 +79,6 @@ Preset = Annotated[
         help="Training recipe: default, scratch (from random weights), or paper (Park et al. 2024 to the letter)."
     ),
 ]
-Calibration = Annotated[
-    str | None,
-    typer.Option(help="calibration.toml to correct by, or none; by default that of the run, see `rejoint calibrate`."),
-]
 Measure = Annotated[
     str | None,
     typer.Option(
@@ -78,23 +86,6 @@ Measure = Annotated[
         help="What measures the tool: touch (you, with a ruler or calliper), camera, camera=NUMBER, tracker=FILE (CSV, "
         "goes on being written), none; to `calibrate`, which moves nothing then, also camera=PICTURES or points=FILE. "
         "By default an emulated arm tells, and a real one is not calibrated.",
-    ),
-]
-Payload = Annotated[
-    str | None,
-    typer.Option(
-        help="Mass in kg that the hand carries: 0.15, or 0.15@x,y,z with its centre in mm from the tool's tip."
-    ),
-]
-Tool = Annotated[
-    str | None,
-    typer.Option(help="Tip of a tool in mm from that which the arm's description has, in its frame: x,y,z."),
-]
-Camera = Annotated[
-    str | None,
-    typer.Option(
-        help="What sees the tool: the number of the camera that RUN was calibrated with, or emulated for an emulated "
-        "arm. The last millimetres go by it."
     ),
 ]
 Targets = Annotated[Path | None, typer.Option(help="CSV file of targets in mm: x,y,z, and perhaps an orientation.")]
@@ -115,9 +106,6 @@ Live = Annotated[
 Full = Annotated[
     bool,
     typer.Option("--full", help="On a real arm, drive every controller to all targets and eliminate none."),
-]
-Period = Annotated[
-    str | None, typer.Option(help="Control period in ms, such as 50 or 20-30; by default what the robot suits.")
 ]
 
 
@@ -234,53 +222,42 @@ def _millimetres(text: str, option: str) -> tuple[float, float, float]:
     return point_of(x, y, z, option)
 
 
-Controller = Annotated[
-    str | None,
-    typer.Option(
-        help="Name of a controller or a policy file; by default what RUN recommends, without one the policy "
-        "that comes with rejoint (shelf)."
-    ),
-]
-Follower = Annotated[
-    str | None, typer.Option("--controller", help="tracker, by the run's twin; or default: sent as it comes.")
-]
-Dwell = Annotated[float, typer.Option(help="Time per target in seconds.", min=0.1)]
-Within = Annotated[
-    float | None,
-    typer.Option(
-        help="Error in mm that is accepted: by default 2 at a point, 5 rms along a path.", min=0.01, max=100.0
-    ),
-]
-DryRun = Annotated[
-    bool,
-    typer.Option("--dry-run", help="Move nothing: simulate it, and say how far, how long and how close to limits."),
-]
-
-
 class SharedOption(NamedTuple):
-    """An option that is a field of `Settings`."""
+    """An option that is a field of `Settings`, whose documentation is its help."""
 
-    option: object
-    """annotation of the command's parameter"""
+    kind: object = str | None
+    """type of the command's parameter"""
     read: Callable[[Any], object] = lambda given: given
     """makes the field of what the user wrote"""
-    default: object = None
+    form: str = ""
+    """unit, and how it is written"""
     field: str = ""
     """of `Settings`, where it is not called like the option"""
+    limits: Mapping[str, float] = {}
+
+    def parameter(self, name: str) -> tuple[object, object]:
+        """Return annotation and default of a command's parameter called ``name``."""
+        field = self.field or name
+        flag = "--controller" if name == "follower" else f"--{name.replace('_', '-')}"
+        what, default, usual = meaning(field).partition("; by default")
+        text = self.form if name == "follower" else f"{what}{self.form and f', {self.form}'}{default}{usual}."
+        return Annotated[self.kind, typer.Option(flag, help=text, **self.limits)], getattr(Settings, field)  # type: ignore[arg-type]
 
 
 SHARED = {
-    "controller": SharedOption(Controller),
-    "follower": SharedOption(Follower, field="controller"),
-    "dwell": SharedOption(Dwell, default=Settings.dwell),
-    "within": SharedOption(Within, lambda mm: None if mm is None else 1e-3 * mm),
-    "calibration": SharedOption(Calibration),
-    "payload": SharedOption(Payload, payload_of),
-    "tool": SharedOption(Tool, tool_of),
-    "camera": SharedOption(Camera, field="eye"),
-    "period": SharedOption(Period, period_seconds),
-    "seed": SharedOption(RunSeed),
-    "dry_run": SharedOption(DryRun, default=False),
+    "controller": SharedOption(),
+    "follower": SharedOption(form="tracker, by the run's twin; or default: sent as it comes.", field="controller"),
+    "dwell": SharedOption(float, form="in seconds", limits={"min": 0.1}),
+    "within": SharedOption(
+        float | None, lambda mm: None if mm is None else 1e-3 * mm, "in mm", limits={"min": 0.01, "max": 100.0}
+    ),
+    "calibration": SharedOption(),
+    "payload": SharedOption(str | None, payload_of, "in kg: 0.15, or 0.15@x,y,z with its centre in mm from there"),
+    "tool": SharedOption(str | None, tool_of, "in mm: x,y,z"),
+    "camera": SharedOption(field="eye"),
+    "period": SharedOption(str | None, period_seconds, "in ms, such as 50 or 20-30"),
+    "seed": SharedOption(int | None, limits={"min": 0}),
+    "dry_run": SharedOption(bool),
 }
 """Options of several commands that become fields of `Settings`"""
 
@@ -291,7 +268,9 @@ ARM = {"arm": ArmOption, "base": Base, "tip": Tip, "hold": Hold}
 
 def with_arm(command: Callable[..., None]) -> Callable[..., None]:
     """Give a command the options `ARM`; it receives them as ``pick``."""
-    return _with_options(command, "pick", ARM, lambda words: ArmPick(*(words[name] for name in ARM)))
+    return _with_options(
+        command, "pick", {name: (to, None) for name, to in ARM.items()}, lambda words: ArmPick(*words.values())
+    )
 
 
 def with_settings(*names: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -300,13 +279,17 @@ def with_settings(*names: str) -> Callable[[Callable[..., None]], Callable[..., 
     def settings(words: dict[str, Any]) -> Settings:
         return Settings(**{SHARED[name].field or name: SHARED[name].read(words[name]) for name in names})  # type: ignore[arg-type]
 
-    return lambda command: _with_options(command, "settings", {name: SHARED[name].option for name in names}, settings)
+    options = {name: SHARED[name].parameter(name) for name in names}
+    return lambda command: _with_options(command, "settings", options, settings)
 
 
 def _with_options(
-    command: Callable[..., None], what: str, options: Mapping[str, object], make: Callable[[dict[str, Any]], object]
+    command: Callable[..., None],
+    what: str,
+    options: Mapping[str, tuple[object, object]],
+    make: Callable[[dict[str, Any]], object],
 ) -> Callable[..., None]:
-    """Return the command with further ``options`` instead of its parameter ``what``, which is made of them."""
+    """Return the command with ``options`` (annotation, default) instead of its parameter ``what``, made of them."""
 
     @wraps(command)
     def with_options(**words: Any) -> None:  # noqa: ANN401 - what the user wrote
@@ -315,8 +298,8 @@ def _with_options(
     hints = get_type_hints(command, include_extras=True)
     own = [one.replace(annotation=hints[one.name]) for one in signature(command).parameters.values()]
     more = [
-        Parameter(name, Parameter.KEYWORD_ONLY, default=SHARED[name].default if name in SHARED else None, annotation=to)
-        for name, to in options.items()
+        Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=to)
+        for name, (to, default) in options.items()
     ]
     kept = [one.replace(kind=Parameter.KEYWORD_ONLY) for one in own if one.name != what]
     last = [one for one in kept if one.name in ("json", "pick", "settings")]

@@ -23,7 +23,7 @@ from rejoint.logs.runfolder.effort import read_effort
 from rejoint.logs.runfolder.folder import LOGS, RunFolder, locked
 from rejoint.runs.run import Run, newest_or_new
 from rejoint.runs.stages.gains import gains_to_keep, keep_gains
-from rejoint.session.settings import Settings
+from rejoint.session.settings import KeptSettings, Settings
 from rejoint.system.errors import InputError, NotReachedError
 from rejoint.system.extras import EXTRAS, installed, require
 from rejoint.system.shell import command
@@ -36,7 +36,7 @@ MISSED = 5
 
 
 @opt.with_arm
-@opt.with_settings("period")
+@opt.with_settings("payload", "tool", "period", "dry_run")
 def diagnose(
     robot: opt.OptionalRobot = None,
     logs: opt.LogsOption = None,
@@ -57,10 +57,10 @@ def diagnose(
     Example: `rejoint diagnose tcp://192.168.1.20:9000 --run runs/mine`, or
     `rejoint diagnose --logs logs/so101 --arm so101 --run runs/mine`
     """
-    terminal = Terminal(json=json)
+    terminal = Terminal(json=json, dry=settings.dry_run)
     if logs is not None:
-        if robot is not None or settings.period is not None:
-            raise InputError("diagnose takes either a robot or --logs FOLDER, and --logs no --period")
+        if robot is not None or settings.dry_run or KeptSettings.of(settings).given():
+            raise InputError("diagnose takes either a robot or --logs FOLDER, and --logs no settings of a motion")
         job = opt.run_of_logs(terminal, logs, run, seed, pick)
         offline.diagnose_from_logs(terminal, job, logs, healthy)
         return
@@ -73,8 +73,11 @@ def diagnose(
         watched(terminal, "diagnose", "diagnosing", live) as observer,
     ):
         found = rejoint.diagnose(robot, run=job, healthy=healthy, quick=quick, settings=settings, observer=observer)
+    if settings.dry_run:
+        terminal.finish({"robot": robot})
+        return
     show.stage(terminal, "diagnose", found)
-    terminal.result(f"Next: {command('identify', path)}")
+    terminal.next(command("identify", path))
     open_loop = found.diagnosis.open_loop
     told = None if open_loop is None else open_loop.true_error
     terminal.finish({
@@ -119,7 +122,7 @@ def identify(
     with watched(terminal, "identify", "identifying", None) as observer:
         twin = rejoint.identify(run=job, seed=seed, quick=quick, observer=observer)
     show.twin(terminal, twin)
-    terminal.result(f"Next: {command('train', run)}")
+    terminal.next(command("train", run))
     terminal.finish({"run": str(run), "twin": str(job.folder.twin), "held_out": twin.held_out,
                      "notes": twin.notes})  # fmt: skip
 
@@ -158,7 +161,7 @@ def train(
         terminal.say(f"Curves: {draw_training(job.folder)}")
     show.training(terminal, result)
     robot = "ROBOT" if job.robot.startswith(LOGS) else job.robot  # logs cannot be driven
-    terminal.result(f"Next: {command('compare', robot, run)}")
+    terminal.next(command("compare", robot, run))
     terminal.finish(result)
 
 
@@ -195,7 +198,7 @@ def compare(
 
     Example: `rejoint compare emulated:worn runs/mine --sets 10 --repetitions 6`
     """
-    terminal = Terminal(json=json)
+    terminal = Terminal(json=json, dry=settings.dry_run)
     plan = rejoint.TrialPlan(sets=sets, repetitions=repetitions, directions=directions, full=full)
     with (
         terminal.unsaved(partial(show.stage, terminal, "compare")),
@@ -205,7 +208,7 @@ def compare(
             robot, opt.controller_names(controllers), targets, run=run, plan=plan, settings=settings, observer=observer
         )
     show.stage(terminal, "compare", found)
-    terminal.result(f"Next: {command('report', run)}")
+    terminal.next(command("report", run))
     terminal.finish({
         "run": str(run), "recommended": found.recommendation, "comparison": results_of(found.comparison, "results"),
         "true_error": {row.controller: row.true_error for row in found.comparison.rows},
@@ -236,7 +239,7 @@ def deploy(
     """
     if run is not None and any(pick):
         raise InputError("deploy takes the arm from RUN; leave out --arm, --base, --tip and --hold")
-    terminal = Terminal(json=json)
+    terminal = Terminal(json=json, dry=settings.dry_run)
     chosen = None if run is not None else opt.choose_arm(terminal, pick, robot)
     within = REACHED if settings.within is None else settings.within
     tell = partial(show.deployment, terminal, within)
@@ -278,7 +281,7 @@ def goto(
 
     Example: `rejoint goto tcp://192.168.1.20:9000 180 30 210 --run runs/mine`
     """
-    terminal = Terminal(json=json)
+    terminal = Terminal(json=json, dry=settings.dry_run)
     target = opt.point_of(x, y, z)
     with (
         watched(terminal, "goto", "going", live) as observer,
@@ -294,7 +297,7 @@ def goto(
     if error_mm is not None and found is not None and not code:
         place = ", ".join(f"{1e3 * value:.1f}" for value in found.tool_m)
         terminal.result(f"The tool is at ({place}) mm, {error_mm:.2f} mm off by the encoders.")
-    terminal.finish({"target_mm": [x, y, z], "error_mm": error_mm, "reached": not code, "dry_run": settings.dry_run})
+    terminal.finish({"target_mm": [x, y, z], "error_mm": error_mm, "reached": not code})
     if code:
         raise typer.Exit(code)
 
@@ -325,7 +328,7 @@ def follow(
     Example: `rejoint follow tcp://192.168.1.20:9000 runs/mine drawing.csv`, or
     `rejoint follow emulated:worn runs/mine circle-8s --repeat 5`
     """
-    terminal = Terminal(json=json)
+    terminal = Terminal(json=json, dry=settings.dry_run)
     with watched(terminal, "follow", "following", live) as observer:
         done = rejoint.follow(robot, path, run=run, repeat=repeat, rate_hz=rate, settings=settings, observer=observer)
     show.followed(terminal, done)
@@ -384,7 +387,7 @@ def gains(
         with watched(terminal, "gains", "tuning", None) as observer:
             found = rejoint.gains(robot, run, settings=settings, observer=observer)
         show.stage(terminal, "gains", found)
-        terminal.result(f"Next: {command('compare', robot, run)} --sets 1 --repetitions 1")
+        terminal.next(f"{command('compare', robot, run)} --sets 1 --repetitions 1")
         terminal.finish({"run": str(run), "gains": found})
         return
     job = Run.open(run)
@@ -399,5 +402,5 @@ def gains(
         raise InputError("nothing was written; say --yes to be asked no more")
     before = keep_gains(robot, job, wanted)
     terminal.result(f"Kept: {in_words(wanted)}. Before: {in_words(before)}.")
-    terminal.result(f"Next: {command('repair', robot)}, for a twin and a policy under these gains")
+    terminal.next(f"{command('repair', robot)}, for a twin and a policy under these gains")
     terminal.finish({"run": str(run), "kept": wanted, "before": before})

@@ -193,6 +193,25 @@ class Recorder:
         return {name: column.copy() for name, column in empty._asdict().items()}
 
 
+def cycle_at_rest(state: JointState, true_tcp: Array) -> Cycle:
+    """Cycle of B arms that were read and not driven; ``true_tcp`` (B, 3) [m]."""
+    none, nowhere, zero = np.full_like(state.position, np.nan), np.full_like(true_tcp, np.nan), np.zeros(len(true_tcp))
+    return Cycle(
+        time=state.time,
+        position=state.position,
+        command=none,
+        target=nowhere,
+        aim=nowhere,
+        target_index=zero.astype(np.intp),
+        since_target=zero,
+        true_tcp=true_tcp,
+        active=zero == 0.0,
+        reasons=zero.astype(np.uint16),
+        load=none if state.load is None else state.load,
+        turned=nowhere[:, 0],
+    )
+
+
 def attach(error: BaseException, recording: Recording) -> None:
     """Attach the recording to an error."""
     error.recording = recording  # type: ignore[attr-defined]

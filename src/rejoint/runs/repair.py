@@ -50,7 +50,8 @@ from rejoint.session.inputs import (
     period_of,
     run_about,
 )
-from rejoint.session.settings import Settings
+from rejoint.session.payload import equipped
+from rejoint.session.settings import Settings, laden, settled
 from rejoint.system.errors import FileError
 from rejoint.system.extras import require
 from rejoint.system.files import read_json, write_json, write_whole
@@ -207,7 +208,7 @@ def still_holds(run: Run, last: Run, preset: str) -> Kept | None:
         return None
     if now.servo_gains != before.servo_gains or policy.contract.preset != preset:
         return None
-    error, fitted = twin_error(run.arm, twin, read_log(run.folder.log("excitation"))), twin.held_out.twin.tcp
+    error, fitted = twin_error(laden(run), twin, read_log(run.folder.log("excitation"))), twin.held_out.twin.tcp
     if error > WORSE * fitted:
         return None
     since = read_json(last.folder.kept, Kept).since if last.folder.kept.exists() else last.info.created
@@ -323,7 +324,7 @@ def repair(
     only
         do this stage alone
     settings
-        control period and seed
+        payload, tool, control period, seed and the like, which the run keeps
     observer
         receives each stage at its start and end, with its result, and progress
 
@@ -349,13 +350,16 @@ def repair(
     """
     if only is None:
         require("rejoint repair", "train", "report")
-    what, chosen = plan or RepairPlan(), settings or Settings()
+    what, (chosen, _) = plan or RepairPlan(), settled(settings, None, robot)
     built = run.arm if isinstance(run, Run) else arm_of(robot, arm)
     controllers = listed(what.controllers)
     _require_possible(robot, built, what, controllers, chosen.period)
     folder = newest_or_new(address_of(robot), built, as_seed(chosen.seed))[0] if run is None else run
     about = run_about(folder, address_of(robot), built, chosen.seed)
     assert about is not None  # noqa: S101 - for the type checker; a folder was given
+    chosen, told = settled(chosen, about, robot)
+    if told and observer is not None:
+        observer.message(told)
     require_same_pace(about, quick=quick)
     with pacing(observer) as update:
         watching = _Paced(observer or Observer(), update)
@@ -400,7 +404,14 @@ def _do_stages(
 
     def job(watch: Observer) -> ComparisonJob:
         wanted = comparison_job(
-            robot, controllers, targets, run=found, arm=found.arm, plan=trials, settings=compared, observer=watch
+            robot,
+            controllers,
+            targets,
+            run=found,
+            arm=equipped(found.arm, robot, settings),
+            plan=trials,
+            settings=compared,
+            observer=watch,
         )
         return wanted if controllers else wanted.without(ON_REQUEST)
 

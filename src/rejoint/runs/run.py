@@ -266,7 +266,7 @@ def exclusive(run: Run | None) -> Iterator[None]:
 
 
 def _empty(path: Path) -> bool:
-    begun = {"run.json", "arm.toml", ".lock"}
+    begun = {"run.json", "arm.toml", "settings.json", ".lock"}
     return all(entry.name in begun or entry.name.endswith(UNFINISHED) for entry in path.iterdir())
 
 

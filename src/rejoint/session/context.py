@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from rejoint.arms import Arm, Array, tcp_position
-from rejoint.arms.inertia import bare
 from rejoint.control.correction import Modelled
 from rejoint.control.guard import GuardLimits
 from rejoint.control.monitor import servo_lines, standing_bands
@@ -22,6 +22,8 @@ from rejoint.robots import place_of
 from rejoint.robots.registry import unloaded
 from rejoint.runs.run import Run
 from rejoint.session.inputs import CalibrationLike, as_calibration
+from rejoint.session.payload import Say, silent
+from rejoint.session.settings import laden
 from rejoint.system.errors import AddressError
 from rejoint.system.files import read_json
 
@@ -35,12 +37,12 @@ def guard_limits(run: Run | None, arm: Arm, robot: str) -> GuardLimits:
 
     A servo that reports its gains reports loads of its loop, which fit any reading.
     """
-    limits, arm = GuardLimits.of(arm), bare(arm)  # the logs are of an empty hand
+    limits = GuardLimits.of(arm)
     paths = [] if run is None else [run.folder.log(name) for name in ("excitation", "targets")]
     if run is None or not _is_own(run, robot) or not all(path.exists() for path in paths):
         return limits
     logs = [read_log(path) for path in paths]
-    told = run.diagnosis
+    arm, told = laden(run), run.diagnosis
     gains = None if told is None else told.servo_gains
     lines = servo_lines(arm, logs) if gains is None else None  # else the load is the loop's, and fits any reading
     return replace(limits, bands=standing_bands(arm, logs), servos=lines, gains=gains)
@@ -65,7 +67,7 @@ def stance_of(twin: Twin | None, run: Run | None) -> Stance | None:
         return stance
     log, then = read_log(path), _expected(run.twin or twin)  # its servos had the gains of the diagnosis
     rests = np.append(np.flatnonzero((log.target[1:] != log.target[:-1]).any(axis=-1)), len(log) - 1)
-    return replace(stance, off=then.away(bare(run.arm), log.position[rests], log.command[rests]).max(axis=0))
+    return replace(stance, off=then.away(laden(run), log.position[rests], log.command[rests]).max(axis=0))
 
 
 def _expected(twin: Twin) -> Stance:
@@ -127,10 +129,20 @@ def correction_of(
     return partial(Modelled, displacement=calibration.displacement)
 
 
-def calibration_of(given: CalibrationLike | None, run: Run | None, arm: Arm, robot: str) -> Calibration | None:
-    """Calibration given, or that of the run for its own robot, where it helps.
+def calibration_of(
+    given: CalibrationLike | None, run: Run | None, arm: Arm, robot: str, say: Say = silent
+) -> Calibration | None:
+    """Calibration given, or that of the run for its own robot, where it helps; ``say`` receives why one is not applied.
 
     ContractError for another arm.
     """
-    found = as_calibration(given, run if run is not None and _is_own(run, robot) else None, arm)
-    return found if found is not None and found.used else None
+    found = as_calibration(given, run, arm)
+    if found is None:
+        return None
+    own = given is not None or run is None or _is_own(run, robot)
+    if own and found.used:
+        return found
+    why = "it did not clearly help" if own else f"it is not of {robot}"
+    name = given if isinstance(given, str | Path) else "the calibration" if run is None else run.folder.calibration
+    say(f"Not corrected: {name} is not applied; {why}.")
+    return None

@@ -78,8 +78,8 @@ def choice(run: Run | None, arm: Arm, period: Period | None) -> tuple[str, str]:
 
 
 def quick_note(run: Run | None) -> str:
-    """Remark on a quick try, or nothing."""
-    return "; that run is a quick try, which is no result" if run is not None and run.folder.quick.exists() else ""
+    """Remark on a run of a quick try, or nothing."""
+    return f"{run.path} is a quick try, which is no result." if run is not None and run.folder.quick.exists() else ""
 
 
 def _own_policy(run: Run) -> str:

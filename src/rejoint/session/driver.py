@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -43,10 +42,10 @@ from rejoint.session.inputs import (
     is_virtual,
     period_of,
 )
-from rejoint.session.payload import beside, with_load
+from rejoint.session.payload import equipped
 from rejoint.session.recorder import RunRecorder
 from rejoint.session.rehearsal import RehearsedRobot, copied
-from rejoint.session.settings import Settings
+from rejoint.session.settings import Settings, settled
 from rejoint.system.errors import InputError
 from rejoint.system.files import require_space
 from rejoint.system.numbers import as_seed
@@ -76,13 +75,15 @@ class ArmDriver:
 
         Without a robot: for recordings. ``pace`` [simulated seconds per second] ties virtual time to the wall clock.
         """
-        self.settings, self.observer = settings or Settings(), observer or Observer()
-        about = None if run is None else as_run(run).seeded(self.settings.seed)
+        about, self.observer = None if run is None else as_run(run), observer or Observer()
+        self.settings, kept = settled(settings, about, robot)
+        for line in filter(None, (quick_note(about), kept)):
+            self.observer.message(line)
+        about = about and about.seeded(self.settings.seed)
         if robot is None and about is None and arm is None:
             raise InputError("session: without a robot and a run the arm is needed")
         bare = about.arm if about is not None else arm_of(robot, arm)
-        told = with_load(bare, robot, self.settings.payload, self.settings.tool)
-        self.arm: Arm = beside(told, self.settings.keep_out)
+        self.arm: Arm = equipped(bare, robot, self.settings)
         """with payload and tool of the settings"""
         self.seed = as_seed(self.settings.seed) if about is None else about.seed
         self.address = "" if robot is None else address_of(robot)
@@ -92,6 +93,8 @@ class ArmDriver:
         """of the guard; None before the robot is open"""
         self.beside: list[Callable[[], object]] = []
         """called in every cycle, for a gripper and the like"""
+        self.watching: list[OnCycle] = []
+        """called with every cycle, and with every reading between motions"""
         self._given, self._pace = robot, pace
         self._stack, self._alone = ExitStack(), ExitStack()
         self._stack.enter_context(self._alone)
@@ -104,6 +107,7 @@ class ArmDriver:
         self._base: GuardLimits | None = None
         self._gains, self._in_charge = ExitStack(), cast("Controller | None", object())
         self._chosen: dict[bool, tuple[str, Controller]] = {}
+        self._announced = set[str]()
         self._last: Cycle | None = None
         self._sent: Array | None = None
         self._usual, self._rested = float("nan"), False
@@ -129,7 +133,8 @@ class ArmDriver:
             self._stack.enter_context(self._gains)
             self._base = guard_limits(self.run, self.arm, self.address)
             self.limits = limits_under(self._base, robot, None)
-            if self._pace is not None and isinstance(self._given, str) and is_virtual(robot):
+            virtual = self.rehearsal is not None or (isinstance(self._given, str) and is_virtual(robot))
+            if self._pace is not None and virtual:
                 robot = WallClock(robot, lambda: self._pace or 1.0)
         paced = None if self._pace is None else False
         return self.observer.watch(robot, twin=self.twin, within=self.settings.within, paced=paced)
@@ -157,16 +162,7 @@ class ArmDriver:
     @cached_property
     def calibration(self) -> Calibration | None:
         """The calibration in use; a message says why one is not."""
-        given = self.settings.calibration
-        found = calibration_of(given, self.run, self.arm, self.address)
-        there = given is not None or (self.run is not None and self.run.folder.calibration.exists())
-        if found is None and there and not (isinstance(given, str) and given == "none"):
-            what = given if isinstance(given, str | Path) else "the calibration"
-            what = what if given is not None or self.run is None else self.run.folder.calibration
-            self.observer.message(
-                f"Not corrected: {what} is not applied; it did not clearly help, or is not of {self.address}."
-            )
-        return found
+        return calibration_of(self.settings.calibration, self.run, self.arm, self.address, self.observer.message)
 
     @cached_property
     def correction(self) -> Modelled | None:
@@ -196,11 +192,16 @@ class ArmDriver:
                 by, why = FeedforwardController.name, f"{name} does not turn the tool"
                 ((name, make),) = make_factories([by], self.arm, self.period, run=self.run, twin=self.twin).items()
                 controller = make(self.arm)
-            quick = quick_note(self._named)
-            if quick or self.settings.controller is None or name_of(self.settings.controller) != name:
-                self.observer.message(f"Controller: {name} ({why}{quick}).")
+            if self.settings.controller is None or name_of(self.settings.controller) != name:
+                self.announce(name, why)
             self._chosen[posed] = name, controller
         return self._chosen[posed]
+
+    def announce(self, name: str, why: str) -> None:
+        """Report once that the controller ``name`` drives, and why."""
+        if name not in self._announced:
+            self._announced.add(name)
+            self.observer.message(f"Controller: {name} ({why}).")
 
     def take_up(self, controller: Controller | None) -> None:
         """Put a controller's gains and limits in force."""
@@ -215,6 +216,7 @@ class ArmDriver:
     def posture_controller(self, way: PostureWay, gains: PostureGains | None = None) -> PostureController:
         """Return what brings the joints where a way says, by the twin."""
         twin = self.twin_now
+        self.announce(PostureController.name, f"for joint positions, {'without a' if twin is None else 'by the'} twin")
         if twin is None:
             return PostureController(self.arm, way, gains=gains)
         own = twin.parameters
@@ -307,7 +309,7 @@ class ArmDriver:
             self._last = cycle
             if take:
                 self.recorder.see(cycle)
-            for watch in filter(None, (on_cycle, observed)):
+            for watch in filter(None, (on_cycle, observed, *self.watching)):
                 watch(cycle)
             for ask in self.beside:
                 ask()

@@ -35,14 +35,14 @@ from rejoint.control.recording import Cycle, Recording
 from rejoint.control.targets import require_reachable
 from rejoint.runs.run import Run
 from rejoint.session.context import require_correctable
-from rejoint.session.controllers import ControllerLike, make_factories
+from rejoint.session.controllers import ControllerLike, make_factories, name_of
 from rejoint.session.inputs import ArmLike, Period, RobotLike, RunLike
 from rejoint.session.motions import ArmMotion, EndedError
 from rejoint.session.payload import say_folded, say_heavy, say_noticed
 from rejoint.session.session import ArmSession
 from rejoint.session.settings import Settings
 from rejoint.system.errors import InputError
-from rejoint.system.numbers import as_floats, as_within
+from rejoint.system.numbers import as_floats, as_seconds, as_within
 from rejoint.system.stopping import noted
 
 if TYPE_CHECKING:
@@ -195,6 +195,8 @@ class PathDrive:
         session = self.session
         session.take_up(None)
         self._motion = motion
+        asked = self.controller is session.settings.controller
+        session.announce(name_of(self.controller), "as asked for" if asked else "for paths, by the twin")
         self._follower = follower_of(self.controller, session.arm, session.period, session.run, session.twin_now)
         if not turned(self.path):
             say_folded(session.arm, self._follower.home, session.observer.message)
@@ -302,9 +304,7 @@ def as_path(given: PathLike, arm: Arm, seed: int) -> Path:
 def followable(given: PathLike | Stream, arm: Arm, seed: int, duration: float | None) -> Path | Stream:
     """Stream or path that ``arm`` can follow; InputError where it cannot."""
     if isinstance(given, Stream):
-        seconds = as_floats("follow", np.nan if duration is None else duration, "a duration in seconds")
-        if seconds.shape != () or not 0.0 < seconds < np.inf:
-            raise InputError("follow: a stream needs a duration in seconds for which it is followed")
+        as_seconds("follow: a stream", duration)
         if given.followed:
             raise InputError(
                 "follow: this stream was followed already, up to its last target; put targets into another"

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, Box, Motors, clearance, gravity_torque, position_kinematics
+from rejoint.arms import Arm, Array, Motors, clearance, gravity_torque, position_kinematics
 from rejoint.arms.inertia import LoadedArm, Payload, loaded
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.posing import find_postures
@@ -20,6 +20,7 @@ from rejoint.session.inputs import RobotLike
 from rejoint.system.errors import InputError
 
 if TYPE_CHECKING:
+    from rejoint.session.settings import Settings
     from rejoint.twin.twin import Twin
 
 PayloadLike: TypeAlias = "float | Payload"
@@ -47,19 +48,17 @@ def silent(line: str) -> None:
     """Report nothing."""
 
 
-def with_load(arm: Arm, robot: RobotLike | None, payload: PayloadLike | None, tool: ArrayLike | None) -> Arm:
-    """Arm with payload and tool; InputError for an open robot."""
-    found = loaded(arm, payload, tool)
-    if found is not arm and not isinstance(robot, str):
+def equipped(bare: Arm, robot: RobotLike | None, settings: Settings) -> Arm:
+    """Arm with payload, tool and boxes of the settings.
+
+    InputError for a payload or tool of an open robot, and for a box that holds a part of the resting arm.
+    """
+    arm = loaded(bare, settings.payload, settings.tool)
+    if arm is not bare and not isinstance(robot, str):
         raise InputError("give a payload or a tool with the address of a robot, not with an open one")
-    return found
-
-
-def beside(arm: Arm, boxes: Sequence[Box]) -> Arm:
-    """Arm with more ``boxes`` to keep out of; InputError where one holds a part of the resting arm."""
-    if not boxes:
+    if not settings.keep_out:
         return arm
-    found = replace(arm, keep_out=(*arm.keep_out, *boxes))
+    found = replace(arm, keep_out=(*arm.keep_out, *settings.keep_out))
     if clearance(found, arm.rest) < 0.0 <= clearance(arm, arm.rest):
         raise InputError("keep_out: a part of the arm in its rest posture is inside a box; give boxes around the arm")
     return found

@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
-from rejoint.control.recording import PIECE, Cycle, Recording, recording_of
+from rejoint.control.recording import PIECE, Cycle, Recorder, Recording, recording_of
 from rejoint.control.robot import Robot
 from rejoint.control.start import Playback
 from rejoint.logs.journal import Journal
-from rejoint.logs.runlog import write_log
+from rejoint.logs.runlog import RunLog, write_log
 from rejoint.runs.run import Run
-from rejoint.system.errors import FileError
+from rejoint.system.errors import FileError, RejointError
 from rejoint.system.files import require_space, unused
+
+EVERY = 0.02
+"""[s] between two readings of an arm that is recorded and not driven (chosen)"""
 
 
 class RunRecorder:
@@ -99,6 +103,62 @@ class RunRecorder:
             return None
         require_space(self._run.path)  # some is left for other programs
         return start_journal(self._run, self._kind[0], self._robot, self._kind[1], rows)
+
+
+class StateRecord:
+    """What an arm does while it is recorded, whoever moves it; see `ArmSession.record`.
+
+    Where no motion of the session drives the arm, ``look`` reads it.
+    """
+
+    log: RunLog | None = None
+    """what was recorded, after the end"""
+
+    def __init__(self, robot: Robot, recorder: RunRecorder, name: str, look: Callable[[], object]) -> None:
+        self._cycles = Recorder(robot=robot, controller=name)
+        self._recorder, self._look = recorder, look
+        self._over = threading.Event()
+        self._error: RejointError | None = None
+        recorder.begin(robot, name, name)
+        self._thread = threading.Thread(target=self._watch, name=name, daemon=True)
+
+    def see(self, cycle: Cycle) -> None:
+        """Take a cycle."""
+        if not self._over.is_set():
+            self._cycles.cycles.append(cycle)
+            self._recorder.see(cycle)
+
+    def lasts(self, seconds: float) -> bool:
+        """Whether it is this long, or ended by an error."""
+        cycles = self._cycles.cycles
+        return self._error is not None or bool(cycles and cycles[-1].time[0] - cycles[0].time[0] >= seconds)
+
+    def _watch(self) -> None:
+        try:
+            while not self._over.wait(EVERY):
+                self._look()
+        except RejointError as error:
+            self._error = error
+
+    def __enter__(self) -> Self:
+        self._look()
+        self._thread.start()
+        return self
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        self._over.set()
+        self._thread.join()
+        taken = self._cycles.recording(np.zeros(1, dtype=np.uint16))
+        driven = np.isfinite(taken.command[:, 0, 0])
+        if driven.any():  # in between, the last command stays in force
+            last = np.maximum.accumulate(np.where(driven, np.arange(len(driven)), -1))
+            before = np.where((last >= 0)[:, None, None], taken.command[last], taken.position)
+            taken = replace(taken, command=before)
+        self._recorder.take(taken)
+        self._recorder.end()
+        self.log = taken.log(0, taken.controller)
+        if self._error is not None and kind is None:
+            raise self._error
 
 
 def start_journal(run: Run, name: str, robot: Robot, label: str, rows: int = 0) -> Journal:

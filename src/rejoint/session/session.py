@@ -18,16 +18,18 @@ from rejoint.control.goal import JointGoals, with_ways
 from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.loop import Schedule
 from rejoint.control.posture import PostureGains
-from rejoint.control.recording import PIECE, Cycle
+from rejoint.control.recording import PIECE, Cycle, cycle_at_rest
 from rejoint.control.robot import JointState
 from rejoint.control.targets import Pose, placed
 from rejoint.runs.run import Run, exclusive
 from rejoint.session.context import guard_limits
 from rejoint.session.driver import ArmDriver
+from rejoint.session.inputs import is_virtual
 from rejoint.session.motions import ArmMotion, GoalCheck, GoalStream, PlannedWay, in_mm
 from rejoint.session.payload import believed_motors
+from rejoint.session.recorder import RunRecorder, StateRecord
 from rejoint.system.errors import InputError, NotReachedError, NotReadyError
-from rejoint.system.numbers import as_floats, as_within
+from rejoint.system.numbers import as_floats, as_place, as_seconds, as_within
 from rejoint.system.progress import RateLimit
 from rejoint.system.stopping import noted, pause
 
@@ -35,6 +37,7 @@ if TYPE_CHECKING:
     from rejoint.control.deployment import Deployed
     from rejoint.control.moving.drive import Followed
     from rejoint.control.moving.reference import Stream
+    from rejoint.logs.runlog import RunLog
     from rejoint.session.inputs import Targets
     from rejoint.session.paths import PathLike
 
@@ -48,7 +51,6 @@ TURNS = 2.0 * np.pi
 """[rad] beyond which a joint position is not in radians"""
 STARTING = 5.0
 """[s] for the first cycle of a stream (chosen)"""
-_POINT = "a point (3,) in metres"
 _LOOK = 0.01  # [s] between two looks at whether a motion has ended (chosen)
 _SHARES = np.linspace(1.0, 0.0, 65)[:, None]  # of a way to joint positions, looked at from its end
 
@@ -138,9 +140,7 @@ class ArmSession(ArmDriver):
         holds.
         """
         pose = target_m if isinstance(target_m, Pose) else None
-        target = as_floats("move_to", target_m if pose is None else pose.place_m, _POINT)
-        if target.shape != (3,) or not np.isfinite(target).all():
-            raise InputError(f"move_to: expected {_POINT}, got {target_m!r}")
+        target = as_place("move_to", target_m if pose is None else pose.place_m)
         within = as_within("move_to", (self.settings.within or WITHIN) if within_m is None else within_m)
         within_rad, timeout = _bounds("move_to", within_rad, timeout_s)
         turns = None if pose is None else placed(self.arm, [pose])[1]
@@ -321,8 +321,43 @@ class ArmSession(ArmDriver):
             moving = self._motion is not None and self._motion.under_way
             if not moving or self._seen is None:  # else the robot is the motion's to ask
                 self._seen = self.robot.read()
+                if self.watching:
+                    cycle = cycle_at_rest(self._seen, self.robot.true_tcp())
+                    for see in self.watching:
+                        see(cycle)
             newest = self._last if moving and self._last is not None else self._seen
             return self._state(float(newest.time[0]), newest.position[0], moving=moving)
+
+    @contextmanager
+    def recording(self, name: str = "record") -> Iterator[StateRecord]:
+        """Record in a ``with`` block what the arm does: driven by this session, by a hand, or by another program.
+
+        Afterwards ``log`` of what is yielded is a `RunLog`; with a run also ``logs/NAME-DATE.parquet``. RobotError at
+        the end where the arm could not be read.
+        """
+        self._require_open()
+        record = StateRecord(self.robot, RunRecorder(self.run, self.observer.message), name, lambda: self.state)
+        self.watching.append(record.see)
+        try:
+            with record:
+                yield record
+        finally:
+            self.watching.remove(record.see)
+
+    def record(self, duration_s: float, *, name: str = "record") -> RunLog:
+        """Record for ``duration_s`` on the robot's clock, as `recording`; an emulated arm without a motion holds."""
+        seconds = as_seconds("record", duration_s)
+        with noted(), self.recording(name) as record:
+            virtual, held = self.rehearsal is not None or is_virtual(self.robot), False
+            while not record.lasts(seconds):
+                held = held or (virtual and not self.state.moving)
+                if held:  # its time passes only in motions
+                    self.hold()
+                pause(_LOOK)
+            if held:
+                self.stop()
+        assert record.log is not None  # noqa: S101 - for the type checker; the block is over
+        return record.log
 
     def wait(self, timeout_s: float | None = None) -> ArmState:
         """Wait for the end of the motion, and return the state; raises what ended it.

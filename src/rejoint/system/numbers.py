@@ -14,6 +14,8 @@ SHORTEST_PERIOD, LONGEST_PERIOD = 0.001, 1.0
 FARTHEST = 0.1
 """[m] largest accepted error (chosen: more is in millimetres)"""
 
+_FARTHEST = 10.0  # [m] from the base that a place lies at most (chosen: what is farther is in millimetres)
+
 
 def as_seed(seed: int | None) -> int:
     """Return a seed, by default 0; InputError."""
@@ -48,6 +50,26 @@ def as_within(what: str, given: object) -> float:
     raise InputError(
         f"{what}: to be reached within a positive distance in metres, at most {FARTHEST:g}, was expected, got {given}"
     )
+
+
+def as_place(what: str, given: object) -> NDArray[np.float64]:
+    """Return a point (3,) [m]; InputError for anything else, and for millimetres."""
+    expected = "a point (3,) in metres"
+    place = as_floats(what, given, expected)
+    if place.shape != (3,) or not np.isfinite(place).all():
+        raise InputError(f"{what}: expected {expected}, got {given!r}")
+    if np.abs(place).max() > _FARTHEST:
+        raise InputError(f"{what}: expected {expected}, got {place.tolist()}; that looks like millimetres")
+    return place
+
+
+def as_seconds(what: str, given: object) -> float:
+    """Return a duration [s]; InputError unless it is positive and finite."""
+    expected = "a positive, finite duration in seconds"
+    found = as_floats(what, np.nan if given is None else given, expected)
+    if found.shape != () or not 0.0 < found < np.inf:
+        raise InputError(f"{what}: expected {expected}, got {given}")
+    return float(found)
 
 
 def as_floats(what: str, given: object, expected: str = "numbers") -> NDArray[np.float64]:

@@ -76,7 +76,7 @@ def test_what_is_no_target_or_comes_late_is_refused():
     stream = Stream()
     with pytest.raises(InputError, match="nothing has come yet"):
         stream.place(0.0)
-    with pytest.raises(InputError, match="three finite numbers"):
+    with pytest.raises(InputError, match="expected a point"):
         stream.put([0.1, np.nan, 0.2], 0.0)
     with pytest.raises(InputError, match=r"in metres, got \[180.0, 0.0, 200.0\]"):
         stream.put([180, 0, 200], 0.0)

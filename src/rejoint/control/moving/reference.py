@@ -32,7 +32,7 @@ from rejoint.control.targets import (
     unit_hint,
 )
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.numbers import as_floats
+from rejoint.system.numbers import as_floats, as_place
 
 _HEADER = ("time", *PLACE)
 _MOST = 4_000_000
@@ -339,7 +339,6 @@ EXTRAPOLATED = 0.2
 """[s] in a pause of a stream (chosen)"""
 _MOST_TURN = float(np.radians(120.0))
 """[rad] between targets of a stream (chosen)"""
-_FARTHEST = 10.0  # [m] from the base that a target lies at most (chosen: what is farther is in millimetres)
 _RECENT = 2.0  # [s] of a stream that are looked at (chosen: more than the longest lag and what follows look back)
 
 
@@ -414,11 +413,9 @@ class Stream:
         """
         time = self._now if time is None else time
         pose = target if isinstance(target, Pose) else None
-        place = as_floats("stream", target if pose is None else pose.place_m, "three finite numbers in metres")
-        if place.shape != (3,) or not np.isfinite(place).all() or not np.isfinite(time):
-            raise InputError(f"stream: a target is three finite numbers in metres, got {target} at {time} s")
-        if np.abs(place).max() > _FARTHEST:
-            raise InputError(f"stream: a target is in metres, got {place.tolist()}")
+        place = as_place("stream", target if pose is None else pose.place_m)
+        if not np.isfinite(time):
+            raise InputError(f"stream: a target came at {time} s, expected a finite time")
         knot = None if pose is None or not pose.turned else turn_knot(pose)
         with self._lock:
             if self.time and time < self.time[-1]:

@@ -117,6 +117,8 @@ class RunFolder:
     """`RunInfo`"""
     description = FilePlace("arm.toml")
     """the arm's own description, if not in the catalogue"""
+    settings = FilePlace("settings.json")
+    """`KeptSettings` of the diagnosis: payload, tool and the like"""
     diagnosis = FilePlace("diagnosis.json")
     twin = FilePlace("twin.toml")
     measurements = FilePlace("measurements.parquet")

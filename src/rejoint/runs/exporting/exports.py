@@ -51,6 +51,11 @@ def export_run(run: RunLike, kind: str, out: Path | None = None, *, lerobot: Pat
         raise InputError(
             "--format lerobot takes --lerobot FILE, the calibration file of the arm, and no other format does"
         )
+    path, told = _exported(about, kind, out, lerobot)
+    return path, f"{told} {quick_note(about)}".rstrip()
+
+
+def _exported(about: Run, kind: str, out: Path | None, lerobot: Path | None) -> tuple[Path, str]:
     if kind == "datasheet":
         require("rejoint export --format datasheet", "report")
         from rejoint.pages.report.page import write_datasheet
@@ -99,7 +104,7 @@ def _controller(run: Run, kind: str, out: Path | None) -> tuple[Path, str]:
     require(f"rejoint export --format {kind}", "onnx", "torch")
 
     name, why = choice(run, run.arm, None)
-    chosen = f"Controller: {name} ({why}{quick_note(run)})."
+    chosen = f"Controller: {name} ({why})."
     if kind == "ros2":
         folder = out or run.path / "ros2"
         design = write_package(run, folder)

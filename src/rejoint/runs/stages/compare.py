@@ -392,7 +392,7 @@ def compare(
         pacing(observer) as update,
         ArmSession(robot, run=run, arm=arm, settings=settings, observer=observer) as session,
     ):
-        place = session.robot if session.rehearsal is not None else robot
+        place = session.robot if session.settings.dry_run else robot
         job = comparison_job(
             place, controllers, targets, run=session.run, arm=session.arm, plan=plan, settings=session.settings,
             observer=session.observer,
@@ -423,7 +423,7 @@ def comparison_job(
         leave_out=not controllers, elimination=elimination,
     )  # fmt: skip
     address = address_of(robot)
-    model = calibration_of(settings.calibration, run, arm, address)
+    model = calibration_of(settings.calibration, run, arm, address, observer.message)
     before = None
     if elimination is not None and run is not None and not isinstance(arm, LoadedArm) and turns is None:
         before = open_loop(run, address, trials.protocol, model)

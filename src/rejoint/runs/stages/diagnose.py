@@ -30,7 +30,7 @@ from rejoint.session.inputs import (
 )
 from rejoint.session.recorder import start_journal
 from rejoint.session.session import ArmSession
-from rejoint.session.settings import Settings
+from rejoint.session.settings import Settings, keep, settled
 from rejoint.system.errors import InputError
 from rejoint.system.files import read_json, saving, set_aside, write_json
 from rejoint.system.progress import Progress
@@ -91,7 +91,7 @@ def diagnose(
     quick
         excite for 90 s instead of 140 s, with wider intervals
     settings
-        control period and seed
+        payload, tool, control period, seed and the like, which the run keeps
     observer
         receives progress
 
@@ -118,7 +118,7 @@ def diagnose(
     >>> log = rejoint.RunLog.of(time, command, position, arm="so101")
     >>> rejoint.diagnose(log, arm="so101").findings[0].sentence
     """
-    chosen = settings or Settings()
+    chosen = settled(settings, None, None)[0]
     if not is_robot(source):
         if chosen.period is not None:
             raise InputError("diagnosis: logs have the control period that they have; leave it out")
@@ -127,7 +127,7 @@ def diagnose(
     robot = cast(RobotLike, source)
     built = run.arm if isinstance(run, Run) else arm_of(robot, arm)
     about = run_about(run, address_of(robot), built, chosen.seed)
-    about = None if about is None else about.begin()
+    about = None if about is None or chosen.dry_run else about.begin()
     try:
         with (
             pacing(observer) as update,
@@ -138,7 +138,10 @@ def diagnose(
             with session.metered("diagnose") as driven:
                 if healthy is None:
                     reference = _as_set(driven, reference)
-                return _drive(driven, session.run, reference, session.seed, quick=quick, on_progress=update)
+                found = _drive(driven, session.run, reference, session.seed, quick=quick, on_progress=update)
+            if session.run is not None:
+                keep(session.run, session.settings)
+            return found
     except BaseException:
         if about is not None:  # a robot that does not answer, or is not ready, leaves no folder behind
             remove_if_empty(about)

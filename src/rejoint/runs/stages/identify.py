@@ -14,6 +14,7 @@ from rejoint.logs.runfolder.folder import LOGS
 from rejoint.logs.runlog import RunLog, read_log
 from rejoint.runs.run import Run, exclusive, mark_quick
 from rejoint.session.inputs import ArmLike, LogsLike, RunLike, as_logs, as_run, run_of_logs
+from rejoint.session.settings import laden
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import write_json
 from rejoint.system.numbers import as_seed
@@ -98,7 +99,7 @@ def identify(
             found = as_run(run).seeded(seed)
             with exclusive(found):
                 mark_quick(found, quick=quick)
-                twin = _from_excitation(found.arm, [_excitation(found)], found.seed, update, quick=quick)
+                twin = _from_excitation(laden(found), [_excitation(found)], found.seed, update, quick=quick)
                 _write(found, twin)
             return twin
         about, chosen = run_of_logs(run, logs, arm)

@@ -1,0 +1,125 @@
+"""Settings: refused where they cannot be meant, kept by a run, and the same words at the command line."""
+
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rejoint
+from hearing import Hears
+from rejoint.arms import Box, mycobot280
+from rejoint.arms.inertia import LoadedArm, Payload, loaded
+from rejoint.cli.options import meaning
+from rejoint.runs.run import Run, mark_quick
+from rejoint.session.settings import keep, settled
+from runs.test_connect import a_twin
+
+ARM = mycobot280()
+WALL = Box(lower=np.array([0.15, -0.15, 0.0]), upper=np.array([0.3, -0.08, 0.3]))
+GIVEN = rejoint.Settings(payload=0.1, tool=[0.0, 0.0, 0.05], keep_out=[WALL], period=(0.02, 0.03), within=0.003)
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Run:
+    return Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"within": 2.0}, {"within": float("nan")}, {"period": (20, 30)}, {"period": 0.02}, {"seed": -1}, {"seed": 0.5},
+     {"keep_out": [((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))]}],
+)  # fmt: skip
+def test_settings_that_cannot_be_meant_are_refused_at_once(wrong: dict[str, Any]) -> None:
+    with pytest.raises(rejoint.InputError):
+        rejoint.Settings(**wrong)
+
+
+def test_what_is_no_settings_is_refused_before_anything_moves() -> None:
+    for call in (rejoint.connect, rejoint.deploy, rejoint.diagnose, rejoint.repair):
+        with pytest.raises(rejoint.InputError, match=r"rejoint\.Settings"):
+            call("emulated:worn", settings={"payload": 0.1})
+
+
+def test_a_run_keeps_the_settings_of_its_diagnosis_and_others_go_before_them(run: Run) -> None:
+    keep(run, GIVEN)
+    found, said = settled(None, run, "emulated:worn")
+    assert said
+    assert isinstance(found.payload, Payload)
+    assert (found.payload.mass, found.payload.com) == (0.1, (0.0, 0.0, 0.0))
+    assert (found.period, found.within) == (GIVEN.period, GIVEN.within)
+    np.testing.assert_array_equal(found.tool, GIVEN.tool)
+    np.testing.assert_array_equal(found.keep_out[0].upper, WALL.upper)
+    other = rejoint.Settings(payload=0.0, tool=np.zeros(3), keep_out=[WALL], period=(0.03, 0.04), within=0.001)
+    assert settled(other, run, "emulated:worn") == (other, "")
+    own = settled(None, run, rejoint.open_robot("emulated:worn"))[0]
+    assert own.payload is own.tool is None, "an open robot has its own"
+    assert own.period == GIVEN.period
+    assert settled(GIVEN, None, "emulated:worn") == (GIVEN, "")
+
+
+def test_kept_settings_drive_the_arm_and_are_named(run: Run) -> None:
+    a_twin().save(run.path / "twin.toml")
+    keep(run, rejoint.Settings(payload=0.05, keep_out=[WALL]))
+    mark_quick(run, quick=True)
+    said = list[str]()
+    with rejoint.connect("emulated:worn", run=run.path, observer=Hears(message=said.append)) as arm:
+        assert isinstance(arm.arm, LoadedArm)
+        np.testing.assert_array_equal(arm.arm.mass, loaded(ARM, 0.05).mass)
+        assert len(arm.arm.keep_out) == len(ARM.keep_out) + 1
+        assert any("payload 0.05 kg" in line for line in said)
+        assert any("quick" in line for line in said)
+    with rejoint.connect("emulated:worn", run=run.path, settings=rejoint.Settings(payload=0.0)) as arm:
+        np.testing.assert_array_equal(arm.arm.mass, ARM.mass)
+
+
+def test_every_field_says_what_it_means_without_units_and_python() -> None:
+    for field in fields(rejoint.Settings):
+        said = meaning(field.name)
+        assert said
+        assert "Python" not in said
+        assert not said.startswith("[")
+    assert "nothing" in meaning("dry_run")
+    assert "carries" in meaning("payload")
+
+
+def test_a_dry_comparison_moves_nothing() -> None:
+    robot, said = rejoint.open_robot("emulated:worn"), list[str]()
+    before = robot.read()
+    target = [[[0.18, 0.03, 0.21]]]
+    found = rejoint.compare(
+        robot, ["default"], target, plan=rejoint.TrialPlan(repetitions=1), settings=rejoint.Settings(dry_run=True),
+        observer=Hears(message=said.append),
+    )  # fmt: skip
+    assert found.comparison.rows
+    after = robot.read()
+    np.testing.assert_array_equal(after.time, before.time)
+    np.testing.assert_array_equal(after.position, before.position)
+    assert any("nothing moved" in line for line in said)
+
+
+def test_what_an_arm_does_is_recorded_in_motions_and_between(run: Run) -> None:
+    with rejoint.connect("emulated:worn", run=run) as arm:
+        with arm.recording("idle") as idle:
+            assert arm.state.time_s == 0.0
+        assert not idle.log.commanded, "nothing was sent"
+        held = arm.record(1.0)
+        assert 1.0 <= np.ptp(held.time) < 1.5
+        assert np.abs(np.diff(held.position, axis=0)).max() < np.radians(5.0)
+        with arm.recording("pick") as taken:
+            arm.move_to([0.18, 0.03, 0.21], within_m=0.01)
+            end = arm.move_joints(arm.state.joints_rad + 0.05, within_rad=0.05)
+        assert taken.log.commanded
+        np.testing.assert_allclose(taken.log.position[-1], end.joints_rad, atol=1e-9)
+        assert np.isfinite(taken.log.target).all(axis=-1).any()
+        arm.move_to([0.17, 0.0, 0.2], within_m=1e-6, timeout_s=600.0, wait=False)
+        assert len(arm.record(0.5)) > 10, "a motion is recorded as it is"
+        arm.stop()
+        for wrong in (0.0, np.nan, None, "10 s"):
+            with pytest.raises(rejoint.InputError, match="duration in seconds"):
+                arm.record(wrong)
+    logs = Run.open(run.path).logs
+    assert {name.split("-")[0] for name in logs} >= {"idle", "record", "pick", "move"}
+    whole = next(log for name, log in logs.items() if name.startswith("pick"))
+    np.testing.assert_array_equal(whole.position, taken.log.position)
