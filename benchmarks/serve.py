@@ -6,6 +6,11 @@
 The arm is an emulated one behind TCP, in wall-clock time. Without ``--run`` it is diagnosed and its twin identified
 first, which takes minutes. Then a client of the second kind: reconnects, garbage, half frames, and clients killed in
 the middle of a motion; at the end the arm must hold, and the log must be whole. A test runs a short version.
+
+    python -m benchmarks.serve --run runs/mine --anywhere 20
+
+sends as many poses and postures, drawn in the whole workspace, to a healthy arm and through `rejoint serve` to the worn
+one, and compares where their tools truly are.
 """
 
 import json
@@ -21,15 +26,17 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import typer
 
 import rejoint
-from rejoint.arms import Array, mycobot280, tcp_pose
+from rejoint.arms import Array, mycobot280, tcp_pose, tcp_position
 from rejoint.arms.rotations import to_coords
 from rejoint.arms.wire.values import Frame, encode, pack_angles
+from rejoint.control.guard import GuardLimits, clear_by
+from rejoint.robots import open_robot
 from rejoint.robots.lab.emulator import Timing, build_firmware, serve_tcp
 from rejoint.robots.mycobot import MyCobot280Socket
 from rejoint.session.serving import Serving
@@ -37,11 +44,15 @@ from rejoint.session.serving import Serving
 ARM = mycobot280()
 SPEED = 50
 """[%] of every order"""
-LONGEST = 20.0
+LONGEST = 40.0
 """[s] that a move may take"""
 ABUSE = 60.0
 """[s] of it; ten minutes by `--abuse 600`"""
 READS = 400
+RESTS = 20.0
+"""[s] for which a hand that leads the arm joint by joint keeps its posture"""
+REACH = 281.0
+"""[mm] largest x and y that the client sends (pymycobot 4.0.7)"""
 
 POSTURES = np.degrees(ARM.rest) + np.array([
     [10.0, 8.0, -12.0, 5.0, 6.0, 10.0], [-25.0, -6.0, 8.0, -8.0, -10.0, -20.0], [20.0, 12.0, 6.0, -12.0, 12.0, 15.0],
@@ -115,7 +126,7 @@ def play(client: Any, pace: float = 1.0, steps: int | None = None) -> list[Outco
 
 def await_rest(client: Any, pace: float = 1.0) -> None:
     """Wait as a program does: until nothing moves any more, and a moment longer."""
-    deadline = time.monotonic() + LONGEST / pace
+    deadline = time.monotonic() + LONGEST
     time.sleep(0.2 / pace)
     while client.is_moving() == 1 and time.monotonic() < deadline:
         time.sleep(0.05 / pace)
@@ -158,7 +169,7 @@ class _Announced(rejoint.Observer):
 
 
 @contextmanager
-def served(robot: str, run: Path, said: list[str] | None = None, **options: Any) -> Iterator[tuple[str, list[Serving]]]:
+def served(robot: Any, run: Path, said: list[str] | None = None, **options: Any) -> Iterator[tuple[str, list[Serving]]]:
     """Serve ``robot`` in a thread: its address, and at the end what it was served for; ``said`` gets the messages."""
     stop, ready = threading.Event(), threading.Event()
     address: list[str] = []
@@ -280,22 +291,90 @@ def table(bare: list[Outcome], through: list[Outcome]) -> str:
     return "\n".join(lines)
 
 
+def drawn(count: int, seed: int) -> Array:
+    """Postures (count, 6) [deg] anywhere in the workspace, 5 mm clear of what the arm could touch."""
+    rng, limits, found = np.random.default_rng(seed), GuardLimits.of(ARM), list[Array]()
+    while len(found) < count:
+        posture = np.round(np.degrees(rng.uniform(0.95 * ARM.lower, 0.95 * ARM.upper)), 2)
+        takes = np.abs(coords_at(posture)[:2]).max() <= REACH  # the client refuses the rest
+        if takes and (clear_by(limits, np.radians(posture)) > 0.005).all():
+            found.append(posture)
+    return np.array(found)
+
+
+def roam(client: Any, count: int, tool: Callable[[], Array], pace: float = 1.0) -> Array:
+    """Send ``count`` poses and as many postures; true tool errors (2, count) [mm], NaN where refused."""
+    errors = np.full((2, count), np.nan)
+    for row, (order, seed) in enumerate((("send_coords", 11), ("send_angles", 12))):
+        for k, posture in enumerate(drawn(count, seed)):
+            goal = coords_at(posture)
+            if getattr(client, order)(_plain(np.round(goal, 1) if row == 0 else posture), SPEED) == 1:
+                await_rest(client, pace)
+                errors[row, k] = np.linalg.norm(1e3 * tool() - goal[:3])
+    return errors
+
+
+def anywhere(run: Path, count: int) -> None:
+    """Print how far the tools of a healthy arm and of the served worn one are from what a program orders anywhere."""
+    firmware, said = build_firmware(ARM, "healthy"), list[str]()
+    with serve_tcp(firmware, port=0) as emulator, connected(emulator.address) as client:
+        healthy = roam(client, count, lambda: np.asarray(firmware.true_tcp))
+    robot: Any = open_robot("emulated:worn", seed=0)  # in virtual time
+    with served(robot, run, said, listen="127.0.0.1:0") as (address, ends), connected(address) as client:
+        worn = roam(client, count, lambda: robot.true_tcp()[0], 20.0)
+    lines = [json.loads(line) for line in Path(ends[0].log).read_text(encoding="utf-8").splitlines()]
+    encoders = np.array([line["error_mm"] for line in lines if line["what"] == "arrival"])
+    for kind, bare, through in zip(("send_coords", "send_angles"), healthy, worn, strict=True):
+        both = ~np.isnan(bare) & ~np.isnan(through)
+        for name, errors in (("healthy", bare), ("served", through)):
+            refused = np.isnan(errors).sum()
+            print(f"{kind} {name}: {np.nanmedian(errors):.1f} mm, largest {np.nanmax(errors):.1f}, {refused} refused")
+        print(f"{kind}: at most 1 mm worse than healthy {(through <= bare + 1.0)[both].sum()} of {both.sum()}")
+    print(f"from where it was sent, by the encoders: {np.median(encoders):.2f} mm, largest {encoders.max():.2f}")
+    print(*said, sep="\n")
+    streamed = teleoperate(run, count // 2)
+    near = (streamed <= 1.0).sum()
+    print(
+        f"send_joints: {np.median(streamed):.2f} mm, largest {streamed.max():.2f}, {near} of {len(streamed)} within 1"
+    )
+
+
+def teleoperate(run: Path, count: int) -> Array:
+    """Stream the goals of a hand that rests at ``count`` postures; tool errors (count,) [mm] by the encoders."""
+    robot, rng, errors = open_robot("emulated:worn", seed=0), np.random.default_rng(0), []
+    with rejoint.connect(robot, run=run) as arm:
+        for goal in np.radians(drawn(count, 21)):
+            arm.hold()
+            until = arm.state.time_s + RESTS
+            while arm.state.time_s < until:
+                arm.send_joints(goal + np.radians(rng.uniform(-0.1, 0.1, ARM.joints)))
+                time.sleep(0.002)
+            errors.append(1e3 * np.linalg.norm(arm.state.tool_m - tcp_position(ARM, goal)))
+    return np.array(errors)
+
+
 def prepare(run: Path) -> None:
     """Make a run with a twin of the emulated worn arm."""
     rejoint.diagnose("emulated:worn", run=run)
     rejoint.identify(run=run)
+    rejoint.calibrate("emulated:worn", run)
 
 
-def main(run: Path | None = None, abuse: float = ABUSE) -> None:
-    """Play the script, then abuse the arm for so many seconds."""
+def main(
+    run: Path | None = None, abuse: float = ABUSE, anywhere_count: Annotated[int, typer.Option("--anywhere")] = 0
+) -> None:
+    """Play the script, then abuse the arm for so many seconds; or only send ``--anywhere`` so many orders."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "run"
         if run is None:
             prepare(folder)
         else:
             folder.mkdir()
-            for file in ("run.json", "twin.toml"):
+            for file in ("run.json", "twin.toml", *(("calibration.toml",) if anywhere_count else ())):
                 shutil.copy(run / file, folder / file)
+        if anywhere_count:
+            anywhere(folder, anywhere_count)
+            return
         with serve_tcp(build_firmware(ARM, "worn"), port=0) as emulator, connected(emulator.address) as client:
             client.send_angles(_plain(np.degrees(ARM.rest)), SPEED)
             await_rest(client)

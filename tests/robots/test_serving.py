@@ -324,6 +324,37 @@ def test_an_order_that_the_motors_cannot_hold_is_refused_with_the_joint_and_by_h
     computer, said = answering(served)
     assert computer.answer(Frame(0x22, pack_angles(goal) + b"\x32")).payload == b"\x00"
     assert served.error == 2
-    assert "joint2 is too weak to hold the arm there" in said[-1]
+    assert "joint2 needs" in said[-1]
     assert "125 per cent" in said[-1]
     assert ServedArm(ARM, ARM.rest, motors=Motors(2.0 * limit, 2.0 * limit)).move_joints(goal, 0.5)
+
+
+def test_an_order_of_one_coordinate_keeps_the_place_where_no_motor_holds_its_orientation() -> None:
+    start = np.radians([0.0, -60.0, -40.0, 90.0, 0.0, 0.0])
+    limit = np.full(6, 5.0)
+    limit[1] = 0.9 * np.abs(gravity_torque(ARM, start))[1]
+    served = ServedArm(ARM, start, motors=Motors(limit, 0.8 * limit))
+    computer, said = answering(served)
+    place = tcp_position(ARM, start)
+    order = b"\x01" + round(1e4 * place[0]).to_bytes(2, "big", signed=True) + b"\x32"
+    assert computer.answer(Frame(0x24, order)) == Frame(0x24, b"\x01")
+    assert (np.abs(gravity_torque(ARM, served.destination)) <= limit).all()
+    assert np.linalg.norm(tcp_position(ARM, served.destination) - place) < 1e-3
+    assert "joint2" in said[-1]
+    assert "111 per cent" in said[-1]
+    whole = pack_coords(tcp_pose(ARM, start)) + b"\x32"
+    assert computer.answer(Frame(0x25, whole)) == Frame(0x25, b"\x00"), "its orientation was asked for"
+    assert computer.answer(Frame(0x07)) == Frame(0x07, b"\x02")
+
+
+def test_a_joint_that_stays_off_its_goal_is_named_with_by_how_much() -> None:
+    served = ServedArm(ARM, ARM.rest)
+    answers, said = answering(served)
+    served.on_arrival = answers.arrived
+    assert served.move_joints(ARM.rest + np.radians([0.0, 0.0, 0.0, 0.0, 0.0, 20.0]), 1.0)
+    clock = 0.0
+    while served.moving:
+        clock += 0.05
+        served.advance(state(clock, ARM.rest))  # joint 6 turns the tool about itself: its place is right
+    assert len(said) == 1
+    assert "joint6 stopped 20 deg from its goal" in said[0]

@@ -13,11 +13,13 @@ import pytest
 import rejoint
 from hearing import Hears
 from rejoint.arms import Array, Box, clearances, mycobot280, plan, tcp_position
+from rejoint.control.posture import Wanted
 from rejoint.control.recording import Cycle
 from rejoint.control.robot import JointState
+from rejoint.control.unloading import PlannedWay, UnloadedWay
 from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.runs.run import Run
-from rejoint.session.motions import PlannedWay
+from rejoint.session.motions import GoalStream
 from rejoint.twin.parameters import nominal_parameters, prior
 from rejoint.twin.twin import HeldOut, PredictionError, Twin
 
@@ -233,6 +235,35 @@ def test_joint_positions_are_reached_round_a_declared_box() -> None:
     assert end is not None
     np.testing.assert_allclose(end.joints_rad, goal, atol=np.radians(0.5))
     assert (clearances(replace(ARM, keep_out=(box,)), np.array(places), np.zeros(6))[:, 6:] > 0.0).all()
+
+
+def test_a_joint_that_sticks_under_its_load_comes_to_its_goal_over_another_posture() -> None:
+    with rejoint.connect("emulated:worn") as arm:
+        for degrees in ([85, -13, -33, 111, -52, 17], [25, -42, -23, -131, -27, 117]):
+            end = arm.move_joints(np.radians(degrees), within_rad=np.radians(3.0), timeout_s=60.0)
+    assert end is not None
+    np.testing.assert_allclose(np.degrees(end.joints_rad), degrees, atol=3.0)
+
+
+def test_an_arm_that_has_come_to_rest_does_not_swing_when_it_is_pushed_away() -> None:
+    class Stays:
+        def advance(self, state: JointState) -> Wanted:  # noqa: ARG002
+            return Wanted(posture=ARM.rest[None], arrived=np.ones(1, dtype=bool))
+
+    way = UnloadedWay(Stays(), ARM)
+    for now in np.arange(0.0, 6.0, 0.05):
+        wanted = way.advance(_read(now, ARM.rest + (0.2 if now > 2.0 else 0.0)))
+        np.testing.assert_array_equal(wanted.posture[0], ARM.rest)
+
+
+def test_a_stream_of_a_hand_that_rests_and_jitters_comes_to_rest() -> None:
+    stream, rng, at = GoalStream(ARM), np.random.default_rng(0), ARM.rest
+    for now in np.arange(0.0, 3.0, 0.02):
+        stream.goal = ARM.rest + np.radians(10.0 + rng.uniform(-0.1, 0.1, 6))
+        wanted = stream.advance(_read(now, at))
+        at = wanted.posture[0]
+    assert wanted.arrived.all()
+    np.testing.assert_allclose(np.degrees(at - ARM.rest), 10.0, atol=0.1)
 
 
 def test_a_way_waits_for_a_joint_that_lags_and_not_for_ever() -> None:

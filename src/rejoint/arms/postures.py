@@ -205,17 +205,23 @@ def _why(demand: _Demand, goal: Array, start: Array, found: Array, cost: float, 
     if touching.any():
         what, other = contact(arm, int(np.argmin(distances[arm.joints :] - np.maximum(body_of(arm).least, -1e3))))
         return f"in collision: {what} would touch {other}"
-    share = np.abs(gravity_torque(arm, found)) / demand.most
-    j = int(np.argmax(share))
-    if share[j] > 1.0:
-        needed, limit = share[j] * demand.most[j], demand.most[j]
-        return (
-            f"too heavy: {arm.joint_names[j]} needs {needed:.2f} N m and gives {limit:.2f} N m, {100 * share[j]:.0f} "
-            "per cent of it"
-        )
+    joint, why = too_heavy(arm, found, demand.most)
+    if joint is not None:
+        return f"too heavy: {why}"
     low = int(np.argmin(distances[: arm.joints]))
     name = "the tool" if low == arm.joints - 1 else arm.joint_names[low + 1]
     return f"below the floor: {name} would be lower than {1e3 * body_of(arm).floors[low]:.0f} mm"
+
+
+def too_heavy(arm: Arm, q: Array, limit: Array) -> tuple[int | None, str]:
+    """Return the joint that cannot hold ``q`` (n,) [rad] with the ``limit`` (n,) [N m], and why; None: all can."""
+    torque = np.abs(gravity_torque(arm, q))
+    j = int(np.argmax(torque / limit))
+    share = 100.0 * torque[j] / limit[j]
+    if share <= 100.0:
+        return None, ""
+    why = f"{arm.joint_names[j]} needs {torque[j]:.2f} N m and gives {limit[j]:.2f} N m, {share:.0f} per cent of it"
+    return j, why
 
 
 def _nearby(demand: _Demand, goal: Array, start: Array) -> tuple[Array, Array]:

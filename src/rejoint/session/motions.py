@@ -9,15 +9,14 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, tcp_position
 from rejoint.control.controller import ControlInput, turned_off
-from rejoint.control.goal import pace
 from rejoint.control.posture import Wanted
 from rejoint.control.robot import JointState, Mask
 from rejoint.system.errors import NotReachedError
 
 CALM = 0.3
 """[s] at the goal (chosen)"""
-RESTS = 0.8
-"""[s] without a new joint goal before the arm rests (chosen)"""
+RESTS, JITTER = 0.8, float(np.radians(0.3))
+"""[s] without a new joint goal before the arm rests, and [rad] by which a hand that rests jitters (chosen)"""
 
 
 class EndedError(Exception):
@@ -102,23 +101,6 @@ class GoalCheck:
         return np.array([self._reached or self._motion.ended.is_set()])
 
 
-class PlannedWay:
-    """Goes along a planned way and stays at its end; slower where a joint lags behind."""
-
-    def __init__(self, at: Callable[[float], Array], duration: float) -> None:
-        """Take postures (n,) [rad] ``at`` times [s], up to the ``duration``."""
-        self._at, self._duration, self._since, self._time = at, duration, 0.0, np.nan
-
-    def advance(self, state: JointState) -> Wanted:
-        """Return where the arm is to be; the first call begins the way."""
-        now = float(state.time[0])
-        if now > self._time:
-            lag = np.abs(self._at(self._since) - state.position[0]).max()
-            self._since += (now - self._time) * pace(float(lag))
-        self._time = now
-        return Wanted(posture=self._at(self._since)[None], arrived=np.array([self._since >= self._duration]))
-
-
 class GoalStream:
     """Goes to the newest joint goal at full speed; rests after `RESTS` without a new one."""
 
@@ -126,22 +108,25 @@ class GoalStream:
         self._speed = arm.max_speed
         self.goal: Array | None = None
         """(n,) [rad]; None: stay"""
-        self._posture = self._last = np.zeros(0)
+        self._posture = self._mean = np.zeros(0)
         self._time = self._changed = -np.inf
 
     def advance(self, state: JointState) -> Wanted:
         """Return where the arm is to be: at first, where it is."""
-        now, goal = float(state.time[0]), self.goal
+        now = float(state.time[0])
         if not len(self._posture):
-            self._posture = self._last = state.position[0].copy()
+            self._posture = self._mean = state.position[0].copy()
             self._time = now
-        goal = self._last if goal is None else goal
-        if (goal != self._last).any():
-            self._last, self._changed = goal, now
+        goal = self._mean if self.goal is None else self.goal
+        if np.abs(goal - self._mean).max() > JITTER:
+            self._mean, self._changed = goal, now
+        self._mean = self._mean + min((now - self._time) / RESTS, 1.0) * (goal - self._mean)
+        rests = now - self._changed > RESTS
+        aim = self._mean if rests else goal
         reach = self._speed * max(now - self._time, 0.0)
-        self._posture = self._posture + np.clip(goal - self._posture, -reach, reach)
+        self._posture = self._posture + np.clip(aim - self._posture, -reach, reach)
         self._time = now
-        arrived = now - self._changed > RESTS and bool((self._posture == goal).all())
+        arrived = rests and bool((self._posture == aim).all())
         return Wanted(posture=self._posture[None], arrived=np.array([arrived]))
 
 

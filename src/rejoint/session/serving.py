@@ -21,7 +21,6 @@ from rejoint.control.robot import Mask
 from rejoint.robots.serving.served import Apparent, ServedArm
 from rejoint.robots.serving.server import Answering, OrderLog, Relay, WireServer, pty_wire, tcp_wire
 from rejoint.session.inputs import RobotLike, RunLike
-from rejoint.session.payload import believed_motors
 from rejoint.session.session import ArmSession
 from rejoint.session.settings import Settings
 from rejoint.system.errors import FileError, InputError
@@ -150,12 +149,10 @@ def _put_together(
 ) -> tuple[ServedArm, WireServer, Relay]:
     arm, say = session.arm, session.observer.message
     relay = Relay(getattr(session.robot, "relay", None))
-    twin = session.twin_now
-    motors = None if twin is None else believed_motors(twin)
     shift = None if session.correction is None else session.correction.shift
     apparent = Apparent(arm=arm, shift=shift)
     choose_postures(arm, tcp_position(arm, arm.rest)[None], arm.rest)  # compiled now: no client waits for it
-    served = ServedArm(arm, arm.rest, apparent=apparent, limits=session.limits, motors=motors)
+    served = ServedArm(arm, arm.rest, apparent=apparent, limits=session.limits, motors=session.motors)
     answering = Answering(served, log, relay, say)
     served.on_arrival = answering.arrived
     server = pty_wire(answering, say) if listener is None else tcp_wire(answering, listener, say)

@@ -11,21 +11,22 @@ from typing import TYPE_CHECKING, Self, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rejoint.arms import Array, choose_postures, plan, tcp_position
+from rejoint.arms import Array, Motors, choose_postures, plan, tcp_position
 from rejoint.arms.rotations import Orientation
 from rejoint.control.controller import Controller
 from rejoint.control.goal import JointGoals, with_ways
 from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.loop import Schedule
-from rejoint.control.posture import PostureGains
+from rejoint.control.posture import PostureController, PostureGains, PostureWay
 from rejoint.control.recording import PIECE, Cycle, cycle_at_rest
 from rejoint.control.robot import JointState
 from rejoint.control.targets import Pose, placed
+from rejoint.control.unloading import PlannedWay, UnloadedWay
 from rejoint.runs.run import Run, exclusive
 from rejoint.session.context import guard_limits
 from rejoint.session.driver import ArmDriver
 from rejoint.session.inputs import is_virtual
-from rejoint.session.motions import ArmMotion, GoalCheck, GoalStream, PlannedWay, in_mm
+from rejoint.session.motions import ArmMotion, GoalCheck, GoalStream, in_mm
 from rejoint.session.payload import believed_motors
 from rejoint.session.recorder import RunRecorder, StateRecord
 from rejoint.system.errors import InputError, NotReachedError, NotReadyError
@@ -120,6 +121,12 @@ class ArmSession(ArmDriver):
                 self._base = guard_limits(self.run, self.arm, self.address)
                 self._in_charge = cast("Controller | None", object())
 
+    @property
+    def motors(self) -> Motors | None:
+        """What the motors hold and lift, by the twin under the gains in force; None without one."""
+        twin = self.twin_now
+        return None if twin is None else believed_motors(twin)
+
     # --- motions ------------------------------------------------------------------------------
 
     def move_to(
@@ -170,13 +177,12 @@ class ArmSession(ArmDriver):
         InputError names what cannot be done.
         """
         start = self.arm.rest if not self._rested else self.state.joints_rad
-        motors = None if self.twin is None else believed_motors(self.twin)
-        found = choose_postures(self.arm, targets, start, turn=turns, motors=motors, chained=True)
+        found = choose_postures(self.arm, targets, start, turn=turns, motors=self.motors, chained=True)
         for k, why in enumerate(found.refusals):
             if why:
                 number, near = f" {k + 1}" if len(targets) > 1 else "", in_mm(found.nearest[k])
                 raise InputError(f"target{number} {in_mm(targets[k])}: {why}; the nearest place that works is {near}")
-        return with_ways(self.arm, found.q, start, motors=motors)
+        return with_ways(self.arm, found.q, start, motors=self.motors)
 
     def move_joints(
         self, joints_rad: ArrayLike, *, within_rad: float = WITHIN_JOINT, timeout_s: float = 10.0, wait: bool = True
@@ -201,18 +207,22 @@ class ArmSession(ArmDriver):
                 "move_joints: there the arm would touch itself or the ground; choose other joint positions"
             )
 
-        motors = None if self.twin is None else believed_motors(self.twin)
-        way = plan(self.arm, self.state.joints_rad, goal, motors=motors)
+        way = plan(self.arm, self.state.joints_rad, goal, motors=self.motors)
 
         def work(motion: ArmMotion) -> None:
             self.begin(rest=False)
-            controller = self.posture_controller(PlannedWay(way.at, way.duration), EVERY_JOINT)
+            controller = self._joint_controller(PlannedWay(way.at, way.duration))
             self.recorder.begin(self.robot, "joints", f"joints/{controller.name}")
             arrival = GoalCheck(motion, self.arm, np.inf, within)
             self.drive(controller, Schedule(dwell=timeout, give_up=arrival.at_joints(goal)))
             arrival.require(f"{np.degrees(within):g} deg", timeout)
 
         return self._start(ArmMotion("its joint positions", work), wait=wait)
+
+    def _joint_controller(self, way: PostureWay) -> PostureController:
+        """Return what brings every joint where a way says, over other postures where one sticks."""
+        unloaded = UnloadedWay(way, self.arm, self.motors, self.observer.message)
+        return self.posture_controller(unloaded, EVERY_JOINT)
 
     def send_joints(self, joints_rad: ArrayLike) -> Array:
         """Send joint positions (n,) [rad] of a stream.
@@ -246,7 +256,7 @@ class ArmSession(ArmDriver):
 
         def work(motion: ArmMotion) -> None:
             self.begin(rest=False)
-            controller = self.posture_controller(goals, EVERY_JOINT)
+            controller = self._joint_controller(goals)
             self.recorder.begin(self.robot, "joints", f"joints/{controller.name}")
             while not motion.ended.is_set():
                 self.drive(controller, Schedule(dwell=PIECE, give_up=motion.give_up))

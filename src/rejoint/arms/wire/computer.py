@@ -97,8 +97,8 @@ class Computer(Protocol):
     def move_joints(self, angles: Array, rate: float) -> bool:
         """Move to ``angles`` (n,) [rad] at ``rate`` (0..1); False: refused."""
 
-    def move_tool(self, pose: Array, rate: float, *, straight: bool) -> bool:
-        """Move the tool to ``pose`` (4, 4); False: refused."""
+    def move_tool(self, pose: Array, rate: float, *, straight: bool, turned: bool = True) -> bool:
+        """Bring the tool to ``pose`` (4, 4), or without ``turned`` to its place; False: refused."""
 
     def jog_joint(self, joint: int, direction: int, rate: float) -> bool:
         """Run one joint to its limit or a stop; False: refused."""

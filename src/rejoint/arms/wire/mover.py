@@ -55,11 +55,14 @@ class Mover:
         self._ramped(rate * FULL_SPEED, angles)
         return True
 
-    def move_tool(self, pose: Array, rate: float, *, straight: bool) -> bool:
-        """Move the tool to ``pose`` (4, 4); False, with an error code, without a posture."""
+    def move_tool(self, pose: Array, rate: float, *, straight: bool, turned: bool = True) -> bool:
+        """Bring the tool to ``pose`` (4, 4); False, and an error code, where no posture does.
+
+        Without ``turned`` only the place is asked for: the orientation is kept where the arm can.
+        """
         start = self.planned_angles if self.fresh else self.destination
         if not straight:
-            goal = self._posture(pose, start)
+            goal = self._posture(pose, start, turned=turned)
             if goal is None:
                 self.error = NO_SOLUTION
                 return False
@@ -95,8 +98,8 @@ class Mover:
         """Drop waiting moves."""
         self._motion.clear_queue()
 
-    def _posture(self, pose: Array, start: Array) -> Array | None:
-        """Posture (n,) [rad] of a pose (4, 4), or None."""
+    def _posture(self, pose: Array, start: Array, *, turned: bool) -> Array | None:  # noqa: ARG002 - always turned here
+        """Return a posture (n,) [rad] for a pose (4, 4); None if there is none."""
         return solve_pose(self.arm, pose, start)
 
     def _is_clear(self, angles: Array) -> bool:  # noqa: ARG002 - the vendor's computer does not look

@@ -78,7 +78,7 @@ def _move_axis(computer: Computer, payload: bytes, *, relative: bool) -> bool:
     value = values.scale_axis(axis, values.unpack_word(payload[1:3]))
     coords = to_coords(tcp_pose(computer.arm, computer.destination))
     coords[axis] = coords[axis] + value if relative else value
-    return computer.move_tool(to_pose(coords), _rate(payload[3]), straight=False)
+    return computer.move_tool(to_pose(coords), _rate(payload[3]), straight=False, turned=axis >= 3)
 
 
 def _send_angle(computer: Computer, payload: bytes) -> bool:

@@ -23,11 +23,11 @@ from rejoint.arms import (
     clip_norm,
     dls,
     frames,
-    gravity_torque,
     position_kinematics,
     tcp_pose,
     tcp_position,
 )
+from rejoint.arms.postures import too_heavy
 from rejoint.arms.rotations import WEIGHT, Orientation, tool_axis
 from rejoint.arms.wire.computer import COLLISION, HAS_ARRIVED_LENGTH, at_angles, at_place
 from rejoint.arms.wire.mover import Mover
@@ -35,6 +35,7 @@ from rejoint.control.correction import ROUNDS
 from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.posture import PostureGains, Wanted
 from rejoint.control.robot import JointState, Mask
+from rejoint.control.unloading import OFF, Unloading
 
 Shift = Callable[[Array, Array], Array]
 """Shift (3,) [m] of the tool from where the encoders see it, by position and where the arm came from, (n,) [rad]
@@ -106,6 +107,8 @@ class MoveEnd:
     """[s] from the end of the planned way"""
     held_back: str = ""
     """what the guard kept it from, in words; empty where it did not"""
+    short: str = ""
+    """which joint stands off its goal, and by how much; empty where none does"""
 
 
 class ServedArm(Mover):
@@ -117,9 +120,10 @@ class ServedArm(Mover):
     ) -> None:  # fmt: skip
         """Refuse orders to places that the guard's ``limits`` or the ``motors`` rule out."""
         self._limits, self._motors = limits, motors
-        self.too_heavy = ""
-        """why the last order was refused, where a motor is too weak for it; empty where none is"""
+        self.note = ""
+        """what a motor is too weak for in the last order; empty where none is"""
         self._apparent = apparent or Apparent(arm=arm)
+        self._unloading = Unloading(arm, motors)
         super().__init__(arm, self._apparent.shown(position, position))
         self._lock = threading.RLock()
         self.powered = True
@@ -136,7 +140,7 @@ class ServedArm(Mover):
         self._temperature: Array | None = None
         self._fault: Mask | None = None
         self._came = position.copy()
-        self._wanted = Wanted(posture=position[None].copy(), arrived=np.ones(1, dtype=bool))
+        self._wanted = self._aim = Wanted(posture=position[None].copy(), arrived=np.ones(1, dtype=bool))
         # when [s] the reference ended its way; None while it moves
         self._since: float | None = None
         self._settled = True
@@ -159,7 +163,9 @@ class ServedArm(Mover):
             return self._wanted  # a posture is being searched: the reference waits
         try:
             self._observe(state)
-            self._wanted = self._next()
+            self._aim = self._next()
+            ends = self._settled or self._stopped
+            self._wanted = self._aim if ends else self._unloading.advance(state, self._aim)
             self._judge()
             return self._wanted
         finally:
@@ -180,7 +186,7 @@ class ServedArm(Mover):
         if under_way or self._since is None:
             posture = self._apparent.measured(self._motion.reference, self._came)
         else:
-            posture = self._wanted.posture[0]
+            posture = self._aim.posture[0]
         return Wanted(posture=posture[None], arrived=np.array([not under_way]))
 
     def _judge(self) -> None:
@@ -198,16 +204,18 @@ class ServedArm(Mover):
         posture = self._wanted.posture[0]
         error = float(np.linalg.norm(tcp_position(self.arm, posture) - tcp_position(self.arm, self._position)))
         after = self._time - self._since
-        self._close_since = (self._close_since or self._time) if error < IN_PLACE else None
+        away = float(np.abs(posture - self._position).max())
+        near = error < IN_PLACE and (away < OFF or self._unloading.given_up)
+        self._close_since = (self._close_since or self._time) if near else None
         calm = self._close_since is not None and self._time - self._close_since >= CALM
         if calm or after > PATIENCE:
             self._settled, self._came = True, posture.copy()
-            away = float(np.abs(posture - self._position).max())
             held_back = self.held_back if error > HAS_ARRIVED_LENGTH else ""
             if held_back:  # what is ordered next begins where the arm is, not where it will never come
                 self._stay()
                 self._hold_here()
-            self.on_arrival(MoveEnd(error=error, angle=away, after=after, held_back=held_back))
+            short = self._unloading.short(self._position)
+            self.on_arrival(MoveEnd(error=error, angle=away, after=after, held_back=held_back, short=short))
 
     def _judge_stopped(self, now: float) -> None:
         slow = bool((np.abs(self._speed) < PostureGains.moving).all())
@@ -219,7 +227,7 @@ class ServedArm(Mover):
 
     def _hold_here(self) -> None:
         self._came = self._position.copy()
-        self._wanted = Wanted(posture=self._came[None].copy(), arrived=np.ones(1, dtype=bool))
+        self._wanted = self._aim = Wanted(posture=self._came[None].copy(), arrived=np.ones(1, dtype=bool))
 
     def _stay(self) -> None:
         for joint, angle in enumerate(np.clip(self.angles, self.lower, self.upper)):
@@ -322,42 +330,41 @@ class ServedArm(Mover):
     def calibrate(self, joint: int) -> None:
         """Do nothing: the zeros of the joints stay."""
 
-    def _posture(self, pose: Array, start: Array) -> Array | None:
+    def _posture(self, pose: Array, start: Array, *, turned: bool) -> Array | None:
         turn = Orientation(
             rotation=pose[None, :3, :3], whole=np.ones(1, dtype=bool), weight=np.full(1, WEIGHT),
             axis=tool_axis(self.arm),
         )  # fmt: skip
-        found = choose_postures(
-            self.arm, pose[None, :3, 3], start, turn=turn, motors=self._motors, thorough=False
-        )  # fmt: skip
-        return super()._posture(pose, start) if found.refusals[0] else found.q[0]
+        found = self._held(pose, start, turn)
+        if found is not None:
+            return found
+        found = super()._posture(pose, start, turned=turned)
+        if found is None or turned or self._too_heavy(found)[0] is None:
+            return found
+        alone = self._held(pose, start, None)
+        if alone is not None:
+            self.note = f"with this orientation {self._too_heavy(found)[1]}; the tool comes there turned otherwise"
+        return found if alone is None else alone
 
-    def _load(self, angles: Array) -> Array:
-        """Return what holds the arm at ``angles`` (n,) [rad], (n,) [N m]."""
-        return np.abs(gravity_torque(self.arm, self._apparent.measured(angles, self._came)))
+    def _held(self, pose: Array, start: Array, turn: Orientation | None) -> Array | None:
+        """Return a posture (n,) [rad] that the motors hold; None where none was found at once."""
+        found = choose_postures(self.arm, pose[None, :3, 3], start, turn=turn, motors=self._motors, thorough=False)
+        return None if found.refusals[0] else found.q[0]
 
-    def _overloaded(self, angles: Array) -> tuple[int, str]:
-        """Return the joint, from 1, whose motor cannot hold ``angles`` (n,) [rad], and by how much; 0 where all can."""
+    def _too_heavy(self, angles: Array) -> tuple[int | None, str]:
+        """Return the joint whose motor cannot hold ``angles`` (n,) [rad], and why; None where all can."""
         if self._motors is None:
-            return 0, ""
-        torque, limit = self._load(angles), self._motors.limit
-        share = torque / limit
-        j = int(share.argmax())
-        if share[j] <= 1.0:
-            return 0, ""
-        return j + 1, (
-            f"{self.arm.joint_names[j]} is too weak to hold the arm there: it needs {torque[j]:.2f} N m and gives "
-            f"{limit[j]:.2f} N m, {100.0 * share[j]:.0f} per cent of it (error {j + 1})"
-        )
+            return None, ""
+        return too_heavy(self.arm, self._apparent.measured(angles, self._came), self._motors.limit)
 
     def _is_clear(self, angles: Array) -> bool:
         """Whether motors and guard allow the arm at ``angles`` (n,) [rad].
 
         In contact it may go nearer to what is clear.
         """
-        joint, self.too_heavy = self._overloaded(angles)
-        if joint:
-            self.error = joint
+        joint, why = self._too_heavy(angles)
+        if joint is not None:
+            self.error, self.note = joint + 1, f"too heavy: {why} (error {joint + 1})"
             return False
         if self._limits is None:
             return True

@@ -164,7 +164,7 @@ class Answering:
         if why:
             return self._refuse(request, why)
         with self._served.carrying_out():
-            error, self._served.error, self._served.too_heavy = self._served.error, 0, ""
+            error, self._served.error, self._served.note = self._served.error, 0, ""
             reply = answer(self._served, request)
             found_error = self._served.error
             if command != CLEAR_ERROR:
@@ -173,8 +173,11 @@ class Answering:
             return None  # not well formed
         done = reply.frame.payload == flag(True)
         if not done:
-            return self._refuse(request, _OTHER_FRAME.get(command) or self._served.too_heavy or _reason(found_error))
-        number = self._log.ordered(command, payload, done=True)
+            return self._refuse(request, _OTHER_FRAME.get(command) or self._served.note or _reason(found_error))
+        note = self._served.note
+        if note:
+            self._say_again(note, f"{NAMES[command]}: {note}.")
+        number = self._log.ordered(command, payload, done=True, why=note)
         if command in MOVES:
             self._number = number
         return reply.frame
@@ -184,10 +187,11 @@ class Answering:
         self._log.write(
             "arrival", number=self._number, error_mm=round(1e3 * arrival.error, 3),
             farthest_joint_rad=round(arrival.angle, 5), after_s=round(arrival.after, 3),
-            **({"held_back": arrival.held_back} if arrival.held_back else {}),
+            **{name: told for name in ("held_back", "short") if (told := getattr(arrival, name))},
         )  # fmt: skip
-        if arrival.error > HAS_ARRIVED_LENGTH:
-            cause = f"the guard kept it back ({arrival.held_back})" if arrival.held_back else "it came no nearer"
+        if arrival.error > HAS_ARRIVED_LENGTH or arrival.short:
+            cause = f"the guard kept it back ({arrival.held_back})" if arrival.held_back else arrival.short
+            cause = cause or "it came no nearer"
             self._say_again(cause, f"A move ended {1e3 * arrival.error:.0f} mm from where it was sent: {cause}.")
 
     def hold(self, why: str) -> bool:

@@ -1,0 +1,173 @@
+"""Taking a joint that sticks short of its goal over a posture in which it starts.
+
+A worn motor may hold a joint and not start it under the same load. Then the other joints bring it where its load helps
+it, it goes to its goal there, and the others follow.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+
+from rejoint.arms import Arm, Array, JointTrajectory, Motors, gravity_torque, plan
+from rejoint.arms.postures import pool_of
+from rejoint.control.goal import pace
+from rejoint.control.posture import PostureWay, Wanted
+from rejoint.control.robot import JointState
+from rejoint.system.errors import InputError
+
+OFF, STANDS = float(np.radians(3.0)), 0.5
+"""[rad] from its goal, and [s] without moving, from which a joint counts as stuck (chosen)"""
+STILL = float(np.radians(0.5))
+"""[rad] within which a joint stands (chosen)"""
+TRIES = 4
+"""Postures that are tried for one goal (chosen)"""
+_SHARES, _PLANNED, _TRAVEL = (0.3, 0.6, 1.0), 6, 0.15  # of ways to stored postures; what a radian counts
+
+
+class PlannedWay:
+    """Goes along a planned way and stays at its end; slower where a joint lags behind."""
+
+    def __init__(self, at: Callable[[float], Array], duration: float) -> None:
+        """Take postures (n,) [rad] ``at`` times [s], up to the ``duration``."""
+        self._at, self._duration, self._since, self._time = at, duration, 0.0, np.nan
+
+    def advance(self, state: JointState) -> Wanted:
+        """Return where the arm is to be; the first call begins the way."""
+        now = float(state.time[0])
+        if now > self._time:
+            lag = np.abs(self._at(self._since) - state.position[0]).max()
+            self._since += (now - self._time) * pace(float(lag))
+        self._time = now
+        return Wanted(posture=self._at(self._since)[None], arrived=np.array([self._since >= self._duration]))
+
+
+class UnloadedWay:
+    """Any way of one arm, whose stuck joints are brought to its goals."""
+
+    def __init__(
+        self, way: PostureWay, arm: Arm, motors: Motors | None = None, say: Callable[[str], object] = lambda _: None
+    ) -> None:
+        """``say`` receives which joint stays off its goal, and by how much."""
+        self._way, self._unloading, self._say, self._said = way, Unloading(arm, motors), say, ""
+
+    def advance(self, state: JointState) -> Wanted:
+        """Return where the arm is to be."""
+        wanted = self._unloading.advance(state, self._way.advance(state))
+        short = self._unloading.short(state.position[0]) if self._unloading.given_up and wanted.arrived[0] else ""
+        if short and not self._said:
+            self._say(f"{short}.")
+        self._said = short
+        return wanted
+
+
+class Unloading:
+    """Brings stuck joints of one arm of the ``motors`` to the goals of any way."""
+
+    def __init__(self, arm: Arm, motors: Motors | None = None) -> None:
+        self._arm, self._motors = arm, motors
+        self._goal = np.full(arm.joints, np.nan)
+        self._tries = 0
+        self._legs: deque[JointTrajectory] = deque()
+        self._way: PlannedWay | None = None
+        self._anchor, self._stood, self._arrived = np.full(arm.joints, np.nan), np.zeros(arm.joints), 0.0
+
+    @property
+    def given_up(self) -> bool:
+        """Whether nothing more is tried for this goal."""
+        return self._tries >= TRIES
+
+    def short(self, position: Array) -> str:
+        """Say which joint is off the last goal at ``position`` (n,) [rad], and by how much; empty where none is."""
+        joint = self._off(position, self._goal)
+        if joint is None:
+            return ""
+        away = np.degrees(abs(self._goal[joint] - position[joint]))
+        load = abs(float(gravity_torque(self._arm, self._goal)[joint]))
+        lifts = np.inf if self._motors is None else float(self._motors.usable[joint])
+        why = f", where it would carry {load:.2f} N m and surely lifts {lifts:.2f} N m" if load > lifts else ""
+        return f"{self._arm.joint_names[joint]} stopped {away:.0f} deg from its goal{why}"
+
+    def advance(self, state: JointState, wanted: Wanted) -> Wanted:
+        """Return ``wanted``, or where the arm is to be instead so that a joint starts; that has not arrived."""
+        now, position, goal = float(state.time[0]), state.position[0], wanted.posture[0]
+        if not (wanted.arrived[0] and np.abs(goal - self._goal).max() < STILL):
+            self._goal, self._tries, self._way, self._arrived = goal.copy(), 0, None, now
+            self._legs.clear()
+        moved = ~(np.abs(position - self._anchor) < STILL)
+        self._anchor, self._stood = np.where(moved, position, self._anchor), np.where(moved, now, self._stood)
+        if not wanted.arrived[0]:
+            return wanted
+        if self._way is not None:
+            return self._on_legs(state)
+        if self.given_up or (joint := self._off(position, goal)) is None:
+            if now - self._arrived > 2.0 * STANDS:  # there: who pushes the arm away later does not make it swing
+                self._tries = TRIES
+            return wanted
+        if now - max(self._arrived, self._stood[joint]) > STANDS:
+            self._tries += 1
+            self._legs.extend(unloaded_way(self._arm, position, goal, joint, self._motors))
+            if not self._legs:
+                self._tries = TRIES
+                return wanted
+            self._way, self._stood[:] = self._next_leg(), now
+            return self._on_legs(state)
+        return Wanted(posture=wanted.posture, arrived=np.zeros(1, dtype=bool))
+
+    def _next_leg(self) -> PlannedWay:
+        leg = self._legs.popleft()
+        return PlannedWay(leg.at, leg.duration)
+
+    def _off(self, position: Array, goal: Array) -> int | None:
+        """Return the joint that is farthest off its goal; None where all are near."""
+        away = np.abs(goal - position)
+        joint = int(away.argmax())
+        return joint if away[joint] > OFF else None
+
+    def _on_legs(self, state: JointState) -> Wanted:
+        assert self._way is not None  # noqa: S101 - for the type checker
+        now = float(state.time[0])
+        found = self._way.advance(state)
+        if found.arrived[0] or now - self._stood.max() > 2.0 * STANDS:  # there, or as near as it comes
+            self._way, self._arrived = None, now
+            self._stood[:] = now
+            if self._legs:
+                self._way = self._next_leg()
+        return Wanted(posture=found.posture, arrived=np.zeros(1, dtype=bool))
+
+
+def unloaded_way(
+    arm: Arm, position: Array, goal: Array, joint: int, motors: Motors | None = None
+) -> tuple[JointTrajectory, ...]:
+    """Plan a way from ``position`` to ``goal`` (n,) [rad] on which ``joint`` moves where its load helps it.
+
+    Three trajectories: the others go there, the joint moves, the others go to the goal. One where the straight way was
+    blocked; none where none is clear.
+    """
+    with contextlib.suppress(InputError):
+        straight = plan(arm, position, goal)
+        if len(straight.moves) > 1:  # something was in the way
+            return (straight,)
+    pool, sense = pool_of(arm), np.sign(goal[joint] - position[joint])
+    stored = pool.posture[:: max(1, len(pool.posture) // 1500)]
+    tried = np.concatenate([position + share * (stored - position) for share in _SHARES])
+    tried[:, joint] = position[joint]
+    there = tried.copy()
+    there[:, joint] = goal[joint]
+    scale = np.maximum(np.abs(pool.torque).max(axis=0), 1e-9)
+    if scale[joint] <= 1e-3 * scale.max():
+        return ()
+    loads = np.stack([gravity_torque(arm, tried), gravity_torque(arm, there)])
+    against = sense * loads[0, :, joint] / scale[joint]
+    others = np.delete(np.abs(loads) / (scale if motors is None else motors.usable), joint, axis=2)
+    heavy = np.maximum(others.max(axis=(0, 2)) - 1.0, 0.0)
+    cost = against + heavy + _TRAVEL * (np.abs(tried - position).max(axis=1) + np.abs(goal - there).max(axis=1))
+    for k in np.argsort(cost)[:_PLANNED]:
+        try:
+            return (plan(arm, position, tried[k]), plan(arm, tried[k], there[k]), plan(arm, there[k], goal))
+        except InputError:
+            continue
+    return ()
