@@ -26,8 +26,8 @@ rrt = Late("rejoint.arms.rrt")
 RAMP, EASE = 0.1, 0.05
 """[s] from rest to full speed at constant acceleration, and from none to full acceleration (chosen: a servo of this
 class follows both; the guard allows five times that acceleration)"""
-CLEARANCE = 0.005
-"""[m] by which links are thicker for the planner (chosen: what a worn arm is off its commands where it moves)"""
+CLEARANCE = 0.010
+"""[m] by which links are thicker for the planner (chosen: with half of it, worn arms come nearer than 5 mm)"""
 STEP, LOW = 0.004, 0.001
 """[m] that a point of a myCobot 280 moves between two checks at most, and what joint frames and TCP keep above their
 floors (chosen)"""
