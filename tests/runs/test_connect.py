@@ -237,7 +237,7 @@ def test_joint_positions_are_reached_round_a_declared_box() -> None:
 
 def test_a_way_waits_for_a_joint_that_lags_and_not_for_ever() -> None:
     line = plan(ARM, ARM.rest, ARM.rest + 0.5)
-    stuck, follows = PlannedWay(line.at, line.duration), PlannedWay(line.at, line.duration)
+    stuck, follows = PlannedWay(ARM, line.at, line.duration), PlannedWay(ARM, line.at, line.duration)
     at = ARM.rest
     for now in np.arange(0.0, 2.0 * line.duration, 0.02):
         there = follows.advance(_read(now, at))

@@ -105,16 +105,15 @@ class GoalCheck:
 class PlannedWay:
     """Goes along a planned way and stays at its end; slower where a joint lags behind."""
 
-    def __init__(self, at: Callable[[float], Array], duration: float) -> None:
+    def __init__(self, arm: Arm, at: Callable[[float], Array], duration: float) -> None:
         """Take postures (n,) [rad] ``at`` times [s], up to the ``duration``."""
-        self._at, self._duration, self._since, self._time = at, duration, 0.0, np.nan
+        self._arm, self._at, self._duration, self._since, self._time = arm, at, duration, 0.0, np.nan
 
     def advance(self, state: JointState) -> Wanted:
         """Return where the arm is to be; the first call begins the way."""
         now = float(state.time[0])
         if now > self._time:
-            lag = np.abs(self._at(self._since) - state.position[0]).max()
-            self._since += (now - self._time) * pace(float(lag))
+            self._since += (now - self._time) * pace(self._arm, self._at(self._since), state.position[0])
         self._time = now
         return Wanted(posture=self._at(self._since)[None], arrived=np.array([self._since >= self._duration]))
 

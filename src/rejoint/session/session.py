@@ -222,8 +222,8 @@ class ArmSession(ArmDriver):
             return start + np.clip(goal - start, -speed * time, speed * time)
 
         if all(self._clear(at_once(time)) for time in np.linspace(0.0, duration, len(_SHARES))):
-            return PlannedWay(at_once, duration)
-        return PlannedWay(planned.at, planned.duration)
+            return PlannedWay(self.arm, at_once, duration)
+        return PlannedWay(self.arm, planned.at, planned.duration)
 
     def send_joints(self, joints_rad: ArrayLike) -> Array:
         """Send joint positions (n,) [rad] of a stream.
