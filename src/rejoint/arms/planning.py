@@ -98,7 +98,8 @@ def plan(
     speed
         share of ``arm.max_speed``; from rest to it takes `RAMP`, or what ``arm.servo_acceleration`` allows
     clearance
-        [m] by which links count as thicker; where an end of the way is closer, that is enough
+        [m] by which links count as thicker, or half of it where no such way is found; where an end of the way is
+        closer, that is enough
     seed
         of the search for a detour; the same seed gives the same way
 
@@ -120,10 +121,13 @@ def plan(
     if ((goal < arm.lower - 1e-9) | (goal > arm.upper + 1e-9)).any():
         j = int(np.argmax(np.maximum(goal - arm.upper, arm.lower - goal)))
         raise InputError(f"goal: {arm.joint_names[j]} at {np.degrees(goal[j]):.1f} deg is beyond its limits")
-    field = _Field.of(arm, start, goal, clearance)
-    share, item = field.passes(start, goal, leaving=True)
-    way = np.stack([start, goal]) if share == 1.0 else field.detour(start, goal, seed)
-    if way is None:
+    for room in (clearance, 0.5 * clearance):
+        field = _Field.of(arm, start, goal, room)
+        share, item = field.passes(start, goal, leaving=True)
+        way = np.stack([start, goal]) if share == 1.0 else field.detour(start, goal, seed)
+        if way is not None:
+            break
+    else:
         blocked = field.blocked(item, start + share * (goal - start))
         raise PlanningError(f"{blocked}; no way round it was found")
     return _timed(field, way if motors is None else field.lightest(way, motors.usable, seed), _limits(arm, speed))
