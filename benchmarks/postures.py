@@ -250,10 +250,11 @@ def _tell(title: str, found: list[Array]) -> None:
         f"{kind} {(nearest[:, 0, k] < -TOUCH).sum()} ({(nearest[:, 1, k] < -TOUCH).sum()})"
         for k, kind in enumerate(("links", "ground", "boxes"))
     )
+    close = (nearest[:, 0] < -TOUCH).any(axis=1).sum()
     touched = (nearest[:, 0] < -TOUCH - GROWN * SIDES).any(axis=1).sum()
     near = (nearest > 0.0).all(axis=1) & (nearest < _FAR).all(axis=1)
     apart = np.abs(nearest[:, 0] - nearest[:, 1])[near].max(initial=0.0)
-    print(f"    {title:8} {len(found):4d} ways; within 5 mm (by the planner): {kinds}; deepest "
+    print(f"    {title:8} {len(found):4d} ways; {close} come within 5 mm (by the planner): {kinds}; deepest "
           f"{-1e3 * nearest[:, 0].min():.1f} mm; real contacts {touched}; difference {1e3 * apart:.3f} mm")  # fmt: skip
 
 
