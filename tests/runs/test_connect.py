@@ -268,7 +268,7 @@ def test_a_stream_of_a_hand_that_rests_and_jitters_comes_to_rest() -> None:
 
 def test_a_way_waits_for_a_joint_that_lags_and_not_for_ever() -> None:
     line = plan(ARM, ARM.rest, ARM.rest + 0.5)
-    stuck, follows = PlannedWay(line.at, line.duration), PlannedWay(line.at, line.duration)
+    stuck, follows = PlannedWay(ARM, line), PlannedWay(ARM, line)
     at = ARM.rest
     for now in np.arange(0.0, 2.0 * line.duration, 0.02):
         there = follows.advance(_read(now, at))

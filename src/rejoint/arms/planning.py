@@ -25,13 +25,13 @@ rrt = Late("rejoint.arms.rrt")
 
 RAMP, EASE = 0.1, 0.05
 """[s] to full speed, and to full acceleration (chosen: a servo of this class follows both)"""
-CLEARANCE = 0.005
-"""[m] margin of links (chosen: a moving worn arm's following error)"""
+CLEARANCE = 0.010
+"""[m] margin of links (chosen: with half of it, worn arms come nearer than 5 mm)"""
 STEP, LOW = 0.004, 0.001
 """[m] of a myCobot 280: motion between checks; margin above floors (chosen)"""
 _SPEED = 0.999  # of the limit, so that rounding takes no command beyond what the guard allows
 _DRAWN, _CORNERS, _SHORTCUTS = 4000, 200, 80
-LIGHTER, LONGER = 0.95, 0.05
+LIGHTER, LONGER = 0.95, 0.1
 """Share of the load that makes another trajectory better, and weight of a radian (chosen)"""
 _OTHERS, _PARTS = 200, 8
 _OVERLAPS = (1.0, 0.75, 0.5, 0.25)
@@ -94,7 +94,7 @@ def plan(
     speed
         share of ``arm.max_speed``
     clearance
-        [m] margin of the links, unless an end is closer
+        [m] margin of the links, or half of it where no such way is found; less where an end is closer
     seed
         of the search for a detour
 
@@ -116,10 +116,13 @@ def plan(
     if ((goal < arm.lower - 1e-9) | (goal > arm.upper + 1e-9)).any():
         j = int(np.argmax(np.maximum(goal - arm.upper, arm.lower - goal)))
         raise InputError(f"goal: {arm.joint_names[j]} at {np.degrees(goal[j]):.1f} deg is beyond its limits")
-    field = _Field.of(arm, start, goal, clearance)
-    share, item = field.passes(start, goal, leaving=True)
-    way = np.stack([start, goal]) if share == 1.0 else field.detour(start, goal, seed)
-    if way is None:
+    for room in (clearance, 0.5 * clearance):
+        field = _Field.of(arm, start, goal, room)
+        share, item = field.passes(start, goal, leaving=True)
+        way = np.stack([start, goal]) if share == 1.0 else field.detour(start, goal, seed)
+        if way is not None:
+            break
+    else:
         blocked = field.blocked(item, start + share * (goal - start))
         raise PlanningError(f"{blocked}; no way round it was found")
     return _timed(field, way if motors is None else field.lightest(way, motors, seed), _limits(arm, speed))
@@ -204,7 +207,9 @@ class _Field:
         if straight <= 1.0:
             return way
         pool = pool_of(arm).posture
-        over = pool[np.random.default_rng(seed).integers(len(pool), size=_OTHERS)]
+        rng = np.random.default_rng(seed)
+        over = pool[rng.integers(len(pool), size=_OTHERS)]
+        over = ends[0] + rng.uniform(0.2, 1.0, (_OTHERS, 1)) * (over - ends[0])  # a short way off is often enough
         heavy = np.abs(gravity_torque(arm, ends[0])) > motors.usable  # such a joint waits until the others lightened it
         over[::2, heavy] = ends[0, heavy]
         ways = np.stack([np.tile(ends[0], (_OTHERS, 1)), over, np.tile(ends[1], (_OTHERS, 1))], axis=1)

@@ -26,8 +26,9 @@ redundancy = Late("rejoint.arms.redundancy")
 
 MARGIN = float(np.radians(0.5))
 """[rad] inside the joint limits, as the guard's"""
-CLEARANCE, SPACIOUS = 0.002, 0.010
-"""[m] of a myCobot 280: least and sufficient clearance (chosen)"""
+CLEARANCE, SPACIOUS = 0.006, 0.015
+"""[m] least clearance, twice that between links (chosen: capsules 5 mm thicker touch nothing); and sufficient clearance
+of a myCobot 280 (chosen)"""
 POOL, DRAWN = 8000, 40000
 """Stored and drawn postures (chosen: 18 mm apart for a myCobot 280)"""
 STARTS, BESTS, DESCENTS = 40, 4, 10
@@ -298,10 +299,12 @@ def _least(arm: Arm) -> Array:
     """Least distances (c,) [m]; smaller between usually close links."""
     drawn = np.random.default_rng(1).uniform(arm.lower, arm.upper, (256, arm.joints))
     apart = clearances(arm, drawn, np.zeros(arm.joints))[:, arm.joints :]
-    usual = np.minimum(CLEARANCE * length_size(arm), 0.5 * np.median(apart, axis=0))
+    kept = np.full(apart.shape[1], CLEARANCE)
+    kept[: len(collision_shape(arm).pairs)] *= 2.0
+    usual = np.minimum(kept, 0.5 * np.median(apart, axis=0))
     least = np.where(np.ptp(apart, axis=0) < 1e-6, -np.inf, np.maximum(usual, 0.0))
     boxes = len(collision_shape(arm).moving) * len(arm.keep_out)
-    least[len(least) - boxes :] = CLEARANCE * length_size(arm)
+    least[len(least) - boxes :] = CLEARANCE
     return least
 
 

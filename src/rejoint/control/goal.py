@@ -9,14 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, JointTrajectory, Motors, plan, tcp_position
+from rejoint.arms import Arm, Array, JointTrajectory, Motors, clearances, plan, tcp_position
 from rejoint.arms.inverse import REST_GAIN
 from rejoint.arms.posing import find_postures
 from rejoint.arms.rotations import Orientation
+from rejoint.arms.workspace import length_size
 from rejoint.system.errors import InputError
 
 LAGS, SLOWEST = tuple(np.radians([6.0, 18.0])), 0.1
@@ -24,6 +26,9 @@ LAGS, SLOWEST = tuple(np.radians([6.0, 18.0])), 0.1
 worn joint lags by 8 deg at full speed, and with twice these lags an arm cut a corner by 7 mm)"""
 STUCK = tuple(np.radians([30.0, 36.0]))
 """[rad] of lag from which a joint does not come at all, so that the others go on without it (chosen)"""
+ROOM, LEAST = 0.1, 0.2
+"""[m] of a myCobot 280 to what an arm could touch below which its joints may lag less, in proportion, and the least
+share of those lags (chosen by `python -m benchmarks postures`: with half that room, worn arms touched boxes)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -88,21 +93,35 @@ def on_the_way(arm: Arm, ways: Sequence[JointTrajectory], goal: Array, aim: Arra
     return Setpoint(now, target, np.maximum(since - duration, 0.0))
 
 
-def waiting(ways: Sequence[JointTrajectory], since: Array, position: Array) -> Array:
+def waiting(arm: Arm, ways: Sequence[JointTrajectory], since: Array, position: Array, sag: Array) -> Array:
     """Return the share (B,) of the time that ways of B arms leave out now, because joints lag behind them.
 
-    ``since`` (B,) [s] is the time after their begin, ``position`` (B, n) [rad] is measured. A way on which every joint
-    is late by its own is no longer the one that was checked, and the guard would stop the arm on it.
+    ``since`` (B,) [s] is the time after their begin, ``position`` (B, n) [rad] is measured, ``sag`` (B, n) [rad] what
+    it was short of their start. A way on which every joint is late by its own is no longer the one that was checked.
     """
     share = np.zeros(len(ways))
     for b in np.flatnonzero(since < [way.duration for way in ways]).tolist():
-        share[b] = 1.0 - pace(float(np.abs(ways[b].at(float(since[b])) - position[b]).max()))
+        share[b] = 1.0 - pace(arm, ways[b].at(float(since[b])), position[b], sag[b])
     return share
 
 
-def pace(lag: float) -> float:
-    """Return the share of its speed with which a way goes on while a joint lags by ``lag`` [rad]."""
-    return float(np.interp(lag, (*LAGS, *STUCK), (1.0, SLOWEST, SLOWEST, 1.0)))
+def pace(arm: Arm, goal: Array, position: Array, sag: Array | float = 0.0) -> float:
+    """Return the share of its speed with which a way goes on at ``goal`` (n,), for an arm at ``position`` (n,) [rad].
+
+    The less room there is to what the arm may touch, the less its joints may lag. Nothing waits for one that is stuck.
+    """
+    clear = clearances(arm, np.stack([goal, position]), np.zeros(arm.joints))[:, arm.joints :]
+    room = float((clear / _roomy(arm)).min(initial=1.0))
+    lag = float(np.abs(goal - position - sag).max())
+    return max(float(np.interp(lag / max(room, LEAST), LAGS, (1.0, SLOWEST))), float(np.interp(lag, STUCK, (0.0, 1.0))))
+
+
+@lru_cache(maxsize=32)
+def _roomy(arm: Arm) -> Array:
+    """Distances (c,) [m] from which there is room: `ROOM`, or less between what is near in most postures."""
+    drawn = np.random.default_rng(1).uniform(arm.lower, arm.upper, (256, arm.joints))
+    usual = np.median(clearances(arm, drawn, np.zeros(arm.joints))[:, arm.joints :], axis=0)
+    return np.asarray(np.clip(usual, 1e-3, ROOM * length_size(arm)))
 
 
 def nearest_postures(

@@ -385,7 +385,7 @@ class RunState:
             since = self.last_time - self.set_at
             sag = np.clip([way.start for way in ways] - self.state.position, -LAGS[1], LAGS[1])
             self.sag = np.where((since <= 0.0)[:, None], sag, self.sag)
-            left_out = waiting(ways, since, state.position + self.sag)
+            left_out = waiting(self.limits.arm, ways, since, state.position, self.sag)
             self.set_at = self.set_at + left_out * np.clip(elapsed, 0.0, self.period)
         self.usual = np.where(elapsed > 0.0, known + _SMOOTHING * (np.minimum(elapsed, GAP) - known), self.usual)
         self.state, self.last_time = state, state.time

@@ -31,18 +31,16 @@ _SHARES, _PLANNED, _TRAVEL = (0.3, 0.6, 1.0), 6, 0.15  # of ways to stored postu
 class PlannedWay:
     """Goes along a planned way and stays at its end; slower where a joint lags behind."""
 
-    def __init__(self, at: Callable[[float], Array], duration: float) -> None:
-        """Take postures (n,) [rad] ``at`` times [s], up to the ``duration``."""
-        self._at, self._duration, self._since, self._time = at, duration, 0.0, np.nan
+    def __init__(self, arm: Arm, way: JointTrajectory) -> None:
+        self._arm, self._way, self._since, self._time = arm, way, 0.0, np.nan
 
     def advance(self, state: JointState) -> Wanted:
         """Return where the arm is to be; the first call begins the way."""
         now = float(state.time[0])
         if now > self._time:
-            lag = np.abs(self._at(self._since) - state.position[0]).max()
-            self._since += (now - self._time) * pace(float(lag))
+            self._since += (now - self._time) * pace(self._arm, self._way.at(self._since), state.position[0])
         self._time = now
-        return Wanted(posture=self._at(self._since)[None], arrived=np.array([self._since >= self._duration]))
+        return Wanted(posture=self._way.at(self._since)[None], arrived=np.array([self._since >= self._way.duration]))
 
 
 class UnloadedWay:
@@ -118,8 +116,7 @@ class Unloading:
         return Wanted(posture=wanted.posture, arrived=np.zeros(1, dtype=bool))
 
     def _next_leg(self) -> PlannedWay:
-        leg = self._legs.popleft()
-        return PlannedWay(leg.at, leg.duration)
+        return PlannedWay(self._arm, self._legs.popleft())
 
     def _off(self, position: Array, goal: Array) -> int | None:
         """Return the joint that is farthest off its goal; None where all are near."""

@@ -211,7 +211,7 @@ class ArmSession(ArmDriver):
 
         def work(motion: ArmMotion) -> None:
             self.begin(rest=False)
-            controller = self._joint_controller(PlannedWay(way.at, way.duration))
+            controller = self._joint_controller(PlannedWay(self.arm, way))
             self.recorder.begin(self.robot, "joints", f"joints/{controller.name}")
             arrival = GoalCheck(motion, self.arm, np.inf, within)
             self.drive(controller, Schedule(dwell=timeout, give_up=arrival.at_joints(goal)))

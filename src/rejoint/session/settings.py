@@ -13,7 +13,7 @@ from rejoint.arms.inertia import Payload, loaded
 from rejoint.runs.run import Run
 from rejoint.session.inputs import CalibrationLike, Period, RobotLike, TwinLike, unfit
 from rejoint.system.files import read_json, write_json
-from rejoint.system.numbers import as_period, as_seed, as_within
+from rejoint.system.numbers import as_period, as_seconds, as_seed, as_within
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -66,6 +66,7 @@ class Settings:
     def __post_init__(self) -> None:
         as_seed(self.seed)
         as_period(self.period)
+        as_seconds("dwell", self.dwell)
         if self.within is not None:
             as_within("settings", self.within)
         for box in self.keep_out:
