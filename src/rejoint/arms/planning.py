@@ -31,7 +31,7 @@ STEP, LOW = 0.004, 0.001
 """[m] of a myCobot 280: motion between checks; margin above floors (chosen)"""
 _SPEED = 0.999  # of the limit, so that rounding takes no command beyond what the guard allows
 _DRAWN, _CORNERS, _SHORTCUTS = 4000, 200, 80
-LIGHTER, LONGER = 0.95, 0.1
+LIGHTER, LONGER = 0.95, 0.05
 """Share of the load that makes another trajectory better, and weight of a radian (chosen)"""
 _OTHERS, _PARTS = 200, 8
 _OVERLAPS = (1.0, 0.75, 0.5, 0.25)
@@ -207,9 +207,7 @@ class _Field:
         if straight <= 1.0:
             return way
         pool = pool_of(arm).posture
-        rng = np.random.default_rng(seed)
-        over = pool[rng.integers(len(pool), size=_OTHERS)]
-        over = ends[0] + rng.uniform(0.2, 1.0, (_OTHERS, 1)) * (over - ends[0])  # a short way off is often enough
+        over = pool[np.random.default_rng(seed).integers(len(pool), size=_OTHERS)]
         heavy = np.abs(gravity_torque(arm, ends[0])) > motors.usable  # such a joint waits until the others lightened it
         over[::2, heavy] = ends[0, heavy]
         ways = np.stack([np.tile(ends[0], (_OTHERS, 1)), over, np.tile(ends[1], (_OTHERS, 1))], axis=1)
