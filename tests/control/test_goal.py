@@ -1,9 +1,11 @@
 """Laws of goals that move along ways: where they are, when their time begins, and that arms arrive."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from rejoint.arms import gravity_torque, mycobot280, plan, tcp_position
+from rejoint.arms import Box, gravity_torque, mycobot280, plan, tcp_position
 from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.goal import JointGoals, on_the_way, side_by_side, waiting, with_ways
 from rejoint.control.loop import Schedule, run
@@ -73,6 +75,18 @@ def test_a_way_waits_the_longer_the_more_a_joint_lags():
     assert (np.diff(left_out[1:]) > 0.0).all()
     assert left_out[-1] < 1.0
     assert (waiting([way] * 5, np.full(5, way.duration), position) == 0.0).all()
+
+
+def test_where_no_way_is_clear_a_joint_goes_round_the_other_side():
+    turn = 2.0 * np.pi * np.eye(6)[0]
+    left, right = (ARM.rest + side * np.eye(6)[0] for side in (-1.5, 1.5))
+    wall = Box(lower=np.array([0.06, -0.02, 0.0]), upper=np.array([1.0, 0.02, 1.0]))
+    turning = replace(ARM, lower=ARM.lower - turn, upper=ARM.upper + turn, rest=left, keep_out=(wall,))
+    with pytest.raises(InputError):
+        plan(turning, left, right)
+    goals = with_ways(turning, np.array([right, left]), left)
+    np.testing.assert_allclose(goals.posture[0], [right - turn, left], atol=1e-9)
+    np.testing.assert_array_equal([way.goal for way in goals.ways[0]], goals.posture[0])
 
 
 def test_every_target_needs_its_way():
