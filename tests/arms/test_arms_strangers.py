@@ -8,6 +8,7 @@ import pytest
 from rejoint.arms import Arm, load_arm, read_arm
 from rejoint.arms.chain import cut
 from rejoint.arms.modelfile import read_tree
+from rejoint.arms.workspace import reach, reference_arm
 from rejoint.system.errors import InputError
 
 Z, Y, X = "0 0 1", "0 1 0", "1 0 0"
@@ -121,3 +122,13 @@ def test_units_of_others_are_doubted(tmp_path: Path) -> None:
         InputError, match=r"its links add up to \d+ m, at most 30 m were expected; are they in millimet"
     ):
         read_arm(written(tmp_path, urdf(millimetres)))
+
+
+@pytest.mark.parametrize("size", [1.0, 3.0])
+def test_assumed_encoders_move_the_tool_of_a_longer_arm_no_farther_than_of_a_short_one(tmp_path, size):
+    places = [" ".join(str(size * float(part)) for part in origin.split()) for _, origin, _, _ in SIX]
+    joints = tuple((kind, place, axis, limits) for (kind, _, axis, limits), place in zip(SIX, places, strict=True))
+    path = tmp_path / "arm.urdf"
+    path.write_text(urdf(joints))
+    arm, small = load_arm(path), reference_arm()
+    assert arm.encoder_step * reach(arm) <= small.encoder_step * reach(small) * (1.0 + 1e-9)

@@ -267,6 +267,20 @@ def test_without_load_a_joint_that_hardly_ever_moved_is_bounded_and_not_judged()
     assert TRAVEL < 0.030
 
 
+def test_friction_holds_the_joints_of_a_longer_arm_over_the_same_angles():
+    offset = ARM.offset.copy()
+    offset[:, :3, 3] *= 4.0
+    tip = ARM.tip.copy()
+    tip[:3, 3] *= 4.0
+    long = replace(ARM, offset=offset, tip=tip)
+    reach = []
+    for arm in (ARM, long):
+        state = JointState(time=np.zeros(1), position=REST[None], age=np.zeros(1))
+        watch = Following(arm, state, REST[None])
+        reach.append(watch.bound(REST[None] + 0.3, REST[None], np.ones(1, dtype=bool)) - REST)
+    np.testing.assert_allclose(*reach, rtol=1e-9)
+
+
 def test_an_arm_that_is_at_once_where_it_is_sent_and_stands_there_is_never_judged():
     sent, clock = np.tile(REST, (1, 1)), 0.0
     watcher, away = Following(ARM, reading_at(clock, sent), sent), sent + np.radians(30.0)

@@ -88,6 +88,18 @@ def test_joints_may_lag_less_where_there_is_little_room():
     assert pace(near, ARM.rest, ARM.rest + lag, -lag) == 1.0
 
 
+def test_where_no_way_is_clear_a_joint_goes_round_the_other_side():
+    turn = 2.0 * np.pi * np.eye(6)[0]
+    left, right = (ARM.rest + side * np.eye(6)[0] for side in (-1.5, 1.5))
+    wall = Box(lower=np.array([0.06, -0.02, 0.0]), upper=np.array([1.0, 0.02, 1.0]))
+    turning = replace(ARM, lower=ARM.lower - turn, upper=ARM.upper + turn, rest=left, keep_out=(wall,))
+    with pytest.raises(InputError):
+        plan(turning, left, right)
+    goals = with_ways(turning, np.array([right, left]), left)
+    np.testing.assert_allclose(goals.posture[0], [right - turn, left], atol=1e-9)
+    np.testing.assert_array_equal([way.goal for way in goals.ways[0]], goals.posture[0])
+
+
 def test_every_target_needs_its_way():
     one = with_ways(ARM, POSTURES, ARM.rest)
     both = side_by_side([one, one])

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from rejoint.arms.arm import Arm, Array, Box
 from rejoint.arms.inertia import SpatialInertia, link_ends, plausible_links
 from rejoint.arms.kinematics import tcp_position
-from rejoint.arms.workspace import NoPostureError, derive_targets, derive_workspace, on_a_surface, reach
+from rejoint.arms.workspace import NoPostureError, derive_targets, derive_workspace, length_size, on_a_surface, reach
 from rejoint.system.errors import InputError
 
 DEFAULT_SPEED = np.radians(90.0)
 """[rad/s] of a joint without one (chosen)"""
 
-DEFAULT_ENCODER_STEP = 2 * np.pi / 4096
-"""[rad] 12 bits per turn, as hobby servos (chosen)"""
+DEFAULT_COUNTS = 4096
+"""Encoder steps a turn, as hobby servos have; doubled until a step moves no tool farther than a myCobot's (chosen)"""
 
 MOST_TURN = 4 * 2 * np.pi
 """[rad] larger limits are ignored (chosen)"""
@@ -85,10 +85,7 @@ def finish(draft: Draft) -> Loaded:
     lower, upper = _limits(draft, notes)
     links, repairs = plausible_links(draft.joint_names, draft.links, link_ends(draft.offset, draft.tip))
     notes += repairs
-    floor, step = draft.floor, draft.encoder_step
-    if step is None:
-        step = DEFAULT_ENCODER_STEP
-        notes.append("encoders: no resolution given; 4096 steps a turn assumed")
+    floor = draft.floor
     arm = Arm(
         name=draft.name,
         joint_names=draft.joint_names,
@@ -104,7 +101,7 @@ def finish(draft: Draft) -> Loaded:
         rest=(lower + upper) / 2 if draft.rest is None else draft.rest,
         targets=draft.targets or Box(lower=-np.ones(3), upper=np.ones(3)),
         floor=0.0 if floor is None else floor,
-        encoder_step=step,
+        encoder_step=draft.encoder_step or 2 * np.pi / DEFAULT_COUNTS,
         servo_acceleration=draft.servo_acceleration,
         servos=draft.servos,
         keep_out=draft.keep_out,
@@ -114,6 +111,10 @@ def finish(draft: Draft) -> Loaded:
             f"arm {arm.name}: its links add up to {reach(arm):.0f} m, at most {LONGEST:.0f} m were expected; "
             "are they in millimetres? give lengths in metres"
         )
+    if draft.encoder_step is None:
+        finer = 2 ** max(0, int(np.ceil(np.log2(length_size(arm)))))
+        arm = replace(arm, encoder_step=arm.encoder_step / finer)
+        notes.append(f"encoders: no resolution given; {DEFAULT_COUNTS * finer} steps a turn assumed")
     if floor is None:
         arm = replace(arm, floor=round(FLOOR_RATIO * reach(arm), 3))
         notes.append(f"floor: none given; {1e3 * arm.floor:.0f} mm above the base's origin assumed")

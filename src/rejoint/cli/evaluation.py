@@ -163,9 +163,8 @@ def _calibrate(
     terminal: Terminal, arm: Arm, policy: list[Path], controllers: str, variants: str,
     family: ArmFamily, out: Path, threads: int,
 ) -> None:  # fmt: skip
-    from rejoint.research.evaluation.calibrating import CONDITIONS, conclude, find_condition, tables, try_condition
+    from rejoint.research.evaluation.calibrating import CONDITIONS, evaluate_calibrations, find_condition, tables
     from rejoint.research.evaluation.contestants import classical, learned
-    from rejoint.system.shell import __version__
 
     named = () if controllers in (CLASSICAL, "none") else controller_names(controllers)
     contestants = [learned(path, arm) for path in policy] + [classical(name) for name in named]
@@ -176,14 +175,7 @@ def _calibrate(
         )
     conditions = CONDITIONS if variants == "all" else [find_condition(name) for name in controller_names(variants)]
     with terminal.progress("evaluating") as update:
-        trials = [
-            try_condition(
-                arm, one, contestants[0].make, family, threads,
-                part(update, i / len(conditions), (i + 1) / len(conditions)),
-            )
-            for i, one in enumerate(conditions)
-        ]  # fmt: skip
-    result = conclude(arm.name, __version__, contestants[0].name, family, trials)
+        result = evaluate_calibrations(arm, conditions, contestants[0], family, out.resolve(), threads, update)
     write_json(out / "calibrated.json", result)
     for title, headers, rows in tables(result):
         terminal.table(title, headers, rows)

@@ -8,6 +8,7 @@ moves with the goal, so controllers always work close to it, wherever the arm go
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -16,6 +17,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, JointTrajectory, Motors, clearances, plan, tcp_position
 from rejoint.arms.inverse import REST_GAIN
+from rejoint.arms.planning import PlanningError
 from rejoint.arms.posing import find_postures
 from rejoint.arms.rotations import Orientation
 from rejoint.arms.workspace import length_size
@@ -50,11 +52,27 @@ def with_ways(
 ) -> JointGoals:
     """Plan the ways of one arm from ``start`` (n,) to one ``posture`` (K, n) [rad] after another.
 
-    The ``motors`` lift the arm on them. ``speed`` is a share of the arm's own. InputError where no way is clear.
+    The ``motors`` lift the arm on them. ``speed`` is a share of the arm's own. Where no way is clear, a joint is turned
+    once more or less, as far as it goes; InputError where that does not help.
     """
-    before = np.vstack([start, posture[:-1]])
-    ways = [plan(arm, one, other, motors=motors, speed=speed) for one, other in zip(before, posture, strict=True)]
-    return JointGoals(posture=posture[None], ways=(tuple(ways),))
+    ways: list[JointTrajectory] = []
+    for goal in posture:
+        before = ways[-1].goal if ways else start
+        ways.append(_clear_way(arm, before, goal, motors, speed))
+    return JointGoals(posture=np.array([[way.goal for way in ways]]), ways=(tuple(ways),))
+
+
+def _clear_way(arm: Arm, start: Array, goal: Array, motors: Motors | None, speed: float) -> JointTrajectory:
+    """Return the way to ``goal`` (n,) [rad], or to the first posture with one joint a turn away that has one."""
+    turned = goal + 2.0 * np.pi * np.vstack([np.eye(arm.joints), -np.eye(arm.joints)])
+    turned = turned[((turned >= arm.lower) & (turned <= arm.upper)).all(axis=-1)]
+    try:
+        return plan(arm, start, goal, motors=motors, speed=speed)
+    except PlanningError:
+        for other in turned[np.argsort(np.abs(turned - start).max(axis=-1))]:
+            with suppress(PlanningError):
+                return plan(arm, start, other, motors=motors, speed=speed)
+        raise
 
 
 def side_by_side(goals: Sequence[JointGoals]) -> JointGoals:

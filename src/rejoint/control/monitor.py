@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, gravity_torque, position_kinematics
+from rejoint.arms.workspace import length_size
 from rejoint.control.law import plain
 from rejoint.control.robot import JointState, Mask
 from rejoint.logs.runlog import RunLog
@@ -18,13 +19,13 @@ from rejoint.system.shell import Late
 compiled = Late("rejoint.control.compiled")
 
 TRAVEL = 0.020
-"""[m] tool travel beyond a constant reading (chosen)"""
+"""[m] of the tool that a command may go beyond a constant reading, for a myCobot 280 (chosen)"""
 STICKING = 1.5
 """times the largest sticking (chosen)"""
 STICKS = np.radians(4.0)
 """[rad] sticking of an unknown joint (chosen)"""
 SHORT_LEVER = 0.13
-"""[m] judged without load (chosen)"""
+"""[m] joints with shorter levers are not judged without load, for a myCobot 280 (chosen)"""
 MOVED = np.radians(2.0)
 """[rad] of a moving joint (chosen)"""
 TURN_ROUND = 0.12
@@ -241,8 +242,12 @@ class Following:
         return asked & (lever > SHORT_LEVER) & (beyond > TRAVEL / lever), asked & (beyond > 0.0)
 
     def _levers(self, position: Array) -> Array:
-        """Lever (B, n) [m/rad] of each joint on the tool."""
-        return np.maximum(np.linalg.norm(position_kinematics(self._arm, position)[1], axis=-2), 1e-6)
+        """How far (B, n) [m/rad] the tool of an arm of the reach of a myCobot 280 goes with each joint.
+
+        Friction holds the joints of a longer arm over as large angles, so its tool goes farther before they move.
+        """
+        levers = np.linalg.norm(position_kinematics(self._arm, position)[1], axis=-2) / length_size(self._arm)
+        return np.maximum(levers, 1e-6)
 
     def _describe(self, b: int, j: int) -> str:
         track, name = self._tracks[b, j], self._arm.joint_names[j]

@@ -39,3 +39,16 @@ def test_targets_anywhere_are_held_by_controllers_that_know_each_arm_by_its_twin
     rows = json.loads(out.splitlines()[-1])["rows"]
     assert [row["controller"] for row in rows] == ["feedforward", "predictive"]
     assert all(row["settled"]["value"] < 0.002 for row in rows)
+
+
+def test_calibrations_are_tried_in_the_target_region_and_anywhere(cli, tmp_path: Path, monkeypatch):
+    monkeypatch.setattr("rejoint.research.evaluation.evaluate.own_twin", lambda *_: a_twin())
+    code, out, err = cli(
+        "evaluate", "--family", "--calibrate", "--arms", "1", "--targets", "2", "--variants", "worn", "--threads", "1",
+        "--out", str(tmp_path), "--json",
+    )  # fmt: skip
+    assert code == 0, err
+    rows = json.loads(out.splitlines()[-1])["rows"]
+    error = {(row["where"], row["points"]): row["error"]["value"] for row in rows}
+    for where in ("target region", "anywhere"):
+        assert error[where, 20] < 0.5 * error[where, 0]

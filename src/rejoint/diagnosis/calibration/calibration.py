@@ -11,6 +11,7 @@ import tomlkit
 
 from rejoint.arms import Arm, Array, Displacement, solve_position, tcp_position
 from rejoint.arms.inertia import bare
+from rejoint.arms.inverse import REST_GAIN
 from rejoint.control.contract import law_digests
 from rejoint.diagnosis.calibration.parameters import (
     DisplacementLayout,
@@ -142,18 +143,20 @@ class Calibration:
         """Root mean square (...) [m] of the tool's distance from `tool`."""
         return np.sqrt(np.trace(self.spread(position), axis1=-2, axis2=-1))
 
-    def aim(self, target: Array, start: Array) -> Array:
-        """Tool (..., 3) [m] by encoders that puts the real one at ``target`` (..., 3) [m].
+    def aim(self, target: Array, start: Array, near: Array | None = None) -> Array:
+        """Where the encoders must see the tool (..., 3) [m] for it to be at ``target`` (..., 3) [m].
 
-        ``start`` (..., n) [rad] is the posture before.
+        ``start`` (..., n) [rad] is the posture that the arm comes from; it goes to the one next to ``near``, or without
+        to the one found from ``start``. Without a correction it is the target itself.
         """
         target = np.asarray(target, dtype=float)
         if not self.used:
             return target.copy()
         start = np.asarray(start, dtype=float)
-        command, posture = target, start
+        command, posture = target, start if near is None else near
+        rest_gain = REST_GAIN if near is None else 0.0
         for _ in range(AIMING):
-            posture = solve_position(self.arm, command, posture).q
+            posture = solve_position(self.arm, command, posture, rest_gain=rest_gain).q
             command = target - self.shift(posture, start)
         return command
 

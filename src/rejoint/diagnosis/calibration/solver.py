@@ -213,7 +213,7 @@ def solve(problem: Fittable, start: Array, iterations: int = ITERATIONS) -> Fitt
 
 def _plausible(whitener: Array, residual: Array) -> NDArray[np.bool_]:
     near: NDArray[np.bool_] = np.linalg.norm(np.einsum("mij,mj->mi", whitener, residual), axis=1) < SLIP
-    return near if near.mean() >= 1.0 - MOST_SLIPS else np.ones_like(near)
+    return near if near.sum() >= (1.0 - MOST_SLIPS) * len(near) else np.ones_like(near)
 
 
 def _weighed(problem: Fittable, whitener: Array, residual: Array) -> tuple[Array, Array, Array]:

@@ -1,12 +1,14 @@
 """What outside measurements bring: fresh arms are measured, calibrated, and sent to fresh targets.
 
-All arms of a condition are one batch. Calibrations from the first 1, 2, ... measurements drive to the same targets.
+All arms of a condition are one batch. Calibrations from the first 1, 3, ... measurements drive to the same targets:
+in the target region, and anywhere that the worn arms reach and hold by their twins.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +17,7 @@ from rejoint.arms import Arm, Array, Displacement, solve_position
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.rotations import rotation_about
 from rejoint.control.controller import Controller
+from rejoint.control.goal import JointGoals
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import Recording
 from rejoint.control.start import play
@@ -24,10 +27,13 @@ from rejoint.diagnosis.calibration.fit import fit
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.postures import Suggestion, suggest
 from rejoint.pages.words import MM, measured, number
-from rejoint.research.evaluation.family import FAMILY_SIZE, ArmFamily, Variant, family_wears
+from rejoint.research.evaluation.contestants import Contestant
+from rejoint.research.evaluation.evaluate import own_twins
+from rejoint.research.evaluation.family import FAMILY_SIZE, ArmFamily, Variant, family_wears, targets_anywhere
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.system.errors import InputError
-from rejoint.system.progress import Progress
+from rejoint.system.progress import Progress, part
+from rejoint.system.shell import __version__
 from rejoint.system.statistics import Estimate, bootstrap_mean, clustered_share, wilson
 
 POINTS = (1, 3, 5, 10, 20)
@@ -103,6 +109,17 @@ class Measured:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class FreshTargets:
+    """Targets of all arms in one part of the workspace."""
+
+    name: str
+    targets: Array
+    """(A, K, 3) [m]"""
+    goals: JointGoals | None = None
+    """postures and ways there; None: the nearest posture at once"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Tried:
     """Calibrations from so many points on fresh targets."""
 
@@ -118,13 +135,21 @@ class Tried:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class Held:
+    """All arms of a condition on the same fresh targets."""
+
+    where: str
+    before: Array
+    """(A, K) [m] true error without calibration"""
+    tried: tuple[Tried, ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Trials:
     """All of one condition."""
 
     condition: ArmCondition
-    before: Array
-    """(A, K) [m] true error without calibration"""
-    tried: tuple[Tried, ...]
+    held: tuple[Held, ...]
     named: NDArray[np.bool_]
     """(A,) whether the wrong point among ten was named"""
     accused: NDArray[np.int64]
@@ -153,26 +178,50 @@ def misdescribed(arm: Arm, condition: ArmCondition, seed: int) -> Arm:
     return replace(moved, mass=arm.mass * factor, inertia=arm.inertia * factor[:, None, None])
 
 
-def try_condition(
-    arm: Arm, condition: ArmCondition, controller: Callable[[Arm], Controller], family: ArmFamily, threads: int,
+def evaluate_calibrations(
+    arm: Arm, conditions: Sequence[ArmCondition], contestant: Contestant, family: ArmFamily, folder: Path, threads: int,
     on_progress: Progress,
+) -> CalibrationEvaluation:  # fmt: skip
+    """Try calibrations under all conditions; twins of the worn arms are kept in ``folder``."""
+    on_progress(0.0, "twins, for targets anywhere")
+    box = draw_targets(arm, sets=family.arms, count=family.targets, seed=FAMILY_SIZE * (family.seed + 1) + 1)
+    anywhere, goals = targets_anywhere(arm, family, own_twins(arm, family, folder))
+    fresh = (
+        FreshTargets(name="target region", targets=box),
+        FreshTargets(name="anywhere", targets=anywhere, goals=goals),
+    )
+    ends = np.linspace(0.0, 1.0, len(conditions) + 1)
+    trials = [
+        try_condition(arm, one, contestant.make, family, fresh, threads, part(on_progress, *ends[i : i + 2]))
+        for i, one in enumerate(conditions)
+    ]
+    return conclude(arm.name, contestant.name, family, trials)
+
+
+def try_condition(
+    arm: Arm, condition: ArmCondition, controller: Callable[[Arm], Controller], family: ArmFamily,
+    fresh: Sequence[FreshTargets], threads: int, on_progress: Progress,
 ) -> Trials:  # fmt: skip
     """Measure, calibrate and drive all arms of a condition."""
     suggestion = suggest(arm, max(POINTS), visits=2, sigma=SIGMA)
-    targets = draw_targets(arm, sets=family.arms, count=family.targets, seed=FAMILY_SIZE * (family.seed + 1) + 1)
     on_progress(0.0, f"{condition.name}: measuring")
     measured = measure(open_condition(arm, condition, family, threads), suggestion, family.seed)
-    tried: list[Tried] = []
     share = 1.0 / (len(POINTS) + 2)
     on_progress(share, f"{condition.name}: without calibration")
-    before = _errors(_hold(open_condition(arm, condition, family, threads), controller, targets), targets)
+    before = [
+        _errors(_hold(open_condition(arm, condition, family, threads), controller, one.targets, one.goals), one.targets)
+        for one in fresh
+    ]
+    tried: list[list[Tried]] = [[] for _ in fresh]
     for step, points in enumerate(POINTS):
         on_progress((2 + step) * share, f"{condition.name}: {points} points")
         found = [fit(arm, measured.first(i, points)) for i in range(family.arms)]
-        robot = open_condition(arm, condition, family, threads)
-        tried.append(try_found(robot, found, controller, targets, points))
+        for one, done in zip(fresh, tried, strict=True):
+            robot = open_condition(arm, condition, family, threads)
+            done.append(try_found(robot, found, controller, one.targets, points, one.goals))
+    held = [Held(where=a.name, before=b, tried=tuple(c)) for a, b, c in zip(fresh, before, tried, strict=True)]
     named, accused = find_wrong(arm, measured, family)
-    return Trials(condition=condition, before=before, tried=tuple(tried), named=named, accused=accused)
+    return Trials(condition=condition, held=tuple(held), named=named, accused=accused)
 
 
 def measure(robot: EmulatedRobot, suggestion: Suggestion, seed: int) -> Measured:
@@ -205,16 +254,17 @@ def find_wrong(arm: Arm, measured: Measured, family: ArmFamily) -> tuple[NDArray
 
 def try_found(
     robot: EmulatedRobot, found: Sequence[Calibration], controller: Callable[[Arm], Controller], targets: Array,
-    points: int,
+    points: int, goals: JointGoals | None = None,
 ) -> Tried:  # fmt: skip
-    """Send all arms, corrected by what was ``found``, to ``targets`` (A, K, 3) [m]."""
+    """Send all arms, corrected by what was ``found``, to ``targets`` (A, K, 3) [m] by their ``goals``."""
     arm, aims = robot.arm, np.empty_like(targets)
     for i, calibration in enumerate(found):
         came = arm.rest
         for k, target in enumerate(targets[i]):
-            aims[i, k] = calibration.aim(target, came)
-            came = solve_position(arm, aims[i, k], came).q
-    recording = _hold(robot, controller, aims)
+            near = None if goals is None else goals.posture[i, k]
+            aims[i, k] = calibration.aim(target, came, near)
+            came = solve_position(arm, aims[i, k], came).q if near is None else near
+    recording = _hold(robot, controller, aims, goals)
     error, settled = _errors(recording, targets), _settled(recording, targets.shape[1])
     came = np.concatenate([np.broadcast_to(arm.rest, settled[:, :1].shape), settled[:, :-1]], axis=1)
     inside, expected = np.zeros(error.shape), np.zeros(error.shape)
@@ -235,8 +285,10 @@ def _go(robot: EmulatedRobot, sent: Array, goal: Array) -> Array:
     return recording.command[-1]
 
 
-def _hold(robot: EmulatedRobot, controller: Callable[[Arm], Controller], aims: Array) -> Recording:
-    return run(robot, controller(robot.arm), aims, Schedule(dwell=HOLD, keep_going=True))
+def _hold(
+    robot: EmulatedRobot, controller: Callable[[Arm], Controller], aims: Array, goals: JointGoals | None
+) -> Recording:
+    return run(robot, controller(robot.arm), aims, Schedule(dwell=HOLD, keep_going=True, goals=goals))
 
 
 def _errors(recording: Recording, targets: Array) -> Array:
@@ -264,8 +316,10 @@ def _over_last(recording: Recording, count: int, value: Callable[[NDArray[np.int
     return flat.reshape(recording.position.shape[1], count, size)
 
 
-HEADERS = ("points", "true error, mm", "95 % below, mm", "expected, mm", "in the interval, %", "corrected arms, %",
-           "worst arm, mm farther off")  # fmt: skip
+HEADERS = (
+    "where", "points", "true error, mm", "95 % below, mm", "expected, mm", "in the interval, %", "corrected arms, %",
+    "worst arm, mm farther off",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -273,6 +327,8 @@ class CalibratedRow:
     """Arms of one condition, calibrated from so many points."""
 
     condition: str
+    where: str
+    """name of the part of the workspace"""
     points: int
     """0: not calibrated"""
     error: Estimate
@@ -305,11 +361,21 @@ class CalibrationEvaluation:
     """by condition: share of arms with a right point named"""
 
 
-def rows_of(trials: Trials) -> tuple[CalibratedRow, ...]:
-    """Sum up one condition; intervals resample arms."""
-    name, before = trials.condition.name, trials.before
-    first = CalibratedRow(condition=name, points=0, error=_mean(before), p95=_p95(before))
-    return (first, *(_row(name, before, tried) for tried in trials.tried))
+def rows_of(condition: str, held: Held) -> list[CalibratedRow]:
+    """Sum up one condition on the same targets; intervals resample arms."""
+    before = held.before
+    rows = [CalibratedRow(condition=condition, where=held.where, points=0, error=_mean(before), p95=_p95(before))]
+    for tried in held.tried:
+        arms = np.repeat(np.arange(len(tried.error)), tried.error.shape[1])
+        known = np.where(np.isfinite(tried.error), tried.inside, np.nan)
+        harm = np.nanmax(np.nanmean(tried.error, axis=1) - np.nanmean(before, axis=1))
+        row = replace(
+            rows[0], points=tried.points, error=_mean(tried.error), p95=_p95(tried.error),
+            expected=float(np.sqrt(np.nanmean(tried.expected**2))), inside=clustered_share(known.ravel(), arms),
+            used=float(tried.used.mean()), harm=float(harm),
+        )  # fmt: skip
+        rows.append(row)
+    return rows
 
 
 def shares_of(trials: Trials) -> tuple[Estimate, Estimate]:
@@ -329,19 +395,8 @@ def tables(result: CalibrationEvaluation) -> list[tuple[str, list[str], list[lis
     return [*found, ("One wrong point among ten, 5 to 10 mm off", headers, wrong)]
 
 
-def _row(name: str, before: Array, tried: Tried) -> CalibratedRow:
-    arms = np.repeat(np.arange(len(tried.error)), tried.error.shape[1])
-    known = np.where(np.isfinite(tried.error), tried.inside, np.nan)
-    return CalibratedRow(
-        condition=name, points=tried.points, error=_mean(tried.error), p95=_p95(tried.error),
-        expected=float(np.sqrt(np.nanmean(tried.expected**2))), inside=clustered_share(known.ravel(), arms),
-        used=float(tried.used.mean()),
-        harm=float(np.nanmax(np.nanmean(tried.error, axis=1) - np.nanmean(before, axis=1))),
-    )  # fmt: skip
-
-
 def _cells(row: CalibratedRow) -> list[str]:
-    cells = [str(row.points or "none"), _words(row.error), number(row.p95 * MM, 3)]
+    cells = [row.where, str(row.points or "none"), _words(row.error), number(row.p95 * MM, 3)]
     if row.expected is None or row.inside is None or row.used is None or row.harm is None:
         return [*cells, "", "", "", ""]
     return [
@@ -363,15 +418,13 @@ def _p95(errors: Array) -> float:
     return float(np.nanquantile(errors, 0.95))
 
 
-def conclude(
-    arm: str, software: str, controller: str, family: ArmFamily, trials: Sequence[Trials]
-) -> CalibrationEvaluation:
+def conclude(arm: str, controller: str, family: ArmFamily, trials: Sequence[Trials]) -> CalibrationEvaluation:
     """Put conditions together."""
     shares = {one.condition.name: shares_of(one) for one in trials}
     return CalibrationEvaluation(
-        arm=arm, software=software, controller=controller, family=family,
+        arm=arm, software=__version__, controller=controller, family=family,
         meanings={one.condition.name: one.condition.meaning for one in trials},
-        rows=tuple(row for one in trials for row in rows_of(one)),
+        rows=tuple(row for one in trials for held in one.held for row in rows_of(one.condition.name, held)),
         named={name: named for name, (named, _) in shares.items()},
         accused={name: accused for name, (_, accused) in shares.items()},
     )  # fmt: skip

@@ -14,6 +14,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, choose_postures, gravity_torque, tcp_position
 from rejoint.arms.postures import comfortable_postures
+from rejoint.arms.workspace import length_size
 from rejoint.control.goal import JointGoals, side_by_side, with_ways
 from rejoint.control.targets import draw_targets
 from rejoint.robots.emulated import EmulatedRobot
@@ -27,7 +28,7 @@ Interval = tuple[float, float]
 HELD = 0.9
 """Share of the torque limits of an arm's twin that a target's posture needs at most"""
 NEARBY = 0.03
-"""[m] from some place that the tool reaches (chosen: these lie 18 mm apart)"""
+"""[m] of a myCobot 280 from some place that the tool reaches (chosen: these lie 18 mm apart); goes with the reach"""
 FAMILY_SIZE = 10_000
 """Wear seeds that belong to one family"""
 
@@ -122,7 +123,7 @@ def targets_anywhere(arm: Arm, family: ArmFamily, twins: Sequence[Twin]) -> tupl
     Places are drawn evenly in the box around all that the tool reaches above the floor.
     """
     places = tcp_position(arm, comfortable_postures(arm))
-    low, high = places.min(axis=0), places.max(axis=0)
+    low, high, nearby = places.min(axis=0), places.max(axis=0), NEARBY * length_size(arm)
     low[2] = arm.floor
     targets, goals = np.empty((family.arms, family.targets, 3)), []
     for i, twin in enumerate(twins):
@@ -131,7 +132,7 @@ def targets_anywhere(arm: Arm, family: ArmFamily, twins: Sequence[Twin]) -> tupl
         postures: list[Array] = []
         while len(postures) < family.targets:
             drawn = rng.uniform(low, high)
-            if np.linalg.norm(places - drawn, axis=-1).min() > NEARBY:  # out of reach: to look for it takes long
+            if np.linalg.norm(places - drawn, axis=-1).min() > nearby:  # out of reach: to look for it takes long
                 continue
             found = choose_postures(arm, drawn[None], start, motors=motors)
             if found.refusals[0] or not (np.abs(gravity_torque(arm, found.q[0])) <= most).all():
