@@ -34,7 +34,7 @@ def test_a_worn_ur10_is_diagnosed_and_brought_to_its_targets(
     )
     code, out, err = run_cli(*words, capsys=capsys, monkeypatch=monkeypatch)
     assert code == 0, err
-    assert "arm ur10_robot: encoders: no resolution given; 4096 steps a turn assumed" in err
+    assert "arm ur10_robot: encoders: no resolution given; 16384 steps a turn assumed" in err
     found = json.loads(out.splitlines()[-1])["diagnosis"]
     # 7.7 % of the 890 mm between its targets and its base's axis, where a healthy one misses by 1.6 %
     assert 45.0 < found["open_loop"]["error_mm"]["value"] < 110.0
