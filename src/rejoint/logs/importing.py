@@ -18,10 +18,9 @@ from rejoint.arms import Arm
 from rejoint.logs import lerobot, sage, table
 from rejoint.logs.bags import MCAP, ROSBAG, BagReader
 from rejoint.logs.consistency import GAP_PERIODS, Doubts, check_agreement, check_angles, clean, copies
-from rejoint.logs.detection import describe
 from rejoint.logs.exclusions import declared_off, unpowered_joints
 from rejoint.logs.options import ImportOptions
-from rejoint.logs.runlog import TWO_TURNS, Array, RunLog, write_log
+from rejoint.logs.runlog import TWO_TURNS, Array, RunLog, describe, write_log
 from rejoint.logs.track import Pending, Points, RecordedMotion, Track
 from rejoint.logs.units import check_normalised, check_steps
 from rejoint.system.errors import FileError, InputError, first_line

@@ -12,9 +12,8 @@ from numpy.typing import ArrayLike
 from rejoint.arms import CATALOGUE, Arm, Array, load_arm
 from rejoint.control.robot import Robot
 from rejoint.control.targets import Pose, draw_targets, placed, read_targets, require_reachable
-from rejoint.logs.detection import describe
 from rejoint.logs.runfolder.folder import LOGS, RunFolder
-from rejoint.logs.runlog import RunLog, read_log
+from rejoint.logs.runlog import RunLog, describe, read_log
 from rejoint.robots import DEFAULT_ARM, place_of
 from rejoint.robots.wrapper import RobotWrapper
 from rejoint.runs.run import Run

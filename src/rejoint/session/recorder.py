@@ -106,7 +106,7 @@ class RunRecorder:
 
 
 class StateRecord:
-    """What an arm does while it is recorded, whoever moves it; see `ArmSession.record`.
+    """What an arm does while it is recorded; see `ArmSession.record`.
 
     Where no motion of the session drives the arm, ``look`` reads it.
     """
