@@ -12,6 +12,8 @@ import mujoco
 import pytest
 from hypothesis import HealthCheck, settings
 
+from rejoint.system.stopping import SIGNALS
+
 # The same cases in every run, and no test fails since the machine was slow.
 settings.register_profile("rejoint", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("rejoint")
@@ -19,6 +21,15 @@ settings.load_profile("rejoint")
 # A shell lets what it starts in the background ignore Ctrl-C; what tests start would inherit that.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(autouse=True)
+def own_signals() -> Iterator[None]:
+    """A command leaves its signal handlers to its process, and an interruption with them: not to the next test."""
+    before = {signum: signal.getsignal(signum) for signum in SIGNALS}
+    yield
+    for signum, handler in before.items():
+        signal.signal(signum, handler)
 
 
 @pytest.fixture(autouse=True)
