@@ -74,8 +74,9 @@ class Approach:
 
 
 VARIANTS = (
-    Approach(), *(Approach(beyond, speed, side) for beyond, speed in ((2, 0.5), (3, 1)) for side in (-1.0, 1.0)),
-)  # fmt: skip
+    Approach(),
+    *(Approach(beyond, speed, side) for beyond, speed in ((2, 0.5), (3, 1)) for side in (-1.0, 1.0)),
+)
 
 
 class Approaching:
@@ -124,20 +125,30 @@ def measured_alike(arm: Arm, family: ArmFamily, controller: str, approach: Appro
     before = np.concatenate([np.broadcast_to(arm.rest, position[:, :1].shape), position[:, :-1]], axis=1)
     point = tool + np.random.default_rng([family.seed, 3]).normal(0.0, SIGMA, tool.shape)
     return [
-        fit(arm, Measurements(position=position[i], approach=approach.came(position[i], before[i]), point=point[i],
-                              sigma=np.full(POINTS, SIGMA), posture=plan.posture))
+        fit(
+            arm,
+            Measurements(
+                position=position[i],
+                approach=approach.came(position[i], before[i]),
+                point=point[i],
+                sigma=np.full(POINTS, SIGMA),
+                posture=plan.posture,
+            ),
+        )
         for i in range(family.arms)
-    ]  # fmt: skip
+    ]
 
 
 def held(robot: EmulatedRobot, controller: str, approach: Approach, aims: Array) -> tuple[Array, Array, Array, Array]:
     """Return where joint 1's link lies (A, K) by half its play, encoder errors (A, K), tools (A, K, 3), encoders."""
     link: list[Array] = []
     driven = run(
-        robot, Approaching(make_controller(controller, robot.arm), approach), aims,
+        robot,
+        Approaching(make_controller(controller, robot.arm), approach),
+        aims,
         Schedule(dwell=HOLD, keep_going=True),
         on_cycle=lambda _: link.append((robot.plant.link_position() - robot.plant.encoder())[:, 0]),
-    )  # fmt: skip
+    )
     half, places = 0.5 * robot.plant.joints["play"][:, 0], np.array(link)
     shape = aims.shape[:2]
     lie, off, tool = np.full(shape, np.nan), np.full(shape, np.nan), np.full(aims.shape, np.nan)
@@ -172,8 +183,9 @@ def main(arms: int = 24, family: int = 0, controller: str = "feedforward") -> No
         within = np.sqrt(np.nanvar(lie, axis=1, ddof=1).mean())
         print(
             f"{one.beyond:3g} {one.speed:4g} {one.side:+g}: {one.seconds:5.1f} | {np.nanmean(lie):+.2f}, "
-            f"{np.nanstd(lie):.2f}, {within:.2f} | {' | '.join(map(cell, (1e3 * off, *errors)))}", flush=True,
-        )  # fmt: skip
+            f"{np.nanstd(lie):.2f}, {within:.2f} | {' | '.join(map(cell, (1e3 * off, *errors)))}",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

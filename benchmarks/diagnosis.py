@@ -33,8 +33,10 @@ def main() -> None:
         found += any(f.kind == "low_damping" and f.joint == arm.joint_names[joint] for f in diagnosis.findings)
         words = () if most is None else (f"{most.joint} rings", f"{most.joint} is badly damped")
         named += any(part in diagnosis.verdict for part in words)
-    print(f"worn arms with {DAMPING:g} of the damping in one joint: found in {found} of {len(bad)}, "
-          f"the joint that rings most named in {named}")  # fmt: skip
+    print(
+        f"worn arms with {DAMPING:g} of the damping in one joint: found in {found} of {len(bad)}, "
+        f"the joint that rings most named in {named}"
+    )
 
 
 def _ringing(wear: Wear, joint: int) -> Wear:

@@ -103,14 +103,22 @@ def try_arm(number: int, policy: Path | None, sets: int, *, shelf: bool) -> Outc
     settings = Settings(seed=number, batched=False, protocol=ONE_ARM_PROTOCOL, elimination=Elimination())
     everyone = {DEFAULT: DefaultController, **factories}
     raced = TrialRunner(
-        lambda count, seed: meter.watch(connect(count, seed)), everyone, targets[:sets], settings,
-        measured=(before.driven,), ledger=Ledger(None, done), source="open loop",
-    ).compare()  # fmt: skip
+        lambda count, seed: meter.watch(connect(count, seed)),
+        everyone,
+        targets[:sets],
+        settings,
+        measured=(before.driven,),
+        ledger=Ledger(None, done),
+        source="open loop",
+    ).compare()
     best = recommend(raced)
     return Outcome(
-        short=best, long=recommend(_once(twice)), seconds=meter.moving + sum(map(_seconds, done["asked"])),
-        held=raced.row(best.controller).held, worse=_worse(twice, best.controller),
-    )  # fmt: skip
+        short=best,
+        long=recommend(_once(twice)),
+        seconds=meter.moving + sum(map(_seconds, done["asked"])),
+        held=raced.row(best.controller).held,
+        worse=_worse(twice, best.controller),
+    )
 
 
 def _short(trial: Trial, targets: np.ndarray) -> Driven:
@@ -118,9 +126,13 @@ def _short(trial: Trial, targets: np.ndarray) -> Driven:
     one = trial.recording.of(slice(trial.arm_index, trial.arm_index + 1))
     one = replace(one, active=one.active & (one.since_target < ONE_ARM_PROTOCOL.hold + PERIOD[1]))
     return measure(
-        ARM, one, targets[trial.target_set][None], ONE_ARM_PROTOCOL,
-        (trial.controller, trial.kind, ((trial.target_set, 0),), 0), both=True,
-    )  # fmt: skip
+        ARM,
+        one,
+        targets[trial.target_set][None],
+        ONE_ARM_PROTOCOL,
+        (trial.controller, trial.kind, ((trial.target_set, 0),), 0),
+        both=True,
+    )
 
 
 def _once(twice: Comparison) -> Comparison:
@@ -173,8 +185,9 @@ def main(
             f"arm {number:3}: {one.verdict:5}  blocks: {one.short.controller} after {one.held} targets, "
             f"{one.seconds / 60:.1f} min; long way: {' or '.join((one.long.controller, *one.long.tied))}; worse than "
             f"the best by {1e3 * one.worse[0]:.2f} mm, {one.worse[1]:.2f} s  ({time.perf_counter() - begun:.0f} s "
-            "to emulate)", flush=True,
-        )  # fmt: skip
+            "to emulate)",
+            flush=True,
+        )
     verdicts, minutes = [one.verdict for one in found], np.array([one.seconds for one in found]) / 60
     worse = np.mean([one.worse for one in found], axis=0)
     print(

@@ -161,8 +161,10 @@ def _bench_fuzz(firmware: Firmware) -> None:
     fuzz(firmware, 20_000, seed=1)
     before, began = resident(), time.perf_counter()
     ends = fuzz(firmware, FRAMES)
-    print(f"{FRAMES} fuzzed frames: {ends['answered']} answered, {ends['ignored']} ignored, none raised; "
-          f"memory grew by {resident() - before:.1f} MB; {time.perf_counter() - began:.0f} s")  # fmt: skip
+    print(
+        f"{FRAMES} fuzzed frames: {ends['answered']} answered, {ends['ignored']} ignored, none raised; "
+        f"memory grew by {resident() - before:.1f} MB; {time.perf_counter() - began:.0f} s"
+    )
 
 
 def _bench_connections(firmware: Firmware) -> None:
@@ -172,9 +174,11 @@ def _bench_connections(firmware: Firmware) -> None:
         before, began = (resident(), descriptors(), threading.active_count()), time.perf_counter()
         drop_connections(server, CONNECTIONS)
         time.sleep(0.2)
-        print(f"{CONNECTIONS} connections opened and dropped: memory grew by {resident() - before[0]:.1f} MB, "
-              f"descriptors by {descriptors() - before[1]}, threads by {threading.active_count() - before[2]}; "
-              f"{time.perf_counter() - began:.0f} s")  # fmt: skip
+        print(
+            f"{CONNECTIONS} connections opened and dropped: memory grew by {resident() - before[0]:.1f} MB, "
+            f"descriptors by {descriptors() - before[1]}, threads by {threading.active_count() - before[2]}; "
+            f"{time.perf_counter() - began:.0f} s"
+        )
 
 
 def _bench_soak(firmware: Firmware) -> None:
@@ -182,9 +186,11 @@ def _bench_soak(firmware: Firmware) -> None:
     soak.run(SOAK / 12)
     before = resident()
     soak.run(SOAK * 11 / 12)
-    print(f"{SOAK:.0f} s of driving in virtual time: {soak.answers} answers, the clock is off by "
-          f"{soak.drift * 1e3:+.2f} ms, memory grew by {resident() - before:.1f} MB after the first twelfth; "
-          f"{time.perf_counter() - began:.0f} s")  # fmt: skip
+    print(
+        f"{SOAK:.0f} s of driving in virtual time: {soak.answers} answers, the clock is off by "
+        f"{soak.drift * 1e3:+.2f} ms, memory grew by {resident() - before:.1f} MB after the first twelfth; "
+        f"{time.perf_counter() - began:.0f} s"
+    )
 
 
 def main() -> None:

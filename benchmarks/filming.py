@@ -24,9 +24,13 @@ DWELL = 8.0
 
 
 def main(
-    arms: int = 4, first: int = 700, profile: str = "worn", count: int = POSTURES, targets: int = 4,
+    arms: int = 4,
+    first: int = 700,
+    profile: str = "worn",
+    count: int = POSTURES,
+    targets: int = 4,
     carried: str = "board",
-) -> None:  # fmt: skip
+) -> None:
     """Print a row for each arm; ``count`` postures beyond those at rest, the tool carries the board or the camera."""
     arm, board = mycobot280(), ON_TOOL if carried == "board" else ON_TABLE
     before, after, inside, used, left, pictures = [], [], [], 0, 0, 0

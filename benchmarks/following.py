@@ -46,11 +46,16 @@ BREAKING = {"worn": ("frozen", "blind"), "healthy": ("frozen", "blind")}
 STUCK = (5.0, 10.0, 15.0, 1000.0)
 """[deg] of lead at which a stuck joint moves"""
 SLOW: dict[str, Interval] = {
-    "period": (0.045, 0.055), "command_latency": (0.008, 0.030), "readback_age": (0.006, 0.030),
-}  # fmt: skip
+    "period": (0.045, 0.055),
+    "command_latency": (0.008, 0.030),
+    "readback_age": (0.006, 0.030),
+}
 WIRES: dict[str, dict[str, Interval]] = {
-    "25ms": {"period": (0.020, 0.030)}, "50ms": SLOW, "stalling": SLOW, "late": SLOW,
-}  # fmt: skip
+    "25ms": {"period": (0.020, 0.030)},
+    "50ms": SLOW,
+    "stalling": SLOW,
+    "late": SLOW,
+}
 """Wires; the slow ones keep commands and readings up to 30 ms under way. After the diagnosis one of them stalls, and
 the arm behind another one is late with what it has acknowledged"""
 STALLS, STALL = 0.25, (0.02, 0.12)
@@ -142,9 +147,12 @@ def opened(wears: list[Wear], wire: str, seed: int, first: int = 0) -> EmulatedR
     robot = EmulatedRobot(ARM, wears, seed=seed, first=first, threads=THREADS, **WIRES[wire])
     if wire in ("stalling", "late"):
         robot._channel = Stalling(
-            latency=SLOW["command_latency"], age=SLOW["readback_age"], period=SLOW["period"],
-            share=STALLS if wire == "stalling" else LATE, longer=wire == "stalling",
-        )  # fmt: skip
+            latency=SLOW["command_latency"],
+            age=SLOW["readback_age"],
+            period=SLOW["period"],
+            share=STALLS if wire == "stalling" else LATE,
+            longer=wire == "stalling",
+        )
     return robot
 
 
@@ -222,8 +230,9 @@ def drive(wears: list[Wear], name: str, wire: str, seed: int, known: Diagnosed, 
             if bad is not None:
                 new = bad.any(axis=-1) & np.isinf(trip[m])
                 trip[m, new], joint[m, new] = state.time[new], bad.argmax(axis=-1)[new]
-        inputs = ControlInput(state=state, target=goals[np.arange(count), index], goal=posture, sent=sent,
-                              since_target=state.time - begun)  # fmt: skip
+        inputs = ControlInput(
+            state=state, target=goals[np.arange(count), index], goal=posture, sent=sent, since_target=state.time - begun
+        )
         if renewed.any():
             posture[renewed] = nearest_postures(ARM, goals[renewed, index[renewed]], sent[renewed])
             controller.reset(inputs, renewed)
@@ -243,9 +252,12 @@ def compare(whole: Driven, driven: Driven, at: Array) -> list[dict[str, Any]]:
     tripped = np.isfinite(driven.trip) & (driven.trip >= at)
     row = np.array([np.argmax(driven.clock[:length] >= trip, axis=0) for trip in driven.trip])
     seen = {
-        "tripped": tripped, "early": driven.trip < at, "joint": driven.joint,
-        "off": np.where(tripped, off[row, arms], worst[-1]), "worst": np.where(tripped, worst[row, arms], worst[-1]),
-    }  # fmt: skip
+        "tripped": tripped,
+        "early": driven.trip < at,
+        "joint": driven.joint,
+        "off": np.where(tripped, off[row, arms], worst[-1]),
+        "worst": np.where(tripped, worst[row, arms], worst[-1]),
+    }
     return [{name: value[:, b].tolist() for name, value in seen.items()} for b in arms]
 
 
@@ -286,7 +298,7 @@ def say(seen: list[Seen]) -> None:
                     f"{wire} {kind:>8} {fault:>6}  {monitor:>23}: tripped {len(tripped)} of {len(runs)}, tool off at "
                     f"the trip 50, 90, 100 %: {spread} mm; never {1e3 * FAR:.0f} mm off before it {fine}; tripped "
                     f"before the fault {sum(one.early[m] for one in runs)}"
-                )  # fmt: skip
+                )
 
 
 def main(arms: int = 64, first: int = 0, wires: str = ",".join(WIRES)) -> None:

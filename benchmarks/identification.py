@@ -113,8 +113,10 @@ def folds(arm: Arm, logs: Sequence[RunLog]) -> None:
             print(f"{'mean, ' + name:28} {mm_deg(mean)}", flush=True)
     for part, some in errors.items():
         tcp, deg = np.array([(1e3 * e.tcp, np.degrees(e.joint)) for e in some if e is not None]).T
-        print(f"\n{part}, {len(tcp)} motions, each held out once: TCP {tcp.mean():.2f} mm "
-              f"(median {np.median(tcp):.2f}), joints {deg.mean():.3f} deg (median {np.median(deg):.3f})")  # fmt: skip
+        print(
+            f"\n{part}, {len(tcp)} motions, each held out once: TCP {tcp.mean():.2f} mm "
+            f"(median {np.median(tcp):.2f}), joints {deg.mean():.3f} deg (median {np.median(deg):.3f})"
+        )
 
 
 def sysid(arm: Arm, logs: Sequence[RunLog], seconds: float = 80.0) -> None:
@@ -140,16 +142,22 @@ def sysid(arm: Arm, logs: Sequence[RunLog], seconds: float = 80.0) -> None:
     start = time.process_time()
     with contextlib.redirect_stdout(io.StringIO()):  # it tells every iteration, asked to or not
         found, _ = tool.optimize(
-            initial_params=params, residual_fn=tool.build_residual_fn(models_sequences=[sequences], n_threads=1),
-            optimizer="mujoco", verbose=False, max_iters=20,
-        )  # fmt: skip
+            initial_params=params,
+            residual_fn=tool.build_residual_fn(models_sequences=[sequences], n_threads=1),
+            optimizer="mujoco",
+            verbose=False,
+            max_iters=20,
+        )
     sysid_s = time.process_time() - start
     values = {name: np.exp(found[name].value) for name in ("stiffness", "damping", "coulomb", "armature")}
     base = unpack(mean, arm.joints)
     theirs = TwinParameters(
-        **values, offset=found["offset"].value, torque_limit=base.torque_limit, delay=base.delay,
+        **values,
+        offset=found["offset"].value,
+        torque_limit=base.torque_limit,
+        delay=base.delay,
         ramp_speed=base.ramp_speed,
-    )  # fmt: skip
+    )
     judgement = judge(
         arm,
         [
@@ -162,8 +170,10 @@ def sysid(arm: Arm, logs: Sequence[RunLog], seconds: float = 80.0) -> None:
     for name, taken in (("ours", ours_s), ("sysid", sysid_s)):
         print(f"{name:6} {taken:6.1f} s of one core | held out: {mm_deg(judgement.mean[name])}")
     losses = problem.residuals(np.vstack([pack(ours), pack(theirs)]))
-    print(f"root mean square on the windows: ours {np.degrees(np.sqrt(np.mean(losses[0] ** 2))):.3f}, "
-          f"sysid {np.degrees(np.sqrt(np.mean(losses[1] ** 2))):.3f} deg")  # fmt: skip
+    print(
+        f"root mean square on the windows: ours {np.degrees(np.sqrt(np.mean(losses[0] ** 2))):.3f}, "
+        f"sysid {np.degrees(np.sqrt(np.mean(losses[1] ** 2))):.3f} deg"
+    )
 
 
 def sysid_problem(tool, arm: Arm, problem: Problem, start: TwinParameters):
@@ -173,8 +183,9 @@ def sysid_problem(tool, arm: Arm, problem: Problem, start: TwinParameters):
     spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
     for joint in arm.joint_names:
         spec.joint(joint).solref_friction = friction_solref(np.array(TIMESTEP))
-        spec.add_sensor(name=f"{joint}_pos", type=mujoco.mjtSensor.mjSENS_JOINTPOS,
-                        objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=joint)  # fmt: skip
+        spec.add_sensor(
+            name=f"{joint}_pos", type=mujoco.mjtSensor.mjSENS_JOINTPOS, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=joint
+        )
         spec.actuator(joint).forcelimited = False
 
     def servo(spec: mujoco.MjSpec, name: str, gain: float | None = None, offset: float | None = None) -> None:
@@ -213,8 +224,12 @@ def sysid_problem(tool, arm: Arm, problem: Problem, start: TwinParameters):
             log.time[min(w.first + 2, len(log) - 1)] - log.time[max(w.first - 2, 0)]
         )
         measured = tool.TimeSeries.from_names(replay.times(index), log.position[w.first : w.last], model)
-        parts = (f"window{index}", tool.create_initial_state(model, log.position[w.first], velocity, np.zeros(0)),
-                 tool.TimeSeries(grid, log.command[row]), measured)  # fmt: skip
+        parts = (
+            f"window{index}",
+            tool.create_initial_state(model, log.position[w.first], velocity, np.zeros(0)),
+            tool.TimeSeries(grid, log.command[row]),
+            measured,
+        )
         for kept, part in zip(sequences, parts, strict=True):
             kept.append(part)
     return tool.ModelSequences("so101", spec, *sequences), params

@@ -46,10 +46,12 @@ STAGES = {
     "calibrate": ("calibration.toml", "measurements.parquet"),
     "identify": ("twin.toml",),
     "train": ("policy.onnx", "training/curves.parquet"),
-    "compare": ("comparison.json", *(f"logs/{kind}-{name}-0-0.parquet" for kind in ("crossing", "hold")
-                                     for name in ("integrator", "policy"))),
+    "compare": (
+        "comparison.json",
+        *(f"logs/{kind}-{name}-0-0.parquet" for kind in ("crossing", "hold") for name in ("integrator", "policy")),
+    ),
     "report": ("report.html", "finished.json"),
-}  # fmt: skip
+}
 """What each stage leaves; the first file is the one by which it counts as done. The last stage's hold dates."""
 
 TARGETS = "x,y,z\n170,0,200\n180,30,210\n"

@@ -34,8 +34,9 @@ PATHS = [standard_path(name, ARM) for name in STANDARD]
 
 
 def servos(twins: Sequence[TwinParameters]) -> Servos:
-    rows = {name: np.stack([getattr(twin, name) for twin in twins for _ in PATHS])
-            for name in Servos.__dataclass_fields__}  # fmt: skip
+    rows = {
+        name: np.stack([getattr(twin, name) for twin in twins for _ in PATHS]) for name in Servos.__dataclass_fields__
+    }
     return Servos(**rows)
 
 

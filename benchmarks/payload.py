@@ -56,9 +56,12 @@ CASES = {"empty": (False, False), "untold": (True, False), "told": (True, True)}
 
 
 def main(
-    seeds: str = ",".join(map(str, SEEDS)), twins: FilePath | None = None, load: float = LOAD,
-    controllers: str = ",".join(CONTROLLERS), cases: str = ",".join(CASES),
-) -> None:  # fmt: skip
+    seeds: str = ",".join(map(str, SEEDS)),
+    twins: FilePath | None = None,
+    load: float = LOAD,
+    controllers: str = ",".join(CONTROLLERS),
+    cases: str = ",".join(CASES),
+) -> None:
     """Print a row for each arm, controller and case, and the mean over the arms; ``load`` [kg]."""
     names, chosen = controllers.split(","), cases.split(",")
     arm, rows, judged = mycobot280(), list[tuple[str, str, list[float]]](), np.zeros((2, 2), int)
@@ -81,8 +84,9 @@ def main(
                 missed = f"{1e3 * _follow(arm, seed, twin, true, told):10.2f}" if first else ""
                 print(
                     f"{seed:>6} {name:>11} {case:>7} {row[0]:8.2f} {row[1]:7.2f} {1e3 * seems:8.0f} "
-                    f"{too_heavy.sum():10d} {needs[case][2]:8.0f} {needs[case][3]:8.0f} {missed}", flush=True,
-                )  # fmt: skip
+                    f"{too_heavy.sum():10d} {needs[case][2]:8.0f} {needs[case][3]:8.0f} {missed}",
+                    flush=True,
+                )
                 if case == "told" and first:
                     for said, off in zip(too_heavy, settled > 2e-3, strict=True):
                         judged[int(said), int(off)] += 1

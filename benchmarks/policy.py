@@ -37,8 +37,10 @@ def main(updates: int = ITERATIONS, seed: int = 0) -> None:
     mean, tail = float(np.nanmean(outcome.settled)), float(np.nanpercentile(outcome.settled, 95))
     met = "both met" if mean <= MEAN and tail <= TAIL else "NOT met"
     print(f"{result.steps / 1e6:.2f} million transitions in {taken:.1f} s, from an empty folder to policy.onnx")
-    print(f"settled on {ARMS} worn arms, {TARGETS} targets each: mean {1e3 * mean:.2f} mm (bar {1e3 * MEAN:.1f}), "
-          f"95 % below {1e3 * tail:.2f} mm (bar {1e3 * TAIL:.1f}): {met}")  # fmt: skip
+    print(
+        f"settled on {ARMS} worn arms, {TARGETS} targets each: mean {1e3 * mean:.2f} mm (bar {1e3 * MEAN:.1f}), "
+        f"95 % below {1e3 * tail:.2f} mm (bar {1e3 * TAIL:.1f}): {met}"
+    )
 
 
 if __name__ == "__main__":

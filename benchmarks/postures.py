@@ -188,8 +188,12 @@ def _excluded(arm: Arm) -> None:
     """Say which contacts are looked for."""
     shape, names = collision_shape(arm), ["base", *arm.joint_names]
     looked = {(i, j) for i, j in shape.pairs.tolist()}
-    left = [f"{names[i]} and {names[j]}" for i in range(len(names)) for j in range(i + 2, len(names))
-            if (i, j) not in looked]  # fmt: skip
+    left = [
+        f"{names[i]} and {names[j]}"
+        for i in range(len(names))
+        for j in range(i + 2, len(names))
+        if (i, j) not in looked
+    ]
     low = " ".join(str(end) for end in range(1, arm.joints + 2) if end not in shape.places)
     print(f"  left out: neighbours, {', '.join(left) or 'no further links'}; on the ground the ends {low or 'none'}")
 
@@ -219,8 +223,11 @@ def _ways(title: str, arms: list[Arm]) -> None:
             start, planned = goals.q[0], planned + 1
             if planned == WAYS:
                 break
-    parts = [f"{len(taken)} {kind} ({1e3 * np.median(taken):.2f}, {1e3 * np.percentile(taken, 95):.2f} ms)"
-             for kind, taken in times.items() if taken]  # fmt: skip
+    parts = [
+        f"{len(taken)} {kind} ({1e3 * np.median(taken):.2f}, {1e3 * np.percentile(taken, 95):.2f} ms)"
+        for kind, taken in times.items()
+        if taken
+    ]
     print(f"  {title} (median, 95 %): {', '.join(parts)}; {changed} ways are shortened by the guard")
     _tell("planned", found)
 
@@ -254,8 +261,10 @@ def _tell(title: str, found: list[Array]) -> None:
     touched = (nearest[:, 0] < -TOUCH - GROWN * SIDES).any(axis=1).sum()
     near = (nearest > 0.0).all(axis=1) & (nearest < _FAR).all(axis=1)
     apart = np.abs(nearest[:, 0] - nearest[:, 1])[near].max(initial=0.0)
-    print(f"    {title:8} {len(found):4d} ways; {close} come within 5 mm (by the planner): {kinds}; deepest "
-          f"{-1e3 * nearest[:, 0].min():.1f} mm; real contacts {touched}; difference {1e3 * apart:.3f} mm")  # fmt: skip
+    print(
+        f"    {title:8} {len(found):4d} ways; {close} come within 5 mm (by the planner): {kinds}; deepest "
+        f"{-1e3 * nearest[:, 0].min():.1f} mm; real contacts {touched}; difference {1e3 * apart:.3f} mm"
+    )
 
 
 def _places(arm: Arm, seed: int) -> Iterator[Array]:

@@ -69,9 +69,10 @@ def main(
     own = know(drawn, twins, again)
     stiffness = float(np.mean([one.parameters.stiffness.mean() for one in own]))
     bench = TrialArms(
-        open=lambda: open_family(ARM, condition, drawn), targets=family_targets(ARM, drawn, TARGETS),
+        open=lambda: open_family(ARM, condition, drawn),
+        targets=family_targets(ARM, drawn, TARGETS),
         wear_seed=np.array([drawn.wear_seed(i) for i in range(arms)], dtype=float),
-    )  # fmt: skip
+    )
     settings, shelf = TrialSettings(family=drawn, protocol=Protocol(), crossing=False), None
     for name, make in {
         "shelf": shelf_controller,

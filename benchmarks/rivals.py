@@ -41,8 +41,10 @@ def same_task(agents: int):
 
         def step_wait(self):
             t = self.transition
-            infos = [{"TimeLimit.truncated": True, "terminal_observation": t.final_observation[i]} if late else {}
-                     for i, late in enumerate(t.truncated)]  # fmt: skip
+            infos = [
+                {"TimeLimit.truncated": True, "terminal_observation": t.final_observation[i]} if late else {}
+                for i, late in enumerate(t.truncated)
+            ]
             return t.observation, t.reward.astype(np.float32), t.truncated, infos
 
         def close(self) -> None: ...
@@ -62,10 +64,11 @@ def same_task(agents: int):
 
 SETTINGS = {
     "our mini-batches and epochs": {
-        "batch_size": TRANSITIONS // DEFAULT.ppo.mini_batches, "n_epochs": DEFAULT.ppo.epochs
+        "batch_size": TRANSITIONS // DEFAULT.ppo.mini_batches,
+        "n_epochs": DEFAULT.ppo.epochs,
     },
     "its own": {},
-}  # fmt: skip
+}
 """Of its learning: what is not given is its default, mini-batches of 64 and ten epochs."""
 
 

@@ -54,10 +54,14 @@ RESTS = 20.0
 REACH = 281.0
 """[mm] largest x and y that the client sends (pymycobot 4.0.7)"""
 
-POSTURES = np.degrees(ARM.rest) + np.array([
-    [10.0, 8.0, -12.0, 5.0, 6.0, 10.0], [-25.0, -6.0, 8.0, -8.0, -10.0, -20.0], [20.0, 12.0, 6.0, -12.0, 12.0, 15.0],
-    [-10.0, 4.0, -15.0, 14.0, -6.0, 40.0],
-])  # fmt: skip
+POSTURES = np.degrees(ARM.rest) + np.array(
+    [
+        [10.0, 8.0, -12.0, 5.0, 6.0, 10.0],
+        [-25.0, -6.0, 8.0, -8.0, -10.0, -20.0],
+        [20.0, 12.0, 6.0, -12.0, 12.0, 15.0],
+        [-10.0, 4.0, -15.0, 14.0, -6.0, 40.0],
+    ]
+)
 """(4, 6) [deg]"""
 OFFSETS = np.array([[20.0, 25.0, 10.0], [0.0, -30.0, 25.0], [-20.0, 10.0, -20.0], [15.0, -15.0, 0.0]])
 """(4, 3) [mm] of the points from the tool at rest"""
@@ -286,8 +290,10 @@ def table(bare: list[Outcome], through: list[Outcome]) -> str:
         a, b = ([o for o in found if kind in (o.kind, "all")] for found in (bare, through))
         means = [np.mean([getattr(o, name) for o in x]) for name in ("error", "turn", "seconds") for x in (a, b)]
         most = max(o.error for o in b)
-        lines.append(f"{kind:16}{means[0]:12.1f}{means[1]:12.2f}{most:10.2f}{means[2]:10.1f}{means[3]:12.1f}"
-                     f"{means[4]:6.1f}{means[5]:6.1f}")  # fmt: skip
+        lines.append(
+            f"{kind:16}{means[0]:12.1f}{means[1]:12.2f}{most:10.2f}{means[2]:10.1f}{means[3]:12.1f}"
+            f"{means[4]:6.1f}{means[5]:6.1f}"
+        )
     return "\n".join(lines)
 
 
@@ -386,8 +392,10 @@ def main(
             with connected(address) as client:
                 through, reads = play(client), read_times(client)
             print(table(bare, through))
-            print(f"reads: bare {np.median(bare_reads):.1f} ms, 99 % within {np.quantile(bare_reads, 0.99):.1f}; "
-                  f"served {np.median(reads):.1f} ms, 99 % within {np.quantile(reads, 0.99):.1f}")  # fmt: skip
+            print(
+                f"reads: bare {np.median(bare_reads):.1f} ms, 99 % within {np.quantile(bare_reads, 0.99):.1f}; "
+                f"served {np.median(reads):.1f} ms, 99 % within {np.quantile(reads, 0.99):.1f}"
+            )
             count = attack(address, abuse)
             time.sleep(0.5)
             with connected(address) as client:

@@ -37,9 +37,10 @@ def figures(outcome: Outcome) -> tuple[float, float, float]:
     """Mean settled error [m], its 95th percentile [m], and median time [s] to come and stay within 2 mm."""
     narrow = int(np.argmin(Protocol().within))
     return (
-        float(np.nanmean(outcome.settled)), float(np.nanpercentile(outcome.settled, 95)),
+        float(np.nanmean(outcome.settled)),
+        float(np.nanpercentile(outcome.settled, 95)),
         float(np.median(outcome.stay[..., narrow])),
-    )  # fmt: skip
+    )
 
 
 def main() -> None:

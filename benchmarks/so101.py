@@ -119,10 +119,12 @@ def tuned():
             believed = twin_under(twin, found.found, gains)
             stiffness, friction = believed.parameters.stiffness, believed.parameters.coulomb
             for label, controller in {
-                "integrator": IntegratorController(ARM), "feedforward": FeedforwardController(ARM, stiffness),
-                "push": PushController(ARM, stiffness, friction), "shelf": shelf_controller(ARM),
+                "integrator": IntegratorController(ARM),
+                "feedforward": FeedforwardController(ARM, stiffness),
+                "push": PushController(ARM, stiffness, friction),
+                "shelf": shelf_controller(ARM),
                 "predictive": PredictiveController.of(ARM, [believed], shelf_controller(ARM)),
-            }.items():  # fmt: skip
+            }.items():
                 settled, _, stay = held(robot([name], [gains], seed=50 + arm), controller, points[arm : arm + 1])
                 rows.setdefault((label, under), []).append([np.nanmean(settled), np.median(stay)])
     for (label, under), found in rows.items():

@@ -22,11 +22,15 @@ from rejoint.twin.reference import Reference
 from rejoint.twin.simulation import Draw, Simulation
 
 WORN = TwinParameters(
-    stiffness=[6.0, 6.8, 5.2, 4.6, 6.1, 5.5], damping=[0.3, 0.34, 0.22, 0.15, 0.17, 0.14],
-    coulomb=[0.10, 0.12, 0.07, 0.05, 0.06, 0.04], armature=[0.022, 0.018, 0.024, 0.012, 0.014, 0.016],
-    torque_limit=[1.0, 1.1, 0.8, 0.5, 0.5, 0.4], offset=[0.004, -0.003, 0.005, 0.0, -0.004, 0.002],
-    delay=0.022, ramp_speed=2.2,
-)  # fmt: skip
+    stiffness=[6.0, 6.8, 5.2, 4.6, 6.1, 5.5],
+    damping=[0.3, 0.34, 0.22, 0.15, 0.17, 0.14],
+    coulomb=[0.10, 0.12, 0.07, 0.05, 0.06, 0.04],
+    armature=[0.022, 0.018, 0.024, 0.012, 0.014, 0.016],
+    torque_limit=[1.0, 1.1, 0.8, 0.5, 0.5, 0.4],
+    offset=[0.004, -0.003, 0.005, 0.0, -0.004, 0.002],
+    delay=0.022,
+    ramp_speed=2.2,
+)
 """An arm that its motors can just carry"""
 SPREAD = 0.25
 """Standard deviation of the logarithm of each parameter"""
@@ -64,9 +68,16 @@ def excite(arm: Arm, truth: TwinParameters, rng: np.random.Generator) -> RunLog:
     position = np.stack([np.interp(read, np.arange(len(path)) * STEP, column) for column in path.T], axis=1)
     nowhere = np.full((len(times), 3), np.nan)
     return RunLog(
-        arm=arm.name, joint_names=arm.joint_names, robot="twin", label="excitation", time=times, command=command,
-        position=np.round(position / arm.encoder_step) * arm.encoder_step, target=nowhere, true_tcp=nowhere,
-    )  # fmt: skip
+        arm=arm.name,
+        joint_names=arm.joint_names,
+        robot="twin",
+        label="excitation",
+        time=times,
+        command=command,
+        position=np.round(position / arm.encoder_step) * arm.encoder_step,
+        target=nowhere,
+        true_tcp=nowhere,
+    )
 
 
 def main(arms: int = 6, masses: float = 0.15, seed: int = 0) -> None:

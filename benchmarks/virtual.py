@@ -20,9 +20,13 @@ class VirtualClient:
         self.end = math.inf
         """when [s] the session ends by itself"""
         self.session = WireSession(
-            firmware, timing=timing or Timing(), seed=seed, faults=faults or Faults(),
-            clock=lambda: self.now, await_data=self._await,
-        )  # fmt: skip
+            firmware,
+            timing=timing or Timing(),
+            seed=seed,
+            faults=faults or Faults(),
+            clock=lambda: self.now,
+            await_data=self._await,
+        )
         self.sent: Callable[[float, bytes], object] = lambda _now, _data: None
         """is told what the robot sends, and when [s]"""
         self._requests: Iterator[bytes] = iter(())

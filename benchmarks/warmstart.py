@@ -52,9 +52,13 @@ def held(file: Path, wear_seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def main(
-    arms: int = 16, family: int = 0, twins: Path = Path("runs/twins"), updates: str = "",
-    starts: str = "shelf,random", seed: int = 0,
-) -> None:  # fmt: skip
+    arms: int = 16,
+    family: int = 0,
+    twins: Path = Path("runs/twins"),
+    updates: str = "",
+    starts: str = "shelf,random",
+    seed: int = 0,
+) -> None:
     """Print a row for each beginning and number of updates; ``twins`` keeps twins and policies."""
     drawn = ArmFamily(arms=arms, targets=TARGETS, seed=family)
     own, seeds = know(drawn, twins), [drawn.wear_seed(i) for i in range(arms)]

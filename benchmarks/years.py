@@ -45,16 +45,22 @@ Measured = list[tuple[CheckMeasures, ...]]
 
 def main(arms: int = ARMS, base: int = 100) -> None:
     """Check ``arms`` of each kind; ``base`` is the seed of the first: limits are judged on arms not chosen on."""
-    report(*(
-        [
-            each for first in range(0, arms, SIDE_BY_SIDE)
-            for each in zip(
-                *(checked(range(first, min(first + SIDE_BY_SIDE, arms)), k, hours, seed) for k in range(len(DATES))),
-                strict=True,
-            )
-        ]
-        for seed, hours in ((base, HOURS), (base + 100, 0.0))
-    ))  # fmt: skip
+    report(
+        *(
+            [
+                each
+                for first in range(0, arms, SIDE_BY_SIDE)
+                for each in zip(
+                    *(
+                        checked(range(first, min(first + SIDE_BY_SIDE, arms)), k, hours, seed)
+                        for k in range(len(DATES))
+                    ),
+                    strict=True,
+                )
+            ]
+            for seed, hours in ((base, HOURS), (base + 100, 0.0))
+        )
+    )
 
 
 def checked(arms: range, number: int, hours: float, base: int) -> list[CheckMeasures]:
@@ -80,14 +86,19 @@ def report(ageing: Measured, steady: Measured) -> None:
     flags = np.array(told)
     last = DATES[len(ageing[0]) - 1]
     share = 100 * early / len(ageing)
-    print(f"{len(ageing)} ageing arms, {last:g} months: flagged before {GROWN:g} mm of true error {share:.0f} %; "
-          f"never flagged {unflagged}; flagged at month {np.median(flags[:, 0]):.0f} (median), "
-          f"{GROWN:g} mm at month {np.median(flags[:, 1]):.0f}")  # fmt: skip
+    print(
+        f"{len(ageing)} ageing arms, {last:g} months: flagged before {GROWN:g} mm of true error {share:.0f} %; "
+        f"never flagged {unflagged}; flagged at month {np.median(flags[:, 0]):.0f} (median), "
+        f"{GROWN:g} mm at month {np.median(flags[:, 1]):.0f}"
+    )
     false = sum(flagged_at(arm) is not None for arm in steady)
     years = len(steady) * DATES[len(steady[0]) - 1] / 12
     print(f"{len(steady)} arms that stay as they are: {false} false alarms in {years:.0f} arm-years")
-    jumps = sum(bool(outlook(past[:stop]).moved) for past in map(history, [*ageing, *steady])
-                for stop in range(2, len(past) + 1))  # fmt: skip
+    jumps = sum(
+        bool(outlook(past[:stop]).moved)
+        for past in map(history, [*ageing, *steady])
+        for stop in range(2, len(past) + 1)
+    )
     print(f"zeros said to have moved, of which none has: after {jumps} of all checks")
     for start, stop in ((6, 12), (12, 18), (18, MONTHS)):
         by_arm = [(_reached(arm), dates_hold(arm, start, stop)) for arm in ageing]
@@ -157,11 +168,12 @@ def history(arm: Sequence[CheckMeasures]) -> list[PastCheck]:
     """Return the checks as an owner of a real arm has them: nobody knows where the tool is."""
     return [
         PastCheck(
-            time=BEGIN + timedelta(days=30.4 * month), used_h=HOURS * month,
+            time=BEGIN + timedelta(days=30.4 * month),
+            used_h=HOURS * month,
             measures=replace(one, true_error_mm=None, true_approach_mm=None),
         )
         for month, one in zip(DATES[: len(arm)], arm, strict=True)
-    ]  # fmt: skip
+    ]
 
 
 def _ambient(seed: int, number: int, month: float) -> float:

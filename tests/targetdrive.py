@@ -14,14 +14,25 @@ from rejoint.control.start import Stance, begin
 
 
 def deploy(
-    robot: Robot, controller: Controller, job: Deployment, *, limits: GuardLimits | None = None,
-    stance: Stance | None = None, model: ToolModel | None = None, **drive: Any,
-) -> tuple[Recording, Deployed]:  # fmt: skip
+    robot: Robot,
+    controller: Controller,
+    job: Deployment,
+    *,
+    limits: GuardLimits | None = None,
+    stance: Stance | None = None,
+    model: ToolModel | None = None,
+    **drive: Any,
+) -> tuple[Recording, Deployed]:
     """Bring an arm to its rest posture and then to the targets of ``job``."""
     start = begin(robot, limits, stance)
     check_controller_period(controller, start.usual_period())
     recording = run(
-        robot, controller, job.targets[None], Schedule(dwell=job.dwell, sent=start.command[-1]), limits=limits,
-        turns=job.turns and job.turns[None], **drive,
-    )  # fmt: skip
+        robot,
+        controller,
+        job.targets[None],
+        Schedule(dwell=job.dwell, sent=start.command[-1]),
+        limits=limits,
+        turns=job.turns and job.turns[None],
+        **drive,
+    )
     return recording, judge(robot.arm, recording, job, model)

@@ -75,8 +75,12 @@ def test_help_does_not_wait_for_what_is_slow_to_import() -> None:
 def named(kind: type[ast.AST]) -> list[tuple[str, str]]:
     """Names of all functions or classes of the package, each with its file."""
     files = sorted((ROOT / "src" / "rejoint").rglob("*.py"))
-    return [(node.name, str(file)) for file in files for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
-            if isinstance(node, kind)]  # fmt: skip
+    return [
+        (node.name, str(file))
+        for file in files
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        if isinstance(node, kind)
+    ]
 
 
 def test_no_two_classes_have_one_name() -> None:

@@ -327,9 +327,11 @@ def test_a_reader_who_leaves_decides_nothing(stream: str) -> None:
     words = ("deploy", "emulated:worn", "--dwell", "0.1", "--within", "0.01", "--json")
     gone = {"stdout": {"stdout"}, "stderr": {"stderr"}, "both": {"stdout", "stderr"}}[stream]
     done = subprocess.run(
-        [sys.executable, "-m", "rejoint", *words], check=False, text=True,
+        [sys.executable, "-m", "rejoint", *words],
+        check=False,
+        text=True,
         **{name: writing if name in gone else subprocess.PIPE for name in ("stdout", "stderr")},
-    )  # fmt: skip
+    )
     os.close(writing)
     assert done.returncode == 5
     assert "error" not in (done.stderr or "")

@@ -26,11 +26,17 @@ def a_log(label: str, rows: int) -> RunLog:
 def a_twin() -> Twin:
     belief, error = prior(ARM), PredictionError(joints=(0.0,) * 5, joint=0.0, tcp=0.0)
     return Twin(
-        arm=ARM.name, joint_names=ARM.joint_names, parameters=unpack(belief.mean, ARM.joints),
-        covariance=np.diag(belief.sigma**2), lower=belief.lower, upper=belief.upper,
-        narrowing=np.ones(len(belief.mean)), identified=np.zeros(len(belief.mean), dtype=bool), fit_seconds=1.0,
+        arm=ARM.name,
+        joint_names=ARM.joint_names,
+        parameters=unpack(belief.mean, ARM.joints),
+        covariance=np.diag(belief.sigma**2),
+        lower=belief.lower,
+        upper=belief.upper,
+        narrowing=np.ones(len(belief.mean)),
+        identified=np.zeros(len(belief.mean), dtype=bool),
+        fit_seconds=1.0,
         held_out=HeldOut(seconds=1.0, no_twin=error, healthy_twin=error, twin=error),
-    )  # fmt: skip
+    )
 
 
 def test_json_holds_results_and_names_the_file_of_the_traces(tmp_path: Path):

@@ -228,8 +228,11 @@ def test_only_prose_counts_as_sentences() -> None:
         f"Move it. See [the page](a.md).\n\n| {'cell ' * 40} |\n\n```\n{'code ' * 40}\n```\n* One item\n* Two `a b`\n"
     )
     assert [one.strip() for one in sentences(page) if one.strip()] == [
-        "Move it.", "See the page.", "One item", "Two code",
-    ]  # fmt: skip
+        "Move it.",
+        "See the page.",
+        "One item",
+        "Two code",
+    ]
 
 
 @pytest.mark.parametrize("name", COMMANDS)

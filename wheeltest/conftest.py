@@ -135,8 +135,14 @@ def arm_at() -> Iterator[str]:
 def _twin(arm: Arm) -> Twin:
     belief, nothing = prior(arm), PredictionError(joints=np.zeros(arm.joints), joint=0.0, tcp=0.0)
     return Twin(
-        arm=arm.name, joint_names=arm.joint_names, parameters=nominal_parameters(arm),
-        covariance=np.diag((0.1 * belief.sigma) ** 2), lower=belief.lower, upper=belief.upper,
-        narrowing=np.full(len(belief.mean), 0.1), identified=np.ones(len(belief.mean), dtype=bool),
-        held_out=HeldOut(seconds=0.0, no_twin=nothing, healthy_twin=nothing, twin=nothing), fit_seconds=0.0,
-    )  # fmt: skip
+        arm=arm.name,
+        joint_names=arm.joint_names,
+        parameters=nominal_parameters(arm),
+        covariance=np.diag((0.1 * belief.sigma) ** 2),
+        lower=belief.lower,
+        upper=belief.upper,
+        narrowing=np.full(len(belief.mean), 0.1),
+        identified=np.ones(len(belief.mean), dtype=bool),
+        held_out=HeldOut(seconds=0.0, no_twin=nothing, healthy_twin=nothing, twin=nothing),
+        fit_seconds=0.0,
+    )

@@ -23,9 +23,12 @@ def test_load_goes_with_mass_and_length_and_reach_with_length_alone():
     offset[:, :3, 3] *= 2.0
     tip[:3, 3] *= 2.0
     long = dataclasses.replace(
-        ARM, offset=offset, tip=tip, com=2.0 * ARM.com,
+        ARM,
+        offset=offset,
+        tip=tip,
+        com=2.0 * ARM.com,
         targets=dataclasses.replace(ARM.targets, lower=2.0 * ARM.targets.lower, upper=2.0 * ARM.targets.upper),
-    )  # fmt: skip
+    )
     assert length_size(long) == pytest.approx(2.0)
     assert torque_size(long) == pytest.approx(2.0, rel=1e-3)
 

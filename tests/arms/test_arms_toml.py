@@ -80,10 +80,13 @@ def test_boxes_to_keep_out_of_are_read_as_written(tmp_path: Path) -> None:
 
 def test_a_table_of_denavit_and_hartenberg_is_the_same_arm(tmp_path: Path) -> None:
     rows = [
-        "d_m = 0.13122, alpha_deg = 90", "a_m = -0.1104, offset_deg = -90", "a_m = -0.096",
-        "d_m = 0.0634, alpha_deg = 90, offset_deg = -90", "d_m = 0.07505, alpha_deg = -90, offset_deg = 90",
+        "d_m = 0.13122, alpha_deg = 90",
+        "a_m = -0.1104, offset_deg = -90",
+        "a_m = -0.096",
+        "d_m = 0.0634, alpha_deg = 90, offset_deg = -90",
+        "d_m = 0.07505, alpha_deg = -90, offset_deg = 90",
         "d_m = 0.0456",
-    ]  # fmt: skip
+    ]
     text = 'name = "mine"\n' + "".join(f'[[joint]]\nname = "j{i}"\ndh = {{ {row} }}\n' for i, row in enumerate(rows))
     arm = load_arm(write(tmp_path, text))
     q = np.random.default_rng(0).uniform(-2, 2, (50, 6))

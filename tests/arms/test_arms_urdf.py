@@ -13,9 +13,12 @@ from rejoint.arms.rotations import rotation_about
 def displaced(arm, seed=0):
     rng, n = np.random.default_rng(seed), arm.joints
     return replace(
-        Displacement.none(arm), offset=rng.normal(0.0, 0.02, n), compliance=rng.uniform(0.0, 0.03, n),
-        play=rng.uniform(0.0, 0.03, n), twist=rng.normal(0.0, 1.0, (n + 1, 6)) * ([1e-3] * 3 + [5e-3] * 3),
-    )  # fmt: skip
+        Displacement.none(arm),
+        offset=rng.normal(0.0, 0.02, n),
+        compliance=rng.uniform(0.0, 0.03, n),
+        play=rng.uniform(0.0, 0.03, n),
+        twist=rng.normal(0.0, 1.0, (n + 1, 6)) * ([1e-3] * 3 + [5e-3] * 3),
+    )
 
 
 @pytest.mark.parametrize("name", ["mycobot280", "so101"])

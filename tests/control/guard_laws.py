@@ -47,13 +47,22 @@ def random_chain(rng: np.random.Generator) -> Arm:
     tip = np.eye(4)
     tip[:3, 3] = rng.normal(scale=0.1, size=3)
     arm = Arm(
-        name="chain", joint_names=tuple(f"j{i}" for i in range(n)), offset=offset,
-        axis=axis / np.linalg.norm(axis, axis=1, keepdims=True), tip=tip, lower=-rng.uniform(1.0, 3.0, n),
-        upper=rng.uniform(1.0, 3.0, n), max_speed=rng.uniform(0.5, 6.0, n), mass=np.full(n, 0.2),
-        com=np.zeros((n, 3)), inertia=np.tile(1e-4 * np.eye(3), (n, 1, 1)), rest=rng.uniform(-0.9, 0.9, n),
-        targets=Box(lower=-np.ones(3), upper=np.ones(3)), floor=float(rng.choice([-0.4, -0.05, 0.0, 0.02])),
+        name="chain",
+        joint_names=tuple(f"j{i}" for i in range(n)),
+        offset=offset,
+        axis=axis / np.linalg.norm(axis, axis=1, keepdims=True),
+        tip=tip,
+        lower=-rng.uniform(1.0, 3.0, n),
+        upper=rng.uniform(1.0, 3.0, n),
+        max_speed=rng.uniform(0.5, 6.0, n),
+        mass=np.full(n, 0.2),
+        com=np.zeros((n, 3)),
+        inertia=np.tile(1e-4 * np.eye(3), (n, 1, 1)),
+        rest=rng.uniform(-0.9, 0.9, n),
+        targets=Box(lower=-np.ones(3), upper=np.ones(3)),
+        floor=float(rng.choice([-0.4, -0.05, 0.0, 0.02])),
         encoder_step=1e-3,
-    )  # fmt: skip
+    )
     tcp = tcp_position(arm, arm.rest)
     object.__setattr__(arm, "targets", Box(lower=tcp - 0.02, upper=tcp + 0.02))
     return arm
@@ -69,12 +78,28 @@ def draw_cases(limits: GuardLimits, rng: np.random.Generator, count: int, *, gar
     sent = _choose(rng, [far, near, outside, np.clip(outside, low, high)])
     period = np.where(rng.random(count) < 0.7, rng.uniform(0.015, 0.06, count), rng.choice(PERIODS, count))
     reach = np.nan_to_num(np.clip(period, 0.0, 0.1))[:, None] * arm.max_speed
-    speed = _choose(rng, [np.zeros(shape), arm.max_speed * rng.uniform(-1.0, 1.0, shape),
-                          arm.max_speed * rng.choice([-1.0, 0.0, 1.0], shape)])  # fmt: skip
+    speed = _choose(
+        rng,
+        [
+            np.zeros(shape),
+            arm.max_speed * rng.uniform(-1.0, 1.0, shape),
+            arm.max_speed * rng.choice([-1.0, 0.0, 1.0], shape),
+        ],
+    )
     step = reach * rng.uniform(-1.0, 1.0, shape)
-    command = _choose(rng, [sent + step, sent + 0.1 * step, sent + reach * np.sign(step), sent - speed * 0.02,
-                            sent + 0.3 * step, rng.uniform(low, high, shape), sent + rng.normal(size=shape) * 2.0,
-                            sent.copy()])  # fmt: skip
+    command = _choose(
+        rng,
+        [
+            sent + step,
+            sent + 0.1 * step,
+            sent + reach * np.sign(step),
+            sent - speed * 0.02,
+            sent + 0.3 * step,
+            rng.uniform(low, high, shape),
+            sent + rng.normal(size=shape) * 2.0,
+            sent.copy(),
+        ],
+    )
     position = sent + rng.choice([0.0, 0.02, 0.2, 0.5], (count, 1)) * rng.normal(size=shape)
     age = np.where(
         rng.random(count) < 0.9, rng.uniform(0.0, 0.4, count), rng.choice([0.6, np.nan, np.inf, -1.0], count)
@@ -86,9 +111,12 @@ def draw_cases(limits: GuardLimits, rng: np.random.Generator, count: int, *, gar
     fault = rng.random(shape) < 0.005
     told = rng.random() < 0.5
     state = JointState(
-        time=np.zeros(count), position=position, age=age, temperature=temperature if told else None,
+        time=np.zeros(count),
+        position=position,
+        age=age,
+        temperature=temperature if told else None,
         fault=fault if told else None,
-    )  # fmt: skip
+    )
     return Case(command, sent, speed, state, period)
 
 

@@ -23,9 +23,12 @@ def displaced(seed=1, arm=ARM):
     rng = np.random.default_rng(seed)
     n = arm.joints
     return replace(
-        Displacement.none(arm), offset=rng.normal(0.0, 0.01, n), compliance=rng.uniform(0.0, 0.03, n),
-        play=rng.uniform(0.0, 0.03, n), twist=rng.normal(0.0, 1.0, (n + 1, 6)) * ([1e-3] * 3 + [5e-3] * 3),
-    )  # fmt: skip
+        Displacement.none(arm),
+        offset=rng.normal(0.0, 0.01, n),
+        compliance=rng.uniform(0.0, 0.03, n),
+        play=rng.uniform(0.0, 0.03, n),
+        twist=rng.normal(0.0, 1.0, (n + 1, 6)) * ([1e-3] * 3 + [5e-3] * 3),
+    )
 
 
 class PerfectServos:

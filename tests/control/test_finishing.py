@@ -45,9 +45,13 @@ def driven(make=IntegratorController, *, wear="worn?seed=701", believed=None, **
     controller = Finishing(ARM, make(ARM), seen)
     states = []
     recording = run(
-        robot, controller, TARGETS, Schedule(dwell=DWELL), correction=seen,
+        robot,
+        controller,
+        TARGETS,
+        Schedule(dwell=DWELL),
+        correction=seen,
         on_cycle=lambda _: states.append(controller.state),
-    )  # fmt: skip
+    )
     return recording, np.array(states), seen
 
 

@@ -349,8 +349,12 @@ def test_a_whole_joint_whose_command_was_acknowledged_late_is_believed(period, s
         gone = np.clip((clock - 0.013 - arrives - 0.02) * np.radians(100.0), 0.0, way)
         there = clock - 0.013 > arrives  # a load is 13 ms old as well, and its servo gives it at once
         load = SERVOS.gain * third * (way * there - gone) if told else None
-        now = replace(state, time=np.full(1, clock), position=(REST + gone * third)[None],
-                      load=None if load is None else load[None])  # fmt: skip
+        now = replace(
+            state,
+            time=np.full(1, clock),
+            position=(REST + gone * third)[None],
+            load=None if load is None else load[None],
+        )
         sent = REST + way * third * (k > stalled)
         assert watch.check(now, sent[None], np.zeros(1, dtype=bool)) is None, f"at {clock:.3f} s"
     assert gone == way

@@ -172,8 +172,10 @@ def test_the_table_is_a_contact_of_housings():
 def test_a_ground_that_the_tool_may_pass_is_no_ground():
     pedestal = dataclasses.replace(ARM, floor=-0.4)
     down = np.radians([0.0, -135, 0, 0, 0, 0])
-    on_table, above = (guard(GuardLimits.of(arm), down[None], down[None] + 0.01, np.zeros((1, 6)), state(down), PERIOD)
-                       for arm in (ARM, pedestal))  # fmt: skip
+    on_table, above = (
+        guard(GuardLimits.of(arm), down[None], down[None] + 0.01, np.zeros((1, 6)), state(down), PERIOD)
+        for arm in (ARM, pedestal)
+    )
     assert on_table.reasons[0] & (Reason.COLLISION | Reason.FLOOR)
     assert above.reasons[0] == 0
 

@@ -73,10 +73,15 @@ class Adversary:
         self.kind = np.where(new, rng.integers(0, 5, len(sent)), self.kind)
         self.goal = np.where(new[:, None], rng.uniform(arm.lower - 0.5, arm.upper + 0.5, self.shape), self.goal)
         side = 1.0 if cycle % 2 else -1.0
-        wanted = np.stack([
-            self.goal, sent + side * np.sign(self.goal), sent + 0.01 * rng.normal(size=self.shape),
-            sent + 0.3 * (self.goal - sent), np.full(self.shape, 1e9 * side),
-        ])  # fmt: skip
+        wanted = np.stack(
+            [
+                self.goal,
+                sent + side * np.sign(self.goal),
+                sent + 0.01 * rng.normal(size=self.shape),
+                sent + 0.3 * (self.goal - sent),
+                np.full(self.shape, 1e9 * side),
+            ]
+        )
         wanted = wanted[self.kind, np.arange(len(sent))]
         return np.where(rng.random((len(sent), 1)) < 0.01, np.nan, wanted)
 
@@ -92,7 +97,9 @@ def test_no_sequence_of_commands_leads_an_arm_into_trouble(kind, seed):
     speed, position, sag = np.zeros_like(sent), sent.copy(), rng.normal(scale=0.05, size=sent.shape)
     first, seen = np.minimum(clearances(limits, sent), 0.0), 0
     for cycle in range(60):
-        period = rng.choice([0.004, 0.02, 0.025, 0.05, 0.1, 2.0, 0.0, np.nan], count, p=[0.1, 0.3, 0.2, 0.2, 0.05, 0.05, 0.05, 0.05])  # fmt: skip # noqa: E501
+        period = rng.choice(
+            [0.004, 0.02, 0.025, 0.05, 0.1, 2.0, 0.0, np.nan], count, p=[0.1, 0.3, 0.2, 0.2, 0.05, 0.05, 0.05, 0.05]
+        )
         position = position + 0.5 * (sent + sag - position) + rng.normal(scale=1e-3, size=sent.shape)
         state = JointState(time=np.zeros(count), position=position, age=np.zeros(count))
         out = check(limits, Case(adversary.command(cycle, sent), sent, speed, state, period))
@@ -166,9 +173,13 @@ def test_speeds_and_periods_of_one_arm_are_not_those_of_another(kind, seed):
     for b in range(5):
         rows = slice(b, b + 1)
         alone = guard(
-            limits, case.command[rows], case.sent[rows], case.speed[rows], calm(case.state.position[rows]),
+            limits,
+            case.command[rows],
+            case.sent[rows],
+            case.speed[rows],
+            calm(case.state.position[rows]),
             case.period[rows],
-        )  # fmt: skip
+        )
         for found, wanted in zip(alone, batch, strict=True):
             np.testing.assert_array_equal(found[0], wanted[b])
 
@@ -180,9 +191,13 @@ def test_the_laws_would_notice():
     with pytest.raises(AssertionError):
         check_clear(limits, rest, rest + np.radians([0, -135, 0, 0, 0, 0]))
     loose = GuardLimits(
-        arm=limits.arm, lower=limits.lower, upper=limits.upper, max_speed=limits.max_speed,
-        max_acceleration=np.full(6, np.inf), collisions=False,
-    )  # fmt: skip
+        arm=limits.arm,
+        lower=limits.lower,
+        upper=limits.upper,
+        max_speed=limits.max_speed,
+        max_acceleration=np.full(6, np.inf),
+        collisions=False,
+    )
     reversal = Case(rest - 0.05, rest, np.full((1, 6), 2.6), calm(rest), np.full(1, 0.02))
     assert guard(loose, *reversal).reasons[0] == 0
     assert guard(limits, *reversal).reasons[0] == Reason.ACCELERATION

@@ -26,9 +26,17 @@ def standing_log(gain=GAIN, offset=0.01, noise=0.0, holds=20, lead=0.02):
     load = np.clip(gain * arrived + offset + rng.normal(0.0, max(noise, 1e-12), arrived.shape), -1.0, 1.0)
     nowhere = np.full((rows, 3), np.nan)
     return RunLog(
-        arm=ARM.name, joint_names=ARM.joint_names, robot="test:", label="standing", time=time, position=position,
-        command=position + leads, target=nowhere, true_tcp=nowhere, servo_load=load,
-    )  # fmt: skip
+        arm=ARM.name,
+        joint_names=ARM.joint_names,
+        robot="test:",
+        label="standing",
+        time=time,
+        position=position,
+        command=position + leads,
+        target=nowhere,
+        true_tcp=nowhere,
+        servo_load=load,
+    )
 
 
 def worn_logs(kind, count=2):

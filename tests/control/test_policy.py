@@ -39,11 +39,22 @@ def network(observation):
 def contract(**changes) -> PolicyContract:
     probe = network(probe_observations(SIZE))
     complete = PolicyContract(
-        arm=ARM.name, arm_digests=law_digests(ARM), joint_names=ARM.joint_names, lower=tuple(ARM.lower.tolist()),
-        upper=tuple(ARM.upper.tolist()), layout="residual", observation=layout_slots("residual", 6), law=CommandLaw(),
-        min_period=0.018, max_period=0.055, probe=tuple(tuple(row) for row in probe.tolist()), twin_digest="",
-        preset="default", seed=0, software="0",
-    )  # fmt: skip
+        arm=ARM.name,
+        arm_digests=law_digests(ARM),
+        joint_names=ARM.joint_names,
+        lower=tuple(ARM.lower.tolist()),
+        upper=tuple(ARM.upper.tolist()),
+        layout="residual",
+        observation=layout_slots("residual", 6),
+        law=CommandLaw(),
+        min_period=0.018,
+        max_period=0.055,
+        probe=tuple(tuple(row) for row in probe.tolist()),
+        twin_digest="",
+        preset="default",
+        seed=0,
+        software="0",
+    )
     return dataclasses.replace(complete, **changes)
 
 

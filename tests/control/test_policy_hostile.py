@@ -159,10 +159,18 @@ def has_no_layers(found):
 @pytest.mark.parametrize(
     "harm",
     [
-        loops, carries_a_graph, carries_a_tensor, asks_for_memory, names_a_file, of_another_library,
-        knows_another_library, has_functions, has_too_many_layers, has_no_layers,
+        loops,
+        carries_a_graph,
+        carries_a_tensor,
+        asks_for_memory,
+        names_a_file,
+        of_another_library,
+        knows_another_library,
+        has_functions,
+        has_too_many_layers,
+        has_no_layers,
     ],
-)  # fmt: skip
+)
 def test_a_network_of_anything_but_layers_never_reaches_the_runtime(harm, tmp_path, monkeypatch):
     found = model(tmp_path)
     harm(found)

@@ -170,9 +170,16 @@ def test_a_run_tells_how_far_its_arm_stood_off_in_its_diagnosis(tmp_path):
     command[2, 3] += np.radians(20.0)  # where the first target ends; on the way to the next one it does not count
     command[3, 2] += np.radians(50.0)
     log = RunLog(
-        arm=ARM.name, joint_names=ARM.joint_names, robot="emulated:worn", label="targets", time=0.05 * np.arange(6.0),
-        position=position, command=command, target=rows, true_tcp=rows,
-    )  # fmt: skip
+        arm=ARM.name,
+        joint_names=ARM.joint_names,
+        robot="emulated:worn",
+        label="targets",
+        time=0.05 * np.arange(6.0),
+        position=position,
+        command=command,
+        target=rows,
+        true_tcp=rows,
+    )
     write_log(run.folder.log("targets"), log)
     np.testing.assert_allclose(np.degrees(stance_of(twin, run).off), [0.0, 0.0, 0.0, 20.0, 0.0, 0.0], atol=1e-9)
 

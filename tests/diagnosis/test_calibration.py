@@ -53,9 +53,12 @@ def measured(truth: Displacement, count: int, *, seed: int = 0, noise: float = S
     links[:, 0] += 0.5 * truth.play[0] * rng.uniform(-1.0, 1.0, count)
     point = tcp_position(truth.moved(ARM), links) + rng.normal(0.0, noise, (count, 3))
     return Measurements(
-        position=q, approach=np.full((count, 6), np.nan), point=point, sigma=np.full(count, noise),
+        position=q,
+        approach=np.full((count, 6), np.nan),
+        point=point,
+        sigma=np.full(count, noise),
         posture=np.arange(count),
-    )  # fmt: skip
+    )
 
 
 def error_of(found: Calibration, truth: Displacement) -> float:
@@ -103,11 +106,22 @@ def test_a_single_joint_by_hand() -> None:
     # 100 N m/rad, and its weight presses it to the lower end of 0.02 rad of play.
     turn = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
     rod = Arm(
-        name="rod", joint_names=("only",), offset=pose_of(turn, np.zeros(3))[None], axis=np.array([[0.0, 0.0, 1.0]]),
-        tip=pose_of(np.eye(3), np.array([0.2, 0.0, 0.0])), lower=np.array([-2.0]), upper=np.array([2.0]),
-        max_speed=np.ones(1), mass=np.ones(1), com=np.array([[0.1, 0.0, 0.0]]), inertia=1e-3 * np.eye(3)[None],
-        rest=np.zeros(1), targets=ARM.targets, floor=-1.0, encoder_step=1e-3,
-    )  # fmt: skip
+        name="rod",
+        joint_names=("only",),
+        offset=pose_of(turn, np.zeros(3))[None],
+        axis=np.array([[0.0, 0.0, 1.0]]),
+        tip=pose_of(np.eye(3), np.array([0.2, 0.0, 0.0])),
+        lower=np.array([-2.0]),
+        upper=np.array([2.0]),
+        max_speed=np.ones(1),
+        mass=np.ones(1),
+        com=np.array([[0.1, 0.0, 0.0]]),
+        inertia=1e-3 * np.eye(3)[None],
+        rest=np.zeros(1),
+        targets=ARM.targets,
+        floor=-1.0,
+        encoder_step=1e-3,
+    )
     behind = replace(Displacement.none(rod), compliance=np.array([0.01]), play=np.array([0.02]))
     drop = 0.00981 + 0.01
     assert np.allclose(behind.tool(rod, np.zeros(1)), [0.2 * np.cos(drop), 0.0, -0.2 * np.sin(drop)], atol=1e-9)

@@ -80,9 +80,13 @@ def test_the_tolerance_is_reached_in_the_interval() -> None:
         path = np.cumsum(np.r_[0.0, drift + spread * rng.normal(size=400)])
         tolerance = path[:14].max() + 1.0
         left = remaining(
-            np.arange(14.0), path[:14] + SCATTER * rng.normal(size=14), COLD[:14], tolerance, scatter=SCATTER,
+            np.arange(14.0),
+            path[:14] + SCATTER * rng.normal(size=14),
+            COLD[:14],
+            tolerance,
+            scatter=SCATTER,
             per_degree=0.1,
-        )  # fmt: skip
+        )
         if left is None:
             continue
         made += 1

@@ -76,10 +76,11 @@ def test_where_a_joint_rests_may_go_with_the_warmth_of_its_whole_friction(checks
         warmer = 5.0 * np.sin(2.0 * np.pi * (month + 3) / 12.0)
         rows = [
             replace(
-                one, temperature_c=(one.temperature_c or 0.0) + warmer,
+                one,
+                temperature_c=(one.temperature_c or 0.0) + warmer,
                 reversal_mm=one.reversal_mm - 0.01 * one.hysteresis_mm * warmer,
             )
             for one in checks[0].joints
-        ]  # fmt: skip
+        ]
         seen.append(replace(checks[0], joints=tuple(rows)))
     assert all(judged(*seen[:stop]).state != "alarm" for stop in range(6, len(seen) + 1))

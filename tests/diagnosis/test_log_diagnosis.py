@@ -118,12 +118,14 @@ def own_reference():
     healthy = plain_reference()
     rows = tuple(
         dataclasses.replace(
-            row, stiffness_nm_per_rad=around(TRUTH.stiffness[j]), coulomb_nm=around(1.12 * TRUTH.coulomb[j]),
+            row,
+            stiffness_nm_per_rad=around(TRUTH.stiffness[j]),
+            coulomb_nm=around(1.12 * TRUTH.coulomb[j]),
             hysteresis_rad=around(2.24 * TRUTH.coulomb[j] / TRUTH.stiffness[j]),
             lag_s=around(TRUTH.damping[j] / TRUTH.stiffness[j] + 0.01),
         )
         for j, row in enumerate(healthy.joints)
-    )  # fmt: skip
+    )
     return dataclasses.replace(healthy, joints=rows)
 
 

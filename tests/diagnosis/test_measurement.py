@@ -51,9 +51,16 @@ def simulated(top_speed) -> RunLog:
     time, position, command = (np.array(column) for column in zip(*rows, strict=True))
     nothing = np.full((len(time), 3), np.nan)
     plain = RunLog(
-        arm=ARM.name, joint_names=ARM.joint_names, robot="here", label=EXCITATION_LABEL, time=time + 5.0,
-        position=position, command=command, target=nothing, true_tcp=nothing,
-    )  # fmt: skip
+        arm=ARM.name,
+        joint_names=ARM.joint_names,
+        robot="here",
+        label=EXCITATION_LABEL,
+        time=time + 5.0,
+        position=position,
+        command=command,
+        target=nothing,
+        true_tcp=nothing,
+    )
     return attach_segments(plain, excitation.segments)
 
 

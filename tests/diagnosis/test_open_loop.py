@@ -24,9 +24,16 @@ def made_up() -> RunLog:
     target = tcp + OFFSETS[(time // 2.0).astype(int)]
     true = np.where(settled[:, None], tcp + np.array([0.0, 0.002, 0.0]), tcp + 0.1)
     return RunLog(
-        arm=ARM.name, joint_names=ARM.joint_names, robot="here", label="targets", time=time, position=position,
-        command=position, target=target, true_tcp=true,
-    )  # fmt: skip
+        arm=ARM.name,
+        joint_names=ARM.joint_names,
+        robot="here",
+        label="targets",
+        time=time,
+        position=position,
+        command=position,
+        target=target,
+        true_tcp=true,
+    )
 
 
 def test_only_the_last_second_of_each_target_counts():

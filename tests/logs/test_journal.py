@@ -47,8 +47,13 @@ def same(log: RunLog, rows: list[tuple]) -> None:
 
 def whole(rows: list[tuple] = ROWS) -> RunLog:
     columns = dict(zip(("time", "position", "command", "target", "true_tcp"), zip(*rows, strict=True), strict=True))
-    return RunLog(arm="planar", joint_names=JOINTS, robot="tcp://x", label="deploy/policy",
-                  **{name: np.stack(column) for name, column in columns.items()})  # fmt: skip
+    return RunLog(
+        arm="planar",
+        joint_names=JOINTS,
+        robot="tcp://x",
+        label="deploy/policy",
+        **{name: np.stack(column) for name, column in columns.items()},
+    )
 
 
 @pytest.mark.parametrize("rows", [0, 500])

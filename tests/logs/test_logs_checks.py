@@ -23,9 +23,12 @@ def motion(found: Sample, command_time: Array | None = None, unit: str = "rad") 
 
     commands = found.time if command_time is None else command_time
     return RecordedMotion(
-        name="motion", state=track("state", found.time, found.position), robot="csv:motion", angle_unit=unit,
+        name="motion",
+        state=track("state", found.time, found.position),
+        robot="csv:motion",
+        angle_unit=unit,
         command=track("command", commands, found.command),
-    )  # fmt: skip
+    )
 
 
 def check(found: Sample, command_time: Array | None = None) -> tuple[RunLog, str]:

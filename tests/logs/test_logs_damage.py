@@ -42,9 +42,16 @@ def mutated(data: bytes, changes: list[tuple[str, float, int]]) -> bytes:
 
 def write_ros2(path: Path, found) -> Path:
     log = RunLog(
-        arm="so101", joint_names=ARM.joint_names, robot="emulated:worn", label="log", time=found.time,
-        position=found.position, command=found.command, target=found.position[:, :3], true_tcp=found.position[:, :3],
-    )  # fmt: skip
+        arm="so101",
+        joint_names=ARM.joint_names,
+        robot="emulated:worn",
+        label="log",
+        time=found.time,
+        position=found.position,
+        command=found.command,
+        target=found.position[:, :3],
+        true_tcp=found.position[:, :3],
+    )
     export_log(log, path)
     return path
 
@@ -63,7 +70,7 @@ MAKERS: dict[str, tuple[Callable[[Path], Path], str, ImportOptions]] = {
     "mcap-protobuf": (lambda f: write_foxglove(f / "m.mcap", sample()), "", ImportOptions()),
     "lerobot-info": (copy_dataset, "meta/info.json", ImportOptions(angle_unit="deg")),
     "lerobot-data": (copy_dataset, str(DATA), ImportOptions(angle_unit="deg")),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("kind", MAKERS)

@@ -38,9 +38,13 @@ def test_states_that_answer_in_time_are_believed(rows: int, stepping: bool):
 @pytest.mark.parametrize("stepping", [False, True])
 @pytest.mark.parametrize(
     ("rows", "said"),
-    [(10, r"best 0\.[01]\d* s before them"), (25, r"best 0.[34]. s before them.*stamped before .*exchanged"),
-     (-15, r"best 0\.\d+ s after them.*or the clocks differ"), (-25, r"s after them, expected 0 to 0.3 s")],
-)  # fmt: skip
+    [
+        (10, r"best 0\.[01]\d* s before them"),
+        (25, r"best 0.[34]. s before them.*stamped before .*exchanged"),
+        (-15, r"best 0\.\d+ s after them.*or the clocks differ"),
+        (-25, r"s after them, expected 0 to 0.3 s"),
+    ],
+)
 def test_states_on_another_clock_are_refused(rows: int, said: str, stepping: bool):
     found = motion(shifted(worn_sample(seconds=40, stepping=stepping), rows))
     with pytest.raises(FileError, match=said):
@@ -90,18 +94,21 @@ def dataset(folder: Path, scale: np.ndarray, found: Sample) -> Path:
     names = [f"{name}.pos" for name in ARM.joint_names]
     feature = {"dtype": "float32", "shape": [5], "names": names}
     info = {
-        "codebase_version": "v3.0", "fps": 50, "total_frames": len(found.time),
+        "codebase_version": "v3.0",
+        "fps": 50,
+        "total_frames": len(found.time),
         "features": {"observation.state": feature, "action": feature},
-    }  # fmt: skip
+    }
     (folder / "meta").mkdir(parents=True)
     (folder / "meta/info.json").write_text(json.dumps(info))
     (folder / "data/chunk-000").mkdir(parents=True)
     columns = {
         "observation.state": (found.position * scale).astype(np.float32).tolist(),
         "action": (found.command * scale).astype(np.float32).tolist(),
-        "timestamp": found.time.astype(np.float32), "frame_index": np.arange(len(found.time)),
+        "timestamp": found.time.astype(np.float32),
+        "frame_index": np.arange(len(found.time)),
         "episode_index": np.zeros(len(found.time), dtype=int),
-    }  # fmt: skip
+    }
     pq.write_table(pa.table(columns), folder / "data/chunk-000/file-000.parquet")
     return folder
 
@@ -114,7 +121,7 @@ def calibration(folder: Path) -> Path:
     motors = {
         name: {"id": i, "drive_mode": 0, "homing_offset": 0, "range_min": 100, "range_max": 100 + int(SPANS[i])}
         for i, name in enumerate(ARM.joint_names)
-    }  # fmt: skip
+    }
     (folder / "arm.json").write_text(json.dumps(motors))
     return folder / "arm.json"
 

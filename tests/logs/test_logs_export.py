@@ -19,11 +19,17 @@ def run_log(seed: int = 0, time: np.ndarray | None = None) -> RunLog:
     target, tcp = rng.normal(size=(2, 60, 3))
     target[:10] = np.nan
     return RunLog(
-        arm="so101", joint_names=ARM.joint_names, robot="emulated:worn", label="hold/policy/0/2",
+        arm="so101",
+        joint_names=ARM.joint_names,
+        robot="emulated:worn",
+        label="hold/policy/0/2",
         time=found.time + np.cumsum(rng.uniform(0, 1e-3, 60)) if time is None else time,
-        position=found.position + rng.normal(0, 1e-4, (60, 5)), command=found.command, target=target, true_tcp=tcp,
+        position=found.position + rng.normal(0, 1e-4, (60, 5)),
+        command=found.command,
+        target=target,
+        true_tcp=tcp,
         extra={"seed": "7", "profile": "worn"},
-    )  # fmt: skip
+    )
 
 
 def same_bits(a: np.ndarray, b: np.ndarray) -> bool:

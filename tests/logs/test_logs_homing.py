@@ -19,11 +19,14 @@ def source(tmp_path):
     rng = np.random.default_rng(3)
     motors = {
         name: {
-            "id": i + 1, "drive_mode": 0, "homing_offset": int(rng.integers(-1500, 1500)),
-            "range_min": int(rng.integers(700, 900)), "range_max": int(rng.integers(3200, 3400)),
+            "id": i + 1,
+            "drive_mode": 0,
+            "homing_offset": int(rng.integers(-1500, 1500)),
+            "range_min": int(rng.integers(700, 900)),
+            "range_max": int(rng.integers(3200, 3400)),
         }
         for i, name in enumerate(NAMES)
-    }  # fmt: skip
+    }
     path.write_text(json.dumps(motors), encoding="utf-8")
     return path
 

@@ -60,10 +60,15 @@ def test_the_unit_has_to_be_declared(tmp_path: Path):
 
 def test_normalised_values_need_the_calibration(tmp_path: Path):
     motors = {
-        name: {"id": i, "drive_mode": int(name == "wrist_roll"), "homing_offset": 0, "range_min": 1000,
-               "range_max": 3048 - 100 * i}
+        name: {
+            "id": i,
+            "drive_mode": int(name == "wrist_roll"),
+            "homing_offset": 0,
+            "range_min": 1000,
+            "range_max": 3048 - 100 * i,
+        }
         for i, name in enumerate([*ARM.joint_names, "gripper"])
-    }  # fmt: skip
+    }
     calibration = tmp_path / "arm.json"
     calibration.write_text(json.dumps(motors))
     options = ImportOptions(angle_unit="normalised", calibration=calibration, force=True)

@@ -79,16 +79,21 @@ def write_rosbag(path: Path, found: Sample) -> Path:
             header = kinds["std_msgs/msg/Header"](stamp=time, frame_id="base")
             order = [5, 3, 1, 0, 2, 4] if topic == "/joint_states" else [0, 1, 2, 3, 4, 5]
             message = state(
-                header=header, name=[NAMES[i] for i in order], position=np.array(values)[order],
-                velocity=np.zeros(0), effort=np.zeros(0),
-            )  # fmt: skip
+                header=header,
+                name=[NAMES[i] for i in order],
+                position=np.array(values)[order],
+                velocity=np.zeros(0),
+                effort=np.zeros(0),
+            )
             bag.write(links[topic], stamp + 5_000_000, store.serialize_cdr(message, state.__msgtype__))
     return next(path.glob("*.mcap"))
 
 
 WRITERS: dict[str, Callable[[Path, Sample], Path]] = {
-    "foxglove": write_foxglove, "json": write_json, "rosbag": write_rosbag,
-}  # fmt: skip
+    "foxglove": write_foxglove,
+    "json": write_json,
+    "rosbag": write_rosbag,
+}
 
 
 @pytest.mark.parametrize("kind", WRITERS)
@@ -106,7 +111,7 @@ def test_every_number_arrives(tmp_path: Path, kind: str):
     assert log.label == source.stem
     assert {note.partition(": ")[2] for note in imported.notes} == {
         f"{group}: names that are no joints dropped: {group}.gripper" for group in ("position", "command")
-    }  # fmt: skip
+    }
 
 
 def test_a_folder_of_a_bag_is_read(tmp_path: Path):
@@ -120,9 +125,13 @@ def test_missing_stamps_are_told_and_half_missing_ones_refused(tmp_path: Path):
     imported = import_logs(bare, ARM, out=tmp_path / "logs")
     assert any("times are those of the recording" in note for note in imported.notes)
     np.testing.assert_allclose(np.diff(imported.logs[0].time), 0.02, atol=1e-9)
-    mixed = messages(tmp_path / "mixed.mcap", {
-        "/joint_states": [state(k, 0) for k in range(5)], "/joint_commands": [state(k, k + 1) for k in range(5)],
-    })  # fmt: skip
+    mixed = messages(
+        tmp_path / "mixed.mcap",
+        {
+            "/joint_states": [state(k, 0) for k in range(5)],
+            "/joint_commands": [state(k, k + 1) for k in range(5)],
+        },
+    )
     with pytest.raises(FileError, match="messages on /joint_states have no stamps, the others do; set stamp to log"):
         import_logs(mixed, ARM, out=tmp_path / "other")
     log = import_logs(mixed, ARM, out=tmp_path / "other", options=ImportOptions(stamp="log")).logs[0]

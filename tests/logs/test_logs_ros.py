@@ -43,12 +43,14 @@ def trajectory(after: list[float], *orders: np.ndarray, names: list[str] | None 
     none = np.zeros(0)
     points = [
         KINDS["trajectory_msgs/msg/JointTrajectoryPoint"](
-            positions=orders[0][k], velocities=orders[1][k] if len(orders) > 1 else none,
-            accelerations=orders[2][k] if len(orders) > 2 else none, effort=none,
+            positions=orders[0][k],
+            velocities=orders[1][k] if len(orders) > 1 else none,
+            accelerations=orders[2][k] if len(orders) > 2 else none,
+            effort=none,
             time_from_start=KINDS["builtin_interfaces/msg/Duration"](sec=int(t), nanosec=round((t % 1) * 1e9)),
         )
         for k, t in enumerate(after)
-    ]  # fmt: skip
+    ]
     kind = KINDS["trajectory_msgs/msg/JointTrajectory"]
     return kind(header=header(stamp), joint_names=names or list(ARM.joint_names), points=points)
 

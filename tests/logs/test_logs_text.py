@@ -47,7 +47,7 @@ WAYS: dict[str, tuple[bytes, str]] = {
     "heading of a spreadsheet": (text("Bench 3;;;;", ";;;;", *lines(";", ",")).encode("utf-16"), "after 1 other line"),
     "empty rows of a spreadsheet": (text(*lines(";"), ";" * 10, ";" * 10).encode(), "semicolons"),
     "no end of the last line": ("\n".join(lines()).encode(), ""),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -75,9 +75,11 @@ def test_a_line_that_was_cut_is_left_out(tmp_path: Path):
 
 
 TITLES = ["t [ms]", *(f"joint_{letter}" for letter in "abcde"), *(f"cmd {number}" for number in range(1, 6))]
-MAP = {"time": "t [ms]"} | {
-    name: f"joint_{letter}" for name, letter in zip(ARM.joint_names, "abcde", strict=True)
-} | {f"command.{name}": f"cmd {number}" for number, name in enumerate(ARM.joint_names, start=1)}  # fmt: skip
+MAP = (
+    {"time": "t [ms]"}
+    | {name: f"joint_{letter}" for name, letter in zip(ARM.joint_names, "abcde", strict=True)}
+    | {f"command.{name}": f"cmd {number}" for number, name in enumerate(ARM.joint_names, start=1)}
+)
 
 
 def other_titles(path: Path) -> Path:

@@ -17,9 +17,15 @@ from pathlib import Path
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 FLAGS = (  # software rendering has to be asked for: without it WebGL is null and a test sees nothing
-    "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader", "--no-first-run", "--disable-background-networking", "--hide-scrollbars",
-)  # fmt: skip
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-dev-shm-usage",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--hide-scrollbars",
+)
 RENDERER = """(() => { const gl = document.createElement('canvas').getContext('webgl2');
 if (!gl) return null; const info = gl.getExtension('WEBGL_debug_renderer_info');
 return gl.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : gl.RENDERER); })()"""
@@ -68,8 +74,15 @@ def chromium(width: int = 1200, height: int = 800, *, modest: bool = False) -> I
     from websockets.sync.client import connect
 
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-        command = [*(("nice", "-n", "19") if modest else ()), CHROMIUM, *FLAGS, f"--window-size={width},{height}",
-                   "--remote-debugging-port=0", f"--user-data-dir={folder}", "about:blank"]  # fmt: skip
+        command = [
+            *(("nice", "-n", "19") if modest else ()),
+            CHROMIUM,
+            *FLAGS,
+            f"--window-size={width},{height}",
+            "--remote-debugging-port=0",
+            f"--user-data-dir={folder}",
+            "about:blank",
+        ]
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=dict(os.environ))
         try:
             port = _port(Path(folder) / "DevToolsActivePort")

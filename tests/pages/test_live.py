@@ -29,11 +29,19 @@ def write(ring, number, *, time=None, reasons=0, position=None, wanted=None, com
     each, point = np.full((1, N), float(number)), np.full((1, 3), float(number))
     position, wanted, command = (each if one is None else one[None] for one in (position, wanted, command))
     cycle = Cycle(
-        time=np.array([number if time is None else time], dtype=float), position=position, command=command,
-        target=given.get("target", point), aim=point, target_index=np.array([number]),
-        since_target=np.zeros(1), true_tcp=given.get("true_tcp", point), active=np.array([True]),
-        reasons=np.array([reasons], dtype=np.uint16), load=each, turned=np.full(1, np.nan),
-    )  # fmt: skip
+        time=np.array([number if time is None else time], dtype=float),
+        position=position,
+        command=command,
+        target=given.get("target", point),
+        aim=point,
+        target_index=np.array([number]),
+        since_target=np.zeros(1),
+        true_tcp=given.get("true_tcp", point),
+        active=np.array([True]),
+        reasons=np.array([reasons], dtype=np.uint16),
+        load=each,
+        turned=np.full(1, np.nan),
+    )
     state = JointState(
         time=cycle.time, position=position, age=np.zeros(1), temperature=given.get("temperature"), load=each
     )

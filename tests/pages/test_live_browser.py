@@ -72,8 +72,11 @@ def test_a_port_that_is_taken_is_told_in_one_line_before_anything_moves():
         place = page.removeprefix("http://")
         other = subprocess.run(
             [sys.executable, "-m", "rejoint", "deploy", "emulated:worn", "--live", place],
-            capture_output=True, text=True, check=False, timeout=60,
-        )  # fmt: skip
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=60,
+        )
     assert other.returncode == 2
     assert not other.stdout
     assert other.stderr.startswith(f"error: --live {place}: Address already in use; end what listens there")

@@ -22,9 +22,18 @@ return [place.left, place.right, place.height, document.documentElement.scrollWi
 @pytest.mark.parametrize(("width", "medium"), [(1280, ""), (400, ""), (700, "print")])
 def test_what_to_do_is_seen_without_scrolling_sideways(tmp_path: Path, width: int, medium: str) -> None:
     row = FleetRow(
-        name="bench-3", address="tcp://10.0.0.1:9000", end="failed", state="failed", error_mm=None, found=WHY,
-        todo="mend that, then give the same command again", steps=(("diagnose", 3.0),), lost=0, folder=tmp_path, code=4,
-    )  # fmt: skip
+        name="bench-3",
+        address="tcp://10.0.0.1:9000",
+        end="failed",
+        state="failed",
+        error_mm=None,
+        found=WHY,
+        todo="mend that, then give the same command again",
+        steps=(("diagnose", 3.0),),
+        lost=0,
+        folder=tmp_path,
+        code=4,
+    )
     page = tmp_path / "repair.html"
     result = FleetResult(
         verb="repair", rows=(row,), ended=datetime(2026, 11, 22), seconds=9.0, page=page, finished=False

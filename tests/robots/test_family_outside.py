@@ -45,8 +45,10 @@ def install(folder: Path) -> None:
     (info / "METADATA").write_text(
         f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n", encoding="utf-8"
     )
-    lines = [f"[{group}]\n" + "".join(f"{name} = {what}\n" for name, what in points.items())
-             for group, points in project["entry-points"].items()]  # fmt: skip
+    lines = [
+        f"[{group}]\n" + "".join(f"{name} = {what}\n" for name, what in points.items())
+        for group, points in project["entry-points"].items()
+    ]
     (info / "entry_points.txt").write_text("".join(lines), encoding="utf-8")
 
 
@@ -115,9 +117,17 @@ def test_it_is_diagnosed_deployed_and_repaired(line, tmp_path, capsys, monkeypat
     write_twin(folder.twin, known_twin())
     monkeypatch.setitem(presets.PRESETS, "default", SMALL)
     done = rejoint(
-        capsys, monkeypatch, "repair", ADDRESS, "--run", folder.path, "--targets", points,
-        "--controllers", "integrator,policy",
-    )  # fmt: skip
+        capsys,
+        monkeypatch,
+        "repair",
+        ADDRESS,
+        "--run",
+        folder.path,
+        "--targets",
+        points,
+        "--controllers",
+        "integrator,policy",
+    )
     assert done["recommended"]["controller"] in ("integrator", "policy")
     assert {row["controller"] for row in json.loads(folder.comparison.read_text())["rows"]} == {"integrator", "policy"}
     assert ADDRESS in folder.report.read_text(encoding="utf-8")
@@ -129,9 +139,15 @@ def known_twin():
     error = PredictionError(joints=(0.01,) * 6, joint=0.01, tcp=1e-3)
     stiffness = load_wear("worn", ARM).position_gain
     return Twin(
-        arm=ARM.name, joint_names=ARM.joint_names,
+        arm=ARM.name,
+        joint_names=ARM.joint_names,
         parameters=dataclasses.replace(nominal_parameters(ARM), stiffness=stiffness),
-        covariance=np.diag((0.1 * belief.sigma) ** 2), lower=belief.lower, upper=belief.upper,
-        narrowing=np.full(len(belief.mean), 0.1), identified=np.ones(len(belief.mean), dtype=bool),
-        held_out=HeldOut(seconds=30.0, no_twin=error, healthy_twin=error, twin=error), fit_seconds=1.0, notes=(),
-    )  # fmt: skip
+        covariance=np.diag((0.1 * belief.sigma) ** 2),
+        lower=belief.lower,
+        upper=belief.upper,
+        narrowing=np.full(len(belief.mean), 0.1),
+        identified=np.ones(len(belief.mean), dtype=bool),
+        held_out=HeldOut(seconds=30.0, no_twin=error, healthy_twin=error, twin=error),
+        fit_seconds=1.0,
+        notes=(),
+    )

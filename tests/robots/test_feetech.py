@@ -108,9 +108,13 @@ def test_a_servo_that_labours_gets_its_old_gains_back_and_no_stiffer_ones():
     for registers in memory.values():
         registers[21:28] = [32, 32, 0, 16, 0, 1, 1]
     tuning = Tuning(
-        (1, 2), {}, read=lambda servo, first, size, _: bytes(memory[servo][first : first + size]), call=str,
-        write=lambda servo, first, data, _: memory[servo].__setitem__(first, *data), wait=lambda _: None,
-    )  # fmt: skip
+        (1, 2),
+        {},
+        read=lambda servo, first, size, _: bytes(memory[servo][first : first + size]),
+        call=str,
+        write=lambda servo, first, data, _: memory[servo].__setitem__(first, *data),
+        wait=lambda _: None,
+    )
     tuning.prepare(None)
     before = dict(tuning.values)
     tuning.tune({"p": (48, 32), "i": (1, 0), LIMIT: (50, 0), "dead_cw": (0, 1)})

@@ -9,9 +9,7 @@ from rejoint.robots.feetech.gains import KNOBS, DutyLaw, way
 from rejoint.robots.lab.plant.sts3215 import BareServos
 
 
-@given(
-    error=st.integers(-90, 90), p=st.sampled_from([8, 16, 32]), startup=st.integers(0, 40), dead=st.integers(0, 4)
-)  # fmt: skip
+@given(error=st.integers(-90, 90), p=st.sampled_from([8, 16, 32]), startup=st.integers(0, 40), dead=st.integers(0, 4))
 def test_the_load_of_a_servo_at_rest_is_its_gain_times_its_error(error, p, startup, dead):
     servo = BareServos(1)
     servo.settings["p"], servo.settings["startup"] = p, startup

@@ -79,8 +79,10 @@ def test_lines_of_another_program_are_answered_or_refused(tmp_path):
         assert program.wait(20) == 0
     program.stdout.close()
     assert hears[0] == {
-        "joints": list(ARM.joint_names), "middle": pytest.approx(np.radians([0, 0, 0, 5, 0])), "gripper": True,
-    }  # fmt: skip
+        "joints": list(ARM.joint_names),
+        "middle": pytest.approx(np.radians([0, 0, 0, 5, 0])),
+        "gripper": True,
+    }
     assert "5 joint positions" in hears[2]["refused"]
     assert "speed" in hears[3]["refused"]
     assert hears[5]["position"] == pytest.approx((ARM.rest + np.radians([0, 0, 0, 5, 0])).tolist(), abs=np.radians(6.0))
@@ -112,9 +114,13 @@ def test_lerobot_finds_makes_drives_and_leaves_the_robot(tmp_path):
         device = server.address.removeprefix("feetech://").partition("?")[0]
         command = [sys.executable, str(Path(__file__).with_name("lerobot_robot_judge.py")), device]
         found = subprocess.run(
-            [*command, str(server.run), str(program), str(folder)], env=os.environ | {"PYTHONPATH": str(JUDGE)},
-            capture_output=True, text=True, timeout=120, check=False,
-        )  # fmt: skip
+            [*command, str(server.run), str(program), str(folder)],
+            env=os.environ | {"PYTHONPATH": str(JUDGE)},
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=False,
+        )
         assert found.returncode == 0, found.stderr
         assert never_dropped(server.arm)
     seen = json.loads(found.stdout.splitlines()[-1])

@@ -42,12 +42,18 @@ def twin() -> Twin:
     """What an identification would find: here the stiffness is known."""
     belief, error = prior(ARM), PredictionError(joints=(0.01,) * 6, joint=0.01, tcp=1e-3)
     return Twin(
-        arm=ARM.name, joint_names=ARM.joint_names,
+        arm=ARM.name,
+        joint_names=ARM.joint_names,
         parameters=dataclasses.replace(nominal_parameters(ARM), stiffness=load_wear("worn", ARM).position_gain),
-        covariance=np.diag((0.1 * belief.sigma) ** 2), lower=belief.lower, upper=belief.upper,
-        narrowing=np.full(len(belief.mean), 0.1), identified=np.ones(len(belief.mean), dtype=bool),
-        held_out=HeldOut(seconds=30.0, no_twin=error, healthy_twin=error, twin=error), fit_seconds=1.0, notes=(),
-    )  # fmt: skip
+        covariance=np.diag((0.1 * belief.sigma) ** 2),
+        lower=belief.lower,
+        upper=belief.upper,
+        narrowing=np.full(len(belief.mean), 0.1),
+        identified=np.ones(len(belief.mean), dtype=bool),
+        held_out=HeldOut(seconds=30.0, no_twin=error, healthy_twin=error, twin=error),
+        fit_seconds=1.0,
+        notes=(),
+    )
 
 
 @pytest.mark.realtime
@@ -171,8 +177,9 @@ def test_an_order_into_the_ground_is_refused_with_the_code_of_a_collision() -> N
         assert answers.answer(Frame(0x25, pack_coords(low) + b"\x32" + straight)) == Frame(0x25, b"\x00")
         assert answers.answer(Frame(0x07)) == Frame(0x07, bytes([COLLISION]))
         assert not served.on_its_way
-    assert said == ["Refused send_coords: the guard keeps the arm from there: it would touch the ground or itself "
-                    "(error 16)"]  # fmt: skip
+    assert said == [
+        "Refused send_coords: the guard keeps the arm from there: it would touch the ground or itself (error 16)"
+    ]
     assert answers.answer(Frame(0x22, pack_angles(ARM.rest + 0.1) + b"\x32")) == Frame(0x22, b"\x01")
 
 

@@ -33,16 +33,28 @@ def a_twin() -> Twin:
     wear, belief = load_wear("worn", ARM), prior(ARM)
     error = PredictionError(joints=(0.01,) * 6, joint=0.01, tcp=1e-3)
     known = replace(
-        nominal_parameters(ARM), stiffness=wear.position_gain, damping=wear.damping_gain + wear.torque_limit / 5.0,
-        coulomb=1.1 * wear.coulomb, armature=0.9 * wear.reflected_inertia, torque_limit=wear.torque_limit,
-        offset=np.zeros(6), delay=np.array(0.022),
-    )  # fmt: skip
+        nominal_parameters(ARM),
+        stiffness=wear.position_gain,
+        damping=wear.damping_gain + wear.torque_limit / 5.0,
+        coulomb=1.1 * wear.coulomb,
+        armature=0.9 * wear.reflected_inertia,
+        torque_limit=wear.torque_limit,
+        offset=np.zeros(6),
+        delay=np.array(0.022),
+    )
     return Twin(
-        arm=ARM.name, joint_names=ARM.joint_names, parameters=known, covariance=np.diag((0.1 * belief.sigma) ** 2),
-        lower=belief.lower, upper=belief.upper, narrowing=np.full(len(belief.mean), 0.1),
+        arm=ARM.name,
+        joint_names=ARM.joint_names,
+        parameters=known,
+        covariance=np.diag((0.1 * belief.sigma) ** 2),
+        lower=belief.lower,
+        upper=belief.upper,
+        narrowing=np.full(len(belief.mean), 0.1),
         identified=np.ones(len(belief.mean), dtype=bool),
-        held_out=HeldOut(seconds=30.0, no_twin=error, healthy_twin=error, twin=error), fit_seconds=1.0, notes=(),
-    )  # fmt: skip
+        held_out=HeldOut(seconds=30.0, no_twin=error, healthy_twin=error, twin=error),
+        fit_seconds=1.0,
+        notes=(),
+    )
 
 
 @pytest.fixture
@@ -82,7 +94,7 @@ def test_an_arm_goes_to_points_and_leaves_one_log(run: Path) -> None:
         arm.move_to([0.18, 0.03, 0.21], wait=False)
         arm.stop()
         assert not arm.state.moving
-    (name, log), = Run.open(run).logs.items()  # fmt: skip
+    ((name, log),) = Run.open(run).logs.items()
     assert name.startswith("move-")
     assert {tuple(np.round(place, 3)) for place in log.target} == {(0.18, 0.03, 0.21), (0.17, 0.0, 0.2)}
     assert (np.diff(log.time) > 0.0).all()

@@ -60,16 +60,26 @@ class Kind:
 def log() -> RunLog:
     rng = np.random.default_rng(1)
     return RunLog(
-        arm="planar", joint_names=("a", "b"), robot="emulated:worn", label="hold/0", time=np.cumsum(np.full(40, 0.025)),
-        position=rng.normal(size=(40, 2)), command=rng.normal(size=(40, 2)), target=np.full((40, 3), np.nan),
-        true_tcp=rng.normal(size=(40, 3)), extra={"segments": "[[0.0, 1.5]]"},
-    )  # fmt: skip
+        arm="planar",
+        joint_names=("a", "b"),
+        robot="emulated:worn",
+        label="hold/0",
+        time=np.cumsum(np.full(40, 0.025)),
+        position=rng.normal(size=(40, 2)),
+        command=rng.normal(size=(40, 2)),
+        target=np.full((40, 3), np.nan),
+        true_tcp=rng.normal(size=(40, 3)),
+        extra={"segments": "[[0.0, 1.5]]"},
+    )
 
 
 def plain_log(path: Path) -> dict[str, Any]:
     found = read_log(path)
-    return {name: np.array(value).tolist() if isinstance(value, np.ndarray) else value
-            for name, value in vars(found).items() if name not in ("target",)}  # fmt: skip
+    return {
+        name: np.array(value).tolist() if isinstance(value, np.ndarray) else value
+        for name, value in vars(found).items()
+        if name not in ("target",)
+    }
 
 
 def make_twin(path: Path) -> None:
@@ -77,12 +87,18 @@ def make_twin(path: Path) -> None:
     error = PredictionError(joints=(0.01,) * 6, joint=0.03, tcp=0.002)
     k = len(belief.mean)
     twin = Twin(
-        arm=ARM.name, joint_names=ARM.joint_names, parameters=unpack(belief.mean, ARM.joints),
-        covariance=np.diag((0.1 * belief.sigma) ** 2), lower=belief.lower, upper=belief.upper,
+        arm=ARM.name,
+        joint_names=ARM.joint_names,
+        parameters=unpack(belief.mean, ARM.joints),
+        covariance=np.diag((0.1 * belief.sigma) ** 2),
+        lower=belief.lower,
+        upper=belief.upper,
         narrowing=np.full(k, 0.1),
-        identified=np.ones(k, bool), held_out=HeldOut(seconds=30.0, no_twin=error, healthy_twin=error, twin=error),
-        fit_seconds=98.5, notes=("one",),
-    )  # fmt: skip
+        identified=np.ones(k, bool),
+        held_out=HeldOut(seconds=30.0, no_twin=error, healthy_twin=error, twin=error),
+        fit_seconds=98.5,
+        notes=("one",),
+    )
     write_twin(path, twin)
 
 

@@ -63,9 +63,11 @@ def differences(file: Path, recording: Recording) -> np.ndarray:
     found = []
     for k in range(len(time) - 1):  # in the last row nothing is decided any more
         feed = {
-            "joint_pos": recording.position[k], "target": recording.aim[k + 1],  # a new one comes with its command
-            "period": [[time[k] - time[max(k - 1, 0)]]], "state_in": memory,
-        }  # fmt: skip
+            "joint_pos": recording.position[k],
+            "target": recording.aim[k + 1],  # a new one comes with its command
+            "period": [[time[k] - time[max(k - 1, 0)]]],
+            "state_in": memory,
+        }
         if k:
             memory[0, :n] = recording.command[k - 1, 0]  # what the guard left of it
         command, memory = session.run(None, {name: np.asarray(value, np.float32) for name, value in feed.items()})
@@ -117,11 +119,16 @@ class StubNode:
 def ros(monkeypatch: pytest.MonkeyPatch) -> None:
     """A stub of ROS 2."""
     stubs = {
-        "rclpy": {"init": None, "spin": None}, "rclpy.node": {"Node": StubNode},
-        "rclpy.qos": {"qos_profile_sensor_data": "sensor data"}, "geometry_msgs": {}, "sensor_msgs": {}, "std_msgs": {},
-        "geometry_msgs.msg": {"PointStamped": SimpleNamespace}, "sensor_msgs.msg": {"JointState": SimpleNamespace},
+        "rclpy": {"init": None, "spin": None},
+        "rclpy.node": {"Node": StubNode},
+        "rclpy.qos": {"qos_profile_sensor_data": "sensor data"},
+        "geometry_msgs": {},
+        "sensor_msgs": {},
+        "std_msgs": {},
+        "geometry_msgs.msg": {"PointStamped": SimpleNamespace},
+        "sensor_msgs.msg": {"JointState": SimpleNamespace},
         "std_msgs.msg": {"Float64MultiArray": SimpleNamespace},
-    }  # fmt: skip
+    }
     for name, content in stubs.items():
         module = types.ModuleType(name)
         vars(module).update(content)

@@ -38,9 +38,12 @@ class Still:
     def __init__(self):
         self.position, self.time = ARM.rest[None].copy(), np.zeros(1)
         self.behind = Displacement(
-            offset=np.zeros(6), compliance=np.full(6, 0.02), play=np.full(6, 0.02), twist=np.zeros((7, 6)),
+            offset=np.zeros(6),
+            compliance=np.full(6, 0.02),
+            play=np.full(6, 0.02),
+            twist=np.zeros((7, 6)),
             gravity=np.array([0.0, 0.0, -9.81]),
-        )  # fmt: skip
+        )
 
     def read(self):
         return JointState(time=self.time.copy(), position=self.position.copy(), age=np.zeros(1))

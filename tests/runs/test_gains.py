@@ -37,9 +37,16 @@ def found_by(run, address="emulated:so101"):
     under = FOUND | {"p": (40, 48, 48, 40, 32)}
     alone = under | {"i": (0, 2, 2, 0, 0), "limit": (0, 50, 50, 0, 0)}
     result = GainsFound(
-        arm=ARM.name, robot=address, found=FOUND, under=under, alone=alone, before=SEEN, with_under=SEEN,
-        with_alone=SEEN, rounds=3,
-    )  # fmt: skip
+        arm=ARM.name,
+        robot=address,
+        found=FOUND,
+        under=under,
+        alone=alone,
+        before=SEEN,
+        with_under=SEEN,
+        with_alone=SEEN,
+        rounds=3,
+    )
     write_json(run.folder.gains, result)
     return result
 

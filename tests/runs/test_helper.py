@@ -22,10 +22,17 @@ from rejoint.runs.stages.helper import HelperProcess, Job
 ARM = mycobot280()
 QUICK = Protocol(dwell=1.0, hold=0.8, window=0.4)
 JOB = Job(
-    robot="emulated:worn", arm=ARM, run=None, twin=None, period=None,
-    targets=ARM.targets.sample(np.random.default_rng(3), (1, 2)), turns=None,
-    settings=Settings(repetitions=2, seed=1, batched=True, protocol=QUICK), limits=GuardLimits.of(ARM), correct=None,
-)  # fmt: skip
+    robot="emulated:worn",
+    arm=ARM,
+    run=None,
+    twin=None,
+    period=None,
+    targets=ARM.targets.sample(np.random.default_rng(3), (1, 2)),
+    turns=None,
+    settings=Settings(repetitions=2, seed=1, batched=True, protocol=QUICK),
+    limits=GuardLimits.of(ARM),
+    correct=None,
+)
 PLACES = ((0, 0), (0, 1))
 
 

@@ -25,21 +25,39 @@ JOINTS = ("shoulder", "elbow")
 def measures(error: float = 3.0, hysteresis: float = 2.0, temperature: float | None = 25.0) -> CheckMeasures:
     joints = tuple(
         JointCheck(
-            joint=name, hysteresis_mm=hysteresis, reversal_mm=0.4, deviation_mm=1.0, sag_mm=None, lever_mm=200.0,
+            joint=name,
+            hysteresis_mm=hysteresis,
+            reversal_mm=0.4,
+            deviation_mm=1.0,
+            sag_mm=None,
+            lever_mm=200.0,
             temperature_c=temperature,
         )
         for name in JOINTS
-    )  # fmt: skip
+    )
     return CheckMeasures(
-        joints=joints, error_mm=error, repeatability_mm=0.2, approach_mm=0.9, true_error_mm=None,
-        true_approach_mm=None, temperature_c=temperature,
-    )  # fmt: skip
+        joints=joints,
+        error_mm=error,
+        repeatability_mm=0.2,
+        approach_mm=0.9,
+        true_error_mm=None,
+        true_approach_mm=None,
+        temperature_c=temperature,
+    )
 
 
 def head(month: float = 0.0, arm: str = "a1", **values: object) -> HistoryRow:
     return replace(
-        HistoryRow(time=BEGIN + timedelta(days=30 * month), kind="check", arm=arm, robot="tcp://10.0.0.1:9000",
-                   model="mycobot280", setup="same"), **values)  # fmt: skip
+        HistoryRow(
+            time=BEGIN + timedelta(days=30 * month),
+            kind="check",
+            arm=arm,
+            robot="tcp://10.0.0.1:9000",
+            model="mycobot280",
+            setup="same",
+        ),
+        **values,
+    )
 
 
 def put(folder: Path, name: str, rows: list[HistoryRow]) -> Path:
@@ -179,8 +197,13 @@ def many(folder: Path, arms: int, checks: int) -> None:
     """Histories of arms of which the last ones are the worst."""
     for a in range(arms):
         for c in range(checks):
-            row = head(c, arm=f"arm-{a:03}", tolerance_mm=6.0, state="alarm" if a >= arms - 2 else "steady",
-                       line=f"Something. Do: look at arm {a}.")  # fmt: skip
+            row = head(
+                c,
+                arm=f"arm-{a:03}",
+                tolerance_mm=6.0,
+                state="alarm" if a >= arms - 2 else "steady",
+                line=f"Something. Do: look at arm {a}.",
+            )
             put(folder, f"{a}-{c}", rows_of(row, measures(3.0 + 0.001 * a * c)))
 
 
@@ -234,9 +257,16 @@ def test_a_query_without_end_can_be_interrupted(tmp_path: Path) -> None:
 def test_prometheus_reads_every_line() -> None:
     change = Change(joint='el"bow', quantity="sag", state="alarm", usual_mm=1, now_mm=2, since=None, cusum=6.5)
     seen = Outlook(
-        state="alarm", checks=9, since=BEGIN, newest=BEGIN, changes=(change,), error_mm=2.5, error_known=False,
-        tolerance_mm=3.0, due=Due(early=BEGIN, middle=None, late=None),
-    )  # fmt: skip
+        state="alarm",
+        checks=9,
+        since=BEGIN,
+        newest=BEGIN,
+        changes=(change,),
+        error_mm=2.5,
+        error_known=False,
+        tolerance_mm=3.0,
+        due=Due(early=BEGIN, middle=None, late=None),
+    )
     text = prometheus_text("a7", seen, measures())
     samples = [line for line in text.splitlines() if not line.startswith("#")]
     assert 'rejoint_error_mm{arm="a7",by="encoders"} 2.5' in samples

@@ -82,9 +82,12 @@ def test_an_untold_load_is_noticed_and_a_told_one_is_not(run: Path) -> None:
     for payload in (None, 0.1):
         said[payload] = list[str]()
         rejoint.deploy(
-            "emulated:worn?payload=0.1", targets, run=run, observer=Hears(message=said[payload].append),
+            "emulated:worn?payload=0.1",
+            targets,
+            run=run,
+            observer=Hears(message=said[payload].append),
             settings=rejoint.Settings(controller="feedforward", dwell=6.0, payload=payload),
-        )  # fmt: skip
+        )
     assert any("as if the hand carried" in line for line in said[None])
     assert not any("as if the hand carried" in line for line in said[0.1])
     quiet = list[str]()
@@ -154,9 +157,19 @@ def test_a_calibrated_arm_takes_a_tool_and_a_payload_and_aims_by_them(run: Path,
     askew = replace(Displacement.none(ARM), offset=np.array([0.0, 0.01, -0.01, 0.0, 0.0, 0.0]))
     size = DisplacementLayout(joints=ARM.joints).size
     own = Calibration(
-        arm=ARM, displacement=askew, covariance=1e-12 * np.eye(size), frame=np.eye(4), frame_name="base",
-        source="touch", date="", points=4, before=2e-3, after=1e-3, used=True, floor=1e-6,
-    )  # fmt: skip
+        arm=ARM,
+        displacement=askew,
+        covariance=1e-12 * np.eye(size),
+        frame=np.eye(4),
+        frame_name="base",
+        source="touch",
+        date="",
+        points=4,
+        before=2e-3,
+        after=1e-3,
+        used=True,
+        floor=1e-6,
+    )
     write_calibration(run / "calibration.toml", own)
     told = loaded(ARM, 0.1, [0.0, 0.0, 0.05])
     for given in (None, own):

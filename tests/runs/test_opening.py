@@ -61,9 +61,16 @@ def test_what_killed_writers_left_is_removed_and_nothing_else(tmp_path: Path) ->
 def example() -> RunLog:
     time, still = np.arange(0.0, 2.0, 0.025), np.tile(ARM.rest, (80, 1))
     return RunLog(
-        arm=ARM.name, joint_names=ARM.joint_names, robot="x", label="x", time=time, position=still, command=still,
-        target=np.full((80, 3), np.nan), true_tcp=np.full((80, 3), np.nan),
-    )  # fmt: skip
+        arm=ARM.name,
+        joint_names=ARM.joint_names,
+        robot="x",
+        label="x",
+        time=time,
+        position=still,
+        command=still,
+        target=np.full((80, 3), np.nan),
+        true_tcp=np.full((80, 3), np.nan),
+    )
 
 
 @pytest.mark.parametrize(

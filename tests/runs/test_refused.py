@@ -36,10 +36,19 @@ def test_a_deployment_without_end_or_measure(run: Path, wrong: dict[str, float])
 def test_a_calibration_that_shifts_a_tool_farther_than_any_wear(run: Path) -> None:
     far = replace(Displacement.none(ARM), offset=np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.0]))
     calibration = Calibration(
-        arm=ARM, displacement=far, covariance=1e-12 * np.eye(DisplacementLayout(joints=ARM.joints).size),
-        frame=np.eye(4), frame_name="base", source="touch", date="", points=4, before=2e-3, after=1e-3, used=True,
+        arm=ARM,
+        displacement=far,
+        covariance=1e-12 * np.eye(DisplacementLayout(joints=ARM.joints).size),
+        frame=np.eye(4),
+        frame_name="base",
+        source="touch",
+        date="",
+        points=4,
+        before=2e-3,
+        after=1e-3,
+        used=True,
         floor=1e-6,
-    )  # fmt: skip
+    )
     write_calibration(run / "calibration.toml", calibration)
     drives = (
         lambda: rejoint.deploy(NOBODY, TARGETS, run=run, settings=rejoint.Settings(controller="integrator")),

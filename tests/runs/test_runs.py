@@ -28,11 +28,17 @@ from rejoint.system.files import read_json, set_aside, write_json, write_whole
 def example(rows: int = 5) -> RunLog:
     rng = np.random.default_rng(rows)
     return RunLog(
-        arm="planar", joint_names=("a", "b"), robot="emulated:worn", label="hold/0",
-        time=np.cumsum(rng.uniform(0.02, 0.03, rows)), position=rng.normal(size=(rows, 2)),
-        command=rng.normal(size=(rows, 2)), target=np.full((rows, 3), np.nan), true_tcp=rng.normal(size=(rows, 3)),
+        arm="planar",
+        joint_names=("a", "b"),
+        robot="emulated:worn",
+        label="hold/0",
+        time=np.cumsum(rng.uniform(0.02, 0.03, rows)),
+        position=rng.normal(size=(rows, 2)),
+        command=rng.normal(size=(rows, 2)),
+        target=np.full((rows, 3), np.nan),
+        true_tcp=rng.normal(size=(rows, 3)),
         extra={"seed": "3"},
-    )  # fmt: skip
+    )
 
 
 def test_a_log_survives_the_disk_bit_for_bit(tmp_path: Path) -> None:
@@ -42,8 +48,12 @@ def test_a_log_survives_the_disk_bit_for_bit(tmp_path: Path) -> None:
     for name in ("time", "position", "command", "target", "true_tcp"):
         np.testing.assert_array_equal(getattr(back, name), getattr(log, name))
     assert (back.arm, back.joint_names, back.robot, back.label, back.extra) == (
-        log.arm, log.joint_names, log.robot, log.label, log.extra,
-    )  # fmt: skip
+        log.arm,
+        log.joint_names,
+        log.robot,
+        log.label,
+        log.extra,
+    )
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow], max_examples=60)

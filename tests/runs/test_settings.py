@@ -28,9 +28,16 @@ def run(tmp_path: Path) -> Run:
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"within": 2.0}, {"within": float("nan")}, {"period": (20, 30)}, {"period": 0.02}, {"seed": -1}, {"seed": 0.5},
-     {"keep_out": [((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))]}],
-)  # fmt: skip
+    [
+        {"within": 2.0},
+        {"within": float("nan")},
+        {"period": (20, 30)},
+        {"period": 0.02},
+        {"seed": -1},
+        {"seed": 0.5},
+        {"keep_out": [((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))]},
+    ],
+)
 def test_settings_that_cannot_be_meant_are_refused_at_once(wrong: dict[str, Any]) -> None:
     with pytest.raises(rejoint.InputError):
         rejoint.Settings(**wrong)
@@ -89,9 +96,13 @@ def test_a_dry_comparison_moves_nothing() -> None:
     before = robot.read()
     target = [[[0.18, 0.03, 0.21]]]
     found = rejoint.compare(
-        robot, ["default"], target, plan=rejoint.TrialPlan(repetitions=1), settings=rejoint.Settings(dry_run=True),
+        robot,
+        ["default"],
+        target,
+        plan=rejoint.TrialPlan(repetitions=1),
+        settings=rejoint.Settings(dry_run=True),
         observer=Hears(message=said.append),
-    )  # fmt: skip
+    )
     assert found.comparison.rows
     after = robot.read()
     np.testing.assert_array_equal(after.time, before.time)

@@ -13,8 +13,11 @@ from rejoint.system.stopping import Interrupted
 
 FILE = errors.FileError("a.parquet", "damaged", "record it again")
 NAMED = [kind for _, kind in inspect.getmembers(errors, inspect.isclass) if issubclass(kind, errors.RejointError)]
-MADE = {errors.FileError: FILE, errors.UnsavedError: errors.UnsavedError(FILE, {"reached": 3}),
-        errors.GuardTripError: errors.GuardTripError("floor", "too low")}  # fmt: skip
+MADE = {
+    errors.FileError: FILE,
+    errors.UnsavedError: errors.UnsavedError(FILE, {"reached": 3}),
+    errors.GuardTripError: errors.GuardTripError("floor", "too low"),
+}
 
 
 @pytest.mark.parametrize(

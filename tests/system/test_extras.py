@@ -26,9 +26,14 @@ BASE = {
     "tomlkit",
     "typer",
 }
-NAMED_OTHERWISE = {"serial": "pyserial", "PIL": "pillow", "mcap_protobuf": "mcap-protobuf-support",
-                   "mcap_ros2": "mcap-ros2-support", "cv2": "opencv-python-headless",
-                   "scservo_sdk": "ftservo-python-sdk"}  # fmt: skip
+NAMED_OTHERWISE = {
+    "serial": "pyserial",
+    "PIL": "pillow",
+    "mcap_protobuf": "mcap-protobuf-support",
+    "mcap_ros2": "mcap-ros2-support",
+    "cv2": "opencv-python-headless",
+    "scservo_sdk": "ftservo-python-sdk",
+}
 USED_BY_OTHERS = {"serial", "tensorboard"}  # by the vendor's client and by skrl
 ONLY_WITH_OTHERS = {"markupsafe"}  # comes with jinja2, whose absence is told
 

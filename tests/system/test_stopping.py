@@ -40,9 +40,9 @@ def test_a_signal_in_a_callback_of_compiled_code_is_sent_again():
 
 
 @pytest.mark.parametrize(
-    "after", ["raise RuntimeError('no compiled object yet')", "raise ImportError('initialization failed')",
-              "time.sleep(30)"],
-)  # fmt: skip
+    "after",
+    ["raise RuntimeError('no compiled object yet')", "raise ImportError('initialization failed')", "time.sleep(30)"],
+)
 def test_the_command_line_ends_as_interrupted_whatever_the_compiled_code_makes_of_it(after):
     ended = run(
         f"def app(**_):\n    callback()\n    {after}\n"
@@ -172,8 +172,11 @@ def test_a_signal_ends_what_every_thread_drives_and_only_that():
         "print('goes on', flush=True)\n"
     )
     assert ended.stdout.splitlines() == [
-        "one interrupted by SIGINT", "two interrupted by SIGINT", "main interrupted by SIGINT", "goes on",
-    ], ended.stderr  # fmt: skip
+        "one interrupted by SIGINT",
+        "two interrupted by SIGINT",
+        "main interrupted by SIGINT",
+        "goes on",
+    ], ended.stderr
 
 
 def test_whoever_drives_hears_signals_also_where_another_thread_drives_already():
@@ -217,8 +220,11 @@ def test_a_thread_that_drives_is_interrupted_from_another_one_and_nothing_else()
         "with stopping.noted(): stopping.pause(0.01)\nprint('goes on', flush=True)\n"
     )
     assert ended.stdout.splitlines() == [
-        "False", "True", "thread interrupted by a button False", "goes on",
-    ], ended.stderr  # fmt: skip
+        "False",
+        "True",
+        "thread interrupted by a button False",
+        "goes on",
+    ], ended.stderr
 
 
 SWALLOWING = """

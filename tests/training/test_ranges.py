@@ -22,10 +22,17 @@ def make_twin() -> Twin:
     known = np.array([name.startswith(("stiffness", "delay")) for name in names])
     sigma = np.where(known, [0.04 if "stiffness" in name else 0.001 for name in names], belief.sigma)
     return Twin(
-        arm=ARM.name, joint_names=ARM.joint_names, parameters=nominal_parameters(ARM), covariance=np.diag(sigma**2),
-        lower=belief.lower, upper=belief.upper, narrowing=sigma / belief.sigma, identified=known,
-        held_out=HeldOut(seconds=1.0, no_twin=ERROR, healthy_twin=ERROR, twin=ERROR), fit_seconds=1.0,
-    )  # fmt: skip
+        arm=ARM.name,
+        joint_names=ARM.joint_names,
+        parameters=nominal_parameters(ARM),
+        covariance=np.diag(sigma**2),
+        lower=belief.lower,
+        upper=belief.upper,
+        narrowing=sigma / belief.sigma,
+        identified=known,
+        held_out=HeldOut(seconds=1.0, no_twin=ERROR, healthy_twin=ERROR, twin=ERROR),
+        fit_seconds=1.0,
+    )
 
 
 def draws(ranges, count=4000, seed=0):

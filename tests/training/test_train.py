@@ -196,9 +196,13 @@ def test_advantages_worked_by_hand():
     # One agent, three cycles; after the second one the target times out in a state of value 4.
     column = lambda *values: torch.tensor(values)[:, None]  # noqa: E731
     seen = rollout(
-        3, 1, reward=column(1.0, 2.0, 3.0), truncated=column(False, True, False), value=column(10.0, 20.0, 30.0),
+        3,
+        1,
+        reward=column(1.0, 2.0, 3.0),
+        truncated=column(False, True, False),
+        value=column(10.0, 20.0, 30.0),
         final_value=column(0.0, 4.0, 0.0),
-    )  # fmt: skip
+    )
     got = returns(seen, 8.0, discount=0.5, gae_lambda=0.8, reward_scale=2.0)
     third = 6.0 + 0.5 * 8.0 - 30.0
     second = 4.0 + 0.5 * 4.0 - 20.0

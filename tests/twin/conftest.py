@@ -46,9 +46,16 @@ def simulate_log(arm, truth, rng, seconds, jitter=0.002):
     position = np.round(position / arm.encoder_step) * arm.encoder_step
     nowhere = np.full((len(time), 3), np.nan)
     return RunLog(
-        arm=arm.name, joint_names=arm.joint_names, robot="twin", label="excitation", time=time,
-        position=position, command=command, target=nowhere, true_tcp=nowhere,
-    )  # fmt: skip
+        arm=arm.name,
+        joint_names=arm.joint_names,
+        robot="twin",
+        label="excitation",
+        time=time,
+        position=position,
+        command=command,
+        target=nowhere,
+        true_tcp=nowhere,
+    )
 
 
 @pytest.fixture(scope="session")
@@ -60,11 +67,15 @@ def arm():
 def truth():
     """A worn arm that its motors can just carry."""
     return TwinParameters(
-        stiffness=[6.0, 6.8, 5.2, 4.6, 6.1, 5.5], damping=[0.3, 0.34, 0.22, 0.15, 0.17, 0.14],
-        coulomb=[0.10, 0.12, 0.07, 0.05, 0.06, 0.04], armature=[0.022, 0.018, 0.024, 0.012, 0.014, 0.016],
-        torque_limit=[1.0, 1.1, 0.8, 0.5, 0.5, 0.4], offset=[0.004, -0.003, 0.005, 0.0, -0.004, 0.002],
-        delay=0.022, ramp_speed=2.2,
-    )  # fmt: skip
+        stiffness=[6.0, 6.8, 5.2, 4.6, 6.1, 5.5],
+        damping=[0.3, 0.34, 0.22, 0.15, 0.17, 0.14],
+        coulomb=[0.10, 0.12, 0.07, 0.05, 0.06, 0.04],
+        armature=[0.022, 0.018, 0.024, 0.012, 0.014, 0.016],
+        torque_limit=[1.0, 1.1, 0.8, 0.5, 0.5, 0.4],
+        offset=[0.004, -0.003, 0.005, 0.0, -0.004, 0.002],
+        delay=0.022,
+        ramp_speed=2.2,
+    )
 
 
 @pytest.fixture(scope="session")

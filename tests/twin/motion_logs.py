@@ -13,10 +13,15 @@ from rejoint.twin.simulation import Draw, Simulation
 ARM = replace(so101(), servos=())  # its truths are drawn for each joint by itself
 STEP, PERIOD = 0.005, 0.02
 TRUTH = TwinParameters(
-    stiffness=[20.0, 17.0, 18.0, 15.0, 18.0], damping=[1.4, 1.0, 1.1, 0.9, 1.2], coulomb=[0.15, 0.4, 0.5, 0.2, 0.18],
-    armature=[0.02, 0.012, 0.014, 0.010, 0.012], torque_limit=[20.0] * 5,
-    offset=np.radians([0.1, 0.6, 0.8, 0.2, -0.1]), delay=0.008, ramp_speed=40.0,
-)  # fmt: skip
+    stiffness=[20.0, 17.0, 18.0, 15.0, 18.0],
+    damping=[1.4, 1.0, 1.1, 0.9, 1.2],
+    coulomb=[0.15, 0.4, 0.5, 0.2, 0.18],
+    armature=[0.02, 0.012, 0.014, 0.010, 0.012],
+    torque_limit=[20.0] * 5,
+    offset=np.radians([0.1, 0.6, 0.8, 0.2, -0.1]),
+    delay=0.008,
+    ramp_speed=40.0,
+)
 
 
 def wandering(seed, seconds, centre=(0.0, -0.4, 0.2, 0.3, 0.0), size=0.25):
@@ -59,9 +64,16 @@ def record(label, time, command, truth=TRUTH, stiction=1.25, table=None, acceler
 def as_log(label, time, position, command):
     nowhere = np.full((len(time), 3), np.nan)
     return RunLog(
-        arm=ARM.name, joint_names=ARM.joint_names, robot="twin", label=label, time=time, position=position,
-        command=command, target=nowhere, true_tcp=nowhere,
-    )  # fmt: skip
+        arm=ARM.name,
+        joint_names=ARM.joint_names,
+        robot="twin",
+        label=label,
+        time=time,
+        position=position,
+        command=command,
+        target=nowhere,
+        true_tcp=nowhere,
+    )
 
 
 def pressing(seconds=24.0, depth=0.5):

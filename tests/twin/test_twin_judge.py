@@ -19,9 +19,10 @@ TABLE = TablePlane(height=-0.02, slope_x=0.0, slope_y=0.0, stiffness=3000.0, fri
 @pytest.fixture(scope="module")
 def logs():
     return [
-        record("free", *wandering(1, 14.0)), record("long", *wandering(2, 21.0)),
+        record("free", *wandering(1, 14.0)),
+        record("long", *wandering(2, 21.0)),
         record("press", *pressing(16.0), table=TABLE),
-    ]  # fmt: skip
+    ]
 
 
 @pytest.fixture(scope="module")

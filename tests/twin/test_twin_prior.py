@@ -24,10 +24,15 @@ def resized(length: float, mass: float) -> Arm:
     offset[:, :3, 3] *= length
     tip[:3, 3] *= length
     return dataclasses.replace(
-        ARM, name="resized", offset=offset, tip=tip, com=length * ARM.com, mass=mass * ARM.mass,
+        ARM,
+        name="resized",
+        offset=offset,
+        tip=tip,
+        com=length * ARM.com,
+        mass=mass * ARM.mass,
         inertia=mass * length**2 * ARM.inertia,
         targets=Box(lower=length * ARM.targets.lower, upper=length * ARM.targets.upper),
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize(("length", "mass"), [(2.0, 8.0), (0.5, 0.4)])

@@ -26,8 +26,14 @@ def test_hand_worked_turn():
 
 
 @settings(max_examples=50)
-@given(start=st.floats(-2, 2), speed=st.floats(-5, 5), goal=st.floats(-2, 2), limit=st.floats(1, 100),
-       first=st.floats(0, 1), second=st.floats(0, 1))  # fmt: skip
+@given(
+    start=st.floats(-2, 2),
+    speed=st.floats(-5, 5),
+    goal=st.floats(-2, 2),
+    limit=st.floats(1, 100),
+    first=st.floats(0, 1),
+    second=st.floats(0, 1),
+)
 def test_two_advances_are_one(start, speed, goal, limit, first, second):
     at_once = advance(np.array([start]), np.array([speed]), np.array([goal]), limit, first + second)
     half = advance(np.array([start]), np.array([speed]), np.array([goal]), limit, first)

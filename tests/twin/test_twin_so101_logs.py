@@ -34,8 +34,9 @@ def logs(tmp_path_factory):
 def test_the_arm_lies_on_its_table_in_some_motions(logs):
     height = table_height(ARM, logs)
     assert -0.050 < height < -0.030  # about 40 mm below the base frame
-    touching = {log.label for log, rows in zip(logs, find_exclusions(ARM, logs, height), strict=True)
-                if rows.contact.any()}  # fmt: skip
+    touching = {
+        log.label for log, rows in zip(logs, find_exclusions(ARM, logs, height), strict=True) if rows.contact.any()
+    }
     assert touching == {"oscillation_low_freq", "diagonal_sweep", "figure_eight"}
     assert table_height(ARM, [log for log in logs if log.label not in touching]) is None
 

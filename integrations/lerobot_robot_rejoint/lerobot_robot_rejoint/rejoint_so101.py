@@ -79,9 +79,14 @@ class RejointSo101(Robot):
         if self.is_connected:
             raise DeviceAlreadyConnectedError(f"{self} is connected")
         command = [
-            self.config.rejoint, "serve", self._address(), self.config.run, "--stdio",
-            "--period", f"{self.config.period_ms:g}",
-        ]  # fmt: skip
+            self.config.rejoint,
+            "serve",
+            self._address(),
+            self.config.run,
+            "--stdio",
+            "--period",
+            f"{self.config.period_ms:g}",
+        ]
         try:
             self._program = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)  # noqa: S603
         except OSError as error:
@@ -109,9 +114,7 @@ class RejointSo101(Robot):
         order: dict[str, Any] = {}
         if any(f"{name}.pos" in action for name in JOINTS):
             goal = self._goal(action)
-            order["goal"] = [
-                degrees / DEGREES + middle for degrees, middle in zip(goal, self._middle, strict=True)
-            ]  # fmt: skip
+            order["goal"] = [degrees / DEGREES + middle for degrees, middle in zip(goal, self._middle, strict=True)]
         if f"{GRIPPER}.pos" in action:
             order["gripper"] = min(max(float(action[f"{GRIPPER}.pos"]), 0.0), 100.0)
         answer = self._ask(order)

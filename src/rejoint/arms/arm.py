@@ -83,9 +83,17 @@ class Arm:
         _freeze(self)
         n = len(self.joint_names)
         shapes = {
-            "offset": (n, 4, 4), "axis": (n, 3), "tip": (4, 4), "lower": (n,), "upper": (n,),
-            "max_speed": (n,), "mass": (n,), "com": (n, 3), "inertia": (n, 3, 3), "rest": (n,),
-        }  # fmt: skip
+            "offset": (n, 4, 4),
+            "axis": (n, 3),
+            "tip": (4, 4),
+            "lower": (n,),
+            "upper": (n,),
+            "max_speed": (n,),
+            "mass": (n,),
+            "com": (n, 3),
+            "inertia": (n, 3, 3),
+            "rest": (n,),
+        }
         for name, shape in shapes.items():
             if getattr(self, name).shape != shape:
                 raise InputError(f"arm {self.name}: {name} has shape {getattr(self, name).shape}, expected {shape}")

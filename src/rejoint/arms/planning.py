@@ -157,9 +157,11 @@ class _Field:
         always = np.append(np.zeros(arm.joints, dtype=bool), np.isneginf(body.least))
         ends = np.stack([clearances(arm, q, body.floors) for q in (start, goal)])
         field = cls(
-            arm=arm, levers=_levers(arm), step=STEP * length_size(arm),
+            arm=arm,
+            levers=_levers(arm),
+            step=STEP * length_size(arm),
             least=frozen(np.where(always, -np.inf, np.minimum(least, np.maximum(ends, -_ROUNDED).min(axis=0)))),
-        )  # fmt: skip
+        )
         wrong = (ends[1] < np.minimum(ends[0], 0.0) - _ROUNDED) & ~always
         if wrong.any():
             raise PlanningError(f"goal: {field.blocked(int(np.argmin(np.where(wrong, ends[1], np.inf))), goal)}")
@@ -344,9 +346,11 @@ def _profile(move: Array, limits: Array) -> Array:
     for k, time in enumerate(times):
         _, s, v, a, j = knots[:, k]
         knots[:4, k + 1] = (
-            knots[0, k] + time, s + time * (v + time * (a / 2.0 + time * j / 6.0)), v + time * (a + time * j / 2.0),
+            knots[0, k] + time,
+            s + time * (v + time * (a / 2.0 + time * j / 6.0)),
+            v + time * (a + time * j / 2.0),
             a + time * j,
-        )  # fmt: skip
+        )
     return knots
 
 

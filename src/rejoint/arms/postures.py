@@ -287,12 +287,23 @@ def body_of(arm: Arm) -> Any:  # noqa: ANN401 - `redundancy.ArmTables`, imported
     sizes = np.array([shape.radius, shape.ground, SPACIOUS * length_size(arm)])
     ranges = np.minimum(MARGIN, 0.25 * (arm.upper - arm.lower))
     return redundancy.ArmTables(
-        terms=frozen(joint_terms(arm)), tip=frozen(arm.tip), axes=frozen(arm.axis), lower=arm.lower, upper=arm.upper,
-        inner=frozen(np.stack([arm.lower + ranges, arm.upper - ranges])), rest=arm.rest, mass=arm.mass,
-        com=frozen(arm.com), floors=frozen(guarded_floors(arm)), pairs=frozen(shape.pairs),
-        places=frozen(shape.places), moving=frozen(shape.moving), boxes=frozen(shape.boxes), sizes=frozen(sizes),
+        terms=frozen(joint_terms(arm)),
+        tip=frozen(arm.tip),
+        axes=frozen(arm.axis),
+        lower=arm.lower,
+        upper=arm.upper,
+        inner=frozen(np.stack([arm.lower + ranges, arm.upper - ranges])),
+        rest=arm.rest,
+        mass=arm.mass,
+        com=frozen(arm.com),
+        floors=frozen(guarded_floors(arm)),
+        pairs=frozen(shape.pairs),
+        places=frozen(shape.places),
+        moving=frozen(shape.moving),
+        boxes=frozen(shape.boxes),
+        sizes=frozen(sizes),
         least=frozen(_least(arm)),
-    )  # fmt: skip
+    )
 
 
 def _least(arm: Arm) -> Array:

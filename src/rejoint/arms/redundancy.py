@@ -132,8 +132,9 @@ def _judge(body, poses, q, scale, most, torque, clear, facts):  # noqa: ANN001, 
     """
     joints = len(q)
     _weigh(body, poses, torque)
-    fill_clearances(poses, body.floors, body.pairs, body.places, body.sizes[0], body.sizes[1], body.moving, body.boxes,
-                    clear)  # fmt: skip
+    fill_clearances(
+        poses, body.floors, body.pairs, body.places, body.sizes[0], body.sizes[1], body.moving, body.boxes, clear
+    )
     cost, wrong, over = 0.0, 0.0, 0.0
     facts[0], facts[1], facts[2] = 0.0, np.inf, np.inf
     for i in range(joints):

@@ -24,8 +24,9 @@ def measure(body, q, clear):  # noqa: ANN001, ANN201
     """Fill ``clear`` (1, n + c) [m] with `clearances` of one posture ``q`` (n,)."""
     poses = np.empty((len(q) + 1, 3, 4, 1))
     place(body, q, poses)
-    fill_clearances(poses, body.floors, body.pairs, body.places, body.sizes[0], body.sizes[1], body.moving, body.boxes,
-                    clear)  # fmt: skip
+    fill_clearances(
+        poses, body.floors, body.pairs, body.places, body.sizes[0], body.sizes[1], body.moving, body.boxes, clear
+    )
 
 
 @njit(float64(BODY, IN1, IN1, IN2, IN1, float64, boolean, OUT1), **_OPTIONS)

@@ -37,8 +37,12 @@ BUG = 1
 HELP = {"help_option_names": ["-h", "--help"]}
 
 REPAIR, DRIVE, WATCH, FILES, TRY = (
-    "Repair an arm", "Drive an arm", "Watch arms over months", "Files", "Without an arm of your own"
-)  # fmt: skip
+    "Repair an arm",
+    "Drive an arm",
+    "Watch arms over months",
+    "Files",
+    "Without an arm of your own",
+)
 
 
 class LazyCommand(NamedTuple):

@@ -85,9 +85,13 @@ def repair(
     terminal.say(f"{'Going on with' if resumed else 'Starting'} the repair of {robot} in {path}")
     gauge = gauge_by_word(terminal, robot, measure, seed)
     plan = rejoint.RepairPlan(
-        preset=preset, controllers=opt.controller_names(controllers), targets=targets, gauge=gauge,
-        fresh=fresh or None, trials=rejoint.TrialPlan(sets=sets, repetitions=repetitions, full=full),
-    )  # fmt: skip
+        preset=preset,
+        controllers=opt.controller_names(controllers),
+        targets=targets,
+        gauge=gauge,
+        fresh=fresh or None,
+        trials=rejoint.TrialPlan(sets=sets, repetitions=repetitions, full=full),
+    )
     with (
         live_view(terminal, live, "repair") as view,
         _Narrator(terminal, view, asking=isinstance(gauge, TouchGauge)) as narrator,
@@ -103,10 +107,16 @@ def repair(
     show.effort(terminal, spent)
     show.verdict(terminal, errors)
     terminal.result(str(page))
-    terminal.finish({
-        "run": str(path), "recommended": found.recommendation, "policy": str(job.folder.policy), "report": str(page),
-        "errors": errors, "effort": spent,
-    })  # fmt: skip
+    terminal.finish(
+        {
+            "run": str(path),
+            "recommended": found.recommendation,
+            "policy": str(job.folder.policy),
+            "report": str(page),
+            "errors": errors,
+            "effort": spent,
+        }
+    )
 
 
 class _Narrator(Observer):

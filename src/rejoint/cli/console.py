@@ -117,9 +117,13 @@ class ConsoleObserver(Observer):
     """Shows at the terminal what an arm does; ``partial`` and ``served`` take what a command shows in its own way."""
 
     def __init__(
-        self, terminal: Terminal, progress: Progress | None = None, *, partial: Callable[[Any], object] | None = None,
+        self,
+        terminal: Terminal,
+        progress: Progress | None = None,
+        *,
+        partial: Callable[[Any], object] | None = None,
         served: Callable[[str], object] | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._terminal, self._progress, self._partial, self._served = terminal, progress, partial, served
 
     def message(self, line: str) -> None:
@@ -210,9 +214,13 @@ class Terminal:
             yield _plain_progress(self, title)
             return
         columns = (
-            bars.TextColumn("{task.description}"), bars.BarColumn(), bars.TextColumn("{task.percentage:>3.0f} %"),
-            bars.TimeElapsedColumn(), bars.TimeRemainingColumn(), bars.TextColumn("{task.fields[what]}"),
-        )  # fmt: skip
+            bars.TextColumn("{task.description}"),
+            bars.BarColumn(),
+            bars.TextColumn("{task.percentage:>3.0f} %"),
+            bars.TimeElapsedColumn(),
+            bars.TimeRemainingColumn(),
+            bars.TextColumn("{task.fields[what]}"),
+        )
         with bars.Progress(*columns, console=self.notes, transient=True) as bar:
             task = bar.add_task(title, total=None, what="")
 

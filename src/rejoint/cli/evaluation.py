@@ -160,9 +160,15 @@ def _shown_by(update: Progress, generations: int) -> Callable[[int, float, Mappi
 
 
 def _calibrate(
-    terminal: Terminal, arm: Arm, policy: list[Path], controllers: str, variants: str,
-    family: ArmFamily, out: Path, threads: int,
-) -> None:  # fmt: skip
+    terminal: Terminal,
+    arm: Arm,
+    policy: list[Path],
+    controllers: str,
+    variants: str,
+    family: ArmFamily,
+    out: Path,
+    threads: int,
+) -> None:
     from rejoint.research.evaluation.calibrating import CONDITIONS, evaluate_calibrations, find_condition, tables
     from rejoint.research.evaluation.contestants import classical, learned
 
@@ -248,9 +254,13 @@ def reproduce(
     page = out or folder / PAGE
     with terminal.progress("reproducing") as update:
         bench = Bench(
-            folder=folder.resolve(), arm=mycobot280(), seed=seed, scale=QUICK if quick else FULL, threads=threads,
+            folder=folder.resolve(),
+            arm=mycobot280(),
+            seed=seed,
+            scale=QUICK if quick else FULL,
+            threads=threads,
             on_progress=update,
-        )  # fmt: skip
+        )
 
         def announce(experiment: Experiment, finished: bool) -> None:
             terminal.say(f"{experiment.title}{' (already done)' if finished else ''}")

@@ -137,10 +137,13 @@ def calibrate(
 
 def _preload_fields(what: Preload) -> dict[str, object]:
     return {
-        "joints": what.joints, "chance_mm": 1e3 * what.chance,
-        "wedge_side": what.side, "wedge_deg": float(np.degrees(WEDGE)), "wedge_mm": 1e3 * what.wedge,
+        "joints": what.joints,
+        "chance_mm": 1e3 * what.chance,
+        "wedge_side": what.side,
+        "wedge_deg": float(np.degrees(WEDGE)),
+        "wedge_mm": 1e3 * what.wedge,
         "wedge_helps": what.wedge_helps,
-    }  # fmt: skip
+    }
 
 
 SECONDS = 4.0

@@ -85,11 +85,15 @@ def check(
         for number in range(repeat):
             when = None if date is None else date + number * BETWEEN
             found = rejoint.check(
-                robot, history=history, name=name, arm=chosen, tolerance_mm=tolerance,
+                robot,
+                history=history,
+                name=name,
+                arm=chosen,
+                tolerance_mm=tolerance,
                 notes=rejoint.CheckNotes(used_h=used, when=when, moved=moved and not number),
                 settings=replace(settings, seed=seed),
                 observer=StageObserver(observer, number / repeat, (number + 1) / repeat),
-            )  # fmt: skip
+            )
     if settings.dry_run:
         terminal.finish({"arm": found.arm, "robot": found.robot})
         return
@@ -101,9 +105,16 @@ def check(
 
         write_prometheus(prometheus, found.arm, found.outlook, found.measures)
     terminal.finish(
-        {"arm": found.arm, "robot": found.robot, "line": found.line, "outlook": found.outlook,
-         "over": found.outlook.over, "measures": found.measures, "folder": found.folder}
-    )  # fmt: skip
+        {
+            "arm": found.arm,
+            "robot": found.robot,
+            "line": found.line,
+            "outlook": found.outlook,
+            "over": found.outlook.over,
+            "measures": found.measures,
+            "folder": found.folder,
+        }
+    )
     if found.outlook.state == "alarm" or found.outlook.over:
         raise typer.Exit(ALARM)
     if found.outlook.state == "drifting":
@@ -220,23 +231,35 @@ def fleet(
         return closing(RayExecutor(arms, address=address, cpus=cpus, training_cpus=training_cpus))
 
     options = RepairOptions(
-        preset=preset, controllers=opt.controller_names(controllers), sets=sets, repetitions=repetitions, seed=seed,
-        quick=quick, needed=needed,
-    )  # fmt: skip
+        preset=preset,
+        controllers=opt.controller_names(controllers),
+        sets=sets,
+        repetitions=repetitions,
+        seed=seed,
+        quick=quick,
+        needed=needed,
+    )
     rules = Rules(somebody=somebody, stay=wait, fresh=fresh)
     if address is None:  # all control loops run here
         rules = replace(rules, at_once=cpus or os.cpu_count() or 1)
     with terminal.unsaved(partial(_show_rows, terminal)):
         result = run_fleet(
-            found, verb, make_executor, rules, only=opt.controller_names(only) if only else (), options=options,
-            tell=partial(_say_event, terminal), begins=partial(_say_begun, terminal),
-        )  # fmt: skip
+            found,
+            verb,
+            make_executor,
+            rules,
+            only=opt.controller_names(only) if only else (),
+            options=options,
+            tell=partial(_say_event, terminal),
+            begins=partial(_say_begun, terminal),
+        )
     _show_rows(terminal, result)
     if quick:
         terminal.say("A quick try: little of everything was done, so none of this is a result.")
     terminal.result(f"Page: {os.path.relpath(result.page)}")
-    terminal.finish({"verb": verb, "rows": result.rows, "seconds": result.seconds, "page": result.page,
-                     "finished": result.finished})  # fmt: skip
+    terminal.finish(
+        {"verb": verb, "rows": result.rows, "seconds": result.seconds, "page": result.page, "finished": result.finished}
+    )
     if result.code:
         raise typer.Exit(result.code)
 

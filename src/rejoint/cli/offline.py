@@ -65,19 +65,26 @@ def diagnose_from_logs(terminal: Terminal, job: Run, logs: Path, good: Path | No
 
 
 def identify_from_logs(
-    terminal: Terminal, job: Run, logs: Path, published: list[str] | None, hold_out: list[str] | None,
-    gain: list[str] | None, torque_off: list[str] | None,
-) -> None:  # fmt: skip
+    terminal: Terminal,
+    job: Run,
+    logs: Path,
+    published: list[str] | None,
+    hold_out: list[str] | None,
+    gain: list[str] | None,
+    torque_off: list[str] | None,
+) -> None:
     """Fit a twin to the run logs in a folder, judge it, and write both and the report into a run folder."""
     beside = read_sets(published, job.arm)
     with watched(terminal, "identify", "identifying", None) as observer:
         kept = None if not hold_out else [name for name in hold_out if name != "none"]
         twin = rejoint.identify(
-            logs, run=job, observer=observer,
+            logs,
+            run=job,
+            observer=observer,
             plan=rejoint.LogPlan(
                 beside=beside, hold_out=kept, gain=_by_motion(gain), torque_off=_by_motion(torque_off)
             ),
-        )  # fmt: skip
+        )
     show.twin(terminal, twin)
     say_forced(terminal, as_logs(logs))
     if twin.judgement is not None:
@@ -85,11 +92,16 @@ def identify_from_logs(
     path = rejoint.report(job)
     terminal.result(f"Twin: {job.folder.twin}")
     terminal.result(f"Report: {path}")
-    terminal.finish({
-        "run": str(job.path), "twin": str(job.folder.twin), "report": str(path), "fitted": twin.fitted,
-        "judgement": None if twin.judgement is None else _without_trace(twin.judgement, job.folder.judgement),
-        "notes": twin.notes,
-    })  # fmt: skip
+    terminal.finish(
+        {
+            "run": str(job.path),
+            "twin": str(job.folder.twin),
+            "report": str(path),
+            "fitted": twin.fitted,
+            "judgement": None if twin.judgement is None else _without_trace(twin.judgement, job.folder.judgement),
+            "notes": twin.notes,
+        }
+    )
 
 
 @opt.with_arm
@@ -234,10 +246,18 @@ def import_(
     """
     terminal = Terminal(json=json)
     options = ImportOptions(
-        angle_unit=angle_unit, time_unit=time_unit, rate=rate, columns=read_map(columns) if columns else None,
-        names=_names(order), state_topic=state_topic, command_topic=command_topic, stamp=stamp, calibration=calibration,
-        torque_off=_names(torque_off), force=force,
-    )  # fmt: skip
+        angle_unit=angle_unit,
+        time_unit=time_unit,
+        rate=rate,
+        columns=read_map(columns) if columns else None,
+        names=_names(order),
+        state_topic=state_topic,
+        command_topic=command_topic,
+        stamp=stamp,
+        calibration=calibration,
+        torque_off=_names(torque_off),
+        force=force,
+    )
     chosen = opt.choose_arm(terminal, pick)
     with terminal.progress("importing") as update:
         imported = import_logs(source, chosen, out=out, format=kind, options=options, on_progress=update)
@@ -247,9 +267,9 @@ def import_(
     count = len(imported.logs)
     skipped = f"; {len(imported.skipped)} skipped" * bool(imported.skipped)
     terminal.result(f"{count} run log{'s' * (count != 1)}, {seconds:.0f} s of motion, in {out}{skipped}")
-    terminal.finish({
-        "out": str(out), "logs": count, "seconds": seconds, "notes": imported.notes, "skipped": imported.skipped
-    })  # fmt: skip
+    terminal.finish(
+        {"out": str(out), "logs": count, "seconds": seconds, "notes": imported.notes, "skipped": imported.skipped}
+    )
 
 
 def export(

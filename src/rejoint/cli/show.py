@@ -201,17 +201,25 @@ def followed(terminal: Terminal, done: Followed) -> None:
     posed = any(one.turned is not None for one in done.passes)
     rows = [
         [
-            str(number), *(f"{1e3 * value:.2f}" for value in (one.encoder.rms, one.encoder.largest)),
+            str(number),
+            *(f"{1e3 * value:.2f}" for value in (one.encoder.rms, one.encoder.largest)),
             f"{1e3 * one.encoder.lag:.0f}",
             *(f"{1e3 * value:.2f}" for value in (one.encoder.rms_after, one.encoder.largest_after)),
-            *([_degrees(one.turned)] if posed else []), str(one.true_error),
+            *([_degrees(one.turned)] if posed else []),
+            str(one.true_error),
         ]
         for number, one in enumerate(done.passes, start=1)
-    ]  # fmt: skip
+    ]
     headers = [
-        "time", "rms mm", "largest mm", "lag ms", "rms after lag mm", "largest after lag mm",
-        *(["rms deg"] if posed else []), "rms of the tool",
-    ]  # fmt: skip
+        "time",
+        "rms mm",
+        "largest mm",
+        "lag ms",
+        "rms after lag mm",
+        "largest after lag mm",
+        *(["rms deg"] if posed else []),
+        "rms of the tool",
+    ]
     terminal.table(f"{done.path}, {done.controller}: errors along the way by the encoders", headers, rows)
     if not done.followed:
         terminal.result(f"Not followed: {1e3 * done.within:g} mm root mean square after the lag were expected.")
@@ -228,20 +236,32 @@ def deployment(terminal: Terminal, within: float, done: Deployed) -> None:
     posed = any(visit.orientation for visit in done.visits)
     rows = [
         [
-            str(number), *(f"{1e3 * value:.1f}" for value in visit.target), *([visit.orientation] if posed else []),
+            str(number),
+            *(f"{1e3 * value:.1f}" for value in visit.target),
+            *([visit.orientation] if posed else []),
             "-" if visit.error is None else f"{1e3 * visit.error:.2f}",
             *([_degrees(visit.turned)] if posed else []),
-            "-" if visit.error is None else str(visit.true_error), "yes" if visit.reached else "no", visit.remark,
+            "-" if visit.error is None else str(visit.true_error),
+            "yes" if visit.reached else "no",
+            visit.remark,
         ]
         for number, visit in enumerate(done.visits, start=1)
-    ]  # fmt: skip
+    ]
     title = (
         f"Errors of {done.controller} at the end of each target (reached: within {1e3 * within:g} mm by the encoders)"
     )
     headers = [
-        "target", "x mm", "y mm", "z mm", *(["orientation"] if posed else []), "encoder error mm",
-        *(["deg"] if posed else []), "true error of the tool", "reached", "remark",
-    ]  # fmt: skip
+        "target",
+        "x mm",
+        "y mm",
+        "z mm",
+        *(["orientation"] if posed else []),
+        "encoder error mm",
+        *(["deg"] if posed else []),
+        "true error of the tool",
+        "reached",
+        "remark",
+    ]
     width = len(headers) - (not any(visit.remark for visit in done.visits))
     terminal.table(title, headers[:width], [row[:width] for row in rows])
     if done.missed:

@@ -80,9 +80,14 @@ def diagnose(
     terminal.next(command("identify", path))
     open_loop = found.diagnosis.open_loop
     told = None if open_loop is None else open_loop.true_error
-    terminal.finish({
-        "run": str(path), "diagnosis": found.diagnosis, "true_error": told, "effort": read_effort(RunFolder(path)),
-    })  # fmt: skip
+    terminal.finish(
+        {
+            "run": str(path),
+            "diagnosis": found.diagnosis,
+            "true_error": told,
+            "effort": read_effort(RunFolder(path)),
+        }
+    )
 
 
 @opt.with_arm
@@ -123,8 +128,7 @@ def identify(
         twin = rejoint.identify(run=job, seed=seed, quick=quick, observer=observer)
     show.twin(terminal, twin)
     terminal.next(command("train", run))
-    terminal.finish({"run": str(run), "twin": str(job.folder.twin), "held_out": twin.held_out,
-                     "notes": twin.notes})  # fmt: skip
+    terminal.finish({"run": str(run), "twin": str(job.folder.twin), "held_out": twin.held_out, "notes": twin.notes})
 
 
 def train(
@@ -209,11 +213,15 @@ def compare(
         )
     show.stage(terminal, "compare", found)
     terminal.next(command("report", run))
-    terminal.finish({
-        "run": str(run), "recommended": found.recommendation, "comparison": results_of(found.comparison, "results"),
-        "true_error": {row.controller: row.true_error for row in found.comparison.rows},
-        "effort": read_effort(RunFolder(run)),
-    })  # fmt: skip
+    terminal.finish(
+        {
+            "run": str(run),
+            "recommended": found.recommendation,
+            "comparison": results_of(found.comparison, "results"),
+            "true_error": {row.controller: row.true_error for row in found.comparison.rows},
+            "effort": read_effort(RunFolder(run)),
+        }
+    )
 
 
 @opt.with_arm
@@ -252,11 +260,18 @@ def deploy(
     errors = [None if visit.error is None else 1e3 * visit.error for visit in done.visits]
     turned = [None if visit.turned is None else math.degrees(visit.turned) for visit in done.visits]
     posed = any(visit.orientation for visit in done.visits)
-    terminal.finish({
-        "run": run and str(run), "controller": done.controller, "error_mm": errors, "missed": done.missed,
-        **({"turned_deg": turned} if posed else {}), "visits": results_of(done.visits),
-        "period": done.period, "gaps": done.gaps,
-    })  # fmt: skip
+    terminal.finish(
+        {
+            "run": run and str(run),
+            "controller": done.controller,
+            "error_mm": errors,
+            "missed": done.missed,
+            **({"turned_deg": turned} if posed else {}),
+            "visits": results_of(done.visits),
+            "period": done.period,
+            "gaps": done.gaps,
+        }
+    )
     if done.missed and not settings.dry_run:
         raise typer.Exit(MISSED)
 
@@ -338,13 +353,19 @@ def follow(
         job = Run.open(run)
         with locked(job.folder):
             terminal.say(f"Path: {draw_followed(job.folder, job.arm, done)}")
-    terminal.finish({
-        "run": str(run), "path": done.path, "controller": done.controller, "followed": done.followed,
-        "passes": results_of(
-            [{"encoder": one.encoder, "true_error": one.true_error, "turned": one.turned} for one in done.passes]
-        ),
-        "period": done.period, "gaps": done.gaps,
-    })  # fmt: skip
+    terminal.finish(
+        {
+            "run": str(run),
+            "path": done.path,
+            "controller": done.controller,
+            "followed": done.followed,
+            "passes": results_of(
+                [{"encoder": one.encoder, "true_error": one.true_error, "turned": one.turned} for one in done.passes]
+            ),
+            "period": done.period,
+            "gaps": done.gaps,
+        }
+    )
     if not (done.followed or settings.dry_run):
         raise typer.Exit(MISSED)
 

@@ -49,9 +49,13 @@ def contenders(*, real: bool, shelf: bool, policy: bool, twin: bool) -> tuple[st
 
 
 def make_controller(
-    name: str, arm: Arm, *, stiffness: Array | float | None = None, friction: Array | float | None = None,
+    name: str,
+    arm: Arm,
+    *,
+    stiffness: Array | float | None = None,
+    friction: Array | float | None = None,
     policy: Path | None = None,
-) -> Controller:  # fmt: skip
+) -> Controller:
     """Build the controller ``name``; InputError lists the names.
 
     ``stiffness`` (n,) [N m/rad] and ``friction`` (n,) [N m] serve feed-forward and push; ``policy`` is a file.

@@ -95,17 +95,29 @@ def probe_observations(size: int) -> Array:
 def law_digests(arm: Arm) -> dict[str, str]:
     """Digests of arm fields for laws, rounded to 1e-9."""
     read: dict[str, Array] = {
-        "offset": arm.offset, "axis": arm.axis, "tip": arm.tip[:3, 3], "mass": arm.mass, "com": arm.com,
-        "rest": arm.rest, "targets": np.stack([arm.targets.lower, arm.targets.upper]),
-    }  # fmt: skip
+        "offset": arm.offset,
+        "axis": arm.axis,
+        "tip": arm.tip[:3, 3],
+        "mass": arm.mass,
+        "com": arm.com,
+        "rest": arm.rest,
+        "targets": np.stack([arm.targets.lower, arm.targets.upper]),
+    }
     return {name: hashlib.sha256(_rounded(array)).hexdigest()[:16] for name, array in read.items()}
 
 
 def fields_read(law: CommandLaw, layout: Layout) -> tuple[str, ...]:
     """Fields of `law_digests` in this law."""
     goals = law.anchor == "goal"
-    names = {"offset": True, "axis": True, "tip": True, "mass": goals, "com": goals,
-             "rest": goals or layout != "residual", "targets": goals}  # fmt: skip
+    names = {
+        "offset": True,
+        "axis": True,
+        "tip": True,
+        "mass": goals,
+        "com": goals,
+        "rest": goals or layout != "residual",
+        "targets": goals,
+    }
     return tuple(name for name, read in names.items() if read)
 
 

@@ -62,9 +62,12 @@ class FeedforwardController:
     heeds_turn = True
 
     def __init__(
-        self, arm: Arm, stiffness: Array | float | None = None, gains: FeedforwardGains | None = None,
+        self,
+        arm: Arm,
+        stiffness: Array | float | None = None,
+        gains: FeedforwardGains | None = None,
         loosen: float = LOOSEN,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """``stiffness`` (n,) or (B, n) [N m/rad]; ``loosen`` as `LOOSEN`."""
         self._arm, self._gains, self._loosen = arm, gains or FeedforwardGains(), loosen
         self._close = CLOSE * length_size(arm)
@@ -150,9 +153,18 @@ class FeedforwardController:
             self._correction -= forgotten[:, None] * self._unneeded()
         # Bounded by itself, not by the measured position: on the way the command leads by the whole distance.
         compiled.integrate(
-            self._correction, self._speed, self._position, position, elapsed, step, extra,
-            gains.rate, gains.learned_limit, gains.moving, SPEED_SMOOTHING,
-        )  # fmt: skip
+            self._correction,
+            self._speed,
+            self._position,
+            position,
+            elapsed,
+            step,
+            extra,
+            gains.rate,
+            gains.learned_limit,
+            gains.moving,
+            SPEED_SMOOTHING,
+        )
         return limit_position(self._arm, self._raised + self._correction)
 
     def reset_learned(self, inputs: ControlInput, where: Mask) -> None:
@@ -173,10 +185,17 @@ class FeedforwardController:
     def memory(self) -> dict[str, Array]:
         """State by name; live arrays."""
         return {
-            "goal": self._goal, "raised": self._raised, "idle": self._idle, "correction": self._correction,
-            "speed": self._speed, "position": self._position, "pushed": self._pushed,
-            "eager": self._eager, "came": self._came, "time": self._pace.last,
-        }  # fmt: skip
+            "goal": self._goal,
+            "raised": self._raised,
+            "idle": self._idle,
+            "correction": self._correction,
+            "speed": self._speed,
+            "position": self._position,
+            "pushed": self._pushed,
+            "eager": self._eager,
+            "came": self._came,
+            "time": self._pace.last,
+        }
 
 
 GOLDEN = np.pi * (3.0 - np.sqrt(5.0))

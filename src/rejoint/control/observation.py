@@ -123,7 +123,7 @@ def layout_slots(layout: Layout, joints: int) -> tuple[Slot, ...]:
             ("waited", 1, "min(time since the target was set, 2 s) - 0.5"),
             ("period", 1, "20 p - 0.7 [1/s], p the running mean of the control period"),
             ("action", HISTORY * n, "last actions, newest first"),
-        )  # fmt: skip
+        )
     elif layout in ("equation-16", "equation-16-action"):
         rows = (
             ("time", 1, "min(time since the target was set, 2 s) [s]"),
@@ -135,7 +135,7 @@ def layout_slots(layout: Layout, joints: int) -> tuple[Slot, ...]:
             ("distance", 1, "5 |e| [1/m]"),
             ("collision", 1, "1 where x has a link touch another one or the ground"),
             ("success", 1, "1 where |e| < 5 mm"),
-        )  # fmt: skip
+        )
     else:
         raise InputError(
             f"no observation layout is called {layout!r}; known: residual, equation-16, equation-16-action"
@@ -236,11 +236,19 @@ def _residual(out: Observation, reading: ObservationInput) -> None:
     view, (count, n) = reading.view, reading.position.shape
     distance = view.distance[:, None]
     parts = [
-        reading.drive, reading.velocity.reshape(count, -1), view.step, view.step, view.step, reading.position,
-        view.error, view.error / (distance + 0.003), np.log(distance + 0.0003) + 5.0,
-        reading.since_target[:, None] - 0.5, reading.period[:, None] - MIDDLE_PERIOD,
+        reading.drive,
+        reading.velocity.reshape(count, -1),
+        view.step,
+        view.step,
+        view.step,
+        reading.position,
+        view.error,
+        view.error / (distance + 0.003),
+        np.log(distance + 0.0003) + 5.0,
+        reading.since_target[:, None] - 0.5,
+        reading.period[:, None] - MIDDLE_PERIOD,
         reading.action.reshape(count, -1),
-    ]  # fmt: skip
+    ]
     numbers = np.concatenate(parts, axis=1)
     numbers *= residual_factors(n)
     near = numbers[:, (2 + HISTORY) * n : (4 + HISTORY) * n]

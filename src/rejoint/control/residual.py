@@ -132,10 +132,20 @@ class Commander:
             return law.command(self._arm, view, inputs.state.position, inputs.sent, action)
         step, extra = out = np.empty((2, *view.step.shape))
         compiled.weigh(
-            out, plain(view.step), plain(view.error), plain(view.distance), plain(action), self._moves,
-            self._spared, law.authority_floor, law.authority_slope, law.authority_limit,
-            law.step_limit, law.learning.fade, law.load_penalty_distance,
-        )  # fmt: skip
+            out,
+            plain(view.step),
+            plain(view.error),
+            plain(view.distance),
+            plain(action),
+            self._moves,
+            self._spared,
+            law.authority_floor,
+            law.authority_slope,
+            law.authority_limit,
+            law.step_limit,
+            law.learning.fade,
+            law.load_penalty_distance,
+        )
         if law.decay_start > 0.0:
             factor = np.where(unloaded_joints(self._arm), law.decayed(inputs.since_target, view.step), 1.0)
             step, extra = factor * step, factor * extra

@@ -180,11 +180,13 @@ def _unseen(
 ) -> tuple[str, ...]:
     open_questions = {
         "The stiffness of {} cannot be told from this log.": [r.stiffness_source == "none" for r in measurement.joints],
-        "{} moved too little for friction, lag and torque limit to show, as a joint does that sticks or is too weak.":
-            [r.lag_s is None for r in measurement.joints],
-        "The torque limit of {} was not reached.":
-            [r.torque_limit_nm is None and r.lag_s is not None for r in measurement.joints],
-    }  # fmt: skip
+        "{} moved too little for friction, lag and torque limit to show, as a joint does that sticks or is too weak.": [
+            r.lag_s is None for r in measurement.joints
+        ],
+        "The torque limit of {} was not reached.": [
+            r.torque_limit_nm is None and r.lag_s is not None for r in measurement.joints
+        ],
+    }
     joints = [row.joint for row in measurement.joints]
     named = {words: ", ".join(compress(joints, these)) for words, these in open_questions.items()}
     return (
@@ -192,7 +194,7 @@ def _unseen(
         "Play inside the servo loop shows only where the load on a joint changes its side; a joint that always "
         "carries weight rests on one flank.",
         *(words.format(which) for words, which in named.items() if which),
-    )  # fmt: skip
+    )
 
 
 def _hidden(open_loop: OpenLoop, healthy: HealthyReference | None, margin_mm: float) -> str:

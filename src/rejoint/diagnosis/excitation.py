@@ -174,8 +174,12 @@ _ATTEMPTS, _SMALLER = 12, 0.8
 _LEAST_SPREAD = 0.2
 """[rad] least spread of hold postures; chosen"""
 
-_AMPLITUDES = {"sweep": "sweep_amplitude", "step": "step_size", "multisine": "multisine_amplitude",
-               "hold": "posture_spread"}  # fmt: skip
+_AMPLITUDES = {
+    "sweep": "sweep_amplitude",
+    "step": "step_size",
+    "multisine": "multisine_amplitude",
+    "hold": "posture_spread",
+}
 """Field of `Plan` to reduce for an unsafe segment"""
 
 
@@ -353,9 +357,13 @@ class DiagnosisLogs:
 
 
 def record(
-    robot: Robot, *, seed: int, plan: Plan = FULL, on_progress: Progress = no_progress,
+    robot: Robot,
+    *,
+    seed: int,
+    plan: Plan = FULL,
+    on_progress: Progress = no_progress,
     on_cycle: OnCycle | None = None,
-) -> tuple[DiagnosisLogs, ...]:  # fmt: skip
+) -> tuple[DiagnosisLogs, ...]:
     """Drive every arm of ``robot`` through the diagnosis; return the logs of each.
 
     NotReadyError before it moves if unsafe; GuardTripError or RobotError if the motion had to be ended.
@@ -367,16 +375,19 @@ def record(
     whole, first = TARGETS * DWELL + excitation.duration, TARGETS * DWELL
     targets = np.tile(arm.targets.sample(np.random.default_rng(seed), (TARGETS,)), (robot.count, 1, 1))
     open_loop = run(
-        robot, DefaultController(arm), targets, Schedule(dwell=DWELL),
+        robot,
+        DefaultController(arm),
+        targets,
+        Schedule(dwell=DWELL),
         on_cycle=reporting("ten targets", first, part(on_progress, 0.0, first / whole), on_cycle, robot),
-    )  # fmt: skip
+    )
     move(robot, arm.rest, on_cycle=on_cycle)
     excited = play(
-        robot, excitation.command, excitation.duration,
-        on_cycle=reporting(
-            "excitation", excitation.duration, part(on_progress, first / whole, 1.0), on_cycle, robot
-        ),
-    )  # fmt: skip
+        robot,
+        excitation.command,
+        excitation.duration,
+        on_cycle=reporting("excitation", excitation.duration, part(on_progress, first / whole, 1.0), on_cycle, robot),
+    )
     return tuple(
         DiagnosisLogs(
             targets=open_loop.log(b, TARGETS_LABEL, extra),

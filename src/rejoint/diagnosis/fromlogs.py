@@ -77,20 +77,26 @@ def diagnose_logs(
     findings = () if bare else find(arm, measurement, rest, healthy)
     known = _by_effort(measurement, data.effort_unit or "") if bare else _verdict(measurement, findings, healthy)
     return Diagnosis(
-        arm=arm.name, robot=source, condition=_condition(measurement, findings),
+        arm=arm.name,
+        robot=source,
+        condition=_condition(measurement, findings),
         verdict=f"{_rest(evidence, healthy)}{known} {_motions(evidence)}",
-        findings=findings, unseen=(*_unseen(measurement), *(f"{remark}." for remark in forced_remarks(logs))),
-        open_loop=None, measurement=measurement, healthy=healthy,
+        findings=findings,
+        unseen=(*_unseen(measurement), *(f"{remark}." for remark in forced_remarks(logs))),
+        open_loop=None,
+        measurement=measurement,
+        healthy=healthy,
         evidence=evidence,
-    )  # fmt: skip
+    )
 
 
 def left_out(evidence: Evidence) -> str:
     """Describe the time without free arm, as the end of a sentence."""
     parts = (
-        (evidence.contact_seconds, "with the tool on a table"), (evidence.stop_seconds, "at a stop"),
+        (evidence.contact_seconds, "with the tool on a table"),
+        (evidence.stop_seconds, "at a stop"),
         (evidence.dead_seconds, "of dead readings"),
-    )  # fmt: skip
+    )
     named = [f"{seconds:.0f} s {what}" for seconds, what in parts if seconds >= 0.5]
     return f"; left out: {', '.join(named)}" if named else ""
 
@@ -195,13 +201,19 @@ def _by_effort(measurement: Measurement, unit: str) -> str:
 def _unseen(measurement: Measurement) -> tuple[str, ...]:
     lines = []
     for missing, words in (
-        ("stiffness_nm_per_rad", "The stiffness of {}, and so the torque that friction takes, cannot be told: gravity "
-         "does not load it enough in these motions, or they disagree too much."),
-        ("hysteresis_rad", "Friction, lag and zero of {} cannot be told: too little slow motion, in one direction only "
-         "or with readings too far apart."),
+        (
+            "stiffness_nm_per_rad",
+            "The stiffness of {}, and so the torque that friction takes, cannot be told: gravity "
+            "does not load it enough in these motions, or they disagree too much.",
+        ),
+        (
+            "hysteresis_rad",
+            "Friction, lag and zero of {} cannot be told: too little slow motion, in one direction only "
+            "or with readings too far apart.",
+        ),
         ("overshoot", "Whether {} shoots over cannot be told: too few steps."),
         ("noise_rad", "Noise and unrest of {} cannot be told: the arm hardly rests while no command moves."),
-    ):  # fmt: skip
+    ):
         joints = [row.joint for row in measurement.joints if getattr(row, missing) is None]
         if joints:
             lines.append(words.format("every joint" if len(joints) == len(measurement.joints) else ", ".join(joints)))

@@ -120,9 +120,12 @@ def as_set(
     if voltage is not None:
         setting += f" and a supply of {np.median(voltage):.1f} V"
     return replace(
-        whole, joints=tuple(rows), error_mm=scaled(whole.error_mm, of / typical / float(share.mean())),
-        source=f"{whole.source},{setting}", setting=setting,
-    )  # fmt: skip
+        whole,
+        joints=tuple(rows),
+        error_mm=scaled(whole.error_mm, of / typical / float(share.mean())),
+        source=f"{whole.source},{setting}",
+        setting=setting,
+    )
 
 
 def _by_joint(values: Sequence[int], names: Sequence[str]) -> str:
@@ -143,9 +146,10 @@ def _nearest(arm: Arm, p: float) -> tuple[int, HealthyReference]:
 def _stiffer(row: JointMetrics, factor: float) -> JointMetrics:
     stiffness, width = row.stiffness_nm_per_rad, row.hysteresis_rad
     return replace(
-        row, stiffness_nm_per_rad=None if stiffness is None else scaled(stiffness, factor),
+        row,
+        stiffness_nm_per_rad=None if stiffness is None else scaled(stiffness, factor),
         hysteresis_rad=None if width is None else scaled(width, 1.0 / factor),
-    )  # fmt: skip
+    )
 
 
 def measure_healthy(arm: Arm, *, count: int = ARMS, p: int = AS_SOLD) -> HealthyReference:

@@ -65,9 +65,15 @@ def window_averages(
     if not parts:
         empty = np.zeros(0)
         return Averages(
-            error=np.zeros((len(delays), 0)), command_speed=empty, speed=empty, acceleration=empty, direction=empty,
-            gravity=empty, effort=empty, cluster=empty.astype(np.intp),
-        )  # fmt: skip
+            error=np.zeros((len(delays), 0)),
+            command_speed=empty,
+            speed=empty,
+            acceleration=empty,
+            direction=empty,
+            gravity=empty,
+            effort=empty,
+            cluster=empty.astype(np.intp),
+        )
     names = ("error", "command_speed", "speed", "acceleration", "direction", "gravity", "effort", "cluster")
     return Averages(**{name: np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in names})
 

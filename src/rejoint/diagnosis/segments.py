@@ -77,8 +77,13 @@ class ExcitationLog:
             segments = msgspec.json.decode(log.extra[_KEY], type=tuple[Segment, ...])
         except msgspec.MsgspecError as error:
             raise InputError(f"run log {log.label}: its segments are damaged ({error}); record it again") from error
-        free = Segment(name="0/free", kind=FREE, start=float(log.time[0]), stop=float(log.time[-1]),
-                       joints=tuple(range(arm.joints)))  # fmt: skip
+        free = Segment(
+            name="0/free",
+            kind=FREE,
+            start=float(log.time[0]),
+            stop=float(log.time[-1]),
+            joints=tuple(range(arm.joints)),
+        )
         return cls.with_segments(arm, log, (*segments, free))
 
     @classmethod
@@ -181,9 +186,14 @@ def join_logs(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]) 
         name: _stacked(logs, name) for name in (*names, "position", "command", "target", "true_tcp")
     }
     everything = RunLog(
-        arm=arm.name, joint_names=arm.joint_names, robot="logs", label=f"{len(logs)} logs", time=np.concatenate(times),
-        units=logs[0].units, **arrays,
-    )  # fmt: skip
+        arm=arm.name,
+        joint_names=arm.joint_names,
+        robot="logs",
+        label=f"{len(logs)} logs",
+        time=np.concatenate(times),
+        units=logs[0].units,
+        **arrays,
+    )
     return ExcitationLog.with_segments(arm, everything, tuple(segments))
 
 

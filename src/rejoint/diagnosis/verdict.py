@@ -119,10 +119,15 @@ class _Case:
             reference = None
         cost = f"{tcp * 1e3:.1f} mm at the tool." if tcp * 1e3 >= FELT_MM else "nothing that the tip of the tool feels."
         return Finding(
-            joint=self.row.joint, kind=kind, severity="bad" if tcp * 1e3 >= self.bad_mm else "worn", quantity=quantity,
-            measured=measured, healthy=reference, tcp_mm=tcp * 1e3,
+            joint=self.row.joint,
+            kind=kind,
+            severity="bad" if tcp * 1e3 >= self.bad_mm else "worn",
+            quantity=quantity,
+            measured=measured,
+            healthy=reference,
+            tcp_mm=tcp * 1e3,
             sentence=f"{self.row.joint} {sentence} {cost}",
-        )  # fmt: skip
+        )
 
     def beyond(self, quantity: str) -> bool:
         """Whether the whole interval lies above the healthy range."""
@@ -148,10 +153,15 @@ def find(
     found: list[Finding] = []
     for joint, row in enumerate(measurement.joints):
         case = _Case(
-            row=row, healthy=None if healthy is None else healthy.joints[joint], levers=levers[:, joint],
-            loads=loads[:, joint], errors=errors[:, joint], encoder_step=arm.encoder_step, common_lag=common,
+            row=row,
+            healthy=None if healthy is None else healthy.joints[joint],
+            levers=levers[:, joint],
+            loads=loads[:, joint],
+            errors=errors[:, joint],
+            encoder_step=arm.encoder_step,
+            common_lag=common,
             bad_mm=BAD_MM * length_size(arm),
-        )  # fmt: skip
+        )
         found += [finding for rule in RULES for finding in rule(case)]
     return tuple(sorted(found, key=lambda f: (f.severity != "bad", -f.tcp_mm)))
 
@@ -164,11 +174,14 @@ def stuck(case: _Case) -> Iterator[Finding]:
     if (gain is not None and gain > FOLLOWS) or far < STUCK_ERROR:
         return
     yield case.finding(
-        "stuck", "following_error_rad", mean_of(case.errors), float((case.levers * case.errors).mean()),
+        "stuck",
+        "following_error_rad",
+        mean_of(case.errors),
+        float((case.levers * case.errors).mean()),
         f"does not follow: it stood up to {np.degrees(far):.0f} deg off where it was sent, so it is "
         "blocked, too weak to lift the arm, or its reading is another joint's or turned round; at its targets this "
         "costs",
-    )  # fmt: skip
+    )
 
 
 def weak_gain(case: _Case) -> Iterator[Finding]:
@@ -191,9 +204,12 @@ def friction(case: _Case) -> Iterator[Finding]:
         return
     half = max(case.row.hysteresis_rad.value, 0.0) / 2 if case.row.hysteresis_rad is not None else 0.0
     yield case.finding(
-        "friction", "coulomb_nm", force, case.lever * half,
+        "friction",
+        "coulomb_nm",
+        force,
+        case.lever * half,
         f"is stiff to turn: it stops up to {np.degrees(half):.2f} deg short on either side,",
-    )  # fmt: skip
+    )
 
 
 def hysteresis(case: _Case) -> Iterator[Finding]:
@@ -203,11 +219,14 @@ def hysteresis(case: _Case) -> Iterator[Finding]:
     if width is None or not case.beyond("hysteresis_rad") or explained or not case.moves or case.hunts:
         return
     yield case.finding(
-        "hysteresis", "hysteresis_rad", width, case.lever * width.value / 2,
+        "hysteresis",
+        "hysteresis_rad",
+        width,
+        case.lever * width.value / 2,
         f"stops short: coming from below and from above it rests {np.degrees(width.value):.2f} deg apart"
         f"{_against(case, 'hysteresis_rad', '.2f', np.degrees(1.0))}; whether it is stiff to turn or soft, or both, "
         "cannot be told; on either side,",
-    )  # fmt: skip
+    )
 
 
 def play_in_loop(case: _Case) -> Iterator[Finding]:
@@ -217,10 +236,13 @@ def play_in_loop(case: _Case) -> Iterator[Finding]:
         return
     width = np.degrees(2 * 2**0.5 * swing.value)
     yield case.finding(
-        "play_in_loop", "hunting_rad", swing, case.lever * swing.value * 2**0.5,
+        "play_in_loop",
+        "hunting_rad",
+        swing,
+        case.lever * swing.value * 2**0.5,
         f"hunts: it swings to and fro over {width:.1f} deg while it should hold still, as a servo does "
         "that has play between motor and encoder,",
-    )  # fmt: skip
+    )
 
 
 def torque_limit(case: _Case) -> Iterator[Finding]:
@@ -233,10 +255,13 @@ def torque_limit(case: _Case) -> Iterator[Finding]:
     off = case.row.stuck_rad > STUCK_COUNTS * case.encoder_step
     stuck = f"; in some postures it stays {np.degrees(case.row.stuck_rad):.0f} deg off" if off else ""
     yield case.finding(
-        "torque_limit", "torque_limit_nm", limit, tcp,
+        "torque_limit",
+        "torque_limit_nm",
+        limit,
+        tcp,
         f"runs out of torque: it spent {case.row.saturated_share * 100:.0f} % of the excitation at its limit{stuck}; "
         "at its targets this costs",
-    )  # fmt: skip
+    )
 
 
 def low_damping(case: _Case) -> Iterator[Finding]:
@@ -254,11 +279,14 @@ def low_damping(case: _Case) -> Iterator[Finding]:
     if case.row.torque_limit_nm is not None and (overshoot.low is None or overshoot.low < OVERSHOOT_ALLOWED):
         return
     yield case.finding(
-        "low_damping", "damping_ratio", ratio, case.lever * over * 0.2,
+        "low_damping",
+        "damping_ratio",
+        ratio,
+        case.lever * over * 0.2,
         f"rings: its damping ratio is {ratio.value:.2f}{_interval(ratio)}"
         f"{_against(case, 'damping_ratio', '.2f')}; after a step of 0.2 rad it shoots "
         f"{over * 100:.0f} % too far before it settles,",
-    )  # fmt: skip
+    )
 
 
 def lag(case: _Case) -> Iterator[Finding]:
@@ -276,10 +304,13 @@ def lag(case: _Case) -> Iterator[Finding]:
         return
     tcp = case.lever * WORKING_SPEED * (late.value - case.common_lag - reference.value)
     yield case.finding(
-        "lag", "lag_s", late, tcp,
+        "lag",
+        "lag_s",
+        late,
+        tcp,
         f"follows late: {late.value * 1e3:.0f} ms behind its command{_against(case, 'lag_s', '.0f', 1e3)}; "
         f"in motion at {WORKING_SPEED} rad/s that is",
-    )  # fmt: skip
+    )
 
 
 def offset(case: _Case) -> Iterator[Finding]:
@@ -290,9 +321,12 @@ def offset(case: _Case) -> Iterator[Finding]:
     if not surely_offset(found, doubt=0.0 if k is None else GRAVITY_DOUBT * weight / k.value):
         return
     yield case.finding(
-        "offset", "offset_rad", found, case.lever * abs(found.value),
+        "offset",
+        "offset_rad",
+        found,
+        case.lever * abs(found.value),
         "has an offset: it rests beside its command by the same angle everywhere, also where nothing loads it,",
-    )  # fmt: skip
+    )
 
 
 def noise(case: _Case) -> Iterator[Finding]:
@@ -301,14 +335,26 @@ def noise(case: _Case) -> Iterator[Finding]:
     if level is None or not case.beyond("noise_rad") or case.hunts:
         return
     yield case.finding(
-        "noise", "noise_rad", level, case.lever * level.value,
+        "noise",
+        "noise_rad",
+        level,
+        case.lever * level.value,
         f"has a restless encoder: readings scatter by {np.degrees(level.value):.2f} deg at rest,",
-    )  # fmt: skip
+    )
 
 
 RULES: tuple[Callable[[_Case], Iterator[Finding]], ...] = (
-    stuck, weak_gain, friction, hysteresis, play_in_loop, torque_limit, low_damping, lag, offset, noise,
-)  # fmt: skip
+    stuck,
+    weak_gain,
+    friction,
+    hysteresis,
+    play_in_loop,
+    torque_limit,
+    low_damping,
+    lag,
+    offset,
+    noise,
+)
 """Rules for one joint"""
 
 

@@ -6,6 +6,15 @@ from rejoint.logs.importing import FORMATS, Imported, detect, import_logs
 from rejoint.logs.options import ANGLE_UNITS, STAMPS, TIME_UNITS, ImportOptions, read_map
 
 __all__ = [
-    "ANGLE_UNITS", "FORMATS", "STAMPS", "TIME_UNITS", "ImportOptions", "Imported", "detect", "export_log",
-    "import_logs", "read_map", "unpowered_joints",
-]  # fmt: skip
+    "ANGLE_UNITS",
+    "FORMATS",
+    "STAMPS",
+    "TIME_UNITS",
+    "ImportOptions",
+    "Imported",
+    "detect",
+    "export_log",
+    "import_logs",
+    "read_map",
+    "unpowered_joints",
+]

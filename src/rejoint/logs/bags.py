@@ -72,12 +72,13 @@ class Store:
         """Files of this kind, sorted by name."""
         found = sorted(source.iterdir()) if source.is_dir() else [source]
         return [
-            file for file in found
+            file
+            for file in found
             if any(
                 begins_with(file, magic) and (file.suffix == ending or (not ending and file is source))
                 for ending, magic in self.magic.items()
             )
-        ]  # fmt: skip
+        ]
 
 
 def _mcap_inventory(file: Path) -> dict[str, Topic]:
@@ -99,11 +100,9 @@ def _counted(summary: Any) -> dict[str, Topic]:  # noqa: ANN401 - the library is
     for channel in summary.channels.values():
         counts[channel.topic] = counts.get(channel.topic, 0) + found.channel_message_counts.get(channel.id, 0)
     return {
-        channel.topic: Topic(
-            schema=schemas.get(channel.schema_id, ""), count=counts[channel.topic], seconds=seconds
-        )
+        channel.topic: Topic(schema=schemas.get(channel.schema_id, ""), count=counts[channel.topic], seconds=seconds)
         for channel in summary.channels.values()
-    }  # fmt: skip
+    }
 
 
 def _mcap_topics(reader: Any) -> dict[str, Topic]:  # noqa: ANN401
@@ -129,9 +128,11 @@ def _mcap_reader(stream: IO[bytes]) -> Any:  # noqa: ANN401
             return json.loads if message_encoding == "json" else None
 
     return SeekingReader(
-        stream, validate_crcs=True, record_size_limit=_RECORD_LIMIT,
+        stream,
+        validate_crcs=True,
+        record_size_limit=_RECORD_LIMIT,
         decoder_factories=[Ros2Factory(), ProtobufFactory(), JsonFactory()],
-    )  # fmt: skip
+    )
 
 
 def _mcap_messages(file: Path, topics: set[str]) -> dict[str, list[Message]]:
@@ -175,13 +176,17 @@ def _bag_messages(file: Path, topics: set[str]) -> dict[str, list[Message]]:
 
 
 MCAP = Store(
-    name="mcap", magic={"": b"\x89MCAP0\r\n", ".mcap": b"\x89MCAP0\r\n"}, inventory=_mcap_inventory,
+    name="mcap",
+    magic={"": b"\x89MCAP0\r\n", ".mcap": b"\x89MCAP0\r\n"},
+    inventory=_mcap_inventory,
     messages=_mcap_messages,
-)  # fmt: skip
+)
 ROSBAG = Store(
-    name="rosbag", magic={".db3": b"SQLite format 3\x00", ".bag": b"#ROSBAG V2.0"}, inventory=_bag_inventory,
+    name="rosbag",
+    magic={".db3": b"SQLite format 3\x00", ".bag": b"#ROSBAG V2.0"},
+    inventory=_bag_inventory,
     messages=_bag_messages,
-)  # fmt: skip
+)
 
 
 STATE_TOPIC, COMMAND_TOPIC = "/joint_states", "/joint_commands"
@@ -247,9 +252,7 @@ def _read(store: Store, file: Path, arm: Arm, options: ImportOptions) -> Recorde
         notes += remarks
     extra = {"source": file.name, "format": store.name}
     extra |= {"clock_origin_s": f"{origin // NANOSECONDS}"} if origin else {}
-    motion = read_motion(
-        file.stem, frames, arm, options, notes=notes, robot=f"{store.name}:{file.stem}", extra=extra
-    )  # fmt: skip
+    motion = read_motion(file.stem, frames, arm, options, notes=notes, robot=f"{store.name}:{file.stem}", extra=extra)
     if goals:
         command = commands_of(goals, motion.state, (stamp, origin), (file, command_topic or ""), arm, options)
         motion = replace(motion, command=command)
@@ -294,13 +297,13 @@ def _topics(held: dict[str, Topic], options: ImportOptions, file: Path) -> tuple
     if command in held:
         return state, command, notes
     able = [
-        name for name, topic in held.items()
-        if kind_of(topic.schema) in (*STATES, TRAJECTORY, ARRAY) and name != state
-    ]  # fmt: skip
+        name for name, topic in held.items() if kind_of(topic.schema) in (*STATES, TRAJECTORY, ARRAY) and name != state
+    ]
     ours = [
-        name for name in able
+        name
+        for name in able
         if kind_of(held[name].schema) not in STATES and not any(word in name for word in OTHER_INTERFACES)
-    ]  # fmt: skip
+    ]
     if options.command_topic is None and len(ours) == 1:
         return state, ours[0], [f"commands from {ours[0]} {held[ours[0]]}"]
     if options.command_topic is not None or able:
@@ -309,9 +312,13 @@ def _topics(held: dict[str, Topic], options: ImportOptions, file: Path) -> tuple
 
 
 def _stamp(
-    samples: dict[str, list[Sample]], goals: list[TrajectoryGoal], topics: tuple[str, str | None],
-    kinds: dict[str, str], options: ImportOptions, file: Path,
-) -> tuple[str, list[str]]:  # fmt: skip
+    samples: dict[str, list[Sample]],
+    goals: list[TrajectoryGoal],
+    topics: tuple[str, str | None],
+    kinds: dict[str, str],
+    options: ImportOptions,
+    file: Path,
+) -> tuple[str, list[str]]:
     state, command = topics
     if options.stamp is not None:
         return options.stamp, []

@@ -26,10 +26,16 @@ from rejoint.system.textfile import shown, split_unit
 LENGTHS = {"m": 1.0, "mm": 1e-3}
 """[m]"""
 UNITS: dict[str, dict[str, float]] = {
-    "time": {unit: 1.0 / ticks for unit, ticks in TIME_UNITS.items()}, "position": ANGLES, "command": ANGLES,
-    "target": LENGTHS, "true_tcp": LENGTHS, "torque": {"Nm": 1.0, "mNm": 1e-3}, "current": {"A": 1.0, "mA": 1e-3},
-    "gain": {}, "powered": {},
-}  # fmt: skip
+    "time": {unit: 1.0 / ticks for unit, ticks in TIME_UNITS.items()},
+    "position": ANGLES,
+    "command": ANGLES,
+    "target": LENGTHS,
+    "true_tcp": LENGTHS,
+    "torque": {"Nm": 1.0, "mNm": 1e-3},
+    "current": {"A": 1.0, "mA": 1e-3},
+    "gain": {},
+    "powered": {},
+}
 """SI units per unit of each group"""
 SI = {"torque": "N m", "current": "A"}
 _TIMES = ("time", "t", "timestamp")
@@ -67,9 +73,15 @@ class Column:
 
 
 def read_motion(
-    name: str, frames: Sequence[ColumnFrame], arm: Arm, options: ImportOptions, *, robot: str, extra: dict[str, str],
+    name: str,
+    frames: Sequence[ColumnFrame],
+    arm: Arm,
+    options: ImportOptions,
+    *,
+    robot: str,
+    extra: dict[str, str],
     notes: Sequence[str] = (),
-) -> RecordedMotion:  # fmt: skip
+) -> RecordedMotion:
     """Make a motion of columns on one clock, or of states and commands on their own.
 
     FileError for missing or double columns, or no unit; InputError for a wrong map.
@@ -80,10 +92,11 @@ def read_motion(
     if state is None:
         titles = ", ".join(shown(frame.titles) for frame in frames)
         raise FileError(
-            frames[0].path, f"no column with joint positions; found {frames[0].found}: {titles}",
+            frames[0].path,
+            f"no column with joint positions; found {frames[0].found}: {titles}",
             "name them position.JOINT and command.JOINT, or map yours: --map JOINT=THEIRS; a time, position.JOINT and "
             "command.JOINT are expected",
-        )  # fmt: skip
+        )
     commanding = next((table for table in tables if table.of("command")), None)
     half = _half_ranges(state, arm, options)
     made = [table.track(group, half) for table, group in ((state, "position"), (commanding, "command")) if table]
@@ -97,9 +110,16 @@ def read_motion(
             "the middle of each range is unknown and taken as zero: offsets, sag and places of the tool are not known"
         )
     return RecordedMotion(
-        name=name, state=made[0], command=made[1] if len(made) > 1 else None, angle_unit="/".join(sorted(state.units)),
-        units=state.measured_units, points=state.points(), robot=robot, extra=extra, notes=(*notes, *remarks),
-    )  # fmt: skip
+        name=name,
+        state=made[0],
+        command=made[1] if len(made) > 1 else None,
+        angle_unit="/".join(sorted(state.units)),
+        units=state.measured_units,
+        points=state.points(),
+        robot=robot,
+        extra=extra,
+        notes=(*notes, *remarks),
+    )
 
 
 def holds_positions(titles: Sequence[str], options: ImportOptions) -> bool:
@@ -111,8 +131,9 @@ def holds_positions(titles: Sequence[str], options: ImportOptions) -> bool:
     }
     return bool(mapped & {*titles}) or any(
         found[1] in ("position", "command") and ("." in title or found[2].isdigit() or not found[2])
-        for title in titles if (found := _classified(title))
-    )  # fmt: skip
+        for title in titles
+        if (found := _classified(title))
+    )
 
 
 _COUNT = 2 * np.pi / COUNTS_PER_TURN
@@ -173,9 +194,9 @@ class _ForeignTable:
             i, own = titles.index(linear.column), _classified(ours)
             said = split_unit(linear.column, TIME_UNITS | ANGLES | LENGTHS)[1]
             if own is not None:
-                found.append(Column(
-                    index=i, title=titles[i], group=own[1], name=own[2], unit=own[3] or said, linear=linear
-                ))  # fmt: skip
+                found.append(
+                    Column(index=i, title=titles[i], group=own[1], name=own[2], unit=own[3] or said, linear=linear)
+                )
             elif i not in self.columns:  # which joint it is says the map, to `match_joints`
                 unit = split_unit(ours, ANGLES)[1] or said
                 found.append(Column(index=i, title=titles[i], group="position", name=titles[i], unit=unit))
@@ -188,9 +209,10 @@ class _ForeignTable:
         declared, option = getattr(self.options, key), OPTIONS[key]
         if column.unit and declared and column.unit != declared:
             raise FileError(
-                self.frame.path, f"column {column.title} is in {column.unit} by its name, but {option} says {declared}",
+                self.frame.path,
+                f"column {column.title} is in {column.unit} by its name, but {option} says {declared}",
                 f"leave {option} out or rename the column",
-            )  # fmt: skip
+            )
         unit = column.unit or declared or default
         if unit is None:
             endings = " or ".join(f"{column.title}_{unit}" for unit in UNITS[column.group])
@@ -208,11 +230,12 @@ class _ForeignTable:
         if len(times) != 1:
             found = " and ".join(column.title for column in times) or "none"
             raise FileError(
-                self.frame.path, f"{found} of the columns {shown(self.frame.titles)} says the time, expected one; the "
+                self.frame.path,
+                f"{found} of the columns {shown(self.frame.titles)} says the time, expected one; the "
                 f"file is {self.frame.found}",
                 f"name one {' or '.join(f'time_{unit}' for unit in TIME_UNITS)}, map yours (--map time_s=THEIRS), or "
                 "give the rows in a second (--rate)",
-            )  # fmt: skip
+            )
         unit = self._unit(times[0], self.recorder[1] if self.recorder else None)
         return self.frame.values([times[0].index])[:, 0] / TIME_UNITS[unit]
 
@@ -224,9 +247,13 @@ class _ForeignTable:
             linear = [columns[0].linear or Linear(column="")] * self.arm.joints
         else:
             match = match_joints(
-                [column.name for column in columns], self.arm, self.options, self.frame.path, group,
+                [column.name for column in columns],
+                self.arm,
+                self.options,
+                self.frame.path,
+                group,
                 [column.title for column in columns],
-            )  # fmt: skip
+            )
             columns = [columns[i] for i in match.columns]
             linear = [own.linear or one for own, one in zip(columns, match.linear, strict=True)]
             if match.dropped and group in ("position", "command"):
@@ -252,10 +279,15 @@ class _ForeignTable:
             part = None if half is None else half[[joint]]
             values[:, [joint]] = radians(raw[:, [joint]], unit, part, self.frame.path)
         return Track(
-            path=self.frame.path, what="state" if group == "position" else "command", time=self.time(), value=values,
-            columns=tuple(column.title for column in columns), place=self.frame.place, number=self.frame.number,
+            path=self.frame.path,
+            what="state" if group == "position" else "command",
+            time=self.time(),
+            value=values,
+            columns=tuple(column.title for column in columns),
+            place=self.frame.place,
+            number=self.frame.number,
             more=self._measured() if group == "position" else {},
-        )  # fmt: skip
+        )
 
     def _measured(self) -> dict[str, Array]:
         found: dict[str, Array] = {}
@@ -329,9 +361,10 @@ def _check_map(tables: Sequence[_ForeignTable], arm: Arm, options: ImportOptions
         if column not in known and not (ranged and {*theirs.split("..")} <= known):
             found = tables[0].frame
             raise FileError(
-                found.path, f"--map {ours}={theirs}: no column {column}; found {found.found}: {shown(found.titles)}",
+                found.path,
+                f"--map {ours}={theirs}: no column {column}; found {found.found}: {shown(found.titles)}",
                 "name one of these",
-            )  # fmt: skip
+            )
 
 
 def _half_ranges(state: _ForeignTable, arm: Arm, options: ImportOptions) -> Array | None:

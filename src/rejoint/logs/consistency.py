@@ -286,19 +286,22 @@ def clean(track: Track, doubts: Doubts) -> tuple[Track, list[str]]:
     if (steps < 0).any():
         late = int(np.argmax(steps < 0)) + 1
         raise FileError(
-            track.path, f"{track.what}, {track.where(late)}: the clock goes back by {-steps[late - 1]:.6g} s",
+            track.path,
+            f"{track.what}, {track.where(late)}: the clock goes back by {-steps[late - 1]:.6g} s",
             "cut the file where the clock was set" + _OR_LOG * track.place.startswith("topic"),
-        )  # fmt: skip
+        )
     notes = []
     fresh = np.concatenate([[True], steps > 0])
     lost = int((~fresh).sum())
     if lost:
         if lost > LOST * len(track) and fresh[1:].any():
             doubts.stop(
-                track.path, f"{track.what}: the clock counts in steps of {np.median(steps[steps > 0]):.3g} s, and "
+                track.path,
+                f"{track.what}: the clock counts in steps of {np.median(steps[steps > 0]):.3g} s, and "
                 f"{lost} of {len(track)} samples ({100 * lost / len(track):.0f} %) have the stamp of the one before "
-                "and are lost", "record finer stamps",
-            )  # fmt: skip
+                "and are lost",
+                "record finer stamps",
+            )
         first = track.where(int(np.argmin(fresh)))
         notes.append(f"{track.what}: {lost} samples with a doubled stamp left out, first at {first}")
         track = track.take(fresh)
@@ -320,16 +323,19 @@ def _check_rate(track: Track, doubts: Doubts) -> list[str]:
     sparse = track.what == "command"  # a command may stand for as long as it likes
     if rate > RATES[1] or (rate < RATES[0] and not sparse):
         raise FileError(
-            track.path, f"{track.what}: one sample in {period:.3g} s, expected {RATES[0]:g} to {RATES[1]:g} Hz",
+            track.path,
+            f"{track.what}: one sample in {period:.3g} s, expected {RATES[0]:g} to {RATES[1]:g} Hz",
             _TIME_REMEDY,
-        )  # fmt: skip
+        )
     if sparse:
         return []
     if rate < 0.99 * SLOWEST:
         doubts.stop(
-            track.path, f"{track.what}: {rate:.2g} samples in a second, expected at least {SLOWEST:g}: too few to "
-            "show friction or lag", "record faster",
-        )  # fmt: skip
+            track.path,
+            f"{track.what}: {rate:.2g} samples in a second, expected at least {SLOWEST:g}: too few to "
+            "show friction or lag",
+            "record faster",
+        )
     gaps = steps > GAP_PERIODS * period
     if not gaps.any():
         return []
@@ -347,9 +353,10 @@ def check_angles(motion: RecordedMotion, arm: Arm, doubts: Doubts) -> list[str]:
     extent = float(np.abs(motion.state.value).max())
     if motion.angle_unit == "deg" and np.rad2deg(extent) <= 2 * np.pi:
         doubts.stop(
-            motion.state.path, f"state: no angle is beyond {np.rad2deg(extent):.3g} deg; the values are surely radians",
+            motion.state.path,
+            f"state: no angle is beyond {np.rad2deg(extent):.3g} deg; the values are surely radians",
             "set --angle-unit rad, or correct the column's name where that says a unit",
-        )  # fmt: skip
+        )
     notes += _spikes(motion.state, doubts)
     _check_speed(motion.state, arm, doubts)
     _check_jumps(motion.state, doubts)
@@ -380,10 +387,11 @@ def _check_turns(motion: RecordedMotion, arm: Arm, doubts: Doubts) -> None:
     bits = binary_turns(np.rad2deg(state.value)) if motion.angle_unit == "deg" else None
     if bits is not None:
         doubts.stop(
-            state.path, f"state: the values come in steps of 2 pi / {2**bits}: they are radians, not degrees; "
+            state.path,
+            f"state: the values come in steps of 2 pi / {2**bits}: they are radians, not degrees; "
             f"up to {np.rad2deg(np.abs(state.value).max()):.4g} rad are angles of the motors, before their gear",
             GEAR_REMEDY,
-        )  # fmt: skip
+        )
     for track in motion.tracks:
         far = np.abs(track.value)
         if (far <= TWO_TURNS).all():
@@ -395,10 +403,11 @@ def _check_turns(motion: RecordedMotion, arm: Arm, doubts: Doubts) -> None:
         cause = f"degrees, or {cause}" if bits is None else f"{cause}, for they come in steps of 2 pi / {2**bits}"
         unit = cause if motion.angle_unit == "rad" else "in another unit"
         raise FileError(
-            track.path, f"{track.what}, {track.where(int(row))}: {track.columns[joint]} is "
+            track.path,
+            f"{track.what}, {track.where(int(row))}: {track.columns[joint]} is "
             f"{track.value[row, joint]:.4g} rad, beyond two turns; the values are {unit}",
             f"set --angle-unit, correct the column's name, or {GEAR_REMEDY}" if bits is None else GEAR_REMEDY,
-        )  # fmt: skip
+        )
 
 
 def _check_speed(state: Track, arm: Arm, doubts: Doubts) -> None:
@@ -410,9 +419,11 @@ def _check_speed(state: Track, arm: Arm, doubts: Doubts) -> None:
     joint = int(np.argmax(usual / arm.max_speed))
     if usual[joint] > TOO_FAST * arm.max_speed[joint]:
         doubts.stop(
-            state.path, f"{state.what}: {state.columns[joint]} moves at {usual[joint]:.3g} rad/s and more in a tenth "
-            f"of the log, joint {arm.joint_names[joint]} at up to {arm.max_speed[joint]:.3g}", _TIME_REMEDY,
-        )  # fmt: skip
+            state.path,
+            f"{state.what}: {state.columns[joint]} moves at {usual[joint]:.3g} rad/s and more in a tenth "
+            f"of the log, joint {arm.joint_names[joint]} at up to {arm.max_speed[joint]:.3g}",
+            _TIME_REMEDY,
+        )
 
 
 def _check_jumps(state: Track, doubts: Doubts) -> None:
@@ -429,10 +440,12 @@ def _check_jumps(state: Track, doubts: Doubts) -> None:
         return
     row, joint = (int(i) for i in np.unravel_index(int(np.argmax(np.where(found, far[1:-1], 0.0))), found.shape))
     doubts.stop(
-        state.path, f"{state.what}: {int(found.any(axis=1).sum())} time(s) joints are elsewhere in the next sample, "
+        state.path,
+        f"{state.what}: {int(found.any(axis=1).sum())} time(s) joints are elsewhere in the next sample, "
         f"farthest {state.columns[joint]} by {way[row + 1, joint]:.3g} rad in {steps[row + 1, 0]:.3g} s at "
-        f"{state.where(row + 2)}: no joint moves so", "cut the file there, or mend the values",
-    )  # fmt: skip
+        f"{state.where(row + 2)}: no joint moves so",
+        "cut the file there, or mend the values",
+    )
 
 
 def _spikes(state: Track, doubts: Doubts) -> list[str]:
@@ -461,10 +474,12 @@ def _check_limits(state: Track, arm: Arm, doubts: Doubts) -> list[str]:
         far = float(np.mean(excess[:, joint] > LIMIT_MARGIN))
         if far > FAR_OUT:
             doubts.stop(
-                state.path, f"{state.what}: {state.columns[joint]} is far outside the limits of joint {name} "
+                state.path,
+                f"{state.what}: {state.columns[joint]} is far outside the limits of joint {name} "
                 f"({arm.lower[joint]:.3g} to {arm.upper[joint]:.3g} rad) in {100 * far:.0f} % of the samples, by up to "
-                f"{worst:.3g} rad", "check unit, joint order and zero posture (--angle-unit, --map)",
-            )  # fmt: skip
+                f"{worst:.3g} rad",
+                "check unit, joint order and zero posture (--angle-unit, --map)",
+            )
         if beyond.any():
             notes.append(
                 f"state: {state.columns[joint]} is beyond the limits of joint {name} in {int(beyond.sum())} samples, "
@@ -522,10 +537,11 @@ def _check_order(state: Track, command: Array) -> list[str]:
             continue
         if highest[joint, best] > RELATED[1]:
             raise FileError(
-                state.path, f"the state of {name} follows the command of {state.columns[best]} "
+                state.path,
+                f"the state of {name} follows the command of {state.columns[best]} "
                 f"(correlation {highest[joint, best]:.2f}), not its own ({own:.2f})",
                 "give the true joint order of states and commands",
-            )  # fmt: skip
+            )
         if lowest[joint, joint] < -RELATED[1]:
             notes.append(
                 f"state: {name} moves against its command (correlation {lowest[joint, joint]:.2f}); "
@@ -557,10 +573,11 @@ def _check_still(state: Track, command: Array, doubts: Doubts) -> None:
     left = np.max(far - np.minimum.accumulate(far, axis=0), axis=0)
     for joint in np.flatnonzero((left > LEFT) & (np.ptp(command, axis=0) == 0.0)):
         doubts.stop(
-            state.path, f"the command of {state.columns[joint]} never changes, yet it moves away from it by "
+            state.path,
+            f"the command of {state.columns[joint]} never changes, yet it moves away from it by "
             f"{left[joint]:.3g} rad: not this command moved the arm",
             "give what was sent, or leave the columns of the commands out",
-        )  # fmt: skip
+        )
 
 
 def _check_copies(state: Track, command: Array, doubts: Doubts) -> None:
@@ -582,9 +599,11 @@ def _check_copies(state: Track, command: Array, doubts: Doubts) -> None:
         lag = next(iter(copied.values()))
         when = "in the same row" if lag == 0 else f"{abs(lag)} row(s) {'later' if lag > 0 else 'earlier'}"
         doubts.stop(
-            state.path, f"the states of {_named(list(copied), len(state.columns))} are copies of the "
-            f"commands, {when}: such a log shows no arm", "record what the encoders say and what was sent",
-        )  # fmt: skip
+            state.path,
+            f"the states of {_named(list(copied), len(state.columns))} are copies of the "
+            f"commands, {when}: such a log shows no arm",
+            "record what the encoders say and what was sent",
+        )
 
 
 def _named(joints: list[str], of: int) -> str:
@@ -604,9 +623,10 @@ def _check_scale(state: Track, command: Array, doubts: Doubts) -> list[str]:
             gain = float(travel[joint] / max(asked[joint], 1e-9))
             if not 1 / GAIN < gain < GAIN:
                 doubts.stop(
-                    state.path, f"{name} moves {gain:.3g} times as far as its command: not one unit",
+                    state.path,
+                    f"{name} moves {gain:.3g} times as far as its command: not one unit",
                     "give states and commands in one unit",
-                )  # fmt: skip
+                )
         if abs(apart[joint]) > APART:
             said = f"{name} is {np.rad2deg(apart[joint]):.0f} deg from its command (median)"
             if spread[joint] < abs(apart[joint]) / 2 and travel[joint] > FOLLOWED * asked[joint]:
@@ -629,11 +649,15 @@ def _check_lag(state: Track, command: Array, doubts: Doubts) -> list[str]:
             f"state: follows its commands best {at} them, expected {BELIEVED[0]:g} to {BELIEVED[1]:g} s after; this "
             "motion does not tell surely whether the clocks differ"
         ]
-    cause = "states are stamped before their commands or on another clock, or both are exchanged" if lag.best < 0 else (
-        "commands are goals that something else moves to, or the clocks differ"
-    )  # fmt: skip
+    cause = (
+        "states are stamped before their commands or on another clock, or both are exchanged"
+        if lag.best < 0
+        else ("commands are goals that something else moves to, or the clocks differ")
+    )
     doubts.stop(
-        state.path, f"the states follow their commands best {at} them, expected {BELIEVED[0]:g} to "
-        f"{BELIEVED[1]:g} s after: {cause}", "record both with the stamps of one clock",
-    )  # fmt: skip
+        state.path,
+        f"the states follow their commands best {at} them, expected {BELIEVED[0]:g} to "
+        f"{BELIEVED[1]:g} s after: {cause}",
+        "record both with the stamps of one clock",
+    )
     return []

@@ -72,10 +72,12 @@ def parted(motion: RecordedMotion) -> Iterator[RecordedMotion]:
         rows = np.zeros(len(time), dtype=bool)
         rows[piece] = True
         yield replace(
-            motion, name=f"{motion.name}-{index}of{len(pieces)}" if len(pieces) > 1 else motion.name,
-            state=motion.state.take(rows), notes=tuple(notes),
+            motion,
+            name=f"{motion.name}-{index}of{len(pieces)}" if len(pieces) > 1 else motion.name,
+            state=motion.state.take(rows),
+            notes=tuple(notes),
             command=None if motion.command is None else _in_force(motion.command, time[piece[0]], time[piece[-1]]),
-        )  # fmt: skip
+        )
 
 
 def _corrupt(track: Track) -> NDArray[np.bool_]:
@@ -84,9 +86,11 @@ def _corrupt(track: Track) -> NDArray[np.bool_]:
     if (~finite).sum() > CORRUPT * len(track):
         row, joint = (int(i) for i in np.argwhere(~np.isfinite(track.value))[0])
         raise FileError(
-            track.path, f"{track.what}, {track.where(row)}: {track.columns[joint]} is {track.value[row, joint]}, one "
-            f"of {int((~finite).sum())} rows with values that are not finite", "mend the values or cut the rows",
-        )  # fmt: skip
+            track.path,
+            f"{track.what}, {track.where(row)}: {track.columns[joint]} is {track.value[row, joint]}, one "
+            f"of {int((~finite).sum())} rows with values that are not finite",
+            "mend the values or cut the rows",
+        )
     huge = ~(np.abs(track.value) <= TWO_TURNS).all(axis=1)
     return np.asarray(huge if huge.sum() <= CORRUPT * len(track) else ~finite)
 
@@ -131,12 +135,19 @@ def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = Non
         notes += [f"state: {int((~powered).sum())} rows without torque"] * (not powered.all())
     notes += [f"imported by force, although {reason}" for reason in doubts.reasons]
     log = RunLog(
-        arm=arm.name, joint_names=arm.joint_names, robot=motion.robot, label=motion.name,
-        time=state.time, position=state.value, command=commanded,
-        target=_at(state.time, motion.points.get("target")), true_tcp=_at(state.time, motion.points.get("true_tcp")),
+        arm=arm.name,
+        joint_names=arm.joint_names,
+        robot=motion.robot,
+        label=motion.name,
+        time=state.time,
+        position=state.value,
+        command=commanded,
+        target=_at(state.time, motion.points.get("target")),
+        true_tcp=_at(state.time, motion.points.get("true_tcp")),
         extra=motion.extra | doubts.kept | declared_off(options.torque_off or ()),
-        units=dict(motion.units), **state.more,
-    )  # fmt: skip
+        units=dict(motion.units),
+        **state.more,
+    )
     for joint in unpowered_joints(log):
         if joint not in (options.torque_off or ()):
             notes.append(f"state: {joint} never answers its command: without power, or stuck (--torque-off {joint})")
@@ -164,10 +175,12 @@ def _near_zero(motion: RecordedMotion) -> RecordedMotion:
     origin = float(np.floor(start))
     points = {name: Points(time=p.time - origin, value=p.value) for name, p in motion.points.items()}
     return replace(
-        motion, state=motion.state.shifted(origin), points=points,
+        motion,
+        state=motion.state.shifted(origin),
+        points=points,
         command=None if motion.command is None else motion.command.shifted(origin),
         extra=motion.extra | {"clock_origin_s": f"{origin:.0f}"},
-    )  # fmt: skip
+    )
 
 
 def _check_one_clock(state: Track, command: Track) -> None:
@@ -175,10 +188,11 @@ def _check_one_clock(state: Track, command: Track) -> None:
     shorter = min(state.time[-1] - state.time[0], command.time[-1] - command.time[0])
     if common < 0.5 * shorter:
         raise FileError(
-            state.path, f"states last from {state.time[0]:.6f} to {state.time[-1]:.6f} s, commands from "
+            state.path,
+            f"states last from {state.time[0]:.6f} to {state.time[-1]:.6f} s, commands from "
             f"{command.time[0]:.6f} to {command.time[-1]:.6f} s: not one clock",
             "record both on one clock, or take the times of recording (stamp log) for MCAP",
-        )  # fmt: skip
+        )
     if command.time[0] >= state.time[-1]:
         raise FileError(state.path, "no state after the first command", "take a longer log")
 
@@ -212,8 +226,12 @@ class _Reader(Protocol):
 
 
 _READERS: dict[str, _Reader] = {
-    "sage": sage, "table": table, "mcap": BagReader(store=MCAP), "rosbag": BagReader(store=ROSBAG), "lerobot": lerobot,
-}  # fmt: skip
+    "sage": sage,
+    "table": table,
+    "mcap": BagReader(store=MCAP),
+    "rosbag": BagReader(store=ROSBAG),
+    "lerobot": lerobot,
+}
 FORMATS = tuple(_READERS)
 """Importable formats"""
 
@@ -224,9 +242,14 @@ _EXPECTED = (
 
 
 def import_logs(
-    source: Path, arm: Arm, *, out: Path, format: str | None = None,  # noqa: A002
-    options: ImportOptions | None = None, on_progress: Progress = no_progress,
-) -> Imported:  # fmt: skip
+    source: Path,
+    arm: Arm,
+    *,
+    out: Path,
+    format: str | None = None,  # noqa: A002
+    options: ImportOptions | None = None,
+    on_progress: Progress = no_progress,
+) -> Imported:
     """Import the logs at ``source`` as run logs of ``arm`` into the new folder ``out``.
 
     Parameters

@@ -18,9 +18,12 @@ from rejoint.system.files import JSON_MOST, read_bounded
 from rejoint.system.textfile import split_unit
 
 _SO101_NAMES = {
-    "Rotation": "shoulder_pan", "Pitch": "shoulder_lift", "Elbow": "elbow_flex", "Wrist_Pitch": "wrist_flex",
+    "Rotation": "shoulder_pan",
+    "Pitch": "shoulder_lift",
+    "Elbow": "elbow_flex",
+    "Wrist_Pitch": "wrist_flex",
     "Wrist_Roll": "wrist_roll",
-}  # fmt: skip
+}
 """Joint names of the first SO-ARM100 model, as in SAGE, and of so101_new_calib.xml.
 
 Source: TheRobotStudio/SO-ARM100, folders ``Simulation/SO100`` and ``Simulation/SO101``."""
@@ -72,9 +75,10 @@ def match_joints(
     missing = [joint for joint in arm.joint_names if joint not in meanings]
     if missing:
         raise FileError(
-            path, f"{what}: no column for joint {', '.join(missing)} of {arm.name}, only {', '.join(titles) or 'none'}",
+            path,
+            f"{what}: no column for joint {', '.join(missing)} of {arm.name}, only {', '.join(titles) or 'none'}",
             "say with --arm which arm it is of, or with --map which name means which joint: --map JOINT=NAME",
-        )  # fmt: skip
+        )
     columns = [meanings.index(joint) for joint in arm.joint_names]
     dropped = tuple(title for title, meaning in zip(titles, meanings, strict=True) if meaning is None)
     linear = [one[1] for column in columns if (one := found[column]) is not None]
@@ -149,9 +153,10 @@ def half_ranges(path: Path, arm: Arm, options: ImportOptions) -> Array:
         }
     except (OSError, ArithmeticError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise FileError(
-            path, f"not a calibration of LeRobot ({type(error).__name__}: {error})",
+            path,
+            f"not a calibration of LeRobot ({type(error).__name__}: {error})",
             "give the JSON file that lerobot-calibrate wrote",
-        ) from error  # fmt: skip
+        ) from error
     names = list(spans)
     counts = [spans[names[column]] for column in match_joints(names, arm, options, path, "calibration").columns]
     return np.array(counts, dtype=float) * np.pi / COUNTS_PER_TURN

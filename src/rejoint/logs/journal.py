@@ -199,10 +199,16 @@ def read_journal(file: Path) -> RunLog | None:
         n = len(about["joints"])
         table = _whole_rows(rest, _row_size(n))
         return RunLog(
-            arm=about["arm"], joint_names=tuple(about["joints"]), robot=about["robot"],
-            label=f"{about['label']}/{CUT_SHORT}", time=table[:, 0], position=table[:, 1 : 1 + n],
-            command=table[:, 1 + n : 1 + 2 * n], target=table[:, -6:-3], true_tcp=table[:, -3:],
-        )  # fmt: skip
+            arm=about["arm"],
+            joint_names=tuple(about["joints"]),
+            robot=about["robot"],
+            label=f"{about['label']}/{CUT_SHORT}",
+            time=table[:, 0],
+            position=table[:, 1 : 1 + n],
+            command=table[:, 1 + n : 1 + 2 * n],
+            target=table[:, -6:-3],
+            true_tcp=table[:, -3:],
+        )
     except (ValueError, KeyError, TypeError, RecursionError, InputError):
         return None
 

@@ -52,9 +52,10 @@ def motions(source: Path, arm: Arm, options: ImportOptions) -> list[Pending]:
     info = _read_info(source / _INFO, options)
     if options.angle_unit is None:
         raise FileError(
-            source / _INFO, f"a LeRobot dataset does not say the unit of {' and '.join(_GROUPS)}",
+            source / _INFO,
+            f"a LeRobot dataset does not say the unit of {' and '.join(_GROUPS)}",
             "set --angle-unit: deg or rad, or normalised, with the calibration file where you have it",
-        )  # fmt: skip
+        )
     table = _read_frames(source, info)
     numbers = np.unique(table["episode_index"].to_numpy()).tolist()
     return [(f"episode_{number:06d}", partial(_episode, table, number, arm, options, info)) for number in numbers]
@@ -149,14 +150,23 @@ def _episode(table: pa.Table, number: int, arm: Arm, options: ImportOptions, inf
     values = np.concatenate([_matrix(chosen, key) for key in _GROUPS], axis=1)
     name = f"episode_{number:06d}"
     frame = ColumnFrame(
-        path=folder, titles=tuple(f"{group}.{one}" for key, group in _GROUPS.items() for one in info.names[key]),
-        values=lambda columns: values[:, columns], number=rows + 1, place=f"{name}, row", time=time,
+        path=folder,
+        titles=tuple(f"{group}.{one}" for key, group in _GROUPS.items() for one in info.names[key]),
+        values=lambda columns: values[:, columns],
+        number=rows + 1,
+        place=f"{name}, row",
+        time=time,
         found="a LeRobot dataset",
-    )  # fmt: skip
+    )
     return read_motion(
-        name, [frame], arm, options, robot=f"lerobot:{folder.name}", notes=[note],
+        name,
+        [frame],
+        arm,
+        options,
+        robot=f"lerobot:{folder.name}",
+        notes=[note],
         extra={"source": folder.name, "format": "lerobot", "episode": str(number)},
-    )  # fmt: skip
+    )
 
 
 def _matrix(table: pa.Table, key: str) -> Array:

@@ -68,9 +68,10 @@ def samples_of(messages: list[tuple[int, Any]], file: Path, topic: str, schema: 
             samples.append(Sample(number, nanoseconds(stamp), log_ns, tuple(str(name) for name in names), groups))
         except _WRONG as error:
             raise FileError(
-                file, f"topic {topic}, message {number}: no joint state ({error}), but {schema or 'of no named type'}",
+                file,
+                f"topic {topic}, message {number}: no joint state ({error}), but {schema or 'of no named type'}",
                 "name a topic with sensor_msgs/JointState",
-            ) from error  # fmt: skip
+            ) from error
     return samples
 
 
@@ -156,7 +157,7 @@ def nanoseconds(stamp: Any) -> int:  # noqa: ANN401
 
 def frame_of(
     samples: list[Sample], clock: tuple[str, int], where: tuple[Path, str], arm: Arm, options: ImportOptions
-) -> tuple[ColumnFrame, list[str]]:  # fmt: skip
+) -> tuple[ColumnFrame, list[str]]:
     """Columns of messages; other joints are dropped with a note.
 
     ``clock``: ``header`` or ``log``, and its origin [ns].
@@ -171,9 +172,10 @@ def frame_of(
         for group, given in sample.groups.items():
             if len(names) != len(given):
                 raise FileError(
-                    file, f"topic {topic}, message {sample.number}: {len(names)} names for {len(given)} {group}s",
+                    file,
+                    f"topic {topic}, message {sample.number}: {len(names)} names for {len(given)} {group}s",
                     "set --order if the messages hold no names" if not sample.names else REMEDY,
-                )  # fmt: skip
+                )
         if names not in own:
             own[names] = any(means_a_joint(name, arm, options) for name in names)
         if not own[names]:
@@ -192,11 +194,16 @@ def frame_of(
     for row, (places, found) in enumerate(rows):
         values[row, places] = found
     frame = ColumnFrame(
-        path=file, titles=tuple(columns), values=lambda chosen: values[:, chosen], place=f"topic {topic}, message",
-        number=np.array(numbers, dtype=np.int64), angle_unit="rad", found=f"topic {topic}",
+        path=file,
+        titles=tuple(columns),
+        values=lambda chosen: values[:, chosen],
+        place=f"topic {topic}, message",
+        number=np.array(numbers, dtype=np.int64),
+        angle_unit="rad",
+        found=f"topic {topic}",
         # whole nanoseconds are subtracted before they become float64, which keeps them exact
         time=np.array([stamp / NANOSECONDS for stamp in stamps], dtype=float),
-    )  # fmt: skip
+    )
     return frame, [f"topic {topic}: {foreign} messages about other joints left out"] * bool(foreign)
 
 
@@ -204,9 +211,13 @@ _ORDERS = ("positions", "velocities", "accelerations")
 
 
 def commands_of(
-    goals: list[TrajectoryGoal], state: Track, clock: tuple[str, int], where: tuple[Path, str], arm: Arm,
+    goals: list[TrajectoryGoal],
+    state: Track,
+    clock: tuple[str, int],
+    where: tuple[Path, str],
+    arm: Arm,
     options: ImportOptions,
-) -> Track:  # fmt: skip
+) -> Track:
     """Sample goals at the times of the states; ``clock`` as `frame_of`.
 
     As ``interpolate_between_points`` of joint_trajectory_controller: from the present state through the points, linear,
@@ -244,9 +255,14 @@ def commands_of(
     if not told.any():
         raise FileError(file, f"no state after the first goal on {topic}", "record longer")
     return Track(
-        path=file, what="command", time=state.time[told], value=command[told], columns=arm.joint_names,
-        place=f"topic {topic}, message", number=number[told],
-    )  # fmt: skip
+        path=file,
+        what="command",
+        time=state.time[told],
+        value=command[told],
+        columns=arm.joint_names,
+        place=f"topic {topic}, message",
+        number=number[told],
+    )
 
 
 def _begin(goal: TrajectoryGoal, stamp: str) -> int:

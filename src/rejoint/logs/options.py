@@ -18,10 +18,17 @@ TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 STAMPS = ("header", "log")
 
 OPTIONS = {
-    "angle_unit": "--angle-unit", "time_unit": "--time-unit", "rate": "--rate", "names": "--order",
-    "state_topic": "--state-topic", "command_topic": "--command-topic", "stamp": "--stamp",
-    "calibration": "--calibration", "columns": "--map", "torque_off": "--torque-off",
-}  # fmt: skip
+    "angle_unit": "--angle-unit",
+    "time_unit": "--time-unit",
+    "rate": "--rate",
+    "names": "--order",
+    "state_topic": "--state-topic",
+    "command_topic": "--command-topic",
+    "stamp": "--stamp",
+    "calibration": "--calibration",
+    "columns": "--map",
+    "torque_off": "--torque-off",
+}
 """Options of `rejoint import` per declaration"""
 _N = r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _LINEAR = re.compile(

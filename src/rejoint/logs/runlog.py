@@ -145,9 +145,16 @@ class RunLog:
 
     @classmethod
     def of(
-        cls, time: ArrayLike, command: ArrayLike, position: ArrayLike, *, arm: Arm | Path | str, label: str = "motion",
-        target: ArrayLike | None = None, true_tcp: ArrayLike | None = None,
-    ) -> RunLog:  # fmt: skip
+        cls,
+        time: ArrayLike,
+        command: ArrayLike,
+        position: ArrayLike,
+        *,
+        arm: Arm | Path | str,
+        label: str = "motion",
+        target: ArrayLike | None = None,
+        true_tcp: ArrayLike | None = None,
+    ) -> RunLog:
         """Make a run log of arrays in memory.
 
         Parameters
@@ -184,12 +191,16 @@ class RunLog:
         times = as_floats(f"run log {label}: time", time)
         unknown = np.full((times.size, 3), np.nan)
         return cls(
-            arm=known.name, joint_names=known.joint_names, robot="memory", label=label, time=times,
+            arm=known.name,
+            joint_names=known.joint_names,
+            robot="memory",
+            label=label,
+            time=times,
             command=as_floats(f"run log {label}: command", command),
             position=as_floats(f"run log {label}: position", position),
             target=unknown if target is None else as_floats(f"run log {label}: target", target),
             true_tcp=unknown if true_tcp is None else as_floats(f"run log {label}: true_tcp", true_tcp),
-        )  # fmt: skip
+        )
 
     @classmethod
     def load(cls, path: Path | str) -> RunLog:
@@ -246,12 +257,20 @@ def read_log(path: Path) -> RunLog:
             return np.stack([table[f"{prefix}.{part}"].to_numpy() for part in parts], axis=-1)
 
         log = RunLog(
-            arm=header["arm"], joint_names=names, robot=header["robot"], label=header["label"],
-            time=table["time"].to_numpy(), position=group("position", names), command=group("command", names),
-            target=group("target", AXES), true_tcp=group("true_tcp", AXES), extra=header["extra"],
-            units=header.get("units", {}), aim=group("aim", AXES) if "aim.x" in table.column_names else None,
+            arm=header["arm"],
+            joint_names=names,
+            robot=header["robot"],
+            label=header["label"],
+            time=table["time"].to_numpy(),
+            position=group("position", names),
+            command=group("command", names),
+            target=group("target", AXES),
+            true_tcp=group("true_tcp", AXES),
+            extra=header["extra"],
+            units=header.get("units", {}),
+            aim=group("aim", AXES) if "aim.x" in table.column_names else None,
             **{one: group(one, names) for one in _MEASURED if f"{one}.{names[0]}" in table.column_names},
-        )  # fmt: skip
+        )
         if header.get("digest", _digest(log)) != _digest(log):
             raise FileError(path, CHANGED, remedy)
     except FileNotFoundError as error:
@@ -287,8 +306,12 @@ def _load_pandas() -> None:
 
 def _about(log: RunLog) -> dict[str, Any]:
     return {
-        "arm": log.arm, "joints": list(log.joint_names), "robot": log.robot, "label": log.label, "extra": log.extra,
-    } | ({"units": log.units} if log.units else {})  # fmt: skip
+        "arm": log.arm,
+        "joints": list(log.joint_names),
+        "robot": log.robot,
+        "label": log.label,
+        "extra": log.extra,
+    } | ({"units": log.units} if log.units else {})
 
 
 def _digest(log: RunLog) -> str:

@@ -86,6 +86,11 @@ def _frame(path: Path, names: list[str], group: str, ticks: float) -> ColumnFram
         rows.append(row)
     values = np.array(rows, dtype=float).reshape(-1, len(names))
     return ColumnFrame(
-        path=path, titles=tuple(f"{group}.{name}" for name in names), values=lambda chosen: values[:, chosen],
-        number=sheet.lines, place="line", time=sheet.numbers([1])[:, 0] / ticks, angle_unit="rad",
-    )  # fmt: skip
+        path=path,
+        titles=tuple(f"{group}.{name}" for name in names),
+        values=lambda chosen: values[:, chosen],
+        number=sheet.lines,
+        place="line",
+        time=sheet.numbers([1])[:, 0] / ticks,
+        angle_unit="rad",
+    )

@@ -69,9 +69,14 @@ def _read(file: Path, arm: Arm, options: ImportOptions, notes: Sequence[str]) ->
     else:
         frame, more = _text(file, options)
     return read_motion(
-        file.stem, [frame], arm, options, robot=f"table:{file.stem}", notes=[*notes, *more],
+        file.stem,
+        [frame],
+        arm,
+        options,
+        robot=f"table:{file.stem}",
+        notes=[*notes, *more],
         extra={"source": file.name, "format": "table"},
-    )  # fmt: skip
+    )
 
 
 def _text(file: Path, options: ImportOptions) -> tuple[ColumnFrame, list[str]]:
@@ -87,9 +92,12 @@ def _text(file: Path, options: ImportOptions) -> tuple[ColumnFrame, list[str]]:
 def _frame(file: Path, columns: dict[str, Array], rows: int, found: str) -> ColumnFrame:
     titles = tuple(columns)
     return ColumnFrame(
-        path=file, titles=titles, values=lambda chosen: np.stack([columns[titles[i]] for i in chosen], axis=1),
-        number=np.arange(1, rows + 1), found=found,
-    )  # fmt: skip
+        path=file,
+        titles=titles,
+        values=lambda chosen: np.stack([columns[titles[i]] for i in chosen], axis=1),
+        number=np.arange(1, rows + 1),
+        found=found,
+    )
 
 
 def _records(file: Path) -> ColumnFrame:

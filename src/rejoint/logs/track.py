@@ -65,9 +65,7 @@ class Track:
     def take(self, chosen: NDArray[np.bool_]) -> Track:
         """Return samples where ``chosen`` (T,) holds."""
         more = {name: values[chosen] for name, values in self.more.items()}
-        return replace(
-            self, time=self.time[chosen], value=self.value[chosen], number=self.number[chosen], more=more
-        )  # fmt: skip
+        return replace(self, time=self.time[chosen], value=self.value[chosen], number=self.number[chosen], more=more)
 
     def shifted(self, seconds: float) -> Track:
         """Return samples on a clock that starts ``seconds`` later."""

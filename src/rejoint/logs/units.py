@@ -43,9 +43,10 @@ def check_normalised(motion: RecordedMotion, arm: Arm, options: ImportOptions, d
     if kind != options.angle_unit:
         said = {"deg": "degrees", "normalised": "normalised values (-100 to 100)"}
         doubts.stop(
-            path, f"the states are {said[kind]}, but --angle-unit says {options.angle_unit}: {why}",
+            path,
+            f"the states are {said[kind]}, but --angle-unit says {options.angle_unit}: {why}",
             f"set --angle-unit {kind}" + (" with --calibration" if kind == "normalised" else ""),
-        )  # fmt: skip
+        )
     return []
 
 
@@ -54,18 +55,21 @@ def calibrated_ranges(raw: Array, arm: Arm, path: Path) -> Array:
     joints = [np.unique(np.round(joint, 4)) for joint in raw.T]
     if np.median([_turn_grid(values) for values in joints]) > ON:
         raise FileError(
-            path, f"the states are degrees, but --angle-unit says normalised: they come in steps of "
-            f"{360.0 / COUNTS_PER_TURN:.4f}, those of an encoder", "set --angle-unit deg",
-        )  # fmt: skip
+            path,
+            f"the states are degrees, but --angle-unit says normalised: they come in steps of "
+            f"{360.0 / COUNTS_PER_TURN:.4f}, those of an encoder",
+            "set --angle-unit deg",
+        )
     counts = np.zeros(arm.joints)
     for joint, name in enumerate(arm.joint_names):
         values = joints[joint]
         step, fit = _best_grid(values) if len(values) >= FEWEST_VALUES else (0.0, 0.0)
         if fit < ON:
             raise FileError(
-                path, f"the readings of {name} do not show the steps of its encoder: its range is not known",
+                path,
+                f"the readings of {name} do not show the steps of its encoder: its range is not known",
                 "give --calibration, or a recording in which it moves more",
-            )  # fmt: skip
+            )
         counts[joint] = 200.0 / step
     return counts
 
@@ -76,9 +80,11 @@ def check_steps(motion: RecordedMotion, arm: Arm, doubts: Doubts) -> None:
         return
     step = arm.encoder_step
     others = {
-        "degrees were read as radians": np.rad2deg(step), "radians were read as degrees": np.deg2rad(step),
-        "turns were read as radians": step / (2 * np.pi), "turns were read as degrees": np.deg2rad(step / (2 * np.pi)),
-    }  # fmt: skip
+        "degrees were read as radians": np.rad2deg(step),
+        "radians were read as degrees": np.deg2rad(step),
+        "turns were read as radians": step / (2 * np.pi),
+        "turns were read as degrees": np.deg2rad(step / (2 * np.pi)),
+    }
     for joint, title in enumerate(motion.state.columns):
         values = np.unique(np.round(motion.state.value[:, joint], 9))
         if len(values) < FEWEST_VALUES or on_grid(values, step) > OFF:
@@ -87,9 +93,11 @@ def check_steps(motion: RecordedMotion, arm: Arm, doubts: Doubts) -> None:
         for unit, other in others.items():
             if on_grid(values, other) > ON and np.percentile(np.diff(values), 10) < FEWEST_STEPS * other:
                 doubts.stop(
-                    motion.state.path, f"the states of {title} come in steps of {other:.3g} rad, where the encoders of "
-                    f"this arm have {step:.3g}: as if {unit}", "declare their unit",
-                )  # fmt: skip
+                    motion.state.path,
+                    f"the states of {title} come in steps of {other:.3g} rad, where the encoders of "
+                    f"this arm have {step:.3g}: as if {unit}",
+                    "declare their unit",
+                )
 
 
 def _by_grid(raw: Array, half: Array | None) -> tuple[str, str] | None:

@@ -75,9 +75,7 @@ CONTROLLERS = {
     "predictive": TEAL,
 }
 
-UNDER_GAINS = {
-    name: CONTROLLERS[inner_name(name)]._replace(marker="*", dash=(0, (9, 2, 1.5, 2))) for name in RIVALS
-}  # fmt: skip
+UNDER_GAINS = {name: CONTROLLERS[inner_name(name)]._replace(marker="*", dash=(0, (9, 2, 1.5, 2))) for name in RIVALS}
 """Controllers under tuned servo gains: the same colours, with stars"""
 
 
@@ -117,14 +115,23 @@ def _environment() -> jinja2.Environment:
         loader=jinja2.PackageLoader("rejoint.pages", "templates"),
         autoescape=jinja2.select_autoescape(("html", "svg")),
         undefined=jinja2.StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
     found.filters |= {
-        "cell": measured, "cycles": cycles, "day_and_time": day_and_time, "degrees": np.degrees, "ends": _ends,
-        "listed": lambda words: listed(words, "and"), "measured_with": measured_with, "mm": _millimetres,
-        "number": number, "plural": plural, "quoted": lambda names: listed([f"“{name}”" for name in names], "and"),
+        "cell": measured,
+        "cycles": cycles,
+        "day_and_time": day_and_time,
+        "degrees": np.degrees,
+        "ends": _ends,
+        "listed": lambda words: listed(words, "and"),
+        "measured_with": measured_with,
+        "mm": _millimetres,
+        "number": number,
+        "plural": plural,
+        "quoted": lambda names: listed([f"“{name}”" for name in names], "and"),
         "sentence": sentence,
-    }  # fmt: skip
+    }
     theme = {
         name: "".join(f"--look-{i}:{getattr(look, key)};" for i, look in enumerate(LOOKS))
         for name, key in (("light", "colour"), ("dark", "dark"))

@@ -79,9 +79,19 @@ def measured(value: Spread | Estimate | None, factor: float = MM, digits: int = 
 
 
 MONTHS = (
-    "January", "February", "March", "April", "May", "June", "July", "August", "September", "October", "November",
+    "January",
+    "February",
+    "March",
+    "April",
+    "May",
+    "June",
+    "July",
+    "August",
+    "September",
+    "October",
+    "November",
     "December",
-)  # fmt: skip
+)
 
 CONTROLLERS = {
     "default": "target sent once, as the arm does by itself",
@@ -103,15 +113,23 @@ CONTROLLERS = {
 """What each controller does"""
 
 KINDS = {
-    "weak_gain": "soft", "friction": "stiff to turn", "hysteresis": "stops short", "play_in_loop": "hunts",
-    "torque_limit": "out of torque", "low_damping": "rings", "lag": "late", "offset": "offset",
+    "weak_gain": "soft",
+    "friction": "stiff to turn",
+    "hysteresis": "stops short",
+    "play_in_loop": "hunts",
+    "torque_limit": "out of torque",
+    "low_damping": "rings",
+    "lag": "late",
+    "offset": "offset",
     "noise": "restless readings",
-}  # fmt: skip
+}
 """Names of findings"""
 
 PARAMETERS_SHOWN: dict[str, tuple[str, float]] = {
-    "offset": ("deg", math.degrees(1.0)), "delay": ("ms", 1e3), "ramp_speed": ("deg/s", math.degrees(1.0)),
-}  # fmt: skip
+    "offset": ("deg", math.degrees(1.0)),
+    "delay": ("ms", 1e3),
+    "ramp_speed": ("deg/s", math.degrees(1.0)),
+}
 """Displayed units of twin parameters, and factors"""
 
 SOURCES = {

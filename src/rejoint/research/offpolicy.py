@@ -137,12 +137,17 @@ class OffPolicyLearner:
             transition = self.task.step(action.numpy())
             scaled = (self.settings.preset.ppo.reward_scale * transition.reward).astype(np.float32)
             self.agent.record_transition(
-                observations=observation, states=privileged, actions=action, rewards=torch.from_numpy(scaled)[:, None],
+                observations=observation,
+                states=privileged,
+                actions=action,
+                rewards=torch.from_numpy(scaled)[:, None],
                 next_observations=torch.from_numpy(transition.final_observation),
                 next_states=torch.from_numpy(transition.final_privileged),
                 terminated=torch.from_numpy(transition.terminated)[:, None],
-                truncated=torch.from_numpy(transition.truncated)[:, None], infos={}, **clock,
-            )  # fmt: skip
+                truncated=torch.from_numpy(transition.truncated)[:, None],
+                infos={},
+                **clock,
+            )
         self._observation, self._privileged = (
             torch.from_numpy(transition.observation),
             torch.from_numpy(transition.privileged),
@@ -212,25 +217,32 @@ def _make_agent(task: ReachTask, settings: OffPolicySettings) -> Agent:
     return algorithm(
         models=models,
         memory=RandomMemory(memory_size=settings.memory, num_envs=task.agents, device="cpu"),
-        observation_space=unbounded(size), state_space=unbounded(privileged), action_space=bounded(n), device="cpu",
+        observation_space=unbounded(size),
+        state_space=unbounded(privileged),
+        action_space=bounded(n),
+        device="cpu",
         cfg=_configuration(settings),
-    )  # fmt: skip
+    )
 
 
 def _configuration(settings: OffPolicySettings) -> SAC_CFG | TD3_CFG | DDPG_CFG:
     shared: dict[str, Any] = {
-        "gradient_steps": settings.gradient_steps, "batch_size": settings.batch,
-        "discount_factor": settings.preset.ppo.discount, "polyak": settings.polyak,
-        "learning_rate": settings.learning_rate, "learning_starts": settings.warm_up,
+        "gradient_steps": settings.gradient_steps,
+        "batch_size": settings.batch,
+        "discount_factor": settings.preset.ppo.discount,
+        "polyak": settings.polyak,
+        "learning_rate": settings.learning_rate,
+        "learning_starts": settings.warm_up,
         "grad_norm_clip": settings.preset.ppo.gradient_clip,
         "experiment": {"write_interval": 0, "checkpoint_interval": 0},
-    }  # fmt: skip
+    }
     if settings.algorithm == "sac":
         return SAC_CFG(**shared, initial_entropy_value=0.01)  # chosen: rewards are about 0.1 a cycle
     noisy = {
-        "exploration_noise": GaussianNoise, "exploration_noise_kwargs": {"mean": 0.0, "std": 1.0},
+        "exploration_noise": GaussianNoise,
+        "exploration_noise_kwargs": {"mean": 0.0, "std": 1.0},
         "exploration_scheduler": lambda timestep, timesteps: noise_at(settings, timestep),  # noqa: ARG005
-    }  # fmt: skip
+    }
     if settings.algorithm == "ddpg":
         return DDPG_CFG(**shared, **noisy)
     smoothing = {"smooth_regularization_noise_kwargs": {"mean": 0.0, "std": 0.1}, "smooth_regularization_clip": 0.2}

@@ -36,6 +36,17 @@ def open_robot(
 
 
 __all__ = [
-    "DEFAULT_ARM", "SIMULATOR", "Bus", "BusRobot", "Clock", "Family", "Opening", "Place", "Reading", "Vitals",
-    "bus_family", "open_robot", "place_of",
-]  # fmt: skip
+    "DEFAULT_ARM",
+    "SIMULATOR",
+    "Bus",
+    "BusRobot",
+    "Clock",
+    "Family",
+    "Opening",
+    "Place",
+    "Reading",
+    "Vitals",
+    "bus_family",
+    "open_robot",
+    "place_of",
+]

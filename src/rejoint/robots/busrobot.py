@@ -249,13 +249,16 @@ class BusRobot:
         now, reading = self._link.ask(self._read_once)
         self._health.take(reading)
         self._state = JointState(
-            time=np.array([now]), position=reading.position[None],
+            time=np.array([now]),
+            position=reading.position[None],
             age=np.array([self._continuity.accept(now, reading.position, self._command)]),
-            temperature=self._health.temperature, fault=self._health.fault, trouble=self._health.trouble,
+            temperature=self._health.temperature,
+            fault=self._health.fault,
+            trouble=self._health.trouble,
             load=None if reading.load is None else reading.load[None],
             voltage=None if reading.voltage is None else reading.voltage[None],
             elsewhere=self._elsewhere(now, reading.position[None]),
-        )  # fmt: skip
+        )
         return self._state
 
     def step(self, command: Array, active: Mask | None = None) -> JointState:

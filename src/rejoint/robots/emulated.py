@@ -31,9 +31,13 @@ class EmulatedServos:
         for name, values in for_all(gains, joints).items():
             plant.settings[_FIELDS[REGISTERS[name]]] = values
         self._tuning = Tuning(
-            range(1, joints + 1), {}, read=self._read, write=self._write,
-            call=lambda servo: plant.arm.joint_names[servo - 1], wait=plant.advance,
-        )  # fmt: skip
+            range(1, joints + 1),
+            {},
+            read=self._read,
+            write=self._write,
+            call=lambda servo: plant.arm.joint_names[servo - 1],
+            wait=plant.advance,
+        )
         self._tuning.prepare(None)
 
     @property
@@ -47,9 +51,11 @@ class EmulatedServos:
         status = self._plant.status
         duty, error = status["output"].tolist(), (status["goal"] - status["position"]).tolist()
         return np.array(
-            [[law.share(*seen) for law, *seen in zip(self._tuning.laws, *arm, strict=True)]
-             for arm in zip(duty, error, strict=True)]
-        )  # fmt: skip
+            [
+                [law.share(*seen) for law, *seen in zip(self._tuning.laws, *arm, strict=True)]
+                for arm in zip(duty, error, strict=True)
+            ]
+        )
 
     def tune(self, gains: ServoGains) -> None:
         """Set the gains of all arms, see `Tuning.tune`; time passes."""

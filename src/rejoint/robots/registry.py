@@ -97,10 +97,16 @@ def _emulated(place: Place[EmulatedAddress], opening: Opening) -> Robot:
     true = bare(opening.arm)
     bodies = None if true is opening.arm else [replace(true, tip=opening.arm.tip)] * opening.count
     return EmulatedRobot(
-        opening.arm, [load_wear(place.detail.profile, true)] * opening.count, address=place.text, seed=opening.seed,
-        period=opening.period, threads=opening.threads, payload=place.detail.payload, bodies=bodies,
+        opening.arm,
+        [load_wear(place.detail.profile, true)] * opening.count,
+        address=place.text,
+        seed=opening.seed,
+        period=opening.period,
+        threads=opening.threads,
+        payload=place.detail.payload,
+        bodies=bodies,
         gains=place.detail.gains,
-    )  # fmt: skip
+    )
 
 
 def _has_gains(arm: Arm) -> bool:
@@ -138,23 +144,40 @@ def _require_kind(arm: Arm, kind: str, schemes: str) -> None:
 
 
 EMULATED = Family(
-    scheme="emulated", form="emulated:PROFILE", parse=_profile,
-    connect=_emulated, default_arm=_profile_arm, default_period=_EMULATED_PERIOD, virtual=True, tunable=_has_gains,
+    scheme="emulated",
+    form="emulated:PROFILE",
+    parse=_profile,
+    connect=_emulated,
+    default_arm=_profile_arm,
+    default_period=_EMULATED_PERIOD,
+    virtual=True,
+    tunable=_has_gains,
     needs=(SIMULATOR,),
-)  # fmt: skip
+)
 MYCOBOT_TCP = bus_family(
-    _mycobot, scheme="tcp", form="tcp://HOST:PORT", parse=lambda text: tcp_address(text, port=_PORT),
+    _mycobot,
+    scheme="tcp",
+    form="tcp://HOST:PORT",
+    parse=lambda text: tcp_address(text, port=_PORT),
     default_period=_MYCOBOT_PERIOD,
-)  # fmt: skip
+)
 MYCOBOT_SERIAL = bus_family(
-    _mycobot, scheme="serial", form="serial:///dev/DEVICE", parse=lambda text: serial_address(text, baud=_BAUD),
+    _mycobot,
+    scheme="serial",
+    form="serial:///dev/DEVICE",
+    parse=lambda text: serial_address(text, baud=_BAUD),
     default_period=_MYCOBOT_PERIOD,
-)  # fmt: skip
+)
 FEETECH = bus_family(
-    _feetech, scheme="feetech", form=FORM, parse=feetech_address,
-    default_arm=_FEETECH_ARM, default_period=_FEETECH_PERIOD, tunable=True,
+    _feetech,
+    scheme="feetech",
+    form=FORM,
+    parse=feetech_address,
+    default_arm=_FEETECH_ARM,
+    default_period=_FEETECH_PERIOD,
+    tunable=True,
     needs=("feetech",),
-)  # fmt: skip
+)
 
 FAMILIES: tuple[Family[Any], ...] = (EMULATED, MYCOBOT_TCP, MYCOBOT_SERIAL, FEETECH)
 """Families of this package"""

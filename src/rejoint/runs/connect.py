@@ -75,9 +75,13 @@ class Session(ArmSession):
 
 
 def connect(
-    address: RobotLike, *, run: RunLike | None = None, arm: ArmLike | None = None, settings: Settings | None = None,
+    address: RobotLike,
+    *,
+    run: RunLike | None = None,
+    arm: ArmLike | None = None,
+    settings: Settings | None = None,
     observer: Observer | None = None,
-) -> Session:  # fmt: skip
+) -> Session:
     """Connect to an arm that is then driven to points, joint positions and along paths, under the guard.
 
     Nothing moves. For the bare joints of a robot, without a guard, there is `rejoint.open_robot`.

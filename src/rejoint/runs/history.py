@@ -70,10 +70,16 @@ def with_outlook(rows: Sequence[HistoryRow], found: Outlook, line: str) -> list[
     due = found.due
     joints = {name: _worst(found, name) for name in {row.joint for row in rows}}
     arm = replace(
-        rows[0], state=found.state, cause=cause_of(found), line=line, tolerance_mm=found.tolerance_mm,
-        controlled_mm=found.controlled_mm, due_early=None if due is None else due.early,
-        due=None if due is None else due.middle, due_late=None if due is None else due.late,
-    )  # fmt: skip
+        rows[0],
+        state=found.state,
+        cause=cause_of(found),
+        line=line,
+        tolerance_mm=found.tolerance_mm,
+        controlled_mm=found.controlled_mm,
+        due_early=None if due is None else due.early,
+        due=None if due is None else due.middle,
+        due_late=None if due is None else due.late,
+    )
     return [arm, *(replace(row, state=joints[row.joint]) for row in rows[1:])]
 
 
@@ -138,9 +144,13 @@ def summarise(run: Run) -> None:
         return
     kind = "repair" if is_finished(run.folder) else "run"
     head = HistoryRow(
-        time=_repaired_at(run.path / SUMMARY, kind) or utc_now(), kind=kind, arm=name_of(run.robot, run.arm.name),
-        robot=run.robot, model=run.arm.name, setup=setup_of(run.arm),
-    )  # fmt: skip
+        time=_repaired_at(run.path / SUMMARY, kind) or utc_now(),
+        kind=kind,
+        arm=name_of(run.robot, run.arm.name),
+        robot=run.robot,
+        model=run.arm.name,
+        setup=setup_of(run.arm),
+    )
     arm = head
     joints: list[HistoryRow] = []
     if diagnosis is not None:
@@ -162,9 +172,12 @@ def _diagnosed(head: HistoryRow, found: Diagnosis) -> tuple[HistoryRow, list[His
     loop = found.open_loop
     true = None if loop is None or loop.true_error_mm is None else loop.true_error_mm.value
     arm = replace(
-        head, state=found.condition, line=found.verdict, true_error_mm=true,
+        head,
+        state=found.condition,
+        line=found.verdict,
+        true_error_mm=true,
         error_mm=None if loop is None else loop.error_mm.value,
-    )  # fmt: skip
+    )
     joints = []
     for row in found.measurement.joints:
         values: dict[str, Any] = {
@@ -179,10 +192,12 @@ def _compared(arm: HistoryRow, found: Comparison) -> HistoryRow:
     chosen = recommend(found).controller
     row = found.row(chosen)
     return replace(
-        arm, controller=chosen, success=row.success.value,
+        arm,
+        controller=chosen,
+        success=row.success.value,
         settled_mm=None if row.settled is None else 1e3 * row.settled.mean.value,
         settled_true_mm=None if row.settled_true is None else 1e3 * row.settled_true.mean.value,
-    )  # fmt: skip
+    )
 
 
 _STATES = ("learning", "steady", "drifting", "alarm")
@@ -204,26 +219,41 @@ def prometheus_text(name: str, seen: Outlook, measures: CheckMeasures) -> str:
             lines.extend((f"# HELP rejoint_{name} {what}", f"# TYPE rejoint_{name} gauge"))
             lines.extend(f"rejoint_{name}{{{labels}}} {value:.10g}" for labels, value in values)
 
-    metric("state", "1 for the state that the arm is in", [
-        (f'{arm},state="{state}"', float(seen.state == state)) for state in _STATES
-    ])  # fmt: skip
+    metric(
+        "state",
+        "1 for the state that the arm is in",
+        [(f'{arm},state="{state}"', float(seen.state == state)) for state in _STATES],
+    )
     known = "tool" if seen.error_known else "encoders"
     metric("error_mm", "tool error at the five poses of a check", [(f'{arm},by="{known}"', seen.error_mm)])
-    metric("controlled_error_mm", "tool error with the controller of the last repair, at most",
-           [] if seen.controlled_mm is None else [(arm, seen.controlled_mm)])  # fmt: skip
-    metric("tolerance_mm", "tool error that the owner can bear",
-           [] if seen.tolerance_mm is None else [(arm, seen.tolerance_mm)])  # fmt: skip
+    metric(
+        "controlled_error_mm",
+        "tool error with the controller of the last repair, at most",
+        [] if seen.controlled_mm is None else [(arm, seen.controlled_mm)],
+    )
+    metric(
+        "tolerance_mm",
+        "tool error that the owner can bear",
+        [] if seen.tolerance_mm is None else [(arm, seen.tolerance_mm)],
+    )
     metric("repeatability_mm", "largest RP of a pose by the encoders", [(arm, measures.repeatability_mm)])
     if seen.due is not None:
         ends = (("early", seen.due.early), ("middle", seen.due.middle), ("late", seen.due.late))
-        metric("due_seconds", "when the tolerance will be reached",
-               [(f'{arm},end="{end}"', _seconds(time)) for end, time in ends if time is not None])  # fmt: skip
-    metric("hysteresis_mm", "following error one way minus the other", [
-        (f'{arm},joint="{_escaped(row.joint)}"', row.hysteresis_mm) for row in measures.joints
-    ])  # fmt: skip
-    metric("cusum", "standard deviations that have come together since the change began", [
-        (f'{arm},joint="{_escaped(one.joint)}",quantity="{one.quantity}"', one.cusum) for one in seen.changes
-    ])  # fmt: skip
+        metric(
+            "due_seconds",
+            "when the tolerance will be reached",
+            [(f'{arm},end="{end}"', _seconds(time)) for end, time in ends if time is not None],
+        )
+    metric(
+        "hysteresis_mm",
+        "following error one way minus the other",
+        [(f'{arm},joint="{_escaped(row.joint)}"', row.hysteresis_mm) for row in measures.joints],
+    )
+    metric(
+        "cusum",
+        "standard deviations that have come together since the change began",
+        [(f'{arm},joint="{_escaped(one.joint)}",quantity="{one.quantity}"', one.cusum) for one in seen.changes],
+    )
     return "\n".join([*lines, ""])
 
 
@@ -295,10 +325,14 @@ def cells(arm: ArmHistory) -> list[str]:
     row = arm.newest
     by = "" if row.true_error_mm is not None or arm.error is None else " by encoders"
     return [
-        arm.name, arm.state, "" if arm.error is None else f"{arm.error:.1f}{by}",
+        arm.name,
+        arm.state,
+        "" if arm.error is None else f"{arm.error:.1f}{by}",
         "" if row.tolerance_mm is None else f"{row.tolerance_mm:.1f}",
-        "now" if arm.over else _span(row.due_early, row.due_late), f"{row.time:%Y-%m-%d}", what_to_do(row),
-    ]  # fmt: skip
+        "now" if arm.over else _span(row.due_early, row.due_late),
+        f"{row.time:%Y-%m-%d}",
+        what_to_do(row),
+    ]
 
 
 def what_to_do(row: HistoryRow) -> str:
@@ -327,13 +361,19 @@ def write_history(path: Path, arms: Sequence[ArmHistory]) -> None:
     urgent = [arm for arm in arms if arm.over or arm.state in ("alarm", "drifting", "bad")]
     first = f"{len(urgent)} of {len(arms)} arms need somebody." if urgent else f"Nothing to do on {len(arms)} arms."
     write_page(
-        path, "history.html", title="Arms over time", subtitle=f"{len(arms)} arms, {checks} checks, {runs} runs",
+        path,
+        "history.html",
+        title="Arms over time",
+        subtitle=f"{len(arms)} arms, {checks} checks, {runs} runs",
         verdict=(first, *(f"{arm.name}: {arm.newest.line}" for arm in urgent[:5])),
         parts=(("arms", "Arms"), ("trends", "Trends"), ("joints", "Joints")),
-        footer="Made from the files summary.parquet below one folder, which are not changed.", arms=arms,
-        headers=HEADERS, cells=cells, trends=[arm for arm in arms if len(arm.checks) > 1],
+        footer="Made from the files summary.parquet below one folder, which are not changed.",
+        arms=arms,
+        headers=HEADERS,
+        cells=cells,
+        trends=[arm for arm in arms if len(arm.checks) > 1],
         joints=[pair for arm in urgent for pair in _joints(arm)],
-    )  # fmt: skip
+    )
 
 
 def _joints(arm: ArmHistory) -> Iterator[tuple[str, HistoryRow, HistoryRow]]:

@@ -104,13 +104,24 @@ def there(found: Found | None) -> Found:
 
 
 def stages_of(
-    robot: RobotLike, arm: Arm, files: RunFolder, *, controllers: Controllers = (), gauge: GaugeLike | None = None,
+    robot: RobotLike,
+    arm: Arm,
+    files: RunFolder,
+    *,
+    controllers: Controllers = (),
+    gauge: GaugeLike | None = None,
     quick: bool = False,
-) -> dict[StageName, Path]:  # fmt: skip
+) -> dict[StageName, Path]:
     """Name the stages of a repair in order, each with its file."""
     places = (
-        files.diagnosis, files.calibration, files.twin, files.gains, files.policy, files.comparison, files.report,
-    )  # fmt: skip
+        files.diagnosis,
+        files.calibration,
+        files.twin,
+        files.gains,
+        files.policy,
+        files.comparison,
+        files.report,
+    )
     found: dict[StageName, Path] = dict(zip(STAGES, places, strict=True))
     if gauge == NO_GAUGE or (gauge is None and not is_batchable(robot)):
         del found["calibrate"]
@@ -380,8 +391,14 @@ class _Paced(Observers):
 
 
 def _do_stages(
-    chain: Chain, robot: RobotLike, plan: RepairPlan, controllers: Controllers, settings: Settings, *, quick: bool,
-) -> None:  # fmt: skip
+    chain: Chain,
+    robot: RobotLike,
+    plan: RepairPlan,
+    controllers: Controllers,
+    settings: Settings,
+    *,
+    quick: bool,
+) -> None:
     found, emulated, targets = chain.run, is_batchable(robot), plan.targets
     no_gauge = plan.gauge == NO_GAUGE
     meter = cast("Gauge | CameraGauge | None", None if no_gauge else plan.gauge)
@@ -395,9 +412,11 @@ def _do_stages(
     few = (1, 1) if quick else (3, 2) if emulated else (None, None)
     trials = plan.trials or TrialPlan()
     trials = replace(
-        trials, sets=few[0] if trials.sets is None else trials.sets, directions=emulated and not quick,
+        trials,
+        sets=few[0] if trials.sets is None else trials.sets,
+        directions=emulated and not quick,
         repetitions=few[1] if trials.repetitions is None else trials.repetitions,
-    )  # fmt: skip
+    )
     if quick and targets is None:
         targets = draw_targets(found.arm, sets=1, count=QUICK_TARGETS, seed=found.seed)
     compared = replace(settings, calibration=NO_GAUGE) if no_gauge else settings

@@ -166,9 +166,11 @@ def _decoded(data: bytes, path: Path, *, cut: bool = False) -> tuple[str, str]:
     found = _CONTROL.search(text)
     if found:
         raise FileError(
-            path, f"no text: read as {name}, line {text.count(chr(10), 0, found.start()) + 1} holds the control "
-            f"character {ord(found[0])}", "save it as text, or take another file",
-        )  # fmt: skip
+            path,
+            f"no text: read as {name}, line {text.count(chr(10), 0, found.start()) + 1} holds the control "
+            f"character {ord(found[0])}",
+            "save it as text, or take another file",
+        )
     return text.replace(_MINUS, "-"), name
 
 
@@ -195,12 +197,15 @@ def _parsed(text: str, encoding: str, path: Path, names: Sequence[str] | None, *
     # a text without columns has no separator; "one column" keeps an error about it true
     parted = f"columns parted by {_SEPARATORS.get(separator, repr(separator))}" if len(titles) > 1 else "one column"
     return Sheet(
-        path=path, titles=titles, cells=cells,
-        lines=np.array(rows, dtype=np.int64) + 1, ends=len(f"{text}.".splitlines()) > len(lines),
+        path=path,
+        titles=titles,
+        cells=cells,
+        lines=np.array(rows, dtype=np.int64) + 1,
+        ends=len(f"{text}.".splitlines()) > len(lines),
         found=f"{encoding}, {parted}{'' if named else ', without a line of titles'}"
         + f", after {prints} other line(s)" * bool(prints),
         plain=encoding == "UTF-8" and separator == "," and named and not prints,
-    )  # fmt: skip
+    )
 
 
 def _is_aside(line: str) -> bool:
@@ -235,7 +240,7 @@ def _prints(lines: list[str], first: int, separator: str) -> int:
 
 def _titles(
     line: str, comments: list[str], separator: str, names: Sequence[str] | None
-) -> tuple[tuple[str, ...], bool, int]:  # fmt: skip
+) -> tuple[tuple[str, ...], bool, int]:
     cells = _split(line, separator)
     if not all(_NUMBER.fullmatch(cell) for cell in cells if cell):
         return tuple(cells), True, 1
@@ -252,18 +257,20 @@ def _require_titles(titles: tuple[str, ...], line: int, path: Path) -> None:
     if len(values) > 1:
         word = next(title for title in titles if not _NUMBER.fullmatch(title))
         raise FileError(
-            path, f"line {line} has no titles, but values such as {values[0]} and words such as {word[:40]!r}",
+            path,
+            f"line {line} has no titles, but values such as {values[0]} and words such as {word[:40]!r}",
             "put titles first",
-        )  # fmt: skip
+        )
 
 
 def _rows(lines: list[str], first: int, separator: str, width: int) -> list[int]:
     nothing = f"{separator} \t"
     return [
-        i for i in range(first, len(lines))
+        i
+        for i in range(first, len(lines))
         if lines[i].strip(nothing)
         and not (lines[i].lstrip().startswith(_COMMENTS) and lines[i].count(separator) < width - 1)
-    ]  # fmt: skip
+    ]
 
 
 def _cells(
@@ -293,9 +300,10 @@ def _cells(
         hint = " (decimal commas need another separator between columns)"
         more = separator == "," and odd[0].actual_columns > width
         raise FileError(
-            path, f"line {numbers[odd[0].number - 1]}: {odd[0].actual_columns} columns, the header has {width}"
-            + hint * more, _REMEDY,
-        )  # fmt: skip
+            path,
+            f"line {numbers[odd[0].number - 1]}: {odd[0].actual_columns} columns, the header has {width}" + hint * more,
+            _REMEDY,
+        )
     if table.num_rows != len(lines):
         raise FileError(path, f"{len(lines)} lines hold {table.num_rows} rows: a quote does not end", _REMEDY)
     return table.select(columns[:width])

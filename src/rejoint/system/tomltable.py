@@ -93,9 +93,10 @@ class TomlTable:
     def numbers(self, key: str, size: int) -> NDArray[np.float64] | None:
         """Return ``size`` finite numbers, or None."""
         found = self.value(
-            key, f"{size} finite numbers",
+            key,
+            f"{size} finite numbers",
             lambda found: isinstance(found, list) and len(found) == size and all(map(_is_number, found)),
-        )  # fmt: skip
+        )
         return None if found is None else np.array(found, dtype=float)
 
     def table(self, key: str, known: tuple[str, ...]) -> TomlTable:

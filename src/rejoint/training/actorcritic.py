@@ -83,9 +83,12 @@ class ActionCritic(DeterministicMixin, Model):  # type: ignore[misc]
 
     def __init__(self, observation_size: int, privileged_size: int, joints: int, layers: Sequence[int]) -> None:
         Model.__init__(
-            self, observation_space=unbounded(observation_size), state_space=unbounded(privileged_size),
-            action_space=bounded(joints), device="cpu",
-        )  # fmt: skip
+            self,
+            observation_space=unbounded(observation_size),
+            state_space=unbounded(privileged_size),
+            action_space=bounded(joints),
+            device="cpu",
+        )
         DeterministicMixin.__init__(self)
         self.net = perceptron((observation_size + privileged_size + joints, *layers, 1))
 

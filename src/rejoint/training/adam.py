@@ -53,11 +53,21 @@ class Adam:
             gradients.append(parameter.grad)
             moments.append(self._moments[k])
         adam(
-            moved, gradients, [m.exp_avg for m in moments], [m.exp_avg_sq for m in moments], [],
+            moved,
+            gradients,
+            [m.exp_avg for m in moments],
+            [m.exp_avg_sq for m in moments],
+            [],
             [m.step for m in moments],
-            fused=True, amsgrad=False, beta1=BETA1, beta2=BETA2, lr=self.learning_rate, weight_decay=0.0, eps=EPS,
+            fused=True,
+            amsgrad=False,
+            beta1=BETA1,
+            beta2=BETA2,
+            lr=self.learning_rate,
+            weight_decay=0.0,
+            eps=EPS,
             maximize=False,
-        )  # fmt: skip
+        )
 
     def state_dict(self) -> dict[str, Any]:
         """Checkpoint with the names of torch's optimiser."""

@@ -71,9 +71,14 @@ class Learner:
     """Networks, algorithm and agents of one training."""
 
     def __init__(
-        self, tasks: Sequence[ReachTask], settings: PpoSettings, *, seed: int, threads: int = 1,
+        self,
+        tasks: Sequence[ReachTask],
+        settings: PpoSettings,
+        *,
+        seed: int,
+        threads: int = 1,
         start: WarmStart | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Take one task per worker; ``threads`` run at once, without effect on the result.
 
         The actor's weights are those of ``start``, else random.
@@ -145,8 +150,16 @@ class Learner:
             for worker, state in zip(self.workers, content["workers"], strict=True):
                 worker.load_state(state | {"task": _arrays(state["task"])})
             self.curve = [CurvePoint(**point) for point in content["curve"]]
-        except (OSError, LookupError, RuntimeError, TypeError, ValueError, AttributeError, EOFError,
-                pickle.UnpicklingError) as error:  # fmt: skip
+        except (
+            OSError,
+            LookupError,
+            RuntimeError,
+            TypeError,
+            ValueError,
+            AttributeError,
+            EOFError,
+            pickle.UnpicklingError,
+        ) as error:
             raise FileError(path, f"damaged checkpoint ({first_line(error)})", _RESTART) from error
         return True
 

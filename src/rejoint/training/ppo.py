@@ -94,11 +94,15 @@ class Ppo(PPO):  # type: ignore[misc]
     def learn(self, rollout: Rollout, learning_rate: float, *, iteration: int) -> Losses:
         """Improve both networks by one rollout."""
         columns = {
-            "observations": rollout.observation, "states": rollout.privileged, "actions": rollout.action,
-            "log_prob": rollout.log_density[..., None], "values": rollout.value[..., None],
+            "observations": rollout.observation,
+            "states": rollout.privileged,
+            "actions": rollout.action,
+            "log_prob": rollout.log_density[..., None],
+            "values": rollout.value[..., None],
             "rewards": self._rewards(rollout)[..., None],
-            "terminated": rollout.terminated[..., None], "truncated": rollout.truncated[..., None],
-        }  # fmt: skip
+            "terminated": rollout.terminated[..., None],
+            "truncated": rollout.truncated[..., None],
+        }
         for name, column in columns.items():
             self.memory.set_tensor_by_name(name, column)
         self.memory.filled = True

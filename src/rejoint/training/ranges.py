@@ -191,8 +191,9 @@ class MixedRanges:
         def pick(one: Array, other: Array) -> Array:
             return np.where(from_first.reshape(-1, *[1] * (one.ndim - 1)), one, other)
 
-        twin = TwinParameters(**{p.name: pick(getattr(first.twin, p.name), getattr(second.twin, p.name))
-                                 for p in PARAMETERS})  # fmt: skip
+        twin = TwinParameters(
+            **{p.name: pick(getattr(first.twin, p.name), getattr(second.twin, p.name)) for p in PARAMETERS}
+        )
         others = {
             f.name: pick(getattr(first, f.name), getattr(second, f.name)) for f in fields(Draw) if f.name != "twin"
         }

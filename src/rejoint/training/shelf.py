@@ -48,9 +48,13 @@ def _so101_ranges(arm: Arm) -> Ranges:
     """
     worn = BroadRanges(arm=arm, acceleration=arm.servo_acceleration)
     found = replace(
-        worn, stiffness=(1.07, 4.3), damping=(2.5, 8.0), coulomb=(0.0, 10.0), torque_limit=(2.5, 6.0),
+        worn,
+        stiffness=(1.07, 4.3),
+        damping=(2.5, 8.0),
+        coulomb=(0.0, 10.0),
+        torque_limit=(2.5, 6.0),
         backlash=SLOW_BACKLASH,
-    )  # fmt: skip
+    )
     return MixedRanges(first=found, second=worn, share=0.5)
 
 

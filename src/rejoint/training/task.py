@@ -89,8 +89,15 @@ class ReachTask:
     """N arms with targets; arrays have a leading axis of agents."""
 
     def __init__(
-        self, arm: Arm, ranges: Ranges, agents: int, settings: TaskSettings, *, seed: int, threads: int = 1,
-    ) -> None:  # fmt: skip
+        self,
+        arm: Arm,
+        ranges: Ranges,
+        agents: int,
+        settings: TaskSettings,
+        *,
+        seed: int,
+        threads: int = 1,
+    ) -> None:
         n = arm.joints
         self.arm, self.ranges, self.settings, self.agents = arm, ranges, settings, agents
         self.simulation = Simulation(arm, agents, threads=threads)
@@ -176,8 +183,19 @@ class ReachTask:
 
     def _arrays(self) -> dict[str, Array]:
         own = (
-            "since", "period", "middle", "sent", "tcp", "aim", "goal", "start", "travel", "step", "count", "constants",
-        )  # fmt: skip
+            "since",
+            "period",
+            "middle",
+            "sent",
+            "tcp",
+            "aim",
+            "goal",
+            "start",
+            "travel",
+            "step",
+            "count",
+            "constants",
+        )
         return {
             **{name: getattr(self, f"_{name}") for name in own},
             **{f"observer.{name}": value for name, value in self.observer.state().items()},

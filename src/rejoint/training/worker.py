@@ -56,9 +56,11 @@ class RolloutWorker:
     def state(self) -> dict[str, Any]:
         """State for a checkpoint."""
         return {
-            "exploration": self._exploration.get_state(), "observation": self._observation,
-            "privileged": self._privileged, "task": self.task.state(),
-        }  # fmt: skip
+            "exploration": self._exploration.get_state(),
+            "observation": self._observation,
+            "privileged": self._privileged,
+            "task": self.task.state(),
+        }
 
     def load_state(self, state: dict[str, Any]) -> None:
         """Continue from `state`, bit for bit."""
@@ -74,8 +76,10 @@ def _stack(transitions: list[Transition], name: str) -> Tensor:
 def _final_values(critic: Critic, transitions: list[Transition]) -> Tensor:
     """Values (T, N) of time-out states."""
     late = _stack(transitions, "truncated")
-    ends = [[torch.from_numpy(array[t.truncated]) for array in (t.final_observation, t.final_privileged)]
-            for t in transitions]  # fmt: skip
+    ends = [
+        [torch.from_numpy(array[t.truncated]) for array in (t.final_observation, t.final_privileged)]
+        for t in transitions
+    ]
     values = torch.zeros(late.shape)
     values[late] = critic.value(*(torch.cat(parts) for parts in zip(*ends, strict=True)))
     return values

@@ -94,9 +94,13 @@ class Backlash:
     def state(self) -> dict[str, Array]:
         """Live arrays for a checkpoint."""
         return {
-            "half": self._half, "ahead": self._ahead, "speed": self._speed, "touch": self._touch,
-            "grease": self._grease, "motor": self._motor,
-        }  # fmt: skip
+            "half": self._half,
+            "ahead": self._ahead,
+            "speed": self._speed,
+            "touch": self._touch,
+            "grease": self._grease,
+            "motor": self._motor,
+        }
 
 
 @njit(cache=True, nogil=True)

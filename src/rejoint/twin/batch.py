@@ -194,9 +194,13 @@ def twin_spec(arm: Arm, table: bool = False) -> mujoco.MjSpec:
     option.solver = mujoco.mjtSolver.mjSOL_PGS
     disable = mujoco.mjtDisableBit
     option.disableflags |= (
-        disable.mjDSBL_CONTACT | disable.mjDSBL_LIMIT | disable.mjDSBL_EQUALITY | disable.mjDSBL_SENSOR
-        | disable.mjDSBL_SPRING | disable.mjDSBL_ISLAND
-    )  # fmt: skip
+        disable.mjDSBL_CONTACT
+        | disable.mjDSBL_LIMIT
+        | disable.mjDSBL_EQUALITY
+        | disable.mjDSBL_SENSOR
+        | disable.mjDSBL_SPRING
+        | disable.mjDSBL_ISLAND
+    )
     body = spec.worldbody
     for i, name in enumerate(arm.joint_names):
         body = body.add_body(name=f"link{i + 1}", pos=arm.offset[i, :3, 3], quat=_quaternion(arm.offset[i, :3, :3]))
@@ -240,8 +244,18 @@ def add_table(spec: mujoco.MjSpec, tip: mujoco.MjsBody, position: Array) -> None
     body = spec.worldbody.add_body(name=PLANE, mocap=True)
     body.add_geom(name=PLANE, type=plane, size=(0.0, 0.0, 1.0), contype=1, conaffinity=0)
     # Its own priority: friction and softness are the sphere's alone, not mixed with the plane's.
-    tip.add_geom(name=TIP, type=sphere, size=(RADIUS, 0.0, 0.0), pos=position, contype=0, conaffinity=1,
-                 condim=3, priority=1, mass=0.0, solimp=(IMPEDANCE, IMPEDANCE, 0.001, 0.5, 2.0))  # fmt: skip
+    tip.add_geom(
+        name=TIP,
+        type=sphere,
+        size=(RADIUS, 0.0, 0.0),
+        pos=position,
+        contype=0,
+        conaffinity=1,
+        condim=3,
+        priority=1,
+        mass=0.0,
+        solimp=(IMPEDANCE, IMPEDANCE, 0.001, 0.5, 2.0),
+    )
 
 
 def table_pose(table: TablePlane) -> tuple[Array, Array]:

@@ -54,20 +54,31 @@ def _document(twin: Twin) -> tomlkit.TOMLDocument:
     document.add(tomlkit.comment("Digital twin of one robot arm, fitted to its own motion. SI units."))
     errors = {name: getattr(twin.held_out, name) for name in ERRORS}
     told: dict[str, Any] = {
-        "format": FORMAT, "arm": twin.arm, "joints": twin.joint_names, "digest": twin.digest(),
-        "fit_seconds": twin.fit_seconds, "notes": twin.notes, "stiction": twin.stiction,
+        "format": FORMAT,
+        "arm": twin.arm,
+        "joints": twin.joint_names,
+        "digest": twin.digest(),
+        "fit_seconds": twin.fit_seconds,
+        "notes": twin.notes,
+        "stiction": twin.stiction,
         **({"acceleration": twin.acceleration} if twin.acceleration < np.inf else {}),
         "held_out": {"seconds": twin.held_out.seconds, **errors},
-    }  # fmt: skip
+    }
     for name, value in msgspec.to_builtins(told, enc_hook=np.ndarray.tolist).items():
         document.add(name, tomlkit.item(value))
     for name, error in errors.items():
         document["held_out"][name].comment(f"{np.degrees(error.joint):.3f} deg, {1e3 * error.tcp:.2f} mm")
     for p in PARAMETERS:
         here = Layout(len(twin.joint_names)).at(p.name)
-        values = {"value": getattr(twin.parameters, p.name), "low95": getattr(low, p.name),
-                  "high95": getattr(high, p.name), "identified": twin.identified[here], "lower": twin.lower[here],
-                  "upper": twin.upper[here], "narrowing": twin.narrowing[here]}  # fmt: skip
+        values = {
+            "value": getattr(twin.parameters, p.name),
+            "low95": getattr(low, p.name),
+            "high95": getattr(high, p.name),
+            "identified": twin.identified[here],
+            "lower": twin.lower[here],
+            "upper": twin.upper[here],
+            "narrowing": twin.narrowing[here],
+        }
         table = tomlkit.item({name: np.atleast_1d(value).tolist() for name, value in values.items()})
         table.comment(f"{p.unit}: {p.meaning}; lower and upper are {'logarithms' if p.log else 'as they are'}")
         document.add(p.name, table)

@@ -78,9 +78,14 @@ class Problem:
     """
 
     def __init__(
-        self, replay: Replay, prior: Prior, frozen: Collection[str] = (), stride: float = 1.0, memory: float = 0.0,
+        self,
+        replay: Replay,
+        prior: Prior,
+        frozen: Collection[str] = (),
+        stride: float = 1.0,
+        memory: float = 0.0,
         freedom: float = np.inf,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.replay, self.prior, self.freedom = replay, prior, freedom
         self.joints = replay.arm.joints
         self.measured = np.concatenate(replay.measured())

@@ -88,12 +88,15 @@ def identify_logs(
     on_progress(0.7, "held-out motions")
     candidates = [
         Candidate(
-            name=FITTED, parameters=unpack(found.vector, arm.joints), stiction=structure.stiction, table=table,
+            name=FITTED,
+            parameters=unpack(found.vector, arm.joints),
+            stiction=structure.stiction,
+            table=table,
             acceleration=structure.acceleration,
         ),
         Candidate(name=HEALTHY, parameters=healthy_parameters(arm), stiction=1.0),
         *beside,
-    ]  # fmt: skip
+    ]
     judgement = judge(arm, candidates, unseen, table=height, timestep=settings.timestep, threads=settings.threads)
     on_progress(0.8, "all motions")
     if settings.hold_out.names == ():

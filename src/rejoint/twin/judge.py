@@ -60,9 +60,12 @@ class Candidate:
     def of(name: str, twin: Twin) -> Candidate:
         """Take all fields from a fitted twin."""
         return Candidate(
-            name=name, parameters=twin.parameters, stiction=twin.stiction, table=twin.table,
+            name=name,
+            parameters=twin.parameters,
+            stiction=twin.stiction,
+            table=twin.table,
             acceleration=twin.acceleration,
-        )  # fmt: skip
+        )
 
 
 def judge(
@@ -169,8 +172,11 @@ def _mean(errors: Sequence[Errors]) -> Errors:
             tcp=float(np.mean([part.tcp for part in known])),
         )
 
-    return Errors(free=mean([e.free for e in errors]), contact=mean([e.contact for e in errors]),
-                  all=mean([e.all for e in errors]))  # fmt: skip
+    return Errors(
+        free=mean([e.free for e in errors]),
+        contact=mean([e.contact for e in errors]),
+        all=mean([e.all for e in errors]),
+    )
 
 
 def _tcp(errors: Errors) -> float:
@@ -281,8 +287,15 @@ def read_published(path: Path, arm: Arm) -> Candidate:
     except (OSError, UnicodeDecodeError, RecursionError, tomllib.TOMLDecodeError) as error:
         raise FileError(path, f"not a readable TOML file ({error})", remedy) from error
     # Where the wide ranges end, a limit is out of reach.
-    known = {"name": path.stem, "source": "", "stiction": 1.0, "offset": 0.0, "delay": 0.0,
-             "torque_limit": reached.torque_limit[0], "ramp_speed": float(reached.ramp_speed)} | data  # fmt: skip
+    known = {
+        "name": path.stem,
+        "source": "",
+        "stiction": 1.0,
+        "offset": 0.0,
+        "delay": 0.0,
+        "torque_limit": reached.torque_limit[0],
+        "ramp_speed": float(reached.ramp_speed),
+    } | data
     names = [p.name for p in PARAMETERS]
     missing, unknown = sorted(set(names) - set(known)), sorted(set(known) - {*names, "name", "source", "stiction"})
     if missing or unknown:

@@ -50,9 +50,11 @@ def prior_by_loads(arm: Arm, logs: Sequence[RunLog]) -> Prior | None:
         mean, covariance = _seen(mean, covariance, row, float(np.log(lines.gain[joint])), float(within[joint]))
     sigma = np.sqrt(np.diag(covariance))
     return replace(
-        belief, mean=np.clip(mean, belief.lower, belief.upper), sigma=sigma,
+        belief,
+        mean=np.clip(mean, belief.lower, belief.upper),
+        sigma=sigma,
         correlation=covariance / np.outer(sigma, sigma),
-    )  # fmt: skip
+    )
 
 
 def _seen(mean: Array, covariance: Array, row: Array, value: float, error: float) -> tuple[Array, Array]:

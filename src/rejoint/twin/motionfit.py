@@ -88,8 +88,9 @@ def fastest(windows: Sequence[Window], logs: Sequence[RunLog], seconds: float) -
         return float(np.sqrt(np.mean(np.where(lasting, change, 0.0) ** 2)))
 
     order = sorted(range(len(windows)), key=lambda i: -acceleration(windows[i]))
-    lengths = np.array([logs[windows[i].log].time[windows[i].last - 1] - logs[windows[i].log].time[windows[i].first]
-                        for i in order])  # fmt: skip
+    lengths = np.array(
+        [logs[windows[i].log].time[windows[i].last - 1] - logs[windows[i].log].time[windows[i].first] for i in order]
+    )
     return [windows[i] for i in sorted(order[: int(np.searchsorted(np.cumsum(lengths), seconds)) + 1])]
 
 
@@ -249,17 +250,25 @@ def fit_motions(
         x = rough_fit(problem(slow, simple))
     usable = expressible(problem(merged(slow, fast), simple), x)
     found = find_structure(
-        lambda structure, threads: problem(usable, structure, threads), belief, simple, settings.stictions, x,
+        lambda structure, threads: problem(usable, structure, threads),
+        belief,
+        simple,
+        settings.stictions,
+        x,
         settings.threads,
-    )  # fmt: skip
+    )
     on_progress(0.5, "fit")
     return *settle(arm, logs, excluded, found.structure, found.vector, settings), found.structure
 
 
 def settle(
-    arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions], structure: Structure, start: Array | None,
+    arm: Arm,
+    logs: Sequence[RunLog],
+    excluded: Sequence[Exclusions],
+    structure: Structure,
+    start: Array | None,
     settings: LogSettings = DEFAULT_LOG_SETTINGS,
-) -> tuple[Problem, Fit]:  # fmt: skip
+) -> tuple[Problem, Fit]:
     """Fit windows from all logs, from ``start`` (k,), default: searched."""
     windows = free_windows(logs, excluded, settings.window)
     if start is None:
@@ -272,9 +281,14 @@ def settle(
 
 
 def _problem(
-    arm: Arm, logs: Sequence[RunLog], windows: Sequence[Window], structure: Structure, settings: LogSettings,
-    threads: int, stride: float = STRIDE,
-) -> Problem:  # fmt: skip
+    arm: Arm,
+    logs: Sequence[RunLog],
+    windows: Sequence[Window],
+    structure: Structure,
+    settings: LogSettings,
+    threads: int,
+    stride: float = STRIDE,
+) -> Problem:
     replay = Replay(
         arm, logs, windows, settings.timestep, threads, structure.stiction, acceleration=structure.acceleration
     )

@@ -81,9 +81,11 @@ class TwinParameters:
     def repeat(self, count: int) -> TwinParameters:
         """Repeat a single twin along a leading axis."""
         return TwinParameters(
-            **{f.name: np.broadcast_to(getattr(self, f.name), (count, *np.shape(getattr(self, f.name))))
-               for f in fields(self)}
-        )  # fmt: skip
+            **{
+                f.name: np.broadcast_to(getattr(self, f.name), (count, *np.shape(getattr(self, f.name))))
+                for f in fields(self)
+            }
+        )
 
 
 PARAMETERS: tuple[Parameter, ...] = (

@@ -50,9 +50,13 @@ class PredictiveController:
     name = PREDICTIVE
 
     def __init__(
-        self, arm: Arm, twins: Draw, holder: Holder, settings: PlanSettings | None = None,
+        self,
+        arm: Arm,
+        twins: Draw,
+        holder: Holder,
+        settings: PlanSettings | None = None,
         hand_over: HandOver | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Take twins (B,), or one for all, and the holder."""
         self._arm, self._holder = arm, holder
         self._planner, self._until = Planner(arm, twins, settings), hand_over or HandOver()
@@ -69,8 +73,9 @@ class PredictiveController:
         count, own = len(twins), [twin.parameters for twin in twins]
         draw = Draw.of(
             TwinParameters(**{f.name: np.stack([getattr(one, f.name) for one in own]) for f in fields(TwinParameters)}),
-            np.array([[twin.stiction] for twin in twins]), np.array([twin.acceleration for twin in twins]),
-        )  # fmt: skip
+            np.array([[twin.stiction] for twin in twins]),
+            np.array([twin.acceleration for twin in twins]),
+        )
         rest = np.tile(arm.rest, (count, 1))
         state = JointState(time=np.zeros(count), position=rest, age=np.zeros(count))
         place = np.tile(arm.targets.lower, (count, 1))

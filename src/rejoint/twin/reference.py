@@ -114,9 +114,11 @@ class LiveReference:
     def state(self) -> dict[str, Array]:
         """Live arrays for a checkpoint."""
         return {
-            "position": self.position, "velocity": self.velocity, "speed": self._speed,
+            "position": self.position,
+            "velocity": self.velocity,
+            "speed": self._speed,
             "acceleration": self._acceleration,
-        }  # fmt: skip
+        }
 
 
 @njit(cache=True, nogil=True, boundscheck=True)
@@ -261,9 +263,13 @@ class Latency:
     def state(self) -> dict[str, Array]:
         """Live arrays for a checkpoint."""
         return {
-            "command_delay": self.command_delay, "readback_delay": self.readback_delay, "commands": self._commands,
-            "sent": self._sent, "positions": self._positions, "times": self._times,
-        }  # fmt: skip
+            "command_delay": self.command_delay,
+            "readback_delay": self.readback_delay,
+            "commands": self._commands,
+            "sent": self._sent,
+            "positions": self._positions,
+            "times": self._times,
+        }
 
 
 @njit(cache=True, nogil=True, boundscheck=True)

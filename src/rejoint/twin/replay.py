@@ -236,9 +236,11 @@ def powered(logs: Sequence[RunLog]) -> list[RunLog]:
         edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]]).astype(int)))
         pieces = [log.rows(slice(a, b)) for a, b in edges.reshape(-1, 2).tolist() if b - a > 2]
         extra = {key: value for key, value in log.extra.items() if key != TORQUE_OFF}
-        found += [
-            replace(piece, label=f"{log.label} ({i + 1})", extra=extra) for i, piece in enumerate(pieces)
-        ] if spans else [log]  # fmt: skip
+        found += (
+            [replace(piece, label=f"{log.label} ({i + 1})", extra=extra) for i, piece in enumerate(pieces)]
+            if spans
+            else [log]
+        )
     return found
 
 

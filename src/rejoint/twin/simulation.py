@@ -62,10 +62,16 @@ class Draw:
         """Take twins (N,), with all delay before the servo."""
         whole, joints = np.zeros(twin.shape), np.zeros(twin.stiffness_shape)
         return Draw(
-            twin=twin, command_delay=twin.delay, readback_delay=whole, stiction=joints + stiction,
-            acceleration=whole + acceleration, gravity_scale=whole + 1.0, period=whole, backlash=joints,
+            twin=twin,
+            command_delay=twin.delay,
+            readback_delay=whole,
+            stiction=joints + stiction,
+            acceleration=whole + acceleration,
+            gravity_scale=whole + 1.0,
+            period=whole,
+            backlash=joints,
             grease=whole + 1.0,
-        )  # fmt: skip
+        )
 
     def rows(self, index: NDArray[np.integer]) -> Draw:
         """Return some of the arms."""
@@ -76,9 +82,15 @@ class Simulation:
     """``count`` arms of one build, with live ``twins`` and ``time``."""
 
     def __init__(
-        self, arm: Arm, count: int, *, timestep: float = TIMESTEP, threads: int = 1, table: bool = False,
+        self,
+        arm: Arm,
+        count: int,
+        *,
+        timestep: float = TIMESTEP,
+        threads: int = 1,
+        table: bool = False,
         substeps: int = SUBSTEPS,
-    ) -> None:  # fmt: skip
+    ) -> None:
         n = arm.joints
         self.arm, self.substeps = arm, substeps
         make = _on_table if table else ChainBatch
@@ -149,12 +161,14 @@ class Simulation:
         """Live arrays for a checkpoint; not with tables."""
         twins = self.twins.state() if isinstance(self.twins, ChainBatch) else {}
         return {
-            "time": self.time, "measured": self.measured, "friction": self._friction,
+            "time": self.time,
+            "measured": self.measured,
+            "friction": self._friction,
             **{f"latency.{name}": value for name, value in self.latency.state().items()},
             **{f"reference.{name}": value for name, value in self.reference.state().items()},
             **{f"backlash.{name}": value for name, value in self.backlash.state().items()},
             **{f"twins.{name}": value for name, value in twins.items()},
-        }  # fmt: skip
+        }
 
     def _quantised(self, position: Array) -> Array:
         return np.round(position / self.arm.encoder_step) * self.arm.encoder_step
@@ -170,9 +184,16 @@ class TwinRobot:
     """One twin per drawn arm, in lockstep."""
 
     def __init__(
-        self, arm: Arm, draw: Draw, *, seed: int, jitter: float = 0.2, copies: int = 1,
-        posture: Array | None = None, address: str = "twins",
-    ) -> None:  # fmt: skip
+        self,
+        arm: Arm,
+        draw: Draw,
+        *,
+        seed: int,
+        jitter: float = 0.2,
+        copies: int = 1,
+        posture: Array | None = None,
+        address: str = "twins",
+    ) -> None:
         """Put the twins at rest in a ``posture`` (n,) [rad], default: that of rest.
 
         ``copies``: repeats of all arms, with the same jitter.

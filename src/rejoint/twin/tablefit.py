@@ -53,9 +53,17 @@ def fit_table(
 
     first = mean if start is None else _vector(start)
     found = least_squares(
-        residual, np.clip(first, _LOWER + 1e-9, _UPPER - 1e-9), jacobian, bounds=(_LOWER, _UPPER), x_scale=_SIGMA,
-        loss=loss, f_scale=weight * HUBER, max_nfev=evaluations, ftol=1e-3, xtol=1e-3,
-    )  # fmt: skip
+        residual,
+        np.clip(first, _LOWER + 1e-9, _UPPER - 1e-9),
+        jacobian,
+        bounds=(_LOWER, _UPPER),
+        x_scale=_SIGMA,
+        loss=loss,
+        f_scale=weight * HUBER,
+        max_nfev=evaluations,
+        ftol=1e-3,
+        xtol=1e-3,
+    )
     return _table(found.x)
 
 

@@ -82,8 +82,11 @@ def jackknife(prior: Prior, curvatures: Array, scores: Array) -> Array:
     without = np.linalg.solve(whole - curvatures + precision, scores.sum(axis=1)[..., None])[..., 0]
     inverse = np.linalg.inv(whole + precision)
     factor = (student95(max(count - 1, 1)) / NORMAL95) ** 2
-    return np.asarray(factor * (count - 1) / count * without.T @ without + factor * inverse @ whole @ inverse
-                      + inverse @ precision @ inverse)  # fmt: skip
+    return np.asarray(
+        factor * (count - 1) / count * without.T @ without
+        + factor * inverse @ whole @ inverse
+        + inverse @ precision @ inverse
+    )
 
 
 def _by_cluster(

@@ -63,12 +63,18 @@ def softer_twin(arm):
     soft = load_wear("worn", arm).position_gain / 3
     error = PredictionError(joints=(0.01,) * arm.joints, joint=0.01, tcp=1e-3)
     return Twin(
-        arm=arm.name, joint_names=arm.joint_names,
+        arm=arm.name,
+        joint_names=arm.joint_names,
         parameters=dataclasses.replace(nominal_parameters(arm), stiffness=soft),
-        covariance=np.diag((0.1 * belief.sigma) ** 2), lower=belief.lower, upper=belief.upper,
-        narrowing=np.full(len(belief.mean), 0.1), identified=np.ones(len(belief.mean), dtype=bool),
-        held_out=HeldOut(seconds=30.0, no_twin=error, healthy_twin=error, twin=error), fit_seconds=1.0, notes=(),
-    )  # fmt: skip
+        covariance=np.diag((0.1 * belief.sigma) ** 2),
+        lower=belief.lower,
+        upper=belief.upper,
+        narrowing=np.full(len(belief.mean), 0.1),
+        identified=np.ones(len(belief.mean), dtype=bool),
+        held_out=HeldOut(seconds=30.0, no_twin=error, healthy_twin=error, twin=error),
+        fit_seconds=1.0,
+        notes=(),
+    )
 
 
 def _size(arm):

@@ -47,9 +47,12 @@ def tried(files, *, batched):
     controllers = {"integrator": lambda arm: make_controller("integrator", arm)}
     controllers |= {name: (lambda arm, name=name: load_policy(files[name], arm)) for name in NAMES}
     found = TrialRunner(
-        lambda count, seed: open_robot("emulated:worn", arm=ARM, seed=seed, count=count), controllers, TARGETS,
-        Settings(batched=batched, repetitions=2 if batched else 1, protocol=PROTOCOL), on_trial=trials.append,
-    ).compare()  # fmt: skip
+        lambda count, seed: open_robot("emulated:worn", arm=ARM, seed=seed, count=count),
+        controllers,
+        TARGETS,
+        Settings(batched=batched, repetitions=2 if batched else 1, protocol=PROTOCOL),
+        on_trial=trials.append,
+    ).compare()
     return found, trials
 
 

@@ -76,10 +76,13 @@ def comparison():
         return opened[-1]
 
     found = TrialRunner(
-        open_robot, factories("default", "integrator"), TARGETS,
+        open_robot,
+        factories("default", "integrator"),
+        TARGETS,
         Settings(repetitions=3, seed=7, batched=True, protocol=PROTOCOL),
-        on_progress=lambda *step: progress.append(step), on_trial=trials.append,
-    ).compare()  # fmt: skip
+        on_progress=lambda *step: progress.append(step),
+        on_trial=trials.append,
+    ).compare()
     return found, opened, trials, progress
 
 
@@ -89,8 +92,11 @@ def test_batch_has_one_arm_per_trial_and_closes_it(comparison):
     assert all(robot.closed == 1 for robot in opened)
     assert {trial.label for trial in trials} == {
         f"{kind}/{name}/{s}/{r}"
-        for kind in ("crossing", "hold") for name in ("default", "integrator") for s in range(2) for r in range(3)
-    }  # fmt: skip
+        for kind in ("crossing", "hold")
+        for name in ("default", "integrator")
+        for s in range(2)
+        for r in range(3)
+    }
     for trial in trials:
         seen = trial.recording.target[trial.recording.active[:, trial.arm_index], trial.arm_index]
         assert (seen[0] == TARGETS[trial.target_set, 0]).all()
@@ -151,9 +157,12 @@ def test_one_arm_interleaves_and_returns_to_the_start():
         starts.append(trial.recording.position[0, 0])
 
     found = TrialRunner(
-        lambda *_: robot, dict.fromkeys(("one", "two", "three"), IntegratorController), TARGETS[:1, :1],
-        Settings(repetitions=4, seed=2, batched=False, protocol=PROTOCOL), on_trial=note,
-    ).compare()  # fmt: skip
+        lambda *_: robot,
+        dict.fromkeys(("one", "two", "three"), IntegratorController),
+        TARGETS[:1, :1],
+        Settings(repetitions=4, seed=2, batched=False, protocol=PROTOCOL),
+        on_trial=note,
+    ).compare()
     assert robot.closed == 1
     assert [entry[0] for entry in order] == [r for r in range(4) for _ in range(6)]
     firsts = {tuple(entry[2] for entry in order[6 * r : 6 * r + 6 : 2]) for r in range(4)}
@@ -178,9 +187,11 @@ def test_a_trip_on_one_arm_ends_the_comparison():
 
 def test_a_trip_in_a_batch_is_a_failure_of_its_trial():
     found = TrialRunner(
-        lambda count, seed: SaggingRobot(count, seed, hot=[(1, 6.0)]), factories("default"), TARGETS,
+        lambda count, seed: SaggingRobot(count, seed, hot=[(1, 6.0)]),
+        factories("default"),
+        TARGETS,
         Settings(batched=True, protocol=PROTOCOL),
-    ).compare()  # fmt: skip
+    ).compare()
     row = found.row("default")
     assert row.failures == 2
     assert "temperature" in row.guard
@@ -246,9 +257,7 @@ def test_of_those_that_tie_at_the_narrowest_distance_who_is_near_much_sooner_is_
         made = found
         for name in found.controllers:
             near = [1.0 - (seconds if name == "policy" else 0.0)] * 6
-            made = refilled(
-                made, name, settled=[0.001] * 6, stay_10mm=near, stay_5mm=near, stay_2mm=[3.0] * 6
-            )  # fmt: skip
+            made = refilled(made, name, settled=[0.001] * 6, stay_10mm=near, stay_5mm=near, stay_2mm=[3.0] * 6)
         return recommend(made)
 
     assert sooner_by(0.3).controller == "policy"

@@ -21,11 +21,13 @@ def test_a_worn_arm_of_any_size_is_brought_within_10_mm(make, address):
     stiffness = nominal_parameters(arm).stiffness
     found = TrialRunner(
         lambda count, seed: open_robot(address, arm=arm, seed=seed, count=count),
-        {name: lambda arm, name=name: make_controller(name, arm, stiffness=stiffness)
-         for name in ("default", "integrator", "feedforward")},
+        {
+            name: lambda arm, name=name: make_controller(name, arm, stiffness=stiffness)
+            for name in ("default", "integrator", "feedforward")
+        },
         draw_targets(arm, sets=1, count=4, seed=2),
         Settings(batched=True, seed=2, protocol=Protocol(dwell=6.0, hold=5.0)),
-    ).compare()  # fmt: skip
+    ).compare()
     rows = {row.controller: row for row in found.rows}
     assert rows["default"].settled.mean.value > 0.015
     for name in ("integrator", "feedforward"):

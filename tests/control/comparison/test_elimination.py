@@ -42,9 +42,13 @@ def on_one_arm(controllers, targets=TARGETS, repetitions=1, **robot):
     trials, progress = [], []
     arm = SaggingRobot(1, 0, **robot)
     found = TrialRunner(
-        lambda *_: arm, controllers, targets, Settings(repetitions=repetitions, batched=False, protocol=PROTOCOL),
-        on_trial=trials.append, on_progress=lambda *step: progress.append(step),
-    ).compare()  # fmt: skip
+        lambda *_: arm,
+        controllers,
+        targets,
+        Settings(repetitions=repetitions, batched=False, protocol=PROTOCOL),
+        on_trial=trials.append,
+        on_progress=lambda *step: progress.append(step),
+    ).compare()
     return found, trials, progress, arm
 
 
@@ -119,9 +123,11 @@ def test_a_measured_position_that_is_not_a_number_is_not_the_controllers_fault()
 
 def test_a_batch_is_driven_to_the_end_and_a_bad_command_costs_the_same_there():
     found = TrialRunner(
-        SaggingRobot, factories("default", "integrator") | {"policy": Breaks}, TARGETS[:1],
+        SaggingRobot,
+        factories("default", "integrator") | {"policy": Breaks},
+        TARGETS[:1],
         Settings(batched=True, protocol=PROTOCOL),
-    ).compare()  # fmt: skip
+    ).compare()
     assert np.isfinite(found.array("crossed", "default")).all()
     row = found.row("policy")
     assert (found.row("default").out, row.out, row.failures) == ("", "", 2)
@@ -152,10 +158,13 @@ def test_a_run_can_be_given_up_arm_by_arm():
 def test_an_arm_that_does_not_stand_as_its_twin_says_is_not_compared_on():
     def on(stiffness, trials):
         return TrialRunner(
-            lambda *_: SaggingRobot(1, 0), factories("integrator"), TARGETS[:1, :1],
-            Settings(batched=False, protocol=PROTOCOL), on_trial=trials.append,
+            lambda *_: SaggingRobot(1, 0),
+            factories("integrator"),
+            TARGETS[:1, :1],
+            Settings(batched=False, protocol=PROTOCOL),
+            on_trial=trials.append,
             stance=Stance(stiffness=np.full(6, stiffness), offset=np.zeros(6)),
-        ).compare()  # fmt: skip
+        ).compare()
 
     on(STIFFNESS, tried := [])
     assert len(tried) == 2, "a crossing and a hold"
@@ -178,9 +187,12 @@ def trained_for(low, high):
 def test_a_policy_whose_period_does_not_suit_is_left_out_or_refused():
     def on(controllers, **settings):
         return TrialRunner(
-            lambda *_: SaggingRobot(1, 0), controllers, TARGETS[:1, :1],
-            Settings(batched=False, protocol=PROTOCOL, **settings), on_trial=trials.append,
-        ).compare()  # fmt: skip
+            lambda *_: SaggingRobot(1, 0),
+            controllers,
+            TARGETS[:1, :1],
+            Settings(batched=False, protocol=PROTOCOL, **settings),
+            on_trial=trials.append,
+        ).compare()
 
     trials, slow, quick = [], trained_for(0.040, 0.060), trained_for(0.020, 0.030)
     found = on(factories("integrator") | {"policy": slow}, leave_out=True)
@@ -224,9 +236,15 @@ def in_blocks(controllers, targets=TWENTY, *, measured=(), ledger=None, on_trial
 
     settings = Settings(batched=False, protocol=protocol, elimination=Elimination())
     found = TrialRunner(
-        lambda *_: SaggingRobot(1, 0), controllers, targets, settings, on_trial=note, ledger=ledger,
-        measured=measured, source="the diagnosis",
-    ).compare()  # fmt: skip
+        lambda *_: SaggingRobot(1, 0),
+        controllers,
+        targets,
+        settings,
+        on_trial=note,
+        ledger=ledger,
+        measured=measured,
+        source="the diagnosis",
+    ).compare()
     return found, order
 
 

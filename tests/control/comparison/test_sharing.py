@@ -46,9 +46,14 @@ class Beside:
 def compared(helper=None):
     trials, shares = [], []
     found = TrialRunner(
-        connect, FACTORIES, TARGETS, BATCHED, helper=helper, on_trial=trials.append,
+        connect,
+        FACTORIES,
+        TARGETS,
+        BATCHED,
+        helper=helper,
+        on_trial=trials.append,
         on_progress=lambda share, _: shares.append(share),
-    ).compare()  # fmt: skip
+    ).compare()
     return found, sorted(trial.label for trial in trials), shares
 
 

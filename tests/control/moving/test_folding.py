@@ -13,9 +13,14 @@ def servos_with(arm, limits):
     """Servos of arms whose motors have these torque limits (B, n) [N m]."""
     some = np.ones_like(limits)
     return Servos(
-        stiffness=5.0 * some, damping=0.2 * some, coulomb=0.05 * some, armature=0.01 * some, torque_limit=limits,
-        offset=0.0 * some, delay=np.full(len(limits), 0.02),
-    )  # fmt: skip
+        stiffness=5.0 * some,
+        damping=0.2 * some,
+        coulomb=0.05 * some,
+        armature=0.01 * some,
+        torque_limit=limits,
+        offset=0.0 * some,
+        delay=np.full(len(limits), 0.02),
+    )
 
 
 def loads(arm, home):

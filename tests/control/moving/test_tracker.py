@@ -23,10 +23,13 @@ def worn_servos(count=1):
     """What a twin of the worn profile would say, with its errors."""
     wear = load_wear("worn", ARM)
     rows = {
-        "stiffness": wear.position_gain, "damping": wear.damping_gain + wear.torque_limit / 5.0,
-        "coulomb": 1.1 * wear.coulomb, "armature": 0.9 * wear.reflected_inertia, "torque_limit": wear.torque_limit,
+        "stiffness": wear.position_gain,
+        "damping": wear.damping_gain + wear.torque_limit / 5.0,
+        "coulomb": 1.1 * wear.coulomb,
+        "armature": 0.9 * wear.reflected_inertia,
+        "torque_limit": wear.torque_limit,
         "offset": np.zeros(ARM.joints),
-    }  # fmt: skip
+    }
     return Servos(**{name: np.tile(row, (count, 1)) for name, row in rows.items()}, delay=np.full(count, 0.022))
 
 

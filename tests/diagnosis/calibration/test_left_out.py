@@ -21,10 +21,20 @@ def calibration(sigma=1e-9, arm=ARM, **values):
     n = arm.joints
     found = replace(Displacement.none(arm), **{name: np.asarray(value) for name, value in values.items()})
     return Calibration(
-        arm=arm, displacement=found, covariance=sigma**2 * np.eye(DisplacementLayout(joints=n).size), frame=np.eye(4),
-        frame_name="base", source="touch", date="", points=4, before=2e-3, after=1e-3, used=True,
-        floor=max(sigma, 1e-9), left_out=np.array([[2e-3, 1e-3]] * 4),
-    )  # fmt: skip
+        arm=arm,
+        displacement=found,
+        covariance=sigma**2 * np.eye(DisplacementLayout(joints=n).size),
+        frame=np.eye(4),
+        frame_name="base",
+        source="touch",
+        date="",
+        points=4,
+        before=2e-3,
+        after=1e-3,
+        used=True,
+        floor=max(sigma, 1e-9),
+        left_out=np.array([[2e-3, 1e-3]] * 4),
+    )
 
 
 def test_a_mean_error_lies_in_its_interval_and_grows_with_what_is_open():
@@ -82,10 +92,12 @@ def points(posture=None, shift=(0.0, 0.0, -5e-3), turn=(0, 1, 2), repeat=1):
     position = np.repeat(suggest(ARM, 10).postures, repeat, axis=0)[:10]
     noise = np.random.default_rng(0).normal(0.0, 5e-4, (10, 3))
     return Measurements(
-        position=position, approach=np.full((10, 6), np.nan), sigma=np.full(10, 5e-4),
+        position=position,
+        approach=np.full((10, 6), np.nan),
+        sigma=np.full(10, 5e-4),
         point=(tcp_position(ARM, position) + shift + noise)[:, turn],
         posture=np.arange(10) if posture is None else posture,
-    )  # fmt: skip
+    )
 
 
 def test_a_slip_at_one_point_of_ten_does_not_condemn_the_others():

@@ -22,9 +22,14 @@ def measured(seed=0, rows=6, frame="base", source="touch"):
     approach = rng.normal(0.0, 1.0, (rows, ARM.joints))
     approach[-1] = np.nan
     return Measurements(
-        position=rng.normal(0.0, 1.0, (rows, ARM.joints)), approach=approach, point=point,
-        sigma=rng.uniform(1e-4, 1e-3, rows), posture=np.arange(rows) // 2, frame=frame, source=source,
-    )  # fmt: skip
+        position=rng.normal(0.0, 1.0, (rows, ARM.joints)),
+        approach=approach,
+        point=point,
+        sigma=rng.uniform(1e-4, 1e-3, rows),
+        posture=np.arange(rows) // 2,
+        frame=frame,
+        source=source,
+    )
 
 
 @settings(max_examples=25)

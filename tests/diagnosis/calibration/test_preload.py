@@ -25,9 +25,19 @@ def worn(**values):
     found = replace(Displacement.none(ARM), **{name: np.asarray(value) for name, value in values.items()})
     size = DisplacementLayout(joints=ARM.joints).size
     return Calibration(
-        arm=ARM, displacement=found, covariance=1e-8 * np.eye(size), frame=np.eye(4), frame_name="base", source="touch",
-        date="", points=4, before=2e-3, after=1e-3, used=True, floor=1e-4,
-    )  # fmt: skip
+        arm=ARM,
+        displacement=found,
+        covariance=1e-8 * np.eye(size),
+        frame=np.eye(4),
+        frame_name="base",
+        source="touch",
+        date="",
+        points=4,
+        before=2e-3,
+        after=1e-3,
+        used=True,
+        floor=1e-4,
+    )
 
 
 FLOATING = worn(play=[0.03] + [0.0] * 5)
@@ -39,9 +49,12 @@ def lies(gravity):
     targets, places = draw_targets(ARM, sets=5, count=2, seed=0), []
     half = 0.5 * robot.plant.joints["play"][:, 0]
     driven = run(
-        robot, make_controller("feedforward", ARM), targets, Schedule(dwell=2.5, keep_going=True),
+        robot,
+        make_controller("feedforward", ARM),
+        targets,
+        Schedule(dwell=2.5, keep_going=True),
         on_cycle=lambda _: places.append(robot.plant.qpos[:, 1] / half),
-    )  # fmt: skip
+    )
     rows = [np.flatnonzero(driven.target_index[:, i] == k)[-1] for i in range(5) for k in range(2)]
     return np.array(places)[rows, np.repeat(np.arange(5), 2)].reshape(5, 2)
 

@@ -78,9 +78,13 @@ def test_reversal_is_the_difference_of_two_sides_that_the_encoders_do_not_see():
     )  # measuring frame in the base
     seen = (point - turned[:3, 3]) @ turned[:3, :3]
     measured = Measurements(
-        position=position, approach=np.full((3, 6), np.nan), point=seen, sigma=np.full(3, 1e-3), posture=[4, 4, 5],
+        position=position,
+        approach=np.full((3, 6), np.nan),
+        point=seen,
+        sigma=np.full(3, 1e-3),
+        posture=[4, 4, 5],
         frame="room",
-    )  # fmt: skip
+    )
     assert reversals(ARM, measured, turned) == pytest.approx((3e-3,))
 
 

@@ -59,8 +59,10 @@ def test_the_command_writes_the_board_and_its_description(tmp_path, monkeypatch,
     assert (board.columns, board.rows, board.stretch_x, board.stretch_y) == (8, 5, 1.005, 1.0)
     assert (board.square, board.marker) == pytest.approx((0.028, 0.022 / 0.030 * 0.028), abs=1e-9)
     for words, line in (
-        (("x.png",), "ends in .pdf"), (("x.pdf", "--on", "wall"), "--on"), (("x.pdf", "--squares", "7"), "such as 7x5"),
-    ):  # fmt: skip
+        (("x.png",), "ends in .pdf"),
+        (("x.pdf", "--on", "wall"), "--on"),
+        (("x.pdf", "--squares", "7"), "such as 7x5"),
+    ):
         code, told = run(*words)
         assert code == 2
         assert line in told.err

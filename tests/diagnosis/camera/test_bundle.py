@@ -47,8 +47,10 @@ def test_lens_camera_and_board_are_found(found):
 def test_every_number_has_an_interval(found):
     layout, sigma = found.problem.layout, np.sqrt(np.diag(found.fitted.covariance))
     assert (sigma[found.problem.belief.upper > found.problem.belief.lower] > 0).all()
-    inside = [np.abs(found.fitted.vector[layout.at(kind)] - getattr(WORN, kind)) < 2 * sigma[layout.at(kind)]
-              for kind in ("offset", "compliance", "play")]  # fmt: skip
+    inside = [
+        np.abs(found.fitted.vector[layout.at(kind)] - getattr(WORN, kind)) < 2 * sigma[layout.at(kind)]
+        for kind in ("offset", "compliance", "play")
+    ]
     assert np.mean(inside) > 0.85
 
 

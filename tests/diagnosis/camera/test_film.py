@@ -38,9 +38,13 @@ def film_of(count, carried="board", seed=0):
     for k, (view, position) in enumerate(zip(t.views, t.position, strict=True)):
         seen = t.views[other[k]] if k in other else view
         shot = Shot(
-            number=k + 1, position=position, approach=np.full(ARM.joints, np.nan), posture=k, side=0,
+            number=k + 1,
+            position=position,
+            approach=np.full(ARM.joints, np.nan),
+            posture=k,
+            side=0,
             seen=BoardView(name=view.name, number=seen.number, pixel=seen.pixel),
-        )  # fmt: skip
+        )
         film = film.with_shot(shot, SIZE)
     blank = replace(film.shots[0], number=count + 1, seen=Unusable(name="blank.jpg", why="the board cannot be seen"))
     return film.with_shot(blank, SIZE)
@@ -102,8 +106,9 @@ def test_pictures_of_a_folder_are_read_with_their_postures(tmp_path):
     for one, other in zip(found.usable, film.shots, strict=False):
         np.testing.assert_allclose(one.position, other.position, atol=1e-7)
     assert [shot.name for shot in read_folder(f"{tmp_path}/view-0[12].png", ARM, ON_TOOL).shots] == [
-        "view-01.png", "view-02.png"
-    ]  # fmt: skip
+        "view-01.png",
+        "view-02.png",
+    ]
     (tmp_path / "view-02.png").write_bytes(b"no picture")
     (tmp_path / "notes.txt").write_text("skipped")
     unreadable = read_folder(str(tmp_path), ARM, ON_TOOL).unusable

@@ -52,24 +52,35 @@ def diagnosis(arm):
         for e in errors
     )
     return Diagnosis(
-        arm=arm.name, robot="emulated:worn", condition="bad", verdict="This arm misses its targets by 22.4 mm.",
+        arm=arm.name,
+        robot="emulated:worn",
+        condition="bad",
+        verdict="This arm misses its targets by 22.4 mm.",
         findings=(
             Finding(
-                joint="joint3", kind="weak_gain", severity="bad", quantity="stiffness_nm_per_rad",
-                measured=estimate(7.0), healthy=estimate(38.0), tcp_mm=14.2,
+                joint="joint3",
+                kind="weak_gain",
+                severity="bad",
+                quantity="stiffness_nm_per_rad",
+                measured=estimate(7.0),
+                healthy=estimate(38.0),
+                tcp_mm=14.2,
                 sentence="joint3 is soft and sags under the arm's own weight, 14.2 mm at the tool.",
             ),
         ),
         unseen=("Play and flex behind the encoders cannot be seen.",),
         open_loop=OpenLoop(
-            targets=targets, error_mm=estimate(float(errors.mean())), spread_mm=float(errors.std(ddof=1)),
-            true_error_mm=estimate(27.0), hidden_mm=7.5,
+            targets=targets,
+            error_mm=estimate(float(errors.mean())),
+            spread_mm=float(errors.std(ddof=1)),
+            true_error_mm=estimate(27.0),
+            hidden_mm=7.5,
         ),
         measurement=Measurement(joints=worn, delay_s=0.02, period_s=0.025),
         healthy=dataclasses.replace(
             healthy, source="12 emulated arms", joints=good, error_mm=Estimate(3.2, 2.1, 4.3), hidden_mm=None
         ),
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture(scope="session")
@@ -86,11 +97,18 @@ def twin(arm):
         return PredictionError(joints=(scale * 0.01,) * n, joint=scale * 0.01, tcp=scale * 2.5e-3)
 
     return Twin(
-        arm=arm.name, joint_names=arm.joint_names, parameters=parameters, covariance=covariance, lower=belief.lower,
-        upper=belief.upper, narrowing=np.where(identified, 0.15, 1.0), identified=identified,
-        held_out=HeldOut(seconds=30.0, no_twin=error(10), healthy_twin=error(8), twin=error(1)), fit_seconds=90.0,
+        arm=arm.name,
+        joint_names=arm.joint_names,
+        parameters=parameters,
+        covariance=covariance,
+        lower=belief.lower,
+        upper=belief.upper,
+        narrowing=np.where(identified, 0.15, 1.0),
+        identified=identified,
+        held_out=HeldOut(seconds=30.0, no_twin=error(10), healthy_twin=error(8), twin=error(1)),
+        fit_seconds=90.0,
         notes=("torque limit close to the gravity torque held in the log: joint3",),
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture(scope="session")

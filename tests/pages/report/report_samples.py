@@ -24,14 +24,23 @@ SETS, REPETITIONS, TARGETS = 2, 3, 10
 
 
 SETTLED = {
-    "default": 22e-3, "pid-sum": 9e-3, "pid-literal": 21e-3, "integrator": 2.1e-3, "feedforward": 1.5e-3,
+    "default": 22e-3,
+    "pid-sum": 9e-3,
+    "pid-literal": 21e-3,
+    "integrator": 2.1e-3,
+    "feedforward": 1.5e-3,
     "policy": 0.33e-3,
-}  # fmt: skip
+}
 
 
 SPEED = {
-    "default": 2.5, "pid-sum": 0.8, "pid-literal": 2.2, "integrator": 1.1, "feedforward": 1.8, "policy": 4.0,
-}  # fmt: skip
+    "default": 2.5,
+    "pid-sum": 0.8,
+    "pid-literal": 2.2,
+    "integrator": 1.1,
+    "feedforward": 1.8,
+    "policy": 4.0,
+}
 
 
 """[1/s] at which the made-up error falls"""
@@ -44,10 +53,17 @@ def estimate(value, share=0.1):
 def joint_metrics(sample, stiffness, friction):
     """A joint like ``sample`` with round numbers."""
     return dataclasses.replace(
-        sample, stiffness_nm_per_rad=estimate(stiffness), hysteresis_rad=estimate(2 * friction / stiffness),
-        coulomb_nm=estimate(friction), lag_s=estimate(0.04), damping_ratio=estimate(0.7), overshoot=estimate(0.03),
-        hunting_rad=estimate(0.0004), offset_rad=Estimate(0.002, -0.001, 0.005), noise_rad=Estimate(0.0006, None, None),
-    )  # fmt: skip
+        sample,
+        stiffness_nm_per_rad=estimate(stiffness),
+        hysteresis_rad=estimate(2 * friction / stiffness),
+        coulomb_nm=estimate(friction),
+        lag_s=estimate(0.04),
+        damping_ratio=estimate(0.7),
+        overshoot=estimate(0.03),
+        hunting_rad=estimate(0.0004),
+        offset_rad=Estimate(0.002, -0.001, 0.005),
+        noise_rad=Estimate(0.0006, None, None),
+    )
 
 
 def controller_columns(name, seed, true_known):
@@ -60,10 +76,14 @@ def controller_columns(name, seed, true_known):
         for name_, within in zip(Protocol().stay_names, Protocol().within, strict=True)
     }
     return stays | {
-        "crossed": crossed, "crossing_error": np.where(crossed == 1, 8.2e-3, mean), "crossing_true": true,
-        "crossing_time": np.where(crossed == 1, np.log(10) / SPEED[name], 20.0), "settled": settled,
-        "settled_true": true, "oscillation": 0.1 * settled,
-    }  # fmt: skip
+        "crossed": crossed,
+        "crossing_error": np.where(crossed == 1, 8.2e-3, mean),
+        "crossing_true": true,
+        "crossing_time": np.where(crossed == 1, np.log(10) / SPEED[name], 20.0),
+        "settled": settled,
+        "settled_true": true,
+        "oscillation": 0.1 * settled,
+    }
 
 
 def make_calibration(arm):
@@ -123,10 +143,17 @@ def trial_log(arm, name, kind, targets):
         here = position[-1][-1]
     q = np.concatenate(position)
     return RunLog(
-        arm=arm.name, joint_names=arm.joint_names, robot="emulated:worn", label=f"{kind}/{name}/0/0",
-        time=period * np.arange(1, len(q) + 1), position=q, command=q, target=np.repeat(targets, steps, axis=0),
-        true_tcp=np.full((len(q), 3), np.nan), extra={"controller": name},
-    )  # fmt: skip
+        arm=arm.name,
+        joint_names=arm.joint_names,
+        robot="emulated:worn",
+        label=f"{kind}/{name}/0/0",
+        time=period * np.arange(1, len(q) + 1),
+        position=q,
+        command=q,
+        target=np.repeat(targets, steps, axis=0),
+        true_tcp=np.full((len(q), 3), np.nan),
+        extra={"controller": name},
+    )
 
 
 def write_curves(path):
@@ -136,12 +163,17 @@ def write_curves(path):
     k = np.arange(1, 81)
     path.parent.mkdir(parents=True, exist_ok=True)
     pq.write_table(
-        pa.table({
-            "step": 16384 * k, "reward": 1 - 3 * np.exp(-k / 15), "success_rate": 1 - np.exp(-k / 20),
-            "error_mm": 50 * np.exp(-k / 12) + 0.8, "wall_s": 0.6 * k,
-        }),
+        pa.table(
+            {
+                "step": 16384 * k,
+                "reward": 1 - 3 * np.exp(-k / 15),
+                "success_rate": 1 - np.exp(-k / 20),
+                "error_mm": 50 * np.exp(-k / 12) + 0.8,
+                "wall_s": 0.6 * k,
+            }
+        ),
         path,
-    )  # fmt: skip
+    )
 
 
 class Sketches(Gallery):

@@ -28,9 +28,12 @@ def made(folder, comparison, *, robot="emulated:worn", seed=7):
 
 def test_the_line_says_all_that_the_comparison_was_asked_for(tmp_path, arm):
     comparison = dataclasses.replace(
-        make_comparison(arm, ("policy", "default")), robot="tcp://10.0.0.2:9000", seed=3, targets_file="my points.csv",
+        make_comparison(arm, ("policy", "default")),
+        robot="tcp://10.0.0.2:9000",
+        seed=3,
+        targets_file="my points.csv",
         period=(0.03, 0.0425),
-    )  # fmt: skip
+    )
     line = made(RunFolder(tmp_path / "my run"), comparison)["compare"].line
     words, given = options(line)
     assert words == ["rejoint", "compare"]

@@ -24,11 +24,22 @@ def curves(tmp_path):
 
 def contract(arm, digest):
     return PolicyContract(
-        arm=arm.name, arm_digests=law_digests(arm), joint_names=arm.joint_names, lower=tuple(arm.lower),
-        upper=tuple(arm.upper), layout="equation-16", observation=layout_slots("equation-16", arm.joints),
-        law=CommandLaw(), min_period=0.018, max_period=0.055, probe=(), twin_digest=digest, preset="paper", seed=11,
+        arm=arm.name,
+        arm_digests=law_digests(arm),
+        joint_names=arm.joint_names,
+        lower=tuple(arm.lower),
+        upper=tuple(arm.upper),
+        layout="equation-16",
+        observation=layout_slots("equation-16", arm.joints),
+        law=CommandLaw(),
+        min_period=0.018,
+        max_period=0.055,
+        probe=(),
+        twin_digest=digest,
+        preset="paper",
+        seed=11,
         software="0.1.0",
-    )  # fmt: skip
+    )
 
 
 def section(curves, contract):

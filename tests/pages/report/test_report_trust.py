@@ -33,29 +33,43 @@ def judgement_of(free, contact=None):
     count = len(next(iter(free.values())))
     motions = tuple(
         MotionErrors(
-            motion=f"motion {k}", seconds=30.0, contact_seconds=5.0, left_out_seconds=0.0,
-            errors={name: Errors(free=error(free[name][k]), contact=error(contact[name][k]), all=error(free[name][k]))
-                    for name in free},
+            motion=f"motion {k}",
+            seconds=30.0,
+            contact_seconds=5.0,
+            left_out_seconds=0.0,
+            errors={
+                name: Errors(free=error(free[name][k]), contact=error(contact[name][k]), all=error(free[name][k]))
+                for name in free
+            },
         )
         for k in range(count)
-    )  # fmt: skip
+    )
     time = np.linspace(0.0, 30.0, 300)
     return Judgement(
-        arm="mycobot280", joint_names=JOINTS, table_height=-0.03, motions=motions,
-        mean={n: Errors(free=error(mean(free[n])), contact=error(mean(contact[n])), all=error(mean(free[n])))
-              for n in free},
+        arm="mycobot280",
+        joint_names=JOINTS,
+        table_height=-0.03,
+        motions=motions,
+        mean={
+            n: Errors(free=error(mean(free[n])), contact=error(mean(contact[n])), all=error(mean(free[n])))
+            for n in free
+        },
         worst=Trace(
-            motion="motion 2", time=tuple(time.tolist()), contact=tuple((time > 20.0).tolist()),
+            motion="motion 2",
+            time=tuple(time.tolist()),
+            contact=tuple((time > 20.0).tolist()),
             tcp={name: tuple((1e-3 * values[-1] * (1 + np.sin(time) ** 2)).tolist()) for name, values in free.items()},
             joints=tuple(tuple((1e-3 * (i + 1) * np.cos(time)).tolist()) for i in range(6)),
         ),
-    )  # fmt: skip
+    )
 
 
 CLEAR = {
-    NO_TWIN: [24.0, 28.0, 20.0, 26.0], "fitted twin": [2.0, 3.0, 1.0, 2.0], "healthy twin": [17.0, 19.0, 15.0, 18.0],
+    NO_TWIN: [24.0, 28.0, 20.0, 26.0],
+    "fitted twin": [2.0, 3.0, 1.0, 2.0],
+    "healthy twin": [17.0, 19.0, 15.0, 18.0],
     "a <maker>": [22.0, 27.0, 18.0, 25.0],
-}  # fmt: skip
+}
 
 
 def test_what_differs_no_more_than_by_chance_is_said():

@@ -74,10 +74,11 @@ def test_an_outcome_of_a_training_worked_by_hand():
     outcome = TrainingOutcome(
         curves=Curves(step=flat, reward=flat, success_rate=success, error_mm=flat, wall_s=flat),
         crossings={
-            "crossed": np.array([[1.0, 1.0], [1.0, 0.0]]), "crossing_error": np.array([[9e-3, 8e-3], [np.nan, 30e-3]]),
+            "crossed": np.array([[1.0, 1.0], [1.0, 0.0]]),
+            "crossing_error": np.array([[9e-3, 8e-3], [np.nan, 30e-3]]),
             "crossing_time": np.ones((2, 2)),
         },
-    )  # fmt: skip
+    )
     assert outcome.trained == pytest.approx(30.0)  # of the last five
     assert outcome.success == pytest.approx(75.0)
     np.testing.assert_allclose(outcome.error_mm, [9.0, 8.0, 30.0])

@@ -18,9 +18,17 @@ RANGES = BroadRanges(arm=ARM)
 TARGET = np.array([[0.18, 0.02, 0.20], [0.2, -0.05, 0.18]])
 
 PLAIN = ScheduledGains(
-    far_rate=4.0, near_rate=4.0, schedule=1.0, deadband=0.0, proportional=0.0, damping=0.0, prediction=0.0, moving=1e9,
-    speed=1e9, lead=np.radians(15.0),
-)  # fmt: skip
+    far_rate=4.0,
+    near_rate=4.0,
+    schedule=1.0,
+    deadband=0.0,
+    proportional=0.0,
+    damping=0.0,
+    prediction=0.0,
+    moving=1e9,
+    speed=1e9,
+    lead=np.radians(15.0),
+)
 
 
 def inputs(position: np.ndarray, sent: np.ndarray, time: float = 0.0) -> ControlInput:
@@ -56,9 +64,16 @@ def test_gains_of_a_batch_act_arm_by_arm():
 def test_the_adaptive_law_learns_what_its_regressor_spans():
     # A joint that is softer than believed: at rest its error is what the compensation lacks.
     gains = AdaptiveGains(
-        softness_rate=20.0, load_rate=1e-3, offset_rate=1e-3, scale=1.0, damping=0.0, dead_zone=0.0, proportional=0.0,
-        derivative=0.0, prior=0.5,
-    )  # fmt: skip
+        softness_rate=20.0,
+        load_rate=1e-3,
+        offset_rate=1e-3,
+        scale=1.0,
+        damping=0.0,
+        dead_zone=0.0,
+        proportional=0.0,
+        derivative=0.0,
+        prior=0.5,
+    )
     law, start = AdaptiveController(ARM, "adaptive", gains), np.tile(ARM.rest, (2, 1))
     law.reset(inputs(start, start), np.ones(2, dtype=bool))
     goal = solve_position(ARM, TARGET, start).q

@@ -65,9 +65,20 @@ def leave_files(work: Work, state: str = "steady", error: float = 1.0) -> None:
     if work.step == "check":
         place = work.folder / "checks" / work.arm.name / f"{utc_now():%Y%m%dT%H%M%S%f}" / SUMMARY
         place.parent.mkdir(parents=True)
-        write_rows(place, [HistoryRow(time=utc_now(), kind="check", arm=work.arm.name, state=state, error_mm=error,
-                                      tolerance_mm=work.arm.tolerance_mm,
-                                      line="No change. Do: nothing; check again in a month.")])  # fmt: skip
+        write_rows(
+            place,
+            [
+                HistoryRow(
+                    time=utc_now(),
+                    kind="check",
+                    arm=work.arm.name,
+                    state=state,
+                    error_mm=error,
+                    tolerance_mm=work.arm.tolerance_mm,
+                    line="No change. Do: nothing; check again in a month.",
+                )
+            ],
+        )
         return
     files = RunFolder(work.folder)
     file = stages_of(work.arm.address, arm_of(work.arm.address, None), files)[work.step]
@@ -197,15 +208,21 @@ def test_what_fails_is_told_and_others_go_on(tmp_path: Path) -> None:
     events: list[Event] = []
     found = call(tmp_path, [arm(name) for name in "abcd"], PlayedExecutor(problems), tell=events.append)
     assert [(row.name, row.end, row.code) for row in found.rows] == [
-        ("b", "failed", 1), ("c", "failed", 4), ("a", "failed", 2), ("d", "done", 0),
-    ]  # fmt: skip
+        ("b", "failed", 1),
+        ("c", "failed", 4),
+        ("a", "failed", 2),
+        ("d", "done", 0),
+    ]
     assert "left no file" in found.rows[1].found
     assert found.code == 1
     assert (tmp_path / "lab" / "fleet" / "bug-b.txt").read_text() == "Trace"
     assert "no robot answers" in found.page.read_text()
     assert {(event.arm.name, event.kind) for event in events if event.kind != "begun"} == {
-        ("a", "failed"), ("b", "failed"), ("c", "failed"), ("d", "done"),
-    }  # fmt: skip
+        ("a", "failed"),
+        ("b", "failed"),
+        ("c", "failed"),
+        ("d", "done"),
+    }
     call(tmp_path, [arm(name) for name in "abcd"], executor := PlayedExecutor())
     assert {name for name, _ in executor.begun} == {"a", "b", "c"}
 

@@ -95,9 +95,11 @@ def test_a_file_is_read_or_refused_whatever_is_in_it(
     for _ in range(data.draw(st.integers(1, 3))):
         place = data.draw(st.integers(0, len(lines) - 1))
         key = lines[place].partition("=")[0]
-        lines[place] = f"{key}= {data.draw(st.sampled_from(values))}" if "=" in lines[place] else data.draw(
-            st.sampled_from(["", "[arm]", "[[arm]]", "[tip]", "=", "\x00", lines[place]])
-        )  # fmt: skip
+        lines[place] = (
+            f"{key}= {data.draw(st.sampled_from(values))}"
+            if "=" in lines[place]
+            else data.draw(st.sampled_from(["", "[arm]", "[[arm]]", "[tip]", "=", "\x00", lines[place]]))
+        )
     path = write_fleet(tmp_path_factory.getbasetemp(), "\n".join(lines))
     try:
         fleet = read_fleet(path)
@@ -111,15 +113,19 @@ def test_a_file_is_read_or_refused_whatever_is_in_it(
 clock = "{:02}:{:02}".format
 spans = st.builds(
     lambda first, last, begin, end: f"{DAYS[first]}-{DAYS[last]} {clock(*divmod(begin, 60))}-{clock(*divmod(end, 60))}",
-    st.integers(0, 6), st.integers(0, 6), st.integers(0, 1439), st.integers(0, 1440),
-).filter(lambda text: text[8:13] != text[14:])  # fmt: skip
+    st.integers(0, 6),
+    st.integers(0, 6),
+    st.integers(0, 1439),
+    st.integers(0, 1440),
+).filter(lambda text: text[8:13] != text[14:])
 
 
 @settings(max_examples=60)
 @given(
-    texts=st.lists(spans, min_size=1, max_size=3), day=st.integers(0, 13),
+    texts=st.lists(spans, min_size=1, max_size=3),
+    day=st.integers(0, 13),
     now=st.datetimes(datetime(2026, 11, 23), datetime(2026, 12, 7)),
-)  # fmt: skip
+)
 def test_hours_open_and_close_when_they_say(texts: list[str], day: int, now: datetime) -> None:
     """Between now and the next change nothing changes, minute by minute; then it does."""
     hours = read_hours(texts, [f"{datetime(2026, 11, 23) + timedelta(days=day):%Y-%m-%d}"])

@@ -241,8 +241,9 @@ def _calibration(data: dict[str, Any], arm: Arm) -> Calibration:
     values, layout = data["displacement"], DisplacementLayout(joints=arm.joints)
     displacement = Displacement(
         **{name: _numbers(values[name], (arm.joints,)) for name in _PARTS},
-        gravity=_numbers(values["gravity"], (3,)), twist=_numbers(values["twist"], (arm.joints + 1, 6)),
-    )  # fmt: skip
+        gravity=_numbers(values["gravity"], (3,)),
+        twist=_numbers(values["twist"], (arm.joints + 1, 6)),
+    )
     rows = data["covariance"]["lower_triangle"]
     if len(rows) != layout.body:
         raise InputError(f"covariance of {len(rows)} parameters, expected {layout.body}")
@@ -253,12 +254,21 @@ def _calibration(data: dict[str, Any], arm: Arm) -> Calibration:
     frame = np.eye(4)
     frame[:3] = _numbers(data["frame"]["pose"], (3, 4))
     return Calibration(
-        arm=arm, displacement=displacement, covariance=covariance, frame=frame, frame_name=str(data["frame"]["name"]),
-        source=str(data["source"]), date=str(data["date"]), points=int(data["points"]), used=bool(data["used"]),
-        before=float(data["before"]), after=float(data["after"]), floor=float(data["floor"]),
+        arm=arm,
+        displacement=displacement,
+        covariance=covariance,
+        frame=frame,
+        frame_name=str(data["frame"]["name"]),
+        source=str(data["source"]),
+        date=str(data["date"]),
+        points=int(data["points"]),
+        used=bool(data["used"]),
+        before=float(data["before"]),
+        after=float(data["after"]),
+        floor=float(data["floor"]),
         suspects=tuple(int(row) for row in data["suspects"]),
         left_out=_numbers(data["left_out"], (len(data["left_out"]), 2)),
-    )  # fmt: skip
+    )
 
 
 def _numbers(value: object, shape: tuple[int, ...]) -> Array:

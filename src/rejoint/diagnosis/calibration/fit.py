@@ -132,9 +132,7 @@ LINKS_FROM = 5
 """Postures from which links are fitted; chosen"""
 
 
-def fit(
-    arm: Arm, measurements: Measurements, *, prior: Calibration | None = None, date: str = ""
-) -> Calibration:  # fmt: skip
+def fit(arm: Arm, measurements: Measurements, *, prior: Calibration | None = None, date: str = "") -> Calibration:
     """Fit a displacement to ``measurements`` of ``arm`` and test it on points left out.
 
     ``prior``: an earlier calibration (ContractError for another arm's). InputError for unusable measurements.
@@ -201,9 +199,18 @@ def judged(problem: Fittable, fitted: Fitted, measured: Measurements, date: str)
     """Make a calibration of a fit to ``measured``, tested on rows left out."""
     body, tried = slice(0, problem.layout.body), leave_out(problem, fitted)
     return Calibration(
-        arm=problem.arm, displacement=problem.displacement(fitted.vector), covariance=fitted.covariance[body, body],
-        frame=fitted.frame, frame_name=measured.frame, source=measured.source, date=date, points=len(measured),
-        before=float(tried.before.mean()), after=float(tried.after.mean()), used=tried.helps(problem.arm, measured),
-        floor=floor_of(problem.arm), suspects=tried.suspects(problem.known[:, :3]),
+        arm=problem.arm,
+        displacement=problem.displacement(fitted.vector),
+        covariance=fitted.covariance[body, body],
+        frame=fitted.frame,
+        frame_name=measured.frame,
+        source=measured.source,
+        date=date,
+        points=len(measured),
+        before=float(tried.before.mean()),
+        after=float(tried.after.mean()),
+        used=tried.helps(problem.arm, measured),
+        floor=floor_of(problem.arm),
+        suspects=tried.suspects(problem.known[:, :3]),
         left_out=np.stack([tried.before, tried.after], axis=-1),
-    )  # fmt: skip
+    )

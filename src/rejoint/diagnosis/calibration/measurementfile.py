@@ -167,7 +167,7 @@ def read_interrupted(path: Path, arm: Arm) -> tuple[Measurements, MeasuringSessi
 
 def _measured(
     columns: dict[str, list[Any]], about: dict[str, Any], arm: Arm
-) -> tuple[Measurements, MeasuringSession | None]:  # fmt: skip
+) -> tuple[Measurements, MeasuringSession | None]:
     arrays = {name: np.array(values, dtype=float) for name, values in columns.items()}
     session = msgspec.convert(about["session"], MeasuringSession | None)
     return _assemble(arrays, arm, about["frame"], about["source"]), session
@@ -223,8 +223,9 @@ def _assemble(columns: dict[str, Array], arm: Arm, frame: str, source: str) -> M
         point=np.stack([columns[axis] for axis in AXES], axis=-1),
         sigma=columns.get("sigma", np.full(rows, NOISE)),
         posture=np.asarray(columns.get("posture", np.arange(rows, dtype=float)), dtype=np.int64),
-        frame=frame, source=source,
-    )  # fmt: skip
+        frame=frame,
+        source=source,
+    )
 
 
 BEYOND = np.radians(10.0)
@@ -262,9 +263,10 @@ def _require_units(path: Path, arm: Arm, measured: Measurements, lines: list[int
         low, high = np.degrees(arm.lower[joint]), np.degrees(arm.upper[joint])
         angle = np.degrees(measured.position[row, joint])
         raise FileError(
-            path, f"line {lines[row]}: {arm.joint_names[joint]} at {angle:.1f} deg, "
-            f"expected {low:.0f} to {high:.0f}", "give what this arm's encoders said, in degrees",
-        )  # fmt: skip
+            path,
+            f"line {lines[row]}: {arm.joint_names[joint]} at {angle:.1f} deg, expected {low:.0f} to {high:.0f}",
+            "give what this arm's encoders said, in degrees",
+        )
     if len(measured) > 1 and (np.abs(np.degrees(measured.position)) <= np.pi).all():
         raise FileError(path, "every joint position lies between -3.14 and 3.14", "give degrees, not radians")
     if measured.frame == "base" and in_metres(measured.point):

@@ -63,9 +63,14 @@ class Measurements:
     def rows(self, where: NDArray[np.bool_] | NDArray[np.intp]) -> Measurements:
         """Return some rows."""
         return Measurements(
-            position=self.position[where], approach=self.approach[where], point=self.point[where],
-            sigma=self.sigma[where], posture=self.posture[where], frame=self.frame, source=self.source,
-        )  # fmt: skip
+            position=self.position[where],
+            approach=self.approach[where],
+            point=self.point[where],
+            sigma=self.sigma[where],
+            posture=self.posture[where],
+            frame=self.frame,
+            source=self.source,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

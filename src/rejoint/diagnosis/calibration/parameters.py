@@ -36,8 +36,14 @@ SHIFT, TURN = 1e-3, np.radians(0.3)
 PLACE, ORIENTATION = 1.0, 3.0
 """[m] and [rad] sigma of a measuring frame around its first estimate"""
 
-MOST = {"offset": np.radians(6.0), "compliance": 0.3, "play": np.radians(8.0), "tilt": np.radians(20.0), "mass": 0.5,
-        "carry": 1.0}  # fmt: skip
+MOST = {
+    "offset": np.radians(6.0),
+    "compliance": 0.3,
+    "play": np.radians(8.0),
+    "tilt": np.radians(20.0),
+    "mass": 0.5,
+    "carry": 1.0,
+}
 """Bounds, in the units above; chosen"""
 
 
@@ -66,8 +72,16 @@ class DisplacementLayout:
     def at(self, name: str) -> slice:
         """Slice of one of `KINDS`, or ``frame``."""
         n = self.joints
-        ends = {"offset": n, "compliance": 2 * n, "play": 3 * n, "carry": 4 * n, "mass": 5 * n, "tilt": 5 * n + 2,
-                "twist": self.body, "frame": self.size}  # fmt: skip
+        ends = {
+            "offset": n,
+            "compliance": 2 * n,
+            "play": 3 * n,
+            "carry": 4 * n,
+            "mass": 5 * n,
+            "tilt": 5 * n + 2,
+            "twist": self.body,
+            "frame": self.size,
+        }
         names = list(ends)
         place = names.index(name)
         return slice(ends[names[place - 1]] if place else 0, ends[name])
@@ -118,8 +132,10 @@ def belief(arm: Arm, layout: DisplacementLayout, case: PriorCase) -> Belief:
     soft = case.compliance / torque_size(arm)
     mean[layout.at("compliance")], mean[layout.at("play")] = soft, case.play
     sigma[layout.at("offset")], sigma[layout.at("compliance")], sigma[layout.at("play")] = (
-        OFFSET, soft, case.play_sigma
-    )  # fmt: skip
+        OFFSET,
+        soft,
+        case.play_sigma,
+    )
     sigma[layout.at("mass")], sigma[layout.at("tilt")] = MASS, case.tilt
     mean[layout.at("carry")], sigma[layout.at("carry")] = CARRY, CARRY_SIGMA
     each = np.array([SHIFT * length_size(arm)] * 3 + [TURN] * 3)
@@ -152,10 +168,14 @@ def gravity_of(tilt: Array) -> Array:
 def displacement_of(layout: DisplacementLayout, vector: Array) -> Displacement:
     """Displacement of the vector (k,)."""
     return Displacement(
-        offset=vector[layout.at("offset")], compliance=vector[layout.at("compliance")], play=vector[layout.at("play")],
-        twist=vector[layout.at("twist")].reshape(layout.joints + 1, 6), gravity=gravity_of(vector[layout.at("tilt")]),
-        mass=1.0 + vector[layout.at("mass")], carry=vector[layout.at("carry")],
-    )  # fmt: skip
+        offset=vector[layout.at("offset")],
+        compliance=vector[layout.at("compliance")],
+        play=vector[layout.at("play")],
+        twist=vector[layout.at("twist")].reshape(layout.joints + 1, 6),
+        gravity=gravity_of(vector[layout.at("tilt")]),
+        mass=1.0 + vector[layout.at("mass")],
+        carry=vector[layout.at("carry")],
+    )
 
 
 def vector_of(layout: DisplacementLayout, displacement: Displacement) -> Array:
@@ -178,9 +198,14 @@ _DRAWS = ndtri((np.arange(64) + 0.5) / 64)  # of a torque that is not known exac
 
 
 def linearised(
-    arm: Arm, layout: DisplacementLayout, vector: Array, position: Array, approach: Array | None = None, *,
+    arm: Arm,
+    layout: DisplacementLayout,
+    vector: Array,
+    position: Array,
+    approach: Array | None = None,
+    *,
     flanks: bool = True,
-) -> tuple[Array, Array]:  # fmt: skip
+) -> tuple[Array, Array]:
     """Tool (M, 3) [m] at ``position`` (M, n) [rad] and its derivative (M, 3, k) by the parameters.
 
     ``approach`` (M, n) [rad] as in `Measurements`; ``flanks``: with changes of flank, whose slope holds within

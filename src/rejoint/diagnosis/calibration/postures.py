@@ -71,9 +71,14 @@ class Suggestion:
 
 
 def suggest(
-    arm: Arm, count: int, *, visits: int = 2, sigma: float = 5e-4, prior: Calibration | None = None,
+    arm: Arm,
+    count: int,
+    *,
+    visits: int = 2,
+    sigma: float = 5e-4,
+    prior: Calibration | None = None,
     seed: int = 0,
-) -> Suggestion:  # fmt: skip
+) -> Suggestion:
     """Choose ``count`` visits for measurements of ``sigma`` [m] per coordinate.
 
     Each posture gets ``visits`` (1 or 2). InputError for too few free postures.
@@ -101,9 +106,11 @@ def suggest(
         expected.append(_expected(region, covariance))
     came = np.where(np.arange(count) % 2, -1.0, 1.0)[:, None]
     return Suggestion(
-        postures=postures[chosen], approach=postures[chosen] - BEFORE * came, expected=np.array(expected),
+        postures=postures[chosen],
+        approach=postures[chosen] - BEFORE * came,
+        expected=np.array(expected),
         posture=np.unique(chosen, return_inverse=True)[1],
-    )  # fmt: skip
+    )
 
 
 def _candidates(arm: Arm, seed: int) -> Array:

@@ -47,9 +47,7 @@ def preload(found: Calibration, position: Array) -> Preload:
     arm, own = found.arm, found.displacement
     sides = {side: _chance(arm, _tilted(own, axis), position) for side, axis in _SIDES.items()}
     best = min(sides, key=lambda side: sides[side])
-    return Preload(
-        joints=_floating(found, position), chance=_chance(arm, own, position), wedge=sides[best], side=best
-    )  # fmt: skip
+    return Preload(joints=_floating(found, position), chance=_chance(arm, own, position), wedge=sides[best], side=best)
 
 
 def _floating(found: Calibration, position: Array) -> tuple[str, ...]:

@@ -220,10 +220,16 @@ OnMeasured = Callable[[Measurements, int], object]
 
 
 def measure(
-    robot: Robot, gauge: Gauge, plan: Suggestion, *, limits: GuardLimits | None = None,
-    stance: Stance | None = None, on_progress: Progress = no_progress, on_measured: OnMeasured | None = None,
+    robot: Robot,
+    gauge: Gauge,
+    plan: Suggestion,
+    *,
+    limits: GuardLimits | None = None,
+    stance: Stance | None = None,
+    on_progress: Progress = no_progress,
+    on_measured: OnMeasured | None = None,
     begun: tuple[Measurements, MeasuringSession] | None = None,
-) -> Measurements:  # fmt: skip
+) -> Measurements:
     """Move one arm to the postures of ``plan`` and measure the tool there; resumes ``begun``.
 
     InputError for no measurements, NotReadyError for a moving arm; errors of `run`.
@@ -249,11 +255,16 @@ def measure(
 
 def _with_row(
     before: Measurements | None, position: Array, approach: Array, point: Array, posture: int, gauge: Gauge
-) -> Measurements:  # fmt: skip
+) -> Measurements:
     new = Measurements(
-        position=position[None], approach=approach[None], point=point[None], sigma=np.array([gauge.sigma]),
-        posture=np.array([posture]), frame=gauge.frame, source=gauge.source,
-    )  # fmt: skip
+        position=position[None],
+        approach=approach[None],
+        point=point[None],
+        sigma=np.array([gauge.sigma]),
+        posture=np.array([posture]),
+        frame=gauge.frame,
+        source=gauge.source,
+    )
     if before is None:
         return new
     names = ("position", "approach", "point", "sigma", "posture")

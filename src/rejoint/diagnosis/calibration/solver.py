@@ -202,9 +202,15 @@ def solve(problem: Fittable, start: Array, iterations: int = ITERATIONS) -> Fitt
             return np.concatenate([both.reshape(-1, free.sum()), root[:, free]])
 
         found = least_squares(
-            residual, np.clip(vector, belief.lower, belief.upper)[free], derivative, x_scale="jac",
-            bounds=(belief.lower[free], belief.upper[free]), max_nfev=iterations, ftol=_SMALL, xtol=_SMALL,
-        )  # fmt: skip
+            residual,
+            np.clip(vector, belief.lower, belief.upper)[free],
+            derivative,
+            x_scale="jac",
+            bounds=(belief.lower[free], belief.upper[free]),
+            max_nfev=iterations,
+            ftol=_SMALL,
+            xtol=_SMALL,
+        )
         vector, before, cost = whole(found.x), cost, found.cost
         if iterations < ITERATIONS or abs(before - cost) <= _SMALL * (1.0 + cost):
             break
@@ -248,6 +254,9 @@ def _fitted(problem: Fittable, vector: Array) -> Fitted:
     spread = np.log(np.abs(np.diagonal(whitener, axis1=1, axis2=2)))[problem.known].sum()
     evidence = -cost + spread + 0.5 * (np.linalg.slogdet(belief.precision)[1] - np.linalg.slogdet(curvature)[1])
     return Fitted(
-        layout=problem.layout, vector=vector, covariance=np.asarray(np.linalg.inv(curvature), dtype=float),
-        frame=problem.pose(vector), evidence=float(evidence),
-    )  # fmt: skip
+        layout=problem.layout,
+        vector=vector,
+        covariance=np.asarray(np.linalg.inv(curvature), dtype=float),
+        frame=problem.pose(vector),
+        evidence=float(evidence),
+    )

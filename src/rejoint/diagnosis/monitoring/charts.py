@@ -87,10 +87,14 @@ def chart(value: Array, temperature: Array, *, scatter: float, per_degree: float
     elif count > FEWEST and abs(smooth) > DRIFTING:
         state = "drifting"
     return Chart(
-        z=z, cusum=cusum, usual=usual, change=float(changes[-1]) if count else 0.0,
-        lately=float(np.median(changes[-LATELY:])) if count else 0.0, state=state,
+        z=z,
+        cusum=cusum,
+        usual=usual,
+        change=float(changes[-1]) if count else 0.0,
+        lately=float(np.median(changes[-LATELY:])) if count else 0.0,
+        state=state,
         since=since if state in ("drifting", "alarm") else None,
-    )  # fmt: skip
+    )
 
 
 def _norm(value: Array, warm: Array, count: int, scatter: float, per_degree: float) -> tuple[float, float, float]:

@@ -136,11 +136,18 @@ def outlook(visits: Sequence[PastCheck], tolerance_mm: float | None = None, *, l
     bare = np.array(error, dtype=float)
     counts = bare if left_mm is None else left_mm + bare - bare[:FEWEST].mean()
     found = Outlook(
-        state=state, checks=len(visits), since=visits[0].time, newest=visits[-1].time, changes=changes,
+        state=state,
+        checks=len(visits),
+        since=visits[0].time,
+        newest=visits[-1].time,
+        changes=changes,
         error_mm=float(bare[-1]),
-        error_known=known, tolerance_mm=tolerance_mm, due=None, moved=moved,
+        error_known=known,
+        tolerance_mm=tolerance_mm,
+        due=None,
+        moved=moved,
         controlled_mm=None if left_mm is None else max(float(counts[-1]), left_mm),
-    )  # fmt: skip
+    )
     if tolerance_mm is None or found.over or moved:
         return found
     return replace(found, due=_due(visits, counts, warm, tolerance_mm))
@@ -162,9 +169,11 @@ def _quantities(visits: Sequence[PastCheck], warm: Array) -> list[tuple[str, str
         # Where a joint comes to rest lies within the band of its friction, and may go with the whole of it.
         band = FRICTION_PER_DEGREE * abs(float(np.median([one.hysteresis_mm for one in rows[:FEWEST]])))
         for name, share, least in (
-            ("hysteresis", FRICTION_PER_DEGREE, 0.0), ("reversal", 0.0, band),
-            ("sag", LOAD_PER_DEGREE, 0.0), ("deviation", LOAD_PER_DEGREE, zero),
-        ):  # fmt: skip
+            ("hysteresis", FRICTION_PER_DEGREE, 0.0),
+            ("reversal", 0.0, band),
+            ("sag", LOAD_PER_DEGREE, 0.0),
+            ("deviation", LOAD_PER_DEGREE, zero),
+        ):
             values = [getattr(one, f"{name}_mm") for one in rows]
             if all(value is not None for value in values):
                 value = np.array(values, dtype=float)
@@ -180,9 +189,18 @@ def _ranked(drawn: Sequence[Change]) -> tuple[Change, ...]:
     for one in drawn:
         key = one.state, one.joint
         most[key] = max(most.get(key, 0.0), abs(one.away))
-    return tuple(sorted(drawn, key=lambda one: (
-        order.index(one.state), not one.joint, -most[one.state, one.joint], one.quantity == "deviation", -abs(one.away),
-    )))  # fmt: skip
+    return tuple(
+        sorted(
+            drawn,
+            key=lambda one: (
+                order.index(one.state),
+                not one.joint,
+                -most[one.state, one.joint],
+                one.quantity == "deviation",
+                -abs(one.away),
+            ),
+        )
+    )
 
 
 def _moved(visits: Sequence[PastCheck]) -> tuple[MovedZero, ...]:
@@ -194,16 +212,21 @@ def _moved(visits: Sequence[PastCheck]) -> tuple[MovedZero, ...]:
         if all(one.sag_mm is not None for one in rows):
             others.append(np.array([_nan(one.sag_mm) for one in rows]))
         jump = find_jump(
-            deviation, others, np.array([_nan(one.temperature_c) for one in rows]),
-            scatter=_scatter("deviation", deviation), per_degree=ZERO_PER_DEGREE * row.lever_mm,
-        )  # fmt: skip
+            deviation,
+            others,
+            np.array([_nan(one.temperature_c) for one in rows]),
+            scatter=_scatter("deviation", deviation),
+            per_degree=ZERO_PER_DEGREE * row.lever_mm,
+        )
         if jump is not None:
             found.append(
                 MovedZero(
-                    joint=row.joint, degrees=float(np.degrees(jump.way / row.lever_mm)),
-                    after=visits[jump.at - 1].time, before=visits[jump.at].time,
+                    joint=row.joint,
+                    degrees=float(np.degrees(jump.way / row.lever_mm)),
+                    after=visits[jump.at - 1].time,
+                    before=visits[jump.at].time,
                 )
-            )  # fmt: skip
+            )
     return tuple(sorted(found, key=lambda one: -abs(one.degrees)))
 
 
@@ -215,10 +238,15 @@ def _scatter(name: str, value: Array) -> float:
 def _change(visits: Sequence[PastCheck], joint: str, name: str, value: Array, warm: Array, per_degree: float) -> Change:
     drawn: Chart = chart(value, warm, scatter=_scatter(name, value), per_degree=per_degree)
     return Change(
-        joint=joint, quantity=name, state=drawn.state, usual_mm=drawn.usual, now_mm=drawn.usual + drawn.change,
+        joint=joint,
+        quantity=name,
+        state=drawn.state,
+        usual_mm=drawn.usual,
+        now_mm=drawn.usual + drawn.change,
         since=None if drawn.since is None else visits[drawn.since].time,
-        cusum=float(drawn.cusum[-1]), away=drawn.lately / _scatter(name, value),
-    )  # fmt: skip
+        cusum=float(drawn.cusum[-1]),
+        away=drawn.lately / _scatter(name, value),
+    )
 
 
 def _due(visits: Sequence[PastCheck], error: Array, warm: Array, tolerance: float) -> Due | None:
@@ -234,8 +262,11 @@ def _due(visits: Sequence[PastCheck], error: Array, warm: Array, tolerance: floa
         return None
     now = visits[-1].time
     early = _after(now, left.early / pace)
-    return None if early is None else Due(early=early, middle=_after(now, left.middle / pace),
-                                          late=_after(now, left.late / pace))  # fmt: skip
+    return (
+        None
+        if early is None
+        else Due(early=early, middle=_after(now, left.middle / pace), late=_after(now, left.late / pace))
+    )
 
 
 def _after(now: datetime, days: float) -> datetime | None:

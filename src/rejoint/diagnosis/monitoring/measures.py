@@ -100,10 +100,14 @@ def measure_check(arm: Arm, log: RunLog, temperature: Array | None) -> CheckMeas
     seen = _tool(goal, 1e3 * tcp_position(arm, position))
     true = _tool(goal, 1e3 * tool) if np.isfinite(tool).all() else None
     return CheckMeasures(
-        joints=rows, error_mm=seen[0], repeatability_mm=seen[1], approach_mm=seen[2],
-        true_error_mm=None if true is None else true[0], true_approach_mm=None if true is None else true[2],
+        joints=rows,
+        error_mm=seen[0],
+        repeatability_mm=seen[1],
+        approach_mm=seen[2],
+        true_error_mm=None if true is None else true[0],
+        true_approach_mm=None if true is None else true[2],
         temperature_c=None if temperature is None else float(np.mean(temperature)),
-    )  # fmt: skip
+    )
 
 
 def require_followed(arm: Arm, log: RunLog) -> None:

@@ -106,9 +106,14 @@ def _fit(design: Array, value: Array, covariance: Array, believed: Array) -> tup
 
 
 def _passages(
-    rng: np.random.Generator, fit: tuple[Array, Array, float, float], count: int, x: Array, error: Array,
-    design: Array, tolerance: float,
-) -> tuple[Array, Array]:  # fmt: skip
+    rng: np.random.Generator,
+    fit: tuple[Array, Array, float, float],
+    count: int,
+    x: Array,
+    error: Array,
+    design: Array,
+    tolerance: float,
+) -> tuple[Array, Array]:
     best, spread, diffusion, noise = fit
     drawn = rng.multivariate_normal(best, spread, count, method="cholesky")
     drift = drawn[:, 1]

@@ -84,9 +84,12 @@ def _amplitude(arm: Arm) -> float:
     """[rad] of the sweeps about rest."""
     for share in _SMALLER:
         ends = np.array(
-            [sign * share * _AMPLITUDE * swept(arm, tuple(range(first, arm.joints, 2)))
-             for first in (0, 1) for sign in (-1.0, 1.0)]
-        )  # fmt: skip
+            [
+                sign * share * _AMPLITUDE * swept(arm, tuple(range(first, arm.joints, 2)))
+                for first in (0, 1)
+                for sign in (-1.0, 1.0)
+            ]
+        )
         if is_safe(arm, arm.rest + ends).all():
             return float(share * _AMPLITUDE)
     raise InputError(f"arm {arm.name}: its rest posture leaves no room to move its joints: {unsafe(arm, arm.rest)}")
@@ -98,7 +101,7 @@ LABEL = "check"
 
 def record_check(
     robot: Robot, *, on_progress: Progress = no_progress, on_cycle: OnCycle | None = None
-) -> Sequence[tuple[RunLog, Array | None]]:  # fmt: skip
+) -> Sequence[tuple[RunLog, Array | None]]:
     """Drive every arm of ``robot`` through the check; return logs and mean servo temperatures (n,) [deg C].
 
     NotReadyError before the motion, GuardTripError or RobotError in it.

@@ -77,9 +77,11 @@ KEPT = 1.5
 
 # What the guard keeps a command from exceeding; the joint is named whose command it changed most
 _LIMITS = {
-    Reason.POSITION: "joint limit", Reason.STEP: "speed", Reason.LEAD: "distance ahead of the joint",
+    Reason.POSITION: "joint limit",
+    Reason.STEP: "speed",
+    Reason.LEAD: "distance ahead of the joint",
     Reason.ACCELERATION: "acceleration",
-}  # fmt: skip
+}
 _WORDS = {
     Reason.GAP: "no answers came for a while, or a joint was led back; the arm held and goes on slowly",
     Reason.NOT_FINITE: "a command or a position is not a number; check the controller and the connection",
@@ -237,11 +239,13 @@ class Animation:
         self._page.trail(trails.tool, trails.target if trails.moves else trails.target[:0])
         write, left = panel(), doing.left
         self._page.tell(
-            head=write.head(robot, controller, doing, "" if left is None else duration(left)), share=doing.share,
-            error=write.error(*trails.errors, subject.within), guard=write.guard(words, stopped),
+            head=write.head(robot, controller, doing, "" if left is None else duration(left)),
+            share=doing.share,
+            error=write.error(*trails.errors, subject.within),
+            guard=write.guard(words, stopped),
             joints=write.joints(subject.arm.joint_names, recent[-1], HOT) if len(recent) else "",
             legend=write.legend(_legend(subject, recent)),
-        )  # fmt: skip
+        )
 
 
 def _miss(records: Records) -> Array:

@@ -95,10 +95,15 @@ class WebPage:
         camera.position = look + size * np.array([1.25 * np.cos(side), 1.25 * np.sin(side), 0.55])
         cell = cell_of(size)
         grid = scene.add_grid(
-            "/ground", width=np.ceil(2.4 * size / cell) * cell, height=np.ceil(2.4 * size / cell) * cell,
-            cell_size=cell, section_size=2 * cell, cell_color=(225, 228, 232), section_color=(200, 205, 212),
+            "/ground",
+            width=np.ceil(2.4 * size / cell) * cell,
+            height=np.ceil(2.4 * size / cell) * cell,
+            cell_size=cell,
+            section_size=2 * cell,
+            cell_color=(225, 228, 232),
+            section_color=(200, 205, 212),
             shadow_opacity=0.2,
-        )  # fmt: skip
+        )
         self._arm, one = self._limbs("/arm", skeleton, LINKS, 1.0, None)
         self._ghost, two = self._limbs("/ghost", skeleton, (GHOST, GHOST), GHOST_SHARE, GHOST_OPACITY)
         self._target = scene.add_icosphere("/target", 0.0025 * max(size, 0.3) / 0.3, TARGET, visible=False)
@@ -110,11 +115,14 @@ class WebPage:
         self._way = scene.add_line_segments("/way", nowhere, TARGET, thickness=2.0, thickness_units="screen")
         boxes = [
             scene.add_box(
-                f"/keep_out/{k}", GHOST, box.upper - box.lower, position=0.5 * (box.lower + box.upper),
+                f"/keep_out/{k}",
+                GHOST,
+                box.upper - box.lower,
+                position=0.5 * (box.lower + box.upper),
                 opacity=GHOST_OPACITY,
             )
             for k, box in enumerate(arm.keep_out)
-        ]  # fmt: skip
+        ]
         self._parts = [grid, *boxes, *one, *two, self._target, self._true, self._trail, self._way]
         self._pace.visible = paced
 
@@ -138,10 +146,16 @@ class WebPage:
             upright = np.array([0.0, 0.0, 1.0])
             turn, _ = Rotation.align_vectors(end if length else upright, upright)
             scene.add_mesh_simple(
-                f"{path}/link", shape.vertices.astype(np.float32), shape.faces.astype(np.uint32), position=0.5 * end,
-                wxyz=turn.as_quat(scalar_first=True), color=colours[link % 2], opacity=opacity,
-                cast_shadow=opacity is None, receive_shadow=opacity is None,
-            )  # fmt: skip
+                f"{path}/link",
+                shape.vertices.astype(np.float32),
+                shape.faces.astype(np.uint32),
+                position=0.5 * end,
+                wxyz=turn.as_quat(scalar_first=True),
+                color=colours[link % 2],
+                opacity=opacity,
+                cast_shadow=opacity is None,
+                receive_shadow=opacity is None,
+            )
         return frames, [base]
 
     def pose(self, turns: Array, ghost: Array) -> None:
@@ -171,9 +185,12 @@ class WebPage:
     def tell(self, *, head: str, share: float, error: str, guard: str, joints: str, legend: str) -> None:
         """Write into the panel: HTML, and the ``share`` that is done."""
         texts = (
-            (self._head, head), (self._error, error), (self._guard, guard), (self._joints, joints),
+            (self._head, head),
+            (self._error, error),
+            (self._guard, guard),
+            (self._joints, joints),
             (self._legend, legend),
-        )  # fmt: skip
+        )
         for handle, text in texts:
             if handle.content != text:
                 handle.content = str(text)  # viser sends no subclass, such as a template's

@@ -73,9 +73,20 @@ def _row(run: int, cycle: Cycle, state: JointState, wanted: Array) -> tuple[Any,
     b = int(cycle.active.argmax())
     heat = np.full(wanted.shape[1], np.nan) if state.temperature is None else state.temperature[b]
     return (
-        cycle.time[b], run, cycle.target_index[b], cycle.reasons[b], b, cycle.target[b], cycle.aim[b],
-        cycle.true_tcp[b], cycle.position[b], cycle.command[b], wanted[b], cycle.load[b], heat,
-    )  # fmt: skip
+        cycle.time[b],
+        run,
+        cycle.target_index[b],
+        cycle.reasons[b],
+        b,
+        cycle.target[b],
+        cycle.aim[b],
+        cycle.true_tcp[b],
+        cycle.position[b],
+        cycle.command[b],
+        wanted[b],
+        cycle.load[b],
+        heat,
+    )
 
 
 TRAIL = 400

@@ -117,9 +117,14 @@ class LiveView(Observer):
             ghost = Ghost(robot.arm, cast("Twin", twin))
         slowed = _virtual(robot) if paced is None else paced
         subject = Subject(
-            arm=robot.arm, address=robot.address, count=robot.count, ring=Ring(robot.arm.joints), ghost=ghost,
-            within=Protocol.threshold if within is None else within, paced=slowed,
-        )  # fmt: skip
+            arm=robot.arm,
+            address=robot.address,
+            count=robot.count,
+            ring=Ring(robot.arm.joints),
+            ghost=ghost,
+            within=Protocol.threshold if within is None else within,
+            paced=slowed,
+        )
         self._subject = subject
         shown = WallClock(robot, lambda: self._pace) if slowed else robot
         return _LiveRobot(shown, self, subject)

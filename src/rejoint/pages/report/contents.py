@@ -126,11 +126,21 @@ def read_contents(path: Path) -> Contents:
         raise FileError(path, "nothing to report: no stage has been run here", "run `rejoint diagnose` first")
     known = () if comparison is None else comparison.controllers
     return Contents(
-        folder=folder, arm=arm, info=info, diagnosis=diagnosis, twin=twin, judgement=judgement, curves=curves,
-        contract=contract, comparison=comparison, calibration=calibration, measurements=measurements,
-        hold=_trials(folder, known), effort=read_effort(folder),
+        folder=folder,
+        arm=arm,
+        info=info,
+        diagnosis=diagnosis,
+        twin=twin,
+        judgement=judgement,
+        curves=curves,
+        contract=contract,
+        comparison=comparison,
+        calibration=calibration,
+        measurements=measurements,
+        hold=_trials(folder, known),
+        effort=read_effort(folder),
         kept=_optional(folder.kept, lambda file: read_json(file, Kept)),
-    )  # fmt: skip
+    )
 
 
 def _optional(path: Path, read: Callable[[Path], T]) -> T | None:
@@ -200,9 +210,7 @@ def before_after(contents: Contents, controller: str) -> BeforeAfter | None:
     """Compare the uncorrected arm with ``controller``; None: not compared."""
     if contents.comparison is None:
         return None
-    return BeforeAfter(
-        controller=controller, before=found(contents), after=_errors(contents.comparison, controller)
-    )  # fmt: skip
+    return BeforeAfter(controller=controller, before=found(contents), after=_errors(contents.comparison, controller))
 
 
 def found(contents: Contents) -> MeanErrors:

@@ -254,9 +254,17 @@ def legend(figure: Figure, axes: Axes, order: Sequence[str]) -> None:
     found = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
     labels = [label for label in order if label in found]
     figure.legend(
-        [found[label] for label in labels], labels, loc="outside upper left", ncols=min(len(labels), LEGEND_COLUMNS),
-        frameon=False, fontsize=FONT, labelcolor=INK, handlelength=2.6, columnspacing=1.4, borderpad=0.1,
-    )  # fmt: skip
+        [found[label] for label in labels],
+        labels,
+        loc="outside upper left",
+        ncols=min(len(labels), LEGEND_COLUMNS),
+        frameon=False,
+        fontsize=FONT,
+        labelcolor=INK,
+        handlelength=2.6,
+        columnspacing=1.4,
+        borderpad=0.1,
+    )
 
 
 def plain_log(axis: Axis) -> None:
@@ -274,9 +282,18 @@ def error_per_target(series: Sequence[Series], reference: Series | None = None) 
     for i, one in enumerate(series):
         at = np.arange(1, count + 1) + (i - (len(series) - 1) / 2) * width
         axes.bar(
-            at, one.value, width * 0.92, label=one.label, color=one.look.colour, hatch=one.look.hatch,
-            edgecolor=GROUND, linewidth=0.0, yerr=whiskers(one), ecolor=INK, error_kw={"elinewidth": 0.7},
-        )  # fmt: skip
+            at,
+            one.value,
+            width * 0.92,
+            label=one.label,
+            color=one.look.colour,
+            hatch=one.look.hatch,
+            edgecolor=GROUND,
+            linewidth=0.0,
+            yerr=whiskers(one),
+            ecolor=INK,
+            error_kw={"elinewidth": 0.7},
+        )
     if reference is not None:
         colour = reference.look.colour
         axes.axhline(
@@ -308,10 +325,16 @@ def intervals(rows: Sequence[Series], xlabel: str, *, log: bool = False) -> Figu
         bars = whiskers(one)
         for k, value in enumerate(one.value):
             axes.errorbar(
-                value, y, xerr=None if bars is None else bars[:, k : k + 1], fmt=one.look.marker, markersize=6,
-                color=one.look.colour, markerfacecolor=one.look.colour if k == 0 else GROUND, capsize=2.5,
+                value,
+                y,
+                xerr=None if bars is None else bars[:, k : k + 1],
+                fmt=one.look.marker,
+                markersize=6,
+                color=one.look.colour,
+                markerfacecolor=one.look.colour if k == 0 else GROUND,
+                capsize=2.5,
                 linewidth=1.6,
-            )  # fmt: skip
+            )
     if log:
         axes.set_xscale("log")
         plain_log(axes.xaxis)
@@ -355,9 +378,12 @@ def _ways(axes: Axes, panel: Ways, across: int, up: int) -> None:
     for path in panel.paths:
         points = 1e3 * path[np.isfinite(path).all(axis=-1)]
         axes.plot(
-            points[:, across], points[:, up], color=panel.look.colour, linewidth=0.8 if thin else 1.1,
+            points[:, across],
+            points[:, up],
+            color=panel.look.colour,
+            linewidth=0.8 if thin else 1.1,
             alpha=0.75 if thin else 1.0,
-        )  # fmt: skip
+        )
         axes.plot(points[0, across], points[0, up], "s", markersize=4, color=panel.look.colour)
     for number, target in enumerate(1e3 * panel.targets, start=1):
         circle = 1e3 * panel.radius * np.stack([np.cos(TURN), np.sin(TURN)])
@@ -365,9 +391,13 @@ def _ways(axes: Axes, panel: Ways, across: int, up: int) -> None:
         axes.plot(target[across], target[up], "+", markersize=4, color=INK, markeredgewidth=0.8)
         if panel.numbered:
             axes.annotate(
-                str(number), (target[across], target[up]), xytext=(5, 5), textcoords="offset points",
-                fontsize=FONT - 1.5, color=INK,
-            )  # fmt: skip
+                str(number),
+                (target[across], target[up]),
+                xytext=(5, 5),
+                textcoords="offset points",
+                fontsize=FONT - 1.5,
+                color=INK,
+            )
 
 
 def error_over_time(time: Array, series: Sequence[Series]) -> Figure:

@@ -67,11 +67,17 @@ def write_replay(folder: Path, judgement: Judgement, *, twin: str, logs: str) ->
     gallery = Gallery()
     write_json(folder / "replay.json", judgement)
     path = write_page(
-        folder / "replay.html", "replay.html", title=f"Replay: {judgement.arm}", parts=(),
+        folder / "replay.html",
+        "replay.html",
+        title=f"Replay: {judgement.arm}",
+        parts=(),
         subtitle=f"{twin} on {plural(len(judgement.motions), 'motion')} of {logs}",
-        verdict=(*answer(judgement)[:2], CAVEAT), judgement=judgement, answer=answer, draw=Pictures(gallery),
+        verdict=(*answer(judgement)[:2], CAVEAT),
+        judgement=judgement,
+        answer=answer,
+        draw=Pictures(gallery),
         footer=f"Made by rejoint {__version__}.",
-    )  # fmt: skip
+    )
     gallery.save(folder / "figures")
     return path
 
@@ -184,10 +190,18 @@ def write_datasheet(folder: Path, out: Path) -> Path:
             posture = it.measurements.posture.astype(np.intp)
             left_out = tuple(spread(column, posture) for column in it.calibration.left_out.T)
     return write_page(
-        out, "datasheet.html", it=it, best=best, found=found(it), found_of=_found_of(it), left_out=left_out,
-        period=_period(it), reach=reach(it.arm), version=__version__,
+        out,
+        "datasheet.html",
+        it=it,
+        best=best,
+        found=found(it),
+        found_of=_found_of(it),
+        left_out=left_out,
+        period=_period(it),
+        reach=reach(it.arm),
+        version=__version__,
         reversal=spread(np.array(back), np.arange(len(back))) if back else None,
-    )  # fmt: skip
+    )
 
 
 def _period(contents: Contents) -> str:

@@ -87,14 +87,16 @@ class Pictures:
         series = [_bars(comparison, name) for name in known if name in names]
         words = "; ".join(
             f"{one.label}: {number(np.nanmin(one.value), 2)} to {number(np.nanmax(one.value), 2)} mm"
-            for one in series if np.isfinite(one.value).any()
-        )  # fmt: skip
+            for one in series
+            if np.isfinite(one.value).any()
+        )
         return self.show(
-            "error-per-target", error_per_target(series, healthy_error(contents.diagnosis)),
+            "error-per-target",
+            error_per_target(series, healthy_error(contents.diagnosis)),
             alt=f"Bars: settled encoder error at each target of the first set. {words}. The table has the means.",
             caption="Settled encoder error at each target of the first set; lines: smallest to largest of the "
             "repetitions. Compare Park et al. 2024, Figs. 8 and 9.",
-        )  # fmt: skip
+        )
 
     def tool_places(self, found: Calibration, measured: Measurements) -> Picture | None:
         """Draw the measured tool; None without a whole point."""
@@ -107,12 +109,13 @@ class Pictures:
         scale, off = arrow_scale(seen, tool), np.linalg.norm(tool - seen, axis=1) * MM
         left = "" if whole.all() else f" {plural(int((~whole).sum()), 'point')} without all coordinates left out."
         return self.show(
-            "tool-places", arrows(seen, tool, wrong),
+            "tool-places",
+            arrows(seen, tool, wrong),
             alt=f"Arrows at {len(seen)} points from where the encoders saw the tool to where it was, "
             f"{number(float(off.min()), 2)} to {number(float(off.max()), 2)} mm long.",
             caption="Where the encoders saw the tool (circles) and where it was measured (ends of the arrows), in the "
             f"base frame. Arrows are drawn {_length(scale)}.{left}",
-        )  # fmt: skip
+        )
 
     def error_over_time(self, arm: Arm, logs: Mapping[str, RunLog]) -> Picture:
         """Draw the median error after a new target per controller, with 10th and 90th percentile."""
@@ -124,12 +127,13 @@ class Pictures:
             series.append(Series(label=short(name), look=look_of(name), value=middle, low=low, high=high))
             last.append(f"{short(name)}: {number(next(iter(middle[np.isfinite(middle)][::-1]), None), 2, 'mm')}")
         return self.show(
-            "error-over-time", error_over_time(time, series),
+            "error-over-time",
+            error_over_time(time, series),
             alt="Encoder error over the time since a target was set, log axis. Medians at the end of each line: "
             f"{'; '.join(last)}.",
             caption="Encoder error after a new target is set: median over the targets of one trial, and where 80 % of "
             "them lie. By the encoders, from where they are to stand. Dashed levels: 10, 5 and 2 mm.",
-        )  # fmt: skip
+        )
 
     def open_loop(self, diagnosis: Diagnosis) -> Picture:
         """Draw the arm's rest positions in the diagnosis."""
@@ -138,21 +142,24 @@ class Pictures:
         names = (("by its encoders", palette.GREY), ("true error of the tool", palette.BROWN))
         series = [
             Series(label=f"this arm, {name}", look=look, value=values)
-            for (name, look), values in zip(names, errors, strict=True) if np.isfinite(values).any()
-        ]  # fmt: skip
+            for (name, look), values in zip(names, errors, strict=True)
+            if np.isfinite(values).any()
+        ]
         values = ", ".join(f"target {i} {number(one.error_mm, 2)}" for i, one in enumerate(targets, start=1))
         return self.show(
-            "open-loop", error_per_target(series, healthy_error(diagnosis)),
+            "open-loop",
+            error_per_target(series, healthy_error(diagnosis)),
             alt=f"Bars: encoder error in mm at each of {len(targets)} targets, open loop: {values}.",
             caption="Where the arm comes to rest when it is told once where to go.",
-        )  # fmt: skip
+        )
 
     def training(self, curves: Curves) -> Picture:
         """Draw training curves."""
         drawn = (
-            ("reward per control cycle", curves.reward), ("success rate [%]", 100 * curves.success_rate),
+            ("reward per control cycle", curves.reward),
+            ("success rate [%]", 100 * curves.success_rate),
             ("median error at the end of a target [mm]", curves.error_mm),
-        )  # fmt: skip
+        )
         words = f"Reward, success rate and error over {cycles(curves.step[-1])}; at the end: {curves.outcome}."
         return self.show("training", training_curves(curves.step, drawn, palette.BLUE), alt=words)
 
@@ -166,11 +173,12 @@ class Pictures:
             series = [series_of(name, looks[name], mean) for name, mean in means.items()]
             words = ", ".join(f"{name} {number(mean.value, 3)}" for name, mean in means.items())
             yield self.show(
-                f"prediction-{kind}", intervals(series, f"error of the tool {where} [mm]"),
+                f"prediction-{kind}",
+                intervals(series, f"error of the tool {where} [mm]"),
                 alt=f"Marks: mean prediction error of the tool {where} in mm: {words}.",
                 caption=f"Open loop from the first measured posture, {where}: mean over the motions, each counting "
                 "the same, with its 95 % interval over motions.",
-            )  # fmt: skip
+            )
 
 
 def _bars(comparison: Comparison, name: str) -> Series:
@@ -227,9 +235,15 @@ def _draw(axes: Axes, seen: Array, tool: Array, scale: int, look: Look, label: s
     axes.plot(*seen.T, "o", markersize=5, color=INK, markerfacecolor="none", linewidth=0)
     axes.plot(*(seen + away).T, look.marker, markersize=4, color=look.colour, label=label)
     axes.quiver(
-        *seen.T, *away.T, angles="xy", scale_units="xy", scale=1.0, color=look.colour, width=0.0035 * HALF / WIDE * 2,
+        *seen.T,
+        *away.T,
+        angles="xy",
+        scale_units="xy",
+        scale=1.0,
+        color=look.colour,
+        width=0.0035 * HALF / WIDE * 2,
         headwidth=4,
-    )  # fmt: skip
+    )
 
 
 def draw_followed(folder: RunFolder, arm: Arm, done: Followed) -> Path:

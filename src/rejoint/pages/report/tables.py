@@ -31,10 +31,16 @@ def headers(comparison: Comparison) -> list[str]:
     """Headers of `cells`."""
     within = " / ".join(f"{distance * MM:g}" for distance in comparison.protocol.within)
     return [
-        "success [%]", "error at the crossing [mm]", f"{plural(len(comparison.targets[0]), 'target')} [s]",
-        "settled error, encoders [mm]", *(["orientation, encoders [deg]"] if comparison.orientations else []),
-        "settled error, true [mm]", f"time to stay within {within} mm [s]", "oscillation [mm]", "guard",
-    ]  # fmt: skip
+        "success [%]",
+        "error at the crossing [mm]",
+        f"{plural(len(comparison.targets[0]), 'target')} [s]",
+        "settled error, encoders [mm]",
+        *(["orientation, encoders [deg]"] if comparison.orientations else []),
+        "settled error, true [mm]",
+        f"time to stay within {within} mm [s]",
+        "oscillation [mm]",
+        "guard",
+    ]
 
 
 def cells(row: ControllerRow, comparison: Comparison) -> list[Cell]:

@@ -71,12 +71,18 @@ CONDITIONS = (
     ArmCondition(name="worn", meaning="worn arms"),
     ArmCondition(name="askew", meaning="worn arms on a base tilted by 8 degrees", tilt=np.radians(8.0)),
     ArmCondition(name="wedge", meaning="worn arms on a base raised by 2 degrees on one side", tilt=np.radians(2.0)),
-    ArmCondition(name="misdescribed", meaning="worn arms, masses 15 % off, links off by 1 mm and 0.3 deg", mass=0.15,
-              shift=1e-3, turn=np.radians(0.3)),
+    ArmCondition(
+        name="misdescribed",
+        meaning="worn arms, masses 15 % off, links off by 1 mm and 0.3 deg",
+        mass=0.15,
+        shift=1e-3,
+        turn=np.radians(0.3),
+    ),
     ArmCondition(name="healthy", meaning="healthy arms", profile="healthy"),
-    ArmCondition(name="play-in-loop", meaning="worn arms whose encoders sit behind the gears' play",
-              profile="play-in-loop"),
-)  # fmt: skip
+    ArmCondition(
+        name="play-in-loop", meaning="worn arms whose encoders sit behind the gears' play", profile="play-in-loop"
+    ),
+)
 
 
 def find_condition(name: str) -> ArmCondition:
@@ -103,9 +109,12 @@ class Measured:
     def first(self, arm: int, count: int) -> Measurements:
         """Return the first measurements of one arm."""
         return Measurements(
-            position=self.position[arm, :count], approach=self.approach[arm, :count], point=self.point[arm, :count],
-            sigma=np.full(count, SIGMA), posture=self.posture[:count],
-        )  # fmt: skip
+            position=self.position[arm, :count],
+            approach=self.approach[arm, :count],
+            point=self.point[arm, :count],
+            sigma=np.full(count, SIGMA),
+            posture=self.posture[:count],
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -164,9 +173,14 @@ def open_condition(arm: Arm, condition: ArmCondition, family: ArmFamily, threads
     if condition.mass or condition.shift or condition.turn:
         bodies = [misdescribed(arm, condition, family.wear_seed(i)) for i in range(family.arms)]
     return EmulatedRobot(
-        arm, family_wears(arm, variant, family), address=f"emulated:{condition.name}", seed=family.seed,
-        threads=threads, bodies=bodies, gravity=gravity,
-    )  # fmt: skip
+        arm,
+        family_wears(arm, variant, family),
+        address=f"emulated:{condition.name}",
+        seed=family.seed,
+        threads=threads,
+        bodies=bodies,
+        gravity=gravity,
+    )
 
 
 def misdescribed(arm: Arm, condition: ArmCondition, seed: int) -> Arm:
@@ -179,9 +193,14 @@ def misdescribed(arm: Arm, condition: ArmCondition, seed: int) -> Arm:
 
 
 def evaluate_calibrations(
-    arm: Arm, conditions: Sequence[ArmCondition], contestant: Contestant, family: ArmFamily, folder: Path, threads: int,
+    arm: Arm,
+    conditions: Sequence[ArmCondition],
+    contestant: Contestant,
+    family: ArmFamily,
+    folder: Path,
+    threads: int,
     on_progress: Progress,
-) -> CalibrationEvaluation:  # fmt: skip
+) -> CalibrationEvaluation:
     """Try calibrations under all conditions; twins of the worn arms are kept in ``folder``."""
     on_progress(0.0, "twins, for targets anywhere")
     box = draw_targets(arm, sets=family.arms, count=family.targets, seed=FAMILY_SIZE * (family.seed + 1) + 1)
@@ -199,9 +218,14 @@ def evaluate_calibrations(
 
 
 def try_condition(
-    arm: Arm, condition: ArmCondition, controller: Callable[[Arm], Controller], family: ArmFamily,
-    fresh: Sequence[FreshTargets], threads: int, on_progress: Progress,
-) -> Trials:  # fmt: skip
+    arm: Arm,
+    condition: ArmCondition,
+    controller: Callable[[Arm], Controller],
+    family: ArmFamily,
+    fresh: Sequence[FreshTargets],
+    threads: int,
+    on_progress: Progress,
+) -> Trials:
     """Measure, calibrate and drive all arms of a condition."""
     suggestion = suggest(arm, max(POINTS), visits=2, sigma=SIGMA)
     on_progress(0.0, f"{condition.name}: measuring")
@@ -253,9 +277,13 @@ def find_wrong(arm: Arm, measured: Measured, family: ArmFamily) -> tuple[NDArray
 
 
 def try_found(
-    robot: EmulatedRobot, found: Sequence[Calibration], controller: Callable[[Arm], Controller], targets: Array,
-    points: int, goals: JointGoals | None = None,
-) -> Tried:  # fmt: skip
+    robot: EmulatedRobot,
+    found: Sequence[Calibration],
+    controller: Callable[[Arm], Controller],
+    targets: Array,
+    points: int,
+    goals: JointGoals | None = None,
+) -> Tried:
     """Send all arms, corrected by what was ``found``, to ``targets`` (A, K, 3) [m] by their ``goals``."""
     arm, aims = robot.arm, np.empty_like(targets)
     for i, calibration in enumerate(found):
@@ -272,9 +300,12 @@ def try_found(
         low, high = calibration.interval(settled[i], targets[i], came[i])
         inside[i], expected[i] = (error[i] >= low) & (error[i] <= high), calibration.sigma(settled[i])
     return Tried(
-        points=points, error=error, inside=inside, expected=expected,
+        points=points,
+        error=error,
+        inside=inside,
+        expected=expected,
         used=np.array([one.used for one in found]),
-    )  # fmt: skip
+    )
 
 
 def _go(robot: EmulatedRobot, sent: Array, goal: Array) -> Array:
@@ -293,9 +324,11 @@ def _hold(
 
 def _errors(recording: Recording, targets: Array) -> Array:
     """Return true errors (A, K) [m] over the last second at each target; NaN after a guard's stop."""
-    return _over_last(recording, targets.shape[1], lambda rows, i, k: float(
-        np.linalg.norm(recording.true_tcp[rows, i] - targets[i, k], axis=-1).mean()
-    ))[..., 0]  # fmt: skip
+    return _over_last(
+        recording,
+        targets.shape[1],
+        lambda rows, i, k: float(np.linalg.norm(recording.true_tcp[rows, i] - targets[i, k], axis=-1).mean()),
+    )[..., 0]
 
 
 def _settled(recording: Recording, count: int) -> Array:
@@ -317,9 +350,15 @@ def _over_last(recording: Recording, count: int, value: Callable[[NDArray[np.int
 
 
 HEADERS = (
-    "where", "points", "true error, mm", "95 % below, mm", "expected, mm", "in the interval, %", "corrected arms, %",
+    "where",
+    "points",
+    "true error, mm",
+    "95 % below, mm",
+    "expected, mm",
+    "in the interval, %",
+    "corrected arms, %",
     "worst arm, mm farther off",
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -370,10 +409,15 @@ def rows_of(condition: str, held: Held) -> list[CalibratedRow]:
         known = np.where(np.isfinite(tried.error), tried.inside, np.nan)
         harm = np.nanmax(np.nanmean(tried.error, axis=1) - np.nanmean(before, axis=1))
         row = replace(
-            rows[0], points=tried.points, error=_mean(tried.error), p95=_p95(tried.error),
-            expected=float(np.sqrt(np.nanmean(tried.expected**2))), inside=clustered_share(known.ravel(), arms),
-            used=float(tried.used.mean()), harm=float(harm),
-        )  # fmt: skip
+            rows[0],
+            points=tried.points,
+            error=_mean(tried.error),
+            p95=_p95(tried.error),
+            expected=float(np.sqrt(np.nanmean(tried.expected**2))),
+            inside=clustered_share(known.ravel(), arms),
+            used=float(tried.used.mean()),
+            harm=float(harm),
+        )
         rows.append(row)
     return rows
 
@@ -400,9 +444,12 @@ def _cells(row: CalibratedRow) -> list[str]:
     if row.expected is None or row.inside is None or row.used is None or row.harm is None:
         return [*cells, "", "", "", ""]
     return [
-        *cells, number(row.expected * MM, 3), _words(row.inside, 100), number(100 * row.used, 3),
+        *cells,
+        number(row.expected * MM, 3),
+        _words(row.inside, 100),
+        number(100 * row.used, 3),
         f"{row.harm * MM:+.2f}",
-    ]  # fmt: skip
+    ]
 
 
 def _words(estimate: Estimate, factor: float = MM) -> str:
@@ -422,9 +469,12 @@ def conclude(arm: str, controller: str, family: ArmFamily, trials: Sequence[Tria
     """Put conditions together."""
     shares = {one.condition.name: shares_of(one) for one in trials}
     return CalibrationEvaluation(
-        arm=arm, software=__version__, controller=controller, family=family,
+        arm=arm,
+        software=__version__,
+        controller=controller,
+        family=family,
         meanings={one.condition.name: one.condition.meaning for one in trials},
         rows=tuple(row for one in trials for held in one.held for row in rows_of(one.condition.name, held)),
         named={name: named for name, (named, _) in shares.items()},
         accused={name: accused for name, (_, accused) in shares.items()},
-    )  # fmt: skip
+    )

@@ -87,9 +87,12 @@ def learned(path: Path, arm: Arm) -> Contestant:
     contract = load_policy(path, arm).contract
     group = f"policy {contract.preset}" + (" on its twin" if contract.twin_digest else "")
     return Contestant(
-        name=f"{group} #{contract.seed}", group=group, make=lambda arm: load_policy(path, arm),
-        identity=_digest(path.read_bytes()), learned=True,
-    )  # fmt: skip
+        name=f"{group} #{contract.seed}",
+        group=group,
+        make=lambda arm: load_policy(path, arm),
+        identity=_digest(path.read_bytes()),
+        learned=True,
+    )
 
 
 def _digest(content: bytes) -> str:

@@ -63,9 +63,13 @@ def own_twins(arm: Arm, family: ArmFamily, folder: Path) -> list[Twin]:
 
 
 def conclude(
-    arm: Arm, settings: TrialSettings, contestants: Sequence[Contestant], meanings: dict[str, str], outcomes: Outcomes,
+    arm: Arm,
+    settings: TrialSettings,
+    contestants: Sequence[Contestant],
+    meanings: dict[str, str],
+    outcomes: Outcomes,
     folder: Path,
-) -> Evaluation:  # fmt: skip
+) -> Evaluation:
     """Sum up and write ``evaluation.json`` and ``evaluation.html``."""
     result = summarise(arm, settings, contestants, meanings, outcomes)
     write_json(folder / "evaluation.json", result)
@@ -83,7 +87,11 @@ def outcome_path(folder: Path, variant: Variant, contestant: Contestant) -> Path
 
 def _identity(arm: Arm, variant: Variant, contestant: Contestant, settings: TrialSettings) -> dict[str, Any]:
     return {
-        "arm": arm.name, "variant": asdict(variant), "controller": contestant.identity,
-        "family": asdict(settings.family), "protocol": asdict(settings.protocol), "crossing": settings.crossing,
+        "arm": arm.name,
+        "variant": asdict(variant),
+        "controller": contestant.identity,
+        "family": asdict(settings.family),
+        "protocol": asdict(settings.protocol),
+        "crossing": settings.crossing,
         "software": __version__,
-    }  # fmt: skip
+    }

@@ -55,9 +55,13 @@ def know_arm(arm: Arm, wear_seed: int, folder: RunFolder, iterations: int | None
 
 
 def evaluate_identification(
-    arm: Arm, policies: Sequence[Path], settings: TrialSettings, folder: Path, iterations: int | None,
+    arm: Arm,
+    policies: Sequence[Path],
+    settings: TrialSettings,
+    folder: Path,
+    iterations: int | None,
     on_progress: Progress,
-) -> Evaluation:  # fmt: skip
+) -> Evaluation:
     """Compare controllers with and without each arm's twin; ``policies`` are generic."""
     family = settings.family
     total, merged = family.arms, dict[str, list[Outcome]]()
@@ -91,10 +95,13 @@ def _contestants(arm: Arm, known: KnownArm, policies: Sequence[Path]) -> list[Co
         make(lambda arm: planned(arm, [known.twin]), "predictive on its twin"),
         *(learned(path, arm) for path in policies),
         Contestant(
-            name="policy on its twin", group="policy on its twin", make=lambda arm: load_policy(known.policy, arm),
-            identity="", learned=True,
+            name="policy on its twin",
+            group="policy on its twin",
+            make=lambda arm: load_policy(known.policy, arm),
+            identity="",
+            learned=True,
         ),
-    ]  # fmt: skip
+    ]
 
 
 def bench_of(arm: Arm, wear_seed: int, settings: TrialSettings) -> TrialArms:
@@ -104,9 +111,13 @@ def bench_of(arm: Arm, wear_seed: int, settings: TrialSettings) -> TrialArms:
     def open_copies() -> EmulatedRobot:
         wear = load_wear(f"worn?seed={wear_seed}", arm)
         return EmulatedRobot(
-            arm, [wear] * COPIES, seed=wear_seed, period=worn.period, command_latency=worn.latency,
+            arm,
+            [wear] * COPIES,
+            seed=wear_seed,
+            period=worn.period,
+            command_latency=worn.latency,
             threads=settings.threads,
-        )  # fmt: skip
+        )
 
     targets = draw_targets(arm, sets=COPIES, count=max(family.targets, family.crossings), seed=wear_seed)
     return TrialArms(open=open_copies, targets=targets, wear_seed=np.full(COPIES, float(wear_seed)))

@@ -154,11 +154,14 @@ class _Block:
         recording = follow(robot, controller, Routes(list(guides)), Schedule(dwell=dwell, sent=start, keep_going=True))
         lines = [
             MovingLine(
-                wear_seed=self.seeds[b // len(STANDARD)], case=case, path=path.name,
-                errors=judge(self.arm, recording, Ahead(path=path), b).encoder, stopped=bool(recording.tripped[b]),
+                wear_seed=self.seeds[b // len(STANDARD)],
+                case=case,
+                path=path.name,
+                errors=judge(self.arm, recording, Ahead(path=path), b).encoder,
+                stopped=bool(recording.tripped[b]),
             )
             for b, path in enumerate(paths)
-        ]  # fmt: skip
+        ]
         return lines, recording
 
 
@@ -168,10 +171,16 @@ def _row(case: str, path: str, lines: Sequence[MovingLine]) -> MovingRow:
     rms = np.array([line.errors.rms_after if late else line.errors.rms for line in own])
     largest = max(line.errors.largest_after if late else line.errors.largest for line in own)
     return MovingRow(
-        case=case, path=path, arms=len(own), mean=float(rms.mean()), middle=float(np.median(rms)),
-        high=float(np.percentile(rms, 95)), largest=largest, lag=float(np.median([line.errors.lag for line in own])),
+        case=case,
+        path=path,
+        arms=len(own),
+        mean=float(rms.mean()),
+        middle=float(np.median(rms)),
+        high=float(np.percentile(rms, 95)),
+        largest=largest,
+        lag=float(np.median([line.errors.lag for line in own])),
         stopped=sum(line.stopped for line in own),
-    )  # fmt: skip
+    )
 
 
 def moving_table(result: MovingEvaluation) -> tuple[str, list[str], list[list[str]]]:

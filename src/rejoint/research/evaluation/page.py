@@ -17,9 +17,14 @@ from rejoint.research.evaluation.summary import NEVER_RATIO, Evaluation, Pair, V
 from rejoint.system.statistics import Estimate
 
 HEADERS = (
-    "settled, encoders [mm]", "95 % below [mm]", "farther than 5 mm [%]", "settled, true [mm]", "oscillation [mm]",
-    "stays within 10 / 5 / 2 mm after [s]", "ten targets [s]",
-)  # fmt: skip
+    "settled, encoders [mm]",
+    "95 % below [mm]",
+    "farther than 5 mm [%]",
+    "settled, true [mm]",
+    "oscillation [mm]",
+    "stays within 10 / 5 / 2 mm after [s]",
+    "ten targets [s]",
+)
 
 
 def row_cells(row: VariantRow) -> list[Cell]:
@@ -56,14 +61,19 @@ def terminal_tables(evaluation: Evaluation) -> list[tuple[str, list[str], list[l
     for variant in evaluation.variants:
         rows = [
             [row.controller, *(cell.text for cell in row_cells(row))]
-            for row in evaluation.rows if row.variant == variant
-        ]  # fmt: skip
+            for row in evaluation.rows
+            if row.variant == variant
+        ]
         tables.append((f"{variant}: {evaluation.family.arms} arms", ["controller", *HEADERS], rows))
     pairs = [
-        [pair.variant, f"{pair.controller} against {pair.rival}",
-         *(f"{text} ({note})" if note else text for text, note in pair_cells(pair))]
-        for pair in evaluation.pairs if pair.rival == evaluation.best.get(pair.variant)
-    ]  # fmt: skip
+        [
+            pair.variant,
+            f"{pair.controller} against {pair.rival}",
+            *(f"{text} ({note})" if note else text for text, note in pair_cells(pair)),
+        ]
+        for pair in evaluation.pairs
+        if pair.rival == evaluation.best.get(pair.variant)
+    ]
     if pairs:
         headers = ["variant", "against the best rival", *pair_headers(evaluation)]
         tables.append(("Paired differences, 95 % intervals over arms", headers, pairs))
@@ -102,8 +112,10 @@ def write_page(path: Path, evaluation: Evaluation, pooled: Pooled) -> None:
 
     def figures(variant: str) -> Iterator[Picture]:
         """Draw the share of holds below each value."""
-        for key, label in (("settled", "settled encoder error [mm]"),
-                           ("stay", "time to stay within the narrowest distance [s]")):  # fmt: skip
+        for key, label in (
+            ("settled", "settled encoder error [mm]"),
+            ("stay", "time to stay within the narrowest distance [s]"),
+        ):
             figure, grid = canvas((HALF, 3.4))
             axes = grid[0, 0]
             for controller in evaluation.controllers:
@@ -113,9 +125,13 @@ def write_page(path: Path, evaluation: Evaluation, pooled: Pooled) -> None:
                     np.nan_to_num(np.concatenate([one.ravel() for one in found]), nan=np.inf, posinf=np.inf)
                 )
                 axes.plot(
-                    values, 100 * np.arange(1, len(values) + 1) / len(values), color=LOOKS[look(controller)].colour,
-                    linestyle=LOOKS[look(controller)].dash, label=controller, linewidth=1.5,
-                )  # fmt: skip
+                    values,
+                    100 * np.arange(1, len(values) + 1) / len(values),
+                    color=LOOKS[look(controller)].colour,
+                    linestyle=LOOKS[look(controller)].dash,
+                    label=controller,
+                    linewidth=1.5,
+                )
             axes.set_xscale("log")
             axes.set(xlabel=label, ylabel="holds [%]", ylim=(0, 100))
             axes.legend(frameon=False, fontsize=8)

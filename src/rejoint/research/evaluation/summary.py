@@ -99,11 +99,16 @@ def list_failures(variant: str, controller: str, outcome: Outcome) -> tuple[Fail
         names = ", ".join(reason_names(int(outcome.tripped[b]))) or "unknown"
         found.append(
             Failure(
-                variant=variant, controller=controller, arm=int(outcome.wear_seed[b]), target=int(k),
-                point_mm=(x, y, z), settled_mm=_mm(outcome.settled[b, k]), true_mm=_mm(outcome.settled_true[b, k]),
+                variant=variant,
+                controller=controller,
+                arm=int(outcome.wear_seed[b]),
+                target=int(k),
+                point_mm=(x, y, z),
+                settled_mm=_mm(outcome.settled[b, k]),
+                true_mm=_mm(outcome.settled_true[b, k]),
                 what=f"stopped by the guard ({names})" if stopped else "farther off than 5 mm",
             )
-        )  # fmt: skip
+        )
     return tuple(found)
 
 
@@ -220,10 +225,18 @@ def summarise(
         for failure in list_failures(v, one.name, outcomes[v, one.name])
     ]
     return Evaluation(
-        arm=arm.name, software=__version__, family=family, protocol=protocol, variants=variants, meanings=meanings,
-        controllers=tuple(groups), rows=rows, best={v: name for v, name in best.items() if name},
-        pairs=tuple(pairs), failures=tuple(failures),
-    )  # fmt: skip
+        arm=arm.name,
+        software=__version__,
+        family=family,
+        protocol=protocol,
+        variants=variants,
+        meanings=meanings,
+        controllers=tuple(groups),
+        rows=rows,
+        best={v: name for v, name in best.items() if name},
+        pairs=tuple(pairs),
+        failures=tuple(failures),
+    )
 
 
 def group(contestants: Sequence[Contestant]) -> dict[str, list[str]]:
@@ -244,16 +257,20 @@ def make_row(variant: str, controller: str, outcomes: Sequence[Outcome], protoco
     some = bool(np.isfinite(crossed).any())
     crossing_arms = _arms(outcomes, "crossed")
     return VariantRow(
-        variant=variant, controller=controller, seeds=len(outcomes),
-        settled=_mean(settled, arms), settled_p95=_p95(settled),
-        settled_true=_mean(true, arms), true_p95=_p95(true),
+        variant=variant,
+        controller=controller,
+        seeds=len(outcomes),
+        settled=_mean(settled, arms),
+        settled_p95=_p95(settled),
+        settled_true=_mean(true, arms),
+        true_p95=_p95(true),
         oscillation=_plain_mean(_joined(outcomes, "oscillation")),
         outside=clustered_share((~(settled <= FAR)).astype(float), arms),
         within=tuple(_within(d, stay[..., w], arms) for w, d in enumerate(protocol.within)),
         success=clustered_share(crossed, crossing_arms) if some else None,
         cycle_time=_mean(times, _per_arm(outcomes)),
         crossing_error=_mean(_joined(outcomes, "crossing_error"), crossing_arms),
-    )  # fmt: skip
+    )
 
 
 def make_pair(variant: str, mine: tuple[str, Sequence[Outcome]], other: tuple[str, Sequence[Outcome]]) -> Pair:
@@ -268,11 +285,14 @@ def make_pair(variant: str, mine: tuple[str, Sequence[Outcome]], other: tuple[st
 
     stays = matched("stay")
     return Pair(
-        variant=variant, controller=name, rival=rival,
-        settled=difference(*matched("settled")), settled_true=difference(*matched("settled_true")),
+        variant=variant,
+        controller=name,
+        rival=rival,
+        settled=difference(*matched("settled")),
+        settled_true=difference(*matched("settled_true")),
         stay_ratio=tuple(time_ratio(stays[0][..., w], stays[1][..., w]) for w in range(stays[0].shape[-1])),
         cycle_time=difference(*_cycle_times(both)),
-    )  # fmt: skip
+    )
 
 
 def _cycle_times(both: Sequence[tuple[Outcome, Outcome]]) -> tuple[Array, Array]:

@@ -70,9 +70,13 @@ class TrialArms:
 
 
 def try_controller(
-    arm: Arm, variant: Variant, controller: Callable[[Arm], Controller], settings: TrialSettings, on_targets: OnTargets,
+    arm: Arm,
+    variant: Variant,
+    controller: Callable[[Arm], Controller],
+    settings: TrialSettings,
+    on_targets: OnTargets,
     twins: Sequence[Twin] = (),
-) -> Outcome:  # fmt: skip
+) -> Outcome:
     """Try a controller on all arms of a variant; ``twins`` choose postures of targets anywhere."""
     family, goals = settings.family, None
     targets = family_targets(arm, family, max(family.targets, family.crossings))
@@ -118,10 +122,15 @@ def try_on(
         )
     stay = np.stack([holds[name] for name in settings.protocol.stay_names], axis=-1)
     return Outcome(
-        wear_seed=bench.wear_seed, target=held, settled=holds["settled"], settled_true=holds["settled_true"],
-        oscillation=holds["oscillation"], stay=np.where(stay >= settings.protocol.hold, np.inf, stay),
-        tripped=recording.tripped.astype(float), **crossings,
-    )  # fmt: skip
+        wear_seed=bench.wear_seed,
+        target=held,
+        settled=holds["settled"],
+        settled_true=holds["settled_true"],
+        oscillation=holds["oscillation"],
+        stay=np.where(stay >= settings.protocol.hold, np.inf, stay),
+        tripped=recording.tripped.astype(float),
+        **crossings,
+    )
 
 
 def _unknown(shape: tuple[int, ...]) -> Array:

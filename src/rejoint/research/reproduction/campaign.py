@@ -47,8 +47,12 @@ OnExperiment = Callable[[Experiment, bool], object]
 
 
 def run_experiments(
-    bench: Bench, experiments: Sequence[Experiment], *, again: bool = False, on_experiment: OnExperiment,
-) -> list[Finished]:  # fmt: skip
+    bench: Bench,
+    experiments: Sequence[Experiment],
+    *,
+    again: bool = False,
+    on_experiment: OnExperiment,
+) -> list[Finished]:
     """Run unfinished experiments and return all findings.
 
     ``again`` repeats experiments, not trainings or comparisons.
@@ -84,9 +88,13 @@ def _run(bench: Bench, experiment: Experiment) -> Finished:
     start = time.perf_counter()
     findings = experiment.run(bench)
     finished = Finished(
-        experiment=experiment.name, seed=bench.seed, quick=bench.quick, software=__version__,
-        seconds=time.perf_counter() - start, findings=findings,
-    )  # fmt: skip
+        experiment=experiment.name,
+        seed=bench.seed,
+        quick=bench.quick,
+        software=__version__,
+        seconds=time.perf_counter() - start,
+        findings=findings,
+    )
     write_json(finished_file(bench, experiment), finished)
     return finished
 
@@ -100,9 +108,15 @@ def write_page(bench: Bench, page: Path) -> Path:
         pictures.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(bench.folder / "figures" / f"{drawing.key}.png", pictures / f"{drawing.key}.png")
     return fill(
-        page, "reproduction.md", bench=bench, experiments=EXPERIMENTS, found=found, pictures=pictures.name, table=table,
+        page,
+        "reproduction.md",
+        bench=bench,
+        experiments=EXPERIMENTS,
+        found=found,
+        pictures=pictures.name,
+        table=table,
         anchor=_anchor,
-    )  # fmt: skip
+    )
 
 
 def table(headers: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:

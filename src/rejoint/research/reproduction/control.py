@@ -26,9 +26,11 @@ from rejoint.system.statistics import Estimate, Labels, cluster, clustered_share
 CLASSICAL = ("default", "pid-sum", "pid-literal")
 POLICIES = tuple(f"policy-{i}" for i in range(len(WORN)))
 NAMES = {
-    "default": "default", "pid-sum": "PID, plain sum", "pid-literal": "PID, as printed",
+    "default": "default",
+    "pid-sum": "PID, plain sum",
+    "pid-literal": "PID, as printed",
     **{policy: f"DT-DRL, seed {i}" for i, policy in enumerate(POLICIES)},
-}  # fmt: skip
+}
 PAPER = {
     "default": ("6.67", "22.0 ± 14.6", "197"),
     "pid": ("75.0", "13.4 ± 12.2", "96.3"),
@@ -47,9 +49,13 @@ def run(bench: Bench) -> Findings:
         numbers += _numbers(NAMES[name], result, [rows[name]], PAPER[paper])
     numbers += _numbers("DT-DRL", result, [rows[name] for name in POLICIES], PAPER["policy"])
     numbers.append(
-        Number(what="DT-DRL: training time", ours=f"{np.mean(seconds):.0f} s on one core",
-               paper="below 300 s, RTX 3090", value=float(np.mean(seconds)))
-    )  # fmt: skip
+        Number(
+            what="DT-DRL: training time",
+            ours=f"{np.mean(seconds):.0f} s on one core",
+            paper="below 300 s, RTX 3090",
+            value=float(np.mean(seconds)),
+        )
+    )
     sets, repetitions = bench.scale.sets, bench.scale.repetitions
     text = (
         f"{bench.scale.targets} targets one after the other, the next at the first crossing of 10 mm or after 20 s; "
@@ -167,12 +173,12 @@ def _figure(bench: Bench, result: Comparison) -> Drawing:
     return bench.draw(
         ways(panels, bounds([*paths.values(), targets])),
         Drawing(
-            key="fig-13", alt="The default stays beside the targets, PID wanders, the policy goes from one to the "
-            "next.",
+            key="fig-13",
+            alt="The default stays beside the targets, PID wanders, the policy goes from one to the next.",
             caption="Fig. 13. Paths of the TCP by encoder kinematics through the first set of targets, from above and "
             "from the side; circles of 10 mm, a square at the start.",
         ),
-    )  # fmt: skip
+    )
 
 
 TABLE_4 = Experiment(

@@ -95,15 +95,22 @@ def course(bench: Bench, name: str, condition: _Condition) -> Course:
     files[last] = folder.policy
     assert folder.outputs.snapshot(0) == files[0]  # noqa: S101 - the untrained policy is always kept
     episodes = [
-        play(load_policy(file, bench.arm), condition.ranges(bench.arm), bench.scale.judged, seed=bench.seed,
-             threads=bench.threads)
+        play(
+            load_policy(file, bench.arm),
+            condition.ranges(bench.arm),
+            bench.scale.judged,
+            seed=bench.seed,
+            threads=bench.threads,
+        )
         for file in files.values()
-    ]  # fmt: skip
+    ]
     found = Course(
         updates=tuple(files),
-        **{key: tuple(float(getattr(one, key).mean()) for one in episodes)
-           for key in ("reward", "steps", "reached", "collided")},
-    )  # fmt: skip
+        **{
+            key: tuple(float(getattr(one, key).mean()) for one in episodes)
+            for key in ("reward", "steps", "reached", "collided")
+        },
+    )
     write_json(path, found)
     return found
 
@@ -181,16 +188,24 @@ def _figure(bench: Bench, cycles: Array, courses: dict[str, list[Course]]) -> Dr
         curves = []
         for label, found in courses.items():
             values = np.array([getattr(one, key) for one in found])
-            curves.append(Series(label=label, look=looks[label], value=values.mean(axis=0), low=values.min(axis=0),
-                                high=values.max(axis=0)))  # fmt: skip
+            curves.append(
+                Series(
+                    label=label,
+                    look=looks[label],
+                    value=values.mean(axis=0),
+                    low=values.min(axis=0),
+                    high=values.max(axis=0),
+                )
+            )
         panels.append((name, curves))
     return bench.draw(
         over_training(cycles, panels),
         Drawing(
-            key="fig-12", alt="Reward rises and steps fall with the range of the worn arm, not without it.",
+            key="fig-12",
+            alt="Reward rises and steps fall with the range of the worn arm, not without it.",
             caption="Fig. 12. Policies on their way, judged on arms they have not met; three seeds each.",
         ),
-    )  # fmt: skip
+    )
 
 
 FIG_12 = Experiment(

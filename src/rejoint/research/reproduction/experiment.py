@@ -43,9 +43,15 @@ class Scale:
 
 FULL = Scale()
 QUICK = Scale(
-    sets=1, repetitions=2, targets=3, protocol=Protocol(dwell=2.0, hold=2.0), agents=16, updates=2, snapshot_every=2,
+    sets=1,
+    repetitions=2,
+    targets=3,
+    protocol=Protocol(dwell=2.0, hold=2.0),
+    agents=16,
+    updates=2,
+    snapshot_every=2,
     judged=8,
-)  # fmt: skip
+)
 """Enough to try every step"""
 
 

@@ -39,7 +39,15 @@ def over_training(steps: Array, panels: Sequence[tuple[str, Sequence[Series]]]) 
         heading(axes, name)
     handles, labels = grid[0, 0].get_legend_handles_labels()
     figure.legend(
-        handles, labels, loc="outside upper left", ncols=len(labels), frameon=False, fontsize=FONT, labelcolor=INK,
-        handlelength=2.8, columnspacing=1.6, borderpad=0.1,
-    )  # fmt: skip
+        handles,
+        labels,
+        loc="outside upper left",
+        ncols=len(labels),
+        frameon=False,
+        fontsize=FONT,
+        labelcolor=INK,
+        handlelength=2.8,
+        columnspacing=1.6,
+        borderpad=0.1,
+    )
     return figure

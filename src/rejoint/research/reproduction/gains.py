@@ -48,10 +48,14 @@ def run(bench: Bench) -> Findings:
         "descriptions hold, and these are the units of every training below.",
     )
     numbers = tuple(
-        Number(what=f"P = {p:g}, D = {d:g}: error, overshoot", ours=f"{error:.2g} mm, {over:.0f} %",
-               paper=word, value=error)
+        Number(
+            what=f"P = {p:g}, D = {d:g}: error, overshoot",
+            ours=f"{error:.2g} mm, {over:.0f} %",
+            paper=word,
+            value=error,
+        )
         for (p, d), (error, over), word in zip(PAIRS, measured["rescaled"], WORDS, strict=True)
-    )  # fmt: skip
+    )
     readings = (
         "P and D are given without units; see above. Friction and delay are left out, as in the paper's model.",
         "The range for training is given twice: 50 < P < 200 with P/50 < D < P/10 (section IV-C), and P of 50 to 100 "
@@ -111,11 +115,12 @@ def _figure(bench: Bench, paths: Array, targets: Array, measured: list[tuple[flo
     return bench.draw(
         ways(panels, limits, views=("top",)),
         Drawing(
-            key="fig-10", alt=f"Straight paths for the stiff pair, ringing ones for the others; errors "
+            key="fig-10",
+            alt=f"Straight paths for the stiff pair, ringing ones for the others; errors "
             f"{', '.join(f'{error:.1f}' for error, _ in measured)} mm.",
             caption="Fig. 10. Paths of the TCP from above; circles of 10 mm around the targets, a square at the start.",
         ),
-    )  # fmt: skip
+    )
 
 
 FIG_10 = Experiment(

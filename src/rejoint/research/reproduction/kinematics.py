@@ -40,12 +40,14 @@ def run(bench: Bench) -> Findings:
         Number(what="largest flange distance, Table 1 against the vendor's", ours=f"{apart:.2f} mm", value=apart),
         Number(what="the same with the vendor's d1 and d5", ours=f"{equal:.1g} mm", value=equal),
         Number(what="target box that inverse kinematics reaches", ours=f"{reached:.0f} %", paper="", value=reached),
+        Number(what="damped least-squares steps to 1 mm, at most 5° each (median)", ours=f"{steps:.0f}", value=steps),
         Number(
-            what="damped least-squares steps to 1 mm, at most 5° each (median)", ours=f"{steps:.0f}", value=steps
+            what="encoder step",
+            ours=f"{np.degrees(vendor.encoder_step):.3f}°",
+            paper="0.18°",
+            value=float(np.degrees(vendor.encoder_step)),
         ),
-        Number(what="encoder step", ours=f"{np.degrees(vendor.encoder_step):.3f}°", paper="0.18°",
-               value=float(np.degrees(vendor.encoder_step))),
-    )  # fmt: skip
+    )
     readings = (
         "Equation 5 prints θ where a rotation about x by α is meant; α was taken.",
         f"Equation 11, damping λ = {DAMPING:g}: the paper gives no unit. It is read in metres, and only the "
@@ -59,9 +61,14 @@ def paper_arm(rows: tuple[DhRow, ...]) -> Arm:
     """Build the myCobot 280 from a table of the paper."""
     vendor, (offset, axis, tip) = mycobot280(), dh_chain(rows)
     return replace(
-        vendor, offset=offset, axis=axis, tip=tip, lower=vendor.lower + PAPER_ANGLE_SHIFT,
-        upper=vendor.upper + PAPER_ANGLE_SHIFT, rest=vendor.rest + PAPER_ANGLE_SHIFT,
-    )  # fmt: skip
+        vendor,
+        offset=offset,
+        axis=axis,
+        tip=tip,
+        lower=vendor.lower + PAPER_ANGLE_SHIFT,
+        upper=vendor.upper + PAPER_ANGLE_SHIFT,
+        rest=vendor.rest + PAPER_ANGLE_SHIFT,
+    )
 
 
 def _largest_difference(vendor: Arm, paper: Arm, postures: Array) -> float:
@@ -98,8 +105,11 @@ def _table() -> Grid:
 
 def _row(row: DhRow) -> tuple[str, ...]:
     return (
-        f"{np.degrees(row.offset):g}", f"{1e3 * row.d:.5g}", f"{1e3 * row.a:.5g}", f"{np.degrees(row.alpha):g}",
-    )  # fmt: skip
+        f"{np.degrees(row.offset):g}",
+        f"{1e3 * row.d:.5g}",
+        f"{1e3 * row.a:.5g}",
+        f"{np.degrees(row.alpha):g}",
+    )
 
 
 TABLE_1 = Experiment(

@@ -46,11 +46,17 @@ def run(bench: Bench) -> Findings:
         _reached("the same, exploring as at the end of the training", busy),
         _length("length of the path over the straight way, first episode (median)", first),
         _length("the same, trained", last),
-        Number(what="episodes that end in a collision, first", ours=f"{100 * first.collided.mean():.1f} %",
-               value=float(100 * first.collided.mean())),
-        Number(what="the same, trained", ours=f"{100 * last.collided.mean():.1f} %",
-               value=float(100 * last.collided.mean())),
-    )  # fmt: skip
+        Number(
+            what="episodes that end in a collision, first",
+            ours=f"{100 * first.collided.mean():.1f} %",
+            value=float(100 * first.collided.mean()),
+        ),
+        Number(
+            what="the same, trained",
+            ours=f"{100 * last.collided.mean():.1f} %",
+            value=float(100 * last.collided.mean()),
+        ),
+    )
     readings = (
         "The paper shows pictures and gives no numbers here. It speaks of the policy after 20 episodes; the last one, "
         "after Table 3's 5000 time steps (20 episodes of 250), was taken.",
@@ -72,20 +78,27 @@ def _length(what: str, episodes: Episodes) -> Number:
 def _figure(bench: Bench, first: Episodes, last: Episodes) -> Drawing:
     shown = min(DRAWN, len(first.steps))
     panels = [
-        Ways(title=title, look=look, paths=[one.tcp[:, i] for i in range(shown)], targets=one.target[:shown],
-             numbered=False, radius=0.005)
+        Ways(
+            title=title,
+            look=look,
+            paths=[one.tcp[:, i] for i in range(shown)],
+            targets=one.target[:shown],
+            numbered=False,
+            radius=0.005,
+        )
         for title, look, one in (("first episode, exploring", RED, first), ("trained", BLUE, last))
-    ]  # fmt: skip
+    ]
     box = np.stack([bench.arm.targets.lower, bench.arm.targets.upper], axis=1)
     start = last.tcp[0, 0]
     limits = np.stack([np.minimum(box[:, 0], start) - 0.06, np.maximum(box[:, 1], start) + 0.06], axis=1)
     return bench.draw(
         ways(panels, limits),
         Drawing(
-            key="fig-11", alt="Tangled paths before the training, straight ones to every target after it.",
+            key="fig-11",
+            alt="Tangled paths before the training, straight ones to every target after it.",
             caption=f"Fig. 11. Paths of the TCP in {shown} episodes, from above and from the side; circles of 5 mm.",
         ),
-    )  # fmt: skip
+    )
 
 
 FIG_11 = Experiment(

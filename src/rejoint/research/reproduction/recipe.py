@@ -173,9 +173,15 @@ def _variants(outcomes: dict[str, TrainingOutcome]) -> Grid:
             )
         )
     headers = (
-        "largest action", "joint noise", "Δθ", "seed", "success in training %, 5 mm", "on the worn arm %, 10 mm",
-        "error at the crossing mm", "ten targets s",
-    )  # fmt: skip
+        "largest action",
+        "joint noise",
+        "Δθ",
+        "seed",
+        "success in training %, 5 mm",
+        "on the worn arm %, 10 mm",
+        "error at the crossing mm",
+        "ten targets s",
+    )
     return Grid(title="What the policies do on the worn arm", headers=headers, rows=tuple(rows))
 
 

@@ -87,9 +87,14 @@ def _work(bench: Bench, name: str) -> str:
 def _train(bench: Bench, name: str) -> None:
     preset, offset = recipe(name)
     options = TrainingOptions(
-        preset=preset, seed=bench.seed + offset, agents=bench.scale.agents, threads=1,
-        iterations=bench.scale.updates, snapshot_every=bench.scale.snapshot_every, resume=True,
-    )  # fmt: skip
+        preset=preset,
+        seed=bench.seed + offset,
+        agents=bench.scale.agents,
+        threads=1,
+        iterations=bench.scale.updates,
+        snapshot_every=bench.scale.snapshot_every,
+        resume=True,
+    )
     train(bench.arm, None, out=bench.training(name).path, options=options)
 
 
@@ -145,9 +150,7 @@ def play(
         paths.append(np.where(going[:, None], _point(result.final_observation, "tcp"), np.nan))
         going = going & ~(result.terminated | result.truncated)
         observation = result.observation
-    return Episodes(
-        reward=reward, steps=steps, reached=reached, collided=collided, tcp=np.stack(paths), target=target
-    )  # fmt: skip
+    return Episodes(reward=reward, steps=steps, reached=reached, collided=collided, tcp=np.stack(paths), target=target)
 
 
 def _point(observation: Observation, name: str) -> Array:

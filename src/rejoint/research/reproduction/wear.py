@@ -44,9 +44,11 @@ def run(bench: Bench) -> Findings:
     numbers = (
         *(_error(f"{profile} arm, mean error", PAPER_MM[profile], one.encoder_mm) for profile, one in arrivals.items()),
         Number(what="worn over healthy", ours=f"{ratio:.1f}", paper="7.34", value=ratio),
-        *(_error(f"{profile} arm, mean error of the tool itself", None, one.true_mm)
-          for profile, one in arrivals.items()),
-    )  # fmt: skip
+        *(
+            _error(f"{profile} arm, mean error of the tool itself", None, one.true_mm)
+            for profile, one in arrivals.items()
+        ),
+    )
     per_set = worn.mean(axis=1)
     text = (
         f"{targets.shape[0]} sets of {targets.shape[1]} targets in the paper's box; each target is sent once, as "
@@ -86,17 +88,21 @@ def _error(what: str, paper: float | None, error_mm: Array) -> Number:
 def _figure_9(bench: Bench, arrivals: dict[str, Arrival]) -> Drawing:
     looks = {"healthy": BLUE, "worn": RED}
     series = [
-        Series(label=f"{name}, mean {one.encoder_mm[0].mean():.1f} mm (paper {PAPER_MM[name]:g} mm)",
-               look=looks[name], value=one.encoder_mm[0])
+        Series(
+            label=f"{name}, mean {one.encoder_mm[0].mean():.1f} mm (paper {PAPER_MM[name]:g} mm)",
+            look=looks[name],
+            value=one.encoder_mm[0],
+        )
         for name, one in arrivals.items()
-    ]  # fmt: skip
+    ]
     return bench.draw(
         error_per_target(series),
         Drawing(
-            key="fig-9", alt="Bars of the error at ten targets: a few millimetres healthy, centimetres worn.",
+            key="fig-9",
+            alt="Bars of the error at ten targets: a few millimetres healthy, centimetres worn.",
             caption="Fig. 9. Error at each target of the first set; the means of the paper are in brackets.",
         ),
-    )  # fmt: skip
+    )
 
 
 FIG_9 = Experiment(

@@ -52,16 +52,23 @@ class TuningSettings:
 
 
 def tune(
-    arm: Arm, ranges: Ranges, intervals: Mapping[str, Interval], make: MakeController, settings: TuningSettings,
+    arm: Arm,
+    ranges: Ranges,
+    intervals: Mapping[str, Interval],
+    make: MakeController,
+    settings: TuningSettings,
     on_generation: OnGeneration,
-) -> dict[str, float]:  # fmt: skip
+) -> dict[str, float]:
     """Search gains; returns the last generation's centre."""
     names = list(intervals)
     low, high = np.log(np.array(list(intervals.values()))).T
     search = CMA(
-        mean=np.full(len(names), 0.5), sigma=settings.spread, bounds=np.tile([0.0, 1.0], (len(names), 1)),
-        population_size=settings.candidates, seed=settings.seed,
-    )  # fmt: skip
+        mean=np.full(len(names), 0.5),
+        sigma=settings.spread,
+        bounds=np.tile([0.0, 1.0], (len(names), 1)),
+        population_size=settings.candidates,
+        seed=settings.seed,
+    )
 
     def gains(point: Array) -> dict[str, Array]:
         return dict(zip(names, np.moveaxis(np.exp(low + point * (high - low)), -1, 0), strict=True))

@@ -137,9 +137,13 @@ class FeetechBus(Bus):
         self._wire: Wire | None = None
         self._zeros: Zeros | None = None
         self._tuning = Tuning(
-            self.ids, for_all(address.gains, len(self.ids)), read=self._read, write=self._write, call=self._call,
+            self.ids,
+            for_all(address.gains, len(self.ids)),
+            read=self._read,
+            write=self._write,
+            call=self._call,
             wait=self.clock.wait,
-        )  # fmt: skip
+        )
         self._supply: tuple[float, ...] | None = None
         self._goal: list[int] | None = None
         self._limp: set[int] = set()
@@ -166,9 +170,13 @@ class FeetechBus(Bus):
             if self._register(servo, MODE, 1, until) != 0:
                 raise RobotError(f"{self._call(servo)} is not in position mode; set its register {MODE} to 0")
         self._zeros = zeros_of(
-            self._arm, self._file, self._registers(HOMING, until, sign=11), self._registers(LIMITS, until),
-            self._registers(LIMITS + 2, until), self.address.zero,
-        )  # fmt: skip
+            self._arm,
+            self._file,
+            self._registers(HOMING, until, sign=11),
+            self._registers(LIMITS, until),
+            self._registers(LIMITS + 2, until),
+            self.address.zero,
+        )
         self._hold(until)
         self._hasten(until)
         self._tuning.prepare(until)

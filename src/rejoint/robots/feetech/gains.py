@@ -148,9 +148,15 @@ class Tuning:
     """Registers of the servos ``ids``; ``wanted`` holds on every connection."""
 
     def __init__(
-        self, ids: Sequence[int], wanted: Values, *, read: Read, write: Write, call: Callable[[int], str],
+        self,
+        ids: Sequence[int],
+        wanted: Values,
+        *,
+        read: Read,
+        write: Write,
+        call: Callable[[int], str],
         wait: Callable[[float], object],
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Callbacks read and write registers, name a servo, and wait."""
         self.values: Values = {}
         """in force, by `REGISTERS`"""
@@ -288,10 +294,13 @@ def feetech_address(text: str) -> FeetechAddress:
     if not (baud.isascii() and baud.isdecimal() and int(baud) > 0):
         raise ValueError(f"the baud rate must be a positive whole number, got {baud!r}")
     return FeetechAddress(
-        text=text, port=port, baud=int(baud), zero=_degrees(given.get("zero")),
+        text=text,
+        port=port,
+        baud=int(baud),
+        zero=_degrees(given.get("zero")),
         calibration=Path(given["calibration"]).expanduser() if "calibration" in given else None,
         gains=read_gains({name: given[name] for name in KNOBS if name in given}),
-    )  # fmt: skip
+    )
 
 
 def _degrees(text: str | None) -> tuple[float, ...]:

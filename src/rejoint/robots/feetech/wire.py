@@ -268,9 +268,11 @@ def zeros_of(
         _require_swept(arm, *ranges)
     turned = np.radians(degrees) if degrees else np.zeros(arm.joints)
     return Zeros(
-        middle=tuple(((ranges[0] + ranges[1]) / 2).tolist()), zero=tuple(turned.tolist()), low=tuple(low.tolist()),
+        middle=tuple(((ranges[0] + ranges[1]) / 2).tolist()),
+        zero=tuple(turned.tolist()),
+        low=tuple(low.tolist()),
         high=tuple(high.tolist()),
-    )  # fmt: skip
+    )
 
 
 def _require_swept(arm: Arm, low: Counts, high: Counts) -> None:
@@ -310,10 +312,13 @@ def decode(rows: Sequence[bytes], zeros: Zeros, laws: Sequence[DutyLaw], supply:
     table = np.array(zeros.radians(places) + loads + voltages + heats).reshape(4, len(rows))
     words = None if well else [_trouble(row, before) for row, before in zip(rows, supply, strict=True)]
     return Reading(
-        position=table[0], load=table[1], voltage=table[2], temperature=table[3],
+        position=table[0],
+        load=table[1],
+        voltage=table[2],
+        temperature=table[3],
         fault=np.zeros(len(rows), bool) if words is None else np.array([word is not None for word in words]),
         trouble=None if words is None else tuple(word or "" for word in words),
-    )  # fmt: skip
+    )
 
 
 def signed(word: int, bit: int) -> int:

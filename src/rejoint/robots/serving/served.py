@@ -115,9 +115,14 @@ class ServedArm(Mover):
     """One arm of n joints at rest at ``position`` (n,) [rad]."""
 
     def __init__(
-        self, arm: Arm, position: Array, *, apparent: Apparent | None = None, limits: GuardLimits | None = None,
+        self,
+        arm: Arm,
+        position: Array,
+        *,
+        apparent: Apparent | None = None,
+        limits: GuardLimits | None = None,
         motors: Motors | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Refuse orders to places that the guard's ``limits`` or the ``motors`` rule out."""
         self._limits, self._motors = limits, motors
         self.note = ""
@@ -332,9 +337,11 @@ class ServedArm(Mover):
 
     def _posture(self, pose: Array, start: Array, *, turned: bool) -> Array | None:
         turn = Orientation(
-            rotation=pose[None, :3, :3], whole=np.ones(1, dtype=bool), weight=np.full(1, WEIGHT),
+            rotation=pose[None, :3, :3],
+            whole=np.ones(1, dtype=bool),
+            weight=np.full(1, WEIGHT),
             axis=tool_axis(self.arm),
-        )  # fmt: skip
+        )
         found = self._held(pose, start, turn)
         if found is not None:
             return found

@@ -62,9 +62,14 @@ class OrderLog:
         words = {"why": why} if why else {}
         questions, self._questions = dict(self._questions), Counter()
         self.write(
-            "order", number=number, name=NAMES.get(command, f"0x{command:02x}"), payload=payload.hex(),
-            done=done, **words, questions_before=questions,
-        )  # fmt: skip
+            "order",
+            number=number,
+            name=NAMES.get(command, f"0x{command:02x}"),
+            payload=payload.hex(),
+            done=done,
+            **words,
+            questions_before=questions,
+        )
         return number
 
     def write(self, what: str, **found: object) -> None:
@@ -185,10 +190,13 @@ class Answering:
     def arrived(self, arrival: MoveEnd) -> None:
         """Write how a move ended; for the control loop."""
         self._log.write(
-            "arrival", number=self._number, error_mm=round(1e3 * arrival.error, 3),
-            farthest_joint_rad=round(arrival.angle, 5), after_s=round(arrival.after, 3),
+            "arrival",
+            number=self._number,
+            error_mm=round(1e3 * arrival.error, 3),
+            farthest_joint_rad=round(arrival.angle, 5),
+            after_s=round(arrival.after, 3),
             **{name: told for name in ("held_back", "short") if (told := getattr(arrival, name))},
-        )  # fmt: skip
+        )
         if arrival.error > HAS_ARRIVED_LENGTH or arrival.short:
             cause = f"the guard kept it back ({arrival.held_back})" if arrival.held_back else arrival.short
             cause = cause or "it came no nearer"

@@ -83,9 +83,14 @@ def controller_graph(design: Design) -> onnx.ModelProto:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # its successor cannot write the loop of a search
         torch.onnx.export(
-            _CycleGraph(design), tuple(inputs), cast("Any", file), dynamo=False, opset_version=OPSET,
-            input_names=["joint_pos", "target", "period", "state_in"], output_names=["joint_command", "state_out"],
-        )  # fmt: skip
+            _CycleGraph(design),
+            tuple(inputs),
+            cast("Any", file),
+            dynamo=False,
+            opset_version=OPSET,
+            input_names=["joint_pos", "target", "period", "state_in"],
+            output_names=["joint_command", "state_out"],
+        )
     model = onnx.load_from_string(file.getvalue())
     for output, length in zip(model.graph.output, (n, size), strict=True):
         output.type.tensor_type.shape.dim[1].dim_value = length  # what a loop leaves has no known size
@@ -234,10 +239,21 @@ class _CycleGraph(nn.Module):
         command = torch.minimum(torch.maximum(command, goal - law.envelope_margin), goal + law.envelope_margin)
         command = self._limited(command)
         actions = torch.cat([action, known["action"][: (HISTORY - 1) * self.n]])
-        memory = known | sticking | {
-            "sent": command, "begun": torch.ones(1, dtype=torch.float64), "target": target, "since_target": since,
-            "goal": goal, "correction": learned, "speed": speed, "position": position, "action": actions,
-        }  # fmt: skip
+        memory = (
+            known
+            | sticking
+            | {
+                "sent": command,
+                "begun": torch.ones(1, dtype=torch.float64),
+                "target": target,
+                "since_target": since,
+                "goal": goal,
+                "correction": learned,
+                "speed": speed,
+                "position": position,
+                "action": actions,
+            }
+        )
         state = torch.cat([memory[name] for name in slots])
         return command.float().reshape(1, -1), state.float().reshape(1, -1)
 
@@ -252,8 +268,9 @@ class _CycleGraph(nn.Module):
         taken, back = (torch.where(loose, one, 0.0) for one in (TAKEN_BACK * old["pushed"], torch.sign(old["pushed"])))
         return added - taken, {
             "pushed": torch.where(sticks, old["pushed"] + added, 0.0),
-            "eager": torch.where(back * came < 0.0, CALMER * eager, eager), "came": torch.where(loose, back, came),
-        }  # fmt: skip
+            "eager": torch.where(back * came < 0.0, CALMER * eager, eager),
+            "came": torch.where(loose, back, came),
+        }
 
     def _limited(self, q: Tensor) -> Tensor:
         return torch.minimum(torch.maximum(q, self.arm[-2]), self.arm[-1])
@@ -266,14 +283,19 @@ class _CycleGraph(nn.Module):
         mean = torch.where(old["begun"] > 0.5, old["mean_period"], MIDDLE_PERIOD)
         changed = mean + (elapsed.clamp(max=LONGEST_PERIOD) - mean) * PERIOD_SMOOTHING
         return {
-            "velocity": torch.where(news, shifted, velocity), "action": action,
+            "velocity": torch.where(news, shifted, velocity),
+            "action": action,
             "mean_period": torch.where(news, changed, mean),
-        }  # fmt: skip
+        }
 
     def _act(
-        self, position: Tensor, sent: Tensor, seen: tuple[Tensor, Tensor, Tensor], since: Tensor,
+        self,
+        position: Tensor,
+        sent: Tensor,
+        seen: tuple[Tensor, Tensor, Tensor],
+        since: Tensor,
         known: dict[str, Tensor],
-    ) -> Tensor:  # fmt: skip
+    ) -> Tensor:
         """Network's action (n,) for the observation layout ``residual``."""
         if self.design.network is None:
             return torch.zeros(self.n, dtype=torch.float64)

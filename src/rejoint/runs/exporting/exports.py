@@ -72,9 +72,10 @@ def _rigid(run: Run) -> tuple[Calibration, Displacement]:
         raise FileError(run.folder.calibration, "no such file", f"make it with: rejoint calibrate ROBOT {run.path}")
     if not found.used:
         raise FileError(
-            run.folder.calibration, "correcting by it does not clearly help, so there is nothing to export",
+            run.folder.calibration,
+            "correcting by it does not clearly help, so there is nothing to export",
             "measure more points",
-        )  # fmt: skip
+        )
     return found, found.displacement.rigid(run.arm, at_targets(run.arm))
 
 
@@ -155,9 +156,14 @@ def _of_feedforward(run: Run) -> Design:
     stiffness = np.full(arm.joints, NOMINAL_STIFFNESS * torque_size(arm))
     known = stiffness if twin is None else twin.parameters.stiffness
     law = CommandLaw(
-        anchor="goal", stiffness=tuple(float(value) for value in known), step_limit=float(STEP_LIMIT),
-        authority_floor=0.0, authority_slope=0.0, load_penalty=0.0, envelope_margin=2.0 * np.pi,
-    )  # fmt: skip
+        anchor="goal",
+        stiffness=tuple(float(value) for value in known),
+        step_limit=float(STEP_LIMIT),
+        authority_floor=0.0,
+        authority_slope=0.0,
+        load_penalty=0.0,
+        envelope_margin=2.0 * np.pi,
+    )
     return Design(
         arm=arm, law=law, network=None, name=FeedforwardController.name, damping=_damping(run), periods=_PERIODS
     )
@@ -176,9 +182,14 @@ def _of_policy(run: Run, policy: Policy, name: str) -> Design:
     periods = contract.min_period, contract.max_period
     gains = "" if contract.servo_gains is None else in_words(contract.servo_gains)
     return Design(
-        arm=run.arm, law=contract.law, network=policy.content, name=name, damping=_damping(run), periods=periods,
+        arm=run.arm,
+        law=contract.law,
+        network=policy.content,
+        name=name,
+        damping=_damping(run),
+        periods=periods,
         gains=gains,
-    )  # fmt: skip
+    )
 
 
 def _damping(run: Run) -> tuple[float, ...]:
@@ -245,20 +256,32 @@ def leapp_text(design: Design, file: str, data: bytes) -> str:
 
     arm, size = design.arm, sum(memory_slots(design.arm.joints).values())
     names = list(arm.joint_names)
-    slots = [name if length == 1 else f"{name}[{k}]" for name, length in memory_slots(arm.joints).items()
-             for k in range(length)]  # fmt: skip
+    slots = [
+        name if length == 1 else f"{name}[{k}]"
+        for name, length in memory_slots(arm.joints).items()
+        for k in range(length)
+    ]
     low, high = design.periods
 
     def tensor(name: str, kind: str, elements: list[str]) -> str:
-        return json.dumps({
-            "name": name, "dtype": "float32", "shape": [1, len(elements)], "type": "tensor", "kind": kind,
-            "element_names": [elements],
-        })  # fmt: skip
+        return json.dumps(
+            {
+                "name": name,
+                "dtype": "float32",
+                "shape": [1, len(elements)],
+                "type": "tensor",
+                "kind": kind,
+                "element_names": [elements],
+            }
+        )
 
     parameters = {
-        "model_path": file, "md5sum": hashlib.md5(data, usedforsecurity=False).hexdigest(),
-        "sha256sum": hashlib.sha256(data).hexdigest(), "backend": "onnx", "warp_segments": 0,
-    }  # fmt: skip
+        "model_path": file,
+        "md5sum": hashlib.md5(data, usedforsecurity=False).hexdigest(),
+        "sha256sum": hashlib.sha256(data).hexdigest(),
+        "backend": "onnx",
+        "warp_segments": 0,
+    }
     assert len(slots) == size  # noqa: S101 - written by the same table
     about = f"# {notice(design)}"
     if design.gains:
@@ -304,11 +327,15 @@ _TEMPLATES = files("rejoint.runs.exporting") / "ros2_files"
 
 # Templates, and where they go
 _FILES = {
-    "package.xml.txt": "package.xml", "setup.py.txt": "setup.py", "setup.cfg.txt": "setup.cfg",
-    "node.py.txt": "{package}/node.py", "controller.py.txt": "{package}/controller.py",
-    "launch.py.txt": "launch/controller.launch.py", "controllers.yaml.txt": "config/controllers.yaml",
+    "package.xml.txt": "package.xml",
+    "setup.py.txt": "setup.py",
+    "setup.cfg.txt": "setup.cfg",
+    "node.py.txt": "{package}/node.py",
+    "controller.py.txt": "{package}/controller.py",
+    "launch.py.txt": "launch/controller.launch.py",
+    "controllers.yaml.txt": "config/controllers.yaml",
     "README.md.txt": "README.md",
-}  # fmt: skip
+}
 
 
 def write_package(run: Run, folder: Path) -> Design:
@@ -319,10 +346,16 @@ def write_package(run: Run, folder: Path) -> Design:
     design = write_controller(run, inside / "controller.onnx")
     low, high = design.periods
     words = {
-        "PACKAGE": package, "VERSION": __version__.split("+")[0], "ARM": run.arm.name, "CONTROLLER": design.name,
-        "JOINTS": ", ".join(run.arm.joint_names), "PERIOD": f"{usual_period(design):.4f}", "LOW": f"{low:g}",
-        "HIGH": f"{high:g}", "OUTSIDE": notice(design),
-    }  # fmt: skip
+        "PACKAGE": package,
+        "VERSION": __version__.split("+")[0],
+        "ARM": run.arm.name,
+        "CONTROLLER": design.name,
+        "JOINTS": ", ".join(run.arm.joint_names),
+        "PERIOD": f"{usual_period(design):.4f}",
+        "LOW": f"{low:g}",
+        "HIGH": f"{high:g}",
+        "OUTSIDE": notice(design),
+    }
     for template, place in _FILES.items():
         text = (_TEMPLATES / template).read_text(encoding="utf-8")
         for word, value in words.items():

@@ -99,10 +99,14 @@ def _checked(campaign: Campaign, one: Standing) -> FleetRow:
         return _undone(one, campaign.fleet.folder)
     code = ALARM if needs_repair(row) else DRIFTS if row.state == "drifting" else 0
     return _row(
-        one, state="tolerance reached" if row.over else row.state, error_mm=row.counts_mm,
-        found=row.line.partition(" Do: ")[0], todo=what_to_do(row),
-        folder=campaign.fleet.folder / CHECKS / one.arm.name, code=code,
-    )  # fmt: skip
+        one,
+        state="tolerance reached" if row.over else row.state,
+        error_mm=row.counts_mm,
+        found=row.line.partition(" Do: ")[0],
+        todo=what_to_do(row),
+        folder=campaign.fleet.folder / CHECKS / one.arm.name,
+        code=code,
+    )
 
 
 def _repaired(campaign: Campaign, one: Standing) -> FleetRow:
@@ -123,10 +127,14 @@ def _repaired(campaign: Campaign, one: Standing) -> FleetRow:
         )
     after = None if errors is None else errors.after.tool.value or errors.after.encoders
     return _row(
-        one, state="quick try" if campaign.options.quick else "repaired",
-        error_mm=None if after is None else 1e3 * after, found="" if errors is None else errors.sentence,
-        todo=f"use {advised}: {command('deploy', one.arm.address, folder)}", folder=folder, code=0,
-    )  # fmt: skip
+        one,
+        state="quick try" if campaign.options.quick else "repaired",
+        error_mm=None if after is None else 1e3 * after,
+        found="" if errors is None else errors.sentence,
+        todo=f"use {advised}: {command('deploy', one.arm.address, folder)}",
+        folder=folder,
+        code=0,
+    )
 
 
 def _recommended(folder: Path) -> str:
@@ -140,18 +148,25 @@ def _undone(one: Standing, folder: Path) -> FleetRow:
     code = PARTLY if one.end != "failed" else ROBOT if one.outcome is None else one.outcome.code
     code = code if code in _ORDER else ROBOT  # held, since the call had ended
     todo = "mend that, then give the same command again" if one.end == "failed" else "once that is so: the same command"
-    return _row(
-        one, state=one.end or "left", error_mm=None, found=one.why, todo=todo, folder=folder, code=code
-    )  # fmt: skip
+    return _row(one, state=one.end or "left", error_mm=None, found=one.why, todo=todo, folder=folder, code=code)
 
 
 def _row(
     one: Standing, *, state: str, error_mm: float | None, found: str, todo: str, folder: Path, code: int
-) -> FleetRow:  # fmt: skip
+) -> FleetRow:
     return FleetRow(
-        name=one.arm.name, address=one.arm.address, end=one.end or "left", state=state, error_mm=error_mm, found=found,
-        todo=todo, steps=tuple(one.steps), lost=one.lost, folder=folder, code=code,
-    )  # fmt: skip
+        name=one.arm.name,
+        address=one.arm.address,
+        end=one.end or "left",
+        state=state,
+        error_mm=error_mm,
+        found=found,
+        todo=todo,
+        steps=tuple(one.steps),
+        lost=one.lost,
+        folder=folder,
+        code=code,
+    )
 
 
 TITLES = {"check": "Arms checked", "repair": "Arms repaired"}
@@ -164,12 +179,16 @@ def write_page(path: Path, result: FleetResult) -> None:
     urgent, done = [row for row in rows if row.code], sum(row.end == "done" for row in rows)
     first = f"{len(urgent)} of {count} arms need somebody." if urgent else f"Nothing to do on {count} arms."
     html.write_page(
-        path, "fleet.html", title=TITLES[result.verb], rows=rows, headers=HEADERS,
+        path,
+        "fleet.html",
+        title=TITLES[result.verb],
+        rows=rows,
+        headers=HEADERS,
         subtitle=f"{done} of {count} arms done in {result.seconds:.0f} s, ended {result.ended:%Y-%m-%d %H:%M} UTC",
         verdict=(first, *(f"{row.name}: {row.state}. {row.found}" for row in urgent[:_NAMED])),
         parts=(("arms", "Arms"), ("steps", "Steps")),
         footer="Made by rejoint fleet from the files of the runs and checks, which are not changed.",
-    )  # fmt: skip
+    )
 
 
 MakeExecutor: TypeAlias = Callable[[Sequence[FleetArm]], AbstractContextManager[Executor]]
@@ -200,9 +219,13 @@ def run_fleet(
         with executor(arms) as ready:
             standings = drive(arms, campaign.left, campaign.work, ready, rules, tell)
         result = FleetResult(
-            verb=verb, rows=rows_of(campaign, standings), ended=utc_now(), seconds=time.monotonic() - begun,
-            page=state_folder(fleet) / f"{verb}.html", finished=campaign.through,
-        )  # fmt: skip
+            verb=verb,
+            rows=rows_of(campaign, standings),
+            ended=utc_now(),
+            seconds=time.monotonic() - begun,
+            page=state_folder(fleet) / f"{verb}.html",
+            finished=campaign.through,
+        )
         with saving(result):
             _save(campaign, result, standings)
     return result

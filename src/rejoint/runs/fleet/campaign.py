@@ -103,21 +103,24 @@ def _do(work: Work) -> None:
     if work.step == "check":
         from rejoint.runs.stages.check import check
 
-        check(
-            arm.address, history=work.folder, name=arm.name, arm=arm.description, tolerance_mm=arm.tolerance_mm
-        )  # fmt: skip
+        check(arm.address, history=work.folder, name=arm.name, arm=arm.description, tolerance_mm=arm.tolerance_mm)
         return
     from rejoint.runs.repair import RepairPlan, repair  # late: who only checks arms needs none of its stages
     from rejoint.runs.stages.compare import TrialPlan
 
     repair(
-        arm.address, run=work.folder, arm=arm.description, quick=options.quick, only=work.step,
+        arm.address,
+        run=work.folder,
+        arm=arm.description,
+        quick=options.quick,
+        only=work.step,
         settings=Settings(seed=options.seed),
         plan=RepairPlan(
-            preset=options.preset, controllers=options.controllers,
+            preset=options.preset,
+            controllers=options.controllers,
             trials=TrialPlan(sets=options.sets, repetitions=options.repetitions),
         ),
-    )  # fmt: skip
+    )
 
 
 Verb: TypeAlias = Literal["check", "repair"]
@@ -150,9 +153,14 @@ class Campaign:
 
     @classmethod
     def open(
-        cls, fleet: Fleet, verb: Verb, options: RepairOptions | None = None, *, only: tuple[str, ...] = (),
+        cls,
+        fleet: Fleet,
+        verb: Verb,
+        options: RepairOptions | None = None,
+        *,
+        only: tuple[str, ...] = (),
         fresh: bool = False,
-    ) -> Campaign:  # fmt: skip
+    ) -> Campaign:
         """Resume or begin a call, with its folder locked (`state_folder`)."""
         path, now, arms = state_file(fleet, verb), utc_now(), fleet.only(only)
         before = read_json(path, CampaignInfo) if path.exists() else None

@@ -88,9 +88,14 @@ class Standing:
 
 class _Lead:
     def __init__(
-        self, arms: Sequence[FleetArm], left: Callable[[FleetArm], Sequence[Step]],
-        work: Callable[[FleetArm, Step], Work], executor: Executor, rules: Rules, tell: Callable[[Event], object],
-    ) -> None:  # fmt: skip
+        self,
+        arms: Sequence[FleetArm],
+        left: Callable[[FleetArm], Sequence[Step]],
+        work: Callable[[FleetArm, Step], Work],
+        executor: Executor,
+        rules: Rules,
+        tell: Callable[[Event], object],
+    ) -> None:
         self.standings = [Standing(arm=arm) for arm in arms]
         self._left, self._work, self._executor, self._rules, self._tell = left, work, executor, rules, tell
 

@@ -184,13 +184,16 @@ def _arm(table: TomlTable, top: TomlTable, home: Path) -> FleetArm:
         raise table.error("address" if description is None else "description", str(error)) from error
     hours = Hours(spans=_hours(table, top, "hours").spans, closed=_hours(table, top, "closed").closed)
     return FleetArm(
-        name=name, address=address, description=description, hours=hours,
+        name=name,
+        address=address,
+        description=description,
+        hours=hours,
         bench=table.string("bench") if "bench" in table.data else "",
         tolerance_mm=_giver("tolerance_mm", table, top).number("tolerance_mm", above=0.0),
         may_move=_said("may_move", table, top, usual=False),
         needs_somebody=_said("needs_somebody", table, top, usual=True),
         may_repair=_said("may_repair", table, top, usual=False),
-    )  # fmt: skip
+    )
 
 
 def _giver(key: str, table: TomlTable, top: TomlTable) -> TomlTable:

@@ -33,9 +33,13 @@ class RayExecutor:
     """Ray on this machine, or the cluster at ``address``."""
 
     def __init__(
-        self, arms: Sequence[FleetArm], *, address: str | None = None, cpus: int | None = None,
+        self,
+        arms: Sequence[FleetArm],
+        *,
+        address: str | None = None,
+        cpus: int | None = None,
         training_cpus: float = 1.0,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Start Ray or connect; InputError without the cluster, or if it does not reach an arm."""
         require("rejoint fleet", "fleet")
         real = [arm for arm in arms if not arm.virtual]
@@ -103,8 +107,7 @@ class RayExecutor:
         try:
             found: WorkOutcome | Lost = self._ray.get(reference)
         except self._ray.exceptions.RayTaskError as error:  # before the work had begun: another version there, say
-            found = WorkOutcome(seconds=0.0, problem=f"a bug: {_last_line(error)}", code=1,
-                            trace=str(error))  # fmt: skip
+            found = WorkOutcome(seconds=0.0, problem=f"a bug: {_last_line(error)}", code=1, trace=str(error))
         except self._ray.exceptions.RayError as error:
             found = Lost(why=type(error).__name__)
         if holder is not None:
@@ -163,9 +166,15 @@ def _started(address: str | None, cpus: int | None, resources: dict[str, float])
         try:
             if address is None:
                 ray.init(
-                    address="local", num_cpus=cpus, resources=resources, include_dashboard=False,
-                    object_store_memory=STORE, log_to_driver=False, logging_level=logging.ERROR, namespace=NAMESPACE,
-                )  # fmt: skip
+                    address="local",
+                    num_cpus=cpus,
+                    resources=resources,
+                    include_dashboard=False,
+                    object_store_memory=STORE,
+                    log_to_driver=False,
+                    logging_level=logging.ERROR,
+                    namespace=NAMESPACE,
+                )
             else:
                 ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR, namespace=NAMESPACE)
         except (ConnectionError, RuntimeError, ValueError, ray.exceptions.RayError) as error:

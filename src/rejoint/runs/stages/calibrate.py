@@ -45,9 +45,16 @@ _LOGGER = logging.getLogger("rejoint")
 
 
 def measured_of(
-    session: ArmSession, robot: Robot, gauge: Gauge, prior: Calibration | None, count: int, visits: int,
-    on_progress: Progress, *, fresh: bool = False,
-) -> tuple[Measurements, Calibration | None]:  # fmt: skip
+    session: ArmSession,
+    robot: Robot,
+    gauge: Gauge,
+    prior: Calibration | None,
+    count: int,
+    visits: int,
+    on_progress: Progress,
+    *,
+    fresh: bool = False,
+) -> tuple[Measurements, Calibration | None]:
     """Measure a session's open robot; resume unless ``fresh``. Also returns the ``prior``."""
     run = session.run
     begun = None if run is None or fresh else interrupted(run, gauge)
@@ -67,9 +74,15 @@ def measured_of(
 
     try:
         found = measure(
-            robot, gauge, plan, on_progress=on_progress, on_measured=keep, begun=begun,
-            limits=session.limits, stance=stance_of(session.twin_now, run),
-        )  # fmt: skip
+            robot,
+            gauge,
+            plan,
+            on_progress=on_progress,
+            on_measured=keep,
+            begun=begun,
+            limits=session.limits,
+            stance=stance_of(session.twin_now, run),
+        )
     except BaseException as error:
         if run is not None and run.folder.measurements.exists():
             error.add_note(_kept(run, robot.address, gauge, fresh=fresh))
@@ -114,8 +127,10 @@ def log_resumed(file: Path, done: str) -> None:
     written = datetime.fromtimestamp(file.stat().st_mtime)
     _LOGGER.warning(
         "Going on with what was interrupted at %s: %s (%s). Where arm or gauge were moved since, begin again: --fresh.",
-        f"{written:%Y-%m-%d %H:%M}", done, file,
-    )  # fmt: skip
+        f"{written:%Y-%m-%d %H:%M}",
+        done,
+        file,
+    )
 
 
 QUALITY = 92
@@ -123,9 +138,15 @@ QUALITY = 92
 
 
 def film_of(
-    session: ArmSession, robot: Robot, gauge: CameraGauge, count: int, visits: int,
-    on_progress: Progress, *, fresh: bool = False,
-) -> Film:  # fmt: skip
+    session: ArmSession,
+    robot: Robot,
+    gauge: CameraGauge,
+    count: int,
+    visits: int,
+    on_progress: Progress,
+    *,
+    fresh: bool = False,
+) -> Film:
     """Take a session's image sequence; resume unless ``fresh``."""
     arm, run = robot.arm, session.run
     begun = None if run is None else begun_film(run, gauge, fresh=fresh)
@@ -142,10 +163,14 @@ def film_of(
 
     with gauge.camera(robot) as camera:
         drive = FilmDrive(
-            robot=robot, camera=camera, film=film,
-            limits=session.limits, stance=stance_of(session.twin_now, run),
-            on_shot=keep, on_progress=on_progress,
-        )  # fmt: skip
+            robot=robot,
+            camera=camera,
+            film=film,
+            limits=session.limits,
+            stance=stance_of(session.twin_now, run),
+            on_shot=keep,
+            on_progress=on_progress,
+        )
         try:
             return drive.take(count, visits)
         except UnseenBoardError:  # camera or board will be moved, so nothing of this belongs to what comes
@@ -296,9 +321,10 @@ def calibrate(
     if run is None and robot is None and arm is None:
         raise InputError("calibration: points alone do not tell of which arm they are; name the arm or the run")
     with (
-        pacing(observer) as update, noted(),
+        pacing(observer) as update,
+        noted(),
         ArmSession(robot, run=run, arm=arm, settings=chosen, observer=observer) as session,
-    ):  # fmt: skip
+    ):
         about, prior = session.run, as_calibration(chosen.calibration, session.run, session.arm)
         fresh = isinstance(chosen.calibration, str) and chosen.calibration == "none"
         measured: Measurements | Film

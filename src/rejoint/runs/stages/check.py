@@ -140,19 +140,29 @@ def check(
         raise InputError(f"check: the name of an arm has letters or digits, got {name!r}; leave it out or give one")
     address, chosen = address_of(robot), arm_of(robot, arm)
     head = HistoryRow(
-        time=utc_now() if when is None else _utc(when), kind="check",
+        time=utc_now() if when is None else _utc(when),
+        kind="check",
         arm=name_of(address, chosen.name) if name is None else plain_name(name),
-        robot=address, model=chosen.name, setup=setup_of(chosen), tolerance_mm=tolerance_mm,
+        robot=address,
+        model=chosen.name,
+        setup=setup_of(chosen),
+        tolerance_mm=tolerance_mm,
         used_h=hours_of(address) if used_h is None else used_h,
-    )  # fmt: skip
+    )
     with pacing(observer) as update:
         return _once(robot, chosen, head, Path(history), said, settings or Settings(), observer, update)
 
 
 def _once(
-    robot: RobotLike, arm: Arm, head: HistoryRow, home: Path, notes: CheckNotes, settings: Settings,
-    observer: Observer | None, on_progress: Progress,
-) -> Checked:  # fmt: skip
+    robot: RobotLike,
+    arm: Arm,
+    head: HistoryRow,
+    home: Path,
+    notes: CheckNotes,
+    settings: Settings,
+    observer: Observer | None,
+    on_progress: Progress,
+) -> Checked:
     from rejoint.diagnosis.monitoring.judge import PastCheck, outlook, say
     from rejoint.diagnosis.monitoring.measures import measure_check, require_followed
 

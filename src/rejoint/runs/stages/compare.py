@@ -113,14 +113,24 @@ def _recording(log: RunLog) -> tuple[Recording, Array]:
     begun = time[np.maximum(first - 1, 0)]  # a target comes into force after the last row of the one before
     count = len(rows)
     return Recording(
-        arm=log.arm, joint_names=log.joint_names, robot=log.robot, controller=DEFAULT, time=time[:, None],
-        position=log.position[rows][:, None], command=log.command[rows][:, None], target=target[:, None],
-        aim=target[:, None].copy(), target_index=index[:, None].astype(np.intp),
-        since_target=(time - begun[index])[:, None], true_tcp=log.true_tcp[rows][:, None],
-        active=np.ones((count, 1), dtype=bool), reasons=np.zeros((count, 1), dtype=np.uint16),
-        load=np.full((count, 1, log.position.shape[1]), np.nan), turned=np.full((count, 1), np.nan),
+        arm=log.arm,
+        joint_names=log.joint_names,
+        robot=log.robot,
+        controller=DEFAULT,
+        time=time[:, None],
+        position=log.position[rows][:, None],
+        command=log.command[rows][:, None],
+        target=target[:, None],
+        aim=target[:, None].copy(),
+        target_index=index[:, None].astype(np.intp),
+        since_target=(time - begun[index])[:, None],
+        true_tcp=log.true_tcp[rows][:, None],
+        active=np.ones((count, 1), dtype=bool),
+        reasons=np.zeros((count, 1), dtype=np.uint16),
+        load=np.full((count, 1, log.position.shape[1]), np.nan),
+        turned=np.full((count, 1), np.nan),
         tripped=np.zeros(1, dtype=np.uint16),
-    ), target[first]  # fmt: skip
+    ), target[first]
 
 
 SOURCE = "the diagnosis"
@@ -204,20 +214,32 @@ class ComparisonJob:
                     write_log(self.run.folder.log(trial.label), logs[trial.label])
 
         with (
-            noted(), metered(self.run.folder if self.run else None, "compare") as meter, self._helped(ahead) as helper,
+            noted(),
+            metered(self.run.folder if self.run else None, "compare") as meter,
+            self._helped(ahead) as helper,
             kept_if_stopped(None if self.settings.batched else self.run, "compare"),
-        ):  # fmt: skip
+        ):
 
             def watched(count: int, seed: int) -> Robot:
                 return meter.watch(self._open(count, seed))
 
             result = TrialRunner(
-                watched, self.factories, self.targets, self.settings, on_progress=on_progress, on_trial=keep,
-                ledger=ledger, limits=guard_limits(self.run, self.arm, address_of(self.robot)),
-                stance=stance_of(self.twin, self.run), correction=self.correct, model=self.model,
-                measured=() if before is None else (before.driven,), source=SOURCE, turns=self.turns,
+                watched,
+                self.factories,
+                self.targets,
+                self.settings,
+                on_progress=on_progress,
+                on_trial=keep,
+                ledger=ledger,
+                limits=guard_limits(self.run, self.arm, address_of(self.robot)),
+                stance=stance_of(self.twin, self.run),
+                correction=self.correct,
+                model=self.model,
+                measured=() if before is None else (before.driven,),
+                source=SOURCE,
+                turns=self.turns,
                 helper=helper,
-            ).compare()  # fmt: skip
+            ).compare()
             result = self._beside(result, before, self._open if self.settings.batched else watched)
         if before is not None and self.run is not None:
             logs[before.log.label] = before.log
@@ -230,10 +252,14 @@ class ComparisonJob:
         self, result: Comparison, before: OpenLoopTrials | None, opened: Callable[[int, int], Robot]
     ) -> Comparison:
         how = Holding(
-            open_robot=opened, batched=self.settings.batched, seed=self.settings.seed,
+            open_robot=opened,
+            batched=self.settings.batched,
+            seed=self.settings.seed,
             stance=stance_of(self.twin, self.run),
-            limits=guard_limits(self.run, self.arm, address_of(self.robot)), correction=self.correct, model=self.model,
-        )  # fmt: skip
+            limits=guard_limits(self.run, self.arm, address_of(self.robot)),
+            correction=self.correct,
+            model=self.model,
+        )
         protocol, own = self.settings.protocol, self.factories.get(DEFAULT)
         try:
             if self.correct is not None and before is not None:
@@ -274,11 +300,17 @@ class ComparisonJob:
 
     def _work(self) -> Job:
         return Job(
-            robot=str(self.robot), arm=self.arm, run=None if self.run is None else self.run.path, twin=self.twin,
-            period=self.period, targets=self.targets, turns=self.turns,
-            settings=self.settings, limits=guard_limits(self.run, self.arm, address_of(self.robot)),
+            robot=str(self.robot),
+            arm=self.arm,
+            run=None if self.run is None else self.run.path,
+            twin=self.twin,
+            period=self.period,
+            targets=self.targets,
+            turns=self.turns,
+            settings=self.settings,
+            limits=guard_limits(self.run, self.arm, address_of(self.robot)),
             correct=self.correct,
-        )  # fmt: skip
+        )
 
     def _open(self, count: int, seed: int) -> Robot:
         if not isinstance(self.robot, str):
@@ -292,10 +324,18 @@ class ComparisonJob:
         files = [digest(path.read_bytes()).decode() for path in used if path.exists()]
         turns = None if self.turns is None else (self.turns.rotation, self.turns.whole, self.turns.weight)
         about = (
-            __version__, address_of(self.robot), repr(self.arm), repr(self.settings), tuple(self.factories),
-            self.period, files, self.targets.tolist(), repr(self.correct), self.before is None,
+            __version__,
+            address_of(self.robot),
+            repr(self.arm),
+            repr(self.settings),
+            tuple(self.factories),
+            self.period,
+            files,
+            self.targets.tolist(),
+            repr(self.correct),
+            self.before is None,
             turns and [part.tolist() for part in turns],
-        )  # fmt: skip
+        )
         return digest(repr(about).encode()).decode()
 
 
@@ -394,16 +434,29 @@ def compare(
     ):
         place = session.robot if session.settings.dry_run else robot
         job = comparison_job(
-            place, controllers, targets, run=session.run, arm=session.arm, plan=plan, settings=session.settings,
+            place,
+            controllers,
+            targets,
+            run=session.run,
+            arm=session.arm,
+            plan=plan,
+            settings=session.settings,
             observer=session.observer,
-        )  # fmt: skip
+        )
         return job.drive(update)
 
 
 def comparison_job(
-    robot: RobotLike, controllers: Controllers, targets: Targets | None, *, run: Run | None, arm: Arm,
-    plan: TrialPlan | None, settings: Settings, observer: Observer,
-) -> ComparisonJob:  # fmt: skip
+    robot: RobotLike,
+    controllers: Controllers,
+    targets: Targets | None,
+    *,
+    run: Run | None,
+    arm: Arm,
+    plan: TrialPlan | None,
+    settings: Settings,
+    observer: Observer,
+) -> ComparisonJob:
     """Assemble and validate a comparison; ``arm`` includes load and tool."""
     controllers, wanted = listed(controllers), plan or TrialPlan()
     real = not is_batchable(robot)
@@ -418,10 +471,12 @@ def comparison_job(
     )
     trials = TrialSettings(
         repetitions=(REPETITIONS if elimination is None else 1) if wanted.repetitions is None else wanted.repetitions,
-        seed=seed, batched=not real,
+        seed=seed,
+        batched=not real,
         protocol=wanted.protocol or (Protocol() if elimination is None else ONE_ARM_PROTOCOL),
-        leave_out=not controllers, elimination=elimination,
-    )  # fmt: skip
+        leave_out=not controllers,
+        elimination=elimination,
+    )
     address = address_of(robot)
     model = calibration_of(settings.calibration, run, arm, address, observer.message)
     before = None
@@ -430,9 +485,20 @@ def comparison_job(
     if before is not None and targets is None:
         points[0] = before.targets
     return ComparisonJob(
-        robot=robot, arm=arm, run=run, factories=factories, targets=points, settings=trials, period=settings.period,
-        twin=known, correct=correction_of(settings.calibration, run, arm, address, points), model=model,
-        observer=observer, by_name=all_named(controllers), directions=wanted.directions, turns=turns,
+        robot=robot,
+        arm=arm,
+        run=run,
+        factories=factories,
+        targets=points,
+        settings=trials,
+        period=settings.period,
+        twin=known,
+        correct=correction_of(settings.calibration, run, arm, address, points),
+        model=model,
+        observer=observer,
+        by_name=all_named(controllers),
+        directions=wanted.directions,
+        turns=turns,
         file=str(targets) if isinstance(targets, Path | str) else "",
         before=before if before is not None and np.array_equal(points[0], before.targets) else None,
-    )  # fmt: skip
+    )

@@ -159,9 +159,13 @@ def _drive(
         journal = start_journal(run, "diagnosis", robot, "diagnosis")
     try:
         found, logs = drive_and_judge(
-            robot, healthy, seed=seed, plan=SHORT if quick else FULL, on_cycle=None if journal is None else journal.see,
+            robot,
+            healthy,
+            seed=seed,
+            plan=SHORT if quick else FULL,
+            on_cycle=None if journal is None else journal.see,
             on_progress=on_progress,
-        )  # fmt: skip
+        )
     except BaseException as error:
         if journal is not None:
             error.add_note(journal.rescue())
@@ -197,9 +201,12 @@ def _write(folder: RunFolder, found: Diagnosis, logs: DiagnosisLogs) -> None:
 
 
 def _from_logs(
-    source: LogsLike, arm: ArmLike | None, given: RunLike | None, healthy: RunLike | Diagnosis | None,
+    source: LogsLike,
+    arm: ArmLike | None,
+    given: RunLike | None,
+    healthy: RunLike | Diagnosis | None,
     on_progress: Progress,
-) -> Diagnosis:  # fmt: skip
+) -> Diagnosis:
     from rejoint.diagnosis.fromlogs import diagnose_logs
 
     run, chosen = run_of_logs(given, source, arm)

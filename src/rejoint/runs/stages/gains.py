@@ -63,10 +63,11 @@ def gains(
     >>> print(found.alone["p"], 1e3 * found.with_alone.tool)
     """
     with (
-        pacing(observer) as update, noted(),
+        pacing(observer) as update,
+        noted(),
         ArmSession(robot, run=run, settings=settings, observer=observer) as session,
         session.metered("gains") as tried,
-    ):  # fmt: skip
+    ):
         points = draw_targets(session.arm, sets=1, count=TARGETS, seed=session.seed)[0]
         with kept_if_stopped(session.run, "gains"):
             found = search(cast(Tunable, tried), points, limits=session.limits, on_progress=update)

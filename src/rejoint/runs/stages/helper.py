@@ -68,9 +68,14 @@ class Job:
         run, period = None if self.run is None else as_run(self.run), period_of(self.robot, self.period)
         factories = make_factories([name], self.arm, period, run=run, twin=self.twin, posed=self.turns is not None)
         return TrialRunner(
-            self._open, factories, self.targets, self.settings, turns=self.turns, limits=self.limits,
+            self._open,
+            factories,
+            self.targets,
+            self.settings,
+            turns=self.turns,
+            limits=self.limits,
             correction=self.correct,
-        )  # fmt: skip
+        )
 
     def _open(self, count: int, seed: int) -> Robot:
         return open_robot(self.robot, arm=self.arm, seed=seed, count=count, period=self.period, threads=1)
@@ -86,10 +91,12 @@ class HelperProcess:
         with other, suppress(OSError):  # no process to be had: it is lost from the beginning
             self._process = subprocess.Popen(  # noqa: S603 - this very interpreter
                 [sys.executable, "-c", _START.format(path=sys.path, line=other.fileno())],
-                stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
                 pass_fds=(other.fileno(),),
                 start_new_session=True,  # Ctrl-C is for the process that started it
-            )  # fmt: skip
+            )
         self._places = job.places if ahead else ()
         self._ahead, self._begun = deque(ahead), dict[Task, Result | None]()
         self._worker = Thread(target=self._drive_ahead, daemon=True)

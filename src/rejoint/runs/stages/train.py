@@ -149,10 +149,14 @@ class _Task:
             from rejoint.training.train import train as learn
 
             options = TrainingOptions(
-                preset=self.preset, seed=self.seed, threads=how.threads, resume=how.resume,
-                iterations=QUICK_UPDATES if self.quick else None, agents=QUICK_AGENTS if self.quick else None,
+                preset=self.preset,
+                seed=self.seed,
+                threads=how.threads,
+                resume=how.resume,
+                iterations=QUICK_UPDATES if self.quick else None,
+                agents=QUICK_AGENTS if self.quick else None,
                 servo_gains=self.servo_gains,
-            )  # fmt: skip
+            )
             result = learn(self.arm, self.twin, out=folder, options=options, on_progress=on_progress)
         else:
             result = how.trainer(self.arm, self.twin, folder, on_progress)

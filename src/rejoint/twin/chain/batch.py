@@ -109,9 +109,14 @@ class ChainBatch:
     def state(self) -> dict[str, Array]:
         """Live arrays for a checkpoint."""
         return {
-            "qpos": self.qpos, "qvel": self.qvel, "ctrl": self.ctrl, "timestep": self.timestep,
-            "impulse": self._impulse, "parameters": self._parameters, "gravity": self._gravity,
-        }  # fmt: skip
+            "qpos": self.qpos,
+            "qvel": self.qvel,
+            "ctrl": self.ctrl,
+            "timestep": self.timestep,
+            "impulse": self._impulse,
+            "parameters": self._parameters,
+            "gravity": self._gravity,
+        }
 
     def row(self, name: str) -> Array:
         """Live (nsim, n) values of one of `ROWS`."""

@@ -37,17 +37,32 @@ def at(joint, after):
 def test_the_words_of_the_command_line_become_what_they_say():
     text = "drop=0.05, garbage=0.05,stall=1.5/4,freeze=3@5,blind=2@5,overheat@10,die@20,slow=0.5,stale=0.1,split=0.1"
     assert faults(text) == Faults(
-        drop=0.05, garbage=0.05, stall=Stall(duration=1.5, every=4.0), freeze=at(2, 5.0), blind=at(1, 5.0),
-        overheat=at(1, 10.0), die=20.0, slow=0.5, stale=0.1, split=0.1,
-    )  # fmt: skip
+        drop=0.05,
+        garbage=0.05,
+        stall=Stall(duration=1.5, every=4.0),
+        freeze=at(2, 5.0),
+        blind=at(1, 5.0),
+        overheat=at(1, 10.0),
+        die=20.0,
+        slow=0.5,
+        stale=0.1,
+        split=0.1,
+    )
     text = (
         "echo=1,double=.2,half=0.3,gone=2/3,gone=9/1,silent@4,jump=1@0,limit=6@1e1,current=2@3,overload=2@3,voltage@7"
     )
     assert faults(text) == Faults(
-        echo=1.0, double=0.2, half=0.3, gone=(Onset(after=2.0, duration=3.0), Onset(after=9.0, duration=1.0)),
-        silent=4.0, jump=at(0, 0.0), limit=at(5, 10.0), current=at(1, 3.0), overload=at(1, 3.0),
+        echo=1.0,
+        double=0.2,
+        half=0.3,
+        gone=(Onset(after=2.0, duration=3.0), Onset(after=9.0, duration=1.0)),
+        silent=4.0,
+        jump=at(0, 0.0),
+        limit=at(5, 10.0),
+        current=at(1, 3.0),
+        overload=at(1, 3.0),
         voltage=(Onset(joints=(0, 1, 2, 3, 4, 5), after=7.0),),
-    )  # fmt: skip
+    )
     assert faults("freeze=3@5,freeze=1@2,overheat=4@1").freeze == (*at(2, 5.0), *at(0, 2.0))
     assert faults("") == Faults()
 

@@ -18,7 +18,7 @@ from rejoint.robots.lab.emulator.feetech import (
     encode,
     magnitude,
     signed,
-)  # fmt: skip
+)
 
 GOAL = (0x0873).to_bytes(2, "little")
 GOLDEN = {
@@ -26,11 +26,12 @@ GOLDEN = {
     "FF FF 01 04 02 03 02 F3": Packet(1, READ, bytes([3, 2])),
     "FF FF FE 0A 82 38 02 01 02 03 04 05 06 26": Packet(BROADCAST, SYNC_READ, bytes([56, 2, 1, 2, 3, 4, 5, 6])),
     "FF FF FE 16 83 2A 02 01 73 08 02 73 08 03 73 08 04 73 08 05 73 08 06 1A 04 A2": Packet(
-        BROADCAST, SYNC_WRITE,
+        BROADCAST,
+        SYNC_WRITE,
         bytes([42, 2]) + b"".join(bytes([i]) + GOAL for i in range(1, 6)) + bytes([6]) + (1050).to_bytes(2, "little"),
     ),
     "FF FF 06 05 03 1F 64 08 66": Packet(6, WRITE, bytes([31]) + magnitude(-100, 11).to_bytes(2, "little")),
-}  # fmt: skip
+}
 """What LeRobot 0.4.4 was seen to send"""
 
 PACKETS = st.builds(

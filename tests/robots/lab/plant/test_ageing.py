@@ -8,8 +8,18 @@ from rejoint.robots.lab.plant.wear import LIFE, PARAMETERS, damages, load_wear, 
 ARM = load_arm("mycobot280")
 HEALTHY = load_wear("healthy", ARM)
 HOURS = (0.0, 3.0, 20.0, 47.5, 300.0, 1000.0, 4000.0)
-WORSE = {"coulomb": 1, "stiction": 1, "load_friction": 1, "ripple": 1, "torque_noise": 1, "play": 1,
-         "position_gain": -1, "link_stiffness": -1, "torque_limit": -1, "damping_gain": -1}  # fmt: skip
+WORSE = {
+    "coulomb": 1,
+    "stiction": 1,
+    "load_friction": 1,
+    "ripple": 1,
+    "torque_noise": 1,
+    "play": 1,
+    "position_gain": -1,
+    "link_stiffness": -1,
+    "torque_limit": -1,
+    "damping_gain": -1,
+}
 
 
 def test_no_hours_are_no_wear() -> None:

@@ -33,22 +33,34 @@ def resized(arm: Arm, length: float, mass: float) -> Arm:
         return pose
 
     return dataclasses.replace(
-        arm, name="resized", offset=moved(arm.offset), tip=moved(arm.tip), com=length * arm.com, mass=mass * arm.mass,
-        inertia=mass * length**2 * arm.inertia, floor=length * arm.floor,
+        arm,
+        name="resized",
+        offset=moved(arm.offset),
+        tip=moved(arm.tip),
+        com=length * arm.com,
+        mass=mass * arm.mass,
+        inertia=mass * length**2 * arm.inertia,
+        floor=length * arm.floor,
         targets=Box(lower=length * arm.targets.lower, upper=length * arm.targets.upper),
-    )  # fmt: skip
+    )
 
 
 def seven_joints() -> Arm:
     """A myCobot with another joint in its upper arm, about the axis of the link."""
     twist = np.eye(4)
     return dataclasses.replace(
-        ARM, name="seven", joint_names=tuple(f"j{i}" for i in range(7)),
-        offset=np.insert(ARM.offset, 2, twist, axis=0), axis=np.insert(ARM.axis, 2, [1.0, 0.0, 0.0], axis=0),
-        **{name: np.insert(getattr(ARM, name), 2, value) for name, value in (
-            ("lower", -2.0), ("upper", 2.0), ("max_speed", 2.0), ("mass", 0.02), ("rest", 0.0))},
-        com=np.insert(ARM.com, 2, 0.0, axis=0), inertia=np.insert(ARM.inertia, 2, 1e-5 * np.eye(3), axis=0),
-    )  # fmt: skip
+        ARM,
+        name="seven",
+        joint_names=tuple(f"j{i}" for i in range(7)),
+        offset=np.insert(ARM.offset, 2, twist, axis=0),
+        axis=np.insert(ARM.axis, 2, [1.0, 0.0, 0.0], axis=0),
+        **{
+            name: np.insert(getattr(ARM, name), 2, value)
+            for name, value in (("lower", -2.0), ("upper", 2.0), ("max_speed", 2.0), ("mass", 0.02), ("rest", 0.0))
+        },
+        com=np.insert(ARM.com, 2, 0.0, axis=0),
+        inertia=np.insert(ARM.inertia, 2, 1e-5 * np.eye(3), axis=0),
+    )
 
 
 def settled_error(arm: Arm, wear: Wear, targets: np.ndarray, seed: int = 0) -> np.ndarray:

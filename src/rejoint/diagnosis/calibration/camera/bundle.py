@@ -51,8 +51,9 @@ def judge(problem: TieProblem, vector: Array, views: Sequence[BoardView]) -> Jud
     """Check each view with the poses and the arm ``vector`` (k,) of all."""
     rig, whitener = problem.rig_of(vector), problem.whitener(vector)
     lens, corners, told = problem.rig.lens, rig.board.corners, problem.reported(vector)
-    placed = [place(lens, corners[view.number], view.pixel, start)
-              for view, start in zip(views, problem.sights, strict=True)]  # fmt: skip
+    placed = [
+        place(lens, corners[view.number], view.pixel, start) for view, start in zip(views, problem.sights, strict=True)
+    ]
     sights, rms = np.array([one.pose for one in placed]), np.array([one.rms for one in placed])
     limit = max(CROOKED * float(np.median(rms)), LEAST_CROOKED)
     seen = problem.tool(vector, sights)
@@ -173,12 +174,17 @@ def bundle(
     rig = first_rig(arm, lens, board, carried, position, sights)
     by_lens, told = lens_ties(rig, views, sights)
     problem = TieProblem(
-        arm=arm, layout=layout, rig=rig, sights=sights, by_lens=by_lens, position=position,
+        arm=arm,
+        layout=layout,
+        rig=rig,
+        sights=sights,
+        by_lens=by_lens,
+        position=position,
         posture=np.arange(count),
         belief=with_poses(belief(arm, layout, USUAL) if prior is None else prior, told),
         approach=np.full_like(position, np.nan) if approach is None else np.broadcast_to(approach, position.shape),
         spread=tool_spread(rig, sights, np.array([one.covariance for one in placed])),
-    )  # fmt: skip
+    )
     good, bad, start = np.ones(count, bool), dict[str, Unusable](), problem.belief.mean
     for number in range(_ROUNDS):
         fitted = solve(problem.rows(good), start)
@@ -194,15 +200,20 @@ def bundle(
             )
     used, off = problem.rows(good), problem.misfit(fitted.vector)
     return Bundle(
-        problem=used, fitted=fitted,
+        problem=used,
+        fitted=fitted,
         views=tuple(view for view, fits in zip(views, good, strict=True) if fits),
         residuals=tuple(
-            Residual(name=views[v].name, rms=float(judged.rms[v]), away=float(np.linalg.norm(off[v, :3])),
-                     turned=float(np.linalg.norm(off[v, 3:])))
+            Residual(
+                name=views[v].name,
+                rms=float(judged.rms[v]),
+                away=float(np.linalg.norm(off[v, :3])),
+                turned=float(np.linalg.norm(off[v, 3:])),
+            )
             for v in np.flatnonzero(good).tolist()
         ),
         left_out=tuple(bad[view.name] for view, fits in zip(views, good, strict=True) if not fits),
-    )  # fmt: skip
+    )
 
 
 MOST = 0.005

@@ -110,8 +110,12 @@ POSTURES = "postures.csv"
 def write_film(path: Path, arm: Arm, film: Film, *, ended: bool = False) -> None:
     """Write the pictures of ``arm``, atomically; ``ended``: the sequence is complete."""
     about = {
-        "board": asdict(film.board), "carried": film.carried, "size": film.size, "ended": ended, "fresh": film.fresh,
-    }  # fmt: skip
+        "board": asdict(film.board),
+        "carried": film.carried,
+        "size": film.size,
+        "ended": ended,
+        "fresh": film.fresh,
+    }
     write_table(path, arm, "views", _rows(arm, film), about)
 
 
@@ -121,10 +125,12 @@ def read_film(path: Path, arm: Arm) -> tuple[Film, bool]:
     def build(columns: dict[str, list[Any]], about: dict[str, Any]) -> tuple[Film, bool]:
         rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
         film = Film(
-            board=msgspec.convert(about["board"], Board), carried=about["carried"],
+            board=msgspec.convert(about["board"], Board),
+            carried=about["carried"],
             size=msgspec.convert(about["size"], tuple[int, int] | None),
-            shots=tuple(_shot(row, arm) for row in rows), fresh=about["fresh"],
-        )  # fmt: skip
+            shots=tuple(_shot(row, arm) for row in rows),
+            fresh=about["fresh"],
+        )
         return film, bool(about["ended"])
 
     return read_table(path, arm, "views", build)
@@ -133,9 +139,11 @@ def read_film(path: Path, arm: Arm) -> tuple[Film, bool]:
 def _rows(arm: Arm, film: Film) -> dict[str, list[Any]]:
     shots = film.shots
     rows: dict[str, list[Any]] = {
-        "picture": [shot.name for shot in shots], "number": [shot.number for shot in shots],
-        "posture": [shot.posture for shot in shots], "side": [shot.side for shot in shots],
-    }  # fmt: skip
+        "picture": [shot.name for shot in shots],
+        "number": [shot.number for shot in shots],
+        "posture": [shot.posture for shot in shots],
+        "side": [shot.side for shot in shots],
+    }
     for group in ("position", "approach"):
         for i, name in enumerate(arm.joint_names):
             rows[f"{group}.{name}"] = [float(getattr(shot, group)[i]) for shot in shots]
@@ -153,10 +161,18 @@ def _shot(row: dict[str, Any], arm: Arm) -> Shot:
     if row["why"]:
         seen = Unusable(name=name, why=row["why"])
     return Shot(
-        number=row["number"], position=joints[0], approach=joints[1], posture=row["posture"], side=row["side"],
-        seen=seen or BoardView(name=name, number=np.array(row["corner"], dtype=np.int64),
-                               pixel=np.array([row["x"], row["y"]], dtype=float).T.reshape(-1, 2)),
-    )  # fmt: skip
+        number=row["number"],
+        position=joints[0],
+        approach=joints[1],
+        posture=row["posture"],
+        side=row["side"],
+        seen=seen
+        or BoardView(
+            name=name,
+            number=np.array(row["corner"], dtype=np.int64),
+            pixel=np.array([row["x"], row["y"]], dtype=float).T.reshape(-1, 2),
+        ),
+    )
 
 
 def write_postures(path: Path, arm: Arm, film: Film) -> None:
@@ -188,9 +204,13 @@ def read_folder(pattern: str, arm: Arm, board: Board, carried: str = "board") ->
         else:
             seen, size = detector.find(path.name, picture), (int(picture.shape[1]), int(picture.shape[0]))
         shot = Shot(
-            number=number, position=row["position"], approach=row["approach"], posture=row.get("posture", number),
-            side=row.get("side", 0), seen=seen,
-        )  # fmt: skip
+            number=number,
+            position=row["position"],
+            approach=row["approach"],
+            posture=row.get("posture", number),
+            side=row.get("side", 0),
+            seen=seen,
+        )
         film = film.with_shot(shot, size)
     return film
 

@@ -61,11 +61,17 @@ def choose_postures(arm: Arm, rig: Rig, count: int, seed: int = 0, before: float
     believed = belief(arm, layout, USUAL)
     displacement = displacement_of(layout, believed.mean)
     problem = TieProblem(
-        arm=arm, layout=layout, belief=with_poses(believed, np.eye(len(TERMS))),
-        rig=rig, position=candidates, posture=np.arange(len(candidates)),
-        sights=rig.sight(displacement.tool_pose(arm, candidates)), approach=np.full_like(candidates, np.nan),
-        spread=np.zeros((len(candidates), 6, 6)), by_lens=np.zeros((len(candidates), 6, len(TERMS))),
-    )  # fmt: skip
+        arm=arm,
+        layout=layout,
+        belief=with_poses(believed, np.eye(len(TERMS))),
+        rig=rig,
+        position=candidates,
+        posture=np.arange(len(candidates)),
+        sights=rig.sight(displacement.tool_pose(arm, candidates)),
+        approach=np.full_like(candidates, np.nan),
+        spread=np.zeros((len(candidates), 6, 6)),
+        by_lens=np.zeros((len(candidates), 6, len(TERMS))),
+    )
     slope = problem.whitener(problem.belief.mean) @ problem.residual(problem.belief.mean)[1][..., : -len(TERMS)]
     spread = np.diag(np.concatenate([1.0 / np.diag(believed.precision), np.full(12, _LOOK**2)]))
     chosen: list[int] = []

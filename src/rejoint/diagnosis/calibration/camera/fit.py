@@ -43,9 +43,7 @@ class Filmed:
         return float(np.sqrt(np.mean([one.rms**2 for one in self.residuals])))
 
 
-def fit_film(
-    arm: Arm, film: Film, *, prior: Calibration | None = None, date: str = ""
-) -> Filmed:  # fmt: skip
+def fit_film(arm: Arm, film: Film, *, prior: Calibration | None = None, date: str = "") -> Filmed:
     """Fit lens, camera, board and displacement of ``arm``, tested on views left out.
 
     ``prior``: an earlier calibration. InputError for too few views or a bent board.
@@ -56,25 +54,32 @@ def fit_film(
     position, approach = positions(shots, arm)
     layout = DisplacementLayout(joints=arm.joints)
     found = bundle(
-        arm, film.board, film.views, position, approach=approach, size=film.size, carried=film.carried,
+        arm,
+        film.board,
+        film.views,
+        position,
+        approach=approach,
+        size=film.size,
+        carried=film.carried,
         prior=None if prior is None else earlier(arm, layout, prior),
-    )  # fmt: skip
+    )
     require_flat(found)
     number = {shot.name: shot.posture for shot in shots}
     posture = np.array([number[view.name] for view in found.views], dtype=np.int64)
     problem, tight = replace(found.problem, posture=posture), found.problem.lens_precision
     problem, fitted = likeliest(
         problem,
-        [(with_poses(own, tight), odds)
-         for own, odds in beliefs_of(arm, layout, prior, len(np.unique(posture)))],
-    )  # fmt: skip
+        [(with_poses(own, tight), odds) for own, odds in beliefs_of(arm, layout, prior, len(np.unique(posture)))],
+    )
     measured = problem.measurements(fitted.vector)
     return Filmed(
-        calibration=judged(problem, fitted, measured, date), measurements=measured,
+        calibration=judged(problem, fitted, measured, date),
+        measurements=measured,
         rig=problem.rig_of(fitted.vector),
         rig_sigma=np.roll(np.sqrt(np.diag(fitted.covariance)[problem.layout.body :]), len(TERMS)),
-        residuals=found.residuals, left_out=(*film.unusable, *found.left_out),
-    )  # fmt: skip
+        residuals=found.residuals,
+        left_out=(*film.unusable, *found.left_out),
+    )
 
 
 def _too_few(film: Film) -> str:

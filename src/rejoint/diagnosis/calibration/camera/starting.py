@@ -44,8 +44,12 @@ def first_lens(size: tuple[int, int], board: Board, views: Sequence[BoardView]) 
         shown = [view for view, good in zip(views, used, strict=True) if good]
         _, matrix, bent, _, _, _, _, rms = cv2.calibrateCameraExtended(
             [board.corners[view.number].astype(np.float32) for view in shown],
-            [view.pixel.astype(np.float32) for view in shown], size, usual.matrix, np.zeros(5), flags=flags,
-        )  # fmt: skip
+            [view.pixel.astype(np.float32) for view in shown],
+            size,
+            usual.matrix,
+            np.zeros(5),
+            flags=flags,
+        )
         good = rms[:, 0] <= max(_CROOKED * float(np.median(rms)), _LEAST_CROOKED)
         if good.all():
             break

@@ -76,17 +76,24 @@ class TieProblem(Fittable):
     def rows(self, where: NDArray[np.bool_]) -> TieProblem:
         """Problem of some views."""
         return replace(
-            self, sights=self.sights[where], by_lens=self.by_lens[where], spread=self.spread[where],
-            position=self.position[where], approach=self.approach[where], posture=self.posture[where],
-        )  # fmt: skip
+            self,
+            sights=self.sights[where],
+            by_lens=self.by_lens[where],
+            spread=self.spread[where],
+            position=self.position[where],
+            approach=self.approach[where],
+            posture=self.posture[where],
+        )
 
     def rig_of(self, vector: Array) -> Rig:
         """Rig for the unknowns (k,)."""
         small, lens = vector[self.layout.body : self.layout.body + POSES], self.rig.lens
         return replace(
-            self.rig, standing=moved(self.rig.standing, small[:6]), mounted=moved(self.rig.mounted, small[6:]),
+            self.rig,
+            standing=moved(self.rig.standing, small[:6]),
+            mounted=moved(self.rig.mounted, small[6:]),
             lens=lens.with_numbers(lens.numbers + vector[self.layout.body + POSES :]),
-        )  # fmt: skip
+        )
 
     def pose(self, vector: Array) -> Array:
         """Pose (4, 4) in the base of the measuring frame."""
@@ -127,9 +134,14 @@ class TieProblem(Fittable):
         point = (inverse(rig.standing) @ self.tool(vector))[:, :3, 3]
         sigma = np.sqrt(np.trace(self.spread[:, :3, :3], axis1=1, axis2=2) / 3.0)
         return Measurements(
-            position=self.position, approach=self.approach, point=point, sigma=sigma, posture=self.posture,
-            frame="camera" if rig.carried == "board" else "board", source="camera",
-        )  # fmt: skip
+            position=self.position,
+            approach=self.approach,
+            point=point,
+            sigma=sigma,
+            posture=self.posture,
+            frame="camera" if rig.carried == "board" else "board",
+            source="camera",
+        )
 
     def tool(self, vector: Array, sights: Array | None = None) -> Array:
         """Tool poses (V, 4, 4) in the base by the camera."""
@@ -160,9 +172,11 @@ def with_poses(own: Belief, lens: Array) -> Belief:
     precision[count : count + POSES, count : count + POSES] = NOWHERE**-2.0 * np.eye(POSES)
     precision[count + POSES :, count + POSES :] = lens
     return Belief(
-        mean=mean, precision=precision, lower=np.concatenate([own.lower, -anywhere]),
+        mean=mean,
+        precision=precision,
+        lower=np.concatenate([own.lower, -anywhere]),
         upper=np.concatenate([own.upper, anywhere]),
-    )  # fmt: skip
+    )
 
 
 def lens_ties(rig: Rig, views: Sequence[BoardView], sights: Array) -> tuple[Array, Array]:

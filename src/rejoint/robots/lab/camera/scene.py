@@ -180,8 +180,9 @@ def on_tool(arm: Arm, *, board: Board) -> Scene:
     lying[:3, 3] -= lying[:3, :3] @ np.array([*(0.5 * board.size), 0.0])
     rest = tcp_pose(arm, arm.rest)
     camera = looking(rest[:3, 3] + [0.0, 0.0, 0.05], np.array([middle[0], middle[1], 0.0]))
-    return Scene(arm=arm, rig=Rig(lens=LENS, board=board, carried="camera", standing=lying,
-                                  mounted=inverse(rest) @ camera))  # fmt: skip
+    return Scene(
+        arm=arm, rig=Rig(lens=LENS, board=board, carried="camera", standing=lying, mounted=inverse(rest) @ camera)
+    )
 
 
 def looking(place: Array, at: Array) -> Array:

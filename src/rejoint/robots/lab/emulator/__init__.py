@@ -6,6 +6,14 @@ from rejoint.robots.lab.emulator.firmware import Firmware
 from rejoint.robots.lab.emulator.servers import Server, Timing, TruthLog, serve_pty, serve_tcp
 
 __all__ = [
-    "Faults", "Firmware", "Server", "Timing", "TruthLog", "build_firmware", "emulate", "parse_faults", "serve_pty",
+    "Faults",
+    "Firmware",
+    "Server",
+    "Timing",
+    "TruthLog",
+    "build_firmware",
+    "emulate",
+    "parse_faults",
+    "serve_pty",
     "serve_tcp",
-]  # fmt: skip
+]

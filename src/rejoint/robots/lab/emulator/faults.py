@@ -99,9 +99,14 @@ class Known(NamedTuple):
 
 
 LETTERS = {
-    "P": "P from 0 to 1", "J": "joint J from 1 to {joints}", "S": "S seconds", "D": "D seconds", "E": "E seconds",
-    "T": "T seconds", "R": "R ohm",
-}  # fmt: skip
+    "P": "P from 0 to 1",
+    "J": "joint J from 1 to {joints}",
+    "S": "S seconds",
+    "D": "D seconds",
+    "E": "E seconds",
+    "T": "T seconds",
+    "R": "R ohm",
+}
 KNOWN: dict[str, Known] = {
     "drop": Known("=P", "share of answers that are lost"),
     "garbage": Known("=P", "share of answers with random bytes before them or inside"),

@@ -235,18 +235,29 @@ CURRENT_UNIT = 0.0065
 _GRIPPER = (-0.17, 1.75)  # [rad] range of the jaw: so101_new_calib.xml
 # Fields of `sts3215.SETTING` and the registers that they are, as they stand.
 _COPIES = {
-    "p": "P_Coefficient", "d": "D_Coefficient", "i": "I_Coefficient", "startup": "Minimum_Startup_Force",
-    "integral_limit": "Integral_Limit", "dead_cw": "CW_Dead_Zone", "dead_ccw": "CCW_Dead_Zone",
-    "torque_limit": "Torque_Limit", "threshold": "Moving_Velocity_Threshold", "unloading": "Unloading_Condition",
-    "heat_limit": "Max_Temperature_Limit", "torque_on": "Torque_Enable",
-}  # fmt: skip
+    "p": "P_Coefficient",
+    "d": "D_Coefficient",
+    "i": "I_Coefficient",
+    "startup": "Minimum_Startup_Force",
+    "integral_limit": "Integral_Limit",
+    "dead_cw": "CW_Dead_Zone",
+    "dead_ccw": "CCW_Dead_Zone",
+    "torque_limit": "Torque_Limit",
+    "threshold": "Moving_Velocity_Threshold",
+    "unloading": "Unloading_Condition",
+    "heat_limit": "Max_Temperature_Limit",
+    "torque_on": "Torque_Enable",
+}
 # Likewise, times a factor.
 _SCALED = {
-    "protective": ("Protective_Torque", 10), "overload": ("Overload_Torque", 10),
-    "protection_ticks": ("Protection_Time", 10), "current_ticks": ("Over_Current_Protection_Time", 10),
-    "current_limit": ("Protection_Current", CURRENT_UNIT), "low_voltage": ("Min_Voltage_Limit", 0.1),
+    "protective": ("Protective_Torque", 10),
+    "overload": ("Overload_Torque", 10),
+    "protection_ticks": ("Protection_Time", 10),
+    "current_ticks": ("Over_Current_Protection_Time", 10),
+    "current_limit": ("Protection_Current", CURRENT_UNIT),
+    "low_voltage": ("Min_Voltage_Limit", 0.1),
     "high_voltage": ("Max_Voltage_Limit", 0.1),
-}  # fmt: skip
+}
 
 
 class ServoArm(EmulatedArm):
@@ -478,8 +489,14 @@ class BusSession(Conversation[Packet]):
     scheme = "feetech"
 
     def __init__(
-        self, arm: ServoArm, *, adapter: float = ADAPTER, seed: int = 0, faults: Faults = NONE, **options: Any  # noqa: ANN401
-    ) -> None:  # fmt: skip
+        self,
+        arm: ServoArm,
+        *,
+        adapter: float = ADAPTER,
+        seed: int = 0,
+        faults: Faults = NONE,
+        **options: Any,  # noqa: ANN401
+    ) -> None:
         super().__init__(arm, seed=seed, faults=faults, **options)
         self.bus = ServoBus(arm)
         self.bus.muted = self._muted
@@ -519,8 +536,6 @@ class BusSession(Conversation[Packet]):
         return pieces
 
 
-def serve_bus(
-    session: BusSession, *, host: str = "127.0.0.1", port: int = 0, pty: bool = False
-) -> Server:  # fmt: skip
+def serve_bus(session: BusSession, *, host: str = "127.0.0.1", port: int = 0, pty: bool = False) -> Server:
     """Serve a bus on a TCP port (0: any free one) or a pseudo-terminal; InputError."""
     return on_terminal(session) if pty else on_port(session, host, port)

@@ -225,9 +225,15 @@ class BareServos:
         self.status = np.zeros(count, STATUS)
         self.joints, self.servos = np.zeros(count, servo.JOINT), np.zeros(count, servo.STATE)
         known = {
-            "coulomb": _FRICTION, "stiction": 1.1 * _FRICTION, "reflected_inertia": _INERTIA, "lower": lower,
-            "upper": upper, "no_load_speed": _NO_LOAD_SPEED, "stop_stiffness": 60.0, "stop_damping": 0.5,
-        }  # fmt: skip
+            "coulomb": _FRICTION,
+            "stiction": 1.1 * _FRICTION,
+            "reflected_inertia": _INERTIA,
+            "lower": lower,
+            "upper": upper,
+            "no_load_speed": _NO_LOAD_SPEED,
+            "stop_stiffness": 60.0,
+            "stop_damping": 0.5,
+        }
         for name, value in known.items():
             self.joints[name] = value
         self.joints["ambient"] = servo.AMBIENT
@@ -251,9 +257,13 @@ class BareServos:
         """Advance by ``duration`` [s], in whole milliseconds; ``blocked`` shafts do not move."""
         steps = round(duration / STEP)
         _turn(
-            steps, self._tick, (self.settings, self.status, self._errors, self._positions), (self.joints, self.servos),
-            (self.angle, self.speed, self.push), blocked,
-        )  # fmt: skip
+            steps,
+            self._tick,
+            (self.settings, self.status, self._errors, self._positions),
+            (self.joints, self.servos),
+            (self.angle, self.speed, self.push),
+            blocked,
+        )
         self._tick += steps
 
 
@@ -264,9 +274,15 @@ def _turn(steps, tick, firmware, arms, shafts, blocked):
         for j in range(len(settings)):
             joint, state = joints[j], servos[j]
             state.torque = tick_servo(
-                settings[j], status[j], (errors[j], positions[j]), joint, state, tick + step,
-                int(np.rint(angle[j] / STEP_ANGLE)), speed[j],
-            )  # fmt: skip
+                settings[j],
+                status[j],
+                (errors[j], positions[j]),
+                joint,
+                state,
+                tick + step,
+                int(np.rint(angle[j] / STEP_ANGLE)),
+                speed[j],
+            )
             servo.warm_up(joint, state)
             if blocked:
                 continue
@@ -353,9 +369,14 @@ class StsPlant(Plant):
         stepped = None if len(ids) == self.count else ids
         for _ in range(steps):
             _drive(
-                ids, self._tick, self._key, (self.joints, self.servos), (self._due, self._queue), self._bodies,
+                ids,
+                self._tick,
+                self._key,
+                (self.joints, self.servos),
+                (self._due, self._queue),
+                self._bodies,
                 (self.settings, self.status, self._errors, self._positions),
-            )  # fmt: skip
+            )
             self.batch.step(stepped)
             servo.record(ids, self._tick, self.joints, self.servos, self.qpos, self._history)
 
@@ -377,15 +398,24 @@ def _drive(ids, tick, key, arms, commands, bodies, firmware):
             if not state.blind:
                 state.measured = servo.read_encoder(joint, angle, gear_angle)
             state.torque = tick_servo(
-                settings[i, j], status[i, j], (errors[i, j], positions[i, j]), joint, state, tick[i],
-                int(np.rint(state.measured / joint.encoder_step)), speed,
-            )  # fmt: skip
+                settings[i, j],
+                status[i, j],
+                (errors[i, j], positions[i, j]),
+                joint,
+                state,
+                tick[i],
+                int(np.rint(state.measured / joint.encoder_step)),
+                speed,
+            )
             state.load = status[i, j].output / PWM_FULL
             load = servo.gear_torque(joint, gear_angle, gear_speed)
             unit = uniform(key[i], tick[i] * n + j) if state.powered else 0.5
             applied[i, 2 * j] = (
-                state.torque + settings[i, j].bias - settings[i, j].viscous * speed
-                + servo.friction_torque(joint, state, speed, load) + servo.disturbance(joint, angle, speed, unit)
-            )  # fmt: skip
+                state.torque
+                + settings[i, j].bias
+                - settings[i, j].viscous * speed
+                + servo.friction_torque(joint, state, speed, load)
+                + servo.disturbance(joint, angle, speed, unit)
+            )
             applied[i, 2 * j + 1] = load
             servo.warm_up(joint, state)

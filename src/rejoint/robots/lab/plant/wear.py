@@ -87,8 +87,14 @@ _GREASE_PER_DEGREE = 0.01
 
 _DRIVE, _FRICTION, _GEAR = range(3)
 # Parameters that grow by what lies between young and old, per damage, and of which mechanism
-_ADDED = {"coulomb": _FRICTION, "stiction": _FRICTION, "load_friction": _FRICTION, "ripple": _FRICTION,
-          "torque_noise": _FRICTION, "play": _GEAR}  # fmt: skip
+_ADDED = {
+    "coulomb": _FRICTION,
+    "stiction": _FRICTION,
+    "load_friction": _FRICTION,
+    "ripple": _FRICTION,
+    "torque_noise": _FRICTION,
+    "play": _GEAR,
+}
 # Parameters whose inverse grows so
 _SOFTENED = {"position_gain": _DRIVE, "link_stiffness": _GEAR}
 
@@ -115,9 +121,12 @@ def warmed(wear: Wear, ambient: float, *, seed: int) -> Wear:
     own = np.random.default_rng([seed, 2]).uniform(-1.0, 1.0, len(wear.position_gain))
     thinner = float(np.exp(-_GREASE_PER_DEGREE * above))
     return replace(
-        wear, coulomb=wear.coulomb * thinner, stiction=wear.stiction * thinner, ambient=ambient,
+        wear,
+        coulomb=wear.coulomb * thinner,
+        stiction=wear.stiction * thinner,
+        ambient=ambient,
         offset=wear.offset + own * _OFFSET_PER_DEGREE * above,
-    )  # fmt: skip
+    )
 
 
 def damages(young: Wear, arm: Arm, hours: float, seed: int) -> Array:
@@ -126,9 +135,11 @@ def damages(young: Wear, arm: Arm, hours: float, seed: int) -> Array:
     pace = np.exp(np.random.default_rng([seed, 1]).normal(-0.5 * _PACE**2, _PACE, (3, arm.joints)))
     # One generator for each mechanism and joint, so that more blocks change none of the earlier ones.
     draws = np.array(
-        [[np.random.default_rng([seed, 1, kind, j]).gamma(_SHAPE, 1.0 / _SHAPE, blocks) for j in range(arm.joints)]
-         for kind in range(3)]
-    )  # fmt: skip
+        [
+            [np.random.default_rng([seed, 1, kind, j]).gamma(_SHAPE, 1.0 / _SHAPE, blocks) for j in range(arm.joints)]
+            for kind in range(3)
+        ]
+    )
     passed = draws[..., :-1].sum(axis=-1) + draws[..., -1] * (hours / _BLOCK - (blocks - 1))
     return np.asarray(pace * severity(young, arm) * passed * _BLOCK / LIFE)
 
