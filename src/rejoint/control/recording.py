@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Array
 from rejoint.control.guard import GuardLimits, Reason, Reasons
-from rejoint.control.robot import JointState, Mask, Robot
+from rejoint.control.robot import JointState, Mask, Robot, part_of
 from rejoint.logs.runlog import RunLog
 
 GAP = 0.8
@@ -56,14 +56,19 @@ OnCycle = Callable[[Cycle], object]
 Look = Callable[[Cycle, JointState, Array], object]
 """Receives a cycle, state and wanted positions (B, n) [rad]"""
 
-Onlooker = Callable[[str, GuardLimits], Look]
-"""Makes a `Look` per run"""
+
+@runtime_checkable
+class LookedAt(Protocol):
+    """A robot that someone looks at."""
+
+    def onlooker(self, controller: str, limits: GuardLimits) -> Look:
+        """Make a `Look` for a run."""
 
 
 def look_of(robot: Robot, controller: str, limits: GuardLimits) -> Look | None:
     """Look of ``onlooker``, or None."""
-    onlooker: Onlooker | None = getattr(robot, "onlooker", None)
-    return None if onlooker is None else onlooker(controller, limits)
+    shown = part_of(robot, LookedAt)
+    return None if shown is None else shown.onlooker(controller, limits)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

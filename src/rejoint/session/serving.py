@@ -17,7 +17,7 @@ from rejoint.control.guard import Reason, reason_names
 from rejoint.control.loop import Schedule
 from rejoint.control.observer import Observer
 from rejoint.control.recording import PIECE, Cycle
-from rejoint.control.robot import Mask
+from rejoint.control.robot import Mask, Relaying, part_of
 from rejoint.robots.serving.served import Apparent, ServedArm
 from rejoint.robots.serving.server import Answering, OrderLog, Relay, WireServer, pty_wire, tcp_wire
 from rejoint.session.inputs import RobotLike, RunLike
@@ -148,7 +148,8 @@ def _put_together(
     session: ArmSession, log: OrderLog, listener: socket.socket | None
 ) -> tuple[ServedArm, WireServer, Relay]:
     arm, say = session.arm, session.observer.message
-    relay = Relay(getattr(session.robot, "relay", None))
+    wire = part_of(session.robot, Relaying)
+    relay = Relay(None if wire is None else wire.relay)
     shift = None if session.correction is None else session.correction.shift
     apparent = Apparent(arm=arm, shift=shift)
     choose_postures(arm, tcp_position(arm, arm.rest)[None], arm.rest)  # compiled now: no client waits for it

@@ -16,7 +16,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, collides, frames, solve_position, tcp_position
+from rejoint.arms import Arm, Array, collides, frames, gravity_torque, solve_position, tcp_position
 from rejoint.arms.postures import comfortable_postures
 from rejoint.control.controller import ControlInput
 from rejoint.control.goal import Setpoint
@@ -24,11 +24,131 @@ from rejoint.control.guard import GuardLimits, guard
 from rejoint.control.observation import ALL, SUCCESS_DISTANCE, Layout, Observation, Observer, Rows
 from rejoint.control.residual import Commander, CommandLaw
 from rejoint.control.robot import JointState, Mask
-from rejoint.training.privileged import fill_privileged, privileged_constants, privileged_size
 from rejoint.training.ranges import Ranges
-from rejoint.training.reset import ResetStates, draw_reset_states
-from rejoint.training.reward import paper_reward, residual_reward
-from rejoint.twin.simulation import Simulation
+from rejoint.twin.parameters import nominal_parameters
+from rejoint.twin.simulation import Draw, Simulation
+
+
+class ResetStates(NamedTuple):
+    """m arms at the start of their first episode."""
+
+    draw: Draw
+    position: Array
+    """(m, n) [rad]"""
+    command: Array
+    """(m, n) [rad]"""
+
+    def rows(self, index: NDArray[np.integer]) -> ResetStates:
+        """Return some rows."""
+        return ResetStates(self.draw.rows(index), self.position[index], self.command[index])
+
+
+def draw_reset_states(
+    ranges: Ranges, limits: GuardLimits, rng: np.random.Generator, count: int, *, spread: float, lead_limit: float
+) -> ResetStates:
+    """Draw ``count`` arms around rest with sigma ``spread`` [rad].
+
+    The first command leads by part of the sag, at most ``lead_limit`` [rad].
+    """
+    draw = ranges.draw(rng, count)
+    position = _start_postures(limits, rng, count, spread)
+    return ResetStates(draw, position, position + _start_lead(limits.arm, rng, draw, position, lead_limit))
+
+
+def _start_postures(limits: GuardLimits, rng: np.random.Generator, count: int, spread: float) -> Array:
+    """Postures (m, n) [rad] inside the guard's limits and above the floor."""
+    arm = limits.arm
+    position = arm.rest + rng.normal(0.0, spread, (count, arm.joints))
+    position = np.clip(position, limits.lower, limits.upper)
+    low = tcp_position(arm, position)[:, 2] < 3.0 * arm.floor
+    return np.where(low[:, None], arm.rest, position)
+
+
+def _start_lead(arm: Arm, rng: np.random.Generator, draw: Draw, position: Array, limit: float) -> Array:
+    """Lead (m, n) [rad] of the first command: none up to the whole sag."""
+    if limit == 0.0:
+        return np.zeros_like(position)
+    torque = draw.gravity_scale[:, None] * gravity_torque(arm, position)
+    held = torque / draw.twin.stiffness - draw.twin.offset
+    return np.clip(held, -limit, limit) * rng.uniform(0.0, 1.0, (len(position), 1))
+
+
+def residual_reward(distance: Array, speed: Array, action: Array) -> Array:
+    """Reward (N,) that rises with accuracy down to a tenth of a millimetre.
+
+    Three exponentials give a slope at every ``distance`` (N,) [m]; the TCP's ``speed`` (N,) costs only near the target,
+    the ``action`` (N, n) everywhere. Chosen by simulation.
+    """
+    attraction = 0.4 * np.exp(-distance / 0.010) + 0.5 * np.exp(-distance / 0.003) + 0.4 * np.exp(-distance / 0.001)
+    haste = 0.2 * np.minimum(speed, 1.0) * np.exp(-distance / 0.020)
+    effort = 0.02 * np.minimum(action**2, 2.0).sum(axis=-1)
+    return -10.0 * np.minimum(distance, 0.1) + attraction - haste - effort
+
+
+def paper_reward(
+    distance: Array,
+    joint_speed: Array,
+    collided: NDArray[np.bool_],
+    reached: NDArray[np.bool_],
+    timed_out: NDArray[np.bool_],
+) -> Array:
+    """Equation 25 of Park et al. 2024 for ``distance`` (N,) [m] and ``joint_speed`` (N, n) [rad/s].
+
+    Weights .1, .1, -5, 10, 10. Our choice: centimetres, the mean joint speed; the time-out is a penalty, as the text
+    says.
+    """
+    travel = -0.1 * 100.0 * distance - 0.1 * np.abs(joint_speed).mean(axis=-1)
+    return travel - 5.0 * timed_out - 10.0 * collided + 10.0 * reached
+
+
+_MOVING_SCALARS = 4
+_FIXED_SCALARS = 4
+
+
+def privileged_size(joints: int) -> int:
+    """Length of the privileged observation."""
+    return _MOVING_SCALARS + 2 * joints + _FIXED_SCALARS + 6 * joints
+
+
+def privileged_constants(arm: Arm, draw: Draw) -> Observation:
+    """Privileged observation (m, size) of new arms; the varying part is zero."""
+    base, twin = nominal_parameters(arm), draw.twin
+    scalars = np.stack(
+        [
+            5.0 * (draw.gravity_scale - 1.0),
+            30.0 * draw.command_delay,
+            30.0 * draw.readback_delay,
+            np.log(twin.ramp_speed / base.ramp_speed),
+        ],
+        axis=-1,
+    )
+    parts = [
+        np.log(twin.stiffness / base.stiffness),
+        np.log(twin.damping / base.damping),
+        np.log(twin.armature / base.armature),
+        np.log(twin.torque_limit / base.torque_limit),
+        0.5 * twin.coulomb / base.coulomb,
+        30.0 * twin.offset,
+    ]
+    moving = np.zeros((len(scalars), _MOVING_SCALARS + 2 * arm.joints))
+    return np.concatenate([moving, scalars, *parts], axis=-1).clip(-8.0, 8.0).astype(np.float32)
+
+
+def fill_privileged(
+    privileged: Observation, distance: Array, speed: Array, velocity: Array, lag: Array, period: Array
+) -> None:
+    """Fill in the varying part.
+
+    ``distance`` (N,) [m] of the TCP, its ``speed`` (N,) [m/s], joint ``velocity`` (N, n) [rad/s], ``lag`` (N, n) [rad]
+    behind the servo's reference, control ``period`` (N,) [s].
+    """
+    n = velocity.shape[1]
+    privileged[:, 0] = 10.0 * distance
+    privileged[:, 1] = (np.log(distance + 0.0003) + 5.0) / 2.0
+    privileged[:, 2] = 3.0 * speed
+    privileged[:, 3] = 30.0 * period
+    privileged[:, 4 : 4 + n] = np.clip(0.5 * velocity, -8.0, 8.0)
+    privileged[:, 4 + n : 4 + 2 * n] = np.clip(4.0 * lag, -8.0, 8.0)
 
 
 @dataclass(frozen=True, kw_only=True)
