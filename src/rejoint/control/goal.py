@@ -11,11 +11,10 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, JointTrajectory, Motors, clearances, plan, tcp_position
+from rejoint.arms import Arm, Array, JointTrajectory, Motors, clearances, plan
 from rejoint.arms.inverse import REST_GAIN
 from rejoint.arms.planning import PlanningError
 from rejoint.arms.posing import find_postures
@@ -79,36 +78,6 @@ def side_by_side(goals: Sequence[JointGoals]) -> JointGoals:
     """Return the goals of several arms as those of one batch."""
     posture = np.concatenate([one.posture for one in goals])
     return JointGoals(posture=posture, ways=tuple(row for one in goals for row in one.ways))
-
-
-class Setpoint(NamedTuple):
-    """What is in force now."""
-
-    goal: Array
-    """(B, n) [rad]"""
-    target: Array
-    """(B, 3) [m]"""
-    since: Array
-    """(B,) [s] since the goal has stopped moving, 0 on the way"""
-
-
-def on_the_way(arm: Arm, ways: Sequence[JointTrajectory], goal: Array, aim: Array, since: Array) -> Setpoint:
-    """Return where the goals of B arms are, ``since`` (B,) [s] after their ways began.
-
-    ``goal`` (B, n) [rad] and ``aim`` (B, 3) [m] are those at the end. What an aim differs from the planned end is added
-    along the way.
-    """
-    duration = np.array([way.duration for way in ways])
-    moving = since < duration
-    if not moving.any():
-        return Setpoint(goal, aim, since - duration)
-    now, rows = goal.copy(), np.flatnonzero(moving).tolist()
-    for b in rows:
-        way, share = ways[b], max(float(since[b]), 0.0) / duration[b]
-        now[b] = way.at(float(since[b])) + share * (goal[b] - way.goal)
-    target = aim.copy()
-    target[rows] += tcp_position(arm, now[rows]) - tcp_position(arm, goal[rows])
-    return Setpoint(now, target, np.maximum(since - duration, 0.0))
 
 
 def waiting(arm: Arm, ways: Sequence[JointTrajectory], since: Array, position: Array, sag: Array) -> Array:

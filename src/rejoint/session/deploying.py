@@ -11,6 +11,7 @@ from rejoint.control.goal import JointGoals
 from rejoint.control.loop import Schedule
 from rejoint.control.observer import Observer
 from rejoint.control.recording import Cycle
+from rejoint.control.reference import TargetSequence
 from rejoint.session.context import require_correctable
 from rejoint.session.eyes import opened_eye, watched, with_sightings
 from rejoint.session.inputs import ArmLike, RobotLike, RunLike, Targets, as_targets
@@ -139,14 +140,14 @@ class TargetDrive:
         controller, correction, seen = self._corrected(eye)
         try:
             session.begin(self.controller)
-            recording = session.drive(
-                controller,
-                Schedule(dwell=job.dwell, goals=self.goals),
-                targets=job.targets,
-                turns=job.turns,
+            reference = TargetSequence(
+                session.arm,
+                job.targets[None],
+                goals=self.goals,
+                turns=job.turns and job.turns[None],
                 correction=correction,
-                on_cycle=watch,
             )
+            recording = session.drive(controller, Schedule(dwell=job.dwell), reference, watch)
         except BaseException as error:
             done = deployed_of(error, session.arm, job, session.calibration)
             if done is not None:

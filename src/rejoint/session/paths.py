@@ -14,14 +14,14 @@ from rejoint.arms import Arm, Array
 from rejoint.arms.rotations import tool_axis
 from rejoint.control.controller import Controller
 from rejoint.control.loop import Schedule
-from rejoint.control.moving.drive import Followed, Pass, Repetition, Sender, corrected_path, corrector, judge, missed
+from rejoint.control.moving.drive import Followed, Pass, Repetition, corrected_path, corrector, judge, missed
 from rejoint.control.moving.posture import PathPostures, Servos, home_of
 from rejoint.control.moving.reference import (
     LAG,
     LEAD_IN,
     Ahead,
     Path,
-    Routes,
+    PathReference,
     Stream,
     is_standard,
     played,
@@ -121,9 +121,6 @@ def follow(
     >>> done = rejoint.follow("emulated:worn", "circle-8s", run="runs/mine")
     >>> print(done.passes[-1].encoder.rms)
     """
-    by = None if settings is None else settings.controller
-    if isinstance(by, str) and by not in (TRACKER, SENT):
-        raise InputError(f"no controller called {by!r} follows paths; known: {TRACKER}, {SENT}")
     with noted(), ArmSession(robot, run=run, arm=arm, settings=settings, observer=observer) as session:
         return cast(Followed, session.follow(path, repeat=repeat, rate_hz=rate_hz))
 
@@ -176,9 +173,7 @@ class PathDrive:
             places, turns = given.place[few], given.turn_at(given.time[few])
             say_heavy(arm, session.twin, places, session.observer.message, turns)
             require_correctable(session.calibration, arm, places)
-        by = settings.controller  # one that drives to points follows no path
-        follows = by in (TRACKER, SENT) if isinstance(by, str) else hasattr(by, "command") or callable(by)
-        wanted = by if by is not None and follows else TRACKER
+        wanted = TRACKER if settings.controller is None else settings.controller
         follower_of(wanted, arm, session.period, session.run, session.twin)
         return cls(
             session=session,
@@ -195,8 +190,10 @@ class PathDrive:
         session = self.session
         session.take_up(None)
         self._motion = motion
-        asked = self.controller is session.settings.controller
-        session.announce(name_of(self.controller), "as asked for" if asked else "for paths, by the twin")
+        if session.settings.controller is None:
+            session.instead(TRACKER, "for paths, by the twin")
+        else:
+            session.announce(name_of(self.controller), "as asked for")
         self._follower = follower_of(self.controller, session.arm, session.period, session.run, session.twin_now)
         if not turned(self.path):
             say_folded(session.arm, self._follower.home, session.observer.message)
@@ -228,11 +225,11 @@ class PathDrive:
     def _behind(self, stream: Stream) -> Followed:
         session, arm, home = self.session, self.session.arm, self._follower.home
         at_once = np.zeros(1)
-        start, turns = stream.place(0.0), stream.turns(0.0, at_once)
+        start, turns = stream.place(0.0), stream.poses(0.0, at_once)[1]
         turn = None if turns is None else turns[0]
         if session.correction is not None and stream.corrected is None:
             stream.corrected = corrector(arm, session.correction, start, turn, home)
-            turns = stream.turns(0.0, at_once)
+            turns = stream.poses(0.0, at_once)[1]
             turn = None if turns is None else turns[0]
         self._approach(start, turn)
         last = self._carry(stream, self.duration, 0)
@@ -258,12 +255,8 @@ class PathDrive:
         if total > 1:
             session.recorder.begin(session.robot, f"follow-{number + 1:02d}", self._label)
         controller = self._follower.make(session.arm, self._usual)
-        recording = session.drive(
-            controller,
-            Schedule(dwell=duration, give_up=self._motion.give_up),
-            reference=Routes([guide]),
-            on_cycle=watch,
-        )
+        schedule = Schedule(dwell=duration, give_up=self._motion.give_up)
+        recording = session.drive(controller, schedule, PathReference(session.arm, [guide], self._follower.home), watch)
         if self._motion.ended.is_set():
             raise EndedError
         return recording
@@ -310,7 +303,7 @@ def followable(given: PathLike | Stream, arm: Arm, seed: int, duration: float | 
                 "follow: this stream was followed already, up to its last target; put targets into another"
             )
         given.axis = tool_axis(arm)
-        turns = given.turns(0.0, np.zeros(1))
+        turns = given.poses(0.0, np.zeros(1))[1]
         require_reachable(arm, given.place(0.0)[None, None], turns and turns[None])
         return given
     if duration is not None:
@@ -323,7 +316,7 @@ def followable(given: PathLike | Stream, arm: Arm, seed: int, duration: float | 
 def turned(given: Path | Stream) -> bool:
     """Whether a path, or a stream's first target, has an orientation."""
     start = np.zeros(1)
-    return (given.turn_at(start) if isinstance(given, Path) else given.turns(0.0, start)) is not None
+    return (given.turn_at(start) if isinstance(given, Path) else given.poses(0.0, start)[1]) is not None
 
 
 def require_repeatable(path: PathLike | Stream, repeat: int, rate: float | None, within: float = WITHIN) -> None:
@@ -357,8 +350,6 @@ def servos_of(twin: Twin) -> Servos:
 
 def follower_of(given: ControllerLike, arm: Arm, usual: Period | None, run: Run | None, twin: Twin | None) -> Follower:
     """Return what follows under a name, or what is given."""
-    if given == SENT:
-        return Follower(name=SENT, make=lambda arm, period: Sender(arm))  # noqa: ARG005 - it knows no time
     if given == TRACKER:
         if twin is None:
             raise InputError(
@@ -366,8 +357,6 @@ def follower_of(given: ControllerLike, arm: Arm, usual: Period | None, run: Run 
             )
         servos = servos_of(twin)
         home = home_of(arm, servos)
-        return Follower(
-            name=TRACKER, make=lambda arm, period: Tracker(arm, servos, period=period, home=home), home=home[0]
-        )
+        return Follower(name=TRACKER, make=lambda arm, period: Tracker(arm, servos, period=period), home=home[0])
     ((name, make),) = make_factories([given], arm, usual, run=run, twin=twin).items()
     return Follower(name=name, make=lambda arm, period: make(arm))  # noqa: ARG005 - its own affair

@@ -168,10 +168,10 @@ def _drive(session: ArmSession, served: ServedArm, log: OrderLog, over: Callable
         rests = bool(inputs.since_target[0] > PIECE) and not served.moving
         return np.array([rests or over()])
 
-    controller = session.posture_controller(served)
+    controller = session.posture_controller()
     while not over():
         before, moving = log.orders, served.moving
-        session.drive(controller, Schedule(dwell=LONGEST_PIECE, give_up=give_up), on_cycle=watch)
+        session.drive(controller, Schedule(dwell=LONGEST_PIECE, give_up=give_up), served, watch)
         idle = log.orders == before and not moving  # an arm without orders for days fills no disk
         session.recorder.turn(keep=not idle)
 

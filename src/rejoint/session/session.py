@@ -17,8 +17,9 @@ from rejoint.control.controller import Controller
 from rejoint.control.goal import JointGoals, with_ways
 from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.loop import Schedule
-from rejoint.control.posture import PostureController, PostureGains, PostureWay
+from rejoint.control.posture import PostureController, PostureGains
 from rejoint.control.recording import PIECE, Cycle, cycle_at_rest
+from rejoint.control.reference import Reference, TargetSequence
 from rejoint.control.robot import JointState
 from rejoint.control.targets import Pose, placed
 from rejoint.control.unloading import PlannedWay, UnloadedWay
@@ -153,19 +154,16 @@ class ArmSession(ArmDriver):
         turns = None if pose is None else placed(self.arm, [pose])[1]
         self._require_free()
         goals = self.goals(target[None], turns)
+        reference = TargetSequence(
+            self.arm, target[None, None], goals=goals, turns=turns and turns[None], correction=self.correction
+        )
         name, controller = self.driver(posed=turns is not None)
 
         def work(motion: ArmMotion) -> None:
             self.begin(controller)
             self.recorder.begin(self.robot, "move", f"move/{name}")
             arrival = GoalCheck(motion, self.arm, within, within_rad)
-            self.drive(
-                controller,
-                Schedule(dwell=timeout, give_up=arrival.at_point, goals=goals),
-                targets=target[None],
-                turns=turns,
-                correction=self.correction,
-            )
+            self.drive(controller, Schedule(dwell=timeout, give_up=arrival.at_point), reference)
             turned = "" if turns is None else f" and {np.degrees(within_rad):g} deg"
             arrival.require(f"{1e3 * within:g} mm{turned}", timeout)
 
@@ -211,18 +209,17 @@ class ArmSession(ArmDriver):
 
         def work(motion: ArmMotion) -> None:
             self.begin(rest=False)
-            controller = self._joint_controller(PlannedWay(self.arm, way))
+            controller, unloaded = self._joint_drive(PlannedWay(self.arm, way))
             self.recorder.begin(self.robot, "joints", f"joints/{controller.name}")
             arrival = GoalCheck(motion, self.arm, np.inf, within)
-            self.drive(controller, Schedule(dwell=timeout, give_up=arrival.at_joints(goal)))
+            self.drive(controller, Schedule(dwell=timeout, give_up=arrival.at_joints(goal)), unloaded)
             arrival.require(f"{np.degrees(within):g} deg", timeout)
 
         return self._start(ArmMotion("its joint positions", work), wait=wait)
 
-    def _joint_controller(self, way: PostureWay) -> PostureController:
+    def _joint_drive(self, way: Reference) -> tuple[PostureController, UnloadedWay]:
         """Return what brings every joint where a way says, over other postures where one sticks."""
-        unloaded = UnloadedWay(way, self.arm, self.motors, self.observer.message)
-        return self.posture_controller(unloaded, EVERY_JOINT)
+        return self.posture_controller(EVERY_JOINT), UnloadedWay(way, self.arm, self.motors, self.observer.message)
 
     def send_joints(self, joints_rad: ArrayLike) -> Array:
         """Send joint positions (n,) [rad] of a stream.
@@ -256,10 +253,10 @@ class ArmSession(ArmDriver):
 
         def work(motion: ArmMotion) -> None:
             self.begin(rest=False)
-            controller = self._joint_controller(goals)
+            controller, unloaded = self._joint_drive(goals)
             self.recorder.begin(self.robot, "joints", f"joints/{controller.name}")
             while not motion.ended.is_set():
-                self.drive(controller, Schedule(dwell=PIECE, give_up=motion.give_up))
+                self.drive(controller, Schedule(dwell=PIECE, give_up=motion.give_up), unloaded)
                 self.recorder.turn()
 
         self._start(ArmMotion("the newest joint positions", work), wait=False)

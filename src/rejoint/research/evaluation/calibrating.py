@@ -20,6 +20,7 @@ from rejoint.control.controller import Controller
 from rejoint.control.goal import JointGoals
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import Recording
+from rejoint.control.reference import TargetSequence
 from rejoint.control.start import play
 from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.calibration.calibration import Calibration
@@ -319,7 +320,8 @@ def _go(robot: EmulatedRobot, sent: Array, goal: Array) -> Array:
 def _hold(
     robot: EmulatedRobot, controller: Callable[[Arm], Controller], aims: Array, goals: JointGoals | None
 ) -> Recording:
-    return run(robot, controller(robot.arm), aims, Schedule(dwell=HOLD, keep_going=True, goals=goals))
+    reference = TargetSequence(robot.arm, aims, goals=goals)
+    return run(robot, controller(robot.arm), reference, Schedule(dwell=HOLD, keep_going=True))
 
 
 def _errors(recording: Recording, targets: Array) -> Array:

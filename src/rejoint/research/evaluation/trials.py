@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from rejoint.control.controller import Controller
 from rejoint.control.goal import JointGoals
 from rejoint.control.loop import run
 from rejoint.control.recording import Cycle
+from rejoint.control.reference import TargetSequence
 from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.research.evaluation.family import ArmFamily, Variant, family_targets, open_family, targets_anywhere
 from rejoint.research.evaluation.outcome import Outcome
@@ -105,8 +106,8 @@ def try_on(
             on_targets(int(cycle.target_index.sum()))
 
     held = targets[:, : family.targets]
-    plan = replace(schedule("hold", settings.protocol, keep_going=True), goals=bench.goals)
-    recording = run(robot, controller(arm), held, plan, on_cycle=watch)
+    plan = schedule("hold", settings.protocol, keep_going=True)
+    recording = run(robot, controller(arm), TargetSequence(arm, held, goals=bench.goals), plan, on_cycle=watch)
     holds = measure_holds(arm, recording, held, settings.protocol)
     names = ("crossed", "crossing_error", "crossing_true", "crossing_time")
     crossings = {name: _unknown((len(targets), family.crossings)) for name in names}
