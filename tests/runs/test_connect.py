@@ -288,7 +288,7 @@ def test_a_way_waits_for_a_joint_that_lags_and_not_for_ever() -> None:
         waits = stuck.advance(_read(now, ARM.rest), np.array([now]))
     assert there.arrived.all()
     assert not waits.arrived.any()
-    assert np.radians(12.0) < np.abs(waits.posture[0] - ARM.rest).max() < 0.5
+    assert np.radians(12.0) < np.abs(waits.goal[0] - ARM.rest).max() < 0.5
     for now in np.arange(2.0, 30.0, 0.02) * line.duration:
         waits = stuck.advance(_read(now, ARM.rest), np.array([now]))
     assert waits.arrived.all()
@@ -409,9 +409,17 @@ def test_an_arm_follows_paths_and_streams_between_points_and_leaves_one_log(run:
     assert {log.extra["controller"] for log in logs.values()} == {"policy", "tracker"}
 
 
+def test_without_a_twin_what_drives_to_points_follows_a_path(run: Path) -> None:
+    with rejoint.connect("emulated:worn", run=run) as arm:
+        done = arm.follow(rejoint.Path(time=TIME, place=WAVE))
+    assert done is not None
+    assert done.controller == arm.controller
+    assert done.passes[-1].encoder.rms < 10e-3
+
+
 def test_a_path_is_stopped_on_its_way_and_what_cannot_be_followed_is_refused(run: Path) -> None:
-    with rejoint.connect("emulated:worn", run=run) as arm, pytest.raises(rejoint.InputError, match="needs a twin"):
-        arm.follow("circle-8s")
+    with pytest.raises(rejoint.InputError, match="needs a twin"):
+        rejoint.follow("emulated:worn", "circle-8s", run=run, settings=rejoint.Settings(controller="tracker"))
     a_twin().save(run / "twin.toml")
     with rejoint.connect("emulated:worn", run=run) as arm:
         with pytest.raises(rejoint.InputError, match="out of reach"):

@@ -33,10 +33,9 @@ from rejoint.control.moving.tracker import Tracker
 from rejoint.control.observer import Observer
 from rejoint.control.recording import Cycle, Recording
 from rejoint.control.targets import require_reachable
-from rejoint.runs.run import Run
 from rejoint.session.context import require_correctable
 from rejoint.session.controllers import ControllerLike, make_factories, name_of
-from rejoint.session.inputs import ArmLike, Period, RobotLike, RunLike
+from rejoint.session.inputs import ArmLike, RobotLike, RunLike
 from rejoint.session.motions import ArmMotion, EndedError
 from rejoint.session.payload import say_folded, say_heavy, say_noticed
 from rejoint.session.session import ArmSession
@@ -52,8 +51,8 @@ if TYPE_CHECKING:
 PathLike: TypeAlias = "Path | FilePath | ArrayLike"
 """A path, its file or standard name, or (T, 4) times [s] and places [m]"""
 
-TRACKER, SENT = "tracker", "default"
-"""Names of the twin's controller, and of the plain path"""
+TRACKER = "tracker"
+"""Name of the controller by the twin"""
 
 WITHIN = 5e-3
 """[m] accepted rms after the best lag (chosen)"""
@@ -97,8 +96,8 @@ def follow(
     rate_hz
         rate at which the path is sent as a stream instead of being known ahead
     settings
-        twin, payload, accepted error (``within``) and the like; ``controller``: ``tracker`` (default, needs a twin),
-        ``default``, or your own
+        twin, payload, accepted error (``within``) and the like; ``controller``: by default ``tracker`` by the twin,
+        without one what drives to points
     observer
         receives messages and progress
 
@@ -173,8 +172,10 @@ class PathDrive:
             places, turns = given.place[few], given.turn_at(given.time[few])
             say_heavy(arm, session.twin, places, session.observer.message, turns)
             require_correctable(session.calibration, arm, places)
-        wanted = TRACKER if settings.controller is None else settings.controller
-        follower_of(wanted, arm, session.period, session.run, session.twin)
+        wanted, posed = settings.controller, turned(given)
+        if wanted is None:
+            wanted = TRACKER if session.twin is not None else session.driver(posed=posed)[0]
+        follower_of(wanted, session, session.twin, posed=posed)
         return cls(
             session=session,
             path=given,
@@ -190,11 +191,11 @@ class PathDrive:
         session = self.session
         session.take_up(None)
         self._motion = motion
-        if session.settings.controller is None:
-            session.instead(TRACKER, "for paths, by the twin")
-        else:
+        if session.settings.controller is not None:
             session.announce(name_of(self.controller), "as asked for")
-        self._follower = follower_of(self.controller, session.arm, session.period, session.run, session.twin_now)
+        elif self.controller == TRACKER:
+            session.instead(TRACKER, "for paths, by the twin")
+        self._follower = follower_of(self.controller, session, session.twin_now, posed=turned(self.path))
         if not turned(self.path):
             say_folded(session.arm, self._follower.home, session.observer.message)
         name = self.path.name if isinstance(self.path, Path) else "stream"
@@ -348,15 +349,14 @@ def servos_of(twin: Twin) -> Servos:
     )
 
 
-def follower_of(given: ControllerLike, arm: Arm, usual: Period | None, run: Run | None, twin: Twin | None) -> Follower:
-    """Return what follows under a name, or what is given."""
+def follower_of(given: ControllerLike, session: ArmSession, twin: Twin | None, *, posed: bool) -> Follower:
+    """Return what follows under a name, or what is given; InputError where it cannot."""
+    arm = session.arm
     if given == TRACKER:
         if twin is None:
-            raise InputError(
-                "follow: the tracker needs a twin; run `rejoint identify` first, or take --controller default"
-            )
+            raise InputError("follow: the tracker needs a twin; run `rejoint identify` first")
         servos = servos_of(twin)
         home = home_of(arm, servos)
         return Follower(name=TRACKER, make=lambda arm, period: Tracker(arm, servos, period=period), home=home[0])
-    ((name, make),) = make_factories([given], arm, usual, run=run, twin=twin).items()
+    ((name, make),) = make_factories([given], arm, session.period, run=session.run, twin=twin, posed=posed).items()
     return Follower(name=name, make=lambda arm, period: make(arm))  # noqa: ARG005 - its own affair
