@@ -239,10 +239,8 @@ class SharedOption(NamedTuple):
         """Return annotation and default of a command's parameter called ``name``."""
         field = self.field or name
         what, default, usual = meaning(field).partition("; by default")
-        text = f"{what}{self.form and f', {self.form}'}{default}{usual}."
-        return Annotated[self.kind, typer.Option(f"--{name.replace('_', '-')}", help=text, **self.limits)], getattr(
-            Settings, field
-        )  # type: ignore[arg-type]
+        text, flag = f"{what}{self.form and f', {self.form}'}{default}{usual}.", f"--{name.replace('_', '-')}"
+        return Annotated[self.kind, typer.Option(flag, help=text, **self.limits)], getattr(Settings, field)  # type: ignore[arg-type]
 
 
 SHARED = {

@@ -28,7 +28,7 @@ from rejoint.robots.wrapper import WallClock
 from rejoint.runs.run import exclusive
 from rejoint.runs.run import metered as meter_of
 from rejoint.session.context import calibration_of, corrected_by, guard_limits, stance_of, twin_in_force
-from rejoint.session.controllers import choice, make_factories, name_of, quick_note
+from rejoint.session.controllers import choice, make_factories, quick_note
 from rejoint.session.inputs import (
     ArmLike,
     RobotLike,
@@ -189,8 +189,7 @@ class ArmDriver:
                 by, why = FeedforwardController.name, f"{name} does not turn the tool"
                 ((name, make),) = make_factories([by], self.arm, self.period, run=self.run, twin=self.twin).items()
                 controller = make(self.arm)
-            if self.settings.controller is None or name_of(self.settings.controller) != name:
-                self.announce(name, why)
+            self.announce(name, why)
             self._chosen[posed] = name, controller
         return self._chosen[posed]
 
