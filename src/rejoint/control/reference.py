@@ -18,7 +18,7 @@ from rejoint.arms.inverse import REST_GAIN
 from rejoint.arms.rotations import Orientation
 from rejoint.control.controller import ControlInput
 from rejoint.control.correction import Modelled
-from rejoint.control.goal import LAGS, JointGoals, nearest_postures, waiting
+from rejoint.control.goal import LAGS, Ways, nearest_postures, waiting
 from rejoint.control.robot import JointState, Mask
 from rejoint.system.errors import InputError
 
@@ -100,24 +100,24 @@ class TargetSequence(Reference):
         arm: Arm,
         targets: Array,
         *,
-        goals: JointGoals | None = None,
+        ways: Ways | None = None,
         turns: Orientation | None = None,
         correction: Modelled | None = None,
     ) -> None:
         """Take ``targets`` (B, K, 3) [m] and ``turns`` (B, K) of the tools. A target of NaN is a wait without a goal.
 
-        ``goals`` None: the nearest postures at once. ``correction`` turns targets into aims.
+        ``ways`` None: the nearest postures at once. ``correction`` turns targets into aims.
         """
         targets = np.asarray(targets, dtype=float)
         if targets.ndim != 3 or targets.shape[1] == 0 or targets.shape[2] != 3:
             raise InputError(f"targets have shape {targets.shape}, expected (arms, K, 3) with K > 0")
         if turns is not None and turns.weight.shape != targets.shape[:2]:
             raise InputError(f"orientations have shape {turns.weight.shape}, expected that of the targets")
-        if goals is not None and goals.posture.shape != (*targets.shape[:2], arm.joints):
-            raise InputError(f"joint goals have shape {goals.posture.shape}, expected one posture for each target")
         self.count, self.legs = targets.shape[:2]
-        self.planned = goals is not None and bool(goals.ways)
-        self._arm, self._targets, self._goals, self._turns, self._correction = arm, targets, goals, turns, correction
+        if ways is not None and [len(row) for row in ways] != [self.legs] * self.count:
+            raise InputError("ways to targets: expected one for each target")
+        self.planned = ways is not None
+        self._arm, self._targets, self._turns, self._correction, self._rows = arm, targets, turns, correction, ways
         self._place = self._aim = targets[:, 0]
         self._goal = self._sag = np.zeros((self.count, arm.joints))  # sag [rad]: off where the ways began, no lag
         self._turn: Orientation | None = None
@@ -125,11 +125,11 @@ class TargetSequence(Reference):
 
     def begin(self, where: Mask, index: Index, sent: Array) -> None:
         """See `Reference`."""
-        each, goals, correction = np.arange(self.count), self._goals, self._correction
+        each, correction = np.arange(self.count), self._correction
         self._place = target = self._targets[each, index]
         self._turn = None if self._turns is None else self._turns[each, index]
-        planned = None if goals is None else goals.posture[each, index]
-        self._ways = [] if goals is None else [row[k] for row, k in zip(goals.ways, index, strict=False)]
+        self._ways = [row[k] for row, k in zip(self._rows or (), index, strict=False)]
+        planned = np.array([way.goal for way in self._ways]) if self.planned else None
         if correction is None:
             aim = target
         elif self._turn is None:
@@ -143,7 +143,7 @@ class TargetSequence(Reference):
         self._aim = np.where(where[:, None], aim, self._aim)
         turn = None if self._turn is None else self._turn[where]
         self._goal = self._goal.copy()
-        rest_gain = REST_GAIN if self._goals is None else 0.0  # a planned posture is kept
+        rest_gain = 0.0 if self.planned else REST_GAIN  # a planned posture is kept
         self._goal[where] = nearest_postures(self._arm, self._aim[where], near[where], turn, rest_gain=rest_gain)
 
     def again(self, inputs: ControlInput) -> Mask | None:

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Self, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rejoint.arms import Array, Motors, choose_postures, plan, tcp_position
+from rejoint.arms import Array, JointTrajectory, Motors, choose_postures, plan, tcp_position
 from rejoint.arms.rotations import Orientation
 from rejoint.control.controller import Controller
-from rejoint.control.goal import JointGoals, with_ways
+from rejoint.control.goal import with_ways
 from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.loop import Schedule
 from rejoint.control.posture import PostureController, PostureGains
@@ -153,9 +153,9 @@ class ArmSession(ArmDriver):
         within_rad, timeout = _bounds("move_to", within_rad, timeout_s)
         turns = None if pose is None else placed(self.arm, [pose])[1]
         self._require_free()
-        goals = self.goals(target[None], turns)
+        ways = self.ways(target[None], turns)
         reference = TargetSequence(
-            self.arm, target[None, None], goals=goals, turns=turns and turns[None], correction=self.correction
+            self.arm, target[None, None], ways=[ways], turns=turns and turns[None], correction=self.correction
         )
         name, controller = self.driver(posed=turns is not None)
 
@@ -169,7 +169,7 @@ class ArmSession(ArmDriver):
 
         return self._start(ArmMotion(in_mm(target), work), wait=wait)
 
-    def goals(self, targets: Array, turns: Orientation | None = None) -> JointGoals:
+    def ways(self, targets: Array, turns: Orientation | None = None) -> tuple[JointTrajectory, ...]:
         """Choose postures for ``targets`` (K, 3) [m], turned so (K,), and plan the ways.
 
         InputError names what cannot be done.
