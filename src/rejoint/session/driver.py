@@ -28,7 +28,7 @@ from rejoint.robots.wrapper import WallClock
 from rejoint.runs.run import exclusive
 from rejoint.runs.run import metered as meter_of
 from rejoint.session.context import calibration_of, corrected_by, guard_limits, stance_of, twin_in_force
-from rejoint.session.controllers import choice, make_factories, quick_note
+from rejoint.session.controllers import ControllerLike, choice, make_factories, name_of, quick_note
 from rejoint.session.inputs import (
     ArmLike,
     RobotLike,
@@ -174,24 +174,22 @@ class ArmDriver:
     def driver(self, *, posed: bool = False) -> tuple[str, Controller]:
         """Return name and object of the controller to points, or to ``posed`` targets; a message says which and why."""
         if posed not in self._chosen:
-            wanted, why = self.settings.controller, "as asked for"
-            if wanted is None:
-                wanted, why = choice(self._named, self.arm, self.period)
-            ((name, make),) = make_factories(
-                [wanted],
-                self.arm,
-                self.period,
-                run=self.run,
-                twin=self.twin,
-            ).items()
-            controller = make(self.arm)
+            wanted, why = self._to_points()
+            name, controller = self._made(wanted)
             if posed and not heeds_turn(controller):
-                by, why = FeedforwardController.name, f"{name} does not turn the tool"
-                ((name, make),) = make_factories([by], self.arm, self.period, run=self.run, twin=self.twin).items()
-                controller = make(self.arm)
+                why = f"{name} does not turn the tool"
+                name, controller = self._made(FeedforwardController.name)
             self.announce(name, why)
             self._chosen[posed] = name, controller
         return self._chosen[posed]
+
+    def _to_points(self) -> tuple[ControllerLike, str]:
+        asked = self.settings.controller
+        return choice(self._named, self.arm, self.period) if asked is None else (asked, "as asked for")
+
+    def _made(self, given: ControllerLike) -> tuple[str, Controller]:
+        ((name, make),) = make_factories([given], self.arm, self.period, run=self.run, twin=self.twin).items()
+        return name, make(self.arm)
 
     def announce(self, name: str, why: str) -> None:
         """Report once that the controller ``name`` drives, and why."""
@@ -201,8 +199,8 @@ class ArmDriver:
 
     def instead(self, name: str, why: str) -> None:
         """Report once that ``name`` drives instead of the controller to points, and why."""
-        best, reason = choice(self._named, self.arm, self.period)
-        self.announce(name, f"{why}; {best} drives to points: {reason}")
+        best, reason = self._to_points()
+        self.announce(name, f"{why}; {name_of(best)} drives to points: {reason}")
 
     def take_up(self, controller: Controller | None) -> None:
         """Put a controller's gains and limits in force."""
