@@ -7,10 +7,11 @@ import pytest
 
 from rejoint.arms import frames, mycobot280, tcp_position
 from rejoint.control.controller import ControlInput
+from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import Schedule, run
 from rejoint.control.posture import PostureController, PostureGains, _without
-from rejoint.control.reference import Reference, Setpoint
+from rejoint.control.reference import Reference, Setpoint, ToolAtGoals
 from rejoint.control.robot import JointState
 from rejoint.control.start import move
 from rejoint.robots import open_robot
@@ -61,6 +62,17 @@ def test_a_worn_arm_comes_to_postures_and_stays() -> None:
     assert np.median(errors) < 0.6e-3, np.round(1e3 * np.array(errors), 2)
     assert np.mean(errors) < 1e-3, np.round(1e3 * np.array(errors), 2)
     assert np.mean(bare) > 10e-3, "what a command of the posture itself would have left"
+
+
+def test_a_controller_to_points_brings_the_tool_where_joints_are_to_bring_it() -> None:
+    postures = ARM.rest + np.radians([[[20.0, 8.0, -10.0, 5.0, 8.0, 20.0], [-20.0, -8.0, 10.0, -5.0, 0.0, 0.0]]])
+    robot = open_robot("emulated:worn", seed=1, period=(0.05, 0.05))
+    start = move(robot, ARM.rest)
+    reference, schedule = ToolAtGoals(ARM, Ways(postures)), Schedule(dwell=1.8 * DWELL, sent=start.command[-1])
+    found = run(robot, FeedforwardController(ARM), reference, schedule)
+    tool = tcp_position(ARM, found.position[:, 0])
+    assert np.linalg.norm(tool - tcp_position(ARM, postures[0, 0]), axis=-1).min() < 1e-3
+    assert np.linalg.norm(tool[-1] - tcp_position(ARM, postures[0, 1])) < 1e-3
 
 
 def test_other_joints_bring_the_tool_to_its_place_where_one_is_weak() -> None:

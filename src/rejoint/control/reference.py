@@ -92,6 +92,20 @@ class JointMotion(Reference):
         return Setpoint(self._trajectory(since), place=np.full((self.count, 3), np.nan))
 
 
+class ToolAtGoals(Reference):
+    """Joint positions of which the tool's place counts: for controllers to points."""
+
+    def __init__(self, arm: Arm, reference: Reference) -> None:
+        self._arm, self._reference, self.count = arm, reference, reference.count
+        self._moved: Array | float = 0.0  # [s] when the goals moved last
+
+    def advance(self, state: JointState, since: Array, /) -> Setpoint:
+        """See `Reference`."""
+        now = self._reference.advance(state, since)
+        self._moved = np.where(now.arrived, self._moved, since)
+        return now._replace(target=tcp_position(self._arm, now.goal), since=since - self._moved)
+
+
 class TargetSequence(Reference):
     """Targets of B arms in turn, corrected; on ways to their postures, or at once."""
 

@@ -128,8 +128,3 @@ class GoalStream(Reference):
         self._time = now
         arrived = rests and bool((self._posture == aim).all())
         return Setpoint(self._posture[None], arrived=np.array([arrived]))
-
-
-def in_mm(point: Array) -> str:
-    """Return a place (3,) [m] in words."""
-    return f"({', '.join(f'{1e3 * value:.0f}' for value in point)}) mm"

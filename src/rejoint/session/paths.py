@@ -60,9 +60,6 @@ WITHIN = 5e-3
 LOOKED_AT = 50
 """Places of a path judged before it is driven (chosen)"""
 
-Factory = Callable[[Arm, float], Controller]
-"""Makes a controller for an arm and its usual period [s]"""
-
 
 def follow(
     robot: RobotLike,
@@ -130,8 +127,8 @@ class Follower:
 
     name: str
     """of the controller"""
-    make: Factory
-    """makes it, for each time along the path"""
+    make: Callable[[float], Controller]
+    """makes it for a usual period [s], for each time along the path"""
     home: Array | None = None
     """(n,) [rad] posture that it keeps near to; None: rest"""
 
@@ -255,7 +252,7 @@ class PathDrive:
 
         if total > 1:
             session.recorder.begin(session.robot, f"follow-{number + 1:02d}", self._label)
-        controller = self._follower.make(session.arm, self._usual)
+        controller = self._follower.make(self._usual)
         schedule = Schedule(dwell=duration, give_up=self._motion.give_up)
         recording = session.drive(controller, schedule, PathReference(session.arm, [guide], self._follower.home), watch)
         if self._motion.ended.is_set():
@@ -357,6 +354,6 @@ def follower_of(given: ControllerLike, session: ArmSession, twin: Twin | None, *
             raise InputError("follow: the tracker needs a twin; run `rejoint identify` first")
         servos = servos_of(twin)
         home = home_of(arm, servos)
-        return Follower(name=TRACKER, make=lambda arm, period: Tracker(arm, servos, period=period), home=home[0])
+        return Follower(name=TRACKER, make=lambda period: Tracker(arm, servos, period=period), home=home[0])
     ((name, make),) = make_factories([given], arm, session.period, run=session.run, twin=twin, posed=posed).items()
-    return Follower(name=name, make=lambda arm, period: make(arm))  # noqa: ARG005 - its own affair
+    return Follower(name=name, make=lambda _: make(arm))

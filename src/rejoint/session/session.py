@@ -21,13 +21,13 @@ from rejoint.control.posture import PostureController, PostureGains
 from rejoint.control.recording import PIECE, Cycle, cycle_at_rest
 from rejoint.control.reference import Reference, TargetSequence
 from rejoint.control.robot import JointState
-from rejoint.control.targets import Pose, placed
+from rejoint.control.targets import Pose, in_mm, placed
 from rejoint.control.unloading import PlannedWay, UnloadedWay
 from rejoint.runs.run import Run, exclusive
 from rejoint.session.context import guard_limits
 from rejoint.session.driver import ArmDriver
 from rejoint.session.inputs import is_virtual
-from rejoint.session.motions import ArmMotion, GoalCheck, GoalStream, in_mm
+from rejoint.session.motions import ArmMotion, GoalCheck, GoalStream
 from rejoint.session.payload import believed_motors
 from rejoint.session.recorder import RunRecorder, StateRecord
 from rejoint.system.errors import InputError, NotReachedError, NotReadyError

@@ -24,6 +24,7 @@ from rejoint.control.targets import (
     PLACE,
     Pose,
     beyond_reach,
+    in_mm,
     in_words,
     lowest,
     read_poses,
@@ -165,12 +166,12 @@ class Path:
         if beyond.any():
             k = int(beyond.argmax())
             raise InputError(
-                f"path: at {times[k]:.2f} s {_point(places[k])} is out of reach, {1e3 * beyond[k]:.0f} mm too far;"
+                f"path: at {times[k]:.2f} s {in_mm(places[k])} is out of reach, {1e3 * beyond[k]:.0f} mm too far;"
                 f"{unit_hint(self.place)} give places that the tool can reach"
             )
         if too_low(arm, places).any():
             k = int(places[:, 2].argmin())
-            raise InputError(f"path: at {times[k]:.2f} s {_point(places[k])} {lowest(arm)}; lead it higher")
+            raise InputError(f"path: at {times[k]:.2f} s {in_mm(places[k])} {lowest(arm)}; lead it higher")
         turns = self.turn_at(times)
         begin = PathPostures(arm, places[:1], turns and turns[:1])
         postures = begin.along(places[:, None], turns and turns[:, None])[:, 0]
@@ -180,7 +181,7 @@ class Path:
         k, j = (int(index) for index in np.unravel_index(int(share.argmax()), share.shape))
         if share[k, j] > SPEED_SHARE:
             raise InputError(
-                f"path: at {times[k]:.2f} s {_point(places[k])} {arm.joint_names[j]} would have to turn at "
+                f"path: at {times[k]:.2f} s {in_mm(places[k])} {arm.joint_names[j]} would have to turn at "
                 f"{np.degrees(share[k, j] * arm.max_speed[j]):.0f} deg/s, "
                 f"{np.degrees(SPEED_SHARE * arm.max_speed[j]):.0f} at most were expected; give the path more time there"
             )
@@ -193,7 +194,7 @@ def _require_turned(arm: Arm, times: Array, places: Array, turns: Orientation, p
     if askew.any():
         k = int(askew.argmax())
         raise InputError(
-            f"path: at {times[k]:.2f} s {_point(places[k])} the tool cannot have {in_words(turns[k])}, at best "
+            f"path: at {times[k]:.2f} s {in_mm(places[k])} the tool cannot have {in_words(turns[k])}, at best "
             f"{1e3 * off[k]:.0f} mm and {np.degrees(angle[k]):.0f} deg off; give another orientation there"
         )
 
@@ -259,10 +260,6 @@ def _through(time: Array, poses: Sequence[Pose], name: str) -> Path:
         direction=None if whole else np.array([pose.direction for pose in poses]),
         quaternion=np.array([quaternion_of(one) for one in rotations]) if whole else None,
     )
-
-
-def _point(place: Array) -> str:
-    return f"({', '.join(f'{value * 1e3:.0f}' for value in place)}) mm"
 
 
 STANDARD = ("circle-20s", "circle-8s", "circle-4s", "random-0.2hz", "random-0.5hz")
