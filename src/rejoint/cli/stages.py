@@ -407,7 +407,8 @@ def gains(
     if not keep:
         with watched(terminal, "gains", "tuning", None) as observer:
             found = rejoint.gains(robot, run, settings=settings, observer=observer)
-        show.stage(terminal, "gains", found)
+        if not settings.dry_run:  # a simulation does not heed gains
+            show.stage(terminal, "gains", found)
         terminal.next(f"{command('compare', robot, run)} --sets 1 --repetitions 1")
         terminal.finish({"run": str(run), "gains": found})
         return
