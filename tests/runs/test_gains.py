@@ -60,6 +60,10 @@ def test_what_a_search_finds_takes_part_in_the_comparison(tmp_path, monkeypatch)
             robot, ["servo-gains"], [[0.3, 0.05, 0.2]], run=run, plan=rejoint.TrialPlan(sets=1, repetitions=1)
         )
     before = robot.servo_gains()
+    rehearsed = rejoint.gains(robot, run, settings=rejoint.Settings(dry_run=True))
+    assert rehearsed.rounds > 0
+    assert not robot.history
+    assert not run.folder.gains.exists()
     found = rejoint.gains(robot, run)
     spent = read_effort(run.folder)
     assert spent is not None

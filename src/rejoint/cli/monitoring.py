@@ -174,6 +174,7 @@ def _write_page(terminal: Terminal, path: Path, arms: Sequence[ArmHistory]) -> b
     return True
 
 
+@opt.with_settings("dry_run")
 def fleet(
     verb: Annotated[Literal["check", "repair"], typer.Argument(help="What is to be done with each arm.")],
     file: Annotated[Path, typer.Argument(help="File with the arms, see docs/monitoring.md.", metavar="FLEET.toml")],
@@ -204,6 +205,8 @@ def fleet(
     ] = None,
     quick: opt.Quick = False,
     json: opt.Json = False,
+    *,
+    settings: Settings,
 ) -> None:
     """Check or repair many arms, each within its hours and with its permissions, and show them, the worst first.
 
@@ -214,14 +217,26 @@ def fleet(
     Example: `rejoint fleet check FLEET.toml --somebody-is-there`
     """
     require(f"rejoint fleet {verb}", "fleet", "report", *(["train"] if verb == "repair" and address is None else []))
+    from rejoint.cli.chain import rehearse
     from rejoint.runs.fleet.call import run_fleet
     from rejoint.runs.fleet.campaign import RepairOptions
     from rejoint.runs.fleet.drive import Rules
     from rejoint.runs.fleet.file import read_fleet
     from rejoint.runs.fleet.rayexecutor import RayExecutor, has_token
 
-    terminal = Terminal(json=json)
+    terminal = Terminal(json=json, dry=settings.dry_run)
     found = read_fleet(file)
+    names = opt.controller_names(only) if only else ()
+    if settings.dry_run:
+        for arm in found.only(names):
+            terminal.say(f"{arm.name}:")
+            with watched(terminal, verb, "simulating", None) as observer:
+                if verb == "check":
+                    rejoint.check(arm.address, arm=arm.description, settings=settings, observer=observer)
+                else:
+                    rehearse(arm.address, arm.description, None, settings, observer, quick=quick)
+        terminal.finish({"fleet": str(file)})
+        return
     if address is not None and not has_token():
         terminal.say(
             f"warning: no token for Ray: anyone who reaches {address} may run programs there; see docs/monitoring.md"
@@ -248,7 +263,7 @@ def fleet(
             verb,
             make_executor,
             rules,
-            only=opt.controller_names(only) if only else (),
+            only=names,
             options=options,
             tell=partial(_say_event, terminal),
             begins=partial(_say_begun, terminal),

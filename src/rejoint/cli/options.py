@@ -231,15 +231,13 @@ class SharedOption(NamedTuple):
     def parameter(self, name: str) -> tuple[object, object]:
         """Return annotation and default of a command's parameter called ``name``."""
         field = self.field or name
-        flag = "--controller" if name == "follower" else f"--{name.replace('_', '-')}"
         what, default, usual = meaning(field).partition("; by default")
-        text = self.form if name == "follower" else f"{what}{self.form and f', {self.form}'}{default}{usual}."
+        text, flag = f"{what}{self.form and f', {self.form}'}{default}{usual}.", f"--{name.replace('_', '-')}"
         return Annotated[self.kind, typer.Option(flag, help=text, **self.limits)], getattr(Settings, field)  # type: ignore[arg-type]
 
 
 SHARED = {
     "controller": SharedOption(),
-    "follower": SharedOption(form="tracker, by the run's twin; or default: sent as it comes.", field="controller"),
     "dwell": SharedOption(float, form="in seconds", limits={"min": 0.1}),
     "within": SharedOption(
         float | None, lambda mm: None if mm is None else 1e-3 * mm, "in mm", limits={"min": 0.01, "max": 100.0}

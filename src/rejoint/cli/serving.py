@@ -94,7 +94,7 @@ def emulate(
     terminal.finish({"wear": wear, "address": served[-1], "faults": fault})
 
 
-@opt.with_settings("calibration", "payload", "tool", "period", "dry_run")
+@opt.with_settings("controller", "calibration", "payload", "tool", "period", "dry_run")
 def serve(
     robot: opt.Robot,
     run: opt.Run,
@@ -118,7 +118,14 @@ def serve(
     """
     terminal = Terminal(json=json)
     if stdio:
-        if pty or json or any(one is not None for one in (settings.calibration, settings.payload, settings.tool, live)):
+        if (
+            pty
+            or json
+            or any(
+                one is not None
+                for one in (settings.controller, settings.calibration, settings.payload, settings.tool, live)
+            )
+        ):
             raise InputError("--stdio goes with --period and --dry-run alone")
 
         serve_lines(robot, run, settings, ConsoleObserver(terminal))

@@ -178,24 +178,9 @@ class Recorder:
 
     def _columns(self) -> dict[str, NDArray[Any]]:
         count, n = self.robot.count, self.robot.arm.joints
-        if self.cycles:
-            return {name: np.stack([getattr(c, name) for c in self.cycles]) for name in Cycle._fields}
-        vector, point, number = np.zeros((0, count, n)), np.zeros((0, count, 3)), np.zeros((0, count))
-        empty = Cycle(
-            number,
-            vector,
-            vector,
-            point,
-            point,
-            number.astype(np.intp),
-            number,
-            point,
-            number.astype(bool),
-            number.astype(np.uint16),
-            vector,
-            number,
-        )
-        return {name: column.copy() for name, column in empty._asdict().items()}
+        nothing = JointState(time=np.zeros(count), position=np.zeros((count, n)), age=np.zeros(count))
+        cycles = self.cycles or [cycle_at_rest(nothing, np.zeros((count, 3)))]
+        return {name: np.stack([getattr(c, name) for c in cycles])[: len(self.cycles)] for name in Cycle._fields}
 
 
 def cycle_at_rest(state: JointState, true_tcp: Array) -> Cycle:

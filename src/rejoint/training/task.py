@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array, collides, frames, gravity_torque, solve_position, tcp_position
 from rejoint.arms.postures import comfortable_postures
 from rejoint.control.controller import ControlInput
-from rejoint.control.goal import Setpoint
 from rejoint.control.guard import GuardLimits, guard
 from rejoint.control.observation import ALL, SUCCESS_DISTANCE, Layout, Observation, Observer, Rows
 from rejoint.control.residual import Commander, CommandLaw
@@ -329,15 +328,15 @@ class ReachTask:
         goal, target, since = self._setpoint()
         return ControlInput(state=state, target=target, goal=goal, sent=self._sent, since_target=since)
 
-    def _setpoint(self) -> Setpoint:
+    def _setpoint(self) -> tuple[Array, Array, Array]:
         moving = self._since < self._travel
         if not moving.any():
-            return Setpoint(self._goal, self._aim, self._since - self._travel)
+            return self._goal, self._aim, self._since - self._travel
         goal, target = self._goal.copy(), self._aim.copy()
         left = 1.0 - self._since[moving] / self._travel[moving]
         goal[moving] += left[:, None] * (self._start[moving] - goal[moving])
         target[moving] += tcp_position(self.arm, goal[moving]) - tcp_position(self.arm, self._goal[moving])
-        return Setpoint(goal, target, np.maximum(self._since - self._travel, 0.0))
+        return goal, target, np.maximum(self._since - self._travel, 0.0)
 
     def _command(self, action: Array) -> None:
         inputs, observer = self._inputs(), self.observer

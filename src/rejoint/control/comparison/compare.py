@@ -23,6 +23,7 @@ from rejoint.control.correction import Modelled, ToolModel
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import run
 from rejoint.control.recording import Cycle, Recording
+from rejoint.control.reference import TargetSequence
 from rejoint.control.robot import Robot
 from rejoint.control.servogains import limits_under, require_gains, under_gains
 from rejoint.control.start import Stance, begin, move
@@ -355,9 +356,8 @@ class TrialRunner:
         aiming = None if self.correction is None else self.correction(robot.arm)
         limits = limits_under(self.limits, robot, controller)
         with under_gains(robot, controller):
-            recording = run(
-                robot, controller, targets, plan, limits=limits, correction=aiming, on_cycle=on_cycle, turns=turns
-            )
+            reference = TargetSequence(robot.arm, targets, turns=turns, correction=aiming)
+            recording = run(robot, controller, reference, plan, limits=limits, on_cycle=on_cycle)
         failed = isinstance(controller, Watched) and controller.failed
         if isinstance(controller, Watched):
             recording = controller.mark(recording)

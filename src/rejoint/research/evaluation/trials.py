@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,9 +12,10 @@ from rejoint.control.comparison.compare import PROGRESS_CYCLES
 from rejoint.control.comparison.protocols import measure_crossings, measure_holds, schedule
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.controller import Controller
-from rejoint.control.goal import JointGoals
+from rejoint.control.goal import Ways
 from rejoint.control.loop import run
 from rejoint.control.recording import Cycle
+from rejoint.control.reference import TargetSequence
 from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.research.evaluation.family import ArmFamily, Variant, family_targets, open_family, targets_anywhere
 from rejoint.research.evaluation.outcome import Outcome
@@ -63,7 +64,7 @@ class TrialArms:
     """puts all arms at rest, as a new batch"""
     targets: Array
     """(A, max(K, C), 3) [m]"""
-    goals: JointGoals | None = None
+    ways: Ways | None = None
     """of the first K targets; None for the nearest postures"""
     wear_seed: Array
     """(A,)"""
@@ -78,14 +79,14 @@ def try_controller(
     twins: Sequence[Twin] = (),
 ) -> Outcome:
     """Try a controller on all arms of a variant; ``twins`` choose postures of targets anywhere."""
-    family, goals = settings.family, None
+    family, ways = settings.family, None
     targets = family_targets(arm, family, max(family.targets, family.crossings))
     if variant.anywhere:
-        targets[:, : family.targets], goals = targets_anywhere(arm, family, twins)
+        targets[:, : family.targets], ways = targets_anywhere(arm, family, twins)
     bench = TrialArms(
         open=lambda: open_family(arm, variant, family, settings.threads),
         targets=targets,
-        goals=goals,
+        ways=ways,
         wear_seed=np.array([family.wear_seed(i) for i in range(family.arms)], dtype=float),
     )
     return try_on(arm, bench, controller, settings, on_targets)
@@ -105,8 +106,8 @@ def try_on(
             on_targets(int(cycle.target_index.sum()))
 
     held = targets[:, : family.targets]
-    plan = replace(schedule("hold", settings.protocol, keep_going=True), goals=bench.goals)
-    recording = run(robot, controller(arm), held, plan, on_cycle=watch)
+    plan = schedule("hold", settings.protocol, keep_going=True)
+    recording = run(robot, controller(arm), TargetSequence(arm, held, ways=bench.ways), plan, on_cycle=watch)
     holds = measure_holds(arm, recording, held, settings.protocol)
     names = ("crossed", "crossing_error", "crossing_true", "crossing_time")
     crossings = {name: _unknown((len(targets), family.crossings)) for name in names}
