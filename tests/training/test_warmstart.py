@@ -46,12 +46,12 @@ def test_a_training_on_a_twin_begins_at_the_shelf_and_lets_the_critic_learn_firs
     moved = np.abs(answers(tmp_path / "then" / "policy.onnx") - kept)
     assert 1e-4 < moved.max() < 0.3
     train(ARM, make_twin(), out=tmp_path / "random", options=options(preset="scratch", iterations=1))
-    assert np.abs(answers(tmp_path / "random" / "policy.onnx")).max() < 0.15  # hardly more than the law alone
+    assert np.abs(answers(tmp_path / "random" / "policy.onnx")).mean() < 0.1  # hardly more than the law alone
 
 
 def test_without_a_twin_a_training_begins_at_random(tmp_path):
     train(ARM, None, out=tmp_path, options=options(iterations=1))
-    assert np.abs(answers(tmp_path / "policy.onnx")).max() < 0.15
+    assert np.abs(answers(tmp_path / "policy.onnx")).mean() < 0.1
 
 
 def test_it_is_a_function_of_its_seed_also_when_interrupted(tmp_path):
