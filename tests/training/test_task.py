@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from rejoint.arms import mycobot280, tcp_position
+from rejoint.arms import gravity_torque, heights, mycobot280, tcp_position
 from rejoint.control.controller import ControlInput
 from rejoint.control.guard import GuardLimits, guard
 from rejoint.control.policy import PolicyController
@@ -10,11 +10,12 @@ from rejoint.control.robot import JointState
 from rejoint.training.presets import PAPER
 from rejoint.training.ranges import BroadRanges, PaperRanges
 from rejoint.training.task import ReachTask, TaskSettings, paper_reward, residual_reward
+from rejoint.twin.parameters import nominal_parameters
 
 ARM = mycobot280()
 
 
-GOAL = CommandLaw(anchor="goal", stiffness=(6.0,) * 6)
+GOAL = CommandLaw(anchor="goal", stiffness=(6.0,) * 6, loosen=0.0)
 
 
 def make(agents=8, settings=TaskSettings(law=GOAL), seed=1, **ranges) -> ReachTask:  # noqa: B008 - frozen
@@ -54,6 +55,18 @@ def test_training_and_deployment_see_and_command_the_same_bit_for_bit(law):
         np.testing.assert_array_equal(controller.seen[-1], observation)
         observation = task.step(action).observation
         np.testing.assert_array_equal(task._sent, sent)
+
+
+def test_targets_anywhere_are_such_that_the_motors_lift_them_and_the_way_is_clear():
+    settings, share = TaskSettings(law=GOAL, anywhere=1.0), 0.6
+    task = make(
+        200, settings, weak_joints=0.0, coulomb=(0.0, 0.0), torque_limit=(share, share), gravity_scale=(1.0, 1.0)
+    )
+    task.reset()
+    goal, limit = task.state()["goal"], share * nominal_parameters(ARM).torque_limit
+    assert (np.abs(gravity_torque(ARM, goal)) < 0.9 * limit).all(axis=-1).mean() > 0.98
+    ways = ARM.rest + np.linspace(0.0, 1.0, 20)[:, None, None] * (goal - ARM.rest)
+    assert (heights(ARM, ways)[..., 1:] > 0.0).all(axis=(0, -1)).mean() > 0.98
 
 
 def test_a_new_target_begins_as_a_deployed_reset_does():

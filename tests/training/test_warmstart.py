@@ -45,7 +45,7 @@ def test_a_training_on_a_twin_begins_at_the_shelf_and_lets_the_critic_learn_firs
     moved = np.abs(answers(tmp_path / "then" / "policy.onnx") - kept)
     assert 1e-4 < moved.max() < 0.3
     train(ARM, make_twin(), out=tmp_path / "random", options=options(preset="scratch", iterations=1))
-    assert np.abs(answers(tmp_path / "random" / "policy.onnx")).max() < 0.15  # hardly more than the law alone
+    assert np.abs(answers(tmp_path / "random" / "policy.onnx")).mean() < 0.1  # hardly more than the law alone
 
 
 def test_a_damaged_shelf_is_named(tmp_path, monkeypatch):

@@ -127,7 +127,7 @@ SWITCH_INTERVAL = 1e-4
 LEARNING_THREADS = 1
 """Of torch; chosen: more are slower beside other programs"""
 
-_CHECKPOINT_FORMAT = 5
+_CHECKPOINT_FORMAT = 6
 
 _MAGIC = b"rejoint checkpoint "
 _RESTART = "delete it, or train with --fresh"

@@ -2,7 +2,8 @@
 
 N agents run in lockstep: a control cycle is a fixed number of physics steps, whose length varies by agent and cycle.
 Observation, command law and guard are those of deployment, without the guard's limits of acceleration (no measurable
-effect on the policy, docs/benchmarks.md) and contacts.
+effect on the policy, docs/benchmarks.md), contacts, and the push of stuck joints: with it, policies settle
+farther away.
 
 A target ends by time-out, not failure: the return is bootstrapped from the last state. So it is after a collision; else
 a policy would crash on purpose to end a bad episode.
@@ -10,13 +11,14 @@ a policy would crash on purpose to end a bad episode.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, collides, frames, gravity_torque, solve_position, tcp_position
+from rejoint.arms import Arm, Array, collides, frames, gravity_torque, heights, solve_position, tcp_position
 from rejoint.arms.postures import comfortable_postures
 from rejoint.control.controller import ControlInput
 from rejoint.control.guard import GuardLimits, guard
@@ -182,6 +184,23 @@ class TaskSettings:
     """whether a collision ends the target and exchanges the arm (the paper); else ignored"""
 
 
+DRAWN = 16
+"""Postures that are drawn until an arm lifts one; chosen"""
+
+
+def lifted(draw: Draw) -> Array:
+    """Torques (m, n) [N m] that the motors of arms lift, by the rule of `rejoint.session.payload.believed_motors`."""
+    limit = draw.twin.torque_limit
+    usable = 0.9 * limit - 2.0 * draw.twin.coulomb
+    return np.asarray(np.maximum(usable, 0.1 * limit) / draw.gravity_scale[:, None])
+
+
+@lru_cache(maxsize=4)
+def comfortable_loads(arm: Arm) -> Array:
+    """Torques (P, n) [N m] that hold the comfortable postures."""
+    return gravity_torque(arm, comfortable_postures(arm))
+
+
 class Transition(NamedTuple):
     """One control cycle of N agents."""
 
@@ -221,7 +240,7 @@ class ReachTask:
         self.arm, self.ranges, self.settings, self.agents = arm, ranges, settings, agents
         self.simulation = Simulation(arm, agents, threads=threads)
         self.observer = Observer(arm, agents, settings.layout)
-        self.commander = Commander(arm, settings.law)
+        self.commander = Commander(arm, replace(settings.law, loosen=0.0))  # exploring arms are never stuck for long
         self.privileged_size = privileged_size(n)
         self._limits, self._no_speed = GuardLimits.of(arm).of_simulation(), np.zeros((agents, n))
         self._rng = np.random.default_rng(seed)
@@ -229,7 +248,8 @@ class ReachTask:
         self._sent, self._tcp = np.zeros((agents, n)), np.zeros((agents, 3))
         self._aim, self._next_aim = np.zeros((2, agents, 3))
         self._goal, self._next_goal, self._start = np.zeros((3, agents, n))
-        self._next_far, self._travel = np.zeros(agents, dtype=bool), np.zeros(agents)
+        self._far, self._next_far, self._travel = *np.zeros((2, agents), dtype=bool), np.zeros(agents)
+        self._lifts = np.ones((agents, n))
         self._foreseen, self._prepared_row = np.zeros(agents, dtype=bool), np.zeros(agents, dtype=np.int64)
         self._prepared: ResetStates | None = None
         self._step, self._count = np.zeros(agents, dtype=np.int64), np.zeros(agents, dtype=np.int64)
@@ -258,9 +278,9 @@ class ReachTask:
         self._prepared = self._draw_reset_states(int(leaving.sum()))
         self._prepared_row[leaving] = np.arange(leaving.sum())
         self._foreseen = due
-        sent = self._sent.copy()
-        sent[leaving] = self._prepared.command
-        self._draw_targets(due, sent)
+        start, lifts = self._goal.copy(), self._lifts.copy()
+        start[leaving], lifts[leaving] = self._prepared.command, lifted(self._prepared.draw)
+        self._draw_targets(due, start, lifts)
 
     def step(self, action: NDArray[np.floating]) -> Transition:
         """Run one control cycle with actions (N, n)."""
@@ -376,28 +396,50 @@ class ReachTask:
 
     def _new_targets(self, where: Mask) -> None:
         unforeseen = where & ~self._foreseen
-        self._draw_targets(unforeseen, self._sent)
-        self._start[where] = np.where(self._count[where, None] == 0, self._sent[where], self._goal[where])
+        start = np.where(self._count[:, None] == 0, self._sent, self._goal)
+        self._draw_targets(unforeseen, start, self._lifts)
+        self._start[where] = start[where]
         self._aim[where], self._goal[where] = self._next_aim[where], self._next_goal[where]
         way = np.abs(self._goal[where] - self._start[where]) / self.arm.max_speed
-        self._travel[where] = np.where(self._next_far[where], way.max(axis=-1), 0.0)
+        first = self._count[where] == 0
+        far = self._next_far[where] | (self._far[where] & ~first)
+        self._travel[where] = np.where(far, way.max(axis=-1), 0.0)
+        self._far[where] = self._next_far[where]
         self._foreseen[where] = False
         self._since[where] = 0.0
-        self._step[where] = 0
+        self._step[where] = -np.ceil(self._travel[where] / self._middle[where])
         self.observer.reset(self._inputs(), where)
         self.commander.reset(self._inputs(), where)
 
-    def _draw_targets(self, where: Mask, start: Array) -> None:
-        """Draw the next targets of the arms in ``where`` (N,): anywhere, or in the region near ``start`` (N, n)."""
+    def _draw_targets(self, where: Mask, start: Array, lifts: Array) -> None:
+        """Draw the next targets of the arms in ``where`` (N,): anywhere, or in the region near ``start`` (N, n).
+
+        Those anywhere are among what their motors lift, ``lifts`` (N, n) [N m], as a deployment chooses them.
+        """
         count = int(where.sum())
         place = self.arm.targets.sample(self._rng, (count,))
-        goal = solve_position(self.arm, place, start[where]).q
+        near = np.where(self._far[where, None], self.arm.rest, start[where])
+        goal = solve_position(self.arm, place, near).q
         if self.settings.anywhere > 0.0:
             far = self._rng.random(count) < self.settings.anywhere
-            goal[far] = self._rng.choice(comfortable_postures(self.arm), int(far.sum()))
+            goal[far] = self._draw_postures(start[where][far], lifts[where][far])
             place[far] = tcp_position(self.arm, goal[far])
             self._next_far[where] = far
         self._next_aim[where], self._next_goal[where] = place, goal
+
+    def _draw_postures(self, start: Array, lifts: Array) -> Array:
+        """Draw a posture (m, n) [rad] for each arm: of `DRAWN` the first that suits, or the lightest.
+
+        Its motors lift it, and the straight ways from ``start`` (m, n) [rad] and to rest stay above the floor.
+        """
+        postures, loads = comfortable_postures(self.arm), comfortable_loads(self.arm)
+        drawn = self._rng.integers(0, len(postures), (len(lifts), DRAWN))
+        goal, share = postures[drawn], np.linspace(0.0, 1.0, 9)[1:-1, None, None, None]
+        excess = np.maximum(np.abs(loads[drawn]) / lifts[:, None], 1.0).max(axis=-1)
+        for end in (start[:, None], self.arm.rest):
+            room = heights(self.arm, end + share * (goal - end))[..., 1:] - self._limits.floors
+            excess += np.where((room < self.arm.floor).any(axis=(0, -1)), 100.0, 0.0)
+        return np.asarray(goal[np.arange(len(lifts)), excess.argmin(axis=1)])
 
     def _new_arms(self, where: Mask) -> None:
         foreseen, unforeseen = where & self._foreseen, where & ~self._foreseen
@@ -415,6 +457,7 @@ class ReachTask:
 
     def _place(self, where: Mask, states: ResetStates) -> None:
         draw, position, command = states
+        self._lifts[where] = lifted(draw)
         self.simulation.place(draw, position, command, where)
         self._sent[where] = command
         self._tcp[where] = tcp_position(self.arm, position)
