@@ -34,7 +34,7 @@ def main(updates: int = ITERATIONS, seed: int = 0) -> None:
             TrialSettings(family=family, protocol=Protocol(), crossing=False, threads=2),
             lambda *_: None,
         )
-    mean, tail = float(np.nanmean(outcome.settled)), float(np.nanpercentile(outcome.settled, 95))
+    mean, tail = float(np.nanmean(outcome["settled"])), float(np.nanpercentile(outcome["settled"], 95))
     met = "both met" if mean <= MEAN and tail <= TAIL else "NOT met"
     print(f"{result.steps / 1e6:.2f} million transitions in {taken:.1f} s, from an empty folder to policy.onnx")
     print(

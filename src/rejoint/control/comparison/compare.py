@@ -15,7 +15,17 @@ from rejoint.arms import Arm, Array
 from rejoint.arms.rotations import Orientation
 from rejoint.control.comparison.elimination import MISSES, Elimination, Watched, missed_in_a_row, worse
 from rejoint.control.comparison.ledger import Helper, Ledger, Shared
-from rejoint.control.comparison.protocols import KINDS, Driven, Kind, Place, Places, Tally, measure, schedule, summarise
+from rejoint.control.comparison.protocols import (
+    KINDS,
+    Driven,
+    Kind,
+    Place,
+    Places,
+    Tally,
+    comparison_of,
+    measure,
+    schedule,
+)
 from rejoint.control.comparison.result import Comparison, Protocol
 from rejoint.control.contract import check_controller_period
 from rejoint.control.controller import Controller
@@ -176,7 +186,7 @@ class TrialRunner:
         self.targets, self.shape, self.left_out = targets, (sets, settings.repetitions, count), list[str]()
         self._taking_part = dict(self.controllers)
         self.blocks, protocol = settings.elimination is not None, settings.protocol
-        self.tallies = {name: Tally(self.shape, protocol, blocks=self.blocks) for name in self.controllers}
+        self.tallies = {name: Tally(self.shape, protocol) for name in self.controllers}
         runs = len(self.controllers) * (1 if self.blocks else len(KINDS))
         self._progress = Targets(self.on_progress, runs * int(np.prod(self.shape)))
         self._sent: Array | None = None
@@ -190,7 +200,7 @@ class TrialRunner:
         tallies = {name: self.tallies[name] for name in self._taking_part}
         sets, _, count = self.shape
         words = () if turns is None else (tuple(in_words(turns[s, k]) for k in range(count)) for s in range(sets))
-        result = summarise(robot, settings.seed, settings.batched, self.targets, tallies, words)
+        result = comparison_of(robot, settings.seed, settings.batched, self.targets, tallies, words)
         block = 0 if settings.elimination is None else settings.elimination.block
         return replace(result, left_out=tuple(self.left_out), block=block)
 
