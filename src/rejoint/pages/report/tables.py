@@ -47,15 +47,16 @@ def result_columns(protocol: Protocol, count: int, block: int = 0) -> tuple[Colu
     )
 
 
-def plain_table(found: Sequence[Column], rows: Iterable[ControllerRow]) -> tuple[list[str], list[list[str]]]:
-    """Headers and rows of plain text, first column the controllers."""
-    return ["controller", *(column.header for column in found)], [
-        [
-            f"{row.controller}{' (by diagnosis)' if row.source else ''}",
-            *(column.cell(row).text for column in found),
-        ]
+def plain_table(
+    found: Sequence[Column], rows: Iterable[ControllerRow], *, notes: bool = False
+) -> tuple[list[str], list[list[str]]]:
+    """Headers and rows of plain text, first column the controllers; ``notes``: with the small print."""
+    lines = [
+        [f"{row.controller}{' (by diagnosis)' if row.source else ''}", *map(str, cells)]
         for row in rows
+        for cells in [[column.cell(row) if notes else column.cell(row).text for column in found]]
     ]
+    return ["controller", *(column.header for column in found)], lines
 
 
 def _success(row: ControllerRow) -> Cell:

@@ -52,7 +52,7 @@ def terminal_tables(evaluation: Evaluation) -> list[tuple[str, list[str], list[l
         [
             pair.variant,
             f"{pair.controller} against {pair.rival}",
-            *(f"{text} ({note})" if note else text for text, note in pair_cells(pair)),
+            *map(str, pair_cells(pair)),
         ]
         for pair in evaluation.pairs
         if pair.rival == evaluation.best.get(pair.variant)
