@@ -124,12 +124,11 @@ def check(
 def history(
     folder: Annotated[Path, typer.Argument(help="Folder below which runs and checks are.", metavar="FOLDER")] = RUNS,
     page: Annotated[Path | None, typer.Option(help="Page to write; by default history.html in FOLDER.")] = None,
-    sql: Annotated[str | None, typer.Option(help="Ask DuckDB instead: the rows are the table `history`.")] = None,
     json: opt.Json = False,
 ) -> None:
-    """Show all arms of a folder, the worst first, as a table and as a page; or ask its rows in SQL.
+    """Show all arms of a folder, the worst first, as a table and as a page.
 
-    Example: `rejoint history runs --sql "select arm, max(error_mm) from history where joint = '' group by arm"`
+    Example: `rejoint history runs`
     """
     from rejoint.logs.history.index import find_rows
     from rejoint.runs.history import HEADERS, arms_of, cells
@@ -139,15 +138,6 @@ def history(
         require("rejoint history --page", "report")
     if not folder.is_dir():
         raise FileError(folder, "no such folder", "check an arm first: rejoint check ROBOT")
-    if sql is not None:
-        from rejoint.logs.history.sql import ask
-
-        names, answer = ask(folder, sql, lambda problem: terminal.say(f"left out: {problem}"))
-        terminal.table(
-            f"{len(answer)} rows", names, [["" if one is None else str(one) for one in row] for row in answer]
-        )
-        terminal.finish([dict(zip(names, row, strict=True)) for row in answer])
-        return
     rows, unread = find_rows(folder)
     for problem in unread:
         terminal.say(f"left out: {problem}")
