@@ -334,6 +334,8 @@ class ReachTask:
             "step",
             "count",
             "constants",
+            "lifts",
+            "far",
         )
         return {
             **{name: getattr(self, f"_{name}") for name in own},

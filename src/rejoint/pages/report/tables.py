@@ -19,36 +19,36 @@ from rejoint.twin.judgement import NO_TWIN, Judgement, PredictionError
 DEG = float(np.degrees(1.0))
 
 
-class Column(NamedTuple):
+class ResultColumn(NamedTuple):
     """A column of a table of controllers."""
 
     header: str
     cell: Callable[[ControllerRow], Cell]
 
 
-def columns(comparison: Comparison) -> tuple[Column, ...]:
+def columns(comparison: Comparison) -> tuple[ResultColumn, ...]:
     """Columns of a comparison, without the names."""
     basic = result_columns(comparison.protocol, len(comparison.targets[0]), comparison.block)
-    turned = Column("orientation, encoders [deg]", lambda row: measured(row.turned, DEG))
-    return (*basic[:4], *([turned] if comparison.orientations else []), *basic[4:], Column("guard", _guard))
+    turned = ResultColumn("orientation, encoders [deg]", lambda row: measured(row.turned, DEG))
+    return (*basic[:4], *([turned] if comparison.orientations else []), *basic[4:], ResultColumn("guard", _guard))
 
 
-def result_columns(protocol: Protocol, count: int, block: int = 0) -> tuple[Column, ...]:
+def result_columns(protocol: Protocol, count: int, block: int = 0) -> tuple[ResultColumn, ...]:
     """Columns of what controllers reach at ``count`` targets, in blocks of ``block``."""
     within = " / ".join(f"{distance * MM:g}" for distance in protocol.within)
     return (
-        Column("success [%]", _success),
-        Column("error at the crossing [mm]", lambda row: Cell(_crossing(row.crossing_error))),
-        Column(f"{plural(count, 'target')} [s]", lambda row: measured(row.cycle_time, 1.0, 3)),
-        Column("settled error, encoders [mm]", lambda row: _settled(row, block)),
-        Column("settled error, true [mm]", _true),
-        Column(f"time to stay within {within} mm [s]", _stays),
-        Column("oscillation [mm]", lambda row: Cell(measured(row.oscillation).text)),
+        ResultColumn("success [%]", _success),
+        ResultColumn("error at the crossing [mm]", lambda row: Cell(_crossing(row.crossing_error))),
+        ResultColumn(f"{plural(count, 'target')} [s]", lambda row: measured(row.cycle_time, 1.0, 3)),
+        ResultColumn("settled error, encoders [mm]", lambda row: _settled(row, block)),
+        ResultColumn("settled error, true [mm]", _true),
+        ResultColumn(f"time to stay within {within} mm [s]", _stays),
+        ResultColumn("oscillation [mm]", lambda row: Cell(measured(row.oscillation).text)),
     )
 
 
 def plain_table(
-    found: Sequence[Column], rows: Iterable[ControllerRow], *, notes: bool = False
+    found: Sequence[ResultColumn], rows: Iterable[ControllerRow], *, notes: bool = False
 ) -> tuple[list[str], list[list[str]]]:
     """Headers and rows of plain text, first column the controllers; ``notes``: with the small print."""
     lines = [

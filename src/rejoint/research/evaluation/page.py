@@ -12,21 +12,21 @@ from rejoint.control.comparison.protocols import Columns
 from rejoint.pages import html
 from rejoint.pages.html import LOOKS
 from rejoint.pages.report.figures import HALF, Picture, canvas, inline_svg
-from rejoint.pages.report.tables import Column, plain_table, result_columns
+from rejoint.pages.report.tables import ResultColumn, plain_table, result_columns
 from rejoint.pages.words import MM, NEVER, Cell, measured, number
 from rejoint.research.evaluation.family import FAMILY_SIZE
 from rejoint.research.evaluation.summary import NEVER_RATIO, Evaluation, Pair, VariantRow
 from rejoint.system.statistics import Estimate, Spread
 
 
-def row_columns(evaluation: Evaluation) -> tuple[Column, ...]:
+def row_columns(evaluation: Evaluation) -> tuple[ResultColumn, ...]:
     """Columns of the controllers on one variant."""
     family = evaluation.family
     return (
         *result_columns(evaluation.protocol, max(family.targets, family.crossings)),
-        Column("95 % below, encoders [mm]", lambda row: Cell(_p95(row.settled, 3))),
-        Column("95 % below, true [mm]", lambda row: Cell(_p95(row.settled_true, 2))),
-        Column("farther than 5 mm [%]", lambda row: measured(cast(VariantRow, row).outside, 100.0)),
+        ResultColumn("95 % below, encoders [mm]", lambda row: Cell(_p95(row.settled, 3))),
+        ResultColumn("95 % below, true [mm]", lambda row: Cell(_p95(row.settled_true, 2))),
+        ResultColumn("farther than 5 mm [%]", lambda row: measured(cast(VariantRow, row).outside, 100.0)),
     )
 
 
