@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, gravity_torque
+from rejoint.arms import Arm, Array, gravity_torque, tcp_position
 from rejoint.arms.rotations import task
 from rejoint.arms.workspace import length_size, torque_size
 from rejoint.control.classical import IntegratorGains
@@ -50,7 +50,7 @@ class FeedforwardGains:
     forgetting: float = 2.0
     """[1/s] decay of the correction's null-space part far from the target (chosen)"""
     far: tuple[float, float] = (0.005, 0.015)
-    """[m] distances between which that begins (chosen)"""
+    """[m] distances between which that begins, and a new goal clears it (chosen)"""
     moving: float = 0.1
     """[rad/s] of a moving joint (chosen: two encoder counts per 30 ms)"""
 
@@ -83,11 +83,12 @@ class FeedforwardController:
         self._pace = Pace()
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Take new goals of ``where`` (B,); corrections stay."""
+        """Take new goals of ``where`` (B,); corrections stay. Far from the target their null-space parts go."""
         if len(self._position) != len(inputs.sent):
             self.reset_learned(inputs, np.ones(len(inputs.sent), dtype=bool))
         self._take(inputs, where)
-        self._correction[where] -= self._unneeded()[where]
+        distance = np.linalg.norm(inputs.target - tcp_position(self._arm, inputs.state.position), axis=-1)
+        self._correction -= (where * self._far(distance))[:, None] * self._unneeded()
 
     def on_the_way(self, inputs: ControlInput) -> Mask:
         """Which arms (B,) have moving goals."""
@@ -98,6 +99,11 @@ class FeedforwardController:
         """Null-space parts (B, n) [rad] of the corrections."""
         part: Array = (self._idle @ self._correction[..., None])[..., 0]
         return part
+
+    def _far(self, distance: Array) -> Array:
+        """Share (B,), 0 to 1, by which tools are far from their targets at ``distance`` (B,) [m]."""
+        near, far = self._gains.far
+        return between((distance - near) / (far - near), 0.0, 1.0)
 
     def _take(self, inputs: ControlInput, where: Mask) -> None:
         """Take goals of ``where`` (B,), raised by the sag."""
@@ -149,9 +155,8 @@ class FeedforwardController:
             self._take(inputs, moved)
         step, extra = plain(step), plain(extra)
         gains, elapsed = self._gains, self._pace.tick(inputs.state.time)
-        near, far = gains.far
-        if np.count_nonzero(distance > near):
-            forgotten = between((distance - near) / (far - near), 0.0, 1.0) * -np.expm1(-gains.forgetting * elapsed)
+        if np.count_nonzero(distance > gains.far[0]):
+            forgotten = self._far(distance) * -np.expm1(-gains.forgetting * elapsed)
             self._correction -= forgotten[:, None] * self._unneeded()
         # Bounded by itself, not by the measured position: on the way the command leads by the whole distance.
         compiled.integrate(

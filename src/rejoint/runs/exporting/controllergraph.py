@@ -228,8 +228,9 @@ class _CycleGraph(nn.Module):
         newest = torch.where(span > 0.0, way / torch.where(span > 0.0, span, 1.0), old["speed"])
         speed = newest * SPEED_SMOOTHING + old["speed"] * (1.0 - SPEED_SMOOTHING)
         near, far = gains.far
-        share = ((distance - near) / (far - near)).clamp(0.0, 1.0) * (1.0 - torch.exp(-gains.forgetting * span))
-        learned = old["correction"] - idle * torch.where(fresh, 1.0, share)
+        far_off = ((distance - near) / (far - near)).clamp(0.0, 1.0)
+        forgotten = far_off * (1.0 - torch.exp(-gains.forgetting * span))
+        learned = old["correction"] - idle * torch.where(fresh, far_off + (1.0 - far_off) * forgotten, forgotten)
         added = push * (span * gains.rate)
         on_its_way = (speed.abs() > gains.moving) & (speed * added > 0.0)
         learned = (learned + torch.where(on_its_way, 0.0, added) + extra).clamp(
