@@ -40,24 +40,10 @@ def mutated(data: bytes, changes: list[tuple[str, float, int]]) -> bytes:
     return data
 
 
-def write_ros2(path: Path, found) -> Path:
-    log = RunLog(
-        arm="so101",
-        joint_names=ARM.joint_names,
-        robot="emulated:worn",
-        label="log",
-        time=found.time,
-        position=found.position,
-        command=found.command,
-        target=found.position[:, :3],
-        true_tcp=found.position[:, :3],
-    )
-    export_log(log, path)
+def write_ros2(path: Path) -> Path:
+    found = sample()
+    export_log(RunLog.of(found.time, found.command, found.position, arm=ARM), path)
     return path
-
-
-def copy_dataset(folder: Path) -> Path:
-    return Path(shutil.copytree(DATASET, folder / "m"))
 
 
 MAKERS: dict[str, tuple[Callable[[Path], Path], str, ImportOptions]] = {
@@ -65,11 +51,15 @@ MAKERS: dict[str, tuple[Callable[[Path], Path], str, ImportOptions]] = {
     "sage-control": (lambda f: write_sage(f / "m", sample()), "control.csv", ImportOptions()),
     "sage-joints": (lambda f: write_sage(f / "m", sample()), "joint_list.txt", ImportOptions()),
     "table": (lambda f: write_table(f / "m.csv", sample()), "", ImportOptions()),
-    "mcap-cdr": (lambda f: write_ros2(f / "m.mcap", sample()), "", ImportOptions()),
+    "mcap-cdr": (lambda f: write_ros2(f / "m.mcap"), "", ImportOptions()),
     "mcap-json": (lambda f: write_json(f / "m.mcap", sample()), "", ImportOptions()),
     "mcap-protobuf": (lambda f: write_foxglove(f / "m.mcap", sample()), "", ImportOptions()),
-    "lerobot-info": (copy_dataset, "meta/info.json", ImportOptions(angle_unit="deg")),
-    "lerobot-data": (copy_dataset, str(DATA), ImportOptions(angle_unit="deg")),
+    "lerobot-info": (
+        lambda f: Path(shutil.copytree(DATASET, f / "m")),
+        "meta/info.json",
+        ImportOptions(angle_unit="deg"),
+    ),
+    "lerobot-data": (lambda f: Path(shutil.copytree(DATASET, f / "m")), str(DATA), ImportOptions(angle_unit="deg")),
 }
 
 

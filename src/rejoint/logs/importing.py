@@ -68,7 +68,7 @@ def parted(motion: RecordedMotion) -> Iterator[RecordedMotion]:
             name=f"{motion.name}-{index}of{len(kept)}" if len(kept) > 1 else motion.name,
             state=motion.state.take(np.isin(np.arange(len(time)), piece)),
             notes=tuple(notes),
-            command=None if command is None else _in_force(command, time[piece[0]], time[piece[-1]]),
+            command=command,
         )
 
 
@@ -85,13 +85,6 @@ def _corrupt(track: Track) -> NDArray[np.bool_]:
         )
     huge = ~(np.abs(track.value) <= TWO_TURNS).all(axis=1)
     return np.asarray(huge if huge.sum() <= CORRUPT * len(track) else ~finite)
-
-
-def _in_force(command: Track, first: float, last: float) -> Track:
-    """Commands in force from ``first`` to ``last`` [s]; all for other clocks."""
-    before = command.time[command.time <= first]
-    chosen = (command.time >= before.max(initial=-np.inf)) & (command.time <= last)
-    return command.take(chosen) if chosen.any() else command
 
 
 _EPOCH = 1e8

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -41,8 +41,7 @@ _BEGUN = 0.05
 _FEWEST_STEPS = 3
 
 
-@dataclass(frozen=True, kw_only=True)
-class Lag:
+class Lag(NamedTuple):
     """Lag of states behind commands."""
 
     best: float
@@ -98,10 +97,10 @@ def _chosen(lags: Array, unexplained: Array, tolerance: float) -> Lag:
     best = int(np.argmin(unexplained))
     near = np.flatnonzero((lags > PLAUSIBLE[0] - tolerance - 1e-9) & (lags < PLAUSIBLE[1] + tolerance + 1e-9))
     if best in near:
-        return Lag(best=float(np.clip(lags[best], *PLAUSIBLE)), sure=True)
+        return Lag(float(np.clip(lags[best], *PLAUSIBLE)), sure=True)
     inside = int(near[np.argmin(unexplained[near])])
     ratio = float(unexplained[inside] / unexplained[best])
-    return Lag(best=float(lags[best]), sure=alike and ratio > _SURE[inside not in (near[0], near[-1])])
+    return Lag(float(lags[best]), sure=alike and ratio > _SURE[inside not in (near[0], near[-1])])
 
 
 def _is_stepping(command: Array, step: float) -> bool:

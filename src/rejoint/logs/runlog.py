@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from importlib import import_module
@@ -52,6 +51,7 @@ AXES = ("x", "y", "z")
 _ARRAYS = ("time", "position", "command", "target", "true_tcp")
 _MEASURED = ("servo_load", "torque", "current", "gain")
 _OPTIONAL = (*_MEASURED, "aim")
+_POINTS = ("target", "true_tcp", "aim")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -104,7 +104,7 @@ class RunLog:
     def __post_init__(self) -> None:
         rows = np.size(self.time)
         for name in self.arrays:
-            shape = (rows,) if name == "time" else (rows, len(_parts(self.joint_names, name)))
+            shape = (rows,) if name == "time" else (rows, len(self.parts(name)))
             array = np.array(getattr(self, name), dtype=float)
             if array.shape != shape:
                 raise InputError(f"run log {self.label}: {name} has shape {array.shape}, expected {shape}")
@@ -134,6 +134,10 @@ class RunLog:
     def arrays(self) -> tuple[str, ...]:
         """Names of fields with a row per reading."""
         return (*_ARRAYS, *(name for name in _OPTIONAL if getattr(self, name) is not None))
+
+    def parts(self, group: str) -> tuple[str, ...]:
+        """Columns of a group: joints or axes."""
+        return AXES if group in _POINTS else self.joint_names
 
     @classmethod
     def of(
@@ -221,17 +225,12 @@ class RunLog:
                 )
 
 
-def _parts(joint_names: Sequence[str], group: str) -> Sequence[str]:
-    """Columns of a group."""
-    return AXES if group in ("target", "true_tcp", "aim") else joint_names
-
-
 def write_log(path: Path, log: RunLog) -> None:
     """Write a run log as Parquet."""
     columns: dict[str, Array] = {"time": log.time}
     for group in ("position", "command", *_MEASURED, "target", "true_tcp", "aim"):
         if (values := getattr(log, group)) is not None:
-            columns |= {f"{group}.{name}": values[:, i] for i, name in enumerate(_parts(log.joint_names, group))}
+            columns |= {f"{group}.{name}": values[:, i] for i, name in enumerate(log.parts(group))}
     header = {"format": FORMAT, **_about(log), "digest": _digest(log)}
     table = pa.table(columns).replace_schema_metadata({_METADATA_KEY: json.dumps(header).encode()})
     write_whole(path, lambda temporary: pq.write_table(table, temporary, compression="zstd", write_page_checksum=True))
@@ -259,7 +258,10 @@ def read_log(path: Path) -> RunLog:
             time=table["time"].to_numpy(),
             extra=header["extra"],
             units=header.get("units", {}),
-            **{g: np.stack([table[f"{g}.{part}"].to_numpy() for part in _parts(names, g)], axis=-1) for g in held},
+            **{
+                g: np.stack([table[f"{g}.{part}"].to_numpy() for part in (AXES if g in _POINTS else names)], axis=-1)
+                for g in held
+            },
         )
         if header.get("digest", _digest(log)) != _digest(log):
             raise FileError(path, CHANGED, remedy)
