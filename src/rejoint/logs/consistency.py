@@ -1,6 +1,6 @@
 """Consistency checks of logs.
 
-Impossible numbers raise an error; unlikely ones are doubts in `Findings`; others give a note. All thresholds without a
+Impossible numbers raise an error; unlikely ones are doubts in `LogFindings`; others give a note. All thresholds without a
 source are chosen.
 """
 
@@ -27,7 +27,7 @@ _BETWEEN = " | "
 
 
 @dataclass(frozen=True, kw_only=True)
-class Findings:
+class LogFindings:
     """What the checks of a log found."""
 
     force: bool = False
@@ -50,7 +50,7 @@ class Findings:
 
 
 def forced_reasons(extra: dict[str, str]) -> tuple[str, ...]:
-    """Reasons of `Findings.extra`."""
+    """Reasons of `LogFindings.extra`."""
     return tuple(extra[FORCED].split(_BETWEEN)) if extra.get(FORCED) else ()
 
 
@@ -118,7 +118,7 @@ GAP_PERIODS = 5.0
 _TIME_REMEDY = "set the time unit (--time-unit, or the column's name where that says one), or take another file"
 
 
-def clean(track: Track, found: Findings) -> Track:
+def clean(track: Track, found: LogFindings) -> Track:
     """Check a clock; returns the track without doubled stamps. FileError."""
     what, steps = track.what, np.diff(track.time)
     if not np.isfinite(track.time).all():
@@ -188,7 +188,7 @@ LIMIT_MARGIN = 0.35
 """[rad] beyond calibration and zero offsets"""
 
 
-def check_states(motion: RecordedMotion, arm: Arm, found: Findings) -> None:
+def check_states(motion: RecordedMotion, arm: Arm, found: LogFindings) -> None:
     """Check angles against limits and speeds of the arm."""
     state = motion.state
     excess = np.maximum(state.value - arm.upper, arm.lower - state.value)
@@ -210,7 +210,7 @@ def check_states(motion: RecordedMotion, arm: Arm, found: Findings) -> None:
         found.notes.append("state: no joint moves in this log")
 
 
-def _check_motion(state: Track, arm: Arm, found: Findings) -> None:
+def _check_motion(state: Track, arm: Arm, found: LogFindings) -> None:
     """Find single readings that jump out, steps to elsewhere, and speeds beyond the servos'."""
     value, steps = state.value, np.diff(state.time)[:, None]
     way = np.diff(value, axis=0)
@@ -277,7 +277,7 @@ APART = 0.5
 """[rad] median following error beyond any sag"""
 
 
-def check_agreement(state: Track, command: Array, found: Findings) -> None:
+def check_agreement(state: Track, command: Array, found: LogFindings) -> None:
     """Check states against the commands ``(T, n)`` [rad] in force.
 
     FileError for exchanged joints; doubts for duplicates, implausible lags and scales.
@@ -325,7 +325,7 @@ def check_agreement(state: Track, command: Array, found: Findings) -> None:
     _check_lag(state, command, found)
 
 
-def _check_copies(state: Track, command: Array, found: Findings) -> None:
+def _check_copies(state: Track, command: Array, found: LogFindings) -> None:
     reach = int(np.clip(round(PLAUSIBLE[1] / float(np.median(np.diff(state.time)))), 1, 50))
     reach = min(reach, len(state) // 2)
     changing = np.abs(np.diff(command, axis=0, prepend=command[:1])) > SAME
@@ -347,7 +347,7 @@ def _check_copies(state: Track, command: Array, found: Findings) -> None:
             return
 
 
-def _check_lag(state: Track, command: Array, found: Findings) -> None:
+def _check_lag(state: Track, command: Array, found: LogFindings) -> None:
     lag = find_lag(state.time, state.value, command)
     if lag is None:
         if state.time[-1] - state.time[0] >= SHORTEST:

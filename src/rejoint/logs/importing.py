@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm
 from rejoint.logs import lerobot, sage, table
 from rejoint.logs.bags import MCAP, ROSBAG, BagReader
-from rejoint.logs.consistency import GAP_PERIODS, Findings, check_agreement, check_states, clean, copies
+from rejoint.logs.consistency import GAP_PERIODS, LogFindings, check_agreement, check_states, clean, copies
 from rejoint.logs.exclusions import UNPOWERED, unpowered_joints
 from rejoint.logs.options import ImportOptions
 from rejoint.logs.runlog import TWO_TURNS, Array, RunLog, describe, write_log
@@ -100,10 +100,10 @@ def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = Non
     """Check a motion and put it on its states' clock.
 
     Row k holds state k and the last command before it (zero-order hold). FileError where states and commands do not
-    match, or for a doubt in `Findings`.
+    match, or for a doubt in `LogFindings`.
     """
     options = options or ImportOptions()
-    found = Findings(force=options.force, notes=list(motion.notes))
+    found = LogFindings(force=options.force, notes=list(motion.notes))
     state = clean(motion.state, found)
     command = None if motion.command is None else clean(motion.command, found)
     motion = _near_zero(replace(motion, state=state, command=command))
@@ -142,7 +142,7 @@ def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = Non
     ]
 
 
-def _joined(state: Track, command: Track, found: Findings) -> tuple[Track, Array]:
+def _joined(state: Track, command: Track, found: LogFindings) -> tuple[Track, Array]:
     """States from the first command on, and commands (T, n) [rad] in force; FileError for two clocks."""
     common = min(state.time[-1], command.time[-1]) - max(state.time[0], command.time[0])
     if common < 0.5 * min(np.ptp(state.time), np.ptp(command.time)):

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.logs.consistency import Findings
+from rejoint.logs.consistency import LogFindings
 from rejoint.logs.joints import COUNTS_PER_TURN
 from rejoint.logs.options import ImportOptions
 from rejoint.logs.runlog import TWO_TURNS
@@ -37,7 +37,7 @@ _MISREAD = {
 """Factor of an encoder's step"""
 
 
-def check_units(motion: RecordedMotion, arm: Arm, options: ImportOptions, found: Findings) -> None:
+def check_units(motion: RecordedMotion, arm: Arm, options: ImportOptions, found: LogFindings) -> None:
     """Check the declared unit of angles."""
     state, unit = motion.state, motion.angle_unit
     extent = float(np.rad2deg(np.abs(state.value).max()))
@@ -72,7 +72,7 @@ def check_units(motion: RecordedMotion, arm: Arm, options: ImportOptions, found:
     _check_steps(motion, arm, options, found)
 
 
-def _check_steps(motion: RecordedMotion, arm: Arm, options: ImportOptions, found: Findings) -> None:
+def _check_steps(motion: RecordedMotion, arm: Arm, options: ImportOptions, found: LogFindings) -> None:
     state = motion.state
     # no other program normalises, and other encoders have other steps
     lerobot = motion.extra.get("format") == "lerobot"
@@ -114,20 +114,20 @@ def on_grid(values: Array, step: float) -> float:
     return float(np.abs(np.mean(np.exp(2j * np.pi * values / step))))
 
 
-def _told(values: Array, decimals: int) -> list[Array]:
+def _readings(values: Array, decimals: int) -> list[Array]:
     """Different readings of the joints (T, n) that have enough."""
     return [one for joint in values.T if len(one := np.unique(np.round(joint, decimals))) >= FEWEST_VALUES]
 
 
 def _turn_bits(values: Array) -> int | None:
     """Return encoder bits of readings (T, n) [rad], or None."""
-    told = _told(values, 12)
+    told = _readings(values, 12)
     return next((b for b in BITS if told and np.median([on_grid(one, 2 * np.pi / 2**b) for one in told]) > ON), None)
 
 
 def _by_grid(raw: Array) -> tuple[str | None, str]:
     """Return unit of LeRobot's readings (T, n) by their steps, and why."""
-    joints = [(_turn_grid(values), *_best_grid(values)) for values in _told(raw, 4)]
+    joints = [(_turn_grid(values), *_best_grid(values)) for values in _readings(raw, 4)]
     degrees = sum(turn > ON for turn, *_ in joints)
     steps = [step for turn, step, fit in joints if fit > ON and turn < OFF]
     if degrees > len(joints) / 2:
@@ -160,7 +160,7 @@ def calibrated_ranges(raw: Array, arm: Arm, path: Path) -> Array:
         )
     counts = []
     for joint, name in zip(raw.T, arm.joint_names, strict=True):
-        told = _told(joint[:, None], 4)
+        told = _readings(joint[:, None], 4)
         step, fit = _best_grid(told[0]) if told else (0.0, 0.0)
         if fit < ON:
             raise FileError(
