@@ -1,7 +1,7 @@
 """Consistency checks of logs.
 
-Impossible numbers raise an error; unlikely ones are doubts in `LogFindings`; others give a note. All thresholds without a
-source are chosen.
+Impossible numbers raise an error; unlikely ones are doubts in `LogFindings`; others give a note. All thresholds
+without a source are chosen.
 """
 
 from __future__ import annotations
