@@ -15,7 +15,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, gravity_torque
+from rejoint.arms import CATALOGUE, Arm, Array, gravity_torque
 from rejoint.arms.workspace import reach
 from rejoint.system.errors import InputError
 from rejoint.twin.declaration import Parameter as Parameter
@@ -290,8 +290,13 @@ HEALTHY_FRICTION_FACTOR = 0.6
 """Other healthy values over the prior's medians; chosen from the servo's data sheet"""
 
 
+def is_hobby(arm: Arm) -> bool:
+    """Whether an arm's servos are hobby servos: those of the catalogue are."""
+    return arm.name in CATALOGUE
+
+
 def healthy_parameters(arm: Arm) -> TwinParameters:
-    """Twin of an arm without wear."""
+    """Twin of an arm of hobby servos without wear."""
     worn = nominal_parameters(arm)
     return TwinParameters(
         stiffness=HEALTHY_STIFFNESS_FACTOR * worn.stiffness,

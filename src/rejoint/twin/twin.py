@@ -40,9 +40,9 @@ class HeldOut:
     """[s]"""
     no_twin: PredictionError
     """the command as prediction"""
-    healthy_twin: PredictionError
-    """an arm of this build without wear"""
     twin: PredictionError
+    healthy_twin: PredictionError | None = None
+    """an arm of this build without wear; None where its servos are unknown"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
