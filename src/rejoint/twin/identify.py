@@ -126,7 +126,7 @@ def fitted_twin(
 
 
 def _starts(arm: Arm, belief: Prior, count: int, rng: np.random.Generator) -> Array:
-    drawn = belief.mean + belief.sigma * rng.standard_normal((max(count - 2, 1), len(belief.mean)))
+    drawn = belief.mean + belief.sigma * Layout(arm.joints).normal(rng, max(count - 2, 1))
     starts = np.vstack([belief.mean, pack(healthy_parameters(arm)), drawn])
     of_arm = Layout(arm.joints).of_arm
     starts[2:, of_arm] = belief.mean[of_arm]
