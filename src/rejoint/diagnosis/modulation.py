@@ -48,6 +48,8 @@ class Averages:
     """(N,) torque or current, in the log's unit; else zero"""
     cluster: NDArray[np.intp]
     """(N,) number of the motion"""
+    time: Array
+    """(N,) [s] middle of the window"""
 
 
 def window_averages(
@@ -73,8 +75,9 @@ def window_averages(
             gravity=empty,
             effort=empty,
             cluster=empty.astype(np.intp),
+            time=empty,
         )
-    names = ("error", "command_speed", "speed", "acceleration", "direction", "gravity", "effort", "cluster")
+    names = ("error", "command_speed", "speed", "acceleration", "direction", "gravity", "effort", "cluster", "time")
     return Averages(**{name: np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in names})
 
 
@@ -104,6 +107,7 @@ def _averages(
         gravity=average(np.interp(time, log.time, data.gravity[:, joint]), window)[read],
         effort=average(np.interp(time, log.time, data.effort[:, joint]), window)[read],
         cluster=first_cluster + (begins / duration).astype(np.intp)[read],
+        time=(time[0] + begins + 0.5 * length)[read],
     )
 
 

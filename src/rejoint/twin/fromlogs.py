@@ -31,7 +31,7 @@ from rejoint.twin.motionfit import (
     settle,
     thin,
 )
-from rejoint.twin.parameters import healthy_parameters, unpack
+from rejoint.twin.parameters import healthy_parameters, is_hobby, unpack
 from rejoint.twin.replay import Replay, powered
 from rejoint.twin.table import TablePlane
 from rejoint.twin.tablefit import fit_table
@@ -94,7 +94,7 @@ def identify_logs(
             table=table,
             acceleration=structure.acceleration,
         ),
-        Candidate(name=HEALTHY, parameters=healthy_parameters(arm), stiction=1.0),
+        *([Candidate(name=HEALTHY, parameters=healthy_parameters(arm), stiction=1.0)] if is_hobby(arm) else []),
         *beside,
     ]
     judgement = judge(arm, candidates, unseen, table=height, timestep=settings.timestep, threads=settings.threads)
@@ -164,4 +164,5 @@ def _held_out(judgement: Judgement) -> HeldOut:
         return found
 
     seconds = sum(motion.seconds - motion.contact_seconds - motion.left_out_seconds for motion in judgement.motions)
-    return HeldOut(seconds=seconds, no_twin=error(NO_TWIN), healthy_twin=error(HEALTHY), twin=error(FITTED))
+    healthy = error(HEALTHY) if HEALTHY in judgement.mean else None
+    return HeldOut(seconds=seconds, no_twin=error(NO_TWIN), healthy_twin=healthy, twin=error(FITTED))

@@ -292,6 +292,7 @@ def read_published(path: Path, arm: Arm) -> Candidate:
         "source": "",
         "stiction": 1.0,
         "offset": 0.0,
+        "compensation": 0.0,
         "delay": 0.0,
         "torque_limit": reached.torque_limit[0],
         "ramp_speed": float(reached.ramp_speed),

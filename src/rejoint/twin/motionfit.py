@@ -26,6 +26,7 @@ from rejoint.twin.replay import Replay, Window
 from rejoint.twin.structure import (
     STICTIONS,
     Structure,
+    decide_compensation,
     expressible,
     find_acceleration,
     find_structure,
@@ -235,7 +236,7 @@ def fit_motions(
             f"{whole:.0f} s in {len(logs)} log(s), expected at least {SHORTEST:.0f} s; record longer "
             "motions, off table and stops"
         )
-    belief = unknown_prior(arm)
+    belief = decide_compensation(unknown_prior(arm), arm, logs, excluded)
 
     def problem(chosen: Sequence[Window], structure: Structure, threads: int = settings.threads) -> Problem:
         return _problem(arm, logs, chosen, structure, settings, threads)
