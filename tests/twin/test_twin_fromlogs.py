@@ -4,14 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from motion_logs import ARM, STEP, TRUTH, pressing, record, wandering
+from motion_logs import ARM, PERIOD, STEP, TRUTH, pressing, record, wandering
 
 from rejoint.arms import gravity_torque, tcp_position
+from rejoint.logs.runlog import RunLog
 from rejoint.twin.file import read_twin, write_twin
 from rejoint.twin.fit import Problem
 from rejoint.twin.fromlogs import FITTED, HEALTHY, REFITTED, identify_logs
 from rejoint.twin.judgement import NO_TWIN
-from rejoint.twin.motionfit import HoldOut, LogSettings
+from rejoint.twin.motionfit import HoldOut, LogSettings, part, repeated
 from rejoint.twin.parameters import pack, unknown_prior, vector_names
 from rejoint.twin.replay import Replay, cut
 from rejoint.twin.structure import EARLIER, find_acceleration, simplest
@@ -148,3 +149,21 @@ def test_gravity_fed_forward_is_no_stiffness_and_an_unpowered_joint_is_replayed_
     assert HEALTHY not in found.judgement.mean
     assert found.judgement.mean[FITTED].free.tcp < 0.3 * found.judgement.mean[NO_TWIN].free.tcp
     assert found.judgement.mean[FITTED].free.joints[4] < 1e-3
+
+
+def test_what_repeats_a_motion_that_is_held_out_is_not_fitted():
+    def program(label, seeds, cycles=1):
+        command = np.concatenate([wandering(seed, 12.0)[1] for seed in (*seeds,) * cycles])
+        time = np.arange(len(command)) * PERIOD
+        return RunLog.of(time, command, command + 1e-3 * len(label), arm=ARM.name, label=label)
+
+    seen, unseen = part(ARM, [program("ten cycles", [0], 10)], HoldOut())
+    assert np.concatenate(repeated(unseen, seen)).mean() < 0.2
+    assert sum(map(len, seen)) > 0.5 * 10 * 600
+    again, new = repeated([program("again", [0]), program("new", [1])], [program("ten cycles", [0], 10)])
+    assert again.mean() > 0.9
+    assert not new.any()
+    motions = [program(f"{way} {k}", [k]) for k in range(4) for way in ("there", "once more")]
+    seen, unseen = part(ARM, motions, HoldOut())
+    assert {log.label[-1] for log in seen}.isdisjoint(log.label[-1] for log in unseen)
+    assert seen
