@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Array, gravity_torque, link_inertia
-from rejoint.twin.parameters import PARAMETERS, Layout, Prior, number, unpack
+from rejoint.twin.parameters import JOINT_PARAMETERS, PARAMETERS, Layout, Prior, number, unpack
 from rejoint.twin.replay import SILENT, Replay
 
 HUBER = np.radians(1.7)
@@ -287,7 +287,7 @@ def search(problem: Problem, starts: Array, rng: np.random.Generator, rounds: in
 
 
 def _alternating(problem: Problem, iteration: int) -> Array:
-    kind = np.where(problem.owner >= 0, problem.layout.kind, problem.layout.kind[problem.layout.of_arm][0])
+    kind = np.where(problem.owner >= 0, problem.layout.kind, sum(p.fitted for p in JOINT_PARAMETERS))
     parity = iteration + kind + np.maximum(problem.owner, 0)
     return np.where(parity % 2 == 0, 1.0, -1.0)
 
