@@ -72,6 +72,7 @@ MADE = chain(
 )
 """About as long and heavy as an OpenArm: its own model is not published with the recordings"""
 TOOL = "--base base_link --tip tool0"
+UNITS = "--angle-unit rad --time-unit s"
 WITHOUT_TITLES = "--format table --angle-unit rad --map time_s=1,position="
 
 ARMS = {
@@ -79,11 +80,13 @@ ARMS = {
         files="bam_xl330/*.json",
         model=chain((0.49,), (0.1,), ("0 -1 0",), 1.0),
         truth="a weak servo, right where it stands 50 degrees from its goal",
+        read=UNITS,
     ),
     "iris": Stranger(
         files="iris/*_session_A.csv",
         model="iris_servo.toml",
         truth="320.5 N m/rad at joints 1-3, 240.4 at 4-6; damping at least 8 and 4 N m s/rad; motors geared by 6.33",
+        read=UNITS,
     ),
     "ur5": Stranger(
         files="ur5/*.txt",
@@ -102,6 +105,7 @@ ARMS = {
         files="openarm/*collect_joint_[13].npz",
         model=MADE,
         truth="one joint is powered in each file; Coulomb friction .34 .84 .12 .17 .11 N m at joints 3-7",
+        read=UNITS,
     ),
     "g1": Stranger(
         files="g1/*.csv",
@@ -126,18 +130,6 @@ def model_of(stranger: Stranger, folder: Path, out: Path) -> Path:
         made.write_text(stranger.model)
         return made
     return place if place.exists() else Path(str(files("ManipulaPy"))) / "ManipulaPy_data" / stranger.model
-
-
-def put(path: Path, folder: Path) -> None:
-    """Copy a file into a folder, one of numpy as text with columns."""
-    if path.suffix != ".npz":
-        shutil.copy(path, folder)
-        return
-    data = np.load(path)
-    kinds = {"q": "position.joint{}_rad", "q_cmd": "command.joint{}_rad", "tau_measured": "torque.joint{}_nm"}
-    titles = ["time_s", *(kind.format(i + 1) for name, kind in kinds.items() for i in range(data[name].shape[1]))]
-    table = np.column_stack([data[name] for name in ("time", *kinds)])
-    np.savetxt(folder / f"{path.stem}.csv", table, delimiter=",", header=",".join(titles), comments="")
 
 
 def ask(*words: object) -> None:
@@ -176,7 +168,7 @@ def main(data: Path | None = None, arms: str = ",".join(ARMS)) -> None:
             model = model_of(stranger, paths[0].parent, out)
             (out / "files").mkdir()
             for path in paths:
-                put(path, out / "files")
+                shutil.copy(path, out / "files")
             ask("import", out / "files", out / "logs", "--arm", model, *ends, *stranger.read.split())
             for command in ("diagnose", "identify"):
                 ask(command, "--logs", out / "logs", "--arm", model, *ends, "--run", out / "run")

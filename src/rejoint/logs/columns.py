@@ -337,9 +337,10 @@ def _classified(title: str) -> tuple[str, str, str, str | None] | None:
         if not title.casefold().startswith(prefix):
             continue
         group = _PREFIXES[prefix]
-        rest, unit = split_unit(f"x{title[len(prefix) :]}", UNITS[group])
+        spelled = {unit.casefold(): unit for unit in UNITS[group]} | {unit: unit for unit in UNITS[group]}
+        rest, unit = split_unit(f"x{title[len(prefix) :]}", spelled)
         found = _JOINT.fullmatch(rest[1:])
         name = "" if found is None else found["number"] or found["name"] or ""
         if found is not None and (group not in ("target", "true_tcp") or name in AXES):
-            return prefix, group, name, unit
+            return prefix, group, name, spelled.get(unit or "")
     return None

@@ -7,7 +7,7 @@ reach, there is a table. A joint at an end of its travel that is stationary far 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -149,6 +149,13 @@ def unpowered_joints(log: RunLog) -> tuple[str, ...]:
         moved, asked = np.ptp(log.position, axis=0), np.ptp(log.command, axis=0)
         silent |= (asked >= ASKED) & ((moved < ANSWERED * asked) | (answer < UNRELATED))
     return tuple(name for name, one in zip(log.joint_names, silent, strict=True) if one)
+
+
+def answered(log: RunLog) -> RunLog:
+    """Give joints that never answer, or had no torque, their position as command, and declare them."""
+    names = unpowered_joints(log)
+    command = np.where(np.isin(log.joint_names, names), log.position, log.command)
+    return replace(log, command=command, extra=log.extra | {UNPOWERED: ",".join(names)}) if names else log
 
 
 def free_runs(free: Rows, time: Array, shortest: float) -> list[tuple[int, int]]:

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Array, gravity_torque, link_inertia
+from rejoint.logs.exclusions import UNPOWERED
 from rejoint.twin.parameters import JOINT_PARAMETERS, PARAMETERS, Layout, Prior, number, unpack
-from rejoint.twin.replay import SILENT, Replay
+from rejoint.twin.replay import Replay
 
 HUBER = np.radians(1.7)
 """[rad] where the loss becomes linear; measured on a real low-cost arm"""
@@ -91,7 +92,7 @@ class Problem:
         self.measured = np.concatenate(replay.measured())
         lengths = [len(part) for part in replay.measured()]
         self.window = np.repeat(np.arange(len(lengths)), lengths)
-        silent = [replay.logs[w.log].extra.get(SILENT, "").split() for w in replay.windows]
+        silent = [replay.logs[w.log].extra.get(UNPOWERED, "").split(",") for w in replay.windows]
         self.powered = ~np.array([np.isin(replay.arm.joint_names, names) for names in silent])[self.window]
         self.floor = replay.arm.encoder_step / np.sqrt(12.0)
         seconds = sum(float(replay.times(i)[-1]) for i in range(len(lengths)))

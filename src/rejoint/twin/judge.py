@@ -18,10 +18,10 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, tcp_position
 from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
+from rejoint.logs.lag import PLAUSIBLE, find_lag
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import TOML_MOST, read_bounded
-from rejoint.system.statistics import above_zero, bootstrap_mean
 from rejoint.twin.judgement import (
     NO_TWIN,
     Errors,
@@ -30,6 +30,7 @@ from rejoint.twin.judgement import (
     PredictionError,
     Trace,
     prediction_error,
+    smaller,
 )
 from rejoint.twin.parameters import PARAMETERS, STICTION, Parameter, TwinParameters, unknown_prior, unpack
 from rejoint.twin.replay import Replay, Window
@@ -202,16 +203,10 @@ MOVED = np.radians(2.0)
 """[rad] least travel of a moving joint; chosen"""
 COARSEST = 0.1
 """[s] between readings up to which friction and lag show; chosen"""
-EARLIEST, LATEST = -0.05, 0.3
-"""[s] plausible delay of readings after commands; chosen"""
 LAGS = np.arange(-0.5, 0.81, 0.01)
 """[s] tried"""
 ROWS = 1000
 """Rows of a log for the lag; chosen"""
-FEWEST = 3
-"""Motions that an interval needs; chosen"""
-CLEARLY = 0.8
-"""Relative error that is clearly smaller; chosen"""
 
 
 def doubts(arm: Arm, logs: Sequence[RunLog], rows: Sequence[Exclusions], paths: dict[str, list[Array]]) -> list[str]:
@@ -226,10 +221,10 @@ def doubts(arm: Arm, logs: Sequence[RunLog], rows: Sequence[Exclusions], paths: 
     lag, left = command_lag(logs)
     if left < arm.encoder_step:
         found.append("the readings are copies of the commands, and show nothing of the arm")
-    elif not EARLIEST <= lag <= LATEST:
-        found.append(
-            f"the readings follow the commands by {lag:.2f} s, expected {EARLIEST:g} to {LATEST:g} s: clocks differ"
-        )
+    seen = [one for log in logs if (one := find_lag(log.time, log.position, log.command)) and one.sure]
+    if seen and not any(one.plausible for one in seen):
+        late, most = float(np.median([one.best for one in seen])), PLAUSIBLE[1]
+        found.append(f"the readings follow the commands by {late:.2f} s, expected 0 to {most:g} s: clocks differ")
     twins = [paths[name] for name in list(paths)[1:]]
     delayed = [_delayed(log, lag) for log in logs]
     for name, without in (("the command", next(iter(paths.values()))), (f"the command {lag:.2f} s later", delayed)):
@@ -272,9 +267,7 @@ def _better(
 
     known = [i for i, own in enumerate(rows) if own.free.any()]
     ours, theirs = (np.array([error(logs[i], path[i], rows[i]) for i in known]) for path in (twin, without))
-    if len(known) < FEWEST:
-        return bool(len(known) and ours.mean() < CLEARLY * theirs.mean())
-    return above_zero(bootstrap_mean(theirs - ours, np.arange(len(known)), fewest=FEWEST))
+    return smaller(ours, theirs)
 
 
 def read_published(path: Path, arm: Arm) -> Candidate:

@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from rejoint.arms import Arm, Array, gravity_torque
-from rejoint.logs.exclusions import unpowered_joints
+from rejoint.logs.exclusions import answered
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.twin.declaration import TIMESTEP
@@ -204,7 +204,7 @@ def _interpolate(path: Array, timestep: float, time: Array) -> Array:
     return path[:, index] * (1 - part) + path[:, index + 1] * part
 
 
-GAIN, TORQUE_OFF, SILENT = "gain", "torque_off", "silent"
+GAIN, TORQUE_OFF = "gain", "torque_off"
 """Keys in `RunLog.extra`"""
 
 
@@ -245,7 +245,7 @@ def spans_off(log: RunLog) -> list[tuple[float, float]]:
 def powered(logs: Sequence[RunLog]) -> list[RunLog]:
     """Cut logs at spans without torque; joints that never answer get their position as command."""
     found = []
-    for log in map(_answered, logs):
+    for log in map(answered, logs):
         since, spans = log.time - log.time[0], spans_off(log)
         on = ~np.any([(since >= first) & (since <= last) for first, last in spans], axis=0) if spans else since >= 0.0
         edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]]).astype(int)))
@@ -257,13 +257,6 @@ def powered(logs: Sequence[RunLog]) -> list[RunLog]:
             else [log]
         )
     return found
-
-
-def _answered(log: RunLog) -> RunLog:
-    names = unpowered_joints(log)
-    silent = np.isin(log.joint_names, names)
-    command = np.where(silent, log.position, log.command)
-    return replace(log, command=command, extra={**log.extra, SILENT: " ".join(names)}) if names else log
 
 
 def _numbers(log: RunLog, key: str, words: Sequence[str]) -> Array:
