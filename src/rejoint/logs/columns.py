@@ -138,7 +138,7 @@ def holds_positions(titles: Sequence[str], options: ImportOptions) -> bool:
         for part in (Linear.of(text, titles).column, *text.split(".."))
     }
     return bool(mapped & {*titles}) or any(
-        found[1] in ("position", "command") and ("." in title or found[2].isdigit() or not found[2])
+        found[1] in ("position", "command") and ("." in title or not found[2] or found[2][-1].isdigit())
         for title in titles
         if (found := _classified(title))
     )
