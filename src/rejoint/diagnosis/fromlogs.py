@@ -213,8 +213,8 @@ def _unseen(measurement: Measurement) -> tuple[str, ...]:
         ),
         (
             "hysteresis_rad",
-            "Friction, lag and zero of {} cannot be told: too little slow motion, in one direction only "
-            "or with readings too far apart.",
+            "Lag and zero of {}, and friction by the following error, cannot be told: too little slow motion, in one "
+            "direction only, with readings too far apart or without commands.",
         ),
         ("overshoot", "Whether {} shoots over cannot be told: too few steps."),
         ("noise_rad", "Noise and unrest of {} cannot be told: the arm hardly rests while no command moves."),
