@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 
 from rejoint.arms import gravity_torque
-from rejoint.twin.batch import TwinBatch, twin_model
+from rejoint.twin.batch import TwinBatch
 from rejoint.twin.parameters import (
     PARAMETERS,
     Layout,
@@ -15,6 +15,7 @@ from rejoint.twin.parameters import (
     vector_names,
 )
 from rejoint.twin.simulation import Draw, Simulation
+from twinmodel import twin_model
 
 
 def changed(arm, **values):

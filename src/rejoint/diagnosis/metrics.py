@@ -170,16 +170,10 @@ def _follows(arm: Arm, motion: _LogMotion, joint: int) -> float:
 
 
 def gravity_terms(arm: Arm, position: Array) -> Array:
-    """Gravity torques (N, n, 4 n) [N m] at ``position`` (N, n) by 1 kg and 1 kg m on each axis of each link."""
-    none, terms = np.zeros_like(arm.com), []
-    for link in range(arm.joints):
-        mass = np.eye(arm.joints)[link]
-        whole = gravity_torque(replace(arm, mass=mass, com=none), position)
-        moments = [none.copy() for _ in range(3)]
-        for axis, com in enumerate(moments):
-            com[link, axis] = 1.0
-        terms += [whole, *(gravity_torque(replace(arm, mass=mass, com=com), position) - whole for com in moments)]
-    return np.stack(terms, axis=-1)
+    """Gravity torques (N, n, 4 n) [N m] at ``position`` (N, n) by 1 kg in each link, at its joint and 1 m off."""
+    places = np.vstack([np.zeros(3), np.eye(3)])
+    loads = [replace(arm, mass=mass, com=mass[:, None] * place) for mass in np.eye(arm.joints) for place in places]
+    return np.stack([gravity_torque(load, position) for load in loads], axis=-1)
 
 
 def fit_effort(data: ExcitationLog, joint: int) -> LinearFit | None:

@@ -6,7 +6,8 @@ Shinbrot 1957).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -64,20 +65,10 @@ def window_averages(
         time = np.arange(segment.start + cut, segment.stop, _GRID)
         if len(time) * _GRID > length:
             parts.append(_averages(data, time, joint, length, delays, 1000 * index))
+    names = [part.name for part in fields(Averages)]
     if not parts:
-        empty = np.zeros(0)
-        return Averages(
-            error=np.zeros((len(delays), 0)),
-            command_speed=empty,
-            speed=empty,
-            acceleration=empty,
-            direction=empty,
-            gravity=empty,
-            effort=empty,
-            cluster=empty.astype(np.intp),
-            time=empty,
-        )
-    names = ("error", "command_speed", "speed", "acceleration", "direction", "gravity", "effort", "cluster", "time")
+        empty: dict[str, Any] = dict.fromkeys(names, np.zeros(0))
+        return Averages(**empty | {"error": np.zeros((len(delays), 0)), "cluster": np.zeros(0, dtype=np.intp)})
     return Averages(**{name: np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in names})
 
 

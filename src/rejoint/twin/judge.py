@@ -203,10 +203,6 @@ MOVED = np.radians(2.0)
 """[rad] least travel of a moving joint; chosen"""
 COARSEST = 0.1
 """[s] between readings up to which friction and lag show; chosen"""
-LAGS = np.arange(-0.5, 0.81, 0.01)
-"""[s] tried"""
-ROWS = 1000
-"""Rows of a log for the lag; chosen"""
 
 
 def doubts(arm: Arm, logs: Sequence[RunLog], rows: Sequence[Exclusions], paths: dict[str, list[Array]]) -> list[str]:
@@ -218,13 +214,13 @@ def doubts(arm: Arm, logs: Sequence[RunLog], rows: Sequence[Exclusions], paths: 
     period = float(np.median(np.concatenate([np.diff(log.time) for log in logs])))
     if period > COARSEST:
         found.append(f"readings are {period:.2g} s apart, expected at most {COARSEST:g} s")
-    lag, left = command_lag(logs)
-    if left < arm.encoder_step:
-        found.append("the readings are copies of the commands, and show nothing of the arm")
-    seen = [one for log in logs if (one := find_lag(log.time, log.position, log.command)) and one.sure]
-    if seen and not any(one.plausible for one in seen):
-        late, most = float(np.median([one.best for one in seen])), PLAUSIBLE[1]
-        found.append(f"the readings follow the commands by {late:.2f} s, expected 0 to {most:g} s: clocks differ")
+    lags = [one for log in logs if (one := find_lag(log.time, log.position, log.command))]
+    lag = float(np.median([one.best for one in lags])) if lags else 0.0
+    sure = [one.plausible for one in lags if one.sure]
+    if sure and not any(sure):
+        found.append(
+            f"the readings follow the commands by {lag:.2f} s, expected 0 to {PLAUSIBLE[1]:g} s: clocks differ"
+        )
     twins = [paths[name] for name in list(paths)[1:]]
     delayed = [_delayed(log, lag) for log in logs]
     for name, without in (("the command", next(iter(paths.values()))), (f"the command {lag:.2f} s later", delayed)):
@@ -232,22 +228,6 @@ def doubts(arm: Arm, logs: Sequence[RunLog], rows: Sequence[Exclusions], paths: 
             found.append(f"no twin predicts measurably better than {name} does")
             break
     return found
-
-
-def command_lag(logs: Sequence[RunLog]) -> tuple[float, float]:
-    """Best lag [s] of the commands, and the rms rest [rad], of moving joints without offsets."""
-    totals, count = np.zeros(len(LAGS)), 0
-    for log in logs:
-        moving = np.flatnonzero(np.ptp(log.position, axis=0) > MOVED)
-        if not len(moving):
-            continue
-        chosen = np.unique(np.linspace(0, len(log) - 1, min(len(log), ROWS)).astype(int))
-        count += len(chosen) * len(moving)
-        for i, lag in enumerate(LAGS):
-            gap = (_delayed(log, float(lag))[chosen] - log.position[chosen])[:, moving]
-            totals[i] += float(((gap - gap.mean(axis=0)) ** 2).sum())
-    best = int(np.argmin(totals))
-    return float(LAGS[best]), float(np.sqrt(totals[best] / max(count, 1)))
 
 
 def _delayed(log: RunLog, lag: float) -> Array:

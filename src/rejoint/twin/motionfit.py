@@ -172,7 +172,7 @@ def part(arm: Arm, logs: Sequence[RunLog], how: HoldOut) -> tuple[list[RunLog], 
 
 
 def _ends(logs: Sequence[RunLog]) -> tuple[list[RunLog], list[RunLog]]:
-    def split(share: float, *, apart: bool) -> tuple[list[RunLog], list[RunLog]]:
+    for share in KEPT_END * 0.5 ** np.arange(5):
         cuts = [int(len(log) * (1.0 - share)) for log in logs]
         seen = [log.rows(slice(0, cut)) for log, cut in zip(logs, cuts, strict=True)]
         ends = [log.rows(slice(cut, None)) for log, cut in zip(logs, cuts, strict=True)]
@@ -181,13 +181,10 @@ def _ends(logs: Sequence[RunLog]) -> tuple[list[RunLog], list[RunLog]]:
             for log, same in zip(seen, repeated(seen, ends), strict=True)
             for a, b in free_runs(~same, log.time, SHORTEST_STRETCH)
         ]
-        return fresh if apart else seen, [replace(end, label=f"{end.label} (end)") for end in ends]
-
-    for share in KEPT_END * 0.5 ** np.arange(5):
-        seen, ends = split(share, apart=True)
-        if sum(map(len, seen)) > MOSTLY * sum(map(len, logs)):
-            return seen, ends
-    return split(KEPT_END, apart=False)
+        if sum(map(len, fresh)) > MOSTLY * sum(map(len, logs)):
+            seen = fresh
+            break
+    return seen, [replace(end, label=f"{end.label} (end)") for end in ends]
 
 
 def repeated(logs: Sequence[RunLog], others: Sequence[RunLog]) -> list[NDArray[np.bool_]]:
