@@ -8,7 +8,7 @@ from importlib import import_module
 
 BENCHMARKS = (
     "plant", "step", "control", "guard", "postures", "following", "training", "rivals", "policy", "diagnosis",
-    "identification", "truth", "emulator", "serve", "hostile", "kills", "seeing", "feetech", "moving", "shelf",
+    "identification", "truth", "emulator", "serve", "kills", "seeing", "feetech", "moving", "shelf",
     "elimination", "payload", "years", "again",
 )  # fmt: skip
 """Modules beside this one; each has a `main`"""

@@ -1,9 +1,9 @@
-"""Identification on the logs of an SO-101, and its speed beside MuJoCo's own tools.
+"""Identification on the logs of a real SO-101, and its speed beside MuJoCo's own tool.
 
-    python -m benchmarks.identification --logs LOGS --sections folds,sysid,rollout
+    python -m benchmarks.identification --logs LOGS --sections folds,sysid
 
 LOGS is a folder of SAGE motions (github.com/isaac-sim2real/sage, output/real/so101/custom), by default that of the
-environment variable REJOINT_SO101, else motions of an emulated arm. Times are processor seconds of the whole process.
+environment variable REJOINT_SO101. Times are processor seconds of the whole process.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from __future__ import annotations
 import contextlib
 import io
 import os
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -23,12 +22,9 @@ import numpy as np
 import typer
 
 from rejoint.arms import Arm, load_arm
-from rejoint.control.start import move, play
 from rejoint.logs import import_logs
 from rejoint.logs.exclusions import find_exclusions, table_height
 from rejoint.logs.runlog import RunLog
-from rejoint.robots.emulated import EmulatedRobot
-from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.twin.batch import friction_solref, twin_spec
 from rejoint.twin.fit import SCALES, Problem, fit
 from rejoint.twin.fromlogs import FITTED, identify_logs
@@ -42,46 +38,11 @@ from rejoint.twin.structure import LIMITS, rough_fit, simplest
 VARIABLE = "REJOINT_SO101"
 """Environment variable that names the folder of a real SO-101's SAGE motions"""
 
-MOTIONS, SECONDS = 12, 20.0
-"""How many motions the emulated arm makes, and how long [s] each of them is"""
-
-
-def find_logs(given: Path | None, arm: Arm) -> tuple[str, list[RunLog]]:
-    """Return what the logs are, in words, and the logs: of the folder, of `VARIABLE`'s folder, or emulated ones."""
-    folder = given or (Path(os.environ[VARIABLE]) if VARIABLE in os.environ else None)
-    if folder is not None:
-        if not folder.is_dir():
-            sys.exit(f"{folder}: no folder of SAGE motions; give another one, or none for an emulated arm")
-        return f"real logs in {folder}", read_logs(folder, arm)
-    said = f"an emulated SO-101 (for a real one: make bench LOGS=FOLDER, or {VARIABLE}=FOLDER)"
-    return said, emulated(arm)
-
 
 def read_logs(folder: Path, arm: Arm) -> list[RunLog]:
     """Import a folder of SAGE motions."""
     with tempfile.TemporaryDirectory() as place:
         return sorted(import_logs(folder, arm, out=Path(place) / "logs").logs, key=lambda log: log.label)
-
-
-def emulated(arm: Arm, seed: int = 0) -> list[RunLog]:
-    """Record motions of the emulated SO-101: slow sums of sines, then steps."""
-    robot = EmulatedRobot(arm, [load_wear("so101", arm)], seed=seed, address="emulated:so101")
-    logs = []
-    for motion in range(MOTIONS):
-        rng = np.random.default_rng([seed, motion])
-        centre = np.array([0.0, -0.4, 0.2, 0.3, 0.0]) + rng.uniform(-0.25, 0.25, arm.joints)
-        frequency = np.array([0.07, 0.19, 0.41]) * rng.uniform(0.8, 1.2, (arm.joints, 3))
-        phase, height = rng.uniform(0, 2 * np.pi, (arm.joints, 3)), 0.3 * np.array([1.0, 0.6, 0.3])
-        postures = centre + rng.uniform(-0.3, 0.3, (int(SECONDS), arm.joints))
-
-        def command(time, centre=centre, frequency=frequency, phase=phase, height=height, postures=postures):
-            t = np.asarray(time)[:, None]
-            waves = (height * np.sin(2 * np.pi * frequency * t[..., None] + phase)).sum(-1) * np.minimum(t, 1.0)
-            return np.where(t < 0.7 * SECONDS, centre + waves, postures[(t[:, 0] / 1.5).astype(int)])
-
-        move(robot, centre)
-        logs.append(play(robot, command, SECONDS).log(0, f"motion{motion:02}"))
-    return logs
 
 
 FOLDS = 4
@@ -235,44 +196,18 @@ def sysid_problem(tool, arm: Arm, problem: Problem, start: TwinParameters):
     return tool.ModelSequences("so101", spec, *sequences), params
 
 
-def rollout(arm: Arm, logs: Sequence[RunLog]) -> None:
-    """Candidate-seconds per second of our replay beside mujoco.rollout on the same windows and models."""
-    log = max(logs, key=lambda log: (log.label == "multisine", log.time[-1] - log.time[0]))
-    windows = free_windows([log], find_exclusions(arm, [log], None), 8.0)
-    parameters = unpack(simplest(unknown_prior(arm), 1.0).prior.mean, arm.joints)
-    count = 16
-    for stiction in (1.0, 1.25):
-        replay = Replay(arm, [log], windows, TIMESTEP, 1, stiction)
-        candidates = parameters.repeat(count)
-        replay.predict(candidates)
-        start = time.process_time()
-        replay.predict(candidates)
-        taken = time.process_time() - start
-        print(f"ours, stiction {stiction:4}: {count * replay.steps * TIMESTEP * len(windows) / taken:6.0f} s/s")
-    from rejoint.twin.batch import twin_model
-
-    model = twin_model(arm, parameters, TIMESTEP)
-    sims = count * len(windows)
-    states = np.zeros((sims, mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)))
-    states[:, 1 : 1 + arm.joints] = np.tile([log.position[w.first] for w in windows], (count, 1))
-    row = np.linspace(0, len(log) - 1, replay.steps).astype(int)
-    control = np.tile(log.command[row][None], (sims, 1, 1))
-    models, data = [model] * sims, [mujoco.MjData(model)]
-    mujoco.rollout.rollout(models, data, states, control)
-    start = time.process_time()
-    mujoco.rollout.rollout(models, data, states, control)
-    taken = time.process_time() - start
-    print(f"mujoco.rollout:      {sims * replay.steps * TIMESTEP / taken:6.0f} s/s (simulation alone)")
+SECTIONS = {"folds": folds, "sysid": sysid}
 
 
-SECTIONS = {"folds": folds, "sysid": sysid, "rollout": rollout}
-
-
-def main(logs: Path | None = None, sections: str = "sysid,rollout") -> None:
-    """Run ``sections`` on a folder of a real SO-101's motions, by default on those of an emulated one."""
+def main(logs: Path | None = None, sections: str = "sysid") -> None:
+    """Run ``sections`` on a folder of a real SO-101's motions."""
+    folder = logs or Path(os.environ.get(VARIABLE, ""))
+    if not folder.is_dir() or folder == Path():
+        print(f"left out: make bench LOGS=FOLDER, --logs or {VARIABLE} names the motions")
+        return
     arm = load_arm("so101")
-    said, found = find_logs(logs, arm)
-    print(f"{len(found)} motions of {said}; errors in mm and degrees: free space | contact | all samples", flush=True)
+    found = read_logs(folder, arm)
+    print(f"{len(found)} motions in {folder}; errors in mm and degrees: free space | contact | all samples", flush=True)
     for name in sections.split(","):
         SECTIONS[name](arm, found)
 

@@ -75,7 +75,6 @@ def main() -> None:
         choose_postures(fresh, np.array([[2.0, 0.0, 0.3]]), arm.rest)
         print(f"  postures of another arm stored: {process_time() - begin:.2f} s, with one refusal")
         _goals(arm)
-        _excluded(arm)
         boxed = [with_boxes(arm, seed) for seed in range(ROUNDS)]
         _ways("no boxes", [arm] * ROUNDS)
         _ways("three boxes", boxed)
@@ -183,20 +182,6 @@ def with_boxes(arm: Arm, seed: int) -> Arm:
 def _room(arm: Arm) -> tuple[Array, Array]:
     places = tcp_position(arm, comfortable_postures(arm))
     return np.append(places.min(axis=0)[:2], arm.floor), places.max(axis=0)
-
-
-def _excluded(arm: Arm) -> None:
-    """Say which contacts are looked for."""
-    shape, names = collision_shape(arm), ["base", *arm.joint_names]
-    looked = {(i, j) for i, j in shape.pairs.tolist()}
-    left = [
-        f"{names[i]} and {names[j]}"
-        for i in range(len(names))
-        for j in range(i + 2, len(names))
-        if (i, j) not in looked
-    ]
-    low = " ".join(str(end) for end in range(1, arm.joints + 2) if end not in shape.places)
-    print(f"  left out: neighbours, {', '.join(left) or 'no further links'}; on the ground the ends {low or 'none'}")
 
 
 def _ways(title: str, arms: list[Arm]) -> None:

@@ -21,8 +21,8 @@ from rejoint.arms import (
 )
 from rejoint.arms.arm import dh_chain
 from rejoint.arms.catalogue import DH_TABLE, PAPER_ANGLE_SHIFT, PAPER_DH_TABLE
-from rejoint.twin.batch import twin_model
 from rejoint.twin.parameters import nominal_parameters
+from twinmodel import twin_model
 
 ARM = mycobot280()
 

@@ -73,6 +73,18 @@ def test_stiffness_is_measured_within_its_interval(found):
             assert k.high / k.low < 1.5
 
 
+def test_a_stranger_whose_sag_is_not_that_of_the_model_has_no_known_stiffness(logs):
+    """With masses elsewhere the same sag fits no stiffness; with the true ones it tells it, less surely."""
+    stranger = dataclasses.replace(ARM, name="stranger")
+    entry = [dataclasses.replace(log, arm=stranger.name) for log in logs["healthy"]]
+    k = diagnose_logs(stranger, entry, None).measurement.joints[1].stiffness_nm_per_rad
+    assert k.low < HEALTHY.position_gain[1] < k.high
+    elsewhere = dataclasses.replace(stranger, com=0.15 * np.roll(np.eye(3), 1, axis=0)[np.arange(ARM.joints) % 3])
+    row = diagnose_logs(elsewhere, entry, None).measurement.joints[1]
+    assert row.stiffness_nm_per_rad is None
+    assert row.hysteresis_rad is not None
+
+
 def test_friction_and_hysteresis_are_those_of_the_wear(found):
     lift = found["sticky lift"].measurement.joints[1]
     half = 0.40 / HEALTHY.position_gain[1]

@@ -57,7 +57,7 @@ def test_states_on_another_clock_are_refused(rows: int, said: str, stepping: boo
 @pytest.mark.skipif(not recorded(), reason=NO_RECORDINGS)
 @pytest.mark.parametrize("name", ["multisine", "circular_motion", "step_response", "single_joint_wrist_pitch"])
 def test_a_real_arm_answers_in_time_and_not_before(name: str):
-    ((_, read),) = motions(FOLDER / name, ARM, ImportOptions())
+    ((_, read),) = motions([FOLDER / name], ARM, ImportOptions())
     found = read()
     to_log(found, ARM)
     for shift in (0.3, 0.5, -0.5):

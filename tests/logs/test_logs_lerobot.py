@@ -93,12 +93,3 @@ def test_several_files_and_mixed_rows_make_the_same_logs(dataset: Path, tmp_path
         assert a.time.tolist() == b.time.tolist()
         assert a.position.tolist() == b.position.tolist()
         assert a.command.tolist() == b.command.tolist()
-
-
-def test_swapped_names_of_the_state_are_noticed(dataset: Path, tmp_path: Path):
-    info = json.loads((dataset / "meta/info.json").read_text())
-    names = info["features"]["observation.state"]["names"]
-    names[0], names[1] = names[1], names[0]
-    (dataset / "meta/info.json").write_text(json.dumps(info))
-    with pytest.raises(FileError, match="follows the command of"):
-        import_logs(dataset, ARM, out=tmp_path / "logs", options=DEGREES)

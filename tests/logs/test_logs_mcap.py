@@ -1,4 +1,4 @@
-"""MCAP files written by the Foxglove SDK, by rosbags and by the libraries of mcap.dev."""
+"""MCAP files written by the Foxglove SDK and by the libraries of mcap.dev."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -11,9 +11,6 @@ from foxglove.channels import JointStatesChannel
 from foxglove.messages import JointState, JointStates, Timestamp
 from log_samples import ARM, Sample, rows_of, sample
 from mcap.writer import CompressionType, Writer
-from rosbags.rosbag2 import StoragePlugin
-from rosbags.rosbag2 import Writer as BagWriter
-from rosbags.typesys import Stores, get_typestore
 
 from rejoint.logs import ImportOptions, detect, import_logs
 from rejoint.system.errors import FileError
@@ -64,42 +61,16 @@ def write_json(path: Path, found: Sample, stamped: bool = True) -> Path:
     return path
 
 
-def write_rosbag(path: Path, found: Sample) -> Path:
-    """sensor_msgs/msg/JointState in CDR as `ros2 bag record` stores it, by rosbags; returns the MCAP file."""
-    store = get_typestore(Stores.ROS2_JAZZY)
-    kinds = store.types
-    state = kinds["sensor_msgs/msg/JointState"]
-    with BagWriter(path, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
-        links = {
-            topic: bag.add_connection(topic, state.__msgtype__, typestore=store)
-            for topic in ("/joint_states", "/joint_commands")
-        }
-        for topic, stamp, values in streams(found):
-            time = kinds["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9)
-            header = kinds["std_msgs/msg/Header"](stamp=time, frame_id="base")
-            order = [5, 3, 1, 0, 2, 4] if topic == "/joint_states" else [0, 1, 2, 3, 4, 5]
-            message = state(
-                header=header,
-                name=[NAMES[i] for i in order],
-                position=np.array(values)[order],
-                velocity=np.zeros(0),
-                effort=np.zeros(0),
-            )
-            bag.write(links[topic], stamp + 5_000_000, store.serialize_cdr(message, state.__msgtype__))
-    return next(path.glob("*.mcap"))
-
-
 WRITERS: dict[str, Callable[[Path, Sample], Path]] = {
     "foxglove": write_foxglove,
     "json": write_json,
-    "rosbag": write_rosbag,
 }
 
 
 @pytest.mark.parametrize("kind", WRITERS)
 def test_every_number_arrives(tmp_path: Path, kind: str):
     found = sample()
-    source = WRITERS[kind](tmp_path / ("bag" if kind == "rosbag" else "bag.mcap"), found)
+    source = WRITERS[kind](tmp_path / "bag.mcap", found)
     assert detect(source) == "mcap"
     imported = import_logs(source, ARM, out=tmp_path / "logs")
     log = imported.logs[0]
@@ -112,12 +83,6 @@ def test_every_number_arrives(tmp_path: Path, kind: str):
     assert {note.partition(": ")[2] for note in imported.notes} == {
         f"{group}: names that are no joints dropped: {group}.gripper" for group in ("position", "command")
     }
-
-
-def test_a_folder_of_a_bag_is_read(tmp_path: Path):
-    write_rosbag(tmp_path / "bag", sample())
-    assert detect(tmp_path / "bag") == "mcap"
-    assert len(import_logs(tmp_path / "bag", ARM, out=tmp_path / "logs").logs) == 1
 
 
 def test_missing_stamps_are_told_and_half_missing_ones_refused(tmp_path: Path):

@@ -87,7 +87,7 @@ def test_arrays_are_commands_in_the_order_of_the_controller(tmp_path: Path, stor
     assert log.position.tolist() == found.position.tolist()
     assert log.command.tolist() == found.command.tolist()
     said = " ".join(imported.notes)
-    assert f"commands from {ARRAYS} (std_msgs/msg/Float64MultiArray, 300 messages, 50 Hz)" in said
+    assert f"commands from {ARRAYS} (std_msgs/msg/Float64MultiArray)" in said
     assert "times are those of the recording" in said
 
 

@@ -9,9 +9,8 @@ import pytest
 from log_samples import ARM, sample, write_sage
 
 from real_so101 import FOLDER, NO_RECORDINGS, recorded
-from rejoint.logs import ImportOptions, import_logs
+from rejoint.logs import import_logs
 from rejoint.logs.runlog import read_log
-from rejoint.system.errors import FileError, InputError
 
 
 @pytest.mark.skipif(not recorded(), reason=NO_RECORDINGS)
@@ -56,16 +55,3 @@ def test_the_command_in_force_is_held(tmp_path: Path):
     assert log.position.tolist() == found.position[2:].tolist()
     notes = " ".join(imported.notes)
     assert "2 samples before the first command" in notes
-
-
-def test_a_joint_map_names_other_joints(tmp_path: Path):
-    folder = write_sage(tmp_path / "named", sample())
-    (folder / "joint_list.txt").write_text("J1\nJ2\nJ3\nJ4\nJ5\nJ6\n")
-    with pytest.raises(FileError, match=r"no column for joint shoulder_pan.*J1, .*J2.*--map"):
-        import_logs(folder, ARM, out=tmp_path / "logs")
-    names = dict(zip(ARM.joint_names, ("J1", "J2", "J3", "J4", "J5"), strict=True))
-    log = import_logs(folder, ARM, out=tmp_path / "logs", options=ImportOptions(columns=names)).logs[0]
-    assert log.position.tolist() == sample().position.tolist()
-    with pytest.raises(InputError, match="hip is nothing that a log has"):
-        import_logs(folder, ARM, out=tmp_path / "other", options=ImportOptions(columns={"hip": "J1"}))
-    assert not (tmp_path / "other").exists()

@@ -74,28 +74,6 @@ def test_a_line_that_was_cut_is_left_out(tmp_path: Path):
     assert any("the last line does not end and may be cut: left out" in note for note in imported.notes)
 
 
-TITLES = ["t [ms]", *(f"joint_{letter}" for letter in "abcde"), *(f"cmd {number}" for number in range(1, 6))]
-MAP = (
-    {"time": "t [ms]"}
-    | {name: f"joint_{letter}" for name, letter in zip(ARM.joint_names, "abcde", strict=True)}
-    | {f"command.{name}": f"cmd {number}" for number, name in enumerate(ARM.joint_names, start=1)}
-)
-
-
-def other_titles(path: Path) -> Path:
-    rows = [",".join(repr(float(v)) for v in [1e3 * row[0], *np.rad2deg(row[1:])]) for row in TABLE]
-    path.write_text(text(",".join(TITLES), *rows))
-    return path
-
-
-def test_other_titles_are_mapped(tmp_path: Path):
-    options = ImportOptions(angle_unit="deg", columns=MAP)
-    log = import_logs(other_titles(tmp_path / "a.csv"), ARM, out=tmp_path / "logs", options=options).logs[0]
-    np.testing.assert_allclose(log.time, FOUND.time, rtol=1e-12)
-    np.testing.assert_allclose(log.position, FOUND.position, rtol=1e-12, atol=1e-15)
-    np.testing.assert_allclose(log.command, FOUND.command, rtol=1e-12)
-
-
 def test_columns_without_titles_are_numbered(tmp_path: Path):
     (tmp_path / "serial.txt").write_text(text("starting ...", *lines(header=False)).replace("starting", "# starting"))
     numbered = dict(zip(["time_s", *ARM.joint_names], map(str, range(1, 7)), strict=True))

@@ -4,8 +4,9 @@ import mujoco
 import numpy as np
 
 from rejoint.arms import mycobot280, tcp_position
-from rejoint.twin.batch import TCP_SITE, TwinBatch, twin_model
+from rejoint.twin.batch import TCP_SITE, TwinBatch
 from rejoint.twin.parameters import nominal_parameters, prior, unpack
+from twinmodel import twin_model
 
 ARM = mycobot280()
 

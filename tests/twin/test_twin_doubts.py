@@ -10,7 +10,7 @@ from motion_logs import ARM, STEP, TRUTH, as_log, record, wandering
 from rejoint.pages.report.tables import answer
 from rejoint.twin.fit import Problem, fit
 from rejoint.twin.fromlogs import _hard_to_follow
-from rejoint.twin.judge import Candidate, command_lag, judge
+from rejoint.twin.judge import Candidate, judge
 from rejoint.twin.motionfit import FREEDOM
 from rejoint.twin.parameters import healthy_parameters, pack, unknown_prior, unpack
 from rejoint.twin.replay import Replay, cut
@@ -36,8 +36,10 @@ def still(log):
 CASES = {
     "no joint moved by more than": still,
     "readings are 0.34 s apart, expected at most 0.1 s": lambda log: log.rows(slice(None, None, 17)),
-    "copies of the commands": lambda log: replace(log, position=np.vstack([log.command[:1], log.command[:-1]])),
-    r"follow the commands by 0.3\d s, expected -0.05 to 0.3 s": lambda log: shifted(log, 15),
+    "measurably better than the command": lambda log: replace(
+        log, position=np.vstack([log.command[:1], log.command[:-1]])
+    ),
+    r"follow the commands by 0.[67]\d s, expected 0 to 0.3 s": lambda log: shifted(log, 30),
     r"follow the commands by -0.2\d s": lambda log: shifted(log, -15),
 }
 
@@ -58,13 +60,6 @@ def test_a_twin_that_beats_the_commands_is_trusted_and_one_that_does_not_is_not(
     healthy = replace(TWIN, parameters=replace(healthy_parameters(ARM), offset=np.full(ARM.joints, 0.05)))
     bad = judge(ARM, [healthy], LOGS, timestep=STEP)
     assert any("no twin predicts measurably better than the command" in doubt for doubt in bad.doubts)
-
-
-def test_the_lag_of_commands_is_that_of_the_servos_or_of_the_clocks():
-    lag, left = command_lag(LOGS)
-    assert lag == pytest.approx(float(np.median(TRUTH.damping / TRUTH.stiffness) + TRUTH.delay), abs=0.03)
-    assert left > ARM.encoder_step
-    assert command_lag([shifted(log, 10) for log in LOGS])[0] == pytest.approx(lag + 0.2, abs=0.011)
 
 
 def test_a_motion_that_no_twin_follows_counts_less_and_is_named():

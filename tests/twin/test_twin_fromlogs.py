@@ -4,14 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from motion_logs import ARM, STEP, TRUTH, pressing, record, wandering
+from motion_logs import ARM, PERIOD, STEP, TRUTH, pressing, record, wandering
 
-from rejoint.arms import tcp_position
+from rejoint.arms import gravity_torque, tcp_position
+from rejoint.logs.runlog import RunLog
 from rejoint.twin.file import read_twin, write_twin
 from rejoint.twin.fit import Problem
 from rejoint.twin.fromlogs import FITTED, HEALTHY, REFITTED, identify_logs
 from rejoint.twin.judgement import NO_TWIN
-from rejoint.twin.motionfit import HoldOut, LogSettings
+from rejoint.twin.motionfit import HoldOut, LogSettings, part, repeated
 from rejoint.twin.parameters import pack, unknown_prior, vector_names
 from rejoint.twin.replay import Replay, cut
 from rejoint.twin.structure import EARLIER, find_acceleration, simplest
@@ -128,3 +129,41 @@ def test_threads_do_not_change_what_is_found(logs):
     one, two = (identify_logs(ARM, chosen, replace(few, threads=threads)).twin for threads in (1, 2))
     assert one.digest() == two.digest()
     assert one.table == two.table
+
+
+def test_gravity_fed_forward_is_no_stiffness_and_an_unpowered_joint_is_replayed_where_it_was():
+    stranger = replace(ARM, name="stranger")
+    logs = []
+    for k in range(4):
+        time, command = wandering(k, 14.0)
+        fed = record(f"m{k}", time, command + gravity_torque(ARM, command) / TRUTH.stiffness)
+        position = fed.position.copy()
+        position[:, 4] = position[0, 4]
+        logs.append(replace(fed, arm=stranger.name, command=command, position=position))
+    found = identify_logs(stranger, logs, LogSettings(coarse_seconds=15.0, fit_seconds=30.0, fast_seconds=5.0))
+    told = dict(zip(found.twin.names, found.twin.identified, strict=True))
+    assert not any(known for name, known in told.items() if name.startswith(("stiffness", "damping", "coulomb")))
+    low, high = found.twin.interval
+    assert ((low.stiffness < TRUTH.stiffness) & (TRUTH.stiffness < high.stiffness))[:4].all()
+    assert (found.twin.parameters.compensation[1:3] > 0.0).all()
+    assert HEALTHY not in found.judgement.mean
+    assert found.judgement.mean[FITTED].free.tcp < 0.3 * found.judgement.mean[NO_TWIN].free.tcp
+    assert found.judgement.mean[FITTED].free.joints[4] < 1e-3
+
+
+def test_what_repeats_a_motion_that_is_held_out_is_not_fitted():
+    def program(label, seeds, cycles=1):
+        command = np.concatenate([wandering(seed, 12.0)[1] for seed in (*seeds,) * cycles])
+        time = np.arange(len(command)) * PERIOD
+        return RunLog.of(time, command, command + 1e-3 * len(label), arm=ARM.name, label=label)
+
+    seen, unseen = part(ARM, [program("ten cycles", [0], 10)], HoldOut())
+    assert np.concatenate(repeated(unseen, seen)).mean() < 0.2
+    assert sum(map(len, seen)) > 0.5 * 10 * 600
+    again, new = repeated([program("again", [0]), program("new", [1])], [program("ten cycles", [0], 10)])
+    assert again.mean() > 0.9
+    assert not new.any()
+    motions = [program(f"{way} {k}", [k]) for k in range(4) for way in ("there", "once more")]
+    seen, unseen = part(ARM, motions, HoldOut())
+    assert {log.label[-1] for log in seen}.isdisjoint(log.label[-1] for log in unseen)
+    assert seen

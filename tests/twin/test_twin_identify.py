@@ -7,7 +7,7 @@ from rejoint.twin.file import read_twin, write_twin
 from rejoint.twin.fit import Problem, correlation_time, fit
 from rejoint.twin.identify import IdentifySettings, identify
 from rejoint.twin.judgement import prediction_error
-from rejoint.twin.parameters import pack, prior
+from rejoint.twin.parameters import Layout, pack, prior
 from rejoint.twin.replay import Replay, cut, predict
 
 QUICK = IdentifySettings(starts=16, iterations=10, threads=1)
@@ -74,7 +74,7 @@ def test_identification_survives_its_file(twin, arm, tmp_path):
 def test_block_jacobian_is_the_slope_of_each_joints_own_prediction(arm, truth, log):
     problem = Problem(Replay(arm, [log], cut([log], 6.0), stiction=1.0), prior(arm))
     problem.steps[:] *= 0.2  # so that the finite difference itself is small beside what is compared
-    x, up = pack(truth), np.ones(6 * arm.joints + 2)
+    x, up = pack(truth), np.ones(Layout(arm.joints).size)
     base = problem.residuals(x[None])[0]
     jacobian = problem.jacobian(base, problem.residuals(problem.perturbations(x, up)), up)
     for joint, parameter in ((0, 0), (1, 0), (2, 2), (4, 1), (3, 5)):  # two stiffnesses, friction, damping, offset

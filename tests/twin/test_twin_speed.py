@@ -4,8 +4,8 @@ import mujoco
 import numpy as np
 
 from rejoint.arms import mycobot280
-from rejoint.twin.batch import twin_model
 from rejoint.twin.parameters import nominal_parameters
+from twinmodel import twin_model
 
 ARM = mycobot280()
 

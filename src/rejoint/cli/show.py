@@ -67,8 +67,8 @@ def twin(terminal: Terminal, result: Twin) -> None:
     terminal.say(
         f"On {errors.seconds:.0f} s of motion that the fit has not seen, the twin predicts the joints within "
         f"{np.degrees(errors.twin.joint):.2f} deg and the tool within {1e3 * errors.twin.tcp:.1f} mm rms "
-        f"(no twin: {1e3 * errors.no_twin.tcp:.1f} mm, a healthy arm's twin: "
-        f"{1e3 * errors.healthy_twin.tcp:.1f} mm)."
+        f"(no twin: {1e3 * errors.no_twin.tcp:.1f} mm"
+        f"{f', a healthy twin: {1e3 * errors.healthy_twin.tcp:.1f} mm' if errors.healthy_twin else ''})."
     )
     if result.unknown:
         terminal.say(f"The data cannot tell: {', '.join(result.unknown)}; they keep their prior range.")

@@ -1,17 +1,16 @@
-"""Targets and poses: as objects, drawn, or in CSV files.
+"""Targets and poses: as objects, drawn, or in text files with columns.
 
 Columns: ``x,y,z`` [mm]; perhaps ``dx,dy,dz`` (direction), ``rx,ry,rz`` [deg] (about fixed x, y, z) or ``qw,qx,qy,qz``;
 perhaps ``weight`` [mm] per degree. A line with an empty orientation is a point.
+Another unit stands in a title: ``x_m``, ``rx [rad]``.
 """
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,14 +30,14 @@ from rejoint.arms.rotations import (
 from rejoint.arms.workspace import in_metres
 from rejoint.logs.runlog import TWO_TURNS
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.files import read_bounded
 from rejoint.system.numbers import as_floats
+from rejoint.system.textfile import ANGLES, LENGTHS, read_sheet, split_unit
 
 PLACE = ("x", "y", "z")
 KINDS = {"direction": ("dx", "dy", "dz"), "angles": ("rx", "ry", "rz"), "quaternion": ("qw", "qx", "qy", "qz")}
 ORIENTED = "dx,dy,dz or rx,ry,rz or qw,qx,qy,qz, and perhaps weight"
-_SHOWN = 80  # letters of a header that an error shows
-_NUMBERS = dict(enumerate(("three", "four", "five", "six", "seven", "eight", "nine"), start=3))
+_FIELDS = {"direction": "direction", "angles": "angles_rad", "quaternion": "quaternion"}
+_UNITS = {"time": {"s": 1.0, "ms": 1e-3}, **dict.fromkeys(PLACE, LENGTHS), **dict.fromkeys(KINDS["angles"], ANGLES)}
 _DEGREE = 1e3 * np.radians(1.0)  # a weight in m/rad, in mm/deg
 
 
@@ -126,69 +125,43 @@ def in_words(turn: Orientation) -> str:
     return "rx ry rz {:.1f} {:.1f} {:.1f} deg".format(*(np.round(np.degrees(to_coords(frame)[3:]), 1) + 0.0))
 
 
-def columns(header: Sequence[str], first: Sequence[str] = PLACE) -> Callable[[Sequence[str]], Pose] | None:
-    """Return the parser of lines below ``header`` (raises InputError), or None."""
-    names = [cell.strip().lower() for cell in header]
+def read_poses(path: Path, most: int, first: Sequence[str] = PLACE) -> tuple[list[int], Array, list[Pose]]:
+    """Read a file with columns ``first``, and perhaps orientations: lines, first column [s, m] and poses; FileError."""
+    sheet = read_sheet(path, most=most)
+    read = [_column(title) for title in sheet.titles]
+    names = [name for name, _ in read]
     rest = names[len(first) :]
     weighed = rest[-1:] == ["weight"]
     kind = next((kind for kind, own in KINDS.items() if rest[: len(rest) - weighed] == list(own)), None)
     if names[: len(first)] != list(first) or (kind is None and rest):
-        return None
-
-    def pose(line: Sequence[str]) -> Pose:
-        empty = not any(map(str.strip, line[len(first) :]))
+        units = "mm and deg" if first == PLACE else "s, mm and deg"
+        raise FileError(
+            path,
+            f"the columns are {sheet.shown}, expected {','.join(first)}",
+            f"name them so, and after z perhaps {ORIENTED}; in {units} where no title names a unit, such as x_m",
+        )
+    values = sheet.numbers(range(len(names))) * [factor for _, factor in read]
+    poses = []
+    for line, row in zip(sheet.lines.tolist(), values, strict=True):
+        oriented = kind is not None and not np.isnan(row[len(first) :]).all()
+        own = row[: None if oriented else len(first)]
+        given: dict[str, Any] = {_FIELDS[str(kind)]: own[len(first) : len(names) - weighed]} if oriented else {}
+        if oriented and weighed:
+            given["weight_m"] = float(row[-1]) / _DEGREE
         try:
-            values = np.array([float(cell) for cell in (line[: len(first)] if empty else line)])
-        except ValueError as error:
-            raise InputError("holds no numbers") from error
-        if len(line) != len(names) or not np.isfinite(values).all():
-            raise InputError(f"is not {_NUMBERS[len(names)]} finite numbers")
-        place = values[len(first) - len(PLACE) : len(first)] / 1e3
-        if kind is None or empty:
-            return Pose(place_m=place)
-        own = values[len(first) : len(names) - weighed]
-        weight = values[-1] / _DEGREE if weighed else WEIGHT
-        given = {"angles_rad": np.radians(own)} if kind == "angles" else {kind: own}
-        return Pose(place_m=place, weight_m=float(weight), **given)
-
-    return pose
-
-
-def unknown_header(header: Sequence[str], first: Sequence[str] = PLACE) -> tuple[str, str]:
-    """Return the problem of a ``header``, and the remedy."""
-    found, expected = ",".join(header), ",".join(first)
-    problem = f"it holds nothing, expected the header '{expected}'"
-    if found:
-        shown = found if len(found) <= _SHOWN else f"{found[:_SHOWN]}..."
-        problem = f"the header is {shown!r}, expected '{expected}'"
-    if len(header) == 1 and any(sign in found for sign in ";\t |"):
-        return problem, "separate columns by commas, and write numbers with points"
-    units = "s, mm and deg" if "time" in first else "mm and deg"
-    return problem, f"name the columns so, and after z perhaps {ORIENTED}; in {units}"
-
-
-def read_poses(path: Path, most: int, first: Sequence[str] = PLACE) -> list[tuple[int, list[str], Pose]]:
-    """Read a CSV file of poses: number, cells and pose of each line; FileError."""
-    try:
-        text = read_bounded(path, most, "give fewer lines").decode("utf-8-sig")
-        rows = enumerate(csv.reader(io.StringIO(text, newline="")), start=1)
-        lines = [(number, line) for number, line in rows if any(map(str.strip, line))]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        if isinstance(error, FileNotFoundError):
-            raise
-        raise FileError(path, f"cannot be read as text ({error})", "give a CSV file") from error
-    header = lines[0][1] if lines else ()
-    make = columns(header, first) if lines else None
-    if make is None:
-        raise FileError(path, *unknown_header(header, first))
-    found = []
-    for number, line in lines[1:]:
-        try:
-            found.append((number, line, make(line)))
+            if not np.isfinite(own).all():
+                raise InputError(f"expected {len(own)} finite numbers")
+            poses.append(Pose(place_m=row[len(first) - len(PLACE) : len(first)], **given))
         except InputError as error:
-            what = f"line {number}: {','.join(line)!r} {error}"
-            raise FileError(path, what, "give what the header says") from error
-    return found
+            raise FileError(path, f"line {line}: {error}", "give what the header says") from error
+    return sheet.lines.tolist(), values[:, 0], poses
+
+
+def _column(title: str) -> tuple[str, float]:
+    """Name and SI factor of a column; by default in mm, degrees, seconds."""
+    name, unit = split_unit(title.casefold(), {unit for units in _UNITS.values() for unit in units})
+    units = _UNITS.get(name, {"": 1.0})
+    return (name, units[unit or next(iter(units))]) if unit is None or unit in units else (title, 1.0)
 
 
 def turn_knot(pose: Pose) -> Array:
@@ -219,9 +192,6 @@ def pointing(axis: Array, direction: Array) -> Array:
     return turned(between_directions(np.broadcast_to(axis, wanted.shape), wanted))
 
 
-T = TypeVar("T")
-
-_HEADER = ["x", "y", "z"]
 _MOST = 250_000
 """[bytes] (chosen: ten thousand targets)"""
 _MOST_SETS = 10_000
@@ -246,14 +216,11 @@ def draw_targets(arm: Arm, *, sets: int, count: int = 10, seed: int = 0) -> Arra
 
 def read_targets(path: Path, arm: Arm) -> tuple[Array, Orientation | None]:
     """Read targets (K, 3) [m] from a CSV file ``x,y,z`` in mm, and orientations (K,) or None; FileError."""
-    try:
-        lines = read_poses(path, _MOST)
-    except FileNotFoundError as error:
-        raise FileError(path, "no such file", "check the path") from error
+    lines, _, poses = read_poses(path, _MOST)
     if not lines:
         raise FileError(path, "no targets below the header", "add one line per target")
-    targets, turns = placed(arm, [pose for _, _, pose in lines])
-    problem = refused(arm, [f"line {number}" for number, *_ in lines], targets, turns)
+    targets, turns = placed(arm, poses)
+    problem = refused(arm, [f"line {number}" for number in lines], targets, turns)
     if problem:
         raise FileError(path, problem, f"{unit_hint(targets).lstrip()} give places that the arm reaches".lstrip())
     return targets, turns

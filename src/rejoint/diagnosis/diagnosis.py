@@ -44,7 +44,7 @@ HIDDEN_MARGIN_MM = 1.0
 """[mm] between tool and encoders, beyond the healthy range, of wear on a myCobot 280; goes with the reach; chosen"""
 
 KINDS = {
-    "stuck": "stuck",
+    "stuck": "stuck or without power",
     "weak_gain": "soft, so that it sags or stops short",
     "friction": "stiff to turn",
     "hysteresis": "stopping short of where it is sent",

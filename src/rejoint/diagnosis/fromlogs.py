@@ -19,7 +19,7 @@ from rejoint.diagnosis.regression import mean_of
 from rejoint.diagnosis.segments import join_logs
 from rejoint.diagnosis.verdict import Finding, find
 from rejoint.logs.consistency import forced_remarks, refuse_copies, require_commands, states_alone
-from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
+from rejoint.logs.exclusions import Exclusions, answered, find_exclusions, table_height, unpowered_joints
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
@@ -82,7 +82,7 @@ def diagnose_logs(
         condition=_condition(measurement, findings),
         verdict=f"{_rest(evidence, healthy)}{known} {_motions(evidence)}",
         findings=findings,
-        unseen=(*_unseen(measurement), *(f"{remark}." for remark in forced_remarks(logs))),
+        unseen=(*_unpowered(logs), *_unseen(measurement), *(f"{remark}." for remark in forced_remarks(logs))),
         open_loop=None,
         measurement=measurement,
         healthy=healthy,
@@ -120,7 +120,7 @@ def _evidence(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions], 
 def _rest_error(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]) -> Estimate | None:
     means: list[float] = []
     for log, rows in zip(logs, excluded, strict=True):
-        rest = resting_postures(log, rows)
+        rest = resting_postures(answered(log), rows)
         if not len(rest.position):
             continue
         gap = tcp_position(arm, rest.command) - tcp_position(arm, rest.position)
@@ -198,6 +198,11 @@ def _by_effort(measurement: Measurement, unit: str) -> str:
     )
 
 
+def _unpowered(logs: Sequence[RunLog]) -> tuple[str, ...]:
+    silent = {joint: log.label for log in logs for joint in unpowered_joints(log)}
+    return tuple(f"{joint} does not answer in {label}: without power, or stuck." for joint, label in silent.items())
+
+
 def _unseen(measurement: Measurement) -> tuple[str, ...]:
     lines = []
     for missing, words in (
@@ -208,8 +213,8 @@ def _unseen(measurement: Measurement) -> tuple[str, ...]:
         ),
         (
             "hysteresis_rad",
-            "Friction, lag and zero of {} cannot be told: too little slow motion, in one direction only "
-            "or with readings too far apart.",
+            "Lag and zero of {}, and friction by the following error, cannot be told: too little slow motion, in one "
+            "direction only, with readings too far apart or without commands.",
         ),
         ("overshoot", "Whether {} shoots over cannot be told: too few steps."),
         ("noise_rad", "Noise and unrest of {} cannot be told: the arm hardly rests while no command moves."),

@@ -53,6 +53,9 @@ ARMS_ON_DEMAND = 6
 """The same on demand (about 10 s); chosen"""
 
 
+HOBBY = ("emulated:", "feetech:")
+"""Beginnings of the addresses of robots with hobby servos"""
+
 NEW = {"so101": "so101-new"}
 """Arms with a wear profile for new ones"""
 
@@ -91,10 +94,13 @@ def load_healthy(arm: Arm, p: int = AS_SOLD) -> HealthyReference | None:
     return read_json(path, HealthyReference) if path.exists() else None
 
 
-def healthy_reference(arm: Arm) -> HealthyReference | None:
-    """Return the package's reference or measure one; None without the simulator."""
+def healthy_reference(arm: Arm, robot: str = "") -> HealthyReference | None:
+    """Return the package's reference, or measure one for a ``robot`` (address) with hobby servos.
+
+    Other arms, and logs of them, have none: an emulated hobby servo is no reference for their joints.
+    """
     packaged = load_healthy(arm)
-    if packaged is not None or not installed(SIMULATOR):
+    if packaged is not None or not robot.startswith(HOBBY) or not installed(SIMULATOR):
         return packaged
     return measure_healthy(arm, count=ARMS_ON_DEMAND)
 

@@ -11,12 +11,12 @@ gets its own fit, and the one that starts the steps on time wins.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Array
+from rejoint.arms import CATALOGUE, Arm, Array, gravity_torque
 from rejoint.arms.workspace import length_size, torque_size
 from rejoint.diagnosis.modulation import window_averages
 from rejoint.diagnosis.regression import LinearFit, fit_trimmed, mean_of
@@ -53,6 +53,9 @@ _LIGHT = 0.2
 _MANY_LOGS = 8
 """Number of logs from which each is one observation; chosen"""
 
+_VISIBLE = 1e-3
+"""Least relative effect of masses that a log can tell apart; chosen"""
+
 _MIN_TORQUE_RANGE = 2e-3
 """[N m] least range of gravity's torque on a myCobot 280; chosen"""
 
@@ -76,6 +79,8 @@ class Law:
     fit: LinearFit
     torque_range: float
     """[N m] range of gravity's torque"""
+    follows: float = 1.0
+    """share of what any masses explain of the sag that the arm's masses explain; 1 for hobby servos"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,6 +92,8 @@ class _LogMotion:
     effort: Array
     cluster: NDArray[np.intp]
     """(N,) independent observation"""
+    position: Array
+    """(N, n) [rad] of all joints"""
 
     @property
     def enough(self) -> bool:
@@ -114,8 +121,13 @@ def _motion(data: ExcitationLog, joint: int, delays: Array, *, fast: bool) -> _L
     loaded = len(gravity) > 0 and np.ptp(gravity) > _MIN_TORQUE_RANGE * torque_size(data.arm)
     columns = (averages.speed, np.sign(averages.direction), averages.acceleration, gravity * loaded)
     design = np.stack([*columns, np.ones(len(gravity))], axis=1)
+    time, log = averages.time[chosen], data.log
     return _LogMotion(
-        design=design[chosen], error=averages.error[:, chosen], effort=averages.effort[chosen], cluster=cluster[chosen]
+        design=design[chosen],
+        error=averages.error[:, chosen],
+        effort=averages.effort[chosen],
+        cluster=cluster[chosen],
+        position=np.stack([np.interp(time, log.time, column) for column in log.position.T], axis=1),
     )
 
 
@@ -132,7 +144,36 @@ def fit_law(data: ExcitationLog, joint: int, delay: float = 0.0, *, fast: bool =
     load = np.abs(motion.design[:, SOFTNESS])
     light = load <= np.quantile(load, _LIGHT)  # at its torque limit a joint yields more than its law says
     fit = fit_trimmed(motion.design, motion.error[0], motion.cluster, light)
-    return Law(fit=fit, torque_range=motion.torque_range)
+    follows = 1.0 if data.arm.name in CATALOGUE else _follows(data.arm, motion, joint)
+    return Law(fit=fit, torque_range=motion.torque_range, follows=follows)
+
+
+def _follows(arm: Arm, motion: _LogMotion, joint: int) -> float:
+    """Share of the sag by any masses that the arm's own explain.
+
+    Where a controller compensates gravity, or masses are wrong, the sag of a joint does not follow the model's gravity.
+    """
+    model, error = motion.design, motion.error[0]
+    base = np.delete(model, SOFTNESS, axis=1)
+    columns = gravity_terms(arm, motion.position)[:, joint]
+    axes, sizes, _ = np.linalg.svd(columns - columns.mean(axis=0), full_matrices=False)
+    free = np.hstack([base, axes[:, sizes > _VISIBLE * max(float(sizes[0]), 1e-12)]])
+
+    def left(design: Array, rows: NDArray[np.bool_]) -> Array:
+        fitted = np.linalg.lstsq(design[rows], error[rows], rcond=None)[0]
+        return np.asarray(error - design @ fitted)
+
+    rest = np.abs(left(free, np.ones(len(error), dtype=bool)))
+    kept = rest <= 5 * 1.48 * float(np.median(rest))
+    without, own, any_masses = (float((left(design, kept)[kept] ** 2).sum()) for design in (base, model, free))
+    return (without - own) / max(without - any_masses, 1e-300)
+
+
+def gravity_terms(arm: Arm, position: Array) -> Array:
+    """Gravity torques (N, n, 4 n) [N m] at ``position`` (N, n) by 1 kg in each link, at its joint and 1 m off."""
+    places = np.vstack([np.zeros(3), np.eye(3)])
+    loads = [replace(arm, mass=mass, com=mass[:, None] * place) for mass in np.eye(arm.joints) for place in places]
+    return np.stack([gravity_torque(load, position) for load in loads], axis=-1)
 
 
 def fit_effort(data: ExcitationLog, joint: int) -> LinearFit | None:

@@ -6,7 +6,8 @@ Shinbrot 1957).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -48,6 +49,8 @@ class Averages:
     """(N,) torque or current, in the log's unit; else zero"""
     cluster: NDArray[np.intp]
     """(N,) number of the motion"""
+    time: Array
+    """(N,) [s] middle of the window"""
 
 
 def window_averages(
@@ -62,19 +65,10 @@ def window_averages(
         time = np.arange(segment.start + cut, segment.stop, _GRID)
         if len(time) * _GRID > length:
             parts.append(_averages(data, time, joint, length, delays, 1000 * index))
+    names = [part.name for part in fields(Averages)]
     if not parts:
-        empty = np.zeros(0)
-        return Averages(
-            error=np.zeros((len(delays), 0)),
-            command_speed=empty,
-            speed=empty,
-            acceleration=empty,
-            direction=empty,
-            gravity=empty,
-            effort=empty,
-            cluster=empty.astype(np.intp),
-        )
-    names = ("error", "command_speed", "speed", "acceleration", "direction", "gravity", "effort", "cluster")
+        empty: dict[str, Any] = dict.fromkeys(names, np.zeros(0))
+        return Averages(**empty | {"error": np.zeros((len(delays), 0)), "cluster": np.zeros(0, dtype=np.intp)})
     return Averages(**{name: np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in names})
 
 
@@ -104,6 +98,7 @@ def _averages(
         gravity=average(np.interp(time, log.time, data.gravity[:, joint]), window)[read],
         effort=average(np.interp(time, log.time, data.effort[:, joint]), window)[read],
         cluster=first_cluster + (begins / duration).astype(np.intp)[read],
+        time=(time[0] + begins + 0.5 * length)[read],
     )
 
 

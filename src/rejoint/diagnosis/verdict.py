@@ -178,9 +178,9 @@ def stuck(case: _Case) -> Iterator[Finding]:
         "following_error_rad",
         mean_of(case.errors),
         float((case.levers * case.errors).mean()),
-        f"does not follow: it stood up to {np.degrees(far):.0f} deg off where it was sent, so it is "
-        "blocked, too weak to lift the arm, or its reading is another joint's or turned round; at its targets this "
-        "costs",
+        f"does not follow: it stood up to {np.degrees(far):.0f} deg off where it was sent, so it has "
+        "no power, is blocked or too weak to lift the arm, or its reading is another joint's or turned round; at its "
+        "targets this costs",
     )
 
 

@@ -10,21 +10,20 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from rejoint.arms import Arm
-from rejoint.logs.joints import ANGLES, COUNTS_PER_TURN, half_ranges, match_joints, means_a_joint, radians
-from rejoint.logs.options import OPTIONS, TIME_UNITS, ImportOptions, Linear
+from rejoint.logs.homing import half_ranges
+from rejoint.logs.joints import COUNTS_PER_TURN, joint_of, match_joints
+from rejoint.logs.options import TIME_UNITS, ImportOptions, Linear
 from rejoint.logs.runlog import AXES, Array
 from rejoint.logs.track import MEASURED, ColumnFrame, Points, RecordedMotion, Track
 from rejoint.logs.units import calibrated_ranges
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.textfile import shown, split_unit
+from rejoint.system.textfile import ANGLES, LENGTHS, shown, split_unit
 
-LENGTHS = {"m": 1.0, "mm": 1e-3}
-"""[m]"""
 UNITS: dict[str, dict[str, float]] = {
     "time": {unit: 1.0 / ticks for unit, ticks in TIME_UNITS.items()},
     "position": ANGLES,
@@ -38,6 +37,8 @@ UNITS: dict[str, dict[str, float]] = {
 }
 """SI units per unit of each group"""
 SI = {"torque": "N m", "current": "A"}
+NORMALISED_MOST = 101.0
+"""LeRobot clips to -100..100 (chosen: with rounding)"""
 _TIMES = ("time", "t", "timestamp")
 _PREFIXES = {
     "position": "position", "pos": "position", "q": "position", "actual": "position", "act": "position",
@@ -56,11 +57,10 @@ _ORDER = sorted(_PREFIXES, key=len, reverse=True)
 _JOINT = re.compile(r"[._ ]?\[?(?P<number>\d+)\]?|[._ ](?P<name>.+)|")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Column:
+class Column(NamedTuple):
     """A column of a log."""
 
-    index: int
+    place: int
     title: str
     group: str
     """key of `UNITS`"""
@@ -68,8 +68,9 @@ class Column:
     """joint, its number, or axis; empty: all joints"""
     unit: str | None
     """in the title"""
-    linear: Linear | None = None
-    """the user's, for this column"""
+    scale: float = 1.0
+    offset: float = 0.0
+    """in the column's unit"""
 
 
 def read_motion(
@@ -87,38 +88,45 @@ def read_motion(
     FileError for missing or double columns, or no unit; InputError for a wrong map.
     """
     tables = [_ForeignTable(frame, arm, options) for frame in frames]
-    _check_map(tables, arm, options)
-    state = next((table for table in tables if table.of("position")), None)
+    first = frames[0]
+    for ours, theirs in (options.columns or {}).items():
+        if not any(ours in table.mapped for table in tables):
+            raise FileError(
+                first.path,
+                f"--map {ours}={theirs}: no such column; found {first.found}: {shown(first.titles)}",
+                "name one of these",
+            )
+    state, command = (next((table for table in tables if table.of(group)), None) for group in ("position", "command"))
     if state is None:
         titles = ", ".join(shown(frame.titles) for frame in frames)
         raise FileError(
-            frames[0].path,
-            f"no column with joint positions; found {frames[0].found}: {titles}",
+            first.path,
+            f"no column with joint positions; found {first.found}: {titles}",
             "name them position.JOINT and command.JOINT, or map yours: --map JOINT=THEIRS; a time, position.JOINT and "
             "command.JOINT are expected",
         )
-    commanding = next((table for table in tables if table.of("command")), None)
-    half = _half_ranges(state, arm, options)
-    made = [table.track(group, half) for table, group in ((state, "position"), (commanding, "command")) if table]
-    remarks = [note for table in tables for note in table.notes]
-    if half is not None and options.calibration is None:
-        counts = ", ".join(
-            f"{joint} {abs(one):.0f}" for joint, one in zip(arm.joint_names, 2 * half / _COUNT, strict=True)
-        )
-        remarks.append(
-            f"without a calibration the ranges follow from the steps of the encoders ({counts} counts); "
+    half = None
+    if options.angle_unit == "normalised" and options.calibration is not None:
+        half = half_ranges(options.calibration, arm, options)
+    elif options.angle_unit == "normalised":
+        counts = calibrated_ranges(state.values("position")[0], arm, first.path)
+        half = counts * np.pi / COUNTS_PER_TURN
+        told = ", ".join(f"{joint} {count:.0f}" for joint, count in zip(arm.joint_names, counts, strict=True))
+        state.notes.append(
+            f"without a calibration the ranges follow from the steps of the encoders ({told} counts); "
             "the middle of each range is unknown and taken as zero: offsets, sag and places of the tool are not known"
         )
     return RecordedMotion(
         name=name,
-        state=made[0],
-        command=made[1] if len(made) > 1 else None,
+        state=state.track("position", half),
+        command=None if command is None else command.track("command", half),
         angle_unit="/".join(sorted(state.units)),
+        half=half,
         units=state.measured_units,
         points=state.points(),
         robot=robot,
         extra=extra,
-        notes=(*notes, *remarks),
+        notes=(*notes, *(note for table in tables for note in table.notes)),
     )
 
 
@@ -130,13 +138,10 @@ def holds_positions(titles: Sequence[str], options: ImportOptions) -> bool:
         for part in (Linear.of(text, titles).column, *text.split(".."))
     }
     return bool(mapped & {*titles}) or any(
-        found[1] in ("position", "command") and ("." in title or found[2].isdigit() or not found[2])
+        found[1] in ("position", "command") and ("." in title or not found[2] or found[2][-1].isdigit())
         for title in titles
         if (found := _classified(title))
     )
-
-
-_COUNT = 2 * np.pi / COUNTS_PER_TURN
 
 
 class _ForeignTable:
@@ -147,66 +152,65 @@ class _ForeignTable:
         self.notes: list[str] = []
         self.units: set[str] = set()
         self.measured_units: dict[str, str] = {}
-        doubled = sorted({title for title in frame.titles if title and frame.titles.count(title) > 1})
         classified = {i: found for i, title in enumerate(frame.titles) if (found := _classified(title))}
-        prefixes = {found[0] for found in classified.values()}
-        self.recorder = next((units for prefix, units in _RECORDERS.items() if prefix in prefixes), None)
+        self.recorder = next((_RECORDERS[one[0]] for one in classified.values() if one[0] in _RECORDERS), None)
         self.columns = {
-            i: Column(index=i, title=frame.titles[i], group=group, name=name, unit=unit)
-            for i, (_, group, name, unit) in classified.items()
+            i: Column(i, frame.titles[i], group, name, unit) for i, (_, group, name, unit) in classified.items()
         }
-        for column in self._mapped():
-            self.columns[column.index] = column
-        if twice := [column.title for column in self.columns.values() if column.title in doubled]:
-            raise FileError(
-                frame.path, f"line 1: column {', '.join(sorted({*twice}))} stands there twice", "rename one"
-            )
+        mapped = [(ours, column) for pair in (options.columns or {}).items() for ours, column in self._mapped(*pair)]
+        self.mapped = {ours for ours, _ in mapped}
+        if len({column.place for _, column in mapped}) < len(mapped):
+            raise InputError("--map takes a column twice")
+        self.columns |= {column.place: column for _, column in mapped}
+        titles = [column.title for column in self.columns.values()]
+        if twice := sorted({title for title in titles if title and frame.titles.count(title) > 1}):
+            raise FileError(frame.path, f"line 1: column {', '.join(twice)} stands there twice", "rename one")
         ignored = [title or "(no name)" for i, title in enumerate(frame.titles) if i not in self.columns]
         self.notes += [f"columns ignored: {shown(ignored)}"] * bool(ignored)
 
     def of(self, group: str) -> list[Column]:
         return [column for column in self.columns.values() if column.group == group]
 
-    @property
-    def known(self) -> set[str]:
-        """Titles, and joint names in them."""
-        return {*self.frame.titles, *(column.name for column in self.columns.values())}
-
-    def _mapped(self) -> list[Column]:
-        found: list[Column] = []
-        for ours, theirs in (self.options.columns or {}).items():
-            titles = self.frame.titles
-            first, dots, last = theirs.partition("..")
-            if dots and first in titles and last in titles:
-                chosen = range(titles.index(first), titles.index(last) + 1)
-                group, unit = next(
-                    ((g, split_unit(ours, UNITS[g])[1]) for g in UNITS if ours.startswith(g)), (ours, None)
-                )
-                if group not in UNITS or len(chosen) != self.arm.joints:
-                    raise InputError(f"--map {ours}={theirs}: {len(chosen)} columns for {self.arm.joints} joints")
-                for i, joint in zip(chosen, self.arm.joint_names, strict=True):
-                    linear = Linear(column=titles[i])
-                    found.append(Column(index=i, title=titles[i], group=group, name=joint, unit=unit, linear=linear))
-                continue
-            linear = Linear.of(theirs, self.known)
-            if linear.column not in titles:
-                continue
-            i, own = titles.index(linear.column), _classified(ours)
-            said = split_unit(linear.column, TIME_UNITS | ANGLES | LENGTHS)[1]
-            if own is not None:
-                found.append(
-                    Column(index=i, title=titles[i], group=own[1], name=own[2], unit=own[3] or said, linear=linear)
-                )
-            elif i not in self.columns:  # which joint it is says the map, to `match_joints`
-                unit = split_unit(ours, ANGLES)[1] or said
-                found.append(Column(index=i, title=titles[i], group="position", name=titles[i], unit=unit))
-        if len({column.index for column in found}) < len(found):
-            raise InputError("--map takes a column twice")
+    def _mapped(self, ours: str, theirs: str) -> list[tuple[str, Column]]:
+        """Columns that ``theirs`` names: one, a range, or all of a joint."""
+        titles, joint, own = self.frame.titles, joint_of(ours, self.arm), _classified(ours)
+        if joint is None and own is None:
+            raise InputError(
+                f"--map {ours}={theirs}: {ours} is nothing that a log has: time, JOINT, command.JOINT, torque.JOINT, "
+                f"target.x or true_tcp.x; the joints are {', '.join(self.arm.joint_names)}"
+            )
+        first, dots, last = theirs.partition("..")
+        names: list[str] = []
+        linear = Linear(column=theirs)
+        if dots and first in titles and last in titles:
+            chosen = list(range(titles.index(first), titles.index(last) + 1))
+            names = list(self.arm.joint_names)
+            if joint is not None or len(chosen) != len(names):
+                raise InputError(f"--map {ours}={theirs}: {len(chosen)} columns for {len(names)} joints")
+        else:
+            linear = Linear.of(theirs, {*titles, *(column.name for column in self.columns.values())})
+            chosen = [titles.index(linear.column)] if linear.column in titles else []
+            if joint is not None and not chosen:
+                chosen = [i for i, column in self.columns.items() if column.name == linear.column]
+        found = []
+        for place, i in enumerate(chosen):
+            before = self.columns.get(i)
+            said = (before and before.unit) or split_unit(titles[i], TIME_UNITS | ANGLES | LENGTHS)[1]
+            scale, offset = linear.scale, linear.offset
+            if joint is not None:
+                group, name, unit = before.group if before else "position", joint, split_unit(ours, ANGLES)[1]
+                if group not in ("position", "command"):  # the gear's torque, the motor's current, and what has no gear
+                    scale = {"torque": 1.0 / scale, "current": np.sign(scale)}.get(group, 1.0)
+                    offset, unit = 0.0, None
+            elif own is not None:
+                group, name, unit = own[1], names[place] if names else own[2], own[3]
+            found.append((ours, Column(i, titles[i], group, name, unit or said, scale, offset)))
         return found
 
     def _unit(self, column: Column, default: str | None) -> str:
-        key = "time_unit" if column.group == "time" else "angle_unit"
-        declared, option = getattr(self.options, key), OPTIONS[key]
+        declared, option = self.options.angle_unit, "--angle-unit"
+        if column.group == "time":
+            declared, option = self.options.time_unit, "--time-unit"
         if column.unit and declared and column.unit != declared:
             raise FileError(
                 self.frame.path,
@@ -220,6 +224,11 @@ class _ForeignTable:
                 self.frame.path, f"column {column.title} does not say its unit", f"rename it {endings} or set {option}"
             )
         return str(unit)
+
+    def _read(self, columns: Sequence[Column]) -> Array:
+        """Columns (T, k) in file units, mapped."""
+        scale, offset = (np.array([getattr(column, key) for column in columns]) for key in ("scale", "offset"))
+        return self.frame.values([column.place for column in columns]) * scale + offset
 
     def time(self) -> Array:
         times = self.of("time")
@@ -236,53 +245,44 @@ class _ForeignTable:
                 f"name one {' or '.join(f'time_{unit}' for unit in TIME_UNITS)}, map yours (--map time_s=THEIRS), or "
                 "give the rows in a second (--rate)",
             )
-        unit = self._unit(times[0], self.recorder[1] if self.recorder else None)
-        return self.frame.values([times[0].index])[:, 0] / TIME_UNITS[unit]
+        unit = self._unit(times[0], self.recorder and self.recorder[1])
+        return self._read(times)[:, 0] / TIME_UNITS[unit]
 
-    def raw(self, group: str) -> tuple[Array, list[Column]]:
+    def values(self, group: str) -> tuple[Array, list[Column]]:
         """Return a group (T, n) in the arm's order and file units, and its columns."""
         columns = self.of(group)
         if len(columns) == 1 and not columns[0].name and (self.arm.joints == 1 or group in ("gain", "powered")):
             columns = columns * self.arm.joints
-            linear = [columns[0].linear or Linear(column="")] * self.arm.joints
         else:
-            match = match_joints(
-                [column.name for column in columns],
-                self.arm,
-                self.options,
-                self.frame.path,
-                group,
-                [column.title for column in columns],
-            )
+            names, titles = [column.name for column in columns], [column.title for column in columns]
+            match = match_joints(names, self.arm, self.frame.path, group, titles=titles)
             columns = [columns[i] for i in match.columns]
-            linear = [own.linear or one for own, one in zip(columns, match.linear, strict=True)]
             if match.dropped and group in ("position", "command"):
                 self.notes.append(f"{group}: names that are no joints dropped: {shown(match.dropped)}")
             if match.numbered:
-                self.notes.append(
-                    f"{group}: {columns[0].title} to {columns[-1].title} taken as the joints from the base on"
-                )
-        values = self.frame.values([column.index for column in columns])
-        scale, offset = (np.array([getattr(one, key) for one in linear]) for key in ("scale", "offset"))
-        if group == "torque":
-            return values / scale, columns
-        return (values * np.sign(scale) if group == "current" else values * scale + offset), columns
+                told = f"{columns[0].title} to {columns[-1].title} taken as the joints from the base on"
+                self.notes.append(f"{group}: {told}")
+        return self._read(columns), columns
 
     def track(self, group: str, half: Array | None) -> Track:
-        """States with all measurements, or commands."""
-        raw, columns = self.raw(group)
-        default = self.recorder[0] if self.recorder else self.frame.angle_unit
-        units = [self._unit(column, default) for column in columns]
+        """States with all measurements, or commands, in radians.
+
+        LeRobot's normalised -100 and 100 are ``half`` (n,) [rad] from the middle of the calibrated range
+        (``MotorsBus._normalize`` in huggingface/lerobot).
+        """
+        raw, columns = self.values(group)
+        units = [self._unit(column, self.recorder[0] if self.recorder else self.frame.angle_unit) for column in columns]
         self.units |= {*units}
-        values = np.empty_like(raw)
-        for joint, unit in enumerate(units):
-            part = None if half is None else half[[joint]]
-            values[:, [joint]] = radians(raw[:, [joint]], unit, part, self.frame.path)
+        factor = np.array([ANGLES.get(unit, 1.0 if half is None else half[i] / 100.0) for i, unit in enumerate(units)])
+        if half is not None and (np.abs(raw) > NORMALISED_MOST).any():
+            worst = float(raw.flat[int(np.nanargmax(np.abs(raw)))])
+            said = f"{worst:g} is no normalised value, which lie in -100..100"
+            raise FileError(self.frame.path, said, "set another --angle-unit")
         return Track(
             path=self.frame.path,
             what="state" if group == "position" else "command",
             time=self.time(),
-            value=values,
+            value=raw * factor,
             columns=tuple(column.title for column in columns),
             place=self.frame.place,
             number=self.frame.number,
@@ -292,18 +292,19 @@ class _ForeignTable:
     def _measured(self) -> dict[str, Array]:
         found: dict[str, Array] = {}
         for group in (*MEASURED, "powered"):
+            if not self.of(group):
+                continue
             try:
-                raw, columns = self.raw(group) if self.of(group) else (np.zeros(0), [])
+                raw, columns = self.values(group)
             except FileError as error:
                 self.notes.append(f"{group} left out: {error.problem}")
                 continue
-            if not columns:
-                continue
-            units = {column.unit or (next(iter(UNITS[group]), None) if self.recorder else None) for column in columns}
-            unit = units.pop() if len(units) == 1 else None
             if group == "powered":
                 found["gain"] = np.where(raw > 0, found.get("gain", np.nan), 0.0)
                 continue
+            known = next(iter(UNITS[group]), None) if self.recorder else None
+            units = {column.unit or known for column in columns}
+            unit = units.pop() if len(units) == 1 else None
             found[group] = raw * UNITS[group].get(unit or "", 1.0)
             self.measured_units[group] = SI[group] if unit in UNITS[group] else ""
             if group in SI and unit is None:
@@ -313,20 +314,17 @@ class _ForeignTable:
     def points(self) -> dict[str, Points]:
         found = {}
         for group in ("target", "true_tcp"):
-            columns = {column.name: column for column in self.of(group)}
-            if not columns:
+            axes = sorted(self.of(group), key=lambda column: column.name)
+            if not axes:
                 continue
-            if {*columns} != {*AXES} or len(self.of(group)) != len(AXES):
-                raise FileError(
-                    self.frame.path, f"columns of {group} are not x, y and z, once each", "name all three or none"
-                )
-            axes = [columns[axis] for axis in AXES]
+            if [column.name for column in axes] != [*AXES]:
+                said = f"columns of {group} are not x, y and z, once each"
+                raise FileError(self.frame.path, said, "name all three or none")
             if unknown := [column.title for column in axes if column.unit is None]:
-                raise FileError(
-                    self.frame.path, f"column {unknown[0]} does not say its unit", "name it ..._m or ..._mm"
-                )
+                said = f"column {unknown[0]} does not say its unit"
+                raise FileError(self.frame.path, said, "name it ..._m or ..._mm")
             scale = np.array([LENGTHS[column.unit or "m"] for column in axes])
-            found[group] = Points(time=self.time(), value=self.frame.values([column.index for column in axes]) * scale)
+            found[group] = Points(time=self.time(), value=self._read(axes) * scale)
         return found
 
 
@@ -339,38 +337,10 @@ def _classified(title: str) -> tuple[str, str, str, str | None] | None:
         if not title.casefold().startswith(prefix):
             continue
         group = _PREFIXES[prefix]
-        rest, unit = split_unit(f"x{title[len(prefix) :]}", UNITS[group])
+        spelled = {unit.casefold(): unit for unit in UNITS[group]} | {unit: unit for unit in UNITS[group]}
+        rest, unit = split_unit(f"x{title[len(prefix) :]}", spelled)
         found = _JOINT.fullmatch(rest[1:])
         name = "" if found is None else found["number"] or found["name"] or ""
         if found is not None and (group not in ("target", "true_tcp") or name in AXES):
-            return prefix, group, name, unit
+            return prefix, group, name, spelled.get(unit or "")
     return None
-
-
-def _check_map(tables: Sequence[_ForeignTable], arm: Arm, options: ImportOptions) -> None:
-    known = set().union(*(table.known for table in tables))
-    for ours, theirs in (options.columns or {}).items():
-        joint = split_unit(ours, ANGLES)[0]
-        ranged = ours.partition("_")[0] in UNITS and ".." in theirs
-        if not (ranged or _classified(ours) or means_a_joint(joint, arm, replace(options, columns=None))):
-            raise InputError(
-                f"--map {ours}={theirs}: {ours} is nothing that a log has: time, JOINT, command.JOINT, torque.JOINT, "
-                f"target.x or true_tcp.x; the joints are {', '.join(arm.joint_names)}"
-            )
-        column = Linear.of(theirs, known).column
-        if column not in known and not (ranged and {*theirs.split("..")} <= known):
-            found = tables[0].frame
-            raise FileError(
-                found.path,
-                f"--map {ours}={theirs}: no column {column}; found {found.found}: {shown(found.titles)}",
-                "name one of these",
-            )
-
-
-def _half_ranges(state: _ForeignTable, arm: Arm, options: ImportOptions) -> Array | None:
-    """Half range (n,) [rad] of joints for normalised values."""
-    if options.angle_unit != "normalised":
-        return None
-    if options.calibration is not None:
-        return half_ranges(options.calibration, arm, options)
-    return calibrated_ranges(state.raw("position")[0], arm, state.frame.path) * _COUNT / 2.0

@@ -7,7 +7,7 @@ reach, there is a table. A joint at an end of its travel that is stationary far 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -45,7 +45,7 @@ STALE_TIME = 0.5
 STALE_MOTION = np.radians(6.0)
 """[rad] of that command (chosen: more than friction hides)"""
 
-TORQUE_OFF = "torque_off"
+UNPOWERED = "unpowered"
 """Key in ``extra`` for joints without torque"""
 ASKED = np.radians(3.0)
 """[rad] least travel of a command (chosen)"""
@@ -53,8 +53,10 @@ ANSWERED = 0.1
 """Travel share without torque (chosen)"""
 UNRELATED = 0.3
 """Correlation, likewise (chosen)"""
-ANSWER_TIMES = (0.0, 0.1, 0.2, 0.3, 0.5)
+LAGS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3)
 """[s] of searched answers (chosen)"""
+RESTING = 1e-3
+"""[rad] rms at rest: below a 12-bit encoder's step (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -118,9 +120,21 @@ def table_height(arm: Arm, logs: Sequence[RunLog]) -> float | None:
     return float(height[order][best]) if gain[best] > LEAST_HELD else None
 
 
-def declared_off(joints: Sequence[str]) -> dict[str, str]:
-    """Entry of ``extra`` for joints without torque."""
-    return {TORQUE_OFF: ",".join(joints)} if joints else {}
+def correlations(time: Array, position: Array, command: Array) -> tuple[Array, Array]:
+    """Lowest and highest correlation (n, n) over `LAGS` of positions (T, n), in rows, with commands; 0: at rest."""
+    period, rows, n = float(np.median(np.diff(time))), *position.shape
+    found = []
+    for lag in sorted({round(lag / period) for lag in LAGS}):
+        # over little of the log any two smooth motions look alike
+        if rows - lag >= max(20, 0.8 * rows):
+            moved = np.concatenate([position[lag:], command[: rows - lag]], axis=1)
+            moved = moved - moved.mean(axis=0)
+            scale = np.linalg.norm(moved, axis=0)
+            scale[scale < RESTING * np.sqrt(len(moved))] = np.inf
+            found.append((moved.T @ moved / np.outer(scale, scale))[:n, n:])
+    if not found:
+        return np.zeros((n, n)), np.ones((n, n))
+    return np.min(found, axis=0), np.max(found, axis=0)
 
 
 def unpowered_joints(log: RunLog) -> tuple[str, ...]:
@@ -128,23 +142,20 @@ def unpowered_joints(log: RunLog) -> tuple[str, ...]:
 
     They move less than a tenth of the command's travel, or unlike it; a stuck joint looks the same.
     """
-    declared = log.extra.get(TORQUE_OFF, "").split(",")
-    silent = {name for name in log.joint_names if name in declared}
-    if not log.commanded or len(log) < 2:
-        return tuple(name for name in log.joint_names if name in silent)
-    lags = {round(seconds / float(np.median(np.diff(log.time)))) for seconds in ANSWER_TIMES}
-    for joint, name in enumerate(log.joint_names):
-        asked, moved = log.command[:, joint], log.position[:, joint]
-        if np.ptp(asked) < ASKED:
-            continue
-        answers = []
-        for lag in sorted(lags):
-            later, sooner = moved[lag:], asked[: len(asked) - lag]
-            if len(later) > len(moved) / 2 and np.ptp(later) and np.ptp(sooner):
-                answers.append(float(np.corrcoef(later, sooner)[0, 1]))
-        if np.ptp(moved) < ANSWERED * np.ptp(asked) or max(map(abs, answers), default=0.0) < UNRELATED:
-            silent.add(name)
-    return tuple(name for name in log.joint_names if name in silent)
+    silent = np.isin(log.joint_names, log.extra.get(UNPOWERED, "").split(","))
+    if log.commanded and len(log) > 1:
+        lowest, highest = correlations(log.time, log.position, log.command)
+        answer = np.maximum(-np.diag(lowest), np.diag(highest))
+        moved, asked = np.ptp(log.position, axis=0), np.ptp(log.command, axis=0)
+        silent |= (asked >= ASKED) & ((moved < ANSWERED * asked) | (answer < UNRELATED))
+    return tuple(name for name, one in zip(log.joint_names, silent, strict=True) if one)
+
+
+def answered(log: RunLog) -> RunLog:
+    """Give joints that never answer, or had no torque, their position as command, and declare them."""
+    names = unpowered_joints(log)
+    command = np.where(np.isin(log.joint_names, names), log.position, log.command)
+    return replace(log, command=command, extra=log.extra | {UNPOWERED: ",".join(names)}) if names else log
 
 
 def free_runs(free: Rows, time: Array, shortest: float) -> list[tuple[int, int]]:

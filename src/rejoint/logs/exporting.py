@@ -70,15 +70,13 @@ def export_log(log: RunLog, path: Path) -> None:
 
 def _write_csv(log: RunLog, path: Path) -> None:
     units = {"position": "rad", "command": "rad"} | {name: unit.replace(" ", "") for name, unit in log.units.items()}
+    units |= {"target": "m", "true_tcp": "m"}
     columns = {"time_s": log.time}
-    for group in ("position", "command", "torque", "current", "gain"):
+    for group in ("position", "command", "torque", "current", "gain", "target", "true_tcp"):
         values = getattr(log, group)
-        if values is not None and (group != "command" or log.commanded):
+        if values is not None and not np.isnan(values).all():
             ending = f"_{units[group]}" if units.get(group) else ""
-            columns |= {f"{group}.{name}{ending}": values[:, i] for i, name in enumerate(log.joint_names)}
-    for group in ("target", "true_tcp"):
-        if not np.isnan(getattr(log, group)).all():
-            columns |= {f"{group}.{axis}_m": getattr(log, group)[:, i] for i, axis in enumerate(AXES)}
+            columns |= {f"{group}.{name}{ending}": values[:, i] for i, name in enumerate(log.parts(group))}
     # Arrow writes the shortest text that reads back as the same float64; NaN becomes an empty cell
     table = pa.table({name: pa.array(values, from_pandas=True) for name, values in columns.items()})
     with path.open("wb") as file:
@@ -105,25 +103,19 @@ def _write_mcap(log: RunLog, stamps: list[int], path: Path) -> None:
         )
         joints = writer.register_msgdef("sensor_msgs/msg/JointState", _JOINT_STATE)
         point = writer.register_msgdef("geometry_msgs/msg/PointStamped", _POINT_STAMPED)
-        told = log.torque is not None and log.units.get("torque") == "N m"
-        torque = log.torque if told and log.torque is not None else np.zeros((len(log), 0))
+        joined = log.torque is not None and log.units.get("torque") == "N m"
+        torque = np.asarray(log.torque if joined else np.zeros((len(log), 0)))
         for row, stamp in enumerate(stamps):
             header = {"stamp": {"sec": stamp // NANOSECONDS, "nanosec": stamp % NANOSECONDS}, "frame_id": "base"}
-            messages: list[tuple[str, Any, dict[str, Any]]] = [
-                (
-                    topic,
-                    joints,
-                    {"name": list(log.joint_names), "position": values.tolist(), "velocity": [], "effort": effort},
-                )
-                for topic, values, effort in (
-                    (STATE_TOPIC, log.position[row], torque[row].tolist()),
-                    (COMMAND_TOPIC, log.command[row], []),
-                )
-                if log.commanded or topic == STATE_TOPIC
-            ]
+
+            def write(topic: str, schema: Any, **content: Any) -> None:  # noqa: ANN401 - the library is optional
+                writer.write_message(topic, schema, {"header": header, **content}, log_time=stamp)  # noqa: B023
+
+            names, position, command = list(log.joint_names), log.position[row].tolist(), log.command[row].tolist()
+            write(STATE_TOPIC, joints, name=names, position=position, velocity=[], effort=torque[row].tolist())
+            if log.commanded:
+                write(COMMAND_TOPIC, joints, name=names, position=command, velocity=[], effort=[])
             for group, topic in POINT_TOPICS.items():
                 values = getattr(log, group)[row]
                 if not np.isnan(values).all():
-                    messages.append((topic, point, {"point": dict(zip(AXES, values.tolist(), strict=True))}))
-            for topic, schema, content in messages:
-                writer.write_message(topic, schema, {"header": header, **content}, log_time=stamp)
+                    write(topic, point, point=dict(zip(AXES, values.tolist(), strict=True)))

@@ -21,6 +21,7 @@ from rejoint.system.files import JSON_MOST, read_bounded, write_whole
 LARGEST = 2047
 """[counts] eleven bits and a sign"""
 
+_NUMBERS = ("homing_offset", "range_min", "range_max")
 _REMEDY = "give the JSON file that lerobot-calibrate wrote"
 
 
@@ -30,7 +31,7 @@ def corrected_homing(source: Path, arm: Arm, offset: Array) -> tuple[dict[str, A
     FileError: ``source`` is no calibration; InputError: offset out of range.
     """
     motors = read_homing(source)
-    columns = match_joints(list(motors), arm, ImportOptions(), source, "calibration").columns
+    columns = match_joints(list(motors), arm, source, "calibration").columns
     names, changes = list(motors), {}
     for joint, column, angle in zip(arm.joint_names, columns, offset, strict=True):
         motor, change = motors[names[column]], -round(float(angle) * COUNTS_PER_TURN / (2 * np.pi))
@@ -50,14 +51,23 @@ def write_homing(path: Path, motors: dict[str, Any]) -> None:
     write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
-def read_homing(source: Path) -> dict[str, Any]:
-    """Read the motors of LeRobot's calibration; FileError."""
+def half_ranges(source: Path, arm: Arm, options: ImportOptions) -> Array:
+    """Half ranges (n,) [rad] of a calibration; negative: turned motor."""
+    motors = list(read_homing(source, turned=True).items())
+    match = match_joints([name for name, _ in motors], arm, source, "calibration", options)
+    chosen = [motors[column][1] for column in match.columns]
+    counts = [(one["range_max"] - one["range_min"]) * (-1 if one.get("drive_mode") else 1) for one in chosen]
+    return np.array(counts) * np.pi / COUNTS_PER_TURN
+
+
+def read_homing(source: Path, *, turned: bool = False) -> dict[str, Any]:
+    """Read the motors of LeRobot's calibration, perhaps ``turned`` ones; FileError."""
     try:
         motors = json.loads(read_bounded(source, JSON_MOST, _REMEDY))
-        for motor in motors.values():
-            if not isinstance(motor["homing_offset"], int):
-                raise TypeError("homing_offset is not a whole number")
-            if motor.get("drive_mode", 0) != 0:
+        for name, motor in motors.items():
+            if not all(isinstance(motor[key], int) for key in _NUMBERS):
+                raise TypeError(f"{', '.join(_NUMBERS)} of {name} are not all whole numbers")
+            if motor.get("drive_mode") and not turned:
                 raise ValueError("a drive_mode other than 0, which turns a joint in some units and not in others")
     except FileNotFoundError as error:
         raise FileError(source, "no such file", _REMEDY) from error

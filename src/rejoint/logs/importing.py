@@ -7,7 +7,6 @@ import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Protocol
 
@@ -17,12 +16,12 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm
 from rejoint.logs import lerobot, sage, table
 from rejoint.logs.bags import MCAP, ROSBAG, BagReader
-from rejoint.logs.consistency import GAP_PERIODS, Doubts, check_agreement, check_angles, clean, copies
-from rejoint.logs.exclusions import declared_off, unpowered_joints
+from rejoint.logs.consistency import GAP_PERIODS, LogFindings, check_agreement, check_states, clean, copies
+from rejoint.logs.exclusions import UNPOWERED, unpowered_joints
 from rejoint.logs.options import ImportOptions
 from rejoint.logs.runlog import TWO_TURNS, Array, RunLog, describe, write_log
 from rejoint.logs.track import Pending, Points, RecordedMotion, Track
-from rejoint.logs.units import check_normalised, check_steps
+from rejoint.logs.units import check_units
 from rejoint.system.errors import FileError, InputError, first_line
 from rejoint.system.progress import Progress, no_progress
 
@@ -36,47 +35,40 @@ CORRUPT = 0.02
 
 def parted(motion: RecordedMotion) -> Iterator[RecordedMotion]:
     """Split at pauses and corrupt numbers; FileError beyond `CORRUPT`."""
-    time, notes = motion.state.time, list(motion.notes)
+    time, notes, command = motion.state.time, list(motion.notes), motion.command
     bad = _corrupt(motion.state)
-    if motion.command is not None:
-        wrong = _corrupt(motion.command)
-        held = np.searchsorted(motion.command.time, time, side="right") - 1
+    if command is not None:
+        wrong = _corrupt(command)
+        held = np.searchsorted(command.time, time, side="right") - 1
         bad |= wrong[np.maximum(held, 0)] & (held >= 0)
-        motion = replace(motion, command=motion.command.take(~wrong))
-    steps = np.diff(time[~bad])
-    if not len(steps) or not np.isfinite(steps).all() or (steps < 0).any():
-        yield motion
-        return
+        command = command.take(~wrong)
     good = np.flatnonzero(~bad)
-    limit = max(PAUSE, GAP_PERIODS * float(np.median(steps)))
-    paused = steps > limit
-    cuts = np.flatnonzero(paused | (np.diff(good) > 1)) + 1
-    pieces = [good[a:b] for a, b in pairwise([0, *cuts.tolist(), len(good)]) if b - a >= FEWEST]
-    if not (len(cuts) or bad.any()) or not pieces:
-        yield motion
+    steps = np.diff(time[good])
+    if not len(steps) or not np.isfinite(steps).all() or (steps < 0).any():
+        yield motion  # what `clean` will say
         return
+    paused = steps > max(PAUSE, GAP_PERIODS * float(np.median(steps)))
+    pieces = np.split(good, np.flatnonzero(paused | (np.diff(good) > 1)) + 1)
+    kept = [piece for piece in pieces if len(piece) >= FEWEST] or [good]
+    cut = f"cut there into {len(kept)} log(s)"
     if paused.any():
         worst = int(np.argmax(steps))
         notes.append(
             f"state: {int(paused.sum())} pause(s) longer than {PAUSE:g} s, the longest {steps[worst]:.3g} s before "
-            f"{motion.state.where(good[worst + 1])}; cut there into {len(pieces)} log(s)"
+            f"{motion.state.where(good[worst + 1])}; {cut}"
         )
     if bad.any():
         first = motion.state.where(int(np.argmax(bad)))
-        notes.append(
-            f"{int(bad.sum())} row(s) with corrupt numbers, first at {first}; cut there into {len(pieces)} log(s)"
-        )
-    if lost := len(good) - sum(map(len, pieces)):
+        notes.append(f"{int(bad.sum())} row(s) with corrupt numbers, first at {first}; {cut}")
+    if lost := len(good) - sum(map(len, kept)):
         notes.append(f"{lost} lone sample(s) left out")
-    for index, piece in enumerate(pieces, start=1):
-        rows = np.zeros(len(time), dtype=bool)
-        rows[piece] = True
+    for index, piece in enumerate(kept, start=1):
         yield replace(
             motion,
-            name=f"{motion.name}-{index}of{len(pieces)}" if len(pieces) > 1 else motion.name,
-            state=motion.state.take(rows),
+            name=f"{motion.name}-{index}of{len(kept)}" if len(kept) > 1 else motion.name,
+            state=motion.state.take(np.isin(np.arange(len(time)), piece)),
             notes=tuple(notes),
-            command=None if motion.command is None else _in_force(motion.command, time[piece[0]], time[piece[-1]]),
+            command=command,
         )
 
 
@@ -95,14 +87,6 @@ def _corrupt(track: Track) -> NDArray[np.bool_]:
     return np.asarray(huge if huge.sum() <= CORRUPT * len(track) else ~finite)
 
 
-def _in_force(command: Track, first: float, last: float) -> Track:
-    """Commands in force from ``first`` to ``last`` [s]; all for other clocks."""
-    before = np.flatnonzero(command.time <= first)
-    start = command.time[before[-1]] if len(before) else first
-    chosen = (command.time >= start) & (command.time <= last)
-    return command.take(chosen) if chosen.any() else command
-
-
 _EPOCH = 1e8
 """[s] larger clocks count from 1970 (chosen)"""
 
@@ -116,24 +100,26 @@ def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = Non
     """Check a motion and put it on its states' clock.
 
     Row k holds state k and the last command before it (zero-order hold). FileError where states and commands do not
-    match, or by `Doubts`.
+    match, or for a doubt in `LogFindings`.
     """
     options = options or ImportOptions()
-    doubts = Doubts(force=options.force)
-    state, notes = clean(motion.state, doubts)
-    command, more = (None, [NO_COMMANDS]) if motion.command is None else clean(motion.command, doubts)
-    motion = _near_zero(replace(motion, state=state, command=command, notes=(*motion.notes, *notes, *more)))
-    if motion.command is not None:
-        _check_one_clock(motion.state, motion.command)
-    notes = [*motion.notes, *check_angles(motion, arm, doubts), *check_normalised(motion, arm, options, doubts)]
-    check_steps(motion, arm, doubts)
-    state, commanded = motion.state, np.full(motion.state.value.shape, np.nan)
-    if motion.command is not None:
-        state, commanded, more = _joined(state, motion.command)
-        powered = (state.more.get("gain", np.ones(1)) != 0).any(axis=-1) & np.ones(len(state), dtype=bool)
-        notes += [*more, *check_agreement(state.take(powered), commanded[powered], doubts)]
-        notes += [f"state: {int((~powered).sum())} rows without torque"] * (not powered.all())
-    notes += [f"imported by force, although {reason}" for reason in doubts.reasons]
+    found = LogFindings(force=options.force, notes=list(motion.notes))
+    state = clean(motion.state, found)
+    command = None if motion.command is None else clean(motion.command, found)
+    motion = _near_zero(replace(motion, state=state, command=command))
+    state, command = motion.state, motion.command
+    check_units(motion, arm, options, found)
+    check_states(motion, arm, found)
+    commanded = np.full(state.value.shape, np.nan)
+    if command is None:
+        found.notes.append(NO_COMMANDS)
+    else:
+        state, commanded = _joined(state, command, found)
+        powered = (state.more.get("gain", np.ones((len(state), 1))) != 0).any(axis=-1)
+        check_agreement(state.take(powered), commanded[powered], found)
+        if not powered.all():
+            found.notes.append(f"state: {int((~powered).sum())} rows without torque")
+    off = options.torque_off or ()
     log = RunLog(
         arm=arm.name,
         joint_names=arm.joint_names,
@@ -144,57 +130,50 @@ def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = Non
         command=commanded,
         target=_at(state.time, motion.points.get("target")),
         true_tcp=_at(state.time, motion.points.get("true_tcp")),
-        extra=motion.extra | doubts.kept | declared_off(options.torque_off or ()),
+        extra=motion.extra | found.extra | ({UNPOWERED: ",".join(off)} if off else {}),
         units=dict(motion.units),
         **state.more,
     )
-    for joint in unpowered_joints(log):
-        if joint not in (options.torque_off or ()):
-            notes.append(f"state: {joint} never answers its command: without power, or stuck (--torque-off {joint})")
-    return log, notes
+    silent = [joint for joint in unpowered_joints(log) if joint not in off]
+    return log, [
+        *found.notes,
+        *(f"state: {one} never answers its command: without power, or stuck (--torque-off {one})" for one in silent),
+        *(f"imported by force, although {reason}" for reason in found.reasons),
+    ]
 
 
-def _joined(state: Track, command: Track) -> tuple[Track, Array, list[str]]:
-    """States from the first command on, commands (T, n) [rad] in force, and notes."""
-    held = np.searchsorted(command.time, state.time, side="right") - 1
-    known = held >= 0
-    notes = []
-    if not known.all():
-        notes.append(f"state: {int((~known).sum())} samples before the first command left out")
-    state, held = state.take(known), held[known]
-    if len(state) < 2:
-        raise FileError(state.path, f"{len(state)} state(s) after the first command, a log needs 2", "record it again")
-    return state, command.value[held], notes
-
-
-def _near_zero(motion: RecordedMotion) -> RecordedMotion:
-    """Shift a clock that counts from 1970."""
-    start = float(motion.state.time[0])
-    if start < _EPOCH:
-        return motion
-    origin = float(np.floor(start))
-    points = {name: Points(time=p.time - origin, value=p.value) for name, p in motion.points.items()}
-    return replace(
-        motion,
-        state=motion.state.shifted(origin),
-        points=points,
-        command=None if motion.command is None else motion.command.shifted(origin),
-        extra=motion.extra | {"clock_origin_s": f"{origin:.0f}"},
-    )
-
-
-def _check_one_clock(state: Track, command: Track) -> None:
+def _joined(state: Track, command: Track, found: LogFindings) -> tuple[Track, Array]:
+    """States from the first command on, and commands (T, n) [rad] in force; FileError for two clocks."""
     common = min(state.time[-1], command.time[-1]) - max(state.time[0], command.time[0])
-    shorter = min(state.time[-1] - state.time[0], command.time[-1] - command.time[0])
-    if common < 0.5 * shorter:
+    if common < 0.5 * min(np.ptp(state.time), np.ptp(command.time)):
         raise FileError(
             state.path,
             f"states last from {state.time[0]:.6f} to {state.time[-1]:.6f} s, commands from "
             f"{command.time[0]:.6f} to {command.time[-1]:.6f} s: not one clock",
-            "record both on one clock, or take the times of recording (stamp log) for MCAP",
+            "record both on one clock, or take the times of recording (--stamp log) of a bag",
         )
-    if command.time[0] >= state.time[-1]:
-        raise FileError(state.path, "no state after the first command", "take a longer log")
+    held = np.searchsorted(command.time, state.time, side="right") - 1
+    known = held >= 0
+    if not known.all():
+        found.notes.append(f"state: {int((~known).sum())} samples before the first command left out")
+    if known.sum() < FEWEST:
+        said = f"{int(known.sum())} state(s) after the first command, a log needs {FEWEST}"
+        raise FileError(state.path, said, "record it again")
+    return state.take(known), command.value[held[known]]
+
+
+def _near_zero(motion: RecordedMotion) -> RecordedMotion:
+    """Shift a clock that counts from 1970."""
+    origin = float(np.floor(motion.state.time[0]))
+    if origin < _EPOCH:
+        return motion
+    return replace(
+        motion,
+        state=motion.state.shifted(origin),
+        points={name: replace(points, time=points.time - origin) for name, points in motion.points.items()},
+        command=None if motion.command is None else motion.command.shifted(origin),
+        extra=motion.extra | {"clock_origin_s": f"{origin:.0f}"},
+    )
 
 
 def _at(time: Array, points: Points | None) -> Array:
@@ -220,9 +199,9 @@ class Imported:
 
 
 class _Reader(Protocol):
-    def fits(self, source: Path, options: ImportOptions) -> bool: ...
+    def found(self, source: Path, options: ImportOptions) -> list[Path]: ...
 
-    def motions(self, source: Path, arm: Arm, options: ImportOptions) -> Sequence[Pending]: ...
+    def motions(self, paths: Sequence[Path], arm: Arm, options: ImportOptions) -> list[Pending]: ...
 
 
 _READERS: dict[str, _Reader] = {
@@ -278,17 +257,24 @@ def import_logs(
     options.check_joints(arm)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out} exists already; name a new folder for the imported logs")
-    reader = _READERS[detect(source, options) if format is None else _known(format)]
-    pending = reader.motions(source, arm, options)
+    chosen = detect(source, options) if format is None else format
+    if chosen not in _READERS:
+        raise InputError(f"--format {format!r} is unknown; choose from {', '.join(_READERS)}")
+    reader = _READERS[chosen]
+    paths = reader.found(source, options) or [source] * source.is_file()
+    if not paths:
+        raise FileError(source, f"no log of format {chosen} here", "check the path or the format")
+    pending = reader.motions(paths, arm, options)
     logs: dict[str, RunLog] = {}
     notes: dict[str, list[str]] = {}
     refused: list[tuple[str, FileError]] = []
     for done, (motion, read) in enumerate(pending, start=1):
-        name, parts = _file_name(motion), []
+        name = _file_name(motion)
         try:
             parts = list(parted(read()))
         except FileError as error:
             refused.append((name, error))
+            parts = []
         for part in parts:
             name = _file_name(part.name)
             try:
@@ -302,19 +288,22 @@ def import_logs(
             for remark in remarks:
                 notes.setdefault(remark, []).append(name)
         on_progress(done / len(pending), name)
-    if not logs and refused:
-        first = refused[0][1]
-        if len(refused) == 1:
-            raise first
-        raise FileError(first.path, f"{first.problem}; none of {len(refused)} logs can be imported", first.remedy)
     for name, original in copies(logs.items()).items():
         del logs[name]
         notes.setdefault(f"left out, for it holds the same readings as {original}", []).append(name)
     if not logs:
-        raise FileError(source, "holds no log", "take another one")
+        first = refused[0][1] if refused else FileError(source, "holds no log", "take another one")
+        more = f"; none of {len(refused)} logs can be imported" * (len(refused) > 1)
+        raise FileError(first.path, f"{first.problem}{more}", first.remedy)
     _write_whole(out, logs)
-    skipped = tuple(f"{name} skipped: {error.problem}; {error.remedy}" for name, error in refused)
-    return Imported(logs=tuple(logs.values()), notes=_remarks(notes, len(logs)), skipped=skipped)
+    return Imported(
+        logs=tuple(logs.values()),
+        notes=tuple(
+            f"{names[0] if len(names) == 1 else f'{len(names)} of {len(logs)} logs ({names[0]}, ...)'}: {remark}"
+            for remark, names in notes.items()
+        ),
+        skipped=tuple(f"{name} skipped: {error.problem}; {error.remedy}" for name, error in refused),
+    )
 
 
 def detect(source: Path, options: ImportOptions | None = None) -> str:
@@ -323,28 +312,18 @@ def detect(source: Path, options: ImportOptions | None = None) -> str:
     if not source.exists():
         raise FileError(source, "no such file or folder", "check the path")
     try:
-        fitting = [name for name, reader in _READERS.items() if reader.fits(source, options)]
+        fitting = [name for name, reader in _READERS.items() if reader.found(source, options)]
+        if source.is_file() and len(fitting) > 1:  # the first bytes are surer than that it is text
+            fitting.remove("table")
+        found = "" if fitting else describe(source)
     except OSError as error:
-        raise FileError(source, f"not readable ({error})", "check its permissions") from error
-    if source.is_file() and len(fitting) > 1:  # what a file is known by at its first byte is surer than that it is text
-        fitting = [name for name in fitting if name != "table"]
-    if len(fitting) > 1:
-        raise FileError(
-            source, f"holds logs of the formats {' and '.join(fitting)}", "say with --format which to import"
-        )
+        raise FileError(source, f"not readable ({first_line(error)})", "check its permissions") from error
     if not fitting:
-        try:
-            found = describe(source)
-        except OSError as error:
-            raise FileError(source, f"not readable ({first_line(error)})", "check its permissions") from error
         raise FileError(source, f"no log: {found}; expected {_EXPECTED}", "convert it to one of these")
+    if len(fitting) > 1:
+        held = " and ".join(fitting)
+        raise FileError(source, f"holds logs of the formats {held}", "say with --format which to import")
     return fitting[0]
-
-
-def _known(name: str) -> str:
-    if name not in _READERS:
-        raise InputError(f"--format {name!r} is unknown; choose from {', '.join(_READERS)}")
-    return name
 
 
 def _file_name(motion: str) -> str:
@@ -364,11 +343,3 @@ def _write_whole(out: Path, logs: dict[str, RunLog]) -> None:
         temporary.rename(out)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
-
-
-def _remarks(notes: dict[str, list[str]], total: int) -> tuple[str, ...]:
-    remarks = []
-    for remark, names in notes.items():
-        who = names[0] if len(names) == 1 else f"{len(names)} of {max(total, len(names))} logs ({names[0]}, ...)"
-        remarks.append(f"{who}: {remark}")
-    return tuple(remarks)

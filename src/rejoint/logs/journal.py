@@ -15,7 +15,7 @@ import time
 import zlib
 from collections import deque
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -32,30 +32,6 @@ CUT_SHORT = "cut-short"
 _ENDING = ".journal"
 _MAGIC = "rejoint journal 1"
 _CHECK = 4  # bytes of a row's CRC-32
-
-
-class JournalRow(Protocol):
-    """A control cycle, see `rejoint.control.recording.Cycle`."""
-
-    @property
-    def time(self) -> Array:
-        """(B,) [s]."""
-
-    @property
-    def position(self) -> Array:
-        """(B, n) [rad]."""
-
-    @property
-    def command(self) -> Array:
-        """(B, n) [rad]."""
-
-    @property
-    def target(self) -> Array:
-        """(B, 3) [m]."""
-
-    @property
-    def true_tcp(self) -> Array:
-        """(B, 3) [m]."""
 
 
 class Journal:
@@ -95,7 +71,7 @@ class Journal:
         journal._thread.start()
         return journal
 
-    def see(self, cycle: JournalRow) -> None:
+    def see(self, cycle: Any) -> None:  # noqa: ANN401 - of `rejoint.control.recording.Cycle`, a room above
         """Add a control cycle."""
         self.append(cycle.time[0], cycle.position[0], cycle.command[0], cycle.target[0], cycle.true_tcp[0])
 

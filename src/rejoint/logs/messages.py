@@ -14,10 +14,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.logs.joints import Match, match_joints, means_a_joint, radians
+from rejoint.logs.joints import match_joints, meanings
 from rejoint.logs.options import ImportOptions
 from rejoint.logs.track import ColumnFrame, Track
 from rejoint.system.errors import FileError
+from rejoint.system.textfile import ANGLES
 
 NANOSECONDS = 1_000_000_000
 STATES = ("JointState", "JointStates")
@@ -156,55 +157,50 @@ def nanoseconds(stamp: Any) -> int:  # noqa: ANN401
 
 
 def frame_of(
-    samples: list[Sample], clock: tuple[str, int], where: tuple[Path, str], arm: Arm, options: ImportOptions
-) -> tuple[ColumnFrame, list[str]]:
+    samples: list[Sample],
+    clock: tuple[str, int],
+    where: tuple[Path, str],
+    arm: Arm,
+    options: ImportOptions,
+    notes: list[str],
+) -> ColumnFrame:
     """Columns of messages; other joints are dropped with a note.
 
     ``clock``: ``header`` or ``log``, and its origin [ns].
     """
     file, topic = where
-    own: dict[tuple[str, ...], bool] = {}
     columns: dict[str, int] = {}
-    rows: list[tuple[list[int], list[float]]] = []
-    stamps, numbers = [], []
+    rows: list[dict[int, float]] = []
+    own = {names: any(meanings(names, arm, options)) for names in {sample.names for sample in samples}}
+    foreign = [sample for sample in samples if sample.names and not own[sample.names]]
+    if len(foreign) < len(samples):  # else an error shows their names
+        notes += [f"topic {topic}: {len(foreign)} messages about other joints left out"] * bool(foreign)
+        samples = [sample for sample in samples if not sample.names or own[sample.names]]
     for sample in samples:
         names = sample.names or options.names or ()
+        row: dict[int, float] = {}
         for group, given in sample.groups.items():
             if len(names) != len(given):
-                raise FileError(
-                    file,
-                    f"topic {topic}, message {sample.number}: {len(names)} names for {len(given)} {group}s",
-                    "set --order if the messages hold no names" if not sample.names else REMEDY,
-                )
-        if names not in own:
-            own[names] = any(means_a_joint(name, arm, options) for name in names)
-        if not own[names]:
-            continue
-        titles = [f"{group}.{name}" for group in sample.groups for name in names]
-        places = [columns.setdefault(title, len(columns)) for title in titles]
-        rows.append((places, [value for given in sample.groups.values() for value in given]))
-        stamps.append((sample.header_ns if clock[0] == "header" else sample.log_ns) - clock[1])
-        numbers.append(sample.number)
-    foreign = len(samples) - len(rows)
-    if not rows:  # no message is about a joint of the arm: the first one is what an error shows
-        own = {}
-        columns = {f"{group}.{name}": i for group in samples[0].groups for i, name in enumerate(samples[0].names)}
-        foreign = 0
+                said = f"topic {topic}, message {sample.number}: {len(names)} names for {len(given)} {group}s"
+                raise FileError(file, said, REMEDY if sample.names else "set --order if the messages hold no names")
+            titles = [f"{group}.{name}" for name in names]
+            row |= {columns.setdefault(title, len(columns)): one for title, one in zip(titles, given, strict=True)}
+        rows.append(row)
     values: Array = np.full((len(rows), len(columns)), np.nan)
-    for row, (places, found) in enumerate(rows):
-        values[row, places] = found
-    frame = ColumnFrame(
+    for k, row in enumerate(rows):
+        values[k, [*row]] = [*row.values()]
+    stamps = [(sample.header_ns if clock[0] == "header" else sample.log_ns) - clock[1] for sample in samples]
+    return ColumnFrame(
         path=file,
         titles=tuple(columns),
         values=lambda chosen: values[:, chosen],
         place=f"topic {topic}, message",
-        number=np.array(numbers, dtype=np.int64),
+        number=np.array([sample.number for sample in samples], dtype=np.int64),
         angle_unit="rad",
         found=f"topic {topic}",
         # whole nanoseconds are subtracted before they become float64, which keeps them exact
         time=np.array([stamp / NANOSECONDS for stamp in stamps], dtype=float),
     )
-    return frame, [f"topic {topic}: {foreign} messages about other joints left out"] * bool(foreign)
 
 
 _ORDERS = ("positions", "velocities", "accelerations")
@@ -227,33 +223,28 @@ def commands_of(
     from scipy.interpolate import BPoly
 
     file, topic = where
+    goals = sorted(goals, key=lambda goal: _begin(goal, clock[0]))
     starts = np.array([(_begin(goal, clock[0]) - clock[1]) / NANOSECONDS for goal in goals])
-    order = np.argsort(starts, kind="stable")
-    starts, goals = starts[order], [goals[i] for i in order]
     command = np.full(state.value.shape, np.nan)
     number = np.zeros(len(state), dtype=np.int64)
     active = np.searchsorted(starts, state.time, side="right") - 1
-    for index in np.unique(active[active >= 0]):
-        goal, rows = goals[index], active == index
-        match = match_joints(goal.names, arm, options, file, f"command topic {topic}, message {goal.number}")
-        knots = [_knot(point, match, options, file) for point in goal.points]
-        times = starts[index] + np.array(goal.after)
+    told = active >= 0
+    if not told.any():
+        raise FileError(file, f"no state after the first goal on {topic}", "record longer")
+    for index in np.unique(active[told]):
+        goal, rows = goals[index], np.flatnonzero(active == index)
+        knots, times = _knots(goal, arm, options, where), starts[index] + np.array(goal.after)
         if times[0] > starts[index]:  # a first point at the beginning leaves no way to it
             knots, times = [_now(state, starts[index]), *knots], np.concatenate([[starts[index]], times])
         asked = np.clip(state.time[rows], times[0], times[-1])
         command[rows] = knots[0][0]
-        for k in np.unique(np.searchsorted(times, asked, side="right") - 1):
-            k = min(int(k), len(times) - 2)
-            if k < 0:
-                continue
-            own = (asked >= times[k]) & (asked <= times[k + 1])
+        between = np.minimum(np.searchsorted(times, asked, side="right") - 1, len(times) - 2)
+        for k in np.unique(between[between >= 0]):
             size = min(len(knots[k]), len(knots[k + 1]))  # the degree that both knots determine
             ends = [np.stack(knot[:size]) for knot in knots[k : k + 2]]
-            command[np.flatnonzero(rows)[own]] = BPoly.from_derivatives(times[k : k + 2], ends)(asked[own])
+            own = between == k
+            command[rows[own]] = BPoly.from_derivatives(times[k : k + 2], ends)(asked[own])
         number[rows] = goal.number
-    told = active >= 0
-    if not told.any():
-        raise FileError(file, f"no state after the first goal on {topic}", "record longer")
     return Track(
         path=file,
         what="command",
@@ -269,16 +260,22 @@ def _begin(goal: TrajectoryGoal, stamp: str) -> int:
     return goal.header_ns if stamp == "header" and goal.header_ns else goal.log_ns
 
 
-def _knot(point: dict[str, list[float]], match: Match, options: ImportOptions, file: Path) -> list[Array]:
-    """Positions, velocities, accelerations (n,) of a point, in radians."""
+def _knots(goal: TrajectoryGoal, arm: Arm, options: ImportOptions, where: tuple[Path, str]) -> list[list[Array]]:
+    """Positions, velocities, accelerations (n,) of each point, in radians."""
+    file, topic = where
+    match = match_joints(goal.names, arm, file, f"command topic {topic}, message {goal.number}", options)
     scale, offset = (np.array([getattr(one, key) for one in match.linear]) for key in ("scale", "offset"))
-    found = []
-    for order, key in enumerate(_ORDERS):
-        if key not in point:
-            break
-        values = scale * np.array([point[key][column] for column in match.columns]) + offset * (order == 0)
-        found.append(radians(values, options.angle_unit or "rad", None, file))
-    return found
+    if options.angle_unit == "normalised":
+        raise FileError(file, "trajectories are in radians or degrees", "set another --angle-unit")
+    factor = ANGLES[options.angle_unit or "rad"]
+    return [
+        [
+            factor * (scale * np.array(point[key])[match.columns] + offset * (order == 0))
+            for order, key in enumerate(_ORDERS)
+            if {*_ORDERS[: order + 1]} <= {*point}
+        ]
+        for point in goal.points
+    ]
 
 
 def _now(state: Track, time: float) -> list[Array]:

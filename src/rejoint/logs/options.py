@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+
+import msgspec
 
 from rejoint.arms import Arm
 from rejoint.system.errors import FileError, InputError
@@ -17,19 +18,6 @@ TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 """Ticks per second"""
 STAMPS = ("header", "log")
 
-OPTIONS = {
-    "angle_unit": "--angle-unit",
-    "time_unit": "--time-unit",
-    "rate": "--rate",
-    "names": "--order",
-    "state_topic": "--state-topic",
-    "command_topic": "--command-topic",
-    "stamp": "--stamp",
-    "calibration": "--calibration",
-    "columns": "--map",
-    "torque_off": "--torque-off",
-}
-"""Options of `rejoint import` per declaration"""
 _N = r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _LINEAR = re.compile(
     rf"\s*(?P<sign>[+-]?)\s*(?:(?P<scale>{_N})\s*\*\s*)?(?P<column>.+?)\s*"
@@ -88,10 +76,11 @@ class ImportOptions:
     """import despite failed consistency checks, and store the reasons"""
 
     def __post_init__(self) -> None:
-        for name, known in (("angle_unit", ANGLE_UNITS), ("time_unit", tuple(TIME_UNITS)), ("stamp", STAMPS)):
+        for name, known in (("angle_unit", ANGLE_UNITS), ("time_unit", TIME_UNITS), ("stamp", STAMPS)):
             value = getattr(self, name)
-            if value is not None and value not in known:
-                raise InputError(f"{OPTIONS[name]} {value!r} is unknown; choose from {', '.join(known)}")
+            if value not in (None, *known):
+                said = f"--{name.replace('_', '-')} {value!r} is unknown"
+                raise InputError(f"{said}; choose from {', '.join(known)}")
         if self.calibration is not None and self.angle_unit not in ("normalised", "deg"):
             raise InputError("--calibration belongs together with --angle-unit normalised or deg; give one of these")
         if self.names is not None and len(set(self.names)) != len(self.names):
@@ -107,30 +96,26 @@ class ImportOptions:
 
 
 def read_map(texts: Iterable[str]) -> dict[str, str]:
-    """Read ``ours=theirs`` pairs or a TOML file; InputError."""
+    """Read ``ours=theirs`` pairs or a TOML file; InputError, FileError."""
     pairs: list[tuple[str, str]] = []
     for text in texts:
         if text.endswith(".toml"):
-            pairs += _map_file(Path(text))
+            pairs += _map_file(Path(text)).items()
             continue
         for part in text.split(","):
-            ours, sign, theirs = part.partition("=")
-            if not (ours.strip() and sign and theirs.strip()) or "=" in theirs:
-                raise InputError(
-                    f"--map {text!r}: expected OURS=THEIRS, OURS=SCALE*THEIRS+OFFSET or a TOML file of them"
-                )
-            pairs.append((ours.strip(), theirs.strip()))
+            ours, _, theirs = (one.strip() for one in part.partition("="))
+            if not (ours and theirs) or "=" in theirs:
+                said = "expected OURS=THEIRS, OURS=SCALE*THEIRS+OFFSET or a TOML file of them"
+                raise InputError(f"--map {text!r}: {said}")
+            pairs.append((ours, theirs))
     if len(dict(pairs)) != len(pairs):
         raise InputError(f"--map: the same name twice among {', '.join(ours for ours, _ in pairs)}")
     return dict(pairs)
 
 
-def _map_file(path: Path) -> list[tuple[str, str]]:
+def _map_file(path: Path) -> dict[str, str]:
     remedy = 'write lines such as joint1 = "6.33*m0-0.646"'
     try:
-        table = tomllib.loads(read_bounded(path, TOML_MOST, remedy).decode("utf-8-sig"))
+        return msgspec.toml.decode(read_bounded(path, TOML_MOST, remedy), type=dict[str, str])
     except (OSError, ValueError, RecursionError) as error:
         raise FileError(path, f"no map ({type(error).__name__}: {error})", remedy) from error
-    if not table or not all(isinstance(value, str) for value in table.values()):
-        raise FileError(path, "no map: not a table of texts", remedy)
-    return list(table.items())

@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from importlib import import_module
@@ -52,6 +51,7 @@ AXES = ("x", "y", "z")
 _ARRAYS = ("time", "position", "command", "target", "true_tcp")
 _MEASURED = ("servo_load", "torque", "current", "gain")
 _OPTIONAL = (*_MEASURED, "aim")
+_POINTS = ("target", "true_tcp", "aim")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -102,17 +102,9 @@ class RunLog:
         return f"RunLog({self.label!r} of {self.robot}, {self.arm}: {len(self.time)} rows, {last:.1f} s)"
 
     def __post_init__(self) -> None:
-        rows, n = np.size(self.time), len(self.joint_names)
-        shapes = {
-            "time": (rows,),
-            "position": (rows, n),
-            "command": (rows, n),
-            "target": (rows, 3),
-            "true_tcp": (rows, 3),
-            "aim": (rows, 3),
-        } | dict.fromkeys(_MEASURED, (rows, n))
+        rows = np.size(self.time)
         for name in self.arrays:
-            shape = shapes[name]
+            shape = (rows,) if name == "time" else (rows, len(self.parts(name)))
             array = np.array(getattr(self, name), dtype=float)
             if array.shape != shape:
                 raise InputError(f"run log {self.label}: {name} has shape {array.shape}, expected {shape}")
@@ -142,6 +134,10 @@ class RunLog:
     def arrays(self) -> tuple[str, ...]:
         """Names of fields with a row per reading."""
         return (*_ARRAYS, *(name for name in _OPTIONAL if getattr(self, name) is not None))
+
+    def parts(self, group: str) -> tuple[str, ...]:
+        """Columns of a group: joints or axes."""
+        return AXES if group in _POINTS else self.joint_names
 
     @classmethod
     def of(
@@ -232,10 +228,9 @@ class RunLog:
 def write_log(path: Path, log: RunLog) -> None:
     """Write a run log as Parquet."""
     columns: dict[str, Array] = {"time": log.time}
-    for group in ("position", "command", *(name for name in _MEASURED if getattr(log, name) is not None)):
-        columns |= {f"{group}.{name}": getattr(log, group)[:, i] for i, name in enumerate(log.joint_names)}
-    for group in ("target", "true_tcp") + (() if log.aim is None else ("aim",)):
-        columns |= {f"{group}.{axis}": getattr(log, group)[:, i] for i, axis in enumerate(AXES)}
+    for group in ("position", "command", *_MEASURED, "target", "true_tcp", "aim"):
+        if (values := getattr(log, group)) is not None:
+            columns |= {f"{group}.{name}": values[:, i] for i, name in enumerate(log.parts(group))}
     header = {"format": FORMAT, **_about(log), "digest": _digest(log)}
     table = pa.table(columns).replace_schema_metadata({_METADATA_KEY: json.dumps(header).encode()})
     write_whole(path, lambda temporary: pq.write_table(table, temporary, compression="zstd", write_page_checksum=True))
@@ -252,24 +247,21 @@ def read_log(path: Path) -> RunLog:
         if header["format"] != FORMAT:
             raise FileError(path, f"run log of format {header['format']}, expected {FORMAT}", remedy)
         names = tuple(header["joints"])
-
-        def group(prefix: str, parts: Sequence[str]) -> Array:
-            return np.stack([table[f"{prefix}.{part}"].to_numpy() for part in parts], axis=-1)
-
+        held = [
+            group for group in (*_ARRAYS[1:], *_OPTIONAL) if any(c.startswith(f"{group}.") for c in table.column_names)
+        ]
         log = RunLog(
             arm=header["arm"],
             joint_names=names,
             robot=header["robot"],
             label=header["label"],
             time=table["time"].to_numpy(),
-            position=group("position", names),
-            command=group("command", names),
-            target=group("target", AXES),
-            true_tcp=group("true_tcp", AXES),
             extra=header["extra"],
             units=header.get("units", {}),
-            aim=group("aim", AXES) if "aim.x" in table.column_names else None,
-            **{one: group(one, names) for one in _MEASURED if f"{one}.{names[0]}" in table.column_names},
+            **{
+                g: np.stack([table[f"{g}.{part}"].to_numpy() for part in (AXES if g in _POINTS else names)], axis=-1)
+                for g in held
+            },
         )
         if header.get("digest", _digest(log)) != _digest(log):
             raise FileError(path, CHANGED, remedy)
@@ -305,13 +297,8 @@ def _load_pandas() -> None:
 
 
 def _about(log: RunLog) -> dict[str, Any]:
-    return {
-        "arm": log.arm,
-        "joints": list(log.joint_names),
-        "robot": log.robot,
-        "label": log.label,
-        "extra": log.extra,
-    } | ({"units": log.units} if log.units else {})
+    about = {key: getattr(log, key) for key in ("arm", "robot", "label", "extra")} | {"joints": list(log.joint_names)}
+    return about | ({"units": log.units} if log.units else {})
 
 
 def _digest(log: RunLog) -> str:

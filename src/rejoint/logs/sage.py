@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
@@ -21,28 +22,20 @@ from rejoint.system.files import read_bounded
 from rejoint.system.textfile import TEXT_MOST, read_sheet
 
 _CONTROL, _STATE, _JOINTS = "control.csv", "state_motor.csv", "joint_list.txt"
+_FILES = {_STATE: "position", _CONTROL: "command"}
 _REMEDY = "mend the line or leave this motion out"
 
 
-def fits(source: Path, options: ImportOptions) -> bool:  # noqa: ARG001 - it declares nothing about this
-    """Whether a folder holds SAGE motions."""
-    return bool(_folders(source))
-
-
-def motions(source: Path, arm: Arm, options: ImportOptions) -> list[Pending]:
-    """Motions in a folder, sorted by name."""
-    folders = _folders(source)
-    if not folders:
-        raise FileError(
-            source, f"no SAGE motion here: no folder with {_CONTROL} or {_STATE}", "check the path or the format"
-        )
-    return [(folder.resolve().name, partial(_read, folder, arm, options)) for folder in folders]
-
-
-def _folders(source: Path) -> list[Path]:
+def found(source: Path, options: ImportOptions) -> list[Path]:  # noqa: ARG001 - it declares nothing about this
+    """Folders of SAGE motions at a path, sorted by name."""
     if not source.is_dir():
         return []
     return [source] if _is_motion(source) else sorted(filter(_is_motion, source.iterdir()))
+
+
+def motions(paths: Sequence[Path], arm: Arm, options: ImportOptions) -> list[Pending]:
+    """Motions in folders."""
+    return [(folder.resolve().name, partial(_read, folder, arm, options)) for folder in paths]
 
 
 def _is_motion(folder: Path) -> bool:
@@ -50,41 +43,30 @@ def _is_motion(folder: Path) -> bool:
 
 
 def _read(folder: Path, arm: Arm, options: ImportOptions) -> RecordedMotion:
+    file, name = folder / _JOINTS, folder.resolve().name
     try:
-        text = read_bounded(folder / _JOINTS, TEXT_MOST, "cut it into several motions").decode("utf-8-sig")
-    except FileNotFoundError as error:
-        raise FileError(
-            folder / _JOINTS, "no such file, but a SAGE motion needs it", "copy the whole folder"
-        ) from error
+        text = read_bounded(file, TEXT_MOST, "cut it into several motions").decode("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise FileError(folder / _JOINTS, f"not readable text ({error})", "copy it again") from error
+        raise FileError(file, f"a SAGE motion needs it, and it is no readable text ({error})", "copy it") from error
     names = [name.strip() for name in text.splitlines() if name.strip()]
     ticks = TIME_UNITS[options.time_unit or "us"]
-    frames = [
-        _frame(folder / file, names, group, ticks) for file, group in ((_STATE, "position"), (_CONTROL, "command"))
-    ]
-    name = folder.resolve().name
-    return read_motion(
-        name, frames, arm, options, robot=f"sage:{name}", extra={"source": str(folder.name), "format": "sage"}
-    )
+    frames = [_frame(folder / file, names, group, ticks) for file, group in _FILES.items()]
+    extra = {"source": folder.name, "format": "sage"}
+    return read_motion(name, frames, arm, options, robot=f"sage:{name}", extra=extra)
 
 
 def _frame(path: Path, names: list[str], group: str, ticks: float) -> ColumnFrame:
     sheet = read_sheet(path)
     if sheet.titles[1:3] != ("timestamp", "positions"):
         raise FileError(path, f"line 1: columns {sheet.shown}, expected type, timestamp, positions", _REMEDY)
-    rows = []
-    for text, line in zip(sheet.words(2), sheet.lines, strict=True):
+    values = np.empty((len(sheet), len(names)))
+    for row, text in enumerate(sheet.words(2)):
         try:
-            row = [float(value) for value in json.loads(text)]
+            numbers = json.loads(text)
+            values[row] = numbers if len(numbers) == len(names) else "of another length"
         except (TypeError, ValueError, OverflowError, RecursionError) as error:
-            raise FileError(path, f"line {line}: positions {text[:40]!r} are no list of numbers", _REMEDY) from error
-        if len(row) != len(names):
-            raise FileError(
-                path, f"line {line}: {len(row)} positions, but {_JOINTS} names {len(names)} joints", _REMEDY
-            )
-        rows.append(row)
-    values = np.array(rows, dtype=float).reshape(-1, len(names))
+            said = f"line {sheet.lines[row]}: positions {text[:40]!r} are no list of {len(names)} numbers"
+            raise FileError(path, said, f"{_REMEDY}; {_JOINTS} names the joints") from error
     return ColumnFrame(
         path=path,
         titles=tuple(f"{group}.{name}" for name in names),

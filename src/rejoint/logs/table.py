@@ -24,77 +24,60 @@ _ENDINGS = (".csv", ".tsv", ".txt", ".dat", ".log", ".json", ".npz")
 _REMEDY = "record it again, or write its columns as text"
 
 
-def fits(source: Path, options: ImportOptions) -> bool:
-    """Whether a path holds columns of a log."""
-    if source.is_dir():
-        return bool(_files(source, options)[0])
-    return source.is_file() and _titles(source) is not None
+def found(source: Path, options: ImportOptions) -> list[Path]:
+    """Files with columns of a log at a path, sorted by name."""
+    if not source.is_dir():
+        return [source] * (source.is_file() and _titles(source) is not None)
+    held = {file: _titles(file) for file in sorted(source.iterdir()) if file.suffix.lower() in _ENDINGS}
+    known = options.names or ()
+    return [
+        file
+        for file, titles in held.items()
+        if titles == () or (titles and holds_positions([*titles, *known], options))
+    ]
 
 
-def motions(source: Path, arm: Arm, options: ImportOptions) -> list[Pending]:
-    """Motions of the files at a path, sorted by name."""
-    files, others = _files(source, options) if source.is_dir() else ([source], [])
-    if not files:
-        raise FileError(source, "no file with columns position.JOINT here", "check the path or the format")
-    left = [f"files without columns of a log left out: {', '.join(file.name for file in others)}"] * bool(others)
-    return [(file.stem, partial(_read, file, arm, options, left * (file == files[0]))) for file in files]
-
-
-def _files(folder: Path, options: ImportOptions) -> tuple[list[Path], list[Path]]:
-    found: list[Path] = []
-    others: list[Path] = []
-    for file in sorted(file for file in folder.iterdir() if file.suffix.lower() in _ENDINGS and file.is_file()):
-        titles = _titles(file)
-        if titles is not None and (not titles or holds_positions([*titles, *(options.names or ())], options)):
-            found.append(file)
-        elif titles is not None or file.suffix.lower() == ".csv":
-            others.append(file)
-    return found, others
+def motions(paths: Sequence[Path], arm: Arm, options: ImportOptions) -> list[Pending]:
+    """One motion of each file."""
+    beside = paths[0].parent.glob("*.csv") if len(paths) > 1 else ()
+    others = sorted(file.name for file in beside if file not in paths)
+    left = [f"files without columns of a log left out: {', '.join(others)}"] * bool(others)
+    return [(file.stem, partial(_read, file, arm, options, left * (file == paths[0]))) for file in paths]
 
 
 def _titles(file: Path) -> tuple[str, ...] | None:
     """Titles of a file; empty for JSON and archives, None for other files."""
-    if begins_with(file, b"PK\x03\x04"):
-        return () if file.suffix.lower() == ".npz" else None
-    if file.suffix.lower() == ".json" and begins_with(file, b"{"):
+    kinds = {".npz": b"PK\x03\x04", ".json": b"{"}
+    kind = kinds.get(file.suffix.lower())
+    if kind is not None and begins_with(file, kind):
         return ()
     sheet = head(file)
     return None if sheet is None else sheet.titles
 
 
-def _read(file: Path, arm: Arm, options: ImportOptions, notes: Sequence[str]) -> RecordedMotion:
-    more: list[str] = []
+def _read(file: Path, arm: Arm, options: ImportOptions, notes: list[str]) -> RecordedMotion:
     if _titles(file) == ():
         frame = (_archive if file.suffix.lower() == ".npz" else _records)(file)
     else:
-        frame, more = _text(file, options)
-    return read_motion(
-        file.stem,
-        [frame],
-        arm,
-        options,
-        robot=f"table:{file.stem}",
-        notes=[*notes, *more],
-        extra={"source": file.name, "format": "table"},
-    )
-
-
-def _text(file: Path, options: ImportOptions) -> tuple[ColumnFrame, list[str]]:
-    sheet = read_sheet(file, names=options.names, whole=False)
-    notes = [f"read as {sheet.found}"] * (not sheet.plain)
-    notes += ["the last line does not end and may be cut: left out"] * (not sheet.ends)
-    frame = ColumnFrame(
-        path=file, titles=sheet.titles, values=sheet.numbers, number=sheet.lines, place="line", found=sheet.found
-    )
-    return frame, notes
+        sheet = read_sheet(file, names=options.names, whole=False)
+        notes = [
+            *notes,
+            *[f"read as {sheet.found}"] * (not sheet.plain),
+            *["the last line does not end and may be cut: left out"] * (not sheet.ends),
+        ]
+        frame = ColumnFrame(
+            path=file, titles=sheet.titles, values=sheet.numbers, number=sheet.lines, place="line", found=sheet.found
+        )
+    extra = {"source": file.name, "format": "table"}
+    return read_motion(file.stem, [frame], arm, options, robot=f"table:{file.stem}", notes=notes, extra=extra)
 
 
 def _frame(file: Path, columns: dict[str, Array], rows: int, found: str) -> ColumnFrame:
-    titles = tuple(columns)
+    values = list(columns.values())
     return ColumnFrame(
         path=file,
-        titles=titles,
-        values=lambda chosen: np.stack([columns[titles[i]] for i in chosen], axis=1),
+        titles=tuple(columns),
+        values=lambda chosen: np.stack([values[i] for i in chosen], axis=1),
         number=np.arange(1, rows + 1),
         found=found,
     )
@@ -104,21 +87,22 @@ def _records(file: Path) -> ColumnFrame:
     """Return records of a JSON file; numbers beside them hold for every row."""
     try:
         data = json.loads(read_bounded(file, TEXT_MOST, "cut it into several files"))
-        lists = {
-            key: rows for key, rows in data.items() if isinstance(rows, list) and rows and isinstance(rows[0], dict)
-        }
-        (rows,) = lists.values()
-        titles = [key for key, value in rows[0].items() if isinstance(value, int | float)]
-        columns = {title: np.array([_number(row.get(title)) for row in rows]) for title in titles}
+        (rows,) = [one for one in data.values() if isinstance(one, list) and one and isinstance(one[0], dict)]
+        columns = {key: _numbers([row.get(key) for row in rows]) for key, value in rows[0].items() if _is_number(value)}
+        beside = {key: _numbers([one] * len(rows)) for key, one in data.items() if _is_number(one)}
     except (OSError, ValueError, TypeError, AttributeError, RecursionError, OverflowError) as error:
         raise FileError(file, f"JSON without one list of records of numbers ({error})", _REMEDY) from error
-    beside = {key: value for key, value in data.items() if isinstance(value, int | float) and key not in columns}
-    columns |= {key: np.full(len(rows), float(value)) for key, value in beside.items()}
-    return _frame(file, columns, len(rows), "JSON with records")
+    return _frame(
+        file, columns | {key: one for key, one in beside.items() if key not in columns}, len(rows), "JSON with records"
+    )
 
 
-def _number(value: Any) -> float:  # noqa: ANN401 - whatever stands in the file
-    return float("nan") if value is None else float(value)
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float)
+
+
+def _numbers(values: list[Any]) -> Array:
+    return np.array([np.nan if value is None else float(value) for value in values])
 
 
 def _archive(file: Path) -> ColumnFrame:
@@ -137,8 +121,7 @@ def _archive(file: Path) -> ColumnFrame:
     rows = max(lengths, key=lengths.count, default=0)
     columns: dict[str, Array] = {}
     for name, one in numbers.items():
-        if len(one) == rows and one.ndim == 1:
-            columns[name] = one.astype(float)
-        elif len(one) == rows:
-            columns |= {f"{name}_{i}": one[:, i].astype(float) for i in range(one.shape[1])}
+        if len(one) == rows:
+            parts = {name: one} if one.ndim == 1 else {f"{name}_{i}": part for i, part in enumerate(one.T)}
+            columns |= {title: part.astype(float) for title, part in parts.items()}
     return _frame(file, columns, rows, "a NumPy archive")

@@ -93,6 +93,8 @@ class RecordedMotion:
     """in the file"""
     robot: str
     """origin of the log"""
+    half: Array | None = None
+    """(n,) [rad] half ranges of normalised values"""
     units: Mapping[str, str] = field(default_factory=dict)
     """of `Track.more`"""
     points: dict[str, Points] = field(default_factory=dict)

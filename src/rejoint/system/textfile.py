@@ -1,4 +1,4 @@
-"""Text with columns, as programs, spreadsheets and people write it."""
+"""Text with columns, as programs, spreadsheets and people write it: of logs, targets and measurements."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ import csv
 import io
 import re
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -21,12 +22,16 @@ from rejoint.system.files import MEGABYTE, read_bounded
 
 TEXT_MOST = 200 * MEGABYTE
 """[bytes] (chosen)"""
+ANGLES = {"deg": np.pi / 180.0, "rad": 1.0}
+"""[rad] units of angles in titles"""
+LENGTHS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 25.4e-3}
+"""[m] units of lengths in titles"""
 
 _SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
 _COMMENTS = ("#", "%", "//")
 _CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f]")
 # First line by which a spreadsheet is told the separator
-_DECLARED = re.compile(r'^"?sep=(.)"?$')
+_DECLARED = re.compile(r'\s*"?sep=(.)"?\s*')
 # [bytes] of a file that are looked at to tell what it is (chosen)
 _HEAD = 65_536
 # Lines by which a separator is chosen (chosen)
@@ -34,7 +39,7 @@ _LINES = 20
 # Titles that an error shows (chosen)
 _SHOWN = 24
 # Cells that hold no number, in small letters
-_EMPTY = ("", "-", "null", "none", "na", "n/a", "#n/a")
+_EMPTY = pa.array(["", "-", "null", "none", "na", "n/a", "#n/a"])
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.ASCII | re.IGNORECASE)
 _UNIT = re.compile(r"^(?P<name>.*?)(?:_(?P<ending>[^\W_]+)|\s*[\[(]\s*(?P<bracket>\w+|°)\s*[\])])$")
 # What spreadsheets of some languages, such as Swedish, write before a negative number
@@ -49,10 +54,10 @@ class Sheet:
     path: Path
     titles: tuple[str, ...]
     """of columns, or ``1``, ``2`` and so on"""
-    cells: pa.Table
-    """strings in columns ``0``, ``1`` and so on"""
+    rows: tuple[str, ...]
     lines: NDArray[np.int64]
-    """(rows,)"""
+    """(rows,) in the file"""
+    separator: str
     found: str
     """encoding and separator"""
     plain: bool
@@ -68,37 +73,58 @@ class Sheet:
         """Titles for an error."""
         return shown(self.titles)
 
+    @cached_property
+    def cells(self) -> pa.Table:
+        """Trimmed strings in columns ``0``, ``1`` and so on; FileError."""
+        width = len(self.titles)
+        wider = bool(self.rows) and len(row := _split(self.rows[0], self.separator)) == width + 1 and not row[-1]
+        columns = [str(i) for i in range(width + wider)]
+        if not self.rows:
+            return pa.table({name: pa.array([], pa.string()) for name in columns})
+        odd: list[pacsv.InvalidRow] = []
+
+        def skip(row: pacsv.InvalidRow) -> str:
+            odd.append(row)
+            return "skip"
+
+        try:
+            table = pacsv.read_csv(
+                io.BytesIO("\n".join(self.rows).encode()),
+                pacsv.ReadOptions(column_names=columns, use_threads=False, block_size=1 << 24),
+                pacsv.ParseOptions(delimiter=self.separator, invalid_row_handler=skip, ignore_empty_lines=False),
+                pacsv.ConvertOptions(column_types=dict.fromkeys(columns, pa.string())),
+            )
+        except pa.ArrowInvalid as error:
+            raise FileError(self.path, f"no table ({first_line(error)})", _REMEDY) from error
+        if odd:
+            count, line = odd[0].actual_columns, self.lines[odd[0].number - 1]
+            hint = " (decimal commas need another separator between columns)"
+            hint *= self.separator == "," and count > width
+            raise FileError(self.path, f"line {line}: {count} columns, the header has {width}{hint}", _REMEDY)
+        return pa.table({name: pc.utf8_trim_whitespace(table[name]) for name in columns[:width]})
+
     def words(self, column: int) -> list[str]:
         """Cells of a column."""
-        return [str(cell) for cell in pc.utf8_trim_whitespace(self.cells[str(column)]).to_pylist()]
-
-    def commas(self, columns: Sequence[int]) -> bool:
-        """Whether columns have decimal commas."""
-        comma, point = (
-            any(pc.any(pc.match_substring(self.cells[str(i)], sign)).as_py() for i in columns) for sign in ",."
-        )
-        return comma and not point
+        return [str(cell) for cell in self.cells[column].to_pylist()]
 
     def numbers(self, columns: Sequence[int]) -> NDArray[np.float64]:
-        """Columns (rows, columns) as numbers, NaN: empty; FileError."""
-        commas = self.commas(columns)
-        values = np.empty((len(self), len(columns)))
-        for place, column in enumerate(columns):
-            cells = pc.utf8_trim_whitespace(self.cells[str(column)])
-            cells = pc.if_else(pc.is_in(pc.utf8_lower(cells), pa.array(_EMPTY)), None, cells)
-            cells = pc.replace_substring(cells, ",", ".") if commas else cells
+        """Columns (rows, columns) as numbers, NaN: empty; FileError. Commas are decimal where no cell has a point."""
+        found = [self.cells[column] for column in columns]
+        comma, point = (any(pc.any(pc.match_substring(cells, sign)).as_py() for cells in found) for sign in ",.")
+        commas = comma and not point
+        values = np.empty((len(self), len(found)))
+        for place, cells in enumerate(found):
+            cells = pc.if_else(pc.is_in(pc.utf8_lower(cells), _EMPTY), None, cells)
             try:
-                values[:, place] = pc.cast(cells, pa.float64()).fill_null(np.nan).to_numpy()
-            except pa.ArrowInvalid:
-                self._refuse(column, commas=commas)
+                decimal = pc.replace_substring(cells, ",", ".") if commas else cells
+                values[:, place] = pc.cast(decimal, pa.float64()).fill_null(np.nan).to_numpy()
+            except pa.ArrowInvalid as error:
+                words = enumerate(cells.to_pylist())
+                row, word = next((i, c) for i, c in words if c and not (_is_number(c) and (commas or "," not in c)))
+                where = f"line {self.lines[row]}, column {self.titles[columns[place]]}"
+                what = f"{where}: {word[:40]!r} is no number"
+                raise FileError(self.path, what, "mend the cell; dates as seconds") from error
         return values
-
-    def _refuse(self, column: int, *, commas: bool) -> None:
-        words = [cell.lower() for cell in self.words(column)]
-        read = [_NUMBER.fullmatch(cell) is not None and (commas or "," not in cell) for cell in words]
-        row = next(i for i, cell in enumerate(words) if cell not in _EMPTY and not read[i])
-        place = f"line {self.lines[row]}, column {self.titles[column]}"
-        raise FileError(self.path, f"{place}: {words[row][:40]!r} is no number", "mend the cell; dates as seconds")
 
 
 def shown(titles: Sequence[str]) -> str:
@@ -115,22 +141,27 @@ def split_unit(title: str, units: Collection[str]) -> tuple[str, str | None]:
     return (found["name"], unit) if found is not None and found["name"] and unit in units else (title, None)
 
 
-def read_sheet(path: Path, *, names: Sequence[str] | None = None, whole: bool = True) -> Sheet:
-    """Read a table; FileError.
+def read_sheet(path: Path, *, names: Sequence[str] | None = None, whole: bool = True, most: int = TEXT_MOST) -> Sheet:
+    """Read a table of at most ``most`` bytes; FileError.
 
     ``names``: titles of a file without them. Unless ``whole``, an incomplete last line is dropped.
     """
     try:
-        data = read_bounded(path, TEXT_MOST, "cut it into several files")
+        data = read_bounded(path, most, "cut it into several files")
     except FileNotFoundError as error:
         raise FileError(path, "no such file", "check the path") from error
     except OSError as error:
         raise FileError(path, f"not readable ({error.strerror or error})", "check its permissions") from error
-    text, encoding = _decoded(data, path)
-    sheet = _parsed(text, encoding, path, names)
-    if whole or sheet.ends or len(sheet) < 2:
-        return sheet
-    return replace(sheet, cells=sheet.cells.slice(0, len(sheet) - 1), lines=sheet.lines[:-1])
+    sheet = _parsed(*_decoded(data, path), path, names, whole=whole)
+    values = [title for title in sheet.titles if _is_number(title)]
+    if 1 < len(values) < sum(map(bool, sheet.titles)):
+        word = next(title for title in sheet.titles if title and not _is_number(title))
+        said = f"the first line has no titles, but values such as {values[0]} and words such as {word[:40]!r}"
+        raise FileError(path, said, "put titles first")
+    if sheet.cells.num_rows != len(sheet):
+        said = f"{len(sheet)} lines hold {sheet.cells.num_rows} rows: a quote does not end"
+        raise FileError(path, said, _REMEDY)
+    return sheet
 
 
 def head(path: Path) -> Sheet | None:
@@ -139,10 +170,10 @@ def head(path: Path) -> Sheet | None:
         with path.open("rb") as file:
             data = file.read(_HEAD)
         cut = len(data) == _HEAD
-        text, encoding = _decoded(data[: len(data) // 4 * 4] if cut else data, path, cut=cut)
+        text, encoding = _decoded(data, path, cut=cut)
         if text.lstrip().startswith(("{", "[", "<")):
             return None
-        sheet = _parsed(text.rpartition("\n")[0] if cut else text, encoding, path, None, strict=False)
+        sheet = _parsed(text.rpartition("\n")[0] if cut else text, encoding, path, None)
     except (OSError, FileError):
         return None
     return sheet if len(sheet.titles) > 1 else None
@@ -151,12 +182,13 @@ def head(path: Path) -> Sheet | None:
 def _decoded(data: bytes, path: Path, *, cut: bool = False) -> tuple[str, str]:
     if not data.strip():
         raise FileError(path, "is empty", "record it again")
-    codec, name = "utf-8-sig", "UTF-8"
+    codec = "utf-8-sig"
     zeros = [data[i:4096:2].count(0) for i in (0, 1)]
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        codec, name = "utf-16", "UTF-16"
+        codec = "utf-16"
     elif max(zeros) > 0.4 * len(data[:4096:2]):
-        codec, name = "utf-16-le" if zeros[1] > zeros[0] else "utf-16-be", "UTF-16"
+        codec = "utf-16-le" if zeros[1] > zeros[0] else "utf-16-be"
+    name = codec[:6].upper().rstrip("-") if codec.startswith("utf-16") else "UTF-8"
     try:
         text = codecs.getincrementaldecoder(codec)().decode(data, final=not cut)
     except UnicodeDecodeError as error:
@@ -165,51 +197,62 @@ def _decoded(data: bytes, path: Path, *, cut: bool = False) -> tuple[str, str]:
         text, name = data.decode("latin-1"), "Latin-1"
     found = _CONTROL.search(text)
     if found:
-        raise FileError(
-            path,
-            f"no text: read as {name}, line {text.count(chr(10), 0, found.start()) + 1} holds the control "
-            f"character {ord(found[0])}",
-            "save it as text, or take another file",
-        )
+        line = text.count("\n", 0, found.start()) + 1
+        said = f"no text: read as {name}, line {line} holds the control character {ord(found[0])}"
+        raise FileError(path, said, "save it as text, or take another file")
     return text.replace(_MINUS, "-"), name
 
 
-def _parsed(text: str, encoding: str, path: Path, names: Sequence[str] | None, *, strict: bool = True) -> Sheet:
+def _parsed(text: str, encoding: str, path: Path, names: Sequence[str] | None, *, whole: bool = True) -> Sheet:
     lines = text.splitlines()
-    before = [i for i, line in enumerate(lines) if line.strip() and not _is_aside(line)][:1]
-    if not before:
+    ends = len(f"{text}.".splitlines()) > len(lines)
+    asides = [line.startswith(_COMMENTS) or bool(_DECLARED.fullmatch(line)) for line in map(str.lstrip, lines)]
+    top = next((i for i, line in enumerate(lines) if line.strip() and not asides[i]), None)
+    if top is None:
         raise FileError(path, f"text in {encoding} without a table", "record it again")
-    asides = lines[: before[0]]
-    declared = [found[1] for line in asides if (found := _DECLARED.match(line.strip()))]
-    sample = [line for line in lines[before[0] :] if line.strip()][:_LINES]
-    separator = declared[-1] if declared else _separator(sample)
+    declared = [found[1] for line in lines[:top] if (found := _DECLARED.fullmatch(line))]
+    separator = declared[-1] if declared else _separator([line for line in lines[top:] if line.strip()][:_LINES])
     if separator == " ":
-        lines = [re.sub(r"[ \t]+", " ", line.strip()) for line in lines]
-    prints = _prints(lines, before[0], separator)
-    first = before[0] + prints
-    prints = sum(bool(line.strip(f"{separator} \t")) for line in lines[before[0] : first])
-    comments = [line.lstrip().lstrip("#%/").strip() for line in asides if line.strip().startswith(_COMMENTS)]
-    titles, named, skipped = _titles(lines[first], comments, separator, names)
-    if strict and skipped:
-        _require_titles(titles, first + 1, path)
-    rows = _rows(lines, first + skipped, separator, len(titles))
-    cells = _cells([lines[i] for i in rows], titles, separator, path, np.array(rows) + 1) if strict else pa.table({})
+        lines = [" ".join(line.split()) for line in lines]
+    # headings and what a sketch prints fill one cell, rows of a table several
+    counts = [sum(map(bool, _split(line, separator))) for line in lines[top : top + _LINES]]
+    start = next((index for index, count in enumerate(counts) if count > 1), 0)
+    start *= max(counts[start:], default=0) > 2
+    first, prints = top + start, sum(count > 0 for count in counts[:start])
+    titles = tuple(_split(lines[first], separator))
+    above = [line.lstrip("#%/ \t") for line in lines[:top] if line.lstrip().startswith(_COMMENTS)]
+    named = not all(map(_is_number, filter(None, titles)))
+    rows = range(first + named, len(lines))
+    if not named:
+        width = len(titles)
+        comment = _split(above[-1], separator) if above else []
+        named = len(comment) == width
+        given = names if names and len(names) == width else [str(i) for i in range(1, width + 1)]
+        titles = tuple(comment if named else given)
+    chosen = [
+        i
+        for i in rows
+        if lines[i].strip(f"{separator} \t") and not (asides[i] and lines[i].count(separator) < len(titles) - 1)
+    ]
+    if not (whole or ends) and len(chosen) > 1:
+        chosen.pop()
     # a text without columns has no separator; "one column" keeps an error about it true
     parted = f"columns parted by {_SEPARATORS.get(separator, repr(separator))}" if len(titles) > 1 else "one column"
+    untitled = "" if named else ", without a line of titles"
     return Sheet(
         path=path,
         titles=titles,
-        cells=cells,
-        lines=np.array(rows, dtype=np.int64) + 1,
-        ends=len(f"{text}.".splitlines()) > len(lines),
-        found=f"{encoding}, {parted}{'' if named else ', without a line of titles'}"
-        + f", after {prints} other line(s)" * bool(prints),
+        rows=tuple(lines[i] for i in chosen),
+        lines=np.array(chosen, dtype=np.int64) + 1,
+        separator=separator,
+        found=f"{encoding}, {parted}{untitled}" + f", after {prints} other line(s)" * bool(prints),
         plain=encoding == "UTF-8" and separator == "," and named and not prints,
+        ends=ends,
     )
 
 
-def _is_aside(line: str) -> bool:
-    return line.lstrip().startswith(_COMMENTS) or _DECLARED.match(line.strip()) is not None
+def _is_number(cell: str) -> bool:
+    return _NUMBER.fullmatch(cell) is not None
 
 
 def _split(line: str, separator: str) -> list[str]:
@@ -222,87 +265,10 @@ def _split(line: str, separator: str) -> list[str]:
 def _separator(lines: list[str]) -> str:
     best, chosen = (0.0, 0), ","
     for separator in _SEPARATORS:
-        parts = [re.sub(r"[ \t]+", " ", line.strip()) if separator == " " else line for line in lines]
-        counts = [len(_split(line, separator)) for line in parts]
+        counts = [len(_split(" ".join(line.split()) if separator == " " else line, separator)) for line in lines]
         usual = max(counts, key=lambda count: (counts.count(count) * (count > 1), count), default=0)
         score = (counts.count(usual) / len(counts), usual)
         # titles and bars have spaces around them
         if usual > 1 and score > best and not (separator == " " and best[0] > 0.5):
             best, chosen = score, separator
     return chosen
-
-
-def _prints(lines: list[str], first: int, separator: str) -> int:
-    counts = [sum(map(bool, _split(line, separator))) for line in lines[first : first + _LINES]]
-    start = next((index for index, count in enumerate(counts) if count > 1), 0)
-    return start if max(counts[start:], default=0) > 2 else 0
-
-
-def _titles(
-    line: str, comments: list[str], separator: str, names: Sequence[str] | None
-) -> tuple[tuple[str, ...], bool, int]:
-    cells = _split(line, separator)
-    if not all(_NUMBER.fullmatch(cell) for cell in cells if cell):
-        return tuple(cells), True, 1
-    above = _split(comments[-1], separator) if comments else []
-    if len(above) == len(cells):
-        return tuple(above), True, 0
-    given = names if names and len(names) == len(cells) else [str(i) for i in range(1, len(cells) + 1)]
-    return tuple(given), False, 0
-
-
-def _require_titles(titles: tuple[str, ...], line: int, path: Path) -> None:
-    values = [title for title in titles if _NUMBER.fullmatch(title)]
-    if len(values) > 1:
-        word = next(title for title in titles if not _NUMBER.fullmatch(title))
-        raise FileError(
-            path,
-            f"line {line} has no titles, but values such as {values[0]} and words such as {word[:40]!r}",
-            "put titles first",
-        )
-
-
-def _rows(lines: list[str], first: int, separator: str, width: int) -> list[int]:
-    nothing = f"{separator} \t"
-    return [
-        i
-        for i in range(first, len(lines))
-        if lines[i].strip(nothing)
-        and not (lines[i].lstrip().startswith(_COMMENTS) and lines[i].count(separator) < width - 1)
-    ]
-
-
-def _cells(
-    lines: list[str], titles: tuple[str, ...], separator: str, path: Path, numbers: NDArray[np.int64]
-) -> pa.Table:
-    width = len(titles)
-    wider = bool(lines) and len(row := _split(lines[0], separator)) == width + 1 and not row[-1]
-    columns = [str(i) for i in range(width + wider)]
-    if not lines:
-        return pa.table({name: pa.array([], pa.string()) for name in columns})
-    odd: list[pacsv.InvalidRow] = []
-
-    def skip(row: pacsv.InvalidRow) -> str:
-        odd.append(row)
-        return "skip"
-
-    try:
-        table = pacsv.read_csv(
-            io.BytesIO("\n".join(lines).encode()),
-            read_options=pacsv.ReadOptions(column_names=columns, use_threads=False, block_size=1 << 24),
-            parse_options=pacsv.ParseOptions(delimiter=separator, invalid_row_handler=skip, ignore_empty_lines=False),
-            convert_options=pacsv.ConvertOptions(column_types=dict.fromkeys(columns, pa.string())),
-        )
-    except pa.ArrowInvalid as error:
-        raise FileError(path, f"no table ({first_line(error)})", _REMEDY) from error
-    if odd:
-        hint = " (decimal commas need another separator between columns)"
-        more = separator == "," and odd[0].actual_columns > width
-        raise FileError(
-            path,
-            f"line {numbers[odd[0].number - 1]}: {odd[0].actual_columns} columns, the header has {width}" + hint * more,
-            _REMEDY,
-        )
-    if table.num_rows != len(lines):
-        raise FileError(path, f"{len(lines)} lines hold {table.num_rows} rows: a quote does not end", _REMEDY)
-    return table.select(columns[:width])

@@ -136,31 +136,6 @@ FRICTION_SOFTNESS = 0.01
 TCP_SITE = "tcp"
 
 
-def twin_model(
-    arm: Arm,
-    parameters: TwinParameters,
-    timestep: float = TIMESTEP,
-    gravity_scale: float = 1.0,
-    table: bool = False,
-) -> mujoco.MjModel:
-    """Compile the model of one twin, with the arm's joint order and names."""
-    if parameters.shape or parameters.joints != arm.joints:
-        raise InputError(
-            f"twin: parameters of shape {parameters.stiffness_shape}, expected one twin of {arm.joints} joints"
-        )
-    model = twin_spec(arm, table).compile()
-    for name, value in model_fields(parameters, np.asarray(timestep), np.asarray(gravity_scale)):
-        if name == "opt.timestep":
-            model.opt.timestep = float(value)
-        elif name == "opt.gravity":
-            model.opt.gravity = value
-        else:
-            getattr(model, name)[:] = value
-    mujoco.mj_setConst(model, mujoco.MjData(model))
-    model.dof_invweight0 *= FRICTION_SOFTNESS
-    return model
-
-
 def model_fields(parameters: TwinParameters, timestep: Array, gravity_scale: Array) -> Iterator[tuple[str, Array]]:
     """Yield every model field that a twin decides, as (name, value)."""
     p, shape = parameters, parameters.stiffness_shape

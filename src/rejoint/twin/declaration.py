@@ -28,6 +28,8 @@ class Parameter:
     """estimated as its logarithm"""
     difference: float = 0.045
     """finite-difference step, in `unit` unless `log`; chosen"""
+    fitted: bool = True
+    """whether a descent may change it"""
     per_joint: bool = True
     scaled: bool = False
     """torque known up to its joint's common scale"""

@@ -16,7 +16,6 @@ import tomlkit
 from rejoint.arms import Arm, Array
 from rejoint.system.errors import InputError
 from rejoint.system.tomltable import read_sealed, write_sealed
-from rejoint.twin.judgement import PredictionError
 from rejoint.twin.parameters import PARAMETERS, STICTION, Layout, TwinParameters
 from rejoint.twin.table import TablePlane
 from rejoint.twin.twin import HeldOut, Twin
@@ -52,7 +51,7 @@ def _document(twin: Twin) -> tomlkit.TOMLDocument:
     low, high = twin.interval
     document = tomlkit.document()
     document.add(tomlkit.comment("Digital twin of one robot arm, fitted to its own motion. SI units."))
-    errors = {name: getattr(twin.held_out, name) for name in ERRORS}
+    errors = {name: error for name in ERRORS if (error := getattr(twin.held_out, name)) is not None}
     told: dict[str, Any] = {
         "format": FORMAT,
         "arm": twin.arm,
@@ -103,7 +102,6 @@ def _twin(data: dict[str, Any]) -> Twin:
     def stacked(key: str) -> Array:
         return np.concatenate([np.array(data[p.name][key], dtype=float) for p in PARAMETERS])
 
-    errors = msgspec.convert({name: data["held_out"][name] for name in ERRORS}, dict[str, PredictionError])
     return Twin(
         arm=str(data["arm"]),
         joint_names=names,
@@ -113,7 +111,7 @@ def _twin(data: dict[str, Any]) -> Twin:
         upper=stacked("upper"),
         narrowing=stacked("narrowing"),
         identified=stacked("identified").astype(bool),
-        held_out=HeldOut(seconds=float(data["held_out"]["seconds"]), **errors),
+        held_out=msgspec.convert(data["held_out"], HeldOut),
         fit_seconds=float(data["fit_seconds"]),
         notes=tuple(str(note) for note in data["notes"]),
         stiction=float(data.get("stiction", STICTION)),

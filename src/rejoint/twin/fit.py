@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Array, gravity_torque, link_inertia
-from rejoint.twin.parameters import PARAMETERS, Layout, Prior, number, unpack
+from rejoint.logs.exclusions import UNPOWERED
+from rejoint.twin.parameters import JOINT_PARAMETERS, PARAMETERS, Layout, Prior, number, unpack
 from rejoint.twin.replay import Replay
 
 HUBER = np.radians(1.7)
@@ -91,6 +92,8 @@ class Problem:
         self.measured = np.concatenate(replay.measured())
         lengths = [len(part) for part in replay.measured()]
         self.window = np.repeat(np.arange(len(lengths)), lengths)
+        silent = [replay.logs[w.log].extra.get(UNPOWERED, "").split(",") for w in replay.windows]
+        self.powered = ~np.array([np.isin(replay.arm.joint_names, names) for names in silent])[self.window]
         self.floor = replay.arm.encoder_step / np.sqrt(12.0)
         seconds = sum(float(replay.times(i)[-1]) for i in range(len(lengths)))
         self.memory = memory * (len(self.measured) - len(lengths)) / seconds  # rows
@@ -98,7 +101,7 @@ class Problem:
         self.owner = self.layout.owner
         self.steps = stride * np.array([p.difference for p in PARAMETERS])[self.layout.kind]
         self.group = prior.groups(self.joints)
-        self._live = [index for index, p in enumerate(PARAMETERS) if p.name not in frozen]
+        self._live = [index for index, p in enumerate(PARAMETERS) if p.fitted and p.name not in frozen]
         self.frozen = ~np.isin(self.layout.kind, self._live)
 
     def residuals(self, vectors: Array) -> Array:
@@ -107,7 +110,7 @@ class Problem:
 
     def weights(self, residual: Array) -> Weights:
         """Estimate scale and correlation of residuals (rows, n)."""
-        share = self.shares(residual)
+        share = self.shares(residual) * self.powered
         scale = np.maximum(np.sqrt(np.mean(2.0 * share * loss(residual), axis=0)), self.floor)
         correlation = np.maximum(correlation_time(residual, self.window), self.memory)
         return Weights(scale=scale, correlation=correlation, share=share)
@@ -166,7 +169,8 @@ class Problem:
                 row[at(name)] += np.log(factor)
             motor = factor * (self.link_inertia + armature) - self.link_inertia
             row[at("armature")] = np.log(np.maximum(motor, np.exp(self.prior.lower[at("armature")])))
-            row[at("offset")] += self.gravity / stiffness * (1.0 / factor - 1.0)
+            held = (1.0 - vector[at("compensation")]) * self.gravity
+            row[at("offset")] += held / stiffness * (1.0 / factor - 1.0)
         return np.clip(np.where(self.frozen, vector, scaled), self.prior.lower, self.prior.upper)
 
     @cached_property
@@ -274,17 +278,17 @@ def search(problem: Problem, starts: Array, rng: np.random.Generator, rounds: in
         best = int(np.argmin(loss(residuals).sum(axis=(1, 2))))
         weights = problem.weights(residuals[best])
         x, _, _ = line_up(problem, candidates, residuals, weights)
-        spread = (
-            np.where(problem.frozen, 0.0, prior.sigma) * 0.5**i * rng.choice([0.0, 1.0], size=(len(starts) - 1, len(x)))
-        )
-        around = x + spread * rng.standard_normal(spread.shape)
+        count, layout = len(starts) - 1, problem.layout
+        chosen = layout.fitted(rng.choice([0.0, 1.0], size=(count, layout.is_fitted.sum())))
+        spread = np.where(problem.frozen, 0.0, prior.sigma) * 0.5**i * chosen
+        around = x + spread * layout.normal(rng, count)
         candidates = np.clip(np.vstack([x, around]), prior.lower, prior.upper)
         known = problem.residuals(x[None])
     return x
 
 
 def _alternating(problem: Problem, iteration: int) -> Array:
-    kind = np.where(problem.owner >= 0, problem.layout.kind, problem.layout.kind[problem.layout.of_arm][0])
+    kind = np.where(problem.owner >= 0, problem.layout.kind, sum(p.fitted for p in JOINT_PARAMETERS))
     parity = iteration + kind + np.maximum(problem.owner, 0)
     return np.where(parity % 2 == 0, 1.0, -1.0)
 

@@ -23,15 +23,17 @@ from rejoint.twin.judge import Candidate, judge
 from rejoint.twin.judgement import NO_TWIN, Judgement, PredictionError
 from rejoint.twin.motionfit import (
     DEFAULT_LOG_SETTINGS,
+    MOSTLY,
     LogSettings,
     contact_windows,
     fit_motions,
     independent,
     part,
+    repeated,
     settle,
     thin,
 )
-from rejoint.twin.parameters import healthy_parameters, unpack
+from rejoint.twin.parameters import healthy_parameters, is_hobby, unpack
 from rejoint.twin.replay import Replay, powered
 from rejoint.twin.table import TablePlane
 from rejoint.twin.tablefit import fit_table
@@ -49,6 +51,7 @@ FOLLOWED = 0.4
 """Least weight of a motion's worst joint without report; chosen"""
 REFITTED = "errors on held-out motion are those of a fit that had not seen it; the values are fitted to all motions"
 NOTHING = "the motions tell no joint's stiffness, damping or friction"
+REPEATED = "the motions held out repeat those that were fitted: errors on other motion are larger"
 UNJUDGED = "no motion was held out: the errors are those on the motions that were fitted"
 
 
@@ -94,15 +97,15 @@ def identify_logs(
             table=table,
             acceleration=structure.acceleration,
         ),
-        Candidate(name=HEALTHY, parameters=healthy_parameters(arm), stiction=1.0),
+        *([Candidate(name=HEALTHY, parameters=healthy_parameters(arm), stiction=1.0)] if is_hobby(arm) else []),
         *beside,
     ]
     judgement = judge(arm, candidates, unseen, table=height, timestep=settings.timestep, threads=settings.threads)
     on_progress(0.8, "all motions")
-    if settings.hold_out.names == ():
-        note = UNJUDGED
-    else:
-        note, seen = REFITTED, every
+    note, missing = UNJUDGED, [*judgement.doubts, UNJUDGED]
+    if settings.hold_out.names != ():
+        alike = bool(np.mean(np.concatenate(repeated(unseen, seen))) > MOSTLY)
+        note, missing, seen = REFITTED, [*judgement.doubts, *[REPEATED] * alike], every
         excluded = find_exclusions(arm, every, height)
         problem, found = settle(arm, every, excluded, structure, found.vector, settings)
     on_progress(0.9, "table and intervals")
@@ -113,10 +116,8 @@ def identify_logs(
     twin = fitted_twin(problem, found, knowledge, _held_out(judgement), table)
     notes = (*twin.notes, *_hard_to_follow(problem, found, seen), note)
     on_progress(1.0, "done")
-    missing = (*judgement.doubts, *([UNJUDGED] if note == UNJUDGED else []), *_unidentified(twin))
-    return LogIdentification(
-        twin=replace(twin, notes=notes), fitted=fitted, judgement=replace(judgement, doubts=missing)
-    )
+    judgement = replace(judgement, doubts=(*missing, *_unidentified(twin)))
+    return LogIdentification(twin=replace(twin, notes=notes), fitted=fitted, judgement=judgement)
 
 
 def _fit_table(
@@ -164,4 +165,5 @@ def _held_out(judgement: Judgement) -> HeldOut:
         return found
 
     seconds = sum(motion.seconds - motion.contact_seconds - motion.left_out_seconds for motion in judgement.motions)
-    return HeldOut(seconds=seconds, no_twin=error(NO_TWIN), healthy_twin=error(HEALTHY), twin=error(FITTED))
+    healthy = error(HEALTHY) if HEALTHY in judgement.mean else None
+    return HeldOut(seconds=seconds, no_twin=error(NO_TWIN), healthy_twin=healthy, twin=error(FITTED))

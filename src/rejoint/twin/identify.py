@@ -23,6 +23,7 @@ from rejoint.twin.parameters import (
     Prior,
     TwinParameters,
     healthy_parameters,
+    is_hobby,
     pack,
     prior,
     unpack,
@@ -125,7 +126,7 @@ def fitted_twin(
 
 
 def _starts(arm: Arm, belief: Prior, count: int, rng: np.random.Generator) -> Array:
-    drawn = belief.mean + belief.sigma * rng.standard_normal((max(count - 2, 1), len(belief.mean)))
+    drawn = belief.mean + belief.sigma * Layout(arm.joints).normal(rng, max(count - 2, 1))
     starts = np.vstack([belief.mean, pack(healthy_parameters(arm)), drawn])
     of_arm = Layout(arm.joints).of_arm
     starts[2:, of_arm] = belief.mean[of_arm]
@@ -134,8 +135,8 @@ def _starts(arm: Arm, belief: Prior, count: int, rng: np.random.Generator) -> Ar
 
 def _held_out(arm: Arm, replay: Replay, vector: Array) -> HeldOut:
     measured = np.concatenate(replay.measured())
-    both = np.vstack([vector, pack(healthy_parameters(arm))])
-    twin, healthy = np.concatenate(replay.predict(unpack(both, arm.joints)), axis=1)
+    both = np.vstack([vector, *([pack(healthy_parameters(arm))] if is_hobby(arm) else [])])
+    twin, *healthy = np.concatenate(replay.predict(unpack(both, arm.joints)), axis=1)
 
     def error(predicted: Array) -> PredictionError:
         return prediction_error(arm, predicted, measured)
@@ -143,7 +144,7 @@ def _held_out(arm: Arm, replay: Replay, vector: Array) -> HeldOut:
     return HeldOut(
         seconds=sum(float(replay.times(i)[-1]) for i in range(len(replay.windows))),
         no_twin=error(np.concatenate(replay.commands())),
-        healthy_twin=error(healthy),
+        healthy_twin=error(healthy[0]) if healthy else None,
         twin=error(twin),
     )
 
@@ -188,7 +189,8 @@ def twin_notes(arm: Arm, logs: Sequence[RunLog], twin: Twin, found: Fit) -> list
     pressed = [name for name, at in zip(vector_names(arm.joint_names), found.at_bound, strict=True) if at]
     if pressed:
         notes.append(f"held at a physical bound: {', '.join(pressed)}")
-    if held_out.twin.joint > min(held_out.healthy_twin.joint, held_out.no_twin.joint):
+    rivals = [held_out.no_twin, *([held_out.healthy_twin] if held_out.healthy_twin else [])]
+    if held_out.twin.joint > min(rival.joint for rival in rivals):
         notes.append(
             "on motion it has not seen the twin predicts worse than a healthy twin or none: do not train in it"
         )

@@ -18,10 +18,10 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, tcp_position
 from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
+from rejoint.logs.lag import PLAUSIBLE, find_lag
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import TOML_MOST, read_bounded
-from rejoint.system.statistics import above_zero, bootstrap_mean
 from rejoint.twin.judgement import (
     NO_TWIN,
     Errors,
@@ -30,6 +30,7 @@ from rejoint.twin.judgement import (
     PredictionError,
     Trace,
     prediction_error,
+    smaller,
 )
 from rejoint.twin.parameters import PARAMETERS, STICTION, Parameter, TwinParameters, unknown_prior, unpack
 from rejoint.twin.replay import Replay, Window
@@ -202,16 +203,6 @@ MOVED = np.radians(2.0)
 """[rad] least travel of a moving joint; chosen"""
 COARSEST = 0.1
 """[s] between readings up to which friction and lag show; chosen"""
-EARLIEST, LATEST = -0.05, 0.3
-"""[s] plausible delay of readings after commands; chosen"""
-LAGS = np.arange(-0.5, 0.81, 0.01)
-"""[s] tried"""
-ROWS = 1000
-"""Rows of a log for the lag; chosen"""
-FEWEST = 3
-"""Motions that an interval needs; chosen"""
-CLEARLY = 0.8
-"""Relative error that is clearly smaller; chosen"""
 
 
 def doubts(arm: Arm, logs: Sequence[RunLog], rows: Sequence[Exclusions], paths: dict[str, list[Array]]) -> list[str]:
@@ -223,12 +214,12 @@ def doubts(arm: Arm, logs: Sequence[RunLog], rows: Sequence[Exclusions], paths: 
     period = float(np.median(np.concatenate([np.diff(log.time) for log in logs])))
     if period > COARSEST:
         found.append(f"readings are {period:.2g} s apart, expected at most {COARSEST:g} s")
-    lag, left = command_lag(logs)
-    if left < arm.encoder_step:
-        found.append("the readings are copies of the commands, and show nothing of the arm")
-    elif not EARLIEST <= lag <= LATEST:
+    lags = [one for log in logs if (one := find_lag(log.time, log.position, log.command))]
+    lag = float(np.median([one.best for one in lags])) if lags else 0.0
+    sure = [one.plausible for one in lags if one.sure]
+    if sure and not any(sure):
         found.append(
-            f"the readings follow the commands by {lag:.2f} s, expected {EARLIEST:g} to {LATEST:g} s: clocks differ"
+            f"the readings follow the commands by {lag:.2f} s, expected 0 to {PLAUSIBLE[1]:g} s: clocks differ"
         )
     twins = [paths[name] for name in list(paths)[1:]]
     delayed = [_delayed(log, lag) for log in logs]
@@ -237,22 +228,6 @@ def doubts(arm: Arm, logs: Sequence[RunLog], rows: Sequence[Exclusions], paths: 
             found.append(f"no twin predicts measurably better than {name} does")
             break
     return found
-
-
-def command_lag(logs: Sequence[RunLog]) -> tuple[float, float]:
-    """Best lag [s] of the commands, and the rms rest [rad], of moving joints without offsets."""
-    totals, count = np.zeros(len(LAGS)), 0
-    for log in logs:
-        moving = np.flatnonzero(np.ptp(log.position, axis=0) > MOVED)
-        if not len(moving):
-            continue
-        chosen = np.unique(np.linspace(0, len(log) - 1, min(len(log), ROWS)).astype(int))
-        count += len(chosen) * len(moving)
-        for i, lag in enumerate(LAGS):
-            gap = (_delayed(log, float(lag))[chosen] - log.position[chosen])[:, moving]
-            totals[i] += float(((gap - gap.mean(axis=0)) ** 2).sum())
-    best = int(np.argmin(totals))
-    return float(LAGS[best]), float(np.sqrt(totals[best] / max(count, 1)))
 
 
 def _delayed(log: RunLog, lag: float) -> Array:
@@ -272,9 +247,7 @@ def _better(
 
     known = [i for i, own in enumerate(rows) if own.free.any()]
     ours, theirs = (np.array([error(logs[i], path[i], rows[i]) for i in known]) for path in (twin, without))
-    if len(known) < FEWEST:
-        return bool(len(known) and ours.mean() < CLEARLY * theirs.mean())
-    return above_zero(bootstrap_mean(theirs - ours, np.arange(len(known)), fewest=FEWEST))
+    return smaller(ours, theirs)
 
 
 def read_published(path: Path, arm: Arm) -> Candidate:
@@ -292,6 +265,7 @@ def read_published(path: Path, arm: Arm) -> Candidate:
         "source": "",
         "stiction": 1.0,
         "offset": 0.0,
+        "compensation": 0.0,
         "delay": 0.0,
         "torque_limit": reached.torque_limit[0],
         "ramp_speed": float(reached.ramp_speed),

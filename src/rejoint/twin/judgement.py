@@ -7,7 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Arm, Array, tcp_position
+from rejoint.system.statistics import above_zero, bootstrap_mean
 
+FEWEST = 3
+"""Motions that an interval needs; chosen"""
+CLEARLY = 0.8
+"""Relative error that is clearly smaller in fewer motions; chosen"""
 NO_TWIN = "no twin"
 """The prediction that the arm is at its command"""
 
@@ -85,3 +90,10 @@ def prediction_error(arm: Arm, predicted: Array, measured: Array) -> PredictionE
     gap = tcp_position(arm, predicted) - tcp_position(arm, measured)
     tcp = np.sqrt(np.mean(np.sum(gap**2, axis=-1)))
     return PredictionError(joints=tuple(joints.tolist()), joint=float(np.sqrt(np.mean(difference**2))), tcp=float(tcp))
+
+
+def smaller(ours: Array, theirs: Array) -> bool:
+    """Whether errors (K,) are measurably smaller than others in the same motions."""
+    if len(ours) < FEWEST:
+        return bool(len(ours) and ours.mean() < CLEARLY * theirs.mean())
+    return above_zero(bootstrap_mean(theirs - ours, np.arange(len(ours)), fewest=FEWEST))

@@ -11,7 +11,9 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from rejoint.arms import Arm, Array
 from rejoint.logs.consistency import refuse_copies
@@ -20,12 +22,13 @@ from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
 from rejoint.twin.fit import SCALES, Fit, Problem, fit
-from rejoint.twin.judge import TIMESTEP
+from rejoint.twin.judge import MOVED, TIMESTEP
 from rejoint.twin.parameters import unknown_prior
 from rejoint.twin.replay import Replay, Window
 from rejoint.twin.structure import (
     STICTIONS,
     Structure,
+    decide_compensation,
     expressible,
     find_acceleration,
     find_structure,
@@ -116,7 +119,13 @@ def _pieces(index: int, log: RunLog, run: tuple[int, int], length: float) -> lis
 FEW_MOTIONS = 4
 """Motions from which whole ones are held out; chosen"""
 KEPT_END = 0.25
-"""Share of a motion held out then; chosen"""
+"""Share of a motion held out then, halved until `MOSTLY` is left to fit; chosen"""
+GRID, STEPS = 0.2, 10
+"""[s] between samples of commands, and samples that are compared; chosen"""
+ALIKE = 0.25
+"""Distance of commands that repeat others over their own motion; chosen: half of `GRID` at constant speed is 0.17"""
+MOSTLY = 0.5
+"""Share of a motion; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,9 +140,10 @@ class HoldOut:
 
 
 def part(arm: Arm, logs: Sequence[RunLog], how: HoldOut) -> tuple[list[RunLog], list[RunLog]]:
-    """Split logs into those to fit and those to judge; of few motions the last quarter of each.
+    """Split logs into those to fit and those to judge; of few motions the end of each.
 
-    Without hold-out both are all logs. InputError for duplicate, missing or all labels.
+    What repeats commands that are held out is not fitted, unless names are given or too little would be left. Without
+    hold-out both are all logs. InputError for duplicate, missing or all labels.
     """
     ordered = sorted(logs, key=lambda log: log.label)
     names = [log.label for log in ordered]
@@ -151,14 +161,51 @@ def part(arm: Arm, logs: Sequence[RunLog], how: HoldOut) -> tuple[list[RunLog], 
             return ordered, ordered
         kept = set(how.names)
     elif len(ordered) < FEW_MOTIONS:
-        cuts = [int(len(log) * (1.0 - KEPT_END)) for log in ordered]
-        seen = [log.rows(slice(0, cut)) for log, cut in zip(ordered, cuts, strict=True)]
-        ends = [log.rows(slice(cut, None)) for log, cut in zip(ordered, cuts, strict=True)]
-        return seen, [replace(end, label=f"{end.label} (end)") for end in ends]
+        return _ends(ordered)
     else:
         fold = folds(arm, ordered, how.every, how.seed)
-        kept = {name for name, number in zip(names, fold, strict=True) if number == 0}
+        drawn = {name for name, number in zip(names, fold, strict=True) if number == 0}
+        again = repeated(ordered, [log for log in ordered if log.label in drawn])
+        kept = drawn | {name for name, same in zip(names, again, strict=True) if same.mean() > MOSTLY}
+        kept = kept if len(kept) < len(names) else drawn
     return [log for log in ordered if log.label not in kept], [log for log in ordered if log.label in kept]
+
+
+def _ends(logs: Sequence[RunLog]) -> tuple[list[RunLog], list[RunLog]]:
+    for share in KEPT_END * 0.5 ** np.arange(5):
+        cuts = [int(len(log) * (1.0 - share)) for log in logs]
+        seen = [log.rows(slice(0, cut)) for log, cut in zip(logs, cuts, strict=True)]
+        ends = [log.rows(slice(cut, None)) for log, cut in zip(logs, cuts, strict=True)]
+        fresh = [
+            replace(log.rows(slice(a, b)), label=f"{log.label} (from {log.time[a]:.1f} s)")
+            for log, same in zip(seen, repeated(seen, ends), strict=True)
+            for a, b in free_runs(~same, log.time, SHORTEST_STRETCH)
+        ]
+        if sum(map(len, fresh)) > MOSTLY * sum(map(len, logs)):
+            seen = fresh
+            break
+    return seen, [replace(end, label=f"{end.label} (end)") for end in ends]
+
+
+def repeated(logs: Sequence[RunLog], others: Sequence[RunLog]) -> list[NDArray[np.bool_]]:
+    """Rows (T,) of each log whose commands move as those of ``others`` do somewhere."""
+    known, found = cKDTree(np.concatenate([_stretches(log)[1] for log in others])), []
+    for log in logs:
+        start, paths = (values[:: STEPS // 2] for values in _stretches(log))
+        steps = paths.reshape(len(paths), -1, STEPS)
+        motion = np.linalg.norm(steps - steps.mean(axis=-1, keepdims=True), axis=(1, 2))
+        same = start[(motion > MOVED) & (known.query(paths)[0] < ALIKE * motion)]
+        latest = np.append(-np.inf, same)[np.searchsorted(same, log.time, side="right")]
+        found.append(log.time - latest <= STEPS * GRID)
+    return found
+
+
+def _stretches(log: RunLog) -> tuple[Array, Array]:
+    """Beginnings (S,) [s] and commands (S, n `STEPS`) [rad] of all stretches of a log; after its end it rests."""
+    time = np.arange(log.time[0], log.time[-1] + GRID, GRID)
+    path = np.stack([np.interp(time, log.time, column) for column in log.command.T], axis=1)
+    path = np.pad(path, ((0, STEPS - 1), (0, 0)), mode="edge")
+    return time, sliding_window_view(path, STEPS, axis=0).reshape(len(time), -1)
 
 
 def folds(arm: Arm, logs: Sequence[RunLog], count: int, seed: int = 0) -> NDArray[np.integer]:
@@ -235,7 +282,7 @@ def fit_motions(
             f"{whole:.0f} s in {len(logs)} log(s), expected at least {SHORTEST:.0f} s; record longer "
             "motions, off table and stops"
         )
-    belief = unknown_prior(arm)
+    belief = decide_compensation(unknown_prior(arm), arm, logs, excluded)
 
     def problem(chosen: Sequence[Window], structure: Structure, threads: int = settings.threads) -> Problem:
         return _problem(arm, logs, chosen, structure, settings, threads)

@@ -9,13 +9,13 @@ The plant in `rejoint.robots.lab.plant` shares no physics code with the twin, so
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, gravity_torque
+from rejoint.arms import CATALOGUE, Arm, Array, gravity_torque
 from rejoint.arms.workspace import reach
 from rejoint.system.errors import InputError
 from rejoint.twin.declaration import Parameter as Parameter
@@ -42,6 +42,8 @@ class TwinParameters:
     """(...) [s] from a command to reading its first effect"""
     ramp_speed: Array
     """(...) [rad/s] speed of the servo's reference"""
+    compensation: Array = field(default_factory=lambda: np.zeros(()))
+    """(..., n) share of gravity's torque that the controller feeds forward; 0 for hobby servos"""
 
     def __post_init__(self) -> None:
         for parameter in PARAMETERS:
@@ -106,6 +108,8 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter(name="offset", unit="rad", meaning="unloaded joint position minus command",
               nominal=0.0, sigma=0.01, lower=-0.1, upper=0.1, log=False, difference=0.005,
               wide={"sigma": 0.02, "lower": -0.2, "upper": 0.2}),
+    Parameter(name="compensation", unit="1", meaning="share of gravity's torque that the controller feeds forward",
+              nominal=0.0, sigma=0.01, lower=0.0, upper=1.0, log=False, fitted=False),
     Parameter(name="delay", unit="s", meaning="command latency plus age of the answer",
               nominal=0.025, sigma=0.012, lower=0.0, upper=0.1, log=False, difference=0.004, per_joint=False,
               # chosen: a bus servo answers within a few periods; below zero where a position is read up to a period
@@ -165,6 +169,26 @@ class Layout:
     def is_log(self) -> NDArray[np.bool_]:
         """(k,) which elements are logarithms."""
         return np.array([p.log for p in PARAMETERS])[self.kind]
+
+    @cached_property
+    def is_scaled(self) -> NDArray[np.bool_]:
+        """(k,) which elements share their joint's common scale of torques and inertia."""
+        return np.array([p.per_joint and p.log for p in PARAMETERS])[self.kind]
+
+    @cached_property
+    def is_fitted(self) -> NDArray[np.bool_]:
+        """(k,) which elements a descent may change."""
+        return np.array([p.fitted for p in PARAMETERS])[self.kind]
+
+    def fitted(self, values: Array) -> Array:
+        """Vectors (m, k) of ``values`` (m, f) of the fitted elements, else 0."""
+        whole = np.zeros((len(values), self.size))
+        whole[:, self.is_fitted] = values
+        return whole
+
+    def normal(self, rng: np.random.Generator, count: int) -> Array:
+        """Draw standard normal values (count, k) of the fitted elements, else 0."""
+        return self.fitted(rng.standard_normal((count, int(self.is_fitted.sum()))))
 
     @property
     def size(self) -> int:
@@ -290,8 +314,13 @@ HEALTHY_FRICTION_FACTOR = 0.6
 """Other healthy values over the prior's medians; chosen from the servo's data sheet"""
 
 
+def is_hobby(arm: Arm) -> bool:
+    """Whether an arm's servos are hobby servos: those of the catalogue are."""
+    return arm.name in CATALOGUE
+
+
 def healthy_parameters(arm: Arm) -> TwinParameters:
-    """Twin of an arm without wear."""
+    """Twin of an arm of hobby servos without wear."""
     worn = nominal_parameters(arm)
     return TwinParameters(
         stiffness=HEALTHY_STIFFNESS_FACTOR * worn.stiffness,

@@ -2,7 +2,8 @@
 
 Windows start from the measured state, so they run as one batch. The delay contains the age of the reading. A log may
 declare (`RunLog.extra`): ``gain``, the servos' position gain over the twin's (``0.5`` or ``1 0.5 1``), and
-``torque_off``, spans [s] without torque, which are cut out (``3-7.5 12-14``).
+``torque_off``, spans [s] without torque, which are cut out (``3-7.5 12-14``). Joints that never answer their command
+are replayed where they were.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from rejoint.arms import Arm, Array
+from rejoint.arms import Arm, Array, gravity_torque
+from rejoint.logs.exclusions import answered
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.twin.declaration import TIMESTEP
@@ -144,7 +146,7 @@ class Replay:
         Means over the step, for commands in step with it: else the delay would depend on the step.
         """
         references = self._references(parameters)
-        grid = np.arange(self.steps) * self.timestep
+        grid = np.asarray(np.arange(self.steps) * self.timestep, dtype=np.float64)
         parts = []
         for w in self.windows:
             reference, times = references[w.log], self._log(w).time[w.first] + grid
@@ -152,7 +154,18 @@ class Replay:
                 parts.append(reference.mean(times, parameters.delay, self.timestep))
             else:
                 parts.append(reference.sample(times, parameters.delay))
-        return np.concatenate(parts)
+        control = np.concatenate(parts)
+        if parameters.compensation.any():
+            torque = np.stack([self._gravity(w, grid) for w in self.windows])[:, None]  # (windows, 1, steps, n)
+            share = (parameters.compensation / parameters.stiffness)[:, None]
+            control += (share * torque).reshape(control.shape)
+        return control
+
+    def _gravity(self, window: Window, grid: Array) -> Array:
+        """Gravity torques (steps, n) [N m] at the commands of a window."""
+        log = self._log(window)
+        time, columns = log.time[window.first] + grid, log.command.T
+        return gravity_torque(self.arm, np.stack([np.interp(time, log.time, column) for column in columns], axis=1))
 
     def _references(self, parameters: TwinParameters) -> Mapping[int, ServoReference | Profile]:
         shown = {w.log: self.logs[w.log] for w in self.windows}
@@ -230,9 +243,9 @@ def spans_off(log: RunLog) -> list[tuple[float, float]]:
 
 
 def powered(logs: Sequence[RunLog]) -> list[RunLog]:
-    """Cut logs at spans without torque."""
+    """Cut logs at spans without torque; joints that never answer get their position as command."""
     found = []
-    for log in logs:
+    for log in map(answered, logs):
         since, spans = log.time - log.time[0], spans_off(log)
         on = ~np.any([(since >= first) & (since <= last) for first, last in spans], axis=0) if spans else since >= 0.0
         edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]]).astype(int)))

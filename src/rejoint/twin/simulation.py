@@ -102,7 +102,7 @@ class Simulation:
         """(N,) [s]"""
         self.measured = np.zeros((count, n))
         """(N, n) [rad] newest readings, in encoder steps"""
-        self._friction = np.ones((len(DRY) + 1, count, n))
+        self._friction, self._feed = np.ones((len(DRY) + 1, count, n)), np.zeros((count, n))
 
     def place(self, draw: Draw, position: Array, command: Array, where: Mask | None = None) -> None:
         """Put the arms of ``draw`` (m,) in ``where`` (N,), default: all, at time 0.
@@ -117,6 +117,7 @@ class Simulation:
         self.reference.restart(where, command, speed=draw.twin.ramp_speed, acceleration=draw.acceleration)
         self.backlash.renew(draw.twin, draw.backlash, draw.grease, where)
         self._friction[:, where] = friction_terms(draw.twin, draw.stiction)
+        self._feed[where] = draw.twin.compensation / draw.twin.stiffness
         self.time[where] = 0.0
         self.measured[where] = self._quantised(position)
 
@@ -136,6 +137,8 @@ class Simulation:
         self.twins.set_timestep(step)
         starts = self.time[:, None] + step[:, None] * np.arange(self.substeps)
         references = self.reference.follow(self.latency, starts, step)
+        if self._feed.any():
+            references = references + self._feed[:, None] * gravity_torque(self.arm, references)
         passed = self.rollout(references if offset is None else references + offset[:, None])
         self.latency.record(starts + step[:, None], passed)
         self.time = self.time + period
@@ -164,6 +167,7 @@ class Simulation:
             "time": self.time,
             "measured": self.measured,
             "friction": self._friction,
+            "feed": self._feed,
             **{f"latency.{name}": value for name, value in self.latency.state().items()},
             **{f"reference.{name}": value for name, value in self.reference.state().items()},
             **{f"backlash.{name}": value for name, value in self.backlash.state().items()},
@@ -203,7 +207,8 @@ class TwinRobot:
         self._rng, self._address = np.random.default_rng(seed), address
         self.simulation = Simulation(arm, count)
         position = np.tile(arm.rest if posture is None else posture, (count, 1))
-        held = draw.gravity_scale[:, None] * gravity_torque(arm, position) / draw.twin.stiffness - draw.twin.offset
+        held = gravity_torque(arm, position) / draw.twin.stiffness
+        held = (draw.gravity_scale[:, None] - draw.twin.compensation) * held - draw.twin.offset
         self.simulation.place(draw, position, position + held)
 
     @property

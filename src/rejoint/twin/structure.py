@@ -11,9 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rejoint.arms import Array
+from rejoint.arms import Arm, Array
+from rejoint.diagnosis.measurement import sag
+from rejoint.diagnosis.segments import join_logs
+from rejoint.logs.exclusions import Exclusions
+from rejoint.logs.runlog import RunLog
 from rejoint.twin.fit import SCALES, Problem, fit, line_up, loss, search
-from rejoint.twin.parameters import Layout, Prior, number
+from rejoint.twin.parameters import Layout, Prior, is_hobby, number
 from rejoint.twin.replay import Window
 
 STICTIONS = (1.25, 1.0, 1.5, 2.0)
@@ -35,6 +39,9 @@ GAIN = 0.02
 """Least first gain of a limit; chosen"""
 LIMIT_GAIN = 0.15
 """Relative gain of a limit; chosen: a wrong one gains 6 %"""
+
+LEAST_FED = 0.05
+"""Least share of gravity fed forward where a sag tells no stiffness; chosen"""
 
 FINEST = 1.05
 """Factor between the last accelerations tried; chosen"""
@@ -79,6 +86,23 @@ class Found:
     """(k,)"""
 
 
+def decide_compensation(belief: Prior, arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]) -> Prior:
+    """Assume gravity fed forward at joints whose sag does not tell their stiffness, but for hobby servos.
+
+    Their sag then is that of the prior's stiffness. Gravity that no sag follows is in the sigma of the others.
+    """
+    if is_hobby(arm):
+        return belief
+    data, mean, layout = join_logs(arm, logs, excluded), belief.mean.copy(), Layout(arm.joints)
+    sigma, fed = belief.sigma.copy(), layout.at("compensation")
+    stiffness, share = np.exp(mean[layout.at("stiffness")]), mean[fed]
+    for joint in range(arm.joints):
+        softness, doubt = sag(data, joint)
+        share[joint] = np.clip(1.0 - softness * stiffness[joint], LEAST_FED, 1.0) if doubt is None else 0.0
+        sigma[fed][joint] = doubt or sigma[fed][joint]
+    return replace(belief, mean=mean, sigma=sigma)
+
+
 def simplest(belief: Prior, stiction: float, acceleration: float = np.inf) -> Structure:
     """Structure without limits but a known ``acceleration`` [rad/s^2]."""
     return Structure(prior=_without_limits(belief, LIMITS), frozen=LIMITS, stiction=stiction, acceleration=acceleration)
@@ -92,7 +116,7 @@ def rough_fit(problem: Problem) -> Array:
     if _ratio(_losses(problem, x), no_twin) < NEAR:
         return x
     rng = np.random.default_rng(0)
-    drawn = belief.mean + belief.sigma * rng.standard_normal((STARTS, len(belief.mean)))
+    drawn = belief.mean + belief.sigma * problem.layout.normal(rng, STARTS)
     starts = np.where(problem.frozen, belief.mean, drawn)
     starts[0] = x
     y = search(problem, np.clip(starts, belief.lower, belief.upper), rng, rounds=2)
@@ -239,7 +263,8 @@ def _with_limit(problem: Problem, x: Array, limit: str) -> tuple[Array, Array]:
 def _drive_torque(problem: Problem, x: Array) -> Array:
     """(n,) [N m] torques without limit, exceeded in one row of 200."""
     lead = np.concatenate(problem.replay.commands()) - problem.measured
-    return np.asarray(np.quantile(np.abs(np.exp(x[problem.layout.at("stiffness")]) * lead), 0.995, axis=0))
+    drive = np.exp(x[problem.layout.at("stiffness")]) * np.maximum(np.abs(lead), problem.floor)
+    return np.asarray(np.quantile(drive, 0.995, axis=0))
 
 
 def _without_limits(belief: Prior, names: Sequence[str]) -> Prior:

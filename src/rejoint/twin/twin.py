@@ -40,9 +40,9 @@ class HeldOut:
     """[s]"""
     no_twin: PredictionError
     """the command as prediction"""
-    healthy_twin: PredictionError
-    """an arm of this build without wear"""
     twin: PredictionError
+    healthy_twin: PredictionError | None = None
+    """an arm of this build without wear; None where its servos are unknown"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -147,7 +147,8 @@ class Twin:
     @property
     def unknown(self) -> tuple[str, ...]:
         """Parameters that keep their prior range."""
-        return tuple(name for name, known in zip(self.names, self.identified, strict=True) if not known)
+        known = self.identified | ~Layout(len(self.joint_names)).is_fitted
+        return tuple(name for name, told in zip(self.names, known, strict=True) if not told)
 
     def sample(self, rng: np.random.Generator, count: int, least_spread: float = LEAST_SPREAD) -> TwinParameters:
         """Draw ``count`` twins from the covariance, within the physical bounds.

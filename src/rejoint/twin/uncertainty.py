@@ -59,6 +59,7 @@ def uncertainty(problem: Problem, fit: Fit, clusters: NDArray[np.integer]) -> Un
     jacobian = _steadied(problem, fit, jacobian, covariance)
     curvatures, scores = _by_cluster(problem, fit, residual, jacobian, clusters)
     covariance = jackknife(prior, curvatures, scores) + _resolution(problem, fit.vector)
+    covariance += _fed_forward(problem, fit.vector)
     covariance += mass_covariance(problem, fit, residual, jacobian, curvatures.sum(axis=0) + prior.precision)
     narrowing = np.sqrt(np.diag(covariance)) / prior.sigma
     identified = (narrowing < IDENTIFIED) & ~fit.at_bound & ~problem.frozen
@@ -70,6 +71,14 @@ def _resolution(problem: Problem, x: Array) -> Array:
     up, down = problem.rescaled(x, (np.exp(0.5 * SCALE_STEP), np.exp(-0.5 * SCALE_STEP)))
     step = (up - down) / NORMAL95
     return np.outer(step, step) * (problem.owner[:, None] == problem.owner)
+
+
+def _fed_forward(problem: Problem, x: Array) -> Array:
+    """Covariance (k, k) of each joint's common scale: the gravity's, or the prior's where the sag does not tell it."""
+    at, owner, sigma = problem.layout.at, problem.owner, problem.prior.sigma
+    scale = np.where(x[at("compensation")] > 0.0, sigma[at("stiffness")], sigma[at("compensation")])
+    step = np.where(problem.layout.is_scaled, scale[owner], 0.0)
+    return np.outer(step, step) * (owner[:, None] == owner)
 
 
 def jackknife(prior: Prior, curvatures: Array, scores: Array) -> Array:

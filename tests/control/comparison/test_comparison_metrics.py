@@ -159,9 +159,12 @@ def test_drawn_targets_are_inside_and_sets_do_not_depend_on_their_number():
         draw_targets(ARM, sets=0)
 
 
-def test_targets_from_a_file_are_metres(tmp_path):
+@pytest.mark.parametrize(
+    "text", ["\ufeffX, Y ,z\n150,0,200\n\n130,-100,150.5\n", "x_m;y [mm];z\n0,15;0;200\n0,13;-100;150,5\n"]
+)
+def test_targets_from_a_file_are_metres(tmp_path, text):
     path = tmp_path / "targets.csv"
-    path.write_text("\ufeffX, Y ,z\n150,0,200\n\n130,-100,150.5\n", encoding="utf-8")
+    path.write_text(text, encoding="utf-8")
     np.testing.assert_allclose(read_targets(path, ARM)[0], [[0.15, 0.0, 0.2], [0.13, -0.1, 0.1505]])
 
 

@@ -1,10 +1,9 @@
 """Which fit to trust: the answer follows from the numbers, and the figures show them."""
 
 import numpy as np
-import pytest
 
 from rejoint.pages.report.page import CAVEAT, write_replay
-from rejoint.pages.report.tables import answer, gap, scores
+from rejoint.pages.report.tables import answer
 from rejoint.system.files import read_json
 from rejoint.twin.judgement import (
     NO_TWIN,
@@ -13,6 +12,7 @@ from rejoint.twin.judgement import (
     MotionErrors,
     PredictionError,
     Trace,
+    smaller,
 )
 
 JOINTS = tuple(f"joint{i}" for i in range(1, 7))
@@ -76,11 +76,9 @@ def test_what_differs_no_more_than_by_chance_is_said():
     close = CLEAR | {"rival": [2.5, 2.0, 1.8, 1.9]}
     lines = answer(judgement_of(close))
     assert any(line == "“rival” is not measurably worse in these motions." for line in lines)
-    found = {score.name: score for score in scores(judgement_of(close))}
-    apart = gap(found["fitted twin"], found["rival"])
-    assert apart.low < np.mean([0.5, -1.0, 0.8, -0.1]) == pytest.approx(apart.value)
-    assert apart.high > 0.0
-    assert gap(found["fitted twin"], found["healthy twin"]).low > 12.0
+    assert not smaller(np.array(close["fitted twin"]), np.array(close["rival"]))
+    assert smaller(np.array(close["fitted twin"]), np.array(close["healthy twin"]))
+    assert not any("not measurably" in line for line in answer(judgement_of({k: v[:2] for k, v in CLEAR.items()})))
 
 
 def test_a_twin_that_is_worse_than_none_is_not_trusted():

@@ -227,16 +227,13 @@ def _spline(time: Array, values: Array) -> CubicSpline:
 
 def read_path(file: FilePath) -> Path:
     """Read a CSV file ``time,x,y,z`` [s, mm], perhaps with orientations; FileError."""
-    try:
-        lines = read_poses(file, _MOST, _HEADER)
-    except FileNotFoundError as error:
-        raise FileError(
-            file, "no such file, and no standard path", "standard are circle-8s, random-0.2hz and the like"
-        ) from error
-    if len(lines) < 2:
-        found = "one point" if lines else "no point"
+    if not file.exists():
+        remedy = "standard are circle-8s, random-0.2hz and the like"
+        raise FileError(file, "no such file, and no standard path", remedy)
+    _, time, poses = read_poses(file, _MOST, _HEADER)
+    if len(poses) < 2:
+        found = "one point" if poses else "no point"
         raise FileError(file, f"{found} below the header, at least two were expected", "add lines")
-    time, poses = np.array([float(cells[0]) for _, cells, _ in lines]), [pose for *_, pose in lines]
     try:
         return _through(time, poses, file.stem)
     except InputError as error:

@@ -28,14 +28,10 @@ from rejoint.diagnosis.calibration.measurements import NOISE, Measurements, Meas
 from rejoint.logs.runlog import AXES, read_parquet
 from rejoint.system.errors import FileError, InputError, first_line
 from rejoint.system.files import CHANGED, MEGABYTE, require_file, write_whole
-from rejoint.system.textfile import Sheet, read_sheet, split_unit
+from rejoint.system.textfile import ANGLES, LENGTHS, Sheet, read_sheet, split_unit
 
 SHEET_MOST = 4 * MEGABYTE
 """Largest CSV file; chosen: ten thousand rows"""
-ANGLES = {"deg": np.pi / 180.0, "rad": 1.0}
-"""[rad] units of angles"""
-LENGTHS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 25.4e-3}
-"""[m] units of lengths"""
 COUNT = {"": 1.0}
 
 _ROOT = re.compile(r"[^a-z0-9]")
@@ -101,7 +97,6 @@ def read_columns(path: Path, meanings: Mapping[str, Units | None], needed: Colle
     if missing := [_titled(name, meanings[name]) for name in needed if name not in places]:
         wanted = ", ".join(_titled(name, meanings[name]) for name in needed)
         raise FileError(path, f"columns {sheet.shown}; missing: {', '.join(missing)}", f"name them {wanted}")
-    sheet.commas([column for name, (column, _) in places.items() if meanings[name] is not None])  # all have one sign
     return Columns(sheet=sheet, places=places)
 
 

@@ -13,8 +13,8 @@ from rejoint.arms import Array
 from rejoint.control.comparison.result import Comparison, ControllerRow, Protocol
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.pages.words import MM, NEVER, UNKNOWN, Cell, interval, listed, measured, number, plural, spread
-from rejoint.system.statistics import NORMAL95, Estimate, Spread, above_zero, bootstrap_mean
-from rejoint.twin.judgement import NO_TWIN, Judgement, PredictionError
+from rejoint.system.statistics import NORMAL95, Estimate, Spread, bootstrap_mean
+from rejoint.twin.judgement import FEWEST, NO_TWIN, Judgement, PredictionError, smaller
 
 DEG = float(np.degrees(1.0))
 
@@ -180,10 +180,6 @@ QUANTITIES = (
 )
 
 
-FEWEST = 3
-"""Motions for an interval (chosen)"""
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Score:
     """A prediction over all motions."""
@@ -227,13 +223,6 @@ def answer(judgement: Judgement) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def gap(one: Score, other: Score) -> Estimate | None:
-    """Mean difference of errors in free space [mm], paired by motion, with interval."""
-    difference = other.free_mm - one.free_mm
-    known = difference[np.isfinite(difference)]
-    return bootstrap_mean(known, np.arange(len(known)), fewest=FEWEST) if len(known) >= FEWEST else None
-
-
 def _free(judgement: Judgement, found: tuple[Score, ...]) -> list[str]:
     known = [(score, mean) for score in found if (mean := score.mean("free")) is not None]
     if not known:
@@ -257,7 +246,8 @@ def _free(judgement: Judgement, found: tuple[Score, ...]) -> list[str]:
             f"Trust none of them: the command alone predicts better, within {number(mean.value, 3, 'mm')} ({motions})."
         ]
     lines.append(f"The others: {rest}.")
-    close = [score.name for score, _ in others if (apart := gap(best, score)) is None or not above_zero(apart)]
+    both = [(score, np.isfinite(best.free_mm + score.free_mm)) for score, _ in others]
+    close = [score.name for score, rows in both if not smaller(best.free_mm[rows], score.free_mm[rows])]
     if close:
         names = listed([f"“{name}”" for name in close], "and")
         lines.append(f"{names} {'is' if len(close) == 1 else 'are'} not measurably worse in these motions.")

@@ -35,7 +35,6 @@ from scservo_sdk import (
 from rejoint.arms import Arm, Array
 from rejoint.logs.homing import read_homing
 from rejoint.logs.joints import COUNTS_PER_TURN, match_joints
-from rejoint.logs.options import ImportOptions
 from rejoint.robots.bus import Reading
 from rejoint.robots.family import SerialAddress, TcpAddress
 from rejoint.robots.feetech.gains import DutyLaw
@@ -235,7 +234,7 @@ class Zeros:
 def read_calibration(path: Path, arm: Arm) -> MotorRanges:
     """Read LeRobot's calibration of ``arm``; FileError, InputError for its numbers."""
     motors = read_homing(path)
-    columns = match_joints(list(motors), arm, ImportOptions(), path, "calibration").columns
+    columns = match_joints(list(motors), arm, path, "calibration").columns
     joints = [list(motors.values())[column] for column in columns]
     try:
         numbers = {

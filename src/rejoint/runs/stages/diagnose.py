@@ -134,7 +134,7 @@ def diagnose(
             noted(),
             ArmSession(robot, run=about, arm=built, settings=chosen, observer=observer) as session,
         ):
-            reference = _reference(built, healthy)
+            reference = _reference(built, healthy, address_of(robot))
             with session.metered("diagnose") as driven:
                 if healthy is None:
                     reference = _as_set(driven, reference)
@@ -221,12 +221,12 @@ def _from_logs(
     return found
 
 
-def _reference(arm: Arm, healthy: RunLike | Diagnosis | None) -> HealthyReference | None:
+def _reference(arm: Arm, healthy: RunLike | Diagnosis | None, robot: str = "") -> HealthyReference | None:
     from rejoint.diagnosis.diagnosis import Diagnosis
     from rejoint.diagnosis.healthy import healthy_reference, reference_by
 
     if healthy is None:
-        return healthy_reference(arm)
+        return healthy_reference(arm, robot)
     if isinstance(healthy, Run):
         healthy = healthy.path
     if not isinstance(healthy, Diagnosis):

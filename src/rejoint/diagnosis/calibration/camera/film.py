@@ -20,9 +20,10 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.arms.camera.board import Board, BoardView
 from rejoint.arms.camera.views import KINDS, Detector, Unusable, read_picture
-from rejoint.diagnosis.calibration.measurementfile import ANGLES, COUNT, read_columns, read_table, write_table
+from rejoint.diagnosis.calibration.measurementfile import COUNT, read_columns, read_table, write_table
 from rejoint.system.errors import FileError, InputError, first_line
 from rejoint.system.files import write_whole
+from rejoint.system.textfile import ANGLES
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
