@@ -13,6 +13,7 @@ import pytest
 import rejoint
 from hearing import Hears
 from rejoint.arms import Array, Box, clearances, mycobot280, plan, tcp_position
+from rejoint.control.correction import Apparent
 from rejoint.control.posture import Wanted
 from rejoint.control.recording import Cycle
 from rejoint.control.robot import JointState
@@ -269,7 +270,7 @@ def test_an_arm_that_has_come_to_rest_does_not_swing_when_it_is_pushed_away() ->
 
 
 def test_a_stream_of_a_hand_that_rests_and_jitters_comes_to_rest() -> None:
-    stream, rng, at = GoalStream(ARM), np.random.default_rng(0), ARM.rest
+    stream, rng, at = GoalStream(Apparent(arm=ARM)), np.random.default_rng(0), ARM.rest
     for now in np.arange(0.0, 3.0, 0.02):
         stream.goal = ARM.rest + np.radians(10.0 + rng.uniform(-0.1, 0.1, 6))
         wanted = stream.advance(_read(now, at))

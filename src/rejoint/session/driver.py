@@ -15,7 +15,7 @@ from rejoint.arms import Arm, Array, tcp_position
 from rejoint.arms.rotations import Orientation
 from rejoint.control.contract import check_controller_period
 from rejoint.control.controller import ControlInput, Controller, heeds_turn
-from rejoint.control.correction import Modelled
+from rejoint.control.correction import Apparent, Modelled
 from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import Schedule, follow, run
@@ -168,6 +168,11 @@ class ArmDriver:
     def correction(self) -> Modelled | None:
         """Corrects where the tool is sent by the calibration."""
         return corrected_by(self.calibration, self.arm)
+
+    @property
+    def apparent(self) -> Apparent:
+        """Postures of a perfect arm with the tool in the same place, by the calibration."""
+        return Apparent(arm=self.arm, shift=None if self.correction is None else self.correction.shift)
 
     @property
     def controller(self) -> str:

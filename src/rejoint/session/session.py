@@ -227,7 +227,8 @@ class ArmSession(ArmDriver):
     def send_joints(self, joints_rad: ArrayLike) -> Array:
         """Send joint positions (n,) [rad] of a stream.
 
-        Return (n,) what is sent of them, inside limits and clear of contacts.
+        Return (n,) what is sent of them, inside limits and clear of contacts. With a calibration they are those of a
+        perfect arm: the tool goes where its tool would be.
 
         The arm follows in its own thread, and rests where the stream stops; the next call raises what ended it.
         InputError for a wrong number, or degrees.
@@ -235,12 +236,20 @@ class ArmSession(ArmDriver):
         goal = np.clip(self._joints("send_joints", joints_rad), self.arm.lower, self.arm.upper)
         with self._asking:
             goals = self._stream()
-            last = goals.goal if goals.goal is not None else self.state.joints_rad
-            if not self._clear(goal):
+            last = goals.goal if goals.goal is not None else self.shown_joints()
+            if not self._clear(goals.measured(goal)):
                 way = last + _SHARES * (goal - last)
-                goal = way[int(np.argmax([self._clear(one) for one in way[:-1]] + [True]))]
+                goal = way[int(np.argmax([self._clear(goals.measured(one)) for one in way[:-1]] + [True]))]
             goals.goal = goal
             return goal.copy()
+
+    def shown_joints(self) -> Array:
+        """Return the joint positions (n,) [rad] of a perfect arm with its tool where this one's is.
+
+        They are those of `send_joints`, and measured ones without a calibration.
+        """
+        position = self.state.joints_rad
+        return self.apparent.shown(position, position) if self._goals is None else self._goals.shown(position)
 
     def hold(self) -> None:
         """Hold the arm until the next order; raises what ended the hold."""
@@ -252,7 +261,7 @@ class ArmSession(ArmDriver):
         if self._goals is not None and self._motion is not None and self._motion.under_way:
             return self._goals
         self._require_free()
-        goals = GoalStream(self.arm)
+        goals = GoalStream(self.apparent)
 
         def work(motion: ArmMotion) -> None:
             self.begin(rest=False)
