@@ -17,7 +17,7 @@ from rejoint.control.correction import Apparent
 from rejoint.control.posture import Wanted
 from rejoint.control.recording import Cycle
 from rejoint.control.robot import JointState
-from rejoint.control.unloading import PlannedWay, UnloadedWay
+from rejoint.control.unloading import PlannedWay, UnloadedWay, Unloading
 from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.runs.run import Run
 from rejoint.session.motions import GoalStream
@@ -263,7 +263,7 @@ def test_an_arm_that_has_come_to_rest_does_not_swing_when_it_is_pushed_away() ->
         def advance(self, state: JointState) -> Wanted:  # noqa: ARG002
             return Wanted(posture=ARM.rest[None], arrived=np.ones(1, dtype=bool))
 
-    way = UnloadedWay(Stays(), ARM)
+    way = UnloadedWay(Stays(), Unloading(ARM))
     for now in np.arange(0.0, 6.0, 0.05):
         wanted = way.advance(_read(now, ARM.rest + (0.2 if now > 2.0 else 0.0)))
         np.testing.assert_array_equal(wanted.posture[0], ARM.rest)

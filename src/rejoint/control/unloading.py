@@ -21,6 +21,8 @@ from rejoint.system.errors import InputError
 
 OFF, STANDS = float(np.radians(3.0)), 0.5
 """[rad] from its goal, and [s] without moving, from which a joint counts as stuck (chosen)"""
+PUSHED = 5.0
+"""[s] without moving from which a joint counts as stuck that is nearer: until then it is pushed (chosen)"""
 STILL = float(np.radians(0.5))
 """[rad] within which a joint stands (chosen)"""
 TRIES = 4
@@ -46,27 +48,29 @@ class PlannedWay:
 class UnloadedWay:
     """Any way of one arm, whose stuck joints are brought to its goals."""
 
-    def __init__(
-        self, way: PostureWay, arm: Arm, motors: Motors | None = None, say: Callable[[str], object] = lambda _: None
-    ) -> None:
+    def __init__(self, way: PostureWay, unloading: Unloading, say: Callable[[str], object] = lambda _: None) -> None:
         """``say`` receives which joint stays off its goal, and by how much."""
-        self._way, self._unloading, self._say, self._said = way, Unloading(arm, motors), say, ""
+        self._way, self._unloading, self._say, self._since, self._said = way, unloading, say, np.inf, False
 
     def advance(self, state: JointState) -> Wanted:
         """Return where the arm is to be."""
         wanted = self._unloading.advance(state, self._way.advance(state))
         short = self._unloading.short(state.position[0]) if self._unloading.given_up and wanted.arrived[0] else ""
-        if short and not self._said:
+        now = float(state.time[0])
+        self._since = min(self._since, now) if short else np.inf  # a joint that is still pushed may come
+        lasts = now - self._since > PUSHED
+        if lasts and not self._said:
             self._say(f"{short}.")
-        self._said = short
+        self._said = lasts
         return wanted
 
 
 class Unloading:
     """Brings stuck joints of one arm of the ``motors`` to the goals of any way."""
 
-    def __init__(self, arm: Arm, motors: Motors | None = None) -> None:
-        self._arm, self._motors = arm, motors
+    def __init__(self, arm: Arm, motors: Motors | None = None, off: float = OFF) -> None:
+        """``off`` [rad]: from its goal, at least `STILL`, where a joint counts as stuck."""
+        self._arm, self._motors, self._least = arm, motors, max(off, STILL)
         self._goal = np.full(arm.joints, np.nan)
         self._tries = 0
         self._legs: deque[JointTrajectory] = deque()
@@ -105,7 +109,8 @@ class Unloading:
             if now - self._arrived > 2.0 * STANDS:  # there: who pushes the arm away later does not make it swing
                 self._tries = TRIES
             return wanted
-        if now - max(self._arrived, self._stood[joint]) > STANDS:
+        far = abs(goal[joint] - position[joint]) > OFF
+        if now - max(self._arrived, self._stood[joint]) > (STANDS if far else PUSHED):
             self._tries += 1
             self._legs.extend(unloaded_way(self._arm, position, goal, joint, self._motors))
             if not self._legs:
@@ -122,7 +127,7 @@ class Unloading:
         """Return the joint that is farthest off its goal; None where all are near."""
         away = np.abs(goal - position)
         joint = int(away.argmax())
-        return joint if away[joint] > OFF else None
+        return joint if away[joint] > self._least else None
 
     def _on_legs(self, state: JointState) -> Wanted:
         assert self._way is not None  # noqa: S101 - for the type checker

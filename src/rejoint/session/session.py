@@ -21,7 +21,7 @@ from rejoint.control.posture import PostureController, PostureGains, PostureWay
 from rejoint.control.recording import PIECE, Cycle, cycle_at_rest
 from rejoint.control.robot import JointState
 from rejoint.control.targets import Pose, placed
-from rejoint.control.unloading import PlannedWay, UnloadedWay
+from rejoint.control.unloading import OFF, PlannedWay, UnloadedWay, Unloading
 from rejoint.runs.run import Run, exclusive
 from rejoint.session.context import guard_limits
 from rejoint.session.driver import ArmDriver
@@ -211,7 +211,7 @@ class ArmSession(ArmDriver):
 
         def work(motion: ArmMotion) -> None:
             self.begin(rest=False)
-            controller = self._joint_controller(PlannedWay(self.arm, way))
+            controller = self._joint_controller(PlannedWay(self.arm, way), min(within, OFF))
             self.recorder.begin(self.robot, "joints", f"joints/{controller.name}")
             arrival = GoalCheck(motion, self.arm, np.inf, within)
             self.drive(controller, Schedule(dwell=timeout, give_up=arrival.at_joints(goal)))
@@ -219,9 +219,9 @@ class ArmSession(ArmDriver):
 
         return self._start(ArmMotion("its joint positions", work), wait=wait)
 
-    def _joint_controller(self, way: PostureWay) -> PostureController:
-        """Return what brings every joint where a way says, over other postures where one sticks."""
-        unloaded = UnloadedWay(way, self.arm, self.motors, self.observer.message)
+    def _joint_controller(self, way: PostureWay, off: float = OFF) -> PostureController:
+        """Return what brings every joint where a way says, over other postures where one stays ``off`` [rad]."""
+        unloaded = UnloadedWay(way, Unloading(self.arm, self.motors, off), self.observer.message)
         return self.posture_controller(unloaded, EVERY_JOINT)
 
     def send_joints(self, joints_rad: ArrayLike) -> Array:
