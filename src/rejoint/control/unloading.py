@@ -27,7 +27,10 @@ STILL = float(np.radians(0.5))
 """[rad] within which a joint stands (chosen)"""
 TRIES = 4
 """Postures that are tried for one goal (chosen)"""
+EASIER = 0.2
+"""Share by which the motor of a joint lifts less in each further try (chosen)"""
 _SHARES, _PLANNED, _TRAVEL = (0.3, 0.6, 1.0), 6, 0.15  # of ways to stored postures; what a radian counts
+_STARTS = 5.0  # what a load counts that the motor does not surely lift
 
 
 class PlannedWay:
@@ -112,7 +115,7 @@ class Unloading:
         far = abs(goal[joint] - position[joint]) > OFF
         if now - max(self._arrived, self._stood[joint]) > (STANDS if far else PUSHED):
             self._tries += 1
-            self._legs.extend(unloaded_way(self._arm, position, goal, joint, self._motors))
+            self._legs.extend(unloaded_way(self._arm, position, goal, joint, self._motors, 1.0 - EASIER * self._tries))
             if not self._legs:
                 self._tries = TRIES
                 return wanted
@@ -142,18 +145,22 @@ class Unloading:
 
 
 def unloaded_way(
-    arm: Arm, position: Array, goal: Array, joint: int, motors: Motors | None = None
+    arm: Arm, position: Array, goal: Array, joint: int, motors: Motors | None = None, share: float = 1.0
 ) -> tuple[JointTrajectory, ...]:
     """Plan a way from ``position`` to ``goal`` (n,) [rad] on which ``joint`` moves where its load helps it.
+
+    Its motor lifts at most a ``share`` of what the ``motors`` say, where that is possible.
 
     Three trajectories: the others go there, the joint moves, the others go to the goal. One where the straight way was
     blocked; none where none is clear.
     """
-    with contextlib.suppress(InputError):
-        straight = plan(arm, position, goal)
-        if len(straight.moves) > 1:  # something was in the way
-            return (straight,)
     pool, sense = pool_of(arm), np.sign(goal[joint] - position[joint])
+    load = sense * gravity_torque(arm, position)[joint]
+    if motors is None or load < motors.usable[joint]:
+        with contextlib.suppress(InputError):
+            straight = plan(arm, position, goal)
+            if len(straight.moves) > 1:  # something was in the way
+                return (straight,)
     stored = pool.posture[:: max(1, len(pool.posture) // 1500)]
     tried = np.concatenate([position + share * (stored - position) for share in _SHARES])
     tried[:, joint] = position[joint]
@@ -164,6 +171,8 @@ def unloaded_way(
         return ()
     loads = np.stack([gravity_torque(arm, tried), gravity_torque(arm, there)])
     against = sense * loads[0, :, joint] / scale[joint]
+    if motors is not None:
+        against += _STARTS * np.maximum((sense * loads[..., joint]).max(axis=0) / motors.usable[joint] - share, 0.0)
     others = np.delete(np.abs(loads) / (scale if motors is None else motors.usable), joint, axis=2)
     heavy = np.maximum(others.max(axis=(0, 2)) - 1.0, 0.0)
     cost = against + heavy + _TRAVEL * (np.abs(tried - position).max(axis=1) + np.abs(goal - there).max(axis=1))
