@@ -10,7 +10,7 @@ import numpy as np
 from rejoint.arms import Arm, Array, tcp_position
 from rejoint.control.controller import ControlInput, turned_off
 from rejoint.control.correction import Apparent
-from rejoint.control.posture import Wanted
+from rejoint.control.reference import Reference, Setpoint
 from rejoint.control.robot import JointState, Mask
 from rejoint.system.errors import NotReachedError
 
@@ -102,7 +102,7 @@ class GoalCheck:
         return np.array([self._reached or self._motion.ended.is_set()])
 
 
-class GoalStream:
+class GoalStream(Reference):
     """Goes to the newest joint goal at full speed; rests after `RESTS` without a new one.
 
     Goals are those of a perfect arm, and the arm goes where its tool is in the same place.
@@ -124,7 +124,7 @@ class GoalStream:
         """Return the posture (n,) [rad] of a perfect arm for this one at ``position`` (n,) [rad]."""
         return self._apparent.shown(position, self._came if len(self._came) else position)
 
-    def advance(self, state: JointState) -> Wanted:
+    def advance(self, state: JointState, since: Array, /) -> Setpoint:  # noqa: ARG002 - it goes by its own clock
         """Return where the arm is to be: at first, where it is."""
         now, goal = float(state.time[0]), self.goal
         if not len(self._posture):
@@ -133,7 +133,7 @@ class GoalStream:
         elapsed, self._time = max(now - self._time, 0.0), now
         rested = now - self._changed > RESTS
         if goal is None:
-            return Wanted(posture=self._posture[None], arrived=np.ones(1, dtype=bool))
+            return Setpoint(self._posture[None])
         if not np.abs(goal - self._mean).max() < JITTER:
             self._came = self._posture if rested else self._came
             self._mean, self._changed, rested = goal, now, False
@@ -143,9 +143,4 @@ class GoalStream:
         reach = self._speed * elapsed
         self._posture = self._posture + np.clip(aim - self._posture, -reach, reach)
         arrived = rested and bool((self._posture == aim).all())
-        return Wanted(posture=self._posture[None], arrived=np.array([arrived]))
-
-
-def in_mm(point: Array) -> str:
-    """Return a place (3,) [m] in words."""
-    return f"({', '.join(f'{1e3 * value:.0f}' for value in point)}) mm"
+        return Setpoint(self._posture[None], arrived=np.array([arrived]))
