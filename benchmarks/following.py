@@ -188,7 +188,7 @@ def diagnosed(wears: list[Wear], wire: str, seed: int) -> Diagnosed:
         return np.array([np.broadcast_to(getattr(servos, name), ARM.joints) for servos in found])
 
     servos = Knowledge(gain=stacked("gain"), offset=stacked("offset"), within=stacked("within"), noise=stacked("noise"))
-    fields = ("slope", "offset", "reach", "width")
+    fields = ("slope", "offset", "reach", "width", "lifted")
     return Diagnosed(servos, Bands(**{name: np.array([getattr(one, name) for one in bands]) for name in fields}))
 
 

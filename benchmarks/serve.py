@@ -33,9 +33,10 @@ import numpy as np
 import typer
 
 import rejoint
-from rejoint.arms import Array, mycobot280, tcp_pose, tcp_position
+from rejoint.arms import Array, mycobot280, tcp_pose
 from rejoint.arms.rotations import to_coords
-from rejoint.arms.wire.values import Frame, encode, pack_angles
+from rejoint.arms.wire.orders import answer, flag
+from rejoint.arms.wire.values import Frame, encode, pack_angles, pack_coords
 from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.robots import open_robot
 from rejoint.robots.lab.emulator import Timing, build_firmware, serve_tcp
@@ -50,8 +51,6 @@ LONGEST = 40.0
 ABUSE = 60.0
 """[s] of it; ten minutes by `--abuse 600`"""
 READS = 400
-RESTS = 20.0
-"""[s] for which a hand that leads the arm joint by joint keeps its posture"""
 REACH = 281.0
 """[mm] largest x and y that the client sends (pymycobot 4.0.7)"""
 
@@ -321,17 +320,34 @@ def roam(client: Any, count: int, tool: Callable[[], Array], pace: float = 1.0) 
     return errors
 
 
+def healthy(count: int) -> Array:
+    """Return true tool errors (2, count) [mm] of a healthy arm under the orders of `roam`, in simulated time."""
+    firmware, errors = build_firmware(ARM, "healthy"), np.full((2, count), np.nan)
+    for row, (order, seed) in enumerate(((0x25, 11), (0x22, 12))):
+        for k, posture in enumerate(np.radians(drawn(count, seed))):
+            goal = tcp_pose(ARM, posture)
+            payload = pack_coords(goal) + bytes((SPEED, 0)) if row == 0 else pack_angles(posture) + bytes((SPEED,))
+            reply = answer(firmware, Frame(order, payload))
+            if reply is None or reply.frame.payload != flag(True):
+                firmware.error = 0
+                continue
+            firmware.advance(1.0)
+            while firmware.moving and firmware.time < LONGEST * (row * count + k + 1):
+                firmware.advance(0.1)
+            firmware.advance(0.5)
+            errors[row, k] = 1e3 * np.linalg.norm(np.asarray(firmware.true_tcp) - goal[:3, 3])
+    return errors
+
+
 def anywhere(run: Path, count: int) -> None:
     """Print how far the tools of a healthy arm and of the served worn one are from what a program orders anywhere."""
-    firmware, said = build_firmware(ARM, "healthy"), list[str]()
-    with serve_tcp(firmware, port=0) as emulator, connected(emulator.address) as client:
-        healthy = roam(client, count, lambda: np.asarray(firmware.true_tcp))
+    said = list[str]()
     robot: Any = open_robot("emulated:worn", seed=0)  # in virtual time
     with served(robot, run, said, listen="127.0.0.1:0") as (address, ends), connected(address) as client:
         worn = roam(client, count, lambda: robot.true_tcp()[0], 20.0)
     lines = [json.loads(line) for line in Path(ends[0].log).read_text(encoding="utf-8").splitlines()]
     encoders = np.array([line["error_mm"] for line in lines if line["what"] == "arrival"])
-    for kind, bare, through in zip(("send_coords", "send_angles"), healthy, worn, strict=True):
+    for kind, bare, through in zip(("send_coords", "send_angles"), healthy(count), worn, strict=True):
         both = ~np.isnan(bare) & ~np.isnan(through)
         for name, errors in (("healthy", bare), ("served", through)):
             refused = np.isnan(errors).sum()
@@ -339,25 +355,6 @@ def anywhere(run: Path, count: int) -> None:
         print(f"{kind}: at most 1 mm worse than healthy {(through <= bare + 1.0)[both].sum()} of {both.sum()}")
     print(f"from where it was sent, by the encoders: {np.median(encoders):.2f} mm, largest {encoders.max():.2f}")
     print(*said, sep="\n")
-    streamed = teleoperate(run, count // 2)
-    near = (streamed <= 1.0).sum()
-    print(
-        f"send_joints: {np.median(streamed):.2f} mm, largest {streamed.max():.2f}, {near} of {len(streamed)} within 1"
-    )
-
-
-def teleoperate(run: Path, count: int) -> Array:
-    """Stream the goals of a hand that rests at ``count`` postures; tool errors (count,) [mm] by the encoders."""
-    robot, rng, errors = open_robot("emulated:worn", seed=0), np.random.default_rng(0), []
-    with rejoint.connect(robot, run=run) as arm:
-        for goal in np.radians(drawn(count, 21)):
-            arm.hold()
-            until = arm.state.time_s + RESTS
-            while arm.state.time_s < until:
-                arm.send_joints(goal + np.radians(rng.uniform(-0.1, 0.1, ARM.joints)))
-                time.sleep(0.002)
-            errors.append(1e3 * np.linalg.norm(arm.state.tool_m - tcp_position(ARM, goal)))
-    return np.array(errors)
 
 
 def prepare(run: Path) -> None:

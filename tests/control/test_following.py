@@ -198,6 +198,23 @@ def test_without_load_a_frozen_encoder_that_never_moved_carries_the_tool_no_fart
     assert 0.005 < np.max(reached) < 0.030
 
 
+def test_a_motor_too_weak_for_its_load_is_no_dead_encoder():
+    """It holds the joint and does not raise it, whatever it is sent: only the way back shows that the reading lives."""
+    wear = load_wear("worn?seed=410002", ARM)
+    weak = replace(wear, torque_limit=np.where(np.arange(6) == 1, 0.7, 1.0) * wear.torque_limit)
+    friction = wear.stiction / wear.position_gain
+    bands = Bands(slope=1.0 / wear.position_gain, offset=np.zeros(6), reach=np.full(6, 1.0), width=1.2 * friction)
+    robot = EmulatedRobot(ARM, [weak], seed=1, tells_load=False)
+
+    def down_and_up(time):
+        return REST + np.interp(time, [0.0, 4.0, 8.0], [0.0, 1.0, 0.0])[:, None] * np.radians([0, -40, 0, 0, 0, 0])
+
+    recording = play(robot, down_and_up, 10.0, limits=replace(LIMITS, bands=bands))
+    assert (recording.tripped == 0).all()
+    assert np.count_nonzero(recording.reasons & Reason.GAP) == 1, "doubted once, and then its motor is known"
+    assert np.degrees(recording.command[-1, 0, 1] - recording.position[-1, 0, 1]) > 15.0
+
+
 def swing(time):
     """Two joints to and fro, farther than a monitor of travel would allow."""
     wave = np.radians(14.0) * np.sin(2.0 * np.pi * time / 3.0)

@@ -15,11 +15,12 @@ from benchmarks.serve import ARM, attack, check_log, connected, holds, play, rea
 from rejoint.arms import Motors, gravity_torque, tcp_pose, tcp_position
 from rejoint.arms.wire.computer import COLLISION
 from rejoint.arms.wire.values import Decoder, Frame, encode, pack_angles, pack_coords
+from rejoint.control.correction import Apparent
 from rejoint.control.guard import GuardLimits
 from rejoint.control.robot import JointState
 from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.robots.mycobot import MyCobot280
-from rejoint.robots.serving.served import PATIENCE, Apparent, MoveEnd, ServedArm
+from rejoint.robots.serving.served import PATIENCE, MoveEnd, ServedArm
 from rejoint.robots.serving.server import REFUSED, Answering, OrderLog, Relay, tcp_wire
 from rejoint.runs.run import Run
 from rejoint.session.settings import Settings

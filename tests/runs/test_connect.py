@@ -13,10 +13,11 @@ import pytest
 import rejoint
 from hearing import Hears
 from rejoint.arms import Array, Box, clearances, mycobot280, plan, tcp_position
+from rejoint.control.correction import Apparent
 from rejoint.control.recording import Cycle
 from rejoint.control.reference import Reference, Setpoint
 from rejoint.control.robot import JointState
-from rejoint.control.unloading import PlannedWay, UnloadedWay
+from rejoint.control.unloading import PlannedWay, UnloadedWay, Unloading
 from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.runs.run import Run
 from rejoint.session.motions import GoalStream
@@ -262,14 +263,14 @@ def test_an_arm_that_has_come_to_rest_does_not_swing_when_it_is_pushed_away() ->
         def advance(self, state: JointState, since: np.ndarray, /) -> Setpoint:  # noqa: ARG002
             return Setpoint(ARM.rest[None], arrived=np.ones(1, dtype=bool))
 
-    way = UnloadedWay(Stays(), ARM)
+    way = UnloadedWay(Stays(), Unloading(ARM))
     for now in np.arange(0.0, 6.0, 0.05):
         wanted = way.advance(_read(now, ARM.rest + (0.2 if now > 2.0 else 0.0)), np.array([now]))
         np.testing.assert_array_equal(wanted.goal[0], ARM.rest)
 
 
 def test_a_stream_of_a_hand_that_rests_and_jitters_comes_to_rest() -> None:
-    stream, rng, at = GoalStream(ARM), np.random.default_rng(0), ARM.rest
+    stream, rng, at = GoalStream(Apparent(arm=ARM)), np.random.default_rng(0), ARM.rest
     for now in np.arange(0.0, 3.0, 0.02):
         stream.goal = ARM.rest + np.radians(10.0 + rng.uniform(-0.1, 0.1, 6))
         wanted = stream.advance(_read(now, at), np.array([now]))

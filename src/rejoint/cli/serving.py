@@ -190,7 +190,7 @@ def _obey(arm: ArmSession, gripper: Gripper | None, line: bytes) -> dict[str, An
     if gripper is not None and order.gripper is not None:
         gripper.goal = order.gripper
     opened = None if gripper is None else gripper.opened
-    return {"position": arm.state.joints_rad.tolist(), "goal": taken, "gripper": opened}
+    return {"position": arm.shown_joints().tolist(), "goal": taken, "gripper": opened}
 
 
 def _next(arm: ArmSession, came: bytearray) -> bytes | None:

@@ -5,12 +5,13 @@ Encoder errors count from the corrected target, true errors from the target.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, Displacement, frames, tcp_position
+from rejoint.arms import Arm, Array, Displacement, clip_norm, dls, frames, position_kinematics, tcp_position
 from rejoint.arms.inverse import REST_GAIN
 from rejoint.arms.posing import find_postures
 from rejoint.arms.rotations import Orientation
@@ -209,3 +210,40 @@ def checked(target: Array, aim: Array) -> Array:
             f"calibration: it shifts a target by {1e3 * far:.0f} mm, expected at most {1e3 * MOST:.0f}; calibrate again"
         )
     return aim
+
+
+DAMPING = 0.01
+"""[m] of the inverse kinematics of shown postures (chosen: a fifth of what controllers take)"""
+SHOWN = np.radians(15.0)
+"""[rad] by which a joint is shown elsewhere at most (chosen: what 5 cm take at the wrist)"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Apparent:
+    """The posture of a perfect arm whose tool is where that of ``arm`` really is, and where to send the arm for one."""
+
+    arm: Arm
+    shift: Callable[[Array, Array], Array] | None = None
+    """Shift (3,) [m] of the tool, by position and approach (n,) [rad] each, as `Modelled.shift`; None: no shift"""
+
+    def shown(self, position: Array, came: Array) -> Array:
+        """Posture (n,) [rad] shown where ``position`` (n,) is measured and the arm came from ``came`` (n,)."""
+        if self.shift is None:
+            return position
+        return position + self._turn(position, self.shift(position, came))
+
+    def measured(self, posture: Array, came: Array) -> Array:
+        """Measured position (n,) [rad] at which ``posture`` (n,) is shown."""
+        if self.shift is None:
+            return posture
+        position = posture
+        for _ in range(ROUNDS):
+            position = posture - (self.shown(position, came) - position)
+        return np.clip(position, self.arm.lower, self.arm.upper)
+
+    def _turn(self, position: Array, way: Array) -> Array:
+        """Joint motion (n,) [rad] that takes the tool ``way`` (3,) [m] farther, without turning it where it can."""
+        jacobian = position_kinematics(self.arm, position)[1]
+        turning = np.swapaxes(frames(self.arm, position).axis, -1, -2)
+        both = np.concatenate([jacobian, DAMPING * turning], axis=-2)
+        return clip_norm(dls(both, np.concatenate([way, np.zeros(3)]), 0.1 * DAMPING), SHOWN)

@@ -153,10 +153,10 @@ def _hold(robot: Robot, *, limp: bool = False) -> str:
     return "The arm was stopped and holds its position; nothing was powered off. Look at it before you go on."
 
 
-RELEASE_CYCLES = 12
-"""Cycles in which a flagged joint is moved back to its last equilibrium (chosen)"""
+PULL_CYCLES, RELEASE_CYCLES = 12, 18
+"""Cycles in which a flagged joint is pulled back, and those until it is at its last equilibrium (chosen)"""
 LOOSE = 3
-"""Encoder steps along the push after which a joint is trusted again (chosen)"""
+"""Encoder steps after which a joint is trusted again (chosen)"""
 MOST_DOUBTED = 2
 """Times in a run that an arm goes on after that (chosen)"""
 
@@ -412,18 +412,20 @@ class RunState:
         return True
 
     def _release(self, trips: Reasons) -> Mask:
+        """Pull flagged joints back; returns the arms (B,) whose readings tell that they move."""
         if self.unbelieved is None:
             return np.zeros(len(trips), dtype=bool)
         where = self.active & ((trips & np.uint16(Reason.NOT_FOLLOWING)) != 0)
-        goal = self.following.balance(self.unbelieved & where[:, None], self.sent)
-        sent, stood = self.sent, self.state.position
-        farthest = np.zeros_like(stood)
+        joints = self.unbelieved & where[:, None]
+        held, back = (ask(joints, self.sent) for ask in (self.following.balance, self.following.pulled))
+        sent, speed, stood = self.sent, np.zeros_like(self.sent), self.state.position
+        loose = ~self.unbelieved
         with shielded(), suppress(RejointError, OSError):  # the trip is the error to report
-            for _ in range(RELEASE_CYCLES):
-                reach = self.limits.max_speed * np.minimum(self.period, self.limits.max_period)[:, None]
-                sent = np.minimum(np.maximum(goal, sent - reach), sent + reach)
+            for k in range(RELEASE_CYCLES):
+                goal = np.where(loose | (k >= PULL_CYCLES), held, back)
+                sent, _, speed = guard(self.limits, goal, sent, speed, self.state, self.period)
                 self.state = own(self.robot.step(sent, where))
-                farthest = np.maximum(farthest, self.following.onward(self.state.position - stood))
+                loose = loose | (np.abs(self.state.position - stood) >= LOOSE * self.robot.arm.encoder_step)
                 last = self.recorder.cycles[-1]
                 self.recorder.cycles.append(
                     last._replace(
@@ -437,7 +439,6 @@ class RunState:
                     )
                 )
         self.sent = np.where(where[:, None], sent, self.sent)
-        loose: Mask = (farthest >= LOOSE * self.robot.arm.encoder_step) | ~self.unbelieved
         return where & loose.all(axis=-1) & (self.doubted < MOST_DOUBTED)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +42,8 @@ LEAST_GAIN = 3.0
 """[1/rad] (chosen)"""
 OFFSET_SPREAD, UNKNOWN_OFFSET = 0.02, 0.15
 """deviations of the unloaded torque share (chosen)"""
+PULL = 2.0
+"""times the allowed push, by which an overdue joint is pulled back (chosen)"""
 _EARLIEST = np.radians(2.0)  # [rad] travel from which levers are computed (chosen: 10 mm at 0.28 m)
 _UNKNOWN, _TURNING, _OVERDUE = 2, 3, 4  # as in `watching`, which is imported late
 
@@ -91,6 +93,8 @@ class Bands:
     """[rad] lead of the largest torque"""
     width: Array
     """[rad] largest push of a stationary joint; infinite: unknown"""
+    lifted: Array | float = 0.0
+    """[rad] largest lead against gravity at which the joint moved on; above it the motor may be too weak"""
 
     def __post_init__(self) -> None:
         known = [np.isfinite(self.slope).all(), np.isfinite(self.offset).all()]
@@ -201,15 +205,14 @@ class Following:
         reach = TRAVEL / self._levers(position)
         return np.where(far, np.minimum(np.maximum(wanted, held - reach), held + reach), wanted)
 
-    def onward(self, way: Array) -> Array:
-        """Part of ``way`` (B, n) [rad] along the commands' travel."""
-        return way * np.sign(self._tracks["travel"])
-
     def believe(self, state: JointState, sent: Array, joints: Mask) -> None:
         """Trust ``joints`` (B, n) again after ``sent`` (B, n) [rad]."""
         tracks, where = self._tracks, joints.any(axis=-1)
-        stood = np.abs(tracks["push"]) / compiled.MOST
-        tracks["width"] = np.where(joints, np.maximum(tracks["width"], stood), tracks["width"])
+        push, width, load = tracks["push"], tracks["width"], self._loads()
+        lifted = 0.0 if self._bands is None else self._bands.lifted
+        weak = joints & (push * load > 0.0) & (np.abs(load) > lifted)
+        tracks["reach"] = np.where(weak, np.minimum(tracks["reach"], np.abs(load) + width), tracks["reach"])
+        tracks["width"] = np.where(joints & ~weak, np.maximum(width, np.abs(push) / compiled.MOST), width)
         tracks["position"][where], tracks["held"][where] = state.position[where], sent[where]
         tracks["since"][where] = state.time[where, None]
         for name in ("travel", "pushed", "due", "still", "strikes", "steady", "full", "late"):
@@ -222,6 +225,20 @@ class Following:
     def balance(self, joints: Mask, sent: Array) -> Array:
         """Return holding commands (B, n) [rad]: ``sent``, or the last equilibrium of ``joints`` (B, n)."""
         return np.where(joints, self._tracks["held"], sent)
+
+    def pulled(self, joints: Mask, sent: Array) -> Array:
+        """Return commands (B, n) [rad] that move overdue ``joints`` (B, n) back if they move at all; else `balance`.
+
+        A motor may be too weak to move a joint on against its load, and strong enough to hold it: back it always goes.
+        """
+        tracks, overdue = self._tracks, joints & (self._verdict == _OVERDUE)
+        width = np.where(overdue, tracks["width"], 0.0)
+        pull = PULL * (compiled.MOST * width + np.minimum(compiled.AND, width)) * np.sign(tracks["push"])
+        return np.where(overdue, tracks["position"] + self._loads() - pull, self.balance(joints, sent))
+
+    def _loads(self) -> Array:
+        """Leads (B, n) [rad] against gravity at the last changed readings."""
+        return self._nothing if self._bands is None else self._bands.balance(self._arm, self._tracks["position"])
 
     def describe(self, b: int, joints: Mask) -> str:
         """Return finding on ``joints`` (n,) of arm ``b``, and advice."""
@@ -400,8 +417,9 @@ def standing_bands(arm: Arm, logs: Sequence[RunLog]) -> Bands:
     The balance is fitted to slow motion in both directions. The width is the largest push of a joint stationary for
     `HELD`; the reach minimises it.
     """
-    slope, offset, known = _balances(arm, logs)
-    found = Bands(slope=slope, offset=offset, reach=np.full(arm.joints, np.inf), width=np.full(arm.joints, np.inf))
+    slope, offset, lifted, known = _balances(arm, logs)
+    endless = np.full(arm.joints, np.inf)
+    found = Bands(slope=slope, offset=offset, reach=endless, width=endless, lifted=lifted)
     if not known.any():
         return found
     leads = [_leads(log, found.balance(arm, log.position)) for log in logs]
@@ -414,7 +432,7 @@ def standing_bands(arm: Arm, logs: Sequence[RunLog]) -> Bands:
         if not late.any():
             break
         width = np.where(late, WIDER * width, width)
-    return Bands(slope=slope, offset=offset, reach=reach, width=np.where(late, np.inf, width))
+    return replace(found, reach=reach, width=np.where(late, np.inf, width))
 
 
 Leads = tuple[Array, Array, Array]
@@ -433,11 +451,11 @@ def _push(leads: Leads, reach: Array) -> Array:
     return push
 
 
-def _balances(arm: Arm, logs: Sequence[RunLog]) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Slope (n,) [rad/(N m)] and offset (n,) [rad] of the balance, and where (n,) they are known."""
+def _balances(arm: Arm, logs: Sequence[RunLog]) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    """Slope (n,) [rad/(N m)] and offset (n,) [rad] of the balance, what was lifted, and where (n,) they are known."""
     slope, offset, known = np.zeros(arm.joints), np.zeros(arm.joints), np.zeros(arm.joints, dtype=bool)
     if not logs:
-        return slope, offset, known
+        return slope, offset, offset, known
     parts = [_in_motion(arm, log) for log in logs]
     lead, gravity, speed, moving = (np.concatenate([part[k] for part in parts]) for k in range(4))
     loaded = np.ptp(gravity, axis=0) > LEAST_GRAVITY * np.ptp(gravity, axis=0).max()
@@ -447,7 +465,9 @@ def _balances(arm: Arm, logs: Sequence[RunLog]) -> tuple[Array, Array, NDArray[n
         if known[j]:
             columns = [loaded[j] * gravity[use, j], np.ones(use.sum()), np.sign(speed[use, j]), speed[use, j]]
             slope[j], offset[j] = robust_fit(np.stack(columns, axis=-1), lead[use, j], 1e-6)[0][:2]
-    return np.where(loaded, slope, 0.0), offset, known
+    slope = np.where(loaded, slope, 0.0)
+    against = moving * np.sign(speed) * (slope * gravity + offset)
+    return slope, offset, against.max(axis=0, initial=0.0), known
 
 
 def _in_motion(arm: Arm, log: RunLog) -> tuple[Array, Array, Array, Array]:

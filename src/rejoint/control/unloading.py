@@ -21,11 +21,16 @@ from rejoint.system.errors import InputError
 
 OFF, STANDS = float(np.radians(3.0)), 0.5
 """[rad] from its goal, and [s] without moving, from which a joint counts as stuck (chosen)"""
+PUSHED = 5.0
+"""[s] without moving from which a joint counts as stuck that is nearer: until then it is pushed (chosen)"""
 STILL = float(np.radians(0.5))
 """[rad] within which a joint stands (chosen)"""
 TRIES = 4
 """Postures that are tried for one goal (chosen)"""
+EASIER = 0.2
+"""Share by which the motor of a joint lifts less in each further try (chosen)"""
 _SHARES, _PLANNED, _TRAVEL = (0.3, 0.6, 1.0), 6, 0.15  # of ways to stored postures; what a radian counts
+_STARTS = 5.0  # what a load counts that the motor does not surely lift
 
 
 class PlannedWay(Reference):
@@ -46,27 +51,29 @@ class PlannedWay(Reference):
 class UnloadedWay(Reference):
     """Any way of one arm, whose stuck joints are brought to its goals."""
 
-    def __init__(
-        self, way: Reference, arm: Arm, motors: Motors | None = None, say: Callable[[str], object] = lambda _: None
-    ) -> None:
+    def __init__(self, way: Reference, unloading: Unloading, say: Callable[[str], object] = lambda _: None) -> None:
         """``say`` receives which joint stays off its goal, and by how much."""
-        self._way, self._unloading, self._say, self._said = way, Unloading(arm, motors), say, ""
+        self._way, self._unloading, self._say, self._since, self._said = way, unloading, say, np.inf, False
 
     def advance(self, state: JointState, since: Array, /) -> Setpoint:
         """Return where the arm is to be."""
         wanted = self._unloading.advance(state, self._way.advance(state, since))
         short = self._unloading.short(state.position[0]) if self._unloading.given_up and wanted.arrived[0] else ""
-        if short and not self._said:
+        now = float(state.time[0])
+        self._since = min(self._since, now) if short else np.inf  # a joint that is still pushed may come
+        lasts = now - self._since > PUSHED
+        if lasts and not self._said:
             self._say(f"{short}.")
-        self._said = short
+        self._said = lasts
         return wanted
 
 
 class Unloading:
     """Brings stuck joints of one arm of the ``motors`` to the goals of any way."""
 
-    def __init__(self, arm: Arm, motors: Motors | None = None) -> None:
-        self._arm, self._motors = arm, motors
+    def __init__(self, arm: Arm, motors: Motors | None = None, off: float = OFF) -> None:
+        """``off`` [rad]: from its goal, at least `STILL`, where a joint counts as stuck."""
+        self._arm, self._motors, self._least = arm, motors, max(off, STILL)
         self._goal = np.full(arm.joints, np.nan)
         self._tries = 0
         self._legs: deque[JointTrajectory] = deque()
@@ -105,9 +112,10 @@ class Unloading:
             if now - self._arrived > 2.0 * STANDS:  # there: who pushes the arm away later does not make it swing
                 self._tries = TRIES
             return wanted
-        if now - max(self._arrived, self._stood[joint]) > STANDS:
+        far = abs(goal[joint] - position[joint]) > OFF
+        if now - max(self._arrived, self._stood[joint]) > (STANDS if far else PUSHED):
             self._tries += 1
-            self._legs.extend(unloaded_way(self._arm, position, goal, joint, self._motors))
+            self._legs.extend(unloaded_way(self._arm, position, goal, joint, self._motors, 1.0 - EASIER * self._tries))
             if not self._legs:
                 self._tries = TRIES
                 return wanted
@@ -122,7 +130,7 @@ class Unloading:
         """Return the joint that is farthest off its goal; None where all are near."""
         away = np.abs(goal - position)
         joint = int(away.argmax())
-        return joint if away[joint] > OFF else None
+        return joint if away[joint] > self._least else None
 
     def _on_legs(self, state: JointState) -> Setpoint:
         assert self._way is not None  # noqa: S101 - for the type checker
@@ -137,18 +145,22 @@ class Unloading:
 
 
 def unloaded_way(
-    arm: Arm, position: Array, goal: Array, joint: int, motors: Motors | None = None
+    arm: Arm, position: Array, goal: Array, joint: int, motors: Motors | None = None, share: float = 1.0
 ) -> tuple[JointTrajectory, ...]:
     """Plan a way from ``position`` to ``goal`` (n,) [rad] on which ``joint`` moves where its load helps it.
+
+    Its motor lifts at most a ``share`` of what the ``motors`` say, where that is possible.
 
     Three trajectories: the others go there, the joint moves, the others go to the goal. One where the straight way was
     blocked; none where none is clear.
     """
-    with contextlib.suppress(InputError):
-        straight = plan(arm, position, goal)
-        if len(straight.moves) > 1:  # something was in the way
-            return (straight,)
     pool, sense = pool_of(arm), np.sign(goal[joint] - position[joint])
+    load = sense * gravity_torque(arm, position)[joint]
+    if motors is None or load < motors.usable[joint]:
+        with contextlib.suppress(InputError):
+            straight = plan(arm, position, goal)
+            if len(straight.moves) > 1:  # something was in the way
+                return (straight,)
     stored = pool.posture[:: max(1, len(pool.posture) // 1500)]
     tried = np.concatenate([position + share * (stored - position) for share in _SHARES])
     tried[:, joint] = position[joint]
@@ -159,6 +171,8 @@ def unloaded_way(
         return ()
     loads = np.stack([gravity_torque(arm, tried), gravity_torque(arm, there)])
     against = sense * loads[0, :, joint] / scale[joint]
+    if motors is not None:
+        against += _STARTS * np.maximum((sense * loads[..., joint]).max(axis=0) / motors.usable[joint] - share, 0.0)
     others = np.delete(np.abs(loads) / (scale if motors is None else motors.usable), joint, axis=2)
     heavy = np.maximum(others.max(axis=(0, 2)) - 1.0, 0.0)
     cost = against + heavy + _TRAVEL * (np.abs(tried - position).max(axis=1) + np.abs(goal - there).max(axis=1))

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, cast
 from rejoint.arms import Arm, Array
 from rejoint.control.contract import check_controller_period
 from rejoint.control.controller import ControlInput, Controller, heeds_turn
-from rejoint.control.correction import Modelled
+from rejoint.control.correction import Apparent, Modelled
 from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import Schedule, run
@@ -165,6 +165,11 @@ class ArmDriver:
     def correction(self) -> Modelled | None:
         """Corrects where the tool is sent by the calibration."""
         return corrected_by(self.calibration, self.arm)
+
+    @property
+    def apparent(self) -> Apparent:
+        """Postures of a perfect arm with the tool in the same place, by the calibration."""
+        return Apparent(arm=self.arm, shift=None if self.correction is None else self.correction.shift)
 
     @property
     def controller(self) -> str:

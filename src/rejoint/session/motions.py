@@ -9,6 +9,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, tcp_position
 from rejoint.control.controller import ControlInput, turned_off
+from rejoint.control.correction import Apparent
 from rejoint.control.reference import Reference, Setpoint
 from rejoint.control.robot import JointState, Mask
 from rejoint.system.errors import NotReachedError
@@ -102,29 +103,44 @@ class GoalCheck:
 
 
 class GoalStream(Reference):
-    """Goes to the newest joint goal at full speed; rests after `RESTS` without a new one."""
+    """Goes to the newest joint goal at full speed; rests after `RESTS` without a new one.
 
-    def __init__(self, arm: Arm) -> None:
-        self._speed = arm.max_speed
+    Goals are those of a perfect arm, and the arm goes where its tool is in the same place.
+    """
+
+    def __init__(self, apparent: Apparent) -> None:
+        self._apparent, self._speed = apparent, apparent.arm.max_speed
         self.goal: Array | None = None
         """(n,) [rad]; None: stay"""
-        self._posture = self._mean = np.zeros(0)
+        self._mean = np.full(apparent.arm.joints, np.nan)
+        self._posture = self._came = np.zeros(0)
         self._time = self._changed = -np.inf
+
+    def measured(self, goal: Array) -> Array:
+        """Return the joint positions (n,) [rad] to which the arm goes for ``goal`` (n,)."""
+        return self._apparent.measured(goal, self._came if len(self._came) else goal)
+
+    def shown(self, position: Array) -> Array:
+        """Return the posture (n,) [rad] of a perfect arm for this one at ``position`` (n,) [rad]."""
+        return self._apparent.shown(position, self._came if len(self._came) else position)
 
     def advance(self, state: JointState, since: Array, /) -> Setpoint:  # noqa: ARG002 - it goes by its own clock
         """Return where the arm is to be: at first, where it is."""
-        now = float(state.time[0])
+        now, goal = float(state.time[0]), self.goal
         if not len(self._posture):
-            self._posture = self._mean = state.position[0].copy()
+            self._posture = self._came = state.position[0].copy()
             self._time = now
-        goal = self._mean if self.goal is None else self.goal
-        if np.abs(goal - self._mean).max() > JITTER:
-            self._mean, self._changed = goal, now
-        self._mean = self._mean + min((now - self._time) / RESTS, 1.0) * (goal - self._mean)
-        rests = now - self._changed > RESTS
-        aim = self._mean if rests else goal
-        reach = self._speed * max(now - self._time, 0.0)
+        elapsed, self._time = max(now - self._time, 0.0), now
+        rested = now - self._changed > RESTS
+        if goal is None:
+            return Setpoint(self._posture[None])
+        if not np.abs(goal - self._mean).max() < JITTER:
+            self._came = self._posture if rested else self._came
+            self._mean, self._changed, rested = goal, now, False
+        # The mean over all the rest: one that goes on wandering with the hand moves joints that stick.
+        self._mean = self._mean + elapsed / (now - self._changed + RESTS) * (goal - self._mean)
+        aim = self.measured(self._mean if rested else goal)
+        reach = self._speed * elapsed
         self._posture = self._posture + np.clip(aim - self._posture, -reach, reach)
-        self._time = now
-        arrived = rests and bool((self._posture == aim).all())
+        arrived = rested and bool((self._posture == aim).all())
         return Setpoint(self._posture[None], arrived=np.array([arrived]))

@@ -19,7 +19,7 @@ from rejoint.control.observer import Observer
 from rejoint.control.recording import PIECE, Cycle
 from rejoint.control.reference import Reference, ToolAtGoals
 from rejoint.control.robot import Mask, Relaying, part_of
-from rejoint.robots.serving.served import Apparent, ServedArm
+from rejoint.robots.serving.served import ServedArm
 from rejoint.robots.serving.server import Answering, OrderLog, Relay, WireServer, pty_wire, tcp_wire
 from rejoint.session.inputs import RobotLike, RunLike
 from rejoint.session.session import ArmSession
@@ -152,10 +152,8 @@ def _put_together(
     arm, say = session.arm, session.observer.message
     wire = part_of(session.robot, Relaying)
     relay = Relay(None if wire is None else wire.relay)
-    shift = None if session.correction is None else session.correction.shift
-    apparent = Apparent(arm=arm, shift=shift)
     choose_postures(arm, tcp_position(arm, arm.rest)[None], arm.rest)  # compiled now: no client waits for it
-    served = ServedArm(arm, arm.rest, apparent=apparent, limits=session.limits, motors=session.motors)
+    served = ServedArm(arm, arm.rest, apparent=session.apparent, limits=session.limits, motors=session.motors)
     answering = Answering(served, log, relay, say)
     served.on_arrival = answering.arrived
     server = pty_wire(answering, say) if listener is None else tcp_wire(answering, listener, say)

@@ -22,7 +22,7 @@ from rejoint.control.recording import PIECE, Cycle, cycle_at_rest
 from rejoint.control.reference import Reference, TargetSequence
 from rejoint.control.robot import JointState
 from rejoint.control.targets import Pose, in_mm, placed
-from rejoint.control.unloading import PlannedWay, UnloadedWay
+from rejoint.control.unloading import OFF, PlannedWay, UnloadedWay, Unloading
 from rejoint.runs.run import Run, exclusive
 from rejoint.session.context import guard_limits
 from rejoint.session.driver import ArmDriver
@@ -209,7 +209,7 @@ class ArmSession(ArmDriver):
 
         def work(motion: ArmMotion) -> None:
             self.begin(rest=False)
-            controller, unloaded = self._joint_drive(PlannedWay(self.arm, way))
+            controller, unloaded = self._joint_drive(PlannedWay(self.arm, way), min(within, OFF))
             self.recorder.begin(self.robot, "joints", f"joints/{controller.name}")
             arrival = GoalCheck(motion, self.arm, np.inf, within)
             self.drive(controller, Schedule(dwell=timeout, give_up=arrival.at_joints(goal)), unloaded)
@@ -217,14 +217,16 @@ class ArmSession(ArmDriver):
 
         return self._start(ArmMotion("its joint positions", work), wait=wait)
 
-    def _joint_drive(self, way: Reference) -> tuple[PostureController, UnloadedWay]:
-        """Return what brings every joint where a way says, over other postures where one sticks."""
-        return self.posture_controller(EVERY_JOINT), UnloadedWay(way, self.arm, self.motors, self.observer.message)
+    def _joint_drive(self, way: Reference, off: float = OFF) -> tuple[PostureController, UnloadedWay]:
+        """Return what brings every joint where a way says, over other postures where one stays ``off`` [rad]."""
+        unloading = Unloading(self.arm, self.motors, off)
+        return self.posture_controller(EVERY_JOINT), UnloadedWay(way, unloading, self.observer.message)
 
     def send_joints(self, joints_rad: ArrayLike) -> Array:
         """Send joint positions (n,) [rad] of a stream.
 
-        Return (n,) what is sent of them, inside limits and clear of contacts.
+        Return (n,) what is sent of them, inside limits and clear of contacts. With a calibration they are those of a
+        perfect arm: the tool goes where its tool would be.
 
         The arm follows in its own thread, and rests where the stream stops; the next call raises what ended it.
         InputError for a wrong number, or degrees.
@@ -232,12 +234,20 @@ class ArmSession(ArmDriver):
         goal = np.clip(self._joints("send_joints", joints_rad), self.arm.lower, self.arm.upper)
         with self._asking:
             goals = self._stream()
-            last = goals.goal if goals.goal is not None else self.state.joints_rad
-            if not self._clear(goal):
+            last = goals.goal if goals.goal is not None else self.shown_joints()
+            if not self._clear(goals.measured(goal)):
                 way = last + _SHARES * (goal - last)
-                goal = way[int(np.argmax([self._clear(one) for one in way[:-1]] + [True]))]
+                goal = way[int(np.argmax([self._clear(goals.measured(one)) for one in way[:-1]] + [True]))]
             goals.goal = goal
             return goal.copy()
+
+    def shown_joints(self) -> Array:
+        """Return the joint positions (n,) [rad] of a perfect arm with its tool where this one's is.
+
+        They are those of `send_joints`, and measured ones without a calibration.
+        """
+        position = self.state.joints_rad
+        return self.apparent.shown(position, position) if self._goals is None else self._goals.shown(position)
 
     def hold(self) -> None:
         """Hold the arm until the next order; raises what ended the hold."""
@@ -249,7 +259,7 @@ class ArmSession(ArmDriver):
         if self._goals is not None and self._motion is not None and self._motion.under_way:
             return self._goals
         self._require_free()
-        goals = GoalStream(self.arm)
+        goals = GoalStream(self.apparent)
 
         def work(motion: ArmMotion) -> None:
             self.begin(rest=False)

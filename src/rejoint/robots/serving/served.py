@@ -20,10 +20,6 @@ from rejoint.arms import (
     Array,
     Motors,
     choose_postures,
-    clip_norm,
-    dls,
-    frames,
-    position_kinematics,
     tcp_pose,
     tcp_position,
 )
@@ -31,53 +27,12 @@ from rejoint.arms.postures import too_heavy
 from rejoint.arms.rotations import WEIGHT, Orientation, tool_axis
 from rejoint.arms.wire.computer import COLLISION, HAS_ARRIVED_LENGTH, at_angles, at_place
 from rejoint.arms.wire.mover import Mover
-from rejoint.control.correction import ROUNDS
+from rejoint.control.correction import Apparent
 from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.posture import PostureGains
 from rejoint.control.reference import Reference, Setpoint
 from rejoint.control.robot import JointState, Mask
 from rejoint.control.unloading import OFF, Unloading
-
-Shift = Callable[[Array, Array], Array]
-"""Shift (3,) [m] of the tool from where the encoders see it, by position and where the arm came from, (n,) [rad]
-each"""
-
-DAMPING = 0.01
-"""[m] of the inverse kinematics (chosen: a fifth of what controllers take)"""
-MOST = np.radians(15.0)
-"""[rad] by which a joint is shown elsewhere at most (chosen: what 5 cm take at the wrist)"""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Apparent:
-    """What clients are shown of an ``arm``, and where it is sent for it."""
-
-    arm: Arm
-    shift: Shift | None = None
-    """None: the tool is where the encoders see it"""
-
-    def shown(self, position: Array, came: Array) -> Array:
-        """Posture (n,) [rad] shown where ``position`` (n,) is measured and the arm came from ``came`` (n,)."""
-        if self.shift is None:
-            return position
-        return position + self._turn(position, self.shift(position, came))
-
-    def measured(self, posture: Array, came: Array) -> Array:
-        """Measured position (n,) [rad] at which ``posture`` (n,) is shown."""
-        if self.shift is None:
-            return posture
-        position = posture
-        for _ in range(ROUNDS):
-            position = posture - (self.shown(position, came) - position)
-        return np.clip(position, self.arm.lower, self.arm.upper)
-
-    def _turn(self, position: Array, way: Array) -> Array:
-        """Joint motion (n,) [rad] that takes the tool ``way`` (3,) [m] farther, without turning it where it can."""
-        jacobian = position_kinematics(self.arm, position)[1]
-        turning = np.swapaxes(frames(self.arm, position).axis, -1, -2)
-        both = np.concatenate([jacobian, DAMPING * turning], axis=-2)
-        return clip_norm(dls(both, np.concatenate([way, np.zeros(3)]), 0.1 * DAMPING), MOST)
-
 
 IN_PLACE = PostureGains.close
 """[m] of the tool within which a move has ended: where the controller lets the arm rest"""

@@ -1,0 +1,131 @@
+"""How near worn arms of a family come to joint goals anywhere, and to those of a hand that leads them.
+
+    python -m benchmarks.joints --arms 3 --goals 10
+
+Every arm is diagnosed, identified and calibrated in `--out` first, which takes minutes, or found there. Goals are drawn
+in 95 % of the joints' ranges, 5 mm clear of what the arm could touch. `Session.move_joints` goes to them, then
+`send_joints` receives them from a hand that rests and jitters by 0.1 degrees. Joints whose true motor cannot hold the
+goal are counted apart. The true tool of the streamed arm is compared with that of a healthy one that gets the same
+goals as they are.
+"""
+
+import time
+from pathlib import Path
+
+import numpy as np
+import typer
+
+import rejoint
+from rejoint.arms import Arm, Array, gravity_torque, load_arm, plan, tcp_position
+from rejoint.control.guard import GuardLimits, clear_by
+from rejoint.research.evaluation.family import ArmFamily
+from rejoint.robots.emulated import EmulatedRobot
+from rejoint.robots.lab.plant.wear import load_wear
+from rejoint.session.session import ArmSession
+
+KINDS = ("mycobot280", "so101")
+RESTS = 20.0
+"""[s] that an arm is given for a goal"""
+
+
+def drawn(arm: Arm, count: int, seed: int) -> Array:
+    """Joint positions (count, n) [rad] anywhere in the workspace, 5 mm clear of what the arm could touch."""
+    rng, limits, found = np.random.default_rng(seed), GuardLimits.of(arm), list[Array]()
+    while len(found) < count:
+        goal = rng.uniform(0.95 * arm.lower, 0.95 * arm.upper)
+        if (clear_by(limits, goal) > 0.005).all():
+            found.append(goal)
+    return np.array(found)
+
+
+def prepare(address: str, arm: Arm, run: Path) -> None:
+    """Make a run with a twin and a calibration; without the latter where the guard ends it."""
+    if not (run / "twin.toml").exists():
+        rejoint.diagnose(address, run=run, arm=arm)
+        rejoint.identify(run=run)
+    if not (run / "calibration.toml").exists():
+        try:
+            rejoint.calibrate(address, run=run)
+        except rejoint.GuardTripError as error:
+            print(f"{run.name}: not calibrated: {error}")
+
+
+def moved(session: ArmSession, goals: Array) -> Array:
+    """Joint errors (K, n) [deg] by the encoders after `move_joints`."""
+    errors = []
+    for goal in goals:
+        try:
+            session.move_joints(goal, within_rad=np.radians(0.1), timeout_s=RESTS)
+        except rejoint.NotReachedError:
+            pass
+        except rejoint.GuardTripError as error:
+            print(error)
+        errors.append(np.degrees(session.state.joints_rad - goal))
+    return np.array(errors)
+
+
+def streamed(session: ArmSession, robot: EmulatedRobot, goals: Array) -> Array:
+    """Distances (2, K) [mm] of a tool from where the hand has it: as the stream sees it, and truly."""
+    rng, errors, hand = np.random.default_rng(0), [], session.shown_joints()
+    for goal in goals:
+        way, hand = plan(session.arm, hand, goal, speed=0.5), goal
+        session.hold()
+        began = session.state.time_s
+        while (since := session.state.time_s - began) < way.duration + RESTS:
+            try:
+                session.send_joints(way.at(since) + np.radians(rng.uniform(-0.1, 0.1, len(goal))))
+            except rejoint.GuardTripError as error:
+                print(error)
+            time.sleep(0.002)
+        place = tcp_position(session.arm, goal)
+        seen = tcp_position(session.arm, session.shown_joints())
+        errors.append([1e3 * np.linalg.norm(one - place) for one in (seen, robot.true_tcp()[0])])
+    session.stop()
+    return np.array(errors).T
+
+
+def healthy(arm: Arm, goals: Array) -> Array:
+    """Return true distances (K,) [mm] of a healthy arm that is sent ``goals`` (K, n) [rad] as they are."""
+    robot = EmulatedRobot(arm, [load_wear("healthy", arm)] * len(goals), seed=0)
+    sent, most = robot.read().position, 0.02 * arm.max_speed
+    for _ in range(500):
+        sent = sent + np.clip(goals - sent, -most, most)
+        robot.step(sent)
+    return 1e3 * np.linalg.norm(robot.true_tcp() - tcp_position(arm, goals), axis=-1)
+
+
+def main(arms: int = 3, goals: int = 10, family: int = 40, out: Path = Path("runs/joints")) -> None:
+    """Print joint errors after motions, and tool errors of streams, beside those of healthy arms."""
+    for kind in KINDS:
+        arm, found, tools, sound = load_arm(kind), list[Array](), list[Array](), list[Array]()
+        held = list[Array]()
+        for i in range(arms):
+            seed = ArmFamily(seed=family).wear_seed(i)
+            address, run = f"emulated:worn?seed={seed}", out / f"{kind}-{seed}"
+            prepare(address, arm, run)
+            robot = EmulatedRobot(arm, [load_wear(f"worn?seed={seed}", arm)], address=address, seed=seed)
+            wanted = drawn(arm, goals, seed)
+            held.append(np.abs(gravity_torque(arm, wanted)) <= robot.plant.torque_limit[0])
+            with rejoint.connect(robot, run=run) as session:
+                found.append(np.abs(moved(session, wanted)))
+                tools.append(streamed(session, robot, wanted))
+            sound.append(healthy(arm, wanted))
+        report(kind, np.concatenate(found), np.concatenate(held), np.hstack(tools), np.concatenate(sound))
+
+
+def report(kind: str, errors: Array, held: Array, tools: Array, sound: Array) -> None:
+    """Print one kind of arm: joint errors (K, n) [deg], tool errors (2, K) and (K,) [mm]."""
+    for name, joints in (("held", held), ("too heavy for the motor", ~held)):
+        if joints.any():
+            print(
+                f"{kind} move_joints, {name}: {errors[joints].mean():.3f} deg per joint, largest "
+                f"{errors[joints].max():.2f}, over 0.5 deg {(errors[joints] > 0.5).sum()} of {joints.sum()}"
+            )
+    for name, size in (("as the stream sees it", tools[0]), ("true", tools[1]), ("healthy, true", sound)):
+        print(f"{kind} send_joints, {name}: {np.median(size):.2f} mm, largest {size.max():.2f}")
+    worse = (tools[1] <= sound + 1.0).sum()
+    print(f"{kind} send_joints: at most 1 mm worse than healthy {worse} of {len(sound)}")
+
+
+if __name__ == "__main__":
+    typer.run(main)
