@@ -1,4 +1,4 @@
-"""How well worn arms follow where `rejoint evaluate --family --follow` does not look.
+"""How well worn arms follow where `rejoint research follow` does not look.
 
 Each arm is diagnosed and identified first. Errors are root mean squares by the encoders, in mm, mean over the arms.
 """

@@ -65,7 +65,7 @@ def main(
     arms: int = 16, family: int = 0, twins: Path = Path("runs/twins"), variant: str = "worn", again: int = 0
 ) -> None:
     """Print a row for each controller; ``twins`` keeps the arms' twins, ``again`` is the seed of other motions."""
-    drawn, condition = ArmFamily(arms=arms, targets=TARGETS, seed=family), find_variant(variant)
+    drawn, condition = ArmFamily(arms=arms, targets=TARGETS, crossings=0, seed=family), find_variant(variant)
     own = know(drawn, twins, again)
     stiffness = float(np.mean([one.parameters.stiffness.mean() for one in own]))
     bench = TrialArms(
@@ -73,7 +73,7 @@ def main(
         targets=family_targets(ARM, drawn, TARGETS),
         wear_seed=np.array([drawn.wear_seed(i) for i in range(arms)], dtype=float),
     )
-    settings, shelf = TrialSettings(family=drawn, protocol=Protocol(), crossing=False), None
+    settings, shelf = TrialSettings(family=drawn, protocol=Protocol()), None
     for name, make in {
         "shelf": shelf_controller,
         "predictive": lambda arm: planned(arm, own),

@@ -26,8 +26,8 @@ trainings of three seeds differ by, docs/research.md)"""
 
 def tried(name: str, file: Path) -> Columns:
     """Hold the policy of ``file`` on worn arms of this build."""
-    family = ArmFamily(arms=ARMS, targets=TARGETS)
-    settings = TrialSettings(family=family, protocol=Protocol(), crossing=False, threads=2)
+    family = ArmFamily(arms=ARMS, targets=TARGETS, crossings=0)
+    settings = TrialSettings(family=family, protocol=Protocol(), threads=2)
     worn = find_variant("worn")
     return try_controller(load_arm(name), worn, lambda arm: load_policy(file, arm), settings, lambda *_: None)
 

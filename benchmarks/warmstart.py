@@ -45,7 +45,7 @@ def trained(twin: Twin, start: str, updates: int, seed: int, file: Path) -> floa
 
 def held(file: Path, wear_seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Settled errors [m] and times [s] to come and stay within 2 mm of all holds of one arm."""
-    settings = TrialSettings(family=ArmFamily(arms=1, targets=TARGETS), protocol=Protocol(), crossing=False)
+    settings = TrialSettings(family=ArmFamily(arms=1, targets=TARGETS, crossings=0), protocol=Protocol())
     bench = bench_of(ARM, wear_seed, settings)
     found = try_on(ARM, bench, lambda arm: load_policy(file, arm), settings, lambda _: None)
     settled, stay = held_columns(found, arms=1)

@@ -44,7 +44,7 @@ def test_it_takes_part_wherever_it_suits():
 @pytest.mark.parametrize(("name", "near", "farthest"), [("mycobot280", 1e-3, 5e-3), ("so101", 1.5e-3, 5e-3)])
 def test_it_repairs_worn_arms_that_it_never_met(name, near, farthest):
     arm = load_arm(name)
-    settings = TrialSettings(family=ArmFamily(arms=6, targets=2, seed=7), protocol=Protocol(hold=4.0), crossing=False)
+    settings = TrialSettings(family=ArmFamily(arms=6, targets=2, crossings=0, seed=7), protocol=Protocol(hold=4.0))
     worn = find_variant("worn")
     as_found, repaired = (
         try_controller(arm, worn, lambda arm, name=name: make_controller(name, arm), settings, lambda *_: None)[

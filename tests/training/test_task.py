@@ -63,7 +63,7 @@ def test_targets_anywhere_are_such_that_the_motors_lift_them_and_the_way_is_clea
         200, settings, weak_joints=0.0, coulomb=(0.0, 0.0), torque_limit=(share, share), gravity_scale=(1.0, 1.0)
     )
     task.reset()
-    goal, limit = task.state()["goal"], share * nominal_parameters(ARM).torque_limit
+    goal, limit = task.state()["task.goal"], share * nominal_parameters(ARM).torque_limit
     assert (np.abs(gravity_torque(ARM, goal)) < 0.9 * limit).all(axis=-1).mean() > 0.98
     ways = ARM.rest + np.linspace(0.0, 1.0, 20)[:, None, None] * (goal - ARM.rest)
     assert (heights(ARM, ways)[..., 1:] > 0.0).all(axis=(0, -1)).mean() > 0.98

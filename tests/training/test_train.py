@@ -162,24 +162,23 @@ def test_the_density_of_actions_is_that_of_the_noise():
 def rollout(cycles, agents, **tensors) -> Rollout:
     """A rollout of zeros but for what is given."""
     shape = (cycles, agents)
-    zeros = {name: torch.zeros(shape) for name in ("log_density", "value", "final_value", "reward", "distance")}
+    zeros = {name: torch.zeros(shape) for name in ("log_prob", "values", "final_value", "reward", "distance")}
     zeros |= {name: torch.zeros(shape, dtype=torch.bool) for name in ("terminated", "truncated")}
-    zeros |= {name: torch.zeros((*shape, 2)) for name in ("observation", "privileged", "action")}
-    zeros |= {name: torch.zeros((1, agents, 2)) for name in ("next_observation", "next_privileged")}
-    return Rollout(**(zeros | tensors))
+    vectors = ("observations", "states", "actions", "observation", "privileged")
+    return zeros | {name: torch.zeros((*shape, 2)) for name in vectors} | tensors
 
 
 def returns(seen: Rollout, next_value: float, **changes) -> torch.Tensor:
     """Taught returns less values (T, N), where the critic gives ``next_value`` to the state after the last."""
-    settings = dataclasses.replace(SMALL.ppo, rollout=len(seen.reward), mini_batches=1, **changes)
+    settings = dataclasses.replace(SMALL.ppo, rollout=len(seen["reward"]), mini_batches=1, **changes)
     critic = Critic(2, 2, 2, (4,))
     with torch.no_grad():
         for parameter in critic.net.parameters():
             parameter.zero_()
         critic.net[-1].bias.fill_(next_value)
-    ppo = Ppo(Actor(2, 2, (4,), -0.7), critic, settings, agents=seen.reward.shape[1])
+    ppo = Ppo(Actor(2, 2, (4,), -0.7), critic, settings, agents=seen["reward"].shape[1])
     ppo.learn(seen, 1e-3, iteration=0)
-    return ppo.memory.get_tensor_by_name("returns")[..., 0] - seen.value
+    return ppo.memory.get_tensor_by_name("returns")[..., 0] - seen["values"]
 
 
 def test_advantages_worked_by_hand():
@@ -190,7 +189,7 @@ def test_advantages_worked_by_hand():
         1,
         reward=column(1.0, 2.0, 3.0),
         truncated=column(False, True, False),
-        value=column(10.0, 20.0, 30.0),
+        values=column(10.0, 20.0, 30.0),
         final_value=column(0.0, 4.0, 0.0),
     )
     got = returns(seen, 8.0, discount=0.5, gae_lambda=0.8, reward_scale=2.0)
@@ -206,16 +205,16 @@ def test_time_outs_are_bootstrapped_from_the_state_before_the_new_target():
     step = worker.task.step
     worker.task.step = lambda action: seen.append(step(action)) or seen[-1]
     rolled = worker.roll(learner.actor, learner.critic, SMALL.ppo.rollout)
-    assert rolled.truncated.any()
-    assert not rolled.terminated.any()
-    for t, n in rolled.truncated.nonzero().tolist():
+    assert rolled["truncated"].any()
+    assert not rolled["terminated"].any()
+    for t, n in rolled["truncated"].nonzero().tolist():
         with torch.no_grad():
             value = learner.critic.value(
                 *(torch.from_numpy(a[n]) for a in (seen[t].final_observation, seen[t].final_privileged))
             )
-        np.testing.assert_allclose(rolled.final_value[t, n].item(), value.item(), rtol=1e-4)
+        np.testing.assert_allclose(rolled["final_value"][t, n].item(), value.item(), rtol=1e-4)
         assert (seen[t].final_observation[n] != seen[t].observation[n]).any()
-    assert not rolled.final_value[~rolled.truncated].any()
+    assert not rolled["final_value"][~rolled["truncated"]].any()
 
 
 def test_learning_improves_the_reward():

@@ -45,7 +45,7 @@ REPAIR, DRIVE, WATCH, FILES, TRY = (
 
 
 class LazyCommand(NamedTuple):
-    """A command before its module is loaded."""
+    """A command, or a group of commands, before its module is loaded."""
 
     panel: str
     module: str
@@ -55,6 +55,17 @@ class LazyCommand(NamedTuple):
     settings: dict[str, Any] = {}  # noqa: RUF012 - never written
 
 
+RESEARCH = {
+    name: LazyCommand("Commands", "research", text)
+    for name, text in {
+        "evaluate": "Try controllers on a hundred arms on which nothing was chosen.",
+        "follow": "Let many arms follow standard paths.",
+        "calibrate": "Find what outside measurements of many arms bring.",
+        "identification": "Find what a twin of its own brings to an arm.",
+        "tune": "Tune classical rivals on randomised twins.",
+        "reproduce": "Run the paper's experiments again.",
+    }.items()
+}
 COMMANDS = {
     "repair": LazyCommand(REPAIR, "chain", "The whole chain: from the diagnosis to the report."),
     "diagnose": LazyCommand(REPAIR, "stages", "Find out what is wrong with an arm."),
@@ -78,40 +89,35 @@ COMMANDS = {
     "replay": LazyCommand(FILES, "offline", "Judge a twin by logs: predict every motion."),
     "board": LazyCommand(FILES, "measuring", "Write a board to print, for measuring with a camera."),
     "emulate": LazyCommand(TRY, "serving", "Serve an emulated arm over TCP, or on a serial line."),
-    "evaluate": LazyCommand(TRY, "evaluation", "Try controllers on a hundred arms on which nothing was chosen."),
-    "tune": LazyCommand(TRY, "evaluation", "Tune classical rivals on randomised twins."),
-    "reproduce": LazyCommand(TRY, "evaluation", "Run the paper's experiments again."),
+    "research": LazyCommand(TRY, "", "Try controllers on many arms, and run the paper's experiments again."),
 }
 """All commands; the module of one is loaded when that command is called or asked for its help"""
 
 
 class CommandGroup(TyperGroup):
-    """Lists `COMMANDS`, and loads a command's module when that command is wanted."""
+    """Lists commands, and loads a command's module when that command is wanted."""
 
+    entries = COMMANDS
     _listing = False
-
-    def __init__(self, **words: Any) -> None:  # noqa: ANN401
-        super().__init__(**words)
-        self.commands = dict.fromkeys(COMMANDS)  # type: ignore[assignment]
 
     def list_commands(self, ctx: object) -> list[str]:  # noqa: ARG002
         """Return the names of all commands, in the order of the list."""
-        return list(COMMANDS)
+        return list(self.entries)
 
     def get_command(self, ctx: object, cmd_name: str) -> Any:  # noqa: ANN401, ARG002 - the framework's own kind
         """Return a command; while they are listed, only its name and its line; None for another name."""
-        entry = COMMANDS.get(cmd_name)
+        entry = self.entries.get(cmd_name)
         if entry is None:
             return None
         if self._listing:
             return TyperCommand(cmd_name, help=entry.help, rich_help_panel=entry.panel)
-        if self.commands[cmd_name] is None:
-            module = import_module(f"{__name__}.{entry.module}")
-            function = getattr(module, cmd_name, None) or getattr(module, f"{cmd_name}_")
-            alone = typer.Typer(add_completion=False, rich_markup_mode="markdown")
-            alone.command(cmd_name, context_settings=HELP | entry.settings)(function)
-            self.commands[cmd_name] = typer.main.get_command(alone)
-        return self.commands[cmd_name]
+        if not entry.module:
+            return typer.main.get_command(_group(ResearchGroup, cmd_name, entry.help))
+        module = import_module(f"{__name__}.{entry.module}")
+        function = getattr(module, cmd_name, None) or getattr(module, f"{cmd_name}_")
+        alone = typer.Typer(add_completion=False, rich_markup_mode="markdown")
+        alone.command(cmd_name, context_settings=HELP | entry.settings)(function)
+        return typer.main.get_command(alone)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401
         """Write the list of commands without loading one."""
@@ -122,15 +128,31 @@ class CommandGroup(TyperGroup):
             self._listing = False
 
 
-app = typer.Typer(
-    name="rejoint",
-    cls=CommandGroup,
-    help="Give a worn robot arm its accuracy back: diagnose it, fit a digital twin, train a policy, prove the gain.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode="markdown",
-    context_settings=HELP,
+class ResearchGroup(CommandGroup):
+    """The commands of `rejoint research`."""
+
+    entries = RESEARCH
+
+
+def _group(kind: type[CommandGroup], name: str, text: str) -> typer.Typer:
+    group = typer.Typer(
+        name=name,
+        cls=kind,
+        help=text,
+        no_args_is_help=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        rich_markup_mode="markdown",
+        context_settings=HELP,
+    )
+    group.callback(help=text)(lambda: None)
+    return group
+
+
+app = _group(
+    CommandGroup,
+    "rejoint",
+    "Give a worn robot arm its accuracy back: diagnose it, fit a digital twin, train a policy, prove the gain.",
 )
 
 

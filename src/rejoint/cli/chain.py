@@ -7,14 +7,13 @@ from contextlib import ExitStack, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 import rejoint
 from rejoint.arms import Arm
 from rejoint.cli import options as opt
 from rejoint.cli import show
-from rejoint.cli.console import Terminal, live_view, watched
+from rejoint.cli.console import Terminal, live_view
 from rejoint.cli.measuring import gauge_by_word
+from rejoint.cli.options import Call, option, takes
 from rejoint.control.observer import Observer
 from rejoint.control.robot import Robot
 from rejoint.diagnosis.calibration.procedure import TouchGauge
@@ -40,30 +39,24 @@ TITLES = {
 """Heading of each stage, and what is being done meanwhile"""
 
 
-@opt.with_arm
-@opt.with_settings("payload", "tool", "period", "dry_run")
+@takes("arm", "part", "live", "payload", "tool", "period", "dry_run")
 def repair(
+    call: Call,
     robot: opt.Robot = "emulated:worn",
     run: opt.RunOption = None,
     preset: opt.Preset = "default",
     targets: opt.Targets = None,
     controllers: opt.Controllers = "all",
     measure: opt.Measure = None,
-    sets: opt.RepairSets = None,
-    repetitions: opt.RepairRepetitions = None,
+    sets: opt.Sets = None,
+    repetitions: opt.Repetitions = None,
     full: opt.Full = False,
     seed: opt.Seed = 0,
-    live: opt.Live = None,
     quick: opt.Quick = False,
     fresh: Annotated[
-        bool,
-        typer.Option("--fresh", help="Keep no twin and policy of this arm's last repair, even if they still hold."),
+        bool, option("Keep no twin and policy of this arm's last repair, even if they still hold.", "--fresh")
     ] = False,
-    json: opt.Json = False,
-    *,
-    pick: opt.ArmPick,
-    settings: Settings,
-) -> None:
+) -> object:
     """Diagnose an arm, fit its twin, train a policy, compare every controller on the arm, and write the report.
 
     Interrupted, the same command goes on where it stopped. Nothing is changed on the arm itself.
@@ -71,17 +64,15 @@ def repair(
     Example: `rejoint repair serial:///dev/ttyAMA0`
     """
     require("rejoint repair", "train", "report")
-    terminal = Terminal(json=json, dry=settings.dry_run)
-    chosen = opt.choose_arm(terminal, pick, robot)
-    if settings.dry_run:
-        with watched(terminal, "repair", "simulating", live) as observer:
-            rehearse(robot, chosen, targets, settings, observer, quick=quick)
-        terminal.finish({"robot": robot})
-        return
+    chosen = call.arm(robot)
+    if call.settings.dry_run:
+        with call.watched("repair") as observer:
+            rehearse(robot, chosen, targets, call.settings, observer, quick=quick)
+        return {"robot": robot}
     path, resumed = (run, run.exists()) if run else newest_or_new(robot, chosen, seed)
     job = Run.plan(path, robot, chosen, seed)
-    terminal.say(f"{'Going on with' if resumed else 'Starting'} the repair of {robot} in {path}")
-    gauge = gauge_by_word(terminal, robot, measure, seed)
+    call.say(f"{'Going on with' if resumed else 'Starting'} the repair of {robot} in {path}")
+    gauge = gauge_by_word(call, robot, measure, seed)
     plan = rejoint.RepairPlan(
         preset=preset,
         controllers=opt.controller_names(controllers),
@@ -91,30 +82,28 @@ def repair(
         trials=rejoint.TrialPlan(sets=sets, repetitions=repetitions, full=full),
     )
     with (
-        live_view(terminal, live, "repair") as view,
-        _Narrator(terminal, view, asking=isinstance(gauge, TouchGauge)) as narrator,
+        live_view(call, call.live, "repair") as view,
+        _Narrator(call, view, asking=isinstance(gauge, TouchGauge)) as narrator,
     ):
-        found = rejoint.repair(robot, run=job, quick=quick, plan=plan, settings=settings, observer=narrator)
+        found = rejoint.repair(robot, run=job, quick=quick, plan=plan, settings=call.settings, observer=narrator)
     page = Path(os.path.relpath(found.page))
     if quick:
-        terminal.say("A quick try: little of everything was done, so none of this is a result.")
+        call.say("A quick try: little of everything was done, so none of this is a result.")
     from rejoint.pages.report.contents import before_after, read_contents
 
     errors = before_after(read_contents(path), found.recommendation.controller)
     spent = read_effort(job.folder)
-    show.effort(terminal, spent)
-    show.verdict(terminal, errors)
-    terminal.result(str(page))
-    terminal.finish(
-        {
-            "run": str(path),
-            "recommended": found.recommendation,
-            "policy": str(job.folder.policy),
-            "report": str(page),
-            "errors": errors,
-            "effort": spent,
-        }
-    )
+    show.effort(call, spent)
+    show.verdict(call, errors)
+    call.result(str(page))
+    return {
+        "run": path,
+        "recommended": found.recommendation,
+        "policy": job.folder.policy,
+        "report": page,
+        "errors": errors,
+        "effort": spent,
+    }
 
 
 def rehearse(

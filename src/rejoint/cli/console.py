@@ -142,9 +142,9 @@ class ConsoleObserver(Observer):
 class Terminal:
     """Where a command writes. One per command."""
 
-    def __init__(self, *, json: bool = False, dry: bool = False) -> None:
-        """Take whether the command ends with JSON, and whether its results are of a simulation."""
-        self.json, self._dry, self._of = json, dry, "In the simulation: " if dry else ""
+    def __init__(self, *, json: bool = False, dry: bool = False, live: str | None = None) -> None:
+        """Take whether the command ends with JSON, whether it simulates, and where the page of the live view is."""
+        self.json, self.live, self._dry, self._of = json, live, dry, "In the simulation: " if dry else ""
         self.results = _Output(file=_results(), highlight=False, soft_wrap=True)
         self.notes = notes()
 
@@ -169,12 +169,11 @@ class Terminal:
         """Print a table with the row ``bold`` set off; a wide one is split, its first column in each part."""
         title, width = f"{self._of}{title}", self.results.width if self.results.is_terminal else WIDTH
         page = _Output(file=_results(), width=width, highlight=False)
-        for part, widths in _parts(headers, rows, width):
+        for part in _parts(headers, rows, width):
             table = Table(title=Text(title), title_justify="left", header_style="bold")
-            for index, wide in zip(part, widths, strict=True):
-                # as text: square brackets are units here, and no markup
-                justify: Literal["left", "right"] = "left" if index == 0 else "right"
-                table.add_column(Text(headers[index]), justify=justify, overflow="fold", width=wide)
+            for index, least in part.items():  # as text: square brackets are units here, and no markup
+                side: Literal["left", "right"] = "right" if index else "left"
+                table.add_column(Text(headers[index]), justify=side, overflow="fold", min_width=least)
             for number, row in enumerate(rows):
                 table.add_row(*(Text(row[index]) for index in part), style="bold" if number == bold else None)
             page.print(table)
@@ -201,6 +200,13 @@ class Terminal:
             raise
 
     @contextmanager
+    def watched(self, title: str, show: Callable[[Any], object] = lambda result: None) -> Iterator[Observer]:  # noqa: ARG005
+        """Show what an arm does, and on the page where one is asked for; ``show`` prints a result cut short."""
+        with self.unsaved(show), live_view(self, self.live, title) as view, self.progress(title) as update:
+            console = ConsoleObserver(self, update, partial=show)
+            yield console if view is None else Observers(console, view)
+
+    @contextmanager
     def progress(self, title: str) -> Iterator[Progress]:
         """Show a bar on a terminal, and a line now and then elsewhere."""
         if not self.notes.is_terminal:
@@ -224,27 +230,16 @@ class Terminal:
             yield update
 
 
-def _parts(headers: Sequence[str], rows: Sequence[Sequence[str]], most: int) -> list[tuple[list[int], list[int]]]:
-    """Distribute columns to tables of at most ``most`` characters, the first to each; with the widths of columns."""
-    cells = [[header, *(row[index] for row in rows)] for index, header in enumerate(headers)]
-    natural = [max(map(cell_len, column)) for column in cells]
-    least = [_least(column) for column in cells]
-    parts: list[list[int]] = [[0]]
+def _parts(headers: Sequence[str], rows: Sequence[Sequence[str]], most: int) -> list[dict[int, int]]:
+    """Distribute columns to tables of at most ``most`` characters, the first to each; with their least widths."""
+    least = [_least([header, *(row[k] for row in rows)]) for k, header in enumerate(headers)]
+    parts = [{0: least[0]}]
     for index in range(1, len(headers)):
-        if len(parts[-1]) > 1 and _across([least[one] for one in [*parts[-1], index]]) > most:
-            parts.append([0])
-        parts[-1].append(index)
-    found = []
-    for part in parts:
-        widths = [least[index] for index in part]
-        for place, index in enumerate(part):  # what is left goes to those whose text would break
-            widths[place] += min(natural[index] - widths[place], max(most - _across(widths), 0))
-        found.append((part, widths))
-    return found
-
-
-def _across(widths: Sequence[int]) -> int:
-    return sum(width + 3 for width in widths) + 1
+        across = sum(width + 3 for width in parts[-1].values()) + 1
+        if len(parts[-1]) > 1 and across + least[index] + 3 > most:
+            parts.append({0: least[0]})
+        parts[-1][index] = least[index]
+    return parts
 
 
 def _least(cells: Sequence[str]) -> int:
@@ -326,16 +321,6 @@ def live_view(terminal: Terminal, place: str | None, title: str) -> Iterator[Liv
         yield view
     if view.failure:
         terminal.say(f"The live view ended early ({view.failure}); the arm was driven all the same.")
-
-
-@contextmanager
-def watched(
-    terminal: Terminal, title: str, doing: str, live: str | None, partial: Callable[[Any], object] | None = None
-) -> Iterator[Observer]:
-    """Show a motion at the terminal, where it is ``doing`` something, and on the page where one is asked for."""
-    with live_view(terminal, live, title) as view, terminal.progress(doing) as update:
-        console = ConsoleObserver(terminal, update, partial=partial)
-        yield console if view is None else Observers(console, view)
 
 
 def host_and_port(place: str) -> tuple[str, int]:

@@ -8,14 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-import typer
 
 import rejoint
 from rejoint.arms import Arm, tcp_position
-from rejoint.cli import options as opt
 from rejoint.cli import show
-from rejoint.cli.console import Terminal, results_of, watched
-from rejoint.cli.options import Json
+from rejoint.cli.console import results_of
+from rejoint.cli.options import Call, argument, option, takes
 from rejoint.logs import ANGLE_UNITS, FORMATS, STAMPS, TIME_UNITS, ImportOptions, export_log, import_logs, read_map
 from rejoint.logs.consistency import forced_remarks
 from rejoint.logs.runlog import RunLog, read_log
@@ -30,106 +28,97 @@ if TYPE_CHECKING:
     from rejoint.twin.judge import Candidate
     from rejoint.twin.judgement import Errors, Judgement
 
-Logs = Annotated[Path, typer.Option(help="Folder of run logs (.parquet), such as `rejoint import` writes.")]
 Published = Annotated[
     list[str] | None,
-    typer.Option(help="FILE or NAME=FILE: a published parameter set (TOML) to judge beside the twin; repeatable."),
+    option("FILE or NAME=FILE: a published parameter set (TOML) to judge beside the twin; repeatable."),
 ]
 HeldOut = Annotated[
     list[str] | None,
-    typer.Option(
-        help="Motion to keep from the fit and judge it by; repeatable. none: judge it on what it has seen. By default "
-        "a quarter of the motions is drawn."
+    option(
+        "Motion to keep from the fit and judge it by; repeatable. none: judge it on what it has seen. By default a "
+        "quarter of the motions is drawn."
     ),
 ]
 Gain = Annotated[
     list[str] | None,
-    typer.Option(
-        help="MOTION=GAIN: the servos' position gain in a motion over that which the twin is to have, one number or "
-        "one for each joint; repeatable."
+    option(
+        "MOTION=GAIN: the servos' position gain in a motion over that which the twin is to have, one number or one for "
+        "each joint; repeatable."
     ),
 ]
 TorqueOff = Annotated[
     list[str] | None,
-    typer.Option(help="MOTION=FROM-TO: seconds of a motion in which the servos give no torque; repeatable."),
+    option("MOTION=FROM-TO: seconds of a motion in which the servos give no torque; repeatable."),
 ]
 
 
-def diagnose_from_logs(terminal: Terminal, job: Run, logs: Path, good: Path | None) -> None:
+def diagnose_from_logs(call: Call, job: Run, logs: Path, good: Path | None) -> object:
     """Judge an arm by the run logs in a folder and write the diagnosis into the run folder of ``job``."""
-    with watched(terminal, "diagnose", "diagnosing", None) as observer:
+    with call.watched("diagnose") as observer:
         found = rejoint.diagnose(logs, run=job, healthy=good, observer=observer).diagnosis
-    show.diagnosis(terminal, found)
-    terminal.next(command("identify", "--logs", logs, "--run", job.path))
-    terminal.finish({"run": str(job.path), "diagnosis": found})
+    show.diagnosis(call, found)
+    call.next(command("identify", "--logs", logs, "--run", job.path))
+    return {"run": job.path, "diagnosis": found}
 
 
-def identify_from_logs(
-    terminal: Terminal,
-    job: Run,
-    logs: Path,
+def log_plan(
+    arm: Arm,
     published: list[str] | None,
     hold_out: list[str] | None,
     gain: list[str] | None,
     torque_off: list[str] | None,
-) -> None:
-    """Fit a twin to the run logs in a folder, judge it, and write both and the report into a run folder."""
-    beside = read_sets(published, job.arm)
-    with watched(terminal, "identify", "identifying", None) as observer:
-        kept = None if not hold_out else [name for name in hold_out if name != "none"]
-        twin = rejoint.identify(
-            logs,
-            run=job,
-            observer=observer,
-            plan=rejoint.LogPlan(
-                beside=beside, hold_out=kept, gain=_by_motion(gain), torque_off=_by_motion(torque_off)
-            ),
-        )
-    show.twin(terminal, twin)
-    say_forced(terminal, as_logs(logs))
-    if twin.judgement is not None:
-        show_errors(terminal, twin.judgement)
-    path = rejoint.report(job)
-    terminal.result(f"Twin: {job.folder.twin}")
-    terminal.result(f"Report: {path}")
-    terminal.finish(
-        {
-            "run": str(job.path),
-            "twin": str(job.folder.twin),
-            "report": str(path),
-            "fitted": twin.fitted,
-            "judgement": None if twin.judgement is None else _without_trace(twin.judgement, job.folder.judgement),
-            "notes": twin.notes,
-        }
+) -> rejoint.LogPlan:
+    """Read the options of a fit to logs."""
+    return rejoint.LogPlan(
+        beside=read_sets(published, arm),
+        hold_out=None if not hold_out else [name for name in hold_out if name != "none"],
+        gain=_by_motion(gain),
+        torque_off=_by_motion(torque_off),
     )
 
 
-@opt.with_arm
+def identify_from_logs(call: Call, job: Run, logs: Path, plan: rejoint.LogPlan) -> object:
+    """Fit a twin to the run logs in a folder, judge it, and write both and the report into a run folder."""
+    with call.watched("identify") as observer:
+        twin = rejoint.identify(logs, run=job, observer=observer, plan=plan)
+    show.twin(call, twin)
+    say_forced(call, as_logs(logs))
+    if twin.judgement is not None:
+        show_errors(call, twin.judgement)
+    path = rejoint.report(job)
+    call.result(f"Twin: {job.folder.twin}")
+    call.result(f"Report: {path}")
+    return {
+        "run": job.path,
+        "twin": job.folder.twin,
+        "report": path,
+        "fitted": twin.fitted,
+        "judgement": twin.judgement and _without_trace(twin.judgement, job.folder.judgement),
+        "notes": twin.notes,
+    }
+
+
+@takes("arm", "part")
 def replay(
-    twin: Annotated[Path, typer.Argument(help="Twin (.toml) to judge.")],
-    logs: Logs,
+    call: Call,
+    twin: Annotated[Path, argument("Twin (.toml) to judge.")],
+    logs: Annotated[Path, option("Folder of run logs (.parquet), such as `rejoint import` writes.")],
     published: Published = None,
-    out: Annotated[Path, typer.Option(help="Folder for the page and its figures.")] = Path("replay"),
-    json: Json = False,
-    *,
-    pick: opt.ArmPick,
-) -> None:
+    out: Annotated[Path, option("Folder for the page and its figures.")] = Path("replay"),
+) -> object:
     """Predict every motion open loop with a twin and show how far off it is, free space and contact apart.
 
     Example: `rejoint replay runs/so101/twin.toml --logs logs/so101 --published maker.toml --out replay`
     """
     require("rejoint replay", "train", "report")
-    terminal = Terminal(json=json)
-    chosen = arm_of_twin(twin) if pick.source is None else opt.choose_arm(terminal, pick)
+    chosen = arm_of_twin(twin) if call.pick.source is None else call.arm()
     replayed = rejoint.replay(twin, logs, arm=chosen, beside=read_sets(published, chosen), out=out)
-    say_forced(terminal, replayed.logs)
+    say_forced(call, replayed.logs)
     if replayed.judgement is None:
-        show_followed(terminal, chosen, replayed)
-        return
-    show_errors(terminal, replayed.judgement)
-    terminal.result(f"Page: {replayed.page}")
-    told = _without_trace(replayed.judgement, out / "replay.json")
-    terminal.finish({**told, "page": str(replayed.page)})
+        return show_followed(call, chosen, replayed)
+    show_errors(call, replayed.judgement)
+    call.result(f"Page: {replayed.page}")
+    return _without_trace(replayed.judgement, out / "replay.json") | {"page": replayed.page}
 
 
 def _without_trace(judgement: Judgement, file: Path) -> dict[str, Any]:
@@ -148,26 +137,26 @@ def read_sets(published: list[str] | None, arm: Arm) -> list[Candidate]:
     return found
 
 
-def say_forced(terminal: Terminal, logs: Sequence[RunLog]) -> None:
+def say_forced(call: Call, logs: Sequence[RunLog]) -> None:
     """Repeat what spoke against logs that were imported by force."""
     for remark in forced_remarks(logs):
-        terminal.say(f"  ! {remark}")
+        call.say(f"  ! {remark}")
 
 
-def show_followed(terminal: Terminal, arm: Arm, replayed: Replayed) -> None:
+def show_followed(call: Call, arm: Arm, replayed: Replayed) -> object:
     """Print how the twin follows paths of which only states are known."""
-    rows, found = [], []
+    found = []
     for log, follows in zip(replayed.logs, replayed.positions, strict=True):
         off = 1e3 * np.linalg.norm(tcp_position(arm, follows) - tcp_position(arm, log.position), axis=1)
-        rms, most = float(np.sqrt(np.mean(off**2))), float(off.max())
-        seconds = float(log.time[-1] - log.time[0])
-        rows.append([log.label, f"{seconds:.0f}", f"{rms:.2f}", f"{most:.2f}"])
-        found.append({"motion": log.label, "seconds": seconds, "rms_mm": rms, "most_mm": most})
-    terminal.table("The twin, sent along the recorded path", ["motion", "s", "rms mm", "most mm"], rows)
-    terminal.result(
+        seconds, rms = float(log.time[-1] - log.time[0]), float(np.sqrt(np.mean(off**2)))
+        found.append({"motion": log.label, "seconds": seconds, "rms_mm": rms, "most_mm": float(off.max())})
+    shown = ("{motion}", "{seconds:.0f}", "{rms_mm:.2f}", "{most_mm:.2f}")
+    rows = [[cell.format_map(one) for cell in shown] for one in found]
+    call.table("The twin, sent along the recorded path", ["motion", "s", "rms mm", "most mm"], rows)
+    call.result(
         "These logs hold no commands: how well the twin predicts the arm cannot be told, and no page is written."
     )
-    terminal.finish({"followed": found, "judgement": None, "page": None})
+    return {"followed": found, "judgement": None, "page": None}
 
 
 def _by_motion(given: list[str] | None) -> dict[str, str]:
@@ -180,7 +169,7 @@ def _by_motion(given: list[str] | None) -> dict[str, str]:
     return found
 
 
-def show_errors(terminal: Terminal, judgement: Judgement) -> None:
+def show_errors(call: Call, judgement: Judgement) -> None:
     """Print the errors of every motion, and which prediction to trust."""
     from rejoint.pages.report.tables import answer
 
@@ -192,9 +181,9 @@ def show_errors(terminal: Terminal, judgement: Judgement) -> None:
     ]
     rows.append(["mean over motions", "", *(_cell(judgement.mean[name]) for name in names)])
     title = "Open-loop error of the tool, rms by encoders: free / contact / all [mm]"
-    terminal.table(title, headers, rows, len(rows) - 1)
+    call.table(title, headers, rows, len(rows) - 1)
     for line in answer(judgement):
-        terminal.result(line)
+        call.result(line)
 
 
 def _cell(errors: Errors) -> str:
@@ -202,49 +191,43 @@ def _cell(errors: Errors) -> str:
     return " / ".join("-" if part is None else f"{1e3 * part.tcp:.2f}" for part in parts)
 
 
-@opt.with_arm
+@takes("arm", "part")
 def import_(
-    source: Annotated[
-        Path, typer.Argument(help="File or folder: text with columns, JSON, NumPy, bags, MCAP, LeRobot or SAGE.")
-    ],
-    out: Annotated[Path, typer.Argument(help="New folder for the run logs.")],
+    call: Call,
+    source: Annotated[Path, argument("File or folder: text with columns, JSON, NumPy, bags, MCAP, LeRobot or SAGE.")],
+    out: Annotated[Path, argument("New folder for the run logs.")],
     kind: Annotated[
-        str | None, typer.Option("--format", help=f"One of {', '.join(FORMATS)}; by default found from the content.")
+        str | None, option(f"One of {', '.join(FORMATS)}; by default found from the content.", "--format")
     ] = None,
     angle_unit: Annotated[
-        str | None, typer.Option(help=f"Unit of angles, where the source is silent: {', '.join(ANGLE_UNITS)}.")
+        str | None, option(f"Unit of angles, where the source is silent: {', '.join(ANGLE_UNITS)}.")
     ] = None,
     time_unit: Annotated[
-        str | None, typer.Option(help=f"Unit of times, where the source is silent: {', '.join(TIME_UNITS)}.")
+        str | None, option(f"Unit of times, where the source is silent: {', '.join(TIME_UNITS)}.")
     ] = None,
-    rate: Annotated[float | None, typer.Option(help="Rows in a second of a file without a time.")] = None,
+    rate: Annotated[float | None, option("Rows in a second of a file without a time.")] = None,
     columns: Annotated[
         list[str] | None,
-        typer.Option(
+        option(
+            "What is what in the file: time=t, JOINT=q1, command.JOINT=u1, JOINT=m1/6.33-0.6, command=27..32; several "
+            "times, by commas, or a TOML file.",
             "--map",
-            help="What is what in the file: time=t, JOINT=q1, command.JOINT=u1, JOINT=m1/6.33-0.6, "
-            "command=27..32; several times, by commas, or a TOML file.",
         ),
     ] = None,
-    order: Annotated[str | None, typer.Option(help="Names of columns that have none, comma-separated.")] = None,
-    torque_off: Annotated[str | None, typer.Option(help="Joints that had no torque, comma-separated.")] = None,
-    state_topic: Annotated[str | None, typer.Option(help="Topic of the measured state in a bag.")] = None,
-    command_topic: Annotated[str | None, typer.Option(help="Topic of the commands in a bag.")] = None,
-    stamp: Annotated[str | None, typer.Option(help=f"Clock of a bag: {' or '.join(STAMPS)}.")] = None,
-    calibration: Annotated[Path | None, typer.Option(help="LeRobot calibration file for normalised angles.")] = None,
+    order: Annotated[str | None, option("Names of columns that have none, comma-separated.")] = None,
+    torque_off: Annotated[str | None, option("Joints that had no torque, comma-separated.")] = None,
+    state_topic: Annotated[str | None, option("Topic of the measured state in a bag.")] = None,
+    command_topic: Annotated[str | None, option("Topic of the commands in a bag.")] = None,
+    stamp: Annotated[str | None, option(f"Clock of a bag: {' or '.join(STAMPS)}.")] = None,
+    calibration: Annotated[Path | None, option("LeRobot calibration file for normalised angles.")] = None,
     force: Annotated[
-        bool,
-        typer.Option("--force", help="Import despite failed consistency checks; the warnings are stored in the log."),
+        bool, option("Import despite failed consistency checks; the warnings are stored in the log.", "--force")
     ] = False,
-    json: Json = False,
-    *,
-    pick: opt.ArmPick,
-) -> None:
+) -> object:
     """Turn logs of other programs into run logs; units, joint order and clock are checked, never guessed.
 
     Example: `rejoint import recordings/so101 logs/so101 --arm so101`
     """
-    terminal = Terminal(json=json)
     options = ImportOptions(
         angle_unit=angle_unit,
         time_unit=time_unit,
@@ -258,54 +241,47 @@ def import_(
         torque_off=_names(torque_off),
         force=force,
     )
-    chosen = opt.choose_arm(terminal, pick)
-    with terminal.progress("importing") as update:
+    chosen = call.arm()
+    with call.progress("import") as update:
         imported = import_logs(source, chosen, out=out, format=kind, options=options, on_progress=update)
     for note in (*imported.notes, *imported.skipped):
-        terminal.say(note)
-    seconds = sum(float(log.time[-1] - log.time[0]) for log in imported.logs)
-    count = len(imported.logs)
+        call.say(note)
+    seconds, count = sum(float(log.time[-1] - log.time[0]) for log in imported.logs), len(imported.logs)
     skipped = f"; {len(imported.skipped)} skipped" * bool(imported.skipped)
-    terminal.result(f"{count} run log{'s' * (count != 1)}, {seconds:.0f} s of motion, in {out}{skipped}")
-    terminal.finish(
-        {"out": str(out), "logs": count, "seconds": seconds, "notes": imported.notes, "skipped": imported.skipped}
-    )
+    call.result(f"{count} run log{'s' * (count != 1)}, {seconds:.0f} s of motion, in {out}{skipped}")
+    return {"out": out, "logs": count, "seconds": seconds, "notes": imported.notes, "skipped": imported.skipped}
 
 
+@takes()
 def export(
-    source: Annotated[
-        Path, typer.Argument(help="Run log (.parquet), or with --format a run folder.", metavar="SOURCE")
-    ],
+    call: Call,
+    source: Annotated[Path, argument("Run log (.parquet), or with --format a run folder.", "SOURCE")],
     out: Annotated[
-        Path | None,
-        typer.Argument(help="File to write: of a log .csv, or .mcap for PlotJuggler, Foxglove and Rerun."),
+        Path | None, argument("File to write: of a log .csv, or .mcap for PlotJuggler, Foxglove and Rerun.")
     ] = None,
     kind: Annotated[
         str | None,
-        typer.Option(
+        option(
+            "Of a run: urdf (this unit), lerobot (its zeros), datasheet (a page), onnx or ros2 (its controller).",
             "--format",
-            help="Of a run: urdf (this unit), lerobot (its zeros), datasheet (a page), onnx or ros2 (its controller).",
         ),
     ] = None,
-    lerobot: Annotated[Path | None, typer.Option(help="Calibration file of LeRobot whose zeros to correct.")] = None,
+    lerobot: Annotated[Path | None, option("Calibration file of LeRobot whose zeros to correct.")] = None,
     controller: Annotated[
-        str | None, typer.Option(help="For onnx and ros2: its name; by default what the run recommends.")
+        str | None, option("For onnx and ros2: its name; by default what the run recommends.")
     ] = None,
-    json: Json = False,
-) -> None:
+) -> object:
     """Write a run log as CSV or MCAP, or what a run has found out: URDF, LeRobot's calibration, data sheet, controller.
 
     Example: `rejoint export runs/mine/logs/excitation.parquet excitation.mcap`, or
     `rejoint export runs/mine --format urdf`
     """
-    terminal = Terminal(json=json)
     if kind is not None or lerobot is not None or controller is not None:
         from rejoint.runs.exporting.exports import export_run
 
-        out, told = export_run(
-            source, kind or ("lerobot" if lerobot else "onnx"), out, lerobot=lerobot, controller=controller
-        )
-        terminal.say(told)
+        kind = kind or ("lerobot" if lerobot else "onnx")
+        out, told = export_run(source, kind, out, lerobot=lerobot, controller=controller)
+        call.say(told)
     elif out is None:
         raise InputError(
             "export takes a run log (.parquet) and a file to write (.csv or .mcap), or a run folder and --format: "
@@ -313,8 +289,8 @@ def export(
         )
     else:
         export_log(read_log(source), out)
-    terminal.result(str(out))
-    terminal.finish({"out": str(out)})
+    call.result(str(out))
+    return {"out": out}
 
 
 def _names(text: str | None) -> tuple[str, ...] | None:

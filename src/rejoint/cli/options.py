@@ -1,4 +1,4 @@
-"""Options that several commands share, so that they read the same everywhere."""
+"""The options that commands share, each declared once, and the call of a command that receives them."""
 
 from __future__ import annotations
 
@@ -25,9 +25,15 @@ from rejoint.runs.run import newest_or_new
 from rejoint.session.settings import Settings
 from rejoint.system.errors import InputError
 
-ROBOT_HELP = (
-    "Robot: emulated:PROFILE (in process), tcp://HOST:PORT, serial:///dev/ttyAMA0, or feetech:///dev/ttyACM0 (SO-101)."
-)
+
+def option(text: str, *flags: str, **limits: Any) -> Any:  # noqa: ANN401 - the framework's own kind
+    """Describe an option: its help, its flags unless they are its name, and the limits of its value."""
+    return typer.Option(*flags, help=text, **limits)
+
+
+def argument(text: str, metavar: str | None = None) -> Any:  # noqa: ANN401 - the framework's own kind
+    """Describe an argument: its help, and its name in the usage line."""
+    return typer.Argument(help=text, metavar=metavar)
 
 
 def meaning(field: str) -> str:
@@ -40,73 +46,51 @@ def meaning(field: str) -> str:
     return found[1][:1].upper() + re.sub(r"\s+", " ", found[1][1:])
 
 
-Robot = Annotated[str, typer.Argument(help=ROBOT_HELP, metavar="ROBOT")]
-OptionalRobot = Annotated[
-    str | None, typer.Argument(help=f"{ROBOT_HELP} By default emulated:worn.", metavar="ROBOT", show_default=False)
-]
-LogsOption = Annotated[
-    Path | None, typer.Option("--logs", help="Folder of run logs (see `rejoint import`) instead of a robot or a run.")
-]
-Run = Annotated[Path, typer.Argument(help="Run folder.", metavar="RUN")]
-RunOption = Annotated[Path | None, typer.Option("--run", help="Run folder; by default a new one below runs/.")]
-ArmOption = Annotated[
-    str | None,
-    typer.Option("--arm", help="Arm: mycobot280 (default), so101, or a .urdf, .xml (MJCF) or .toml file."),
-]
-Base = Annotated[str | None, typer.Option(help="Body of the file at which the arm begins; by default its root.")]
-Tip = Annotated[str | None, typer.Option(help="Body or site of the file at which the arm ends.")]
-Hold = Annotated[
-    str | None,
-    typer.Option(
-        help="Joints of the file that are not driven, and where they stand: torso_lift_joint=200mm,waist=30deg. Joints "
-        "that slide are never driven; they stand at zero where nothing is said."
+Robot = Annotated[
+    str,
+    argument(
+        "Robot: emulated:PROFILE (in process), tcp://HOST:PORT, serial:///dev/ttyAMA0, or feetech:///dev/ttyACM0 "
+        "(SO-101).",
+        "ROBOT",
     ),
 ]
-Seed = Annotated[int, typer.Option(help="Seed of everything random.", min=0)]
-RunSeed = Annotated[int | None, typer.Option("--seed", help=f"{meaning('seed')}.", min=0)]
-Quick = Annotated[bool, typer.Option("--quick", help="Do little of everything, for a first try; no result.")]
-RepairSets = Annotated[
-    int | None, typer.Option("--sets", help="Target sets of ten targets each; by default 3, on a real arm 1.", min=1)
+OptionalRobot = Annotated[str | None, argument("Robot, as for `repair`; by default emulated:worn.", "ROBOT")]
+LogsOption = Annotated[
+    Path | None, option("Folder of run logs (see `rejoint import`) instead of a robot or a run.", "--logs")
 ]
-RepairRepetitions = Annotated[
+Run = Annotated[Path, argument("Run folder.", "RUN")]
+RunOption = Annotated[Path | None, option("Run folder; by default a new one below runs/.", "--run")]
+Seed = Annotated[int, option("Seed of everything random.", min=0)]
+RunSeed = Annotated[int | None, option(f"{meaning('seed')}.", "--seed", min=0)]
+Quick = Annotated[bool, option("Do little of everything, for a first try; no result.", "--quick")]
+Sets = Annotated[
     int | None,
-    typer.Option("--repetitions", help="Repetitions of every target set; by default 2, on a real arm 1.", min=1),
+    option("Target sets of ten targets each; by default 10, in a repair 3, on a real arm 1.", "--sets", min=1),
 ]
-Json = Annotated[bool, typer.Option("--json", help="End standard output with one line of JSON.")]
+Repetitions = Annotated[
+    int | None,
+    option("Repetitions of every target set; by default 6, in a repair 2, on a real arm 1.", "--repetitions", min=1),
+]
 Preset = Annotated[
     str,
-    typer.Option(
-        help="Training recipe: default, scratch (from random weights), or paper (Park et al. 2024 to the letter)."
-    ),
+    option("Training recipe: default, scratch (from random weights), or paper (Park et al. 2024 to the letter)."),
 ]
 Measure = Annotated[
     str | None,
-    typer.Option(
-        "--measure",
-        help="What measures the tool: touch (you, with a ruler or calliper), camera, camera=NUMBER, tracker=FILE (CSV, "
+    option(
+        "What measures the tool: touch (you, with a ruler or calliper), camera, camera=NUMBER, tracker=FILE (CSV, "
         "goes on being written), none; to `calibrate`, which moves nothing then, also camera=PICTURES or points=FILE. "
         "By default an emulated arm tells, and a real one is not calibrated.",
+        "--measure",
     ),
 ]
-Targets = Annotated[Path | None, typer.Option(help="CSV file of targets in mm: x,y,z, and perhaps an orientation.")]
+Targets = Annotated[Path | None, option("CSV file of targets in mm: x,y,z, and perhaps an orientation.")]
 Controllers = Annotated[
     str,
-    typer.Option(
-        help="Comma-separated controllers, such as default,integrator,policy; all: those that suit the robot."
-    ),
+    option("Comma-separated controllers, such as default,integrator,policy; all: those that suit the robot."),
 ]
-Live = Annotated[
-    str | None,
-    typer.Option(
-        "--live",
-        metavar="[HOST:PORT]",
-        help="Show the arm on a page while it moves, by default at 127.0.0.1:8080, with a button that holds it.",
-    ),
-]
-Full = Annotated[
-    bool,
-    typer.Option("--full", help="On a real arm, drive every controller to all targets and eliminate none."),
-]
+Full = Annotated[bool, option("On a real arm, drive every controller to all targets and eliminate none.", "--full")]
+Threads = Annotated[int, option("Threads of the simulation.", min=1)]
 
 
 class ArmPick(NamedTuple):
@@ -118,26 +102,48 @@ class ArmPick(NamedTuple):
     hold: str | None = None
 
 
-def choose_arm(terminal: Terminal, pick: ArmPick, robot: str | None = None) -> Arm:
-    """Load an arm, by default the one that ``robot`` is, and say what its description left open.
+class Call(Terminal):
+    """One call of a command: where it writes, and what the user wrote in the options that commands share."""
 
-    Without a rest posture the arm is written to a TOML file in the working folder, for its owner to give it.
-    """
-    source, base, tip, hold = pick
-    source = source or (DEFAULT_ARM if robot is None else place_of(robot).default_arm)
-    try:
-        loaded = read_arm(source, base=base, tip=tip, hold=held_positions(hold))
-    except UnfinishedArmError as error:
-        if source.endswith(".toml"):
-            raise
-        path = Path(f"{re.sub(r'[^A-Za-z0-9_-]+', '-', error.arm.name)}.toml")
-        if path.exists():
-            raise InputError(f"{error}, and that as --arm; {path} is there already, so none was written") from error
-        line = write_unfinished(path, error.arm, error.notes)
-        raise InputError(f"{error}: {path} is written, give it in line {line}, and the file as --arm") from error
-    for note in loaded.notes:
-        terminal.say(f"arm {loaded.arm.name}: {note}")
-    return loaded.arm
+    def __init__(self, *, json: bool, live: str | None, pick: ArmPick, settings: Settings) -> None:
+        super().__init__(json=json, dry=settings.dry_run, live=live)
+        self.pick, self.settings = pick, settings
+
+    def arm(self, robot: str | None = None) -> Arm:
+        """Load the arm, by default the one that ``robot`` is, and say what its description left open.
+
+        Without a rest posture the arm is written to a TOML file in the working folder, for its owner to give it.
+        """
+        source, base, tip, hold = self.pick
+        source = source or (DEFAULT_ARM if robot is None else place_of(robot).default_arm)
+        try:
+            loaded = read_arm(source, base=base, tip=tip, hold=held_positions(hold))
+        except UnfinishedArmError as error:
+            if source.endswith(".toml"):
+                raise
+            path = Path(f"{re.sub(r'[^A-Za-z0-9_-]+', '-', error.arm.name)}.toml")
+            if path.exists():
+                raise InputError(f"{error}, and that as --arm; {path} is there already, so none was written") from error
+            line = write_unfinished(path, error.arm, error.notes)
+            raise InputError(f"{error}: {path} is written, give it in line {line}, and the file as --arm") from error
+        for note in loaded.notes:
+            self.say(f"arm {loaded.arm.name}: {note}")
+        return loaded.arm
+
+    def run_of_logs(self, logs: Path, path: Path | None, seed: int) -> OpenRun:
+        """Prepare the run of a folder of logs: the one at ``path``, or the newest one of these logs, or a new one."""
+        robot = f"{LOGS}{logs}"
+        if path is not None and RunFolder(path).info.exists() and not any(self.pick):
+            return OpenRun.plan(path, robot, OpenRun.open(path).arm, seed)
+        chosen = self.arm()
+        return OpenRun.plan(path or newest_or_new(robot, chosen, seed)[0], robot, chosen, seed)
+
+
+class Result(NamedTuple):
+    """What a command ends with: the object of its last line with --json, and its exit code."""
+
+    value: object
+    code: int = 0
 
 
 _HOLD_UNITS = {"mm": 1e-3, "m": 1.0, "deg": math.pi / 180, "rad": 1.0}
@@ -153,15 +159,6 @@ def held_positions(text: str | None) -> dict[str, float]:
             raise InputError(f"--hold {text!r}: expected joints with places, as torso_lift_joint=200mm,waist=30deg")
         found[name] = float(number[1]) * _HOLD_UNITS[number[2]]
     return found
-
-
-def run_of_logs(terminal: Terminal, logs: Path, path: Path | None, seed: int, pick: ArmPick) -> OpenRun:
-    """Prepare the run of a folder of logs: the one at ``path``, or the newest one of these logs, or a new one."""
-    robot, begun = f"{LOGS}{logs}", path is not None and RunFolder(path).info.exists()
-    if path is not None and begun and not any(pick):
-        return OpenRun.plan(path, robot, OpenRun.open(path).arm, seed)
-    chosen = choose_arm(terminal, pick)
-    return OpenRun.plan(path or newest_or_new(robot, chosen, seed)[0], robot, chosen, seed)
 
 
 def period_seconds(text: str | None) -> tuple[float, float] | None:
@@ -216,7 +213,7 @@ def point_of(x: float, y: float, z: float, option: str = "goto") -> tuple[float,
 
 
 class SharedOption(NamedTuple):
-    """An option that is a field of `Settings`, whose documentation is its help."""
+    """An option that becomes a field of `Settings`, whose documentation is its help."""
 
     kind: object = str | None
     """type of the command's parameter"""
@@ -228,12 +225,19 @@ class SharedOption(NamedTuple):
     """of `Settings`, where it is not called like the option"""
     limits: Mapping[str, float] = {}
 
-    def parameter(self, name: str) -> tuple[object, object]:
-        """Return annotation and default of a command's parameter called ``name``."""
+    def parameter(self, name: str) -> Parameter:
+        """Return a command's parameter called ``name``."""
         field = self.field or name
         what, default, usual = meaning(field).partition("; by default")
-        text, flag = f"{what}{self.form and f', {self.form}'}{default}{usual}.", f"--{name.replace('_', '-')}"
-        return Annotated[self.kind, typer.Option(flag, help=text, **self.limits)], getattr(Settings, field)  # type: ignore[arg-type]
+        text = f"{what}{self.form and f', {self.form}'}{default}{usual}."
+        return keyword(
+            name, self.kind, option(text, f"--{name.replace('_', '-')}", **self.limits), getattr(Settings, field)
+        )
+
+
+def keyword(name: str, kind: object, described: object, default: object = None) -> Parameter:
+    """Return a command's parameter."""
+    return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, described])
 
 
 SHARED = {
@@ -252,49 +256,59 @@ SHARED = {
 }
 """Options of several commands that become fields of `Settings`"""
 
-
-ARM = {"arm": ArmOption, "base": Base, "tip": Tip, "hold": Hold}
+ARM = {
+    "arm": "Arm: mycobot280 (default), so101, or a .urdf, .xml (MJCF) or .toml file.",
+    "base": "Body of the file at which the arm begins; by default its root.",
+    "tip": "Body or site of the file at which the arm ends.",
+    "hold": "Joints of the file that are not driven, and where they stand: torso_lift_joint=200mm,waist=30deg. Joints "
+    "that slide are never driven; they stand at zero where nothing is said.",
+}
 """Options of which an `ArmPick` is made"""
 
-
-def with_arm(command: Callable[..., None]) -> Callable[..., None]:
-    """Give a command the options `ARM`; it receives them as ``pick``."""
-    return _with_options(
-        command, "pick", {name: (to, None) for name, to in ARM.items()}, lambda words: ArmPick(*words.values())
-    )
-
-
-def with_settings(*names: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Give a command the shared options ``names``; it receives them as ``settings``."""
-
-    def settings(words: dict[str, Any]) -> Settings:
-        return Settings(**{SHARED[name].field or name: SHARED[name].read(words[name]) for name in names})  # type: ignore[arg-type]
-
-    options = {name: SHARED[name].parameter(name) for name in names}
-    return lambda command: _with_options(command, "settings", options, settings)
+LIVE = option(
+    "Show the arm on a page while it moves, by default at 127.0.0.1:8080, with a button that holds it.",
+    "--live",
+    metavar="[HOST:PORT]",
+)
+JSON = option("End standard output with one line of JSON.", "--json")
 
 
-def _with_options(
-    command: Callable[..., None],
-    what: str,
-    options: Mapping[str, tuple[object, object]],
-    make: Callable[[dict[str, Any]], object],
-) -> Callable[..., None]:
-    """Return the command with ``options`` (annotation, default) instead of its parameter ``what``, made of them."""
+def takes(*names: str) -> Callable[[Callable[..., object]], Callable[..., None]]:
+    """Give a command shared options: ``arm``, ``part`` of it, ``live``, and of `SHARED`; all commands have ``json``.
 
-    @wraps(command)
-    def with_options(**words: Any) -> None:  # noqa: ANN401 - what the user wrote
-        command(**{what: make({name: words.pop(name) for name in options})}, **words)
-
-    hints = get_type_hints(command, include_extras=True)
-    own = [one.replace(annotation=hints[one.name]) for one in signature(command).parameters.values()]
-    more = [
-        Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=to)
-        for name, (to, default) in options.items()
+    The command receives them as a `Call`, and returns its `Result` or that one's value; None prints no JSON.
+    """
+    arm = {name: text for name, text in ARM.items() if name in names or (name != "arm" and "part" in names)}
+    shared = [name for name in names if name in SHARED]
+    options = [
+        *(keyword(name, str | None, option(text, f"--{name}")) for name, text in arm.items()),
+        *(SHARED[name].parameter(name) for name in shared),
+        *([keyword("live", str | None, LIVE)] if "live" in names else []),
+        keyword("json", bool, JSON, default=False),
     ]
-    kept = [one.replace(kind=Parameter.KEYWORD_ONLY) for one in own if one.name != what]
-    last = [one for one in kept if one.name in ("json", "pick", "settings")]
-    listed = [*[one for one in kept if one not in last], *more, *last]
-    with_options.__signature__ = Signature(listed)  # type: ignore[attr-defined]
-    with_options.__annotations__ = {one.name: one.annotation for one in listed}
-    return with_options
+
+    def decorate(command: Callable[..., object]) -> Callable[..., None]:
+        @wraps(command)
+        def run(**words: Any) -> None:  # noqa: ANN401 - what the user wrote
+            fields = {SHARED[name].field or name: SHARED[name].read(words.pop(name)) for name in shared}
+            call = Call(
+                json=words.pop("json"),
+                live=words.pop("live", None),
+                pick=ArmPick(*(words.pop(name) for name in arm)),
+                settings=Settings(**fields),  # type: ignore[arg-type]
+            )
+            found = command(call, **words)
+            result = found if isinstance(found, Result) else Result(found)
+            if result.value is not None:
+                call.finish(result.value)
+            if result.code:
+                raise typer.Exit(result.code)
+
+        hints = get_type_hints(command, include_extras=True)
+        own = list(signature(command).parameters.values())[1:]
+        kept = [one.replace(kind=Parameter.KEYWORD_ONLY, annotation=hints[one.name]) for one in own]
+        run.__signature__ = Signature([*kept, *options])  # type: ignore[attr-defined]
+        run.__annotations__ = {one.name: one.annotation for one in (*kept, *options)}
+        return run
+
+    return decorate

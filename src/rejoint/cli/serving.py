@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 import numpy as np
-import typer
 
 import rejoint
 from rejoint.arms import load_arm
 from rejoint.cli import options as opt
-from rejoint.cli.console import ConsoleObserver, Terminal, live_view
-from rejoint.cli.options import Json, Seed
+from rejoint.cli.console import ConsoleObserver, live_view
+from rejoint.cli.options import Call, option, takes
 from rejoint.control.observer import Observer, Observers
 from rejoint.control.robot import Relaying, part_of
 from rejoint.robots import SIMULATOR, place_of
@@ -35,25 +34,29 @@ SERVED = {"mycobot280": ("A myCobot 280", "worn"), "so101": ("An SO-101", "so101
 """How the arms that can be served are called, and their usual wear profile"""
 
 
+Pty = Annotated[bool, option("Serve a serial line (pseudo terminal) instead of TCP.", "--pty")]
+
+
+@takes()
 def emulate(
+    call: Call,
     arm: Annotated[
-        str, typer.Option(help="mycobot280, on its vendor's protocol, or so101, on its servos' own bus.")
-    ] = ("mycobot280"),
+        str, option("mycobot280, on its vendor's protocol, or so101, on its servos' own bus.")
+    ] = "mycobot280",
     wear: Annotated[
         str | None,
-        typer.Option(
-            help="Wear profile: healthy, worn, `play-in-loop`, so101, `worn?seed=N`, or a .toml file; by default worn, "
-            "of an SO-101 so101."
+        option(
+            "Wear profile: healthy, worn, `play-in-loop`, so101, `worn?seed=N`, or a .toml file; by default worn, of "
+            "an SO-101 so101."
         ),
     ] = None,
-    host: Annotated[str, typer.Option(help="Address to listen on; 0.0.0.0 lets other machines in.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(help="TCP port; 0 takes a free one.", min=0, max=65535)] = 9000,
-    pty: Annotated[bool, typer.Option("--pty", help="Serve a serial line (pseudo terminal) instead of TCP.")] = False,
-    log: Annotated[Path | None, typer.Option(help="Write the true tool position here, as CSV.")] = None,
-    fault: Annotated[str, typer.Option(help="What goes wrong, comma separated; see above.")] = "",
-    seed: Seed = 0,
-    json: Json = False,
-) -> None:
+    host: Annotated[str, option("Address to listen on; 0.0.0.0 lets other machines in.")] = "127.0.0.1",
+    port: Annotated[int, option("TCP port; 0 takes a free one.", min=0, max=65535)] = 9000,
+    pty: Pty = False,
+    log: Annotated[Path | None, option("Write the true tool position here, as CSV.")] = None,
+    fault: Annotated[str, option("What goes wrong, comma separated; see above.")] = "",
+    seed: opt.Seed = 0,
+) -> object:
     """Serve a worn arm in real time on its own wire protocol, until Ctrl-C.
 
     Example: `rejoint emulate --wear worn --port 9000`, then in another terminal
@@ -71,7 +74,6 @@ def emulate(
     from rejoint.robots.lab.emulator.faults import parse_faults
     from rejoint.robots.lab.emulator.servers import beyond_loopback
 
-    terminal = Terminal(json=json)
     served: list[str] = []
     chosen = load_arm(arm)
     if chosen.name not in SERVED:
@@ -82,33 +84,29 @@ def emulate(
 
     def announce(address: str) -> None:
         served.append(address)
-        terminal.say(f"{name} with the wear profile '{wear}' answers at {address}  (Ctrl-C ends it)")
+        call.say(f"{name} with the wear profile '{wear}' answers at {address}  (Ctrl-C ends it)")
         if beyond_loopback(address):
-            terminal.say(f"Other machines can drive it too, without a password: it listens on {host}.")
+            call.say(f"Other machines can drive it too, without a password: it listens on {host}.")
         if fault:
-            terminal.say(f"Faults: {fault}")
+            call.say(f"Faults: {fault}")
 
     place = None if pty else (host, port)
     serve_emulated(chosen, wear, place=place, seed=seed, announce=announce, log=log, faults=faults)
-    terminal.say("Emulator ended.")
-    terminal.finish({"wear": wear, "address": served[-1], "faults": fault})
+    call.say("Emulator ended.")
+    return {"wear": wear, "address": served[-1], "faults": fault}
 
 
-@opt.with_settings("controller", "calibration", "payload", "tool", "period", "dry_run")
+@takes("live", "controller", "calibration", "payload", "tool", "period", "dry_run")
 def serve(
+    call: Call,
     robot: opt.Robot,
     run: opt.Run,
-    listen: Annotated[str, typer.Option(help="HOST:PORT; 0.0.0.0:9000 lets other machines in.")] = "127.0.0.1:9000",
-    pty: Annotated[bool, typer.Option("--pty", help="Serve a serial line (pseudo terminal) instead of TCP.")] = False,
+    listen: Annotated[str, option("HOST:PORT; 0.0.0.0:9000 lets other machines in.")] = "127.0.0.1:9000",
+    pty: Pty = False,
     stdio: Annotated[
-        bool,
-        typer.Option("--stdio", help="Follow joint goals from standard input, a line of JSON each, as from LeRobot."),
+        bool, option("Follow joint goals from standard input, a line of JSON each, as from LeRobot.", "--stdio")
     ] = False,
-    live: opt.Live = None,
-    json: Json = False,
-    *,
-    settings: Settings,
-) -> None:
+) -> object:
     """Let programs written for the vendor's client drive a worn arm as if it were a new one, until Ctrl-C.
 
     They speak to this address instead of the arm's; `send_angles`, `send_coords`, jog and all others mean what they
@@ -116,32 +114,25 @@ def serve(
 
     Example: `rejoint serve tcp://192.168.1.20:9000 runs/mine --listen 127.0.0.1:9001`
     """
-    terminal = Terminal(json=json)
+    settings, console = call.settings, ConsoleObserver(call)
     if stdio:
-        if (
-            pty
-            or json
-            or any(
-                one is not None
-                for one in (settings.controller, settings.calibration, settings.payload, settings.tool, live)
-            )
-        ):
+        alone = Settings(period=settings.period, dry_run=settings.dry_run)
+        if pty or call.json or call.live or vars(settings) != vars(alone):
             raise InputError("--stdio goes with --period and --dry-run alone")
-
-        serve_lines(robot, run, settings, ConsoleObserver(terminal))
-        return
+        serve_lines(robot, run, settings, console)
+        return None
 
     def announce(address: str) -> None:
-        terminal.say(f"The arm at {robot} is served at {address}  (Ctrl-C brings it to a hold and ends)")
+        call.say(f"The arm at {robot} is served at {address}  (Ctrl-C brings it to a hold and ends)")
         if address.startswith("tcp://") and not address.startswith("tcp://127."):
-            terminal.say("Other machines can drive it too, without a password.")
+            call.say("Other machines can drive it too, without a password.")
 
-    console = ConsoleObserver(terminal, served=announce)
-    with live_view(terminal, live, "serve") as view:
+    console = ConsoleObserver(call, served=announce)
+    with live_view(call, call.live, "serve") as view:
         observer = console if view is None else Observers(console, view)
         done = rejoint.serve(robot, run, listen=listen, pty=pty, settings=settings, observer=observer)
-    terminal.say(f"Serving ended after {done.orders} orders; they are in {done.log}")
-    terminal.finish(done)
+    call.say(f"Serving ended after {done.orders} orders; they are in {done.log}")
+    return done
 
 
 LOOK = 0.05

@@ -6,10 +6,12 @@ Haarnoja et al. 2018, arXiv:1812.05905; Fujimoto et al. 2018, arXiv:1802.09477; 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
+import gymnasium
 import numpy as np
 import torch
 from skrl.agents.torch import Agent
@@ -17,18 +19,17 @@ from skrl.agents.torch.ddpg import DDPG, DDPG_CFG
 from skrl.agents.torch.sac import SAC, SAC_CFG
 from skrl.agents.torch.td3 import TD3, TD3_CFG
 from skrl.memories.torch import RandomMemory
-from skrl.models.torch import Model
+from skrl.models.torch import DeterministicMixin, Model
 from skrl.resources.noises.torch import GaussianNoise
-from torch import nn
+from torch import Tensor, nn
 
 from rejoint.arms import Arm
 from rejoint.logs.runfolder.folder import Outputs
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
-from rejoint.training.actorcritic import ActionCritic, BoundedActor, SquashedActor, bounded
 from rejoint.training.export import export_policy
-from rejoint.training.learner import REACHED_DISTANCE, CurvePoint, on_threads
-from rejoint.training.ppo import unbounded
+from rejoint.training.learner import REACHED_DISTANCE, CurvePoint, ends, on_threads
+from rejoint.training.ppo import LAST_LAYER_SCALE, perceptron, unbounded
 from rejoint.training.presets import DEFAULT, Preset
 from rejoint.training.task import ReachTask, Transition
 from rejoint.training.train import (
@@ -43,18 +44,85 @@ from rejoint.training.train import (
 )
 from rejoint.twin.twin import Twin
 
-Algorithm = Literal["sac", "td3", "ddpg"]
-ALGORITHMS: tuple[Algorithm, ...] = ("sac", "td3", "ddpg")
-
-AGENTS = 512
 _REPORT_EVERY = 32  # control cycles
+_LOG_STD = (-5.0, 0.5)  # bounds of SAC's noise, before squashing (chosen)
+_FIRST_LOG_STD = -1.0  # chosen: about PPO's initial noise
+
+
+def bounded(size: int) -> gymnasium.spaces.Box:
+    """Space of vectors with elements between -1 and 1."""
+    return gymnasium.spaces.Box(-1.0, 1.0, (size,), dtype=np.float32)
+
+
+class BoundedActor(DeterministicMixin, Model):  # type: ignore[misc]
+    """Deterministic policy: PPO's perceptron, and tanh."""
+
+    def __init__(self, observation_size: int, joints: int, layers: Sequence[int]) -> None:
+        Model.__init__(self, observation_space=unbounded(observation_size), action_space=bounded(joints), device="cpu")
+        DeterministicMixin.__init__(self)
+        self.net = perceptron((observation_size, *layers, joints))
+        _shrink(self.net[-1])
+
+    def compute(self, inputs: dict[str, Tensor], role: str = "") -> tuple[Tensor, dict[str, Any]]:  # noqa: ARG002
+        """Actions (N, n)."""
+        return torch.tanh(self.net(inputs["observations"])), {}
+
+    def network(self) -> nn.Sequential:
+        """Policy as layers."""
+        return nn.Sequential(*self.net, nn.Tanh())
+
+
+class SquashedActor(BoundedActor):
+    """Gaussian policy through tanh, with noise by observation (Haarnoja et al. 2018, appendix C)."""
+
+    def __init__(self, observation_size: int, joints: int, layers: Sequence[int]) -> None:
+        super().__init__(observation_size, joints, layers)
+        self.log_std = nn.Linear(layers[-1], joints)
+        _shrink(self.log_std)
+        with torch.no_grad():
+            self.log_std.bias.fill_(_FIRST_LOG_STD)
+        self.spread = float(np.exp(_FIRST_LOG_STD))
+        """mean sigma of the last actions, before tanh"""
+
+    def act(self, inputs: dict[str, Tensor], *, role: str = "") -> tuple[Tensor, dict[str, Any]]:  # noqa: ARG002
+        """Sample actions (N, n) and their log-probability (N, 1)."""
+        hidden = self.net[:-1](inputs["observations"])
+        log_std = self.log_std(hidden).clamp(*_LOG_STD)
+        normal = torch.distributions.Normal(self.net[-1](hidden), log_std.exp())
+        free = normal.rsample()
+        # log(1 - tanh(u)^2) in a form that does not underflow
+        squeeze = 2.0 * (np.log(2.0) - free - nn.functional.softplus(-2.0 * free))
+        density: Tensor = normal.log_prob(free)  # type: ignore[no-untyped-call]
+        self.spread = float(log_std.detach().exp().mean())
+        return torch.tanh(free), {"log_prob": (density - squeeze).sum(dim=-1, keepdim=True)}
+
+
+class ActionCritic(DeterministicMixin, Model):  # type: ignore[misc]
+    """Value of an action, an observation and a privileged observation."""
+
+    def __init__(self, observation_size: int, privileged_size: int, joints: int, layers: Sequence[int]) -> None:
+        spaces = {"observation_space": unbounded(observation_size), "action_space": bounded(joints)}
+        Model.__init__(self, **spaces, state_space=unbounded(privileged_size), device="cpu")
+        DeterministicMixin.__init__(self)
+        self.net = perceptron((observation_size + privileged_size + joints, *layers, 1))
+
+    def compute(self, inputs: dict[str, Tensor], role: str = "") -> tuple[Tensor, dict[str, Any]]:  # noqa: ARG002
+        """Values (N, 1)."""
+        parts = [inputs["observations"], inputs["states"], inputs["taken_actions"]]
+        return self.net(torch.cat(parts, dim=-1)), {}
+
+
+def _shrink(layer: nn.Module) -> None:
+    with torch.no_grad():
+        for parameter in layer.parameters():
+            parameter.mul_(LAST_LAYER_SCALE)
 
 
 @dataclass(frozen=True, kw_only=True)
 class OffPolicySettings:
     """Settings beyond those of PPO's preset."""
 
-    algorithm: Algorithm
+    algorithm: str
     preset: Preset = DEFAULT
     cycles: int = 3840
     """two million transitions; chosen"""
@@ -70,14 +138,19 @@ class OffPolicySettings:
     noise: tuple[float, float] = (0.3, 0.05)
     """sigma of the exploration noise (TD3, DDPG), first and last"""
     seed: int = 0
-    agents: int = AGENTS
+    agents: int = 512
     threads: int = 2
 
+    def __post_init__(self) -> None:
+        if self.algorithm not in ALGORITHMS:
+            raise InputError(f"no learner is called {self.algorithm!r}; known: ppo, {', '.join(ALGORITHMS)}")
 
-@dataclass(kw_only=True, eq=False)
-class _ReportWindow:
-    rewards: list[float] = field(default_factory=list)
-    ends: list[Any] = field(default_factory=list)
+
+ALGORITHMS = {
+    "sac": (SAC, SAC_CFG, SquashedActor),
+    "td3": (TD3, TD3_CFG, BoundedActor),
+    "ddpg": (DDPG, DDPG_CFG, BoundedActor),
+}
 
 
 class OffPolicyLearner:
@@ -85,86 +158,63 @@ class OffPolicyLearner:
 
     def __init__(self, task: ReachTask, settings: OffPolicySettings) -> None:
         torch.manual_seed(settings.seed)
-        self.task, self.settings = task, settings
+        self.task, self.settings, self.cycle = task, settings, 0
         self.agent = _make_agent(task, settings)
         self.agent.init()
         self.agent.enable_training_mode(True)
         self.curve: list[CurvePoint] = []
-        self._cycle = 0
         self._observation, self._privileged = (torch.from_numpy(array) for array in task.reset())
-
-    @property
-    def cycle(self) -> int:
-        """Control cycles so far."""
-        return self._cycle
-
-    def network(self) -> nn.Sequential:
-        """Network of the mean action."""
-        actor: BoundedActor | SquashedActor = self.agent.policy
-        return actor.network()
 
     def learn(self) -> CurvePoint:
         """Run until the next report."""
-        start, window = time.perf_counter(), _ReportWindow()
-        for _ in range(min(_REPORT_EVERY, self.settings.cycles - self._cycle)):
-            transition = self._interact()
-            window.rewards.append(float(transition.reward.mean()))
-            window.ends.append(transition.distance[transition.truncated | transition.terminated])
-        end = np.concatenate(window.ends)
-        before = self.curve[-1] if self.curve else None
-        tracked = self.agent.tracking_data
+        start, actor = time.perf_counter(), self.agent.policy
+        done = [self._interact() for _ in range(min(_REPORT_EVERY, self.settings.cycles - self.cycle))]
+        end = np.concatenate([one.distance[one.truncated | one.terminated] for one in done])
+        last = self.curve[-1] if self.curve else None
+        losses = {key: float(np.mean(values)) for key, values in self.agent.tracking_data.items() if values}
+        self.agent.tracking_data.clear()
         point = CurvePoint(
-            step=self._cycle * self.task.agents,
-            reward=float(np.mean(window.rewards)),
-            success_rate=float((end < REACHED_DISTANCE).mean()) if len(end) else before.success_rate if before else 0.0,
-            error_mm=float(np.median(end)) * 1e3 if len(end) else before.error_mm if before else 0.0,
-            noise=self._noise(),
+            step=self.cycle * self.task.agents,
+            reward=float(np.mean([one.reward.mean() for one in done])),
+            **ends(end, end < REACHED_DISTANCE, last),
+            noise=actor.spread if isinstance(actor, SquashedActor) else noise_at(self.settings, self.cycle),
             learning_rate=self.settings.learning_rate,
-            policy_loss=_mean(tracked, "Loss / Policy loss"),
-            value_loss=_mean(tracked, "Loss / Critic loss"),
-            wall_s=(before.wall_s if before else 0.0) + time.perf_counter() - start,
+            policy_loss=losses.get("Loss / Policy loss", 0.0),
+            value_loss=losses.get("Loss / Critic loss", 0.0),
+            wall_s=(last.wall_s if last else 0.0) + time.perf_counter() - start,
         )
-        tracked.clear()
         self.curve.append(point)
         return point
 
     def _interact(self) -> Transition:
-        clock = {"timestep": self._cycle, "timesteps": self.settings.cycles}
-        observation, privileged = self._observation, self._privileged
+        clock = {"timestep": self.cycle, "timesteps": self.settings.cycles}
         with torch.no_grad():
-            action, _ = self.agent.act(observation, privileged, **clock)
+            action, _ = self.agent.act(self._observation, self._privileged, **clock)
             transition = self.task.step(action.numpy())
-            scaled = (self.settings.preset.ppo.reward_scale * transition.reward).astype(np.float32)
+            seen = {name: torch.from_numpy(value) for name, value in transition._asdict().items()}
             self.agent.record_transition(
-                observations=observation,
-                states=privileged,
+                observations=self._observation,
+                states=self._privileged,
                 actions=action,
-                rewards=torch.from_numpy(scaled)[:, None],
-                next_observations=torch.from_numpy(transition.final_observation),
-                next_states=torch.from_numpy(transition.final_privileged),
-                terminated=torch.from_numpy(transition.terminated)[:, None],
-                truncated=torch.from_numpy(transition.truncated)[:, None],
+                rewards=(self.settings.preset.ppo.reward_scale * seen["reward"]).float()[:, None],
+                next_observations=seen["final_observation"],
+                next_states=seen["final_privileged"],
+                terminated=seen["terminated"][:, None],
+                truncated=seen["truncated"][:, None],
                 infos={},
                 **clock,
             )
-        self._observation, self._privileged = (
-            torch.from_numpy(transition.observation),
-            torch.from_numpy(transition.privileged),
-        )
+        self._observation, self._privileged = seen["observation"], seen["privileged"]
         self.agent.post_interaction(**clock)
-        self._cycle += 1
+        self.cycle += 1
         return transition
-
-    def _noise(self) -> float:
-        actor = self.agent.policy
-        return actor.spread if isinstance(actor, SquashedActor) else noise_at(self.settings, self._cycle)
 
 
 def train_offpolicy(
     arm: Arm, twin: Twin | None, *, out: Path, settings: OffPolicySettings, on_progress: Progress = no_progress
 ) -> TrainingResult:
     """Train and write ``policy.onnx`` and the curves."""
-    recipe, files = know_stiffness(settings.preset, arm, twin), Outputs(out)
+    recipe, files, name = know_stiffness(settings.preset, arm, twin), Outputs(out), settings.algorithm
     ranges = training_ranges(arm, twin, recipe)
     task = ReachTask(arm, ranges, settings.agents, recipe.task, seed=settings.seed, threads=settings.threads)
     learner = OffPolicyLearner(task, settings)
@@ -172,47 +222,44 @@ def train_offpolicy(
         with on_threads(1):
             point = learner.learn()
         on_progress(learner.cycle / settings.cycles, describe(point))
-    name = settings.algorithm
     write_curves(files.curves, learner.curve)
-    export_policy(files.policy, learner.network(), policy_contract(arm, twin, recipe, settings.seed, name))
+    contract = policy_contract(arm, twin, recipe, settings.seed, name)
+    export_policy(files.policy, learner.agent.policy.network(), contract)
     return training_result(files, name, settings.seed, learner.curve)
 
 
 def trainer(name: str, seed: int) -> Trainer:
     """Trainer of an algorithm; InputError for unknown ones."""
-    settings = OffPolicySettings(algorithm=algorithm(name), seed=seed)
+    settings = OffPolicySettings(algorithm=name, seed=seed)
     return lambda arm, twin, out, on_progress: train_offpolicy(
         arm, twin, out=out, settings=settings, on_progress=on_progress
     )
 
 
-def algorithm(name: str) -> Algorithm:
-    """Check the name of an algorithm; InputError lists them."""
-    for known in ALGORITHMS:
-        if known == name:
-            return known
-    raise InputError(f"no learner is called {name!r}; known: ppo, {', '.join(ALGORITHMS)}")
-
-
 def noise_at(settings: OffPolicySettings, cycle: int) -> float:
     """Exploration noise of TD3 and DDPG."""
-    first, last = settings.noise
-    return first + (last - first) * min(cycle / settings.cycles, 1.0)
+    return float(np.interp(cycle, (0, settings.cycles), settings.noise))
 
 
 def _make_agent(task: ReachTask, settings: OffPolicySettings) -> Agent:
     n, size, privileged = task.arm.joints, task.observer.size, task.privileged_size
     ppo, kind = settings.preset.ppo, settings.algorithm
-    actor: Model = (SquashedActor if kind == "sac" else BoundedActor)(size, n, ppo.actor_layers)
-    critics = 1 if kind == "ddpg" else 2
-    suffixes = [""] if critics == 1 else ["_1", "_2"]
-    models: dict[str, Model] = {"policy": actor}
-    for suffix in suffixes:
+    algorithm, configuration, actor = ALGORITHMS[kind]
+    models: dict[str, Model] = {"policy": actor(size, n, ppo.actor_layers)}
+    for suffix in ("",) if kind == "ddpg" else ("_1", "_2"):
         for role in ("critic", "target_critic"):
             models[f"{role}{suffix}"] = ActionCritic(size, privileged, n, ppo.critic_layers)
+    options: dict[str, Any] = {"initial_entropy_value": 0.01}  # chosen: rewards are about 0.1 a cycle
     if kind != "sac":
-        models["target_policy"] = BoundedActor(size, n, ppo.actor_layers)
-    algorithm = {"sac": SAC, "td3": TD3, "ddpg": DDPG}[kind]
+        models["target_policy"] = actor(size, n, ppo.actor_layers)
+        options = {
+            "exploration_noise": GaussianNoise,
+            "exploration_noise_kwargs": {"mean": 0.0, "std": 1.0},
+            "exploration_scheduler": lambda timestep, _: noise_at(settings, timestep),
+        }
+    if kind == "td3":
+        options |= {"smooth_regularization_noise": GaussianNoise, "smooth_regularization_clip": 0.2}
+        options["smooth_regularization_noise_kwargs"] = {"mean": 0.0, "std": 0.1}
     return algorithm(
         models=models,
         memory=RandomMemory(memory_size=settings.memory, num_envs=task.agents, device="cpu"),
@@ -220,34 +267,15 @@ def _make_agent(task: ReachTask, settings: OffPolicySettings) -> Agent:
         state_space=unbounded(privileged),
         action_space=bounded(n),
         device="cpu",
-        cfg=_configuration(settings),
+        cfg=configuration(
+            gradient_steps=settings.gradient_steps,
+            batch_size=settings.batch,
+            discount_factor=ppo.discount,
+            polyak=settings.polyak,
+            learning_rate=settings.learning_rate,
+            learning_starts=settings.warm_up,
+            grad_norm_clip=ppo.gradient_clip,
+            experiment={"write_interval": 0, "checkpoint_interval": 0},
+            **options,
+        ),
     )
-
-
-def _configuration(settings: OffPolicySettings) -> SAC_CFG | TD3_CFG | DDPG_CFG:
-    shared: dict[str, Any] = {
-        "gradient_steps": settings.gradient_steps,
-        "batch_size": settings.batch,
-        "discount_factor": settings.preset.ppo.discount,
-        "polyak": settings.polyak,
-        "learning_rate": settings.learning_rate,
-        "learning_starts": settings.warm_up,
-        "grad_norm_clip": settings.preset.ppo.gradient_clip,
-        "experiment": {"write_interval": 0, "checkpoint_interval": 0},
-    }
-    if settings.algorithm == "sac":
-        return SAC_CFG(**shared, initial_entropy_value=0.01)  # chosen: rewards are about 0.1 a cycle
-    noisy = {
-        "exploration_noise": GaussianNoise,
-        "exploration_noise_kwargs": {"mean": 0.0, "std": 1.0},
-        "exploration_scheduler": lambda timestep, timesteps: noise_at(settings, timestep),  # noqa: ARG005
-    }
-    if settings.algorithm == "ddpg":
-        return DDPG_CFG(**shared, **noisy)
-    smoothing = {"smooth_regularization_noise_kwargs": {"mean": 0.0, "std": 0.1}, "smooth_regularization_clip": 0.2}
-    return TD3_CFG(**shared, **noisy, smooth_regularization_noise=GaussianNoise, **smoothing)
-
-
-def _mean(tracked: dict[str, list[float]], name: str) -> float:
-    values = tracked.get(name, [])
-    return float(np.mean(values)) if values else 0.0

@@ -16,13 +16,14 @@ from typing import Any, TypeVar
 
 import numpy as np
 import torch
-from torch import Tensor
 
+from rejoint.arms import Array
+from rejoint.control.robot import Mask
 from rejoint.system.errors import FileError, first_line
 from rejoint.system.files import MEGABYTE, digest, read_bounded, write_whole
-from rejoint.training.ppo import Actor, Adam, Critic, Losses, Ppo, Rollout, join
+from rejoint.training.ppo import Actor, Adam, Critic, Ppo, Rollout, join
 from rejoint.training.presets import PpoSettings
-from rejoint.training.task import ReachTask, Transition
+from rejoint.training.task import ReachTask
 from rejoint.training.warmstart import WarmStart, take_over
 
 
@@ -37,32 +38,22 @@ class RolloutWorker:
     @torch.no_grad()
     def roll(self, actor: Actor, critic: Critic, cycles: int) -> Rollout:
         """Act for some control cycles."""
-        self.task.prepare(cycles)
-        observations, seen_by_critic, actions, densities, transitions = [], [], [], [], []
+        rows = []
         for _ in range(cycles):
             action, density = actor.sample(self._observation, self._exploration)
-            transition = self.task.step(action.numpy())
-            observations.append(self._observation)
-            seen_by_critic.append(self._privileged)
-            actions.append(action)
-            densities.append(density)
-            transitions.append(transition)
-            self._observation, self._privileged = map(torch.from_numpy, (transition.observation, transition.privileged))
-        observation, privileged, action = map(torch.stack, (observations, seen_by_critic, actions))
-        return Rollout(
-            observation=observation,
-            privileged=privileged,
-            action=action,
-            log_density=torch.stack(densities),
-            value=critic.value(observation, privileged),
-            final_value=_final_values(critic, transitions),
-            next_observation=self._observation[None],
-            next_privileged=self._privileged[None],
-            reward=_stack(transitions, "reward").float(),
-            terminated=_stack(transitions, "terminated"),
-            truncated=_stack(transitions, "truncated"),
-            distance=_stack(transitions, "distance"),
-        )
+            seen = {
+                "observations": self._observation,
+                "states": self._privileged,
+                "actions": action,
+                "log_prob": density,
+            }
+            found = {name: torch.from_numpy(value) for name, value in self.task.step(action.numpy())._asdict().items()}
+            rows.append(seen | found)
+            self._observation, self._privileged = found["observation"], found["privileged"]
+        rollout = {name: torch.stack([row[name] for row in rows]) for name in rows[0]}
+        late, final = rollout["truncated"], torch.zeros(rollout["truncated"].shape)
+        final[late] = critic.value(*(rollout[f"final_{name}"][late] for name in ("observation", "privileged")))
+        return rollout | {"values": critic.value(rollout["observations"], rollout["states"]), "final_value": final}
 
     def state(self) -> dict[str, Any]:
         """State for a checkpoint."""
@@ -78,22 +69,6 @@ class RolloutWorker:
         self._exploration.set_state(state["exploration"])
         self._observation, self._privileged = state["observation"], state["privileged"]
         self.task.load_state(state["task"])
-
-
-def _stack(transitions: list[Transition], name: str) -> Tensor:
-    return torch.stack([torch.from_numpy(getattr(transition, name)) for transition in transitions])
-
-
-def _final_values(critic: Critic, transitions: list[Transition]) -> Tensor:
-    """Values (T, N) of time-out states."""
-    late = _stack(transitions, "truncated")
-    ends = [
-        [torch.from_numpy(array[t.truncated]) for array in (t.final_observation, t.final_privileged)]
-        for t in transitions
-    ]
-    values = torch.zeros(late.shape)
-    values[late] = critic.value(*(torch.cat(parts) for parts in zip(*ends, strict=True)))
-    return values
 
 
 T = TypeVar("T")
@@ -127,7 +102,7 @@ SWITCH_INTERVAL = 1e-4
 LEARNING_THREADS = 1
 """Of torch; chosen: more are slower beside other programs"""
 
-_CHECKPOINT_FORMAT = 6
+_CHECKPOINT_FORMAT = 7
 
 _MAGIC = b"rejoint checkpoint "
 _RESTART = "delete it, or train with --fresh"
@@ -192,27 +167,38 @@ class Learner:
 
     def iterate(self) -> CurvePoint:
         """Run one rollout and one update."""
-        start, s = time.perf_counter(), self.settings
-        self.actor.ceiling = _ceiling(s, self.iteration)
-        rate = _learning_rate(s, self.iteration)
+        start, s, done = time.perf_counter(), self.settings, self.iteration
+        self.actor.ceiling = float(np.interp(done, (0.0, max(s.ceiling_falls * s.iterations, 1.0)), s.log_std_ceiling))
+        rate = float(np.interp(done, (0, max(s.iterations - 1, 1)), (s.learning_rate, s.final_learning_rate)))
         precision = setting(torch.get_float32_matmul_precision, torch.set_float32_matmul_precision, PRECISION)
         with precision, on_threads(LEARNING_THREADS):
             rollout = self._roll()
-            self.actor.requires_grad_(self.iteration >= s.critic_first)
-            losses = self.ppo.learn(rollout, rate, iteration=self.iteration)
-        point = self._point(rollout, losses, rate, time.perf_counter() - start)
-        self.curve.append(point)
-        return point
+            self.actor.requires_grad_(done >= s.critic_first)
+            losses = self.ppo.learn(rollout, rate, iteration=done)
+        last = self.curve[-1] if self.curve else None
+        ended = rollout["terminated"] | rollout["truncated"]
+        distance = rollout["distance"][ended].numpy()
+        success = rollout["terminated"][ended].numpy() if self.ends_on_success else distance < REACHED_DISTANCE
+        self.curve.append(
+            CurvePoint(
+                step=(done + 1) * s.rollout * self.agents,
+                reward=float(rollout["reward"].float().mean()),
+                **ends(distance, success, last),
+                noise=self.actor.log_std.exp().mean().item(),
+                learning_rate=rate,
+                policy_loss=losses[0],
+                value_loss=losses[1],
+                wall_s=time.perf_counter() - start + (last.wall_s if last else 0.0),
+            )
+        )
+        return self.curve[-1]
 
     def _roll(self) -> Rollout:
         """Run all workers, each on one thread; torch's number of threads is per thread."""
-        pool, cycles = (
-            ThreadPoolExecutor(self.threads, initializer=partial(torch.set_num_threads, 1)),
-            self.settings.rollout,
-        )
+        pool = ThreadPoolExecutor(self.threads, initializer=partial(torch.set_num_threads, 1))
         with pool, setting(sys.getswitchinterval, sys.setswitchinterval, SWITCH_INTERVAL):
-            rolled = pool.map(lambda worker: worker.roll(self.actor, self.critic, cycles), self.workers)
-            return join(list(rolled))
+            cycles = self.settings.rollout
+            return join(list(pool.map(lambda worker: worker.roll(self.actor, self.critic, cycles), self.workers)))
 
     def save(self, path: Path, identity: dict[str, Any]) -> None:
         """Write a checkpoint for the training ``identity``."""
@@ -257,22 +243,12 @@ class Learner:
     def _modules(self) -> dict[str, torch.nn.Module | Adam]:
         return {"actor": self.actor, "critic": self.critic, "optimizer": self.ppo.optimizer}
 
-    def _point(self, rollout: Rollout, losses: Losses, rate: float, wall_s: float) -> CurvePoint:
-        ended = rollout.ended
-        distance = rollout.distance[ended].numpy()
-        success = rollout.terminated[ended].numpy() if self.ends_on_success else distance < REACHED_DISTANCE
-        last = self.curve[-1] if self.curve else None
-        return CurvePoint(
-            step=(self.iteration + 1) * self.settings.rollout * self.agents,
-            reward=float(rollout.reward.mean()),
-            success_rate=float(success.mean()) if len(success) else (last.success_rate if last else 0.0),
-            error_mm=1e3 * float(np.median(distance)) if len(distance) else (last.error_mm if last else 0.0),
-            noise=self.actor.log_std.exp().mean().item(),
-            learning_rate=rate,
-            policy_loss=losses.policy,
-            value_loss=losses.value,
-            wall_s=wall_s + (last.wall_s if last else 0.0),
-        )
+
+def ends(distance: Array, success: Mask, last: CurvePoint | None) -> dict[str, float]:
+    """Return success rate and median error of targets that ended at ``distance`` [m]; where none did, the ``last``."""
+    if len(distance):
+        return {"success_rate": float(success.mean()), "error_mm": 1e3 * float(np.median(distance))}
+    return {"success_rate": last.success_rate if last else 0.0, "error_mm": last.error_mm if last else 0.0}
 
 
 def _save(content: dict[str, Any], path: Path) -> None:
@@ -287,16 +263,6 @@ def _unsealed(path: Path) -> bytes:
     if head != _MAGIC + digest(data):
         raise FileError(path, "damaged checkpoint (it is not what was written)", _RESTART)
     return data
-
-
-def _learning_rate(settings: PpoSettings, iteration: int) -> float:
-    done = iteration / max(settings.iterations - 1, 1)
-    return settings.learning_rate + done * (settings.final_learning_rate - settings.learning_rate)
-
-
-def _ceiling(settings: PpoSettings, iteration: int) -> float:
-    first, last = settings.log_std_ceiling
-    return first + (last - first) * min(iteration / max(settings.ceiling_falls * settings.iterations, 1.0), 1.0)
 
 
 def _tensors(state: dict[str, Any]) -> dict[str, Any]:

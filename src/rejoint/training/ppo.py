@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
 from itertools import chain
-from typing import Any, NamedTuple
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -106,24 +105,15 @@ def perceptron(sizes: Sequence[int]) -> nn.Sequential:
     return nn.Sequential(*layers[:-1])
 
 
-BETA1, BETA2, EPS = 0.9, 0.999, 1e-8
-"""The paper's"""
-
-
-@dataclass(frozen=True, eq=False)
-class _Moments:
-    step: Tensor
-    """number of gradients"""
-    exp_avg: Tensor
-    exp_avg_sq: Tensor
-
-
 class Adam:
-    """An optimiser for skrl."""
+    """Adam with the constants of its paper (Kingma and Ba, arXiv:1412.6980), for skrl.
+
+    torch's own class would load torch's compiler; it calls the same function.
+    """
 
     def __init__(self, parameters: Iterable[Parameter]) -> None:
         self._parameters = list(parameters)
-        self._moments: dict[int, _Moments] = {}
+        self._moments = [(torch.zeros_like(p), torch.zeros_like(p), torch.zeros(())) for p in self._parameters]
         self.learning_rate = 1e-3
 
     def zero_grad(self) -> None:
@@ -134,83 +124,41 @@ class Adam:
     @torch.no_grad()
     def step(self) -> None:
         """Update the parameters that have a gradient."""
-        moved: list[Tensor] = []
-        gradients, moments = [], []
-        for k, parameter in enumerate(self._parameters):
-            if parameter.grad is None:
-                continue
-            if k not in self._moments:
-                self._moments[k] = _Moments(torch.zeros(()), torch.zeros_like(parameter), torch.zeros_like(parameter))
-            moved.append(parameter)
-            gradients.append(parameter.grad)
-            moments.append(self._moments[k])
+        both = zip(self._parameters, self._moments, strict=True)
+        moved = [(parameter, parameter.grad, *moments) for parameter, moments in both if parameter.grad is not None]
+        parameters, gradients, means, squares, steps = map(list, zip(*moved, strict=True))
         adam(
-            moved,
+            parameters,
             gradients,
-            [m.exp_avg for m in moments],
-            [m.exp_avg_sq for m in moments],
+            means,
+            squares,
             [],
-            [m.step for m in moments],
+            steps,
             fused=True,
             amsgrad=False,
-            beta1=BETA1,
-            beta2=BETA2,
+            beta1=0.9,
+            beta2=0.999,
             lr=self.learning_rate,
             weight_decay=0.0,
-            eps=EPS,
+            eps=1e-8,
             maximize=False,
         )
 
     def state_dict(self) -> dict[str, Any]:
-        """Checkpoint with the names of torch's optimiser."""
-        return {"state": {k: dict(vars(moments)) for k, moments in self._moments.items()}}
+        """State for a checkpoint."""
+        return {"moments": self._moments}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore `state_dict`."""
-        self._moments = {
-            k: _Moments(**{name: value.clone() for name, value in one.items()}) for k, one in state["state"].items()
-        }
+        self._moments = state["moments"]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Rollout:
-    """T control cycles of N agents; default shape (T, N)."""
+Rollout = dict[str, Tensor]
+"""T control cycles of N agents by column, (T, N, ...).
 
-    observation: Tensor
-    privileged: Tensor
-    action: Tensor
-    log_density: Tensor
-    """of the action when taken"""
-    value: Tensor
-    final_value: Tensor
-    """value of the state in which a target timed out; 0 elsewhere"""
-    next_observation: Tensor
-    """(1, N, size) after the last cycle"""
-    next_privileged: Tensor
-    """(1, N, size)"""
-    reward: Tensor
-    terminated: Tensor
-    truncated: Tensor
-    distance: Tensor
-    """[m] TCP to target"""
-
-    @property
-    def ended(self) -> Tensor:
-        """Whether the target ended in this cycle."""
-        return self.terminated | self.truncated
-
-
-class Losses(NamedTuple):
-    """Means over the mini-batches of one update."""
-
-    policy: float
-    value: float
-
-
-def join(rollouts: list[Rollout]) -> Rollout:
-    """Join the agents of rollouts of the same length."""
-    names = [f.name for f in fields(Rollout)]
-    return Rollout(**{name: torch.cat([getattr(rollout, name) for rollout in rollouts], dim=1) for name in names})
+``observations``, ``states``, ``actions``, ``log_prob`` and ``values`` of skrl, the fields of a `Transition`, and
+``final_value``: that of the state in which a target timed out, 0 elsewhere
+"""
 
 
 class Memory(RandomMemory):  # type: ignore[misc]
@@ -242,34 +190,29 @@ class Ppo(PPO):  # type: ignore[misc]
         self.init()
         self.enable_training_mode(True)
 
-    def learn(self, rollout: Rollout, learning_rate: float, *, iteration: int) -> Losses:
-        """Improve both networks by one rollout."""
-        columns = {
-            "observations": rollout.observation,
-            "states": rollout.privileged,
-            "actions": rollout.action,
-            "log_prob": rollout.log_density[..., None],
-            "values": rollout.value[..., None],
-            "rewards": self._rewards(rollout)[..., None],
-            "terminated": rollout.terminated[..., None],
-            "truncated": rollout.truncated[..., None],
-        }
-        for name, column in columns.items():
-            self.memory.set_tensor_by_name(name, column)
+    def learn(self, rollout: Rollout, learning_rate: float, *, iteration: int) -> tuple[float, float]:
+        """Improve both networks by one rollout; returns the mean losses of policy and value."""
+        settings = self.settings
+        # a time-out adds the value of its state
+        rewards = settings.reward_scale * rollout["reward"].float() + settings.discount * rollout["final_value"]
+        for name in ("observations", "states", "actions", "log_prob", "values", "rewards", "terminated", "truncated"):
+            column = rewards if name == "rewards" else rollout[name]
+            self.memory.set_tensor_by_name(name, column if column.ndim == 3 else column[..., None])
         self.memory.filled = True
-        self._current_next_observations = rollout.next_observation[0]
-        self._current_next_states = rollout.next_privileged[0]
+        self._current_next_observations = rollout["observation"][-1]
+        self._current_next_states = rollout["privileged"][-1]
         self.optimizer.learning_rate = learning_rate
         self.enable_models_training_mode(True)
-        self.update(timestep=iteration, timesteps=self.settings.iterations)
+        self.update(timestep=iteration, timesteps=settings.iterations)
         self.enable_models_training_mode(False)
-        tracked = {name: float(np.mean(values)) for name, values in self.tracking_data.items()}
+        policy, value = (float(np.mean(self.tracking_data[f"Loss / {name} loss"])) for name in ("Policy", "Value"))
         self.tracking_data.clear()
-        return Losses(tracked["Loss / Policy loss"], tracked["Loss / Value loss"])
+        return policy, value
 
-    def _rewards(self, rollout: Rollout) -> Tensor:
-        """Rewards (T, N); a time-out adds the value of its state."""
-        return self.settings.reward_scale * rollout.reward + self.settings.discount * rollout.final_value
+
+def join(rollouts: Sequence[Rollout]) -> Rollout:
+    """Join the agents of rollouts of the same length."""
+    return {name: torch.cat([rollout[name] for rollout in rollouts], dim=1) for name in rollouts[0]}
 
 
 def _configuration(settings: PpoSettings) -> PPO_CFG:

@@ -13,7 +13,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.workspace import length_size, torque_size
-from rejoint.twin.parameters import PARAMETERS, STICTION, TwinParameters, nominal_parameters
+from rejoint.twin.parameters import STICTION, TwinParameters, nominal_parameters
 from rejoint.twin.simulation import Draw
 from rejoint.twin.twin import LEAST_SPREAD, Twin
 
@@ -98,7 +98,7 @@ class BroadRanges:
             delay=np.zeros(count),
             ramp_speed=base.ramp_speed * rng.uniform(*self.ramp_speed, whole),
         )
-        return Draw(
+        drawn = Draw(
             twin=twin,
             command_delay=rng.uniform(*self.command_delay, whole),
             readback_delay=rng.uniform(*self.readback_delay, whole),
@@ -106,15 +106,15 @@ class BroadRanges:
             acceleration=np.full(count, self.acceleration),
             gravity_scale=rng.uniform(*self.gravity_scale, whole),
             period=rng.uniform(*self.period, whole),
-            **self._draw_backlash(rng, count),
+            backlash=np.zeros(joints),
+            grease=np.ones(whole),
         )
-
-    def _draw_backlash(self, rng: np.random.Generator, count: int) -> dict[str, Array]:
-        joints, whole = (count, self.arm.joints), (count,)
-        if self.backlash[1] == 0.0:  # nothing is drawn, so that ranges without backlash stay what they were
-            return {"backlash": np.zeros(joints), "grease": np.ones(whole)}
-        seen = rng.random((count, 1)) >= self.backlash_free
-        return {"backlash": rng.uniform(*self.backlash, joints) * seen, "grease": _log_uniform(rng, self.grease, whole)}
+        if self.backlash[1] == 0.0:  # nothing more is drawn, so that ranges without backlash stay what they were
+            return drawn
+        seen = rng.random(one) >= self.backlash_free
+        return replace(
+            drawn, backlash=rng.uniform(*self.backlash, joints) * seen, grease=_log_uniform(rng, self.grease, whole)
+        )
 
     def reaching(self, twin: Twin) -> BroadRanges:
         """Shift the intervals of all torques to hold the twin's geometric mean over the joints.
@@ -154,25 +154,20 @@ class IdentifiedRanges:
     def draw(self, rng: np.random.Generator, count: int) -> Draw:
         """Draw ``count`` arms."""
         free, twins = self.broad.draw(rng, count), self.twin.sample(rng, count)
-        share = rng.uniform(*self.outward, count)
-        known = self.twin.stiction != STICTION
-        return Draw(
-            twin=replace(twins, torque_limit=twins.torque_limit * self.broad.weaken(rng, count)),
+        share, acceleration, stiction = rng.uniform(*self.outward, count), np.full(count, np.inf), free.stiction
+        twins = replace(twins, torque_limit=twins.torque_limit * self.broad.weaken(rng, count))
+        if self.twin.stiction != STICTION:
+            stiction = np.full_like(stiction, self.twin.stiction)
+        if self.twin.acceleration < np.inf:  # else nothing is drawn: other numbers stay what they were
+            acceleration = self.twin.acceleration * np.exp(LEAST_SPREAD * rng.standard_normal(count))
+        return replace(
+            free,
+            twin=twins,
             command_delay=share * twins.delay,
             readback_delay=(1.0 - share) * twins.delay,
-            stiction=np.full_like(free.stiction, self.twin.stiction) if known else free.stiction,
-            gravity_scale=free.gravity_scale,
-            period=free.period,
-            backlash=free.backlash,
-            grease=free.grease,
-            acceleration=self._accelerations(rng, count),
+            stiction=stiction,
+            acceleration=acceleration,
         )
-
-    def _accelerations(self, rng: np.random.Generator, count: int) -> Array:
-        """Limits (count,) [rad/s^2] of the references, spread as in `Twin.sample`."""
-        if self.twin.acceleration == np.inf:  # nothing is drawn: other numbers stay what they were
-            return np.full(count, np.inf)
-        return self.twin.acceleration * np.exp(LEAST_SPREAD * rng.standard_normal(count))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -188,16 +183,13 @@ class MixedRanges:
         from_first = rng.random(count) < self.share
         first, second = self.first.draw(rng, count), self.second.draw(rng, count)
 
-        def pick(one: Array, other: Array) -> Array:
+        def pick(one: Any, other: Any) -> Any:  # noqa: ANN401 - an array, or what holds arrays
+            if not isinstance(one, np.ndarray):
+                return replace(one, **{f.name: pick(getattr(one, f.name), getattr(other, f.name)) for f in fields(one)})
             return np.where(from_first.reshape(-1, *[1] * (one.ndim - 1)), one, other)
 
-        twin = TwinParameters(
-            **{p.name: pick(getattr(first.twin, p.name), getattr(second.twin, p.name)) for p in PARAMETERS}
-        )
-        others = {
-            f.name: pick(getattr(first, f.name), getattr(second, f.name)) for f in fields(Draw) if f.name != "twin"
-        }
-        return Draw(twin=twin, **others)
+        drawn: Draw = pick(first, second)
+        return drawn
 
 
 HEALTHY_STIFFNESS, HEALTHY_DAMPING = 1e4, 1e3

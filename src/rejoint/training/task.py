@@ -30,50 +30,6 @@ from rejoint.twin.parameters import nominal_parameters
 from rejoint.twin.simulation import Draw, Simulation
 
 
-class ResetStates(NamedTuple):
-    """m arms at the start of their first episode."""
-
-    draw: Draw
-    position: Array
-    """(m, n) [rad]"""
-    command: Array
-    """(m, n) [rad]"""
-
-    def rows(self, index: NDArray[np.integer]) -> ResetStates:
-        """Return some rows."""
-        return ResetStates(self.draw.rows(index), self.position[index], self.command[index])
-
-
-def draw_reset_states(
-    ranges: Ranges, limits: GuardLimits, rng: np.random.Generator, count: int, *, spread: float, lead_limit: float
-) -> ResetStates:
-    """Draw ``count`` arms around rest with sigma ``spread`` [rad].
-
-    The first command leads by part of the sag, at most ``lead_limit`` [rad].
-    """
-    draw = ranges.draw(rng, count)
-    position = _start_postures(limits, rng, count, spread)
-    return ResetStates(draw, position, position + _start_lead(limits.arm, rng, draw, position, lead_limit))
-
-
-def _start_postures(limits: GuardLimits, rng: np.random.Generator, count: int, spread: float) -> Array:
-    """Postures (m, n) [rad] inside the guard's limits and above the floor."""
-    arm = limits.arm
-    position = arm.rest + rng.normal(0.0, spread, (count, arm.joints))
-    position = np.clip(position, limits.lower, limits.upper)
-    low = tcp_position(arm, position)[:, 2] < 3.0 * arm.floor
-    return np.where(low[:, None], arm.rest, position)
-
-
-def _start_lead(arm: Arm, rng: np.random.Generator, draw: Draw, position: Array, limit: float) -> Array:
-    """Lead (m, n) [rad] of the first command: none up to the whole sag."""
-    if limit == 0.0:
-        return np.zeros_like(position)
-    torque = draw.gravity_scale[:, None] * gravity_torque(arm, position)
-    held = torque / draw.twin.stiffness - draw.twin.offset
-    return np.clip(held, -limit, limit) * rng.uniform(0.0, 1.0, (len(position), 1))
-
-
 def residual_reward(distance: Array, speed: Array, action: Array) -> Array:
     """Reward (N,) that rises with accuracy down to a tenth of a millimetre.
 
@@ -102,54 +58,30 @@ def paper_reward(
     return travel - 5.0 * timed_out - 10.0 * collided + 10.0 * reached
 
 
-_MOVING_SCALARS = 4
-_FIXED_SCALARS = 4
-
-
-def privileged_size(joints: int) -> int:
-    """Length of the privileged observation."""
-    return _MOVING_SCALARS + 2 * joints + _FIXED_SCALARS + 6 * joints
-
-
 def privileged_constants(arm: Arm, draw: Draw) -> Observation:
-    """Privileged observation (m, size) of new arms; the varying part is zero."""
+    """Part (m, 4 + 6 n) of the privileged observation that stays."""
     base, twin = nominal_parameters(arm), draw.twin
-    scalars = np.stack(
-        [
-            5.0 * (draw.gravity_scale - 1.0),
-            30.0 * draw.command_delay,
-            30.0 * draw.readback_delay,
-            np.log(twin.ramp_speed / base.ramp_speed),
-        ],
-        axis=-1,
+    scalars = (
+        5.0 * (draw.gravity_scale - 1.0),
+        30.0 * draw.command_delay,
+        30.0 * draw.readback_delay,
+        np.log(twin.ramp_speed / base.ramp_speed),
     )
-    parts = [
-        np.log(twin.stiffness / base.stiffness),
-        np.log(twin.damping / base.damping),
-        np.log(twin.armature / base.armature),
-        np.log(twin.torque_limit / base.torque_limit),
-        0.5 * twin.coulomb / base.coulomb,
-        30.0 * twin.offset,
-    ]
-    moving = np.zeros((len(scalars), _MOVING_SCALARS + 2 * arm.joints))
-    return np.concatenate([moving, scalars, *parts], axis=-1).clip(-8.0, 8.0).astype(np.float32)
+    names = ("stiffness", "damping", "armature", "torque_limit")
+    ratios = (np.log(getattr(twin, name) / getattr(base, name)) for name in names)
+    parts = [np.stack(scalars, axis=-1), *ratios, 0.5 * twin.coulomb / base.coulomb, 30.0 * twin.offset]
+    return np.concatenate(parts, axis=-1).clip(-8.0, 8.0).astype(np.float32)
 
 
-def fill_privileged(
-    privileged: Observation, distance: Array, speed: Array, velocity: Array, lag: Array, period: Array
-) -> None:
-    """Fill in the varying part.
+def privileged_motion(distance: Array, speed: Array, velocity: Array, lag: Array, period: Array) -> Observation:
+    """Part (N, 4 + 2 n) of the privileged observation that varies.
 
     ``distance`` (N,) [m] of the TCP, its ``speed`` (N,) [m/s], joint ``velocity`` (N, n) [rad/s], ``lag`` (N, n) [rad]
     behind the servo's reference, control ``period`` (N,) [s].
     """
-    n = velocity.shape[1]
-    privileged[:, 0] = 10.0 * distance
-    privileged[:, 1] = (np.log(distance + 0.0003) + 5.0) / 2.0
-    privileged[:, 2] = 3.0 * speed
-    privileged[:, 3] = 30.0 * period
-    privileged[:, 4 : 4 + n] = np.clip(0.5 * velocity, -8.0, 8.0)
-    privileged[:, 4 + n : 4 + 2 * n] = np.clip(4.0 * lag, -8.0, 8.0)
+    scalars = (10.0 * distance, (np.log(distance + 0.0003) + 5.0) / 2.0, 3.0 * speed, 30.0 * period)
+    joints = np.concatenate([0.5 * velocity, 4.0 * lag], axis=-1).clip(-8.0, 8.0)
+    return np.concatenate([np.stack(scalars, axis=-1), joints], axis=-1).astype(np.float32)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -241,19 +173,15 @@ class ReachTask:
         self.simulation = Simulation(arm, agents, threads=threads)
         self.observer = Observer(arm, agents, settings.layout)
         self.commander = Commander(arm, replace(settings.law, loosen=0.0))  # exploring arms are never stuck for long
-        self.privileged_size = privileged_size(n)
+        self.privileged_size = 8 * (n + 1)
         self._limits, self._no_speed = GuardLimits.of(arm).of_simulation(), np.zeros((agents, n))
         self._rng = np.random.default_rng(seed)
         self._since, self._period, self._middle = np.zeros((3, agents))
         self._sent, self._tcp = np.zeros((agents, n)), np.zeros((agents, 3))
-        self._aim, self._next_aim = np.zeros((2, agents, 3))
-        self._goal, self._next_goal, self._start = np.zeros((3, agents, n))
-        self._far, self._next_far, self._travel = *np.zeros((2, agents), dtype=bool), np.zeros(agents)
-        self._lifts = np.ones((agents, n))
-        self._foreseen, self._prepared_row = np.zeros(agents, dtype=bool), np.zeros(agents, dtype=np.int64)
-        self._prepared: ResetStates | None = None
-        self._step, self._count = np.zeros(agents, dtype=np.int64), np.zeros(agents, dtype=np.int64)
-        self._constants = np.zeros((agents, privileged_size(n)), dtype=np.float32)
+        self._aim, self._travel, self._far = np.zeros((agents, 3)), np.zeros(agents), np.zeros(agents, dtype=bool)
+        self._goal, self._start, self._lifts = np.zeros((3, agents, n))
+        self._step, self._count = np.zeros((2, agents), dtype=np.int64)
+        self._constants = np.zeros((agents, 4 + 6 * n), dtype=np.float32)
 
     def reset(self, *, staggered: bool = True) -> tuple[Observation, Observation]:
         """Restart all agents, ``staggered`` at different points of their episodes; returns both observations."""
@@ -265,22 +193,6 @@ class ReachTask:
             self._count[:] = self._rng.integers(0, self.settings.targets, self.agents)
         distance = np.linalg.norm(self._aim - self._tcp, axis=-1)
         return self.observer.observe(self._inputs()), self._privileged(distance, np.zeros(self.agents))
-
-    def prepare(self, cycles: int) -> None:
-        """Draw new targets and arms for all agents that time out within so many cycles.
-
-        One batch is faster than the draws in `step`.
-        """
-        if self.settings.ends_on_success or self.settings.collisions:
-            return  # when is not known
-        due = self._step + cycles >= self.settings.hold_steps
-        leaving = due & (self._count + 1 >= self.settings.targets)
-        self._prepared = self._draw_reset_states(int(leaving.sum()))
-        self._prepared_row[leaving] = np.arange(leaving.sum())
-        self._foreseen = due
-        start, lifts = self._goal.copy(), self._lifts.copy()
-        start[leaving], lifts[leaving] = self._prepared.command, lifted(self._prepared.draw)
-        self._draw_targets(due, start, lifts)
 
     def step(self, action: NDArray[np.floating]) -> Transition:
         """Run one control cycle with actions (N, n)."""
@@ -314,34 +226,19 @@ class ReachTask:
         return {"random": self._rng.bit_generator.state, **arrays}
 
     def load_state(self, state: dict[str, Any]) -> None:
-        """Continue from `state`, bit for bit, if no prepared targets were left."""
-        self._foreseen[:] = False
+        """Continue from `state`, bit for bit."""
         self._rng.bit_generator.state = state["random"]
         for name, value in self._arrays().items():
             value[...] = state[name]
 
     def _arrays(self) -> dict[str, Array]:
-        own = (
-            "since",
-            "period",
-            "middle",
-            "sent",
-            "tcp",
-            "aim",
-            "goal",
-            "start",
-            "travel",
-            "step",
-            "count",
-            "constants",
-            "lifts",
-            "far",
-        )
+        parts = {"observer": self.observer.state(), "commander": self.commander.memory()}
+        parts |= {"task": vars(self), "simulation": self.simulation.state()}
         return {
-            **{name: getattr(self, f"_{name}") for name in own},
-            **{f"observer.{name}": value for name, value in self.observer.state().items()},
-            **{f"commander.{name}": value for name, value in self.commander.memory().items()},
-            **{f"simulation.{name}": value for name, value in self.simulation.state().items()},
+            f"{part}.{name.lstrip('_')}": value
+            for part, found in parts.items()
+            for name, value in found.items()
+            if isinstance(value, np.ndarray)
         }
 
     def _inputs(self) -> ControlInput:
@@ -397,37 +294,23 @@ class ReachTask:
         return observation, privileged
 
     def _new_targets(self, where: Mask) -> None:
-        unforeseen = where & ~self._foreseen
-        start = np.where(self._count[:, None] == 0, self._sent, self._goal)
-        self._draw_targets(unforeseen, start, self._lifts)
-        self._start[where] = start[where]
-        self._aim[where], self._goal[where] = self._next_aim[where], self._next_goal[where]
-        way = np.abs(self._goal[where] - self._start[where]) / self.arm.max_speed
-        first = self._count[where] == 0
-        far = self._next_far[where] | (self._far[where] & ~first)
-        self._travel[where] = np.where(far, way.max(axis=-1), 0.0)
-        self._far[where] = self._next_far[where]
-        self._foreseen[where] = False
+        """Draw targets for the arms in ``where`` (N,): anywhere, or in the region near the posture of the last."""
+        first, before = self._count[where] == 0, self._far[where]
+        start = np.where(first[:, None], self._sent[where], self._goal[where])
+        place = self.arm.targets.sample(self._rng, (len(start),))
+        goal = solve_position(self.arm, place, np.where(before[:, None], self.arm.rest, start)).q
+        far = np.zeros(len(start), dtype=bool)
+        if self.settings.anywhere > 0.0:
+            far = self._rng.random(len(start)) < self.settings.anywhere
+            goal[far] = self._draw_postures(start[far], self._lifts[where][far])
+            place[far] = tcp_position(self.arm, goal[far])
+        way = np.abs(goal - start) / self.arm.max_speed
+        self._start[where], self._goal[where], self._aim[where], self._far[where] = start, goal, place, far
+        self._travel[where] = np.where(far | (before & ~first), way.max(axis=-1), 0.0)
         self._since[where] = 0.0
         self._step[where] = -np.ceil(self._travel[where] / self._middle[where])
         self.observer.reset(self._inputs(), where)
         self.commander.reset(self._inputs(), where)
-
-    def _draw_targets(self, where: Mask, start: Array, lifts: Array) -> None:
-        """Draw the next targets of the arms in ``where`` (N,): anywhere, or in the region near ``start`` (N, n).
-
-        Those anywhere are among what their motors lift, ``lifts`` (N, n) [N m], as a deployment chooses them.
-        """
-        count = int(where.sum())
-        place = self.arm.targets.sample(self._rng, (count,))
-        near = np.where(self._far[where, None], self.arm.rest, start[where])
-        goal = solve_position(self.arm, place, near).q
-        if self.settings.anywhere > 0.0:
-            far = self._rng.random(count) < self.settings.anywhere
-            goal[far] = self._draw_postures(start[where][far], lifts[where][far])
-            place[far] = tcp_position(self.arm, goal[far])
-            self._next_far[where] = far
-        self._next_aim[where], self._next_goal[where] = place, goal
 
     def _draw_postures(self, start: Array, lifts: Array) -> Array:
         """Draw a posture (m, n) [rad] for each arm: of `DRAWN` the first that suits, or the lightest.
@@ -444,35 +327,29 @@ class ReachTask:
         return np.asarray(goal[np.arange(len(lifts)), excess.argmin(axis=1)])
 
     def _new_arms(self, where: Mask) -> None:
-        foreseen, unforeseen = where & self._foreseen, where & ~self._foreseen
-        if foreseen.any() and self._prepared is not None:
-            self._place(foreseen, self._prepared.rows(self._prepared_row[foreseen]))
-        if unforeseen.any():
-            self._place(unforeseen, self._draw_reset_states(int(unforeseen.sum())))
-
-    def _draw_reset_states(self, count: int) -> ResetStates:
-        s = self.settings
-        lead_limit = s.law.lead_limit if s.start_sag else 0.0
-        return draw_reset_states(
-            self.ranges, self._limits, self._rng, count, spread=s.start_spread, lead_limit=lead_limit
-        )
-
-    def _place(self, where: Mask, states: ResetStates) -> None:
-        draw, position, command = states
-        self._lifts[where] = lifted(draw)
+        """Draw arms around rest, inside the guard's limits and above the floor; commands lead by part of the sag."""
+        arm, s, limits, count = self.arm, self.settings, self._limits, int(where.sum())
+        draw = self.ranges.draw(self._rng, count)
+        position = arm.rest + self._rng.normal(0.0, s.start_spread, (count, arm.joints))
+        position = np.clip(position, limits.lower, limits.upper)
+        low = tcp_position(arm, position)[:, 2:] < 3.0 * arm.floor
+        command = position = np.where(low, arm.rest, position)
+        if s.start_sag and s.law.lead_limit > 0.0:
+            sag = draw.gravity_scale[:, None] * gravity_torque(arm, position) / draw.twin.stiffness - draw.twin.offset
+            lead = np.clip(sag, -s.law.lead_limit, s.law.lead_limit)
+            command = position + lead * self._rng.uniform(0.0, 1.0, (count, 1))
         self.simulation.place(draw, position, command, where)
-        self._sent[where] = command
-        self._tcp[where] = tcp_position(self.arm, position)
+        self._lifts[where], self._sent[where] = lifted(draw), command
+        self._tcp[where] = tcp_position(arm, position)
         self._middle[where] = self._period[where] = draw.period
         self._count[where] = 0
-        self._constants[where] = privileged_constants(self.arm, draw)
+        self._constants[where] = privileged_constants(arm, draw)
         self.observer.reset_learned(where)
         self.commander.reset_learned(self._inputs(), where)
 
     def _privileged(self, distance: Array, speed: Array, rows: Rows = ALL) -> Observation:
         """Privileged observation (N, p), or some ``rows`` of it."""
-        privileged = self._constants[rows].copy()
         twins = self.simulation.twins
         lag = self.simulation.reference.position[rows] - twins.qpos[rows]
-        fill_privileged(privileged, distance, speed, twins.qvel[rows], lag, self._period[rows])
-        return privileged
+        moving = privileged_motion(distance, speed, twins.qvel[rows], lag, self._period[rows])
+        return np.concatenate([moving, self._constants[rows]], axis=1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -128,7 +128,8 @@ def train(
             if options.snapshot_every and learner.iteration % options.snapshot_every == 0:
                 export_policy(files.snapshot(learner.iteration), learner.actor.net, contract)
             point = learner.iterate()
-            _write_scalars(writer, point)
+            for name, value in asdict(point).items():
+                writer.add_scalar(tag=f"training/{name}", value=value, timestep=point.step)
             if learner.iteration % options.checkpoint_every == 0 and learner.iteration < total:
                 learner.save(files.checkpoint, identity)
             on_progress(learner.iteration / total, describe(point))
@@ -152,18 +153,15 @@ def _resumed(learner: Learner, checkpoint: Path, identity: dict[str, Any]) -> bo
 
 def training_ranges(arm: Arm, twin: Twin | None, preset: Preset) -> Ranges:
     """Arms that a preset trains on."""
-    if preset.ranges == "paper":
-        return PaperRanges(arm=arm, joint_noise=preset.joint_noise)
-    if preset.ranges == "paper-healthy":
-        return PaperRanges.healthy(arm, preset.joint_noise)
-    if twin is None:
-        return BroadRanges(arm=arm)
-    return identified_ranges(arm, twin)
+    if preset.ranges == "identified":
+        return BroadRanges(arm=arm) if twin is None else identified_ranges(arm, twin)
+    paper = PaperRanges if preset.ranges == "paper" else PaperRanges.healthy
+    return paper(arm=arm, joint_noise=preset.joint_noise)
 
 
 def write_curves(path: Path, curve: Sequence[CurvePoint]) -> None:
     """Write training curves as Parquet."""
-    table = pa.table({f.name: [getattr(point, f.name) for point in curve] for f in fields(CurvePoint)})
+    table = pa.Table.from_pylist([asdict(point) for point in curve])
     write_whole(path, lambda temporary: pq.write_table(table, temporary, write_page_checksum=True))
 
 
@@ -172,17 +170,10 @@ def make_learner(
 ) -> Learner:
     """Set up the learner."""
     ranges, workers = options.ranges or training_ranges(arm, twin, recipe), min(WORKERS, recipe.ppo.agents)
-    sizes = [len(part) for part in np.array_split(np.arange(recipe.ppo.agents), workers)]
+    seed, threads = workers * options.seed, max(options.threads // workers, 1)
     tasks = [
-        ReachTask(
-            arm,
-            ranges,
-            size,
-            recipe.task,
-            seed=workers * options.seed + k,
-            threads=max(options.threads // workers, 1),
-        )
-        for k, size in enumerate(sizes)
+        ReachTask(arm, ranges, len(part), recipe.task, seed=seed + k, threads=threads)
+        for k, part in enumerate(np.array_split(np.arange(recipe.ppo.agents), workers))
     ]
     return Learner(tasks, recipe.ppo, seed=options.seed, threads=min(options.threads, workers), start=start)
 
@@ -246,12 +237,6 @@ def _tensorboard(folder: Path) -> Iterator[SummaryWriter]:
         raise unwritable(folder, error) from error
 
 
-def _write_scalars(writer: SummaryWriter, point: CurvePoint) -> None:
-    for field in fields(CurvePoint):
-        if field.name != "step":
-            writer.add_scalar(tag=f"training/{field.name}", value=getattr(point, field.name), timestep=point.step)
-
-
 def describe(point: CurvePoint) -> str:
     """Describe the state of a training."""
     return f"success {100 * point.success_rate:.0f} %, error {point.error_mm:.2f} mm, reward {point.reward:.2f}"
@@ -260,14 +245,11 @@ def describe(point: CurvePoint) -> str:
 def training_result(files: Outputs, recipe: str, seed: int, curve: Sequence[CurvePoint]) -> TrainingResult:
     """Sum up a training by its last updates."""
     recent = curve[-5:]  # chosen: the targets that end within a few updates are enough for a percent
+    means = {name: float(np.mean([getattr(point, name) for point in recent])) for name in RECENT}
+    last = curve[-1]
     return TrainingResult(
-        policy=files.policy,
-        curves=files.curves,
-        preset=recipe,
-        seed=seed,
-        steps=curve[-1].step,
-        success_rate=float(np.mean([point.success_rate for point in recent])),
-        error_mm=float(np.mean([point.error_mm for point in recent])),
-        reward=float(np.mean([point.reward for point in recent])),
-        wall_s=curve[-1].wall_s,
+        policy=files.policy, curves=files.curves, preset=recipe, seed=seed, steps=last.step, wall_s=last.wall_s, **means
     )
+
+
+RECENT = ("success_rate", "error_mm", "reward")

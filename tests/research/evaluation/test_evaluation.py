@@ -8,7 +8,7 @@ from rejoint.arms import mycobot280
 from rejoint.control.classical import IntegratorController
 from rejoint.control.comparison.result import Protocol
 from rejoint.research.evaluation.contestants import Contestant
-from rejoint.research.evaluation.evaluate import evaluate, outcome_path, read_outcome, write_outcome
+from rejoint.research.evaluation.evaluate import evaluate, outcome_path
 from rejoint.research.evaluation.family import (
     ArmFamily,
     family_payloads,
@@ -18,7 +18,7 @@ from rejoint.research.evaluation.family import (
 )
 from rejoint.research.evaluation.page import terminal_tables
 from rejoint.research.evaluation.summary import summarise
-from rejoint.research.evaluation.trials import TrialSettings
+from rejoint.research.evaluation.trials import TrialSettings, keep
 
 ARM = mycobot280()
 SETTINGS = TrialSettings(family=ArmFamily(arms=3, targets=2), protocol=Protocol())
@@ -59,15 +59,21 @@ def test_the_best_rival_is_the_soonest_and_not_a_policy():
 
 def test_outcomes_survive_the_disk(tmp_path):
     before = outcome(np.array([[0.4, np.nan], [1.0, 2.0]]), np.array([[1.0, np.inf], [2.0, 3.0]]))
-    write_outcome(tmp_path / "o.parquet", before, {"seed": 1})
-    after = read_outcome(tmp_path / "o.parquet", {"seed": 1})
-    assert after.keys() == before.keys()
-    for name, values in before.items():
-        np.testing.assert_array_equal(after[name], values)
-    assert read_outcome(tmp_path / "o.parquet", {"seed": 2}) is None
-    assert read_outcome(tmp_path / "none.parquet", {"seed": 1}) is None
-    (tmp_path / "o.parquet").write_bytes((tmp_path / "o.parquet").read_bytes()[:200])
-    assert read_outcome(tmp_path / "o.parquet", {"seed": 1}) is None
+    file, made = tmp_path / "o.parquet", []
+
+    def find():
+        made.append(file)
+        return before
+
+    for seed, count in ((1, 1), (1, 1), (2, 2), (2, 2), (1, 3)):
+        after = keep(file, {"seed": seed}, find)
+        assert len(made) == count
+        assert after.keys() == before.keys()
+        for name, values in before.items():
+            np.testing.assert_array_equal(after[name], values)
+    file.write_bytes(file.read_bytes()[:200])
+    keep(file, {"seed": 1}, find)
+    assert len(made) == 4, "a damaged file is made again"
 
 
 def test_the_same_command_takes_over_what_is_done(tmp_path):
@@ -87,7 +93,7 @@ def test_the_same_command_takes_over_what_is_done(tmp_path):
     assert again == first
     evaluate(ARM, [dataclasses.replace(one, identity="2")], variants, settings, tmp_path, lambda *_: None)
     assert len(made) == 4
-    assert outcome_path(tmp_path, variants[0], one).exists()
+    assert outcome_path(tmp_path, "worn", one.name).exists()
     stored = json.loads((tmp_path / "evaluation.json").read_text())
     assert stored["rows"][0]["controller"] == "mine"
     page = (tmp_path / "evaluation.html").read_text()

@@ -15,8 +15,8 @@ def cli(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
 
 def test_a_family_is_evaluated_and_resumed(cli, tmp_path: Path):
     words = (
-        "evaluate", "--family", "--arms", "2", "--targets", "1", "--variants", "worn", "--controllers", "integrator",
-        "--no-crossing", "--threads", "1", "--out", str(tmp_path), "--json",
+        "research", "evaluate", "--arms", "2", "--targets", "1", "--variants", "worn", "--controllers", "integrator",
+        "--crossings", "0", "--threads", "1", "--out", str(tmp_path), "--json",
     )  # fmt: skip
     code, out, err = cli(*words)
     assert code == 0, err
@@ -32,8 +32,8 @@ def test_a_family_is_evaluated_and_resumed(cli, tmp_path: Path):
 def test_targets_anywhere_are_held_by_controllers_that_know_each_arm_by_its_twin(cli, tmp_path: Path, monkeypatch):
     monkeypatch.setattr("rejoint.research.evaluation.evaluate.own_twin", lambda *_: a_twin())
     code, out, err = cli(
-        "evaluate", "--family", "--arms", "2", "--targets", "1", "--variants", "anywhere", "--controllers",
-        "feedforward,predictive", "--no-crossing", "--threads", "1", "--out", str(tmp_path), "--json",
+        "research", "evaluate", "--arms", "2", "--targets", "1", "--variants", "anywhere", "--controllers",
+        "feedforward,predictive", "--crossings", "0", "--threads", "1", "--out", str(tmp_path), "--json",
     )  # fmt: skip
     assert code == 0, err
     rows = json.loads(out.splitlines()[-1])["rows"]
@@ -44,7 +44,7 @@ def test_targets_anywhere_are_held_by_controllers_that_know_each_arm_by_its_twin
 def test_calibrations_are_tried_in_the_target_region_and_anywhere(cli, tmp_path: Path, monkeypatch):
     monkeypatch.setattr("rejoint.research.evaluation.evaluate.own_twin", lambda *_: a_twin())
     code, out, err = cli(
-        "evaluate", "--family", "--calibrate", "--arms", "1", "--targets", "2", "--variants", "worn", "--threads", "1",
+        "research", "calibrate", "--arms", "1", "--targets", "2", "--variants", "worn", "--threads", "1",
         "--out", str(tmp_path), "--json",
     )  # fmt: skip
     assert code == 0, err

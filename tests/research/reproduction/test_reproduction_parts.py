@@ -7,33 +7,26 @@ import pytest
 
 from commandline import run_cli
 from rejoint.arms import mycobot280
-from rejoint.pages.report.contents import Curves
 from rejoint.research.reproduction import gains
-from rejoint.research.reproduction.campaign import EXPERIMENTS, choose
-from rejoint.research.reproduction.experiment import QUICK, Bench
-from rejoint.research.reproduction.recipe import TrainingOutcome
-from rejoint.research.reproduction.trainings import (
-    LITERAL,
-    WORN,
-    finish_trainings,
-)
+from rejoint.research.reproduction.bench import QUICK, Bench, Experiment, Shown
+from rejoint.research.reproduction.campaign import choose
+from rejoint.research.reproduction.experiments import EXPERIMENTS
+from rejoint.research.reproduction.trainings import WORN, finish_trainings
 from rejoint.system.errors import InputError, RejointError
 
 ARM = mycobot280()
 
 
-def test_the_command_line_lists_runs_and_refuses(tmp_path, capsys, monkeypatch):
+def test_the_command_line_runs_and_refuses(tmp_path, capsys, monkeypatch):
     tools = {"capsys": capsys, "monkeypatch": monkeypatch}
-    code, out, _ = run_cli("reproduce", "--list", "--json", **tools)
+    words = ("--run", str(tmp_path / "run"), "--quick", "--json")
+    code, out, _ = run_cli("research", "reproduce", "table-1", *words, **tools)
     assert code == 0
-    assert [one["name"] for one in json.loads(out.splitlines()[-1])] == [one.name for one in EXPERIMENTS]
-    words = ("--run", str(tmp_path / "run"), "--out", str(tmp_path / "page.md"))
-    code, out, _ = run_cli("reproduce", "table-1", *words, "--quick", "--json", **tools)
-    assert code == 0
-    found = json.loads(out.splitlines()[-1])["experiments"][0]
-    assert found["findings"]["numbers"][0]["value"] == pytest.approx(0.97, abs=0.02)
-    assert (tmp_path / "page.md").exists()
-    code, _, err = run_cli("reproduce", "table-9", **tools)
+    last = json.loads(out.splitlines()[-1])
+    assert last["numbers"][0]["value"] == pytest.approx(0.97, abs=0.02)
+    assert {row["experiment"] for row in last["numbers"]} == {"table-1"}
+    assert (tmp_path / "run" / "reproduction.md").exists()
+    code, _, err = run_cli("research", "reproduce", "table-9", **tools)
     assert code == 2
     assert "table-4" in err
 
@@ -64,21 +57,20 @@ def test_a_training_that_cannot_go_on_says_why_and_stops_the_others(tmp_path):
     taken.parent.mkdir(parents=True)
     taken.write_bytes(b"a file where a folder should be")
     with pytest.raises(RejointError, match="training: cannot be written"):
-        finish_trainings(bench, (WORN[0], LITERAL))
-    assert not bench.training(LITERAL).policy.exists()
+        finish_trainings(bench, (WORN[0], "literal"))
+    assert not bench.training("literal").policy.exists()
 
 
-def test_an_outcome_of_a_training_worked_by_hand():
-    success = np.array([0.0, 0.0, 0.1, 0.2, 0.3, 0.4, 0.5])
-    flat = np.zeros(7)
-    outcome = TrainingOutcome(
-        curves=Curves(step=flat, reward=flat, success_rate=success, error_mm=flat, wall_s=flat),
-        crossings={
-            "crossed": np.array([[1.0, 1.0], [1.0, 0.0]]),
-            "crossing_error": np.array([[9e-3, 8e-3], [np.nan, 30e-3]]),
-            "crossing_time": np.ones((2, 2)),
-        },
+def test_text_and_numbers_are_formats_of_what_is_measured():
+    experiment = Experiment(
+        name="x",
+        title="X",
+        about="a test",
+        measure=lambda _: {"a": np.float64(1.234), "b": Shown(2.0, "2 ± 1 mm"), "c": "never"},
+        text=("It is {a:.1f}.",),
+        numbers=(("one", "{a:.2f} s", "3 s"), ("two", "{b}"), ("three", "{c}")),
+        readings=(),
     )
-    assert outcome.trained == pytest.approx(30.0)  # of the last five
-    assert outcome.success == pytest.approx(75.0)
-    np.testing.assert_allclose(outcome.error_mm, [9.0, 8.0, 30.0])
+    done = experiment.finish(experiment.measure(None), "1.0")
+    assert done.text == ("It is 1.2.",)
+    assert done.numbers == (("one", "1.23 s", "3 s", 1.234), ("two", "2 ± 1 mm", "", 2.0), ("three", "never", "", None))

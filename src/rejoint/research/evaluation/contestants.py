@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -93,6 +93,12 @@ def learned(path: Path, arm: Arm) -> Contestant:
         identity=_digest(path.read_bytes()),
         learned=True,
     )
+
+
+def on_twin(one: Contestant, twin: Twin, name: str | None = None) -> Contestant:
+    """Return a contestant for an arm that has this ``twin``, called so."""
+    name = f"{name or one.name} on its twin"
+    return replace(one, name=name, group=name, make=one.maker([twin]))
 
 
 def _digest(content: bytes) -> str:

@@ -2,30 +2,20 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from rejoint.arms import Arm
-from rejoint.control.comparison.protocols import Columns
 from rejoint.logs.runfolder.folder import RunFolder
-from rejoint.logs.runlog import read_parquet
 from rejoint.research.evaluation.contestants import Contestant, check_names
 from rejoint.research.evaluation.family import ArmFamily, Variant
 from rejoint.research.evaluation.page import write_page
 from rejoint.research.evaluation.summary import Evaluation, Outcomes, pool, summarise
-from rejoint.research.evaluation.trials import TrialSettings, own_twin, try_controller
-from rejoint.system.errors import FileError
-from rejoint.system.files import write_json, write_whole
+from rejoint.research.evaluation.trials import TrialSettings, keep, own_twin, try_controller
+from rejoint.system.files import write_json
 from rejoint.system.progress import Progress
-from rejoint.system.shell import __version__
 from rejoint.twin.twin import Twin
 
 
@@ -42,24 +32,28 @@ def evaluate(
     An outcome that is there already, of the very same contestant, arms and settings, is taken over.
     """
     check_names(contestants)
-    family = settings.family
+    family, outcomes = settings.family, {}
     cells = [(variant, one) for variant in variants for one in contestants]
-    each = family.arms * (family.targets + (family.crossings if settings.crossing else 0))
-    outcomes: dict[tuple[str, str], Columns] = {}
+    each = family.arms * (family.targets + family.crossings)
     for number, (variant, one) in enumerate(cells):
-        text = f"{variant.name}: {one.name}"
 
-        def report(done: int, before: int = number * each, text: str = text) -> None:
+        def report(done: int, before: int = number * each, text: str = f"{variant.name}: {one.name}") -> None:
             on_progress((before + done) / (len(cells) * each), text)
 
         report(0)
-        path, identity = outcome_path(folder, variant, one), _identity(arm, variant, one, settings)
-        found = read_outcome(path, identity)
-        if found is None:
-            twins = own_twins(arm, family, folder) if variant.anywhere else []
-            found = try_controller(arm, variant, one.maker(twins), settings, report, twins)
-            write_outcome(path, found, identity)
-        outcomes[variant.name, one.name] = found
+        twins = own_twins(arm, family, folder) if variant.anywhere else []
+        identity = {
+            "arm": arm.name,
+            "variant": asdict(variant),
+            "controller": one.identity,
+            "family": asdict(family),
+            "protocol": asdict(settings.protocol),
+        }
+        outcomes[variant.name, one.name] = keep(
+            outcome_path(folder, variant.name, one.name),
+            identity,
+            lambda: try_controller(arm, variant, one.maker(twins), settings, report, twins),  # noqa: B023 - at once
+        )
     return conclude(arm, settings, contestants, {v.name: v.meaning for v in variants}, outcomes, folder)
 
 
@@ -84,41 +78,7 @@ def conclude(
     return result
 
 
-def outcome_path(folder: Path, variant: Variant, contestant: Contestant) -> Path:
-    """Where the trials of a contestant on a variant are kept."""
-    name = re.sub(r"[^\w.-]+", "-", contestant.name)
-    return folder / "outcomes" / f"{variant.name}--{name}.parquet"
-
-
-def _identity(arm: Arm, variant: Variant, contestant: Contestant, settings: TrialSettings) -> dict[str, Any]:
-    return {
-        "arm": arm.name,
-        "variant": asdict(variant),
-        "controller": contestant.identity,
-        "family": asdict(settings.family),
-        "protocol": asdict(settings.protocol),
-        "crossing": settings.crossing,
-        "software": __version__,
-    }
-
-
-_IDENTITY = b"rejoint.research.evaluation"
-
-
-def write_outcome(path: Path, found: Columns, identity: dict[str, Any]) -> None:
-    """Write results as a tidy table, a row per arm and target; ``identity`` says what they belong to."""
-    table = pa.table({name: values.ravel() for name, values in found.items()})
-    table = table.replace_schema_metadata({_IDENTITY: json.dumps(identity).encode()})
-    write_whole(path, lambda temporary: pq.write_table(table, temporary, compression="zstd", write_page_checksum=True))
-
-
-def read_outcome(path: Path, identity: dict[str, Any]) -> Columns | None:
-    """Read results; None if missing, damaged, or of another identity."""
-    try:
-        table = read_parquet(path, "delete it")
-        if json.loads((table.schema.metadata or {})[_IDENTITY]) != json.loads(json.dumps(identity)):
-            return None
-        count = int(np.max(table["target"])) + 1
-        return {name: table[name].to_numpy().reshape(-1, count) for name in table.column_names}
-    except (OSError, pa.ArrowException, KeyError, TypeError, ValueError, RecursionError, FileError):
-        return None
+def outcome_path(folder: Path, where: str, controller: str) -> Path:
+    """Where the trials of a controller on some arms are kept."""
+    name = re.sub(r"[^\w.-]+", "-", controller)
+    return folder / "outcomes" / f"{where}--{name}.parquet"

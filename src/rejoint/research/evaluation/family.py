@@ -77,15 +77,15 @@ class ArmFamily:
     targets: int = 5
     """held one after the other, per arm"""
     crossings: int = 10
-    """in the protocol of Park et al. 2024, per arm"""
+    """in the protocol of Park et al. 2024, per arm; 0: it is not run"""
     seed: int = 0
     """number of the family"""
 
     def __post_init__(self) -> None:
-        if not 1 <= self.arms <= FAMILY_SIZE or self.targets < 1 or self.crossings < 1 or self.seed < 0:
+        if not 1 <= self.arms <= FAMILY_SIZE or min(self.targets, self.crossings, self.seed) < 0:
             raise InputError(
                 f"family: {self.arms} arms, {self.targets} and {self.crossings} targets, seed {self.seed}; expected "
-                f"1 to {FAMILY_SIZE} arms, at least one target and a seed of at least 0"
+                f"1 to {FAMILY_SIZE} arms, and no negative number"
             )
 
     def wear_seed(self, index: int) -> int:

@@ -5,15 +5,16 @@ Blocks of arms move side by side; finished blocks are kept.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, fields
+from functools import partial
 from pathlib import Path as FilePath
 
 import numpy as np
 
-from rejoint.arms import Arm, Array
+from rejoint.arms import Arm
 from rejoint.control.classical import DefaultController
-from rejoint.control.controller import Controller
+from rejoint.control.comparison.protocols import Columns
 from rejoint.control.loop import Schedule, run
 from rejoint.control.moving.drive import Along, Repetition, judge, missed
 from rejoint.control.moving.posture import PathPostures, Servos, home_of
@@ -23,7 +24,6 @@ from rejoint.control.moving.reference import (
     STANDARD,
     Ahead,
     Guide,
-    Path,
     PathReference,
     played,
     standard_path,
@@ -32,11 +32,11 @@ from rejoint.control.moving.tracker import Tracker
 from rejoint.control.recording import Recording
 from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.research.evaluation.family import ArmFamily
-from rejoint.research.evaluation.trials import own_twin
+from rejoint.research.evaluation.trials import keep, own_twin
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.lab.plant.wear import Wear, load_wear
-from rejoint.system.files import read_json, write_json
 from rejoint.system.progress import Progress, part
+from rejoint.twin.twin import Twin
 
 RATE = 30.0
 """[Hz] of a path's setpoints where it is not known ahead"""
@@ -45,19 +45,7 @@ BLOCK = 5
 """Arms that move side by side (chosen)"""
 SENT, HEALTHY, KNOWN, STREAM = "worn, sent as it comes", "healthy, sent as it comes", "known ahead", "as it goes, 30 Hz"
 REPEATED = f"time {REPETITIONS} of one path"
-CASES = (HEALTHY, SENT, KNOWN, STREAM, REPEATED)
-
-
-@dataclass(frozen=True, kw_only=True)
-class MovingLine:
-    """One arm on one path in one case."""
-
-    wear_seed: int
-    case: str
-    path: str
-    errors: Along
-    stopped: bool
-    """whether the guard ended it"""
+CASES = (HEALTHY, SENT, KNOWN, REPEATED, STREAM)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,107 +82,82 @@ def evaluate_moving(
     arm: Arm, family: ArmFamily, out: FilePath, threads: int, on_progress: Progress
 ) -> MovingEvaluation:
     """Let every arm follow the standard paths in all cases; resumes in ``out``."""
-    seeds = [family.wear_seed(i) for i in range(family.arms)]
-    lines: list[MovingLine] = []
-    for first in range(0, len(seeds), BLOCK):
-        block = seeds[first : first + BLOCK]
-        ahead = part(on_progress, first / len(seeds), (first + len(block)) / len(seeds))
-        file = out / "moving" / f"{block[0]}-{block[-1]}.json"
-        if not file.exists():
-            write_json(file, _block(arm, block, family.seed, out, threads, ahead))
-        lines += read_json(file, list[MovingLine])
-    rows = [_row(case, path, lines) for case in CASES for path in STANDARD]
+    parts = []
+    for first in range(0, family.arms, BLOCK):
+        seeds = [family.wear_seed(i) for i in range(first, min(first + BLOCK, family.arms))]
+        ahead = part(on_progress, first / family.arms, min(first + BLOCK, family.arms) / family.arms)
+        twins = partial(_twins, arm, seeds, family.seed, out, part(ahead, 0.0, 0.5))
+        identity = {"arm": arm.name, "seeds": seeds, "cases": CASES}
+        file = out / "moving" / f"{seeds[0]}-{seeds[-1]}.parquet"
+        parts.append(keep(file, identity, partial(_follow, arm, seeds, twins, threads, part(ahead, 0.5, 1.0))))
+    found = {name: np.concatenate([one[name] for one in parts]) for name in parts[0]}
+    rows = [_row(case, path, found) for case in CASES for path in STANDARD]
     return MovingEvaluation(arm=arm.name, family=family.seed, arms=family.arms, rows=rows)
 
 
-def _block(
-    arm: Arm, seeds: Sequence[int], family: int, out: FilePath, threads: int, on_progress: Progress
-) -> list[MovingLine]:
-    twins = []
-    for i, seed in enumerate(seeds):
-        # The same plan of excitation for all of them: a few are not safe and are refused.
-        share = part(on_progress, 0.5 * i / len(seeds), 0.5 * (i + 1) / len(seeds))
-        twins.append(own_twin(arm, seed, RunFolder(out / "arms" / str(seed)), family, share).parameters)
-    known = {f.name: np.stack([getattr(twin, f.name) for twin in twins for _ in STANDARD]) for f in fields(Servos)}
-    servos = Servos(**known)
-    bench = _Block(arm=arm, seeds=seeds, threads=threads, home=home_of(arm, servos))
-    ahead, repetitions = [Ahead(path=path) for path in bench.paths], [Repetition(path) for path in bench.paths]
-    worn = [load_wear(f"worn?seed={seed}", arm) for seed in seeds for _ in STANDARD]
+def _twins(arm: Arm, seeds: Sequence[int], family: int, out: FilePath, on_progress: Progress) -> list[Twin]:
+    ends = np.linspace(0.0, 1.0, len(seeds) + 1)
+    return [  # the same plan of excitation for all of them: a few are not safe and are refused
+        own_twin(arm, seed, RunFolder(out / "arms" / str(seed)), family, part(on_progress, *ends[i : i + 2]))
+        for i, seed in enumerate(seeds)
+    ]
 
-    def tracker() -> Controller:
-        return Tracker(arm, servos)
 
-    on_progress(0.5, "paths sent")
-    lines = bench.run(SENT, worn, DefaultController(arm), ahead)[0]
-    lines += bench.run(HEALTHY, [load_wear("healthy", arm)] * len(worn), DefaultController(arm), ahead)[0]
-    on_progress(0.55, "paths that arrive as they go")
-    lines += bench.run(STREAM, worn, tracker(), [played(path, RATE) for path in bench.paths])[0]
+def _follow(
+    arm: Arm, seeds: Sequence[int], twins: Callable[[], list[Twin]], threads: int, on_progress: Progress
+) -> Columns:
+    """Follow all paths with each arm in all cases; returns errors (A P, C)."""
+    pairs = [(twin.parameters, seed, name) for twin, seed in zip(twins(), seeds, strict=True) for name in STANDARD]
+    servos = Servos(**{f.name: np.stack([getattr(twin, f.name) for twin, *_ in pairs]) for f in fields(Servos)})
+    paths = [standard_path(name, arm, seed) for _, seed, name in pairs]  # random ones differ from arm to arm
+    ahead, home = [Ahead(path=path) for path in paths], home_of(arm, servos)
+    worn, columns = [load_wear(f"worn?seed={seed}", arm) for _, seed, _ in pairs], list[list[list[float]]]()
+
+    def drive(
+        case: str, wears: list[Wear], guides: Sequence[Guide], *, tracks: bool = True, noise: int = 0
+    ) -> Recording:
+        on_progress(len(columns) / len(CASES), case)
+        near = home if tracks else None
+        start = PathPostures(arm, np.stack([path.place[0] for path in paths]), home=near).last
+        robot = EmulatedRobot(arm, wears, seed=seeds[0] + noise, start=start, threads=threads)
+        plan = Schedule(dwell=LEAD_IN + LAG + max(path.duration for path in paths), sent=start, keep_going=True)
+        controller = Tracker(arm, servos) if tracks else DefaultController(arm)
+        recording = run(robot, controller, PathReference(arm, guides, near), plan)
+        if case in CASES:
+            errors = [judge(arm, recording, Ahead(path=path), b).encoder for b, path in enumerate(paths)]
+            ends = zip(errors, recording.tripped, strict=True)
+            columns.append([[*asdict(one).values(), float(end > 0)] for one, end in ends])
+        return recording
+
+    drive(HEALTHY, [load_wear("healthy", arm)] * len(worn), ahead, tracks=False)
+    drive(SENT, worn, ahead, tracks=False)
+    known, lessons = ahead, [Repetition(path) for path in paths]
     for time in range(REPETITIONS):
-        on_progress(0.6 + 0.4 * time / REPETITIONS, f"time {time + 1}")
-        case = {0: KNOWN, REPETITIONS - 1: REPEATED}.get(time, "")
-        found, recording = bench.run(case, worn, tracker(), ahead, time)
-        lines += found if case else []
-        ahead = [
-            Ahead(path=one.path, aim=lessons.learn(one.aim or one.path, *missed(arm, recording, one, one.path, b)))
-            for b, (one, lessons) in enumerate(zip(ahead, repetitions, strict=True))
+        case = {0: KNOWN, REPETITIONS - 1: REPEATED}.get(time, f"time {time + 1}")
+        recording = drive(case, worn, known, noise=time)
+        known = [
+            Ahead(path=one.path, aim=lesson.learn(one.aim or one.path, *missed(arm, recording, one, one.path, b)))
+            for b, (one, lesson) in enumerate(zip(known, lessons, strict=True))
         ]
-    return lines
+    drive(STREAM, worn, [played(path, RATE) for path in paths])
+    names = (*(f.name for f in fields(Along)), "stopped")
+    return dict(zip(names, np.array(columns).T, strict=True))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Block:
-    """Arms of a block, each as often as there are paths."""
-
-    arm: Arm
-    seeds: Sequence[int]
-    threads: int
-    home: Array
-    """(B, n) [rad] postures that trackers keep near to"""
-
-    @property
-    def paths(self) -> list[Path]:
-        """Path of each; random ones differ from arm to arm."""
-        return [standard_path(name, self.arm, seed) for seed in self.seeds for name in STANDARD]
-
-    def run(
-        self, case: str, wears: list[Wear], controller: Controller, guides: Sequence[Guide], time: int = 0
-    ) -> tuple[list[MovingLine], Recording]:
-        """Return the lines of a case, and its recording; ``time`` is another noise."""
-        paths = self.paths
-        home = self.home if isinstance(controller, Tracker) else None
-        start = PathPostures(self.arm, np.stack([path.place[0] for path in paths]), home=home).last
-        robot = EmulatedRobot(self.arm, wears, seed=self.seeds[0] + time, start=start, threads=self.threads)
-        dwell = LEAD_IN + LAG + max(path.duration for path in paths)
-        reference = PathReference(self.arm, guides, home)
-        recording = run(robot, controller, reference, Schedule(dwell=dwell, sent=start, keep_going=True))
-        lines = [
-            MovingLine(
-                wear_seed=self.seeds[b // len(STANDARD)],
-                case=case,
-                path=path.name,
-                errors=judge(self.arm, recording, Ahead(path=path), b).encoder,
-                stopped=bool(recording.tripped[b]),
-            )
-            for b, path in enumerate(paths)
-        ]
-        return lines, recording
-
-
-def _row(case: str, path: str, lines: Sequence[MovingLine]) -> MovingRow:
-    own = [line for line in lines if (line.case, line.path) == (case, path)]
-    late = case == STREAM
-    rms = np.array([line.errors.rms_after if late else line.errors.rms for line in own])
-    largest = max(line.errors.largest_after if late else line.errors.largest for line in own)
+def _row(case: str, path: str, found: Columns) -> MovingRow:
+    own = {name: values[STANDARD.index(path) :: len(STANDARD), CASES.index(case)] for name, values in found.items()}
+    after = "_after" * (case == STREAM)
+    rms = own[f"rms{after}"]
     return MovingRow(
         case=case,
         path=path,
-        arms=len(own),
+        arms=len(rms),
         mean=float(rms.mean()),
         middle=float(np.median(rms)),
         high=float(np.percentile(rms, 95)),
-        largest=largest,
-        lag=float(np.median([line.errors.lag for line in own])),
-        stopped=sum(line.stopped for line in own),
+        largest=float(own[f"largest{after}"].max()),
+        lag=float(np.median(own["lag"])),
+        stopped=int(own["stopped"].sum()),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import cast
 
@@ -80,15 +80,8 @@ def _ratio(value: Estimate) -> Cell:
     return Cell(one, " to ".join(filter(None, ends)))
 
 
-SHOWN_FAILURES = 200
-"""Failures on the page; all are in ``evaluation.json`` (chosen)"""
-
-Pooled = dict[tuple[str, str], Columns]
-"""Results (T, seeds, K) by variant and controller"""
-
-
-def write_page(path: Path, evaluation: Evaluation, pooled: Pooled) -> None:
-    """Write the page."""
+def write_page(path: Path, evaluation: Evaluation, pooled: Mapping[tuple[str, str], Columns]) -> None:
+    """Write the page; ``pooled`` results (T, seeds, K) are by variant and controller."""
 
     def look(controller: str) -> int:
         return evaluation.controllers.index(controller) % len(LOOKS)
@@ -96,67 +89,41 @@ def write_page(path: Path, evaluation: Evaluation, pooled: Pooled) -> None:
     def figures(variant: str) -> Iterator[Picture]:
         """Draw the share of holds below each value."""
         narrow, hold = evaluation.protocol.stay_names[-1], evaluation.protocol.hold
-        for key, label in (
-            ("settled", "settled encoder error [mm]"),
-            (narrow, "time to stay within the narrowest distance [s]"),
+        for key, label, factor, most in (
+            ("settled", "settled encoder error [mm]", MM, np.inf),
+            (narrow, "time to stay within the narrowest distance [s]", 1.0, hold),
         ):
             figure, grid = canvas((HALF, 3.4))
             axes = grid[0, 0]
             for controller in evaluation.controllers:
-                some = pooled[variant, controller]
-                found = some[key][some["held"] == 1.0]
-                found = 1e3 * found if key == "settled" else np.where(found >= hold, np.inf, found)
-                values = np.sort(np.nan_to_num(found, nan=np.inf, posinf=np.inf))
-                axes.plot(
-                    values,
-                    100 * np.arange(1, len(values) + 1) / len(values),
-                    color=LOOKS[look(controller)].colour,
-                    linestyle=LOOKS[look(controller)].dash,
+                found, one = pooled[variant, controller], LOOKS[look(controller)]
+                values = np.nan_to_num(found[key][found["held"] == 1.0], nan=np.inf)
+                axes.ecdf(
+                    np.where(values >= most, np.inf, factor * values),
+                    color=one.colour,
+                    linestyle=one.dash,
                     label=controller,
                     linewidth=1.5,
                 )
             axes.set_xscale("log")
-            axes.set(xlabel=label, ylabel="holds [%]", ylim=(0, 100))
+            axes.set(xlabel=label, ylabel="share of the holds", ylim=(0, 1))
             axes.legend(frameon=False, fontsize=8)
-            alt = f"Distribution of the {label} of every controller"
-            yield Picture(svg=inline_svg(figure, f"{variant}-{'settled' if key == 'settled' else 'stay'}", alt))
+            yield Picture(
+                svg=inline_svg(figure, f"{variant}-{key}", f"Distribution of the {label} of every controller")
+            )
 
-    # The learned ones are what the reader came for; the others are only counted when there are many.
-    learned = tuple({pair.controller for pair in evaluation.pairs})
-    failures = sorted(evaluation.failures, key=lambda failure: not failure.controller.startswith(learned))
     html.write_page(
-        path, "evaluation.html", title=f"{evaluation.family.arms} arms never met", evaluation=evaluation,
+        path,
+        "evaluation.html",
+        title=f"{evaluation.family.arms} arms never met",
+        evaluation=evaluation,
         subtitle=f"{evaluation.arm}, family {evaluation.family.seed}, rejoint {evaluation.software}",
-        verdict=_verdict(evaluation), look=look, figures=figures, failures=failures[:SHOWN_FAILURES],
-        parts=[*zip(evaluation.variants, evaluation.variants, strict=True), ("failures", "Failures"),
-               ("method", "Method")],
-        columns=row_columns(evaluation), pair_headers=pair_headers(evaluation), pair_cells=pair_cells,
+        look=look,
+        figures=figures,
+        parts=[*((variant, variant) for variant in evaluation.variants), ("method", "Method")],
+        columns=row_columns(evaluation),
+        pair_headers=pair_headers(evaluation),
+        pair_cells=pair_cells,
         family_size=FAMILY_SIZE,
         footer="Everything on this page is in evaluation.json; every trial is in outcomes/*.parquet.",
-    )  # fmt: skip
-
-
-def _verdict(evaluation: Evaluation) -> list[str]:
-    """Say per variant how each policy compares with the best rival."""
-    lines = []
-    for pair in evaluation.pairs:
-        if pair.rival != evaluation.best.get(pair.variant) or pair.settled is None:
-            continue
-        ratio, settled, meaning = pair.stay_ratio[-1], pair.settled, evaluation.meanings[pair.variant]
-        never = ratio.value >= NEVER_RATIO
-        faster = _side(ratio, 1.0, ("sooner", "later", "neither clearly sooner nor later"))
-        nearer = _side(settled, 0.0, ("nearer", "farther off", "neither nearer nor farther off"))
-        lines.append(
-            f"{meaning[:1].upper()}{meaning[1:]}: {pair.controller} is within "
-            f"{1e3 * evaluation.protocol.within[-1]:g} mm {faster} than {pair.rival} "
-            f"({'mostly it never stays there' if never else f'median ratio {ratio.value:.2f}'}) "
-            f"and settles {nearer} ({1e3 * settled.value:+.2f} mm)."
-        )
-    return lines or ["No learned policy took part."]
-
-
-def _side(estimate: Estimate, middle: float, words: tuple[str, str, str]) -> str:
-    """Pick the word for an interval below, above or across ``middle``."""
-    if estimate.low is None or estimate.high is None:
-        return words[2]
-    return words[0] if estimate.high < middle else words[1] if estimate.low > middle else words[2]
+    )

@@ -1,4 +1,4 @@
-"""From outcomes to rows, pairs and failures.
+"""From outcomes to rows and pairs.
 
 Intervals resample whole arms. Times to stay within a distance may be infinite, so they are compared by the median ratio
 of each target.
@@ -15,7 +15,6 @@ from rejoint.arms import Arm, Array
 from rejoint.control.comparison.protocols import Columns, cycle_times
 from rejoint.control.comparison.protocols import summarise as summarise_trials
 from rejoint.control.comparison.result import ControllerRow, Protocol
-from rejoint.control.guard import reason_names
 from rejoint.research.evaluation.contestants import Contestant
 from rejoint.research.evaluation.family import ArmFamily
 from rejoint.research.evaluation.trials import TrialSettings
@@ -60,64 +59,13 @@ def time_ratio(first: Array, second: Array, *, seed: int = 0) -> Estimate:
 
 def ratios(first: Array, second: Array) -> Array:
     """``first / second`` for times; 1 for never over never."""
-    first, second = (np.where(np.isnan(times), np.inf, np.maximum(times, 1e-3)) for times in (first, second))
-    both = np.isinf(first) & np.isinf(second)
-    finite = np.where(np.isinf(first) | np.isinf(second), 1.0, first / np.where(np.isinf(second), 1.0, second))
-    return np.where(
-        both, 1.0, np.where(np.isinf(first), NEVER_RATIO, np.where(np.isinf(second), 1 / NEVER_RATIO, finite))
-    )
+    (first, late), (second, later) = ((np.maximum(times, 1e-3), ~np.isfinite(times)) for times in (first, second))
+    cases = (late & later, late, later)
+    return np.select(cases, (1.0, NEVER_RATIO, 1 / NEVER_RATIO), first / np.where(later, 1.0, second))
 
 
 FAR = 0.005
-"""[m] settled encoder error from which a hold counts as failed"""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Failure:
-    """One hold that failed."""
-
-    variant: str
-    controller: str
-    arm: int
-    """wear seed"""
-    target: int
-    """its number, from 0"""
-    point_mm: tuple[float, float, float]
-    settled_mm: float | None
-    """encoder error; None where the guard stopped the arm"""
-    true_mm: float | None
-    what: str
-    """whether the guard stopped it"""
-
-
-def list_failures(variant: str, controller: str, found: Columns) -> tuple[Failure, ...]:
-    """List the holds that ended beyond `FAR`, or by the guard; results (T, K)."""
-    failures = []
-    for at in zip(*np.nonzero(_outside(found) == 1.0), strict=True):
-        one = {name: float(values[at]) for name, values in found.items()}
-        stopped, names = not np.isfinite(one["settled"]), ", ".join(reason_names(int(one["tripped"]))) or "unknown"
-        failures.append(
-            Failure(
-                variant=variant,
-                controller=controller,
-                arm=int(one["arm"]),
-                target=int(one["target"]),
-                point_mm=(round(1e3 * one["x"], 1), round(1e3 * one["y"], 1), round(1e3 * one["z"], 1)),
-                settled_mm=_mm(one["settled"]),
-                true_mm=_mm(one["settled_true"]),
-                what=f"stopped by the guard ({names})" if stopped else "farther off than 5 mm",
-            )
-        )
-    return tuple(failures)
-
-
-def _outside(found: Columns) -> Array:
-    """1 for holds beyond `FAR` or stopped, else 0; NaN: no hold."""
-    return np.where(found["held"] == 1.0, (~(found["settled"] <= FAR)).astype(float), np.nan)
-
-
-def _mm(value: float) -> float | None:
-    return round(1e3 * float(value), 3) if np.isfinite(value) else None
+"""[m] settled encoder error beyond which a hold counts as failed"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,7 +75,7 @@ class VariantRow(ControllerRow):
     variant: str
     seeds: int
     """trainings that are put together"""
-    outside: Estimate
+    outside: Estimate | None
     """share of holds beyond 5 mm or stopped"""
 
 
@@ -164,7 +112,6 @@ class Evaluation:
     best: dict[str, str]
     """per variant, the rival that is soonest within the narrowest distance"""
     pairs: tuple[Pair, ...]
-    failures: tuple[Failure, ...]
 
     def on(self, variant: str) -> tuple[VariantRow, ...]:
         """Rows of a variant."""
@@ -209,12 +156,6 @@ def summarise(
         for rival in groups
         if g in learned and rival != g
     ]
-    failures = [
-        failure
-        for v in variants
-        for one in contestants
-        for failure in list_failures(v, one.name, outcomes[v, one.name])
-    ]
     return Evaluation(
         arm=arm.name,
         software=__version__,
@@ -226,16 +167,20 @@ def summarise(
         rows=rows,
         best={v: name for v, name in best.items() if name},
         pairs=tuple(pairs),
-        failures=tuple(failures),
     )
 
 
 def make_row(variant: str, controller: str, found: Columns, protocol: Protocol) -> VariantRow:
     """Summarise the results (T, seeds, K) of a controller."""
     arms = np.repeat(_arms(found), found["settled"][0].size)
-    row = summarise_trials(controller, found, arms, protocol)
-    outside = clustered_share(_outside(found).ravel(), arms)
-    return VariantRow(**vars(row), variant=variant, seeds=found["settled"].shape[1], outside=outside)
+    row, held = summarise_trials(controller, found, arms, protocol), found["held"] == 1.0
+    outside = np.where(held, ~(found["settled"] <= FAR), np.nan).ravel()
+    return VariantRow(
+        **vars(row),
+        variant=variant,
+        seeds=held.shape[1],
+        outside=clustered_share(outside, arms) if held.any() else None,
+    )
 
 
 def make_pair(variant: str, mine: tuple[str, Columns], other: tuple[str, Columns], protocol: Protocol) -> Pair:

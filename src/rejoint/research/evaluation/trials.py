@@ -1,28 +1,42 @@
-"""One controller on all arms of one variant, as one batch."""
+"""One controller on many arms side by side, and what is kept of it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import json
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from rejoint.arms import Arm, Array
 from rejoint.control.comparison.compare import PROGRESS_CYCLES
-from rejoint.control.comparison.protocols import Columns, Kind, measure, schedule
+from rejoint.control.comparison.protocols import KINDS, Columns, measure, schedule
 from rejoint.control.comparison.result import METRICS, Protocol
 from rejoint.control.controller import Controller
 from rejoint.control.goal import Ways
 from rejoint.control.loop import run
 from rejoint.control.recording import Cycle
 from rejoint.control.reference import TargetSequence
+from rejoint.control.robot import Robot
 from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.logs.runlog import read_parquet
 from rejoint.research.evaluation.family import ArmFamily, Variant, family_targets, open_family, targets_anywhere
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.lab.plant.wear import load_wear
+from rejoint.system.errors import FileError
+from rejoint.system.files import write_whole
 from rejoint.system.progress import Progress, no_progress, part
+from rejoint.system.shell import __version__
 from rejoint.twin.file import read_twin, write_twin
 from rejoint.twin.twin import Twin
+
+OnTargets = Callable[[int], object]
+"""Called now and then with the number of targets that are done."""
+_IDENTITY = b"rejoint.research.evaluation"
 
 
 def own_twin(arm: Arm, wear_seed: int, folder: RunFolder, seed: int, on_progress: Progress = no_progress) -> Twin:
@@ -40,18 +54,12 @@ def own_twin(arm: Arm, wear_seed: int, folder: RunFolder, seed: int, on_progress
     return read_twin(folder.twin, arm)
 
 
-OnTargets = Callable[[int], object]
-"""Called now and then with the number of targets that are done."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class TrialSettings:
     """How arms are tried."""
 
     family: ArmFamily
     protocol: Protocol
-    crossing: bool = True
-    """whether the protocol of Park et al. 2024 is run as well"""
     threads: int = 1
 
 
@@ -59,7 +67,7 @@ class TrialSettings:
 class TrialArms:
     """Arms and their targets."""
 
-    open: Callable[[], EmulatedRobot]
+    open: Callable[[], Robot]
     """puts all arms at rest, as a new batch"""
     targets: Array
     """(A, max(K, C), 3) [m]"""
@@ -112,20 +120,37 @@ def try_on(
     found |= dict(zip("xyz", np.moveaxis(bench.targets, -1, 0), strict=True))
     found["arm"] = np.broadcast_to(bench.wear_seed[:, None], shape)
     found["target"] = np.broadcast_to(np.arange(shape[1], dtype=float), shape)
-    wanted: tuple[tuple[Kind, int], ...] = (
-        ("hold", family.targets),
-        ("crossing", family.crossings * settings.crossing),
-    )
-    for kind, count in wanted:
+    for kind in reversed(KINDS):
+        count = family.targets if kind == "hold" else family.crossings
         if not count:
             continue
-        points, plan = bench.targets[:, :count], schedule(kind, protocol, keep_going=True)
-        ways = bench.ways if kind == "hold" else None
-        sequence = TargetSequence(arm, points, ways=ways)
+        points, ways = bench.targets[:, :count], bench.ways if kind == "hold" else None
+        plan, sequence = schedule(kind, protocol, keep_going=True), TargetSequence(arm, points, ways=ways)
         recording = run(bench.open(), controller(arm), sequence, plan, on_cycle=watch)
         places = tuple((b, 0) for b in range(len(points)))
         for name, values in measure(arm, recording, points, protocol, ("", kind, places, 0)).columns.items():
             found[name][:, :count] = values
         if kind == "hold":
             found["tripped"][:, :count] = recording.tripped[:, None]
+    return found
+
+
+def keep(path: Path, identity: Mapping[str, Any], find: Callable[[], Columns]) -> Columns:
+    """Return the results in ``path``, or ``find`` and write them where none of this ``identity`` are there.
+
+    The file is a tidy table, a row per arm and target. A damaged one counts as missing.
+    """
+    told = json.dumps(dict(identity) | {"software": __version__})
+    try:
+        table = read_parquet(path, "delete it")
+        told_there, *shape = json.loads((table.schema.metadata or {})[_IDENTITY])
+        if told_there == told:
+            return {name: table[name].to_numpy().reshape(shape) for name in table.column_names}
+    except (OSError, pa.ArrowException, KeyError, TypeError, ValueError, RecursionError, FileError):
+        pass
+    found = find()
+    shape = next(iter(found.values())).shape
+    table = pa.table({name: values.ravel() for name, values in found.items()})
+    table = table.replace_schema_metadata({_IDENTITY: json.dumps([told, *shape]).encode()})
+    write_whole(path, lambda temporary: pq.write_table(table, temporary, compression="zstd", write_page_checksum=True))
     return found

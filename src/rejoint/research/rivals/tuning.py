@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 from cmaes import CMA  # type: ignore[import-untyped,unused-ignore]
@@ -19,15 +18,13 @@ from rejoint.control.comparison.result import Protocol
 from rejoint.control.controller import Controller
 from rejoint.control.loop import run
 from rejoint.research.rivals.catalogue import find_rival
+from rejoint.system.progress import Progress
 from rejoint.training.ranges import Ranges
 from rejoint.twin.simulation import TwinRobot
 
-T = TypeVar("T")
 Interval = tuple[float, float]
 MakeController = Callable[[Arm, Mapping[str, Array]], Controller]
 """The controller of B arms from gains by name, each (B, 1)"""
-OnGeneration = Callable[[int, float, Mapping[str, float]], object]
-"""Receives generation number, lowest cost and the centre's gains"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +54,7 @@ def tune(
     intervals: Mapping[str, Interval],
     make: MakeController,
     settings: TuningSettings,
-    on_generation: OnGeneration,
+    on_progress: Progress,
 ) -> dict[str, float]:
     """Search gains; returns the last generation's centre."""
     names = list(intervals)
@@ -77,17 +74,16 @@ def tune(
         points = np.array([search.ask() for _ in range(settings.candidates)])
         costs = candidate_costs(arm, ranges, gains(points), make, settings, generation)
         search.tell([(point, float(cost)) for point, cost in zip(points, costs, strict=True)])
-        centre = {name: float(value) for name, value in gains(np.clip(search.mean, 0.0, 1.0)).items()}
-        on_generation(generation + 1, float(costs.min()), centre)
-    return centre
+        on_progress((generation + 1) / settings.generations, f"cost {costs.min():.2f} s")
+    return {name: float(value) for name, value in gains(np.clip(search.mean, 0.0, 1.0)).items()}
 
 
 def tune_rival(
-    arm: Arm, ranges: Ranges, settings: TuningSettings, name: str, on_generation: OnGeneration = lambda *_: None
+    arm: Arm, ranges: Ranges, settings: TuningSettings, name: str, on_progress: Progress
 ) -> dict[str, float]:
     """Search the gains of a rival, as `tune`."""
     rival = find_rival(name)
-    return tune(arm, ranges, rival.intervals, rival.make, settings, on_generation)
+    return tune(arm, ranges, rival.intervals, rival.make, settings, on_progress)
 
 
 def candidate_costs(
