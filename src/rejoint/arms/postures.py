@@ -144,10 +144,10 @@ def comfortable_postures(arm: Arm) -> Array:
 def _choose(demand: _Demand, goal: Array, start: Array, near: bool) -> Array | None:
     """Posture (n,) of one goal (17,), or None."""
     arm, body = demand.arm, body_of(demand.arm)
-    stayed, facts = np.empty(arm.joints), np.empty((1, 3))
+    stayed = np.empty(arm.joints)
     begin = np.array(start)
     begin.setflags(write=False)
-    cost = redundancy.stay(body, goal, begin, demand.scale, demand.most, near, stayed, facts)
+    cost = redundancy.stay(body, goal, begin, demand.scale, demand.most, near, stayed)
     if cost == 0.0 or (near and cost < SWITCH):
         return stayed
     found, other, _ = _search(demand, goal, begin, (STARTS, BESTS, DESCENTS))
@@ -159,12 +159,12 @@ def _choose(demand: _Demand, goal: Array, start: Array, near: bool) -> Array | N
 def _search(demand: _Demand, goal: Array, start: Array, effort: tuple[int, int, int]) -> tuple[Array, float, Array]:
     """Best posture (n,) of a goal, its cost, and the posture (n,) nearest to the goal."""
     arm = demand.arm
-    found, facts, nearest = np.empty(arm.joints), np.empty((1, 3)), np.empty((1, arm.joints + 1))
+    found, nearest = np.empty(arm.joints), np.empty(arm.joints + 1)
     size = 0.05 * length_size(arm)
     cost = redundancy.search(
-        body_of(arm), pool_of(arm), goal, start, demand.scale, demand.most, size, *effort, found, facts, nearest
+        body_of(arm), pool_of(arm), goal, start, demand.scale, demand.most, size, *effort, found, nearest
     )
-    return found, cost, nearest[0, :-1]
+    return found, cost, nearest[:-1]
 
 
 def _refuse(demand: _Demand, goal: Array, start: Array) -> tuple[str, Array, Array]:
@@ -324,13 +324,13 @@ def pool_of(arm: Arm) -> Any:  # noqa: ANN401 - `redundancy.Pool`, likewise
     """Return stored postures without contacts; InputError: none."""
     rng, body = np.random.default_rng(0), body_of(arm)
     drawn = frozen(np.vstack([arm.rest, rng.uniform(body.inner[0], body.inner[1], (DRAWN, arm.joints))]))
-    place, torque, facts = np.empty((len(drawn), 12)), np.empty(drawn.shape), np.empty((len(drawn), 2))
-    redundancy.survey(body, drawn, place, torque, facts)
-    free = np.flatnonzero(facts[:, 0] < redundancy.FAR)[:POOL]
+    place, torque, bare = np.empty((len(drawn), 12)), np.empty(drawn.shape), np.empty(len(drawn))
+    redundancy.survey(body, drawn, place, torque, bare)
+    free = np.flatnonzero(bare < redundancy.FAR)[:POOL]
     if not len(free):
         cause = "its keep_out boxes leave it no posture" if arm.keep_out else "it touches itself or the ground always"
         raise InputError(f"arm {arm.name}: {cause}, of {DRAWN} that were tried; correct its file")
-    return redundancy.Pool(*(frozen(array[free]) for array in (drawn, place, torque, facts[:, 0])))
+    return redundancy.Pool(*(frozen(array[free]) for array in (drawn, place, torque, bare)))
 
 
 def _check(arm: Arm, places: Array, starts: Array, turn: Orientation | None, motors: Motors | None) -> None:

@@ -384,11 +384,11 @@ def _null_space(jacobian, rows, basis):  # noqa: ANN001, ANN202
     return matter
 
 
-@njit(float64(BODY, IN1, OUT1, IN1, IN1, IN1, float64, int64, OUT1), **_OPTIONS)
-def _descend(body, goal, q, start, scale, most, reach, rounds, facts):  # noqa: ANN001, ANN202
+@njit(float64(BODY, IN1, OUT1, IN1, IN1, IN1, float64, int64), **_OPTIONS)
+def _descend(body, goal, q, start, scale, most, reach, rounds):  # noqa: ANN001, ANN202
     """Lower the cost of ``q`` (n,) in the null space, and return it.
 
-    No joint moves more than ``reach`` [rad]. ``facts`` (3,) as `_judge`.
+    No joint moves more than ``reach`` [rad].
     """
     joints = len(q)
     poses, columns = np.empty((joints + 1, 3, 4, 1)), np.empty((3, joints, 1))
@@ -400,7 +400,7 @@ def _descend(body, goal, q, start, scale, most, reach, rounds, facts):  # noqa: 
     for i in range(joints):
         lower[i], upper[i] = max(body.inner[0, i], q[i] - reach), min(body.inner[1, i], q[i] + reach)
     place(body, q, poses)
-    cost = _judge(body, poses, q, scale, most, torque, clear, facts) + _travel(q, start)
+    cost = _judge(body, poses, q, scale, most, torque, clear, tried) + _travel(q, start)
     length, size, nowhere = 0.15, 1.0, np.zeros(joints)
     fresh = True
     for _ in range(rounds):
@@ -430,7 +430,6 @@ def _descend(body, goal, q, start, scale, most, reach, rounds, facts):  # noqa: 
             there = _judge(body, poses, trial, scale, most, torque, clear, tried) + _travel(trial, start)
             if there < cost - 1e-4:
                 copy(q, trial)
-                copy(facts, tried)
                 cost, fresh = there, True
         length = 1.5 * length if fresh else 0.4 * length
         if length < 0.005:
@@ -481,17 +480,16 @@ def _nearest(pool, goal, start, scale, size, chosen, worth):  # noqa: ANN001, AN
         worth[at], chosen[at] = value, k
 
 
-@njit(void(BODY, IN2, OUT2, OUT2, OUT2), **_OPTIONS)
-def survey(body, postures, places, torques, facts):  # noqa: ANN001, ANN201
-    """Fill ``places`` (N, 12), ``torques`` (N, n), and ``facts`` (N, 2): cost without load, distance."""
+@njit(void(BODY, IN2, OUT2, OUT2, OUT1), **_OPTIONS)
+def survey(body, postures, places, torques, bare):  # noqa: ANN001, ANN201
+    """Fill ``places`` (N, 12), ``torques`` (N, n), and ``bare`` (N,): cost without load."""
     joints = postures.shape[1]
     poses, torque, known = np.empty((joints + 1, 3, 4, 1)), np.empty(joints), np.empty(3)
     count = len(body.floors) + len(body.pairs) + len(body.places) + len(body.moving) * len(body.boxes)
     clear, scale = np.empty((1, count)), np.full(joints, np.inf)
     for k in range(len(postures)):
         place(body, postures[k], poses)
-        facts[k, 0] = _judge(body, poses, postures[k], scale, scale, torque, clear, known)
-        facts[k, 1] = known[1]
+        bare[k] = _judge(body, poses, postures[k], scale, scale, torque, clear, known)
         copy(torques[k], torque)
         for r in range(3):
             places[k, r] = poses[joints, r, 3, 0]
@@ -499,46 +497,43 @@ def survey(body, postures, places, torques, facts):  # noqa: ANN001, ANN201
                 places[k, 3 + 3 * r + j] = poses[joints, r, j, 0]
 
 
-@njit(float64(BODY, IN1, IN1, IN1, IN1, boolean, OUT1, OUT2), **_OPTIONS)
-def stay(body, goal, start, scale, most, near, q, facts):  # noqa: ANN001, ANN201
+@njit(float64(BODY, IN1, IN1, IN1, IN1, boolean, OUT1), **_OPTIONS)
+def stay(body, goal, start, scale, most, near, q):  # noqa: ANN001, ANN201
     """Fill ``q`` (n,) with the goal's posture on the branch of ``start`` (n,); returns its cost, or infinity.
 
-    A comfortable posture of `solve_position` is kept. ``near``: lower the cost from the nearest posture. ``facts`` (1,
-    3) as `_judge`.
+    A comfortable posture of `solve_position` is kept. ``near``: lower the cost from the nearest posture.
     """
     joints = len(q)
     poses, columns = np.empty((joints + 1, 3, 4, 1)), np.empty((3, joints, 1))
     error, jacobian, torque = np.empty(6), np.empty((6, joints)), np.empty(joints)
     count = len(body.floors) + len(body.pairs) + len(body.places) + len(body.moving) * len(body.boxes)
-    clear = np.empty((1, count))
+    clear, facts = np.empty((1, count)), np.empty(3)
     copy(q, start)
     rounds = LOCAL_ROUNDS if goal[16] == 0.0 else LOCAL_ROUNDS // 2
     missed = _solve(body, goal, q, body.lower, body.upper, REST_GAIN, rounds, poses, columns, error, jacobian)
     if missed < TOLERANCE:
-        cost = _judge(body, poses, q, scale, most, torque, clear, facts[0])
-        light = np.isinf(most[0]) or facts[0, 0] < COMFORT_LOAD
+        cost = _judge(body, poses, q, scale, most, torque, clear, facts)
+        light = np.isinf(most[0]) or facts[0] < COMFORT_LOAD
         light = light and not (near and farthest(q, start) > NEAR_REACH)
-        if cost < FAR and light and facts[0, 1] >= 0.5 * body.sizes[2] and facts[0, 2] >= COMFORT_LIMIT:
+        if cost < FAR and light and facts[1] >= 0.5 * body.sizes[2] and facts[2] >= COMFORT_LIMIT:
             return 0.0
     reach = np.inf
     if near or missed >= TOLERANCE:
         copy(q, start)
-        missed = _solve(body, goal, q, body.inner[0], body.inner[1], 0.0, ROUNDS, poses, columns, error, jacobian)
-        if near:
-            reach = NEAR_REACH
-    else:
-        missed = _solve(body, goal, q, body.inner[0], body.inner[1], 0.0, ROUNDS, poses, columns, error, jacobian)
+    if near:
+        reach = NEAR_REACH
+    missed = _solve(body, goal, q, body.inner[0], body.inner[1], 0.0, ROUNDS, poses, columns, error, jacobian)
     if missed >= TOLERANCE:
         return np.inf
-    return _descend(body, goal, q, start, scale, most, reach, DESCENTS, facts[0])
+    return _descend(body, goal, q, start, scale, most, reach, DESCENTS)
 
 
-@njit(float64(BODY, _POOL, IN1, IN1, IN1, IN1, float64, int64, int64, int64, OUT1, OUT2, OUT2), **_OPTIONS)
-def search(body, pool, goal, start, scale, most, size, starts, bests, descents, q, facts, nearest):  # noqa: ANN001, ANN201
+@njit(float64(BODY, _POOL, IN1, IN1, IN1, IN1, float64, int64, int64, int64, OUT1, OUT1), **_OPTIONS)
+def search(body, pool, goal, start, scale, most, size, starts, bests, descents, q, nearest):  # noqa: ANN001, ANN201
     """Fill ``q`` (n,) with the goal's best posture; returns its cost, or infinity.
 
-    ``starts`` pool postures are moved to the goal; the ``bests`` different ones are improved. ``facts`` (1, 3) as
-    `_judge`; ``nearest`` (1, n + 1): the posture with the least error, and that error [m].
+    ``starts`` pool postures are moved to the goal; the ``bests`` different ones are improved. ``nearest`` (n + 1,):
+    the posture with the least error, and that error [m].
     """
     joints = len(q)
     poses, columns = np.empty((joints + 1, 3, 4, 1)), np.empty((3, joints, 1))
@@ -548,7 +543,7 @@ def search(body, pool, goal, start, scale, most, size, starts, bests, descents, 
     chosen, worth = np.empty(starts, np.int64), np.empty(starts)
     _nearest(pool, goal, start, scale, size, chosen, worth)
     found, cost = np.empty((starts, joints)), np.full(starts, np.inf)
-    nearest[0, joints] = np.inf
+    nearest[joints] = np.inf
     for s in range(starts):
         if chosen[s] < 0:
             break
@@ -556,9 +551,9 @@ def search(body, pool, goal, start, scale, most, size, starts, bests, descents, 
         missed = _solve(
             body, goal, found[s], body.inner[0], body.inner[1], 0.0, ROUNDS, poses, columns, error, jacobian
         )
-        if missed < nearest[0, joints]:
-            copy(nearest[0], found[s])
-            nearest[0, joints] = missed
+        if missed < nearest[joints]:
+            copy(nearest, found[s])
+            nearest[joints] = missed
         if missed < TOLERANCE:
             cost[s] = _judge(body, poses, found[s], scale, most, torque, clear, known) + _travel(found[s], start)
     best = np.inf
@@ -573,9 +568,8 @@ def search(body, pool, goal, start, scale, most, size, starts, bests, descents, 
             if other != s and cost[other] < np.inf and farthest(found[other], found[s]) < 0.3:
                 cost[other] = np.inf
         cost[s] = np.inf
-        value = _descend(body, goal, found[s], start, scale, most, np.inf, descents, known)
+        value = _descend(body, goal, found[s], start, scale, most, np.inf, descents)
         if value < best:
             best = value
             copy(q, found[s])
-            copy(facts[0], known)
     return best
