@@ -13,13 +13,32 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Array, JointTrajectory, tcp_position
+from rejoint.arms import Array, tcp_position
 from rejoint.arms.inverse import REST_GAIN
 from rejoint.arms.rotations import REACHED_TURN, Orientation
 from rejoint.control.controller import ControlInput, Controller, turned_off
 from rejoint.control.correction import Modelled
-from rejoint.control.goal import LAGS, JointGoals, Setpoint, nearest_postures, on_the_way, waiting
-from rejoint.control.guard import TRIPS, Guarded, GuardLimits, Reason, Reasons, guard, reason_names, suffers, warm_up
+from rejoint.control.goal import (
+    LAGS,
+    PATIENCE,
+    JointGoals,
+    Setpoint,
+    beginning_at,
+    nearest_postures,
+    on_the_way,
+    waiting,
+)
+from rejoint.control.guard import (
+    TRIPS,
+    Guarded,
+    GuardLimits,
+    Reason,
+    Reasons,
+    guard_along,
+    reason_names,
+    suffers,
+    warm_up,
+)
 from rejoint.control.monitor import Following
 from rejoint.control.moving.reference import Routes
 from rejoint.control.recording import GAP, Cycle, OnCycle, Recorder, Recording, attach, look_of
@@ -269,12 +288,15 @@ class RunState:
         self.sag = np.zeros_like(self.sent)  # (B, n) [rad] off where the present ways began: no lag
         self.doubted: NDArray[np.intp] = np.zeros(count, dtype=np.intp)  # times that a flagged joint broke loose
         self.set_at, self.last_time = state.time.copy(), state.time  # [s] of the target, shifted by gaps
+        self.begun = self.set_at.copy()  # [s] the same with gaps and waits
         self.active: Mask = np.ones(count, dtype=bool)
         self.gap: Mask = np.zeros(count, dtype=bool)  # whether the state came after a gap
         self.tripped: Reasons = np.zeros(count, dtype=np.uint16)
         self.period, self.usual = np.full(count, FIRST_PERIOD), np.full(count, np.nan)  # [s] newest, and their mean
         self.eased_until = np.full(count, -np.inf)
         self.turn: Orientation | None = None
+        goals = self.schedule.goals
+        self.ways = [] if goals is None else [row[0] for row in goals.ways]  # B to the present goals; []: at once
         self.aim, self.goal = self.target, self.sent  # (B, 3) [m] corrected targets, (B, n) [rad] postures there
         self._take_aim(self.active)
         if state.elsewhere is not None:
@@ -303,13 +325,8 @@ class RunState:
     @property
     def setpoint(self) -> Setpoint:
         """Goal and target in force, and how long they have not moved."""
-        since, ways, goal, aim = self.state.time - self.set_at, self._ways(), self.goal, self.aim
+        since, ways, goal, aim = self.state.time - self.set_at, self.ways, self.goal, self.aim
         return on_the_way(self.limits.arm, ways, goal, aim, since) if ways else Setpoint(goal, aim, since)
-
-    def _ways(self) -> list[JointTrajectory]:
-        """Return the B ways to the present goals; [] where the goals are in force at once."""
-        ways = () if self.schedule.goals is None else self.schedule.goals.ways
-        return [row[k] for row, k in zip(ways, self.index, strict=False)]
 
     def _leave_out(self, longest: float) -> None:
         """End the dwell of targets under which an arm stood for ``longest`` [s]; call in every cycle, or in none."""
@@ -323,7 +340,7 @@ class RunState:
         renewed = finished & ~last
         self.active = self.active & ~(finished & last)
         self.index = self.index + renewed
-        self.set_at = np.where(renewed, self.state.time, self.set_at)
+        self.set_at, self.begun = (np.where(renewed, self.state.time, old) for old in (self.set_at, self.begun))
         if renewed.any():
             self._take_aim(renewed)
         return renewed
@@ -350,7 +367,11 @@ class RunState:
             return
         target, each = self.target, np.arange(len(self.index))
         self.turn = None if self.turns is None else self.turns[each, self.index]
-        planned = None if self.schedule.goals is None else self.schedule.goals.posture[each, self.index]
+        goals = self.schedule.goals
+        planned = None if goals is None else goals.posture[each, self.index]
+        if goals is not None and goals.ways:
+            for b in np.flatnonzero(where).tolist():
+                self.ways[b] = beginning_at(self.limits.arm, goals.ways[b][self.index[b]], self.state.position[b])
         if self.correction is None:
             fresh = target
         elif self.turn is None:
@@ -380,12 +401,11 @@ class RunState:
         if np.count_nonzero(self.gap):
             self._wait(self.gap, elapsed)
             moved = self.gap & elsewhere(self.state.position, self.sent, state.position)
-        ways = self._ways()
-        if ways:
+        if self.ways:
             since = self.last_time - self.set_at
-            sag = np.clip([way.start for way in ways] - self.state.position, -LAGS[1], LAGS[1])
+            sag = np.clip([way.start for way in self.ways] - self.state.position, -LAGS[1], LAGS[1])
             self.sag = np.where((since <= 0.0)[:, None], sag, self.sag)
-            left_out = waiting(self.limits.arm, ways, since, state.position, self.sag)
+            left_out = waiting(self.limits.arm, self.ways, since, state.position, self.sag)
             self.set_at = self.set_at + left_out * np.clip(elapsed, 0.0, self.period)
         self.usual = np.where(elapsed > 0.0, known + _SMOOTHING * (np.minimum(elapsed, GAP) - known), self.usual)
         self.state, self.last_time = state, state.time
@@ -466,6 +486,9 @@ class RunState:
     def _finished(self, inputs: ControlInput, aim: Array) -> Mask:
         """Arms (B,) that have reached their target or waited long enough."""
         finished: Mask = inputs.since_target >= self.schedule.dwell
+        if self.ways:  # an arm that does not come along its way is not waited for without end
+            longest = PATIENCE[0] + np.array([PATIENCE[1] * way.duration for way in self.ways])
+            finished = finished | (self.state.time - self.begun >= self.schedule.dwell + longest)
         if self.schedule.stop_below is not None:
             error = np.linalg.norm(aim - tcp_position(self.robot.arm, inputs.state.position), axis=-1)
             turned = turned_off(self.robot.arm, inputs)
@@ -489,13 +512,9 @@ class RunState:
         self.wanted = wanted
         ease = self._ease_share()  # slower time for the guard is a slower arm
         last, period = self.speed / ease[:, None], ease * self.period
-        guarded = guard(self.limits, wanted, self.sent, last, self.state, period)
-        touched = guarded.reasons & np.uint16(Reason.COLLISION.value)
-        if self._ways() and touched.any():  # the way itself is clear
-            wanted = np.where(touched[:, None] != 0, inputs.goal, wanted)
-            guarded = guard(self.limits, wanted, self.sent, last, self.state, period)
-        command = guarded.command
-        reasons = (guarded.reasons | touched) + self.gap * np.uint16(Reason.GAP.value)
+        moving = (inputs.since_target == 0.0) & bool(self.ways)
+        guarded = guard_along(self.limits, inputs.goal, moving, wanted, self.sent, last, self.state, period)
+        command, reasons = guarded.command, guarded.reasons + self.gap * np.uint16(Reason.GAP.value)
         if self.unbelieved is not None:
             lost: Mask = np.logical_or.reduce(self.unbelieved, axis=-1)
             command = np.where(lost[:, None], self.sent, command)
