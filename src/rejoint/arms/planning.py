@@ -137,8 +137,7 @@ def plan(
 def clearance(arm: Arm, q: Array) -> Array:
     """Least distance (...) [m] between links, to ground and boxes at ``q`` (..., n) [rad]; negative: contact."""
     posture = np.asarray(q, dtype=float)
-    distances = clearances(arm, posture, np.zeros(arm.joints))[..., arm.joints :]
-    smallest: Array = distances.min(axis=-1, initial=np.inf)
+    smallest: Array = clearances(arm, posture, np.zeros(0)).min(axis=-1, initial=np.inf)
     return smallest
 
 

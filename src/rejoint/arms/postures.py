@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms.arm import Arm, Array
-from rejoint.arms.collision import clearances, collision_shape, contact, guarded_floors
+from rejoint.arms.collision import clearances, collision_shape, contact, guarded_floors, usual_distances
 from rejoint.arms.kinematics import gravity_torque, joint_terms, tcp_position
 from rejoint.arms.rotations import Orientation, tool_axis
 from rejoint.arms.workspace import length_size
@@ -308,8 +308,7 @@ def body_of(arm: Arm) -> Any:  # noqa: ANN401 - `redundancy.ArmTables`, imported
 
 def _least(arm: Arm) -> Array:
     """Least distances (c,) [m]; smaller between usually close links."""
-    drawn = np.random.default_rng(1).uniform(arm.lower, arm.upper, (256, arm.joints))
-    apart = clearances(arm, drawn, np.zeros(arm.joints))[:, arm.joints :]
+    apart = usual_distances(arm)
     kept = np.full(apart.shape[1], CLEARANCE)
     kept[: len(collision_shape(arm).pairs)] *= 2.0
     usual = np.minimum(kept, 0.5 * np.median(apart, axis=0))

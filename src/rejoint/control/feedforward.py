@@ -203,7 +203,6 @@ class FeedforwardController:
             "pushed": self._pushed,
             "eager": self._eager,
             "came": self._came,
-            "asked": self._asked,
             "time": self._pace.last,
         }
 

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rejoint.arms import Arm, Array, JointTrajectory, Motors, clearances, plan, tcp_position
+from rejoint.arms.collision import usual_distances
 from rejoint.arms.inverse import REST_GAIN
 from rejoint.arms.planning import PlanningError
 from rejoint.arms.posing import find_postures
@@ -147,7 +148,7 @@ def pace(arm: Arm, way: JointTrajectory, since: float, position: Array, sag: Arr
     """
     goal, ahead = way.at(np.array([since, since + AHEAD]))
     postures = np.stack([goal, position, ahead, position + ahead - goal])
-    clear = clearances(arm, postures, np.zeros(arm.joints))[:, arm.joints :]
+    clear = clearances(arm, postures, np.zeros(0))
     room = max(float((clear[:2] / _roomy(arm)).min(initial=1.0)), LEAST)
     closing = np.maximum((clear[0] - clear[2]) / AHEAD, 1e-6)
     left = np.maximum(clear[:2].min(axis=0) - RESERVE, 1e-4)
@@ -161,9 +162,7 @@ def pace(arm: Arm, way: JointTrajectory, since: float, position: Array, sag: Arr
 @lru_cache(maxsize=32)
 def _roomy(arm: Arm) -> Array:
     """Distances (c,) [m] from which there is room: `ROOM`, or less between what is near in most postures."""
-    drawn = np.random.default_rng(1).uniform(arm.lower, arm.upper, (256, arm.joints))
-    usual = np.median(clearances(arm, drawn, np.zeros(arm.joints))[:, arm.joints :], axis=0)
-    return np.asarray(np.clip(usual, 1e-3, ROOM * length_size(arm)))
+    return np.asarray(np.clip(np.median(usual_distances(arm), axis=0), 1e-3, ROOM * length_size(arm)))
 
 
 def nearest_postures(
