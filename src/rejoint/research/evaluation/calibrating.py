@@ -17,9 +17,10 @@ from rejoint.arms import Arm, Array, Displacement, solve_position
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.rotations import rotation_about
 from rejoint.control.controller import Controller
-from rejoint.control.goal import JointGoals
+from rejoint.control.goal import Ways
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import Recording
+from rejoint.control.reference import TargetSequence
 from rejoint.control.start import play
 from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.calibration.calibration import Calibration
@@ -124,7 +125,7 @@ class FreshTargets:
     name: str
     targets: Array
     """(A, K, 3) [m]"""
-    goals: JointGoals | None = None
+    ways: Ways | None = None
     """postures and ways there; None: the nearest posture at once"""
 
 
@@ -204,10 +205,10 @@ def evaluate_calibrations(
     """Try calibrations under all conditions; twins of the worn arms are kept in ``folder``."""
     on_progress(0.0, "twins, for targets anywhere")
     box = draw_targets(arm, sets=family.arms, count=family.targets, seed=FAMILY_SIZE * (family.seed + 1) + 1)
-    anywhere, goals = targets_anywhere(arm, family, own_twins(arm, family, folder))
+    anywhere, ways = targets_anywhere(arm, family, own_twins(arm, family, folder))
     fresh = (
         FreshTargets(name="target region", targets=box),
-        FreshTargets(name="anywhere", targets=anywhere, goals=goals),
+        FreshTargets(name="anywhere", targets=anywhere, ways=ways),
     )
     ends = np.linspace(0.0, 1.0, len(conditions) + 1)
     trials = [
@@ -233,7 +234,7 @@ def try_condition(
     share = 1.0 / (len(POINTS) + 2)
     on_progress(share, f"{condition.name}: without calibration")
     before = [
-        _errors(_hold(open_condition(arm, condition, family, threads), controller, one.targets, one.goals), one.targets)
+        _errors(_hold(open_condition(arm, condition, family, threads), controller, one.targets, one.ways), one.targets)
         for one in fresh
     ]
     tried: list[list[Tried]] = [[] for _ in fresh]
@@ -242,7 +243,7 @@ def try_condition(
         found = [fit(arm, measured.first(i, points)) for i in range(family.arms)]
         for one, done in zip(fresh, tried, strict=True):
             robot = open_condition(arm, condition, family, threads)
-            done.append(try_found(robot, found, controller, one.targets, points, one.goals))
+            done.append(try_found(robot, found, controller, one.targets, points, one.ways))
     held = [Held(where=a.name, before=b, tried=tuple(c)) for a, b, c in zip(fresh, before, tried, strict=True)]
     named, accused = find_wrong(arm, measured, family)
     return Trials(condition=condition, held=tuple(held), named=named, accused=accused)
@@ -282,17 +283,17 @@ def try_found(
     controller: Callable[[Arm], Controller],
     targets: Array,
     points: int,
-    goals: JointGoals | None = None,
+    ways: Ways | None = None,
 ) -> Tried:
-    """Send all arms, corrected by what was ``found``, to ``targets`` (A, K, 3) [m] by their ``goals``."""
+    """Send all arms, corrected by what was ``found``, to ``targets`` (A, K, 3) [m] by their ``ways``."""
     arm, aims = robot.arm, np.empty_like(targets)
     for i, calibration in enumerate(found):
         came = arm.rest
         for k, target in enumerate(targets[i]):
-            near = None if goals is None else goals.posture[i, k]
+            near = None if ways is None else ways[i][k].goal
             aims[i, k] = calibration.aim(target, came, near)
             came = solve_position(arm, aims[i, k], came).q if near is None else near
-    recording = _hold(robot, controller, aims, goals)
+    recording = _hold(robot, controller, aims, ways)
     error, settled = _errors(recording, targets), _settled(recording, targets.shape[1])
     came = np.concatenate([np.broadcast_to(arm.rest, settled[:, :1].shape), settled[:, :-1]], axis=1)
     inside, expected = np.zeros(error.shape), np.zeros(error.shape)
@@ -316,10 +317,9 @@ def _go(robot: EmulatedRobot, sent: Array, goal: Array) -> Array:
     return recording.command[-1]
 
 
-def _hold(
-    robot: EmulatedRobot, controller: Callable[[Arm], Controller], aims: Array, goals: JointGoals | None
-) -> Recording:
-    return run(robot, controller(robot.arm), aims, Schedule(dwell=HOLD, keep_going=True, goals=goals))
+def _hold(robot: EmulatedRobot, controller: Callable[[Arm], Controller], aims: Array, ways: Ways | None) -> Recording:
+    reference = TargetSequence(robot.arm, aims, ways=ways)
+    return run(robot, controller(robot.arm), reference, Schedule(dwell=HOLD, keep_going=True))
 
 
 def _errors(recording: Recording, targets: Array) -> Array:
