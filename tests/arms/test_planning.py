@@ -61,7 +61,7 @@ def test_no_planned_way_touches_in_mujoco(name):
     ways, judge = planned(name, 100), Judge(boxed(name))
     assert sum(len(way.moves) > 1 for way in ways) > 5
     straight = [np.linspace(way.start, way.goal, 60) for way in ways if len(way.moves) > 1]
-    assert sum((judge.distances(way) < 0.0).any() for way in straight) > 0.9 * len(straight)
+    assert sum((judge.distances(way) < 0.02).any() for way in straight) > 0.9 * len(straight)
     for way in ways:
         found = judge.nearest(way.at(np.linspace(0.0, way.duration, 60)))
         assert (found > -TOUCH).all()
@@ -132,16 +132,17 @@ def test_a_way_avoids_what_the_motors_do_not_lift():
     free = comfortable_postures(arm)
     usable = np.array([9.0, 0.5, 9.0, 9.0, 9.0, 9.0])
     light = free[(np.abs(gravity_torque(arm, free)) < 0.9 * usable).all(axis=1)]
-    loads = []
-    for _ in range(60):
-        start, goal = light[rng.integers(len(light), size=2)]
+    pairs = light[rng.integers(len(light), size=(1000, 2))]
+    lines = pairs[:, :1] + np.linspace(0.0, 1.0, 80)[:, None] * np.diff(pairs, axis=1)
+    straight = (np.abs(gravity_torque(arm, lines)) / usable).max(axis=(1, 2))
+    heavy, driven = np.flatnonzero(straight > 1.0)[:20], []
+    for start, goal in pairs[heavy]:
         way = plan(arm, start, goal, motors=Motors(usable, usable))
-        along = [np.linspace(start, goal, 80), way.at(np.linspace(0.0, way.duration, 80))]
-        loads.append([(np.abs(gravity_torque(arm, q)) / usable).max() for q in along])
-    straight, driven = np.array(loads).T
-    assert (straight > 1.0).sum() >= 5
-    assert (driven > 1.01).sum() < 0.2 * (straight > 1.0).sum()
-    assert (driven <= np.maximum(straight, 1.0) + 0.01).all()
+        along = way.at(np.linspace(0.0, way.duration, 80))
+        driven.append((np.abs(gravity_torque(arm, along)) / usable).max())
+    assert len(driven) == 20
+    assert (np.array(driven) > 1.01).sum() < 4
+    assert (np.array(driven) <= straight[heavy] + 0.01).all()
 
 
 def test_a_joint_that_holds_more_than_it_lifts_is_lightened_before_it_lifts():

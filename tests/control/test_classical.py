@@ -185,15 +185,29 @@ def test_feedforward_does_not_push_a_joint_on_its_way():
 
 def test_feedforward_pushes_a_joint_that_sticks_ever_harder_and_takes_that_back_once_it_moves():
     controller, plain = FeedforwardController(ARM), FeedforwardController(ARM, loosen=0.0)
-    push = []
+    push, seen = [], inputs(REST)
+    for one in (controller, plain):
+        one.reset(seen, ALL)
+    sent = controller.command(seen), plain.command(seen)
     for k, position in enumerate([REST] * 5 + [REST + 2e-3 * np.sign(dls_step(ARM, REST, TARGETS[:, 0]).step)]):
-        seen = inputs(position, time=0.02 * k)
-        if k == 0:
-            controller.reset(seen, ALL)
-            plain.reset(seen, ALL)
-        push.append(np.abs(controller.command(seen) - plain.command(seen)).max())
+        seen = inputs(position, time=0.02 * (k + 1))
+        sent = tuple(one.command(replace(seen, sent=last)) for one, last in zip((controller, plain), sent, strict=True))
+        push.append(np.abs(sent[0] - sent[1]).max())
     assert (np.diff(push[:5]) > 0.9 * 0.02 * LOOSEN).all()
     assert push[5] < 0.2 * push[4]
+
+
+def test_the_feedforward_winds_nothing_up_that_is_not_sent():
+    still = inputs(REST)
+    held, free = (FeedforwardController(ARM, gains=FeedforwardGains(fade=1.0)) for _ in range(2))
+    commands = []
+    for one in (held, free):
+        one.reset(still, ALL)
+        sent = one.command(still)
+        for k in range(1, 200):
+            sent = one.command(replace(inputs(REST, time=0.02 * k), sent=REST if one is held else sent))
+        commands.append(np.abs(sent - REST).max())
+    assert commands[0] < 0.5 * commands[1]
 
 
 def test_the_integrator_moves_with_a_goal_that_moves():

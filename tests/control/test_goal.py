@@ -7,7 +7,7 @@ import pytest
 
 from rejoint.arms import Box, gravity_torque, mycobot280, plan, tcp_position
 from rejoint.control.feedforward import FeedforwardController
-from rejoint.control.goal import pace, waiting, with_ways
+from rejoint.control.goal import beginning_at, pace, waiting, with_ways
 from rejoint.control.loop import Schedule, run
 from rejoint.control.reference import TargetSequence
 from rejoint.control.robot import JointState
@@ -26,7 +26,7 @@ def test_goal_and_target_move_together_and_end_where_they_are_to_be():
     ways = with_ways(ARM, POSTURES[:1], ARM.rest)
     aim = tcp_position(ARM, POSTURES[:1]) + 0.005
     reference, way = TargetSequence(ARM, aim[None], ways=[ways]), ways[0]
-    reference.begin(np.ones(1, dtype=bool), np.zeros(1, dtype=int), ARM.rest[None])
+    reference.begin(np.ones(1, dtype=bool), np.zeros(1, dtype=int), ARM.rest[None], ARM.rest[None])
     state = JointState(time=np.zeros(1), position=ARM.rest[None], age=np.zeros(1))
     end = reference.advance(state, np.array([way.duration])).goal
     np.testing.assert_allclose(tcp_position(ARM, end), aim, atol=1e-4)
@@ -89,10 +89,39 @@ def test_a_way_waits_the_longer_the_more_a_joint_lags_but_not_for_one_that_is_st
 def test_joints_may_lag_less_where_there_is_little_room():
     place, above, lag = tcp_position(ARM, ARM.rest), np.array([0.0, 0.0, 0.1]), np.radians([5.0, 0, 0, 0, 0, 0])
     near = replace(ARM, keep_out=(Box(lower=place - 0.05 + above, upper=place + 0.05 + above),))
-    assert pace(ARM, ARM.rest, ARM.rest + lag) == 1.0
-    assert pace(near, ARM.rest, ARM.rest) == 1.0
-    assert pace(near, ARM.rest, ARM.rest + lag) < 0.7
-    assert pace(near, ARM.rest, ARM.rest + lag, -lag) == 1.0
+    stays = plan(ARM, ARM.rest, ARM.rest)
+    assert pace(ARM, stays, 0.0, ARM.rest + lag) == 1.0
+    assert pace(near, stays, 0.0, ARM.rest) == 1.0
+    assert pace(near, stays, 0.0, ARM.rest + lag) < 0.7
+    assert pace(near, stays, 0.0, ARM.rest + lag, -lag) == 1.0
+
+
+def test_a_way_brakes_before_what_it_comes_nearer_to_and_leaves_at_full_speed():
+    down = ARM.rest + np.radians([0.0, -35.0, 0.0, 0.0, 0.0, 0.0])
+    there, back = plan(ARM, ARM.rest, down), plan(ARM, down, ARM.rest)
+    height = tcp_position(ARM, down)[2]
+    table = replace(ARM, keep_out=(Box(lower=np.array([0.05, -1.0, -0.1]), upper=np.array([1.0, 1.0, height - 0.03])),))
+    late = 0.7 * there.duration
+    free = pace(ARM, there, late, there.at(late))
+    assert pace(table, there, late, there.at(late)) < 0.5 * free
+    assert pace(ARM, back, there.duration - late, there.at(late)) == 1.0
+
+
+def test_a_way_stops_where_a_joint_is_stuck_and_the_others_would_touch_something():
+    way = plan(ARM, ARM.rest, ARM.rest + np.radians([0.0, -35.0, 0.0, 0.0, 0.0, 0.0]))
+    half, low = 0.5 * way.duration, np.radians([0.0, 0.0, -40.0, 0.0, 0.0, 0.0])
+    reached = way.at(half) + low
+    tool = tcp_position(ARM, reached)[2]
+    table = replace(ARM, keep_out=(Box(lower=np.array([-1.0, -1.0, -0.5]), upper=np.array([1.0, 1.0, tool - 0.02])),))
+    assert pace(ARM, way, half, reached) == 1.0
+    assert pace(table, way, half, reached) == 0.0
+
+
+def test_an_arm_that_is_off_the_start_of_its_way_gets_another_from_where_it_is():
+    way, off = plan(ARM, ARM.rest, POSTURES[0]), ARM.rest + np.radians([0.0, 25.0, 0.0, 0.0, 0.0, 0.0])
+    assert beginning_at(ARM, way, ARM.rest + 0.1) is way
+    fresh = beginning_at(ARM, way, off)
+    np.testing.assert_array_equal([fresh.start, fresh.goal], [off, way.goal])
 
 
 def test_where_no_way_is_clear_a_joint_goes_round_the_other_side():

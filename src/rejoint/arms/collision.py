@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from rejoint.arms.arm import Arm, Array
 from rejoint.arms.catalogue import mycobot280
 from rejoint.arms.inertia import LINK_RADIUS_RATIO
-from rejoint.arms.inverse import solve_position
 from rejoint.arms.kinematics import Frames, all_poses, frames
-from rejoint.arms.workspace import reach, rising_frames
+from rejoint.arms.workspace import posture_grid, reach, rising_frames
 from rejoint.system.shell import Late
 
 compiled = Late("rejoint.arms.compiled")
@@ -102,6 +101,13 @@ def _fill(shape: CollisionShape, poses: Array, floors: Array) -> Array:
 
 
 @lru_cache(maxsize=32)
+def usual_distances(arm: Arm) -> Array:
+    """Distances (256, c) [m] between bodies at random postures."""
+    drawn = np.random.default_rng(1).uniform(arm.lower, arm.upper, (256, arm.joints))
+    return clearances(arm, drawn, np.zeros(0))
+
+
+@lru_cache(maxsize=32)
 def guarded_floors(arm: Arm) -> Array:
     """Lowest heights (n,) [m] of the joint frames but the first, and TCP; -inf: hardly rises."""
     joint_floor = arm.floor + JOINT_CLEARANCE * reach(arm) / reach(mycobot280())
@@ -146,9 +152,7 @@ def _moving(arm: Arm) -> NDArray[np.int64]:
 
 def _work(arm: Arm) -> Array:
     """Postures (m, n) [rad] without contacts: rest, targets."""
-    axes = [np.linspace(low, high, GRID) for low, high in zip(arm.targets.lower, arm.targets.upper, strict=True)]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    solution = solve_position(arm, grid, arm.rest)
+    solution = posture_grid(arm, GRID)
     return np.concatenate([arm.rest[None], solution.q[solution.converged]])
 
 

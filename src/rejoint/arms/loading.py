@@ -23,9 +23,9 @@ from rejoint.arms.chain import cut
 from rejoint.arms.displacement import Displacement
 from rejoint.arms.draft import Draft, Loaded, finish
 from rejoint.arms.inertia import NOTHING, SpatialInertia, inertia_matrix, inertia_values
-from rejoint.arms.inverse import solve_position
 from rejoint.arms.modelfile import read_tree, xacro_error
 from rejoint.arms.rotations import pose_of, quaternion_of, rotation_about, rotation_of
+from rejoint.arms.workspace import posture_grid
 from rejoint.system.errors import InputError
 from rejoint.system.files import write_whole
 from rejoint.system.tomltable import Number, Positive, Table, Text, Triple, read_toml
@@ -227,9 +227,7 @@ def unit_arm(arm: Arm, displacement: Displacement) -> Arm:
 
 def at_targets(arm: Arm) -> Array:
     """Postures (27, n) [rad] over the target region."""
-    axes = np.linspace(arm.targets.lower, arm.targets.upper, 3).T
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    return solve_position(arm, grid, arm.rest).q
+    return posture_grid(arm, 3).q
 
 
 def write_urdf(path: Path, arm: Arm, note: str = "") -> None:

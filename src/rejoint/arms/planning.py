@@ -94,7 +94,7 @@ def plan(
     speed
         share of ``arm.max_speed``
     clearance
-        [m] margin of the links, or half of it where no such way is found; less where an end is closer
+        [m] margin of the links: twice, once, or half of it, as much as there is a way for; less where an end is closer
     seed
         of the search for a detour
 
@@ -116,23 +116,28 @@ def plan(
     if ((goal < arm.lower - 1e-9) | (goal > arm.upper + 1e-9)).any():
         j = int(np.argmax(np.maximum(goal - arm.upper, arm.lower - goal)))
         raise InputError(f"goal: {arm.joint_names[j]} at {np.degrees(goal[j]):.1f} deg is beyond its limits")
-    for room in (clearance, 0.5 * clearance):
+    found: list[tuple[float, _Field, Array]] = []
+    for room in (2.0 * clearance, clearance, 0.5 * clearance):
         field = _Field.of(arm, start, goal, room)
         share, item = field.passes(start, goal, leaving=True)
         way = np.stack([start, goal]) if share == 1.0 else field.detour(start, goal, seed)
         if way is not None:
-            break
-    else:
+            way = way if motors is None else field.lightest(way, motors, seed)
+            load = 0.0 if motors is None else max(1.0, float(_load(arm, way[None], motors)[0]))
+            found.append((load, field, way))
+            if load <= 1.0:
+                break
+    if not found:
         blocked = field.blocked(item, start + share * (goal - start))
         raise PlanningError(f"{blocked}; no way round it was found")
-    return _timed(field, way if motors is None else field.lightest(way, motors, seed), _limits(arm, speed))
+    _, field, way = min(found, key=lambda one: one[0])
+    return _timed(field, way, _limits(arm, speed))
 
 
 def clearance(arm: Arm, q: Array) -> Array:
     """Least distance (...) [m] between links, to ground and boxes at ``q`` (..., n) [rad]; negative: contact."""
     posture = np.asarray(q, dtype=float)
-    distances = clearances(arm, posture, np.zeros(arm.joints))[..., arm.joints :]
-    smallest: Array = distances.min(axis=-1, initial=np.inf)
+    smallest: Array = clearances(arm, posture, np.zeros(0)).min(axis=-1, initial=np.inf)
     return smallest
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms.arm import Arm, Array
-from rejoint.arms.collision import clearances, collision_shape, contact, guarded_floors
+from rejoint.arms.collision import clearances, collision_shape, contact, guarded_floors, usual_distances
 from rejoint.arms.kinematics import gravity_torque, joint_terms, tcp_position
 from rejoint.arms.rotations import Orientation, tool_axis
 from rejoint.arms.workspace import length_size
@@ -26,9 +26,9 @@ redundancy = Late("rejoint.arms.redundancy")
 
 MARGIN = float(np.radians(0.5))
 """[rad] inside the joint limits, as the guard's"""
-CLEARANCE, SPACIOUS = 0.006, 0.015
-"""[m] least clearance, twice that between links (chosen: capsules 5 mm thicker touch nothing); and sufficient clearance
-of a myCobot 280 (chosen)"""
+CLEARANCE, SPACIOUS = 0.010, 0.015
+"""[m] least clearance, twice that between links (chosen by `python -m benchmarks postures`: with 6 mm, worn arms came
+nearer than 5 mm); and sufficient clearance of a myCobot 280 (chosen)"""
 POOL, DRAWN = 8000, 40000
 """Stored and drawn postures (chosen: 18 mm apart for a myCobot 280)"""
 STARTS, BESTS, DESCENTS = 40, 4, 10
@@ -144,10 +144,10 @@ def comfortable_postures(arm: Arm) -> Array:
 def _choose(demand: _Demand, goal: Array, start: Array, near: bool) -> Array | None:
     """Posture (n,) of one goal (17,), or None."""
     arm, body = demand.arm, body_of(demand.arm)
-    stayed, facts = np.empty(arm.joints), np.empty((1, 3))
+    stayed = np.empty(arm.joints)
     begin = np.array(start)
     begin.setflags(write=False)
-    cost = redundancy.stay(body, goal, begin, demand.scale, demand.most, near, stayed, facts)
+    cost = redundancy.stay(body, goal, begin, demand.scale, demand.most, near, stayed)
     if cost == 0.0 or (near and cost < SWITCH):
         return stayed
     found, other, _ = _search(demand, goal, begin, (STARTS, BESTS, DESCENTS))
@@ -159,12 +159,12 @@ def _choose(demand: _Demand, goal: Array, start: Array, near: bool) -> Array | N
 def _search(demand: _Demand, goal: Array, start: Array, effort: tuple[int, int, int]) -> tuple[Array, float, Array]:
     """Best posture (n,) of a goal, its cost, and the posture (n,) nearest to the goal."""
     arm = demand.arm
-    found, facts, nearest = np.empty(arm.joints), np.empty((1, 3)), np.empty((1, arm.joints + 1))
+    found, nearest = np.empty(arm.joints), np.empty(arm.joints + 1)
     size = 0.05 * length_size(arm)
     cost = redundancy.search(
-        body_of(arm), pool_of(arm), goal, start, demand.scale, demand.most, size, *effort, found, facts, nearest
+        body_of(arm), pool_of(arm), goal, start, demand.scale, demand.most, size, *effort, found, nearest
     )
-    return found, cost, nearest[0, :-1]
+    return found, cost, nearest[:-1]
 
 
 def _refuse(demand: _Demand, goal: Array, start: Array) -> tuple[str, Array, Array]:
@@ -308,8 +308,7 @@ def body_of(arm: Arm) -> Any:  # noqa: ANN401 - `redundancy.ArmTables`, imported
 
 def _least(arm: Arm) -> Array:
     """Least distances (c,) [m]; smaller between usually close links."""
-    drawn = np.random.default_rng(1).uniform(arm.lower, arm.upper, (256, arm.joints))
-    apart = clearances(arm, drawn, np.zeros(arm.joints))[:, arm.joints :]
+    apart = usual_distances(arm)
     kept = np.full(apart.shape[1], CLEARANCE)
     kept[: len(collision_shape(arm).pairs)] *= 2.0
     usual = np.minimum(kept, 0.5 * np.median(apart, axis=0))
@@ -324,13 +323,13 @@ def pool_of(arm: Arm) -> Any:  # noqa: ANN401 - `redundancy.Pool`, likewise
     """Return stored postures without contacts; InputError: none."""
     rng, body = np.random.default_rng(0), body_of(arm)
     drawn = frozen(np.vstack([arm.rest, rng.uniform(body.inner[0], body.inner[1], (DRAWN, arm.joints))]))
-    place, torque, facts = np.empty((len(drawn), 12)), np.empty(drawn.shape), np.empty((len(drawn), 2))
-    redundancy.survey(body, drawn, place, torque, facts)
-    free = np.flatnonzero(facts[:, 0] < redundancy.FAR)[:POOL]
+    place, torque, bare = np.empty((len(drawn), 12)), np.empty(drawn.shape), np.empty(len(drawn))
+    redundancy.survey(body, drawn, place, torque, bare)
+    free = np.flatnonzero(bare < redundancy.FAR)[:POOL]
     if not len(free):
         cause = "its keep_out boxes leave it no posture" if arm.keep_out else "it touches itself or the ground always"
         raise InputError(f"arm {arm.name}: {cause}, of {DRAWN} that were tried; correct its file")
-    return redundancy.Pool(*(frozen(array[free]) for array in (drawn, place, torque, facts[:, 0])))
+    return redundancy.Pool(*(frozen(array[free]) for array in (drawn, place, torque, bare)))
 
 
 def _check(arm: Arm, places: Array, starts: Array, turn: Orientation | None, motors: Motors | None) -> None:

@@ -14,7 +14,19 @@ from numba import boolean, float64, int64, njit, types, void
 from numpy.typing import NDArray
 
 from rejoint.arms.arm import Array
-from rejoint.arms.compiled import IN1, IN2, IN3, OUT2, OUT3, OUT4, ROWS1, ROWS2, fill_clearances, fill_columns
+from rejoint.arms.compiled import (
+    IN1,
+    IN2,
+    IN3,
+    OUT2,
+    OUT3,
+    OUT4,
+    ROWS1,
+    ROWS2,
+    fill_clearances,
+    fill_columns,
+    fill_poses,
+)
 
 FAR = 1000.0
 """Cost of an impossible posture"""
@@ -85,26 +97,24 @@ def copy(into, values):  # noqa: ANN001, ANN201
 @njit(void(BODY, IN1, OUT4), **_OPTIONS)
 def place(body, q, poses):  # noqa: ANN001, ANN201
     """Fill ``poses`` (n + 1, 3, 4, 1) of one posture."""
-    joints = len(q)
-    step = np.empty((4, 4))
-    for i in range(joints + 1):
-        if i < joints:
-            sine, cosine = np.sin(q[i]), np.cos(q[i])
-            for e in range(16):
-                term = body.terms[i, e]
-                step[e // 4, e % 4] = term[2] * cosine + (term[1] * sine + term[0])
-        else:
-            for e in range(16):
-                step[e // 4, e % 4] = body.tip[e // 4, e % 4]
-        for r in range(3):
-            for k in range(4):
-                if i == 0:
-                    poses[0, r, k, 0] = step[r, k]
-                    continue
-                value = poses[i - 1, r, 3, 0] if k == 3 else 0.0
-                for j in range(3):
-                    value += poses[i - 1, r, j, 0] * step[j, k]
-                poses[i, r, k, 0] = value
+    fill_poses(body.terms, body.tip, np.sin(q).reshape(-1, 1), np.cos(q).reshape(-1, 1), 0, poses)
+
+
+@njit(void(BODY, OUT4, OUT2), **_OPTIONS)
+def measure(body, poses, clear):  # noqa: ANN001, ANN201
+    """Fill ``clear`` (1, n + c) [m] with `clearances` of one posture."""
+    fill_clearances(
+        poses, body.floors, body.pairs, body.places, body.sizes[0], body.sizes[1], body.moving, body.boxes, clear
+    )
+
+
+@njit(**_OPTIONS)
+def _room(body):  # noqa: ANN001, ANN202
+    """Room for poses, columns, error, jacobian, torque, clearances and facts of one posture."""
+    joints, count = len(body.lower), len(body.floors) + len(body.least)
+    poses, columns = np.empty((joints + 1, 3, 4, 1)), np.empty((3, joints, 1))
+    error, jacobian, torque = np.empty(6), np.empty((6, joints)), np.empty(joints)
+    return poses, columns, error, jacobian, torque, np.empty((1, count)), np.empty(3)
 
 
 @njit(void(BODY, OUT4, OUT1), **_OPTIONS)
@@ -132,9 +142,7 @@ def _judge(body, poses, q, scale, most, torque, clear, facts):  # noqa: ANN001, 
     """
     joints = len(q)
     _weigh(body, poses, torque)
-    fill_clearances(
-        poses, body.floors, body.pairs, body.places, body.sizes[0], body.sizes[1], body.moving, body.boxes, clear
-    )
+    measure(body, poses, clear)
     cost, wrong, over = 0.0, 0.0, 0.0
     facts[0], facts[1], facts[2] = 0.0, np.inf, np.inf
     for i in range(joints):
@@ -183,6 +191,16 @@ def _travel(q, start):  # noqa: ANN001, ANN202
 
 
 @njit(**_OPTIONS)
+def _lengthen(vector, cosine):  # noqa: ANN001, ANN202
+    """Turn an axis (3,) times the sine into that times the angle; whether it is half a turn about any axis."""
+    sine = np.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
+    if sine > 1e-9:
+        for r in range(3):
+            vector[r] *= np.arctan2(sine, cosine) / sine
+    return sine <= 1e-9 and cosine < 0.0
+
+
+@njit(**_OPTIONS)
 def _turn(current, wanted, vector):  # noqa: ANN001, ANN202
     """Fill the rotation ``vector`` (3,) from ``current`` to ``wanted`` (3, 3)."""
     relative = np.zeros((3, 3))
@@ -194,12 +212,7 @@ def _turn(current, wanted, vector):  # noqa: ANN001, ANN202
     for r in range(3):
         after, last = (r + 1) % 3, (r + 2) % 3
         vector[r] = 0.5 * (relative[last, after] - relative[after, last])
-    sine = np.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
-    if sine > 1e-9:
-        angle = np.arctan2(sine, cosine)
-        for r in range(3):
-            vector[r] *= angle / sine
-    elif cosine < 0.0:
+    if _lengthen(vector, cosine):
         largest = 0
         for r in range(3):
             if relative[r, r] > relative[largest, largest]:
@@ -222,12 +235,7 @@ def _swing(turn, wanted, tool, vector):  # noqa: ANN001, ANN202
     for r in range(3):
         after, last = (r + 1) % 3, (r + 2) % 3
         vector[r] = now[after] * wanted[last] - now[last] * wanted[after]
-    sine = np.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
-    if sine > 1e-9:
-        angle = np.arctan2(sine, cosine)
-        for r in range(3):
-            vector[r] *= angle / sine
-    elif cosine < 0.0:
+    if _lengthen(vector, cosine):
         other = 0 if abs(now[0]) < 0.7 else 1
         after, last = (other + 1) % 3, (other + 2) % 3
         size = np.sqrt(now[after] ** 2 + now[last] ** 2)
@@ -384,23 +392,20 @@ def _null_space(jacobian, rows, basis):  # noqa: ANN001, ANN202
     return matter
 
 
-@njit(float64(BODY, IN1, OUT1, IN1, IN1, IN1, float64, int64, OUT1), **_OPTIONS)
-def _descend(body, goal, q, start, scale, most, reach, rounds, facts):  # noqa: ANN001, ANN202
+@njit(float64(BODY, IN1, OUT1, IN1, IN1, IN1, float64, int64), **_OPTIONS)
+def _descend(body, goal, q, start, scale, most, reach, rounds):  # noqa: ANN001, ANN202
     """Lower the cost of ``q`` (n,) in the null space, and return it.
 
-    No joint moves more than ``reach`` [rad]. ``facts`` (3,) as `_judge`.
+    No joint moves more than ``reach`` [rad].
     """
     joints = len(q)
-    poses, columns = np.empty((joints + 1, 3, 4, 1)), np.empty((3, joints, 1))
-    error, jacobian, basis = np.empty(6), np.empty((6, joints)), np.empty((joints + 1, joints))
-    torque, trial, slope, tried = np.empty(joints), np.empty(joints), np.empty(joints), np.empty(3)
-    count = len(body.floors) + len(body.pairs) + len(body.places) + len(body.moving) * len(body.boxes)
-    clear = np.empty((1, count))
+    poses, columns, error, jacobian, torque, clear, tried = _room(body)
+    basis, trial, slope = np.empty((joints + 1, joints)), np.empty(joints), np.empty(joints)
     lower, upper = np.empty(joints), np.empty(joints)
     for i in range(joints):
         lower[i], upper[i] = max(body.inner[0, i], q[i] - reach), min(body.inner[1, i], q[i] + reach)
     place(body, q, poses)
-    cost = _judge(body, poses, q, scale, most, torque, clear, facts) + _travel(q, start)
+    cost = _judge(body, poses, q, scale, most, torque, clear, tried) + _travel(q, start)
     length, size, nowhere = 0.15, 1.0, np.zeros(joints)
     fresh = True
     for _ in range(rounds):
@@ -430,7 +435,6 @@ def _descend(body, goal, q, start, scale, most, reach, rounds, facts):  # noqa: 
             there = _judge(body, poses, trial, scale, most, torque, clear, tried) + _travel(trial, start)
             if there < cost - 1e-4:
                 copy(q, trial)
-                copy(facts, tried)
                 cost, fresh = there, True
         length = 1.5 * length if fresh else 0.4 * length
         if length < 0.005:
@@ -481,17 +485,15 @@ def _nearest(pool, goal, start, scale, size, chosen, worth):  # noqa: ANN001, AN
         worth[at], chosen[at] = value, k
 
 
-@njit(void(BODY, IN2, OUT2, OUT2, OUT2), **_OPTIONS)
-def survey(body, postures, places, torques, facts):  # noqa: ANN001, ANN201
-    """Fill ``places`` (N, 12), ``torques`` (N, n), and ``facts`` (N, 2): cost without load, distance."""
+@njit(void(BODY, IN2, OUT2, OUT2, OUT1), **_OPTIONS)
+def survey(body, postures, places, torques, bare):  # noqa: ANN001, ANN201
+    """Fill ``places`` (N, 12), ``torques`` (N, n), and ``bare`` (N,): cost without load."""
     joints = postures.shape[1]
-    poses, torque, known = np.empty((joints + 1, 3, 4, 1)), np.empty(joints), np.empty(3)
-    count = len(body.floors) + len(body.pairs) + len(body.places) + len(body.moving) * len(body.boxes)
-    clear, scale = np.empty((1, count)), np.full(joints, np.inf)
+    poses, _, _, _, torque, clear, known = _room(body)
+    scale = np.full(joints, np.inf)
     for k in range(len(postures)):
         place(body, postures[k], poses)
-        facts[k, 0] = _judge(body, poses, postures[k], scale, scale, torque, clear, known)
-        facts[k, 1] = known[1]
+        bare[k] = _judge(body, poses, postures[k], scale, scale, torque, clear, known)
         copy(torques[k], torque)
         for r in range(3):
             places[k, r] = poses[joints, r, 3, 0]
@@ -499,56 +501,46 @@ def survey(body, postures, places, torques, facts):  # noqa: ANN001, ANN201
                 places[k, 3 + 3 * r + j] = poses[joints, r, j, 0]
 
 
-@njit(float64(BODY, IN1, IN1, IN1, IN1, boolean, OUT1, OUT2), **_OPTIONS)
-def stay(body, goal, start, scale, most, near, q, facts):  # noqa: ANN001, ANN201
+@njit(float64(BODY, IN1, IN1, IN1, IN1, boolean, OUT1), **_OPTIONS)
+def stay(body, goal, start, scale, most, near, q):  # noqa: ANN001, ANN201
     """Fill ``q`` (n,) with the goal's posture on the branch of ``start`` (n,); returns its cost, or infinity.
 
-    A comfortable posture of `solve_position` is kept. ``near``: lower the cost from the nearest posture. ``facts`` (1,
-    3) as `_judge`.
+    A comfortable posture of `solve_position` is kept. ``near``: lower the cost from the nearest posture.
     """
-    joints = len(q)
-    poses, columns = np.empty((joints + 1, 3, 4, 1)), np.empty((3, joints, 1))
-    error, jacobian, torque = np.empty(6), np.empty((6, joints)), np.empty(joints)
-    count = len(body.floors) + len(body.pairs) + len(body.places) + len(body.moving) * len(body.boxes)
-    clear = np.empty((1, count))
+    poses, columns, error, jacobian, torque, clear, facts = _room(body)
     copy(q, start)
     rounds = LOCAL_ROUNDS if goal[16] == 0.0 else LOCAL_ROUNDS // 2
     missed = _solve(body, goal, q, body.lower, body.upper, REST_GAIN, rounds, poses, columns, error, jacobian)
     if missed < TOLERANCE:
-        cost = _judge(body, poses, q, scale, most, torque, clear, facts[0])
-        light = np.isinf(most[0]) or facts[0, 0] < COMFORT_LOAD
+        cost = _judge(body, poses, q, scale, most, torque, clear, facts)
+        light = np.isinf(most[0]) or facts[0] < COMFORT_LOAD
         light = light and not (near and farthest(q, start) > NEAR_REACH)
-        if cost < FAR and light and facts[0, 1] >= 0.5 * body.sizes[2] and facts[0, 2] >= COMFORT_LIMIT:
+        if cost < FAR and light and facts[1] >= 0.5 * body.sizes[2] and facts[2] >= COMFORT_LIMIT:
             return 0.0
     reach = np.inf
     if near or missed >= TOLERANCE:
         copy(q, start)
-        missed = _solve(body, goal, q, body.inner[0], body.inner[1], 0.0, ROUNDS, poses, columns, error, jacobian)
-        if near:
-            reach = NEAR_REACH
-    else:
-        missed = _solve(body, goal, q, body.inner[0], body.inner[1], 0.0, ROUNDS, poses, columns, error, jacobian)
+    if near:
+        reach = NEAR_REACH
+    missed = _solve(body, goal, q, body.inner[0], body.inner[1], 0.0, ROUNDS, poses, columns, error, jacobian)
     if missed >= TOLERANCE:
         return np.inf
-    return _descend(body, goal, q, start, scale, most, reach, DESCENTS, facts[0])
+    return _descend(body, goal, q, start, scale, most, reach, DESCENTS)
 
 
-@njit(float64(BODY, _POOL, IN1, IN1, IN1, IN1, float64, int64, int64, int64, OUT1, OUT2, OUT2), **_OPTIONS)
-def search(body, pool, goal, start, scale, most, size, starts, bests, descents, q, facts, nearest):  # noqa: ANN001, ANN201
+@njit(float64(BODY, _POOL, IN1, IN1, IN1, IN1, float64, int64, int64, int64, OUT1, OUT1), **_OPTIONS)
+def search(body, pool, goal, start, scale, most, size, starts, bests, descents, q, nearest):  # noqa: ANN001, ANN201
     """Fill ``q`` (n,) with the goal's best posture; returns its cost, or infinity.
 
-    ``starts`` pool postures are moved to the goal; the ``bests`` different ones are improved. ``facts`` (1, 3) as
-    `_judge`; ``nearest`` (1, n + 1): the posture with the least error, and that error [m].
+    ``starts`` pool postures are moved to the goal; the ``bests`` different ones are improved. ``nearest`` (n + 1,):
+    the posture with the least error, and that error [m].
     """
     joints = len(q)
-    poses, columns = np.empty((joints + 1, 3, 4, 1)), np.empty((3, joints, 1))
-    error, jacobian, torque, known = np.empty(6), np.empty((6, joints)), np.empty(joints), np.empty(3)
-    count = len(body.floors) + len(body.pairs) + len(body.places) + len(body.moving) * len(body.boxes)
-    clear = np.empty((1, count))
+    poses, columns, error, jacobian, torque, clear, known = _room(body)
     chosen, worth = np.empty(starts, np.int64), np.empty(starts)
     _nearest(pool, goal, start, scale, size, chosen, worth)
     found, cost = np.empty((starts, joints)), np.full(starts, np.inf)
-    nearest[0, joints] = np.inf
+    nearest[joints] = np.inf
     for s in range(starts):
         if chosen[s] < 0:
             break
@@ -556,9 +548,9 @@ def search(body, pool, goal, start, scale, most, size, starts, bests, descents, 
         missed = _solve(
             body, goal, found[s], body.inner[0], body.inner[1], 0.0, ROUNDS, poses, columns, error, jacobian
         )
-        if missed < nearest[0, joints]:
-            copy(nearest[0], found[s])
-            nearest[0, joints] = missed
+        if missed < nearest[joints]:
+            copy(nearest, found[s])
+            nearest[joints] = missed
         if missed < TOLERANCE:
             cost[s] = _judge(body, poses, found[s], scale, most, torque, clear, known) + _travel(found[s], start)
     best = np.inf
@@ -573,9 +565,8 @@ def search(body, pool, goal, start, scale, most, size, starts, bests, descents, 
             if other != s and cost[other] < np.inf and farthest(found[other], found[s]) < 0.3:
                 cost[other] = np.inf
         cost[s] = np.inf
-        value = _descend(body, goal, found[s], start, scale, most, np.inf, descents, known)
+        value = _descend(body, goal, found[s], start, scale, most, np.inf, descents)
         if value < best:
             best = value
             copy(q, found[s])
-            copy(facts[0], known)
     return best

@@ -9,24 +9,14 @@ from __future__ import annotations
 import numpy as np
 from numba import boolean, float64, int64, njit, void
 
-from rejoint.arms.compiled import IN1, IN2, IN3, OUT2, fill_clearances
-from rejoint.arms.redundancy import BODY, OUT1, copy, farthest, place
+from rejoint.arms.compiled import IN1, IN2, IN3, OUT2
+from rejoint.arms.redundancy import BODY, OUT1, copy, farthest, measure, place
 
 ROUNDING = 1e-7
 """[m] tolerance of distances"""
 LONGEST, SHORTEST = 1.5, 0.02
 """[rad] branch lengths, by the joint that turns most (chosen)"""
 _OPTIONS = {"cache": True, "nogil": True}
-
-
-@njit(void(BODY, IN1, OUT2), **_OPTIONS)
-def measure(body, q, clear):  # noqa: ANN001, ANN201
-    """Fill ``clear`` (1, n + c) [m] with `clearances` of one posture ``q`` (n,)."""
-    poses = np.empty((len(q) + 1, 3, 4, 1))
-    place(body, q, poses)
-    fill_clearances(
-        poses, body.floors, body.pairs, body.places, body.sizes[0], body.sizes[1], body.moving, body.boxes, clear
-    )
 
 
 @njit(float64(BODY, IN1, IN1, IN2, IN1, float64, boolean, OUT1), **_OPTIONS)
@@ -38,7 +28,7 @@ def passable(body, start, goal, levers, least, step, leaving, worst):  # noqa: A
     distance, and its share.
     """
     joints = len(start)
-    clear, before = np.empty((1, len(least))), np.empty(len(least))
+    clear, before, poses = np.empty((1, len(least))), np.empty(len(least)), np.empty((joints + 1, 3, 4, 1))
     q, rates = np.empty(joints), np.zeros(len(least))
     for k in range(len(least)):
         for i in range(joints):
@@ -48,7 +38,8 @@ def passable(body, start, goal, levers, least, step, leaving, worst):  # noqa: A
     while True:
         for i in range(joints):
             q[i] = start[i] + share * (goal[i] - start[i])
-        measure(body, q, clear)
+        place(body, q, poses)
+        measure(body, poses, clear)
         ahead = 1.0
         for k in range(len(least)):
             value = clear[0, k]

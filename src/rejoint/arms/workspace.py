@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rejoint.arms.arm import Arm, Array, Box
 from rejoint.arms.catalogue import mycobot280
 from rejoint.arms.inertia import LINK_RADIUS_RATIO, link_ends
-from rejoint.arms.inverse import solve_position
+from rejoint.arms.inverse import Solution, solve_position
 from rejoint.arms.kinematics import Frames, frames, gravity_torque, position_kinematics, tcp_position
 from rejoint.system.errors import InputError
 
@@ -303,16 +303,16 @@ def in_metres(places: Array) -> bool:
 @lru_cache(maxsize=32)
 def heaviest_load(arm: Arm, per_edge: int = 2) -> Array:
     """Largest gravity torque (n,) [N m] over a grid of targets."""
-    load: Array = np.abs(gravity_torque(arm, _postures(arm, per_edge))).max(axis=0)
+    load: Array = np.abs(gravity_torque(arm, posture_grid(arm, per_edge).q)).max(axis=0)
     load.setflags(write=False)
     return load
 
 
-def _postures(arm: Arm, per_edge: int) -> Array:
+def posture_grid(arm: Arm, per_edge: int) -> Solution:
     """Postures (per_edge^3, n) [rad] of a grid of targets."""
     axes = [np.linspace(low, high, per_edge) for low, high in zip(arm.targets.lower, arm.targets.upper, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    return solve_position(arm, grid, arm.rest).q
+    return solve_position(arm, grid, arm.rest)
 
 
 @lru_cache(maxsize=32)
@@ -327,7 +327,7 @@ def unloaded_joints(arm: Arm) -> NDArray[np.bool_]:
 @lru_cache(maxsize=32)
 def moves_tool(arm: Arm) -> NDArray[np.bool_]:
     """Joints (n,) that move the TCP at targets."""
-    lever = np.linalg.norm(position_kinematics(arm, _postures(arm, 2))[1], axis=-2).max(axis=0)
+    lever = np.linalg.norm(position_kinematics(arm, posture_grid(arm, 2).q)[1], axis=-2).max(axis=0)
     mask: NDArray[np.bool_] = lever > LEAST_LEVER * reach(arm)
     mask.setflags(write=False)
     return mask
@@ -390,16 +390,8 @@ _STEPS = 0.8 ** np.arange(8)
 
 def is_safe(arm: Arm, q: Array) -> NDArray[np.bool_]:
     """Which postures (..., n) [rad] are safe: away from limits, floor and column, lightly loaded."""
-    f = frames(arm, q)
-    floor = arm.floor + CLEARANCE * length_size(arm)
-    # Frames that never rise or sink, such as a shoulder on its column, may be anywhere.
-    height = np.where(rising_frames(arm, floor), f.position[..., 2], np.inf).min(axis=-1)
-    lowest = np.minimum(height, f.tcp_position[..., 2])
-    reach = np.linalg.norm(f.tcp_position[..., :2], axis=-1)
-    rest_reach = np.linalg.norm(tcp_position(arm, arm.rest)[:2])
-    inside = ((q >= arm.lower + SAFE_MARGIN) & (q <= arm.upper - SAFE_MARGIN)).all(axis=-1)
-    light = (np.abs(gravity_torque(arm, q)) <= _most_load(arm)).all(axis=-1)
-    return np.asarray(inside & light & (lowest >= floor) & (reach >= COLUMN * rest_reach))
+    near, low, heavy, sunk, inwards = _dangers(arm, q)
+    return ~((near | low | heavy).any(axis=-1) | sunk | inwards)
 
 
 def line_is_safe(arm: Arm, start: Array, goal: Array) -> NDArray[np.bool_]:
@@ -410,23 +402,30 @@ def line_is_safe(arm: Arm, start: Array, goal: Array) -> NDArray[np.bool_]:
 
 def unsafe(arm: Arm, q: Array) -> str:
     """Why a posture (n,) [rad] is unsafe, or empty."""
-    f = frames(arm, q)
-    floor = arm.floor + CLEARANCE * length_size(arm)
-    low = rising_frames(arm, floor) & (f.position[:, 2] < floor)
-    near = (q < arm.lower + SAFE_MARGIN) | (q > arm.upper - SAFE_MARGIN)
-    heavy = np.abs(gravity_torque(arm, q)) > _most_load(arm)
-    names = np.array(arm.joint_names)
+    near, low, heavy, sunk, inwards = _dangers(arm, q)
+    names, floor = np.array(arm.joint_names), 1e3 * (arm.floor + CLEARANCE * length_size(arm))
     causes = [
         (near.any(), f"{', '.join(names[near])} within {np.degrees(SAFE_MARGIN):.0f} deg of a limit"),
-        (low.any(), f"the frame of {', '.join(names[low])} less than {1e3 * floor:.0f} mm above the base"),
-        (f.tcp_position[2] < floor, f"the TCP less than {1e3 * floor:.0f} mm above the base"),
+        (low.any(), f"the frame of {', '.join(names[low])} less than {floor:.0f} mm above the base"),
+        (sunk, f"the TCP less than {floor:.0f} mm above the base"),
         (heavy.any(), f"more load on {', '.join(names[heavy])} than at any target"),
-        (
-            np.linalg.norm(f.tcp_position[:2]) < COLUMN * np.linalg.norm(tcp_position(arm, arm.rest)[:2]),
-            "the TCP too near to the base's vertical axis",
-        ),
+        (inwards, "the TCP too near to the base's vertical axis"),
     ]
     return ", ".join(cause for holds, cause in causes if holds)
+
+
+def _dangers(arm: Arm, q: Array) -> tuple[NDArray[np.bool_], ...]:
+    """Joints (..., n) near a limit, low, heavily loaded; whether (...) the TCP is low, or near the base's axis."""
+    f, floor = frames(arm, q), arm.floor + CLEARANCE * length_size(arm)
+    rest_reach = np.linalg.norm(tcp_position(arm, arm.rest)[:2])
+    return (
+        ~((q >= arm.lower + SAFE_MARGIN) & (q <= arm.upper - SAFE_MARGIN)),
+        # Frames that never rise or sink, such as a shoulder on its column, may be anywhere.
+        rising_frames(arm, floor) & (f.position[..., 2] < floor),
+        np.abs(gravity_torque(arm, q)) > _most_load(arm),
+        np.asarray(f.tcp_position[..., 2] < floor),
+        np.asarray(np.linalg.norm(f.tcp_position[..., :2], axis=-1) < COLUMN * rest_reach),
+    )
 
 
 def room(arm: Arm, seed: int = 0) -> tuple[float, float]:

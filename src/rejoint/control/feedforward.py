@@ -33,6 +33,9 @@ LOOSEN, TAKEN_BACK, CALMER, CLOSE = float(np.radians(10.0)), 0.9, 0.7, 4e-4
 """[rad/s] push of the joint that can do most while stationary; removed share of it; share that remains each time a
 joint breaks loose the other way; distance [m] of a myCobot 280 without a push (chosen on worn arms of family 1)"""
 
+HELD_BACK = float(np.radians(3.0))
+"""[rad] by which a command may exceed what is sent before the integrator stops (chosen)"""
+
 SPEED_SMOOTHING = 0.5
 """Share of the newest difference (chosen)"""
 
@@ -78,7 +81,7 @@ class FeedforwardController:
         if not (self._stiffness > 0.0).all():
             raise InputError(f"feedforward: stiffness must be positive in N m/rad, got {self._stiffness.tolist()}")
         self._goal = self._raised = self._correction = self._speed = self._position = np.zeros((0, arm.joints))
-        self._pushed = self._eager = self._came = self._position
+        self._pushed = self._eager = self._came = self._asked = self._position
         self._idle: Array = np.zeros((0, arm.joints, arm.joints))  # (B, n, n) projection onto the null space
         self._pace = Pace()
 
@@ -120,7 +123,11 @@ class FeedforwardController:
         seen = dls_step(self._arm, inputs.state.position, inputs.target, inputs.turn)
         step = fade(seen.error, self._gains.fade) * seen.step
         distance = np.linalg.norm(seen.error[:, :3], axis=-1)
-        return self.correct(inputs, step, self.loosening(inputs, seen.step, distance), distance)
+        extra, short = self.loosening(inputs, seen.step, distance), self._asked - inputs.sent
+        held = np.abs(short) > HELD_BACK  # nothing winds up that is not sent
+        step, extra = (np.where(held & (short * one > 0.0), 0.0, one) for one in (step, extra))
+        self._asked = self.correct(inputs, step, extra, distance)
+        return self._asked.copy()
 
     def loosening(self, inputs: ControlInput, step: Array, distance: Array) -> Array:
         """Push (B, n) [rad] of stuck joints in this cycle; call `correct` next.
@@ -175,15 +182,17 @@ class FeedforwardController:
         """Clear corrections of ``where`` (B,); call `reset` next."""
         if len(self._position) != len(inputs.sent):
             self._goal, self._raised, self._correction, self._speed, self._position = np.zeros((5, *inputs.sent.shape))
-            self._pushed, self._eager, self._came = np.zeros((3, *inputs.sent.shape))
+            self._pushed, self._eager, self._came, self._asked = np.zeros((4, *inputs.sent.shape))
             self._idle = np.zeros((*inputs.sent.shape, self._arm.joints))
         self._correction[where] = self._speed[where] = self._pushed[where] = 0.0
+        self._asked[where] = inputs.sent[where]
         self._position = np.where(where[:, None], inputs.state.position, self._position)
         self._pace.begin(inputs.state.time, where)
 
     def take_over(self, inputs: ControlInput, where: Mask) -> None:
         """Continue from another controller's command, where ``where`` (B,)."""
         self._correction[where] = inputs.sent[where] - self._raised[where]
+        self._asked[where] = inputs.sent[where]
         self._pushed[where] = 0.0
 
     def memory(self) -> dict[str, Array]:

@@ -14,6 +14,7 @@ from functools import lru_cache
 import numpy as np
 
 from rejoint.arms import Arm, Array, JointTrajectory, Motors, clearances, plan
+from rejoint.arms.collision import usual_distances
 from rejoint.arms.inverse import REST_GAIN
 from rejoint.arms.planning import PlanningError
 from rejoint.arms.posing import find_postures
@@ -25,9 +26,14 @@ LAGS, SLOWEST = tuple(np.radians([6.0, 18.0])), 0.1
 worn joint lags by 8 deg at full speed, and with twice these lags an arm cut a corner by 7 mm)"""
 STUCK = tuple(np.radians([30.0, 36.0]))
 """[rad] of lag from which a joint does not come at all, so that the others go on without it (chosen)"""
-ROOM, LEAST = 0.1, 0.2
+PATIENCE = (20.0, 10.0)
+"""[s] and durations of its way after which an arm goes on to the next target, reached or not (chosen)"""
+ROOM, LEAST = 0.1, 0.3
 """[m] of a myCobot 280 to what an arm could touch below which its joints may lag less, in proportion, and the least
 share of those lags (chosen by `python -m benchmarks postures`: with half that room, worn arms touched boxes)"""
+AHEAD, BRAKING, RESERVE = 0.05, 0.35, 0.005
+"""[s] over which the speed is measured with which a way comes nearer to something, least time [s] until it would be as
+near as the [m] after it (chosen likewise: with 0.25 s worn arms overshot, with 0.5 s ways took 0.1 s longer)"""
 
 
 Ways = Sequence[Sequence[JointTrajectory]]
@@ -62,6 +68,17 @@ def _clear_way(arm: Arm, start: Array, goal: Array, motors: Motors | None, speed
         raise
 
 
+def beginning_at(arm: Arm, way: JointTrajectory, position: Array) -> JointTrajectory:
+    """Return the ``way``, or a new one to its goal where the arm is at another ``position`` (n,) [rad] than its start.
+
+    A clear one is not always found; then the old one stays.
+    """
+    if np.abs(way.start - position).max() > LAGS[1]:
+        with suppress(PlanningError):
+            return plan(arm, position, way.goal)
+    return way
+
+
 def waiting(arm: Arm, ways: Sequence[JointTrajectory], since: Array, position: Array, sag: Array) -> Array:
     """Return the share (B,) of the time that ways of B arms leave out now, because joints lag behind them.
 
@@ -70,27 +87,33 @@ def waiting(arm: Arm, ways: Sequence[JointTrajectory], since: Array, position: A
     """
     share = np.zeros(len(ways))
     for b in np.flatnonzero(since < [way.duration for way in ways]).tolist():
-        share[b] = 1.0 - pace(arm, ways[b].at(float(since[b])), position[b], sag[b])
+        share[b] = 1.0 - pace(arm, ways[b], float(since[b]), position[b], sag[b])
     return share
 
 
-def pace(arm: Arm, goal: Array, position: Array, sag: Array | float = 0.0) -> float:
-    """Return the share of its speed with which a way goes on at ``goal`` (n,), for an arm at ``position`` (n,) [rad].
+def pace(arm: Arm, way: JointTrajectory, since: float, position: Array, sag: Array | float = 0.0) -> float:
+    """Return the share of its speed with which a way goes on, ``since`` [s] its begin, at ``position`` (n,) [rad].
 
-    The less room there is to what the arm may touch, the less its joints may lag. Nothing waits for one that is stuck.
+    It brakes before what it comes nearer to. The less room there is to what the arm may touch, the less its joints may
+    lag. Nothing waits for one that is stuck, but the way stops where the others would then touch something.
     """
-    clear = clearances(arm, np.stack([goal, position]), np.zeros(arm.joints))[:, arm.joints :]
-    room = float((clear / _roomy(arm)).min(initial=1.0))
+    goal, ahead = way.at(np.array([since, since + AHEAD]))
+    postures = np.stack([goal, position, ahead, position + ahead - goal])
+    clear = clearances(arm, postures, np.zeros(0))
+    room = max(float((clear[:2] / _roomy(arm)).min(initial=1.0)), LEAST)
+    closing = np.maximum((clear[0] - clear[2]) / AHEAD, 1e-6)
+    left = np.maximum(clear[:2].min(axis=0) - RESERVE, 1e-4)
     lag = float(np.abs(goal - position - sag).max())
-    return max(float(np.interp(lag / max(room, LEAST), LAGS, (1.0, SLOWEST))), float(np.interp(lag, STUCK, (0.0, 1.0))))
+    if lag > LAGS[1] and ((clear[3] < RESERVE) & (clear[3] < clear[1])).any():
+        return 0.0
+    share = min(np.interp(lag / room, LAGS, (1.0, 0.0)), (left / closing).min(initial=1.0) / BRAKING)
+    return float(max(share, SLOWEST * room, np.interp(lag, STUCK, (0.0, 1.0))))
 
 
 @lru_cache(maxsize=32)
 def _roomy(arm: Arm) -> Array:
     """Distances (c,) [m] from which there is room: `ROOM`, or less between what is near in most postures."""
-    drawn = np.random.default_rng(1).uniform(arm.lower, arm.upper, (256, arm.joints))
-    usual = np.median(clearances(arm, drawn, np.zeros(arm.joints))[:, arm.joints :], axis=0)
-    return np.asarray(np.clip(usual, 1e-3, ROOM * length_size(arm)))
+    return np.asarray(np.clip(np.median(usual_distances(arm), axis=0), 1e-3, ROOM * length_size(arm)))
 
 
 def nearest_postures(

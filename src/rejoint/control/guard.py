@@ -2,7 +2,7 @@
 
 Limits change a command; trips (`TRIPS`) return the last one, and the loop stops the robot. Limits apply in the order
 lead, position, step, acceleration, floor, contacts; the later one wins. All but the first two only shorten the step, so
-a hold is always allowed. The guard judges the commanded posture.
+a hold is always allowed. The guard judges the commanded posture, and the one with joints where they are that lag most.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import IntFlag
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -208,7 +208,7 @@ def guard(
     compiled.limit(stages, plain(measured), last, plain(speed), elapsed, limits.bounds, limits.max_lead)
     if hold:  # whatever the limits say of the posture
         stepped[trips != 0] = last[trips != 0]
-    allowed, shortened = _keep_clear(limits, stepped, last)
+    allowed, shortened = _keep_clear(limits, stepped, last, measured)
     now = np.empty_like(allowed)
     compiled.take_speed(now, allowed, last, elapsed, limits.max_speed)
     changed = allowed != wanted
@@ -217,6 +217,33 @@ def guard(
     limited = np.logical_or.reduce(stages[1:] != stages[:-1], axis=-1)
     reasons: Reasons = _LIMIT_BITS @ np.concatenate([limited, shortened])
     return Guarded(allowed, trips + reasons * np.logical_or.reduce(changed, axis=-1), now)
+
+
+def guard_along(
+    limits: GuardLimits,
+    goal: Array,
+    moving: NDArray[np.bool_],
+    command: Array,
+    sent: Array,
+    speed: Array,
+    state: JointState,
+    period: float | Array,
+) -> Guarded:
+    """`guard` a ``command`` (B, n) [rad] of arms (B,) whose ``goal`` (B, n) [rad] is ``moving`` along a clear way.
+
+    Where the command would touch something, the arm goes on with the part that does not of what was added to the goal.
+    """
+    guarded = guard(limits, command, sent, speed, state, period)
+    touched = guarded.reasons & np.uint16(Reason.COLLISION.value)
+    cut = moving & (touched != 0)
+    if not cut.any():
+        return guarded
+    on_way = clear_by(limits, goal[:, None] + limits.shares * (command - goal)[:, None])
+    clear = (on_way >= np.minimum(on_way[:, :1], 0.0)).all(axis=-1)
+    last = np.logical_and.accumulate(clear, axis=1).sum(axis=1) - 1
+    nearer = np.where(cut[:, None], goal + limits.shares[last] * (command - goal), command)
+    again = guard(limits, nearer, sent, speed, state, period)
+    return again._replace(reasons=again.reasons | touched)
 
 
 def warm_up(limits: GuardLimits) -> None:
@@ -284,14 +311,25 @@ def _flag(per_joint: NDArray[np.bool_], reason: Reason) -> Reasons:
     return flagged
 
 
-def _keep_clear(limits: GuardLimits, command: Array, sent: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _keep_clear(limits: GuardLimits, command: Array, sent: Array, measured: Array) -> tuple[Array, NDArray[np.bool_]]:
     shortened = np.zeros((2, len(command)), dtype=bool)
-    clear = clear_by(limits, command)
+    behind = np.abs(command - measured) >= limits.max_lead - _TOLERANCE  # may be stuck: the others heed where it is
+    stuck = limits.collisions and np.count_nonzero(behind) > 0
+
+    def both(q: Array, rows: Any) -> Array:  # noqa: ANN401 - whatever arrays take
+        clear = clear_by(limits, q)
+        if not stuck:
+            return clear
+        there = clear_by(limits, np.where(behind[rows], measured[rows], q))
+        there = np.where(behind[rows].any(axis=-1, keepdims=True), there, np.inf)
+        return np.concatenate([clear, there], axis=-1)
+
+    clear = both(command, slice(None))
     if not np.count_nonzero(clear < 0.0):
         return command, shortened
     index = np.flatnonzero(np.logical_or.reduce(clear < 0.0, axis=-1))
     start, way = sent[index], command[index] - sent[index]
-    on_way = clear_by(limits, start[:, None] + limits.shares * way[:, None])
+    on_way = both(start[:, None] + limits.shares * way[:, None], np.s_[index, None])
     on_way[:, -1] = clear[index]  # of the command itself, without rounding
     nearer, why = command[index], np.zeros((2, len(index)), dtype=bool)
     compiled.shorten(nearer, why, start, way, plain(on_way), _TOLERANCE)

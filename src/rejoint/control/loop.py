@@ -16,7 +16,17 @@ from numpy.typing import NDArray
 from rejoint.arms import Array, tcp_position
 from rejoint.arms.rotations import REACHED_TURN
 from rejoint.control.controller import ControlInput, Controller, turned_off
-from rejoint.control.guard import TRIPS, Guarded, GuardLimits, Reason, Reasons, guard, reason_names, suffers, warm_up
+from rejoint.control.guard import (
+    TRIPS,
+    Guarded,
+    GuardLimits,
+    Reason,
+    Reasons,
+    guard_along,
+    reason_names,
+    suffers,
+    warm_up,
+)
 from rejoint.control.monitor import Following
 from rejoint.control.recording import GAP, Cycle, OnCycle, Recorder, Recording, attach, look_of
 from rejoint.control.reference import Reference, TargetSequence
@@ -217,12 +227,13 @@ class RunState:
         self.index: NDArray[np.intp] = np.zeros(count, dtype=np.intp)
         self.doubted: NDArray[np.intp] = np.zeros(count, dtype=np.intp)  # times that a flagged joint broke loose
         self.set_at, self.last_time = state.time.copy(), state.time  # [s] of the target, shifted by gaps
+        self.begun = self.set_at.copy()  # [s] the same with gaps and waits
         self.active: Mask = np.ones(count, dtype=bool)
         self.gap: Mask = np.zeros(count, dtype=bool)  # whether the state came after a gap
         self.tripped: Reasons = np.zeros(count, dtype=np.uint16)
         self.period, self.usual = np.full(count, FIRST_PERIOD), np.full(count, np.nan)  # [s] newest, and their mean
         self.eased_until = np.full(count, -np.inf)
-        self.reference.begin(self.active, self.index, self.sent)
+        self.reference.begin(self.active, self.index, self.sent, state.position)
         self._ask()
         if state.elsewhere is not None:
             self._ease(state.elsewhere, told)
@@ -258,9 +269,9 @@ class RunState:
         renewed = finished & ~last
         self.active = self.active & ~(finished & last)
         self.index = self.index + renewed
-        self.set_at = np.where(renewed, self.state.time, self.set_at)
+        self.set_at, self.begun = (np.where(renewed, self.state.time, old) for old in (self.set_at, self.begun))
         if renewed.any():
-            self.reference.begin(renewed, self.index, self.sent)
+            self.reference.begin(renewed, self.index, self.sent, self.state.position)
             self._ask()
         return renewed
 
@@ -355,6 +366,7 @@ class RunState:
     def _finished(self, inputs: ControlInput, aim: Array) -> Mask:
         """Arms (B,) that have reached their target or waited long enough."""
         finished: Mask = inputs.since_target >= self.schedule.dwell
+        finished = finished | (self.state.time - self.begun >= self.schedule.dwell + self.reference.patience)
         if self.schedule.stop_below is not None:
             error = np.linalg.norm(aim - tcp_position(self.robot.arm, inputs.state.position), axis=-1)
             turned = turned_off(self.robot.arm, inputs)
@@ -379,13 +391,9 @@ class RunState:
         self.wanted = wanted
         ease = self._ease_share()  # slower time for the guard is a slower arm
         last, period = self.speed / ease[:, None], ease * self.period
-        guarded = guard(self.limits, wanted, self.sent, last, self.state, period)
-        touched = guarded.reasons & np.uint16(Reason.COLLISION.value)
-        if self.reference.planned and touched.any():
-            wanted = np.where(touched[:, None] != 0, inputs.goal, wanted)
-            guarded = guard(self.limits, wanted, self.sent, last, self.state, period)
-        command = guarded.command
-        reasons = (guarded.reasons | touched) + self.gap * np.uint16(Reason.GAP.value)
+        moving = (inputs.since_target == 0.0) & self.reference.planned
+        guarded = guard_along(self.limits, inputs.goal, moving, wanted, self.sent, last, self.state, period)
+        command, reasons = guarded.command, guarded.reasons + self.gap * np.uint16(Reason.GAP.value)
         if self.unbelieved is not None:
             lost: Mask = np.logical_or.reduce(self.unbelieved, axis=-1)
             command = np.where(lost[:, None], self.sent, command)

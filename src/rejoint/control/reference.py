@@ -18,7 +18,7 @@ from rejoint.arms.inverse import REST_GAIN
 from rejoint.arms.rotations import Orientation
 from rejoint.control.controller import ControlInput
 from rejoint.control.correction import Modelled
-from rejoint.control.goal import LAGS, Ways, nearest_postures, waiting
+from rejoint.control.goal import LAGS, PATIENCE, Ways, beginning_at, nearest_postures, waiting
 from rejoint.control.robot import JointState, Mask
 from rejoint.system.errors import InputError
 
@@ -60,9 +60,14 @@ class Reference(ABC):
     """(B,) whether its time stops in gaps"""
     planned: bool = False
     """whether the goals themselves are clear of contacts"""
+    patience: Array | float = np.inf
+    """(B,) [s] after which a leg and its dwell are over, wherever the arm is"""
 
-    def begin(self, where: Mask, index: Index, sent: Array) -> None:  # noqa: B027 - most have one leg
-        """Begin the legs ``index`` (B,) of the arms in ``where`` (B,), after the commands ``sent`` (B, n) [rad]."""
+    def begin(self, where: Mask, index: Index, sent: Array, position: Array) -> None:  # noqa: B027 - most have one leg
+        """Begin the legs ``index`` (B,) of the arms in ``where`` (B,).
+
+        ``sent`` (B, n) [rad]: the last commands; ``position`` (B, n) [rad]: where they are.
+        """
 
     @abstractmethod
     def advance(self, state: JointState, since: Array, /) -> Setpoint:
@@ -137,13 +142,18 @@ class TargetSequence(Reference):
         self._turn: Orientation | None = None
         self._ways: list[JointTrajectory] = []
 
-    def begin(self, where: Mask, index: Index, sent: Array) -> None:
+    def begin(self, where: Mask, index: Index, sent: Array, position: Array) -> None:
         """See `Reference`."""
         each, correction = np.arange(self.count), self._correction
         self._place = target = self._targets[each, index]
         self._turn = None if self._turns is None else self._turns[each, index]
-        self._ways = [row[k] for row, k in zip(self._rows or (), index, strict=False)]
-        planned = np.array([way.goal for way in self._ways]) if self.planned else None
+        planned = None
+        if self._rows is not None:
+            self._ways = self._ways or [row[0] for row in self._rows]
+            for b in np.flatnonzero(where).tolist():
+                self._ways[b] = beginning_at(self._arm, self._rows[b][index[b]], position[b])
+            planned = np.array([way.goal for way in self._ways])
+            self.patience = PATIENCE[0] + np.array([PATIENCE[1] * way.duration for way in self._ways])
         if correction is None:
             aim = target
         elif self._turn is None:

@@ -43,7 +43,7 @@ class PlannedWay(Reference):
         """Return where the arm is to be; the first call begins the way."""
         now = float(state.time[0])
         if now > self._time:
-            self._since += (now - self._time) * pace(self._arm, self._way.at(self._since), state.position[0])
+            self._since += (now - self._time) * pace(self._arm, self._way, self._since, state.position[0])
         self._time = now
         return Setpoint(self._way.at(self._since)[None], arrived=np.array([self._since >= self._way.duration]))
 

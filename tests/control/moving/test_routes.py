@@ -104,7 +104,7 @@ def test_courses_keep_arms_apart():
     assert aims.shape == (2, 2, 3)
     assert np.array_equal(aims[1, 0], CIRCLE.at(1.2))
     assert np.array_equal(aims[0, 1], other.at(2.1))
-    both.begin(np.ones(2, dtype=bool), np.zeros(2, dtype=int), np.zeros((2, ARM.joints)))
+    both.begin(np.ones(2, dtype=bool), np.zeros(2, dtype=int), *np.zeros((2, 2, ARM.joints)))
     setpoint = both.advance(JointState(time=now, position=np.zeros((2, ARM.joints)), age=np.zeros(2)), now)
     assert np.array_equal(setpoint.place[1], other.at(2.0))
     np.testing.assert_allclose(tcp_position(ARM, setpoint.goal), setpoint.target, atol=1e-3)

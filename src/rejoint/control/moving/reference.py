@@ -494,7 +494,7 @@ class PathReference(Reference):
         self._arm, self._guides, self._home, self.count = arm, guides, home, len(guides)
         self.waits = np.array([isinstance(guide, Ahead) for guide in guides])
 
-    def begin(self, where: Mask, index: Index, sent: Array) -> None:  # noqa: ARG002 - all at once
+    def begin(self, where: Mask, index: Index, sent: Array, position: Array) -> None:  # noqa: ARG002 - all at once
         """See `Reference`."""
         now = np.zeros(self.count)
         places, turns = self.poses(now, now[None])
