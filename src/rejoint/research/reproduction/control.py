@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rejoint.arms import tcp_position
 from rejoint.control.catalogue import BASELINES
 from rejoint.control.comparison.compare import Settings, Trial, TrialRunner
 from rejoint.control.comparison.protocols import summarise
@@ -19,7 +20,7 @@ from rejoint.control.targets import draw_targets
 from rejoint.logs.runlog import RunLog, read_log, write_log
 from rejoint.pages.html import look_of
 from rejoint.pages.report.contents import read_curves
-from rejoint.pages.report.figures import Ways, bounds, encoder_path, ways
+from rejoint.pages.report.figures import Ways, ways
 from rejoint.pages.report.tables import columns, plain_table
 from rejoint.research.reproduction.experiment import Bench, Drawing, Experiment, Findings, Grid, Number, likely
 from rejoint.research.reproduction.trainings import WORN
@@ -138,13 +139,15 @@ def _figure(bench: Bench, result: Comparison) -> Drawing:
         name: read_log(_log(bench, name)) for name in (*CLASSICAL, POLICIES[0]) if _log(bench, name).exists()
     }
     targets = np.array(result.targets[0])
-    paths = {name: encoder_path(bench.arm, log) for name, log in logs.items()}
+    paths = {name: tcp_position(bench.arm, log.position) for name, log in logs.items()}
     panels = [
         Ways(title=NAMES[name], look=look_of("policy" if name in POLICIES else name), paths=[path], targets=targets)
         for name, path in paths.items()
     ]
+    points = np.concatenate([*paths.values(), targets])
+    limits = np.stack([points.min(axis=0) - 0.012, points.max(axis=0) + 0.012], axis=1)
     return bench.draw(
-        ways(panels, bounds([*paths.values(), targets])),
+        ways(panels, limits),
         key="fig-13",
         alt="The default stays beside the targets, PID wanders, the policy goes from one to the next.",
         caption="Fig. 13. Paths of the TCP by encoder kinematics through the first set of targets, from above and "

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from rejoint.arms import Arm, Array
 from rejoint.control.policy import load_policy
 from rejoint.pages.html import BLUE, ORANGE, RED
-from rejoint.pages.report.figures import WIDE, Series, canvas, heading, legend
+from rejoint.pages.report.figures import TITLE, WIDE, Series, canvas, legend
 from rejoint.research.reproduction.experiment import Bench, Drawing, Experiment, Findings, Number
 from rejoint.research.reproduction.trainings import HEALTHY, WORN, healthy_ranges, play, worn_ranges
 from rejoint.system.errors import FileError
@@ -210,12 +210,10 @@ def over_training(steps: Array, panels: Sequence[tuple[str, Sequence[Series]]]) 
     figure, grid = canvas((WIDE, 3.5), 1, len(panels))
     for axes, (name, curves) in zip(grid[0], panels, strict=True):
         for curve in curves:
-            look = curve.look
-            axes.plot(steps, curve.value, color=look.colour, linestyle=look.dash, linewidth=1.8, label=curve.label)
-            axes.fill_between(steps, curve.low, curve.high, color=look.colour, alpha=0.18, linewidth=0)
+            curve.line(axes, steps)
         axes.set(xlabel="time steps of each agent", xlim=(steps[0], steps[-1]))
-        heading(axes, name)
-    legend(figure, grid[0, 0], [curve.label for curve in panels[0][1]])
+        axes.set_title(name, **TITLE)
+    legend(figure, grid[0, 0])
     return figure
 
 

@@ -108,7 +108,7 @@ def _figure(bench: Bench, paths: Array, targets: Array, measured: list[tuple[flo
     points = paths.reshape(-1, 3)
     limits = np.stack([points.min(axis=0) - 0.015, points.max(axis=0) + 0.015], axis=1)
     return bench.draw(
-        ways(panels, limits, views=("top",)),
+        ways(panels, limits, views=("from above",)),
         key="fig-10",
         alt=f"Straight paths for the stiff pair, ringing ones for the others; errors "
         f"{', '.join(f'{error:.1f}' for error, _ in measured)} mm.",
