@@ -13,7 +13,7 @@ import numpy as np
 
 from rejoint.control.servogains import RIVALS, inner_name
 from rejoint.pages import words
-from rejoint.system.files import write_whole
+from rejoint.system.files import write_text
 
 if TYPE_CHECKING:
     import jinja2
@@ -83,7 +83,7 @@ def render(template: str, **values: object) -> str:
 def write_page(path: Path, template: str, **values: object) -> Path:
     """Fill a template and write the page, whole or not at all."""
     html = render(template, **values).rstrip() + "\n"
-    write_whole(path, lambda temporary: temporary.write_text(html, encoding="utf-8"))
+    write_text(path, html)
     return path
 
 

@@ -18,7 +18,7 @@ from rejoint.logs.history.rows import SUMMARY, HistoryRow, name_of, read_rows, s
 from rejoint.pages.html import write_page
 from rejoint.runs.run import Run, is_finished
 from rejoint.system.errors import FileError
-from rejoint.system.files import write_whole
+from rejoint.system.files import write_text
 from rejoint.system.shell import command
 
 if TYPE_CHECKING:
@@ -69,9 +69,10 @@ def rows_of(head: HistoryRow, measures: CheckMeasures) -> list[HistoryRow]:
 def with_outlook(rows: Sequence[HistoryRow], found: Outlook, line: str) -> list[HistoryRow]:
     """Add the outlook to the rows of a check."""
     due, joints = found.due, {name: _worst(found, name) for name in {row.joint for row in rows}}
-    ends = {} if due is None else {"due_early": due.early, "due": due.middle, "due_late": due.late}
-    told = {"state": found.state, "cause": cause_of(found), "line": line, "controlled_mm": found.controlled_mm}
-    arm = replace(rows[0], tolerance_mm=found.tolerance_mm, **told, **ends)
+    arm = replace(rows[0], state=found.state, cause=cause_of(found), line=line)
+    arm = replace(arm, tolerance_mm=found.tolerance_mm, controlled_mm=found.controlled_mm)
+    if due is not None:
+        arm = replace(arm, due_early=due.early, due=due.middle, due_late=due.late)
     return [arm, *(replace(row, state=joints[row.joint]) for row in rows[1:])]
 
 
@@ -87,7 +88,7 @@ def past_of(rows: Sequence[HistoryRow], arm: str, key: str) -> Past:
         members = {row.joint: row for row in group}  # of a folder that was copied each stands there twice
         head = members.pop("", None)
         if kind == "repair":
-            past = Past(visits=(), setup=head.setup if head else past.setup, left_mm=head and head.left_mm)
+            past = Past(visits=(), setup=head.setup if head else past.setup, left_mm=head.left_mm if head else None)
         elif kind == "check" and head and (measures := _measures(head, tuple(members.values()))):
             check = PastCheck(time=head.time, measures=measures, used_h=head.used_h)
             left = None if head.norm == SET_UP else past.left_mm
@@ -135,8 +136,8 @@ def summarise(run: Run) -> None:
             joints.append(replace(arm, joint=row.joint, **{name: one and one.value for name, one in found.items()}))
         arm, loop = replace(arm, state=diagnosis.condition, line=diagnosis.verdict), diagnosis.open_loop
         if loop is not None:
-            true = loop.true_error_mm and loop.true_error_mm.value
-            arm = replace(arm, true_error_mm=true, error_mm=loop.error_mm.value)
+            true = loop.true_error_mm
+            arm = replace(arm, true_error_mm=true.value if true else None, error_mm=loop.error_mm.value)
     if comparison is not None:
         arm = _compared(arm, comparison)
     write_rows(run.path / SUMMARY, [arm, *joints])
@@ -158,8 +159,8 @@ def _compared(arm: HistoryRow, found: Comparison) -> HistoryRow:
         arm,
         controller=chosen,
         success=row.reached,
-        settled_mm=row.settled and 1e3 * row.settled.mean.value,
-        settled_true_mm=row.settled_true and 1e3 * row.settled_true.mean.value,
+        settled_mm=1e3 * row.settled.mean.value if row.settled else None,
+        settled_true_mm=1e3 * row.settled_true.mean.value if row.settled_true else None,
     )
 
 
@@ -170,7 +171,7 @@ _STATES = ("alarm", "drifting", "learning", "steady")
 def write_prometheus(path: Path, name: str, seen: Outlook, measures: CheckMeasures) -> None:
     """Write the check of the arm ``name``, atomically; FileError if that fails."""
     text = prometheus_text(name, seen, measures)
-    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_text(path, text)
 
 
 _METRICS = {

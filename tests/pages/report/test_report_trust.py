@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rejoint.pages.report.page import CAVEAT, write_replay
-from rejoint.pages.report.tables import answer, gap, scores
+from rejoint.pages.report.tables import answer, errors_mm, gap
 from rejoint.system.files import read_json
 from rejoint.twin.judgement import (
     NO_TWIN,
@@ -76,7 +76,7 @@ def test_what_differs_no_more_than_by_chance_is_said():
     close = CLEAR | {"rival": [2.5, 2.0, 1.8, 1.9]}
     lines = answer(judgement_of(close))
     assert any(line == "“rival” is not measurably worse in these motions." for line in lines)
-    found = {score.name: score for score in scores(judgement_of(close))}
+    found = errors_mm(judgement_of(close), "free")
     apart = gap(found["fitted twin"], found["rival"])
     assert apart.low < np.mean([0.5, -1.0, 0.8, -0.1]) == pytest.approx(apart.value)
     assert apart.high > 0.0

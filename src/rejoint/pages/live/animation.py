@@ -219,8 +219,8 @@ class Animation:
         error = true = np.nan
         if len(recent):
             now = recent[-1]
-            error = np.linalg.norm(now.aim - tcp_position(subject.arm, now.position))
-            true = np.linalg.norm(now.target - now.true_tcp)
+            error = float(np.linalg.norm(now.aim - tcp_position(subject.arm, now.position)))
+            true = float(np.linalg.norm(now.target - now.true_tcp))
             robot += f", arm {int(now.arm) + 1} of {subject.count} side by side" if subject.count > 1 else ""
         self._page.trail(_points(self._tool), _points(self._target if self._moves else ()))
         self._page.tell(
@@ -248,13 +248,13 @@ def _points(trail: Collection[Array]) -> Array:
 
 
 def _legend(subject: Subject, recent: Records) -> list[tuple[str, str]]:
-    last = recent[-1:]
+    last = recent[-1] if len(recent) else None
     entries = {
         "the arm": LINKS[1],
         "where it is sent" if subject.ghost is None else "its twin's prediction": GHOST,
         "its tool, by its encoders": TRAIL,
-        **({"target, and what is accepted": TARGET} if len(last) and np.isfinite(last.target).all() else {}),
-        **({"the tool itself": TRUE} if len(last) and np.isfinite(last.true_tcp).all() else {}),
+        **({"target, and what is accepted": TARGET} if last is not None and np.isfinite(last.target).all() else {}),
+        **({"the tool itself": TRUE} if last is not None and np.isfinite(last.true_tcp).all() else {}),
     }
     squares = (GREY, f"squares of {1e3 * cell_of(reach(subject.arm)):.0f} mm")
     return [*((f"rgb{colour}", text) for text, colour in entries.items()), squares]

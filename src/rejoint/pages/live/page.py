@@ -33,7 +33,7 @@ PACES = {"real time": 1.0, "3 times as fast": 3.0, "10 times as fast": 10.0, "as
 class WebPage:
     """One page that any number of browsers may look at."""
 
-    def __init__(self, host: str, port: int, on_hold: Callable[[], object], on_pace: Callable[[float], object]) -> None:
+    def __init__(self, host: str, port: int, on_hold: Callable[[], None], on_pace: Callable[[float], None]) -> None:
         """Serve it; InputError where the port is taken or the host is none of this computer."""
         port = _free(host, port)
         for name in ("viser", "websockets"):  # browsers drop connections that they opened ahead: worth no traceback

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import partial
@@ -31,6 +30,7 @@ from rejoint.pages.words import is_virtual, number
 from rejoint.robots import DEFAULT_ARM
 from rejoint.system.errors import FileError, InputError, first_line
 from rejoint.system.files import read_json
+from rejoint.system.shell import command
 from rejoint.twin.file import read_twin
 from rejoint.twin.judgement import Judgement
 from rejoint.twin.twin import Twin
@@ -255,7 +255,7 @@ def commands(contents: Contents) -> dict[str, str]:
         "compare": [robot, run] if made is None else [made.robot, run, *_options(contents, made)],
         "report": [run],
     }
-    return {name: shlex.join(["rejoint", name, *map(str, words)]) for name, words in lines.items()}
+    return {name: command(name, *words) for name, words in lines.items()}
 
 
 def _options(contents: Contents, made: Comparison) -> list[object]:

@@ -26,7 +26,7 @@ from rejoint.pages.report.contents import Contents, before_after, commands, foun
 from rejoint.pages.report.figures import Gallery
 from rejoint.pages.report.pictures import Pictures, in_base
 from rejoint.pages.words import UNKNOWN, interval, number, plural
-from rejoint.system.files import write_json, write_whole
+from rejoint.system.files import write_json, write_text
 from rejoint.system.shell import __version__
 from rejoint.system.statistics import Estimate, Spread, above_zero, spread
 from rejoint.twin import parameters
@@ -45,7 +45,7 @@ def write_report(folder: Path) -> Path:
     contents, gallery = read_contents(folder), Gallery()
     html = report_html(contents, gallery)
     gallery.save(contents.folder.figures)
-    write_whole(contents.folder.report, lambda temporary: temporary.write_text(html, encoding="utf-8"))
+    write_text(contents.folder.report, html)
     return contents.folder.report
 
 

@@ -25,7 +25,7 @@ from rejoint.pages.html import INK, Look, look_of
 from rejoint.pages.report import figures
 from rejoint.pages.report.contents import Contents, Curves
 from rejoint.pages.report.figures import WIDE, Gallery, Picture, Series, aims, canvas, in_view, name_view
-from rejoint.pages.report.tables import scores
+from rejoint.pages.report.tables import means
 from rejoint.pages.words import MM, cycles, number, plural, short
 from rejoint.system.statistics import Estimate
 from rejoint.twin.judgement import NO_TWIN, Judgement
@@ -149,11 +149,11 @@ class Pictures:
         order = cycle((palette.BLUE, palette.GREEN, palette.ORANGE, palette.PURPLE, palette.BROWN, palette.RED))
         looks = {name: palette.GREY if name == NO_TWIN else next(order) for name in judgement.mean}
         for kind, where in WHERE.items():
-            means = {score.name: mean for score in scores(judgement) if (mean := score.mean(kind)) is not None}
-            if not means:
+            found = means(judgement, kind)
+            if not found:
                 continue
-            words = ", ".join(f"{name} {number(mean.value, 3)}" for name, mean in means.items())
-            series = [series_of(name, looks[name], mean) for name, mean in means.items()]
+            words = ", ".join(f"{name} {number(mean.value, 3)}" for name, mean in found.items())
+            series = [series_of(name, looks[name], mean) for name, mean in found.items()]
             yield self.show(
                 f"prediction-{kind}",
                 figures.intervals(series, f"error of the tool {where} [mm]"),

@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from datetime import datetime
-from functools import partial
 from pathlib import Path
 from typing import TypeAlias
 
@@ -21,7 +20,7 @@ from rejoint.runs.fleet.file import Fleet, FleetArm
 from rejoint.runs.history import what_to_do
 from rejoint.system.errors import RejointError
 from rejoint.system.extras import require
-from rejoint.system.files import saving, write_whole
+from rejoint.system.files import saving, write_text
 from rejoint.system.shell import command
 
 DRIFTS, ALARM, PARTLY, ROBOT = 6, 7, 5, 4
@@ -135,11 +134,11 @@ def _repaired(row: FleetRow, *, quick: bool) -> FleetRow:
         errors = before_after(contents, advised)
     except RejointError as error:
         return replace(row, state="damaged", found=str(error), todo="repair it again", code=2)
-    after = errors and (errors.after.tool.value or errors.after.encoders)
+    after = None if errors is None else errors.after.tool.value or errors.after.encoders
     return replace(
         row,
         state="quick try" if quick else "repaired",
-        error_mm=after and 1e3 * after,
+        error_mm=None if after is None else 1e3 * after,
         found="" if errors is None else errors.sentence,
         todo=f"use {advised}: {command('deploy', row.address, row.folder)}",
         code=0,
@@ -191,7 +190,6 @@ def run_fleet(
                 campaign.finish()
             for one in standings:
                 if one.outcome is not None and one.outcome.trace:
-                    write = partial(Path.write_text, data=one.outcome.trace, encoding="utf-8")
-                    write_whole(place / f"bug-{one.arm.name}.txt", write)
+                    write_text(place / f"bug-{one.arm.name}.txt", one.outcome.trace)
             write_page(result.page, result)
     return result

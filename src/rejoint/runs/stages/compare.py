@@ -293,8 +293,9 @@ class ComparisonJob:
     def begin_ahead(self) -> HelperProcess | None:
         """Start a second process with the known trials, if a core is free."""
         helper = self._help()
-        for task in product(self.factories, KINDS) if helper is not None else ():
-            helper(task, self.places)
+        if helper is not None:
+            for task in product(self.factories, KINDS):
+                helper(task, self.places)
         return helper
 
     @contextmanager
