@@ -8,13 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rejoint.arms import frames, load_arm, mycobot280
-from rejoint.arms.rotations import rotation_of
+from rejoint.arms import mycobot280
 from rejoint.control.classical import DefaultController, IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import Cycle
 from rejoint.control.robot import JointState
-from rejoint.pages.live.animation import Skeleton
 from rejoint.pages.live.records import Ring
 from rejoint.pages.live.view import LiveView
 from rejoint.robots import open_robot
@@ -104,22 +102,6 @@ def test_looking_on_changes_nothing_and_sees_what_is_recorded():
     assert limited.any()
     assert np.array_equal(records.wanted[~limited][:-1], records.command[~limited][:-1])  # the last is not sent
     assert (records.wanted[limited] != records.command[limited]).any(axis=1).all()
-
-
-@pytest.mark.parametrize("name", ["mycobot280", "so101"])
-def test_frames_that_are_nested_as_drawn_are_those_of_the_kinematics(name):
-    arm = load_arm(name)
-    drawing = Skeleton(arm)
-    for q in np.random.default_rng(1).uniform(arm.lower, arm.upper, (20, arm.joints)):
-        expected, turn, origin = frames(arm, q), np.eye(3), np.zeros(3)
-        assert np.allclose(drawing.end[0], expected.position[0], atol=1e-12)
-        for j, quaternion in enumerate(drawing.turns(q)):
-            origin = origin + turn @ drawing.place[j]
-            turn = turn @ rotation_of(quaternion)
-            assert np.allclose(origin, expected.position[j], atol=1e-12)
-            assert np.allclose(turn, expected.rotation[j], atol=1e-12)
-            after = expected.tcp_position if j == arm.joints - 1 else expected.position[j + 1]
-            assert np.allclose(origin + turn @ drawing.end[j + 1], after, atol=1e-12)
 
 
 class Passing:

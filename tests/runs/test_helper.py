@@ -14,23 +14,17 @@ import rejoint
 from rejoint.arms import mycobot280
 from rejoint.control.comparison.compare import Settings
 from rejoint.control.comparison.result import Protocol
-from rejoint.control.guard import GuardLimits
 from rejoint.runs.stages import compare as comparing
-from rejoint.runs.stages.helper import HelperProcess, Job
+from rejoint.runs.stages.compare import ComparisonJob
+from rejoint.runs.stages.helper import HelperProcess
 
 ARM = mycobot280()
 QUICK = Protocol(dwell=1.0, hold=0.8, window=0.4)
-JOB = Job(
+JOB = ComparisonJob(
     robot="emulated:worn",
     arm=ARM,
-    run=None,
-    twin=None,
-    period=None,
     targets=ARM.targets.sample(np.random.default_rng(3), (1, 2)),
-    turns=None,
     settings=Settings(repetitions=2, seed=1, batched=True, protocol=QUICK),
-    limits=GuardLimits.of(ARM),
-    correct=None,
 )
 PLACES = ((0, 0), (0, 1))
 
@@ -72,7 +66,7 @@ def started(monkeypatch):
     found = []
 
     class Kept(HelperProcess):
-        def __init__(self, job: Job) -> None:
+        def __init__(self, job: ComparisonJob) -> None:
             super().__init__(job)
             found.append(self)
 

@@ -194,10 +194,11 @@ def fleet(
         return closing(RayExecutor(arms, address=address, cpus=cpus, training_cpus=training_cpus))
 
     options = RepairOptions(
-        preset=preset,
-        controllers=opt.controller_names(controllers),
-        sets=sets,
-        repetitions=repetitions,
+        plan=rejoint.RepairPlan(
+            preset=preset,
+            controllers=opt.controller_names(controllers),
+            trials=rejoint.TrialPlan(sets=sets, repetitions=repetitions),
+        ),
         seed=seed,
         quick=quick,
         needed=needed,

@@ -22,6 +22,7 @@ from rejoint.control.guard import (
     GuardLimits,
     Reason,
     Reasons,
+    guard,
     guard_along,
     reason_names,
     suffers,

@@ -12,22 +12,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from rejoint.control.servogains import RIVALS, inner_name
-from rejoint.pages.words import (
-    MM,
-    NEVER,
-    UNKNOWN,
-    cycles,
-    day_and_time,
-    interval,
-    listed,
-    measured,
-    measured_with,
-    number,
-    plural,
-    sentence,
-)
-from rejoint.system.files import write_whole
-from rejoint.system.statistics import Estimate
+from rejoint.pages import words
+from rejoint.system.files import write_text
 
 if TYPE_CHECKING:
     import jinja2
@@ -97,7 +83,7 @@ def render(template: str, **values: object) -> str:
 def write_page(path: Path, template: str, **values: object) -> Path:
     """Fill a template and write the page, whole or not at all."""
     html = render(template, **values).rstrip() + "\n"
-    write_whole(path, lambda temporary: temporary.write_text(html, encoding="utf-8"))
+    write_text(path, html)
     return path
 
 
@@ -118,33 +104,21 @@ def _environment() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    plain = ("cycles", "day_and_time", "measured_with", "number", "parameter_name", "plural", "sentence")
+    found.filters |= {name: getattr(words, name) for name in plain}
     found.filters |= {
-        "cell": measured,
-        "cycles": cycles,
-        "day_and_time": day_and_time,
+        "cell": words.measured,
         "degrees": np.degrees,
-        "ends": _ends,
-        "listed": lambda words: listed(words, "and"),
-        "measured_with": measured_with,
-        "mm": _millimetres,
-        "number": number,
-        "plural": plural,
-        "quoted": lambda names: listed([f"“{name}”" for name in names], "and"),
-        "sentence": sentence,
+        "ends": lambda one, digits, factor=1.0, unit="": words.interval(one.low, one.high, digits, unit, factor),
+        "listed": lambda names: words.listed(names, "and"),
+        "mm": lambda one, digits=2, unit="mm": words.number(None if one is None else words.MM * one, digits, unit),
+        "quoted": lambda names: words.listed([f"“{name}”" for name in names], "and"),
     }
     theme = {
         name: "".join(f"--look-{i}:{getattr(look, key)};" for i, look in enumerate(LOOKS))
         for name, key in (("light", "colour"), ("dark", "dark"))
     }
-    found.globals |= {"theme": theme, "unknown": UNKNOWN, "never": NEVER, "interval": interval}
+    known = {"unknown": words.UNKNOWN, "never": words.NEVER, "interval": words.interval, "words": words}
+    found.globals |= {"theme": theme} | known
     found.globals["m"] = found.get_template("macros.html").module
     return found
-
-
-def _millimetres(value: float | None, digits: int = 2, unit: str = "mm") -> str:
-    """Length [m] in millimetres."""
-    return number(None if value is None else MM * value, digits, unit)
-
-
-def _ends(estimate: Estimate, digits: int, factor: float = 1.0, unit: str = "") -> str:
-    return interval(estimate.low, estimate.high, digits, unit, factor)

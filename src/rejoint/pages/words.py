@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from calendar import month_name
 from collections.abc import Sequence
 from contextlib import suppress
 from datetime import datetime
@@ -82,21 +83,6 @@ def measured(value: Spread | Estimate | None, factor: float = MM, digits: int = 
     return Cell(number(one.value * factor, digits), interval(one.low, one.high, digits, factor=factor))
 
 
-MONTHS = (
-    "January",
-    "February",
-    "March",
-    "April",
-    "May",
-    "June",
-    "July",
-    "August",
-    "September",
-    "October",
-    "November",
-    "December",
-)
-
 CONTROLLERS = {
     "default": "target sent once, as the arm does by itself",
     "pid-sum": "joint PID of Park et al., integral as a plain sum",
@@ -163,7 +149,7 @@ def day_and_time(text: str) -> str:
         when = datetime.fromisoformat(text)
     except ValueError:
         return text
-    return f"{when.day} {MONTHS[when.month - 1]} {when.year}, {when:%H:%M}"
+    return f"{when.day} {month_name[when.month]} {when.year}, {when:%H:%M}"
 
 
 def listed(words: Sequence[str], last: str) -> str:

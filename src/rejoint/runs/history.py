@@ -7,8 +7,9 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rejoint.control.comparison.recommend import recommend
 from rejoint.diagnosis.monitoring.judge import Outlook, PastCheck, cause_of
@@ -17,12 +18,11 @@ from rejoint.logs.history.rows import SUMMARY, HistoryRow, name_of, read_rows, s
 from rejoint.pages.html import write_page
 from rejoint.runs.run import Run, is_finished
 from rejoint.system.errors import FileError
-from rejoint.system.files import write_whole
+from rejoint.system.files import write_text
 from rejoint.system.shell import command
 
 if TYPE_CHECKING:
     from rejoint.control.comparison.result import Comparison
-    from rejoint.diagnosis.diagnosis import Diagnosis
 
 
 def owners(rows: Sequence[HistoryRow]) -> Callable[[HistoryRow], str]:
@@ -44,6 +44,7 @@ MOVED, SET_UP = "moved", "set up"
 
 # Bound of all that a check measures, in millimetres and degrees (chosen: a kilometre)
 _MOST = 1e6
+_JOINT = ("hysteresis_mm", "reversal_mm", "deviation_mm", "lever_mm")
 _TOOL = ("error_mm", "repeatability_mm", "approach_mm", "true_error_mm", "true_approach_mm", "temperature_c")
 
 
@@ -67,19 +68,11 @@ def rows_of(head: HistoryRow, measures: CheckMeasures) -> list[HistoryRow]:
 
 def with_outlook(rows: Sequence[HistoryRow], found: Outlook, line: str) -> list[HistoryRow]:
     """Add the outlook to the rows of a check."""
-    due = found.due
-    joints = {name: _worst(found, name) for name in {row.joint for row in rows}}
-    arm = replace(
-        rows[0],
-        state=found.state,
-        cause=cause_of(found),
-        line=line,
-        tolerance_mm=found.tolerance_mm,
-        controlled_mm=found.controlled_mm,
-        due_early=None if due is None else due.early,
-        due=None if due is None else due.middle,
-        due_late=None if due is None else due.late,
-    )
+    due, joints = found.due, {name: _worst(found, name) for name in {row.joint for row in rows}}
+    arm = replace(rows[0], state=found.state, cause=cause_of(found), line=line)
+    arm = replace(arm, tolerance_mm=found.tolerance_mm, controlled_mm=found.controlled_mm)
+    if due is not None:
+        arm = replace(arm, due_early=due.early, due=due.middle, due_late=due.late)
     return [arm, *(replace(row, state=joints[row.joint]) for row in rows[1:])]
 
 
@@ -88,50 +81,35 @@ def past_of(rows: Sequence[HistoryRow], arm: str, key: str) -> Past:
 
     A repair counts for its `owners`, or by ``key``.
     """
-    visits: list[PastCheck] = []
-    setup, left = "", None
-    owner = owners(rows)
+    past, owner = Past(visits=(), setup="", left_mm=None), owners(rows)
     mine = [row for row in rows if row.arm == arm or (row.kind == "repair" and owner(row) in (arm, key))]
     mine.sort(key=lambda row: (row.time, row.kind))
     for (_, kind), group in groupby(mine, key=lambda row: (row.time, row.kind)):
         members = {row.joint: row for row in group}  # of a folder that was copied each stands there twice
         head = members.pop("", None)
         if kind == "repair":
-            visits, left = [], None if head is None else head.left_mm
-            setup = setup if head is None else head.setup
-        elif kind == "check":
-            measures = None if head is None else _measures(head, tuple(members.values()))
-            if head is None or measures is None:
-                continue
-            visits, setup = [] if head.norm else visits, head.setup
-            left = None if head.norm == SET_UP else left
-            visits.append(PastCheck(time=head.time, measures=measures, used_h=head.used_h))
-    return Past(visits=tuple(visits), setup=setup, left_mm=left)
+            past = Past(visits=(), setup=head.setup if head else past.setup, left_mm=head.left_mm if head else None)
+        elif kind == "check" and head and (measures := _measures(head, tuple(members.values()))):
+            check = PastCheck(time=head.time, measures=measures, used_h=head.used_h)
+            left = None if head.norm == SET_UP else past.left_mm
+            past = Past(visits=(check,) if head.norm else (*past.visits, check), setup=head.setup, left_mm=left)
+    return past
 
 
 def _worst(found: Outlook, joint: str) -> str:
     states = [one.state for one in found.changes if one.joint == joint]
-    return next((state for state in ("alarm", "drifting", "learning", "steady") if state in states), "")
+    return next((state for state in _STATES if state in states), "")
 
 
 def _measures(head: HistoryRow, joints: Sequence[HistoryRow]) -> CheckMeasures | None:
-    if not all(map(_believable, (head, *joints))):
+    """Measures of a check; None where one is missing, or above `_MOST`."""
+    tool = {name: getattr(head, name) for name in _TOOL}
+    found = [{name: getattr(row, name) for name in JointCheck.__annotations__} for row in joints]
+    needed = [tool[name] for name in _TOOL[:3]] + [row[name] for row in found for name in _JOINT]
+    values = [value for one in (tool, *found) for name, value in one.items() if name != "joint" and value is not None]
+    if not joints or None in needed or max(map(abs, values)) > _MOST:
         return None
-    needed = (head.error_mm, head.repeatability_mm, head.approach_mm)
-    if None in needed or not joints:
-        return None
-    found = []
-    for row in joints:
-        values = {name: getattr(row, name) for name in JointCheck.__annotations__}
-        if any(values[name] is None for name in ("hysteresis_mm", "reversal_mm", "deviation_mm", "lever_mm")):
-            return None
-        found.append(JointCheck(**values))
-    return CheckMeasures(joints=tuple(found), **{name: getattr(head, name) for name in _TOOL})
-
-
-def _believable(row: HistoryRow) -> bool:
-    values = (getattr(row, name) for name in (*_TOOL, *JointCheck.__annotations__) if name != "joint")
-    return all(value is None or abs(value) <= _MOST for value in values)
+    return CheckMeasures(joints=tuple(JointCheck(**row) for row in found), **tool)
 
 
 def summarise(run: Run) -> None:
@@ -143,7 +121,7 @@ def summarise(run: Run) -> None:
     if diagnosis is None and comparison is None:
         return
     kind = "repair" if is_finished(run.folder) else "run"
-    head = HistoryRow(
+    arm = HistoryRow(
         time=_repaired_at(run.path / SUMMARY, kind) or utc_now(),
         kind=kind,
         arm=name_of(run.robot, run.arm.name),
@@ -151,41 +129,27 @@ def summarise(run: Run) -> None:
         model=run.arm.name,
         setup=setup_of(run.arm),
     )
-    arm = head
     joints: list[HistoryRow] = []
     if diagnosis is not None:
-        arm, joints = _diagnosed(head, diagnosis)
+        for row in diagnosis.measurement.joints:
+            found = {name: getattr(row, name) for name in _DIAGNOSED}
+            joints.append(replace(arm, joint=row.joint, **{name: one and one.value for name, one in found.items()}))
+        arm, loop = replace(arm, state=diagnosis.condition, line=diagnosis.verdict), diagnosis.open_loop
+        if loop is not None:
+            true = loop.true_error_mm
+            arm = replace(arm, true_error_mm=true.value if true else None, error_mm=loop.error_mm.value)
     if comparison is not None:
         arm = _compared(arm, comparison)
     write_rows(run.path / SUMMARY, [arm, *joints])
 
 
+_DIAGNOSED = ("stiffness_nm_per_rad", "coulomb_nm", "lag_s", "offset_rad")
+
+
 def _repaired_at(path: Path, kind: str) -> datetime | None:
-    if kind != "repair":
-        return None
     with suppress(FileError, FileNotFoundError):
-        return next((row.time for row in read_rows(path) if row.kind == kind), None)
+        return next((row.time for row in read_rows(path) if row.kind == kind == "repair"), None)
     return None
-
-
-def _diagnosed(head: HistoryRow, found: Diagnosis) -> tuple[HistoryRow, list[HistoryRow]]:
-    loop = found.open_loop
-    true = None if loop is None or loop.true_error_mm is None else loop.true_error_mm.value
-    arm = replace(
-        head,
-        state=found.condition,
-        line=found.verdict,
-        true_error_mm=true,
-        error_mm=None if loop is None else loop.error_mm.value,
-    )
-    joints = []
-    for row in found.measurement.joints:
-        values: dict[str, Any] = {
-            name: None if (one := getattr(row, name)) is None else one.value
-            for name in ("stiffness_nm_per_rad", "coulomb_nm", "lag_s", "offset_rad")
-        }
-        joints.append(replace(head, joint=row.joint, **values))
-    return arm, joints
 
 
 def _compared(arm: HistoryRow, found: Comparison) -> HistoryRow:
@@ -195,74 +159,56 @@ def _compared(arm: HistoryRow, found: Comparison) -> HistoryRow:
         arm,
         controller=chosen,
         success=row.reached,
-        settled_mm=None if row.settled is None else 1e3 * row.settled.mean.value,
-        settled_true_mm=None if row.settled_true is None else 1e3 * row.settled_true.mean.value,
+        settled_mm=1e3 * row.settled.mean.value if row.settled else None,
+        settled_true_mm=1e3 * row.settled_true.mean.value if row.settled_true else None,
     )
 
 
-_STATES = ("learning", "steady", "drifting", "alarm")
+_STATES = ("alarm", "drifting", "learning", "steady")
+"""The worst first"""
 
 
 def write_prometheus(path: Path, name: str, seen: Outlook, measures: CheckMeasures) -> None:
     """Write the check of the arm ``name``, atomically; FileError if that fails."""
     text = prometheus_text(name, seen, measures)
-    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_text(path, text)
+
+
+_METRICS = {
+    "state": "1 for the state that the arm is in",
+    "error_mm": "tool error at the five poses of a check",
+    "controlled_error_mm": "tool error with the controller of the last repair, at most",
+    "tolerance_mm": "tool error that the owner can bear",
+    "repeatability_mm": "largest RP of a pose by the encoders",
+    "due_seconds": "when the tolerance will be reached",
+    "hysteresis_mm": "following error one way minus the other",
+    "cusum": "standard deviations that have come together since the change began",
+}
 
 
 def prometheus_text(name: str, seen: Outlook, measures: CheckMeasures) -> str:
     """Check as Prometheus text."""
-    arm = f'arm="{_escaped(name)}"'
-    lines: list[str] = []
-
-    def metric(name: str, what: str, values: list[tuple[str, float]]) -> None:
-        if values:
-            lines.extend((f"# HELP rejoint_{name} {what}", f"# TYPE rejoint_{name} gauge"))
-            lines.extend(f"rejoint_{name}{{{labels}}} {value:.10g}" for labels, value in values)
-
-    metric(
-        "state",
-        "1 for the state that the arm is in",
-        [(f'{arm},state="{state}"', float(seen.state == state)) for state in _STATES],
-    )
-    known = "tool" if seen.error_known else "encoders"
-    metric("error_mm", "tool error at the five poses of a check", [(f'{arm},by="{known}"', seen.error_mm)])
-    metric(
-        "controlled_error_mm",
-        "tool error with the controller of the last repair, at most",
-        [] if seen.controlled_mm is None else [(arm, seen.controlled_mm)],
-    )
-    metric(
-        "tolerance_mm",
-        "tool error that the owner can bear",
-        [] if seen.tolerance_mm is None else [(arm, seen.tolerance_mm)],
-    )
-    metric("repeatability_mm", "largest RP of a pose by the encoders", [(arm, measures.repeatability_mm)])
-    if seen.due is not None:
-        ends = (("early", seen.due.early), ("middle", seen.due.middle), ("late", seen.due.late))
-        metric(
-            "due_seconds",
-            "when the tolerance will be reached",
-            [(f'{arm},end="{end}"', _seconds(time)) for end, time in ends if time is not None],
-        )
-    metric(
-        "hysteresis_mm",
-        "following error one way minus the other",
-        [(f'{arm},joint="{_escaped(row.joint)}"', row.hysteresis_mm) for row in measures.joints],
-    )
-    metric(
-        "cusum",
-        "standard deviations that have come together since the change began",
-        [(f'{arm},joint="{_escaped(one.joint)}",quantity="{one.quantity}"', one.cusum) for one in seen.changes],
-    )
+    ends, epoch = {} if seen.due is None else asdict(seen.due), datetime(1970, 1, 1)
+    samples: list[tuple[str, float | None, dict[str, str]]] = [
+        *(("state", seen.state == state, {"state": state}) for state in _STATES),
+        ("error_mm", seen.error_mm, {"by": "tool" if seen.error_known else "encoders"}),
+        ("controlled_error_mm", seen.controlled_mm, {}),
+        ("tolerance_mm", seen.tolerance_mm, {}),
+        ("repeatability_mm", measures.repeatability_mm, {}),
+        *(("due_seconds", end and (end - epoch).total_seconds(), {"end": name}) for name, end in ends.items()),
+        *(("hysteresis_mm", row.hysteresis_mm, {"joint": row.joint}) for row in measures.joints),
+        *(("cusum", one.cusum, {"joint": one.joint, "quantity": one.quantity}) for one in seen.changes),
+    ]
+    lines = []
+    for metric, known in groupby((one for one in samples if one[1] is not None), key=itemgetter(0)):
+        lines += [f"# HELP rejoint_{metric} {_METRICS[metric]}", f"# TYPE rejoint_{metric} gauge"]
+        for _, value, labels in known:
+            words = (f'{key}="{text.translate(_ESCAPES)}"' for key, text in ({"arm": name} | labels).items())
+            lines.append(f"rejoint_{metric}{{{','.join(words)}}} {value:.10g}")
     return "\n".join([*lines, ""])
 
 
-def _seconds(time: datetime) -> float:
-    return (time - datetime(1970, 1, 1)).total_seconds()
-
-
-def _escaped(text: str) -> str:
-    return text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
+_ESCAPES = str.maketrans({"\\": "\\\\", '"': '\\"', "\n": "\\n"})
 
 
 HEADERS = ("arm", "state", "error [mm]", "tolerance [mm]", "reached", "last check", "what to do")
@@ -283,8 +229,7 @@ class ArmHistory:
     @property
     def newest(self) -> HistoryRow:
         """The last check or repair, else the last run."""
-        told = [row for row in self.rows if row.kind in ("check", "repair")]
-        return (told or list(self.rows))[-1]
+        return next((row for row in reversed(self.rows) if row.kind in ("check", "repair")), self.rows[-1])
 
     @property
     def checks(self) -> list[HistoryRow]:
@@ -292,19 +237,10 @@ class ArmHistory:
         return [row for row in self.rows if row.kind == "check" and row.counts_mm is not None]
 
     @property
-    def error(self) -> float | None:
-        """[mm] newest tool error that counts."""
-        return self.newest.counts_mm
-
-    @property
-    def over(self) -> bool:
-        """Whether the tolerance is reached."""
-        return self.newest.over
-
-    @property
     def state(self) -> str:
         """State in a word or two."""
-        return "tolerance reached" if self.over else REPAIRED if self.newest.kind == REPAIR else self.newest.state
+        row = self.newest
+        return "tolerance reached" if row.over else REPAIRED if row.kind == REPAIR else row.state
 
 
 def arms_of(rows: Sequence[HistoryRow]) -> list[ArmHistory]:
@@ -323,13 +259,13 @@ def arms_of(rows: Sequence[HistoryRow]) -> list[ArmHistory]:
 def cells(arm: ArmHistory) -> list[str]:
     """One row of the table `HEADERS`."""
     row = arm.newest
-    by = "" if row.true_error_mm is not None or arm.error is None else " by encoders"
+    by = "" if row.true_error_mm is not None or row.counts_mm is None else " by encoders"
     return [
         arm.name,
         arm.state,
-        "" if arm.error is None else f"{arm.error:.1f}{by}",
+        "" if row.counts_mm is None else f"{row.counts_mm:.1f}{by}",
         "" if row.tolerance_mm is None else f"{row.tolerance_mm:.1f}",
-        "now" if arm.over else _span(row.due_early, row.due_late),
+        "now" if row.over else _span(row.due_early, row.due_late),
         f"{row.time:%Y-%m-%d}",
         what_to_do(row),
     ]
@@ -351,27 +287,19 @@ def _span(early: datetime | None, late: datetime | None) -> str:
 def _urgency(arm: ArmHistory) -> tuple[bool, int, datetime, float]:
     row = arm.newest
     state = _ORDER.index(arm.state) if arm.state in _ORDER else len(_ORDER)
-    return (not arm.over, state, row.due_early or datetime.max, -(arm.error or 0.0))
+    return (not row.over, state, row.due_early or datetime.max, -(row.counts_mm or 0.0))
 
 
 def write_history(path: Path, arms: Sequence[ArmHistory]) -> None:
     """Write the page; FileError if it cannot be written."""
-    checks = sum(row.kind == "check" for arm in arms for row in arm.rows)
-    runs = sum(len(arm.rows) for arm in arms) - checks
-    urgent = [arm for arm in arms if arm.over or arm.state in ("alarm", "drifting", "bad")]
-    first = f"{len(urgent)} of {len(arms)} arms need somebody." if urgent else f"Nothing to do on {len(arms)} arms."
+    urgent = [arm for arm in arms if arm.newest.over or arm.state in ("alarm", "drifting", "bad")]
     write_page(
         path,
         "history.html",
-        title="Arms over time",
-        subtitle=f"{len(arms)} arms, {checks} checks, {runs} runs",
-        verdict=(first, *(f"{arm.name}: {arm.newest.line}" for arm in urgent[:5])),
-        parts=(("arms", "Arms"), ("trends", "Trends"), ("joints", "Joints")),
-        footer="Made from the files summary.parquet below one folder, which are not changed.",
         arms=arms,
+        urgent=urgent,
         headers=HEADERS,
         cells=cells,
-        trends=[arm for arm in arms if len(arm.checks) > 1],
         joints=[pair for arm in urgent for pair in _joints(arm)],
     )
 

@@ -63,6 +63,11 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
         raise unwritable(path, error) from error
 
 
+def write_text(path: Path, text: str) -> None:
+    """Write a text as `write_whole`."""
+    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
 def unwritable(path: Path, error: OSError) -> FileError:
     """Error of a file that cannot be written."""
     return FileError(path, f"cannot be written ({error.strerror or first_line(error)})", UNWRITABLE)

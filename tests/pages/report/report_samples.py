@@ -183,10 +183,10 @@ class Sketches(Gallery):
         super().__init__()
         self.figures = {}
 
-    def show(self, key, figure, *, alt, heading="", caption=""):
+    def show(self, key, figure, *, alt, caption=""):
         assert key not in self.figures
         self.figures[key] = figure
-        return Picture(svg=Markup(f'<svg aria-label="{escape(alt)}"></svg>'), heading=heading, caption=caption)
+        return Picture(svg=Markup(f'<svg aria-label="{escape(alt)}"></svg>'), caption=caption)
 
 
 def shown(path):

@@ -8,11 +8,11 @@ import pytest
 
 from rejoint.pages import html as palette
 from rejoint.pages.report.figures import (
+    Gallery,
     Series,
     error_over_time,
     error_per_target,
     inline_svg,
-    save_png,
 )
 
 RNG = np.random.default_rng(5)
@@ -77,7 +77,9 @@ def test_hostile_alt_text_stays_text(alt):
 
 def test_png_is_whole_and_deterministic(tmp_path):
     for name in ("a", "b"):
-        save_png(make(), tmp_path / "figures" / f"{name}.png")
+        gallery = Gallery()
+        gallery.show(name, make(), alt="alt")
+        gallery.save(tmp_path / "figures")
     one = (tmp_path / "figures" / "a.png").read_bytes()
     assert one[:8] == b"\x89PNG\r\n\x1a\n"
     assert one == (tmp_path / "figures" / "b.png").read_bytes()

@@ -34,7 +34,7 @@ def test_the_line_says_all_that_the_comparison_was_asked_for(tmp_path, arm):
         targets_file="my points.csv",
         period=(0.03, 0.0425),
     )
-    line = made(RunFolder(tmp_path / "my run"), comparison)["compare"].line
+    line = made(RunFolder(tmp_path / "my run"), comparison)["compare"]
     words, given = options(line)
     assert words == ["rejoint", "compare"]
     assert shlex.split(line)[2:4] == ["tcp://10.0.0.2:9000", str(tmp_path / "my run")]
@@ -46,10 +46,10 @@ def test_the_line_says_all_that_the_comparison_was_asked_for(tmp_path, arm):
 
 def test_what_needs_no_option_gets_none(tmp_path, arm):
     lines = made(RunFolder(tmp_path), make_comparison(arm, ("default",)), seed=0)
-    assert lines["compare"].line == (
+    assert lines["compare"] == (
         f"rejoint compare emulated:worn {tmp_path} --sets 2 --repetitions 3 --controllers default"
     )
-    assert lines["repair"].line == "rejoint repair emulated:worn --seed 0"
+    assert lines["repair"] == "rejoint repair emulated:worn --seed 0"
 
 
 @pytest.mark.parametrize("robot", ["emulated:worn", "tcp://10.0.0.2:9000"])
@@ -57,6 +57,6 @@ def test_a_comparison_that_is_to_be_made_needs_no_options(tmp_path, diagnosis, r
     folder = RunFolder(tmp_path)
     write_json(folder.info, RunInfo(robot=robot, arm="mycobot280", seed=0, version="0", created="now"))
     write_json(folder.diagnosis, diagnosis)
-    line = commands(read_contents(tmp_path))["compare"].line
+    line = commands(read_contents(tmp_path))["compare"]
     assert line == f"rejoint compare {robot} {tmp_path}"
     assert f"To do it: {line}" in Page(write_report(tmp_path)).words

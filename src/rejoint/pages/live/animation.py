@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+import time
+from collections import deque
+from collections.abc import Collection
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from rejoint.arms import Arm, Array, clearances
-from rejoint.arms.collision import collision_shape, contact
+from rejoint.arms import Arm, Array, clearances, tcp_position
+from rejoint.arms.collision import contact
 from rejoint.arms.workspace import reach
 from rejoint.control.guard import TRIPS, GuardLimits, Reason
 from rejoint.control.loop import say_hot
 from rejoint.control.start import Playback
 from rejoint.pages.html import macros
-from rejoint.pages.live.records import Records, Ring, Trails, lately
+from rejoint.pages.live.records import Records, Ring, lately
 
 if TYPE_CHECKING:
     from rejoint.pages.live.page import WebPage
@@ -31,45 +33,18 @@ TRAIL: Colour = (235, 120, 30)
 TARGET: Colour = (30, 160, 90)
 TRUE: Colour = (200, 30, 160)
 """of the tool"""
-NARROWER = 0.97
-"""Thickness of every other link, against flicker (chosen)"""
-TOOL_SHARE = 0.3
-"""Thickness of the tool over a link's (chosen)"""
+
+TRAIL_POINTS = 400
+"""(chosen: at `APART` that is 0.8 m)"""
+APART = 2e-3
+"""[m] between points of a trail (chosen)"""
+MOVES = 5
+"""Points of a moving target (chosen)"""
 
 
 def cell_of(size: float) -> float:
     """[m] edge of a ground square under an arm of reach ``size`` [m]."""
     return 0.05 if size < 1.0 else 0.1
-
-
-def css(colour: Colour) -> str:
-    """Colour in CSS."""
-    return f"rgb{colour}"
-
-
-class Skeleton:
-    """Parts of an arm of n joints; link 0 is the base."""
-
-    def __init__(self, arm: Arm) -> None:
-        self.place: Array = arm.offset[:, :3, 3]
-        """(n, 3) [m] joint origins, each in its parent"""
-        self.end: Array = np.vstack([self.place, arm.tip[:3, 3]])
-        """(n + 1, 3) [m] link ends, in the link's frame"""
-        self.radius = collision_shape(arm).radius
-        """[m]"""
-        self._axis, self._zero = arm.axis, Rotation.from_matrix(arm.offset[:, :3, :3])
-
-    def shape(self, link: int) -> tuple[Array, float]:
-        """End (3,) [m] of a link's capsule in its frame, and radius [m]."""
-        if link < len(self.place):
-            return self.end[link], self.radius * (1.0 if link % 2 else NARROWER)
-        thin, length = TOOL_SHARE * self.radius, float(np.linalg.norm(self.end[link]))
-        return self.end[link] * max(1.0 - thin / length, 0.0) if length > thin else self.end[link], thin
-
-    def turns(self, q: Array) -> Array:
-        """Quaternions (n, 4), w first, of joint frames in their parents, at ``q`` (n,) [rad]."""
-        turned: Array = (self._zero * Rotation.from_rotvec(q[:, None] * self._axis)).as_quat(scalar_first=True)
-        return turned
 
 
 KEPT = 1.5
@@ -142,13 +117,14 @@ class Doing:
     """label"""
     share: float = 0.0
     """0 to 1"""
-    since: float = 0.0
+    begun: float = field(default_factory=time.monotonic)
     """[s]"""
 
     @property
-    def left(self) -> float | None:
-        """[s] remaining, or None."""
-        return self.since * (1.0 - self.share) / self.share if 0.02 < self.share < 1.0 and self.since > 2.0 else None
+    def left(self) -> str:
+        """Remaining time in words, or empty."""
+        passed = time.monotonic() - self.begun
+        return duration(passed / self.share - passed) if 0.02 < self.share < 1.0 and passed > 2.0 else ""
 
 
 def duration(seconds: float) -> str:
@@ -157,11 +133,6 @@ def duration(seconds: float) -> str:
         return f"{5 * np.ceil(seconds / 5):.0f} s"
     minutes = round(seconds / 60.0)
     return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
-
-
-def panel() -> Any:  # noqa: ANN401 - macros of a template
-    """Macros of short texts in HTML; values in metres, radians and seconds."""
-    return macros("live.html", red=RED, amber=AMBER, green=GREEN, grey=GREY)
 
 
 SLOWER = 6
@@ -194,75 +165,96 @@ class Begun:
 
 
 class Animation:
-    """Draws one arm."""
+    """Draws what is shown of an arm, and of the next one."""
 
-    def __init__(self, page: WebPage, subject: Subject, before: Animation | None) -> None:
-        self._page, self.subject = page, subject
-        self._skeleton = Skeleton(subject.arm)
-        same = before is not None and before.subject.arm is subject.arm
-        self._trails: Trails = before._trails if same and before is not None else Trails(subject.arm)
+    def __init__(self, page: WebPage) -> None:
+        self._page, self._count = page, 0
+        self._panel = macros("live.html", red=RED, amber=AMBER, green=GREEN, grey=GREY)
+        self._subject: Subject | None = None
+        self._tool: deque[Array] = deque(maxlen=TRAIL_POINTS)
+        self._target: deque[Array] = deque(maxlen=TRAIL_POINTS)
+
+    def _turn_to(self, subject: Subject) -> None:
+        before, self._subject = self._subject, subject
+        same = before is not None and before.arm is subject.arm
         self._recent, self._read = subject.ring.since(max(subject.ring.count - 1, 0))
-        self._count = 0
-        if not same or before is None or before.subject.within != subject.within:
-            page.show(subject.arm, within=subject.within, paced=subject.paced)
-            now = self._skeleton.turns(self._recent.position[-1] if len(self._recent) else subject.arm.rest)
-            page.pose(now, now)
+        if not same:
+            self._tool.clear()
+            self._target.clear()
+        if not same or before is None or before.within != subject.within:
+            self._page.show(subject.arm, within=subject.within, paced=subject.paced)
+            now = self._recent.position[-1] if len(self._recent) else subject.arm.rest
+            self._page.pose(now, now)
 
-    def draw(self, begun: Begun, doing: Doing, stopped: str) -> None:
-        """Draw new records."""
-        fresh, self._read = self.subject.ring.since(self._read)
-        ghost = self._ghost(fresh)
-        self._trails.follow(fresh)
+    def draw(self, subject: Subject, begun: Begun, doing: Doing, stopped: str) -> None:
+        """Draw new records of ``subject``."""
+        if subject is not self._subject:
+            self._turn_to(subject)
+        fresh, self._read = subject.ring.since(self._read)
+        ghost = fresh.command if subject.ghost is None else subject.ghost.follow(fresh)
+        for tool, aim in zip(tcp_position(subject.arm, fresh.position), fresh.aim, strict=True):
+            _extend(self._tool, tool)
+            _extend(self._target, aim)
         self._recent = lately(np.concatenate([self._recent, fresh]).view(np.recarray), KEPT)
         with self._page.atomic():
             if len(fresh):
-                self._page.pose(self._skeleton.turns(fresh.position[-1]), self._skeleton.turns(ghost[-1]))
-                self._page.aim(fresh.aim[-1], _miss(fresh), self._label(fresh))
+                now = fresh[-1]
+                known = np.isfinite(now.target).all()
+                true = now.aim + now.true_tcp - now.target if known else now.true_tcp
+                self._page.pose(now.position, ghost[-1])
+                self._page.aim(now.aim, true, "target" if self._moves else f"target {int(now.index) + 1}")
             if self._count % SLOWER == 0:
-                self._write(begun, doing, stopped)
+                self._write(subject, begun, doing, stopped)
         self._count += 1
 
-    def _ghost(self, records: Records) -> Array:
-        """Positions (K, n) [rad] of the ghost: the twin, or the commands."""
-        return records.command if self.subject.ghost is None else self.subject.ghost.follow(records)
+    @property
+    def _moves(self) -> bool:
+        """Whether the target moves."""
+        return len(self._target) > MOVES
 
-    def _label(self, records: Records) -> str:
-        return "target" if self._trails.moves else f"target {int(records.index[-1]) + 1}"
-
-    def _write(self, begun: Begun, doing: Doing, stopped: str) -> None:
-        subject, recent, trails = self.subject, self._recent, self._trails
+    def _write(self, subject: Subject, begun: Begun, doing: Doing, stopped: str) -> None:
+        recent, write, robot = self._recent, self._panel, subject.address
         words = () if begun.limits is None else guard_words(recent, begun.limits)
         controller = "" if begun.controller == Playback.name else begun.controller
-        robot = subject.address
-        if subject.count > 1 and len(recent):
-            robot += f", arm {int(recent.arm[-1]) + 1} of {subject.count} side by side"
-        self._page.trail(trails.tool, trails.target if trails.moves else trails.target[:0])
-        write, left = panel(), doing.left
+        error = true = np.nan
+        if len(recent):
+            now = recent[-1]
+            error = float(np.linalg.norm(now.aim - tcp_position(subject.arm, now.position)))
+            true = float(np.linalg.norm(now.target - now.true_tcp))
+            robot += f", arm {int(now.arm) + 1} of {subject.count} side by side" if subject.count > 1 else ""
+        self._page.trail(_points(self._tool), _points(self._target if self._moves else ()))
         self._page.tell(
-            head=write.head(robot, controller, doing, "" if left is None else duration(left)),
-            share=doing.share,
-            error=write.error(*trails.errors, subject.within),
+            doing.share,
+            head=write.head(robot, controller, doing, doing.left),
+            error=write.error(error, true, subject.within),
             guard=write.guard(words, stopped),
             joints=write.joints(subject.arm.joint_names, recent[-1], HOT) if len(recent) else "",
             legend=write.legend(_legend(subject, recent)),
         )
 
 
-def _miss(records: Records) -> Array:
-    """Place (3,) [m] of the drawn tool; NaN: unknown."""
-    target, aim, true = records.target[-1], records.aim[-1], records.true_tcp[-1]
-    return aim + true - target if np.isfinite(target).all() else true
+def _extend(trail: deque[Array], point: Array) -> None:
+    if not np.isfinite(point).all():
+        return
+    way = np.inf if not trail else float(np.linalg.norm(point - trail[-1]))
+    if way > 25.0 * APART:
+        trail.clear()
+    if way > APART:
+        trail.append(point.copy())
 
 
-def _legend(subject: Subject, recent: Records) -> tuple[tuple[str, str], ...]:
-    target, tool = (
-        bool(len(recent)) and bool(np.isfinite(points[-1]).all()) for points in (recent.target, recent.true_tcp)
-    )
-    entries = [
-        (css(LINKS[1]), "the arm"),
-        (css(GHOST), "where it is sent" if subject.ghost is None else "its twin's prediction"),
-        (css(TRAIL), "its tool, by its encoders"),
-        *([(css(TARGET), "target, and what is accepted")] if target else []),
-        *([(css(TRUE), "the tool itself")] if tool else []),
-    ]
-    return *entries, (GREY, f"squares of {1e3 * cell_of(reach(subject.arm)):.0f} mm")
+def _points(trail: Collection[Array]) -> Array:
+    return np.array(trail).reshape(-1, 3)
+
+
+def _legend(subject: Subject, recent: Records) -> list[tuple[str, str]]:
+    last = recent[-1] if len(recent) else None
+    entries = {
+        "the arm": LINKS[1],
+        "where it is sent" if subject.ghost is None else "its twin's prediction": GHOST,
+        "its tool, by its encoders": TRAIL,
+        **({"target, and what is accepted": TARGET} if last is not None and np.isfinite(last.target).all() else {}),
+        **({"the tool itself": TRUE} if last is not None and np.isfinite(last.true_tcp).all() else {}),
+    }
+    squares = (GREY, f"squares of {1e3 * cell_of(reach(subject.arm)):.0f} mm")
+    return [*((f"rgb{colour}", text) for text, colour in entries.items()), squares]

@@ -12,14 +12,20 @@ import trimesh
 import viser
 from scipy.spatial.transform import Rotation
 
-from rejoint.arms import Arm, Array
+from rejoint.arms import Arm, Array, frames
+from rejoint.arms.collision import collision_shape
 from rejoint.arms.workspace import reach
-from rejoint.pages.live.animation import GHOST, LINKS, TARGET, TRAIL, TRUE, Colour, Skeleton, cell_of
+from rejoint.pages.live.animation import GHOST, LINKS, TARGET, TRAIL, TRUE, Colour, cell_of
 from rejoint.system.errors import InputError
 
 GHOST_OPACITY = 0.4
 GHOST_SHARE = 0.9
 """of the arm's thickness: where both agree, the arm is what one sees (chosen)"""
+NARROWER = 0.97
+"""Thickness of every other link, against flicker (chosen)"""
+TOOL_SHARE = 0.3
+"""Thickness of the tool over a link's (chosen)"""
+UP = np.array([0.0, 0.0, 1.0])
 PACES = {"real time": 1.0, "3 times as fast": 3.0, "10 times as fast": 10.0, "as fast as it goes": np.inf}
 """at which an arm of virtual time can be watched"""
 
@@ -27,17 +33,14 @@ PACES = {"real time": 1.0, "3 times as fast": 3.0, "10 times as fast": 10.0, "as
 class WebPage:
     """One page that any number of browsers may look at."""
 
-    def __init__(self, host: str, port: int, on_hold: Callable[[], object], on_pace: Callable[[float], object]) -> None:
+    def __init__(self, host: str, port: int, on_hold: Callable[[], None], on_pace: Callable[[float], None]) -> None:
         """Serve it; InputError where the port is taken or the host is none of this computer."""
         port = _free(host, port)
         for name in ("viser", "websockets"):  # browsers drop connections that they opened ahead: worth no traceback
             logging.getLogger(name).setLevel(logging.CRITICAL)
         with redirect_stdout(None):  # where results go
             self._server = viser.ViserServer(host=host, port=port, label="rejoint", verbose=False)
-        if self._server.get_port() != port:  # somebody was quicker
-            self._server.stop()
-            raise InputError(_taken(host, port, "taken meanwhile"))
-        self.address = f"http://{host}:{port}"
+        self.address = f"http://{host}:{self._server.get_port()}"
         gui, scene = self._server.gui, self._server.scene
         gui.configure_theme(
             control_layout="collapsible", control_width="large", show_logo=False, show_share_button=False
@@ -48,28 +51,13 @@ class WebPage:
         scene.configure_default_lights(enabled=True, cast_shadow=True)
         scene.add_light_ambient("/light", intensity=0.8)
         self._parts: list[viser.SceneNodeHandle] = []
-        self._arm: list[viser.FrameHandle] = []
-        self._ghost: list[viser.FrameHandle] = []
-        self._build_panel(on_hold, on_pace)
-
-    def _build_panel(self, on_hold: Callable[[], object], on_pace: Callable[[float], object]) -> None:
-        gui = self._server.gui
-        self._head = gui.add_html("")
+        self._texts = {"head": gui.add_html("")}
         self._bar = gui.add_progress_bar(0.0, color="teal")
         self._hold = gui.add_button("Hold the arm", color="red", hint="It stops and keeps its position, powered.")
-        self._pace = gui.add_dropdown("Emulated arm", list(PACES), initial_value="real time", visible=False)
-        self._error = gui.add_html("")
-        self._guard = gui.add_html("")
-        self._joints = gui.add_html("")
-        self._legend = gui.add_html("")
-
-        @self._hold.on_click
-        def _(_: object) -> None:
-            on_hold()
-
-        @self._pace.on_update
-        def _(_: object) -> None:
-            on_pace(PACES[str(self._pace.value)])
+        self._hold.on_click(lambda _: on_hold())
+        self._pace = pace = gui.add_dropdown("Emulated arm", list(PACES), initial_value="real time", visible=False)
+        pace.on_update(lambda _: on_pace(PACES[str(pace.value)]))
+        self._texts |= {name: gui.add_html("") for name in ("error", "guard", "joints", "legend")}
 
     @property
     def watched(self) -> bool:
@@ -82,7 +70,7 @@ class WebPage:
 
     def show(self, arm: Arm, *, within: float, paced: bool) -> None:
         """Draw an arm in place of what is drawn; it is the same with a ``within`` [m] at which targets count."""
-        scene, size, skeleton = self._server.scene, reach(arm), Skeleton(arm)
+        scene, size = self._server.scene, reach(arm)
         for part in self._parts:
             part.remove()
         middle = 0.5 * (arm.targets.lower + arm.targets.upper)
@@ -94,22 +82,24 @@ class WebPage:
         camera.look_at = look
         camera.position = look + size * np.array([1.25 * np.cos(side), 1.25 * np.sin(side), 0.55])
         cell = cell_of(size)
+        wide, dot = np.ceil(2.4 * size / cell) * cell, max(size, 0.3) / 0.3
         grid = scene.add_grid(
             "/ground",
-            width=np.ceil(2.4 * size / cell) * cell,
-            height=np.ceil(2.4 * size / cell) * cell,
+            width=wide,
+            height=wide,
             cell_size=cell,
             section_size=2 * cell,
             cell_color=(225, 228, 232),
             section_color=(200, 205, 212),
             shadow_opacity=0.2,
         )
-        self._arm, one = self._limbs("/arm", skeleton, LINKS, 1.0, None)
-        self._ghost, two = self._limbs("/ghost", skeleton, (GHOST, GHOST), GHOST_SHARE, GHOST_OPACITY)
-        self._target = scene.add_icosphere("/target", 0.0025 * max(size, 0.3) / 0.3, TARGET, visible=False)
-        self._near = scene.add_icosphere("/target/within", within, TARGET, opacity=0.25, cast_shadow=False)
+        self._arm = arm
+        self._limbs = self._add_limbs("/arm", LINKS, 1.0, None)
+        self._ghosts = self._add_limbs("/ghost", (GHOST, GHOST), GHOST_SHARE, GHOST_OPACITY)
+        self._target = scene.add_icosphere("/target", 0.0025 * dot, TARGET, visible=False)
+        scene.add_icosphere("/target/within", within, TARGET, opacity=0.25, cast_shadow=False)
         self._label = scene.add_label("/target/label", "", position=(0.0, 0.0, within + 0.015), anchor="bottom-center")
-        self._true = scene.add_icosphere("/true", 0.003 * max(size, 0.3) / 0.3, TRUE, visible=False)
+        self._true = scene.add_icosphere("/true", 0.003 * dot, TRUE, visible=False)
         nowhere = np.zeros((1, 2, 3), dtype=np.float32)
         self._trail = scene.add_line_segments("/trail", nowhere, TRAIL, thickness=3.0, thickness_units="screen")
         self._way = scene.add_line_segments("/way", nowhere, TARGET, thickness=2.0, thickness_units="screen")
@@ -123,30 +113,25 @@ class WebPage:
             )
             for k, box in enumerate(arm.keep_out)
         ]
-        self._parts = [grid, *boxes, *one, *two, self._target, self._true, self._trail, self._way]
+        self._parts = [grid, *boxes, *self._limbs, *self._ghosts, self._target, self._true, self._trail, self._way]
         self._pace.visible = paced
 
-    def _limbs(
-        self, root: str, skeleton: Skeleton, colours: tuple[Colour, Colour], share: float, opacity: float | None
-    ) -> tuple[list[viser.FrameHandle], list[viser.SceneNodeHandle]]:
-        scene, path, frames = self._server.scene, root, []
-        base = scene.add_frame(root, show_axes=False)
-        if opacity is None:
-            height = 0.25 * skeleton.radius
-            scene.add_cylinder(
-                f"{root}/foot", 1.7 * skeleton.radius, height, colours[1], position=(0.0, 0.0, 0.5 * height)
-            )
-        for link in range(len(skeleton.end)):
-            if link:
-                path = f"{path}/{link}"
-                frames.append(scene.add_frame(path, show_axes=False, position=skeleton.place[link - 1]))
-            end, radius = skeleton.shape(link)
-            length = float(np.linalg.norm(end))
+    def _add_limbs(
+        self, root: str, colours: tuple[Colour, Colour], share: float, opacity: float | None
+    ) -> list[viser.FrameHandle]:
+        """Add the base and the link of each joint, a capsule from its frame's origin to the next."""
+        scene, whole, found = self._server.scene, collision_shape(self._arm).radius, []
+        for link, end in enumerate([*self._arm.offset[:, :3, 3], self._arm.tip[:3, 3]]):
+            found.append(scene.add_frame(f"{root}/{link}", show_axes=False))
+            radius, length = whole * (1.0 if link % 2 else NARROWER), float(np.linalg.norm(end))
+            if link == self._arm.joints:  # the tool, whose round end is its tip
+                radius = TOOL_SHARE * whole
+                end = end * max(1.0 - radius / length, 0.0) if length > radius else end
+                length = float(np.linalg.norm(end))
             shape = trimesh.creation.capsule(height=length, radius=share * radius, count=(12, 20))
-            upright = np.array([0.0, 0.0, 1.0])
-            turn, _ = Rotation.align_vectors(end if length else upright, upright)
+            turn, _ = Rotation.align_vectors(end if length else UP, UP)
             scene.add_mesh_simple(
-                f"{path}/link",
+                f"{root}/{link}/link",
                 shape.vertices.astype(np.float32),
                 shape.faces.astype(np.uint32),
                 position=0.5 * end,
@@ -156,13 +141,18 @@ class WebPage:
                 cast_shadow=opacity is None,
                 receive_shadow=opacity is None,
             )
-        return frames, [base]
+        if opacity is None:
+            height = 0.25 * whole
+            scene.add_cylinder(f"{root}/0/foot", 1.7 * whole, height, colours[1], position=(0.0, 0.0, 0.5 * height))
+        return found
 
-    def pose(self, turns: Array, ghost: Array) -> None:
-        """Turn the joints of arm and ghost; both (n, 4), as `Skeleton.turns`."""
-        for frames, each in ((self._arm, turns), (self._ghost, ghost)):
-            for frame, turn in zip(frames, each, strict=True):
-                frame.wxyz = turn
+    def pose(self, position: Array, ghost: Array) -> None:
+        """Put the joints of arm and ghost (n,) [rad]."""
+        for limbs, q in ((self._limbs, position), (self._ghosts, ghost)):
+            found = frames(self._arm, q)
+            turns = Rotation.from_matrix(found.rotation).as_quat(scalar_first=True)
+            for limb, place, turn in zip(limbs[1:], found.position, turns, strict=True):
+                limb.position, limb.wxyz = place, turn
 
     def aim(self, target: Array, true: Array, text: str) -> None:
         """Show ``target`` (3,) [m] with a ``text``, and the ``true`` place of the tool (3,) [m]; NaN hides either."""
@@ -182,18 +172,11 @@ class WebPage:
                 handle.points = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
             handle.visible = len(points) > 1
 
-    def tell(self, *, head: str, share: float, error: str, guard: str, joints: str, legend: str) -> None:
-        """Write into the panel: HTML, and the ``share`` that is done."""
-        texts = (
-            (self._head, head),
-            (self._error, error),
-            (self._guard, guard),
-            (self._joints, joints),
-            (self._legend, legend),
-        )
-        for handle, text in texts:
-            if handle.content != text:
-                handle.content = str(text)  # viser sends no subclass, such as a template's
+    def tell(self, share: float, **texts: str) -> None:
+        """Write into the panel: HTML by name, and the ``share`` that is done."""
+        for name, text in texts.items():
+            if self._texts[name].content != text:
+                self._texts[name].content = str(text)  # viser sends no subclass, such as a template's
         if abs(self._bar.value - 100.0 * share) > 0.05:
             self._bar.value = 100.0 * share  # type: ignore[misc]  # declared read-only, and is not
 
@@ -215,9 +198,6 @@ def _free(host: str, port: int) -> int:
         try:
             probe.bind((host, port))
         except OSError as error:
-            raise InputError(_taken(host, port, error.strerror or str(error))) from error
+            remedy = f"end what listens there, or choose another port, such as --live {host}:0"
+            raise InputError(f"--live {host}:{port}: {error.strerror or error}; {remedy}") from error
         return int(probe.getsockname()[1])
-
-
-def _taken(host: str, port: int, why: str) -> str:
-    return f"--live {host}:{port}: {why}; end what listens there, or choose another port, such as --live {host}:0"

@@ -1,16 +1,15 @@
-"""Records of the control loop for other threads: a ring, trails, and the twin.
+"""Records of the control loop for other threads: a ring, and the twin.
 
 One writer, no lock: a reader skips slots that were written meanwhile.
 """
 
 from __future__ import annotations
 
-from collections import deque
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, tcp_position
+from rejoint.arms import Arm, Array
 from rejoint.control.recording import Cycle
 from rejoint.control.robot import JointState
 from rejoint.twin.simulation import Draw, Simulation
@@ -87,62 +86,6 @@ def _row(run: int, cycle: Cycle, state: JointState, wanted: Array) -> tuple[Any,
         cycle.load[b],
         heat,
     )
-
-
-TRAIL = 400
-"""Points (chosen: at `APART` that is 0.8 m)"""
-APART = 2e-3
-"""[m] between points (chosen)"""
-MOVES = 5
-"""Points of a moving target (chosen)"""
-
-
-class Trails:
-    """Trails of one arm."""
-
-    def __init__(self, arm: Arm) -> None:
-        self._arm = arm
-        self._tool: deque[Array] = deque(maxlen=TRAIL)
-        self._target: deque[Array] = deque(maxlen=TRAIL)
-        self.errors = (np.nan, np.nan)
-        """[m] newest encoder and true error; NaN: none"""
-
-    def follow(self, records: Records) -> None:
-        """Take new records."""
-        if not len(records):
-            return
-        tool = tcp_position(self._arm, records.position)
-        error = np.linalg.norm(records.aim - tool, axis=-1)
-        true = np.linalg.norm(records.target - records.true_tcp, axis=-1)
-        for k in range(len(records)):
-            _extend(self._tool, tool[k])
-            _extend(self._target, records.aim[k])
-        self.errors = float(error[-1]), float(true[-1])
-
-    @property
-    def tool(self) -> Array:
-        """(P, 3) [m] by the encoders."""
-        return np.array(self._tool).reshape(-1, 3)
-
-    @property
-    def target(self) -> Array:
-        """(P, 3) [m] of a moving target."""
-        return np.array(self._target).reshape(-1, 3)
-
-    @property
-    def moves(self) -> bool:
-        """Whether the target moves."""
-        return len(self._target) > MOVES
-
-
-def _extend(trail: deque[Array], point: Array) -> None:
-    if not np.isfinite(point).all():
-        return
-    way = np.inf if not trail else float(np.linalg.norm(point - trail[-1]))
-    if way > 25.0 * APART:
-        trail.clear()
-    if way > APART:
-        trail.append(point.copy())
 
 
 LONGEST = 0.5

@@ -62,7 +62,7 @@ class LiveView(Observer):
         self._over = threading.Event()
         self._subject: Subject | None = None
         self._begun = Begun()
-        self._doing, self._since = Doing(), time.monotonic()
+        self._doing = Doing()
         self._stopped = ""
         self._interval = sys.getswitchinterval()
         self._pace = 1.0
@@ -131,7 +131,7 @@ class LiveView(Observer):
 
     def begin(self, title: str) -> None:
         """Begin a command, or a stage of a repair."""
-        self._since, self._doing = time.monotonic(), Doing(title=title)
+        self._doing = Doing(title=title)
 
     def progress(self, share: float, what: str) -> None:
         """Show progress."""
@@ -165,15 +165,10 @@ class LiveView(Observer):
                 animation = None
                 self._over.wait(ASLEEP)
                 continue
-            if animation is None or animation.subject is not subject:
-                animation = Animation(page, subject, animation)
-            began = time.monotonic()
-            animation.draw(self._begun, self._now(), self._stopped)
+            animation, began = animation or Animation(page), time.monotonic()
+            animation.draw(subject, self._begun, self._doing, self._stopped)
             self.frames += 1
             self._over.wait(max(1.0 / RATE - (time.monotonic() - began), 0.0))
-
-    def _now(self) -> Doing:
-        return replace(self._doing, since=time.monotonic() - self._since)
 
 
 class _LiveRobot(RobotWrapper):

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-import shlex
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -23,24 +23,22 @@ from rejoint.diagnosis.calibration.measurementfile import read_measurements
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.diagnosis.open_loop import modelled_errors
-from rejoint.logs.runfolder.effort import Effort, read_effort
+from rejoint.logs.runfolder.effort import Effort
 from rejoint.logs.runfolder.folder import LOGS, Kept, RunFolder, RunInfo, read_info
 from rejoint.logs.runlog import RunLog, read_log, read_parquet
 from rejoint.pages.words import is_virtual, number
 from rejoint.robots import DEFAULT_ARM
 from rejoint.system.errors import FileError, InputError, first_line
 from rejoint.system.files import read_json
+from rejoint.system.shell import command
 from rejoint.twin.file import read_twin
 from rejoint.twin.judgement import Judgement
 from rejoint.twin.twin import Twin
-
-T = TypeVar("T")
 
 # Names of the hold trials' run logs: controller, target set, repetition
 _TRIAL = re.compile(r"hold-(.+)-(\d+)-(\d+)")
 
 
-_COLUMNS = ("step", "reward", "success_rate", "error_mm", "wall_s")
 _LAST = 5  # updates that are averaged for "at the end"
 
 
@@ -70,13 +68,13 @@ def read_curves(path: Path) -> Curves:
     """Read ``training/curves.parquet``; FileError."""
     remedy = "delete it and train again"
     try:
-        table = read_parquet(path, remedy, list(_COLUMNS))
-        columns = {name: table[name].to_numpy().astype(float) for name in _COLUMNS}
+        names = [one.name for one in fields(Curves)]
+        table = read_parquet(path, remedy, names)
+        columns = {name: table[name].to_numpy().astype(float) for name in names}
     except FileNotFoundError as error:
         raise FileError(path, "no such file", "train a policy first") from error
     except (OSError, pa.ArrowException, KeyError, TypeError, ValueError) as error:
-        first = first_line(error)
-        raise FileError(path, f"not readable as training curves ({first})", remedy) from error
+        raise FileError(path, f"not readable as training curves ({first_line(error)})", remedy) from error
     if not len(columns["step"]):
         raise FileError(path, "no update in the training curves", remedy)
     return Curves(**columns)
@@ -101,9 +99,25 @@ class Contents:
     """external, of the tool"""
     hold: Mapping[str, RunLog]
     """one hold trial per controller"""
-    effort: Effort | None = None
-    kept: Kept | None = None
+    effort: Effort | None
+    kept: Kept | None
     """earlier repair of twin and policy"""
+
+
+_READ: dict[str, Callable[[Path], Any]] = {
+    "info": read_info,
+    "diagnosis": partial(read_json, kind=Diagnosis),
+    "twin": read_twin,
+    "judgement": partial(read_json, kind=Judgement),
+    "comparison": partial(read_json, kind=Comparison),
+    "effort": partial(read_json, kind=Effort),
+    "kept": partial(read_json, kind=Kept),
+}
+_READ_FOR: dict[str, Callable[[Path, Arm], Any]] = {
+    "policy": load_policy,
+    "calibration": read_calibration,
+    "measurements": read_measurements,
+}
 
 
 def read_contents(path: Path) -> Contents:
@@ -111,40 +125,22 @@ def read_contents(path: Path) -> Contents:
     folder = RunFolder(path)
     if not path.is_dir():
         raise FileError(path, "no such run folder", "check the path, or make one with `rejoint repair`")
-    info = _optional(folder.info, read_info)
-    diagnosis = _optional(folder.diagnosis, lambda file: read_json(file, Diagnosis))
-    twin = _optional(folder.twin, read_twin)
-    judgement = _optional(folder.judgement, lambda file: read_json(file, Judgement))
-    comparison = _optional(folder.comparison, lambda file: read_json(file, Comparison))
-    curves = _optional(folder.outputs.curves, read_curves)
-    names = [one.arm for one in (comparison, diagnosis, twin, judgement) if one is not None]
+
+    def read(readers: dict[str, Callable[..., Any]], *about: Arm) -> dict[str, Any]:
+        places = {name: getattr(folder, name) for name in readers}
+        return {name: readers[name](file, *about) if file.exists() else None for name, file in places.items()}
+
+    found = read(_READ)
+    info, curves = found["info"], folder.outputs.curves
+    results = ("comparison", "diagnosis", "twin", "judgement")
+    names = [found[name].arm for name in results if found[name] is not None]
     arm = _arm(path, names if info is None else [folder.arm(info.arm)], names)
-    contract = _optional(folder.policy, lambda file: load_policy(file, arm).contract)
-    calibration = _optional(folder.calibration, lambda file: read_calibration(file, arm))
-    measurements = _optional(folder.measurements, lambda file: read_measurements(file, arm))
-    if all(part is None for part in (diagnosis, twin, judgement, curves, contract, comparison, calibration)):
+    found |= read(_READ_FOR, arm) | {"curves": read_curves(curves) if curves.exists() else None}
+    if all(found[name] is None for name in (*results, "curves", "policy", "calibration")):
         raise FileError(path, "nothing to report: no stage has been run here", "run `rejoint diagnose` first")
-    known = () if comparison is None else comparison.controllers
-    return Contents(
-        folder=folder,
-        arm=arm,
-        info=info,
-        diagnosis=diagnosis,
-        twin=twin,
-        judgement=judgement,
-        curves=curves,
-        contract=contract,
-        comparison=comparison,
-        calibration=calibration,
-        measurements=measurements,
-        hold=_trials(folder, known),
-        effort=read_effort(folder),
-        kept=_optional(folder.kept, lambda file: read_json(file, Kept)),
-    )
-
-
-def _optional(path: Path, read: Callable[[Path], T]) -> T | None:
-    return read(path) if path.exists() else None
+    policy, comparison = found.pop("policy"), found["comparison"]
+    hold = _trials(folder, () if comparison is None else comparison.controllers)
+    return Contents(folder=folder, arm=arm, contract=policy and policy.contract, hold=hold, **found)
 
 
 def _arm(path: Path, sources: list[str], names: list[str]) -> Arm:
@@ -215,22 +211,16 @@ def before_after(contents: Contents, controller: str) -> BeforeAfter | None:
 
 def found(contents: Contents) -> MeanErrors:
     """Errors of the uncorrected arm: under its own controller, else open loop in the diagnosis."""
-    own, comparison = DefaultController.name, contents.comparison
+    own, comparison, known = DefaultController.name, contents.comparison, contents.calibration
     if comparison is not None and own in comparison.controllers and not comparison.calibration:
         return _errors(comparison, own)
-    if contents.diagnosis is None or contents.diagnosis.open_loop is None:
+    open_loop = None if contents.diagnosis is None else contents.diagnosis.open_loop
+    if open_loop is None:
         return MeanErrors(encoders=None, tool=NOT_KNOWN)
-    open_loop = contents.diagnosis.open_loop
-    return MeanErrors(encoders=1e-3 * open_loop.error_mm.value, tool=_open_loop(contents))
-
-
-def _open_loop(contents: Contents) -> TrueError:
-    assert contents.diagnosis is not None and contents.diagnosis.open_loop is not None  # noqa: S101, PT018
-    told = contents.diagnosis.open_loop.true_error
-    log = contents.folder.log("targets")
-    if told.value is not None or contents.calibration is None or not log.exists():
-        return told
-    return modelled_errors(read_log(log), contents.calibration)
+    tool, log = open_loop.true_error, contents.folder.log("targets")
+    if tool.value is None and known is not None and log.exists():
+        tool = modelled_errors(read_log(log), known)
+    return MeanErrors(encoders=1e-3 * open_loop.error_mm.value, tool=tool)
 
 
 def _errors(comparison: Comparison, controller: str) -> MeanErrors:
@@ -242,74 +232,42 @@ LEARNERS = ("sac", "td3", "ddpg")
 """Other values of `--learner`"""
 
 
-class Command(NamedTuple):
-    """A command line and its meaning."""
-
-    what: str
-    line: str
-
-
-def commands(contents: Contents) -> dict[str, Command]:
+def commands(contents: Contents) -> dict[str, str]:
     """Command lines that repeat every stage."""
-    run = shlex.quote(str(contents.folder.path))
-    info = contents.info
-    built = shlex.quote(contents.folder.arm(contents.arm.name))
-    address, seed = ("ROBOT", 0) if info is None else (info.robot, info.seed)
-    robot = shlex.quote(address)
-    arm = "" if info is None or info.arm == DEFAULT_ARM else f" --arm {built}"
-    diagnose = f"rejoint diagnose {robot} --run {run}{arm} --seed {seed}"
-    recipe = _recipe(contents)
-    repair = f"rejoint repair {robot}{arm} --seed {seed}"
-    identify = f"rejoint identify {run}"
-    if info is not None and info.robot.startswith(LOGS):
-        given = f"--logs {shlex.quote(info.robot.removeprefix(LOGS))} --arm {built} --run {run}"
-        robot, diagnose, identify = "ROBOT", f"rejoint diagnose {given}", f"rejoint identify {given}"
-        repair = f"rejoint repair ROBOT{arm} --seed {seed}"
-    return {
-        "repair": Command("Everything, from the beginning:", repair),
-        "diagnose": Command("Measure and judge the arm:", diagnose),
-        "identify": Command("Fit the twin:", identify),
-        "train": Command("Train the policy:", f"rejoint train {run}{recipe}"),
-        "calibrate": Command(
-            "Measure where the tool is:", f"rejoint calibrate {robot} {run}{_gauge(contents, address)}"
-        ),
-        "compare": Command("Try every controller on the arm:", _compare(contents, robot, run)),
-        "report": Command("Make this page again:", f"rejoint report {run}"),
+    run, info, made = contents.folder.path, contents.info, contents.comparison
+    robot, seed = ("ROBOT", 0) if info is None else (info.robot, info.seed)
+    built, preset = contents.folder.arm(contents.arm.name), contents.contract and contents.contract.preset
+    arm = [] if info is None or info.arm == DEFAULT_ARM else ["--arm", built]
+    recipe = ["--preset", preset] if preset in ("paper", "scratch") else ["--learner", preset]
+    seen = contents.calibration is not None and contents.calibration.source == "camera"
+    gauge = ["--measure", "camera" if seen else "touch"] if seen or not is_virtual(robot) else []
+    diagnose: list[object] = [robot, "--run", run, *arm, "--seed", seed]
+    identify: list[object] = [run]
+    if robot.startswith(LOGS):
+        identify = diagnose = ["--logs", robot.removeprefix(LOGS), "--arm", built, "--run", run]
+        robot = "ROBOT"
+    lines = {
+        "repair": [robot, *arm, "--seed", seed],
+        "diagnose": diagnose,
+        "identify": identify,
+        "train": [run, *(recipe if preset in ("paper", "scratch", *LEARNERS) else [])],
+        "calibrate": [robot, run, *gauge],
+        "compare": [robot, run] if made is None else [made.robot, run, *_options(contents, made)],
+        "report": [run],
     }
+    return {name: command(name, *words) for name, words in lines.items()}
 
 
-def _compare(contents: Contents, robot: str, run: str) -> str:
-    info, comparison = contents.info, contents.comparison
-    if comparison is None:
-        return f"rejoint compare {robot} {run}"
-    other = info is None or comparison.seed != info.seed
-    seed = f" --seed {comparison.seed}" if other else ""
-    known = contents.calibration
-    directions = " --directions" if comparison.directions is not None else ""
-    plain = " --calibration none" if known is not None and known.used and not comparison.calibration else ""
-    return f"rejoint compare {shlex.quote(comparison.robot)} {run}{_options(comparison)}{plain}{directions}{seed}"
-
-
-def _gauge(contents: Contents, robot: str) -> str:
-    if contents.calibration is not None and contents.calibration.source == "camera":
-        return " --measure camera"
-    return "" if is_virtual(robot) else " --measure touch"
-
-
-def _options(comparison: Comparison) -> str:
-    drawn = f" --sets {len(comparison.targets)}"
-    targets = f" --targets {shlex.quote(comparison.targets_file)}" if comparison.targets_file else drawn
-    names = shlex.quote(",".join(comparison.controllers))
-    period = "" if comparison.period is None else f" --period {_milliseconds(comparison.period)}"
-    whole = "" if comparison.batched or comparison.block else " --full"
-    return f"{targets} --repetitions {comparison.repetitions} --controllers {names}{period}{whole}"
-
-
-def _milliseconds(period: tuple[float, float]) -> str:
-    """Period [s] as for `--period`."""
-    return "-".join(f"{1e3 * end:.9g}" for end in dict.fromkeys(period))
-
-
-def _recipe(contents: Contents) -> str:
-    name = "" if contents.contract is None else contents.contract.preset
-    return f" --preset {name}" if name in ("paper", "scratch") else f" --learner {name}" if name in LEARNERS else ""
+def _options(contents: Contents, made: Comparison) -> list[object]:
+    info, known = contents.info, contents.calibration
+    targets = ["--targets", made.targets_file] if made.targets_file else ["--sets", len(made.targets)]
+    found = [*targets, "--repetitions", made.repetitions, "--controllers", ",".join(made.controllers)]
+    if made.period is not None:
+        found += ["--period", "-".join(f"{1e3 * end:.9g}" for end in dict.fromkeys(made.period))]
+    if not (made.batched or made.block):
+        found.append("--full")
+    if known is not None and known.used and not made.calibration:
+        found += ["--calibration", "none"]
+    if made.directions is not None:
+        found.append("--directions")
+    return found if info is not None and made.seed == info.seed else [*found, "--seed", made.seed]

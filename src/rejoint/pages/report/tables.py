@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +13,7 @@ from rejoint.control.comparison.result import Comparison, ControllerRow, Protoco
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.pages.words import MM, NEVER, UNKNOWN, Cell, interval, listed, measured, number, plural, spread
 from rejoint.system.statistics import NORMAL95, Estimate, Spread, bootstrap_mean
-from rejoint.twin.judgement import FEWEST, NO_TWIN, Judgement, PredictionError, smaller
+from rejoint.twin.judgement import FEWEST, NO_TWIN, Judgement, smaller
 
 DEG = float(np.degrees(1.0))
 
@@ -180,90 +179,61 @@ QUANTITIES = (
 )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Score:
-    """A prediction over all motions."""
-
-    name: str
-    free_mm: Array
-    """(K,) per motion; NaN: no free space"""
-    contact_mm: Array
-    """(K,) likewise"""
-
-    def mean(self, where: str) -> Estimate | None:
-        """Mean with 95 % interval over motions, or None."""
-        values: Array = getattr(self, f"{where}_mm")
-        known = values[np.isfinite(values)]
-        if not len(known):
-            return None
-        return bootstrap_mean(known, np.arange(len(known)), fewest=FEWEST)
+def errors_mm(judgement: Judgement, where: str) -> dict[str, Array]:
+    """Errors (K,) [mm] of every prediction by motion, ``free`` or in ``contact``; NaN: no such motion."""
+    found = {name: [getattr(motion.errors[name], where) for motion in judgement.motions] for name in judgement.mean}
+    return {name: np.array([np.nan if one is None else MM * one.tcp for one in each]) for name, each in found.items()}
 
 
-def scores(judgement: Judgement) -> tuple[Score, ...]:
-    """Errors of every prediction per motion."""
+def mean_of(values: Array) -> Estimate | None:
+    """Mean of ``values`` (K,) with 95 % interval over motions, or None."""
+    known = values[np.isfinite(values)]
+    return bootstrap_mean(known, np.arange(len(known)), fewest=FEWEST) if len(known) else None
 
-    def value(error: PredictionError | None) -> float:
-        return float("nan") if error is None else error.tcp * MM
 
-    return tuple(
-        Score(
-            name=name,
-            free_mm=np.array([value(motion.errors[name].free) for motion in judgement.motions]),
-            contact_mm=np.array([value(motion.errors[name].contact) for motion in judgement.motions]),
-        )
-        for name in judgement.mean
-    )
+def means(judgement: Judgement, where: str) -> dict[str, Estimate]:
+    """Mean error [mm] of every prediction with such motions, the best first."""
+    found = {name: mean_of(values) for name, values in errors_mm(judgement, where).items()}
+    known = {name: mean for name, mean in found.items() if mean is not None}
+    return dict(sorted(known.items(), key=lambda pair: pair[1].value))
 
 
 def answer(judgement: Judgement) -> tuple[str, ...]:
     """Say which prediction to trust, how far and where; the answer first."""
-    found = scores(judgement)
-    lines = [*_free(judgement, found), *_contact(judgement, found)]
-    lines.append("All this is by the arm's own encoders: play and flex behind them show in no log.")
-    return tuple(lines)
+    last = "All this is by the arm's own encoders: play and flex behind them show in no log."
+    return (*_free(judgement), _contact(judgement), last)
 
 
-def _free(judgement: Judgement, found: tuple[Score, ...]) -> list[str]:
-    known = [(score, mean) for score in found if (mean := score.mean("free")) is not None]
-    if not known:
-        return ["Nothing can be said about free space: no motion shows it."]
-    (best, mean), *others = sorted(known, key=lambda pair: pair[1].value)
-    count = int(np.isfinite(best.free_mm).sum())
-    rest = listed([f"{score.name} {number(value.value, 3, 'mm')}" for score, value in others], "and")
-    motions = f"mean of {plural(count, 'motion')}{_interval(mean)}"
-    lines = (
-        [
-            f"Trust none of them: {'; '.join(judgement.doubts)}.",
-            f"“{best.name}” comes nearest, within {number(mean.value, 3, 'mm')} in free space ({motions}).",
-        ]
-        if judgement.doubts
-        else [
-            f"Trust “{best.name}”: it predicts the tool within {number(mean.value, 3, 'mm')} in free space ({motions})."
-        ]
-    )
-    if best.name == NO_TWIN and not judgement.doubts:
-        lines = [
-            f"Trust none of them: the command alone predicts better, within {number(mean.value, 3, 'mm')} ({motions})."
-        ]
-    lines.append(f"The others: {rest}.")
-    both = [(score, np.isfinite(best.free_mm + score.free_mm)) for score, _ in others]
-    close = [score.name for score, rows in both if not smaller(best.free_mm[rows], score.free_mm[rows])]
+def _free(judgement: Judgement) -> Iterator[str]:
+    found, errors = means(judgement, "free"), errors_mm(judgement, "free")
+    if not found:
+        yield "Nothing can be said about free space: no motion shows it."
+        return
+    best, *others = found
+    within = number(found[best].value, 3, "mm")
+    motions = f"mean of {plural(int(np.isfinite(errors[best]).sum()), 'motion')}{_interval(found[best])}"
+    if judgement.doubts:
+        yield f"Trust none of them: {'; '.join(judgement.doubts)}."
+        yield f"“{best}” comes nearest, within {within} in free space ({motions})."
+    elif best == NO_TWIN:
+        yield f"Trust none of them: the command alone predicts better, within {within} ({motions})."
+    else:
+        yield f"Trust “{best}”: it predicts the tool within {within} in free space ({motions})."
+    rest = listed([f"{name} {number(found[name].value, 3, 'mm')}" for name in others], "and")
+    yield f"The others: {rest}."
+    both = {name: np.isfinite(errors[best] + errors[name]) for name in others}
+    close = [f"“{name}”" for name, rows in both.items() if not smaller(errors[best][rows], errors[name][rows])]
     if close:
-        names = listed([f"“{name}”" for name in close], "and")
-        lines.append(f"{names} {'is' if len(close) == 1 else 'are'} not measurably worse in these motions.")
-    return lines
+        are = "is" if len(close) == 1 else "are"
+        yield f"{listed(close, 'and')} {are} not measurably worse in these motions."
 
 
-def _contact(judgement: Judgement, found: tuple[Score, ...]) -> list[str]:
-    known = [(score, mean) for score in found if (mean := score.mean("contact")) is not None]
-    if not known:
-        return ["The arm touches nothing in these motions: how they predict contact is not known."]
-    best, mean = min(known, key=lambda pair: pair[1].value)
-    seconds = sum(motion.contact_seconds for motion in judgement.motions)
-    return [
-        f"On the table ({seconds:.0f} s) “{best.name}” is closest, within {number(mean.value, 3, 'mm')}"
-        f"{_interval(mean)}."
-    ]
+def _contact(judgement: Judgement) -> str:
+    for best, mean in means(judgement, "contact").items():
+        seconds = sum(motion.contact_seconds for motion in judgement.motions)
+        within = f"{number(mean.value, 3, 'mm')}{_interval(mean)}"
+        return f"On the table ({seconds:.0f} s) “{best}” is closest, within {within}."
+    return "The arm touches nothing in these motions: how they predict contact is not known."
 
 
 def _interval(estimate: Estimate) -> str:

@@ -11,7 +11,7 @@ from rejoint.control.comparison.protocols import Columns
 from rejoint.control.observation import POINT_SCALE, Observation, layout_slots
 from rejoint.control.policy import PolicyController, load_policy
 from rejoint.pages.html import BLUE, ORANGE, RED
-from rejoint.pages.report.figures import WIDE, Ways, canvas, heading, legend, ways
+from rejoint.pages.report.figures import TITLE, WIDE, Series, Ways, canvas, legend, ways
 from rejoint.research.evaluation.trials import keep
 from rejoint.research.reproduction.bench import Bench, Found, Shown
 from rejoint.research.reproduction.trainings import HEALTHY, WORN
@@ -177,9 +177,9 @@ def over_training(steps: Array, curves: dict[tuple[str, str], Array]) -> Figure:
     ):
         for label, (_, _, look) in CONDITIONS.items():
             values = curves[label, key]
-            axes.plot(steps, values.mean(axis=0), color=look.colour, linestyle=look.dash, linewidth=1.8, label=label)
-            axes.fill_between(steps, values.min(axis=0), values.max(axis=0), color=look.colour, alpha=0.18, linewidth=0)
+            low, mean, high = values.min(axis=0), values.mean(axis=0), values.max(axis=0)
+            Series(label=label, look=look, value=mean, low=low, high=high).line(axes, steps)
         axes.set(xlabel="time steps of each agent", xlim=(steps[0], steps[-1]))
-        heading(axes, name)
-    legend(figure, grid[0, 0], list(CONDITIONS))
+        axes.set_title(name, **TITLE)
+    legend(figure, grid[0, 0])
     return figure

@@ -36,7 +36,7 @@ def measure(bench: Bench) -> Found:
         Ways(title=f"P = {p:g}, D = {d:g}", look=look, paths=[path], targets=targets)
         for (p, d), look, path in zip(PAIRS, (BLUE, ORANGE, RED), paths, strict=True)
     ]
-    bench.draw(ways(panels, bounds(list(paths), 0.015), views=("top",)), "fig-10")
+    bench.draw(ways(panels, bounds(list(paths), 0.015), views=("from above",)), "fig-10")
     shown = [
         [f"{e:.2g} mm, {o:.0f} %" for e, o in (judge(path, targets) for path in some)] for some in (paths, printed)
     ]

@@ -16,8 +16,7 @@ from torch.nn import functional
 
 from rejoint.arms import Arm
 from rejoint.arms.inverse import DAMPING, MOST_STEP, REST_GAIN, ROUNDS, TOLERANCE
-from rejoint.arms.kinematics import GRAVITY
-from rejoint.arms.rotations import cross_matrix
+from rejoint.arms.kinematics import GRAVITY, joint_terms
 from rejoint.arms.workspace import heaviest_load, length_size, moves_tool, unloaded_joints
 from rejoint.control.feedforward import CALMER, CLOSE, SPEED_SMOOTHING, TAKEN_BACK
 from rejoint.control.law import LONGEST_PERIOD as PACE_LONGEST
@@ -109,13 +108,7 @@ def _arm_tensors(arm: Arm) -> list[Tensor]:
     Three parts (n, 4, 4) of each joint's frame, constant, with sine and with cosine; axes (n, 3), centres of mass (n,
     4), tip (4,), rest posture and limits (n,).
     """
-    parts = np.zeros((3, arm.joints, 4, 4))
-    for j in range(arm.joints):
-        cross = cross_matrix(arm.axis[j])
-        square = cross @ cross  # Rodrigues: R = I + sin q K + (1 - cos q) K^2
-        for part, turn in zip(parts, (np.eye(3) + square, cross, -square), strict=True):
-            part[j, :, :3] = arm.offset[j][:, :3] @ turn
-        parts[0, j, :, 3] = arm.offset[j][:, 3]
+    parts = np.moveaxis(joint_terms(arm).reshape(-1, 4, 4, 3), -1, 0)
     com = np.column_stack([arm.com, np.ones(arm.joints)])
     return [*map(_tensor, (*parts, arm.axis, com, arm.tip[:, 3], arm.rest, arm.lower, arm.upper))]
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from rejoint.arms import Arm, Displacement
+from rejoint.arms import Displacement
 from rejoint.arms.loading import at_targets, unit_arm, write_urdf
 from rejoint.arms.workspace import torque_size
 from rejoint.control.catalogue import POLICY, SHELF, shelf_policy
@@ -27,7 +27,7 @@ from rejoint.session.controllers import choice, quick_note
 from rejoint.session.inputs import RunLike, as_calibration, as_policy, as_run
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.extras import require
-from rejoint.system.files import write_whole
+from rejoint.system.files import write_text, write_whole
 from rejoint.system.shell import __version__
 
 if TYPE_CHECKING:
@@ -218,7 +218,7 @@ def write_controller(run: Run, out: Path, best: str) -> Design:
     data = model.SerializeToString()
     text = leapp_text(design, out.name, data)
     write_whole(out, lambda temporary: temporary.write_bytes(data))
-    write_whole(out.with_suffix(".yaml"), lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_text(out.with_suffix(".yaml"), text)
     return design
 
 
@@ -258,8 +258,7 @@ def leapp_text(design: Design, file: str, data: bytes) -> str:
     """LEAPP description (version 1.3) of a file as YAML."""
     from rejoint.runs.exporting.controllergraph import memory_slots
 
-    arm, size = design.arm, sum(memory_slots(design.arm.joints).values())
-    names = list(arm.joint_names)
+    arm, names = design.arm, list(design.arm.joint_names)
     slots = [
         name if length == 1 else f"{name}[{k}]"
         for name, length in memory_slots(arm.joints).items()
@@ -268,16 +267,8 @@ def leapp_text(design: Design, file: str, data: bytes) -> str:
     low, high = design.periods
 
     def tensor(name: str, kind: str, elements: list[str]) -> str:
-        return json.dumps(
-            {
-                "name": name,
-                "dtype": "float32",
-                "shape": [1, len(elements)],
-                "type": "tensor",
-                "kind": kind,
-                "element_names": [elements],
-            }
-        )
+        about = {"name": name, "dtype": "float32", "shape": [1, len(elements)], "type": "tensor", "kind": kind}
+        return json.dumps(about | {"element_names": [elements]})
 
     parameters = {
         "model_path": file,
@@ -286,7 +277,6 @@ def leapp_text(design: Design, file: str, data: bytes) -> str:
         "backend": "onnx",
         "warp_segments": 0,
     }
-    assert len(slots) == size  # noqa: S101 - written by the same table
     about = f"# {notice(design)}"
     if design.gains:
         about += f"\n# The servos are to have the gains {design.gains}."
@@ -317,16 +307,6 @@ def _list(values: object) -> str:
     return ",".join(f"{value:.9g}" for value in np.asarray(values, dtype=float))
 
 
-def usual_period(design: Design) -> float:
-    """Middle control period [s] of a controller."""
-    return sum(design.periods) / 2
-
-
-def package_name(arm: Arm) -> str:
-    """ROS package name: lower case, digits and underscores."""
-    return "rejoint_" + "".join(letter if letter.isalnum() else "_" for letter in arm.name.lower())
-
-
 _TEMPLATES = files("rejoint.runs.exporting") / "ros2_files"
 
 # Templates, and where they go
@@ -344,10 +324,9 @@ _FILES = {
 
 def write_package(run: Run, folder: Path, best: str) -> Design:
     """Write the package with the controller called ``best`` into ``folder``, filling in words between @."""
-    package = package_name(run.arm)
-    inside = folder / package
-    inside.mkdir(parents=True, exist_ok=True)
-    design = write_controller(run, inside / "controller.onnx", best)
+    # lower case, digits and underscores
+    package = "rejoint_" + "".join(letter if letter.isalnum() else "_" for letter in run.arm.name.lower())
+    design = write_controller(run, folder / package / "controller.onnx", best)
     low, high = design.periods
     words = {
         "PACKAGE": package,
@@ -355,7 +334,7 @@ def write_package(run: Run, folder: Path, best: str) -> Design:
         "ARM": run.arm.name,
         "CONTROLLER": design.name,
         "JOINTS": ", ".join(run.arm.joint_names),
-        "PERIOD": f"{usual_period(design):.4f}",
+        "PERIOD": f"{(low + high) / 2:.4f}",
         "LOW": f"{low:g}",
         "HIGH": f"{high:g}",
         "OUTSIDE": notice(design),
@@ -364,9 +343,9 @@ def write_package(run: Run, folder: Path, best: str) -> Design:
         text = (_TEMPLATES / template).read_text(encoding="utf-8")
         for word, value in words.items():
             text = text.replace(f"@{word}@", value)
-        _write(folder / place.format(package=package), text)
-    _write(inside / "__init__.py", "")
-    _write(folder / "resource" / package, "")
+        write_text(folder / place.format(package=package), text)
+    for empty in (f"{package}/__init__.py", f"resource/{package}"):
+        write_text(folder / empty, "")
     found = as_calibration(None, run, run.arm)
     if found is not None and found.used:
         unit = unit_arm(run.arm, found.displacement.rigid(run.arm, at_targets(run.arm)))
@@ -374,8 +353,3 @@ def write_package(run: Run, folder: Path, best: str) -> Design:
             folder / "urdf" / f"{run.arm.name}.urdf", unit, "This unit: the corrections are in the joint origins."
         )
     return design
-
-
-def _write(path: Path, text: str) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))

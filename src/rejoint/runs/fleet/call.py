@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import TypeAlias
@@ -18,10 +18,9 @@ from rejoint.runs.fleet.campaign import Campaign, RepairOptions, Verb, needs_rep
 from rejoint.runs.fleet.drive import End, Event, Executor, Rules, Standing, drive
 from rejoint.runs.fleet.file import Fleet, FleetArm
 from rejoint.runs.history import what_to_do
-from rejoint.runs.run import Run
 from rejoint.system.errors import RejointError
 from rejoint.system.extras import require
-from rejoint.system.files import saving, write_whole
+from rejoint.system.files import saving, write_text
 from rejoint.system.shell import command
 
 DRIFTS, ALARM, PARTLY, ROBOT = 6, 7, 5, 4
@@ -88,107 +87,67 @@ class FleetResult:
 
 def rows_of(campaign: Campaign, standings: Sequence[Standing]) -> tuple[FleetRow, ...]:
     """Make the rows of all arms, the worst first."""
-    row = _checked if campaign.verb == "check" else _repaired
-    rows = [row(campaign, one) for one in standings]
+    rows = [_row(campaign, one) for one in standings]
     return tuple(sorted(rows, key=lambda row: (_ORDER.index(row.code), -(row.error_mm or 0.0), row.name)))
 
 
-def _checked(campaign: Campaign, one: Standing) -> FleetRow:
-    row = campaign.check_of(one.arm) if one.end == "done" else None
-    if row is None:
-        return _undone(one, campaign.fleet.folder)
-    code = ALARM if needs_repair(row) else DRIFTS if row.state == "drifting" else 0
-    return _row(
-        one,
-        state="tolerance reached" if row.over else row.state,
-        error_mm=row.counts_mm,
-        found=row.line.partition(" Do: ")[0],
-        todo=what_to_do(row),
-        folder=campaign.fleet.folder / CHECKS / one.arm.name,
-        code=code,
+def _row(campaign: Campaign, one: Standing) -> FleetRow:
+    arm, end, folder = one.arm, one.end or "left", campaign.fleet.folder
+    run = campaign.run(arm) if campaign.verb == "repair" else folder
+    code = PARTLY if end != "failed" else ROBOT if one.outcome is None else one.outcome.code
+    row = FleetRow(
+        name=arm.name,
+        address=arm.address,
+        end=end,
+        state=end,
+        error_mm=None,
+        found=one.why,
+        todo="mend that, then give the same command again" if end == "failed" else "once that is so: the same command",
+        steps=tuple(one.steps),
+        lost=one.lost,
+        folder=run,
+        code=code if code in _ORDER else ROBOT,  # held, since the call had ended
+    )
+    if end == "done" and RunFolder(run).info.exists():  # else the check said that there is no need
+        return _repaired(row, quick=campaign.options.quick)
+    check = campaign.check_of(arm) if end == "done" else None
+    if check is None:
+        return row
+    return replace(
+        row,
+        state="tolerance reached" if check.over else check.state,
+        error_mm=check.counts_mm,
+        found=check.line.partition(" Do: ")[0],
+        todo=what_to_do(check),
+        folder=folder / CHECKS / arm.name,
+        code=ALARM if needs_repair(check) else DRIFTS if check.state == "drifting" else 0,
     )
 
 
-def _repaired(campaign: Campaign, one: Standing) -> FleetRow:
+def _repaired(row: FleetRow, *, quick: bool) -> FleetRow:
+    from rejoint.control.comparison.recommend import recommend
     from rejoint.pages.report.contents import before_after, read_contents
 
-    folder = campaign.run(one.arm)
-    if one.end != "done":
-        return _undone(one, folder)
-    if not RunFolder(folder).info.exists():  # the check said that there is no need
-        return _checked(campaign, one)
     try:
-        contents = read_contents(folder)
-        advised = _recommended(folder)
+        contents = read_contents(row.folder)
+        advised = "" if contents.comparison is None else recommend(contents.comparison).controller
         errors = before_after(contents, advised)
     except RejointError as error:
-        return _row(
-            one, state="damaged", error_mm=None, found=str(error), todo="repair it again", folder=folder, code=2
-        )
+        return replace(row, state="damaged", found=str(error), todo="repair it again", code=2)
     after = None if errors is None else errors.after.tool.value or errors.after.encoders
-    return _row(
-        one,
-        state="quick try" if campaign.options.quick else "repaired",
+    return replace(
+        row,
+        state="quick try" if quick else "repaired",
         error_mm=None if after is None else 1e3 * after,
         found="" if errors is None else errors.sentence,
-        todo=f"use {advised}: {command('deploy', one.arm.address, folder)}",
-        folder=folder,
+        todo=f"use {advised}: {command('deploy', row.address, row.folder)}",
         code=0,
     )
 
 
-def _recommended(folder: Path) -> str:
-    from rejoint.control.comparison.recommend import recommend
-
-    comparison = Run.open(folder).comparison
-    return "" if comparison is None else recommend(comparison).controller
-
-
-def _undone(one: Standing, folder: Path) -> FleetRow:
-    code = PARTLY if one.end != "failed" else ROBOT if one.outcome is None else one.outcome.code
-    code = code if code in _ORDER else ROBOT  # held, since the call had ended
-    todo = "mend that, then give the same command again" if one.end == "failed" else "once that is so: the same command"
-    return _row(one, state=one.end or "left", error_mm=None, found=one.why, todo=todo, folder=folder, code=code)
-
-
-def _row(
-    one: Standing, *, state: str, error_mm: float | None, found: str, todo: str, folder: Path, code: int
-) -> FleetRow:
-    return FleetRow(
-        name=one.arm.name,
-        address=one.arm.address,
-        end=one.end or "left",
-        state=state,
-        error_mm=error_mm,
-        found=found,
-        todo=todo,
-        steps=tuple(one.steps),
-        lost=one.lost,
-        folder=folder,
-        code=code,
-    )
-
-
-TITLES = {"check": "Arms checked", "repair": "Arms repaired"}
-_NAMED = 5  # arms whose state stands in the first lines (chosen: they are read at a glance)
-
-
 def write_page(path: Path, result: FleetResult) -> None:
     """Write the page; FileError if that fails."""
-    rows, count = result.rows, len(result.rows)
-    urgent, done = [row for row in rows if row.code], sum(row.end == "done" for row in rows)
-    first = f"{len(urgent)} of {count} arms need somebody." if urgent else f"Nothing to do on {count} arms."
-    html.write_page(
-        path,
-        "fleet.html",
-        title=TITLES[result.verb],
-        rows=rows,
-        headers=HEADERS,
-        subtitle=f"{done} of {count} arms done in {result.seconds:.0f} s, ended {result.ended:%Y-%m-%d %H:%M} UTC",
-        verdict=(first, *(f"{row.name}: {row.state}. {row.found}" for row in urgent[:_NAMED])),
-        parts=(("arms", "Arms"), ("steps", "Steps")),
-        footer="Made by rejoint fleet from the files of the runs and checks, which are not changed.",
-    )
+    html.write_page(path, "fleet.html", result=result, headers=HEADERS)
 
 
 MakeExecutor: TypeAlias = Callable[[Sequence[FleetArm]], AbstractContextManager[Executor]]
@@ -212,33 +171,25 @@ def run_fleet(
     unknown arm or cluster, MissingExtraError without the extra ``report``, for a repair without ``train``.
     """
     require(f"rejoint fleet {verb}", "report")
-    arms, begun = fleet.only(only), time.monotonic()
-    with locked(RunFolder(state_folder(fleet))):
+    arms, begun, place = fleet.only(only), time.monotonic(), state_folder(fleet)
+    with locked(RunFolder(place)):
         campaign = Campaign.open(fleet, verb, options, only=only, fresh=rules.fresh)
         begins(campaign)
         with executor(arms) as ready:
-            standings = drive(arms, campaign.left, campaign.work, ready, rules, tell)
+            standings = drive(arms, campaign, ready, rules, tell)
         result = FleetResult(
             verb=verb,
             rows=rows_of(campaign, standings),
             ended=utc_now(),
             seconds=time.monotonic() - begun,
-            page=state_folder(fleet) / f"{verb}.html",
+            page=place / f"{verb}.html",
             finished=campaign.through,
         )
         with saving(result):
-            _save(campaign, result, standings)
+            if result.finished:
+                campaign.finish()
+            for one in standings:
+                if one.outcome is not None and one.outcome.trace:
+                    write_text(place / f"bug-{one.arm.name}.txt", one.outcome.trace)
+            write_page(result.page, result)
     return result
-
-
-def _save(campaign: Campaign, result: FleetResult, standings: Sequence[Standing]) -> None:
-    if result.finished:
-        campaign.finish()
-    for one in standings:
-        if one.outcome is not None and one.outcome.trace:
-            _keep_trace(result.page.parent / f"bug-{one.arm.name}.txt", one.outcome.trace)
-    write_page(result.page, result)
-
-
-def _keep_trace(path: Path, text: str) -> None:
-    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 import traceback
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Literal, TypeAlias
@@ -14,7 +14,7 @@ from rejoint.logs.history.index import CHECKS
 from rejoint.logs.history.rows import SUMMARY, HistoryRow, read_rows, utc_now
 from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.runs.fleet.file import Fleet, FleetArm
-from rejoint.runs.repair import MOVING, StageName, stages_of
+from rejoint.runs.repair import MOVING, RepairPlan, StageName, repair, stages_of
 from rejoint.runs.run import is_finished, is_of_another, newest_or_new_in
 from rejoint.session.inputs import arm_of
 from rejoint.session.settings import Settings
@@ -30,10 +30,7 @@ Step: TypeAlias = Literal["check"] | StageName
 class RepairOptions:
     """Options of each repair, as in `rejoint.repair`."""
 
-    preset: str = "default"
-    controllers: tuple[str, ...] = ()
-    sets: int | None = None
-    repetitions: int | None = None
+    plan: RepairPlan = field(default_factory=RepairPlan)
     seed: int | None = None
     quick: bool = False
     needed: bool = False
@@ -105,9 +102,6 @@ def _do(work: Work) -> None:
 
         check(arm.address, history=work.folder, name=arm.name, arm=arm.description, tolerance_mm=arm.tolerance_mm)
         return
-    from rejoint.runs.repair import RepairPlan, repair  # late: who only checks arms needs none of its stages
-    from rejoint.runs.stages.compare import TrialPlan
-
     repair(
         arm.address,
         run=work.folder,
@@ -115,11 +109,7 @@ def _do(work: Work) -> None:
         quick=options.quick,
         only=work.step,
         settings=Settings(seed=options.seed),
-        plan=RepairPlan(
-            preset=options.preset,
-            controllers=options.controllers,
-            trials=TrialPlan(sets=options.sets, repetitions=options.repetitions),
-        ),
+        plan=options.plan,
     )
 
 
@@ -163,16 +153,15 @@ class Campaign:
     ) -> Campaign:
         """Resume or begin a call, with its folder locked (`state_folder`)."""
         path, now, arms = state_file(fleet, verb), utc_now(), fleet.only(only)
-        before = read_json(path, CampaignInfo) if path.exists() else None
-        # What was begun in the future was so by a wrong clock: no check of now would count for it.
-        if before is not None and (before.finished or fresh or not timedelta(0) <= now - before.begun < STALE[verb]):
-            before = None
-        runs = {} if before is None else dict(before.runs)
-        for arm in arms:
-            runs[arm.name] = _run_of(fleet, arm, runs.get(arm.name)) if verb == "repair" else ""
-        info = CampaignInfo(begun=now if before is None else before.begun, runs=runs)
+        before = info = CampaignInfo(begun=now, runs={})
+        if path.exists() and not fresh:
+            last = read_json(path, CampaignInfo)
+            # What was begun in the future was so by a wrong clock: no check of now would count for it.
+            info = last if not last.finished and timedelta(0) <= now - last.begun < STALE[verb] else info
+        runs = {arm.name: _run_of(fleet, arm, info.runs.get(arm.name)) if verb == "repair" else "" for arm in arms}
+        resumed, info = info is not before, replace(info, runs=info.runs | runs)
         write_json(path, info)
-        return cls(fleet=fleet, verb=verb, options=options or RepairOptions(), info=info, resumed=before is not None)
+        return cls(fleet=fleet, verb=verb, options=options or RepairOptions(), info=info, resumed=resumed)
 
     def run(self, arm: FleetArm) -> Path:
         """Run folder of an arm under repair."""
@@ -192,7 +181,7 @@ class Campaign:
         if files.finished.exists():
             return ()
         built = arm_of(arm.address, arm.description)
-        stages = stages_of(arm.address, built, files, controllers=options.controllers, quick=options.quick)
+        stages = stages_of(arm.address, built, files, controllers=options.plan.controllers, quick=options.quick)
         return tuple(name for name, file in stages.items() if name == "report" or not file.exists())
 
     def work(self, arm: FleetArm, step: Step) -> Work:
@@ -209,8 +198,7 @@ class Campaign:
 
     def finish(self) -> None:
         """Mark the campaign as finished."""
-        done = CampaignInfo(begun=self.info.begun, runs=self.info.runs, finished=True)
-        write_json(state_file(self.fleet, self.verb), done)
+        write_json(state_file(self.fleet, self.verb), replace(self.info, finished=True))
 
     def check_of(self, arm: FleetArm) -> HistoryRow | None:
         """Newest check of an arm in this campaign."""

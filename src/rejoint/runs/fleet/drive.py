@@ -8,10 +8,11 @@ from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from typing import Literal, Protocol, TypeAlias
 
-from rejoint.runs.fleet.campaign import Lost, Step, Work, WorkOutcome
+from rejoint.runs.fleet.campaign import Campaign, Lost, Step, Work, WorkOutcome
 from rejoint.runs.fleet.file import FleetArm
 from rejoint.system.stopping import check, noted, pause, shielded
 
+Kind: TypeAlias = Literal["begun", "done", "failed", "lost"]
 End: TypeAlias = Literal["done", "failed", "left"]
 
 LOOK = 0.5
@@ -60,7 +61,7 @@ class Event:
 
     arm: FleetArm
     step: Step
-    kind: Literal["begun", "done", "failed", "lost"]
+    kind: Kind
     text: str = ""
     seconds: float = 0.0
 
@@ -90,14 +91,13 @@ class _Lead:
     def __init__(
         self,
         arms: Sequence[FleetArm],
-        left: Callable[[FleetArm], Sequence[Step]],
-        work: Callable[[FleetArm, Step], Work],
+        campaign: Campaign,
         executor: Executor,
         rules: Rules,
         tell: Callable[[Event], object],
     ) -> None:
         self.standings = [Standing(arm=arm) for arm in arms]
-        self._left, self._work, self._executor, self._rules, self._tell = left, work, executor, rules, tell
+        self._campaign, self._executor, self._rules, self._tell = campaign, executor, rules, tell
 
     def lead(self) -> None:
         """Run until nothing is left for this call."""
@@ -105,9 +105,10 @@ class _Lead:
             check()
             waiting = self._begin()
             if any(one.running for one in self.standings):
-                self._hold_late()
-                for work, ended in self._executor.wait(LOOK):
-                    self._end(work, ended)
+                for one in self.standings:
+                    if not one.arm.hours.is_open(self._rules.now()):
+                        self._hold(one)
+                self._wait()
             elif waiting and self._rules.stay:
                 pause(IDLE)
             else:
@@ -115,34 +116,40 @@ class _Lead:
 
     def hold_all(self) -> None:
         """Bring real arms to a hold."""
-        moving = [one for one in self.standings if one.running is not None and one.running.held]
-        for one in moving:
-            if one.running is not None:
-                self._executor.hold(one.running)
+        for one in self.standings:
+            self._hold(one, again=True)
         until = time.monotonic() + HOLDING
-        while any(one.running for one in moving) and time.monotonic() < until:
-            for work, ended in self._executor.wait(LOOK):
-                self._end(work, ended)
+        while any(one.running and one.running.held for one in self.standings) and time.monotonic() < until:
+            self._wait()
+
+    def _hold(self, one: Standing, *, again: bool = False) -> None:
+        if one.running is not None and one.running.held and (again or not one.held):
+            one.held = True
+            self._executor.hold(one.running)
+
+    def _wait(self) -> None:
+        for work, ended in self._executor.wait(LOOK):
+            one = next(one for one in self.standings if one.running is work)
+            one.running = one.left = None
+            kind, took = self._end(one, work.step, ended)
+            self._tell(Event(arm=one.arm, step=work.step, kind=kind, text=one.why, seconds=took))
 
     def _begin(self) -> bool:
         now, waiting = self._rules.now(), False
         idle = [one for one in self.standings if one.end is None and one.running is None]
         for one in sorted(idle, key=lambda one: one.arm.hours.closes(now) or datetime.max):  # else in their order
             if one.left is None:
-                one.left = tuple(self._left(one.arm))
+                one.left = self._campaign.left(one.arm)
             if not one.left:
                 one.end = "done"
                 continue
-            work = self._work(one.arm, one.left[0])
+            work = self._campaign.work(one.arm, one.left[0])
             if work.moves:
-                refusal = refused(work, self._rules)
-                opens = opening(one.arm, now)
+                refusal, opens = refused(work, self._rules), opening(one.arm, now)
                 if refusal or opens != now:
                     one.why = refusal or _begins(opens)
-                    if refusal or opens is None or not self._rules.stay:
-                        one.end = "left"
-                    else:
-                        waiting = True
+                    later = not refusal and opens is not None and self._rules.stay
+                    one.end, waiting = None if later else "left", waiting or later
                     continue
                 if not self._has_room(work):
                     continue
@@ -157,53 +164,43 @@ class _Lead:
             return False
         return not work.held or sum(other.held for other in moving) < self._rules.at_once
 
-    def _hold_late(self) -> None:
-        now = self._rules.now()
-        for one in self.standings:
-            work = one.running
-            if work is not None and work.held and not one.held and not one.arm.hours.is_open(now):
-                one.held = True
-                self._executor.hold(work)
-
-    def _end(self, work: Work, ended: WorkOutcome | Lost) -> None:
-        one = next(one for one in self.standings if one.running is work)
-        one.running = one.left = None
+    def _end(self, one: Standing, step: Step, ended: WorkOutcome | Lost) -> tuple[Kind, float]:
+        """Note how a step of an arm ended; returns the kind of the event, and [s]."""
         if isinstance(ended, Lost):
             one.lost += 1
-            self._tell(Event(arm=one.arm, step=work.step, kind="lost", text=ended.why))
-            if work.held:
+            one.why = ended.why
+            if self._campaign.work(one.arm, step).held:
                 one.end = "failed"
-                one.why = f"what held it was lost during {work.step} ({ended.why}): look at the arm, then go on"
+                one.why = f"what held it was lost during {step} ({ended.why}): look at the arm, then go on"
             elif one.lost >= TRIES:
-                one.end, one.why = "failed", f"{work.step} was lost {TRIES} times ({ended.why})"
-            return
+                one.end, one.why = "failed", f"{step} was lost {TRIES} times ({ended.why})"
+            return "lost", 0.0
         if one.held and ended.problem:
-            one.end, one.why = "left", f"held during {work.step}; {_begins(opening(one.arm, self._rules.now()))}"
+            one.end, one.why = "left", f"held during {step}; {_begins(opening(one.arm, self._rules.now()))}"
         elif ended.problem:
-            one.end, one.why, one.outcome = "failed", f"{work.step}: {ended.problem}", ended
-        elif work.step in tuple(self._left(one.arm))[:1]:
-            one.end, one.why = "failed", f"{work.step} ended, but left no file in {work.folder}: can all computers "
-            one.why += "reach that folder?"
+            one.end, one.why, one.outcome = "failed", f"{step}: {ended.problem}", ended
+        elif step in self._campaign.left(one.arm)[:1]:
+            folder = self._campaign.work(one.arm, step).folder
+            one.end = "failed"
+            one.why = f"{step} ended, but left no file in {folder}: can all computers reach that folder?"
         else:
-            one.steps.append((work.step, ended.seconds))
-        kind: Literal["done", "failed"] = "done" if one.end is None else "failed"
-        self._tell(Event(arm=one.arm, step=work.step, kind=kind, text=one.why, seconds=ended.seconds))
+            one.steps.append((step, ended.seconds))
+        return "done" if one.end is None else "failed", ended.seconds
 
 
 def drive(
     arms: Sequence[FleetArm],
-    left: Callable[[FleetArm], Sequence[Step]],
-    work: Callable[[FleetArm, Step], Work],
+    campaign: Campaign,
     executor: Executor,
     rules: Rules,
     tell: Callable[[Event], object] = lambda _: None,
 ) -> list[Standing]:
     """Do all remaining steps of all arms; Ctrl-C and SIGTERM first bring moving arms to a hold.
 
-    ``left`` names an arm's remaining steps in order, ``work`` makes a step's task, ``tell`` receives each event. The
-    arm whose hours end first comes first. Returns the state of each arm, in the order of ``arms``.
+    ``tell`` receives each event. The arm whose hours end first comes first. Returns the state of each arm, in the order
+    of ``arms``.
     """
-    lead = _Lead(arms, left, work, executor, rules, tell)
+    lead = _Lead(arms, campaign, executor, rules, tell)
     with noted():
         try:
             lead.lead()

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Annotated
 
 import msgspec
+from msgspec.structs import asdict
 
 from rejoint.arms import CATALOGUE
 from rejoint.logs.history.rows import plain_name
@@ -33,8 +34,8 @@ _FULL = 24 * 60  # minutes of a day
 class Hours:
     """Hours at which an arm may move, by the local clock."""
 
-    spans: tuple[tuple[int, int, int], ...] = ()
-    """weekday from Monday 0, first and last minute of the day (above 1440: the next day); () always"""
+    spans: tuple[tuple[int, int], ...] = ()
+    """first minute of the week, from Monday 00:00, and number of minutes; (): always open"""
     closed: tuple[tuple[date, date], ...] = ()
     """first and last day without motion"""
 
@@ -42,12 +43,8 @@ class Hours:
         """Whether the arm may move at ``now``."""
         if any(first <= now.date() <= last for first, last in self.closed):
             return False
-        minute = 60 * now.hour + now.minute
-        today, before = now.weekday(), (now.weekday() - 1) % 7
-        return not self.spans or any(
-            (day == today and first <= minute < last) or (day == before and minute < last - _FULL)
-            for day, first, last in self.spans
-        )
+        minute = _FULL * now.weekday() + 60 * now.hour + now.minute
+        return not self.spans or any((minute - first) % (7 * _FULL) < length for first, length in self.spans)
 
     def opens(self, now: datetime) -> datetime | None:
         """Return ``now`` if open, else the next opening; None beyond `HORIZON`."""
@@ -60,7 +57,7 @@ class Hours:
         return next((one for one in self._changes(now) if not self.is_open(one)), None)
 
     def _changes(self, now: datetime) -> Iterator[datetime]:
-        minutes = {0, *(edge % _FULL for _, first, last in self.spans for edge in (first, last))}
+        minutes = {0, *(edge % _FULL for first, length in self.spans for edge in (first, first + length))}
         for day in range(HORIZON):
             midnight = datetime.combine(now.date() + day * _DAY, time())
             for minute in sorted(minutes):
@@ -75,7 +72,7 @@ def read_hours(spans: Sequence[str], closed: Sequence[str] = ()) -> Hours:
     )
 
 
-def _span(text: str) -> list[tuple[int, int, int]]:
+def _span(text: str) -> list[tuple[int, int]]:
     """Read the hours of one or several days: ``Fri 22:00-06:00`` ends on Saturday."""
     found = _SPAN.fullmatch(text)
     names = [] if found is None else [found[1], found[2] or found[1]]
@@ -85,8 +82,8 @@ def _span(text: str) -> list[tuple[int, int, int]]:
     if first >= _FULL or last > _FULL or int(found[4]) > 59 or int(found[6]) > 59 or first == last:
         raise ValueError(f"expected two different times from 00:00 to 24:00, found {text[:40]!r}")
     day, end = (DAYS.index(name.title()) for name in names)
-    count = (end - day) % 7 + 1
-    return [((day + i) % 7, first, last if last > first else last + _FULL) for i in range(count)]
+    length = (last - first) % _FULL or _FULL
+    return [((day + i) % 7 * _FULL + first, length) for i in range((end - day) % 7 + 1)]
 
 
 def _dates(text: str) -> tuple[date, date]:
@@ -199,13 +196,10 @@ def _arm(table: _ArmTable, top: _FleetTable, home: Path) -> FleetArm:
     if description is not None and description not in CATALOGUE:
         description = str(_place(home, description))
     arm_of(table.address, description)
-    said = {name: getattr(table, name) for name in _SharedTable.__struct_fields__}
-    said = {name: getattr(top, name) if value is None else value for name, value in said.items()}
-    hours = read_hours(said.pop("hours") or (), said.pop("closed") or ())
-    given = {name: value for name, value in said.items() if value is not None}
-    return FleetArm(
-        name=table.name, address=table.address, description=description, hours=hours, bench=table.bench, **given
-    )
+    shared = {name: getattr(top, name) for name in _SharedTable.__struct_fields__}
+    said = {name: value for one in (shared, asdict(table)) for name, value in one.items() if value is not None}
+    hours = read_hours(said.pop("hours", ()), said.pop("closed", ()))
+    return FleetArm(**said | {"description": description, "hours": hours})
 
 
 def _place(home: Path, text: str) -> Path:

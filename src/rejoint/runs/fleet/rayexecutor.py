@@ -15,18 +15,73 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from rejoint.runs.fleet.campaign import Lost, Work, WorkOutcome
+from rejoint.runs.fleet.campaign import Lost, Work, WorkOutcome, do_work
 from rejoint.runs.fleet.file import FleetArm
-from rejoint.runs.fleet.rayworker import ArmHolder, Holds, work_in_task
 from rejoint.system.errors import InputError, first_line
 from rejoint.system.extras import require
-from rejoint.system.stopping import check, noted, pause
+from rejoint.system.stopping import check, install, noted, pause
 
 NAMESPACE = "rejoint"
 STORE = 80 * 2**20
 """[bytes] of Ray's object store; chosen: Ray's minimum"""
 GOING = 10.0
 """[s] for the actor of an arm's last step to end; chosen"""
+
+PULSE = 0.5
+"""[s] between questions whether to hold an arm; chosen"""
+SILENCE = 10.0
+"""[s] without an answer until an arm is held; chosen"""
+
+
+class Holds:
+    """An actor that stores which arms to hold."""
+
+    def __init__(self) -> None:
+        self._names: set[str] = set()
+
+    def hold(self, name: str) -> None:
+        """Ask for a hold."""
+        self._names.add(name)
+
+    def wanted(self, name: str) -> bool:
+        """Whether to hold an arm."""
+        return name in self._names
+
+    def over(self, name: str) -> None:
+        """Forget an arm."""
+        self._names.discard(name)
+
+
+class ArmHolder:
+    """An actor with a real arm's only connection, for one task."""
+
+    def __init__(self) -> None:
+        install()  # so that being ended brings the arm to a hold
+
+    def do(self, work: Work, holds: Any) -> WorkOutcome:  # noqa: ANN401 - of Ray
+        """Move the arm; hold it on request or without an answer."""
+        stop = threading.Event()
+        thread = threading.Thread(target=_watch, args=(holds, work.arm.name, stop), daemon=True)
+        thread.start()
+        try:
+            return do_work(work)
+        finally:
+            stop.set()
+            thread.join(PULSE)
+            holds.over.remote(work.arm.name)
+
+
+def _watch(holds: Any, name: str, stop: threading.Event) -> None:  # noqa: ANN401
+    import ray
+
+    while not stop.wait(PULSE):
+        try:
+            wanted = ray.get(holds.wanted.remote(name), timeout=SILENCE)
+        except Exception:  # noqa: BLE001 - whatever it is, the call has ended
+            wanted = True
+        if wanted and not stop.is_set():
+            os.kill(os.getpid(), signal.SIGTERM)
+            return
 
 
 class RayExecutor:
@@ -50,7 +105,7 @@ class RayExecutor:
             self.cpus = int(self._ray.cluster_resources().get("CPU", 0))
             self._require_reached(real, address)
             self._holds = self._ray.remote(num_cpus=0)(Holds).remote()
-            self._work = self._ray.remote(max_retries=0)(work_in_task)
+            self._work = self._ray.remote(max_retries=0)(do_work)
             self._arm = self._ray.remote(num_cpus=0, max_restarts=0, max_task_retries=0)(ArmHolder)
         except BaseException:
             self.close()

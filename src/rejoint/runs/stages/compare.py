@@ -6,11 +6,12 @@ Trials are stored one by one. The diagnosis counts as trials of ``default``.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from rejoint.control.comparison.compare import Settings as TrialSettings
 from rejoint.control.comparison.elimination import Elimination
 from rejoint.control.comparison.holding import Holding, errors_of, found_errors, vary_directions
 from rejoint.control.comparison.ledger import Ledger
-from rejoint.control.comparison.protocols import KINDS, Driven, measure
+from rejoint.control.comparison.protocols import KINDS, Driven, Places, measure
 from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import Comparison, Protocol, TargetErrors
 from rejoint.control.correction import ToolModel
@@ -34,7 +35,7 @@ from rejoint.logs.runlog import RunLog, read_log, write_log
 from rejoint.robots import open_robot
 from rejoint.runs.history import summarise
 from rejoint.runs.run import Run, metered
-from rejoint.runs.stages.helper import LEAST, HelperProcess, Job, core_to_spare
+from rejoint.runs.stages.helper import LEAST, HelperProcess, core_to_spare
 from rejoint.session.context import calibration_of, correction_of, guard_limits, stance_of
 from rejoint.session.controllers import Controllers, Factory, all_named, listed, make_factories
 from rejoint.session.inputs import (
@@ -137,9 +138,6 @@ def _recording(log: RunLog) -> tuple[Recording, Array]:
 SOURCE = "the diagnosis"
 """Source of the default controller's results"""
 
-THREADS = 2
-"""of emulated arms; no effect on results"""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Compared:
@@ -158,24 +156,47 @@ class ComparisonJob:
 
     robot: RobotLike
     arm: Arm
-    run: Run | None
-    factories: dict[str, Factory]
     targets: Array
     settings: TrialSettings
-    period: Period | None
-    twin: Twin | None
-    correct: Callable[[Arm], Modelled] | None
-    model: Calibration | None
-    file: str
+    run: Run | None = None
+    factories: dict[str, Factory] = field(default_factory=dict)
+    period: Period | None = None
+    twin: Twin | None = None
+    correct: Callable[[Arm], Modelled] | None = None
+    model: Calibration | None = None
+    file: str = ""
     """of the targets, or empty"""
-    before: OpenLoopTrials | None
+    before: OpenLoopTrials | None = None
     """the diagnosis's trials of the first set, if used"""
-    directions: bool
+    directions: bool = False
     turns: Orientation | None = None
     """(S, K) tool orientations at the targets"""
     observer: Observer = field(default_factory=Observer)
     by_name: bool = False
     """whether another process can make the controllers by name"""
+    threads: int = 2
+    """of emulated arms; no effect on results"""
+
+    @property
+    def places(self) -> Places:
+        """Target sets and repetitions."""
+        return tuple(product(range(len(self.targets)), range(self.settings.repetitions)))
+
+    @cached_property
+    def _how(self) -> dict[str, Any]:
+        """What each motion is given."""
+        return {
+            "stance": stance_of(self.twin, self.run),
+            "limits": guard_limits(self.run, self.arm, address_of(self.robot)),
+            "correction": self.correct,
+            "model": self.model,
+        }
+
+    def runner(self, name: str) -> TrialRunner:
+        """Runner of a controller's trials, in another process."""
+        posed, period = self.turns is not None, period_of(self.robot, self.period)
+        factories = make_factories([name], self.arm, period, run=self.run, twin=self.twin, posed=posed)
+        return TrialRunner(self._open, factories, self.targets, self.settings, turns=self.turns, **self._how)
 
     def drive(self, on_progress: Progress, helper: HelperProcess | None = None) -> Compared:
         """Compare; in a run, resume and write the result. The caller closes ``helper``."""
@@ -232,14 +253,11 @@ class ComparisonJob:
                 on_progress=on_progress,
                 on_trial=keep,
                 ledger=ledger,
-                limits=guard_limits(self.run, self.arm, address_of(self.robot)),
-                stance=stance_of(self.twin, self.run),
-                correction=self.correct,
-                model=self.model,
                 measured=() if before is None else (before.driven,),
                 source=SOURCE,
                 turns=self.turns,
                 helper=helper,
+                **self._how,
             ).compare()
             result = self._beside(result, before, self._open if self.settings.batched else watched)
         if before is not None and self.run is not None:
@@ -252,15 +270,7 @@ class ComparisonJob:
     def _beside(
         self, result: Comparison, before: OpenLoopTrials | None, opened: Callable[[int, int], Robot]
     ) -> Comparison:
-        how = Holding(
-            open_robot=opened,
-            batched=self.settings.batched,
-            seed=self.settings.seed,
-            stance=stance_of(self.twin, self.run),
-            limits=guard_limits(self.run, self.arm, address_of(self.robot)),
-            correction=self.correct,
-            model=self.model,
-        )
+        how = Holding(open_robot=opened, batched=self.settings.batched, seed=self.settings.seed, **self._how)
         protocol, own = self.settings.protocol, self.factories.get(DEFAULT)
         try:
             if self.correct is not None and before is not None:
@@ -282,67 +292,45 @@ class ComparisonJob:
 
     def begin_ahead(self) -> HelperProcess | None:
         """Start a second process with the known trials, if a core is free."""
-        if not self._shareable():
-            return None
-        job = self._work()
-        helper = HelperProcess(job)
-        for task in product(self.factories, KINDS):
-            helper(task, job.places)
+        helper = self._help()
+        if helper is not None:
+            for task in product(self.factories, KINDS):
+                helper(task, self.places)
         return helper
 
     @contextmanager
     def _helped(self, ahead: HelperProcess | None) -> Iterator[Helper | None]:
-        if ahead is not None or not self._shareable():
-            yield ahead
-        else:
-            with closing(HelperProcess(self._work())) as helper:
-                yield helper
+        helper = ahead or self._help()
+        try:
+            yield helper
+        finally:
+            if helper is not None and ahead is None:
+                helper.close()
 
-    def _shareable(self) -> bool:
-        settings = self.settings
-        size = 2 * self.targets.shape[0] * self.targets.shape[1] * settings.repetitions * len(self.factories)
+    def _help(self) -> HelperProcess | None:
+        size = 2 * len(self.places) * self.targets.shape[1] * len(self.factories)
         plain = self.by_name and isinstance(self.robot, str) and not self.observer.shows
-        return plain and settings.batched and size >= LEAST and core_to_spare()
-
-    def _work(self) -> Job:
-        return Job(
-            robot=str(self.robot),
-            arm=self.arm,
-            run=None if self.run is None else self.run.path,
-            twin=self.twin,
-            period=self.period,
-            targets=self.targets,
-            turns=self.turns,
-            settings=self.settings,
-            limits=guard_limits(self.run, self.arm, address_of(self.robot)),
-            correct=self.correct,
-        )
+        if not (plain and self.settings.batched and size >= LEAST and core_to_spare()):
+            return None
+        sent = replace(self, factories={}, model=None, before=None, observer=Observer(), threads=1)
+        return HelperProcess(sent)
 
     def _open(self, count: int, seed: int) -> Robot:
         if not isinstance(self.robot, str):
             robot: Robot = Borrowed(self.robot)
         else:
-            robot = open_robot(self.robot, arm=self.arm, seed=seed, count=count, period=self.period, threads=THREADS)
+            robot = open_robot(
+                self.robot, arm=self.arm, seed=seed, count=count, period=self.period, threads=self.threads
+            )
         return self.observer.watch(robot, twin=self.twin, within=self.settings.protocol.threshold)
 
     def _digest(self, run: Run) -> str:
         used = run.folder.policy, run.folder.twin, run.folder.gains
-        files = [digest(path.read_bytes()).decode() for path in used if path.exists()]
-        turns = None if self.turns is None else (self.turns.rotation, self.turns.whole, self.turns.weight)
-        about = (
-            __version__,
-            address_of(self.robot),
-            repr(self.arm),
-            repr(self.settings),
-            tuple(self.factories),
-            self.period,
-            files,
-            self.targets.tolist(),
-            repr(self.correct),
-            self.before is None,
-            turns and [part.tolist() for part in turns],
-        )
-        return digest(repr(about).encode()).decode()
+        files = [digest(path.read_bytes()) for path in used if path.exists()]
+        turns = self.turns and [part.tolist() for part in (self.turns.rotation, self.turns.whole, self.turns.weight)]
+        options = self.period, self.correct, self.before is None, turns
+        about = self.arm, self.settings, list(self.factories), self.targets.tolist(), files, options
+        return digest(repr((__version__, address_of(self.robot), about)).encode()).decode()
 
 
 SETS, REPETITIONS = 10, 6

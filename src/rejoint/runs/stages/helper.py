@@ -8,28 +8,16 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass
 from multiprocessing.connection import Connection, Pipe
-from pathlib import Path
 from queue import SimpleQueue
 from threading import Thread
-from typing import Any
+from typing import Any, Protocol
 
-from rejoint.arms import Arm, Array
-from rejoint.arms.rotations import Orientation
-from rejoint.control.comparison.compare import Result, Settings, Task, TrialRunner
-from rejoint.control.comparison.protocols import Kind, Places
-from rejoint.control.correction import Modelled
-from rejoint.control.guard import GuardLimits
-from rejoint.control.robot import Robot
-from rejoint.robots import open_robot
-from rejoint.session.controllers import make_factories
-from rejoint.session.inputs import Period, as_run, period_of
+from rejoint.control.comparison.compare import Result, Task, TrialRunner
+from rejoint.control.comparison.protocols import Places
 from rejoint.system.shell import give_back
-from rejoint.twin.twin import Twin
 
 LEAST = 400
 """Targets of all trials that are worth a helper; chosen"""
@@ -42,42 +30,11 @@ def core_to_spare() -> bool:
     return os.name == "posix" and (os.cpu_count() or 1) > 1 and os.environ.get("OMP_NUM_THREADS") != "1"
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Job:
-    """A helper's part of a comparison."""
-
-    robot: str
-    arm: Arm
-    run: Path | None
-    twin: Twin | None
-    period: Period | None
-    targets: Array
-    turns: Orientation | None
-    settings: Settings
-    limits: GuardLimits | None
-    correct: Callable[[Arm], Modelled] | None
-
-    @property
-    def places(self) -> Places:
-        """Target sets and repetitions."""
-        return tuple((s, r) for s in range(len(self.targets)) for r in range(self.settings.repetitions))
+class Job(Protocol):
+    """A comparison of which a helper drives a part."""
 
     def runner(self, name: str) -> TrialRunner:
         """Runner of a controller's trials."""
-        run, period = None if self.run is None else as_run(self.run), period_of(self.robot, self.period)
-        factories = make_factories([name], self.arm, period, run=run, twin=self.twin, posed=self.turns is not None)
-        return TrialRunner(
-            self._open,
-            factories,
-            self.targets,
-            self.settings,
-            turns=self.turns,
-            limits=self.limits,
-            correction=self.correct,
-        )
-
-    def _open(self, count: int, seed: int) -> Robot:
-        return open_robot(self.robot, arm=self.arm, seed=seed, count=count, period=self.period, threads=1)
 
 
 class HelperProcess:
@@ -129,13 +86,10 @@ def main(line: int) -> None:
     job: Job = tasks.get()
     while True:
         (name, kind), places = tasks.get()
-        asked.send(_drive(job.runner(name), name, kind, places))
+        runner = job.runner(name)
+        driven, recording = runner.drive_batch(runner.open_batch(places), name, kind, places)
+        asked.send((driven, recording.of(slice(1))))
         give_back()
-
-
-def _drive(runner: TrialRunner, name: str, kind: Kind, places: Places) -> Result:
-    driven, recording = runner.drive_batch(runner.open_batch(places), name, kind, places)
-    return driven, recording.of(slice(1))
 
 
 def _listen(asked: Connection, tasks: SimpleQueue[Any]) -> None:
