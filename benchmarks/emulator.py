@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks.virtual import START, VirtualClient
 from rejoint.arms import mycobot280
-from rejoint.arms.wire.orders import ORDERS, QUESTIONS, STATES, SWITCHES, answer
+from rejoint.arms.wire.orders import ORDERS, QUESTIONS, answer
 from rejoint.arms.wire.values import MAX_PAYLOAD, Decoder, Frame, encode, pack_angles
 from rejoint.robots.lab.emulator import Firmware, Server, Timing, build_firmware, serve_tcp
 
@@ -25,9 +25,7 @@ FRAMES, CONNECTIONS, SOAK = 1_000_000, 10_000, 3600.0
 """How many requests and connections, and how long [s] the soak is"""
 
 GET_ANGLES = encode(Frame(0x20))
-KNOWN = [(command, 0) for command in (*STATES, *SWITCHES)] + [
-    (command, size) for table in (QUESTIONS, ORDERS) for command, (sizes, _) in table.items() for size in sizes
-]
+KNOWN = [*QUESTIONS, *ORDERS]
 _SEARCHING = (0x24, 0x25, 0x31, 0x32, 0x34, 0x8D)
 """Requests that need inverse kinematics, tens of milliseconds each: drawn in one of `_SELDOM` cases only."""
 _SELDOM = 1000

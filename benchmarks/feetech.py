@@ -41,8 +41,7 @@ from rejoint.robots.lab.emulator.feetech import (
     build_arm,
     encode,
 )
-from rejoint.robots.lab.plant.plant import Plant
-from rejoint.robots.lab.plant.sts3215 import StsPlant
+from rejoint.robots.lab.plant.plant import Plant, StsPlant
 from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.runs.connect import connect
 from rejoint.system.errors import NoReplyError

@@ -23,7 +23,7 @@ class VirtualClient:
             firmware,
             timing=timing or Timing(),
             seed=seed,
-            faults=faults or Faults(),
+            faults=faults or {},
             clock=lambda: self.now,
             await_data=self._await,
         )

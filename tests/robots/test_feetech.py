@@ -17,9 +17,10 @@ from rejoint.robots import open_robot, place_of
 from rejoint.robots.feetech.bus import FeetechBus, Gripper
 from rejoint.robots.feetech.gains import LIMIT, Tuning
 from rejoint.robots.feetech.wire import Wire, Zeros, read_calibration, zeros_of
-from rejoint.robots.lab.emulator.faults import parse_faults
+from rejoint.robots.lab.emulator.faults import parse_faults, size_of
 from rejoint.robots.lab.emulator.feetech import HOMING, NAMES, BusSession, build_arm
-from rejoint.robots.lab.emulator.servers import on_port, on_terminal
+from rejoint.robots.lab.emulator.servers import on_port
+from rejoint.robots.wireserver import TerminalServer
 from rejoint.system.errors import (
     AddressError,
     ConnectionLostError,
@@ -40,8 +41,8 @@ TORQUE, GOAL, LOCK = 40, 42, 55
 @contextmanager
 def serving(fault="", *, pty=False, arm=None):
     faults = parse_faults(fault, 5)
-    arm = arm or build_arm(ARM, "so101", resistance=faults.sag)
-    with (on_terminal if pty else on_port)(BusSession(arm, faults=faults)) as server:
+    arm = arm or build_arm(ARM, "so101", resistance=size_of(faults, "sag"))
+    with (TerminalServer if pty else on_port)(BusSession(arm, faults=faults)) as server:
         server.arm = arm
         yield server
 

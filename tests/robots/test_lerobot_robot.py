@@ -14,7 +14,8 @@ import pytest
 from rejoint.arms import load_arm
 from rejoint.control.guard import GuardLimits
 from rejoint.robots.lab.emulator.feetech import BusSession, build_arm
-from rejoint.robots.lab.emulator.servers import on_port, on_terminal
+from rejoint.robots.lab.emulator.servers import on_port
+from rejoint.robots.wireserver import TerminalServer
 from rejoint.runs.connect import connect
 from rejoint.runs.run import Run
 from rejoint.system.errors import InputError
@@ -29,7 +30,7 @@ pytestmark = pytest.mark.realtime
 @contextmanager
 def serving(tmp_path, pty=False):
     arm = build_arm(ARM, "so101")
-    with (on_terminal if pty else on_port)(BusSession(arm)) as server:
+    with (TerminalServer if pty else on_port)(BusSession(arm)) as server:
         server.arm = arm
         server.run = Run.create(tmp_path / "run", server.address, ARM).path
         yield server

@@ -13,7 +13,7 @@ import pytest
 from benchmarks.serve import ARM, attack, check_log, connected, holds, play, read_times, served
 
 from rejoint.arms import Motors, gravity_torque, tcp_pose, tcp_position
-from rejoint.arms.wire.computer import COLLISION
+from rejoint.arms.wire.mover import COLLISION
 from rejoint.arms.wire.values import Decoder, Frame, encode, pack_angles, pack_coords
 from rejoint.control.correction import Apparent
 from rejoint.control.guard import GuardLimits

@@ -1,4 +1,4 @@
-"""Robots by families: emulated, a myCobot by its vendor's client, and those of other packages."""
+"""Robots by families."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ from rejoint.system.errors import (
 from rejoint.system.stopping import check, ending, pause
 
 ALARMING = 60.0
-"""[deg C] a higher temperature is asked for again (chosen: below the guard's trip)"""
+"""[deg C] a higher one is asked for again (chosen: below the guard's trip)"""
 SAME = 2.0
 """[deg C] allowed difference of two such answers (chosen)"""
 
@@ -92,7 +92,7 @@ class Bus(ABC):
     """One arm behind its wire, without timing, repetition or checks.
 
     After TimeoutError, ValueError, IndexError or struct.error `Link` asks again; after another OSError it reopens the
-    bus. `RobotError` ends the motion.
+    bus.
     """
 
     name: str = "robot"
@@ -106,9 +106,9 @@ class Bus(ABC):
         """Connect, also after `close` of a broken connection."""
 
     def prepare(self, until: float | None = None) -> None:  # noqa: B027 - nothing is a sensible answer
-        """Prepare a connected arm without motion, by ``until`` [s] after a broken connection.
+        """Prepare a connected arm without motion, by ``until`` [s].
 
-        PowerLostError if a prepared arm has lost its power: the user must switch it on.
+        PowerLostError if a prepared arm has lost its power.
         """
 
     @abstractmethod
@@ -144,7 +144,7 @@ class Bus(ABC):
         raise RobotError(f"the gains of a {self.name} cannot be kept: {gains}")
 
     def relay(self, command: int, payload: bytes) -> bytes | None:  # noqa: ARG002 - most wires have nothing to pass on
-        """Ask another device, such as a gripper, in the wire's words; None: no answer."""
+        """Ask another device, such as a gripper; None: no answer."""
         return None
 
     def resynchronise(self, deadline: float) -> None:  # noqa: B027 - nothing is a sensible answer
@@ -264,11 +264,11 @@ class Link:
 
 def persist(
     question: Callable[[], T],
-    recover: Callable[[RobotError, float], None],
+    recover: Callable[[RobotError, float], object],
     clock: Clock,
     until: float | None = None,
 ) -> T:
-    """Ask up to `ATTEMPTS` times until ``until`` [s], with ``recover(error, deadline)`` in between."""
+    """Ask up to `ATTEMPTS` times until ``until`` [s], with ``recover`` in between."""
     attempt, began = 0, clock.now()
     while True:
         attempt += 1

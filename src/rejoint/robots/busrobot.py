@@ -1,4 +1,4 @@
-"""One arm behind its bus: control period, checks of answers, health of servos."""
+"""One arm behind its bus."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ REPEAT_LIMIT = 1.5
 
 
 def judge(position: Array, arm: Arm) -> None:
-    """Raise ImpossibleReplyError for joint positions (n,) [rad] that ``arm`` cannot have; NaN: unknown."""
+    """Raise ImpossibleReplyError for impossible positions (n,) [rad]; NaN: unknown."""
     if np.shape(position) != (arm.joints,):
         raise ImpossibleReplyError(f"expected {arm.joints} joint angles, got {position!r}")
     unreadable = np.isnan(position)
@@ -72,7 +72,7 @@ class Continuity:
     def check(self, time: float, position: Array) -> None:
         """Raise ImpossibleReplyError if no servo can reach ``position`` (n,) [rad] by ``time`` [s].
 
-        After a pause two answers have to agree; two that agree overrule the last one if they suit the one before it.
+        After a pause two answers must agree; two that agree overrule the last one if they suit the one before.
         """
         if self._last is None:
             return
@@ -104,8 +104,7 @@ class Continuity:
     def accept(self, time: float, position: Array, command: Array | None) -> float:
         """Take an answer; return its age [s]: how long it should have changed.
 
-        Only commands of two joints that moved by over 10 deg without any encoder step count. StaleReplyError when that
-        lasts.
+        Only commands of two joints that moved by over 10 deg count. StaleReplyError when that lasts.
         """
         if self._last is None or np.any(position != self._last[1]):
             self._command_then = command
@@ -166,7 +165,7 @@ class Health:
             self._questions = ()
 
     def poll(self, spare: float) -> None:
-        """Ask the next question if ``spare`` [s] is enough or the last answer is old."""
+        """Ask the next question if ``spare`` [s] is enough or one is due."""
         if self._questions and (spare > _SPARE * self._cost or self._clock.now() >= self._due):
             self._ask()
 
@@ -245,7 +244,7 @@ class BusRobot:
         return self._state
 
     def step(self, command: Array, active: Mask | None = None) -> JointState:
-        """Send ``command`` (1, n) [rad], wait a period, read; an arm not ``active`` (1,) repeats its state."""
+        """Send ``command`` (1, n) [rad], wait a period, read."""
         if command.shape != (1, self.arm.joints) or not np.isfinite(command).all():
             raise InputError(
                 f"expected finite joint positions of shape (1, {self.arm.joints}), got {np.shape(command)}"
@@ -322,16 +321,17 @@ class BusRobot:
 
 
 def _own(reading: Reading, joints: int) -> Reading:
-    told = {name: getattr(reading, name) for name in ("load", "temperature", "fault", "voltage")}
-    arrays: dict[str, Any] = {name: np.array(value, float) for name, value in told.items() if value is not None}
-    for name, array in arrays.items():
-        if array.shape != (joints,):
-            raise ImpossibleReplyError(f"expected {joints} values of {name}, got {array!r}")
-    return replace(reading, position=np.array(reading.position, float), **arrays)
+    arrays: dict[str, Any] = {}
+    for name in ("position", "load", "temperature", "fault", "voltage"):
+        if (value := getattr(reading, name)) is not None:
+            arrays[name] = np.array(value, float)
+            if arrays[name].shape != (joints,):
+                raise ImpossibleReplyError(f"expected {joints} values of {name}, got {value!r}")
+    return replace(reading, **arrays)
 
 
 def bus_family(bus: Callable[[T, Arm], Bus], *, parse: Callable[[str], T], **options: Any) -> Family[T]:  # noqa: ANN401
-    """Family of arms behind a ``bus`` of what ``parse`` reads; ``options`` as in `Family`."""
+    """Family of arms behind a ``bus`` of a parsed address; ``options`` as in `Family`."""
 
     def connect(place: Place[T], opening: Opening) -> Robot:
         robot = BusRobot(

@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING
-
-import numpy as np
-from numpy.typing import NDArray
-
-from rejoint.system.errors import InputError
-from rejoint.system.extras import require
-
-if TYPE_CHECKING:
-    import cv2
 from collections import deque
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
 
 from rejoint.arms import Array
 from rejoint.arms.camera.board import Board
@@ -24,6 +18,11 @@ from rejoint.control.robot import Robot, part_of
 from rejoint.control.seeing import Sighting
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.lab.camera.scene import Picture, Scene, beside, on_tool
+from rejoint.system.errors import InputError
+from rejoint.system.extras import require
+
+if TYPE_CHECKING:
+    import cv2
 
 SIZE = (1920, 1080)
 """[px] wanted width and height"""
@@ -52,14 +51,16 @@ class LiveCamera:
         if not device.isOpened():
             device.release()
             raise InputError(f"no camera answers as number {self.number}; plug it in, or give another number")
-        device.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
-        device.set(cv2.CAP_PROP_FRAME_WIDTH, self.size[0])
-        device.set(cv2.CAP_PROP_FRAME_HEIGHT, self.size[1])
-        device.set(cv2.CAP_PROP_AUTOFOCUS, 0.0)
-        device.set(cv2.CAP_PROP_AUTO_WB, 0.0)
+        wanted: dict[str, float] = {
+            "FOURCC": cv2.VideoWriter.fourcc(*"MJPG"),
+            "FRAME_WIDTH": self.size[0],
+            "FRAME_HEIGHT": self.size[1],
+        }
+        wanted |= {"AUTOFOCUS": 0, "AUTO_WB": 0}
         if self.exposure is not None:
-            device.set(cv2.CAP_PROP_AUTO_EXPOSURE, _MANUAL)
-            device.set(cv2.CAP_PROP_EXPOSURE, self.exposure)
+            wanted |= {"AUTO_EXPOSURE": _MANUAL, "EXPOSURE": self.exposure}
+        for name, value in wanted.items():
+            device.set(getattr(cv2, f"CAP_PROP_{name}"), value)
         self._device = device
         return self
 
@@ -103,7 +104,7 @@ class EmulatedCamera:
 
 
 def watching(board: Board, carried: str, seed: int) -> Callable[[Robot], AbstractContextManager[EmulatedCamera]]:
-    """Return what opens a camera beside an emulated arm, or on its tool."""
+    """Return the opener of a camera beside an emulated arm, or on its tool."""
 
     def opened(robot: Robot) -> AbstractContextManager[EmulatedCamera]:
         arm = robot.arm
@@ -119,7 +120,7 @@ def watching(board: Board, carried: str, seed: int) -> Callable[[Robot], Abstrac
 
 
 LATERAL, DEPTH = 1e-4, 5e-4
-"""[m] deviations of a detection across and along the line of sight (chosen)"""
+"""[m] deviations across and along the line of sight (chosen)"""
 
 
 @dataclass(eq=False)

@@ -1,4 +1,4 @@
-"""Worn arms in this process, in virtual time, behind a channel with latency and jitter."""
+"""Worn arms in this process, in virtual time."""
 
 from __future__ import annotations
 
@@ -11,9 +11,8 @@ from rejoint.arms import Arm, Array
 from rejoint.control.robot import JointState, Mask
 from rejoint.control.servogains import Rung, ServoGains
 from rejoint.robots.feetech.gains import FIRST, FULL, LIMIT, LOAD, REGISTERS, RUNGS, SIZE, Gains, Tuning, for_all
-from rejoint.robots.lab.plant.plant import Plant, Truth
+from rejoint.robots.lab.plant.plant import Plant, StsPlant, Truth
 from rejoint.robots.lab.plant.servo import Channel, Interval, has_these_servos, stream_keys
-from rejoint.robots.lab.plant.sts3215 import StsPlant
 from rejoint.robots.lab.plant.wear import Wear
 from rejoint.system.errors import InputError
 
@@ -81,7 +80,7 @@ _CHANNEL_PURPOSE = 1
 class EmulatedRobot:
     """B emulated arms; time passes only in `step`.
 
-    Arm i takes noise from the stream ``first + i`` of ``seed`` and moves bit for bit as it would alone.
+    Arm i takes noise from the stream ``first + i`` of ``seed``.
     """
 
     def __init__(
@@ -96,10 +95,10 @@ class EmulatedRobot:
         gains: Gains | None = None,
         **options: Any,  # noqa: ANN401
     ) -> None:
-        """Put the arms at ``start`` (B, n) or (n,) [rad], by default at rest.
+        """Put the arms at ``start`` (B, n) or (n,) [rad], or rest.
 
-        ``options``: fields of `Truth`; ``threads`` and ``first`` of `Plant`; ``command_latency`` and ``readback_age``
-        [s] of the `Channel`; ``tells_load``: servos report a load.
+        ``options``: fields of `Truth`; ``threads``, ``first`` of `Plant`; ``command_latency``, ``readback_age`` [s];
+        ``tells_load``.
         """
         self.arm, self.address, self.count = arm, address, len(wears)
         self._tells_load = options.pop("tells_load", True)
@@ -133,7 +132,7 @@ class EmulatedRobot:
         )
 
     def step(self, command: Array, active: Mask | None = None) -> JointState:
-        """Send ``command`` (B, n) [rad], wait a period, read; arms not ``active`` stand still in time."""
+        """Send ``command`` (B, n) [rad], wait a period, read."""
         delays = self._channel.draw(self._keys, self._cycle)
         self.plant.command(command, delays.latency, active)
         self.plant.advance(delays.period, active)

@@ -1,8 +1,7 @@
-"""A myCobot 280, real or emulated, through the vendor's client; a command takes 8 ms, a reading 12 ms.
+"""A myCobot 280, real or emulated, through the vendor's client.
 
 Over TCP pymycobot never resynchronises: after a late answer every call returns the previous answer. So no question is
-asked while bytes wait, and both sides are resynchronised after a failure. The emulator's codec is not used: the client
-tests it.
+asked while bytes wait, and failures resynchronise both sides. The emulator's codec is not used: the client tests it.
 """
 
 from __future__ import annotations
@@ -56,7 +55,7 @@ ORDERS: dict[int, str] = dict(reversed(_CODES))
 
 
 def make_client(address: TcpAddress | SerialAddress) -> MyCobot280 | MyCobot280Socket:
-    """Construct the vendor's client, which connects and sleeps 1.5 s; OSError for a busy port."""
+    """Construct the vendor's client; OSError for a busy port."""
     root = logging.getLogger()
     handlers, level = root.handlers[:], root.level
     try:
@@ -99,10 +98,7 @@ _JOINTS = len(LOWEST_DEG)
 
 
 class MyCobotBus(Bus):
-    """The wire of a myCobot 280.
-
-    Opening powers the arm and sets fresh mode: the newest command wins.
-    """
+    """The wire of a myCobot 280, powered and in fresh mode: the newest command wins."""
 
     name = "myCobot 280"
     advice = f"{Bus.advice} `rejoint emulate` starts an arm to try"
@@ -123,13 +119,15 @@ class MyCobotBus(Bus):
 
     def prepare(self, until: float | None = None) -> None:
         """Check the power, switch it on the first time, and set fresh mode."""
-        if (
-            self._confirm("is_power_on", until) != 1 and self._confirm("is_power_on", until) != 1
-        ):  # one wrong byte is no news
+        if all(self._confirm("is_power_on", until) != 1 for _ in range(2)):  # one wrong byte is no news
             if self._was_ready:
                 raise PowerLostError(f"{self.address}: the arm lost its power; support it, then start again")
             self._confirm("power_on")
-            self._await_power()
+            deadline = self.clock.now() + POWER_UP
+            while self._confirm("is_power_on") != 1:
+                if self.clock.now() > deadline:
+                    raise NoReplyError(f"{self.address}: the servos do not power on; check supply and emergency stop")
+                self.clock.wait(0.1)
         for _ in range(ATTEMPTS + 1):
             if self._confirm("get_fresh_mode", until) == 1:
                 self._was_ready = True
@@ -163,7 +161,7 @@ class MyCobotBus(Bus):
         self._call("stop")
 
     def relay(self, command: int, payload: bytes) -> bytes | None:
-        """Send a client's command by number; grippers, lamps and pins answer with a byte."""
+        """Send a client's command by number; None: no answer."""
         try:
             answer = self._call("_mesg", command, *payload)
         except NoReplyError:
@@ -176,7 +174,7 @@ class MyCobotBus(Bus):
     def resynchronise(self, deadline: float) -> None:
         """Wait until no late answer is pending; ConnectionLostError.
 
-        Answers come in order: an immediate answer to another question, and silence after it, show that.
+        An immediate answer to another question, and silence after it, show that.
         """
         if not isinstance(self.address, TcpAddress):
             return
@@ -209,7 +207,8 @@ class MyCobotBus(Bus):
         return Vitals(fault=np.array([bool(status) for status in reply]))
 
     def _call(self, method: str, *arguments: object) -> object:
-        self._refuse_surplus()
+        if self._drain(0.0):
+            raise StaleReplyError(f"{self.address}: unexpected answers arrive")
         began = self.clock.now()
         try:
             answer: object = getattr(self._client, method)(*arguments)
@@ -226,10 +225,6 @@ class MyCobotBus(Bus):
                 "later answers would be those of earlier questions"
             )
         return answer
-
-    def _refuse_surplus(self) -> None:
-        if self._drain(0.0):
-            raise StaleReplyError(f"{self.address}: unexpected answers arrive")
 
     def _drain(self, quiet: float) -> bool:
         """Drop TCP bytes until none came for ``quiet`` [s]; whether any did."""
@@ -255,13 +250,6 @@ class MyCobotBus(Bus):
 
         return persist(lambda: self._call(method), recover, self.clock, until)
 
-    def _await_power(self) -> None:
-        deadline = self.clock.now() + POWER_UP
-        while self._confirm("is_power_on") != 1:
-            if self.clock.now() > deadline:
-                raise NoReplyError(f"{self.address}: the servos do not power on; check supply and emergency stop")
-            self.clock.wait(0.1)
-
 
 def read_angles(reply: object) -> Array:
     """Joint positions (n,) [rad] of an answer in degrees, NaN: unreadable."""
@@ -271,7 +259,7 @@ def read_angles(reply: object) -> Array:
 
 
 def wire_angles(position: Array) -> list[float]:
-    """Degrees (n,) that the truncating client sends as the nearest hundredth within limits."""
+    """Degrees (n,) for the truncating client, within limits."""
     hundredths = np.round(np.degrees(position) * 100.0)
     degrees = (hundredths + 0.25 * np.sign(hundredths)) / 100.0
     return [float(value) for value in np.clip(degrees, LOWEST_DEG, HIGHEST_DEG)]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from traceback import walk_tb
 from typing import Any
@@ -18,12 +19,10 @@ from rejoint.robots.family import (
     Family,
     Opening,
     Place,
-    SerialAddress,
-    TcpAddress,
     serial_address,
     tcp_address,
 )
-from rejoint.robots.feetech.gains import FORM, KNOBS, FeetechAddress, Gains, feetech_address, read_gains
+from rejoint.robots.feetech.gains import FORM, KNOBS, Gains, feetech_address, read_gains
 from rejoint.system.errors import AddressError, InputError, first_line
 
 SIMULATOR = "mujoco"
@@ -59,28 +58,19 @@ class EmulatedAddress:
 
 
 def _profile(text: str) -> EmulatedAddress:
-    detail = text.partition(":")[2]
-    if not detail or detail.startswith("//"):
+    base, _, query = text.partition(":")[2].partition("?")
+    if not base or base.startswith("//"):
         raise ValueError("not of the form emulated:PROFILE")
-    base, _, query = detail.partition("?")
-    parts = query.split("&") if query else []
-    keys = [part.partition("=")[0] for part in parts]
-    rest = "&".join(part for part, key in zip(parts, keys, strict=True) if key not in ("payload", *KNOBS))
-    given = {key: part.partition("=")[2] for part, key in zip(parts, keys, strict=True)}
-    gains = read_gains({key: text for key, text in given.items() if key in KNOBS})
-    return EmulatedAddress(profile=f"{base}?{rest}" if rest else base, payload=_payload(given), gains=gains)
-
-
-def _payload(given: Mapping[str, str]) -> float:
-    """Payload [kg] of address options; ValueError."""
-    text = given.get("payload", "0")
+    parts = [part.partition("=")[::2] for part in query.split("&")] if query else []
+    given = {key: value for key, value in parts if key in ("payload", *KNOBS)}
+    rest = "&".join(f"{key}={value}" for key, value in parts if key not in given)
     try:
-        payload = float(text)
+        payload = float(given.pop("payload", "0"))
     except ValueError:
         payload = -1.0
     if not 0.0 <= payload < 100.0:
-        raise ValueError(f"a payload is a mass in kg, such as payload=0.1, got {f'payload={text}'!r}")
-    return payload
+        raise ValueError(f"a payload is a mass in kg, such as payload=0.1, got {query!r}")
+    return EmulatedAddress(profile=f"{base}?{rest}" if rest else base, payload=payload, gains=read_gains(given))
 
 
 def _profile_arm(address: EmulatedAddress) -> str:
@@ -120,29 +110,22 @@ def unloaded(address: str) -> str:
     return _profile(address).text if address.startswith("emulated:") else address
 
 
-def _mycobot(address: TcpAddress | SerialAddress, arm: Arm) -> Bus:
-    from rejoint.robots.mycobot import MyCobotBus
+def _behind(module: str, name: str, kind: str, schemes: str) -> Callable[[Any, Arm], Bus]:
+    """Return what makes a module's bus; it has arms of one ``kind``."""
 
-    _require_kind(arm, DEFAULT_ARM, "tcp: and serial:")
-    return MyCobotBus(address, arm)
+    def bus(address: object, arm: Arm) -> Bus:
+        if arm.name in CATALOGUE and arm.name != kind:  # the guard would use its links
+            raise InputError(
+                f"at {schemes} addresses there are arms of the kind {kind}, and this is about a {arm.name}; check the "
+                "address, and whose run it is"
+            )
+        made: Bus = getattr(import_module(f"rejoint.robots.{module}"), name)(address, arm)
+        return made
 
-
-def _feetech(address: FeetechAddress, arm: Arm) -> Bus:
-    from rejoint.robots.feetech.bus import FeetechBus
-
-    _require_kind(arm, _FEETECH_ARM, "feetech:")
-    return FeetechBus(address, arm)
-
-
-def _require_kind(arm: Arm, kind: str, schemes: str) -> None:
-    """Raise InputError for an arm that such addresses never have: the guard would use its links."""
-    if arm.name in CATALOGUE and arm.name != kind:
-        raise InputError(
-            f"at {schemes} addresses there are arms of the kind {kind}, and this is about a {arm.name}; check the "
-            "address, and whose run it is"
-        )
+    return bus
 
 
+_MYCOBOT = _behind("mycobot", "MyCobotBus", DEFAULT_ARM, "tcp: and serial:")
 EMULATED = Family(
     scheme="emulated",
     form="emulated:PROFILE",
@@ -155,21 +138,21 @@ EMULATED = Family(
     needs=(SIMULATOR,),
 )
 MYCOBOT_TCP = bus_family(
-    _mycobot,
+    _MYCOBOT,
     scheme="tcp",
     form="tcp://HOST:PORT",
     parse=lambda text: tcp_address(text, port=_PORT),
     default_period=_MYCOBOT_PERIOD,
 )
 MYCOBOT_SERIAL = bus_family(
-    _mycobot,
+    _MYCOBOT,
     scheme="serial",
     form="serial:///dev/DEVICE",
     parse=lambda text: serial_address(text, baud=_BAUD),
     default_period=_MYCOBOT_PERIOD,
 )
 FEETECH = bus_family(
-    _feetech,
+    _behind("feetech.bus", "FeetechBus", _FEETECH_ARM, "feetech:"),
     scheme="feetech",
     form=FORM,
     parse=feetech_address,

@@ -39,7 +39,7 @@ def require(what: str, *needs: str) -> None:
 
 
 def explain(error: Exception) -> str | None:
-    """Name the extra of a missing module, or what is wrong with Numba's cache; None for anything else."""
+    """Name a missing module's extra, or what is wrong with Numba's cache, or None."""
     if not isinstance(error, ImportError):
         return _explain_cache(error)
     module = (error.name or "").partition(".")[0]
@@ -66,16 +66,13 @@ _KEEPER = ("numba", "core", "caching.py")  # of Numba, which reads and writes wh
 
 
 def require_compiler() -> None:
-    """Raise InputError where compiling is off: a control cycle would exceed its period."""
+    """Raise InputError where compiling is off."""
     if os.environ.get(_OFF, "0").strip() not in ("", "0"):
         raise InputError(f"{_OFF} is set: uncompiled, no arm can be driven or simulated in time; unset it")
 
 
 def _explain_cache(error: Exception) -> str | None:
-    """Explain a failure of Numba's cache, or None.
-
-    Numba neither checks nor syncs it: a damaged index is removed here.
-    """
+    """Explain a failure of Numba's cache, or None; remove a damaged index."""
     if isinstance(error, RuntimeError) and _NO_PLACE in str(error):
         return (
             "compiled loops are kept beside the installed package or in the home folder, and neither can be written; "

@@ -74,7 +74,7 @@ def unwritable(path: Path, error: OSError) -> FileError:
 
 
 def read_bounded(path: Path, most: int, remedy: str) -> bytes:
-    """Read a file of at most ``most`` bytes; FileError if larger, a pipe or a device; OSError."""
+    """Read a file of at most ``most`` bytes; FileError, OSError."""
     require_file(path, most, remedy)
     with path.open("rb") as file:
         data = file.read(most + 1)
@@ -84,7 +84,7 @@ def read_bounded(path: Path, most: int, remedy: str) -> bytes:
 
 
 def require_file(path: Path, most: int, remedy: str) -> None:
-    """Raise FileError unless ``path`` is a file of at most ``most`` bytes; FileNotFoundError."""
+    """Raise FileError unless ``path`` is such a file; FileNotFoundError."""
     found = path.stat()
     if stat.S_ISDIR(found.st_mode):
         raise FileError(path, "cannot be read: it is a folder", "give a file")
@@ -116,7 +116,7 @@ def require_space(folder: Path, needed: int = SPACE) -> None:
 
 
 def write_json(path: Path, value: object) -> None:
-    """Write a dataclass (or plain data) as readable JSON; objects get a digest as last entry."""
+    """Write readable JSON; objects get a digest."""
     data = msgspec.json.format(msgspec.json.encode(value), indent=2)
     if data.endswith(b"\n}"):
         data = data[:-2] + b',\n  "digest": "' + digest(data) + b'"\n}'

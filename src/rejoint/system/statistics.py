@@ -23,7 +23,7 @@ NORMAL95 = float(ndtri((1.0 + CONFIDENCE) / 2.0))
 RESAMPLES = 4000
 """(chosen)"""
 FEWEST_CLUSTERS = 5
-"""of an interval: resamples of n hold the median with a chance of 1 - 2^(1 - n), 94 % for 5"""
+"""of an interval: resamples of 5 hold the median in 94 %"""
 
 
 @dataclass(frozen=True)
@@ -53,12 +53,12 @@ class Spread:
 
 
 def student95(freedom: int) -> float:
-    """Half width of Student's t interval with ``freedom`` degrees, in standard deviations; infinite below 1."""
+    """Half width of Student's t interval with ``freedom`` degrees; infinite below 1."""
     return float(stdtrit(freedom, (1.0 + CONFIDENCE) / 2.0)) if freedom >= 1 else math.inf
 
 
 def cluster(shape: tuple[int, int, int]) -> tuple[str, Labels]:
-    """Clusters of results (S, R, K): target sets, else trials, else targets; name and flat labels."""
+    """Clusters of results (S, R, K): name and flat labels."""
     sets, repetitions, targets = shape
     index = np.arange(sets * repetitions * targets)
     if sets >= FEWEST_CLUSTERS:

@@ -1,8 +1,7 @@
-"""Interruption: a signal handler only sets a flag, which the driver of an arm checks.
+"""Interruption: a signal handler only sets a flag.
 
-The vendor's client would swallow an exception from a handler. So while an arm is driven (`noted`), loop, link and waits
-look at the flag (`check`, `pause`) and raise `Interrupted` where it is safe. The host program's handlers are called
-too; those of asyncio and Jupyter count as Python's own.
+The vendor's client would swallow its exception. So while an arm is driven (`noted`), loop, link and waits look at the
+flag (`check`, `pause`) and raise `Interrupted` where it is safe. The host program's handlers are called too.
 """
 
 from __future__ import annotations
@@ -100,7 +99,7 @@ def ending() -> bool:
 
 
 def check() -> None:
-    """Raise `Interrupted` if asked for, once per thread that drives an arm; not inside `shielded`."""
+    """Raise `Interrupted` if asked for, once per driving thread; not inside `shielded`."""
     if _note.signum and not _note.shielded and threading.get_ident() not in _note.heard:
         _note.raised, hosts = Interrupted(_note.signum, _note.by), _note.hosts
         _note.heard.add(threading.get_ident())

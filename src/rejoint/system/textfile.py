@@ -144,7 +144,7 @@ def split_unit(title: str, units: Collection[str]) -> tuple[str, str | None]:
 def read_sheet(path: Path, *, names: Sequence[str] | None = None, whole: bool = True, most: int = TEXT_MOST) -> Sheet:
     """Read a table of at most ``most`` bytes; FileError.
 
-    ``names``: titles of a file without them. Unless ``whole``, an incomplete last line is dropped.
+    ``names``: titles of a file without them. ``whole``: keep an incomplete last line.
     """
     try:
         data = read_bounded(path, most, "cut it into several files")

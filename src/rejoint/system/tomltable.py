@@ -50,10 +50,7 @@ def write_sealed(path: Path, document: tomlkit.TOMLDocument) -> None:
 
 
 def read_sealed(path: Path, build: Callable[[dict[str, Any]], T], *, name: str, version: int, again: str) -> T:
-    """Read a ``name`` file of format ``version`` and ``build`` its content; FileError with the remedy ``again``.
-
-    A file without a digest is accepted.
-    """
+    """Read a ``name`` file of format ``version`` and ``build`` its content; FileError with the remedy ``again``."""
     try:
         text = read_bounded(path, TOML_MOST, f"{again} again")
         sealed = _SEAL.search(text)

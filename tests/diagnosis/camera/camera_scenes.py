@@ -5,8 +5,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from rejoint.arms import Displacement, mycobot280
-from rejoint.arms.camera.board import ON_TABLE
+from rejoint.arms import Displacement, mycobot280, tcp_pose
+from rejoint.arms.camera.board import ON_TABLE, BoardView
 from rejoint.diagnosis.calibration.camera.filming import choose_postures
 from rejoint.robots.lab.camera.scene import beside, on_tool
 
@@ -29,6 +29,13 @@ class Taken:
     views: list
 
 
+def view_of(scene, name, links, rng, noise=0.1):
+    """Visible corners with ``noise`` [px], without an image."""
+    pose, corners = scene.rig.sight(tcp_pose(ARM, links)), scene.rig.board.corners
+    pixel = scene.rig.lens.project(corners @ pose[:3, :3].T + pose[:3, 3])
+    return BoardView(name=name, number=np.arange(len(corners)), pixel=pixel + noise * rng.standard_normal(pixel.shape))
+
+
 @lru_cache
 def taken(carried="board", count=24, seed=0):
     """Views of the worn arm in chosen postures; joints that float lie anywhere in their play."""
@@ -38,5 +45,5 @@ def taken(carried="board", count=24, seed=0):
     free = 1.0 - np.tanh(WORN.torque(ARM, position) / 0.004) ** 2
     links = WORN.joints(ARM, position) + 0.5 * WORN.play * free * rng.uniform(-1, 1, position.shape)
     links += np.radians(0.03) * rng.standard_normal(position.shape)
-    views = [scene.view(f"view-{i:02}.png", q, rng, noise=0.1) for i, q in enumerate(links)]
+    views = [view_of(scene, f"view-{i:02}.png", q, rng) for i, q in enumerate(links)]
     return Taken(scene, position, links, views)

@@ -61,7 +61,7 @@ def test_the_tool_is_found_in_one_picture_and_not_where_the_board_is_hidden():
         assert np.linalg.norm(seen.place - truth) < min(1e-3, 6 * seen.sigma)
         assert tracker.why == ""
         assert seen.time == 5.0
-    assert tracker.see(scene.picture(links[0], 0, Looks(hidden=0.9))) is None
+    assert tracker.see(np.full_like(scene.picture(links[0], 0), 140)) is None
     assert tracker.why
     view = taken().views[0]
     bent = type(view)(name="bent", number=view.number, pixel=view.pixel + np.where(view.number % 2, 4.0, -4.0)[:, None])

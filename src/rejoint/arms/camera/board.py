@@ -70,15 +70,13 @@ class Board:
     @property
     def corners(self) -> Array:
         """(C, 3) [m] inner, board frame."""
-        x, y = np.meshgrid(np.arange(1, self.columns), np.arange(1, self.rows))
-        flat = np.stack([x.ravel() * self.stretch_x, y.ravel() * self.stretch_y, np.zeros(x.size)], axis=-1)
-        return np.asarray(self.square * flat)
+        down, across = np.mgrid[1 : self.rows, 1 : self.columns].reshape(2, -1)
+        return self.square * np.stack([across * self.stretch_x, down * self.stretch_y, 0.0 * down], axis=-1)
 
     @property
     def outline(self) -> Array:
         """(4, 3) [m] outer, board frame."""
-        width, height = self.size
-        return np.array([[0.0, 0.0, 0.0], [width, 0.0, 0.0], [width, height, 0.0], [0.0, height, 0.0]])
+        return np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]) * [*self.size, 0.0]
 
     def printed(self, measured_x: float | None = None, measured_y: float | None = None) -> Board:
         """Board whose 100 mm rulers measure these millimetres."""

@@ -6,6 +6,7 @@ A flat board far away looks alike in two tilts (Schweighofer and Pinz, 2006): bo
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -75,7 +76,7 @@ class Lens:
     def slopes(self, lever: Array, place: Array) -> tuple[Array, Array, Array]:
         """Pixels (K, 2) of points at ``lever`` (K, 3) from ``place`` (3,) [m], camera axes.
 
-        Also derivatives by shift [m] and turn [rad] about ``place``, (K, 2, 6), and by `TERMS`, (K, 2, 7).
+        Also derivatives by shift [m] and turn [rad], (K, 2, 6), and by `TERMS`, (K, 2, 7).
         """
         require("a camera", "camera")
         import cv2
@@ -111,8 +112,7 @@ FEWEST = 8
 """Corners for a pose (chosen)"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Placed:
+class Placed(NamedTuple):
     """A board before a camera."""
 
     pose: Array
@@ -126,7 +126,7 @@ class Placed:
 def place(lens: Lens, corners: Array, pixel: Array, start: Array | None = None) -> Placed:
     """Pose of a board with ``corners`` (K, 3) [m] at ``pixel`` (K, 2), from ``start`` (4, 4) or both tilts.
 
-    InputError for fewer than `FEWEST` corners, or corners on a line.
+    InputError for few corners, or corners on a line.
     """
     require("a camera", "camera")
     import cv2

@@ -1,4 +1,4 @@
-"""Poses of camera, board and arm, and their file ``camera.toml`` (SI units and px, with a digest)."""
+"""Poses of camera, board and arm, and ``camera.toml`` (SI units, px)."""
 
 from __future__ import annotations
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +29,7 @@ PICTURE_MOST = 100 * MEGABYTE
 _SHARPEST = 99.0  # percentile of the gradient that stands for edges (chosen)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Unusable:
+class Unusable(NamedTuple):
     """A rejected image."""
 
     name: str

@@ -1,36 +1,70 @@
 """From requests to a moving reference.
 
-A *ramp* moves every joint at the set speed; a *path* has limited acceleration and joint arrival. New moves replace or
-queue.
+A *ramp* moves every joint at the set speed; a *path* has limited acceleration and joint arrival.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import deque
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, solve_position, tcp_pose
 from rejoint.arms.rotations import rotation_about, rotation_vector
-from rejoint.arms.wire.computer import ACCELERATION, FULL_SPEED, NO_LINE, NO_SOLUTION, at_angles, at_place
 
 Mask = NDArray[np.bool_]
 
+FULL_SPEED = float(np.radians(120.0))
+"""[rad/s] of the fastest joint at 100 % (chosen: 80 % of the vendor's)"""
+ACCELERATION = float(np.radians(200.0))
+"""[rad/s^2] (vendor's communication protocol page)"""
+NO_SOLUTION, NO_LINE, COLLISION = 32, 33, 16
+"""Error codes of the vendor's ``get_error_information``; 1..6: joint over its limit; 16: any contact"""
+ARRIVED_ANGLE, ARRIVED_LENGTH = float(np.radians(1.0)), 0.003
+"""[rad], [m] (chosen)"""
+
+
+def at_angles(here: Array, angles: Array) -> bool:
+    """Whether ``here`` (n,) [rad] is within a degree of ``angles``."""
+    return bool((np.abs(here - angles) < ARRIVED_ANGLE).all())
+
+
+def at_place(here: Array, pose: Array) -> bool:
+    """Whether ``here`` (4, 4) is within 3 mm and a degree of ``pose``."""
+    cosine = (np.trace(pose[:3, :3] @ here[:3, :3].T) - 1.0) / 2.0
+    near = np.linalg.norm(pose[:3, 3] - here[:3, 3]) < ARRIVED_LENGTH
+    return bool(near and cosine > np.cos(ARRIVED_ANGLE))
+
+
+class Sensed(NamedTuple):
+    """What the servos measure, (n,) each."""
+
+    speed: Array
+    """[rad/s]"""
+    current: Array
+    """[A]"""
+    voltage: Array
+    """[V]"""
+    temperature: Array
+    """[deg C]"""
+    alarms: NDArray[np.uint8]
+    """status bits"""
+
 
 class Mover(ABC):
-    """The computer of an arm of n joints, as requests see it; plans moves from ``start`` (n,) [rad]."""
+    """Computer of an arm of n joints, at ``start`` (n,) [rad]."""
 
-    powered: bool
-    enabled: Mask
-    """(n,)"""
-    registers: dict[tuple[int, int], int]
-    """(servo, address) -> value; without effect"""
+    powered = True
 
     def __init__(self, arm: Arm, start: Array) -> None:
         self.arm = arm
+        self.enabled: Mask = np.ones(arm.joints, dtype=bool)
+        """(n,)"""
+        self.registers: dict[tuple[int, int], int] = {}
+        """(servo, address) -> value; without effect"""
         self.lower, self.upper = arm.lower.copy(), arm.upper.copy()
         self.fresh = False
         """a new move replaces the present one, else is queued"""
@@ -45,45 +79,24 @@ class Mover(ABC):
 
     @property
     @abstractmethod
-    def speed(self) -> Array:
-        """(n,) [rad/s]."""
-
-    @property
-    @abstractmethod
-    def current(self) -> Array:
-        """(n,) [A]."""
-
-    @property
-    @abstractmethod
-    def voltage(self) -> Array:
-        """(n,) [V]."""
-
-    @property
-    @abstractmethod
-    def temperature(self) -> Array:
-        """(n,) [deg C]."""
-
-    @property
-    @abstractmethod
-    def alarms(self) -> NDArray[np.uint8]:
-        """(n,) servo status bits."""
-
-    @property
-    @abstractmethod
     def moving(self) -> bool:
         """Whether a move is under way."""
+
+    @abstractmethod
+    def sensed(self) -> Sensed:
+        """Return what else is measured."""
 
     @abstractmethod
     def stop(self, joint: int | None = None) -> None:
         """Hold: one joint, or the arm."""
 
-    @abstractmethod
     def pause(self) -> None:
-        """Hold until `resume`."""
+        """Hold where the reference is, until `resume`."""
+        self._motion.paused = True
 
-    @abstractmethod
     def resume(self) -> None:
         """Continue."""
+        self._motion.paused = False
 
     @abstractmethod
     def power(self, on: bool) -> None:
@@ -103,11 +116,11 @@ class Mover(ABC):
         return tcp_pose(self.arm, self.angles)
 
     def in_position(self, angles: Array) -> bool:
-        """Whether the arm is within a degree of ``angles`` (n,) [rad]."""
+        """Whether the arm is at ``angles`` (n,) [rad], as `at_angles`."""
         return at_angles(self.angles, angles)
 
     def at_pose(self, pose: Array) -> bool:
-        """Whether the TCP is within 3 mm and a degree of ``pose`` (4, 4)."""
+        """Whether the TCP is at ``pose`` (4, 4), as `at_place`."""
         return at_place(self.pose, pose)
 
     @property
@@ -125,16 +138,20 @@ class Mover(ABC):
         """Whether a move is suspended."""
         return self._motion.paused
 
+    def clear_queue(self) -> None:
+        """Drop waiting moves."""
+        self._motion.queue.clear()
+
     def move_joints(self, angles: Array, rate: float) -> bool:
         """Move to ``angles`` (n,) [rad]: a ramp in fresh mode, else a queued path; False beyond a limit."""
-        beyond = ~((angles >= self.lower - 1e-9) & (angles <= self.upper + 1e-9))
-        if beyond.any():
-            self.error = int(np.argmax(beyond)) + 1
+        inside = (angles >= self.lower - 1e-9) & (angles <= self.upper + 1e-9)
+        if not inside.all():
+            self.error = int(np.argmin(inside)) + 1
             return False
         if not self._is_clear(angles) or not self._ready():
             return False
         if not self.fresh:
-            return self._take(joint_path(self.destination, angles, FULL_SPEED), rate, replace=False)
+            return self._motion.enqueue(joint_path(self.destination, angles, FULL_SPEED), rate)
         self._motion.ramp(angles, rate)
         self._ramped(rate * FULL_SPEED, angles)
         return True
@@ -142,48 +159,40 @@ class Mover(ABC):
     def move_tool(self, pose: Array, rate: float, *, straight: bool, turned: bool = True) -> bool:
         """Bring the tool to ``pose`` (4, 4); False, and an error code, where no posture does.
 
-        Without ``turned`` only the place is asked for: the orientation is kept where the arm can.
+        Without ``turned`` orientation is kept where possible.
         """
         start = self.planned_angles if self.fresh else self.destination
         if not straight:
             goal = self._posture(pose, start, turned=turned)
             if goal is None:
                 self.error = NO_SOLUTION
-                return False
-            return self.move_joints(goal, rate)
+            return goal is not None and self.move_joints(goal, rate)
         path, complete = line_path(self.arm, start, pose, FULL_SPEED)
-        if not complete or not self._within_limits(path):
+        if not complete or self._reach(path) < len(path.points):
             self.error = NO_LINE
             return False
-        if not self._is_clear(path.points[-1]):
+        if not self._is_clear(path.points[-1]) or not self._ready():
             return False
-        return self._ready() and self._take(path, rate, replace=self.fresh)
+        return self._motion.follow(path, rate) if self.fresh else self._motion.enqueue(path, rate)
 
-    def jog_joint(self, joint: int, direction: int, rate: float) -> bool:
+    def jog_joint(self, joint: int, forwards: int, rate: float) -> bool:
         """Run one joint to its limit or a stop."""
         goal = self.planned_angles
-        goal[joint] = self.upper[joint] if direction > 0 else self.lower[joint]
+        goal[joint] = self.upper[joint] if forwards else self.lower[joint]
         path = joint_path(self.planned_angles, np.clip(goal, self.lower, self.upper), FULL_SPEED)
-        return self._ready() and self._take(path, rate, replace=True)
+        return self._ready() and self._motion.follow(path, rate)
 
     def jog_tool(self, pose: Array, rate: float) -> bool:
         """Run the tool straight to ``pose`` (4, 4)."""
         path, _ = line_path(self.arm, self.planned_angles, pose, FULL_SPEED)
-        inside = np.all((path.points >= self.lower) & (path.points <= self.upper), axis=1)
-        reach = len(inside) if inside.all() else int(np.argmin(inside))
+        reach = self._reach(path)
         if reach < 2:
             self.error = NO_LINE
             return False
-        return self._ready() and self._take(
-            TimedPath(points=path.points[:reach], time=path.time[:reach]), rate, replace=True
-        )
-
-    def clear_queue(self) -> None:
-        """Drop waiting moves."""
-        self._motion.clear_queue()
+        return self._ready() and self._motion.follow(TimedPath(path.points[:reach], path.time[:reach]), rate)
 
     def _posture(self, pose: Array, start: Array, *, turned: bool) -> Array | None:  # noqa: ARG002 - always turned here
-        """Return a posture (n,) [rad] for a pose (4, 4); None if there is none."""
+        """Return a posture (n,) [rad] for a pose (4, 4), or None."""
         return solve_pose(self.arm, pose, start)
 
     def _is_clear(self, angles: Array) -> bool:  # noqa: ARG002 - the vendor's computer does not look
@@ -196,15 +205,10 @@ class Mover(ABC):
     def _ramped(self, speed: float, goal: Array) -> None:  # noqa: B027 - nothing is a sensible answer
         """Note a ramp to ``goal`` (n,) [rad] at ``speed`` [rad/s]."""
 
-    def _within_limits(self, path: TimedPath) -> bool:
-        return bool(np.all((path.points >= self.lower) & (path.points <= self.upper)))
-
-    def _take(self, path: TimedPath, rate: float, *, replace: bool) -> bool:
-        if replace:
-            self._motion.follow(path, rate)
-        elif not self._motion.enqueue(path, rate):
-            return False
-        return True
+    def _reach(self, path: TimedPath) -> int:
+        """Return the number of points before the first one beyond a limit."""
+        inside: Mask = np.all((path.points >= self.lower) & (path.points <= self.upper), axis=1)
+        return len(inside) if inside.all() else int(np.argmin(inside))
 
 
 CARTESIAN_SPEED = 0.1
@@ -223,8 +227,7 @@ _STARTS = 24
 """Random start postures (chosen)"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TimedPath:
+class TimedPath(NamedTuple):
     """Waypoints and their times at full speed."""
 
     points: Array
@@ -244,7 +247,7 @@ class TimedPath:
 
 def joint_path(start: Array, goal: Array, speed: float) -> TimedPath:
     """Straight line in joint space, the longest joint at ``speed`` [rad/s]."""
-    return TimedPath(points=np.stack([start, goal]), time=np.array([0.0, np.abs(goal - start).max() / speed]))
+    return TimedPath(np.stack([start, goal]), np.array([0.0, np.abs(goal - start).max() / speed]))
 
 
 def solve_pose(arm: Arm, pose: Array, start: Array) -> Array | None:
@@ -257,7 +260,7 @@ def solve_pose(arm: Arm, pose: Array, start: Array) -> Array | None:
 
 
 def line_path(arm: Arm, start: Array, pose: Array, speed: float) -> tuple[TimedPath, bool]:
-    """Straight tool line from ``start`` to ``pose`` as far as possible, and whether it arrives."""
+    """Straight tool line from ``start`` as far as possible, and whether it arrives."""
     here = tcp_pose(arm, start)
     turn = rotation_vector(pose[:3, :3] @ here[:3, :3].T)
     length, angle = float(np.linalg.norm(pose[:3, 3] - here[:3, 3])), float(np.linalg.norm(turn))
@@ -271,10 +274,10 @@ def line_path(arm: Arm, start: Array, pose: Array, speed: float) -> tuple[TimedP
         via[:3, 3] = here[:3, 3] + (pose[:3, 3] - here[:3, 3]) * i / count
         point = _solve(arm, via, points[-1][None], 40)
         if point is None or np.abs(point - points[-1]).max() > _MAX_JUMP:
-            return TimedPath(points=np.array(points), time=np.array(times)), False
+            break
         times.append(times[-1] + max(slowest, np.abs(point - points[-1]).max() / speed))
         points.append(point)
-    return TimedPath(points=np.array(points), time=np.array(times)), True
+    return TimedPath(np.array(points), np.array(times)), len(points) > count
 
 
 def _solve(arm: Arm, pose: Array, starts: Array, iterations: int, near: Array | None = None) -> Array | None:
@@ -298,20 +301,18 @@ class Motion:
         self.goal = start.copy()
         """(n,) [rad] end of the present move"""
         self.paused = False
-        self._full_speed = full_speed
-        self._acceleration = acceleration / full_speed
+        self._full_speed, self._acceleration = full_speed, acceleration / full_speed
         self.ramp_speed = full_speed
         """[rad/s] in the present ramp"""
         self._path: TimedPath | None = None
-        self._queue: deque[tuple[TimedPath, float]] = deque()
-        self._done = 0.0
-        self._rate = 0.0
-        self._wanted_rate = 1.0
+        self.queue: deque[tuple[TimedPath, float]] = deque()
+        """waiting moves and their rates"""
+        self._done, self._rate, self._wanted_rate = 0.0, 0.0, 1.0
 
     @property
     def moving(self) -> bool:
         """Whether a move is under way or waiting."""
-        return bool(self._queue) or self._path is not None or bool(np.any(self.reference != self.goal))
+        return bool(self.queue) or self._path is not None or not np.array_equal(self.reference, self.goal)
 
     @property
     def interpolating(self) -> bool:
@@ -319,14 +320,9 @@ class Motion:
         return self._path is not None
 
     @property
-    def waiting(self) -> int:
-        """Number of waiting moves."""
-        return len(self._queue)
-
-    @property
     def end(self) -> Array:
         """(n,) [rad] end of the last move."""
-        return (self._queue[-1][0].points[-1] if self._queue else self.goal).copy()
+        return (self.queue[-1][0].points[-1] if self.queue else self.goal).copy()
 
     def ramp(self, goal: Array, rate: float) -> None:
         """Drop all moves; ramp to ``goal`` at ``rate`` (0..1)."""
@@ -334,17 +330,17 @@ class Motion:
         self.goal = goal.copy()
         self.ramp_speed = rate * self._full_speed
 
-    def follow(self, path: TimedPath, rate: float) -> None:
-        """Drop all moves; follow ``path``."""
+    def follow(self, path: TimedPath, rate: float) -> bool:
+        """Drop all moves; follow ``path``; True."""
         self.hold()
-        self._begin(path, rate)
+        return self.enqueue(path, rate)
 
     def enqueue(self, path: TimedPath, rate: float) -> bool:
         """Queue ``path``; False: the queue is full."""
-        if self._path is None and not self._queue and not self.moving:
+        if not self.moving:
             self._begin(path, rate)
-        elif len(self._queue) < MAX_QUEUE:
-            self._queue.append((path, rate))
+        elif len(self.queue) < MAX_QUEUE:
+            self.queue.append((path, rate))
         else:
             return False
         return True
@@ -356,11 +352,7 @@ class Motion:
             return
         self.goal = self.reference.copy()
         self._path, self._rate, self.paused = None, 0.0, False
-        self._queue.clear()
-
-    def clear_queue(self) -> None:
-        """Drop waiting moves."""
-        self._queue.clear()
+        self.queue.clear()
 
     def place(self, joint: int, angle: float) -> None:
         """Set the reference of a joint moved by hand."""
@@ -374,10 +366,13 @@ class Motion:
         if self._path is None:
             reach = self.ramp_speed * duration
             self.reference = self.reference + np.clip(self.goal - self.reference, -reach, reach)
-            if self._queue and not np.any(self.reference != self.goal):
-                self._begin(*self._queue.popleft())
+            self._go_on(np.array_equal(self.reference, self.goal))
             return
         self._advance_path(self._path, duration)
+
+    def _go_on(self, ended: bool) -> None:
+        if ended and self.queue:
+            self._begin(*self.queue.popleft())
 
     def _begin(self, path: TimedPath, rate: float) -> None:
         self._path, self._done, self._rate, self._wanted_rate = path, 0.0, 0.0, rate
@@ -390,9 +385,7 @@ class Motion:
         self._rate = min(self._rate + self._acceleration * duration, self._wanted_rate, braking)
         self._done += self._rate * duration
         if left <= 1e-9 or path.duration - self._done <= 1e-4:
-            self.reference = self.goal.copy()
-            self._path = None
-            if self._queue:
-                self._begin(*self._queue.popleft())
+            self.reference, self._path = self.goal.copy(), None
+            self._go_on(True)
         else:
             self.reference = path.at(self._done)

@@ -6,209 +6,61 @@ Sources: pymycobot 4.0.7 and the vendor's protocol page. One byte acknowledges a
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from rejoint.arms import Array, tcp_pose
 from rejoint.arms.rotations import to_coords, to_pose
-from rejoint.arms.wire import values
-from rejoint.arms.wire.computer import FULL_SPEED
-from rejoint.arms.wire.mover import Mover, solve_pose
-from rejoint.arms.wire.values import Frame
+from rejoint.arms.wire.mover import FULL_SPEED, Mover, solve_pose
+from rejoint.arms.wire.values import (
+    LIMIT_SCALE,
+    Frame,
+    encoder_angle,
+    pack_angles,
+    pack_bytes,
+    pack_coords,
+    pack_encoders,
+    pack_int16,
+    scale_axis,
+    unpack_angles,
+    unpack_coords,
+    unpack_int16,
+    unpack_word,
+)
 
 _JOG_LENGTH = 0.6
 """[m] beyond any reach"""
 _JOG_TURN = np.radians(175.0)
 _GRIPPER = 7
 """Servo id of a gripper"""
-
-
-def _all_joints(computer: Mover, on: bool) -> None:
-    computer.enable(np.full(computer.arm.joints, on))
-
-
-def _clear_error(computer: Mover) -> None:
-    computer.error = 0
-
-
-SWITCHES: dict[int, Callable[[Mover], None]] = {
-    0x05: lambda computer: computer.clear_queue(),
-    0x08: _clear_error,
-    0x10: lambda computer: computer.power(True),
-    0x11: lambda computer: computer.power(False),
-    0x13: lambda computer: _all_joints(computer, False),
-    0x26: lambda computer: computer.pause(),
-    0x28: lambda computer: computer.resume(),
-    0x29: lambda computer: computer.stop(),
-}
-"""Orders without a payload"""
-
-
-def _rate(speed_percent: int) -> float:
-    return min(max(speed_percent, 1), 100) / 100.0
-
-
-def _set_fresh_mode(computer: Mover, payload: bytes) -> bool:
-    computer.fresh = payload[0] == 1
-    return True
-
-
-def _set_free_mode(computer: Mover, payload: bytes) -> bool:
-    _all_joints(computer, computer.powered and not payload[0])
-    return True
-
-
-def _move_one(computer: Mover, identity: int, speed_percent: int, *, to: float = 0.0, by: float | None = None) -> bool:
-    """Move one joint ``to`` or ``by`` an angle [rad]."""
-    joint = joint_index(computer, identity)
-    if joint is None:
-        return False
-    angles = computer.destination
-    angles[joint] = to if by is None else angles[joint] + by
-    return computer.move_joints(angles, _rate(speed_percent))
-
-
-def _move_axis(computer: Mover, payload: bytes, *, relative: bool) -> bool:
-    axis = payload[0] - 1
-    if not 0 <= axis < 6:
-        return False
-    value = values.scale_axis(axis, values.unpack_word(payload[1:3]))
-    coords = to_coords(tcp_pose(computer.arm, computer.destination))
-    coords[axis] = coords[axis] + value if relative else value
-    return computer.move_tool(to_pose(coords), _rate(payload[3]), straight=False, turned=axis >= 3)
-
-
-def _send_angle(computer: Mover, payload: bytes) -> bool:
-    return _move_one(computer, payload[0], payload[3], to=values.unpack_angles(payload[1:3])[0])
-
-
-def _send_angles(computer: Mover, payload: bytes) -> bool:
-    return computer.move_joints(values.unpack_angles(payload[:12]), _rate(payload[12]))
-
-
-def _send_coords(computer: Mover, payload: bytes) -> bool:
-    pose = to_pose(values.unpack_coords(payload[:12]))
-    return computer.move_tool(pose, _rate(payload[12]), straight=payload[13:] == b"\x01")
-
-
-def _of_joint(action: Callable[[Mover, int, bytes], bool | None]) -> Callable[[Mover, bytes], bool]:
-    def order(computer: Mover, payload: bytes) -> bool:
-        joint = joint_index(computer, payload[0])
-        return joint is not None and action(computer, joint, payload) is not False
-
-    return order
-
-
-def _jog_increment_angle(computer: Mover, payload: bytes) -> bool:
-    return _move_one(computer, payload[0], payload[3], by=values.unpack_angles(payload[1:3])[0])
-
-
-def _jog_axis(computer: Mover, axis: int, payload: bytes) -> bool:
-    if not 0 <= axis < 6:
-        return False
-    sign = 1.0 if payload[1] else -1.0
-    pose = tcp_pose(computer.arm, computer.planned_angles)
-    if axis < 3:
-        pose[axis, 3] += sign * _JOG_LENGTH
-    else:
-        turn = np.zeros(6)
-        turn[axis] = sign * _JOG_TURN
-        pose[:3, :3] = to_pose(turn)[:3, :3] @ pose[:3, :3]
-    return computer.jog_tool(pose, _rate(payload[2]))
-
-
-def _set_encoder(computer: Mover, payload: bytes) -> bool:
-    angle = values.encoder_angle(values.unpack_word(payload[1:3]), computer.arm.encoder_step)
-    return _move_one(computer, payload[0], payload[3], to=float(angle))
-
-
-def _set_encoders(computer: Mover, payload: bytes) -> bool:
-    angles = values.encoder_angle(values.unpack_int16(payload[:12]), computer.arm.encoder_step)
-    return computer.move_joints(angles, _rate(payload[12]))
-
-
-def _set_encoders_drag(computer: Mover, payload: bytes) -> bool:
-    step = computer.arm.encoder_step
-    speed = float(values.unpack_int16(payload[12:]).max()) * step
-    angles = values.encoder_angle(values.unpack_int16(payload[:12]), step)
-    return computer.move_joints(angles, float(np.clip(speed / FULL_SPEED, 0.01, 1.0)))
-
-
-def _set_limit(computer: Mover, joint: int, payload: bytes, *, upper: bool) -> bool:
-    angle = float(np.radians(values.unpack_word(payload[1:3]) / values.LIMIT_SCALE))
-    lower, higher = (computer.lower[joint], angle) if upper else (angle, computer.upper[joint])
-    slack = 1e-9
-    if lower >= higher or lower < computer.arm.lower[joint] - slack or higher > computer.arm.upper[joint] + slack:
-        return False
-    computer.lower[joint], computer.upper[joint] = lower, higher
-    return True
-
-
-def _set_register(computer: Mover, payload: bytes) -> bool:
-    servo, address = payload[:2]
-    if not 1 <= servo <= _GRIPPER:
-        return False
-    computer.registers[servo, address] = payload[2] if len(payload) == 3 else values.unpack_word(payload[2:4])
-    return True
-
-
-def _switch_servo(computer: Mover, identity: int, *, on: bool) -> bool:
-    joint = joint_index(computer, identity)
-    if (joint is None and identity != 0) or (on and not computer.powered):
-        return False
-    wanted = computer.enabled.copy()
-    wanted[slice(None) if joint is None else joint] = on
-    computer.enable(wanted)
-    return True
-
-
-_FRAMES = {0x81: 12, 0x83: 12, 0x85: 1, 0x87: 1, 0x89: 1}
-"""Orders for coordinate frames, and lengths [bytes]; only zeros are accepted"""
-
-
-def _own_frame(_: Mover, payload: bytes) -> bool:
-    return not any(payload)
-
-
-ORDERS: dict[int, tuple[tuple[int, ...], Callable[[Mover, bytes], bool]]] = {
-    0x13: ((1,), lambda computer, _: _switch_servo(computer, 0, on=False)),
-    0x16: ((1,), _set_fresh_mode),
-    0x1A: ((1,), _set_free_mode),
-    0x21: ((4,), _send_angle),
-    0x22: ((13,), _send_angles),
-    0x24: ((4,), partial(_move_axis, relative=False)),
-    0x25: ((13, 14), _send_coords),
-    0x30: ((3,), _of_joint(lambda arm, joint, data: arm.jog_joint(joint, 1 if data[1] else -1, _rate(data[2])))),
-    0x31: ((3,), lambda computer, payload: _jog_axis(computer, payload[0] + 2, payload)),
-    0x32: ((3,), lambda computer, payload: _jog_axis(computer, payload[0] - 1, payload)),
-    0x33: ((4,), _jog_increment_angle),
-    0x34: ((4,), partial(_move_axis, relative=True)),
-    0x3A: ((4,), _set_encoder),
-    0x3C: ((13,), _set_encoders),
-    0x3E: ((24,), _set_encoders_drag),
-    0x4C: ((3,), _of_joint(partial(_set_limit, upper=False))),
-    0x4D: ((3,), _of_joint(partial(_set_limit, upper=True))),
-    0x52: ((3, 5), _set_register),
-    0x54: ((1,), _of_joint(lambda arm, joint, _: arm.calibrate(joint))),
-    0x55: ((1,), _of_joint(lambda arm, joint, _: arm.stop(joint))),
-    0x56: ((1, 2), lambda computer, payload: _switch_servo(computer, payload[0], on=False)),
-    0x57: ((1,), lambda computer, payload: _switch_servo(computer, payload[0], on=True)),
-    **{identity: ((length,), _own_frame) for identity, length in _FRAMES.items()},
-    0x6A: ((3,), lambda _computer, _payload: True),  # colour of a lamp that is not there
-}
-"""Lengths [bytes] and actions; False: refused"""
-
-
 MODIFY_VERSION = 1
 SYSTEM_VERSION = 73
 """Computer 7.3, the first with the present joint limits"""
 DEFAULT_REGISTERS = {21: 10, 22: 0, 23: 1, 24: 0}
 """P, I, D and minimum start force (vendor's manual)"""
 
+FIELDS: dict[str, tuple[int, Callable[[Mover, bytes], Any]]] = {
+    "b": (1, lambda _, data: data[0]),
+    "s": (1, lambda _, data: min(max(data[0], 1), 100) / 100.0),
+    "j": (1, lambda computer, data: joint_index(computer, data[0])),
+    "w": (2, lambda _, data: unpack_word(data)),
+    "a": (2, lambda _, data: unpack_angles(data)[0]),
+    "e": (2, lambda computer, data: float(encoder_angle(unpack_word(data), computer.arm.encoder_step))),
+    "x": (12, lambda _, data: data),
+    "A": (12, lambda _, data: unpack_angles(data)),
+    "E": (12, lambda computer, data: encoder_angle(unpack_int16(data), computer.arm.encoder_step)),
+    "P": (12, lambda _, data: to_pose(unpack_coords(data))),
+}
+"""Parts of a payload: length [bytes], and how it is read.
 
-def flag(value: bool) -> bytes:
+Byte, speed (share), joint (None: another servo), word, angle [rad], encoder count [rad]; six as they are, as angles,
+as counts, as a pose (4, 4).
+"""
+
+
+def flag(value: object) -> bytes:
     """One byte."""
     return b"\x01" if value else b"\x00"
 
@@ -218,97 +70,196 @@ def joint_index(computer: Mover, identity: int) -> int | None:
     return identity - 1 if 1 <= identity <= computer.arm.joints else None
 
 
-def _angles_and_coords(computer: Mover) -> bytes:
-    angles = computer.angles
-    return values.pack_angles(angles) + values.pack_coords(tcp_pose(computer.arm, angles))
+def _move_one(computer: Mover, joint: int, angle: float, rate: float) -> bool:
+    angles = computer.destination
+    angles[joint] = angle
+    return computer.move_joints(angles, rate)
 
 
-STATES: dict[int, Callable[[Mover], bytes]] = {
-    0x01: lambda _: bytes((MODIFY_VERSION,)),
-    0x02: lambda _: bytes((SYSTEM_VERSION,)),
-    0x06: lambda _: flag(True),
-    0x07: lambda computer: bytes((computer.error,)),
-    0x12: lambda computer: flag(computer.powered),
-    0x14: lambda _: flag(True),
-    0x15: lambda _: bytes(7),
-    0x17: lambda computer: flag(computer.fresh),
-    0x1B: lambda computer: flag(computer.powered and not computer.enabled.any()),
-    0x20: lambda computer: values.pack_angles(computer.angles),
-    0x23: lambda computer: values.pack_coords(computer.pose),
-    0x27: lambda computer: flag(computer.paused),
-    0x2B: lambda computer: flag(computer.moving),
-    0x3D: lambda computer: values.pack_encoders(computer.angles, computer.arm.encoder_step),
-    0x51: lambda computer: flag(bool(computer.enabled.all())),
-    **{identity: lambda _: bytes(12) for identity in (0x82, 0x84)},  # frames of tool and base: the arm's own
-    **{identity: lambda _: flag(False) for identity in (0x86, 0x88, 0x8A)},  # which of them counts, and lines as a rule
-    0xC1: lambda _: bytes((SYSTEM_VERSION,)),
-    0xD5: _angles_and_coords,
-    0xD8: lambda _: values.pack_int16([1]),
-    0xE1: lambda computer: values.pack_int16(computer.speed / computer.arm.encoder_step),
-    0xE2: lambda computer: values.pack_int16(computer.current * 1e3),
-    0xE3: lambda computer: values.pack_bytes(computer.voltage * 10.0),
-    0xE4: lambda computer: values.pack_bytes(computer.alarms),
-    0xE5: lambda computer: values.pack_bytes(computer.temperature),
-    0xF6: lambda computer: values.pack_angles(computer.planned_angles),
-    0xF7: lambda computer: values.pack_coords(tcp_pose(computer.arm, computer.planned_angles)),
-}
-"""Questions without a payload"""
+def _move_axis(computer: Mover, number: int, value: float, rate: float, *, relative: bool) -> bool:
+    axis = number - 1
+    if not 0 <= axis < 6:
+        return False
+    coords = to_coords(tcp_pose(computer.arm, computer.destination))
+    coords[axis] = scale_axis(axis, value) + (coords[axis] if relative else 0.0)
+    return computer.move_tool(to_pose(coords), rate, straight=False, turned=axis >= 3)
 
 
-def _coords_of(computer: Mover, payload: bytes) -> bytes:
-    return values.pack_coords(tcp_pose(computer.arm, values.unpack_angles(payload)))
+def _move_tool(computer: Mover, pose: Array, rate: float, mode: int = 0) -> bool:
+    return computer.move_tool(pose, rate, straight=mode == 1)
 
 
-def _is_in_position(computer: Mover, payload: bytes) -> bytes:
-    if payload[12]:
-        return flag(computer.at_pose(to_pose(values.unpack_coords(payload[:12]))))
-    return flag(computer.in_position(values.unpack_angles(payload[:12])))
+def _jog_axis(computer: Mover, axis: int, forwards: int, rate: float) -> bool:
+    if not 0 <= axis < 6:
+        return False
+    sign = 1.0 if forwards else -1.0
+    pose = tcp_pose(computer.arm, computer.planned_angles)
+    if axis < 3:
+        pose[axis, 3] += sign * _JOG_LENGTH
+    else:
+        turn = np.zeros(6)
+        turn[axis] = sign * _JOG_TURN
+        pose[:3, :3] = to_pose(turn)[:3, :3] @ pose[:3, :3]
+    return computer.jog_tool(pose, rate)
 
 
-def _encoder(computer: Mover, payload: bytes) -> bytes:
-    joint = joint_index(computer, payload[0])
-    if joint is None:  # the gripper; none is fitted
-        return values.pack_int16([-1])
-    return values.pack_encoders(computer.angles[joint : joint + 1], computer.arm.encoder_step)
+def _drag(computer: Mover, angles: Array, speeds: bytes) -> bool:
+    speed = float(unpack_int16(speeds).max()) * computer.arm.encoder_step
+    return computer.move_joints(angles, float(np.clip(speed / FULL_SPEED, 0.01, 1.0)))
 
 
-def _limit(limits: Array, payload: bytes) -> bytes | None:
-    if not 1 <= payload[0] <= len(limits):
+def _set_limit(computer: Mover, joint: int, word: int, *, upper: bool) -> bool:
+    angle, slack = float(np.radians(word / LIMIT_SCALE)), 1e-9
+    lower, higher = (computer.lower[joint], angle) if upper else (angle, computer.upper[joint])
+    if lower >= higher or lower < computer.arm.lower[joint] - slack or higher > computer.arm.upper[joint] + slack:
+        return False
+    computer.lower[joint], computer.upper[joint] = lower, higher
+    return True
+
+
+def _set_register(computer: Mover, servo: int, address: int, value: int, _: int = 0) -> bool:
+    if known := 1 <= servo <= _GRIPPER:
+        computer.registers[servo, address] = value
+    return known
+
+
+def _register(computer: Mover, servo: int, address: int, wide: int = 0) -> bytes:
+    value = computer.registers.get((servo, address), DEFAULT_REGISTERS.get(address, 0))
+    return pack_int16([value]) if wide == 1 else bytes((value & 0xFF,))
+
+
+def _switch(computer: Mover, identity: int, *, on: bool) -> bool:
+    """Hold with one servo, or release it; 0: all."""
+    joint = joint_index(computer, identity)
+    if (joint is None and identity != 0) or (on and not computer.powered):
+        return False
+    wanted = computer.enabled.copy()
+    wanted[slice(None) if joint is None else joint] = on
+    computer.enable(wanted)
+    return True
+
+
+def _free(computer: Mover, free: int) -> None:
+    computer.enable(np.full(computer.arm.joints, computer.powered and not free))
+
+
+def _limit(limits: Array, joint: int | None) -> bytes | None:
+    if joint is None:
         return None
-    return payload + values.pack_int16([np.degrees(limits[payload[0] - 1]) * values.LIMIT_SCALE])
+    return bytes((joint + 1,)) + pack_int16([np.degrees(limits[joint]) * LIMIT_SCALE])
 
 
-def _is_servo_enabled(computer: Mover, payload: bytes) -> bytes:
-    joint = joint_index(computer, payload[0])
-    return payload + flag(joint is not None and bool(computer.enabled[joint]))
+def _encoder(computer: Mover, joint: int | None) -> bytes:
+    if joint is None:  # the gripper; none is fitted
+        return pack_int16([-1])
+    return pack_encoders(computer.angles[joint : joint + 1], computer.arm.encoder_step)
 
 
-def _register(computer: Mover, payload: bytes) -> bytes:
-    value = computer.registers.get((payload[0], payload[1]), DEFAULT_REGISTERS.get(payload[1], 0))
-    return values.pack_int16([value]) if payload[2:] == b"\x01" else bytes((value & 0xFF,))
+def _inverse_kinematics(computer: Mover, pose: Array, start: Array) -> bytes | None:
+    angles = solve_pose(computer.arm, pose, start)
+    return None if angles is None else pack_angles(angles)
 
 
-def _inverse_kinematics(computer: Mover, payload: bytes) -> bytes | None:
-    pose = to_pose(values.unpack_coords(payload[:12]))
-    angles = solve_pose(computer.arm, pose, values.unpack_angles(payload[12:]))
-    return None if angles is None else values.pack_angles(angles)
+def _is_there(computer: Mover, place: bytes, is_pose: int) -> bool:
+    return computer.at_pose(to_pose(unpack_coords(place))) if is_pose else computer.in_position(unpack_angles(place))
 
 
-QUESTIONS: dict[int, tuple[tuple[int, ...], Callable[[Mover, bytes], bytes | None]]] = {
-    0x23: ((12,), _coords_of),
-    0x2A: ((13,), _is_in_position),
-    0x3B: ((1,), _encoder),
-    0x4A: ((1,), lambda computer, payload: _limit(computer.lower, payload)),
-    0x4B: ((1,), lambda computer, payload: _limit(computer.upper, payload)),
-    0x50: ((1,), _is_servo_enabled),
-    0x53: ((2, 3), _register),
-    0x8D: ((24,), _inverse_kinematics),
-}
-"""Lengths [bytes] and answers; None: silence"""
+def _coords(computer: Mover, angles: Array) -> bytes:
+    return pack_coords(tcp_pose(computer.arm, angles))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Reply:
+Act = Callable[..., Any] | str | bytes
+"""On the computer; its method's name; or the answer"""
+Table = dict[tuple[int, int], tuple[str, Act]]
+
+
+def _table(*rows: tuple[int, str, Act]) -> Table:
+    return {(command, sum(FIELDS[part][0] for part in layout)): (layout, act) for command, layout, act in rows}
+
+
+ORDERS = _table(
+    (0x05, "", "clear_queue"),
+    (0x08, "", lambda computer: setattr(computer, "error", 0)),
+    (0x10, "", lambda computer: computer.power(True)),
+    (0x11, "", lambda computer: computer.power(False)),
+    (0x13, "", lambda computer: _free(computer, 1)),
+    (0x13, "b", lambda computer, _: _free(computer, 1)),
+    (0x16, "b", lambda computer, fresh: setattr(computer, "fresh", fresh == 1)),
+    (0x1A, "b", _free),
+    (0x21, "jas", _move_one),
+    (0x22, "As", "move_joints"),
+    (0x24, "bws", lambda *given: _move_axis(*given, relative=False)),
+    (0x25, "Ps", _move_tool),
+    (0x25, "Psb", _move_tool),
+    (0x26, "", "pause"),
+    (0x28, "", "resume"),
+    (0x29, "", "stop"),
+    (0x30, "jbs", "jog_joint"),
+    (0x31, "bbs", lambda computer, axis, forwards, rate: _jog_axis(computer, axis + 2, forwards, rate)),
+    (0x32, "bbs", lambda computer, axis, forwards, rate: _jog_axis(computer, axis - 1, forwards, rate)),
+    (0x33, "jas", lambda arm, joint, angle, rate: _move_one(arm, joint, arm.destination[joint] + angle, rate)),
+    (0x34, "bws", lambda *given: _move_axis(*given, relative=True)),
+    (0x3A, "jes", _move_one),
+    (0x3C, "Es", "move_joints"),
+    (0x3E, "Ex", _drag),
+    (0x4C, "jw", lambda *given: _set_limit(*given, upper=False)),
+    (0x4D, "jw", lambda *given: _set_limit(*given, upper=True)),
+    (0x52, "bbb", _set_register),
+    (0x52, "bbwb", _set_register),
+    (0x54, "j", "calibrate"),
+    (0x55, "j", "stop"),
+    (0x56, "b", lambda computer, servo: _switch(computer, servo, on=False)),
+    (0x56, "bb", lambda computer, servo, _: _switch(computer, servo, on=False)),
+    (0x57, "b", lambda computer, servo: _switch(computer, servo, on=True)),
+    # frames of tool and base, and which of them counts: the arm's own
+    *((command, "x", lambda _, frame: not any(frame)) for command in (0x81, 0x83)),
+    *((command, "b", lambda _, frame: not frame) for command in (0x85, 0x87, 0x89)),
+    (0x6A, "bbb", lambda *_: True),  # colour of a lamp that is not there
+)
+"""Actions by command and length [bytes]; False: refused"""
+COMMANDS = frozenset(command for command, _ in ORDERS)
+"""Those that order something"""
+
+QUESTIONS = _table(
+    (0x01, "", bytes((MODIFY_VERSION,))),
+    *((command, "", bytes((SYSTEM_VERSION,))) for command in (0x02, 0xC1)),
+    (0x07, "", lambda computer: bytes((computer.error,))),
+    (0x12, "", lambda computer: flag(computer.powered)),
+    *((command, "", b"\x01") for command in (0x06, 0x14)),
+    (0x15, "", bytes(7)),
+    (0x17, "", lambda computer: flag(computer.fresh)),
+    (0x1B, "", lambda computer: flag(computer.powered and not computer.enabled.any())),
+    (0x20, "", lambda computer: pack_angles(computer.angles)),
+    (0x23, "", lambda computer: pack_coords(computer.pose)),
+    (0x23, "A", _coords),
+    (0x27, "", lambda computer: flag(computer.paused)),
+    (0x2A, "xb", lambda *given: flag(_is_there(*given))),
+    (0x2B, "", lambda computer: flag(computer.moving)),
+    (0x3B, "j", _encoder),
+    (0x3D, "", lambda computer: pack_encoders(computer.angles, computer.arm.encoder_step)),
+    (0x4A, "j", lambda computer, joint: _limit(computer.lower, joint)),
+    (0x4B, "j", lambda computer, joint: _limit(computer.upper, joint)),
+    (0x50, "b", lambda arm, servo: bytes((servo,)) + flag(0 < servo <= arm.arm.joints and arm.enabled[servo - 1])),
+    (0x51, "", lambda computer: flag(computer.enabled.all())),
+    (0x53, "bb", _register),
+    (0x53, "bbb", _register),
+    *((command, "", bytes(12)) for command in (0x82, 0x84)),  # frames of tool and base: the arm's own
+    *((command, "", b"\x00") for command in (0x86, 0x88, 0x8A)),  # which counts, and lines as a rule
+    (0x8D, "PA", _inverse_kinematics),
+    (0xD5, "", lambda computer: pack_angles(computer.angles) + _coords(computer, computer.angles)),
+    (0xD8, "", b"\x00\x01"),
+    (0xE1, "", lambda computer: pack_int16(computer.sensed().speed / computer.arm.encoder_step)),
+    (0xE2, "", lambda computer: pack_int16(computer.sensed().current * 1e3)),
+    (0xE3, "", lambda computer: pack_bytes(computer.sensed().voltage * 10.0)),
+    (0xE4, "", lambda computer: pack_bytes(computer.sensed().alarms)),
+    (0xE5, "", lambda computer: pack_bytes(computer.sensed().temperature)),
+    (0xF6, "", lambda computer: pack_angles(computer.planned_angles)),
+    (0xF7, "", lambda computer: _coords(computer, computer.planned_angles)),
+)
+"""Answers likewise; None: silence"""
+
+
+class Reply(NamedTuple):
     """An answer; reports of states are slower."""
 
     frame: Frame
@@ -318,15 +269,21 @@ class Reply:
 def answer(computer: Mover, request: Frame) -> Reply | None:
     """Execute ``request``; None: silence."""
     command, payload = request.command, request.payload
-    answered: bytes | None = None
-    is_state = command in STATES or command in QUESTIONS
-    if not payload and command in STATES:
-        answered = STATES[command](computer)
-    elif payload and command in QUESTIONS and len(payload) in QUESTIONS[command][0]:
-        answered = QUESTIONS[command][1](computer, payload)
-    elif not payload and command in SWITCHES:
-        SWITCHES[command](computer)
-        answered = flag(True)
-    elif payload and command in ORDERS and len(payload) in ORDERS[command][0]:
-        answered = flag(ORDERS[command][1](computer, payload))
-    return None if answered is None else Reply(frame=Frame(command, answered), is_state=is_state)
+    for is_state, table in ((True, QUESTIONS), (False, ORDERS)):
+        if (command, len(payload)) not in table:
+            continue
+        (layout, act), given, start = table[command, len(payload)], [], 0
+        for size, read in (FIELDS[part] for part in layout):
+            given.append(read(computer, payload[start : start + size]))
+            start += size
+        if isinstance(act, bytes):
+            answered: bytes | None = act
+        else:
+            call = getattr(computer, act) if isinstance(act, str) else partial(act, computer)
+            answered = (
+                call(*given)
+                if is_state
+                else flag(all(part is not None for part in given) and call(*given) is not False)
+            )
+        return None if answered is None else Reply(frame=Frame(command, answered), is_state=is_state)
+    return None

@@ -1,20 +1,22 @@
 """Frames and numbers of the myCobot wire: big-endian signed 16-bit, truncated.
 
-A frame is ``FE FE LEN ID payload FA``, LEN = payload bytes + 2, without checksum or escapes. Angles x100 [deg],
-positions x10 [mm], joint limits x10 [deg]. Source: elephantrobotics/mycobot_docs, 18-communication, and pymycobot
-4.0.7.
+A frame is ``FE FE LEN ID payload FA``, LEN = payload bytes + 2. Angles x100 [deg], positions x10 [mm], joint limits x10
+[deg]. Source: elephantrobotics/mycobot_docs, 18-communication, and pymycobot 4.0.7.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from rejoint.arms import Array
 from rejoint.arms.rotations import to_coords
+
+R = TypeVar("R")
 
 ANGLE_SCALE = 100.0
 LENGTH_SCALE = 10.0
@@ -112,49 +114,55 @@ def encode(frame: Frame) -> bytes:
     return HEADER + bytes((len(frame.payload) + _OVERHEAD, frame.command)) + frame.payload + bytes((FOOTER,))
 
 
-def split(buffer: bytes) -> tuple[list[Frame], bytes]:
-    """All whole frames in ``buffer``, and the rest."""
-    frames: list[Frame] = []
-    start = 0
-    while True:
-        start = buffer.find(HEADER, start)
-        if start < 0:
-            return frames, buffer[-1:] if buffer.endswith(HEADER[:1]) else b""
-        if len(buffer) < start + 3:
-            return frames, buffer[start:]
-        length = buffer[start + 2]
-        end = start + 3 + length
-        if not _OVERHEAD <= length <= MAX_PAYLOAD + _OVERHEAD:
-            start += 1
-        elif len(buffer) < end:
-            return frames, buffer[start:]
-        elif buffer[end - 1] != FOOTER:
-            start += 1
-        else:
-            frames.append(Frame(buffer[start + 3], buffer[start + 4 : end - 1]))
-            start = end
+def size_of(data: bytes) -> int | None:
+    """Size of the frame at the beginning; 0: none, None: incomplete."""
+    if len(data) < 3:
+        return None
+    size = data[2] + 3
+    if not _OVERHEAD <= data[2] <= MAX_PAYLOAD + _OVERHEAD:
+        return 0
+    return None if len(data) < size else size * (data[size - 1] == FOOTER)
 
 
-class Decoder:
-    """Finds frames in a stream."""
+class Finder(Generic[R]):
+    """Finds frames in a stream by header and size."""
 
-    def __init__(self) -> None:
-        self._rest = b""
+    def __init__(self, header: bytes, size: Callable[[bytes], int | None], read: Callable[[bytes], R]) -> None:
+        self._header, self._size, self._read = header, size, read
+        self.rest = b""
+        """what may begin a frame"""
 
     @property
     def pending(self) -> bool:
         """Whether bytes may begin a frame."""
-        return bool(self._rest)
+        return bool(self.rest)
 
-    def feed(self, data: bytes) -> list[Frame]:
+    def feed(self, data: bytes) -> list[R]:
         """Take bytes; return completed frames."""
-        frames, self._rest = split(self._rest + data)
+        self.rest += data
+        frames: list[R] = []
+        while (start := self.rest.find(self._header)) >= 0:
+            self.rest = self.rest[start:]
+            size = self._size(self.rest)
+            if size is None:
+                return frames
+            if size:
+                frames.append(self._read(self.rest[:size]))
+            self.rest = self.rest[size or 1 :]
+        self.rest = self.rest[-1:] if self.rest.endswith(self._header[:1]) else b""
         return frames
 
-    def expire(self) -> list[Frame]:
+    def expire(self) -> list[R]:
         """Drop a half frame; return the frames behind its header."""
-        frames: list[Frame] = []
-        while self._rest:
-            found, self._rest = split(self._rest[1:])
-            frames += found
+        frames: list[R] = []
+        while self.rest:
+            held, self.rest = self.rest, b""
+            frames += self.feed(held[1:])
         return frames
+
+
+class Decoder(Finder[Frame]):
+    """Finds a myCobot's frames."""
+
+    def __init__(self) -> None:
+        super().__init__(HEADER, size_of, lambda data: Frame(data[3], data[4:-1]))

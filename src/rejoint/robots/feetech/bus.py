@@ -1,7 +1,6 @@
 """An SO-100 or SO-101 on its servo bus: one synchronous read and write per cycle.
 
-Torque is never switched off; before it comes on, the goal is set to the position. Only `Tuning.keep` unlocks the
-servos' memory.
+Torque is never switched off. Only `Tuning.keep` unlocks the servos' memory.
 """
 
 from __future__ import annotations
@@ -53,7 +52,7 @@ Ask = Callable[[int, bytes], bytes | None]
 
 
 class Gripper:
-    """A servo from ``low`` (0 %) to ``high`` (100 %) [counts]; the loop calls `serve` once a cycle."""
+    """A servo from ``low`` (0 %) to ``high`` (100 %) [counts]; call `serve` each cycle."""
 
     def __init__(self, ask: Ask, number: int, low: int, high: int) -> None:
         self.goal: float | None = None
@@ -136,7 +135,10 @@ class FeetechBus(Bus):
         self._file = None if address.calibration is None else read_calibration(address.calibration, arm)
         self.ids = self._file.ids if self._file is not None else tuple(range(1, arm.joints + 1))
         self._wire: Wire | None = None
-        self._zeros: Zeros | None = None
+        self.zeros = Zeros(middle=(), zero=(), low=(), high=())
+        """of the prepared arm"""
+        self.supply: tuple[float, ...] = ()
+        """(n,) [V] at the start"""
         self._tuning = Tuning(
             self.ids,
             for_all(address.gains, len(self.ids)),
@@ -145,7 +147,6 @@ class FeetechBus(Bus):
             call=self._call,
             wait=self.clock.wait,
         )
-        self._supply: tuple[float, ...] | None = None
         self._goal: list[int] | None = None
         self._limp: set[int] = set()
         self._was_ready = False
@@ -170,7 +171,7 @@ class FeetechBus(Bus):
         for servo in self.ids:
             if self._register(servo, MODE, 1, until) != 0:
                 raise RobotError(f"{self._call(servo)} is not in position mode; set its register {MODE} to 0")
-        self._zeros = zeros_of(
+        self.zeros = zeros_of(
             self._arm,
             self._file,
             self._registers(HOMING, until, sign=11),
@@ -181,8 +182,8 @@ class FeetechBus(Bus):
         self._hold(until)
         self._hasten(until)
         self._tuning.prepare(until)
-        if self._supply is None:
-            self._supply = tuple(VOLT * self._register(servo, VOLTAGE, 1, until) for servo in self.ids)
+        if not self.supply:
+            self.supply = tuple(VOLT * self._register(servo, VOLTAGE, 1, until) for servo in self.ids)
         self._was_ready = True
 
     def read(self) -> Reading:
@@ -198,12 +199,12 @@ class FeetechBus(Bus):
         self._send(self._goal)
 
     def stop(self) -> None:
-        """Send the last goals again: holding the measured position would let the arm sink."""
+        """Send the last goals again: at the measured position the arm would sink."""
         if self._goal is not None:
             self._send(self._goal)
 
     def servo_gains(self) -> ServoGains:
-        """Return the servo gains by name; ``limit`` is that of the I part."""
+        """Return the servo gains by name."""
         return dict(self._tuning.values)
 
     def rungs(self) -> tuple[Rung, ...]:
@@ -233,7 +234,7 @@ class FeetechBus(Bus):
     def resynchronise(self, deadline: float) -> None:
         """Drop late answers and wait for silent servos.
 
-        ConnectionLostError: still silent; PowerLostError: without torque.
+        ConnectionLostError, PowerLostError.
         """
         while self.wire.quieten(QUIET) and self.clock.now() < deadline:
             pass
@@ -256,18 +257,6 @@ class FeetechBus(Bus):
         if self._wire is None:
             raise OSError("the port is not open")
         return self._wire
-
-    @property
-    def zeros(self) -> Zeros:
-        """Zeros of the prepared arm."""
-        if self._zeros is None:
-            raise OSError("the servos were not asked for their zeros yet")
-        return self._zeros
-
-    @property
-    def supply(self) -> tuple[float, ...]:
-        """(n,) [V] at the start."""
-        return (0.0,) * len(self.ids) if self._supply is None else self._supply
 
     def _hold(self, until: float | None) -> None:
         if self._was_ready:
@@ -327,10 +316,7 @@ class FeetechBus(Bus):
             except (ValueError, IndexError) as error:
                 raise ImpossibleReplyError(f"{self.address}: {first_line(error)}") from error
 
-        return persist(once, lambda _error, _deadline: self._quieten(), self.clock, until)
-
-    def _quieten(self) -> None:
-        self.wire.quieten(QUIET)
+        return persist(once, lambda *_: self.wire.quieten(QUIET), self.clock, until)
 
     def _send(self, goal: Sequence[int]) -> None:
         goals = {servo: count for servo, count in zip(self.ids, goal, strict=True) if servo not in self._limp}

@@ -1,7 +1,6 @@
 """The servos' position loop, also as options of an address: ``?p=48&i=4``.
 
-An STS3215 gives P / 4 per mille of duty per count of error beyond its dead zone, plus its startup force. It reports the
-load in proportion to the error, without startup force and dead zone.
+An STS3215 gives P / 4 per mille of duty per count of error beyond its dead zone, plus its startup force.
 """
 
 from __future__ import annotations
@@ -95,10 +94,7 @@ def stiffer(name: str, before: int, now: int) -> bool:
 
 
 def steps(before: Mapping[str, tuple[int, ...]], wanted: Mapping[str, tuple[int, ...]]) -> list[dict[str, list[int]]]:
-    """Values to write in small steps, by name, one per joint.
-
-    The I part's limit is raised first and lowered last.
-    """
+    """Values to write in small steps, by name, one per joint; the I part's limit is raised first and lowered last."""
     ways = [(name, before[name], wanted[name]) for name in REGISTERS if name in wanted and name != LIMIT]
     if LIMIT in wanted:
         most = tuple(map(max, before[LIMIT], wanted[LIMIT]))
@@ -115,8 +111,7 @@ FULL = 1000.0
 """Duty of full PWM"""
 
 
-@dataclass(frozen=True, kw_only=True)
-class DutyLaw:
+class DutyLaw(NamedTuple):
     """Duty settings of one servo."""
 
     p: int
@@ -127,7 +122,7 @@ class DutyLaw:
     """[counts] for negative errors"""
 
     def share(self, duty: int, error: int = 0) -> float:
-        """Share of the largest torque, -1 to 1, of a signed ``duty`` [0.1 %] at an ``error`` [counts]."""
+        """Share of the largest torque, -1 to 1, of ``duty`` [0.1 %] at ``error`` [counts]."""
         size: float = abs(duty) - self.startup
         if size <= 0:
             return min(max(error, -self.below), self.above) * self.p / 4 / FULL
@@ -192,11 +187,11 @@ class Tuning:
         if any(self.values[name] != tuple(values) for name, values in gains.items()):
             raise RobotError(f"the servos have not taken the gains; they are {self.values}")
 
-    def _there(self, until: float | None) -> Values:
-        return read_block([self._read(servo, FIRST, SIZE, until) for servo in self._ids])
+    def _blocks(self, until: float | None) -> list[bytes]:
+        return [self._read(servo, FIRST, SIZE, until) for servo in self._ids]
 
     def _look_up(self, until: float | None) -> None:
-        blocks = [self._read(servo, FIRST, SIZE, until) for servo in self._ids]
+        blocks = self._blocks(until)
         self.values = read_block(blocks)
         self.laws = [DutyLaw(p=data[0], startup=data[3], above=data[5], below=data[6]) for data in blocks]
 
@@ -206,12 +201,12 @@ class Tuning:
         if strange:
             known = f"{', '.join(before)} of {len(self._ids)} joints"
             raise RobotError(f"expected gains {known}, got {', '.join(strange)}")
-        there = self._there(until)
+        there = read_block(self._blocks(until))
         for step in steps(there, wanted):  # a walk that a lost connection cut short goes on
             self._take(step, until)
             problem = "" if ending() else self._problem(step, there, until, hottest)
             if problem:
-                for back in steps(self._there(until), before):
+                for back in steps(read_block(self._blocks(until)), before):
                     self._take(back, until)
                 raise RobotError(f"{problem}; the gains are as before")
         self._look_up(until)
@@ -249,7 +244,7 @@ class FeetechAddress:
     calibration: Path | None = None
     """LeRobot's; None: the servos' own limits"""
     zero: tuple[float, ...] = ()
-    """[deg] angle of each joint in the middle of its range; empty: zero"""
+    """[deg] of each joint in mid-range; empty: zero"""
     gains: Gains = field(default_factory=dict)
     """by `rejoint.robots.feetech.gains.KNOBS`; empty: unchanged"""
 

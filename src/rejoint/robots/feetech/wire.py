@@ -1,6 +1,6 @@
 """The client `ftservo-python-sdk` on any port of pyserial, and counts in radians.
 
-A joint is at zero in the middle of its calibrated range, as in LeRobot's degrees, or at the address's ``zero``.
+A joint is at zero in mid-range, as in LeRobot's degrees, or at the address's ``zero``.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ import socket
 import struct
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from select import select
+from typing import NamedTuple
 
 import numpy as np
 import serial
@@ -51,6 +51,8 @@ WAIT = 0.02
 
 
 class _Port(PortHandler):  # type: ignore[misc]  # the maker's package has no types
+    is_using = property(lambda _: False, lambda *_: None)  # one thread at a time uses it
+
     def setupPort(self, _rate: int) -> bool:  # noqa: N802 - the maker's name
         """Open; OSError."""
         place = self.port_name
@@ -91,10 +93,7 @@ class _Port(PortHandler):  # type: ignore[misc]  # the maker's package has no ty
 
 
 class Wire:
-    """An open bus.
-
-    Methods raise TimeoutError, ValueError or IndexError (garbled), or OSError (broken).
-    """
+    """An open bus; TimeoutError, ValueError, IndexError (garbled), OSError (broken)."""
 
     def __init__(self, address: TcpAddress | SerialAddress) -> None:
         self._port = _Port(address)
@@ -118,7 +117,6 @@ class Wire:
 
     def read(self, servo: int, address: int, size: int) -> bytes:
         """Read ``size`` registers."""
-        self._free()
         packet: list[int] = []
         result = self._client.readTx(servo, address, size)
         while result == COMM_SUCCESS and (not packet or packet[PKT_ID] != servo):
@@ -133,13 +131,11 @@ class Wire:
 
     def write(self, servo: int, address: int, data: Sequence[int]) -> None:
         """Write registers; the servo confirms."""
-        self._free()
         result, _ = self._client.writeTxRx(servo, address, len(data), list(data))
         _judge(result, servo)
 
     def read_all(self, servos: Sequence[int], address: int, size: int) -> dict[int, bytes]:
         """Read ``size`` registers of all ``servos``; without silent ones."""
-        self._free()
         if self._client.syncReadTx(address, size, list(servos), len(servos)) != COMM_SUCCESS:
             raise OSError("the port did not take the request")
         _, data = self._client.syncReadRx(size, len(servos))
@@ -155,7 +151,6 @@ class Wire:
 
     def write_all(self, servos: Sequence[int], address: int, data: Sequence[bytes]) -> None:
         """Write registers of all ``servos``, without answers."""
-        self._free()
         words = [byte for servo, part in zip(servos, data, strict=True) for byte in (servo, *part)]
         if self._client.syncWriteTxOnly(address, len(data[0]), words, len(words)) != COMM_SUCCESS:
             raise OSError("the port did not take the request")
@@ -170,9 +165,6 @@ class Wire:
     def close(self) -> None:
         """Release the port; the servos hold."""
         self._port.closePort()
-
-    def _free(self) -> None:
-        self._port.is_using = False
 
 
 def _judge(result: int, servo: int) -> None:
@@ -192,8 +184,7 @@ TURNING = np.radians(300.0)
 """[rad] range of a joint that may turn fully (chosen: LeRobot does so with a wrist)"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class MotorRanges:
+class MotorRanges(NamedTuple):
     """LeRobot's calibration of the motors (n,)."""
 
     ids: tuple[int, ...]
@@ -202,8 +193,7 @@ class MotorRanges:
     high: Counts
 
 
-@dataclass(frozen=True, kw_only=True)
-class Zeros:
+class Zeros(NamedTuple):
     """Counts and radians of n joints, as plain numbers for speed."""
 
     middle: tuple[float, ...]
@@ -252,7 +242,7 @@ def read_calibration(path: Path, arm: Arm) -> MotorRanges:
 def zeros_of(
     arm: Arm, file: MotorRanges | None, homing: Counts, low: Counts, high: Counts, degrees: tuple[float, ...]
 ) -> Zeros:
-    """Zeros from servo offsets and limits (n,); RobotError where file or servo does not fit."""
+    """Zeros from servo offsets and limits (n,); RobotError."""
     if degrees and len(degrees) != arm.joints:
         raise InputError(f"zero= of the address needs {arm.joints} angles, one per joint, got {len(degrees)}")
     if file is not None and (file.homing != homing).any():
@@ -290,7 +280,7 @@ PRESENT, BLOCK = 56, 15
 FAULTS = {1: "voltage", 2: "encoder", 4: "heat", 8: "over-current", 32: "overload"}
 """Bits of the status register"""
 SAGGING = 0.75
-"""share of the first voltage of a sagging supply (chosen: servos go silent at half of it)"""
+"""share of the first voltage (chosen: servos go silent at half of it)"""
 VOLT = 0.1
 """[V] per count"""
 # of these position, load, voltage, temperature, status and goal
@@ -298,8 +288,8 @@ _ROW = struct.Struct("<HxxHBBxBxHxx")
 
 
 def decode(rows: Sequence[bytes], zeros: Zeros, laws: Sequence[DutyLaw], supply: Sequence[float]) -> Reading:
-    """Return reading from the ``rows`` of n servos; ``supply`` [V] at the start."""
-    places, loads, voltages, heats, well = [], [], [], [], True
+    """Read the ``rows`` of n servos; ``supply`` [V] at the start."""
+    places, loads, voltages, heats, words = [], [], [], [], []
     for row, law, before in zip(rows, laws, supply, strict=True):
         position, duty, volt, heat, status, goal = _ROW.unpack(row)
         place, voltage = signed(position, 15), volt * VOLT
@@ -307,16 +297,15 @@ def decode(rows: Sequence[bytes], zeros: Zeros, laws: Sequence[DutyLaw], supply:
         loads.append(law.share(signed(duty, 10), signed(goal, 15) - place))
         voltages.append(voltage)
         heats.append(heat)
-        well = well and not status and voltage >= SAGGING * before
+        words.append(_trouble(status, voltage, before) if status or voltage < SAGGING * before else None)
     table = np.array(zeros.radians(places) + loads + voltages + heats).reshape(4, len(rows))
-    words = None if well else [_trouble(row, before) for row, before in zip(rows, supply, strict=True)]
     return Reading(
         position=table[0],
         load=table[1],
         voltage=table[2],
         temperature=table[3],
-        fault=np.zeros(len(rows), bool) if words is None else np.array([word is not None for word in words]),
-        trouble=None if words is None else tuple(word or "" for word in words),
+        fault=np.array([word is not None for word in words]),
+        trouble=tuple(word or "" for word in words) if any(word is not None for word in words) else None,
     )
 
 
@@ -325,10 +314,8 @@ def signed(word: int, bit: int) -> int:
     return -(word & ~(1 << bit)) if word & 1 << bit else word
 
 
-def _trouble(row: bytes, before: float) -> str | None:
-    _, _, volt, _, status, _ = _ROW.unpack(row)
-    voltage = volt * VOLT
+def _trouble(status: int, voltage: float, before: float) -> str:
     words = [name for bit, name in FAULTS.items() if status & bit]
     if voltage < SAGGING * before:
         words.append(f"the supply sags to {voltage:.1f} V from {before:.1f} V")
-    return ", ".join(words) if status or words else None
+    return ", ".join(words)

@@ -1,7 +1,7 @@
-"""The computer that clients speak to: it plans moves as the vendor's does, and reports the state read last.
+"""The computer that clients speak to: it plans moves as the vendor's, and reports the last state.
 
-The control loop calls `advance` once a cycle; the server's thread carries out orders. Clients see the posture of a
-perfect arm whose tool is where this one's tool really is.
+The control loop calls `advance`; the server's thread carries out orders. Clients see a perfect arm whose tool is where
+this one's is.
 """
 
 from __future__ import annotations
@@ -10,10 +10,9 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rejoint.arms import (
     Arm,
@@ -25,8 +24,7 @@ from rejoint.arms import (
 )
 from rejoint.arms.postures import too_heavy
 from rejoint.arms.rotations import WEIGHT, Orientation, tool_axis
-from rejoint.arms.wire.computer import COLLISION, HAS_ARRIVED_LENGTH, at_angles, at_place
-from rejoint.arms.wire.mover import Mover
+from rejoint.arms.wire.mover import ARRIVED_LENGTH, COLLISION, Mover, Sensed, at_angles, at_place
 from rejoint.control.correction import Apparent
 from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.posture import PostureGains
@@ -35,24 +33,23 @@ from rejoint.control.robot import JointState, Mask
 from rejoint.control.unloading import OFF, Unloading
 
 IN_PLACE = PostureGains.close
-"""[m] of the tool within which a move has ended: where the controller lets the arm rest"""
+"""[m] of the tool at the end of a move: where the controller rests"""
 CALM = 0.3
-"""[s] for which it has to stay there (chosen: longer than a worn joint rings)"""
+"""[s] there (chosen: longer than a worn joint rings)"""
 STANDS = 0.15
-"""[s] for which a stopped arm has to be slow before it is held where it is (chosen)"""
+"""[s] for which a stopped arm is slow before it is held (chosen)"""
 PATIENCE = 8.0
-"""[s] after the end of its way for which a move is brought nearer (chosen: worn joints stick for seconds)"""
+"""[s] of bringing it nearer (chosen: worn joints stick for seconds)"""
 LONGEST = 0.1
-"""[s] by which the reference goes on in one cycle at most (chosen)"""
+"""[s] of the reference per cycle at most (chosen)"""
 TOUCH = 1e-6
-"""[m] that a goal may be lower than what it is compared with: rounding (chosen)"""
+"""[m] of rounding in comparisons of goals (chosen)"""
 LOST = 1.0
-"""[s] without an answer of the robot after which its state is not reported (chosen: five slow periods)"""
+"""[s] until a silent robot's state is not reported (chosen: five slow periods)"""
 _SMOOTHING = 0.5  # share of the newest difference in the speed that is told (chosen)
 
 
-@dataclass(frozen=True, kw_only=True)
-class MoveEnd:
+class MoveEnd(NamedTuple):
     """The end of a move."""
 
     error: float
@@ -62,9 +59,9 @@ class MoveEnd:
     after: float
     """[s] from the end of the planned way"""
     held_back: str = ""
-    """what the guard kept it from, in words; empty where it did not"""
+    """what the guard kept it from, in words, or empty"""
     short: str = ""
-    """which joint stands off its goal, and by how much; empty where none does"""
+    """which joint stands off its goal, and by how much, or empty"""
 
 
 class ServedArm(Mover, Reference):
@@ -79,27 +76,23 @@ class ServedArm(Mover, Reference):
         limits: GuardLimits | None = None,
         motors: Motors | None = None,
     ) -> None:
-        """Refuse orders to places that the guard's ``limits`` or the ``motors`` rule out."""
+        """Refuse orders that ``limits`` or ``motors`` rule out."""
         self._limits, self._motors = limits, motors
         self.note = ""
-        """what a motor is too weak for in the last order; empty where none is"""
+        """what a motor is too weak for in the last order, or empty"""
         self._apparent = apparent or Apparent(arm=arm)
         self._unloading = Unloading(arm, motors)
         super().__init__(arm, self._apparent.shown(position, position))
         self._lock = threading.RLock()
-        self.powered = True
-        self.enabled: Mask = np.ones(arm.joints, dtype=bool)
-        self.registers: dict[tuple[int, int], int] = {}
         self.on_arrival: Callable[[MoveEnd], object] = lambda _: None
         """is told how each move ended"""
         self.held_back = ""
-        """what the guard keeps the arm from now, in words; the control loop tells"""
+        """what the guard keeps the arm from now, in words"""
         self._time: float | None = None
         self._seen = time.monotonic()
         self._position = position.copy()
         self._speed = np.zeros(arm.joints)
-        self._temperature: Array | None = None
-        self._fault: Mask | None = None
+        self._state: JointState | None = None
         self._came = position.copy()
         self._wanted = self._aim = Setpoint(position[None].copy())
         # when [s] the reference ended its way; None while it moves
@@ -112,14 +105,14 @@ class ServedArm(Mover, Reference):
 
     @contextmanager
     def carrying_out(self) -> Iterator[None]:
-        """Keep the control loop from reading a half-changed plan."""
+        """Keep the control loop from half-changed plans."""
         with self._lock:
             yield
 
     # --- what the control loop does ---------------------------------------------------------
 
     def advance(self, state: JointState, since: Array, /) -> Setpoint:  # noqa: ARG002 - moves have their own clock
-        """Take what was read, let the reference go on, and return where the arm is to be now."""
+        """Take a reading and advance; return where the arm is to be."""
         if not self._lock.acquire(blocking=False):
             return self._wanted  # a posture is being searched: the reference waits
         try:
@@ -138,12 +131,10 @@ class ServedArm(Mover, Reference):
         if elapsed > 0.0:
             self._speed += _SMOOTHING * ((position - self._position) / elapsed - self._speed)
             self._motion.advance(min(elapsed, LONGEST))
-        self._time, self._position, self._seen = now, position, time.monotonic()
-        self._temperature = None if state.temperature is None else state.temperature[0].copy()
-        self._fault = None if state.fault is None else state.fault[0].copy()
+        self._time, self._position, self._seen, self._state = now, position, time.monotonic(), state
 
     def _next(self) -> Setpoint:
-        under_way = self._motion.moving and not self._motion.paused
+        under_way = self._motion.moving and not self.paused
         if under_way or self._since is None:
             posture = self._apparent.measured(self._motion.reference, self._came)
         else:
@@ -171,7 +162,7 @@ class ServedArm(Mover, Reference):
         calm = self._close_since is not None and self._time - self._close_since >= CALM
         if calm or after > PATIENCE:
             self._settled, self._came = True, posture.copy()
-            held_back = self.held_back if error > HAS_ARRIVED_LENGTH else ""
+            held_back = self.held_back if error > ARRIVED_LENGTH else ""
             if held_back:  # what is ordered next begins where the arm is, not where it will never come
                 self._stay()
                 self._hold_here()
@@ -198,7 +189,7 @@ class ServedArm(Mover, Reference):
 
     @property
     def is_lost(self) -> bool:
-        """Whether the robot itself has not answered for `LOST`: what is known of it is old."""
+        """Whether the robot has not answered for `LOST`."""
         return time.monotonic() - self._seen > LOST
 
     @property
@@ -206,87 +197,59 @@ class ServedArm(Mover, Reference):
         """(n,) [rad] shown joint angles."""
         return self._apparent.shown(self._position, self._came)
 
-    @property
-    def pose(self) -> Array:
-        """(4, 4) TCP pose: where the tool really is, as far as a calibration tells."""
-        return tcp_pose(self.arm, self.angles)
-
-    @property
-    def speed(self) -> Array:
-        """(n,) [rad/s]."""
-        return self._speed
-
-    @property
-    def temperature(self) -> Array:
-        """(n,) [deg C]; 0 where the arm does not tell."""
-        return np.zeros(self.arm.joints) if self._temperature is None else self._temperature
-
-    @property
-    def current(self) -> Array:
-        """(n,) [A]; 0, since drivers do not ask for it."""
-        return np.zeros(self.arm.joints)
-
-    @property
-    def voltage(self) -> Array:
-        """(n,) [V]; 0, since drivers do not ask for it."""
-        return np.zeros(self.arm.joints)
-
-    @property
-    def alarms(self) -> NDArray[np.uint8]:
-        """(n,) status bits: the lowest where a servo reports a fault."""
-        return np.zeros(self.arm.joints, np.uint8) if self._fault is None else self._fault.astype(np.uint8)
+    def sensed(self) -> Sensed:
+        """Return what the robot tells, else zeros."""
+        none, state = np.zeros(self.arm.joints), self._state
+        heat = None if state is None else state.temperature
+        fault = None if state is None else state.fault
+        return Sensed(
+            speed=self._speed,
+            current=none,
+            voltage=none,
+            temperature=none if heat is None else heat[0],
+            alarms=(none if fault is None else fault[0]).astype(np.uint8),
+        )
 
     @property
     def moving(self) -> bool:
-        """Whether a move is under way, or the arm is still brought nearer to its end."""
+        """Whether a move, or its last approach, is under way."""
         return not self.paused and (self._motion.moving or not self._settled)
 
     @property
     def on_its_way(self) -> bool:
-        """Whether the reference of a move has not come to its end."""
+        """Whether the reference still moves."""
         return self._motion.moving
 
     def in_position(self, angles: Array) -> bool:
-        """Whether the arm is at ``angles`` (n,) [rad]; at the end of a move, once that has ended."""
+        """Whether the arm is at ``angles`` (n,) [rad], after the move."""
         if not at_angles(self.planned_angles, angles):
             return at_angles(self.angles, angles)
         return not self.moving and self._is_near(tcp_pose(self.arm, angles))
 
     def at_pose(self, pose: Array) -> bool:
-        """Whether the tool is at ``pose`` (4, 4); at the end of a move, once that has ended."""
+        """Whether the tool is at ``pose`` (4, 4), after the move."""
         if not at_place(tcp_pose(self.arm, self.planned_angles), pose):
             return at_place(self.pose, pose)
         return not self.moving and self._is_near(pose)
 
     def _is_near(self, pose: Array) -> bool:
-        return bool(np.linalg.norm(self.pose[:3, 3] - pose[:3, 3]) < HAS_ARRIVED_LENGTH)
+        return bool(np.linalg.norm(self.pose[:3, 3] - pose[:3, 3]) < ARRIVED_LENGTH)
 
     # --- what clients order -----------------------------------------------------------------
 
     def stop(self, joint: int | None = None) -> None:
-        """Hold one joint where the reference is, or the arm where it is itself.
-
-        A worn arm is far behind its reference.
-        """
+        """Hold one joint where the reference is, or the arm where it is: it may be far behind."""
         under_way = self.on_its_way or not self._settled
         self._motion.hold(joint)
         if joint is None and under_way:
             self._stay()
             self._since, self._settled, self._stopped = None, False, True
 
-    def pause(self) -> None:
-        """Hold where the reference is, to go on later."""
-        self._motion.paused = True
-
-    def resume(self) -> None:
-        """Go on."""
-        self._motion.paused = False
-
     def power(self, on: bool) -> None:
-        """Do nothing: the arm has power, and clients may not take it; see `rejoint.robots.serving.server`."""
+        """Do nothing: clients may not switch the power."""
 
     def enable(self, wanted: Mask) -> None:
-        """Do nothing: all servos hold, and clients may not release them."""
+        """Do nothing: clients may not release servos."""
 
     def calibrate(self, joint: int) -> None:
         """Do nothing: the zeros of the joints stay."""
@@ -310,21 +273,18 @@ class ServedArm(Mover, Reference):
         return found if alone is None else alone
 
     def _held(self, pose: Array, start: Array, turn: Orientation | None) -> Array | None:
-        """Return a posture (n,) [rad] that the motors hold; None where none was found at once."""
+        """Return a posture (n,) [rad] that the motors hold, or None."""
         found = choose_postures(self.arm, pose[None, :3, 3], start, turn=turn, motors=self._motors, thorough=False)
         return None if found.refusals[0] else found.q[0]
 
     def _too_heavy(self, angles: Array) -> tuple[int | None, str]:
-        """Return the joint whose motor cannot hold ``angles`` (n,) [rad], and why; None where all can."""
+        """Return the joint that cannot hold ``angles`` (n,) [rad], and why, or None."""
         if self._motors is None:
             return None, ""
         return too_heavy(self.arm, self._apparent.measured(angles, self._came), self._motors.limit)
 
     def _is_clear(self, angles: Array) -> bool:
-        """Whether motors and guard allow the arm at ``angles`` (n,) [rad].
-
-        In contact it may go nearer to what is clear.
-        """
+        """Whether motors and guard allow ``angles`` (n,) [rad]; in contact it may go nearer to what is clear."""
         joint, why = self._too_heavy(angles)
         if joint is not None:
             self.error, self.note = joint + 1, f"too heavy: {why} (error {joint + 1})"

@@ -6,14 +6,9 @@ from benchmarks.virtual import START, VirtualClient
 
 from rejoint.arms import mycobot280
 from rejoint.arms.wire.values import Frame, encode, pack_angles
-from rejoint.robots.lab.emulator import Faults, Timing, parse_faults
-from rejoint.robots.lab.emulator.faults import (
-    DeathError,
-    LinkGoneError,
-    Onset,
-    Stall,
-    WireFaults,
-)
+from rejoint.robots.lab.emulator import Timing, parse_faults
+from rejoint.robots.lab.emulator.faults import Fault, WireFaults
+from rejoint.robots.wireserver import DeathError, LinkGoneError
 
 ARM = mycobot280()
 PROMPT = Timing(state=0.01, acknowledgement=0.01, jitter=0.0)
@@ -28,7 +23,11 @@ def faults(text):
 
 
 def at(joint, after):
-    return (Onset(joints=(joint,), after=after),)
+    return (Fault(joints=(joint,), after=after),)
+
+
+def chance(share):
+    return (Fault(size=share),)
 
 
 # --- how they are asked for ---------------------------------------------------------------------
@@ -36,35 +35,35 @@ def at(joint, after):
 
 def test_the_words_of_the_command_line_become_what_they_say():
     text = "drop=0.05, garbage=0.05,stall=1.5/4,freeze=3@5,blind=2@5,overheat@10,die@20,slow=0.5,stale=0.1,split=0.1"
-    assert faults(text) == Faults(
-        drop=0.05,
-        garbage=0.05,
-        stall=Stall(duration=1.5, every=4.0),
-        freeze=at(2, 5.0),
-        blind=at(1, 5.0),
-        overheat=at(1, 10.0),
-        die=20.0,
-        slow=0.5,
-        stale=0.1,
-        split=0.1,
-    )
+    assert faults(text) == {
+        "drop": chance(0.05),
+        "garbage": chance(0.05),
+        "stall": (Fault(duration=1.5, every=4.0),),
+        "freeze": at(2, 5.0),
+        "blind": at(1, 5.0),
+        "overheat": at(1, 10.0),
+        "die": (Fault(after=20.0),),
+        "slow": chance(0.5),
+        "stale": chance(0.1),
+        "split": chance(0.1),
+    }
     text = (
         "echo=1,double=.2,half=0.3,gone=2/3,gone=9/1,silent@4,jump=1@0,limit=6@1e1,current=2@3,overload=2@3,voltage@7"
     )
-    assert faults(text) == Faults(
-        echo=1.0,
-        double=0.2,
-        half=0.3,
-        gone=(Onset(after=2.0, duration=3.0), Onset(after=9.0, duration=1.0)),
-        silent=4.0,
-        jump=at(0, 0.0),
-        limit=at(5, 10.0),
-        current=at(1, 3.0),
-        overload=at(1, 3.0),
-        voltage=(Onset(joints=(0, 1, 2, 3, 4, 5), after=7.0),),
-    )
-    assert faults("freeze=3@5,freeze=1@2,overheat=4@1").freeze == (*at(2, 5.0), *at(0, 2.0))
-    assert faults("") == Faults()
+    assert faults(text) == {
+        "echo": chance(1.0),
+        "double": chance(0.2),
+        "half": chance(0.3),
+        "gone": (Fault(after=2.0, duration=3.0), Fault(after=9.0, duration=1.0)),
+        "silent": (Fault(after=4.0),),
+        "jump": at(0, 0.0),
+        "limit": at(5, 10.0),
+        "current": at(1, 3.0),
+        "overload": at(1, 3.0),
+        "voltage": (Fault(joints=(0, 1, 2, 3, 4, 5), after=7.0),),
+    }
+    assert faults("freeze=3@5,freeze=1@2,overheat=4@1")["freeze"] == (*at(2, 5.0), *at(0, 2.0))
+    assert faults("") == {}
 
 
 # --- what becomes of answers --------------------------------------------------------------------
@@ -85,7 +84,7 @@ def talk(firmware):
 
 def test_without_faults_nothing_is_touched(talk):
     assert talk("", [GET_ANGLES] * 3) == [(0.01, ANGLES), (0.02, ANGLES), (0.03, ANGLES)]
-    assert WireFaults(Faults()).pieces(GET_ANGLES, ANGLES) == [ANGLES]
+    assert WireFaults({}).pieces(GET_ANGLES, ANGLES) == [ANGLES]
 
 
 def test_a_lost_answer_is_lost_on_its_way_back(talk, firmware):

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rejoint.arms import mycobot280
-from rejoint.arms.wire.computer import FULL_SPEED, NO_LINE, NO_SOLUTION
-from rejoint.arms.wire.orders import ORDERS, STATES, SWITCHES, answer
+from rejoint.arms.wire.mover import FULL_SPEED, NO_LINE, NO_SOLUTION
+from rejoint.arms.wire.orders import ORDERS, QUESTIONS, answer
 from rejoint.arms.wire.values import Frame
 from rejoint.robots.lab.emulator.firmware import COMMAND_DELAY, Firmware
 
@@ -130,14 +130,13 @@ def test_less_than_a_millisecond_is_not_lost(firmware):
     assert firmware.time == pytest.approx(0.4, abs=1.1e-3)
 
 
-LENGTHS = {
-    **dict.fromkeys((*SWITCHES, *STATES), (0,)),
-    **{command: lengths for command, (lengths, _) in ORDERS.items() if command not in (0x13, 0x54)},
-}
-requests = st.sampled_from(sorted(LENGTHS)).flatmap(
-    lambda command: st.builds(
-        Frame, st.just(command), st.sampled_from(LENGTHS[command]).flatmap(lambda n: st.binary(min_size=n, max_size=n))
-    )
+KNOWN = [
+    (command, size)
+    for command, size in (*ORDERS, *QUESTIONS)
+    if (size == 0 or (command, size) in ORDERS) and (command, size) not in ((0x13, 1), (0x54, 1))
+]
+requests = st.sampled_from(KNOWN).flatmap(
+    lambda known: st.builds(Frame, st.just(known[0]), st.binary(min_size=known[1], max_size=known[1]))
 )
 
 

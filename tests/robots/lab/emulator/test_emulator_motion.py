@@ -50,7 +50,7 @@ def test_a_queue_passes_every_waypoint_in_order():
     stops = [np.array([1.0, 0.0]), np.array([1.0, 1.0]), np.array([-1.0, 0.0])]
     for stop in stops:
         assert m.enqueue(joint_path(m.end, stop, FULL), 1.0)
-    assert m.waiting == 2
+    assert len(m.queue) == 2
     seen = run(m, 8.0)
     reached = [int(np.argmax(np.abs(seen - stop).max(axis=1) < 1e-9)) for stop in stops]
     assert 0 < reached[0] < reached[1] < reached[2]

@@ -86,4 +86,4 @@ def test_nothing_ends_the_reader_and_it_keeps_no_more_than_a_packet(data):
     for part in data:
         for packet in decoder.feed(part):
             assert encode(packet) in b"".join(data)
-    assert len(decoder._held) <= 260
+    assert len(decoder.rest) <= 260

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import load_arm
-from rejoint.robots.lab.emulator.faults import parse_faults
+from rejoint.robots.lab.emulator.faults import parse_faults, size_of
 from rejoint.robots.lab.emulator.feetech import (
     ADAPTER,
     BROADCAST,
@@ -33,7 +33,7 @@ class Client:
         faults = parse_faults(fault, 5)
         self.now, self.requests, self.pause = 1e6, list(requests), pause
         self.ask_at, self.asked, self.heard = self.now, [], []
-        arm = build_arm(ARM, "so101", resistance=faults.sag)
+        arm = build_arm(ARM, "so101", resistance=size_of(faults, "sag"))
         self.session = BusSession(arm, faults=faults, clock=lambda: self.now, await_data=self._await)
         self.moved, self.busy, self._execute = [], busy, self.session.bus.execute
         self.session.bus.execute = self._obey

@@ -5,7 +5,8 @@ import pytest
 
 from rejoint.arms import load_arm
 from rejoint.robots.lab.plant import sts3215
-from rejoint.robots.lab.plant.sts3215 import STEP_ANGLE, BareServos, StsPlant
+from rejoint.robots.lab.plant.plant import StsPlant
+from rejoint.robots.lab.plant.sts3215 import STEP_ANGLE, BareServos
 from rejoint.robots.lab.plant.wear import load_wear
 
 ARM = load_arm("so101")

@@ -1,19 +1,19 @@
 """A camera before an emulated arm.
 
-Each pixel is traced back through the lens to the drawing, without projected corners, so that images can test the
-detection. Equal seeds give equal images.
+Each pixel is traced back to the drawing, without projected corners, so that images can test the detection.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, tcp_pose
-from rejoint.arms.camera.board import ON_TOOL, Board, BoardView
+from rejoint.arms.camera.board import ON_TOOL, Board
 from rejoint.arms.camera.lens import Lens
 from rejoint.arms.camera.rig import Rig
 from rejoint.arms.rotations import inverse
@@ -21,8 +21,8 @@ from rejoint.arms.rotations import inverse
 Picture = NDArray[np.uint8]
 """(height, width) grey levels"""
 
-BLACK, WHITE, SKIN, WALL = 35.0, 215.0, 140.0, 120.0
-"""Grey levels of print, paper, hand and background (chosen)"""
+BLACK, WHITE, WALL = 35.0, 215.0, 120.0
+"""Grey levels of print, paper and background (chosen)"""
 
 _FINE = 3  # rays across a pixel (chosen)
 _DOT = 0.25e-3  # [m] of the drawing's dots (chosen: a tenth of a cell; edges of cells are on them)
@@ -30,21 +30,18 @@ _QUIET = 5e-3  # [m] white paper around the board (chosen)
 _MARGIN = 8  # [px] around the board that are rendered with it
 
 
-@dataclass(frozen=True, kw_only=True)
-class Looks:
+class Looks(NamedTuple):
     """Disturbances of an image."""
 
     blur: float = 0.7
     """[px] standard deviation"""
     noise: float = 4.0
     """[grey levels] standard deviation of a pixel"""
-    hidden: float = 0.0
-    """covered share of the board's width"""
 
 
 @lru_cache(maxsize=8)
 def drawn(board: Board) -> NDArray[np.float32]:
-    """Draw a board, grey levels in dots of 0.25 mm, with a white rim."""
+    """Draw a board with a white rim, dots of 0.25 mm."""
     rim = round(_QUIET / _DOT)
     ink = BLACK + (WHITE - BLACK) / 255.0 * board.drawing(1.0 / _DOT)
     picture = np.pad(ink.astype(np.float32), rim, constant_values=WHITE)
@@ -58,12 +55,11 @@ def render(board: Board, lens: Lens, pose: Array, seed: int | tuple[int, ...], l
 
     looks = looks or Looks()
     rng = np.random.default_rng(seed)
-    canvas = _wall(lens)
+    x, y = np.linspace(-1, 1, lens.width), np.linspace(-1, 1, lens.height)
+    canvas = (WALL + 25.0 * x[None, :] - 10.0 * y[:, None]).astype(np.float32)
     window = _window(board, lens, pose)
     if window is not None:
         _paint(canvas, board, lens, pose, window)
-        if looks.hidden > 0.0:
-            _cover(canvas, lens, board, pose, looks.hidden)
     if looks.blur > 0.0:
         canvas = cv2.GaussianBlur(canvas, (0, 0), looks.blur)
     canvas += looks.noise * rng.standard_normal(canvas.shape, dtype=np.float32)
@@ -107,20 +103,6 @@ def _window(board: Board, lens: Lens, pose: Array) -> tuple[int, int, int, int] 
     return None if (low >= high).any() else (int(low[0]), int(high[0]), int(low[1]), int(high[1]))
 
 
-def _wall(lens: Lens) -> NDArray[np.float32]:
-    x, y = np.linspace(-1, 1, lens.width), np.linspace(-1, 1, lens.height)
-    return np.asarray(WALL + 25.0 * x[None, :] - 10.0 * y[:, None], dtype=np.float32)
-
-
-def _cover(canvas: NDArray[np.float32], lens: Lens, board: Board, pose: Array, share: float) -> None:
-    import cv2
-
-    first, second, third, fourth = board.outline
-    reach = np.stack([first, second, second + share * (third - second), first + share * (fourth - first)])
-    pixel = lens.project(reach @ pose[:3, :3].T + pose[:3, 3])
-    cv2.fillConvexPoly(canvas, np.rint(pixel).astype(np.int32), SKIN, lineType=cv2.LINE_AA)
-
-
 LENS = Lens(width=1920, height=1080, f=1400.0, cx=950.0, cy=545.0, k1=-0.08, k2=0.05, p1=8e-4, p2=-5e-4)
 """A web camera of 69 degrees (chosen)"""
 AWAY = 0.6
@@ -129,7 +111,7 @@ AWAY = 0.6
 _AZIMUTH = np.radians(-60.0)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Scene:
     """An emulated camera and board on an arm."""
 
@@ -145,47 +127,32 @@ class Scene:
         """Image with the tool at ``tool`` (4, 4) in the base."""
         return render(self.rig.board, self.rig.lens, self.rig.sight(tool), seed, looks or self.looks)
 
-    def view(self, name: str, links: Array, rng: np.random.Generator, noise: float = 0.15) -> BoardView:
-        """Visible corners with ``noise`` [px], without an image."""
-        pose, corners = self.rig.sight(tcp_pose(self.arm, links)), self.rig.board.corners
-        pixel = self.rig.lens.project(corners @ pose[:3, :3].T + pose[:3, 3])
-        return BoardView(
-            name=name, number=np.arange(len(corners)), pixel=pixel + noise * rng.standard_normal(pixel.shape)
-        )
-
 
 def beside(arm: Arm, *, board: Board = ON_TOOL) -> Scene:
-    """Camera beside an arm, and an upright board on its tool, 30 mm before the TCP."""
+    """Camera beside an arm, and an upright board on its tool."""
     middle = 0.5 * (arm.targets.lower + arm.targets.upper)
     level = np.array([np.cos(_AZIMUTH), np.sin(_AZIMUTH), 0.0])
     standing = looking(middle + AWAY * (0.95 * level + [0.0, 0.0, 0.31]), middle)
     rest = tcp_pose(arm, arm.rest)
     towards = standing[:3, 3] - rest[:3, 3]
-    upright = looking(rest[:3, 3] + 0.03 * towards / np.linalg.norm(towards), rest[:3, 3])
-    origin = upright[:3, :3] @ np.array([*(-0.5 * board.size), 0.0])
-    hung = upright.copy()
-    hung[:3, 3] += origin
-    return Scene(
-        arm=arm, rig=Rig(lens=LENS, board=board, carried="board", standing=standing, mounted=inverse(rest) @ hung)
-    )
+    hung = looking(rest[:3, 3] + 0.03 * towards / np.linalg.norm(towards), rest[:3, 3])
+    hung[:3, 3] -= hung[:3, :2] @ board.size / 2
+    return Scene(arm, Rig(lens=LENS, board=board, carried="board", standing=standing, mounted=inverse(rest) @ hung))
 
 
 def on_tool(arm: Arm, *, board: Board) -> Scene:
     """Camera on an arm's tool, and a flat board below the targets."""
     middle = 0.5 * (arm.targets.lower + arm.targets.upper)
-    lying = np.eye(4)
-    lying[:3, :3] = np.diag([1.0, -1.0, -1.0])  # seen from above
-    lying[:3, 3] = [middle[0], middle[1], 0.0]
-    lying[:3, 3] -= lying[:3, :3] @ np.array([*(0.5 * board.size), 0.0])
+    floor = np.array([middle[0], middle[1], 0.0])
+    lying = np.diag([1.0, -1.0, -1.0, 1.0])  # seen from above
+    lying[:3, 3] = floor - lying[:3, :2] @ board.size / 2
     rest = tcp_pose(arm, arm.rest)
-    camera = looking(rest[:3, 3] + [0.0, 0.0, 0.05], np.array([middle[0], middle[1], 0.0]))
-    return Scene(
-        arm=arm, rig=Rig(lens=LENS, board=board, carried="camera", standing=lying, mounted=inverse(rest) @ camera)
-    )
+    camera = looking(rest[:3, 3] + [0.0, 0.0, 0.05], floor)
+    return Scene(arm, Rig(lens=LENS, board=board, carried="camera", standing=lying, mounted=inverse(rest) @ camera))
 
 
 def looking(place: Array, at: Array) -> Array:
-    """Pose (4, 4) of an upright camera at ``place`` (3,) towards a point (3,)."""
+    """Pose (4, 4) of an upright camera at ``place`` (3,)."""
     forwards = (at - place) / np.linalg.norm(at - place)
     right = np.cross(forwards, [0.0, 0.0, 1.0])
     right = right / np.linalg.norm(right) if np.linalg.norm(right) > 1e-6 else np.array([1.0, 0.0, 0.0])

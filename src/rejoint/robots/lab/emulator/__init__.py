@@ -1,4 +1,4 @@
-"""A worn arm behind the myCobot wire protocol, on TCP or a pseudo-terminal."""
+"""A worn arm behind its wire."""
 
 from __future__ import annotations
 
@@ -9,21 +9,20 @@ from pathlib import Path
 from typing import Any
 
 from rejoint.arms import Arm
-from rejoint.robots.lab.emulator.faults import NONE, SERVO_BUS, Faults, parse_faults
+from rejoint.robots.lab.emulator.faults import NONE, SERVO_BUS, Faults, parse_faults, size_of
 from rejoint.robots.lab.emulator.feetech import BusSession, build_arm
 from rejoint.robots.lab.emulator.firmware import Firmware
 from rejoint.robots.lab.emulator.servers import (
-    Conversation,
-    Server,
+    EmulatedConversation,
     Timing,
     TruthLog,
     WireSession,
     on_port,
-    on_terminal,
     serve_pty,
     serve_tcp,
 )
 from rejoint.robots.lab.plant.servo import has_these_servos
+from rejoint.robots.wireserver import Server, TerminalServer
 from rejoint.system.errors import InputError
 
 __all__ = [
@@ -67,24 +66,23 @@ def emulate(
 ) -> None:
     """Serve a worn arm at a ``place`` or on a pseudo-terminal; ``announce`` receives its address.
 
-    InputError for the port, ProfileError for the wear profile, FileError for the log.
+    InputError, ProfileError, FileError.
     """
     on_bus = has_these_servos(arm)
     for name in () if on_bus else SERVO_BUS:
-        if getattr(faults, name) != getattr(NONE, name):
+        if name in faults:
             raise InputError(f"the fault {name} is one of an arm on its servos' own bus, as --arm so101 is")
     with contextlib.suppress(KeyboardInterrupt), contextlib.ExitStack() as stack:
         truth = None if log is None else TruthLog.open(log, arm.joints)
         if truth is not None:
             stack.callback(truth.close)
-        session: Conversation[Any]
+        session: EmulatedConversation[Any]
         if on_bus:
-            session = BusSession(
-                build_arm(arm, wear_name, seed=seed, resistance=faults.sag), seed=seed, faults=faults, log=truth
-            )
+            servos = build_arm(arm, wear_name, seed=seed, resistance=size_of(faults, "sag"))
+            session = BusSession(servos, seed=seed, faults=faults, log=truth)
         else:
             session = WireSession(build_firmware(arm, wear_name, seed=seed), seed=seed, faults=faults, log=truth)
-        server = on_terminal(session) if place is None else on_port(session, *place)
+        server = TerminalServer(session) if place is None else on_port(session, *place)
         server.on_death = lambda: os._exit(DIED)
         stack.callback(server.stop)
         announce(server.address)

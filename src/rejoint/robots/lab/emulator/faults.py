@@ -1,6 +1,6 @@
 """Faults of an emulated arm: ``drop=0.05,stall=1.5/4,freeze=3@5,die@20``.
 
-Times in seconds after the first byte of a client, joints from 1. Every fault has its own random stream.
+Times in seconds after a client's first byte. Every fault has its own random stream.
 """
 
 from __future__ import annotations
@@ -8,158 +8,109 @@ from __future__ import annotations
 import math
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
+from rejoint.robots.wireserver import DeathError, LinkGoneError
 from rejoint.system.errors import InputError
 
 if TYPE_CHECKING:
     from rejoint.robots.lab.plant.plant import Plant
 
-Mask = NDArray[np.bool_]
-
 HOT_JOINT = 2
 """Joint that gets hot by default: the shoulder (chosen)"""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Stall:
-    """Spans with a stalled link."""
+class Fault(NamedTuple):
+    """One fault; a form lacks what it does not need."""
 
-    duration: float
-    """[s]"""
-    every: float
-    """[s] between beginnings; the first comes after it"""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Onset:
-    """A fault that begins, and may end, for some servos or the link."""
-
+    size: float = 0.0
+    """chance, [s] or [ohm]"""
     joints: tuple[int, ...] = ()
     """from 0; empty: the link"""
-    after: float
+    after: float = 0.0
     """[s]"""
     duration: float = math.inf
     """[s]"""
+    every: float = math.inf
+    """[s] between beginnings; the first comes after it"""
 
     def holds(self, elapsed: float) -> bool:
         """Whether it holds ``elapsed`` [s] after the first byte."""
         return self.after <= elapsed < self.after + self.duration
 
 
-@dataclass(frozen=True, kw_only=True)
-class Faults:
-    """All faults; `FORMS` explains them."""
-
-    drop: float = 0.0
-    garbage: float = 0.0
-    stale: float = 0.0
-    split: float = 0.0
-    half: float = 0.0
-    double: float = 0.0
-    echo: float = 0.0
-    slow: float = 0.0
-    """[s]"""
-    stall: Stall | None = None
-    gone: tuple[Onset, ...] = ()
-    silent: float | None = None
-    """[s]"""
-    die: float | None = None
-    """[s]"""
-    freeze: tuple[Onset, ...] = ()
-    blind: tuple[Onset, ...] = ()
-    jump: tuple[Onset, ...] = ()
-    limit: tuple[Onset, ...] = ()
-    overheat: tuple[Onset, ...] = ()
-    current: tuple[Onset, ...] = ()
-    overload: tuple[Onset, ...] = ()
-    voltage: tuple[Onset, ...] = ()
-    mute: tuple[Onset, ...] = ()
-    sag: float = 0.0
-    """[ohm]"""
-
-
-SERVO_BUS = ("mute", "sag")
-"""Faults of arms on their servo bus only"""
-NONE = Faults()
-
+Faults = Mapping[str, tuple[Fault, ...]]
+"""By name, see `FORMS`"""
+NONE: Faults = {}
 
 FORMS: dict[str, str] = {
-    "drop": "=P",
-    "garbage": "=P",
-    "stale": "=P",
-    "split": "=P",
-    "half": "=P",
-    "double": "=P",
-    "echo": "=P",
+    **dict.fromkeys(("drop", "garbage", "stale", "split", "half", "double", "echo"), "=P"),
     "slow": "=S",
     "stall": "=D/E",
     "gone": "=T/D",
-    "silent": "@T",
-    "die": "@T",
-    "freeze": "=J@T",
-    "blind": "=J@T",
-    "jump": "=J@T",
-    "limit": "=J@T",
+    **dict.fromkeys(("silent", "die"), "@T"),
+    **dict.fromkeys(("freeze", "blind", "jump", "limit"), "=J@T"),
     "overheat": "[=J]@T",
-    "current": "=J@T",
-    "overload": "=J@T",
+    **dict.fromkeys(("current", "overload"), "=J@T"),
     "voltage": "[=J]@T",
     "mute": "=J@T/D",
     "sag": "=R",
 }
-"""How faults are written behind their names, which are fields of `Faults`; optional parts in brackets. `rejoint emulate
---help` explains them"""
-
-_REPEATABLE = {field.name for field in fields(Faults) if field.default == ()}
+"""How faults are written, optional parts in brackets; see `rejoint emulate --help`"""
+SERVO_BUS = ("mute", "sag")
+"""Faults of arms on their servo bus only"""
+_LETTERS = {"P": "size", "S": "size", "R": "size", "T": "after", "D": "duration", "E": "every"}
 
 
 def parse_faults(text: str, joints: int) -> Faults:
     """Read comma-separated faults; InputError."""
-    found: dict[str, list[object]] = {}
+    found: dict[str, tuple[Fault, ...]] = {}
     for item in filter(None, (part.strip() for part in text.split(","))):
         name = re.split("[=@]", item)[0]
         if name not in FORMS:
             raise InputError(f"'{item}' is no known fault; known are {', '.join(FORMS)}, see rejoint emulate --help")
         try:
-            value = _read(name, item.removeprefix(name), joints)
+            fault = _read(name, item.removeprefix(name), joints)
         except ValueError:
             wanted = f"{name}{FORMS[name]}, see rejoint emulate --help, with a joint J from 1 to {joints}"
             raise InputError(f"expected the fault {wanted}; got '{item}'") from None
-        found.setdefault(name, []).append(value)
-        if name not in _REPEATABLE and len(found[name]) > 1:
+        if name in found and name != "gone" and "J" not in FORMS[name]:
             raise InputError(f"the fault {name} may be given once, got '{text}'")
-    values = {name: tuple(values) if name in _REPEATABLE else values[0] for name, values in found.items()}
-    return Faults(**values)  # type: ignore[arg-type]  # `FORMS` reads each field as what it is
+        found[name] = (*found.get(name, ()), fault)
+    return found
 
 
-def _read(name: str, text: str, joints: int) -> object:
+def _read(name: str, text: str, joints: int) -> Fault:
     optional = FORMS[name].replace("[", "(?:").replace("]", ")?")
     match = re.fullmatch(re.sub("[A-Z]", lambda letter: f"(?P<{letter[0]}>[^=@/]+)", optional), text)
     if match is None:
         raise ValueError
-    joint = match.groupdict().get("J")
-    numbers = {letter: float(word) for letter, word in match.groupdict().items() if letter != "J"}
+    words = match.groupdict()
+    joint = words.pop("J", None)
+    numbers = {letter: float(word) for letter, word in words.items()}
     if not all(0.0 <= number < math.inf for number in numbers.values()) or numbers.get("P", 0.0) > 1.0:
         raise ValueError
-    if "E" in numbers:
-        if numbers["D"] >= numbers["E"]:
-            raise ValueError
-        return Stall(duration=numbers["D"], every=numbers["E"])
-    if name not in _REPEATABLE:
-        return numbers.popitem()[1]
-    chosen: tuple[int, ...]
+    if numbers.get("D", 0.0) >= numbers.get("E", math.inf):
+        raise ValueError
+    chosen: tuple[int, ...] = {"overheat": (min(HOT_JOINT, joints) - 1,), "voltage": tuple(range(joints))}.get(name, ())
     if joint is not None:
         chosen = (range(joints).index(int(joint) - 1),)
-    else:
-        chosen = {"overheat": (min(HOT_JOINT, joints) - 1,), "voltage": tuple(range(joints))}.get(name, ())
-    return Onset(joints=chosen, after=numbers["T"], duration=numbers.get("D", math.inf))
+    return Fault(joints=chosen, **{_LETTERS[letter]: number for letter, number in numbers.items()})
+
+
+def in_force(faults: Faults, name: str, elapsed: float) -> list[Fault]:
+    """Faults of a name that hold ``elapsed`` [s] after the first byte."""
+    return [fault for fault in faults.get(name, ()) if fault.holds(elapsed)]
+
+
+def size_of(faults: Faults, name: str) -> float:
+    """Size of a fault that may be given once; 0 without it."""
+    return sum(fault.size for fault in faults.get(name, ()))
 
 
 SPLIT_PAUSE = 0.05
@@ -170,90 +121,68 @@ MOST_GARBAGE = 12
 _CHANCES = ("drop", "garbage", "stale", "split", "half", "double", "echo")
 
 
-class LinkGoneError(Exception):
-    """The connection is gone."""
-
-
-class DeathError(Exception):
-    """The emulator must end silently."""
-
-
 class WireFaults:
     """Applies faults to a link; times in [s] after the first byte."""
 
     def __init__(self, faults: Faults, seed: int = 0) -> None:
         self._faults = faults
+        self.delay = size_of(faults, "slow")
+        """[s] extra time of every answer"""
         self._streams = {name: np.random.default_rng([seed, place]) for place, name in enumerate(_CHANCES)}
         # id -> the last request of this id and what was answered
         self._earlier: dict[int, tuple[bytes, bytes]] = {}
 
-    @property
-    def delay(self) -> float:
-        """[s] extra time of every answer."""
-        return self._faults.slow
-
     def check(self, elapsed: float) -> None:
         """DeathError after the end, LinkGoneError without a link."""
-        if self._faults.die is not None and elapsed >= self._faults.die:
+        if in_force(self._faults, "die", elapsed):
             raise DeathError
-        if any(gone.holds(elapsed) for gone in self._faults.gone):
+        if in_force(self._faults, "gone", elapsed):
             raise LinkGoneError
 
     def still_until(self, elapsed: float) -> float:
         """End of a stall, else ``elapsed``."""
-        if self._faults.silent is not None and elapsed >= self._faults.silent:
+        if in_force(self._faults, "silent", elapsed):
             return math.inf
-        stall = self._faults.stall
-        if stall is None or elapsed < stall.every:
-            return elapsed
-        begin = stall.every * math.floor(elapsed / stall.every)
-        return max(elapsed, begin + stall.duration)
+        for stall in self._faults.get("stall", ()):
+            if elapsed >= stall.every:
+                return max(elapsed, stall.every * math.floor(elapsed / stall.every) + stall.duration)
+        return elapsed
 
     def pieces(self, request: bytes, answer: bytes) -> list[bytes]:
         """Pieces sent instead of ``answer``, with a `SPLIT_PAUSE` between; empty: lost."""
-        hit = {name: self._draw(name) for name in _CHANCES}
-        answer = self._perhaps_old(request, answer, old=hit["stale"])
-        if hit["drop"]:
+        hit = {name for name in _CHANCES if name in self._faults and self._hits(name)}
+        if "stale" in self._faults:
+            asked, answered = self._earlier.get(request[3], (b"", b""))
+            if "stale" in hit and asked == request:
+                answer = answered
+            else:
+                self._earlier[request[3]] = request, answer
+        if "drop" in hit:
             return []
-        if hit["half"]:
+        if "half" in hit:
             answer = answer[: self._cut("half", answer)]
-        if hit["garbage"]:
-            answer = self._with_garbage(answer)
-        if hit["echo"]:
-            answer = request + answer
-        if hit["double"]:
-            answer = answer * 2
-        if not hit["split"]:
-            return [answer]
-        cut = self._cut("split", answer)
-        return [piece for piece in (answer[:cut], answer[cut:]) if piece]
+        if "garbage" in hit:
+            stream = self._streams["garbage"]
+            noise = stream.bytes(int(stream.integers(1, MOST_GARBAGE, endpoint=True)))
+            place = 0 if stream.random() < 0.5 else self._cut("garbage", answer)
+            answer = answer[:place] + noise + answer[place:]
+        answer = ("echo" in hit) * request + answer
+        answer *= 1 + ("double" in hit)
+        cut = self._cut("split", answer) if "split" in hit else len(answer)
+        return [answer[:cut], answer[cut:]] if cut < len(answer) else [answer]
 
-    def _draw(self, name: str) -> bool:
-        share: float = getattr(self._faults, name)
-        return share > 0.0 and bool(self._streams[name].random() < share)
-
-    def _perhaps_old(self, request: bytes, answer: bytes, *, old: bool) -> bytes:
-        if not self._faults.stale:
-            return answer
-        command = request[3]
-        asked, answered = self._earlier.get(command, (b"", b""))
-        if old and asked == request:
-            return answered
-        self._earlier[command] = request, answer
-        return answer
-
-    def _with_garbage(self, answer: bytes) -> bytes:
-        stream = self._streams["garbage"]
-        noise = stream.bytes(int(stream.integers(1, MOST_GARBAGE, endpoint=True)))
-        place = 0 if stream.random() < 0.5 else self._cut("garbage", answer)
-        return answer[:place] + noise + answer[place:]
+    def _hits(self, name: str) -> bool:
+        return bool(self._streams[name].random() < size_of(self._faults, name))
 
     def _cut(self, name: str, answer: bytes) -> int:
         return int(self._streams[name].integers(1, max(len(answer), 2)))
 
 
-VOLTAGE_BIT, OVER_TEMPERATURE_BIT, OVER_CURRENT_BIT, OVERLOAD_BIT = 1 << 0, 1 << 2, 1 << 3, 1 << 5
+OVER_TEMPERATURE_BIT = 1 << 2
+BITS = {"voltage": 1 << 0, "current": 1 << 3, "overload": 1 << 5}
 """Bits of the servo status (pymycobot 4.0.7, robot_info)"""
+EXTREMES = {"voltage": 7.0, "current": 3.25}
+"""[V] of a broken supply (chosen), [A] full scale: 500 steps of 6.5 mA (Feetech STS memory table)"""
 SUPPLY_VOLTAGE = 12.0
 """[V] (vendor's product parameters)"""
 
@@ -305,9 +234,6 @@ class EmulatedArm(ABC):
         """Advance by [s]."""
 
 
-READINGS = frozenset({0x20, 0x23, 0x3B, 0x3D, 0xD5})
-"""Questions that read encoders"""
-
 JUMP = np.radians(60.0)
 """[rad] of an impossible jump (chosen: a servo takes 0.4 s)"""
 BEYOND_LIMIT = np.radians(3.0)
@@ -318,10 +244,7 @@ HEATING = 10.0
 """[K/s] (chosen: faster than real)"""
 HOT = 85.0
 """[deg C] final (chosen: 15 K above the protection threshold)"""
-CURRENT_SCALE = 3.25
-"""[A] full scale: 500 steps of 6.5 mA (Feetech STS memory table)"""
-LOW_VOLTAGE = 7.0
-"""[V] of a broken supply (chosen)"""
+_OF_SERVOS = ("freeze", "blind", "jump", "limit", "overheat", "current", "overload", "voltage")
 
 
 class ArmFaults:
@@ -329,14 +252,9 @@ class ArmFaults:
 
     def __init__(self, faults: Faults, arm: EmulatedArm) -> None:
         self._emulated = arm
-        servos = arm.arm.joints
-        onsets = [(onset.after, kind, onset.joints) for kind in BEGINNINGS for onset in getattr(faults, kind)]
-        self._waiting = sorted(onsets)
-        self._heating = np.zeros(servos, dtype=bool)
-        # (n,) direction in which a reading runs; 0 for those that stand
-        self._running = np.zeros(servos)
-        # (n,) [rad] jumps that were not read yet
-        self._jumped = np.zeros(servos)
+        self._waiting = sorted((one.after, kind, one.joints) for kind in _OF_SERVOS for one in faults.get(kind, ()))
+        # (n,) which heat up, the direction in which a reading runs or 0, and [rad] jumps that were not read yet
+        self._heating, self._running, self._jumped = np.zeros((3, arm.arm.joints))
         self._then = 0.0
 
     def advance(self, elapsed: float) -> None:
@@ -344,64 +262,36 @@ class ArmFaults:
         passed, self._then = elapsed - self._then, elapsed
         while self._waiting and self._waiting[0][0] <= elapsed:
             after, kind, joints = self._waiting.pop(0)
-            BEGINNINGS[kind](self, np.isin(np.arange(self._emulated.arm.joints), joints))
-            if after == 0.0:
-                passed = np.inf
+            self._begin(kind, np.isin(np.arange(self._emulated.arm.joints), joints))
+            passed = np.inf if after == 0.0 else passed
+        arm, own, running = self._emulated.arm, self._emulated.ailments, self._running
         if self._heating.any():
-            self._go_on_heating(passed)
-        if self._running.any():
-            self._go_on_running(passed)
+            missing = np.maximum(HOT - self._emulated.temperature, 0.0)
+            own.warmth += np.where(self._heating, np.minimum(missing, HEATING * passed), 0.0)
+        if running.any():
+            end = np.where(running > 0, arm.upper + BEYOND_LIMIT, arm.lower - BEYOND_LIMIT)
+            left = np.where(running == 0, 0.0, np.maximum(running * (end - self._emulated.angles), 0.0))
+            own.misreading += running * np.minimum(left, RUN_AWAY * passed)
+            running[left <= RUN_AWAY * passed] = 0.0
 
-    def was_asked(self, command: int) -> None:
-        """End a jump after one reading."""
-        if command in READINGS and self._jumped.any():
-            self._emulated.ailments.misreading -= self._jumped
-            self._jumped[:] = 0.0
+    def was_read(self) -> None:
+        """End jumps after one reading."""
+        self._emulated.ailments.misreading -= self._jumped
+        self._jumped[:] = 0.0
 
-    def _inwards(self) -> Array:
-        """(n,) 1 nearer to the lower limit, else -1."""
-        arm = self._emulated.arm
-        return np.where(self._emulated.angles < 0.5 * (arm.lower + arm.upper), 1.0, -1.0)
-
-    def _jump(self, joints: Mask) -> None:
-        jump = JUMP * self._inwards() * joints
-        self._jumped += jump
-        self._emulated.ailments.misreading += jump
-
-    def _run_beyond(self, joints: Mask) -> None:
-        self._running[joints] = -self._inwards()[joints]
-
-    def _go_on_running(self, passed: float) -> None:
-        arm, angles = self._emulated.arm, self._emulated.angles
-        end = np.where(self._running > 0, arm.upper + BEYOND_LIMIT, arm.lower - BEYOND_LIMIT)
-        left = np.where(self._running == 0, 0.0, np.maximum(self._running * (end - angles), 0.0))
-        self._emulated.ailments.misreading += self._running * np.minimum(left, RUN_AWAY * passed)
-        self._running[left <= RUN_AWAY * passed] = 0.0
-
-    def _heat(self, joints: Mask) -> None:
-        self._heating |= joints
-
-    def _go_on_heating(self, passed: float) -> None:
-        missing = np.maximum(HOT - self._emulated.temperature, 0.0)
-        self._emulated.ailments.warmth += np.where(self._heating, np.minimum(missing, HEATING * passed), 0.0)
-
-    def _alarm(self, joints: Mask, bit: int) -> None:
-        ailments = self._emulated.ailments
-        ailments.alarms[joints] |= bit
-        if bit == OVER_CURRENT_BIT:
-            ailments.current[joints] = CURRENT_SCALE
-        if bit == VOLTAGE_BIT:
-            ailments.voltage[joints] = LOW_VOLTAGE
-
-
-BEGINNINGS: dict[str, Callable[[ArmFaults, Mask], object]] = {
-    "freeze": lambda self, joints: self._emulated.plant.freeze(joints[None]),
-    "blind": lambda self, joints: self._emulated.plant.blind(joints[None]),
-    "jump": ArmFaults._jump,
-    "limit": ArmFaults._run_beyond,
-    "overheat": ArmFaults._heat,
-    "current": lambda self, joints: self._alarm(joints, OVER_CURRENT_BIT),
-    "overload": lambda self, joints: self._alarm(joints, OVERLOAD_BIT),
-    "voltage": lambda self, joints: self._alarm(joints, VOLTAGE_BIT),
-}
-"""Actions of the arm's faults on servos (n,)"""
+    def _begin(self, kind: str, joints: NDArray[np.bool_]) -> None:
+        arm, own = self._emulated.arm, self._emulated.ailments
+        inwards = np.where(self._emulated.angles < 0.5 * (arm.lower + arm.upper), 1.0, -1.0)
+        if kind in ("freeze", "blind"):
+            getattr(self._emulated.plant, kind)(joints[None])
+        elif kind == "jump":
+            self._jumped += JUMP * inwards * joints
+            own.misreading += JUMP * inwards * joints
+        elif kind == "limit":
+            self._running[joints] = -inwards[joints]
+        elif kind == "overheat":
+            self._heating[joints] = 1.0
+        else:
+            own.alarms[joints] |= BITS[kind]
+            if kind in EXTREMES:
+                getattr(own, kind)[joints] = EXTREMES[kind]

@@ -1,7 +1,7 @@
-"""An SO-101 behind the bus of its STS3215 servos: packets, registers and timing.
+"""An SO-101 behind the bus of its servos: packets, registers and timing.
 
-Sources: Feetech's protocol manual and memory table of the STS/SMS series (``sts3215.csv``: factory defaults, names as
-in LeRobot), and recorded LeRobot packets.
+Sources: Feetech's protocol manual and memory table of the STS/SMS series (``sts3215.csv``: factory defaults, LeRobot's
+names), and recorded LeRobot packets.
 """
 
 from __future__ import annotations
@@ -12,13 +12,15 @@ from importlib.resources import files
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rejoint.arms import Arm
-from rejoint.robots.lab.emulator.faults import NONE, SPLIT_PAUSE, SUPPLY_VOLTAGE, EmulatedArm, Faults
-from rejoint.robots.lab.emulator.servers import ByteStream, Conversation
+from rejoint.arms.wire.values import Finder
+from rejoint.robots.lab.emulator.faults import NONE, SUPPLY_VOLTAGE, EmulatedArm, Faults, in_force
+from rejoint.robots.lab.emulator.servers import EmulatedConversation
+from rejoint.robots.lab.plant.plant import StsPlant
 from rejoint.robots.lab.plant.servo import STEP
-from rejoint.robots.lab.plant.sts3215 import BareServos, StsPlant
+from rejoint.robots.lab.plant.sts3215 import BareServos
+from rejoint.robots.wireserver import ByteStream
 
 SIZE = 88
 """[bytes] (chosen: the last known register is 86)"""
@@ -37,6 +39,11 @@ class Register(NamedTuple):
     sign: int | None
     """sign bit, or None"""
 
+    @property
+    def cells(self) -> slice:
+        """Its place."""
+        return slice(self.address, self.address + self.size)
+
 
 with (files(__package__) / "sts3215.csv").open(encoding="utf-8") as _file:
     TABLE = tuple(
@@ -50,7 +57,7 @@ def factory_settings(servo: int) -> bytearray:
     """Return registers of a servo with this ID as sold."""
     cells = bytearray(SIZE)
     for register in TABLE:
-        cells[register.address : register.address + register.size] = register.default.to_bytes(register.size, "little")
+        cells[register.cells] = register.default.to_bytes(register.size, "little")
     cells[BY_NAME["ID"].address] = servo
     return cells
 
@@ -84,52 +91,23 @@ def encode(packet: Packet) -> bytes:
     return HEADER + body + bytes((checksum(body),))
 
 
-class PacketFinder:
+def size_of(data: bytes) -> int | None:
+    """Size of the packet at the beginning; 0: none, None: incomplete."""
+    if data[2:3] == b"\xff":
+        return 0
+    if len(data) < 4:
+        return None
+    size = data[3] + 4
+    if not 2 <= data[3] <= MOST_PARAMETERS + 2:
+        return 0
+    return None if len(data) < size else size * (checksum(data[2 : size - 1]) == data[size - 1])
+
+
+class PacketFinder(Finder[Packet]):
     """Finds packets in a stream of bytes."""
 
     def __init__(self) -> None:
-        self._held = b""
-
-    @property
-    def pending(self) -> bool:
-        """Whether a packet has begun."""
-        return bool(self._held)
-
-    def feed(self, data: bytes) -> list[Packet]:
-        """Take bytes and return whole packets."""
-        self._held += data
-        found: list[Packet] = []
-        while True:
-            start = self._held.find(HEADER)
-            if start < 0:
-                self._held = self._held[-1:] if self._held.endswith(b"\xff") else b""
-                return found
-            self._held = self._held[start:]
-            packet, size = _first(self._held)
-            if size == 0:
-                return found
-            self._held = self._held[size:]
-            if packet is not None:
-                found.append(packet)
-
-    def expire(self) -> list[Packet]:
-        """Drop an unfinished packet; return the packets inside."""
-        held, self._held = self._held, b""
-        return self.feed(held[1:])
-
-
-def _first(data: bytes) -> tuple[Packet | None, int]:
-    if len(data) < 4:
-        return (None, 1) if data[2:] == b"\xff" else (None, 0)
-    length = data[3]
-    if data[2] == 0xFF or not 2 <= length <= MOST_PARAMETERS + 2:
-        return None, 1
-    size = length + 4
-    if len(data) < size:
-        return None, 0
-    if checksum(data[2 : size - 1]) != data[size - 1]:
-        return None, 1
-    return Packet(data[2], data[4], data[5 : size - 1]), size
+        super().__init__(HEADER, size_of, lambda data: Packet(data[2], data[4], data[5:-1]))
 
 
 def magnitude(value: int, bit: int) -> int:
@@ -150,14 +128,7 @@ COUNTS = 4096
 MIDDLE = 2048
 """[counts] at joint zero"""
 
-_WRITABLE = bytearray(SIZE)
-_SAVED = bytearray(SIZE)
-_NAME = [""] * SIZE
-for _register in TABLE:
-    for _cell in range(_register.address, _register.address + _register.size):
-        _WRITABLE[_cell] = _register.access != "read"
-        _SAVED[_cell] = _register.access == "saved"
-        _NAME[_cell] = _register.name
+_AT = {cell: register for register in TABLE for cell in range(register.address, register.address + register.size)}
 
 
 class Servo:
@@ -165,21 +136,21 @@ class Servo:
 
     def __init__(self, number: int) -> None:
         self.cells = factory_settings(number)
-        self._kept = bytes(self.cells)
+        self._kept = bytearray(self.cells)
         self.writes: list[tuple[int, bytes]] = []
         """executed: address and data"""
 
     def __getitem__(self, name: str) -> int:
         """Value of a register."""
         register = BY_NAME[name]
-        word = int.from_bytes(self.cells[register.address : register.address + register.size], "little")
+        word = int.from_bytes(self.cells[register.cells], "little")
         return word if register.sign is None else signed(word, register.sign)
 
     def __setitem__(self, name: str, value: int) -> None:
         """Set a register."""
         register = BY_NAME[name]
         word = value if register.sign is None else magnitude(value, register.sign)
-        self.cells[register.address : register.address + register.size] = word.to_bytes(register.size, "little")
+        self.cells[register.cells] = word.to_bytes(register.size, "little")
 
     @property
     def number(self) -> int:
@@ -191,18 +162,15 @@ class Servo:
         return bytes(self.cells[address : address + size]).ljust(size, b"\0")
 
     def write(self, address: int, data: bytes) -> set[str]:
-        """Write registers, permanently if unlocked; return their names.
-
-        A goal turns the torque on.
-        """
+        """Write registers, permanently if unlocked; return their names."""
         self.writes.append((address, data))
         end = min(address + len(data), SIZE)
-        cells = [cell for cell in range(address, end) if _WRITABLE[cell]]
+        cells = [cell for cell in range(address, end) if cell in _AT and _AT[cell].access != "read"]
         for cell in cells:
             self.cells[cell] = data[cell - address]
         if self["Lock"] == 0:
             self.save(cells)
-        touched = {_NAME[cell] for cell in cells}
+        touched = {_AT[cell].name for cell in cells}
         if "Goal_Position" in touched and self["Torque_Enable"] == 0:
             self["Torque_Enable"] = 1
             touched.add("Torque_Enable")
@@ -212,11 +180,9 @@ class Servo:
 
     def save(self, cells: Iterable[int] = range(SIZE)) -> None:
         """Save these ``cells``, as far as the servo does."""
-        kept = bytearray(self._kept)
         for cell in cells:
-            if _SAVED[cell]:
-                kept[cell] = self.cells[cell]
-        self._kept = bytes(kept)
+            if cell in _AT and _AT[cell].access == "saved":
+                self._kept[cell] = self.cells[cell]
 
     def cycle_power(self) -> None:
         """Power off and on: torque off, locked, saved registers kept."""
@@ -271,6 +237,8 @@ class ServoArm(EmulatedArm):
         self.resistance = resistance
         self.gripper = BareServos(1, lower=_GRIPPER[0], upper=_GRIPPER[1])
         self.servos = [Servo(number) for number in range(1, arm.joints + 2)]
+        self._settings = [*plant.settings[0], *self.gripper.settings]
+        self._status = [*plant.status[0], *self.gripper.status]
         self._owed = 0.0
         for servo, homing, limits in zip(self.servos, HOMING, self._ranges(), strict=True):
             servo["Homing_Offset"], servo["Torque_Enable"] = homing, 1
@@ -285,7 +253,7 @@ class ServoArm(EmulatedArm):
         self._owed += duration
         steps = int(self._owed / STEP)
         self._owed -= steps * STEP
-        drop = self.resistance * float(np.abs(self._records("status", "current")).sum())
+        drop = self.resistance * sum(abs(float(status["current"])) for status in self._status)
         settings = self.plant.settings
         settings["voltage"][0] = np.maximum(self.ailments.voltage - drop, 0.0)
         settings["warmth"][0] = self.ailments.warmth
@@ -295,7 +263,7 @@ class ServoArm(EmulatedArm):
 
     def settle(self, index: int) -> None:
         """Apply the registers of a servo, index from 0."""
-        servo, setting = self.servos[index], self._record("settings", index)
+        servo, setting = self.servos[index], self._settings[index]
         for field, name in _COPIES.items():
             setting[field] = servo[name]
         for field, (name, factor) in _SCALED.items():
@@ -309,15 +277,15 @@ class ServoArm(EmulatedArm):
 
     def go(self, index: int) -> None:
         """Apply a servo's goal, and its torque."""
-        self._record("settings", index)["torque_on"] = self.servos[index]["Torque_Enable"]
+        self._settings[index]["torque_on"] = self.servos[index]["Torque_Enable"]
         goal = self.servos[index]["Goal_Position"] + self._shift(index)
-        self._record("status", index)["goal"] = goal
+        self._status[index]["goal"] = goal
         if index < self.arm.joints:
             self.plant.servos["goal"][0, index] = goal * self.arm.encoder_step
 
     def measure(self, index: int) -> None:
         """Write a servo's measurements to its registers."""
-        servo, status, setting = self.servos[index], self._record("status", index), self._record("settings", index)
+        servo, status, setting = self.servos[index], self._status[index], self._settings[index]
         joint = index < self.arm.joints
         servo["Present_Position"] = (self._count(index) - self._shift(index)) % COUNTS
         servo["Present_Velocity"] = int(np.clip(status["speed"], -32767, 32767))
@@ -335,7 +303,7 @@ class ServoArm(EmulatedArm):
 
     def alarms(self, index: int) -> int:
         """Error bits of a servo."""
-        found = int(self._record("status", index)["alarms"])
+        found = int(self._status[index]["alarms"])
         return found | int(self.ailments.alarms[index]) if index < self.arm.joints else found
 
     def _count(self, index: int) -> int:
@@ -346,23 +314,14 @@ class ServoArm(EmulatedArm):
     def _shift(self, index: int) -> int:
         return self.servos[index]["Homing_Offset"] - HOMING[index] - MIDDLE
 
-    def _record(self, what: str, index: int) -> Any:  # noqa: ANN401 - a record of `sts3215.SETTING` or `STATUS`
-        if index < self.arm.joints:
-            return getattr(self.plant, what)[0, index]
-        return getattr(self.gripper, what)[0]
-
-    def _records(self, what: str, field: str) -> NDArray[np.float64]:
-        return np.append(getattr(self.plant, what)[field][0], getattr(self.gripper, what)[field])
-
     def _ranges(self) -> list[tuple[int, int]]:
-        """Limits [counts] per servo as of LeRobot's calibration: a full turn for the wrist."""
-        step = self.arm.encoder_step
+        """Limits [counts] of LeRobot's calibration: a full turn for the wrist."""
+        pairs = [*zip(self.arm.lower, self.arm.upper, strict=True), _GRIPPER]
         ends = [
-            (MIDDLE + round(a / step), MIDDLE + round(b / step))
-            for a, b in zip(self.arm.lower, self.arm.upper, strict=True)
+            (MIDDLE + round(a / self.arm.encoder_step), MIDDLE + round(b / self.arm.encoder_step)) for a, b in pairs
         ]
-        ends[-1] = (0, COUNTS - 1)
-        return [*ends, (MIDDLE + round(_GRIPPER[0] / step), MIDDLE + round(_GRIPPER[1] / step))]
+        ends[-2] = (0, COUNTS - 1)
+        return ends
 
 
 def build_arm(arm: Arm, wear_name: str, *, seed: int = 0, resistance: float = 0.0) -> ServoArm:
@@ -406,83 +365,70 @@ class ServoBus:
 
     def execute(self, request: Packet) -> list[Answer]:
         """Execute a packet; returns the answers in order of time."""
-        hearing = [i for i in range(len(self.arm.servos)) if i not in set(self.muted())]
-        if request.code == SYNC_READ:
-            return self._sync_read(request, hearing)
+        hearing = [(i, servo.number) for i, servo in enumerate(self.arm.servos) if i not in set(self.muted())]
+        parts = request.parameters
+        if request.code == SYNC_READ and len(parts) > _WORD:
+            return [
+                self._status(index, number, self._read(index, *parts[:_WORD]), place * (parts[1] + 6 + _BETWEEN) * BYTE)
+                for place, asked in enumerate(parts[_WORD:])
+                for index, number in hearing
+                if number == asked
+            ]
         if request.code == SYNC_WRITE:
-            self._sync_write(request, hearing)
-            return []
-        addressed = [i for i in hearing if request.id in (BROADCAST, self.arm.servos[i].number)]
-        if request.id == BROADCAST and request.code != PING:
-            for index in addressed:
-                self._obey(index, request)
+            self._sync_write(parts, {number: index for index, number in hearing})
             return []
         answers = []
-        for index in addressed:
-            number = self.arm.servos[index].number
-            found = self._obey(index, request)
-            if found is not None:
+        for index, number in hearing:
+            if request.id not in (BROADCAST, number):
+                continue
+            data = self._obey(index, request)
+            if data is not None and (request.id != BROADCAST or request.code == PING):
                 slot = number * (_BETWEEN + 6) * BYTE if request.id == BROADCAST else 0.0
-                answers.append(self._status(index, found, slot, number=number))
+                answers.append(self._status(index, number, data, slot))
         return answers
+
+    def _read(self, index: int, address: int, size: int) -> bytes:
+        self.arm.measure(index)
+        return self.arm.servos[index].read(address, min(size, MOST_DATA))
 
     def _obey(self, index: int, request: Packet) -> bytes | None:
         servo, data = self.arm.servos[index], request.parameters
         if request.code == PING:
             return b""
         if request.code == READ and len(data) == _WORD:
-            self.arm.measure(index)
-            return servo.read(data[0], min(data[1], MOST_DATA))
+            return self._read(index, *data)
         if request.code != WRITE or len(data) < _WORD:
             return None
         answers = servo["Response_Status_Level"] != 0
-        self._write(index, servo.write(data[0], data[1:]))
+        self._write(index, data[0], data[1:])
         return b"" if answers else None
 
-    def _write(self, index: int, touched: set[str]) -> None:
+    def _write(self, index: int, address: int, data: bytes) -> None:
+        touched = self.arm.servos[index].write(address, data)
         if touched - {"Goal_Position"}:
             self.arm.settle(index)
         if "Goal_Position" in touched:
             self.arm.go(index)
 
-    def _sync_read(self, request: Packet, hearing: list[int]) -> list[Answer]:
-        if len(request.parameters) < _WORD + 1:
-            return []
-        address, size, *numbers = request.parameters
-        answers = []
-        for place, number in enumerate(numbers):
-            for index in hearing:
-                if self.arm.servos[index].number == number:
-                    self.arm.measure(index)
-                    data = self.arm.servos[index].read(address, min(size, MOST_DATA))
-                    answers.append(self._status(index, data, place * (size + 6 + _BETWEEN) * BYTE))
-        return answers
-
-    def _sync_write(self, request: Packet, hearing: list[int]) -> None:
-        if len(request.parameters) < _WORD:
+    def _sync_write(self, parts: bytes, hearing: dict[int, int]) -> None:
+        if len(parts) < _WORD or not parts[1]:
             return
-        address, size = request.parameters[:2]
-        rest = request.parameters[2:]
-        by_number = {self.arm.servos[i].number: i for i in hearing}
+        address, size, *rest = parts
         for start in range(0, len(rest) - size, size + 1):
-            index = by_number.get(rest[start])
-            if index is not None and size:
-                self._write(index, self.arm.servos[index].write(address, rest[start + 1 : start + 1 + size]))
+            if rest[start] in hearing:
+                self._write(hearing[rest[start]], address, bytes(rest[start + 1 : start + 1 + size]))
 
-    def _status(self, index: int, data: bytes, slot: float, number: int | None = None) -> Answer:
-        servo = self.arm.servos[index]
-        frame = encode(Packet(servo.number if number is None else number, self.arm.alarms(index), data))
-        delay = max(TURN, servo["Return_Delay_Time"] * DELAY_UNIT)
+    def _status(self, index: int, number: int, data: bytes, slot: float) -> Answer:
+        frame = encode(Packet(number, self.arm.alarms(index), data))
+        delay = max(TURN, self.arm.servos[index]["Return_Delay_Time"] * DELAY_UNIT)
         return Answer(index, slot + delay + len(frame) * BYTE, frame)
 
 
 ADAPTER = 0.001
 """[s] of a USB adapter per request and answer (chosen)"""
-GET_ANGLES = 0x20
-"""Question that reads encoders, see `rejoint.robots.lab.emulator.faults`"""
 
 
-class BusSession(Conversation[Packet]):
+class BusSession(EmulatedConversation[Packet]):
     """Servos of ``arm`` for one client at a time, with timing."""
 
     scheme = "feetech"
@@ -492,44 +438,33 @@ class BusSession(Conversation[Packet]):
         arm: ServoArm,
         *,
         adapter: float = ADAPTER,
-        seed: int = 0,
         faults: Faults = NONE,
         **options: Any,  # noqa: ANN401
     ) -> None:
-        super().__init__(arm, seed=seed, faults=faults, **options)
+        super().__init__(arm, faults=faults, **options)
         self.bus = ServoBus(arm)
-        self.bus.muted = self._muted
-        self._adapter, self._spells = adapter, faults.mute
-        # when the last packet has left the wire
-        self._free = 0.0
+        self.bus.muted = lambda: {
+            joint for spell in in_force(faults, "mute", self._elapsed(self._clock())) for joint in spell.joints
+        }
+        # until when the wire is busy
+        self._adapter, self._free = adapter, 0.0
 
     def _finder(self) -> PacketFinder:
         return PacketFinder()
 
-    def _muted(self) -> set[int]:
-        now = self._elapsed(self._clock())
-        return {joint for spell in self._spells if spell.holds(now) for joint in spell.joints}
-
     def _answer(self, channel: ByteStream, request: Packet) -> None:
+        self._catch_up()
         self._free = max(self._came, self._free) + len(encode(request)) * BYTE
         answers = self.bus.execute(request)
         if not answers:
             return
         if request.code in (READ, SYNC_READ):
-            self._arm.was_asked(GET_ANGLES)
-        pieces = self._on_wire(request, answers)
-        self._free += answers[-1].after
-        self.wait(None, self._free + self._adapter + self._wire.delay)
-        for place, piece in enumerate(pieces):
-            if place:
-                self.wait(None, self._clock() + SPLIT_PAUSE)
-            if self._moves_on() and piece:
-                channel.send(piece)
-
-    def _on_wire(self, request: Packet, answers: list[Answer]) -> list[bytes]:
+            self._arm.was_read()
         pieces = [b""]
         for answer in answers:
             first, *rest = self._wire.pieces(encode(request), answer.data) or [b""]
             pieces[-1] += first
             pieces += rest
-        return pieces
+        self._free += answers[-1].after
+        self.wait(None, self._free + self._adapter + self._wire.delay)
+        self._say(channel, pieces)

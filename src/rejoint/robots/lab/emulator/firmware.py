@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
-from rejoint.arms.wire.computer import FULL_SPEED
-from rejoint.arms.wire.mover import Mover
-from rejoint.robots.lab.emulator.faults import OVER_TEMPERATURE_BIT, EmulatedArm, Mask
+from rejoint.arms.wire.mover import FULL_SPEED, Mask, Mover, Sensed
+from rejoint.robots.lab.emulator.faults import OVER_TEMPERATURE_BIT, EmulatedArm
 
 if TYPE_CHECKING:
     from rejoint.robots.lab.plant.plant import Plant
@@ -43,14 +41,10 @@ class Firmware(EmulatedArm, Mover):
     def __init__(self, plant: Plant, arm: Arm, *, seed: int = 0) -> None:
         EmulatedArm.__init__(self, plant, arm)
         Mover.__init__(self, arm, plant.goal[0])
-        self.powered = True
-        self.enabled = np.ones(arm.joints, dtype=bool)
         self.zero = np.zeros(arm.joints)
         """(n,) [rad] calibrated zeros by the encoders"""
-        self.registers = {}
         self._rng = np.random.default_rng(seed)
-        self._clock_ms = 0
-        self._owed = 0.0
+        self._clock_ms, self._owed = 0, 0.0
         self.outbox: list[_Write] = []
 
     # --- what is measured -------------------------------------------------------------------
@@ -61,39 +55,20 @@ class Firmware(EmulatedArm, Mover):
         return super().angles - self.zero
 
     @property
-    def speed(self) -> Array:
-        """(n,) [rad/s]."""
-        return self.plant.speed[0]
-
-    @property
-    def torque(self) -> Array:
-        """(n,) [N m] of the motors."""
-        return self.plant.torque[0]
-
-    @property
-    def hot(self) -> Mask:
-        """(n,) over-temperature."""
-        return self.temperature >= _OVER_TEMPERATURE
-
-    @property
-    def current(self) -> Array:
-        """(n,) [A]."""
-        return np.maximum(np.abs(self.torque) * CURRENT_PER_TORQUE, self.ailments.current)
-
-    @property
-    def voltage(self) -> Array:
-        """(n,) [V]."""
-        return self.ailments.voltage
-
-    @property
-    def alarms(self) -> NDArray[np.uint8]:
-        """(n,) servo status bits."""
-        return np.where(self.hot, OVER_TEMPERATURE_BIT, 0).astype(np.uint8) | self.ailments.alarms
-
-    @property
     def moving(self) -> bool:
         """Whether the reference or a joint moves."""
-        return (self._motion.moving and not self._motion.paused) or bool((np.abs(self.speed) > _AT_REST).any())
+        return (self._motion.moving and not self.paused) or bool((np.abs(self.plant.speed) > _AT_REST).any())
+
+    def sensed(self) -> Sensed:
+        """Return what else is measured."""
+        heat, own = self.temperature, self.ailments
+        return Sensed(
+            speed=self.plant.speed[0],
+            current=np.maximum(np.abs(self.plant.torque[0]) * CURRENT_PER_TORQUE, own.current),
+            voltage=own.voltage,
+            temperature=heat,
+            alarms=np.where(heat >= _OVER_TEMPERATURE, OVER_TEMPERATURE_BIT, 0).astype(np.uint8) | own.alarms,
+        )
 
     # --- moves ------------------------------------------------------------------------------
 
@@ -105,16 +80,16 @@ class Firmware(EmulatedArm, Mover):
             return
         self.outbox.clear()
         self.plant.halt()
-        self._track(np.ones(self.arm.joints, dtype=bool), self.plant.goal[0] - self.zero)
+        self._track(np.full(self.arm.joints, True), self.plant.goal[0] - self.zero)
 
     def pause(self) -> None:
         """Hold until `resume`."""
-        self._motion.paused = True
+        super().pause()
         self._write(FULL_SPEED)
 
     def resume(self) -> None:
         """Continue."""
-        self._motion.paused = False
+        super().resume()
         if not self._motion.interpolating:
             self._write(self._motion.ramp_speed, self._motion.goal)
 
@@ -160,7 +135,7 @@ class Firmware(EmulatedArm, Mover):
             self._motion.advance(step * 1e-3)
             if interpolating or not self.enabled.all():
                 self._track(~self.enabled, self.angles)
-                self._write_now()
+                self.outbox = [_Write(self._clock_ms, self._motion.reference + self.zero, FULL_SPEED)]
             self._deliver()
             self.plant.advance(step * 1e-3)
             self._clock_ms += step
@@ -182,8 +157,7 @@ class Firmware(EmulatedArm, Mover):
     def _write(self, speed: float, goal: Array | None = None) -> None:
         """Send a goal (n,) [rad], by default the reference."""
         due_ms = self._clock_ms + round(1e3 * self._rng.uniform(*COMMAND_DELAY))
-        if self.outbox:
-            due_ms = max(due_ms, self.outbox[-1].due_ms)  # a bus does not overtake itself
+        due_ms = max([due_ms, *(write.due_ms for write in self.outbox)])  # a bus does not overtake itself
         target = (self._motion.reference if goal is None else goal) + self.zero
         self.outbox.append(_Write(due_ms, target, speed))
         del self.outbox[:-MAX_WRITES]
@@ -194,8 +168,3 @@ class Firmware(EmulatedArm, Mover):
         if arrived:
             self.plant.set_speed_limit(arrived[-1].speed)
             self.plant.command(arrived[-1].goal[None])
-
-    def _write_now(self) -> None:
-        self.outbox.clear()
-        self.plant.set_speed_limit(FULL_SPEED)
-        self.plant.command((self._motion.reference + self.zero)[None])

@@ -1,4 +1,4 @@
-"""The simulated worn arm: firmware, motor, friction, play, flex, and channel.
+"""The simulated worn arm.
 
-It shares no physics code with `rejoint.twin`: a model fitted to itself would prove nothing.
+It shares no physics with `rejoint.twin`: a model fitted to itself would prove nothing.
 """

@@ -1,38 +1,29 @@
 """A batch of simulated worn arms.
 
-The MuJoCo model has two hinges per axis: the servo output, with armature, and behind it play and flex. Gravity, motor,
-friction, play and flex are applied torques.
+The MuJoCo model has two hinges per axis: servo output, and play and flex behind it. All else are applied torques.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
+from numba import njit
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, gravity_torque, tcp_pose
 from rejoint.arms.inertia import SpatialInertia, combined
 from rejoint.arms.kinematics import GRAVITY
-from rejoint.robots.lab.plant import servo
+from rejoint.robots.lab.plant import servo, sts3215
 from rejoint.robots.lab.plant.servo import STEP, stream_keys
 from rejoint.robots.lab.plant.wear import PARAMETERS, Wear, scale_of
 from rejoint.system.errors import InputError
 
-_DISABLED = (
-    mujoco.mjtDisableBit.mjDSBL_CONSTRAINT,
-    mujoco.mjtDisableBit.mjDSBL_CONTACT,
-    mujoco.mjtDisableBit.mjDSBL_ACTUATION,
-    mujoco.mjtDisableBit.mjDSBL_SENSOR,
-    mujoco.mjtDisableBit.mjDSBL_SPRING,
-    mujoco.mjtDisableBit.mjDSBL_DAMPER,
-    mujoco.mjtDisableBit.mjDSBL_WARMSTART,
-    mujoco.mjtDisableBit.mjDSBL_AUTORESET,
-)
+_DISABLED = "CONSTRAINT CONTACT ACTUATION SENSOR SPRING DAMPER WARMSTART AUTORESET"
 # [kg m^2] placeholders that keep the inertia matrix regular while MuJoCo compiles the chain.
 _ARMATURE = {"servo": 0.01, "gear": 0.001}
 
@@ -43,8 +34,8 @@ def build_model(arm: Arm, gravity: Array = GRAVITY) -> mujoco.MjModel:
     spec.option.gravity = gravity
     spec.option.timestep = STEP
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
-    for flag in _DISABLED:
-        spec.option.disableflags |= flag
+    for name in _DISABLED.split():
+        spec.option.disableflags |= getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}")
     body = spec.worldbody
     for i, name in enumerate(arm.joint_names):
         quaternion = np.empty(4)
@@ -85,10 +76,18 @@ class Truth(NamedTuple):
     """(3,) [m/s^2] in the base frame"""
 
 
-class Plant:
-    """B simulated arms, one per wear, in steps of a millisecond.
+class _State:
+    def __init__(self, name: str) -> None:
+        self._name = name
 
-    Arm i takes noise from the stream ``first + i`` of ``seed`` and behaves bit for bit as it would alone.
+    def __get__(self, plant: Plant, _: object = None) -> Array:
+        return np.array(plant.servos[self._name])
+
+
+class Plant:
+    """B simulated arms in steps of a millisecond.
+
+    Arm i takes noise from the stream ``first + i`` of ``seed`` and moves bit for bit as alone.
     """
 
     def __init__(
@@ -115,6 +114,7 @@ class Plant:
         self._key = stream_keys(seed, self.count, first=first)
         self._due = np.full((self.count, servo.QUEUE), servo.NEVER)
         self._queue = np.zeros((self.count, servo.QUEUE, arm.joints))
+        self._firmware: tuple[NDArray[Any], ...] | None = None
         self._history = np.zeros((self.count, servo.HISTORY, arm.joints))
         worth = max(1, min(threads, self.count // ARMS_PER_THREAD))
         self.batch = Batch(build_model(arm, self._pull), self.count, worth)
@@ -140,35 +140,19 @@ class Plant:
         """(B, n) [rad/s] of the servo outputs."""
         return self.qvel[:, 0::2].copy()
 
-    @property
-    def torque(self) -> Array:
-        """(B, n) [N m] of the motors."""
-        return self.servos["torque"].copy()
-
-    @property
-    def load(self) -> Array:
-        """(B, n) reported torque share, smoothed over 10 ms."""
-        return self.servos["load"].copy()
-
-    @property
-    def torque_limit(self) -> Array:
-        """(B, n) [N m] motors at standstill."""
-        return self.joints["torque_limit"].copy()
-
-    @property
-    def temperature(self) -> Array:
-        """(B, n) [deg C]."""
-        return self.servos["temperature"].copy()
+    torque = _State("torque")
+    """(B, n) [N m] of the motors"""
+    load = _State("load")
+    """(B, n) reported torque share, smoothed over 10 ms"""
+    temperature = _State("temperature")
+    """(B, n) [deg C]"""
+    goal = _State("goal")
+    """(B, n) [rad] command in the firmware"""
 
     @property
     def power(self) -> Mask:
         """(B,)."""
         return np.asarray(self.servos["powered"].all(axis=1))
-
-    @property
-    def goal(self) -> Array:
-        """(B, n) [rad] command in the firmware."""
-        return self.servos["goal"].copy()
 
     def link_position(self) -> Array:
         """(B, n) [rad] true links, behind play and flex."""
@@ -251,7 +235,7 @@ class Plant:
         self.servos["frozen"] |= joints
 
     def blind(self, joints: Mask) -> None:
-        """Freeze the encoders that the servos of ``joints`` (B, n) use: they run away."""
+        """Freeze also what the servos of ``joints`` (B, n) see: they run away."""
         self.servos["blind"] |= joints
 
     def set_speed_limit(self, speed: Array | float) -> None:
@@ -270,7 +254,8 @@ class Plant:
     def _run(self, ids: Ids, steps: int) -> None:
         stepped = None if len(ids) == self.count else ids
         for _ in range(steps):
-            servo.drive(ids, self._tick, self._key, (self.joints, self.servos), (self._due, self._queue), self._bodies)
+            arms, commands = (self.joints, self.servos), (self._due, self._queue)
+            _drive(ids, self._tick, self._key, arms, commands, self._bodies, self._firmware)
             self.batch.step(stepped)
             servo.record(ids, self._tick, self.joints, self.servos, self.qpos, self._history)
 
@@ -325,7 +310,7 @@ class Plant:
 
 
 def _loaded(arm: Arm, payload: Array, bodies: Sequence[Arm] | None) -> dict[int, Arm]:
-    """Arms that differ from ``arm``: ``bodies``, and those with a ``payload`` (B,) [kg]."""
+    """Arms that differ: ``bodies``, and those with a ``payload`` (B,) [kg]."""
     described, carried = arm, {} if bodies is None else dict(enumerate(bodies))
     for i in np.flatnonzero(payload > 0.0):
         arm = carried.get(int(i), described)
@@ -354,3 +339,115 @@ def joint_records(arm: Arm, wear: Wear) -> NDArray[np.void]:
     scale = scale_of(arm)
     servo.fill_constants(records, scale.torque, scale.time)
     return records
+
+
+RECORDED_P = 32
+"""P of the profile ``so101`` (kscalelabs/sysid: 4.4 to 6 N m stall)"""
+
+
+class StsPlant(Plant):
+    """B arms with STS3215 servos and adjustable `sts3215.SETTING`.
+
+    A profile's ``position_gain`` gives the stall torque at `RECORDED_P`, its ``offset`` a constant torque.
+    """
+
+    def __init__(self, arm: Arm, wears: Sequence[Wear], *, seed: int, **options: Any) -> None:  # noqa: ANN401
+        super().__init__(arm, wears, seed=seed, **options)
+        shape, step, no_load = (len(wears), arm.joints), arm.encoder_step, self.joints["no_load_speed"]
+        self.settings = sts3215.as_sold(shape)
+        stall = self.joints["position_gain"] / (sts3215.GAIN_PER_P * RECORDED_P)
+        self.settings["stall"], self.settings["bias"] = stall, self.joints["position_gain"] * self.joints["offset"]
+        if np.isfinite(arm.servo_acceleration):
+            self.settings["acceleration"] = arm.servo_acceleration / step
+        measured = self.joints["damping_gain"] + self.joints["torque_limit"] / no_load
+        self.settings["viscous"] = np.maximum(measured - stall / no_load, 0.0)
+        self.status = np.zeros(shape, sts3215.STATUS)
+        """(B, n) `sts3215.STATUS`"""
+        self._errors, self._positions = np.zeros((2, *shape, sts3215.WINDOW), np.int64)
+        self._firmware = self.settings, self.status, self._errors, self._positions
+        self.reset(np.tile(arm.rest, (self.count, 1)))
+
+    def set_speed_limit(self, speed: Array | float) -> None:
+        """Limit the reference's speed: (B,), (B, n) or a number, [rad/s], above 0."""
+        super().set_speed_limit(speed)
+        self.settings["speed"] = self.servos["speed_limit"] / self.arm.encoder_step
+
+    def halt(self, where: Mask | None = None) -> None:
+        """Stop the reference and drop pending commands."""
+        self._hold(self._selected(where), self.status["reference"] * self.arm.encoder_step)
+
+    def _held(self, position: Array, torque: Array) -> Array:
+        """Command (B, n) [rad] for ``torque`` (B, n) [N m] at ``position``."""
+        if self._firmware is None:
+            return super()._held(position, torque)
+        setting = self.settings
+        output = sts3215.PWM_FULL * (torque - setting["bias"]) / setting["stall"]
+        size = np.maximum(np.abs(output) - setting["startup"], 0.0) * 4 / np.maximum(setting["p"], 1)
+        lead = np.where(np.abs(output) > 0.5, size + setting["dead_cw"], 0.0) * np.sign(output)
+        return np.asarray(position + np.rint(lead) * self.arm.encoder_step)
+
+    def _hold(self, ids: Ids, position: Array) -> None:
+        """Set goal and reference to ``position`` (B, n) [rad]."""
+        super()._hold(ids, position)
+        if self._firmware is None:
+            return
+        goal, here = (
+            np.rint(angle / self.arm.encoder_step).astype(np.int64) for angle in (position, self.servos["measured"])
+        )
+        fresh = {"goal": goal, "reference": goal, "filtered": here, "position": here}
+        for name in (*fresh, "rate", "speed", "sum", "alarms", "blocked", "over_current", "hot"):
+            self.status[name][ids] = fresh[name][ids] if name in fresh else 0
+        raw = goal - here
+        error = np.sign(raw) * np.maximum(np.abs(raw) - self.settings["dead_cw"], 0)
+        self._errors[ids], self._positions[ids] = error[ids][..., None], here[ids][..., None]
+
+
+# mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
+# ruff: noqa: ANN001, ANN202
+
+
+@njit(cache=True)
+def _drive(ids, tick, key, arms, commands, bodies, firmware):
+    """Write the next torques of the arms ``ids``.
+
+    ``arms``: JOINT and STATE (B, n); ``commands``: due steps (B, QUEUE), goals (B, QUEUE, n); ``bodies``: positions,
+    velocities, torques (B, 2n); ``firmware``: None, or SETTING, STATUS (B, n) and rings.
+    """
+    (joints, servos), (due, queue), (qpos, qvel, applied) = arms, commands, bodies
+    n = joints.shape[1]
+    for i in ids:
+        if due[i].min() <= tick[i]:
+            servo.receive(tick[i], due[i], queue[i], servos[i])
+            if firmware is not None:
+                for j in range(n):
+                    firmware[1][i, j].goal = int(np.rint(servos[i, j].goal / joints[i, j].encoder_step))
+        for j in range(n):
+            joint, state = joints[i, j], servos[i, j]
+            angle, speed = qpos[i, 2 * j], qvel[i, 2 * j]
+            gear_angle, gear_speed = qpos[i, 2 * j + 1], qvel[i, 2 * j + 1]
+            seen = state.measured if state.blind else servo.read_encoder(joint, angle, gear_angle)
+            if firmware is not None:
+                settings, status, errors, positions = firmware
+                state.measured = seen
+                push = sts3215.tick_servo(
+                    settings[i, j],
+                    status[i, j],
+                    (errors[i, j], positions[i, j]),
+                    joint,
+                    state,
+                    tick[i],
+                    int(np.rint(seen / joint.encoder_step)),
+                    speed,
+                )
+                state.torque = push
+                state.load = status[i, j].output / sts3215.PWM_FULL
+                push = push + settings[i, j].bias - settings[i, j].viscous * speed
+            else:
+                push = state.torque = servo.motor_torque(joint, state, seen, speed)
+                state.load += servo.LOAD_FILTER * (push / joint.torque_limit - state.load)
+            load = servo.gear_torque(joint, gear_angle, gear_speed)
+            unit = servo.uniform(key[i], tick[i] * n + j) if state.powered else 0.5
+            friction = servo.friction_torque(joint, state, speed, load)
+            applied[i, 2 * j] = push + friction + servo.disturbance(joint, angle, speed, unit)
+            applied[i, 2 * j + 1] = load
+            servo.warm_up(joint, state)

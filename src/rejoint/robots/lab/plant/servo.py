@@ -1,13 +1,12 @@
-"""One servo, its gear and its link, per millisecond, in rad, rad/s and N m; and the channel.
+"""One servo, its gear and its link, per millisecond; and the channel.
 
-Sources: position loop by Feetech's STS register table; linear torque-speed line; LuGre friction (Canudas de Wit et al.
-1995) with Stribeck curve, elasto-plastic (Dupont et al. 2002), load-dependent (Linderoth et al. 2013); play as a
-dead-band spring (Nordin and Gutman 2002). Random streams: counter-based, SplitMix64 (Steele, Lea, Flood 2014).
+Sources: position loop by Feetech's STS register table; LuGre friction (Canudas de Wit et al. 1995), Stribeck curve,
+elasto-plastic (Dupont et al. 2002), load-dependent (Linderoth et al. 2013); play as a dead-band spring (Nordin and
+Gutman 2002). Random streams: SplitMix64 (Steele, Lea, Flood 2014).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -60,7 +59,7 @@ _NO_LOAD_SPEED = 5.0  # [rad/s] STS3215 at 12 V: 45 rpm and some more without it
 _NO_LOAD_MARGIN = 1.05  # least no-load speed by the joint's largest speed (chosen, as above)
 _RAMP_SHARE_OF = np.radians(150.0)  # [rad/s] the joint speed that RAMP_SPEED belongs to
 _SPEED_FILTER = 0.1  # weight of the newest encoder difference: a time constant of 10 ms (chosen)
-_LOAD_FILTER = 0.1  # weight of the newest torque in the load that is told: a time constant of 10 ms (chosen)
+LOAD_FILTER = 0.1  # weight of the newest torque in the load that is told: a time constant of 10 ms (chosen)
 _STRIBECK_SPEED = 0.06  # [rad/s] chosen
 _BRISTLE_RATE = 150.0  # [rad/s] natural frequency of bristle and reflected inertia (chosen): a stuck
 #   worn joint yields by less than half an encoder count before it breaks loose, and 1 kHz resolves it
@@ -101,10 +100,7 @@ STATE = record_of(
 
 
 def gear_armature(stiffness: Array) -> Array:
-    """Inertia [kg m^2] of the gear hinge.
-
-    It limits gear oscillations to `_GEAR_STEPS` steps per radian, as 1 ms steps need.
-    """
+    """Inertia [kg m^2] of the gear hinge: `_GEAR_STEPS` steps per radian of its oscillation."""
     return stiffness * (_GEAR_STEPS * STEP) ** 2
 
 
@@ -127,7 +123,7 @@ def fill_constants(records: NDArray[np.void], torque: Array, time: float) -> Non
 
 @njit(cache=True)
 def read_encoder(joint, servo_angle, gear_angle):
-    """Angle in whole counts; an encoder behind the gear sees the play, not the flex."""
+    """Angle in whole counts; behind the gear with play, without flex."""
     angle = servo_angle
     if joint.play_in_loop:
         angle += min(max(gear_angle, -0.5 * joint.play), 0.5 * joint.play)
@@ -196,33 +192,6 @@ def warm_up(joint, servo):
 
 
 @njit(cache=True)
-def drive(ids, tick, key, arms, commands, bodies):
-    """Write the next torques of the arms ``ids``.
-
-    ``tick`` and ``key`` (B,); ``arms``: JOINT and STATE (B, n); ``commands``: due steps (B, QUEUE), goals (B, QUEUE,
-    n); ``bodies``: positions, velocities, torques (B, 2n).
-    """
-    (joints, servos), (due, queue), (qpos, qvel, applied) = arms, commands, bodies
-    n = joints.shape[1]
-    for i in ids:
-        receive(tick[i], due[i], queue[i], servos[i])
-        for j in range(n):
-            joint, servo = joints[i, j], servos[i, j]
-            angle, speed = qpos[i, 2 * j], qvel[i, 2 * j]
-            gear_angle, gear_speed = qpos[i, 2 * j + 1], qvel[i, 2 * j + 1]
-            seen = servo.measured if servo.blind else read_encoder(joint, angle, gear_angle)
-            servo.torque = motor_torque(joint, servo, seen, speed)
-            servo.load += _LOAD_FILTER * (servo.torque / joint.torque_limit - servo.load)
-            load = gear_torque(joint, gear_angle, gear_speed)
-            unit = uniform(key[i], tick[i] * n + j) if servo.powered else 0.5
-            applied[i, 2 * j] = (
-                servo.torque + friction_torque(joint, servo, speed, load) + disturbance(joint, angle, speed, unit)
-            )
-            applied[i, 2 * j + 1] = load
-            warm_up(joint, servo)
-
-
-@njit(cache=True)
 def receive(tick, due, queue, servos):
     """Take arrived commands of one arm, the latest last."""
     while True:
@@ -262,8 +231,7 @@ class Delays(NamedTuple):
     """(B,) [s]"""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Channel:
+class Channel(NamedTuple):
     """Uniform delays; defaults: an idle wire."""
 
     latency: Interval = (0.008, 0.013)

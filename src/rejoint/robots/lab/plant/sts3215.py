@@ -1,23 +1,17 @@
 """The position loop of an STS3215 in counts and per mille of PWM, per millisecond.
 
-Sources: 0o8o0-blip/sts3215-firmware (MIT), checked against kscalelabs/sysid, Feetech's own identification and a
-measured sag (lerobot, PR 4310); units by Feetech's memory table. A profile's ``position_gain`` gives the stall torque
-at `RECORDED_P`, its ``offset`` a constant torque.
+Sources: 0o8o0-blip/sts3215-firmware (MIT), kscalelabs/sysid, Feetech's identification, a measured sag (lerobot, PR
+4310), Feetech's memory table.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
-
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array
 from rejoint.robots.lab.plant import servo
-from rejoint.robots.lab.plant.plant import Ids, Mask, Plant
-from rejoint.robots.lab.plant.servo import STEP, record_of, uniform
-from rejoint.robots.lab.plant.wear import Wear
+from rejoint.robots.lab.plant.servo import STEP, record_of
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
 # ruff: noqa: ANN001, ANN201, ANN202
@@ -73,6 +67,14 @@ DEFAULTS = {
 """As sold (C018), powered, torque on"""
 
 
+def as_sold(shape: tuple[int, ...]) -> NDArray[np.void]:
+    """Return `SETTING` of this shape."""
+    settings = np.zeros(shape, SETTING)
+    for name, value in DEFAULTS.items():
+        settings[name] = value
+    return settings
+
+
 @njit(cache=True)
 def ramp(setting, status):
     """Move the reference by one tick, on a trapezoid of speed."""
@@ -94,7 +96,7 @@ def ramp(setting, status):
 
 @njit(cache=True)
 def sense(status, count, positions, tick):
-    """Take an encoder reading [counts], and the speed over `WINDOW`; ``positions`` (WINDOW,) is a ring."""
+    """Take an encoder reading, and the speed over `WINDOW`; ``positions`` (WINDOW,)."""
     status.filtered += _ENCODER_SHARE * (count - status.filtered)
     status.position = int(np.rint(status.filtered))
     slot = tick % WINDOW
@@ -105,7 +107,7 @@ def sense(status, count, positions, tick):
 
 @njit(cache=True)
 def output_of(setting, status, errors, tick):
-    """Output [0.1 % PWM] of the position loop; ``errors`` (WINDOW,) is a ring."""
+    """Output [0.1 % PWM]; ``errors`` (WINDOW,)."""
     raw = int(status.reference) - status.position
     error = max(raw - setting.dead_cw, 0) if raw > 0 else min(raw + setting.dead_ccw, 0)
     slot = tick % WINDOW
@@ -174,7 +176,7 @@ def protect(setting, status, output, temperature):
 
 @njit(cache=True)
 def torque_of(setting, status, powered, speed, no_load_speed):
-    """Motor torque [N m] at ``speed`` [rad/s], by the torque-speed line at the present voltage."""
+    """Motor torque [N m] at ``speed`` [rad/s] and the present voltage."""
     braked = setting.stall * speed / no_load_speed
     if not powered or setting.torque_on == 0:
         status.output, status.current = 0, 0.0
@@ -190,7 +192,7 @@ def torque_of(setting, status, powered, speed, no_load_speed):
 
 @njit(cache=True)
 def tick_servo(setting, status, rings, joint, state, tick, count, speed):
-    """One millisecond of a servo whose encoder reads ``count``; returns the motor torque [N m]."""
+    """One millisecond of a servo at ``count``; returns the motor torque [N m]."""
     errors, positions = rings
     powered, temperature = state.powered, state.temperature
     sense(status, count, positions, tick)
@@ -219,9 +221,7 @@ class BareServos:
 
     def __init__(self, count: int, *, lower: float = -np.inf, upper: float = np.inf) -> None:
         """``lower`` and ``upper`` [rad]: mechanical stops."""
-        self.settings = np.zeros(count, SETTING)
-        for name, value in DEFAULTS.items():
-            self.settings[name] = value
+        self.settings = as_sold((count,))
         self.status = np.zeros(count, STATUS)
         self.joints, self.servos = np.zeros(count, servo.JOINT), np.zeros(count, servo.STATE)
         known = {
@@ -244,14 +244,6 @@ class BareServos:
         self._errors = np.zeros((count, WINDOW), np.int64)
         self._positions = np.zeros((count, WINDOW), np.int64)
         self._tick = 0
-
-    def put(self, angle: Array) -> None:
-        """Set the shafts to ``angle`` (n,) [rad] and hold."""
-        count = np.rint(np.asarray(angle) / STEP_ANGLE).astype(np.int64)
-        self.angle[:], self.speed[:] = angle, 0.0
-        for name in ("goal", "reference", "filtered", "position"):
-            self.status[name] = count
-        self._errors[:], self._positions[:] = 0, count[:, None]
 
     def advance(self, duration: float, *, blocked: bool = False) -> None:
         """Advance by ``duration`` [s], in whole milliseconds; ``blocked`` shafts do not move."""
@@ -290,132 +282,3 @@ def _turn(steps, tick, firmware, arms, shafts, blocked):
             torque += servo.friction_torque(joint, state, speed[j], 0.0)
             speed[j] += STEP * torque / joint.reflected_inertia
             angle[j] += STEP * speed[j]
-
-
-# mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
-# ruff: noqa: ANN001, ANN202
-
-
-RECORDED_P = 32
-"""P of the SO-101 of the profile ``so101`` (kscalelabs/sysid: 4.4 to 6 N m stall)"""
-
-
-class StsPlant(Plant):
-    """B arms with STS3215 servos and adjustable ``settings`` (B, n) of `SETTING`."""
-
-    def __init__(self, arm: Arm, wears: Sequence[Wear], *, seed: int, **options: Any) -> None:  # noqa: ANN401
-        shape = (len(wears), arm.joints)
-        self.settings = np.zeros(shape, SETTING)
-        for name, value in DEFAULTS.items():
-            self.settings[name] = value
-        gain = np.array([wear.position_gain for wear in wears])
-        self.settings["stall"] = gain / (GAIN_PER_P * RECORDED_P)
-        self.settings["bias"] = gain * np.array([wear.offset for wear in wears])
-        if np.isfinite(arm.servo_acceleration):
-            self.settings["acceleration"] = arm.servo_acceleration / arm.encoder_step
-        no_load = servo.no_load_speed(arm.max_speed)
-        measured = np.array([wear.damping_gain + wear.torque_limit / no_load for wear in wears])
-        self.settings["viscous"] = np.maximum(measured - self.settings["stall"] / no_load, 0.0)
-        self.status = np.zeros(shape, STATUS)
-        """(B, n) `STATUS`"""
-        self._errors = np.zeros((*shape, WINDOW), np.int64)
-        self._positions = np.zeros((*shape, WINDOW), np.int64)
-        super().__init__(arm, wears, seed=seed, **options)
-
-    @property
-    def load(self) -> Array:
-        """(B, n) output as a share of PWM."""
-        return np.asarray(self.status["output"] / PWM_FULL)
-
-    @property
-    def torque_limit(self) -> Array:
-        """(B, n) [N m] motors at standstill."""
-        return self.settings["stall"].copy()
-
-    def counts(self, position: Array) -> Ids:
-        """Return counts (B, n) of joint positions [rad]."""
-        return np.rint(position / self.arm.encoder_step).astype(np.int64)
-
-    def set_speed_limit(self, speed: Array | float) -> None:
-        """Limit the reference's speed: (B,), (B, n) or a number, [rad/s], above 0."""
-        super().set_speed_limit(speed)
-        self.settings["speed"] = self.servos["speed_limit"] / self.arm.encoder_step
-
-    def halt(self, where: Mask | None = None) -> None:
-        """Stop the reference and drop pending commands."""
-        self._hold(self._selected(where), self.status["reference"] * self.arm.encoder_step)
-
-    def _held(self, position: Array, torque: Array) -> Array:
-        """Command (B, n) [rad] for ``torque`` (B, n) [N m] at ``position``."""
-        output = PWM_FULL * (torque - self.settings["bias"]) / self.settings["stall"]
-        size = np.maximum(np.abs(output) - self.settings["startup"], 0.0) * 4 / np.maximum(self.settings["p"], 1)
-        lead = np.where(np.abs(output) > 0.5, size + self.settings["dead_cw"], 0.0) * np.sign(output)
-        return np.asarray(position + np.rint(lead) * self.arm.encoder_step)
-
-    def _hold(self, ids: Ids, position: Array) -> None:
-        """Set goal and reference of the arms ``ids`` to ``position`` (B, n) [rad]."""
-        super()._hold(ids, position)
-        goal, here = self.counts(position), self.counts(self.servos["measured"])
-        status = self.status
-        for name, value in (("goal", goal), ("reference", goal), ("filtered", here), ("position", here)):
-            status[name][ids] = value[ids]
-        for name in ("rate", "speed", "sum", "alarms", "blocked", "over_current", "hot"):
-            status[name][ids] = 0
-        raw = goal - here
-        error = np.sign(raw) * np.maximum(np.abs(raw) - self.settings["dead_cw"], 0)
-        self._errors[ids], self._positions[ids] = error[ids][..., None], here[ids][..., None]
-
-    def _run(self, ids: Ids, steps: int) -> None:
-        stepped = None if len(ids) == self.count else ids
-        for _ in range(steps):
-            _drive(
-                ids,
-                self._tick,
-                self._key,
-                (self.joints, self.servos),
-                (self._due, self._queue),
-                self._bodies,
-                (self.settings, self.status, self._errors, self._positions),
-            )
-            self.batch.step(stepped)
-            servo.record(ids, self._tick, self.joints, self.servos, self.qpos, self._history)
-
-
-@njit(cache=True)
-def _drive(ids, tick, key, arms, commands, bodies, firmware):
-    (joints, servos), (due, queue), (qpos, qvel, applied) = arms, commands, bodies
-    settings, status, errors, positions = firmware
-    n = joints.shape[1]
-    for i in ids:
-        if due[i].min() <= tick[i]:
-            servo.receive(tick[i], due[i], queue[i], servos[i])
-            for j in range(n):
-                status[i, j].goal = int(np.rint(servos[i, j].goal / joints[i, j].encoder_step))
-        for j in range(n):
-            joint, state = joints[i, j], servos[i, j]
-            angle, speed = qpos[i, 2 * j], qvel[i, 2 * j]
-            gear_angle, gear_speed = qpos[i, 2 * j + 1], qvel[i, 2 * j + 1]
-            if not state.blind:
-                state.measured = servo.read_encoder(joint, angle, gear_angle)
-            state.torque = tick_servo(
-                settings[i, j],
-                status[i, j],
-                (errors[i, j], positions[i, j]),
-                joint,
-                state,
-                tick[i],
-                int(np.rint(state.measured / joint.encoder_step)),
-                speed,
-            )
-            state.load = status[i, j].output / PWM_FULL
-            load = servo.gear_torque(joint, gear_angle, gear_speed)
-            unit = uniform(key[i], tick[i] * n + j) if state.powered else 0.5
-            applied[i, 2 * j] = (
-                state.torque
-                + settings[i, j].bias
-                - settings[i, j].viscous * speed
-                + servo.friction_torque(joint, state, speed, load)
-                + servo.disturbance(joint, angle, speed, unit)
-            )
-            applied[i, 2 * j + 1] = load
-            servo.warm_up(joint, state)

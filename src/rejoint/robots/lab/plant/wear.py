@@ -1,11 +1,11 @@
-"""Wear profiles: servos and gears of an arm of any size after any hours of use.
+"""Wear profiles of an arm of any size after any hours of use.
 
 A joint takes the numbers of the myCobot 280's joint at the same share of the chain. Torques scale with the ratio T of
-the efforts, hypot(G, I g/L, 0.3 max G): gravity torque G, inertia I, reach L. Damping scales with T t, inertia with T
-t^2, t = sqrt(L / L0); angles stay.
+the efforts, hypot(G, I g/L, 0.3 max G): gravity torque G, inertia I, reach L; damping with T t, inertia with T t^2, t =
+sqrt(L / L0).
 
-Wear is load times travel (Archard, J. Appl. Phys. 24, 1953). Damage is a gamma process (van Noortwijk, Reliab. Eng.
-Syst. Saf. 94, 2009), one from ``healthy`` to ``worn``.
+Wear is load times travel (Archard, J. Appl. Phys. 24, 1953), damage a gamma process (van Noortwijk, Reliab. Eng. Syst.
+Saf. 94, 2009).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -36,8 +36,7 @@ FLOOR = 0.3
 _GRID = 5
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Ratios:
+class Ratios(NamedTuple):
     """Ratios of an arm to the myCobot 280."""
 
     row: NDArray[np.intp]
@@ -248,9 +247,9 @@ def wear_names() -> tuple[str, ...]:
 
 
 def load_wear(name: str, arm: Arm) -> Wear:
-    """Load a profile for ``arm``: a name or a TOML file, with options: ``worn?seed=3&hours=500``.
+    """Load a profile for ``arm``: a name or a TOML file; ProfileError.
 
-    ``seed=N`` draws parameters within +-30 %, ``hours=H`` ages, ``ambient=C`` [deg C]. ProfileError.
+    Options as ``worn?seed=3``: ``seed=N`` draws parameters within +-30 %, ``hours=H`` ages, ``ambient=C`` [deg C].
     """
     base, options = _options(name)
     wear = _fitted(base, arm)
@@ -320,7 +319,7 @@ def scale_wear(wear: Wear, arm: Arm) -> Wear:
 
 
 def draw_wear(wear: Wear, arm: Arm, seed: int) -> Wear:
-    """Draw a neighbour of ``wear``, uniform within +-30 %, that still lifts the arm."""
+    """Draw a neighbour within +-30 % that lifts the arm."""
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     factor = {name: rng.uniform(1 - _SPREAD, 1 + _SPREAD, arm.joints) for name in PARAMETERS}
     drawn: dict[str, Any] = {name: getattr(wear, name) * factor[name] for name in PARAMETERS}
@@ -334,7 +333,7 @@ def draw_wear(wear: Wear, arm: Arm, seed: int) -> Wear:
 
 
 def lifting_torque(wear: Wear, arm: Arm) -> Array:
-    """Motor torque (n,) [N m] that lifts the arm from standstill at all targets."""
+    """Torque (n,) [N m] that lifts the arm from standstill at all targets."""
     return largest_load(arm) * (1 + wear.load_friction) + wear.stiction
 
 
