@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import tomlkit
 
-from rejoint.arms import Arm, Array, Displacement, solve_position, tcp_position
+from rejoint.arms import Arm, Array, Displacement, tcp_position
 from rejoint.arms.inertia import bare
-from rejoint.arms.inverse import REST_GAIN
 from rejoint.control.contract import law_digests
+from rejoint.control.correction import Modelled
 from rejoint.diagnosis.calibration.parameters import (
     DisplacementLayout,
     linearised,
@@ -20,6 +20,7 @@ from rejoint.diagnosis.calibration.parameters import (
     scatter,
     torque_slopes,
     vector_of,
+    widened,
 )
 from rejoint.system.errors import ContractError, InputError
 from rejoint.system.statistics import CONFIDENCE
@@ -27,8 +28,6 @@ from rejoint.system.tomltable import read_sealed, write_sealed
 
 GEOMETRY = ("offset", "axis", "tip", "mass", "com")
 """Fields of an arm that a calibration depends on"""
-AIMING = 4
-"""Fixed-point steps of `Calibration.aim`; chosen"""
 _NEAR = 7.81  # squared distance by its covariance that 95 % of draws of three coordinates keep (chi-squared)
 _DRAWS = 256  # of the tool for an interval (chosen: ends repeat within a tenth of the width; the same draws each time)
 
@@ -111,7 +110,8 @@ class Calibration:
         known = slope @ self.covariance @ np.swapaxes(slope, -1, -2)
         torque = torque_slopes(self.layout, vector, link_loads(self.arm, flat))
         doubt = np.sqrt(np.einsum("mnk,kl,mnl->mn", torque, self.covariance, torque))
-        total = known + scatter(self.arm, self.displacement, flat, doubt) + self.floor**2 * np.eye(3)
+        wide = widened(self.displacement, np.diag(self.covariance)[self.layout.at("play")])
+        total = known + scatter(self.arm, wide, flat, doubt) + self.floor**2 * np.eye(3)
         return np.asarray(total.reshape(*np.shape(position)[:-1], 3, 3))
 
     def interval(
@@ -143,26 +143,18 @@ class Calibration:
         """Root mean square (...) [m] of the tool's distance from `tool`."""
         return np.sqrt(np.trace(self.spread(position), axis1=-2, axis2=-1))
 
-    def aim(self, target: Array, start: Array, near: Array | None = None) -> Array:
+    def aim(self, target: Array, start: Array) -> Array:
         """Where the encoders must see the tool (..., 3) [m] for it to be at ``target`` (..., 3) [m].
 
-        ``start`` (..., n) [rad] is the posture that the arm comes from; it goes to the one next to ``near``, or without
-        to the one found from ``start``. Without a correction it is the target itself.
+        ``start`` (..., n) [rad] is the posture that the arm comes from. Without a correction it is the target itself.
         """
-        target = np.asarray(target, dtype=float)
+        target = np.array(target, dtype=float)
         if not self.used:
-            return target.copy()
-        start = np.asarray(start, dtype=float)
-        command, posture = target, start if near is None else near
-        rest_gain = REST_GAIN if near is None else 0.0
-        for _ in range(AIMING):
-            posture = solve_position(self.arm, command, posture, rest_gain=rest_gain).q
-            command = target - self.shift(posture, start)
-        return command
-
-    def aim_again(self, target: Array, position: Array, approach: Array | None = None) -> Array:
-        """Do the same once the arm has settled near ``target`` at ``position`` (..., n) [rad]."""
-        return target - self.shift(position, approach) if self.used else np.array(target, dtype=float)
+            return target
+        flat = target.reshape(-1, 3)
+        came = np.broadcast_to(start, (*target.shape[:-1], self.arm.joints)).reshape(-1, self.arm.joints)
+        aims = Modelled(self.arm, self.displacement).aim(flat, came, np.ones(len(flat), dtype=bool))
+        return aims.reshape(target.shape)
 
 
 def geometry_of(arm: Arm) -> dict[str, str]:

@@ -8,7 +8,7 @@ not a shift.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import ndtri
@@ -281,6 +281,11 @@ def scatter(arm: Arm, displacement: Displacement, position: Array, doubt: Array 
         other = ((sides - side[..., None]) ** 2).mean(axis=-1)
     variance = (0.5 * displacement.play) ** 2 * (SCATTER * free + other)
     return np.asarray((lever * variance[..., None, :]) @ np.swapaxes(lever, -1, -2))
+
+
+def widened(displacement: Displacement, variance: Array) -> Displacement:
+    """Displacement with the root mean square of a play that has a ``variance`` (n,) [rad^2]."""
+    return replace(displacement, play=np.hypot(displacement.play, np.sqrt(variance)))
 
 
 def floor_of(arm: Arm) -> float:

@@ -189,13 +189,15 @@ def solve(problem: Fittable, start: Array, iterations: int = ITERATIONS) -> Fitt
         whitener = problem.whitener(vector)
         if step:
             whitener = whitener * _plausible(whitener, problem.misfit(vector))[:, None, None]
+            belief = scattered(problem, vector)[0]
+            root = np.linalg.cholesky(belief.precision).T
 
-        def residual(x: Array, whitener: Array = whitener) -> Array:
+        def residual(x: Array, whitener: Array = whitener, root: Array = root, mean: Array = belief.mean) -> Array:
             full = whole(x)
             white, bent, _ = _weighed(problem, whitener, problem.misfit(full))
-            return np.concatenate([(white * bent).ravel(), root @ (full - belief.mean)])
+            return np.concatenate([(white * bent).ravel(), root @ (full - mean)])
 
-        def derivative(x: Array, whitener: Array = whitener) -> Array:
+        def derivative(x: Array, whitener: Array = whitener, root: Array = root) -> Array:
             own, slope = problem.residual(whole(x))
             _, bent, weight = _weighed(problem, whitener, own)
             both = (weight / bent)[..., None] * np.einsum("mij,mjk->mik", whitener, slope[..., free])
@@ -243,13 +245,35 @@ def search(problem: Fittable) -> Fitted:
     return upright if best is upright else solve(problem, best.vector)
 
 
+def scattered(problem: Fittable, vector: Array) -> tuple[Belief, Array]:
+    """Belief with what the scatter of the residuals says about the play, and the curvature (k, k) at ``vector`` (k,).
+
+    The play of a floating joint is in the noise alone. Its likelihood gives a step and an information by Fisher's
+    scoring, with the scatter that the other parameters have absorbed (Patterson and Thompson 1971).
+    """
+    belief, noise, places = problem.belief, problem.noise(vector), np.arange(len(vector))[problem.layout.at("play")]
+    residual, slope = problem.residual(vector)
+    _, bent, weight = _weighed(problem, problem.whitener(vector), residual)
+    inverse = np.linalg.inv(noise)
+    curvature = np.einsum("mik,mij,mjl->kl", slope, weight[..., None] * inverse, slope) + belief.precision
+    absorbed = slope @ np.linalg.inv(curvature) @ np.swapaxes(slope, -1, -2)
+    off, both = residual * bent, problem.known[:, :, None] & problem.known[:, None, :]
+    seen = off[:, :, None] * off[:, None, :] + absorbed
+    steps = vector + _SMALL * np.eye(len(vector))[places]
+    changes = np.array([both * (problem.noise(other) - noise) / _SMALL for other in steps])
+    by = inverse @ changes
+    score = 0.5 * (np.trace(by @ inverse @ seen, axis1=-2, axis2=-1) - np.trace(by, axis1=-2, axis2=-1)).sum(axis=1)
+    told = np.zeros_like(curvature)
+    told[np.ix_(places, places)] = 0.5 * np.einsum("kmij,lmji->kl", by, by)
+    precision, pull = belief.precision + told, belief.precision @ belief.mean + told @ vector
+    pull[places] += score
+    return replace(belief, mean=np.linalg.solve(precision, pull), precision=precision), curvature + told
+
+
 def _fitted(problem: Fittable, vector: Array) -> Fitted:
-    whitener, belief = problem.whitener(vector), problem.belief
-    residual, derivative = problem.residual(vector)
-    white, bent, weight = _weighed(problem, whitener, residual)
-    slope = np.sqrt(weight)[..., None] * np.einsum("mij,mjk->mik", whitener, derivative)
-    flat, off = slope.reshape(-1, len(vector)), vector - belief.mean
-    curvature = flat.T @ flat + belief.precision
+    whitener, belief, curvature = problem.whitener(vector), problem.belief, scattered(problem, vector)[1]
+    white, bent, _ = _weighed(problem, whitener, problem.misfit(vector))
+    off = vector - belief.mean
     cost = 0.5 * float(((white * bent) ** 2).sum() + off @ belief.precision @ off)
     spread = np.log(np.abs(np.diagonal(whitener, axis1=1, axis2=2)))[problem.known].sum()
     evidence = -cost + spread + 0.5 * (np.linalg.slogdet(belief.precision)[1] - np.linalg.slogdet(curvature)[1])

@@ -13,13 +13,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, Displacement, solve_position
+from rejoint.arms import Arm, Array, Displacement
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.rotations import rotation_about
-from rejoint.control.controller import Controller
+from rejoint.control.controller import ControlInput, Controller
+from rejoint.control.correction import Modelled
 from rejoint.control.goal import JointGoals
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import Recording
+from rejoint.control.robot import Mask
 from rejoint.control.start import play
 from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.calibration.calibration import Calibration
@@ -285,14 +287,7 @@ def try_found(
     goals: JointGoals | None = None,
 ) -> Tried:
     """Send all arms, corrected by what was ``found``, to ``targets`` (A, K, 3) [m] by their ``goals``."""
-    arm, aims = robot.arm, np.empty_like(targets)
-    for i, calibration in enumerate(found):
-        came = arm.rest
-        for k, target in enumerate(targets[i]):
-            near = None if goals is None else goals.posture[i, k]
-            aims[i, k] = calibration.aim(target, came, near)
-            came = solve_position(arm, aims[i, k], came).q if near is None else near
-    recording = _hold(robot, controller, aims, goals)
+    arm, recording = robot.arm, _hold(robot, controller, targets, goals, OwnCorrections(found))
     error, settled = _errors(recording, targets), _settled(recording, targets.shape[1])
     came = np.concatenate([np.broadcast_to(arm.rest, settled[:, :1].shape), settled[:, :-1]], axis=1)
     inside, expected = np.zeros(error.shape), np.zeros(error.shape)
@@ -316,10 +311,40 @@ def _go(robot: EmulatedRobot, sent: Array, goal: Array) -> Array:
     return recording.command[-1]
 
 
+class OwnCorrections(Modelled):
+    """Corrects the targets of each arm by its own calibration."""
+
+    def __init__(self, found: Sequence[Calibration]) -> None:
+        nothing = Displacement.none(found[0].arm)
+        self._each = [Modelled(one.arm, one.displacement if one.used else nothing) for one in found]
+
+    def aim(self, target: Array, start: Array, where: Mask, near: Array | None = None) -> Array:
+        """Corrected targets (B, 3) [m]."""
+        rows = [
+            one.aim(target[i : i + 1], start[i : i + 1], where[i : i + 1], None if near is None else near[i : i + 1])
+            for i, one in enumerate(self._each)
+        ]
+        return np.concatenate(rows)
+
+    def again(self, target: Array, inputs: ControlInput) -> Array | None:
+        """Correct settled arms once more."""
+        fresh, state = inputs.target.copy(), inputs.state
+        for i, one in enumerate(self._each):
+            own = replace(state, time=state.time[i : i + 1], position=state.position[i : i + 1])
+            found = one.again(target[i : i + 1], replace(inputs, state=own, target=inputs.target[i : i + 1]))
+            fresh[i] = fresh[i] if found is None else found[0]
+        return None if (fresh == inputs.target).all() else fresh
+
+
 def _hold(
-    robot: EmulatedRobot, controller: Callable[[Arm], Controller], aims: Array, goals: JointGoals | None
+    robot: EmulatedRobot,
+    controller: Callable[[Arm], Controller],
+    targets: Array,
+    goals: JointGoals | None,
+    correction: Modelled | None = None,
 ) -> Recording:
-    return run(robot, controller(robot.arm), aims, Schedule(dwell=HOLD, keep_going=True, goals=goals))
+    schedule = Schedule(dwell=HOLD, keep_going=True, goals=goals)
+    return run(robot, controller(robot.arm), targets, schedule, correction=correction)
 
 
 def _errors(recording: Recording, targets: Array) -> Array:
