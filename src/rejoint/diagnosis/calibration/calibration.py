@@ -110,8 +110,10 @@ class Calibration:
         known = slope @ self.covariance @ np.swapaxes(slope, -1, -2)
         torque = torque_slopes(self.layout, vector, link_loads(self.arm, flat))
         doubt = np.sqrt(np.einsum("mnk,kl,mnl->mn", torque, self.covariance, torque))
-        wide = widened(self.displacement, np.diag(self.covariance)[self.layout.at("play")])
-        total = known + scatter(self.arm, wide, flat, doubt) + self.floor**2 * np.eye(3)
+        variance = np.diag(self.covariance)
+        wide = widened(self.displacement, variance[self.layout.at("play")])
+        unexplained = self.floor**2 + variance[self.layout.at("floor")]
+        total = known + scatter(self.arm, wide, flat, doubt) + unexplained * np.eye(3)
         return np.asarray(total.reshape(*np.shape(position)[:-1], 3, 3))
 
     def interval(

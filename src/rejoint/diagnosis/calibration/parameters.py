@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from rejoint.arms import Arm, Array, Displacement, frames, position_kinematics
@@ -47,7 +48,7 @@ MOST = {
 """Bounds, in the units above; chosen"""
 
 
-KINDS = ("offset", "compliance", "play", "carry", "mass", "tilt", "twist")
+KINDS = ("offset", "compliance", "play", "carry", "mass", "tilt", "twist", "floor")
 """Parameters of an arm, in order"""
 
 
@@ -67,7 +68,7 @@ class DisplacementLayout:
     @property
     def body(self) -> int:
         """Number of parameters of the arm, without the frame."""
-        return 5 * self.joints + 2 + 6 * (self.joints + 1)
+        return 5 * self.joints + 2 + 6 * (self.joints + 1) + 1
 
     def at(self, name: str) -> slice:
         """Slice of one of `KINDS`, or ``frame``."""
@@ -79,12 +80,19 @@ class DisplacementLayout:
             "carry": 4 * n,
             "mass": 5 * n,
             "tilt": 5 * n + 2,
-            "twist": self.body,
+            "twist": self.body - 1,
+            "floor": self.body,
             "frame": self.size,
         }
         names = list(ends)
         place = names.index(name)
         return slice(ends[names[place - 1]] if place else 0, ends[name])
+
+    @property
+    def scales(self) -> NDArray[np.int64]:
+        """Indices of the parameters that are in the noise: plays, and what nothing explains."""
+        every = np.arange(self.size)
+        return np.concatenate([every[self.at("play")], every[self.at("floor")]])
 
     def names(self) -> tuple[str, ...]:
         """Names of the arm's parameters, such as ``play 2``."""
@@ -140,6 +148,8 @@ def belief(arm: Arm, layout: DisplacementLayout, case: PriorCase) -> Belief:
     mean[layout.at("carry")], sigma[layout.at("carry")] = CARRY, CARRY_SIGMA
     each = np.array([SHIFT * length_size(arm)] * 3 + [TURN] * 3)
     sigma[layout.at("twist")] = np.tile(max(case.twist, 1e-3) * each, n + 1)
+    mean[layout.at("floor")], sigma[layout.at("floor")] = floor_of(arm), FLOOR_SIGMA * floor_of(arm)
+    lower[layout.at("floor")] = LEAST_FLOOR * floor_of(arm)
     sigma[layout.at("frame")] = np.array([PLACE] * 3 + [ORIENTATION] * 3)[: 6 * layout.frame]
     for name, most in MOST.items():
         bound = most / torque_size(arm) if name == "compliance" else most
@@ -191,6 +201,8 @@ def vector_of(layout: DisplacementLayout, displacement: Displacement) -> Array:
 
 FLOOR = 0.5e-3
 """[m] over the reach of a myCobot 280, sigma of unexplained displacement; chosen"""
+FLOOR_SIGMA, LEAST_FLOOR = 1.0, 0.2
+"""[1] prior sigma, and least value, of the same over `FLOOR`; chosen"""
 SCATTER = 1.0 / 3.0
 """Variance of a floating joint by the square of half its play; chosen: uniform distribution"""
 _STEP = 1e-6  # [rad] for the derivative of the direction of gravity
@@ -267,20 +279,25 @@ def _by_twist(arm: Arm, joints: Array, tool: Array) -> Array:
     return np.moveaxis(both.reshape(count, 6 * (arm.joints + 1), 3), 1, 2)
 
 
-def scatter(arm: Arm, displacement: Displacement, position: Array, doubt: Array | None = None) -> Array:
-    """Covariance (..., 3, 3) [m^2] of the tool by floating joints at ``position`` (..., n) [rad].
-
-    ``doubt`` (..., n) [N m], sigma of each torque, adds joints that may be on the other flank.
-    """
-    lever, torque = position_kinematics(arm, position)[1], displacement.torque(arm, position)
-    side = np.tanh(torque / FLOATING)
-    free, other = 1.0 - side**2, np.zeros_like(side)
-    if doubt is not None:
-        sides = np.tanh((torque[..., None] + doubt[..., None] * _DRAWS) / FLOATING)
-        free = (1.0 - sides**2).mean(axis=-1)
-        other = ((sides - side[..., None]) ** 2).mean(axis=-1)
-    variance = (0.5 * displacement.play) ** 2 * (SCATTER * free + other)
+def scatter(arm: Arm, displacement: Displacement, position: Array, doubt: Array | float = 0.0) -> Array:
+    """Covariance (..., 3, 3) [m^2] of the tool by the play of joints at ``position`` (..., n) [rad]."""
+    lever = position_kinematics(arm, position)[1]
+    variance = play_variance(arm, displacement, position, doubt)
     return np.asarray((lever * variance[..., None, :]) @ np.swapaxes(lever, -1, -2))
+
+
+def play_variance(arm: Arm, displacement: Displacement, position: Array, doubt: Array | float = 0.0) -> Array:
+    """Variance (..., n) [rad^2] of joints that float, or may be on the other flank, at ``position`` (..., n) [rad].
+
+    ``doubt`` (..., n) [N m] is the sigma of each torque. Torque also differs between encoders and links: a joint that
+    balances its load within its play may fall to either flank.
+    """
+    torque = displacement.torque(arm, position)
+    swing = displacement.torque(arm, displacement.joints(arm, position)) - torque
+    side = np.tanh(torque / FLOATING)
+    sides = np.tanh((torque[..., None] + np.hypot(doubt, swing)[..., None] * _DRAWS) / FLOATING)
+    free, other = (1.0 - sides**2).mean(axis=-1), ((sides - side[..., None]) ** 2).mean(axis=-1)
+    return np.asarray((0.5 * displacement.play) ** 2 * (SCATTER * free + other))
 
 
 def widened(displacement: Displacement, variance: Array) -> Displacement:

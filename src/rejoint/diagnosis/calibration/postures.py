@@ -123,7 +123,10 @@ def wanted(arm: Arm, known: Belief, seed: int = 1) -> tuple[Array, Array]:
 
 
 def weight_of(slope: Array) -> Array:
-    """Return what (k, k) makes of the covariance of the unknowns the mean variance of tools with ``slope`` (P, 3, k)."""
+    """Return the matrix (k, k) whose product with a covariance has the mean variance of tools as its trace.
+
+    ``slope`` (P, 3, k) is their derivative by the unknowns.
+    """
     return np.asarray(np.einsum("pik,pil->kl", slope, slope) / len(slope))
 
 
@@ -137,11 +140,12 @@ def _candidates(arm: Arm, seed: int) -> tuple[Array, Array]:
     inside, anywhere = solution.q[solution.converged], comfortable_postures(arm)
     most = np.abs(gravity_torque(arm, inside)).max(axis=0, initial=0.0)
     light = anywhere[(np.abs(gravity_torque(arm, anywhere)) <= most).all(axis=1)]
-    within = _approachable(arm, inside)[:WITHIN]
-    return within, _approachable(arm, rng.permutation(light))[: CANDIDATES - len(within)]
+    within = approachable(arm, inside)[:WITHIN]
+    return within, approachable(arm, rng.permutation(light))[: CANDIDATES - len(within)]
 
 
-def _approachable(arm: Arm, q: Array) -> Array:
+def approachable(arm: Arm, q: Array) -> Array:
+    """Those of postures (C, n) [rad] that are free, and from both sides."""
     free = [_free(arm, q - away) for away in (0.0, BEFORE, -BEFORE)]
     return np.asarray(q[np.logical_and.reduce(free)])
 

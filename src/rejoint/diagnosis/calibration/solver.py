@@ -13,16 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from rejoint.arms import Arm, Array, Displacement, tcp_position
+from rejoint.arms import Arm, Array, Displacement
 from rejoint.arms.rotations import rotation_about
-from rejoint.diagnosis.calibration.measurements import Measurements, align
+from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.parameters import (
     Belief,
     DisplacementLayout,
     displacement_of,
-    floor_of,
     linearised,
     scatter,
+    vector_of,
 )
 
 HUBER = 2.8
@@ -32,6 +32,7 @@ SLIP, MOST_SLIPS = 30.0, 0.25
 ITERATIONS = 40
 _ROUNDS = 5  # of a descent with the noise as it was, at most
 _SMALL = 1e-4  # relative gain of a step, or of a round, after which the fit ends
+_STEP = 1e-6  # [rad] and [m] of derivatives of the noise
 _TILT = np.radians(6.0)
 _DIRECTIONS, _QUICK = 8, 4
 
@@ -49,6 +50,13 @@ class Fitted:
     """(4, 4) pose of the measuring frame in the base"""
     evidence: float
     """log marginal likelihood up to a constant (Laplace's approximation)"""
+
+    @property
+    def wide(self) -> Array:
+        """Vector (k,) with the root mean squares of what is in the noise."""
+        wide, places = self.vector.copy(), self.layout.scales
+        wide[places] = np.hypot(wide[places], np.sqrt(np.diag(self.covariance)[places]))
+        return wide
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,9 +95,13 @@ class Fittable(ABC):
     def noise(self, vector: Array) -> Array:
         """Covariance (R, d, d) of a residual for known parameters."""
 
-    @abstractmethod
     def uncorrected(self, out: NDArray[np.bool_], start: Array) -> Array:
         """Residuals (r, d) of rows ``out`` by encoders alone; the others fit the frame from ``start`` (k,)."""
+        body, own = slice(0, self.layout.body), self.belief
+        mean, lower, upper = own.mean.copy(), own.lower.copy(), own.upper.copy()
+        mean[body] = lower[body] = upper[body] = vector_of(self.layout, Displacement.none(self.arm))[body]
+        rigid = replace(self, belief=replace(own, mean=mean, lower=lower, upper=upper))
+        return rigid.rows(out).misfit(solve(rigid.rows(~out), start).vector)
 
     def misfit(self, vector: Array) -> Array:
         """Residuals (R, d)."""
@@ -121,13 +133,6 @@ class CalibrationProblem(Fittable):
     def rows(self, where: NDArray[np.bool_]) -> CalibrationProblem:
         """Problem of some points."""
         return replace(self, measurements=self.measurements.rows(where))
-
-    def uncorrected(self, out: NDArray[np.bool_], start: Array) -> Array:  # noqa: ARG002 - it needs no guess
-        """Residuals (r, 3) [m] of plain kinematics, zero where not measured."""
-        held = self.measurements.rows(out)
-        pose = align(self.arm, self.measurements.rows(~out)) if self.layout.frame else self.frame
-        seen = (tcp_position(self.arm, held.position) - pose[:3, 3]) @ pose[:3, :3]
-        return np.where(np.isfinite(held.point), seen - held.point, 0.0)
 
     @property
     def known(self) -> NDArray[np.bool_]:
@@ -166,7 +171,7 @@ class CalibrationProblem(Fittable):
         rotation = self.pose(vector)[:3, :3]
         spread = scatter(self.arm, displacement_of(self.layout, vector), self.measurements.position)
         spread = rotation.T @ spread @ rotation
-        floor = floor_of(self.arm)
+        floor = vector[self.layout.at("floor")]
         spread = spread + (self.measurements.sigma**2 + floor**2)[:, None, None] * np.eye(3)
         known = np.isfinite(self.measurements.point)
         both = known[:, :, None] & known[:, None, :]
@@ -185,10 +190,11 @@ def solve(problem: Fittable, start: Array, iterations: int = ITERATIONS) -> Fitt
         full[free] = x
         return full
 
-    for step in range(_ROUNDS):
+    for step in range(_ROUNDS if free.any() else 0):
         whitener = problem.whitener(vector)
         if step:
             whitener = whitener * _plausible(whitener, problem.misfit(vector))[:, None, None]
+        if step > 1:  # the residuals of a fit without outliers
             belief = scattered(problem, vector)[0]
             root = np.linalg.cholesky(belief.precision).T
 
@@ -214,7 +220,7 @@ def solve(problem: Fittable, start: Array, iterations: int = ITERATIONS) -> Fitt
             xtol=_SMALL,
         )
         vector, before, cost = whole(found.x), cost, found.cost
-        if iterations < ITERATIONS or abs(before - cost) <= _SMALL * (1.0 + cost):
+        if iterations < ITERATIONS or (step > 1 and abs(before - cost) <= _SMALL * (1.0 + cost)):
             break
     return _fitted(problem, vector)
 
@@ -246,21 +252,23 @@ def search(problem: Fittable) -> Fitted:
 
 
 def scattered(problem: Fittable, vector: Array) -> tuple[Belief, Array]:
-    """Belief with what the scatter of the residuals says about the play, and the curvature (k, k) at ``vector`` (k,).
+    """Belief with what the scatter of the residuals says about play and floor, and the curvature (k, k) at ``vector``.
 
-    The play of a floating joint is in the noise alone. Its likelihood gives a step and an information by Fisher's
-    scoring, with the scatter that the other parameters have absorbed (Patterson and Thompson 1971).
+    The play of a floating joint and what nothing explains are in the noise alone. Its likelihood gives a step and an
+    information by Fisher's scoring, with the scatter that the other parameters have absorbed (Patterson and Thompson
+    1971).
     """
-    belief, noise, places = problem.belief, problem.noise(vector), np.arange(len(vector))[problem.layout.at("play")]
+    belief, noise, places = problem.belief, problem.noise(vector), problem.layout.scales
     residual, slope = problem.residual(vector)
-    _, bent, weight = _weighed(problem, problem.whitener(vector), residual)
-    inverse = np.linalg.inv(noise)
+    whitener = problem.whitener(vector)
+    _, _, weight = _weighed(problem, whitener, residual)
+    inverse = np.linalg.inv(noise) * _plausible(whitener, residual)[:, None, None]
     curvature = np.einsum("mik,mij,mjl->kl", slope, weight[..., None] * inverse, slope) + belief.precision
     absorbed = slope @ np.linalg.inv(curvature) @ np.swapaxes(slope, -1, -2)
-    off, both = residual * bent, problem.known[:, :, None] & problem.known[:, None, :]
+    off, both = residual * weight, problem.known[:, :, None] & problem.known[:, None, :]
     seen = off[:, :, None] * off[:, None, :] + absorbed
-    steps = vector + _SMALL * np.eye(len(vector))[places]
-    changes = np.array([both * (problem.noise(other) - noise) / _SMALL for other in steps])
+    steps = vector + _STEP * np.eye(len(vector))[places]
+    changes = np.array([both * (problem.noise(other) - noise) / _STEP for other in steps])
     by = inverse @ changes
     score = 0.5 * (np.trace(by @ inverse @ seen, axis1=-2, axis2=-1) - np.trace(by, axis1=-2, axis2=-1)).sum(axis=1)
     told = np.zeros_like(curvature)
@@ -273,8 +281,9 @@ def scattered(problem: Fittable, vector: Array) -> tuple[Belief, Array]:
 def _fitted(problem: Fittable, vector: Array) -> Fitted:
     whitener, belief, curvature = problem.whitener(vector), problem.belief, scattered(problem, vector)[1]
     white, bent, _ = _weighed(problem, whitener, problem.misfit(vector))
-    off = vector - belief.mean
-    cost = 0.5 * float(((white * bent) ** 2).sum() + off @ belief.precision @ off)
+    off, loss = vector - belief.mean, ((white * bent) ** 2).sum(axis=1)
+    loss = np.minimum(loss, problem.huber * (2.0 * SLIP - problem.huber))  # an outlier does not choose the kind of arm
+    cost = 0.5 * float(loss.sum() + off @ belief.precision @ off)
     spread = np.log(np.abs(np.diagonal(whitener, axis1=1, axis2=2)))[problem.known].sum()
     evidence = -cost + spread + 0.5 * (np.linalg.slogdet(belief.precision)[1] - np.linalg.slogdet(curvature)[1])
     return Fitted(

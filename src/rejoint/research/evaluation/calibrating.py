@@ -235,7 +235,7 @@ def try_condition(
     share = 1.0 / (len(POINTS) + 2)
     on_progress(share, f"{condition.name}: without calibration")
     before = [
-        _errors(_hold(open_condition(arm, condition, family, threads), controller, one.targets, one.goals), one.targets)
+        _errors(_hold(open_condition(arm, condition, family, threads), controller, one), family.targets)
         for one in fresh
     ]
     tried: list[list[Tried]] = [[] for _ in fresh]
@@ -244,7 +244,7 @@ def try_condition(
         found = [fit(arm, measured.first(i, points)) for i in range(family.arms)]
         for one, done in zip(fresh, tried, strict=True):
             robot = open_condition(arm, condition, family, threads)
-            done.append(try_found(robot, found, controller, one.targets, points, one.goals))
+            done.append(try_found(robot, found, controller, one, points))
     held = [Held(where=a.name, before=b, tried=tuple(c)) for a, b, c in zip(fresh, before, tried, strict=True)]
     named, accused = find_wrong(arm, measured, family)
     return Trials(condition=condition, held=tuple(held), named=named, accused=accused)
@@ -282,17 +282,16 @@ def try_found(
     robot: EmulatedRobot,
     found: Sequence[Calibration],
     controller: Callable[[Arm], Controller],
-    targets: Array,
+    fresh: FreshTargets,
     points: int,
-    goals: JointGoals | None = None,
 ) -> Tried:
-    """Send all arms, corrected by what was ``found``, to ``targets`` (A, K, 3) [m] by their ``goals``."""
-    arm, recording = robot.arm, _hold(robot, controller, targets, goals, OwnCorrections(found))
-    error, settled = _errors(recording, targets), _settled(recording, targets.shape[1])
-    came = np.concatenate([np.broadcast_to(arm.rest, settled[:, :1].shape), settled[:, :-1]], axis=1)
+    """Send all arms, corrected by what was ``found``, to ``fresh`` targets."""
+    recording, count = _hold(robot, controller, fresh, OwnCorrections(found)), fresh.targets.shape[1]
+    error, settled = _errors(recording, count), _last(recording, recording.position, count)
+    came = np.concatenate([np.broadcast_to(robot.arm.rest, settled[:, :1].shape), settled[:, :-1]], axis=1)
     inside, expected = np.zeros(error.shape), np.zeros(error.shape)
     for i, calibration in enumerate(found):
-        low, high = calibration.interval(settled[i], targets[i], came[i])
+        low, high = calibration.interval(settled[i], fresh.targets[i], came[i])
         inside[i], expected[i] = (error[i] >= low) & (error[i] <= high), calibration.sigma(settled[i])
     return Tried(
         points=points,
@@ -339,39 +338,26 @@ class OwnCorrections(Modelled):
 def _hold(
     robot: EmulatedRobot,
     controller: Callable[[Arm], Controller],
-    targets: Array,
-    goals: JointGoals | None,
+    fresh: FreshTargets,
     correction: Modelled | None = None,
 ) -> Recording:
-    schedule = Schedule(dwell=HOLD, keep_going=True, goals=goals)
-    return run(robot, controller(robot.arm), targets, schedule, correction=correction)
+    schedule = Schedule(dwell=HOLD, keep_going=True, goals=fresh.goals)
+    return run(robot, controller(robot.arm), fresh.targets, schedule, correction=correction)
 
 
-def _errors(recording: Recording, targets: Array) -> Array:
+def _errors(recording: Recording, count: int) -> Array:
     """Return true errors (A, K) [m] over the last second at each target; NaN after a guard's stop."""
-    return _over_last(
-        recording,
-        targets.shape[1],
-        lambda rows, i, k: float(np.linalg.norm(recording.true_tcp[rows, i] - targets[i, k], axis=-1).mean()),
-    )[..., 0]
+    return _last(recording, np.linalg.norm(recording.true_tcp - recording.target, axis=-1), count)
 
 
-def _settled(recording: Recording, count: int) -> Array:
-    """Return encoder positions (A, K, n) [rad] over the same time."""
-    return _over_last(recording, count, lambda rows, i, _: recording.position[rows, i].mean(axis=0))
-
-
-def _over_last(recording: Recording, count: int, value: Callable[[NDArray[np.intp], int, int], Array | float]) -> Array:
-    found = []
-    for i in range(recording.position.shape[1]):
-        for k in range(count):
-            rows = np.flatnonzero(recording.active[:, i] & (recording.target_index[:, i] == k))
-            since = recording.since_target[rows, i]
-            done = len(rows) > 0 and since[-1] > HOLD - LAST
-            found.append(np.atleast_1d(value(rows[since > HOLD - LAST], i, k)) if done else None)
-    size = max((len(one) for one in found if one is not None), default=1)
-    flat = np.array([np.full(size, np.nan) if one is None else one for one in found])
-    return flat.reshape(recording.position.shape[1], count, size)
+def _last(recording: Recording, values: Array, count: int) -> Array:
+    """Return means (A, K, ...) of ``values`` (T, A, ...) over the same time."""
+    late = recording.active & (recording.since_target > HOLD - LAST)
+    found = np.full((values.shape[1], count, *values.shape[2:]), np.nan)
+    for i, k in np.ndindex(*found.shape[:2]):
+        rows = late[:, i] & (recording.target_index[:, i] == k)
+        found[i, k] = values[rows, i].mean(axis=0) if rows.any() else np.nan
+    return found
 
 
 HEADERS = (

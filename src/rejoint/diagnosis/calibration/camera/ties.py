@@ -17,13 +17,11 @@ from rejoint.arms.camera.board import BoardView
 from rejoint.arms.camera.lens import CORNER, TERMS, place
 from rejoint.arms.camera.rig import Rig
 from rejoint.arms.camera.views import Detector, Unusable
-from rejoint.arms.displacement import FLOATING
 from rejoint.arms.rotations import difference, inverse, moved
-from rejoint.arms.workspace import length_size
 from rejoint.control.seeing import Sighting
 from rejoint.diagnosis.calibration.measurements import Measurements
-from rejoint.diagnosis.calibration.parameters import SCATTER, Belief, vector_of
-from rejoint.diagnosis.calibration.solver import Fittable, solve
+from rejoint.diagnosis.calibration.parameters import Belief, play_variance
+from rejoint.diagnosis.calibration.solver import Fittable
 
 HUBER = 3.55
 """Residual [sigma] from which the loss is linear: 95 % of six normal numbers"""
@@ -31,8 +29,8 @@ POSES = 12
 """Unknowns after the arm's: shift [m] and turn [rad] of `Rig.standing` and `Rig.mounted`; then the lens"""
 NOWHERE = 10.0
 """[m] and [rad] sigma of unknown poses"""
-LOOSE, ASKEW = 0.5e-3, np.radians(0.15)
-"""[m] over the reach of a myCobot 280, and [rad]: unexplained displacement; chosen"""
+ASKEW = np.radians(0.15)
+"""[rad] unexplained turn; chosen"""
 JOINT = np.radians(0.1)
 """[rad] the same of each joint; chosen"""
 _ANY = np.array([1e3] * 3 + [1.0] * 4)  # standard deviations of a lens of which nothing is known
@@ -118,15 +116,8 @@ class TieProblem(Fittable):
 
     def noise(self, vector: Array) -> Array:
         """Covariance (V, 6, 6) of a residual for known parameters."""
-        return looseness(self.arm, self.displacement(vector), self.position) + self.spread
-
-    def uncorrected(self, out: NDArray[np.bool_], start: Array) -> Array:
-        """Shift [m] and turn [rad] (r, 6) of the tool from the encoders'."""
-        body, own = slice(0, self.layout.body), self.belief
-        mean, lower, upper = own.mean.copy(), own.lower.copy(), own.upper.copy()
-        mean[body] = lower[body] = upper[body] = vector_of(self.layout, Displacement.none(self.arm))
-        rigid = replace(self, belief=replace(own, mean=mean, lower=lower, upper=upper))
-        return rigid.rows(out).misfit(solve(rigid.rows(~out), start).vector)
+        floor = float(vector[self.layout.at("floor")][0])
+        return looseness(self.arm, self.displacement(vector), self.position, floor) + self.spread
 
     def measurements(self, vector: Array) -> Measurements:
         """Tool positions in the measuring frame."""
@@ -153,12 +144,11 @@ class TieProblem(Fittable):
         return self.displacement(vector).tool_pose(self.arm, self.position, self.approach)
 
 
-def looseness(arm: Arm, displacement: Displacement, position: Array) -> Array:
-    """Covariance (V, 6, 6) of the tool's pose beyond ``displacement``, at ``position`` (V, n) [rad]."""
-    free = 1.0 - np.tanh(displacement.torque(arm, position) / FLOATING) ** 2
-    variance = SCATTER * (0.5 * displacement.play) ** 2 * free + JOINT**2
+def looseness(arm: Arm, displacement: Displacement, position: Array, floor: float) -> Array:
+    """Covariance (V, 6, 6) of the tool's pose beyond ``displacement``, at ``position`` (V, n) [rad]; ``floor`` [m]."""
+    variance = play_variance(arm, displacement, position) + JOINT**2
     lever = jacobian(arm, position)
-    rest = np.diag([(LOOSE * length_size(arm)) ** 2] * 3 + [ASKEW**2] * 3)
+    rest = np.diag([floor**2] * 3 + [ASKEW**2] * 3)
     return np.asarray((lever * variance[:, None, :]) @ np.swapaxes(lever, -1, -2) + rest)
 
 
