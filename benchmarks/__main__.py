@@ -7,9 +7,9 @@ import sys
 from importlib import import_module
 
 BENCHMARKS = (
-    "plant", "step", "control", "guard", "postures", "following", "training", "rivals", "agents", "policy", "diagnosis",
+    "plant", "step", "control", "guard", "postures", "following", "training", "rivals", "policy", "diagnosis",
     "identification", "truth", "emulator", "serve", "hostile", "kills", "seeing", "feetech", "moving", "shelf",
-    "elimination", "payload", "years", "again", "fleet",
+    "elimination", "payload", "years", "again",
 )  # fmt: skip
 """Modules beside this one; each has a `main`"""
 

@@ -16,6 +16,12 @@ def cell(values: Array) -> str:
     return f"{np.nanmean(values):.2f} / {np.nanquantile(values, 0.95):.2f}"
 
 
+def held_columns(found: dict[str, Array], arms: int) -> tuple[Array, Array]:
+    """Settled errors (A, K) [m] and times to stay within the bands (A, K, W) [s] of trials on ``arms`` arms."""
+    stay = np.stack([found[name].reshape(arms, -1) for name in Protocol().stay_names], axis=-1)
+    return found["settled"].reshape(arms, -1), np.where(stay >= Protocol().hold, np.inf, stay)
+
+
 def corrected(name: str, tried) -> None:
     """Print a row about calibrated arms: true error [mm], targets inside the interval, calibrations used."""
     inside = tried.inside[np.isfinite(tried.error)].mean()

@@ -12,7 +12,7 @@ from rejoint.arms import Arm, mycobot280
 from rejoint.control.policy import load_policy
 from rejoint.system.errors import ContractError, FileError
 from rejoint.training.export import export_policy
-from rejoint.training.networks import perceptron
+from rejoint.training.ppo import perceptron
 from rejoint.training.presets import DEFAULT
 from rejoint.training.train import know_stiffness, policy_contract
 

@@ -13,10 +13,10 @@ from time import perf_counter
 import numpy as np
 
 from rejoint.arms import mycobot280
-from rejoint.control.loop import Schedule, follow
+from rejoint.control.loop import Schedule, run
 from rejoint.control.moving.drive import judge
-from rejoint.control.moving.posture import PathPostures, Servos
-from rejoint.control.moving.reference import LAG, LEAD_IN, STANDARD, Ahead, Routes, Stream, played, standard_path
+from rejoint.control.moving.posture import PathPostures, Servos, home_of
+from rejoint.control.moving.reference import LAG, LEAD_IN, STANDARD, Ahead, PathReference, Stream, played, standard_path
 from rejoint.control.moving.tracker import Tracker
 from rejoint.control.recording import Recording
 from rejoint.logs.runfolder.folder import RunFolder
@@ -43,13 +43,14 @@ def servos(twins: Sequence[TwinParameters]) -> Servos:
 def drive(
     profiles: Sequence[str], twins: Sequence[TwinParameters], period: tuple[float, float], guides, *, fold: bool = True
 ) -> Recording:
-    home = None if fold else ARM.rest
-    controller = Tracker(ARM, servos(twins), period=sum(period) / 2, home=home)
-    start = PathPostures(ARM, np.stack([path.place[0] for _ in profiles for path in PATHS]), home=controller.home).last
+    known = servos(twins)
+    home = home_of(ARM, known) if fold else ARM.rest
+    start = PathPostures(ARM, np.stack([path.place[0] for _ in profiles for path in PATHS]), home=home).last
     wears = [load_wear(profile, ARM) for profile in profiles for _ in PATHS]
     robot = EmulatedRobot(ARM, wears, start=start, period=period)
     dwell = LEAD_IN + LAG + max(path.duration for path in PATHS)
-    return follow(robot, controller, Routes(guides), Schedule(dwell=dwell, sent=start, keep_going=True))
+    controller = Tracker(ARM, known, period=sum(period) / 2)
+    return run(robot, controller, PathReference(ARM, guides, home), Schedule(dwell=dwell, sent=start, keep_going=True))
 
 
 def show(

@@ -25,10 +25,10 @@ from rejoint.arms.posing import find_postures
 from rejoint.control.catalogue import shelf_controller
 from rejoint.control.controller import Controller
 from rejoint.control.feedforward import FeedforwardController
-from rejoint.control.loop import Schedule, follow, run
+from rejoint.control.loop import Schedule, run
 from rejoint.control.moving.drive import judge
-from rejoint.control.moving.posture import PathPostures
-from rejoint.control.moving.reference import LEAD_IN, Ahead, Routes, standard_path
+from rejoint.control.moving.posture import PathPostures, home_of
+from rejoint.control.moving.reference import LEAD_IN, Ahead, PathReference, standard_path
 from rejoint.control.moving.tracker import Tracker
 from rejoint.control.start import begin, move
 from rejoint.control.targets import draw_targets
@@ -134,12 +134,11 @@ def _follow(arm: Arm, seed: int, twin: Twin, true: float, told: float) -> float:
     path = standard_path(PATH, arm)
     robot, sent = _robot(arm, seed, true, told)
     guide = Ahead(path=path)
-    tracker = Tracker(robot.arm, servos_of(twin))
-    sent = move(
-        robot, PathPostures(robot.arm, path.place[:1], home=tracker.home).last[0], sent=sent, settle=0.5
-    ).command[-1]
+    servos = servos_of(twin)
+    home = home_of(robot.arm, servos)
+    sent = move(robot, PathPostures(robot.arm, path.place[:1], home=home).last[0], sent=sent, settle=0.5).command[-1]
     schedule = Schedule(dwell=LEAD_IN + path.duration, sent=sent)
-    recording = follow(robot, tracker, Routes([guide]), schedule)
+    recording = run(robot, Tracker(robot.arm, servos), PathReference(robot.arm, [guide], home), schedule)
     return judge(arm, recording, guide).encoder.rms
 
 

@@ -4,18 +4,12 @@ import tempfile
 import time
 from pathlib import Path
 
-import numpy as np
-
+from benchmarks.shelf import ARMS, TARGETS, figures, tried
 from rejoint.arms import mycobot280
-from rejoint.control.comparison.protocols import Protocol
-from rejoint.control.policy import load_policy
-from rejoint.research.evaluation.family import ArmFamily, find_variant
-from rejoint.research.evaluation.trials import TrialSettings, try_controller
 from rejoint.training.train import TrainingOptions, train
 
 ITERATIONS = 75
 """Half of the default preset's (chosen: with 50 the tail of some trainings is too long)"""
-ARMS, TARGETS = 20, 3
 MEAN, TAIL = 0.5e-3, 1.0e-3
 """[m] settled encoder error on worn arms: mean and 95th percentile"""
 
@@ -26,15 +20,7 @@ def main(updates: int = ITERATIONS, seed: int = 0) -> None:
         start = time.perf_counter()
         result = train(arm, None, out=Path(folder), options=TrainingOptions(iterations=updates, seed=seed))
         taken = time.perf_counter() - start
-        family = ArmFamily(arms=ARMS, targets=TARGETS)
-        outcome = try_controller(
-            arm,
-            find_variant("worn"),
-            lambda arm: load_policy(result.policy, arm),
-            TrialSettings(family=family, protocol=Protocol(), crossing=False, threads=2),
-            lambda *_: None,
-        )
-    mean, tail = float(np.nanmean(outcome.settled)), float(np.nanpercentile(outcome.settled, 95))
+        mean, tail, _ = figures(tried(arm.name, result.policy))
     met = "both met" if mean <= MEAN and tail <= TAIL else "NOT met"
     print(f"{result.steps / 1e6:.2f} million transitions in {taken:.1f} s, from an empty folder to policy.onnx")
     print(

@@ -43,6 +43,7 @@ from rejoint.control.comparison.protocols import schedule
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.guard import GuardLimits, guard
 from rejoint.control.loop import run
+from rejoint.control.reference import TargetSequence
 from rejoint.control.robot import JointState
 from rejoint.research.evaluation.contestants import classical
 from rejoint.research.evaluation.evaluate import own_twins
@@ -235,11 +236,11 @@ def _ways(title: str, arms: list[Arm]) -> None:
 def _driven(title: str, arm: Arm, twins: list[Twin]) -> None:
     """Drive worn arms to targets anywhere; print the contacts of the planned and of the driven ways."""
     variant, judge = find_variant("anywhere"), Judge(arm)
-    targets, goals = targets_anywhere(arm, FAMILY, twins)
-    plan_of = replace(schedule("hold", Protocol(hold=3.0), keep_going=True), goals=goals)
+    targets, ways = targets_anywhere(arm, FAMILY, twins)
+    plan_of = schedule("hold", Protocol(hold=3.0), keep_going=True)
     controller = classical("feedforward").maker(twins)(arm)
-    recording = run(open_family(arm, variant, FAMILY), controller, targets, plan_of)
-    planned = [judge.nearest(_dense(way)) for row in goals.ways for way in row]
+    recording = run(open_family(arm, variant, FAMILY), controller, TargetSequence(arm, targets, ways=ways), plan_of)
+    planned = [judge.nearest(_dense(way)) for row in ways for way in row]
     driven = []
     for b in range(FAMILY.arms):
         for k in range(FAMILY.targets):

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import typer
 
-from benchmarks.frame import holds
+from benchmarks.frame import held_columns, holds
 from rejoint.arms import mycobot280
 from rejoint.control.catalogue import make_controller, shelf_controller
 from rejoint.control.comparison.result import Protocol
@@ -83,8 +83,9 @@ def main(
         "tuned-feedforward": lambda arm: make_rival("tuned-feedforward", arm),
     }.items():
         outcome = try_on(ARM, bench, make, settings, lambda _: None)
-        holds(name, outcome.settled, outcome.stay, shelf)
-        shelf = shelf or (outcome.settled, outcome.stay)
+        found = held_columns(outcome, arms)
+        holds(name, *found, shelf)
+        shelf = shelf or found
     median, p99 = 1e3 * np.percentile(step_times(own[0])[100:], [50, 99])
     print(f"one control step while it plans: median {median:.2f} ms, p99 {p99:.2f} ms of processor time")
 

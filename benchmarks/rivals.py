@@ -8,7 +8,7 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from benchmarks.learners import ROLLOUT, begin
+from benchmarks.training import ROLLOUT, begin
 from rejoint.arms import mycobot280
 from rejoint.training.presets import DEFAULT
 from rejoint.training.ranges import BroadRanges

@@ -21,6 +21,7 @@ from rejoint.control.controller import Controller
 from rejoint.control.correction import Modelled
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import Recording
+from rejoint.control.reference import TargetSequence
 from rejoint.control.start import move
 from rejoint.robots.cameras import EmulatedEye
 from rejoint.session.eyes import watched
@@ -55,7 +56,7 @@ def driven(arm: Arm, seed: int, controller: Controller, known: Displacement, eye
         controller, correction = watched(robot, controller, correction, EmulatedEye(robot, seed=seed, **eye))
     targets = arm.targets.sample(np.random.default_rng(seed), (1, count))
     schedule = Schedule(dwell=4.0, sent=start.command[-1])
-    return errors(run(robot, controller, targets, schedule, correction=correction))
+    return errors(run(robot, controller, TargetSequence(robot.arm, targets, correction=correction), schedule))
 
 
 def main(arms: int = 4, first: int = 1000, targets: int = 8, policy: Path | None = None) -> None:

@@ -2,6 +2,7 @@
 
     python -m benchmarks serve
     python -m benchmarks.serve --run runs/mine --abuse 600
+    python -m benchmarks.serve --run runs/mine --controller predictive
 
 The arm is an emulated one behind TCP, in wall-clock time. Without ``--run`` it is diagnosed and its twin identified
 first, which takes minutes. Then a client of the second kind: reconnects, garbage, half frames, and clients killed in
@@ -367,7 +368,10 @@ def prepare(run: Path) -> None:
 
 
 def main(
-    run: Path | None = None, abuse: float = ABUSE, anywhere_count: Annotated[int, typer.Option("--anywhere")] = 0
+    run: Path | None = None,
+    abuse: float = ABUSE,
+    anywhere_count: Annotated[int, typer.Option("--anywhere")] = 0,
+    controller: str | None = None,
 ) -> None:
     """Play the script, then abuse the arm for so many seconds; or only send ``--anywhere`` so many orders."""
     with tempfile.TemporaryDirectory() as name:
@@ -387,7 +391,9 @@ def main(
             bare, bare_reads = play(client), read_times(client)
         with (
             serve_tcp(build_firmware(ARM, "worn"), port=0, timing=Timing()) as emulator,
-            served(emulator.address, folder, listen="127.0.0.1:0") as (address, ends),
+            served(
+                emulator.address, folder, listen="127.0.0.1:0", settings=rejoint.Settings(controller=controller)
+            ) as (address, ends),
         ):
             with connected(address) as client:
                 through, reads = play(client), read_times(client)

@@ -12,10 +12,9 @@ import numpy as np
 
 from rejoint.arms import load_arm
 from rejoint.control.catalogue import shelf_arms, shelf_path
-from rejoint.control.comparison.protocols import Protocol
+from rejoint.control.comparison.protocols import Columns, Protocol
 from rejoint.control.policy import load_policy
 from rejoint.research.evaluation.family import ArmFamily, find_variant
-from rejoint.research.evaluation.outcome import Outcome
 from rejoint.research.evaluation.trials import TrialSettings, try_controller
 from rejoint.training.shelf import make_shelf_policy
 
@@ -25,7 +24,7 @@ FARTHER, LATER = 0.15e-3, 1.2
 trainings of three seeds differ by, docs/research.md)"""
 
 
-def tried(name: str, file: Path) -> Outcome:
+def tried(name: str, file: Path) -> Columns:
     """Hold the policy of ``file`` on worn arms of this build."""
     family = ArmFamily(arms=ARMS, targets=TARGETS)
     settings = TrialSettings(family=family, protocol=Protocol(), crossing=False, threads=2)
@@ -33,13 +32,13 @@ def tried(name: str, file: Path) -> Outcome:
     return try_controller(load_arm(name), worn, lambda arm: load_policy(file, arm), settings, lambda *_: None)
 
 
-def figures(outcome: Outcome) -> tuple[float, float, float]:
+def figures(outcome: Columns) -> tuple[float, float, float]:
     """Mean settled error [m], its 95th percentile [m], and median time [s] to come and stay within 2 mm."""
     narrow = int(np.argmin(Protocol().within))
     return (
-        float(np.nanmean(outcome.settled)),
-        float(np.nanpercentile(outcome.settled, 95)),
-        float(np.median(outcome.stay[..., narrow])),
+        float(np.nanmean(outcome["settled"])),
+        float(np.nanpercentile(outcome["settled"], 95)),
+        float(np.median(outcome[Protocol().stay_names[narrow]])),
     )
 
 

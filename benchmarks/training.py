@@ -1,16 +1,35 @@
-"""What training costs beyond the simulation that it cannot do without: the very same physics steps, simulated alone."""
+"""What training costs: beyond the simulation that it cannot do without, and by its number of agents.
 
+The very same physics steps are simulated alone. Each number of agents has a process of its own.
+"""
+
+import re
+import subprocess
+import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 
-from benchmarks.learners import ROLLOUT, begin
 from rejoint.arms import mycobot280
+from rejoint.training.learner import Learner
+from rejoint.training.presets import DEFAULT
 from rejoint.training.task import ReachTask
+from rejoint.training.train import TrainingOptions, know_stiffness, make_learner
 from rejoint.twin.simulation import SUBSTEPS, Simulation
 
 ROUNDS, UPDATES = 6, 3
+AGENTS = (64, 256, 1024, 4096, 8192)
+ROLLOUT = DEFAULT.ppo.rollout
+
+
+def begin(agents: int = DEFAULT.ppo.agents) -> Learner:
+    """Start a training on two threads and do its first update."""
+    arm, options = mycobot280(), TrainingOptions(agents=agents, threads=2)
+    learner = make_learner(arm, None, know_stiffness(options.recipe, arm, None), options)
+    learner.iterate()
+    return learner
 
 
 class Tape:
@@ -38,7 +57,8 @@ class Tape:
         return taken
 
 
-def main() -> None:
+def overhead() -> None:
+    """Print what training takes beside its physics."""
     learner = begin()
     whole, raw = [], []
     for _ in range(ROUNDS):  # in turns, so that other load hits both alike
@@ -60,5 +80,28 @@ def main() -> None:
     print(f"training: {steps / training:.0f} transitions per second, {training / alone:.2f} x that simulation")
 
 
+def measure(agents: int) -> None:
+    rounds = max(2, 2048 // agents)
+    learner = begin(agents)
+    start = time.perf_counter()
+    for _ in range(rounds):
+        learner.iterate()
+    taken = time.perf_counter() - start
+    print(f"{agents:>6} {1e6 * taken / rounds / agents / ROLLOUT:>14.1f} {memory():>12.0f}")
+
+
+def memory() -> float:
+    """Peak [MiB] of this process; `getrusage` would count that of the process it was started from."""
+    found = re.search(r"^VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text(), re.MULTILINE)
+    return int(found[1]) / 1024
+
+
+def main() -> None:
+    overhead()
+    print(f"{'agents':>6} {'us/transition':>14} {'memory [MiB]':>12}", flush=True)
+    for agents in AGENTS:
+        subprocess.run([sys.executable, "-m", "benchmarks.training", str(agents)], check=True)
+
+
 if __name__ == "__main__":
-    main()
+    measure(int(sys.argv[1])) if sys.argv[1:] else main()

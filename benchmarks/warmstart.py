@@ -15,13 +15,13 @@ from pathlib import Path
 import numpy as np
 import typer
 
-from benchmarks.frame import holds
+from benchmarks.frame import held_columns, holds
 from benchmarks.predictive import ARM, TARGETS, know
 from rejoint.control.catalogue import shelf_path
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.policy import load_policy
 from rejoint.research.evaluation.family import ArmFamily
-from rejoint.research.evaluation.identification import bench_of, one_arm
+from rejoint.research.evaluation.identification import bench_of
 from rejoint.research.evaluation.trials import TrialSettings, try_on
 from rejoint.training.presets import DEFAULT, SCRATCH
 from rejoint.training.train import TrainingOptions, train
@@ -47,8 +47,9 @@ def held(file: Path, wear_seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Settled errors [m] and times [s] to come and stay within 2 mm of all holds of one arm."""
     settings = TrialSettings(family=ArmFamily(arms=1, targets=TARGETS), protocol=Protocol(), crossing=False)
     bench = bench_of(ARM, wear_seed, settings)
-    found = one_arm(try_on(ARM, bench, lambda arm: load_policy(file, arm), settings, lambda _: None))
-    return found.settled[0], found.stay[0]
+    found = try_on(ARM, bench, lambda arm: load_policy(file, arm), settings, lambda _: None)
+    settled, stay = held_columns(found, arms=1)
+    return settled[0], stay[0]
 
 
 def main(

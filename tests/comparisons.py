@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from rejoint.control.comparison.protocols import Tally, summarise
+from rejoint.control.comparison.protocols import Tally, comparison_of
 from rejoint.control.comparison.result import Protocol
 
 
@@ -17,7 +17,7 @@ def made_comparison(arm, columns, targets, protocol=None, robot="emulated:worn",
         tallies[name] = Tally(shape, protocol)
         tallies[name].columns |= {"held": np.ones(shape), **values}
         tallies[name].cycles = 1000
-    found = summarise(SimpleNamespace(address=robot, arm=arm), 0, True, np.asarray(targets, dtype=float), tallies)
+    found = comparison_of(SimpleNamespace(address=robot, arm=arm), 0, True, np.asarray(targets, dtype=float), tallies)
     return replace(found, **facts)
 
 

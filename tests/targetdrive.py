@@ -1,14 +1,13 @@
 """A drive to targets without a session: what the judgement of deployments is tried on."""
 
-from typing import Any
-
 from rejoint.control.contract import check_controller_period
 from rejoint.control.controller import Controller
-from rejoint.control.correction import ToolModel
+from rejoint.control.correction import Modelled, ToolModel
 from rejoint.control.deployment import Deployed, Deployment, judge
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import Recording
+from rejoint.control.reference import TargetSequence
 from rejoint.control.robot import Robot
 from rejoint.control.start import Stance, begin
 
@@ -21,7 +20,7 @@ def deploy(
     limits: GuardLimits | None = None,
     stance: Stance | None = None,
     model: ToolModel | None = None,
-    **drive: Any,
+    correction: Modelled | None = None,
 ) -> tuple[Recording, Deployed]:
     """Bring an arm to its rest posture and then to the targets of ``job``."""
     start = begin(robot, limits, stance)
@@ -29,10 +28,8 @@ def deploy(
     recording = run(
         robot,
         controller,
-        job.targets[None],
+        TargetSequence(robot.arm, job.targets[None], turns=job.turns and job.turns[None], correction=correction),
         Schedule(dwell=job.dwell, sent=start.command[-1]),
         limits=limits,
-        turns=job.turns and job.turns[None],
-        **drive,
     )
     return recording, judge(robot.arm, recording, job, model)

@@ -91,12 +91,6 @@ def test_an_awkward_chain_agrees_with_mujoco(tmp_path: Path) -> None:
         np.testing.assert_allclose(gravity_torque(bare, q), data.qfrc_bias[chain], atol=1e-9)
 
 
-def test_a_prismatic_branch_does_not_end_the_longest_chain(tmp_path: Path) -> None:
-    loaded = with_given_workspace(written(tmp_path, AWKWARD))
-    assert loaded.arm.joints == 5
-    assert any("tip: none given; d taken" in note and "beside it are tcp" in note for note in loaded.notes)
-
-
 def inertial(mass: float, moments: str = "0.001 0.001 0.001", xyz: str = "0 0 0.05") -> str:
     xx, yy, zz = moments.split()
     return (

@@ -36,13 +36,6 @@ def test_what_is_read_back_is_the_displaced_arm(tmp_path, name):
     assert "<calibration" not in urdf_text(back)
 
 
-def test_an_arm_without_displacement_stays_as_it_is():
-    arm = load_arm("mycobot280")
-    unit = unit_arm(arm, Displacement.none(arm))
-    np.testing.assert_array_equal(unit.offset, arm.offset)
-    np.testing.assert_array_equal(unit.tip, arm.tip)
-
-
 def test_rigid_links_take_the_mean_of_play_and_flex():
     arm = load_arm("mycobot280")
     whole, position = displaced(arm), at_targets(arm)

@@ -107,15 +107,6 @@ def test_the_reference_distance_is_the_smallest_over_all_points(a, b, c, d):
     assert exact >= sampled - (np.linalg.norm(b - a) + np.linalg.norm(d - c)) / 160 - tolerance
 
 
-def test_the_reference_distance_of_points_and_parallels():
-    x, y = np.array([1.0, 0, 0]), np.array([0.0, 1, 0])
-    zero = np.zeros(3)
-    assert segments_apart(zero, zero, 3 * x, 3 * x) == pytest.approx(3.0)
-    assert segments_apart(zero, x, 2 * y, 2 * y + x) == pytest.approx(2.0)
-    assert segments_apart(zero, x, 3 * x, 4 * x) == pytest.approx(2.0)
-    assert segments_apart(-x, x, -y, y) == pytest.approx(0.0)
-
-
 @pytest.mark.parametrize("arm", [mycobot280(), so101()], ids=lambda arm: arm.name)
 def test_links_keep_out_of_boxes(arm):
     rng = np.random.default_rng(4)

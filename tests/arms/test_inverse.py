@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rejoint.arms import clip_norm, dls, mycobot280, position_kinematics, solve_position, tcp_position
+from rejoint.arms import dls, mycobot280, position_kinematics, solve_position, tcp_position
 from rejoint.arms.kinematics import tcp_pose
 from rejoint.arms.rotations import rotation_error
 
@@ -14,11 +14,6 @@ def test_dls_equals_the_papers_form() -> None:
     j, e = position_kinematics(ARM, q)[1], np.random.default_rng(2).normal(size=(30, 3))
     paper = [np.linalg.solve(a.T @ a + 0.05**2 * np.eye(6), a.T @ b) for a, b in zip(j, e, strict=True)]
     np.testing.assert_allclose(dls(j, e), paper, rtol=1e-9)
-
-
-def test_clip_norm_keeps_the_direction() -> None:
-    step = np.array([[3.0, -6.0], [0.1, 0.2]])
-    np.testing.assert_allclose(clip_norm(step, 1.0), [[0.5, -1.0], [0.1, 0.2]])
 
 
 def test_the_whole_target_box_is_reachable() -> None:

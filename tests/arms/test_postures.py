@@ -77,14 +77,6 @@ def test_reachable_poses_are_found(name, whole):
     works(arm, goals.q)
 
 
-@pytest.mark.parametrize("make", [mycobot280, so101])
-def test_comfortable_postures_in_the_old_region_stay_what_they_are(make):
-    arm = make()
-    places = arm.targets.sample(np.random.default_rng(3), (100,))
-    local = solve_position(arm, places, arm.rest).q
-    np.testing.assert_allclose(choose_postures(arm, places, arm.rest).q, local, atol=1e-9)
-
-
 def test_a_weak_joint_is_spared():
     arm = mycobot280()
     places = tcp_position(arm, free_postures(arm, 60, 4))

@@ -46,7 +46,7 @@ def test_joints_on_their_way_are_not_pushed_and_corrections_keep_their_limit(see
     push = 1.5 * elapsed[:, None] * step
     push = np.where((np.abs(now) > 0.1) & (now * push > 0.0), 0.0, push)
     wanted = np.minimum(np.maximum(correction + push + extra, -0.4), 0.4)
-    compiled.integrate(correction, speed, last, position, elapsed, step, extra, 1.5, 0.4, 0.1, 0.5)
+    compiled.integrate(correction, speed, last, position, elapsed, step, extra, np.array([1.5, 0.4, 0.1, 0.5]))
     np.testing.assert_array_equal(correction, wanted)
     np.testing.assert_array_equal(speed, now)
     np.testing.assert_array_equal(last, position)
@@ -54,7 +54,9 @@ def test_joints_on_their_way_are_not_pushed_and_corrections_keep_their_limit(see
 
 def test_a_correction_that_is_no_number_stays_visible():
     correction, zeros = np.full((1, 1), np.nan), np.zeros((1, 1))
-    compiled.integrate(correction, zeros.copy(), zeros.copy(), zeros, np.ones(1), zeros, zeros, 1.0, 0.4, 0.1, 0.5)
+    compiled.integrate(
+        correction, zeros.copy(), zeros.copy(), zeros, np.ones(1), zeros, zeros, np.array([1.0, 0.4, 0.1, 0.5])
+    )
     assert np.isnan(correction).all()  # the guard must see it
 
 
@@ -67,7 +69,7 @@ def test_steps_and_actions_are_shaped_as_the_law_says(seed, bad):
     step[0, 1], action[1, 2] = bad, bad
     distance, moves, spared = np.linalg.norm(error, axis=-1), np.array([1.0, 1, 1, 1, 1, 0]), rng.uniform(0, 1, 6)
     out = np.empty((2, 5, 6))
-    given = (
+    rules = (
         law.authority_floor,
         law.authority_slope,
         law.authority_limit,
@@ -75,7 +77,7 @@ def test_steps_and_actions_are_shaped_as_the_law_says(seed, bad):
         0.0005,
         law.load_penalty_distance,
     )
-    compiled.weigh(out, step, error, distance, action, moves, spared, *given)
+    compiled.weigh(out, step, error, distance, action, moves, spared, np.array(rules))
     near = 1.0 / (1.0 + (distance / law.load_penalty_distance) ** 2)
     wanted = fade(error, 0.0005) * clip_norm(step, law.step_limit) * (1.0 - near[:, None] * spared)
     np.testing.assert_array_equal(out[0], wanted)

@@ -10,6 +10,7 @@ from rejoint.control.classical import DefaultController, IntegratorController
 from rejoint.control.controller import ControlInput
 from rejoint.control.correction import MOST, Modelled
 from rejoint.control.loop import Schedule, run
+from rejoint.control.reference import TargetSequence
 from rejoint.control.robot import JointState
 from rejoint.control.seeing import Seen, Sighting
 from rejoint.system.errors import InputError
@@ -29,6 +30,10 @@ def displaced(seed=1, arm=ARM):
         play=rng.uniform(0.0, 0.03, n),
         twist=rng.normal(0.0, 1.0, (n + 1, 6)) * ([1e-3] * 3 + [5e-3] * 3),
     )
+
+
+def _to(targets, correction):
+    return TargetSequence(ARM, targets, correction=correction)
 
 
 class PerfectServos:
@@ -71,7 +76,7 @@ def test_the_tool_arrives_and_the_encoders_see_it_beside_the_target(make):
     displacement = displaced()
     schedule = Schedule(dwell=6.0)
     plain = run(PerfectServos(displacement), make(ARM), TARGETS, schedule)
-    aimed = run(PerfectServos(displacement), make(ARM), TARGETS, schedule, correction=Modelled(ARM, displacement))
+    aimed = run(PerfectServos(displacement), make(ARM), _to(TARGETS, Modelled(ARM, displacement)), schedule)
     assert errors(plain)[0].max() < 0.6e-3
     assert errors(plain)[1].mean() > 3e-3
     assert errors(aimed)[1].max() < 0.6e-3
@@ -130,7 +135,7 @@ class Watching:
 def seen_errors(eye_of, displacement, believed):
     robot = PerfectServos(displacement, count=1)
     correction = Seen(ARM, believed, eye=eye_of(robot))
-    recording = run(robot, DefaultController(ARM), TARGETS[:1], Schedule(dwell=6.0), correction=correction)
+    recording = run(robot, DefaultController(ARM), _to(TARGETS[:1], correction), Schedule(dwell=6.0))
     return errors(recording)[1], correction
 
 

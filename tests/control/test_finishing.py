@@ -9,6 +9,7 @@ from rejoint.arms import Displacement, mycobot280
 from rejoint.control.classical import IntegratorController
 from rejoint.control.guard import TRIPS
 from rejoint.control.loop import Schedule, run
+from rejoint.control.reference import TargetSequence
 from rejoint.control.seeing import CALM, WIDEST, Finishing, Seen, Sighting
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.lab.plant.wear import load_wear
@@ -47,9 +48,8 @@ def driven(make=IntegratorController, *, wear="worn?seed=701", believed=None, **
     recording = run(
         robot,
         controller,
-        TARGETS,
+        TargetSequence(ARM, TARGETS, correction=seen),
         Schedule(dwell=DWELL),
-        correction=seen,
         on_cycle=lambda _: states.append(controller.state),
     )
     return recording, np.array(states), seen

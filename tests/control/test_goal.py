@@ -1,4 +1,4 @@
-"""Laws of goals that move along ways: where they are, when their time begins, and that arms arrive."""
+"""Laws of ways that move along ways: where they are, when their time begins, and that arms arrive."""
 
 from dataclasses import replace
 
@@ -7,8 +7,10 @@ import pytest
 
 from rejoint.arms import Box, gravity_torque, mycobot280, plan, tcp_position
 from rejoint.control.feedforward import FeedforwardController
-from rejoint.control.goal import JointGoals, on_the_way, pace, side_by_side, waiting, with_ways
+from rejoint.control.goal import pace, waiting, with_ways
 from rejoint.control.loop import Schedule, run
+from rejoint.control.reference import TargetSequence
+from rejoint.control.robot import JointState
 from rejoint.research.evaluation.family import HELD, ArmFamily, targets_anywhere
 from rejoint.robots import open_robot
 from rejoint.robots.emulated import EmulatedRobot
@@ -21,27 +23,33 @@ POSTURES = np.radians([[100.0, 20.0, -70.0, -20.0, 10.0, 0.0], [-60.0, -30.0, -6
 
 
 def test_goal_and_target_move_together_and_end_where_they_are_to_be():
-    way = plan(ARM, ARM.rest, POSTURES[0])
-    end = POSTURES[0] + 0.02  # a corrected aim
-    aim = tcp_position(ARM, end)
+    ways = with_ways(ARM, POSTURES[:1], ARM.rest)
+    aim = tcp_position(ARM, POSTURES[:1]) + 0.005
+    reference, way = TargetSequence(ARM, aim[None], ways=[ways]), ways[0]
+    reference.begin(np.ones(1, dtype=bool), np.zeros(1, dtype=int), ARM.rest[None])
+    state = JointState(time=np.zeros(1), position=ARM.rest[None], age=np.zeros(1))
+    end = reference.advance(state, np.array([way.duration])).goal
+    np.testing.assert_allclose(tcp_position(ARM, end), aim, atol=1e-4)
     for share in (0.0, 0.3, 0.9):
         since = np.array([share * way.duration])
-        now = on_the_way(ARM, [way], end[None], aim[None], since)
-        np.testing.assert_allclose(now.target, tcp_position(ARM, now.goal), atol=1e-12)
-        np.testing.assert_allclose(now.goal[0], way.at(float(since[0])) + share * 0.02, atol=1e-9)
+        now = reference.advance(state, since)
+        np.testing.assert_allclose(now.target, tcp_position(ARM, now.goal), atol=1e-4)
+        np.testing.assert_allclose(now.goal[0], way.at(float(since[0])) + share * (end[0] - way.goal), atol=1e-9)
         assert now.since[0] == 0.0
-    late = on_the_way(ARM, [way], end[None], aim[None], np.array([way.duration + 0.5]))
-    np.testing.assert_array_equal(late.goal[0], end)
+        assert not now.arrived[0]
+    late = reference.advance(state, np.array([way.duration + 0.5]))
+    assert late.arrived[0]
+    np.testing.assert_array_equal(late.goal, end)
     np.testing.assert_allclose(late.since, 0.5)
 
 
 def test_an_arm_arrives_along_its_ways_and_its_time_begins_there():
     robot = open_robot("emulated:worn", seed=0)
-    goals = with_ways(ARM, POSTURES, ARM.rest)
+    ways = with_ways(ARM, POSTURES, ARM.rest)
     targets = tcp_position(ARM, POSTURES)[None]
-    recording = run(robot, FeedforwardController(ARM), targets, Schedule(dwell=3.0, goals=goals))
+    recording = run(robot, FeedforwardController(ARM), TargetSequence(ARM, targets, ways=[ways]), Schedule(dwell=3.0))
     error = np.linalg.norm(tcp_position(ARM, recording.position[:, 0]) - recording.target[:, 0], axis=-1)
-    for k, way in enumerate(goals.ways[0]):
+    for k, way in enumerate(ways):
         rows = np.flatnonzero(recording.target_index[:, 0] == k)
         since, time = recording.since_target[rows, 0], recording.time[rows, 0] - recording.time[rows[0], 0]
         assert (since[time < way.duration - 0.05] == 0.0).all()
@@ -55,10 +63,9 @@ def test_an_arm_with_a_slow_joint_stays_on_its_way():
     robot = EmulatedRobot(ARM, [load_wear("healthy", ARM)], seed=0)
     robot.plant.set_speed_limit(np.array([[0.3, 9.0, 9.0, 9.0, 9.0, 9.0]]))
     goal = ARM.rest + np.radians([90.0, 20.0, -40.0, 30.0, 20.0, 10.0])
-    goals = with_ways(ARM, goal[None], ARM.rest)
-    recording = run(
-        robot, FeedforwardController(ARM), tcp_position(ARM, goal)[None, None], Schedule(dwell=2.0, goals=goals)
-    )
+    ways = with_ways(ARM, goal[None], ARM.rest)
+    reference = TargetSequence(ARM, tcp_position(ARM, goal)[None, None], ways=[ways])
+    recording = run(robot, FeedforwardController(ARM), reference, Schedule(dwell=2.0))
     moved, way = recording.position[:, 0] - ARM.rest, goal - ARM.rest
     ahead = np.abs(moved - moved[:, :1] / way[0] * way).max()
     assert ahead < np.radians(15.0)
@@ -66,7 +73,7 @@ def test_an_arm_with_a_slow_joint_stays_on_its_way():
 
 
 def test_a_way_waits_the_longer_the_more_a_joint_lags_but_not_for_one_that_is_stuck():
-    way = with_ways(ARM, POSTURES[:1], ARM.rest).ways[0][0]
+    way = with_ways(ARM, POSTURES[:1], ARM.rest)[0]
     half = 0.5 * way.duration
     lags = np.radians([0.0, 5.0, 9.0, 15.0, 25.0, 40.0])
     position = way.at(half) + np.outer(lags, np.eye(6)[2])
@@ -95,27 +102,22 @@ def test_where_no_way_is_clear_a_joint_goes_round_the_other_side():
     turning = replace(ARM, lower=ARM.lower - turn, upper=ARM.upper + turn, rest=left, keep_out=(wall,))
     with pytest.raises(InputError):
         plan(turning, left, right)
-    goals = with_ways(turning, np.array([right, left]), left)
-    np.testing.assert_allclose(goals.posture[0], [right - turn, left], atol=1e-9)
-    np.testing.assert_array_equal([way.goal for way in goals.ways[0]], goals.posture[0])
+    ways = with_ways(turning, np.array([right, left]), left)
+    np.testing.assert_allclose([way.goal for way in ways], [right - turn, left], atol=1e-9)
 
 
 def test_every_target_needs_its_way():
     one = with_ways(ARM, POSTURES, ARM.rest)
-    both = side_by_side([one, one])
-    assert both.posture.shape == (2, 2, 6)
-    with pytest.raises(InputError):
-        JointGoals(posture=both.posture, ways=one.ways)
-    with pytest.raises(InputError):
-        run(
-            open_robot("emulated:worn"), FeedforwardController(ARM), np.zeros((1, 1, 3)), Schedule(dwell=1.0, goals=one)
-        )
+    for ways in ([one], [one[:1]], [one, one]):
+        with pytest.raises(InputError):
+            TargetSequence(ARM, np.zeros((2, 1, 3)), ways=ways)
 
 
 def test_targets_anywhere_are_reached_and_held_by_their_postures():
     family, twins = ArmFamily(arms=2, targets=2, seed=3), [a_twin(), a_twin()]
-    targets, goals = targets_anywhere(ARM, family, twins)
-    np.testing.assert_allclose(tcp_position(ARM, goals.posture), targets, atol=1e-4)
+    targets, ways = targets_anywhere(ARM, family, twins)
+    postures = np.array([[way.goal for way in row] for row in ways])
+    np.testing.assert_allclose(tcp_position(ARM, postures), targets, atol=1e-4)
     assert not ARM.targets.contains(targets).all()
     limit = twins[0].parameters.torque_limit
-    assert (np.abs(gravity_torque(ARM, goals.posture)) <= HELD * limit + 1e-9).all()
+    assert (np.abs(gravity_torque(ARM, postures)) <= HELD * limit + 1e-9).all()

@@ -17,7 +17,7 @@ from rejoint.control.contract import DIGEST_KEY, LAYERS, METADATA_KEY, MOST_LAYE
 from rejoint.control.policy import LARGEST_FILE, load_policy
 from rejoint.system.errors import ContractError, FileError
 from rejoint.training.export import export_policy
-from rejoint.training.networks import perceptron
+from rejoint.training.ppo import perceptron
 
 MANY = settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 

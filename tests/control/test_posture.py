@@ -7,9 +7,11 @@ import pytest
 
 from rejoint.arms import frames, mycobot280, tcp_position
 from rejoint.control.controller import ControlInput
+from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import Schedule, run
-from rejoint.control.posture import PostureController, PostureGains, Wanted, _without
+from rejoint.control.posture import PostureController, PostureGains, _without
+from rejoint.control.reference import Reference, Setpoint, ToolAtGoals
 from rejoint.control.robot import JointState
 from rejoint.control.start import move
 from rejoint.robots import open_robot
@@ -19,15 +21,15 @@ ARM = mycobot280()
 DWELL, SPEED = 6.0, np.radians(60.0)
 
 
-class Ways:
+class Ways(Reference):
     """Each arm goes from rest to its postures (B, K, n), one after the other."""
 
     def __init__(self, postures: np.ndarray) -> None:
-        self.postures = postures
+        self.postures, self.count = postures, len(postures)
         self.reference = np.repeat(ARM.rest[None], len(postures), axis=0)
         self.began: np.ndarray | None = None
 
-    def advance(self, state: JointState) -> Wanted:
+    def advance(self, state: JointState, since: np.ndarray, /) -> Setpoint:  # noqa: ARG002
         if self.began is None:
             self.began = self.last = state.time.copy()
         k = np.minimum((state.time - self.began) // DWELL, self.postures.shape[1] - 1).astype(int)
@@ -35,7 +37,7 @@ class Ways:
         reach = SPEED * (state.time - self.last)[:, None]
         self.reference = self.reference + np.clip(goal - self.reference, -reach, reach)
         self.last = state.time.copy()
-        return Wanted(posture=self.reference.copy(), arrived=(self.reference == goal).all(axis=1))
+        return Setpoint(self.reference.copy(), arrived=(self.reference == goal).all(axis=1))
 
 
 def test_a_worn_arm_comes_to_postures_and_stays() -> None:
@@ -43,12 +45,11 @@ def test_a_worn_arm_comes_to_postures_and_stays() -> None:
     count = 6
     postures = ARM.rest + rng.uniform(-1, 1, (count, 3, 6)) * np.radians([30, 12, 15, 10, 15, 40])
     stiffness = load_wear("worn", ARM).position_gain
-    controller = PostureController(ARM, Ways(postures), stiffness=np.asarray(stiffness))
+    controller = PostureController(ARM, stiffness=np.asarray(stiffness))
     robot = open_robot("emulated:worn", seed=1, count=count, period=(0.05, 0.05))
     start = move(robot, ARM.rest)
-    nowhere = np.full((count, 1, 3), np.nan)
     schedule = Schedule(dwell=3 * DWELL, sent=start.command[-1])
-    found = run(robot, controller, nowhere, schedule, limits=GuardLimits.of(ARM))
+    found = run(robot, controller, Ways(postures), schedule, limits=GuardLimits.of(ARM))
     assert not found.tripped.any()
     errors, bare = [], []
     since = found.time - found.time[0]
@@ -61,6 +62,17 @@ def test_a_worn_arm_comes_to_postures_and_stays() -> None:
     assert np.median(errors) < 0.6e-3, np.round(1e3 * np.array(errors), 2)
     assert np.mean(errors) < 1e-3, np.round(1e3 * np.array(errors), 2)
     assert np.mean(bare) > 10e-3, "what a command of the posture itself would have left"
+
+
+def test_a_controller_to_points_brings_the_tool_where_joints_are_to_bring_it() -> None:
+    postures = ARM.rest + np.radians([[[20.0, 8.0, -10.0, 5.0, 8.0, 20.0], [-20.0, -8.0, 10.0, -5.0, 0.0, 0.0]]])
+    robot = open_robot("emulated:worn", seed=1, period=(0.05, 0.05))
+    start = move(robot, ARM.rest)
+    reference, schedule = ToolAtGoals(ARM, Ways(postures)), Schedule(dwell=1.8 * DWELL, sent=start.command[-1])
+    found = run(robot, FeedforwardController(ARM), reference, schedule)
+    tool = tcp_position(ARM, found.position[:, 0])
+    assert np.linalg.norm(tool - tcp_position(ARM, postures[0, 0]), axis=-1).min() < 1e-3
+    assert np.linalg.norm(tool[-1] - tcp_position(ARM, postures[0, 1])) < 1e-3
 
 
 def test_other_joints_bring_the_tool_to_its_place_where_one_is_weak() -> None:
@@ -78,13 +90,6 @@ def test_other_joints_bring_the_tool_to_its_place_where_one_is_weak() -> None:
     assert frames(ARM, goal).tcp_rotation.shape == (20, 3, 3)
 
 
-class Stay:
-    """The arms are to stay at rest."""
-
-    def advance(self, state: JointState) -> Wanted:
-        return Wanted(posture=ARM.rest[None], arrived=np.ones(len(state.time), dtype=bool))
-
-
 def told(position: np.ndarray, sent: np.ndarray, time: float = 0.0) -> ControlInput:
     state = JointState(time=np.array([time]), position=position[None], age=np.zeros(1))
     return ControlInput(
@@ -95,12 +100,12 @@ def told(position: np.ndarray, sent: np.ndarray, time: float = 0.0) -> ControlIn
 @pytest.mark.parametrize("offset", [0.0, 0.02])
 def test_it_begins_with_the_command_in_force(offset: float) -> None:
     sent = ARM.rest[None] + 0.05
-    controller = PostureController(ARM, Stay(), offset=offset, gains=dataclasses.replace(PostureGains(), push=0.0))
+    controller = PostureController(ARM, offset=offset, gains=dataclasses.replace(PostureGains(), push=0.0))
     np.testing.assert_allclose(controller.command(told(ARM.rest, sent)), sent, atol=1e-12)
 
 
 def test_nothing_winds_up_in_an_arm_that_rests() -> None:
-    controller, step = PostureController(ARM, Stay()), 0.05
+    controller, step = PostureController(ARM), 0.05
     position = ARM.rest - np.radians([0.0, 0.0, 0.0, 0.0, 0.0, 0.3])  # joint 6 turns the tool and hardly moves it
     before = sent = ARM.rest[None]
     for cycle in range(1200):  # a minute

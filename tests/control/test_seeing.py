@@ -7,6 +7,7 @@ from rejoint.arms import Displacement, mycobot280, position_kinematics, tcp_posi
 from rejoint.control.classical import IntegratorController
 from rejoint.control.controller import ControlInput
 from rejoint.control.loop import Schedule, run
+from rejoint.control.reference import TargetSequence
 from rejoint.control.robot import JointState
 from rejoint.control.seeing import NOISE, Finishing, Seen, Sighting
 from rejoint.robots.emulated import EmulatedRobot
@@ -92,6 +93,8 @@ def test_a_picture_that_freezes_leaves_the_controller_to_the_model():
         robot = EmulatedRobot(ARM, [load_wear("worn?seed=701", ARM)], seed=0)
         seen = Seen(ARM, Displacement.none(ARM), eye=eye_of(robot))
         controller = Finishing(ARM, IntegratorController(ARM), seen)
-        commands.append(run(robot, controller, targets, Schedule(dwell=2.0), correction=seen).command)
+        commands.append(
+            run(robot, controller, TargetSequence(ARM, targets, correction=seen), Schedule(dwell=2.0)).command
+        )
         assert seen.used <= 1
     np.testing.assert_array_equal(*commands)

@@ -47,7 +47,9 @@ def test_it_repairs_worn_arms_that_it_never_met(name, near, farthest):
     settings = TrialSettings(family=ArmFamily(arms=6, targets=2, seed=7), protocol=Protocol(hold=4.0), crossing=False)
     worn = find_variant("worn")
     as_found, repaired = (
-        try_controller(arm, worn, lambda arm, name=name: make_controller(name, arm), settings, lambda *_: None).settled
+        try_controller(arm, worn, lambda arm, name=name: make_controller(name, arm), settings, lambda *_: None)[
+            "settled"
+        ][:, : settings.family.targets]
         for name in ("default", SHELF)
     )
     assert np.median(as_found) > 10e-3

@@ -123,6 +123,7 @@ def test_frames_that_are_nested_as_drawn_are_those_of_the_kinematics(name):
 
 
 class Passing:
+    arm, address, count = None, "passing", 2
     """A robot of virtual time, a second a step, that takes no time of the wall."""
 
     def step(self, command, active=None):  # noqa: ARG002 - as robots are

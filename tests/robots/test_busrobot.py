@@ -20,7 +20,6 @@ from rejoint.system.errors import (
     NoReplyError,
     PowerLostError,
     RobotError,
-    StaleReplyError,
 )
 
 ARM = mycobot280()
@@ -125,13 +124,6 @@ def test_a_broken_connection_is_made_anew():
     assert bus.done[:7] == ["read", "close", "open", "close", "open", "prepare", "read"]
 
 
-def test_where_both_sides_cannot_be_brought_into_step_the_connection_is_made_anew():
-    robot, bus = opened()
-    bus.done, bus.faults = [], [TimeoutError(), ConnectionResetError("gone")]
-    robot.read()
-    assert bus.done == ["read", "resynchronise", "close", "open", "prepare", "read"]
-
-
 @pytest.mark.parametrize(
     ("fault", "error"),
     [(TimeoutError, NoReplyError), (ValueError, ImpossibleReplyError), (OSError, ConnectionLostError)],
@@ -220,27 +212,6 @@ def test_an_answer_of_another_number_of_servos_is_named(name):
     bus.faults = [Reading(position=ARM.rest, **{name: np.zeros(5)})] * ATTEMPTS * 2
     with pytest.raises(ImpossibleReplyError, match=f"expected 6 values of {name}"):
         robot.read()
-
-
-def test_a_jump_is_asked_for_again():
-    robot, bus = opened()
-    robot.read()
-    bus.faults = [Reading(position=ARM.rest + 0.5)]
-    np.testing.assert_array_equal(robot.read().position[0], ARM.rest)
-
-
-def test_answers_that_never_change_under_a_moving_command_are_old():
-    robot, bus = opened()
-    frozen = Reading(position=ARM.rest)
-    robot.read()
-
-    def go_on():
-        for _ in range(200):
-            bus.faults = [None, frozen]
-            robot.step(ARM.rest[None] + 0.5)
-
-    with pytest.raises(StaleReplyError, match="the same joint angles"):
-        go_on()
 
 
 def test_a_wrong_byte_is_no_alarm_and_an_alarm_that_stays_is_one():

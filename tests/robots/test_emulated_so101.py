@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-import rejoint
 from rejoint.arms import load_arm
 from rejoint.robots import open_robot
 from rejoint.robots.emulated import EmulatedRobot
@@ -11,10 +10,6 @@ from rejoint.robots.feetech.gains import for_all
 from rejoint.robots.lab.emulator.feetech import build_arm
 from rejoint.robots.lab.plant.sts3215 import SETTING
 from rejoint.robots.lab.plant.wear import load_wear
-from rejoint.runs.run import Run
-from rejoint.runs.stages import gains as stage
-from rejoint.runs.stages.gains import keep_gains
-from rejoint.system.errors import InputError, RobotError
 
 ARM = load_arm("so101")
 PROMPT = {"period": (0.02, 0.02), "command_latency": (0.0, 0.0), "readback_age": (0.0, 0.0)}
@@ -81,31 +76,3 @@ def test_gains_are_tuned_for_the_whole_batch_and_each_arm_moves_as_it_would_alon
         robot.last = state
     np.testing.assert_array_equal(both.last.position[2], alone.last.position[0])
     np.testing.assert_array_equal(both.last.load[2], alone.last.load[0])
-
-
-def test_gains_that_a_labouring_servo_does_not_bear_are_taken_back():
-    robot = open_robot("emulated:so101")
-    for _ in range(40):
-        robot.step(ARM.rest[None] + 0.5)
-    robot.plant.joints["lower"] = robot.plant.joints["upper"] = robot.plant.encoder()  # blocked between its stops
-    robot.plant.settings["overload"] = 2000  # its own protection would end the labour
-    for _ in range(40):
-        robot.step(ARM.rest[None] + 1.2)
-    before = robot.servo_gains()
-    with pytest.raises(RobotError, match=r"does not bear p=.*the gains are as before"):
-        robot.tune(for_all({"p": 64}, 5))
-    assert robot.servo_gains() == before
-
-
-def test_a_search_runs_in_virtual_time_and_its_gains_can_be_compared_but_not_kept(tmp_path, monkeypatch):
-    monkeypatch.setattr(stage, "TARGETS", 1)
-    address = "emulated:worn?seed=3"
-    run = Run.create(tmp_path / "run", address, ARM)
-    found = rejoint.gains(address, run)
-    assert found.with_alone.tool < found.before.tool
-    compared = rejoint.compare(
-        address, ["servo-gains"], [[0.33, 0.05, 0.22]], run=run, plan=rejoint.TrialPlan(repetitions=1)
-    )
-    assert compared.comparison.rows[0].settled.mean.value < found.before.tool
-    with pytest.raises(InputError, match="forgets its gains"):
-        keep_gains(address, run, found.alone)

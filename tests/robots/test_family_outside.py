@@ -15,9 +15,8 @@ from rejoint.cli import main
 from rejoint.control.robot import Robot
 from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.logs.runlog import read_log
-from rejoint.robots import open_robot, place_of
+from rejoint.robots import open_robot
 from rejoint.robots.lab.plant.wear import load_wear
-from rejoint.system.errors import AddressError
 from rejoint.training import presets
 from rejoint.training.presets import DEFAULT, PpoSettings
 from rejoint.training.task import TaskSettings
@@ -91,14 +90,6 @@ def test_it_is_opened_like_any_robot_and_lost_answers_are_asked_for_again(line):
     assert np.median(periods) == pytest.approx(0.02)
     assert periods.max() >= 0.1, "the line's own patience, once for each"
     assert np.abs(state.position - goal).max() < 0.2
-
-
-def test_where_there_is_none_that_is_said_with_its_form(line):
-    with pytest.raises(AddressError, match="nothing answers at swing://unplugged"):
-        open_robot("swing://unplugged")
-    with pytest.raises(AddressError, match=r"^robot address .swing:one.: not of the form swing://PORT$"):
-        open_robot("swing:one")
-    assert (place_of(ADDRESS).default_arm, place_of(ADDRESS).virtual) == ("mycobot280", False)
 
 
 def test_it_is_diagnosed_deployed_and_repaired(line, tmp_path, capsys, monkeypatch):

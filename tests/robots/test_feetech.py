@@ -18,7 +18,8 @@ from rejoint.robots.feetech.bus import FeetechBus, Gripper
 from rejoint.robots.feetech.gains import LIMIT, Tuning
 from rejoint.robots.feetech.wire import Wire, Zeros, read_calibration, zeros_of
 from rejoint.robots.lab.emulator.faults import parse_faults
-from rejoint.robots.lab.emulator.feetech import HOMING, NAMES, BusSession, build_arm, serve_bus
+from rejoint.robots.lab.emulator.feetech import HOMING, NAMES, BusSession, build_arm
+from rejoint.robots.lab.emulator.servers import on_port, on_terminal
 from rejoint.system.errors import (
     AddressError,
     ConnectionLostError,
@@ -40,7 +41,7 @@ TORQUE, GOAL, LOCK = 40, 42, 55
 def serving(fault="", *, pty=False, arm=None):
     faults = parse_faults(fault, 5)
     arm = arm or build_arm(ARM, "so101", resistance=faults.sag)
-    with serve_bus(BusSession(arm, faults=faults), pty=pty) as server:
+    with (on_terminal if pty else on_port)(BusSession(arm, faults=faults)) as server:
         server.arm = arm
         yield server
 
@@ -359,22 +360,6 @@ def test_two_programs_do_not_drive_one_arm():
         with pytest.raises(AddressError, match="another program drives the arm there"):
             open_robot(server.address)
         assert np.isfinite(robot.read().position).all()
-
-
-def test_a_servo_that_confirms_nothing_is_named():
-    arm = build_arm(ARM, "so101")
-    servo = arm.servos[2]
-    servo["Response_Status_Level"], servo["Torque_Enable"] = 0, 0
-    arm.settle(2)
-    with serving(arm=arm) as server, pytest.raises(AddressError, match=r"elbow_flex .servo 3. obeys, but does not"):
-        open_robot(server.address)
-    assert all(address == GOAL for address, _ in servo.writes)
-
-
-def test_an_adapter_that_echoes_is_refused_before_anything_moves():
-    with serving("echo=1") as server, pytest.raises(AddressError, match="use an adapter that does not echo"):
-        open_robot(server.address)
-    assert all(servo.writes == [] for servo in server.arm.servos)
 
 
 def test_a_lossy_bus_is_got_over():

@@ -11,6 +11,7 @@ from contextlib import closing, contextmanager
 import numpy as np
 import pytest
 
+from rejoint.robots.family import serial_address, tcp_address
 from rejoint.robots.feetech.wire import Wire
 from rejoint.robots.lab.emulator.feetech import Packet, encode
 
@@ -39,7 +40,10 @@ def wire_to(*answers, part=4096):
         return count
 
     try:
-        with pytest.MonkeyPatch.context() as patch, closing(Wire(os.ttyname(client), 1_000_000)) as wire:
+        with (
+            pytest.MonkeyPatch.context() as patch,
+            closing(Wire(serial_address(f"serial://{os.ttyname(client)}", baud=1_000_000))) as wire,
+        ):
             patch.setattr(os, "write", answered)
             patch.setattr(os, "read", lambda line, size: read(line, min(size, part)))
             yield wire, requests
@@ -124,7 +128,7 @@ def test_answers_that_come_in_parts_are_put_together(monkeypatch):
 def test_a_line_that_ends_is_a_broken_one():
     with (
         socket.create_server(("127.0.0.1", 0)) as server,
-        closing(Wire(f"socket://127.0.0.1:{server.getsockname()[1]}", 1_000_000)) as wire,
+        closing(Wire(tcp_address(f"feetech://127.0.0.1:{server.getsockname()[1]}", port=9000))) as wire,
     ):
         server.accept()[0].close()
         with pytest.raises(OSError, match=r"gone|reset|pipe"):

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from rejoint.arms import load_arm
-from rejoint.robots.lab.emulator.feetech import HOMING, NAMES, BusSession, build_arm, serve_bus
+from rejoint.robots.lab.emulator.feetech import HOMING, NAMES, BusSession, build_arm
+from rejoint.robots.lab.emulator.servers import on_terminal
 
 JUDGE = Path(os.environ.get("REJOINT_JUDGE", Path(__file__).parents[2] / ".judge"))
 
@@ -23,7 +24,7 @@ pytestmark = [
 
 def test_lerobot_connects_calibrates_moves_and_disconnects():
     arm = build_arm(load_arm("so101"), "so101")
-    with serve_bus(BusSession(arm), pty=True) as server:
+    with on_terminal(BusSession(arm)) as server:
         device = server.address.removeprefix("feetech://").partition("?")[0]
         command = [sys.executable, str(Path(__file__).with_name("lerobot_judge.py")), device]
         environment = os.environ | {"PYTHONPATH": str(JUDGE)}

@@ -13,7 +13,8 @@ import pytest
 
 from rejoint.arms import load_arm
 from rejoint.control.guard import GuardLimits
-from rejoint.robots.lab.emulator.feetech import BusSession, build_arm, serve_bus
+from rejoint.robots.lab.emulator.feetech import BusSession, build_arm
+from rejoint.robots.lab.emulator.servers import on_port, on_terminal
 from rejoint.runs.connect import connect
 from rejoint.runs.run import Run
 from rejoint.system.errors import InputError
@@ -26,9 +27,9 @@ pytestmark = pytest.mark.realtime
 
 
 @contextmanager
-def serving(tmp_path, **options):
+def serving(tmp_path, pty=False):
     arm = build_arm(ARM, "so101")
-    with serve_bus(BusSession(arm), **options) as server:
+    with (on_terminal if pty else on_port)(BusSession(arm)) as server:
         server.arm = arm
         server.run = Run.create(tmp_path / "run", server.address, ARM).path
         yield server

@@ -26,12 +26,10 @@ from rejoint.system.errors import (
     AddressError,
     ConnectionLostError,
     ImpossibleReplyError,
-    InputError,
     NoReplyError,
     RobotError,
     StaleReplyError,
 )
-from rejoint.system.stopping import shielded
 
 pytestmark = pytest.mark.realtime
 
@@ -256,13 +254,6 @@ def test_what_stays_bad_becomes_an_error_with_a_name(start, fault, error):
     assert "\n" not in str(caught.value)
 
 
-def test_one_impossible_answer_is_asked_again(start):
-    robot, fake = start(only(READ, 2, frame(READ, struct.pack(">6h", *[18008] * 6))))
-    robot.read()
-    np.testing.assert_allclose(np.degrees(robot.read().position[0]), fake.degrees)
-    assert fake.clients == 2  # the probe and the client: nothing was reconnected
-
-
 def test_a_server_that_is_gone_for_good_is_named(start):
     robot, fake = start()
     robot.read()
@@ -287,18 +278,6 @@ def test_a_refused_command_is_an_error(start):
         robot.step(np.radians([[20.0, 0, -85, -5, 0, 0]]))
 
 
-def test_a_failed_command_is_sent_again_on_a_new_connection(start):
-    robot, fake = start(only(SEND, 1, "close"))
-    state = robot.step(np.radians([[21.0, 0, -85, -5, 0, 0]]))
-    assert np.degrees(state.position[0, 0]) == pytest.approx(21.0)
-    assert fake.fresh
-
-
-def test_one_garbled_diagnostic_answer_is_asked_again(start):
-    robot, _ = start(lambda command, nth: frame(command, bytes(3)) if command == TEMPERATURES and nth == 1 else None)
-    np.testing.assert_array_equal(robot.read().temperature, [[33.0] * 6])
-
-
 def test_firmware_without_temperatures_can_be_driven(start):
     robot, fake = start(only(TEMPERATURES, ALWAYS, b""))
     state = robot.read()
@@ -306,21 +285,6 @@ def test_firmware_without_temperatures_can_be_driven(start):
     assert state.fault is None
     robot.step(state.position)
     assert fake.seen.count(TEMPERATURES) == 2 * 3  # as often as patience allows, each three times by the client
-
-
-def test_commands_that_are_no_joint_positions_are_refused(start):
-    robot, fake = start()
-    for command in (np.zeros(6), np.full((1, 6), np.nan), np.zeros((1, 5))):
-        with pytest.raises(InputError):
-            robot.step(command)
-    assert SEND not in fake.seen
-
-
-def test_an_inactive_arm_is_left_alone(start):
-    robot, fake = start()
-    state = robot.read()
-    assert robot.step(np.zeros((1, 6)), np.array([False])) is state
-    assert SEND not in fake.seen
 
 
 def test_something_else_behind_the_port_is_named(awake):
@@ -364,18 +328,6 @@ def test_the_worn_arm_is_driven_to_a_target(transport, awake):
     np.testing.assert_allclose(held.position, state.position, atol=np.radians(2))
 
 
-def test_a_wrong_byte_is_no_alarm_and_an_alarm_that_stays_is_one(start):
-    garbled = [
-        frame(TEMPERATURES, bytes([33, 33, 249, 33, 33, 33])),
-        frame(TEMPERATURES, bytes([33, 201, 33, 33, 33, 33])),
-    ]
-    robot, _ = start(lambda command, nth: garbled[nth % 2] if command == TEMPERATURES and nth <= 3 else None)
-    np.testing.assert_array_equal(robot.read().temperature, [[33.0] * 6])
-    hot = frame(TEMPERATURES, bytes([33, 33, 71, 33, 33, 33]))
-    robot, _ = start(only(TEMPERATURES, ALWAYS, hot))
-    assert robot.read().temperature[0, 2] == 71.0
-
-
 class VirtualClock(Clock):
     def __init__(self):
         self.time = 0.0
@@ -406,22 +358,6 @@ class SilentBus(MyCobotBus):
     def _drain(self, quiet):
         self.clock.wait(quiet)
         return False
-
-
-def test_silence_is_borne_for_the_patience_and_one_last_attempt():
-    bus = SilentBus()
-    link = link_module.Link(bus, "tcp://nowhere:9000")
-    link.open()
-    bus.silent, began = True, bus.clock.now()
-    with pytest.raises(ConnectionLostError, match=r"answers stay away.*get_fresh_mode.*connecting again failed"):
-        link.ask(bus.read)
-    attempt = mycobot_module.PROBE_TIMEOUT + 1.5 + 0.9
-    assert link_module.TIMEOUT <= bus.clock.now() - began <= link_module.TIMEOUT + attempt
-    began = bus.clock.now()
-    link._connected = True
-    with shielded(), pytest.raises(ConnectionLostError):
-        link.ask(bus.stop)
-    assert link_module.LAST_TIMEOUT <= bus.clock.now() - began <= link_module.LAST_TIMEOUT + 0.9 + attempt
 
 
 class DeafFirst(SilentBus):

@@ -106,6 +106,10 @@ def test_a_serial_line_is_served_and_the_arm_holds_when_it_is_closed(run: Path, 
     assert ends[0].orders == 2
 
 
+def advance(served, reading):
+    return served.advance(reading, reading.time)
+
+
 def state(time_s: float, position: np.ndarray) -> JointState:
     return JointState(time=np.array([time_s]), position=position[None], age=np.zeros(1))
 
@@ -124,11 +128,11 @@ def test_a_move_has_ended_once_the_tool_stays_near_or_comes_no_nearer() -> None:
         assert served.moving
         clock, wanted = 0.0, None
         while not ends and clock < 20.0:
-            wanted = served.advance(state(clock, ARM.rest if wanted is None else wanted.posture[0] + off))
+            wanted = advance(served, state(clock, ARM.rest if wanted is None else wanted.goal[0] + off))
             clock += 0.05
         assert not served.moving
         assert ends[0].after == pytest.approx(expected, abs=0.11)
-        np.testing.assert_allclose(wanted.posture[0], goal)
+        np.testing.assert_allclose(wanted.goal[0], goal)
         distance = np.linalg.norm(tcp_position(ARM, goal) - tcp_position(ARM, goal + off))
         assert ends[0].error == pytest.approx(distance, abs=1e-9)
         assert served.in_position(goal) == (off == 0.0)
@@ -143,14 +147,14 @@ def test_a_stopped_arm_is_held_where_it_stands() -> None:
         position, clock = served.angles, 0.0 if served._time is None else served._time
         for _ in range(8):
             clock += 0.05
-            position = served.advance(state(clock, position)).posture[0] - lag
+            position = advance(served, state(clock, position)).goal[0] - lag
         answers.answer(Frame(0x29))
         stopped = clock
         while served.moving:
             clock += 0.05
-            wanted = served.advance(state(clock, position))
+            wanted = advance(served, state(clock, position))
         assert clock - stopped < 0.6
-        np.testing.assert_allclose(wanted.posture[0], position, atol=1e-9)
+        np.testing.assert_allclose(wanted.goal[0], position, atol=1e-9)
         np.testing.assert_allclose(served.destination, position, atol=1e-9)
     assert not ends, "it was sent nowhere"
 
@@ -163,9 +167,9 @@ def test_an_arm_whose_client_goes_is_still_brought_to_the_end_of_its_way() -> No
     clock = 0.0
     while served.on_its_way:
         clock += 0.05
-        served.advance(state(clock, ARM.rest))
+        advance(served, state(clock, ARM.rest))
     assert answers.hold("the client is gone"), "its joints are not there yet"
-    np.testing.assert_allclose(served.advance(state(clock + 0.05, ARM.rest)).posture[0], goal, atol=1e-9)
+    np.testing.assert_allclose(advance(served, state(clock + 0.05, ARM.rest)).goal[0], goal, atol=1e-9)
 
 
 def test_an_order_into_the_ground_is_refused_with_the_code_of_a_collision() -> None:
@@ -192,9 +196,9 @@ def test_a_move_that_the_guard_keeps_back_ends_where_the_arm_is_and_is_told() ->
     clock, served.held_back = 0.0, "collision"
     while served.moving:
         clock += 0.05
-        served.advance(state(clock, here))
+        advance(served, state(clock, here))
     np.testing.assert_allclose(served.destination, here, atol=1e-12)
-    np.testing.assert_allclose(served.advance(state(clock + 0.05, here)).posture[0], here, atol=1e-12)
+    np.testing.assert_allclose(advance(served, state(clock + 0.05, here)).goal[0], here, atol=1e-12)
     assert len(said) == 1
     assert said[0].startswith("A move ended")
     assert said[0].endswith("from where it was sent: the guard kept it back (collision).")
@@ -303,7 +307,7 @@ def test_any_bytes_are_borne(tmp_path: Path) -> None:
             if request.command not in slow:
                 found = answers.answer(request)
                 assert found is None or found.command == request.command
-        served.advance(state(0.05 * number, ARM.rest))
+        advance(served, state(0.05 * number, ARM.rest))
     assert len((tmp_path / "orders.jsonl").read_text().splitlines()) == log.orders
     assert all(json.loads(line)["what"] == "order" for line in (tmp_path / "orders.jsonl").read_text().splitlines())
 
@@ -362,6 +366,6 @@ def test_a_joint_that_stays_off_its_goal_is_named_with_by_how_much() -> None:
     clock = 0.0
     while served.moving:
         clock += 0.05
-        served.advance(state(clock, ARM.rest))  # joint 6 turns the tool about itself: its place is right
+        advance(served, state(clock, ARM.rest))  # joint 6 turns the tool about itself: its place is right
     assert len(said) == 1
     assert "joint6 stopped 20 deg from its goal" in said[0]

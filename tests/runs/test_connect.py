@@ -13,8 +13,8 @@ import pytest
 import rejoint
 from hearing import Hears
 from rejoint.arms import Array, Box, clearances, mycobot280, plan, tcp_position
-from rejoint.control.posture import Wanted
 from rejoint.control.recording import Cycle
+from rejoint.control.reference import Reference, Setpoint
 from rejoint.control.robot import JointState
 from rejoint.control.unloading import PlannedWay, UnloadedWay
 from rejoint.robots.lab.plant.wear import load_wear
@@ -258,22 +258,22 @@ def test_a_joint_that_sticks_under_its_load_comes_to_its_goal_over_another_postu
 
 
 def test_an_arm_that_has_come_to_rest_does_not_swing_when_it_is_pushed_away() -> None:
-    class Stays:
-        def advance(self, state: JointState) -> Wanted:  # noqa: ARG002
-            return Wanted(posture=ARM.rest[None], arrived=np.ones(1, dtype=bool))
+    class Stays(Reference):
+        def advance(self, state: JointState, since: np.ndarray, /) -> Setpoint:  # noqa: ARG002
+            return Setpoint(ARM.rest[None], arrived=np.ones(1, dtype=bool))
 
     way = UnloadedWay(Stays(), ARM)
     for now in np.arange(0.0, 6.0, 0.05):
-        wanted = way.advance(_read(now, ARM.rest + (0.2 if now > 2.0 else 0.0)))
-        np.testing.assert_array_equal(wanted.posture[0], ARM.rest)
+        wanted = way.advance(_read(now, ARM.rest + (0.2 if now > 2.0 else 0.0)), np.array([now]))
+        np.testing.assert_array_equal(wanted.goal[0], ARM.rest)
 
 
 def test_a_stream_of_a_hand_that_rests_and_jitters_comes_to_rest() -> None:
     stream, rng, at = GoalStream(ARM), np.random.default_rng(0), ARM.rest
     for now in np.arange(0.0, 3.0, 0.02):
         stream.goal = ARM.rest + np.radians(10.0 + rng.uniform(-0.1, 0.1, 6))
-        wanted = stream.advance(_read(now, at))
-        at = wanted.posture[0]
+        wanted = stream.advance(_read(now, at), np.array([now]))
+        at = wanted.goal[0]
     assert wanted.arrived.all()
     np.testing.assert_allclose(np.degrees(at - ARM.rest), 10.0, atol=0.1)
 
@@ -283,14 +283,14 @@ def test_a_way_waits_for_a_joint_that_lags_and_not_for_ever() -> None:
     stuck, follows = PlannedWay(ARM, line), PlannedWay(ARM, line)
     at = ARM.rest
     for now in np.arange(0.0, 2.0 * line.duration, 0.02):
-        there = follows.advance(_read(now, at))
-        at = there.posture[0]
-        waits = stuck.advance(_read(now, ARM.rest))
+        there = follows.advance(_read(now, at), np.array([now]))
+        at = there.goal[0]
+        waits = stuck.advance(_read(now, ARM.rest), np.array([now]))
     assert there.arrived.all()
     assert not waits.arrived.any()
-    assert np.radians(12.0) < np.abs(waits.posture[0] - ARM.rest).max() < 0.5
+    assert np.radians(12.0) < np.abs(waits.goal[0] - ARM.rest).max() < 0.5
     for now in np.arange(2.0, 30.0, 0.02) * line.duration:
-        waits = stuck.advance(_read(now, ARM.rest))
+        waits = stuck.advance(_read(now, ARM.rest), np.array([now]))
     assert waits.arrived.all()
 
 
@@ -409,9 +409,17 @@ def test_an_arm_follows_paths_and_streams_between_points_and_leaves_one_log(run:
     assert {log.extra["controller"] for log in logs.values()} == {"policy", "tracker"}
 
 
+def test_without_a_twin_what_drives_to_points_follows_a_path(run: Path) -> None:
+    with rejoint.connect("emulated:worn", run=run) as arm:
+        done = arm.follow(rejoint.Path(time=TIME, place=WAVE))
+    assert done is not None
+    assert done.controller == arm.controller
+    assert done.passes[-1].encoder.rms < 10e-3
+
+
 def test_a_path_is_stopped_on_its_way_and_what_cannot_be_followed_is_refused(run: Path) -> None:
-    with rejoint.connect("emulated:worn", run=run) as arm, pytest.raises(rejoint.InputError, match="needs a twin"):
-        arm.follow("circle-8s")
+    with pytest.raises(rejoint.InputError, match="needs a twin"):
+        rejoint.follow("emulated:worn", "circle-8s", run=run, settings=rejoint.Settings(controller="tracker"))
     a_twin().save(run / "twin.toml")
     with rejoint.connect("emulated:worn", run=run) as arm:
         with pytest.raises(rejoint.InputError, match="out of reach"):

@@ -21,6 +21,7 @@ from torch import nn
 from rejoint.arms import Arm, mycobot280, so101, tcp_position
 from rejoint.control.catalogue import shelf_controller
 from rejoint.control.contract import PolicyContract, law_digests
+from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.observation import layout_slots
 from rejoint.control.policy import Policy
@@ -81,9 +82,10 @@ def test_onnx_runtime_commands_what_our_controller_commands(arm: Arm, address: s
     about = Run.create(tmp_path / "run", address, arm, 0)
     targets = arm.targets.sample(np.random.default_rng(0), (1, 4))
     policy = write_policy(about.folder.policy, arm)
-    for controller in (policy.controller(arm), shelf_controller(arm)):
+    given = ((None, policy.controller(arm)), (None, shelf_controller(arm)), ("feedforward", FeedforwardController(arm)))
+    for name, controller in given:
         recording = run(open_robot(address, arm=arm, seed=0), controller, targets, Schedule(dwell=2.5))
-        file, _ = export_run(about, "onnx")
+        file, _ = export_run(about, "onnx", controller=name)
         found = differences(file, recording)
         assert len(found) > 60
         assert found.max() < BOUND

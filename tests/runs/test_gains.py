@@ -17,7 +17,8 @@ from rejoint.control.servogains import GainsFound, Round
 from rejoint.logs.runfolder.effort import read_effort
 from rejoint.robots import place_of
 from rejoint.robots.feetech.gains import for_all
-from rejoint.robots.lab.emulator.feetech import BusSession, build_arm, serve_bus
+from rejoint.robots.lab.emulator.feetech import BusSession, build_arm
+from rejoint.robots.lab.emulator.servers import on_port
 from rejoint.runs.run import Run
 from rejoint.runs.stages import gains as stage
 from rejoint.session import context, controllers
@@ -59,6 +60,10 @@ def test_what_a_search_finds_takes_part_in_the_comparison(tmp_path, monkeypatch)
             robot, ["servo-gains"], [[0.3, 0.05, 0.2]], run=run, plan=rejoint.TrialPlan(sets=1, repetitions=1)
         )
     before = robot.servo_gains()
+    rehearsed = rejoint.gains(robot, run, settings=rejoint.Settings(dry_run=True))
+    assert rehearsed.rounds > 0
+    assert not robot.history
+    assert not run.folder.gains.exists()
     found = rejoint.gains(robot, run)
     spent = read_effort(run.folder)
     assert spent is not None
@@ -90,7 +95,7 @@ def test_an_arm_that_tells_no_gains_is_not_driven_under_any(tmp_path):
 
 def test_the_memory_of_the_servos_is_written_after_a_yes_alone(tmp_path, monkeypatch, capsys):
     arm = build_arm(ARM, "so101")
-    with serve_bus(BusSession(arm)) as server:
+    with on_port(BusSession(arm)) as server:
         run = Run.create(tmp_path / "run", server.address, ARM)
         found = found_by(run, server.address)
         words = ["rejoint", "gains", server.address, str(run.path), "--keep"]

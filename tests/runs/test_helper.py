@@ -13,7 +13,6 @@ import pytest
 import rejoint
 from rejoint.arms import mycobot280
 from rejoint.control.comparison.compare import Settings
-from rejoint.control.comparison.ledger import HelperLostError
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.guard import GuardLimits
 from rejoint.runs.stages import compare as comparing
@@ -46,7 +45,7 @@ def helper():
 def test_it_drives_the_same_to_the_bit(helper):
     for task in (("integrator", "hold"), ("shelf", "crossing")):
         runner = JOB.runner(task[0])
-        driven, recording = helper.drive(task, PLACES)
+        driven, recording = helper(task, PLACES).result()
         own, seen = runner.drive_batch(runner.open_batch(PLACES), *task, PLACES)
         assert (driven.key, driven.cycles, driven.reasons) == (own.key, own.cycles, own.reasons)
         first = seen.of(slice(1))  # no other log is kept, and the rest is not sent
@@ -55,33 +54,15 @@ def test_it_drives_the_same_to_the_bit(helper):
             np.testing.assert_array_equal(getattr(recording, field.name), getattr(first, field.name))
 
 
-def test_what_it_does_ahead_is_the_same(helper):
-    first, second = ("default", "hold"), ("integrator", "hold")
-    ahead = HelperProcess(JOB, [first])
-    try:
-        for task in (first, second):
-            driven, wanted = ahead.drive(task, PLACES)[0], helper.drive(task, PLACES)[0]
-            for name, column in wanted.columns.items():
-                np.testing.assert_array_equal(driven.columns[name], column)
-    finally:
-        ahead.close()
-
-
-def test_one_that_is_gone_or_cannot_is_lost(helper):
-    with pytest.raises(HelperLostError):
-        helper.drive(("nobody", "hold"), PLACES)
-    gone = HelperProcess(JOB)
-    gone.close()
-    with pytest.raises(HelperLostError):
-        gone.drive(("default", "hold"), PLACES)
-    gone.close()
-
-
-def test_one_that_cannot_be_started_is_lost(monkeypatch):
-    monkeypatch.setattr(sys, "executable", "/no/such/python")
+@pytest.mark.parametrize("lost", ["a task fails", "it is gone", "it cannot be started"])
+def test_what_it_does_not_drive_fails(lost, monkeypatch):
+    if lost == "it cannot be started":
+        monkeypatch.setattr(sys, "executable", "/no/such/python")
     helper = HelperProcess(JOB)
-    with pytest.raises(HelperLostError):
-        helper.drive(("default", "hold"), PLACES)
+    if lost == "it is gone":
+        helper._process.kill()
+    future = helper(("nobody" if lost == "a task fails" else "default", "hold"), PLACES)
+    assert future.exception(60) is not None
     helper.close()
 
 
@@ -91,8 +72,8 @@ def started(monkeypatch):
     found = []
 
     class Kept(HelperProcess):
-        def __init__(self, job: Job, ahead=()) -> None:
-            super().__init__(job, ahead)
+        def __init__(self, job: Job) -> None:
+            super().__init__(job)
             found.append(self)
 
     monkeypatch.setattr(comparing, "HelperProcess", Kept)
@@ -106,10 +87,13 @@ def compared(*controllers):
     return rejoint.compare("emulated:worn", controllers, plan=rejoint.TrialPlan(sets=1, repetitions=1, protocol=QUICK))
 
 
-def test_a_comparison_with_a_helper_finds_what_it_finds_without(started, monkeypatch):
+@pytest.mark.parametrize("lost", [False, True])
+def test_a_comparison_with_a_helper_finds_what_it_finds_without(started, monkeypatch, lost):
+    if lost:
+        monkeypatch.setattr(sys, "executable", "/no/such/python")
     found = compared("default", "integrator")
     (helper,) = started
-    assert helper._process.poll() is not None  # it has ended with the comparison
+    assert lost or helper._process.poll() is not None  # it has ended with the comparison
     monkeypatch.setattr(comparing, "LEAST", 10**6)
     alone = compared("default", "integrator")
     assert len(started) == 1
@@ -126,7 +110,7 @@ def test_it_ends_with_the_process_that_started_it_however_that_ends():
         "import sys; sys.path[:0] = sys.argv[1:]",
         "from test_helper import JOB, PLACES, HelperProcess",
         "helper = HelperProcess(JOB)",
-        "helper.drive(('default', 'hold'), PLACES)",
+        "helper(('default', 'hold'), PLACES).result()",
         "print(helper._process.pid, flush=True)",
         "sys.stdin.read()",
     )

@@ -1,7 +1,5 @@
 """Rows that runs and checks leave: written by many at once, read in place, damaged one by one."""
 
-import os
-import signal
 import threading
 import time
 from dataclasses import replace
@@ -14,9 +12,8 @@ from rejoint.diagnosis.monitoring.judge import Change, Due, Outlook, PastCheck, 
 from rejoint.diagnosis.monitoring.measures import CheckMeasures, JointCheck
 from rejoint.logs.history.index import find_rows
 from rejoint.logs.history.rows import SUMMARY, HistoryRow, name_of, read_rows, write_rows
-from rejoint.logs.history.sql import ask
 from rejoint.runs.history import arms_of, cells, past_of, prometheus_text, rows_of, write_history
-from rejoint.system.errors import FileError, InputError
+from rejoint.system.errors import FileError
 
 BEGIN = datetime(2027, 1, 1)
 JOINTS = ("shoulder", "elbow")
@@ -205,53 +202,6 @@ def many(folder: Path, arms: int, checks: int) -> None:
                 line=f"Something. Do: look at arm {a}.",
             )
             put(folder, f"{a}-{c}", rows_of(row, measures(3.0 + 0.001 * a * c)))
-
-
-def test_rows_are_asked_in_sql_where_they_lie(tmp_path: Path) -> None:
-    many(tmp_path, 3, 4)
-    damaged = put(tmp_path, "damaged", rows_of(head(), measures()))
-    damaged.write_bytes(b"PAR1")
-    left_out: list[str] = []
-    words = "select arm, count(*) n from history where joint = '' group by arm order by arm"
-    names, rows = ask(tmp_path, words, left_out.append)
-    assert [str(damaged) in one for one in left_out] == [True]
-    assert names == ["arm", "n"]
-    assert rows == [("arm-000", 4), ("arm-001", 4), ("arm-002", 4)]
-    for query in ("select nothing from history", "", "-- nothing"):
-        with pytest.raises(InputError, match="--sql"):
-            ask(tmp_path, query)
-    with pytest.raises(InputError, match="--sql"):
-        ask(tmp_path, f"copy history to '{tmp_path}/out.csv'")
-    with pytest.raises(FileError, match="rejoint check"):
-        ask(tmp_path / "none", "select 1")
-
-
-@pytest.mark.parametrize(
-    "query",
-    [
-        "delete from history",
-        "update history set arm = 'x' returning arm",
-        "create table mine as select 1",
-        "select * from enable_logging('QueryLog', storage = 'stdout')",
-        "call enable_logging('QueryLog', storage = 'file', storage_path = '{}/log')",  # ended the whole process
-    ],
-)
-def test_a_query_that_would_write_is_refused_rather_than_said_to_have_done_it(query: str, tmp_path: Path) -> None:
-    many(tmp_path, 1, 1)
-    ask(tmp_path, "select 1")
-    before = sorted(tmp_path.rglob("*"))
-    with pytest.raises(InputError, match="--sql"):
-        ask(tmp_path, query.format(tmp_path))
-    assert sorted(tmp_path.rglob("*")) == before
-
-
-def test_a_query_without_end_can_be_interrupted(tmp_path: Path) -> None:
-    many(tmp_path, 1, 1)
-    timer = threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT))
-    with pytest.raises(KeyboardInterrupt):  # noqa: PT012 - nor before it is expected
-        timer.start()
-        ask(tmp_path, "select count(*) from range(1000000000000) a where a.range % 7 = 3")
-    timer.join()
 
 
 def test_prometheus_reads_every_line() -> None:

@@ -105,7 +105,9 @@ def test_an_untold_load_is_noticed_and_a_told_one_is_not(run: Path) -> None:
         settings=rejoint.Settings(controller="feedforward", dwell=3.0),
         observer=Hears(message=quiet.append),
     )
-    assert quiet == [], "in a single posture friction seems to carry 160 g of this arm"
+    assert not any("hand carried" in line for line in quiet), (
+        "in a single posture friction seems to carry 160 g of this arm"
+    )
 
 
 def test_a_told_load_raises_commands_by_what_a_servo_gives_way() -> None:

@@ -8,7 +8,7 @@ import pytest
 from numba.core import caching
 
 from commandline import run_cli
-from rejoint.system.compiling import explain
+from rejoint.system.extras import explain
 
 
 def test_a_compiler_that_is_switched_off_is_told_before_anything_begins(capsys, monkeypatch) -> None:

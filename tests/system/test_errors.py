@@ -2,12 +2,9 @@
 
 import inspect
 import pickle
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 
 import pytest
 
-import rejoint
 from rejoint.system import errors
 from rejoint.system.stopping import Interrupted
 
@@ -31,10 +28,3 @@ def test_an_error_comes_out_of_another_process_as_it_was(error):
     assert (type(came), str(came), vars(came).keys()) == (type(error), str(error), vars(error).keys())
     assert came.__notes__ == error.__notes__
     assert repr(came) == repr(error)
-
-
-def test_a_pool_hands_on_what_a_stage_raises():
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        found = pool.submit(rejoint.RunLog.load, "nowhere.parquet").exception(timeout=120)
-    assert isinstance(found, rejoint.FileError)
-    assert found.remedy == "check the path"

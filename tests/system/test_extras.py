@@ -5,10 +5,7 @@ import sys
 import tomllib
 from pathlib import Path
 
-import pytest
-
 from rejoint.system import extras
-from rejoint.system.errors import MissingExtraError
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -62,29 +59,3 @@ def test_every_module_is_of_the_base_or_of_an_extra():
     assert {package(module) for module in BASE} == declared(PROJECT["dependencies"])
     for extra, modules in extras.EXTRAS.items():
         assert {package(module) for module in modules} == declared(PROJECT["optional-dependencies"][extra])
-
-
-def without(monkeypatch, *modules):
-    monkeypatch.setattr(extras, "find_spec", lambda name: None if name in modules else object())
-
-
-@pytest.mark.parametrize(
-    ("missing", "needs", "line"),
-    [
-        (("mujoco",), ("mujoco",), "(missing: mujoco); add it with: pip install 'rejoint[train]'"),
-        (("mcap", "PIL"), ("report",), "(missing: PIL); add it with: pip install 'rejoint[report]'"),
-        (extras.EXTRAS["report"], ("train", "report"), "(missing: matplotlib, jinja2, PIL); add it with: pip install"),
-        (
-            (*extras.EXTRAS["train"], "PIL"),
-            ("train", "report"),
-            "(missing: mujoco, torch, skrl and 5 more); add it with: pip install 'rejoint[train,report]'",
-        ),
-    ],
-)
-def test_what_is_missing_and_how_to_get_it(missing, needs, line, monkeypatch):
-    extras.require("rejoint anything", *needs)
-    without(monkeypatch, *missing)
-    with pytest.raises(MissingExtraError) as refused:
-        extras.require("rejoint anything", *needs)
-    assert str(refused.value).startswith("rejoint anything needs more than the base installation ")
-    assert line in str(refused.value)

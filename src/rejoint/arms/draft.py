@@ -14,6 +14,8 @@ from rejoint.arms.kinematics import tcp_position
 from rejoint.arms.workspace import NoPostureError, derive_targets, derive_workspace, length_size, on_a_surface, reach
 from rejoint.system.errors import InputError
 
+Mask = NDArray[np.bool_]
+
 DEFAULT_SPEED = np.radians(90.0)
 """[rad/s] of a joint without one (chosen)"""
 
@@ -150,34 +152,33 @@ def _with_workspace(arm: Arm, draft: Draft, notes: list[str]) -> Arm:
 
 
 def _limits(draft: Draft, notes: list[str]) -> tuple[Array, Array]:
-    furthest = np.maximum(np.abs(draft.lower), np.abs(draft.upper))
-    wide = np.isfinite(furthest) & (furthest > MOST_TURN)
-    if wide.any():
-        notes.append(
-            f"limits: those of {_chosen(draft.joint_names, wide)} are beyond {MOST_TURN / (2 * np.pi):.0f} turns, and "
-            "not believed; are they in degrees, where radians were expected?"
-        )
-    missing = ~(np.isfinite(draft.lower) & np.isfinite(draft.upper) & (draft.lower < draft.upper)) | wide
-    if missing.any():
-        notes.append(f"limits: none usable for {_chosen(draft.joint_names, missing)}; +-180 deg assumed")
-    return np.where(missing, -np.pi, draft.lower), np.where(missing, np.pi, draft.upper)
+    wide = np.maximum(np.abs(draft.lower), np.abs(draft.upper)) > MOST_TURN
+    known = np.isfinite(draft.lower) & np.isfinite(draft.upper) & (draft.lower < draft.upper)
+    given = _believed(draft, "limits", known, wide, f"{MOST_TURN / (2 * np.pi):.0f} turns", "+-180 deg", notes)
+    return np.where(given, draft.lower, -np.pi), np.where(given, draft.upper, np.pi)
 
 
 def _speeds(draft: Draft, notes: list[str]) -> Array:
-    wide = np.isfinite(draft.max_speed) & (draft.max_speed > FASTEST)
+    known, wide = np.isfinite(draft.max_speed) & (draft.max_speed > 0), draft.max_speed > FASTEST
+    assumed, most = f"{np.degrees(DEFAULT_SPEED):.0f} deg/s", f"{FASTEST / (2 * np.pi):.0f} turns a second"
+    return np.where(_believed(draft, "speed", known, wide, most, assumed, notes), draft.max_speed, DEFAULT_SPEED)
+
+
+def _believed(draft: Draft, what: str, known: Mask, wide: Mask, most: str, assumed: str, notes: list[str]) -> Mask:
+    """Joints (n,) whose values are ``known`` and not ``wide``; a note names the others."""
+    wide = known & wide
     if wide.any():
         notes.append(
-            f"speed: limits of {_chosen(draft.joint_names, wide)} are beyond {FASTEST / (2 * np.pi):.0f} turns "
-            "a second, and not believed; are they in degrees, where radians were expected?"
+            f"{what}: those of {_chosen(draft.joint_names, wide)} are beyond {most}, and not believed; are they in "
+            "degrees, where radians were expected?"
         )
-    missing = ~(np.isfinite(draft.max_speed) & (draft.max_speed > 0)) | wide
-    if missing.any():
-        speed_deg = np.degrees(DEFAULT_SPEED)
-        notes.append(f"speed: no limit for {_chosen(draft.joint_names, missing)}; {speed_deg:.0f} deg/s assumed")
-    return np.where(missing, DEFAULT_SPEED, draft.max_speed)
+    given: Mask = known & ~wide
+    if not given.all():
+        notes.append(f"{what}: none usable for {_chosen(draft.joint_names, ~given)}; {assumed} assumed")
+    return given
 
 
-def _chosen(names: Sequence[str], mask: NDArray[np.bool_]) -> str:
+def _chosen(names: Sequence[str], mask: Mask) -> str:
     return ", ".join(name for name, chosen in zip(names, mask, strict=True) if chosen)
 
 

@@ -6,12 +6,14 @@ go into the joint origins: other programs ignore ``<calibration>`` tags.
 
 from __future__ import annotations
 
+import math
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import msgspec
 import numpy as np
 import tomlkit
 
@@ -23,27 +25,95 @@ from rejoint.arms.draft import Draft, Loaded, finish
 from rejoint.arms.inertia import NOTHING, SpatialInertia, inertia_matrix, inertia_values
 from rejoint.arms.inverse import solve_position
 from rejoint.arms.modelfile import read_tree, xacro_error
-from rejoint.arms.rotations import quaternion_of, rotation_about, rotation_of
+from rejoint.arms.rotations import pose_of, quaternion_of, rotation_about, rotation_of
 from rejoint.system.errors import InputError
 from rejoint.system.files import write_whole
-from rejoint.system.tomltable import TomlTable, read_toml
+from rejoint.system.tomltable import Number, Positive, Table, Text, Triple, read_toml
 
-_ARM_KEYS = (
-    "name",
-    "floor_m",
-    "encoder_counts_per_turn",
-    "servo_acceleration_rad_s2",
-    "rest_deg",
-    "targets",
-    "keep_out",
-    "tip",
-    "joint",
-)
-_FRAME_KEYS = ("position_m", "quaternion", "axis")
-_LINK_KEYS = ("mass_kg", "com_m", "inertia_kg_m2")
-_JOINT_KEYS = ("name", *_FRAME_KEYS, "dh", "lower_deg", "upper_deg", "max_speed_deg_s", "servo", *_LINK_KEYS)
-_BOX_KEYS = ("lower_m", "upper_m")
-_DH_KEYS = ("d_m", "a_m", "alpha_deg", "offset_deg")
+
+class _FrameTable(Table):
+    position_m: Triple | None = None
+    quaternion: tuple[Number, Number, Number, Number] | None = None
+
+    def __post_init__(self) -> None:
+        if self.quaternion is not None and abs((norm := float(np.linalg.norm(self.quaternion))) - 1) > 1e-3:
+            raise ValueError(f"expected a unit quaternion w, x, y, z, found one of length {norm:.4g}")
+
+    @property
+    def pose(self) -> Array:
+        """(4, 4)."""
+        turn = np.eye(3) if self.quaternion is None else rotation_of(np.array(self.quaternion))
+        return pose_of(turn, np.array(self.position_m or (0.0, 0.0, 0.0)))
+
+
+class _Bounds(Table):
+    lower_m: Triple
+    upper_m: Triple
+
+    def __post_init__(self) -> None:
+        self.box()
+
+    def box(self) -> Box:
+        return Box(lower=np.array(self.lower_m), upper=np.array(self.upper_m))
+
+
+class _Dh(Table):
+    d_m: Number = 0.0
+    a_m: Number = 0.0
+    alpha_deg: Number = 0.0
+    offset_deg: Number = 0.0
+
+
+class _JointTable(_FrameTable, kw_only=True):
+    name: Text
+    axis: Triple | None = None
+    dh: _Dh | None = None
+    lower_deg: Number = math.nan
+    upper_deg: Number = math.nan
+    max_speed_deg_s: Positive = math.nan
+    servo: str = ""
+    mass_kg: Positive | None = None
+    com_m: Triple | None = None
+    inertia_kg_m2: tuple[Number, Number, Number, Number, Number, Number] | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.dh and (self.axis or self.position_m or self.quaternion):
+            raise ValueError("a joint with a DH row has no other frame")
+        if self.axis and np.linalg.norm(self.axis) < 1e-6:
+            raise ValueError("an axis needs a direction, found zero")
+        if self.mass_kg is None and (self.com_m or self.inertia_kg_m2):
+            raise ValueError("com_m and inertia_kg_m2 need mass_kg beside them")
+
+    @property
+    def link(self) -> SpatialInertia:
+        """Of the link behind the joint, as far as it is known."""
+        if self.mass_kg is None:
+            return NOTHING
+        com, known = np.array(self.com_m or (0.0, 0.0, 0.0)), self.inertia_kg_m2
+        inertia = np.zeros((3, 3)) if known is None else inertia_matrix(known)
+        return SpatialInertia(mass=self.mass_kg, com=com, inertia=inertia, doubtful=known is None)
+
+
+class _ArmFile(Table):
+    name: Text
+    joint: Annotated[list[_JointTable], msgspec.Meta(min_length=1)]
+    floor_m: Number | None = None
+    encoder_counts_per_turn: Positive | None = None
+    servo_acceleration_rad_s2: Positive = math.inf
+    rest_deg: list[Number] | None = None
+    targets: _Bounds | None = None
+    keep_out: tuple[_Bounds, ...] = ()
+    tip: _FrameTable = msgspec.field(default_factory=_FrameTable)
+
+    def __post_init__(self) -> None:
+        names = [joint.name for joint in self.joint]
+        if len({*names}) < len(names):
+            raise ValueError(f"every joint needs a name of its own, found {', '.join(names)}")
+        if len({joint.dh is None for joint in self.joint}) > 1:
+            raise ValueError("either every joint has a DH row or none")
+        if self.rest_deg is not None and len(self.rest_deg) != len(names):
+            raise ValueError(f"rest_deg: expected {len(names)} angles, found {len(self.rest_deg)}")
 
 
 def write_arm_toml(path: Path, arm: Arm, notes: Sequence[str] = ()) -> None:
@@ -63,35 +133,27 @@ def write_unfinished(path: Path, arm: Arm, notes: Sequence[str] = ()) -> int:
 
 def read_draft(path: Path) -> Draft:
     """Read an arm's TOML file; FileError."""
-    top = read_toml(path, _ARM_KEYS, "check the path of the arm")
-    name = top.string("name")
-    joints = top.tables("joint", _JOINT_KEYS)
-    names = tuple(joint.string("name") for joint in joints)
-    servos = tuple(joint.string("servo") if "servo" in joint.data else "" for joint in joints)
-    for joint, own in zip(joints, names, strict=True):
-        if names.count(own) > 1:
-            raise joint.error("name", f"two joints are called {own!r}")
+    found = read_toml(path, _ArmFile, "check the path of the arm")
+    joints, rest, counts = found.joint, found.rest_deg, found.encoder_counts_per_turn
     offset, axis, end = _chain(joints)
-    tip = end @ _pose(top.table("tip", ("position_m", "quaternion")))
-    counts = top.number("encoder_counts_per_turn", above=0.0)
-    rest = top.numbers("rest_deg", len(joints))
+    servos = tuple(joint.servo for joint in joints)
     return Draft(
-        name=name,
-        joint_names=names,
+        name=found.name,
+        joint_names=tuple(joint.name for joint in joints),
         offset=offset,
         axis=axis,
-        tip=tip,
-        lower=np.radians([_or_nan(joint.number("lower_deg")) for joint in joints]),
-        upper=np.radians([_or_nan(joint.number("upper_deg")) for joint in joints]),
-        max_speed=np.radians([_or_nan(joint.number("max_speed_deg_s", above=0.0)) for joint in joints]),
-        links=tuple(_link(joint) for joint in joints),
+        tip=end @ found.tip.pose,
+        lower=np.radians([joint.lower_deg for joint in joints]),
+        upper=np.radians([joint.upper_deg for joint in joints]),
+        max_speed=np.radians([joint.max_speed_deg_s for joint in joints]),
+        links=tuple(joint.link for joint in joints),
         rest=None if rest is None else np.radians(rest),
-        targets=_targets(top),
-        floor=top.number("floor_m"),
+        targets=None if found.targets is None else found.targets.box(),
+        floor=found.floor_m,
         encoder_step=None if counts is None else 2 * np.pi / counts,
-        servo_acceleration=top.number("servo_acceleration_rad_s2", above=0.0) or np.inf,
+        servo_acceleration=found.servo_acceleration_rad_s2,
         servos=servos if any(servos) else (),
-        keep_out=tuple(_box(table) for table in top.tables("keep_out", _BOX_KEYS)) if "keep_out" in top.data else (),
+        keep_out=tuple(bounds.box() for bounds in found.keep_out),
     )
 
 
@@ -129,85 +191,23 @@ def _table(arm: Arm) -> dict[str, Any]:
 
 
 def _bounds(box: Box) -> dict[str, list[float]]:
-    return dict(zip(_BOX_KEYS, (box.lower.tolist(), box.upper.tolist()), strict=True))
+    return {"lower_m": box.lower.tolist(), "upper_m": box.upper.tolist()}
 
 
 def _frame(pose: Array) -> dict[str, list[float]]:
     return {"position_m": pose[:3, 3].tolist(), "quaternion": quaternion_of(pose[:3, :3]).tolist()}
 
 
-def _chain(joints: list[TomlTable]) -> tuple[Array, Array, Array]:
+def _chain(joints: list[_JointTable]) -> tuple[Array, Array, Array]:
     """``offset`` (n, 4, 4), ``axis`` (n, 3) and the tip's parent frame (4, 4)."""
-    with_row = [joint for joint in joints if "dh" in joint.data]
-    if not with_row:
-        return np.array([_pose(joint) for joint in joints]), np.array([_axis(joint) for joint in joints]), np.eye(4)
-    for joint in joints:
-        if joint not in with_row:
-            raise joint.error("dh", "either every joint has a DH row or none")
-        for key in _FRAME_KEYS:
-            if key in joint.data:
-                raise joint.error(key, "a joint with a DH row has no other frame")
-    return dh_chain([_dh_row(joint.table("dh", _DH_KEYS)) for joint in joints])
-
-
-def _dh_row(row: TomlTable) -> DhRow:
-    d, a, alpha, offset = (row.number(key) or 0.0 for key in _DH_KEYS)
-    return DhRow(d=d, a=a, alpha=float(np.radians(alpha)), offset=float(np.radians(offset)))
-
-
-def _pose(table: TomlTable) -> Array:
-    pose = np.eye(4)
-    position, quaternion = table.numbers("position_m", 3), table.numbers("quaternion", 4)
-    if position is not None:
-        pose[:3, 3] = position
-    if quaternion is not None:
-        norm = float(np.linalg.norm(quaternion))
-        if abs(norm - 1) > 1e-3:
-            raise table.error("quaternion", f"expected a unit quaternion w, x, y, z, found one of length {norm:.4g}")
-        pose[:3, :3] = rotation_of(quaternion)
-    return pose
-
-
-def _axis(joint: TomlTable) -> Array:
-    axis = joint.numbers("axis", 3)
-    if axis is None:
-        return np.array([0.0, 0.0, 1.0])
-    norm = float(np.linalg.norm(axis))
-    if norm < 1e-6:
-        raise joint.error("axis", "an axis needs a direction, found zero")
-    return axis / norm
-
-
-def _link(joint: TomlTable) -> SpatialInertia:
-    mass = joint.number("mass_kg", above=0.0)
-    com, moments = joint.numbers("com_m", 3), joint.numbers("inertia_kg_m2", 6)
-    if mass is None:
-        for key in _LINK_KEYS[1:]:
-            if key in joint.data:
-                raise joint.error(key, "needs mass_kg beside it")
-        return NOTHING
-    centre = np.zeros(3) if com is None else com
-    if moments is None:
-        return SpatialInertia(mass=mass, com=centre, inertia=np.zeros((3, 3)), doubtful=True)
-    return SpatialInertia(mass=mass, com=centre, inertia=inertia_matrix(moments))
-
-
-def _targets(top: TomlTable) -> Box | None:
-    return _box(top.table("targets", _BOX_KEYS)) if "targets" in top.data else None
-
-
-def _box(table: TomlTable) -> Box:
-    lower, upper = table.numbers("lower_m", 3), table.numbers("upper_m", 3)
-    if lower is None or upper is None:
-        raise table.error("lower_m" if lower is None else "upper_m", "expected 3 finite numbers, found nothing")
-    try:
-        return Box(lower=lower, upper=upper)
-    except InputError as error:
-        raise table.error("upper_m", str(error)) from error
-
-
-def _or_nan(value: float | None) -> float:
-    return np.nan if value is None else value
+    rows = [joint.dh for joint in joints if joint.dh is not None]
+    if rows:
+        turned = [(float(np.radians(row.alpha_deg)), float(np.radians(row.offset_deg))) for row in rows]
+        return dh_chain(
+            [DhRow(d=row.d_m, a=row.a_m, alpha=a, offset=o) for row, (a, o) in zip(rows, turned, strict=True)]
+        )
+    axes = np.array([joint.axis or (0.0, 0.0, 1.0) for joint in joints])
+    return np.array([joint.pose for joint in joints]), axes / np.linalg.norm(axes, axis=1)[:, None], np.eye(4)
 
 
 EFFORT = "1000"

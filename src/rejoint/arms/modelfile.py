@@ -9,7 +9,7 @@ import re
 import warnings
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -44,15 +44,14 @@ def read_tree(path: Path, hold: Mapping[str, float] | None = None) -> Tree:
     with _warnings_noted(mujoco, notes):
         try:
             spec = mujoco.MjSpec.from_string(bare(root)) if urdf else mujoco.MjSpec.from_file(str(path))
-        except (ValueError, mujoco.FatalError) as error:
-            raise FileError(path, f"MuJoCo cannot read it: {_line(error)}", "correct the file") from error
-        try:  # names that are there twice are noticed as soon as the model is touched
             coupled = _coupled(mujoco, spec)
             _strip(mujoco, spec, every_geom=urdf, notes=notes)
             contents = _contents(spec, notes)
             model = spec.compile()
         except (ValueError, mujoco.FatalError) as error:
-            raise FileError(path, f"MuJoCo cannot compile it: {_line(error)}", "correct the file") from error
+            raise FileError(
+                path, f"MuJoCo cannot use it: {' '.join(str(error).split())}", "correct the file"
+            ) from error
     bodies, data = _bodies(mujoco, model, contents, hold)
     drives = _drives(model, coupled)
     speeds = urdf_speeds(root) if urdf else {}
@@ -268,10 +267,6 @@ def _moments(inertia: Array) -> str:
     return ", ".join(f"{value:.2g}" for value in np.linalg.eigvalsh(inertia))
 
 
-def _line(error: BaseException) -> str:
-    return " ".join(str(error).split())
-
-
 _JOINT_PARTS = ("parent", "child", "origin", "axis", "limit", "mimic")
 
 _EXPRESSION = re.compile(r"\$[{(]")
@@ -289,18 +284,10 @@ def parse(path: Path) -> ET.Element:
         text = read_bounded(path, MODEL_MOST, "check the path of the arm")
         # Prefixes such as drake: are often used without being declared, which MuJoCo does not mind.
         root = ET.fromstring(_PREFIX.sub(rb"\1\2_", text))  # noqa: S314 - expat expands no external entities
-    except FileNotFoundError as error:
-        raise FileError(path, "there is no such file", "check the path of the arm") from error
     except OSError as error:
-        raise FileError(path, f"it cannot be read ({error})", "check the path of the arm") from error
-    except (UnicodeError, LookupError) as error:
-        raise FileError(
-            path, f"it is not in the encoding that it declares, or UTF-8 ({error})", "save it as UTF-8"
-        ) from error
-    except ET.ParseError as error:
-        raise FileError(path, f"it is not XML: {error}", "correct the file") from error
-    if root.tag == "mujocoinclude":
-        raise FileError(path, "it is a fragment that other MJCF files include", "give a whole one")
+        raise FileError(path, f"cannot be read ({error.strerror or error})", "check the path of the arm") from error
+    except (UnicodeError, LookupError, ET.ParseError) as error:
+        raise FileError(path, f"it is no XML in the encoding that it declares: {error}", "correct the file") from error
     if root.tag not in ("robot", "mujoco"):
         raise FileError(path, f"its root element is <{root.tag}>", "give a URDF (<robot>) or an MJCF (<mujoco>) file")
     if _is_template(root):
@@ -325,7 +312,7 @@ def xacro_error(path: Path) -> FileError:
 
 
 def bare(root: ET.Element) -> str:
-    """FileError for xacro, with the command."""
+    """Links with masses and joints, as text."""
     kept = ET.Element("robot", {"name": root.get("name") or "robot"})
     for element in root:
         if element.tag not in ("link", "joint", "mujoco"):
@@ -343,12 +330,10 @@ def bare(root: ET.Element) -> str:
 
 
 def urdf_speeds(root: ET.Element) -> dict[str, float]:
-    """Links with masses and joints, as text."""
+    """Speed limits [rad/s] of joints; NaN: none."""
     result = {}
     for joint in root.findall("joint"):
         limit = joint.find("limit")
-        try:
-            result[joint.get("name", "")] = float(limit.get("velocity", "nan")) if limit is not None else np.nan
-        except ValueError:
-            result[joint.get("name", "")] = np.nan
+        with suppress(ValueError):
+            result[joint.get("name", "")] = float("nan" if limit is None else limit.get("velocity", "nan"))
     return result

@@ -25,9 +25,8 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from rejoint.cli.console import into_nothing, notes, with_place
-from rejoint.system import compiling
 from rejoint.system.errors import RejointError, first_line
-from rejoint.system.extras import explain
+from rejoint.system.extras import explain, require_compiler
 from rejoint.system.shell import __version__
 from rejoint.system.stopping import Interrupted, close, install, interruption
 
@@ -158,7 +157,7 @@ def main() -> None:
         del os.environ["COLUMNS"]
     install()
     try:
-        compiling.require_compiler()
+        require_compiler()
         result = app(
             args=with_place(with_home(sys.argv[1:])), standalone_mode=False
         )  # makes an exit code of every interruption, whichever signal it was
@@ -178,7 +177,7 @@ def main() -> None:
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         told = f"{where}{error.strerror or error}; check the path, its permissions and the space left"
-        code = _fail(compiling.explain(error) or told, "OSError", 2, json=json)
+        code = _fail(explain(error) or told, "OSError", 2, json=json)
     except MemoryError as error:
         told = "not enough memory for this; close other programs, allow more, or ask for less"
         code = _fail(told, "MemoryError", 2, json=json)
@@ -241,11 +240,8 @@ def _unforeseen(error: Exception, *, json: bool) -> int:
     asked = interruption()  # compiled code may have swallowed it, and failed for want of what it asked for
     if asked is not None:
         return _interrupted(asked, json=json)
-    missing = explain(error) if isinstance(error, ImportError) else None
-    if missing is not None:
-        return _fail(missing, "MissingExtraError", 2, json=json)
-    line = compiling.explain(error)
-    return _bug(error, json=json) if line is None else _fail(line, "InputError", 2, json=json)
+    line, kind = explain(error), "MissingExtraError" if isinstance(error, ImportError) else "InputError"
+    return _bug(error, json=json) if line is None else _fail(line, kind, 2, json=json)
 
 
 def _bug(error: Exception, *, json: bool) -> int:

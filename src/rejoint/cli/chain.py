@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import rejoint
+from rejoint.arms import Arm
 from rejoint.cli import options as opt
 from rejoint.cli import show
 from rejoint.cli.console import Terminal, live_view, watched
@@ -74,10 +75,7 @@ def repair(
     chosen = opt.choose_arm(terminal, pick, robot)
     if settings.dry_run:
         with watched(terminal, "repair", "simulating", live) as observer:
-            rejoint.diagnose(robot, arm=chosen, quick=quick, settings=settings, observer=observer)
-            trials = rejoint.TrialPlan(sets=1, repetitions=1)
-            rejoint.compare(robot, ["default"], targets, arm=chosen, plan=trials, settings=settings, observer=observer)
-        terminal.say("The first is the diagnosis, the second the comparison of one controller with ten targets.")
+            rehearse(robot, chosen, targets, settings, observer, quick=quick)
         terminal.finish({"robot": robot})
         return
     path, resumed = (run, run.exists()) if run else newest_or_new(robot, chosen, seed)
@@ -117,6 +115,22 @@ def repair(
             "effort": spent,
         }
     )
+
+
+def rehearse(
+    robot: str,
+    arm: Arm | str | None,
+    targets: Path | None,
+    settings: Settings,
+    observer: Observer,
+    *,
+    quick: bool = False,
+) -> None:
+    """Do the motions of a repair in a simulation."""
+    rejoint.diagnose(robot, arm=arm, quick=quick, settings=settings, observer=observer)
+    trials = rejoint.TrialPlan(sets=1, repetitions=1)
+    rejoint.compare(robot, ["default"], targets, arm=arm, plan=trials, settings=settings, observer=observer)
+    observer.message("The first is the diagnosis, the second the comparison of one controller with ten targets.")
 
 
 class _Narrator(Observer):

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from ipaddress import ip_address
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Literal, TextIO, cast
+from typing import IO, TYPE_CHECKING, Any, Literal, TextIO, TypeVar, cast
 
 import msgspec
 import numpy as np
@@ -33,6 +33,8 @@ from rejoint.system.stopping import raise_again
 if TYPE_CHECKING:
     from rejoint.pages.live.view import LiveView
 
+T = TypeVar("T")
+
 WIDTH = 80
 """Characters of a line of a table where the terminal does not say its own"""
 # Characters of a cell up to which it stands on one line (chosen)
@@ -40,42 +42,33 @@ _CELL = 24
 _PLAIN_INTERVAL = 10.0  # [s] between lines where the output is a file and a bar would only be noise
 
 
-class _NoteFile:
-    def __init__(self, file: TextIO) -> None:
-        self._file = file
+class _OutputFile:
+    """A file whose reader may leave (BrokenPipeError); a ``lossy`` one also loses what finds no space."""
+
+    def __init__(self, file: TextIO, *, lossy: bool = False) -> None:
+        self._file, self._lossy = file, lossy
 
     def write(self, text: str) -> int:
-        """Write ``text``, or lose it where there is no space; BrokenPipeError where the reader is gone."""
-        try:
-            return self._file.write(text)
-        except BrokenPipeError:
-            raise
-        except OSError:
-            return len(text)
+        """Write ``text``."""
+        return self._done(lambda: self._file.write(text)) or len(text)
 
     def flush(self) -> None:
-        """Flush what can be."""
+        """Flush."""
+        self._done(self._file.flush)
+
+    def _done(self, act: Callable[[], T]) -> T | None:
         try:
-            self._file.flush()
+            with _left():
+                return act()
         except BrokenPipeError:
             raise
         except OSError:
-            pass
+            if not self._lossy:
+                raise
+            return None
 
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - whatever that file has
         return getattr(self._file, name)
-
-
-class _ResultFile(_NoteFile):
-    def write(self, text: str) -> int:
-        """Write ``text``; BrokenPipeError where the reader is gone."""
-        with _left():
-            return self._file.write(text)
-
-    def flush(self) -> None:
-        """Flush; BrokenPipeError where the reader is gone."""
-        with _left():
-            self._file.flush()
 
 
 @contextmanager
@@ -106,11 +99,11 @@ def into_nothing(file: IO[str]) -> None:
 
 def notes() -> Console:
     """Return standard error, for what is no result."""
-    return _Output(file=cast(TextIO, _NoteFile(sys.stderr)), highlight=False, soft_wrap=True)
+    return _Output(file=cast(TextIO, _OutputFile(sys.stderr, lossy=True)), highlight=False, soft_wrap=True)
 
 
 def _results() -> TextIO:
-    return cast(TextIO, _ResultFile(getattr(sys.stdout, "rich_proxied_file", sys.stdout)))
+    return cast(TextIO, _OutputFile(getattr(sys.stdout, "rich_proxied_file", sys.stdout)))
 
 
 class ConsoleObserver(Observer):

@@ -327,7 +327,6 @@ def board(
 
 
 def _squares(text: str) -> tuple[int, int]:
-    """Read ``7x5``; InputError for anything else."""
     parts = text.lower().split("x")
     if len(parts) != 2 or not all(part.strip().isdecimal() for part in parts):
         raise InputError(f"--squares {text!r}: expected two whole numbers such as 7x5")

@@ -124,12 +124,11 @@ def check(
 def history(
     folder: Annotated[Path, typer.Argument(help="Folder below which runs and checks are.", metavar="FOLDER")] = RUNS,
     page: Annotated[Path | None, typer.Option(help="Page to write; by default history.html in FOLDER.")] = None,
-    sql: Annotated[str | None, typer.Option(help="Ask DuckDB instead: the rows are the table `history`.")] = None,
     json: opt.Json = False,
 ) -> None:
-    """Show all arms of a folder, the worst first, as a table and as a page; or ask its rows in SQL.
+    """Show all arms of a folder, the worst first, as a table and as a page.
 
-    Example: `rejoint history runs --sql "select arm, max(error_mm) from history where joint = '' group by arm"`
+    Example: `rejoint history runs`
     """
     from rejoint.logs.history.index import find_rows
     from rejoint.runs.history import HEADERS, arms_of, cells
@@ -139,15 +138,6 @@ def history(
         require("rejoint history --page", "report")
     if not folder.is_dir():
         raise FileError(folder, "no such folder", "check an arm first: rejoint check ROBOT")
-    if sql is not None:
-        from rejoint.logs.history.sql import ask
-
-        names, answer = ask(folder, sql, lambda problem: terminal.say(f"left out: {problem}"))
-        terminal.table(
-            f"{len(answer)} rows", names, [["" if one is None else str(one) for one in row] for row in answer]
-        )
-        terminal.finish([dict(zip(names, row, strict=True)) for row in answer])
-        return
     rows, unread = find_rows(folder)
     for problem in unread:
         terminal.say(f"left out: {problem}")
@@ -174,6 +164,7 @@ def _write_page(terminal: Terminal, path: Path, arms: Sequence[ArmHistory]) -> b
     return True
 
 
+@opt.with_settings("dry_run")
 def fleet(
     verb: Annotated[Literal["check", "repair"], typer.Argument(help="What is to be done with each arm.")],
     file: Annotated[Path, typer.Argument(help="File with the arms, see docs/monitoring.md.", metavar="FLEET.toml")],
@@ -204,6 +195,8 @@ def fleet(
     ] = None,
     quick: opt.Quick = False,
     json: opt.Json = False,
+    *,
+    settings: Settings,
 ) -> None:
     """Check or repair many arms, each within its hours and with its permissions, and show them, the worst first.
 
@@ -214,14 +207,26 @@ def fleet(
     Example: `rejoint fleet check FLEET.toml --somebody-is-there`
     """
     require(f"rejoint fleet {verb}", "fleet", "report", *(["train"] if verb == "repair" and address is None else []))
+    from rejoint.cli.chain import rehearse
     from rejoint.runs.fleet.call import run_fleet
     from rejoint.runs.fleet.campaign import RepairOptions
     from rejoint.runs.fleet.drive import Rules
     from rejoint.runs.fleet.file import read_fleet
     from rejoint.runs.fleet.rayexecutor import RayExecutor, has_token
 
-    terminal = Terminal(json=json)
+    terminal = Terminal(json=json, dry=settings.dry_run)
     found = read_fleet(file)
+    names = opt.controller_names(only) if only else ()
+    if settings.dry_run:
+        for arm in found.only(names):
+            terminal.say(f"{arm.name}:")
+            with watched(terminal, verb, "simulating", None) as observer:
+                if verb == "check":
+                    rejoint.check(arm.address, arm=arm.description, settings=settings, observer=observer)
+                else:
+                    rehearse(arm.address, arm.description, None, settings, observer, quick=quick)
+        terminal.finish({"fleet": str(file)})
+        return
     if address is not None and not has_token():
         terminal.say(
             f"warning: no token for Ray: anyone who reaches {address} may run programs there; see docs/monitoring.md"
@@ -248,7 +253,7 @@ def fleet(
             verb,
             make_executor,
             rules,
-            only=opt.controller_names(only) if only else (),
+            only=names,
             options=options,
             tell=partial(_say_event, terminal),
             begins=partial(_say_begun, terminal),

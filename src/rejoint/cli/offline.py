@@ -288,6 +288,9 @@ def export(
         ),
     ] = None,
     lerobot: Annotated[Path | None, typer.Option(help="Calibration file of LeRobot whose zeros to correct.")] = None,
+    controller: Annotated[
+        str | None, typer.Option(help="For onnx and ros2: its name; by default what the run recommends.")
+    ] = None,
     json: Json = False,
 ) -> None:
     """Write a run log as CSV or MCAP, or what a run has found out: URDF, LeRobot's calibration, data sheet, controller.
@@ -296,10 +299,12 @@ def export(
     `rejoint export runs/mine --format urdf`
     """
     terminal = Terminal(json=json)
-    if kind is not None or lerobot is not None:
+    if kind is not None or lerobot is not None or controller is not None:
         from rejoint.runs.exporting.exports import export_run
 
-        out, told = export_run(source, kind or "lerobot", out, lerobot=lerobot)
+        out, told = export_run(
+            source, kind or ("lerobot" if lerobot else "onnx"), out, lerobot=lerobot, controller=controller
+        )
         terminal.say(told)
     elif out is None:
         raise InputError(

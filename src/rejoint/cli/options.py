@@ -189,24 +189,23 @@ def payload_of(text: str | None) -> LoadedWith | None:
     """Read ``0.15`` [kg] or ``0.15@0,0,30`` [kg, mm]; InputError for anything else."""
     if text is None:
         return None
-    mass, at, place = text.partition("@")
+    mass, _, place = text.partition("@")
     try:
-        com = _millimetres(place, "--payload") if at else (0.0, 0.0, 0.0)
-        return LoadedWith(mass=float(mass), com=com)
-    except InputError:
-        raise
+        kilograms, (x, y, z) = float(mass), map(float, (place or "0,0,0").split(","))
     except ValueError as error:
         raise InputError(f"--payload {text!r}: expected kg, such as 0.15, or with x,y,z in mm: 0.15@0,0,30") from error
+    return LoadedWith(mass=kilograms, com=point_of(x, y, z, "--payload"))
 
 
 def tool_of(text: str | None) -> tuple[float, float, float] | None:
     """Read ``x,y,z`` in mm as metres; InputError for anything else."""
+    if text is None:
+        return None
     try:
-        return None if text is None else _millimetres(text, "--tool")
-    except InputError:
-        raise
+        x, y, z = map(float, text.split(","))
     except ValueError as error:
         raise InputError(f"--tool {text!r}: expected x,y,z in mm, such as 0,0,50") from error
+    return point_of(x, y, z, "--tool")
 
 
 def point_of(x: float, y: float, z: float, option: str = "goto") -> tuple[float, float, float]:
@@ -214,12 +213,6 @@ def point_of(x: float, y: float, z: float, option: str = "goto") -> tuple[float,
     if 0.0 < max(abs(x), abs(y), abs(z)) < 1.0:
         raise InputError(f"{option}: x,y,z of {x:g},{y:g},{z:g} mm look like metres; give millimetres, such as 0,0,50")
     return 1e-3 * x, 1e-3 * y, 1e-3 * z
-
-
-def _millimetres(text: str, option: str) -> tuple[float, float, float]:
-    """Read ``x,y,z`` in mm as metres; ValueError for anything else."""
-    x, y, z = (float(part) for part in text.split(","))
-    return point_of(x, y, z, option)
 
 
 class SharedOption(NamedTuple):
@@ -238,15 +231,13 @@ class SharedOption(NamedTuple):
     def parameter(self, name: str) -> tuple[object, object]:
         """Return annotation and default of a command's parameter called ``name``."""
         field = self.field or name
-        flag = "--controller" if name == "follower" else f"--{name.replace('_', '-')}"
         what, default, usual = meaning(field).partition("; by default")
-        text = self.form if name == "follower" else f"{what}{self.form and f', {self.form}'}{default}{usual}."
+        text, flag = f"{what}{self.form and f', {self.form}'}{default}{usual}.", f"--{name.replace('_', '-')}"
         return Annotated[self.kind, typer.Option(flag, help=text, **self.limits)], getattr(Settings, field)  # type: ignore[arg-type]
 
 
 SHARED = {
     "controller": SharedOption(),
-    "follower": SharedOption(form="tracker, by the run's twin; or default: sent as it comes.", field="controller"),
     "dwell": SharedOption(float, form="in seconds", limits={"min": 0.1}),
     "within": SharedOption(
         float | None, lambda mm: None if mm is None else 1e-3 * mm, "in mm", limits={"min": 0.01, "max": 100.0}

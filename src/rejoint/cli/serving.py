@@ -18,6 +18,7 @@ from rejoint.cli import options as opt
 from rejoint.cli.console import ConsoleObserver, Terminal, live_view
 from rejoint.cli.options import Json, Seed
 from rejoint.control.observer import Observer, Observers
+from rejoint.control.robot import Relaying, part_of
 from rejoint.robots import SIMULATOR, place_of
 from rejoint.robots.feetech.gains import FeetechAddress
 from rejoint.session.inputs import RunLike
@@ -66,7 +67,7 @@ def emulate(
     On the bus of an SO-101 alone: mute=J@T/D (a servo that is silent for D), sag=R (a supply of R ohm).
     """
     require("rejoint emulate", SIMULATOR)
-    from rejoint.robots.lab.emulator.emulate import emulate as serve_emulated
+    from rejoint.robots.lab.emulator import emulate as serve_emulated
     from rejoint.robots.lab.emulator.faults import parse_faults
     from rejoint.robots.lab.emulator.servers import beyond_loopback
 
@@ -93,7 +94,7 @@ def emulate(
     terminal.finish({"wear": wear, "address": served[-1], "faults": fault})
 
 
-@opt.with_settings("calibration", "payload", "tool", "period", "dry_run")
+@opt.with_settings("controller", "calibration", "payload", "tool", "period", "dry_run")
 def serve(
     robot: opt.Robot,
     run: opt.Run,
@@ -117,7 +118,14 @@ def serve(
     """
     terminal = Terminal(json=json)
     if stdio:
-        if pty or json or any(one is not None for one in (settings.calibration, settings.payload, settings.tool, live)):
+        if (
+            pty
+            or json
+            or any(
+                one is not None
+                for one in (settings.controller, settings.calibration, settings.payload, settings.tool, live)
+            )
+        ):
             raise InputError("--stdio goes with --period and --dry-run alone")
 
         serve_lines(robot, run, settings, ConsoleObserver(terminal))
@@ -157,12 +165,12 @@ def serve_lines(robot: str, run: RunLike, settings: Settings, observer: Observer
         raise InputError("--stdio follows standard input, and it is closed; give it a pipe")
     detail = place_of(robot).detail
     with noted(), ArmSession(robot, run=run, settings=settings, observer=observer) as arm:
-        ask = getattr(arm.robot, "relay", None)
+        wire = part_of(arm.robot, Relaying)
         gripper = None
-        if ask and isinstance(detail, FeetechAddress):
+        if wire and isinstance(detail, FeetechAddress):
             from rejoint.robots.feetech.bus import Gripper  # late: its maker's client is an extra
 
-            gripper = Gripper.find(ask, arm.arm.joints + 1)
+            gripper = Gripper.find(wire.relay, arm.arm.joints + 1)
         arm.beside += [] if gripper is None else [gripper.serve]
         arm.hold()
         given = detail.zero if isinstance(detail, FeetechAddress) else ()

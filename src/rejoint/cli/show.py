@@ -149,10 +149,10 @@ def training(terminal: Terminal, result: TrainingResult) -> None:
 
 def comparison(terminal: Terminal, result: Comparison, advice: Recommendation) -> None:
     """Print the table of all controllers and the one to use."""
-    from rejoint.pages.report.tables import comparison_table, directions
+    from rejoint.pages.report.tables import columns, directions, plain_table
     from rejoint.pages.words import plural
 
-    headers, rows = comparison_table(result)
+    headers, rows = plain_table(columns(result), result.rows)
     sets, count = len(result.targets), len(result.targets[0])
     trials = f"{plural(sets, 'set')} of {plural(count, 'target')}, {plural(result.repetitions, 'repetition')}"
     title = f"{result.robot}: {trials}{f', in blocks of {result.block}' if result.block else ''}"

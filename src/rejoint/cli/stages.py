@@ -317,7 +317,7 @@ def goto(
         raise typer.Exit(code)
 
 
-@opt.with_settings("follower", "within", "calibration", "payload", "tool", "period", "seed", "dry_run")
+@opt.with_settings("controller", "within", "calibration", "payload", "tool", "period", "seed", "dry_run")
 def follow(
     robot: opt.Robot,
     run: opt.Run,
@@ -383,7 +383,7 @@ def report(run: opt.Run, json: opt.Json = False) -> None:
     terminal.finish({"run": str(run), "report": str(path)})
 
 
-@opt.with_settings("period")
+@opt.with_settings("period", "dry_run")
 def gains(
     robot: opt.Robot,
     run: opt.Run,
@@ -403,11 +403,12 @@ def gains(
     Example: `rejoint gains feetech:///dev/ttyACM0 runs/mine`, and after `rejoint compare`
     `rejoint gains feetech:///dev/ttyACM0 runs/mine --keep`
     """
-    terminal = Terminal(json=json)
+    terminal = Terminal(json=json, dry=settings.dry_run)
     if not keep:
         with watched(terminal, "gains", "tuning", None) as observer:
             found = rejoint.gains(robot, run, settings=settings, observer=observer)
-        show.stage(terminal, "gains", found)
+        if not settings.dry_run:  # a simulation does not heed gains
+            show.stage(terminal, "gains", found)
         terminal.next(f"{command('compare', robot, run)} --sets 1 --repetitions 1")
         terminal.finish({"run": str(run), "gains": found})
         return
@@ -419,6 +420,9 @@ def gains(
         "Policies that were trained under other gains are refused from then on, and the twin of this run is that of "
         "the gains before."
     )
+    if settings.dry_run:
+        terminal.finish({"run": str(run), "wanted": wanted})
+        return
     if not yes and not typer.confirm("Write it?", err=True):
         raise InputError("nothing was written; say --yes to be asked no more")
     before = keep_gains(robot, job, wanted)

@@ -39,15 +39,16 @@ def differentiate(rows, time, position, last_time, last_position, velocity, peri
             last_position[i, j] = position[k, j]
 
 
-@njit(void(OUT3, *[IN2, IN2, IN1, IN2, IN1, IN1], *[float64] * 6), **OPTIONS)
-def weigh(out, step, error, distance, action, moves, spared, floor, slope, most, step_limit, fade, near):  # noqa: ANN001, ANN201
+@njit(void(OUT3, IN2, IN2, IN1, IN2, IN1, IN1, IN1), **OPTIONS)
+def weigh(out, step, error, distance, action, moves, spared, rules):  # noqa: ANN001, ANN201
     """Fill ``out`` (2, B, n) with the part of ``step`` (B, n) to integrate, and that of ``action`` (B, n).
 
-    The step is clipped to ``step_limit``, fades with ``error`` (B, 3), and spares joints by ``spared`` (n,) within
-    ``near`` of the target at ``distance`` (B,). The action counts as in `CommandLaw.authority`, on joints that
-    ``moves`` (n,) the tool.
+    ``rules`` (6,): least, slope and most of the authority, step limit, fade, near. The step is clipped to its limit,
+    fades with ``error`` (B, 3), and spares joints by ``spared`` (n,) within near of the target at ``distance`` (B,).
+    The action counts as in `CommandLaw.authority`, on joints that ``moves`` (n,) the tool.
     """
     arms, joints = step.shape
+    floor, slope, most, step_limit, fade, near = rules[0], rules[1], rules[2], rules[3], rules[4], rules[5]
     for i in range(arms):
         largest, square = 0.0, 0.0
         for j in range(joints):
@@ -64,13 +65,15 @@ def weigh(out, step, error, distance, action, moves, spared, floor, slope, most,
             out[1, i, j] = authority * moves[j] * np.minimum(np.maximum(action[i, j], -1.0), 1.0)
 
 
-@njit(void(OUT2, OUT2, OUT2, IN2, IN1, IN2, IN2, float64, float64, float64, float64), **OPTIONS)
-def integrate(correction, speed, last, position, elapsed, step, extra, rate, limit, moving, smoothing):  # noqa: ANN001, ANN201
+@njit(void(OUT2, OUT2, OUT2, IN2, IN1, IN2, IN2, IN1), **OPTIONS)
+def integrate(correction, speed, last, position, elapsed, step, extra, rules):  # noqa: ANN001, ANN201
     """Add ``rate * elapsed * step`` to ``correction`` of slow joints, and ``extra`` to all.
 
-    All (B, n) but ``elapsed`` (B,). Updates ``correction`` (within +-``limit``), ``speed`` and ``last``.
+    All (B, n) but ``elapsed`` (B,) and ``rules`` (4,): rate, limit, speed of a moving joint, smoothing. Updates
+    ``correction`` (within +-limit), ``speed`` and ``last``.
     """
     arms, joints = correction.shape
+    rate, limit, moving, smoothing = rules[0], rules[1], rules[2], rules[3]
     for i in range(arms):
         for j in range(joints):
             newest = (position[i, j] - last[i, j]) / elapsed[i] if elapsed[i] > 0.0 else speed[i, j]

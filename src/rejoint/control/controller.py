@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
@@ -11,48 +12,30 @@ from rejoint.arms import Arm, Array, frames
 from rejoint.arms.rotations import Orientation
 from rejoint.control.robot import JointState, Mask
 
-if TYPE_CHECKING:
-    from rejoint.control.moving.reference import Routes
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ControlInput:
-    """Inputs of a controller."""
+    """Inputs of a controller: a reading, the last command, and where the reference wants the arms."""
 
     state: JointState
     target: Array
-    """(B, 3) [m] TCP targets"""
+    """(B, 3) [m] TCP targets; NaN: the joints alone count"""
     goal: Array
     """(B, n) [rad] of the targets"""
     sent: Array
     """(B, n) [rad] last command, after the guard"""
     since_target: Array
     """(B,) [s]"""
-    route: Routes | None = None
-    """of moving targets"""
     turn: Orientation | None = None
     """(B,) wanted orientations; None: any"""
+    arrived: Mask = field(default_factory=lambda: np.ones(1, dtype=bool))
+    """(B,) the goals have stopped moving"""
+    ahead: Callable[[Array], Array] | None = None
+    """See `goals`"""
 
-    def aims(self, later: Array) -> Array:
-        """TCP targets (k, B, 3) [m] in ``later`` (k,) or (k, B) [s]."""
-        count = len(self.since_target)
-        later = np.broadcast_to(later if np.ndim(later) == 2 else np.asarray(later)[:, None], (len(later), count))
-        if self.route is None:
-            return np.broadcast_to(self.target, (len(later), count, 3))
-        return self.route.aims(self.since_target, later)
-
-    def turns(self, later: Array) -> Orientation | None:
-        """Orientations (k, B) then; None: any."""
-        if self.route is None or self.turn is None:
-            return (
-                None
-                if self.turn is None
-                else self.turn[np.zeros(len(later), dtype=np.intp)[:, None], np.arange(len(self.since_target))]
-            )
-        later = np.broadcast_to(
-            later if np.ndim(later) == 2 else np.asarray(later)[:, None], (len(later), len(self.since_target))
-        )
-        return self.route.turns(self.since_target, later)
+    def goals(self, later: Array) -> Array:
+        """Goals (k, B, n) [rad] in ``later`` (k, B) [s], as far as they are known."""
+        return np.broadcast_to(self.goal, (len(later), *self.goal.shape)) if self.ahead is None else self.ahead(later)
 
 
 def heeds_turn(controller: object) -> bool:

@@ -15,8 +15,6 @@ from rejoint.control.guard import Reason, Reasons, reason_names
 from rejoint.control.recording import Recording, recording_of
 from rejoint.control.targets import in_words
 from rejoint.logs.runlog import RunLog
-from rejoint.system.errors import InputError
-from rejoint.system.numbers import as_within
 
 Rows = NDArray[np.intp]
 
@@ -39,11 +37,6 @@ class Deployment:
     """[m] accepted encoder error"""
     turns: Orientation | None = None
     """(K,); None: any"""
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.dwell < np.inf:
-            raise InputError(f"deployment: a target has a positive, finite time in seconds, got {self.dwell}")
-        as_within("deployment", self.within)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -70,6 +70,8 @@ class FeedforwardController:
     ) -> None:
         """``stiffness`` (n,) or (B, n) [N m/rad]; ``loosen`` as `LOOSEN`."""
         self._arm, self._gains, self._loosen = arm, gains or FeedforwardGains(), loosen
+        own = self._gains
+        self._rules = np.array([own.rate, own.learned_limit, own.moving, SPEED_SMOOTHING])
         self._close = CLOSE * length_size(arm)
         stiffness = NOMINAL_STIFFNESS * torque_size(arm) if stiffness is None else stiffness
         self._stiffness = np.atleast_2d(np.asarray(stiffness, dtype=float) + np.zeros(arm.joints))
@@ -160,10 +162,7 @@ class FeedforwardController:
             elapsed,
             step,
             extra,
-            gains.rate,
-            gains.learned_limit,
-            gains.moving,
-            SPEED_SMOOTHING,
+            self._rules,
         )
         return limit_position(self._arm, self._raised + self._correction)
 

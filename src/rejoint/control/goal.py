@@ -9,19 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, JointTrajectory, Motors, clearances, plan, tcp_position
+from rejoint.arms import Arm, Array, JointTrajectory, Motors, clearances, plan
 from rejoint.arms.inverse import REST_GAIN
 from rejoint.arms.planning import PlanningError
 from rejoint.arms.posing import find_postures
 from rejoint.arms.rotations import Orientation
 from rejoint.arms.workspace import length_size
-from rejoint.system.errors import InputError
 
 LAGS, SLOWEST = tuple(np.radians([6.0, 18.0])), 0.1
 """[rad] by which a joint may lag behind its way, and from which the arm goes on with that share of its speed (chosen: a
@@ -33,23 +30,13 @@ ROOM, LEAST = 0.1, 0.2
 share of those lags (chosen by `python -m benchmarks postures`: with half that room, worn arms touched boxes)"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class JointGoals:
-    """The postures of the targets of B arms, and the ways to them."""
-
-    posture: Array
-    """(B, K, n) [rad]"""
-    ways: tuple[tuple[JointTrajectory, ...], ...] = ()
-    """B rows of K ways; () where each goal is in force at once"""
-
-    def __post_init__(self) -> None:
-        if self.ways and [len(row) for row in self.ways] != [self.posture.shape[1]] * len(self.posture):
-            raise InputError(f"joint goals: expected {self.posture.shape[:2]} ways, one for each posture")
+Ways = Sequence[Sequence[JointTrajectory]]
+"""B rows of K ways, one for each target"""
 
 
 def with_ways(
     arm: Arm, posture: Array, start: Array, *, motors: Motors | None = None, speed: float = 1.0
-) -> JointGoals:
+) -> tuple[JointTrajectory, ...]:
     """Plan the ways of one arm from ``start`` (n,) to one ``posture`` (K, n) [rad] after another.
 
     The ``motors`` lift the arm on them. ``speed`` is a share of the arm's own. Where no way is clear, a joint is turned
@@ -59,7 +46,7 @@ def with_ways(
     for goal in posture:
         before = ways[-1].goal if ways else start
         ways.append(_clear_way(arm, before, goal, motors, speed))
-    return JointGoals(posture=np.array([[way.goal for way in ways]]), ways=(tuple(ways),))
+    return tuple(ways)
 
 
 def _clear_way(arm: Arm, start: Array, goal: Array, motors: Motors | None, speed: float) -> JointTrajectory:
@@ -73,42 +60,6 @@ def _clear_way(arm: Arm, start: Array, goal: Array, motors: Motors | None, speed
             with suppress(PlanningError):
                 return plan(arm, start, other, motors=motors, speed=speed)
         raise
-
-
-def side_by_side(goals: Sequence[JointGoals]) -> JointGoals:
-    """Return the goals of several arms as those of one batch."""
-    posture = np.concatenate([one.posture for one in goals])
-    return JointGoals(posture=posture, ways=tuple(row for one in goals for row in one.ways))
-
-
-class Setpoint(NamedTuple):
-    """What is in force now."""
-
-    goal: Array
-    """(B, n) [rad]"""
-    target: Array
-    """(B, 3) [m]"""
-    since: Array
-    """(B,) [s] since the goal has stopped moving, 0 on the way"""
-
-
-def on_the_way(arm: Arm, ways: Sequence[JointTrajectory], goal: Array, aim: Array, since: Array) -> Setpoint:
-    """Return where the goals of B arms are, ``since`` (B,) [s] after their ways began.
-
-    ``goal`` (B, n) [rad] and ``aim`` (B, 3) [m] are those at the end. What an aim differs from the planned end is added
-    along the way.
-    """
-    duration = np.array([way.duration for way in ways])
-    moving = since < duration
-    if not moving.any():
-        return Setpoint(goal, aim, since - duration)
-    now, rows = goal.copy(), np.flatnonzero(moving).tolist()
-    for b in rows:
-        way, share = ways[b], max(float(since[b]), 0.0) / duration[b]
-        now[b] = way.at(float(since[b])) + share * (goal[b] - way.goal)
-    target = aim.copy()
-    target[rows] += tcp_position(arm, now[rows]) - tcp_position(arm, goal[rows])
-    return Setpoint(now, target, np.maximum(since - duration, 0.0))
 
 
 def waiting(arm: Arm, ways: Sequence[JointTrajectory], since: Array, position: Array, sag: Array) -> Array:

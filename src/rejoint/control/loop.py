@@ -13,16 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Array, JointTrajectory, tcp_position
-from rejoint.arms.inverse import REST_GAIN
-from rejoint.arms.rotations import REACHED_TURN, Orientation
+from rejoint.arms import Array, tcp_position
+from rejoint.arms.rotations import REACHED_TURN
 from rejoint.control.controller import ControlInput, Controller, turned_off
-from rejoint.control.correction import Modelled
-from rejoint.control.goal import LAGS, JointGoals, Setpoint, nearest_postures, on_the_way, waiting
 from rejoint.control.guard import TRIPS, Guarded, GuardLimits, Reason, Reasons, guard, reason_names, suffers, warm_up
 from rejoint.control.monitor import Following
-from rejoint.control.moving.reference import Routes
 from rejoint.control.recording import GAP, Cycle, OnCycle, Recorder, Recording, attach, look_of
+from rejoint.control.reference import Reference, TargetSequence
 from rejoint.control.robot import JointState, Mask, Robot
 from rejoint.system.errors import GuardTripError, InputError, PowerLostError, RejointError, first_line
 from rejoint.system.stopping import check, noted, shielded
@@ -74,8 +71,6 @@ class Schedule:
     """(B, n) [rad] command in force before the run; None: the measured position"""
     stands_for: float | None = None
     """[s] of standing after which the rest of a dwell is left out; None: never"""
-    goals: JointGoals | None = None
-    """postures of the targets and ways there; None: the nearest posture at once"""
     give_up: Callable[[ControlInput], Mask] | None = None
     """asked once per cycle: arms (B,) that are done; they hold their last command"""
 
@@ -89,78 +84,37 @@ class Schedule:
 def run(
     robot: Robot,
     controller: Controller,
-    targets: Array,
+    reference: Reference | Array,
     schedule: Schedule,
     *,
     limits: GuardLimits | None = None,
-    correction: Modelled | None = None,
     on_cycle: OnCycle | None = None,
-    turns: Orientation | None = None,
 ) -> Recording:
-    """Drive ``robot`` to ``targets`` (B, K, 3) [m] in turn, tools turned as in ``turns``.
+    """Drive ``robot`` where a ``reference`` says, or to targets (B, K, 3) [m] in turn.
 
-    A target of NaN lasts its dwell without a goal. What ends the run early first stops the robot; the error carries the
-    recording (`recording_of`) and a note. After a gap an arm goes on slowly. ``correction`` turns targets into aims.
+    What ends the run early first stops the robot; the error carries the recording (`recording_of`) and a note. After a
+    gap an arm goes on slowly.
     """
-    targets, goals = np.asarray(targets, dtype=float), schedule.goals
-    if targets.ndim != 3 or targets.shape[0] != robot.count or targets.shape[1] == 0 or targets.shape[2] != 3:
-        raise InputError(f"targets have shape {targets.shape}, expected ({robot.count}, K, 3) with K > 0")
-    if turns is not None and turns.weight.shape != targets.shape[:2]:
-        raise InputError(f"orientations have shape {turns.weight.shape}, expected that of the targets")
-    if goals is not None and goals.posture.shape != (*targets.shape[:2], robot.arm.joints):
-        raise InputError(f"joint goals have shape {goals.posture.shape}, expected one posture for each target")
     limits = GuardLimits.of(robot.arm) if limits is None else limits
-    return _drive(
-        lambda: RunState(
-            robot=robot,
-            controller=controller,
-            targets=targets,
-            schedule=schedule,
-            limits=limits,
-            on_cycle=on_cycle,
-            correction=correction,
-            turns=turns,
-        ),
-        robot,
-        limits,
-    )
-
-
-def follow(
-    robot: Robot,
-    controller: Controller,
-    route: Routes,
-    schedule: Schedule,
-    *,
-    limits: GuardLimits | None = None,
-    on_cycle: OnCycle | None = None,
-) -> Recording:
-    """Drive ``robot`` behind the moving targets of ``route`` for the dwell; else as `run`, without resets."""
-    if route.count != robot.count:
-        raise InputError(f"a route of {route.count} targets, expected one for each of {robot.count} arms")
-    limits, nowhere = GuardLimits.of(robot.arm) if limits is None else limits, np.full((robot.count, 1, 3), np.nan)
-    return _drive(
-        lambda: RunState(
-            robot=robot,
-            controller=controller,
-            targets=nowhere,
-            schedule=schedule,
-            limits=limits,
-            on_cycle=on_cycle,
-            route=route,
-        ),
-        robot,
-        limits,
-    )
-
-
-def _drive(begin: Callable[[], RunState], robot: Robot, limits: GuardLimits) -> Recording:
+    to = reference if isinstance(reference, Reference) else TargetSequence(limits.arm, reference)
+    if to.count != robot.count:
+        raise InputError(f"a reference for {to.count} arms, expected one for each of {robot.count}")
     warm_up(limits)
     rest = limits.arm.rest[None]
     state = JointState(time=np.zeros(1), position=rest, age=np.zeros(1))
     Following(limits.arm, state, rest).check(state, rest, np.ones(1, dtype=bool))
     with noted():
-        return _cycles(begin, robot)
+        return _cycles(
+            lambda: RunState(
+                robot=robot,
+                controller=controller,
+                reference=to,
+                schedule=schedule,
+                limits=limits,
+                on_cycle=on_cycle,
+            ),
+            robot,
+        )
 
 
 def _cycles(begin: Callable[[], RunState], robot: Robot) -> Recording:
@@ -168,7 +122,7 @@ def _cycles(begin: Callable[[], RunState], robot: Robot) -> Recording:
     try:
         check()
         run_state = begin()
-        run_state.controller.reset(run_state.inputs(), np.ones(robot.count, dtype=bool))
+        run_state.controller.reset(run_state.inputs, np.ones(robot.count, dtype=bool))
         while run_state.cycle():
             check()
         if run_state.tripped.any():
@@ -242,18 +196,13 @@ class RunState:
 
     robot: Robot
     controller: Controller
-    targets: Array
+    reference: Reference
     schedule: Schedule
     limits: GuardLimits
     on_cycle: OnCycle | None
-    correction: Modelled | None = None
-    route: Routes | None = None
-    """moving targets; None: they stand still"""
-    turns: Orientation | None = None
-    """(B, K) wanted orientations; None: any"""
 
     def __post_init__(self) -> None:
-        robot, limits, count, sent = self.robot, self.limits, len(self.targets), self.schedule.sent
+        robot, limits, count, sent = self.robot, self.limits, self.robot.count, self.schedule.sent
         self.recorder = Recorder(robot=robot, controller=self.controller.name)
         self.look = look_of(robot, self.controller.name, limits)
         self.state = state = own(robot.read())
@@ -266,7 +215,6 @@ class RunState:
         self.unbelieved: Mask | None = None  # (B, n) joints that are not trusted in this cycle
         self.speed, self.wanted = np.zeros_like(self.sent), self.sent
         self.index: NDArray[np.intp] = np.zeros(count, dtype=np.intp)
-        self.sag = np.zeros_like(self.sent)  # (B, n) [rad] off where the present ways began: no lag
         self.doubted: NDArray[np.intp] = np.zeros(count, dtype=np.intp)  # times that a flagged joint broke loose
         self.set_at, self.last_time = state.time.copy(), state.time  # [s] of the target, shifted by gaps
         self.active: Mask = np.ones(count, dtype=bool)
@@ -274,99 +222,47 @@ class RunState:
         self.tripped: Reasons = np.zeros(count, dtype=np.uint16)
         self.period, self.usual = np.full(count, FIRST_PERIOD), np.full(count, np.nan)  # [s] newest, and their mean
         self.eased_until = np.full(count, -np.inf)
-        self.turn: Orientation | None = None
-        self.aim, self.goal = self.target, self.sent  # (B, 3) [m] corrected targets, (B, n) [rad] postures there
-        self._take_aim(self.active)
+        self.reference.begin(self.active, self.index, self.sent)
+        self._ask()
         if state.elsewhere is not None:
             self._ease(state.elsewhere, told)
 
-    @property
-    def target(self) -> Array:
-        """(B, 3) [m] in force."""
-        if self.route is not None:
-            return self.route.place(self.state.time - self.set_at)
-        return self.targets[np.arange(len(self.index)), self.index]
-
-    def inputs(self) -> ControlInput:
-        """Return what a controller knows."""
-        now = self.setpoint
-        return ControlInput(
+    def _ask(self) -> None:
+        """Ask the reference where the arms are to be at this reading."""
+        since = self.state.time - self.set_at
+        now = self.reference.advance(self.state, since)
+        # (B, 3) [m] recorded
+        self.place = tcp_position(self.limits.arm, now.goal) if now.place is None else now.place
+        self.aim = self.place if now.aim is None else now.aim
+        self.inputs = ControlInput(
             state=self.state,
-            target=now.target,
-            goal=now.goal,
             sent=self.sent,
-            since_target=now.since,
-            route=self.route,
-            turn=self.turn,
+            goal=now.goal,
+            target=np.full_like(self.place, np.nan) if now.target is None else now.target,
+            since_target=since if now.since is None else now.since,
+            turn=now.turn,
+            arrived=now.arrived,
+            ahead=now.ahead,
         )
-
-    @property
-    def setpoint(self) -> Setpoint:
-        """Goal and target in force, and how long they have not moved."""
-        since, ways, goal, aim = self.state.time - self.set_at, self._ways(), self.goal, self.aim
-        return on_the_way(self.limits.arm, ways, goal, aim, since) if ways else Setpoint(goal, aim, since)
-
-    def _ways(self) -> list[JointTrajectory]:
-        """Return the B ways to the present goals; [] where the goals are in force at once."""
-        ways = () if self.schedule.goals is None else self.schedule.goals.ways
-        return [row[k] for row, k in zip(ways, self.index, strict=False)]
 
     def _leave_out(self, longest: float) -> None:
         """End the dwell of targets under which an arm stood for ``longest`` [s]; call in every cycle, or in none."""
         enough = self.stillness.look(self.state, self.sent) >= longest
         if np.count_nonzero(enough):
-            over = self.setpoint.since - self.schedule.dwell - _ROUNDING  # below zero by what is left
+            over = self.inputs.since_target - self.schedule.dwell - _ROUNDING  # below zero by what is left
             self.set_at = np.where(enough & (over < 0.0), self.set_at + over, self.set_at)
+            self._ask()
 
     def _advance(self, finished: Mask) -> Mask:
-        last = self.index == self.targets.shape[1] - 1
+        last = self.index == self.reference.legs - 1
         renewed = finished & ~last
         self.active = self.active & ~(finished & last)
         self.index = self.index + renewed
         self.set_at = np.where(renewed, self.state.time, self.set_at)
         if renewed.any():
-            self._take_aim(renewed)
+            self.reference.begin(renewed, self.index, self.sent)
+            self._ask()
         return renewed
-
-    def _aim_again(self) -> Mask | None:
-        if self.correction is None:
-            return None
-        fresh = self.correction.again(self.target, replace(self.inputs(), target=self.aim))  # it moves on the way
-        if fresh is None:
-            return None
-        changed = self.active & (fresh != self.aim).any(axis=-1)
-        self._aim_at(np.where(changed[:, None], fresh, self.aim), self.goal, changed)
-        return changed
-
-    def _take_aim(self, where: Mask) -> None:
-        """Aim at the targets that were just set for the arms in ``where`` (B,)."""
-        if self.route is not None:
-            now = self.state.time - self.set_at
-            at_once = np.zeros((1, len(now)))
-            self.aim, turn = self.route.aims(now, at_once)[0], self.route.turns(now, at_once)
-            self.turn = None if turn is None else turn[0]
-            if self.goal is self.sent:  # at the start; what follows a route knows its own postures
-                self.goal = nearest_postures(self.limits.arm, self.aim, self.sent, self.turn)
-            return
-        target, each = self.target, np.arange(len(self.index))
-        self.turn = None if self.turns is None else self.turns[each, self.index]
-        planned = None if self.schedule.goals is None else self.schedule.goals.posture[each, self.index]
-        if self.correction is None:
-            fresh = target
-        elif self.turn is None:
-            fresh = self.correction.aim(target, self.sent, where, planned)
-        else:
-            fresh, self.turn = self.correction.aim_pose(target, self.turn, self.sent, where, planned)
-        self._aim_at(fresh, self.sent if planned is None else planned, where)
-
-    def _aim_at(self, aim: Array, near: Array, where: Mask) -> None:
-        """Aim the arms in ``where`` (B,) at ``aim`` (B, 3) [m], with the postures found from ``near`` (B, n) [rad]."""
-        rows = where[:, None]
-        self.aim = np.where(rows, aim, self.aim)
-        turn = None if self.turn is None else self.turn[where]
-        self.goal = self.goal.copy()
-        rest_gain = REST_GAIN if self.schedule.goals is None else 0.0  # a planned posture is kept
-        self.goal[where] = nearest_postures(self.limits.arm, self.aim[where], near[where], turn, rest_gain=rest_gain)
 
     def _stepped(self, state: JointState, command: Array, speed: Array) -> None:
         self.sent, self.speed = np.where(self.active[:, None], command, self.sent), speed
@@ -380,19 +276,13 @@ class RunState:
         if np.count_nonzero(self.gap):
             self._wait(self.gap, elapsed)
             moved = self.gap & elsewhere(self.state.position, self.sent, state.position)
-        ways = self._ways()
-        if ways:
-            since = self.last_time - self.set_at
-            sag = np.clip([way.start for way in ways] - self.state.position, -LAGS[1], LAGS[1])
-            self.sag = np.where((since <= 0.0)[:, None], sag, self.sag)
-            left_out = waiting(self.limits.arm, ways, since, state.position, self.sag)
-            self.set_at = self.set_at + left_out * np.clip(elapsed, 0.0, self.period)
+        left_out = self.reference.left_out(self.last_time - self.set_at, self.state.position, state.position)
+        self.set_at = self.set_at + left_out * np.clip(elapsed, 0.0, self.period)
         self.usual = np.where(elapsed > 0.0, known + _SMOOTHING * (np.minimum(elapsed, GAP) - known), self.usual)
         self.state, self.last_time = state, state.time
-        if self.route is not None:
-            self._take_aim(self.active)
         if np.count_nonzero(self.gap):
             self._begin_again(self.gap, moved)
+        self._ask()
 
     def _go_on(self, where: Mask) -> None:
         self.doubted = self.doubted + where
@@ -402,13 +292,12 @@ class RunState:
         self.last_time = np.where(where, self.state.time, self.last_time)
         self.gap = self.gap | where
         self._begin_again(where, np.zeros(len(where), dtype=bool))
+        self._ask()
 
     def _wait(self, where: Mask, elapsed: Array) -> None:
-        """Leave a gap of ``elapsed`` (B,) [s] out of the time that targets, trajectories and paths take."""
-        if self.route is not None:
-            where = where & self.route.waits
+        """Leave a gap of ``elapsed`` (B,) [s] out of the time of what waits."""
         usual = np.where(np.isnan(self.usual), FIRST_PERIOD, self.usual)
-        self.set_at = np.where(where, self.set_at + (elapsed - usual), self.set_at)
+        self.set_at = np.where(where & self.reference.waits, self.set_at + (elapsed - usual), self.set_at)
 
     def _begin_again(self, where: Mask, moved: Mask) -> None:
         self.period = np.where(where, FIRST_PERIOD, self.period)
@@ -431,7 +320,7 @@ class RunState:
         """Do a control cycle; returns whether there is another one."""
         if self.schedule.stands_for is not None:
             self._leave_out(self.schedule.stands_for)
-        before, target, aim = self.inputs(), self.target, self.aim
+        before, target, aim = self.inputs, self.place, self.aim
         fresh, index = self.active, self.index
         if self.schedule.give_up is not None:
             done = self.schedule.give_up(before) & ~suffers(self.limits, before.state)  # that is for the guard to say
@@ -477,10 +366,11 @@ class RunState:
         active = self.active
         if not active.any():
             return Guarded(self.sent, np.zeros(len(active), dtype=np.uint16), self.speed)
-        inputs, fresh = self.inputs(), renewed | self.gap
-        corrected = self._aim_again()
+        fresh, corrected = renewed | self.gap, self.reference.again(self.inputs)
         if corrected is not None:
-            inputs, fresh = self.inputs(), fresh | corrected
+            self._ask()
+            fresh = fresh | (corrected & active)
+        inputs = self.inputs
         if fresh.any():
             self.controller.reset(inputs, fresh)
         aimed = np.isfinite(inputs.target[:, 0])
@@ -491,7 +381,7 @@ class RunState:
         last, period = self.speed / ease[:, None], ease * self.period
         guarded = guard(self.limits, wanted, self.sent, last, self.state, period)
         touched = guarded.reasons & np.uint16(Reason.COLLISION.value)
-        if self._ways() and touched.any():  # the way itself is clear
+        if self.reference.planned and touched.any():
             wanted = np.where(touched[:, None] != 0, inputs.goal, wanted)
             guarded = guard(self.limits, wanted, self.sent, last, self.state, period)
         command = guarded.command

@@ -8,7 +8,6 @@ goal stays uncorrected.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -23,23 +22,6 @@ from rejoint.control.robot import JointState, Mask
 STILL = 1.5
 """encoder counts of a stationary reading (chosen)"""
 _SMOOTHING = 0.5  # share of the newest difference in the speed estimate (chosen, as in the feed-forward controller)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Wanted:
-    """Wanted postures."""
-
-    posture: Array
-    """(B, n) [rad] by the encoders"""
-    arrived: Mask
-    """(B,) the trajectory has ended"""
-
-
-class PostureWay(Protocol):
-    """Gives wanted postures, once a cycle."""
-
-    def advance(self, state: JointState) -> Wanted:
-        """Take a reading and return wanted postures."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,29 +59,26 @@ class PostureGains:
 
 
 class PostureController:
-    """Brings B arms to the postures of a `PostureWay`."""
+    """Brings B arms to their goals, joint by joint."""
 
     name = "posture"
 
     def __init__(
         self,
         arm: Arm,
-        way: PostureWay,
         *,
         stiffness: Array | None = None,
         offset: Array | float = 0.0,
         gains: PostureGains | None = None,
     ) -> None:
         """``stiffness`` (n,) [N m/rad] and ``offset`` (n,) [rad] of the twin."""
-        self._arm, self._way, self._gains = arm, way, gains or PostureGains()
+        self._arm, self._gains = arm, gains or PostureGains()
         nominal = np.full(arm.joints, NOMINAL_STIFFNESS * torque_size(arm))
         self._stiffness, self._offset = nominal if stiffness is None else stiffness, offset
         self._time: Array | None = None
         self._position = self._speed = self._learned = self._pushed = self._command = np.zeros((0, arm.joints))
         self._anchor = self._position
         self._stood: Array = np.zeros(0)
-        self.posture: Array = np.full((1, arm.joints), np.nan)
-        """(B, n) [rad] last wanted posture"""
         self._weak: Mask = np.zeros((0, arm.joints), dtype=bool)
         self._rests: Mask = np.zeros(0, dtype=bool)
 
@@ -109,16 +88,14 @@ class PostureController:
     def command(self, inputs: ControlInput) -> Array:
         """Commands (B, n) [rad]."""
         state = inputs.state
-        wanted = self._way.advance(state)
-        self.posture = wanted.posture
-        raised = wanted.posture + gravity_torque(self._arm, wanted.posture) / self._stiffness - self._offset
+        raised = inputs.goal + gravity_torque(self._arm, inputs.goal) / self._stiffness - self._offset
         if self._time is None:
             self._begin(inputs, raised)
         moved, elapsed = self._observe(state)
-        goal = self._goal(wanted)
-        error = np.where(self._weak, wanted.posture, goal) - state.position
-        rests = self._at_rest(wanted)[:, None]
-        arrived = wanted.arrived[:, None]
+        goal = self._goal(inputs)
+        error = np.where(self._weak, inputs.goal, goal) - state.position
+        rests = self._at_rest(inputs)[:, None]
+        arrived = inputs.arrived[:, None]
         added = self._learn(error, moved, elapsed, arrived)
         command = limit_position(self._arm, raised + self._learned)
         lead = np.where(self._weak, 1.25 * self._gains.weak, self._gains.lead)  # more would only heat it
@@ -152,9 +129,9 @@ class PostureController:
         self._stood = np.where(gone, 0.0, self._stood + elapsed[:, 0])
         return moved, elapsed
 
-    def _goal(self, wanted: Wanted) -> Array:
+    def _goal(self, wanted: ControlInput) -> Array:
         """Postures (B, n) [rad] that place the tools despite weak joints."""
-        gains, posture = self._gains, wanted.posture
+        gains, posture = self._gains, wanted.goal
         lead, away = self._command - self._position, posture - self._position
         off = wanted.arrived[:, None] & (np.abs(away) > gains.off)
         spent = (np.abs(lead) > gains.weak) & (away * lead > 0.0) & (np.abs(self._speed) < gains.standing)
@@ -166,10 +143,10 @@ class PostureController:
         goal[rows] = _without(self._arm, posture[rows], self._position[rows], self._weak[rows], gains.turn)
         return goal
 
-    def _at_rest(self, wanted: Wanted) -> Mask:
+    def _at_rest(self, wanted: ControlInput) -> Mask:
         """Stationary arms (B,) whose tool is close."""
         gains = self._gains
-        away = tcp_position(self._arm, self._position) - tcp_position(self._arm, wanted.posture)
+        away = tcp_position(self._arm, self._position) - tcp_position(self._arm, wanted.goal)
         distance = np.linalg.norm(away, axis=-1)
         stands = (self._stood >= gains.calm) & wanted.arrived
         self._rests = stands & np.where(self._rests, distance < gains.again, distance < gains.close)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Array
 from rejoint.control.guard import GuardLimits, Reason, Reasons
-from rejoint.control.robot import JointState, Mask, Robot
+from rejoint.control.robot import JointState, Mask, Robot, part_of
 from rejoint.logs.runlog import RunLog
 
 GAP = 0.8
@@ -56,14 +56,19 @@ OnCycle = Callable[[Cycle], object]
 Look = Callable[[Cycle, JointState, Array], object]
 """Receives a cycle, state and wanted positions (B, n) [rad]"""
 
-Onlooker = Callable[[str, GuardLimits], Look]
-"""Makes a `Look` per run"""
+
+@runtime_checkable
+class LookedAt(Protocol):
+    """A robot that someone looks at."""
+
+    def onlooker(self, controller: str, limits: GuardLimits) -> Look:
+        """Make a `Look` for a run."""
 
 
 def look_of(robot: Robot, controller: str, limits: GuardLimits) -> Look | None:
     """Look of ``onlooker``, or None."""
-    onlooker: Onlooker | None = getattr(robot, "onlooker", None)
-    return None if onlooker is None else onlooker(controller, limits)
+    shown = part_of(robot, LookedAt)
+    return None if shown is None else shown.onlooker(controller, limits)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -173,24 +178,9 @@ class Recorder:
 
     def _columns(self) -> dict[str, NDArray[Any]]:
         count, n = self.robot.count, self.robot.arm.joints
-        if self.cycles:
-            return {name: np.stack([getattr(c, name) for c in self.cycles]) for name in Cycle._fields}
-        vector, point, number = np.zeros((0, count, n)), np.zeros((0, count, 3)), np.zeros((0, count))
-        empty = Cycle(
-            number,
-            vector,
-            vector,
-            point,
-            point,
-            number.astype(np.intp),
-            number,
-            point,
-            number.astype(bool),
-            number.astype(np.uint16),
-            vector,
-            number,
-        )
-        return {name: column.copy() for name, column in empty._asdict().items()}
+        nothing = JointState(time=np.zeros(count), position=np.zeros((count, n)), age=np.zeros(count))
+        cycles = self.cycles or [cycle_at_rest(nothing, np.zeros((count, 3)))]
+        return {name: np.stack([getattr(c, name) for c in cycles])[: len(self.cycles)] for name in Cycle._fields}
 
 
 def cycle_at_rest(state: JointState, true_tcp: Array) -> Cycle:

@@ -103,6 +103,8 @@ class Commander:
         self._arm, self.law = arm, law
         self._base: FeedforwardController | None = None
         load = heaviest_load(arm)
+        authority = law.authority_floor, law.authority_slope, law.authority_limit
+        self._rules = np.array([*authority, law.step_limit, law.learning.fade, law.load_penalty_distance])
         self._moves = moves_tool(arm).astype(float)
         self._spared = 1.0 - 1.0 / (1.0 + law.load_penalty * load / max(load.max(), 1e-9))
         if law.anchor == "goal":
@@ -139,12 +141,7 @@ class Commander:
             plain(action),
             self._moves,
             self._spared,
-            law.authority_floor,
-            law.authority_slope,
-            law.authority_limit,
-            law.step_limit,
-            law.learning.fade,
-            law.load_penalty_distance,
+            self._rules,
         )
         if law.decay_start > 0.0:
             factor = np.where(unloaded_joints(self._arm), law.decayed(inputs.since_target, view.step), 1.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array
 
 Mask = NDArray[np.bool_]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -67,3 +68,19 @@ class Robot(Protocol):
 
     def close(self) -> None:
         """Close the connection; the arm holds."""
+
+
+@runtime_checkable
+class Relaying(Protocol):
+    """What passes words on to other devices on its wire, such as a gripper."""
+
+    def relay(self, command: int, payload: bytes) -> bytes | None:
+        """Ask a device; None: no answer."""
+
+
+def part_of(robot: Robot, kind: type[T]) -> T | None:
+    """Return the ``robot``, or the one inside its wrappers, that is of a ``kind``; None."""
+    inner: object = robot
+    while inner is not None and not isinstance(inner, kind):
+        inner = getattr(inner, "robot", None)
+    return inner

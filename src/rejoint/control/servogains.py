@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple, Protocol, cast
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from rejoint.control.contract import PolicyContract
 from rejoint.control.controller import ControlInput, Controller, heeds_turn
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import Schedule, run
-from rejoint.control.robot import Mask, Robot
+from rejoint.control.robot import Mask, Robot, part_of
 from rejoint.control.start import begin
 from rejoint.system.errors import ContractError, InputError, NotReadyError, RejointError, first_line
 from rejoint.system.progress import Progress, no_progress
@@ -45,8 +45,9 @@ class Rung(NamedTuple):
     """other gains set with it"""
 
 
-class Tunable(Robot, Protocol):
-    """A robot with adjustable servo gains."""
+@runtime_checkable
+class Tunable(Protocol):
+    """Servos with adjustable gains."""
 
     def servo_gains(self) -> ServoGains | None:
         """Gains in force; None: unknown."""
@@ -63,8 +64,17 @@ class Tunable(Robot, Protocol):
 
 def gains_in_force(robot: Robot) -> ServoGains | None:
     """Gains in force; None: unknown."""
-    ask = getattr(robot, "servo_gains", None)
-    return None if ask is None else cast(Tunable, robot).servo_gains()
+    servos = part_of(robot, Tunable)
+    return None if servos is None else servos.servo_gains()
+
+
+def tunable(robot: Robot) -> tuple[Tunable, ServoGains]:
+    """Servos of ``robot``, and their gains; InputError where it has none that can be set."""
+    servos = part_of(robot, Tunable)
+    before = None if servos is None else servos.servo_gains()
+    if servos is None or before is None:
+        raise InputError(f"{robot.address} has no servo gains that could be set; an SO-101 on its own bus has")
+    return servos, before
 
 
 @contextmanager
@@ -78,26 +88,24 @@ def under_gains(robot: Robot, controller: object) -> Iterator[None]:
     if wanted is None:
         yield
         return
-    before = gains_in_force(robot)
-    if before is None:
-        raise InputError(f"{robot.address} has no servo gains that could be set, which this controller needs")
+    servos, before = tunable(robot)
     if not differing(wanted, before):
         yield
         return
-    with put_back(cast(Tunable, robot), before):
-        cast(Tunable, robot).tune(wanted)
+    with put_back(servos, before):
+        servos.tune(wanted)
         yield
 
 
 @contextmanager
-def put_back(robot: Tunable, before: ServoGains) -> Iterator[None]:
+def put_back(servos: Tunable, before: ServoGains) -> Iterator[None]:
     """Restore ``before`` at the end."""
     try:
         yield
     except BaseException as error:
         with shielded():
             try:
-                robot.tune(before)
+                servos.tune(before)
             except (RejointError, OSError) as other:  # the first error is the one to report
                 error.add_note(
                     f"The servos' gains were not put back ({first_line(other)}). Before they were {in_words(before)}, "
@@ -105,7 +113,7 @@ def put_back(robot: Tunable, before: ServoGains) -> Iterator[None]:
                 )
         raise
     with shielded():
-        robot.tune(before)
+        servos.tune(before)
 
 
 def limits_under(limits: GuardLimits | None, robot: Robot, controller: object) -> GuardLimits | None:
@@ -250,15 +258,13 @@ class GainsFound:
 
 
 def search(
-    robot: Tunable, targets: Array, *, limits: GuardLimits | None = None, on_progress: Progress = no_progress
+    robot: Robot, targets: Array, *, limits: GuardLimits | None = None, on_progress: Progress = no_progress
 ) -> GainsFound:
     """Try the rungs of ``robot``, one arm, at ``targets`` (K, 3) [m], and restore its gains; InputError."""
-    before = gains_in_force(robot)
-    if before is None or not robot.rungs():
-        raise InputError(f"{robot.address} has no servo gains that could be tuned; an SO-101 on its own bus has")
+    servos, before = tunable(robot)
     found = {name: tuple(values) for name, values in before.items()}
-    climb = _Climb(robot, targets, limits, dict(found), on_progress)
-    with put_back(robot, found):
+    climb = _Climb(robot, servos, targets, limits, dict(found), on_progress)
+    with put_back(servos, found):
         start = begin(robot, limits)
         climb.sent = start.command[-1]
         climb.drive(targets[-1:])
@@ -269,7 +275,7 @@ def search(
                 f"{names}: warmer than {HOTTEST:.0f} deg C, shaking, or giving more than {100 * HEAVIEST:.0f} % of the "
                 "torque already under the gains that are there; let the arm cool down, then the same command goes on"
             )
-        *others, last = robot.rungs()
+        *others, last = servos.rungs()
         for rung in others:
             climb.rung(rung, first)
         under, middle = climb.confirm(found, first)
@@ -299,7 +305,8 @@ class _Shown:
 
 @dataclass(eq=False)
 class _Climb:
-    robot: Tunable
+    robot: Robot
+    servos: Tunable
     targets: Array
     limits: GuardLimits | None
     gains: Values
@@ -317,11 +324,11 @@ class _Climb:
             trying: Mask = ~done & ~beyond
             if not trying.any():
                 continue
-            total = sum(len(one.values) for one in self.robot.rungs()) + 2
+            total = sum(len(one.values) for one in self.servos.rungs()) + 2
             self.on_progress(min(self.rounds / total, 1.0), f"{rung.names[0]} {value}")
             while trying.any():
                 self.gains = _with(old, rung, value, trying)
-                self.robot.tune(self.gains)
+                self.servos.tune(self.gains)
                 seen = self.drive(self.targets)
                 if not seen.bad.any():
                     break
@@ -329,14 +336,14 @@ class _Climb:
                 trying &= ~done
             else:  # no joint bears it
                 self.gains = old
-                self.robot.tune(old)
+                self.servos.tune(old)
                 continue
             nearer, loud = self._compare(seen, first)
             taken = trying & nearer & ~loud
             done |= trying & (loud | (missed & ~taken))  # one value that does not help may be friction
             missed = trying & ~taken
             self.gains = _with(old, rung, value, taken)
-            self.robot.tune(self.gains)
+            self.servos.tune(self.gains)
             self.best = replace(
                 self.best,
                 error=np.where(taken, seen.error, self.best.error),
@@ -349,7 +356,7 @@ class _Climb:
         seen = self.drive(self.targets)
         if seen.bad.any() or seen.error.sum() > before.error.sum():
             self.gains, seen = last, before
-            self.robot.tune(last)
+            self.servos.tune(last)
         self.best = seen
         return dict(self.gains), seen
 

@@ -8,10 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Arm, Array, gravity_torque
+from rejoint.control.classical import DefaultController
 from rejoint.control.controller import ControlInput
 from rejoint.control.guard import GuardLimits, Reason
 from rejoint.control.loop import Schedule, in_force, run, say_faulty, say_hot
 from rejoint.control.recording import Cycle, OnCycle, Recording
+from rejoint.control.reference import JointMotion
 from rejoint.control.robot import JointState, Mask, Robot
 from rejoint.system.errors import NotReadyError
 from rejoint.system.stopping import pause
@@ -169,8 +171,8 @@ def play(
     on_cycle: OnCycle | None = None,
 ) -> Recording:
     """Send ``trajectory(time)``, (B,) [s] to (B, n) [rad], for ``duration`` [s], guarded."""
-    targets = np.full((robot.count, 1, 3), np.nan)
-    return run(robot, Playback(trajectory), targets, Schedule(dwell=duration), limits=limits, on_cycle=on_cycle)
+    reference = JointMotion(trajectory, robot.count)
+    return run(robot, Playback(robot.arm), reference, Schedule(dwell=duration), limits=limits, on_cycle=on_cycle)
 
 
 def move(
@@ -197,21 +199,11 @@ def move(
         return start + np.minimum(time / duration, 1.0)[:, None] * way
 
     schedule = Schedule(dwell=duration + settle, sent=start, give_up=give_up)
-    nowhere = np.full((robot.count, 1, 3), np.nan)
-    return run(robot, Playback(trajectory), nowhere, schedule, limits=limits, on_cycle=on_cycle)
+    reference = JointMotion(trajectory, robot.count)
+    return run(robot, Playback(robot.arm), reference, schedule, limits=limits, on_cycle=on_cycle)
 
 
-class Playback:
-    """Plays a trajectory by the clock."""
+class Playback(DefaultController):
+    """Sends the goals of a joint motion."""
 
     name = "playback"
-
-    def __init__(self, trajectory: Callable[[Array], Array]) -> None:
-        self._trajectory = trajectory
-
-    def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Do nothing."""
-
-    def command(self, inputs: ControlInput) -> Array:
-        """Commands (B, n) [rad]."""
-        return self._trajectory(inputs.since_target)

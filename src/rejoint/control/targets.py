@@ -110,6 +110,11 @@ def placed(arm: Arm, poses: Sequence[Pose]) -> tuple[Array, Orientation | None]:
     )
 
 
+def in_mm(place: Array) -> str:
+    """Return a place (3,) [m] in words."""
+    return f"({', '.join(f'{1e3 * value:.0f}' for value in place)}) mm"
+
+
 def in_words(turn: Orientation) -> str:
     """Return an orientation () in words; empty: any."""
     if not turn.counts:

@@ -15,7 +15,7 @@ import numpy as np
 from rejoint.arms import Arm, Array, JointTrajectory, Motors, gravity_torque, plan
 from rejoint.arms.postures import pool_of
 from rejoint.control.goal import pace
-from rejoint.control.posture import PostureWay, Wanted
+from rejoint.control.reference import Reference, Setpoint
 from rejoint.control.robot import JointState
 from rejoint.system.errors import InputError
 
@@ -28,33 +28,33 @@ TRIES = 4
 _SHARES, _PLANNED, _TRAVEL = (0.3, 0.6, 1.0), 6, 0.15  # of ways to stored postures; what a radian counts
 
 
-class PlannedWay:
+class PlannedWay(Reference):
     """Goes along a planned way and stays at its end; slower where a joint lags behind."""
 
     def __init__(self, arm: Arm, way: JointTrajectory) -> None:
         self._arm, self._way, self._since, self._time = arm, way, 0.0, np.nan
 
-    def advance(self, state: JointState) -> Wanted:
+    def advance(self, state: JointState, since: Array, /) -> Setpoint:  # noqa: ARG002 - it waits by itself
         """Return where the arm is to be; the first call begins the way."""
         now = float(state.time[0])
         if now > self._time:
             self._since += (now - self._time) * pace(self._arm, self._way.at(self._since), state.position[0])
         self._time = now
-        return Wanted(posture=self._way.at(self._since)[None], arrived=np.array([self._since >= self._way.duration]))
+        return Setpoint(self._way.at(self._since)[None], arrived=np.array([self._since >= self._way.duration]))
 
 
-class UnloadedWay:
+class UnloadedWay(Reference):
     """Any way of one arm, whose stuck joints are brought to its goals."""
 
     def __init__(
-        self, way: PostureWay, arm: Arm, motors: Motors | None = None, say: Callable[[str], object] = lambda _: None
+        self, way: Reference, arm: Arm, motors: Motors | None = None, say: Callable[[str], object] = lambda _: None
     ) -> None:
         """``say`` receives which joint stays off its goal, and by how much."""
         self._way, self._unloading, self._say, self._said = way, Unloading(arm, motors), say, ""
 
-    def advance(self, state: JointState) -> Wanted:
+    def advance(self, state: JointState, since: Array, /) -> Setpoint:
         """Return where the arm is to be."""
-        wanted = self._unloading.advance(state, self._way.advance(state))
+        wanted = self._unloading.advance(state, self._way.advance(state, since))
         short = self._unloading.short(state.position[0]) if self._unloading.given_up and wanted.arrived[0] else ""
         if short and not self._said:
             self._say(f"{short}.")
@@ -89,9 +89,9 @@ class Unloading:
         why = f", where it would carry {load:.2f} N m and surely lifts {lifts:.2f} N m" if load > lifts else ""
         return f"{self._arm.joint_names[joint]} stopped {away:.0f} deg from its goal{why}"
 
-    def advance(self, state: JointState, wanted: Wanted) -> Wanted:
+    def advance(self, state: JointState, wanted: Setpoint) -> Setpoint:
         """Return ``wanted``, or where the arm is to be instead so that a joint starts; that has not arrived."""
-        now, position, goal = float(state.time[0]), state.position[0], wanted.posture[0]
+        now, position, goal = float(state.time[0]), state.position[0], wanted.goal[0]
         if not (wanted.arrived[0] and np.abs(goal - self._goal).max() < STILL):
             self._goal, self._tries, self._way, self._arrived = goal.copy(), 0, None, now
             self._legs.clear()
@@ -113,7 +113,7 @@ class Unloading:
                 return wanted
             self._way, self._stood[:] = self._next_leg(), now
             return self._on_legs(state)
-        return Wanted(posture=wanted.posture, arrived=np.zeros(1, dtype=bool))
+        return Setpoint(wanted.goal, arrived=np.zeros(1, dtype=bool))
 
     def _next_leg(self) -> PlannedWay:
         return PlannedWay(self._arm, self._legs.popleft())
@@ -124,16 +124,16 @@ class Unloading:
         joint = int(away.argmax())
         return joint if away[joint] > OFF else None
 
-    def _on_legs(self, state: JointState) -> Wanted:
+    def _on_legs(self, state: JointState) -> Setpoint:
         assert self._way is not None  # noqa: S101 - for the type checker
         now = float(state.time[0])
-        found = self._way.advance(state)
+        found = self._way.advance(state, state.time)
         if found.arrived[0] or now - self._stood.max() > 2.0 * STANDS:  # there, or as near as it comes
             self._way, self._arrived = None, now
             self._stood[:] = now
             if self._legs:
                 self._way = self._next_leg()
-        return Wanted(posture=found.posture, arrived=np.zeros(1, dtype=bool))
+        return Setpoint(found.goal, arrived=np.zeros(1, dtype=bool))
 
 
 def unloaded_way(

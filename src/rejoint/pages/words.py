@@ -69,6 +69,10 @@ class Cell(NamedTuple):
     note: str = ""
     """small print, perhaps several lines"""
 
+    def __str__(self) -> str:
+        """In one line, the small print in brackets."""
+        return f"{self.text} ({', '.join(self.note.splitlines())})" if self.note else self.text
+
 
 def measured(value: Spread | Estimate | None, factor: float = MM, digits: int = 2) -> Cell:
     """Value with its interval in small print."""

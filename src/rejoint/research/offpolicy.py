@@ -26,10 +26,9 @@ from rejoint.logs.runfolder.folder import Outputs
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
 from rejoint.training.actorcritic import ActionCritic, BoundedActor, SquashedActor, bounded
-from rejoint.training.arithmetic import on_threads
 from rejoint.training.export import export_policy
-from rejoint.training.learner import REACHED_DISTANCE, CurvePoint
-from rejoint.training.networks import unbounded
+from rejoint.training.learner import REACHED_DISTANCE, CurvePoint, on_threads
+from rejoint.training.ppo import unbounded
 from rejoint.training.presets import DEFAULT, Preset
 from rejoint.training.task import ReachTask, Transition
 from rejoint.training.train import (

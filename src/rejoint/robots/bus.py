@@ -239,7 +239,6 @@ class Link:
         self._reopen(error, deadline)
 
     def _reopen(self, cause: RobotError, deadline: float) -> None:
-        """Reconnect; ConnectionLostError, PowerLostError."""
         while True:
             try:
                 self._connect()
@@ -253,7 +252,6 @@ class Link:
                 self._bus.clock.wait(REOPEN_PAUSE)
 
     def _connect(self) -> None:
-        """Open the bus; ConnectionLostError."""
         self.close()
         try:
             self._bus.open()

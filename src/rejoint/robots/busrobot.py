@@ -206,10 +206,8 @@ class BusRobot:
     def __init__(
         self, bus: Bus, arm: Arm, *, address: str, period: tuple[float, float] = (0.050, 0.050), seed: int = 0
     ) -> None:
-        low, high = period
-        if not 0.0 < low <= high <= 1.0:
-            raise InputError(f"the control period needs 0 < low <= high <= 1 s, got {period}")
-        self._bus, self._arm, self._period, self._clock = bus, arm, period, bus.clock
+        self.arm, self.address, self.count = arm, address, 1
+        self._bus, self._period, self._clock = bus, period, bus.clock
         self._link = Link(bus, address)
         self._rng = np.random.default_rng(seed)
         self._continuity = Continuity(arm)
@@ -219,21 +217,6 @@ class BusRobot:
         # when [s] and where (1, n) the arm was last seen before a command, and the command (1, n)
         self._left: tuple[float, Array, Array] | None = None
         self._read_cost: float | None = None
-
-    @property
-    def arm(self) -> Arm:
-        """Kinematics, limits and masses."""
-        return self._arm
-
-    @property
-    def address(self) -> str:
-        """Robot address."""
-        return self._link.address
-
-    @property
-    def count(self) -> int:
-        """One."""
-        return 1
 
     def open(self) -> None:
         """Connect and prepare the arm without motion; AddressError."""
@@ -263,9 +246,9 @@ class BusRobot:
 
     def step(self, command: Array, active: Mask | None = None) -> JointState:
         """Send ``command`` (1, n) [rad], wait a period, read; an arm not ``active`` (1,) repeats its state."""
-        if command.shape != (1, self._arm.joints) or not np.isfinite(command).all():
+        if command.shape != (1, self.arm.joints) or not np.isfinite(command).all():
             raise InputError(
-                f"expected finite joint positions of shape (1, {self._arm.joints}), got {np.shape(command)}"
+                f"expected finite joint positions of shape (1, {self.arm.joints}), got {np.shape(command)}"
             )
         last = self._state if self._state is not None else self.read()
         if active is not None and not active[0]:
@@ -329,9 +312,9 @@ class BusRobot:
     def _read_once(self) -> tuple[float, Reading]:
         """Read and check; also returns the arrival [s]."""
         began = self._clock.now()
-        reading = _own(believed(self._bus.read), self._arm.joints)
+        reading = _own(believed(self._bus.read), self.arm.joints)
         now = self._clock.now()
-        judge(reading.position, self._arm)
+        judge(reading.position, self.arm)
         self._continuity.check(now, reading.position)
         cost = min(now - began, self._period[0])
         self._read_cost = cost if self._read_cost is None else (1 - _SMOOTHING) * self._read_cost + _SMOOTHING * cost
@@ -339,7 +322,6 @@ class BusRobot:
 
 
 def _own(reading: Reading, joints: int) -> Reading:
-    """Copy an answer; ImpossibleReplyError for other lengths than ``joints``."""
     told = {name: getattr(reading, name) for name in ("load", "temperature", "fault", "voltage")}
     arrays: dict[str, Any] = {name: np.array(value, float) for name, value in told.items() if value is not None}
     for name, array in arrays.items():

@@ -20,8 +20,9 @@ from dataclasses import dataclass, field
 
 from rejoint.arms import Array
 from rejoint.arms.camera.board import Board
-from rejoint.control.robot import Robot
+from rejoint.control.robot import Robot, part_of
 from rejoint.control.seeing import Sighting
+from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.lab.camera.scene import Picture, Scene, beside, on_tool
 
 SIZE = (1920, 1080)
@@ -107,12 +108,12 @@ def watching(board: Board, carried: str, seed: int) -> Callable[[Robot], Abstrac
     def opened(robot: Robot) -> AbstractContextManager[EmulatedCamera]:
         arm = robot.arm
         scene = beside(arm, board=board) if carried == "board" else on_tool(arm, board=board)
-        plant = getattr(robot, "plant", None)  # whatever else a robot is wrapped in
-        if plant is None:
+        emulated = part_of(robot, EmulatedRobot)
+        if emulated is None:
             raise InputError(
                 f"camera emulated: {robot.address} is not emulated in this process; give the number of a camera"
             )
-        return nullcontext(EmulatedCamera(scene, lambda: plant.true_pose()[0], seed))
+        return nullcontext(EmulatedCamera(scene, lambda: emulated.plant.true_pose()[0], seed))
 
     return opened
 

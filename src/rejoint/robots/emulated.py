@@ -101,7 +101,8 @@ class EmulatedRobot:
         ``options``: fields of `Truth`; ``threads`` and ``first`` of `Plant`; ``command_latency`` and ``readback_age``
         [s] of the `Channel`; ``tells_load``: servos report a load.
         """
-        self._address, self._tells_load = address, options.pop("tells_load", True)
+        self.arm, self.address, self.count = arm, address, len(wears)
+        self._tells_load = options.pop("tells_load", True)
         delays = {"latency": options.pop("command_latency", None), "age": options.pop("readback_age", None)}
         self._channel = Channel(period=period, **{name: ends for name, ends in delays.items() if ends is not None})
         truth = Truth(**{name: options.pop(name) for name in Truth._fields if name in options})
@@ -116,27 +117,9 @@ class EmulatedRobot:
         self._position = np.zeros((len(wears), arm.joints))
         self.restart(arm.rest if start is None else start)
 
-    @property
-    def arm(self) -> Arm:
-        """Kinematics, limits and masses."""
-        return self.plant.arm
-
-    @property
-    def address(self) -> str:
-        """Address as the user wrote it."""
-        return self._address
-
-    @property
-    def count(self) -> int:
-        """Number of arms."""
-        return self.plant.count
-
     def restart(self, start: Array, where: Mask | None = None) -> None:
         """Put arms at rest at ``start`` (B, n) or (n,) [rad]."""
-        shape = (self.count, self.arm.joints)
-        if np.shape(start) not in (shape, shape[1:]):
-            raise InputError(f"expected a start of shape {shape} or {shape[1:]} [rad], got {np.shape(start)}")
-        self.plant.reset(np.broadcast_to(start, shape), where)
+        self.plant.reset(np.broadcast_to(start, (self.count, self.arm.joints)), where)
         self._position = self._merge(self.plant.encoder(), where)
 
     def read(self) -> JointState:
@@ -146,7 +129,7 @@ class EmulatedRobot:
             position=self._position.copy(),
             age=np.zeros(self.count),
             temperature=self.plant.temperature,
-            load=self._load() if self._tells_load else None,
+            load=(self._servos or self.plant).load if self._tells_load else None,
         )
 
     def step(self, command: Array, active: Mask | None = None) -> JointState:
@@ -176,27 +159,20 @@ class EmulatedRobot:
 
     def tune(self, gains: ServoGains) -> None:
         """Set the gains of all arms in small steps of virtual time."""
-        self._tunable().tune(gains)
+        if self._servos is None:
+            raise InputError(f"{self.address} has no servo gains that could be set; an SO-101 has")
+        self._servos.tune(gains)
         self._position = self.plant.encoder()
 
     def keep(self, gains: ServoGains) -> None:  # noqa: ARG002 - nothing of an arm in this process outlasts it
         """Raise InputError: emulated arms do not last."""
         raise InputError(
-            f"{self._address} forgets its gains at the end of the command; name them in its address, as "
+            f"{self.address} forgets its gains at the end of the command; name them in its address, as "
             "emulated:so101?p=48, or keep them in what `rejoint emulate --arm so101` serves"
         )
 
     def close(self) -> None:
         """Do nothing."""
-
-    def _tunable(self) -> EmulatedServos:
-        if self._servos is None:
-            raise InputError(f"{self._address} has no servo gains that could be set; an SO-101 has")
-        return self._servos
-
-    def _load(self) -> Array:
-        """(B, n) torques as the driver reports them."""
-        return self.plant.load if self._servos is None else self._servos.load
 
     def _merge(self, position: Array, where: Mask | None) -> Array:
         return position if where is None else np.where(where[:, None], position, self._position)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, TypeVar
@@ -181,6 +182,6 @@ def serial_address(text: str, *, baud: int) -> SerialAddress:
     if parts.netloc or not parts.path.startswith("/") or parts.path == "/" or set(query) - {"baud"}:
         raise ValueError(f"not of the form {parts.scheme}:///dev/DEVICE?baud=N")
     given = query.get("baud", [str(baud)])[-1]
-    if not (given.isascii() and given.isdecimal() and int(given) > 0):
+    if not re.fullmatch("[1-9][0-9]*", given):
         raise ValueError(f"the baud rate must be a positive whole number, got {given!r}")
     return SerialAddress(text=text, device=parts.path, baud=int(given))

@@ -278,7 +278,6 @@ def wire_angles(position: Array) -> list[float]:
 
 
 def _numbers(reply: object, what: str) -> Array:
-    """One number per joint; ImpossibleReplyError."""
     numbers = reply if isinstance(reply, list) else []
     if len(numbers) != _JOINTS or not all(type(value) in (int, float) for value in numbers):
         raise ImpossibleReplyError(f"expected {_JOINTS} {what}, got {reply!r}")

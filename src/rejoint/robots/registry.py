@@ -233,7 +233,6 @@ def _family(scheme: str) -> Family[Any] | None:
 
 
 def _load(point: EntryPoint) -> Family[Any]:
-    """Import a family; AddressError with its package."""
     who = f"{_package(point)} (entry point {point.name} = {point.value})"
     try:
         family = point.load()

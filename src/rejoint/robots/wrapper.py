@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any
 
-from rejoint.arms import Arm, Array
+from rejoint.arms import Array
 from rejoint.control.robot import JointState, Mask, Robot
 from rejoint.system.stopping import pause
 
@@ -15,48 +14,30 @@ BEHIND = 1.0
 
 
 class RobotWrapper:
-    """Passes everything to ``robot``, also optional methods."""
+    """Passes on to ``robot``; what else that can do finds `rejoint.control.robot.part_of`."""
 
     def __init__(self, robot: Robot) -> None:
-        self._robot = robot
-
-    def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - such as `rejoint.control.servogains.Tunable`
-        return getattr(self._robot, name)
-
-    @property
-    def arm(self) -> Arm:
-        """Kinematics, limits and masses."""
-        return self._robot.arm
-
-    @property
-    def address(self) -> str:
-        """Robot address."""
-        return self._robot.address
-
-    @property
-    def count(self) -> int:
-        """Number of arms."""
-        return self._robot.count
+        self.robot, self.arm, self.address, self.count = robot, robot.arm, robot.address, robot.count
 
     def read(self) -> JointState:
         """Read."""
-        return self._robot.read()
+        return self.robot.read()
 
     def step(self, command: Array, active: Mask | None = None) -> JointState:
         """Step."""
-        return self._robot.step(command, active)
+        return self.robot.step(command, active)
 
     def true_tcp(self) -> Array:
         """(B, 3) [m]."""
-        return self._robot.true_tcp()
+        return self.robot.true_tcp()
 
     def stop(self) -> None:
         """Hold."""
-        self._robot.stop()
+        self.robot.stop()
 
     def close(self) -> None:
         """Close."""
-        self._robot.close()
+        self.robot.close()
 
 
 class WallClock(RobotWrapper):

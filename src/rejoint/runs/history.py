@@ -194,7 +194,7 @@ def _compared(arm: HistoryRow, found: Comparison) -> HistoryRow:
     return replace(
         arm,
         controller=chosen,
-        success=row.success.value,
+        success=row.reached,
         settled_mm=None if row.settled is None else 1e3 * row.settled.mean.value,
         settled_true_mm=None if row.settled_true is None else 1e3 * row.settled_true.mean.value,
     )

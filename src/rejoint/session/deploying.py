@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from rejoint.arms import JointTrajectory
 from rejoint.control.deployment import REACHED, Deployed, Deployment, deployed_of, judge
-from rejoint.control.goal import JointGoals
 from rejoint.control.loop import Schedule
 from rejoint.control.observer import Observer
 from rejoint.control.recording import Cycle
+from rejoint.control.reference import TargetSequence
 from rejoint.session.context import require_correctable
 from rejoint.session.eyes import opened_eye, watched, with_sightings
 from rejoint.session.inputs import ArmLike, RobotLike, RunLike, Targets, as_targets
@@ -90,7 +92,7 @@ class TargetDrive:
     session: ArmSession
     job: Deployment
     controller: Controller
-    goals: JointGoals
+    ways: Sequence[JointTrajectory]
 
     @classmethod
     def of(cls, session: ArmSession, targets: Targets | None) -> TargetDrive:
@@ -103,7 +105,7 @@ class TargetDrive:
             raise InputError("deploy: what a camera sees corrects places only; leave it out, or give points")
         turns = None if turns is None else turns[0]
         require_correctable(session.calibration, arm, points)
-        goals = session.goals(points[0], turns)
+        ways = session.ways(points[0], turns)
         name, controller = session.driver(posed=turns is not None)
         job = Deployment(
             controller=name,
@@ -112,13 +114,13 @@ class TargetDrive:
             within=REACHED if settings.within is None else settings.within,
             turns=turns,
         )
-        return cls(session=session, job=job, controller=controller, goals=goals)
+        return cls(session=session, job=job, controller=controller, ways=ways)
 
     def work(self) -> Deployed:
         """Drive; a run keeps what is recorded also after ``kill -9``."""
         session, job = self.session, self.job
         period = session.period
-        seconds = len(job.targets) * job.dwell + sum(way.duration for row in self.goals.ways for way in row)
+        seconds = len(job.targets) * job.dwell + sum(way.duration for way in self.ways)
         rows = 0 if period is None else int(seconds / min(period))
         given = session.settings.eye
         eyes = nullcontext() if given is None else opened_eye(given, session.robot, session.run, session.seed)
@@ -139,14 +141,14 @@ class TargetDrive:
         controller, correction, seen = self._corrected(eye)
         try:
             session.begin(self.controller)
-            recording = session.drive(
-                controller,
-                Schedule(dwell=job.dwell, goals=self.goals),
-                targets=job.targets,
-                turns=job.turns,
+            reference = TargetSequence(
+                session.arm,
+                job.targets[None],
+                ways=[self.ways],
+                turns=job.turns and job.turns[None],
                 correction=correction,
-                on_cycle=watch,
             )
+            recording = session.drive(controller, Schedule(dwell=job.dwell), reference, watch)
         except BaseException as error:
             done = deployed_of(error, session.arm, job, session.calibration)
             if done is not None:

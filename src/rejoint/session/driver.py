@@ -9,19 +9,17 @@ from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, cast
 
-import numpy as np
-
-from rejoint.arms import Arm, Array, tcp_position
-from rejoint.arms.rotations import Orientation
+from rejoint.arms import Arm, Array
 from rejoint.control.contract import check_controller_period
 from rejoint.control.controller import ControlInput, Controller, heeds_turn
 from rejoint.control.correction import Modelled
 from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.guard import GuardLimits
-from rejoint.control.loop import Schedule, follow, run
+from rejoint.control.loop import Schedule, run
 from rejoint.control.observer import Observer
-from rejoint.control.posture import PostureController, PostureGains, PostureWay
-from rejoint.control.recording import Cycle, OnCycle, Recording, attach, recording_of
+from rejoint.control.posture import PostureController, PostureGains
+from rejoint.control.recording import Cycle, OnCycle, Recording, recording_of
+from rejoint.control.reference import Reference
 from rejoint.control.robot import Mask, Robot
 from rejoint.control.servogains import limits_under, under_gains
 from rejoint.control.start import begin, check_ready, move
@@ -30,7 +28,7 @@ from rejoint.robots.wrapper import WallClock
 from rejoint.runs.run import exclusive
 from rejoint.runs.run import metered as meter_of
 from rejoint.session.context import calibration_of, corrected_by, guard_limits, stance_of, twin_in_force
-from rejoint.session.controllers import choice, make_factories, name_of, quick_note
+from rejoint.session.controllers import ControllerLike, choice, make_factories, name_of, quick_note
 from rejoint.session.inputs import (
     ArmLike,
     RobotLike,
@@ -53,7 +51,6 @@ from rejoint.system.progress import RateLimit
 from rejoint.system.stopping import noted
 
 if TYPE_CHECKING:
-    from rejoint.control.moving.reference import Routes
     from rejoint.diagnosis.calibration.calibration import Calibration
     from rejoint.twin.twin import Twin
 
@@ -177,31 +174,33 @@ class ArmDriver:
     def driver(self, *, posed: bool = False) -> tuple[str, Controller]:
         """Return name and object of the controller to points, or to ``posed`` targets; a message says which and why."""
         if posed not in self._chosen:
-            wanted, why = self.settings.controller, "as asked for"
-            if wanted is None:
-                wanted, why = choice(self._named, self.arm, self.period)
-            ((name, make),) = make_factories(
-                [wanted],
-                self.arm,
-                self.period,
-                run=self.run,
-                twin=self.twin,
-            ).items()
-            controller = make(self.arm)
+            wanted, why = self._to_points()
+            name, controller = self._made(wanted)
             if posed and not heeds_turn(controller):
-                by, why = FeedforwardController.name, f"{name} does not turn the tool"
-                ((name, make),) = make_factories([by], self.arm, self.period, run=self.run, twin=self.twin).items()
-                controller = make(self.arm)
-            if self.settings.controller is None or name_of(self.settings.controller) != name:
-                self.announce(name, why)
+                why = f"{name} does not turn the tool"
+                name, controller = self._made(FeedforwardController.name)
+            self.announce(name, why)
             self._chosen[posed] = name, controller
         return self._chosen[posed]
+
+    def _to_points(self) -> tuple[ControllerLike, str]:
+        asked = self.settings.controller
+        return choice(self._named, self.arm, self.period) if asked is None else (asked, "as asked for")
+
+    def _made(self, given: ControllerLike) -> tuple[str, Controller]:
+        ((name, make),) = make_factories([given], self.arm, self.period, run=self.run, twin=self.twin).items()
+        return name, make(self.arm)
 
     def announce(self, name: str, why: str) -> None:
         """Report once that the controller ``name`` drives, and why."""
         if name not in self._announced:
             self._announced.add(name)
             self.observer.message(f"Controller: {name} ({why}).")
+
+    def instead(self, name: str, why: str) -> None:
+        """Report once that ``name`` drives instead of the controller to points, and why."""
+        best, reason = self._to_points()
+        self.announce(name, f"{why}; {name_of(best)} drives to points: {reason}")
 
     def take_up(self, controller: Controller | None) -> None:
         """Put a controller's gains and limits in force."""
@@ -213,14 +212,14 @@ class ArmDriver:
         self.limits = limits_under(self._base, robot, controller)
         self._in_charge = controller
 
-    def posture_controller(self, way: PostureWay, gains: PostureGains | None = None) -> PostureController:
-        """Return what brings the joints where a way says, by the twin."""
+    def posture_controller(self, gains: PostureGains | None = None) -> PostureController:
+        """Return what brings every joint to its goal, by the twin."""
         twin = self.twin_now
-        self.announce(PostureController.name, f"for joint positions, {'without a' if twin is None else 'by the'} twin")
+        self.instead(PostureController.name, f"for joint positions, {'without a' if twin is None else 'by the'} twin")
         if twin is None:
-            return PostureController(self.arm, way, gains=gains)
+            return PostureController(self.arm, gains=gains)
         own = twin.parameters
-        return PostureController(self.arm, way, stiffness=own.stiffness, offset=own.offset, gains=gains)
+        return PostureController(self.arm, stiffness=own.stiffness, offset=own.offset, gains=gains)
 
     # --- the one place where the control loop is called ---------------------------------------
 
@@ -243,43 +242,18 @@ class ArmDriver:
         return self._sent, self._usual
 
     def drive(
-        self,
-        controller: Controller,
-        schedule: Schedule,
-        *,
-        targets: Array | None = None,
-        turns: Orientation | None = None,
-        reference: Routes | None = None,
-        on_cycle: OnCycle | None = None,
-        correction: Modelled | None = None,
+        self, controller: Controller, schedule: Schedule, reference: Reference, on_cycle: OnCycle | None = None
     ) -> Recording:
-        """Let ``controller`` drive from here, by a ``schedule``: to ``targets`` (K, 3) [m], or behind a ``reference``.
+        """Let ``controller`` drive from here where a ``reference`` says, by a ``schedule``.
 
         Every way of driving ends here, guarded, recorded and shown; raises as `rejoint.control.loop.run`, with a note
         on the log.
         """
         self.take_up(controller)
         assert self._sent is not None  # noqa: S101 - callers have begun
-        schedule = replace(schedule, sent=self._sent)
-        if reference is not None:
-            return self._kept(
-                lambda see: follow(self.robot, controller, reference, schedule, limits=self.limits, on_cycle=see),
-                on_cycle,
-            )
-        places = np.full((1, 1, 3), np.nan) if targets is None else np.asarray(targets)[None]
+        plan = replace(schedule, sent=self._sent)
         return self._kept(
-            lambda see: run(
-                self.robot,
-                controller,
-                places,
-                schedule,
-                limits=self.limits,
-                correction=correction,
-                on_cycle=see,
-                turns=None if turns is None else turns[None],
-            ),
-            on_cycle,
-            controller if isinstance(controller, PostureController) else None,
+            lambda see: run(self.robot, controller, reference, plan, limits=self.limits, on_cycle=see), on_cycle
         )
 
     def go(self, posture: Array, give_up: Callable[[ControlInput], Mask] | None = None) -> Recording:
@@ -292,20 +266,11 @@ class ArmDriver:
         )
 
     def _kept(
-        self,
-        motion: Callable[[OnCycle], Recording],
-        on_cycle: OnCycle | None = None,
-        posed: PostureController | None = None,
-        *,
-        take: bool = True,
+        self, motion: Callable[[OnCycle], Recording], on_cycle: OnCycle | None = None, *, take: bool = True
     ) -> Recording:
-        places = list[Array]()
         observed = self.observer.cycle if type(self.observer).cycle is not Observer.cycle else None
 
         def see(cycle: Cycle) -> None:
-            if posed is not None:
-                places.append(tcp_position(self.arm, posed.posture))
-                cycle = cycle._replace(target=places[-1], aim=places[-1])
             self._last = cycle
             if take:
                 self.recorder.see(cycle)
@@ -320,23 +285,13 @@ class ArmDriver:
             partial = recording_of(error)
             if partial is not None and len(partial.time):
                 self._sent = partial.command[-1]
-                attach(error, _at(partial, places))
             self.recorder.rescue(error)
             raise
         self._sent = recording.command[-1]
         if take:
-            self.recorder.take(_at(recording, places))
+            self.recorder.take(recording)
         return recording
 
     def progress(self, share: float, what: str) -> None:
         """Hand on the progress of the motion, rate-limited."""
         self._progress(share, what)
-
-
-def _at(recording: Recording, places: list[Array]) -> Recording:
-    """Return a recording with ``places``, each (1, 3) [m], as its targets; as it is where there are none."""
-    if not places:
-        return recording
-    rows = len(recording.time)
-    filled = np.array([*places[:rows], *[np.full((1, 3), np.nan)] * (rows - len(places))]).reshape(rows, 1, 3)
-    return replace(recording, target=filled, aim=filled)

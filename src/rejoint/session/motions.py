@@ -9,7 +9,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, tcp_position
 from rejoint.control.controller import ControlInput, turned_off
-from rejoint.control.posture import Wanted
+from rejoint.control.reference import Reference, Setpoint
 from rejoint.control.robot import JointState, Mask
 from rejoint.system.errors import NotReachedError
 
@@ -101,7 +101,7 @@ class GoalCheck:
         return np.array([self._reached or self._motion.ended.is_set()])
 
 
-class GoalStream:
+class GoalStream(Reference):
     """Goes to the newest joint goal at full speed; rests after `RESTS` without a new one."""
 
     def __init__(self, arm: Arm) -> None:
@@ -111,7 +111,7 @@ class GoalStream:
         self._posture = self._mean = np.zeros(0)
         self._time = self._changed = -np.inf
 
-    def advance(self, state: JointState) -> Wanted:
+    def advance(self, state: JointState, since: Array, /) -> Setpoint:  # noqa: ARG002 - it goes by its own clock
         """Return where the arm is to be: at first, where it is."""
         now = float(state.time[0])
         if not len(self._posture):
@@ -127,9 +127,4 @@ class GoalStream:
         self._posture = self._posture + np.clip(aim - self._posture, -reach, reach)
         self._time = now
         arrived = rests and bool((self._posture == aim).all())
-        return Wanted(posture=self._posture[None], arrived=np.array([arrived]))
-
-
-def in_mm(point: Array) -> str:
-    """Return a place (3,) [m] in words."""
-    return f"({', '.join(f'{1e3 * value:.0f}' for value in point)}) mm"
+        return Setpoint(self._posture[None], arrived=np.array([arrived]))

@@ -14,14 +14,14 @@ from rejoint.arms import Arm, Array
 from rejoint.arms.rotations import tool_axis
 from rejoint.control.controller import Controller
 from rejoint.control.loop import Schedule
-from rejoint.control.moving.drive import Followed, Pass, Repetition, Sender, corrected_path, corrector, judge, missed
+from rejoint.control.moving.drive import Followed, Pass, Repetition, corrected_path, corrector, judge, missed
 from rejoint.control.moving.posture import PathPostures, Servos, home_of
 from rejoint.control.moving.reference import (
     LAG,
     LEAD_IN,
     Ahead,
     Path,
-    Routes,
+    PathReference,
     Stream,
     is_standard,
     played,
@@ -33,10 +33,9 @@ from rejoint.control.moving.tracker import Tracker
 from rejoint.control.observer import Observer
 from rejoint.control.recording import Cycle, Recording
 from rejoint.control.targets import require_reachable
-from rejoint.runs.run import Run
 from rejoint.session.context import require_correctable
 from rejoint.session.controllers import ControllerLike, make_factories, name_of
-from rejoint.session.inputs import ArmLike, Period, RobotLike, RunLike
+from rejoint.session.inputs import ArmLike, RobotLike, RunLike
 from rejoint.session.motions import ArmMotion, EndedError
 from rejoint.session.payload import say_folded, say_heavy, say_noticed
 from rejoint.session.session import ArmSession
@@ -52,17 +51,14 @@ if TYPE_CHECKING:
 PathLike: TypeAlias = "Path | FilePath | ArrayLike"
 """A path, its file or standard name, or (T, 4) times [s] and places [m]"""
 
-TRACKER, SENT = "tracker", "default"
-"""Names of the twin's controller, and of the plain path"""
+TRACKER = "tracker"
+"""Name of the controller by the twin"""
 
 WITHIN = 5e-3
 """[m] accepted rms after the best lag (chosen)"""
 
 LOOKED_AT = 50
 """Places of a path judged before it is driven (chosen)"""
-
-Factory = Callable[[Arm, float], Controller]
-"""Makes a controller for an arm and its usual period [s]"""
 
 
 def follow(
@@ -97,8 +93,8 @@ def follow(
     rate_hz
         rate at which the path is sent as a stream instead of being known ahead
     settings
-        twin, payload, accepted error (``within``) and the like; ``controller``: ``tracker`` (default, needs a twin),
-        ``default``, or your own
+        twin, payload, accepted error (``within``) and the like; ``controller``: by default ``tracker`` by the twin,
+        without one what drives to points
     observer
         receives messages and progress
 
@@ -121,9 +117,6 @@ def follow(
     >>> done = rejoint.follow("emulated:worn", "circle-8s", run="runs/mine")
     >>> print(done.passes[-1].encoder.rms)
     """
-    by = None if settings is None else settings.controller
-    if isinstance(by, str) and by not in (TRACKER, SENT):
-        raise InputError(f"no controller called {by!r} follows paths; known: {TRACKER}, {SENT}")
     with noted(), ArmSession(robot, run=run, arm=arm, settings=settings, observer=observer) as session:
         return cast(Followed, session.follow(path, repeat=repeat, rate_hz=rate_hz))
 
@@ -134,8 +127,8 @@ class Follower:
 
     name: str
     """of the controller"""
-    make: Factory
-    """makes it, for each time along the path"""
+    make: Callable[[float], Controller]
+    """makes it for a usual period [s], for each time along the path"""
     home: Array | None = None
     """(n,) [rad] posture that it keeps near to; None: rest"""
 
@@ -176,10 +169,10 @@ class PathDrive:
             places, turns = given.place[few], given.turn_at(given.time[few])
             say_heavy(arm, session.twin, places, session.observer.message, turns)
             require_correctable(session.calibration, arm, places)
-        by = settings.controller  # one that drives to points follows no path
-        follows = by in (TRACKER, SENT) if isinstance(by, str) else hasattr(by, "command") or callable(by)
-        wanted = by if by is not None and follows else TRACKER
-        follower_of(wanted, arm, session.period, session.run, session.twin)
+        wanted, posed = settings.controller, turned(given)
+        if wanted is None:
+            wanted = TRACKER if session.twin is not None else session.driver(posed=posed)[0]
+        follower_of(wanted, session, session.twin, posed=posed)
         return cls(
             session=session,
             path=given,
@@ -195,9 +188,11 @@ class PathDrive:
         session = self.session
         session.take_up(None)
         self._motion = motion
-        asked = self.controller is session.settings.controller
-        session.announce(name_of(self.controller), "as asked for" if asked else "for paths, by the twin")
-        self._follower = follower_of(self.controller, session.arm, session.period, session.run, session.twin_now)
+        if session.settings.controller is not None:
+            session.announce(name_of(self.controller), "as asked for")
+        elif self.controller == TRACKER:
+            session.instead(TRACKER, "for paths, by the twin")
+        self._follower = follower_of(self.controller, session, session.twin_now, posed=turned(self.path))
         if not turned(self.path):
             say_folded(session.arm, self._follower.home, session.observer.message)
         name = self.path.name if isinstance(self.path, Path) else "stream"
@@ -228,11 +223,11 @@ class PathDrive:
     def _behind(self, stream: Stream) -> Followed:
         session, arm, home = self.session, self.session.arm, self._follower.home
         at_once = np.zeros(1)
-        start, turns = stream.place(0.0), stream.turns(0.0, at_once)
+        start, turns = stream.place(0.0), stream.poses(0.0, at_once)[1]
         turn = None if turns is None else turns[0]
         if session.correction is not None and stream.corrected is None:
             stream.corrected = corrector(arm, session.correction, start, turn, home)
-            turns = stream.turns(0.0, at_once)
+            turns = stream.poses(0.0, at_once)[1]
             turn = None if turns is None else turns[0]
         self._approach(start, turn)
         last = self._carry(stream, self.duration, 0)
@@ -257,13 +252,9 @@ class PathDrive:
 
         if total > 1:
             session.recorder.begin(session.robot, f"follow-{number + 1:02d}", self._label)
-        controller = self._follower.make(session.arm, self._usual)
-        recording = session.drive(
-            controller,
-            Schedule(dwell=duration, give_up=self._motion.give_up),
-            reference=Routes([guide]),
-            on_cycle=watch,
-        )
+        controller = self._follower.make(self._usual)
+        schedule = Schedule(dwell=duration, give_up=self._motion.give_up)
+        recording = session.drive(controller, schedule, PathReference(session.arm, [guide], self._follower.home), watch)
         if self._motion.ended.is_set():
             raise EndedError
         return recording
@@ -310,7 +301,7 @@ def followable(given: PathLike | Stream, arm: Arm, seed: int, duration: float | 
                 "follow: this stream was followed already, up to its last target; put targets into another"
             )
         given.axis = tool_axis(arm)
-        turns = given.turns(0.0, np.zeros(1))
+        turns = given.poses(0.0, np.zeros(1))[1]
         require_reachable(arm, given.place(0.0)[None, None], turns and turns[None])
         return given
     if duration is not None:
@@ -323,7 +314,7 @@ def followable(given: PathLike | Stream, arm: Arm, seed: int, duration: float | 
 def turned(given: Path | Stream) -> bool:
     """Whether a path, or a stream's first target, has an orientation."""
     start = np.zeros(1)
-    return (given.turn_at(start) if isinstance(given, Path) else given.turns(0.0, start)) is not None
+    return (given.turn_at(start) if isinstance(given, Path) else given.poses(0.0, start)[1]) is not None
 
 
 def require_repeatable(path: PathLike | Stream, repeat: int, rate: float | None, within: float = WITHIN) -> None:
@@ -355,19 +346,14 @@ def servos_of(twin: Twin) -> Servos:
     )
 
 
-def follower_of(given: ControllerLike, arm: Arm, usual: Period | None, run: Run | None, twin: Twin | None) -> Follower:
-    """Return what follows under a name, or what is given."""
-    if given == SENT:
-        return Follower(name=SENT, make=lambda arm, period: Sender(arm))  # noqa: ARG005 - it knows no time
+def follower_of(given: ControllerLike, session: ArmSession, twin: Twin | None, *, posed: bool) -> Follower:
+    """Return what follows under a name, or what is given; InputError where it cannot."""
+    arm = session.arm
     if given == TRACKER:
         if twin is None:
-            raise InputError(
-                "follow: the tracker needs a twin; run `rejoint identify` first, or take --controller default"
-            )
+            raise InputError("follow: the tracker needs a twin; run `rejoint identify` first")
         servos = servos_of(twin)
         home = home_of(arm, servos)
-        return Follower(
-            name=TRACKER, make=lambda arm, period: Tracker(arm, servos, period=period, home=home), home=home[0]
-        )
-    ((name, make),) = make_factories([given], arm, usual, run=run, twin=twin).items()
-    return Follower(name=name, make=lambda arm, period: make(arm))  # noqa: ARG005 - its own affair
+        return Follower(name=TRACKER, make=lambda period: Tracker(arm, servos, period=period), home=home[0])
+    ((name, make),) = make_factories([given], arm, session.period, run=session.run, twin=twin, posed=posed).items()
+    return Follower(name=name, make=lambda _: make(arm))

@@ -14,7 +14,8 @@ import numpy as np
 
 from rejoint.arms import Array, tcp_position
 from rejoint.control.guard import GuardLimits, clear_by
-from rejoint.control.robot import JointState, Mask, Robot
+from rejoint.control.robot import JointState, Mask, Robot, part_of
+from rejoint.control.servogains import Rung, ServoGains, Tunable
 from rejoint.control.start import check_ready
 from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.robots.wrapper import RobotWrapper
@@ -54,12 +55,30 @@ class RehearsedRobot(RobotWrapper):
         jitter = (high - low) / (high + low)
         super().__init__(TwinRobot(arm, draw, seed=0, jitter=jitter, posture=start, address=robot.address))
         self._positions: list[Array] = [start.copy()]
+        servos = part_of(robot, Tunable)
+        self._gains, self._rungs = (None, ()) if servos is None else (servos.servo_gains(), servos.rungs())
 
     def step(self, command: Array, active: Mask | None = None) -> JointState:
         """See `rejoint.control.robot.Robot`."""
         state = super().step(command, active)
         self._positions.append(state.position[0].copy())
         return state
+
+    def servo_gains(self) -> ServoGains | None:
+        """Return the gains that the arm has, or would have now; the simulation does not heed them."""
+        return self._gains
+
+    def tune(self, gains: ServoGains) -> None:
+        """Take ``gains``; the arm keeps its own."""
+        self._gains = dict(gains)
+
+    def keep(self, gains: ServoGains) -> None:
+        """Do as `tune`."""
+        self.tune(gains)
+
+    def rungs(self) -> tuple[Rung, ...]:
+        """Return the arm's search order."""
+        return self._rungs
 
     def summary(self) -> str:
         """Say how far, how long and how close to limits it moved."""

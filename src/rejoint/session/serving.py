@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rejoint.arms import choose_postures, tcp_position
-from rejoint.control.controller import ControlInput
+from rejoint.control.controller import ControlInput, Controller
 from rejoint.control.guard import Reason, reason_names
 from rejoint.control.loop import Schedule
 from rejoint.control.observer import Observer
 from rejoint.control.recording import PIECE, Cycle
-from rejoint.control.robot import Mask
+from rejoint.control.reference import Reference, ToolAtGoals
+from rejoint.control.robot import Mask, Relaying, part_of
 from rejoint.robots.serving.served import Apparent, ServedArm
 from rejoint.robots.serving.server import Answering, OrderLog, Relay, WireServer, pty_wire, tcp_wire
 from rejoint.session.inputs import RobotLike, RunLike
@@ -82,7 +83,8 @@ def serve(
     stop
         ends the serving when it is set
     settings
-        twin, payload, control period and the like; with a calibration coordinates are those of the tool itself
+        twin, payload, control period and the like; with a calibration coordinates are those of the tool itself.
+        ``controller``: by default the posture controller, which brings every joint; others bring the tool
     observer
         receives the address for clients, and messages
 
@@ -148,7 +150,8 @@ def _put_together(
     session: ArmSession, log: OrderLog, listener: socket.socket | None
 ) -> tuple[ServedArm, WireServer, Relay]:
     arm, say = session.arm, session.observer.message
-    relay = Relay(getattr(session.robot, "relay", None))
+    wire = part_of(session.robot, Relaying)
+    relay = Relay(None if wire is None else wire.relay)
     shift = None if session.correction is None else session.correction.shift
     apparent = Apparent(arm=arm, shift=shift)
     choose_postures(arm, tcp_position(arm, arm.rest)[None], arm.rest)  # compiled now: no client waits for it
@@ -165,13 +168,18 @@ def _drive(session: ArmSession, served: ServedArm, log: OrderLog, over: Callable
         served.held_back = " and ".join(reason_names(cycle.reasons[0] & OBSTACLES))
 
     def give_up(inputs: ControlInput) -> Mask:
-        rests = bool(inputs.since_target[0] > PIECE) and not served.moving
-        return np.array([rests or over()])
+        lasted = inputs.state.time[0] - began
+        rests = lasted > PIECE and not served.moving
+        return np.array([rests or lasted > LONGEST_PIECE or over()])
 
-    controller = session.posture_controller(served)
+    reference: Reference = served
+    if session.settings.controller is None:
+        controller: Controller = session.posture_controller()
+    else:
+        controller, reference = session.driver()[1], ToolAtGoals(session.arm, served)
     while not over():
-        before, moving = log.orders, served.moving
-        session.drive(controller, Schedule(dwell=LONGEST_PIECE, give_up=give_up), on_cycle=watch)
+        before, moving, began = log.orders, served.moving, session.robot.read().time[0]
+        session.drive(controller, Schedule(dwell=LONGEST_PIECE, give_up=give_up), reference, watch)
         idle = log.orders == before and not moving  # an arm without orders for days fills no disk
         session.recorder.turn(keep=not idle)
 

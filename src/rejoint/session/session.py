@@ -11,22 +11,23 @@ from typing import TYPE_CHECKING, Self, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rejoint.arms import Array, Motors, choose_postures, plan, tcp_position
+from rejoint.arms import Array, JointTrajectory, Motors, choose_postures, plan, tcp_position
 from rejoint.arms.rotations import Orientation
 from rejoint.control.controller import Controller
-from rejoint.control.goal import JointGoals, with_ways
+from rejoint.control.goal import with_ways
 from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.loop import Schedule
-from rejoint.control.posture import PostureController, PostureGains, PostureWay
+from rejoint.control.posture import PostureController, PostureGains
 from rejoint.control.recording import PIECE, Cycle, cycle_at_rest
+from rejoint.control.reference import Reference, TargetSequence
 from rejoint.control.robot import JointState
-from rejoint.control.targets import Pose, placed
+from rejoint.control.targets import Pose, in_mm, placed
 from rejoint.control.unloading import PlannedWay, UnloadedWay
 from rejoint.runs.run import Run, exclusive
 from rejoint.session.context import guard_limits
 from rejoint.session.driver import ArmDriver
 from rejoint.session.inputs import is_virtual
-from rejoint.session.motions import ArmMotion, GoalCheck, GoalStream, in_mm
+from rejoint.session.motions import ArmMotion, GoalCheck, GoalStream
 from rejoint.session.payload import believed_motors
 from rejoint.session.recorder import RunRecorder, StateRecord
 from rejoint.system.errors import InputError, NotReachedError, NotReadyError
@@ -152,26 +153,23 @@ class ArmSession(ArmDriver):
         within_rad, timeout = _bounds("move_to", within_rad, timeout_s)
         turns = None if pose is None else placed(self.arm, [pose])[1]
         self._require_free()
-        goals = self.goals(target[None], turns)
+        ways = self.ways(target[None], turns)
+        reference = TargetSequence(
+            self.arm, target[None, None], ways=[ways], turns=turns and turns[None], correction=self.correction
+        )
         name, controller = self.driver(posed=turns is not None)
 
         def work(motion: ArmMotion) -> None:
             self.begin(controller)
             self.recorder.begin(self.robot, "move", f"move/{name}")
             arrival = GoalCheck(motion, self.arm, within, within_rad)
-            self.drive(
-                controller,
-                Schedule(dwell=timeout, give_up=arrival.at_point, goals=goals),
-                targets=target[None],
-                turns=turns,
-                correction=self.correction,
-            )
+            self.drive(controller, Schedule(dwell=timeout, give_up=arrival.at_point), reference)
             turned = "" if turns is None else f" and {np.degrees(within_rad):g} deg"
             arrival.require(f"{1e3 * within:g} mm{turned}", timeout)
 
         return self._start(ArmMotion(in_mm(target), work), wait=wait)
 
-    def goals(self, targets: Array, turns: Orientation | None = None) -> JointGoals:
+    def ways(self, targets: Array, turns: Orientation | None = None) -> tuple[JointTrajectory, ...]:
         """Choose postures for ``targets`` (K, 3) [m], turned so (K,), and plan the ways.
 
         InputError names what cannot be done.
@@ -211,18 +209,17 @@ class ArmSession(ArmDriver):
 
         def work(motion: ArmMotion) -> None:
             self.begin(rest=False)
-            controller = self._joint_controller(PlannedWay(self.arm, way))
+            controller, unloaded = self._joint_drive(PlannedWay(self.arm, way))
             self.recorder.begin(self.robot, "joints", f"joints/{controller.name}")
             arrival = GoalCheck(motion, self.arm, np.inf, within)
-            self.drive(controller, Schedule(dwell=timeout, give_up=arrival.at_joints(goal)))
+            self.drive(controller, Schedule(dwell=timeout, give_up=arrival.at_joints(goal)), unloaded)
             arrival.require(f"{np.degrees(within):g} deg", timeout)
 
         return self._start(ArmMotion("its joint positions", work), wait=wait)
 
-    def _joint_controller(self, way: PostureWay) -> PostureController:
+    def _joint_drive(self, way: Reference) -> tuple[PostureController, UnloadedWay]:
         """Return what brings every joint where a way says, over other postures where one sticks."""
-        unloaded = UnloadedWay(way, self.arm, self.motors, self.observer.message)
-        return self.posture_controller(unloaded, EVERY_JOINT)
+        return self.posture_controller(EVERY_JOINT), UnloadedWay(way, self.arm, self.motors, self.observer.message)
 
     def send_joints(self, joints_rad: ArrayLike) -> Array:
         """Send joint positions (n,) [rad] of a stream.
@@ -256,10 +253,10 @@ class ArmSession(ArmDriver):
 
         def work(motion: ArmMotion) -> None:
             self.begin(rest=False)
-            controller = self._joint_controller(goals)
+            controller, unloaded = self._joint_drive(goals)
             self.recorder.begin(self.robot, "joints", f"joints/{controller.name}")
             while not motion.ended.is_set():
-                self.drive(controller, Schedule(dwell=PIECE, give_up=motion.give_up))
+                self.drive(controller, Schedule(dwell=PIECE, give_up=motion.give_up), unloaded)
                 self.recorder.turn()
 
         self._start(ArmMotion("the newest joint positions", work), wait=False)

@@ -37,8 +37,8 @@ class Settings:
     """
 
     controller: ControllerLike | None = None
-    """name of a controller or a policy file; by default what the run recommends, without one the generic policy. In
-    Python also a policy, a controller or a factory"""
+    """name of a controller or a policy file; by default what the run recommends, without one the generic policy; along
+    a path the tracker. In Python also a policy, a controller or a factory"""
     twin: TwinLike | None = None
     """twin or its file; by default that of the run"""
     calibration: CalibrationLike | None = None

@@ -28,7 +28,6 @@ def give_back() -> None:
 
 @cache
 def _trim() -> Any:  # noqa: ANN401
-    """Return glibc's `malloc_trim`, or None."""
     try:
         return ctypes.CDLL(None).malloc_trim if sys.platform == "linux" else None
     except (OSError, AttributeError):

@@ -252,7 +252,6 @@ def _titles(
 
 
 def _require_titles(titles: tuple[str, ...], line: int, path: Path) -> None:
-    """Raise FileError for titles that are all values."""
     values = [title for title in titles if _NUMBER.fullmatch(title)]
     if len(values) > 1:
         word = next(title for title in titles if not _NUMBER.fullmatch(title))

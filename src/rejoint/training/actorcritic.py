@@ -11,7 +11,7 @@ import torch
 from skrl.models.torch import DeterministicMixin, Model
 from torch import Tensor, nn
 
-from rejoint.training.networks import LAST_LAYER_SCALE, perceptron, unbounded
+from rejoint.training.ppo import LAST_LAYER_SCALE, perceptron, unbounded
 
 _LOG_STD = (-5.0, 0.5)  # bounds of SAC's noise, before squashing (chosen)
 _FIRST_LOG_STD = -1.0  # chosen: about PPO's initial noise

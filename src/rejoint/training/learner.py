@@ -6,27 +6,117 @@ import io
 import pickle
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from rejoint.system.errors import FileError, first_line
 from rejoint.system.files import MEGABYTE, digest, read_bounded, write_whole
-from rejoint.training.adam import Adam
-from rejoint.training.arithmetic import PRECISION, on_threads, products
-from rejoint.training.networks import Actor, Critic
-from rejoint.training.ppo import Losses, Ppo, Rollout, join
+from rejoint.training.ppo import Actor, Adam, Critic, Losses, Ppo, Rollout, join
 from rejoint.training.presets import PpoSettings
-from rejoint.training.task import ReachTask
+from rejoint.training.task import ReachTask, Transition
 from rejoint.training.warmstart import WarmStart, take_over
-from rejoint.training.worker import RolloutWorker
+
+
+class RolloutWorker:
+    """The agents of one task with their exploration noise."""
+
+    def __init__(self, task: ReachTask, *, seed: int) -> None:
+        self.task = task
+        self._exploration = torch.Generator().manual_seed(seed)
+        self._observation, self._privileged = (torch.from_numpy(array) for array in task.reset())
+
+    @torch.no_grad()
+    def roll(self, actor: Actor, critic: Critic, cycles: int) -> Rollout:
+        """Act for some control cycles."""
+        self.task.prepare(cycles)
+        observations, seen_by_critic, actions, densities, transitions = [], [], [], [], []
+        for _ in range(cycles):
+            action, density = actor.sample(self._observation, self._exploration)
+            transition = self.task.step(action.numpy())
+            observations.append(self._observation)
+            seen_by_critic.append(self._privileged)
+            actions.append(action)
+            densities.append(density)
+            transitions.append(transition)
+            self._observation, self._privileged = map(torch.from_numpy, (transition.observation, transition.privileged))
+        observation, privileged, action = map(torch.stack, (observations, seen_by_critic, actions))
+        return Rollout(
+            observation=observation,
+            privileged=privileged,
+            action=action,
+            log_density=torch.stack(densities),
+            value=critic.value(observation, privileged),
+            final_value=_final_values(critic, transitions),
+            next_observation=self._observation[None],
+            next_privileged=self._privileged[None],
+            reward=_stack(transitions, "reward").float(),
+            terminated=_stack(transitions, "terminated"),
+            truncated=_stack(transitions, "truncated"),
+            distance=_stack(transitions, "distance"),
+        )
+
+    def state(self) -> dict[str, Any]:
+        """State for a checkpoint."""
+        return {
+            "exploration": self._exploration.get_state(),
+            "observation": self._observation,
+            "privileged": self._privileged,
+            "task": self.task.state(),
+        }
+
+    def load_state(self, state: dict[str, Any]) -> None:
+        """Continue from `state`, bit for bit."""
+        self._exploration.set_state(state["exploration"])
+        self._observation, self._privileged = state["observation"], state["privileged"]
+        self.task.load_state(state["task"])
+
+
+def _stack(transitions: list[Transition], name: str) -> Tensor:
+    return torch.stack([torch.from_numpy(getattr(transition, name)) for transition in transitions])
+
+
+def _final_values(critic: Critic, transitions: list[Transition]) -> Tensor:
+    """Values (T, N) of time-out states."""
+    late = _stack(transitions, "truncated")
+    ends = [
+        [torch.from_numpy(array[t.truncated]) for array in (t.final_observation, t.final_privileged)]
+        for t in transitions
+    ]
+    values = torch.zeros(late.shape)
+    values[late] = critic.value(*(torch.cat(parts) for parts in zip(*ends, strict=True)))
+    return values
+
+
+T = TypeVar("T")
+
+PRECISION = "medium"
+"""Of matrix products in PPO: bfloat16 factors where the processor has them, float32 sums; chosen for speed"""
+
+
+@contextmanager
+def setting(get: Callable[[], T], put: Callable[[T], object], value: T) -> Iterator[None]:
+    """Hold a setting of the whole process at ``value`` within the block: no trainings side by side in threads."""
+    before = get()
+    put(value)
+    try:
+        yield
+    finally:
+        put(before)
+
+
+def on_threads(count: int) -> AbstractContextManager[None]:
+    """Let torch compute on ``count`` threads within the block."""
+    return setting(torch.get_num_threads, torch.set_num_threads, count)
+
 
 REACHED_DISTANCE = 0.010
 """[m] of a reached target at its end; Park et al. 2024, section IV-A"""
@@ -37,7 +127,7 @@ SWITCH_INTERVAL = 1e-4
 LEARNING_THREADS = 1
 """Of torch; chosen: more are slower beside other programs"""
 
-_CHECKPOINT_FORMAT = 5
+_CHECKPOINT_FORMAT = 6
 
 _MAGIC = b"rejoint checkpoint "
 _RESTART = "delete it, or train with --fresh"
@@ -105,7 +195,8 @@ class Learner:
         start, s = time.perf_counter(), self.settings
         self.actor.ceiling = _ceiling(s, self.iteration)
         rate = _learning_rate(s, self.iteration)
-        with products(PRECISION), on_threads(LEARNING_THREADS):
+        precision = setting(torch.get_float32_matmul_precision, torch.set_float32_matmul_precision, PRECISION)
+        with precision, on_threads(LEARNING_THREADS):
             rollout = self._roll()
             self.actor.requires_grad_(self.iteration >= s.critic_first)
             losses = self.ppo.learn(rollout, rate, iteration=self.iteration)
@@ -119,7 +210,7 @@ class Learner:
             ThreadPoolExecutor(self.threads, initializer=partial(torch.set_num_threads, 1)),
             self.settings.rollout,
         )
-        with pool, _switching(SWITCH_INTERVAL):
+        with pool, setting(sys.getswitchinterval, sys.setswitchinterval, SWITCH_INTERVAL):
             rolled = pool.map(lambda worker: worker.roll(self.actor, self.critic, cycles), self.workers)
             return join(list(rolled))
 
@@ -184,18 +275,7 @@ class Learner:
         )
 
 
-@contextmanager
-def _switching(interval: float) -> Iterator[None]:
-    before = sys.getswitchinterval()
-    sys.setswitchinterval(interval)
-    try:
-        yield
-    finally:
-        sys.setswitchinterval(before)
-
-
 def _save(content: dict[str, Any], path: Path) -> None:
-    """Write a checkpoint with its digest: torch does not verify tensors."""
     buffer = io.BytesIO()
     torch.save(content, buffer)
     data = buffer.getvalue()
@@ -203,7 +283,6 @@ def _save(content: dict[str, Any], path: Path) -> None:
 
 
 def _unsealed(path: Path) -> bytes:
-    """Content behind the digest of `_save`; FileError if damaged."""
     head, _, data = read_bounded(path, CHECKPOINT_MOST, _RESTART).partition(b"\n")
     if head != _MAGIC + digest(data):
         raise FileError(path, "damaged checkpoint (it is not what was written)", _RESTART)

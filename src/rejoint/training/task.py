@@ -2,7 +2,8 @@
 
 N agents run in lockstep: a control cycle is a fixed number of physics steps, whose length varies by agent and cycle.
 Observation, command law and guard are those of deployment, without the guard's limits of acceleration (no measurable
-effect on the policy, docs/benchmarks.md) and contacts.
+effect on the policy, docs/benchmarks.md), contacts, and the push of stuck joints: with it, policies settle
+farther away.
 
 A target ends by time-out, not failure: the return is bootstrapped from the last state. So it is after a collision; else
 a policy would crash on purpose to end a bad episode.
@@ -10,25 +11,145 @@ a policy would crash on purpose to end a bad episode.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, collides, frames, solve_position, tcp_position
+from rejoint.arms import Arm, Array, collides, frames, gravity_torque, heights, solve_position, tcp_position
 from rejoint.arms.postures import comfortable_postures
 from rejoint.control.controller import ControlInput
-from rejoint.control.goal import Setpoint
 from rejoint.control.guard import GuardLimits, guard
 from rejoint.control.observation import ALL, SUCCESS_DISTANCE, Layout, Observation, Observer, Rows
 from rejoint.control.residual import Commander, CommandLaw
 from rejoint.control.robot import JointState, Mask
-from rejoint.training.privileged import fill_privileged, privileged_constants, privileged_size
 from rejoint.training.ranges import Ranges
-from rejoint.training.reset import ResetStates, draw_reset_states
-from rejoint.training.reward import paper_reward, residual_reward
-from rejoint.twin.simulation import Simulation
+from rejoint.twin.parameters import nominal_parameters
+from rejoint.twin.simulation import Draw, Simulation
+
+
+class ResetStates(NamedTuple):
+    """m arms at the start of their first episode."""
+
+    draw: Draw
+    position: Array
+    """(m, n) [rad]"""
+    command: Array
+    """(m, n) [rad]"""
+
+    def rows(self, index: NDArray[np.integer]) -> ResetStates:
+        """Return some rows."""
+        return ResetStates(self.draw.rows(index), self.position[index], self.command[index])
+
+
+def draw_reset_states(
+    ranges: Ranges, limits: GuardLimits, rng: np.random.Generator, count: int, *, spread: float, lead_limit: float
+) -> ResetStates:
+    """Draw ``count`` arms around rest with sigma ``spread`` [rad].
+
+    The first command leads by part of the sag, at most ``lead_limit`` [rad].
+    """
+    draw = ranges.draw(rng, count)
+    position = _start_postures(limits, rng, count, spread)
+    return ResetStates(draw, position, position + _start_lead(limits.arm, rng, draw, position, lead_limit))
+
+
+def _start_postures(limits: GuardLimits, rng: np.random.Generator, count: int, spread: float) -> Array:
+    """Postures (m, n) [rad] inside the guard's limits and above the floor."""
+    arm = limits.arm
+    position = arm.rest + rng.normal(0.0, spread, (count, arm.joints))
+    position = np.clip(position, limits.lower, limits.upper)
+    low = tcp_position(arm, position)[:, 2] < 3.0 * arm.floor
+    return np.where(low[:, None], arm.rest, position)
+
+
+def _start_lead(arm: Arm, rng: np.random.Generator, draw: Draw, position: Array, limit: float) -> Array:
+    """Lead (m, n) [rad] of the first command: none up to the whole sag."""
+    if limit == 0.0:
+        return np.zeros_like(position)
+    torque = draw.gravity_scale[:, None] * gravity_torque(arm, position)
+    held = torque / draw.twin.stiffness - draw.twin.offset
+    return np.clip(held, -limit, limit) * rng.uniform(0.0, 1.0, (len(position), 1))
+
+
+def residual_reward(distance: Array, speed: Array, action: Array) -> Array:
+    """Reward (N,) that rises with accuracy down to a tenth of a millimetre.
+
+    Three exponentials give a slope at every ``distance`` (N,) [m]; the TCP's ``speed`` (N,) costs only near the target,
+    the ``action`` (N, n) everywhere. Chosen by simulation.
+    """
+    attraction = 0.4 * np.exp(-distance / 0.010) + 0.5 * np.exp(-distance / 0.003) + 0.4 * np.exp(-distance / 0.001)
+    haste = 0.2 * np.minimum(speed, 1.0) * np.exp(-distance / 0.020)
+    effort = 0.02 * np.minimum(action**2, 2.0).sum(axis=-1)
+    return -10.0 * np.minimum(distance, 0.1) + attraction - haste - effort
+
+
+def paper_reward(
+    distance: Array,
+    joint_speed: Array,
+    collided: NDArray[np.bool_],
+    reached: NDArray[np.bool_],
+    timed_out: NDArray[np.bool_],
+) -> Array:
+    """Equation 25 of Park et al. 2024 for ``distance`` (N,) [m] and ``joint_speed`` (N, n) [rad/s].
+
+    Weights .1, .1, -5, 10, 10. Our choice: centimetres, the mean joint speed; the time-out is a penalty, as the text
+    says.
+    """
+    travel = -0.1 * 100.0 * distance - 0.1 * np.abs(joint_speed).mean(axis=-1)
+    return travel - 5.0 * timed_out - 10.0 * collided + 10.0 * reached
+
+
+_MOVING_SCALARS = 4
+_FIXED_SCALARS = 4
+
+
+def privileged_size(joints: int) -> int:
+    """Length of the privileged observation."""
+    return _MOVING_SCALARS + 2 * joints + _FIXED_SCALARS + 6 * joints
+
+
+def privileged_constants(arm: Arm, draw: Draw) -> Observation:
+    """Privileged observation (m, size) of new arms; the varying part is zero."""
+    base, twin = nominal_parameters(arm), draw.twin
+    scalars = np.stack(
+        [
+            5.0 * (draw.gravity_scale - 1.0),
+            30.0 * draw.command_delay,
+            30.0 * draw.readback_delay,
+            np.log(twin.ramp_speed / base.ramp_speed),
+        ],
+        axis=-1,
+    )
+    parts = [
+        np.log(twin.stiffness / base.stiffness),
+        np.log(twin.damping / base.damping),
+        np.log(twin.armature / base.armature),
+        np.log(twin.torque_limit / base.torque_limit),
+        0.5 * twin.coulomb / base.coulomb,
+        30.0 * twin.offset,
+    ]
+    moving = np.zeros((len(scalars), _MOVING_SCALARS + 2 * arm.joints))
+    return np.concatenate([moving, scalars, *parts], axis=-1).clip(-8.0, 8.0).astype(np.float32)
+
+
+def fill_privileged(
+    privileged: Observation, distance: Array, speed: Array, velocity: Array, lag: Array, period: Array
+) -> None:
+    """Fill in the varying part.
+
+    ``distance`` (N,) [m] of the TCP, its ``speed`` (N,) [m/s], joint ``velocity`` (N, n) [rad/s], ``lag`` (N, n) [rad]
+    behind the servo's reference, control ``period`` (N,) [s].
+    """
+    n = velocity.shape[1]
+    privileged[:, 0] = 10.0 * distance
+    privileged[:, 1] = (np.log(distance + 0.0003) + 5.0) / 2.0
+    privileged[:, 2] = 3.0 * speed
+    privileged[:, 3] = 30.0 * period
+    privileged[:, 4 : 4 + n] = np.clip(0.5 * velocity, -8.0, 8.0)
+    privileged[:, 4 + n : 4 + 2 * n] = np.clip(4.0 * lag, -8.0, 8.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,6 +182,23 @@ class TaskSettings:
     """whether reaching 5 mm ends the episode (the paper)"""
     collisions: bool = False
     """whether a collision ends the target and exchanges the arm (the paper); else ignored"""
+
+
+DRAWN = 16
+"""Postures that are drawn until an arm lifts one; chosen"""
+
+
+def lifted(draw: Draw) -> Array:
+    """Torques (m, n) [N m] that the motors of arms lift, by the rule of `rejoint.session.payload.believed_motors`."""
+    limit = draw.twin.torque_limit
+    usable = 0.9 * limit - 2.0 * draw.twin.coulomb
+    return np.asarray(np.maximum(usable, 0.1 * limit) / draw.gravity_scale[:, None])
+
+
+@lru_cache(maxsize=4)
+def comfortable_loads(arm: Arm) -> Array:
+    """Torques (P, n) [N m] that hold the comfortable postures."""
+    return gravity_torque(arm, comfortable_postures(arm))
 
 
 class Transition(NamedTuple):
@@ -102,7 +240,7 @@ class ReachTask:
         self.arm, self.ranges, self.settings, self.agents = arm, ranges, settings, agents
         self.simulation = Simulation(arm, agents, threads=threads)
         self.observer = Observer(arm, agents, settings.layout)
-        self.commander = Commander(arm, settings.law)
+        self.commander = Commander(arm, replace(settings.law, loosen=0.0))  # exploring arms are never stuck for long
         self.privileged_size = privileged_size(n)
         self._limits, self._no_speed = GuardLimits.of(arm).of_simulation(), np.zeros((agents, n))
         self._rng = np.random.default_rng(seed)
@@ -110,7 +248,8 @@ class ReachTask:
         self._sent, self._tcp = np.zeros((agents, n)), np.zeros((agents, 3))
         self._aim, self._next_aim = np.zeros((2, agents, 3))
         self._goal, self._next_goal, self._start = np.zeros((3, agents, n))
-        self._next_far, self._travel = np.zeros(agents, dtype=bool), np.zeros(agents)
+        self._far, self._next_far, self._travel = *np.zeros((2, agents), dtype=bool), np.zeros(agents)
+        self._lifts = np.ones((agents, n))
         self._foreseen, self._prepared_row = np.zeros(agents, dtype=bool), np.zeros(agents, dtype=np.int64)
         self._prepared: ResetStates | None = None
         self._step, self._count = np.zeros(agents, dtype=np.int64), np.zeros(agents, dtype=np.int64)
@@ -139,9 +278,9 @@ class ReachTask:
         self._prepared = self._draw_reset_states(int(leaving.sum()))
         self._prepared_row[leaving] = np.arange(leaving.sum())
         self._foreseen = due
-        sent = self._sent.copy()
-        sent[leaving] = self._prepared.command
-        self._draw_targets(due, sent)
+        start, lifts = self._goal.copy(), self._lifts.copy()
+        start[leaving], lifts[leaving] = self._prepared.command, lifted(self._prepared.draw)
+        self._draw_targets(due, start, lifts)
 
     def step(self, action: NDArray[np.floating]) -> Transition:
         """Run one control cycle with actions (N, n)."""
@@ -195,6 +334,8 @@ class ReachTask:
             "step",
             "count",
             "constants",
+            "lifts",
+            "far",
         )
         return {
             **{name: getattr(self, f"_{name}") for name in own},
@@ -209,15 +350,15 @@ class ReachTask:
         goal, target, since = self._setpoint()
         return ControlInput(state=state, target=target, goal=goal, sent=self._sent, since_target=since)
 
-    def _setpoint(self) -> Setpoint:
+    def _setpoint(self) -> tuple[Array, Array, Array]:
         moving = self._since < self._travel
         if not moving.any():
-            return Setpoint(self._goal, self._aim, self._since - self._travel)
+            return self._goal, self._aim, self._since - self._travel
         goal, target = self._goal.copy(), self._aim.copy()
         left = 1.0 - self._since[moving] / self._travel[moving]
         goal[moving] += left[:, None] * (self._start[moving] - goal[moving])
         target[moving] += tcp_position(self.arm, goal[moving]) - tcp_position(self.arm, self._goal[moving])
-        return Setpoint(goal, target, np.maximum(self._since - self._travel, 0.0))
+        return goal, target, np.maximum(self._since - self._travel, 0.0)
 
     def _command(self, action: Array) -> None:
         inputs, observer = self._inputs(), self.observer
@@ -257,28 +398,50 @@ class ReachTask:
 
     def _new_targets(self, where: Mask) -> None:
         unforeseen = where & ~self._foreseen
-        self._draw_targets(unforeseen, self._sent)
-        self._start[where] = np.where(self._count[where, None] == 0, self._sent[where], self._goal[where])
+        start = np.where(self._count[:, None] == 0, self._sent, self._goal)
+        self._draw_targets(unforeseen, start, self._lifts)
+        self._start[where] = start[where]
         self._aim[where], self._goal[where] = self._next_aim[where], self._next_goal[where]
         way = np.abs(self._goal[where] - self._start[where]) / self.arm.max_speed
-        self._travel[where] = np.where(self._next_far[where], way.max(axis=-1), 0.0)
+        first = self._count[where] == 0
+        far = self._next_far[where] | (self._far[where] & ~first)
+        self._travel[where] = np.where(far, way.max(axis=-1), 0.0)
+        self._far[where] = self._next_far[where]
         self._foreseen[where] = False
         self._since[where] = 0.0
-        self._step[where] = 0
+        self._step[where] = -np.ceil(self._travel[where] / self._middle[where])
         self.observer.reset(self._inputs(), where)
         self.commander.reset(self._inputs(), where)
 
-    def _draw_targets(self, where: Mask, start: Array) -> None:
-        """Draw the next targets of the arms in ``where`` (N,): anywhere, or in the region near ``start`` (N, n)."""
+    def _draw_targets(self, where: Mask, start: Array, lifts: Array) -> None:
+        """Draw the next targets of the arms in ``where`` (N,): anywhere, or in the region near ``start`` (N, n).
+
+        Those anywhere are among what their motors lift, ``lifts`` (N, n) [N m], as a deployment chooses them.
+        """
         count = int(where.sum())
         place = self.arm.targets.sample(self._rng, (count,))
-        goal = solve_position(self.arm, place, start[where]).q
+        near = np.where(self._far[where, None], self.arm.rest, start[where])
+        goal = solve_position(self.arm, place, near).q
         if self.settings.anywhere > 0.0:
             far = self._rng.random(count) < self.settings.anywhere
-            goal[far] = self._rng.choice(comfortable_postures(self.arm), int(far.sum()))
+            goal[far] = self._draw_postures(start[where][far], lifts[where][far])
             place[far] = tcp_position(self.arm, goal[far])
             self._next_far[where] = far
         self._next_aim[where], self._next_goal[where] = place, goal
+
+    def _draw_postures(self, start: Array, lifts: Array) -> Array:
+        """Draw a posture (m, n) [rad] for each arm: of `DRAWN` the first that suits, or the lightest.
+
+        Its motors lift it, and the straight ways from ``start`` (m, n) [rad] and to rest stay above the floor.
+        """
+        postures, loads = comfortable_postures(self.arm), comfortable_loads(self.arm)
+        drawn = self._rng.integers(0, len(postures), (len(lifts), DRAWN))
+        goal, share = postures[drawn], np.linspace(0.0, 1.0, 9)[1:-1, None, None, None]
+        excess = np.maximum(np.abs(loads[drawn]) / lifts[:, None], 1.0).max(axis=-1)
+        for end in (start[:, None], self.arm.rest):
+            room = heights(self.arm, end + share * (goal - end))[..., 1:] - self._limits.floors
+            excess += np.where((room < self.arm.floor).any(axis=(0, -1)), 100.0, 0.0)
+        return np.asarray(goal[np.arange(len(lifts)), excess.argmin(axis=1)])
 
     def _new_arms(self, where: Mask) -> None:
         foreseen, unforeseen = where & self._foreseen, where & ~self._foreseen
@@ -296,6 +459,7 @@ class ReachTask:
 
     def _place(self, where: Mask, states: ResetStates) -> None:
         draw, position, command = states
+        self._lifts[where] = lifted(draw)
         self.simulation.place(draw, position, command, where)
         self._sent[where] = command
         self._tcp[where] = tcp_position(self.arm, position)

@@ -21,7 +21,7 @@ REACHED = 1e-12
 """[rad] rounding"""
 
 
-class Reference:
+class ServoReference:
     """References of m twins for one record of commands."""
 
     def __init__(self, time: Array, command: Array, ramp_speed: Array, start: Array) -> None:

@@ -18,7 +18,7 @@ from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.twin.declaration import TIMESTEP
 from rejoint.twin.parameters import STICTION, TwinParameters
-from rejoint.twin.reference import Profile, Reference
+from rejoint.twin.reference import Profile, ServoReference
 from rejoint.twin.simulation import Draw, Simulation
 from rejoint.twin.table import TablePlane
 
@@ -148,19 +148,21 @@ class Replay:
         parts = []
         for w in self.windows:
             reference, times = references[w.log], self._log(w).time[w.first] + grid
-            if w.log in self._even and isinstance(reference, Reference):
+            if w.log in self._even and isinstance(reference, ServoReference):
                 parts.append(reference.mean(times, parameters.delay, self.timestep))
             else:
                 parts.append(reference.sample(times, parameters.delay))
         return np.concatenate(parts)
 
-    def _references(self, parameters: TwinParameters) -> Mapping[int, Reference | Profile]:
+    def _references(self, parameters: TwinParameters) -> Mapping[int, ServoReference | Profile]:
         shown = {w.log: self.logs[w.log] for w in self.windows}
         if self.acceleration < np.inf:
             if not self._profiles:
                 self._profiles = {i: Profile(log.time, log.command, self.acceleration) for i, log in shown.items()}
             return self._profiles
-        return {i: Reference(log.time, log.command, parameters.ramp_speed, log.command[0]) for i, log in shown.items()}
+        return {
+            i: ServoReference(log.time, log.command, parameters.ramp_speed, log.command[0]) for i, log in shown.items()
+        }
 
 
 def predict(arm: Arm, parameters: TwinParameters, log: RunLog, timestep: float = TIMESTEP) -> Array:

@@ -18,7 +18,7 @@ from rejoint.control.start import Stance
 from rejoint.control.targets import draw_targets
 from rejoint.logs.runfolder.effort import read_effort
 from rejoint.logs.runlog import write_log
-from rejoint.pages.report.tables import comparison_table
+from rejoint.pages.report.tables import columns, plain_table
 from rejoint.runs.run import Run
 from rejoint.runs.stages.compare import trials as open_loop_trials
 from rejoint.system.errors import ContractError, GuardTripError, NoReplyError, NotReadyError
@@ -322,7 +322,7 @@ def test_a_real_arm_is_compared_in_blocks_and_goes_on_from_its_diagnosis(tmp_pat
     assert about.folder.log("hold/default/0/0").exists(), "for the figures"
     (spent,) = read_effort(about.folder).stages
     assert spent.moving > sum(row.held for row in found.rows if not row.source) * QUICK.hold
-    assert comparison_table(found)[1][0][0] == "default (by diagnosis)"
+    assert plain_table(columns(found), found.rows)[1][0][0] == "default (by diagnosis)"
     other = rejoint.compare(SaggingRobot(1, 0), ["default"], TWENTY[1, :3], run=about, plan=quick).comparison
     assert other.rows[0].source == "", "at other targets it is driven"
     full = rejoint.compare(SaggingRobot(1, 0), ["integrator"], TWENTY[0, :2], plan=replace(quick, full=True)).comparison

@@ -3,9 +3,19 @@
 import numpy as np
 import pytest
 
-from rejoint.arms import mycobot280
+from rejoint.arms import mycobot280, tcp_position
 from rejoint.arms.rotations import quaternion_of, rotation_about, tool_axis
-from rejoint.control.moving.reference import EXTRAPOLATED, LAG, Ahead, Path, Routes, Stream, played, standard_path
+from rejoint.control.moving.reference import (
+    EXTRAPOLATED,
+    LAG,
+    Ahead,
+    Path,
+    PathReference,
+    Stream,
+    played,
+    standard_path,
+)
+from rejoint.control.robot import JointState
 from rejoint.control.targets import Pose
 from rejoint.system.errors import InputError
 
@@ -24,7 +34,7 @@ def going(times):
 def test_a_path_is_known_ahead():
     guide = Ahead(path=CIRCLE)
     later = np.array([0.0, 0.5, 3.0])
-    assert np.array_equal(guide.aims(4.0, later), CIRCLE.at(2.0 + later))
+    assert np.array_equal(guide.poses(4.0, later)[0], CIRCLE.at(2.0 + later))
     assert np.array_equal(guide.place(1.0), CIRCLE.place[0])
 
 
@@ -35,7 +45,7 @@ def test_a_stream_knows_nothing_of_what_has_not_come():
         if time <= 5.0:
             short.put(target, time)
     later = np.linspace(0.0, 1.0, 7)
-    assert np.array_equal(stream.aims(5.0, later), short.aims(5.0, later))
+    assert np.array_equal(stream.poses(5.0, later)[0], short.poses(5.0, later)[0])
 
 
 def test_a_stream_with_jitter_is_interpolated_behind_its_last_target():
@@ -44,13 +54,13 @@ def test_a_stream_with_jitter_is_interpolated_behind_its_last_target():
     now = stream.time[-1]
     later = np.linspace(-0.5, LAG, 20)
     expected = np.array([0.18, 0.0, 0.2]) + (now + later - LAG)[:, None] * VELOCITY
-    assert np.allclose(stream.aims(now, later), expected, atol=1e-12)
+    assert np.allclose(stream.poses(now, later)[0], expected, atol=1e-12)
 
 
 def test_a_gap_is_bridged_for_a_fifth_of_a_second_and_then_held():
     stream = going(np.arange(0.0, 1.01, 0.1))
     last = stream.time[-1]
-    ahead = stream.aims(last + LAG, np.array([0.1, EXTRAPOLATED, 0.5, 5.0]))
+    ahead = stream.poses(last + LAG, np.array([0.1, EXTRAPOLATED, 0.5, 5.0]))[0]
     assert np.allclose(ahead[0], stream.targets[-1] + 0.1 * VELOCITY)
     assert np.allclose(ahead[1:], stream.targets[-1] + EXTRAPOLATED * VELOCITY)
 
@@ -62,14 +72,14 @@ def test_a_stream_of_poses_turns_the_tool_on_the_way_between_them_and_then_holds
         sign = 1.0 if k % 2 else -1.0  # both mean the same
         stream.put(Pose(place_m=[0.18, 0.0, 0.2], quaternion=sign * turn, weight_m=0.03), 0.1 * k)
     later = np.array([-0.5, -0.05, LAG, LAG + 0.1, LAG + EXTRAPOLATED, LAG + 2.0])
-    turns = stream.turns(1.0, later)
+    places, turns = stream.poses(1.0, later)
     assert turns is not None
     expected = 0.4 * (1.0 + np.minimum(later - LAG, EXTRAPOLATED))
     for k, angle in enumerate(expected):
         assert turns[k].angle(rotation_about(axis, angle)) < np.radians(0.02)
     assert turns.whole.all()
     assert np.allclose(turns.weight, 0.03)
-    assert stream.aims(1.0, later).shape == (6, 3)
+    assert places.shape == (6, 3)
 
 
 def test_what_is_no_target_or_comes_late_is_refused():
@@ -83,20 +93,23 @@ def test_what_is_no_target_or_comes_late_is_refused():
     stream.put([0.18, 0.0, 0.2], 1.0)
     with pytest.raises(InputError, match="came after"):
         stream.put([0.18, 0.0, 0.2], 0.5)
-    assert np.array_equal(stream.aims(1.0, np.array([0.0, 1.0])), np.tile([0.18, 0.0, 0.2], (2, 1)))
+    assert np.array_equal(stream.poses(1.0, np.array([0.0, 1.0]))[0], np.tile([0.18, 0.0, 0.2], (2, 1)))
 
 
 def test_courses_keep_arms_apart():
     other = standard_path("random-0.2hz", ARM)
-    routes = Routes([Ahead(path=CIRCLE), Ahead(path=other)])
+    both = PathReference(ARM, [Ahead(path=CIRCLE), Ahead(path=other)])
     now, later = np.array([3.0, 4.0]), np.array([[0.0, 0.1], [0.2, 0.3]])
-    aims = routes.aims(now, later)
+    aims = both.poses(now, later)[0]
     assert aims.shape == (2, 2, 3)
     assert np.array_equal(aims[1, 0], CIRCLE.at(1.2))
     assert np.array_equal(aims[0, 1], other.at(2.1))
-    assert np.array_equal(routes.place(now)[1], other.at(2.0))
+    both.begin(np.ones(2, dtype=bool), np.zeros(2, dtype=int), np.zeros((2, ARM.joints)))
+    setpoint = both.advance(JointState(time=now, position=np.zeros((2, ARM.joints)), age=np.zeros(2)), now)
+    assert np.array_equal(setpoint.place[1], other.at(2.0))
+    np.testing.assert_allclose(tcp_position(ARM, setpoint.goal), setpoint.target, atol=1e-3)
 
 
 def test_only_what_is_known_ahead_waits_for_its_arm():
     straight = Path(time=np.array([0.0, 2.0]), place=np.array([[0.2, 0.0, 0.2], [0.2, 0.1, 0.2]]))
-    assert Routes([Ahead(path=straight), played(straight, 30.0)]).waits.tolist() == [True, False]
+    assert PathReference(ARM, [Ahead(path=straight), played(straight, 30.0)]).waits.tolist() == [True, False]

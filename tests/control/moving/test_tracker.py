@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from rejoint.arms import gravity_torque, mycobot280
+from rejoint.control.classical import DefaultController
 from rejoint.control.controller import ControlInput
-from rejoint.control.loop import Schedule, follow
-from rejoint.control.moving.drive import Repetition, Sender, along, judge
-from rejoint.control.moving.posture import Moment, PathPostures, Servos, command_for
-from rejoint.control.moving.reference import Ahead, Routes, standard_path
+from rejoint.control.loop import Schedule, run
+from rejoint.control.moving.drive import Repetition, along, judge
+from rejoint.control.moving.posture import Moment, PathPostures, Servos, command_for, home_of
+from rejoint.control.moving.reference import Ahead, PathReference, standard_path
 from rejoint.control.moving.tracker import PushObserver, Tracker
 from rejoint.control.robot import JointState
 from rejoint.robots.emulated import EmulatedRobot
@@ -33,11 +34,12 @@ def worn_servos(count=1):
     return Servos(**{name: np.tile(row, (count, 1)) for name, row in rows.items()}, delay=np.full(count, 0.022))
 
 
-def drive(make, guides, seed=0, **wire):
+def drive(controller, guides, seed=0, **wire):
     start = PathPostures(ARM, np.stack([guide.path.place[0] for guide in guides])).last
     robot = EmulatedRobot(ARM, [load_wear("worn", ARM)] * len(guides), seed=seed, start=start, **wire)
     dwell = 2.0 + max(guide.path.duration for guide in guides)
-    return follow(robot, make(), Routes(guides), Schedule(dwell=dwell, sent=start))
+    home = home_of(ARM, worn_servos(len(guides))) if isinstance(controller, Tracker) else None
+    return run(robot, controller, PathReference(ARM, guides, home), Schedule(dwell=dwell, sent=start))
 
 
 def test_the_inverse_of_an_arm_at_rest_is_gravity_over_stiffness():
@@ -64,7 +66,7 @@ def test_the_observer_finds_a_constant_push_and_foresees_what_was_sent():
 
 def test_a_worn_arm_follows_a_circle_better_than_one_that_is_sent_it():
     guides = [Ahead(path=standard_path("circle-8s", ARM)), Ahead(path=standard_path("random-0.5hz", ARM))]
-    tracked, sent = drive(lambda: Tracker(ARM, worn_servos(2)), guides), drive(lambda: Sender(ARM), guides)
+    tracked, sent = drive(Tracker(ARM, worn_servos(2)), guides), drive(DefaultController(ARM), guides)
     for b, guide in enumerate(guides):
         assert judge(ARM, tracked, guide, b).encoder.rms < 1.5e-3
         assert judge(ARM, sent, guide, b).encoder.rms > 10e-3
@@ -72,7 +74,7 @@ def test_a_worn_arm_follows_a_circle_better_than_one_that_is_sent_it():
 
 def test_a_wire_that_grows_slower_does_not_make_the_arm_swing():
     guide = Ahead(path=standard_path("circle-8s", ARM))
-    slower = drive(lambda: Tracker(ARM, worn_servos(), period=0.025), [guide], period=(0.050, 0.050))
+    slower = drive(Tracker(ARM, worn_servos(), period=0.025), [guide], period=(0.050, 0.050))
     assert judge(ARM, slower, guide, 0).encoder.rms < 2.0e-3
 
 
@@ -81,21 +83,19 @@ def test_gains_give_way_where_a_cycle_is_long_and_the_arm_still_follows():
     start = PathPostures(ARM, path.place[:1]).last
     robot = EmulatedRobot(ARM, [load_wear("worn", ARM)], start=start, period=(0.045, 0.055))
     controller = Tracker(ARM, worn_servos(), period=0.05)
-    recording = follow(robot, controller, Routes([Ahead(path=path)]), Schedule(dwell=2.0 + path.duration, sent=start))
+    reference = PathReference(ARM, [Ahead(path=path)], home_of(ARM, worn_servos()))
+    recording = run(robot, controller, reference, Schedule(dwell=2.0 + path.duration, sent=start))
     assert judge(ARM, recording, Ahead(path=path)).encoder.rms < 2.5e-3
 
 
 def test_a_reset_on_the_way_forgets_nothing():
     servos, path = worn_servos(), standard_path("circle-4s", ARM)
-    routes = Routes([Ahead(path=path)])
     one, other = Tracker(ARM, servos), Tracker(ARM, servos)
     start = PathPostures(ARM, path.place[:1]).last
     for k in range(20):
         time = np.array([0.025 * k])
         state = JointState(time=time, position=start + 1e-3 * k, age=np.zeros(1))
-        inputs = ControlInput(
-            state=state, target=routes.place(time), goal=start, sent=start, since_target=time, route=routes
-        )
+        inputs = ControlInput(state=state, target=path.place[:1], goal=start, sent=start, since_target=time)
         if k == 0:
             one.reset(inputs, np.ones(1, dtype=bool))
         other.reset(inputs, np.ones(1, dtype=bool))

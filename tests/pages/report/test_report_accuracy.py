@@ -77,6 +77,8 @@ def test_what_cannot_be_exported_is_refused(run_folder, arm):
         export_run(run_folder.path, "pdf")
     with pytest.raises(InputError, match="--lerobot FILE"):
         export_run(run_folder.path, "lerobot")
+    with pytest.raises(InputError, match="--controller is for"):
+        export_run(run_folder.path, "urdf", controller="policy")
     found = read_calibration(run_folder.calibration, arm)
     write_calibration(run_folder.calibration, dataclasses.replace(found, used=False))
     with pytest.raises(FileError, match="nothing to export"):

@@ -12,7 +12,7 @@ from readpage import Page
 from rejoint.control.comparison.recommend import recommend
 from rejoint.logs.runfolder.folder import RunFolder, RunInfo
 from rejoint.pages.report.page import write_report
-from rejoint.pages.report.tables import comparison_table
+from rejoint.pages.report.tables import columns, plain_table
 from rejoint.system.errors import FileError
 from rejoint.system.files import write_json
 
@@ -48,7 +48,7 @@ def test_full_report(run_folder, comparison):
             assert attributes["href"][1:] in page.ids, "a link leads nowhere"
 
     # The table holds the numbers of the comparison, as the terminal prints them.
-    headers, rows = comparison_table(comparison)
+    headers, rows = plain_table(columns(comparison), comparison.rows)
     told = {row[0].split(" | ")[0].split(" recommended")[0].strip(): row for row in page.rows if row}
     for plain in rows:
         cells = [cell.split(" | ")[0].strip() for cell in told[plain[0]][1:]]

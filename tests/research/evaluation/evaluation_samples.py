@@ -1,23 +1,25 @@
-"""Made-up outcomes of controllers on many arms."""
+"""Made-up results of controllers on many arms."""
 
 import numpy as np
 
-from rejoint.research.evaluation.outcome import Outcome
+from rejoint.control.comparison.protocols import Columns
+from rejoint.control.comparison.result import METRICS, Protocol
 
 
-def outcome(settled_mm: np.ndarray, stay: np.ndarray | None = None, cycle: float = 5.0) -> Outcome:
+def outcome(
+    settled_mm: np.ndarray, stay: np.ndarray | None = None, cycle: float = 5.0, **columns: np.ndarray
+) -> Columns:
     """Holds with these settled errors (A, K); everything else at rest and unremarkable."""
-    arms, targets = settled_mm.shape
-    return Outcome(
-        wear_seed=10_000.0 + np.arange(arms),
-        target=np.zeros((arms, targets, 3)),
-        settled=settled_mm / 1e3,
-        settled_true=settled_mm / 1e3 + 0.007,
-        oscillation=np.zeros((arms, targets)),
-        stay=np.repeat((np.ones((arms, targets)) if stay is None else stay)[..., None], 3, axis=-1),
-        tripped=np.zeros(arms),
-        crossed=np.ones((arms, 2)),
-        crossing_error=np.full((arms, 2), 0.009),
-        crossing_true=np.full((arms, 2), 0.012),
-        crossing_time=np.full((arms, 2), cycle / 10),  # of ten targets
-    )
+    shape = settled_mm.shape
+    names = (*METRICS, "x", "y", "z", "tripped")
+    found = {name: np.zeros(shape) for name in names if not name.startswith(("away", "modelled"))}
+    found |= {name: np.ones(shape) if stay is None else stay for name in Protocol().stay_names}
+    found |= {"held": np.ones(shape), "crossed": np.ones(shape), "crossing_time": np.full(shape, cycle / shape[1])}
+    found |= {"settled": settled_mm / 1e3, "settled_true": settled_mm / 1e3 + 0.007}
+    found["arm"], found["target"] = 10_000.0 + np.indices(shape)[0], np.indices(shape)[1].astype(float)
+    return found | columns
+
+
+def pooled(*seeds: Columns) -> Columns:
+    """Results of some training seeds, (A, seeds, K)."""
+    return {name: np.stack([one[name] for one in seeds], axis=1) for name in seeds[0]}

@@ -21,7 +21,7 @@ def test_a_family_is_evaluated_and_resumed(cli, tmp_path: Path):
     code, out, err = cli(*words)
     assert code == 0, err
     row = json.loads(out.splitlines()[-1])["rows"][0]
-    assert 0.0 < row["settled"]["value"] < 0.005
+    assert 0.0 < row["settled"]["mean"]["value"] < 0.005
     assert row["cycle_time"] is None
     kept = tmp_path / "outcomes" / "worn--integrator.parquet"
     before = kept.stat().st_mtime_ns
@@ -38,7 +38,7 @@ def test_targets_anywhere_are_held_by_controllers_that_know_each_arm_by_its_twin
     assert code == 0, err
     rows = json.loads(out.splitlines()[-1])["rows"]
     assert [row["controller"] for row in rows] == ["feedforward", "predictive"]
-    assert all(row["settled"]["value"] < 0.002 for row in rows)
+    assert all(row["settled"]["mean"]["value"] < 0.002 for row in rows)
 
 
 def test_calibrations_are_tried_in_the_target_region_and_anywhere(cli, tmp_path: Path, monkeypatch):

@@ -15,7 +15,7 @@ from rejoint.research.evaluation import page
 from rejoint.research.evaluation.contestants import Contestant
 from rejoint.research.evaluation.evaluate import conclude
 from rejoint.research.evaluation.family import ArmFamily
-from rejoint.research.evaluation.summary import Evaluation, summarise
+from rejoint.research.evaluation.summary import Evaluation, pool, summarise
 from rejoint.research.evaluation.trials import TrialSettings
 from rejoint.system.files import read_json
 from rejoint.system.statistics import Estimate
@@ -51,7 +51,7 @@ def evaluation(outcomes):
 @pytest.fixture
 def show(outcomes, tmp_path, monkeypatch):
     """Makes the page of an evaluation; figures are kept in ``show.figures`` instead of being drawn."""
-    pooled = {(v, g): [outcomes[v, n] for n, group in NAMES if group == g] for v in MEANINGS for _, g in NAMES}
+    pooled = pool(CONTESTANTS, MEANINGS, outcomes)
 
     def keep(figure, key, alt):
         make.figures[key] = figure

@@ -1,10 +1,8 @@
 """From outcomes to rows, pairs and failures: every number worked by hand."""
 
-import dataclasses
-
 import numpy as np
 import pytest
-from evaluation_samples import outcome
+from evaluation_samples import outcome, pooled
 
 from rejoint.control.comparison.result import Protocol
 from rejoint.research.evaluation.summary import FAR, list_failures, make_row
@@ -13,33 +11,34 @@ from rejoint.system.statistics import wilson
 
 def test_a_row_counts_what_it_says():
     settled = np.array([[0.2, 0.4], [0.3, 6.0], [np.nan, 0.5]])
-    found = dataclasses.replace(
-        outcome(settled, np.array([[1.0, 2.0], [3.0, np.inf], [np.nan, 4.0]])),
+    found = outcome(
+        settled,
+        np.array([[1.0, 2.0], [3.0, np.inf], [np.nan, 4.0]]),
         oscillation=np.array([[1e-4, 3e-4], [1e-4, 1e-4], [np.nan, 1e-4]]),
         crossed=np.array([[1.0, 1.0], [0.0, 1.0], [1.0, 0.0]]),
         crossing_error=np.array([[9e-3, 8e-3], [20e-3, 9e-3], [8e-3, 12e-3]]),
         crossing_time=np.array([[1.0, 2.0], [20.0, 2.0], [1.0, 20.0]]),
     )
-    row = make_row("worn", "x", [found], Protocol())
+    row = make_row("worn", "x", pooled(found), Protocol())
     assert (row.variant, row.controller, row.seeds) == ("worn", "x", 1)
-    assert row.settled.value == pytest.approx(7.4e-3 / 5)
-    assert row.settled_p95 == pytest.approx(np.quantile([0.2, 0.4, 0.3, 6.0, 0.5], 0.95) / 1e3)
-    assert row.settled_true.value == pytest.approx((7.4 / 5 + 7.0) / 1e3)
-    assert row.true_p95 == pytest.approx(row.settled_p95 + 7e-3)
-    assert row.oscillation == pytest.approx(7e-4 / 5)
+    assert row.settled.mean.value == pytest.approx(7.4e-3 / 5)
+    assert row.settled.p95 == pytest.approx(np.quantile([0.2, 0.4, 0.3, 6.0, 0.5], 0.95) / 1e3)
+    assert row.settled_true.mean.value == pytest.approx((7.4 / 5 + 7.0) / 1e3)
+    assert row.settled_true.p95 == pytest.approx(row.settled.p95 + 7e-3)
+    assert row.oscillation.mean.value == pytest.approx(7e-4 / 5)
     assert row.outside.value == pytest.approx(2 / 6)  # 6 mm, and the one that the guard stopped
-    assert [one.distance for one in row.within] == [0.010, 0.005, 0.002]
-    assert row.within[-1].share.value == pytest.approx(4 / 6)
-    assert row.within[-1].median == pytest.approx(3.5)
+    assert [one.within for one in row.stays] == [0.010, 0.005, 0.002]
+    assert row.stays[-1].share.value == pytest.approx(4 / 6)
+    assert row.stays[-1].median == pytest.approx(3.5)
     assert row.success.value == pytest.approx(4 / 6)
-    assert row.crossing_error.value == pytest.approx(66e-3 / 6)
-    assert row.cycle_time.value == pytest.approx(10 * (1.5 + 11.0 + 10.5) / 3)  # of ten targets
+    assert row.crossing_error.mean.value == pytest.approx(66e-3 / 6)
+    assert row.cycle_time.mean.value == pytest.approx((3.0 + 22.0 + 21.0) / 3)
 
 
 def test_targets_of_one_arm_do_not_count_as_independent():
     """Arms that fail at all their targets or at none: the interval is that of so many arms."""
     settled = np.repeat(np.where(np.arange(20) < 5, 9.0, 0.3)[:, None], 8, axis=1)
-    row = make_row("worn", "x", [outcome(settled)], Protocol())
+    row = make_row("worn", "x", pooled(outcome(settled)), Protocol())
     arms = wilson(5, 20)
     assert row.outside.value == 0.25
     assert row.outside.low == pytest.approx(arms.low, abs=0.01)
@@ -52,7 +51,7 @@ def test_a_hold_fails_beyond_five_millimetres_and_not_at_them():
     assert list_failures("worn", "x", outcome(at)) == ()
     assert len(list_failures("worn", "x", outcome(beyond))) == 1
     for settled, share in ((at, 0.0), (beyond, 1.0)):  # the row counts what the list lists
-        assert make_row("worn", "x", [outcome(settled)], Protocol()).outside.value == share
+        assert make_row("worn", "x", pooled(outcome(settled)), Protocol()).outside.value == share
 
 
 def one(value):

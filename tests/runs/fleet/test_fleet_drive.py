@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from commandline import run_cli
 from rejoint.logs.history.rows import SUMMARY, HistoryRow, utc_now, write_rows
 from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.runs.fleet.call import FleetResult, run_fleet
@@ -263,3 +264,14 @@ def test_two_calls_do_not_lead_at_once_and_arms_are_named_right(tmp_path: Path) 
     assert call(tmp_path, fleet.arms, executor).rows[0].end == "done"
     with pytest.raises(InputError, match="has no arm x; it has: a"):
         call(tmp_path, fleet.arms, PlayedExecutor(), only=("x",))
+
+
+def test_a_dry_run_of_a_fleet_moves_nothing_and_writes_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "fleet.toml"
+    file.write_text('[[arm]]\nname = "a"\naddress = "emulated:worn"\n')
+    code, _, said = run_cli("fleet", "check", file, "--dry-run", capsys=capsys, monkeypatch=monkeypatch)
+    assert code == 0
+    assert "Dry run, nothing moved" in " ".join(said.split())
+    assert list(tmp_path.iterdir()) == [file]

@@ -6,25 +6,109 @@ queue.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, solve_position, tcp_pose
 from rejoint.arms.rotations import rotation_about, rotation_vector
-from rejoint.arms.wire.computer import ACCELERATION, FULL_SPEED, NO_LINE, NO_SOLUTION
+from rejoint.arms.wire.computer import ACCELERATION, FULL_SPEED, NO_LINE, NO_SOLUTION, at_angles, at_place
+
+Mask = NDArray[np.bool_]
 
 
-class Mover:
-    """Plans the moves of an arm, from ``start`` (n,) [rad]."""
+class Mover(ABC):
+    """The computer of an arm of n joints, as requests see it; plans moves from ``start`` (n,) [rad]."""
+
+    powered: bool
+    enabled: Mask
+    """(n,)"""
+    registers: dict[tuple[int, int], int]
+    """(servo, address) -> value; without effect"""
 
     def __init__(self, arm: Arm, start: Array) -> None:
         self.arm = arm
         self.lower, self.upper = arm.lower.copy(), arm.upper.copy()
         self.fresh = False
+        """a new move replaces the present one, else is queued"""
         self.error = 0
+        """as in ``get_error_information``"""
         self._motion = Motion(start, full_speed=FULL_SPEED, acceleration=ACCELERATION)
+
+    @property
+    @abstractmethod
+    def angles(self) -> Array:
+        """(n,) [rad] measured."""
+
+    @property
+    @abstractmethod
+    def speed(self) -> Array:
+        """(n,) [rad/s]."""
+
+    @property
+    @abstractmethod
+    def current(self) -> Array:
+        """(n,) [A]."""
+
+    @property
+    @abstractmethod
+    def voltage(self) -> Array:
+        """(n,) [V]."""
+
+    @property
+    @abstractmethod
+    def temperature(self) -> Array:
+        """(n,) [deg C]."""
+
+    @property
+    @abstractmethod
+    def alarms(self) -> NDArray[np.uint8]:
+        """(n,) servo status bits."""
+
+    @property
+    @abstractmethod
+    def moving(self) -> bool:
+        """Whether a move is under way."""
+
+    @abstractmethod
+    def stop(self, joint: int | None = None) -> None:
+        """Hold: one joint, or the arm."""
+
+    @abstractmethod
+    def pause(self) -> None:
+        """Hold until `resume`."""
+
+    @abstractmethod
+    def resume(self) -> None:
+        """Continue."""
+
+    @abstractmethod
+    def power(self, on: bool) -> None:
+        """Power all servos."""
+
+    @abstractmethod
+    def enable(self, wanted: Mask) -> None:
+        """Hold with the servos in ``wanted`` (n,); release the others."""
+
+    @abstractmethod
+    def calibrate(self, joint: int) -> None:
+        """Set a joint's zero here."""
+
+    @property
+    def pose(self) -> Array:
+        """(4, 4) TCP pose."""
+        return tcp_pose(self.arm, self.angles)
+
+    def in_position(self, angles: Array) -> bool:
+        """Whether the arm is within a degree of ``angles`` (n,) [rad]."""
+        return at_angles(self.angles, angles)
+
+    def at_pose(self, pose: Array) -> bool:
+        """Whether the TCP is within 3 mm and a degree of ``pose`` (4, 4)."""
+        return at_place(self.pose, pose)
 
     @property
     def planned_angles(self) -> Array:
@@ -109,7 +193,7 @@ class Mover:
     def _ready(self) -> bool:
         return True
 
-    def _ramped(self, speed: float, goal: Array) -> None:
+    def _ramped(self, speed: float, goal: Array) -> None:  # noqa: B027 - nothing is a sensible answer
         """Note a ramp to ``goal`` (n,) [rad] at ``speed`` [rad/s]."""
 
     def _within_limits(self, path: TimedPath) -> bool:

@@ -7,6 +7,7 @@ favours no controller.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
 from dataclasses import KW_ONLY, dataclass, field, replace
 
 import numpy as np
@@ -14,8 +15,18 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.arms.rotations import Orientation
 from rejoint.control.comparison.elimination import MISSES, Elimination, Watched, missed_in_a_row, worse
-from rejoint.control.comparison.ledger import Helper, Ledger, Shared
-from rejoint.control.comparison.protocols import KINDS, Driven, Kind, Place, Places, Tally, measure, schedule, summarise
+from rejoint.control.comparison.ledger import Ledger
+from rejoint.control.comparison.protocols import (
+    KINDS,
+    Driven,
+    Kind,
+    Place,
+    Places,
+    Tally,
+    comparison_of,
+    measure,
+    schedule,
+)
 from rejoint.control.comparison.result import Comparison, Protocol
 from rejoint.control.contract import check_controller_period
 from rejoint.control.controller import Controller
@@ -23,6 +34,7 @@ from rejoint.control.correction import Modelled, ToolModel
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import run
 from rejoint.control.recording import Cycle, Recording
+from rejoint.control.reference import TargetSequence
 from rejoint.control.robot import Robot
 from rejoint.control.servogains import limits_under, require_gains, under_gains
 from rejoint.control.start import Stance, begin, move
@@ -30,6 +42,7 @@ from rejoint.control.targets import in_words
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import ContractError, InputError
 from rejoint.system.progress import Progress, no_progress
+from rejoint.system.stopping import pause
 
 PROGRESS_CYCLES = 40
 """between progress reports (chosen)"""
@@ -98,6 +111,12 @@ class Trial:
 
 
 OnTrial = Callable[[Trial], object]
+Task = tuple[str, Kind]
+Result = tuple[Driven, Recording]
+Helper = Callable[[Task, Places], Future[Result]]
+"""Drives the trials of a task elsewhere"""
+
+_LOOK = 0.02  # [s]
 
 MOST = 10_000
 """Target sets times repetitions (chosen)"""
@@ -176,7 +195,7 @@ class TrialRunner:
         self.targets, self.shape, self.left_out = targets, (sets, settings.repetitions, count), list[str]()
         self._taking_part = dict(self.controllers)
         self.blocks, protocol = settings.elimination is not None, settings.protocol
-        self.tallies = {name: Tally(self.shape, protocol, blocks=self.blocks) for name in self.controllers}
+        self.tallies = {name: Tally(self.shape, protocol) for name in self.controllers}
         runs = len(self.controllers) * (1 if self.blocks else len(KINDS))
         self._progress = Targets(self.on_progress, runs * int(np.prod(self.shape)))
         self._sent: Array | None = None
@@ -190,7 +209,7 @@ class TrialRunner:
         tallies = {name: self.tallies[name] for name in self._taking_part}
         sets, _, count = self.shape
         words = () if turns is None else (tuple(in_words(turns[s, k]) for k in range(count)) for s in range(sets))
-        result = summarise(robot, settings.seed, settings.batched, self.targets, tallies, words)
+        result = comparison_of(robot, settings.seed, settings.batched, self.targets, tallies, words)
         block = 0 if settings.elimination is None else settings.elimination.block
         return replace(result, left_out=tuple(self.left_out), block=block)
 
@@ -199,12 +218,22 @@ class TrialRunner:
     def _side_by_side(self) -> Robot:
         places = tuple((s, r) for s in range(self.shape[0]) for r in range(self.shape[1]))
         tasks = [(name, kind) for name in self.controllers for kind in KINDS if self._known(name, kind, places) is None]
-        shared, robot = Shared(tasks, self.helper, places), None
-        for name, kind in shared.here():
+        beside = {task: self.helper(task, places) for task in tasks[::-1]} if self.helper and len(tasks) > 1 else {}
+        robot, begun = None, []
+
+        def drive(task: Task) -> Robot:
             robot = self.open_batch(places)
-            self._take(self.drive_batch(robot, name, kind, places)[0])
-            self._take_over(shared)
-        self._take_over(shared)
+            self._take(self.drive_batch(robot, *task, places)[0])
+            return robot
+
+        for task in tasks:
+            if task in beside and not beside[task].cancel():
+                begun.append(task)
+            else:
+                robot = drive(task)
+        for task in begun:
+            if not self._take_over(beside[task]):
+                robot = drive(task)
         if robot is None:
             robot = self.open_batch(places)
             robot.close()
@@ -221,12 +250,18 @@ class TrialRunner:
         finally:
             robot.close()
 
-    def _take_over(self, shared: Shared) -> None:
-        for driven, recording in shared.arrived():
-            self._hand_on(driven.controller, driven.kind, driven.places[: recording.time.shape[1]], recording)
-            self.tallies[driven.controller].add(driven)
-            self._ledger.add(driven)
-            self._progress.skip(len(driven.places) * driven.targets)
+    def _take_over(self, future: Future[Result]) -> bool:
+        """Take what a helper drove; False if it was lost."""
+        while not future.done():
+            pause(_LOOK)
+        if future.exception() is not None:
+            return False
+        driven, recording = future.result()
+        self._hand_on(driven.controller, driven.kind, driven.places[: recording.time.shape[1]], recording)
+        self._progress.skip(len(driven.places) * driven.targets)
+        self.tallies[driven.controller].add(driven)
+        self._ledger.add(driven)
+        return True
 
     # --- in turns on one arm --------------------------------------------------------------------
 
@@ -355,9 +390,8 @@ class TrialRunner:
         aiming = None if self.correction is None else self.correction(robot.arm)
         limits = limits_under(self.limits, robot, controller)
         with under_gains(robot, controller):
-            recording = run(
-                robot, controller, targets, plan, limits=limits, correction=aiming, on_cycle=on_cycle, turns=turns
-            )
+            reference = TargetSequence(robot.arm, targets, turns=turns, correction=aiming)
+            recording = run(robot, controller, reference, plan, limits=limits, on_cycle=on_cycle)
         failed = isinstance(controller, Watched) and controller.failed
         if isinstance(controller, Watched):
             recording = controller.mark(recording)

@@ -23,6 +23,7 @@ from rejoint.control.controller import Controller
 from rejoint.control.correction import NOT_KNOWN, Modelled, ToolModel, TrueError, mean_modelled
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import run
+from rejoint.control.reference import TargetSequence
 from rejoint.control.robot import Robot
 from rejoint.control.servogains import limits_under, under_gains
 from rejoint.control.start import Stance, begin
@@ -59,7 +60,7 @@ class Holding:
                 own = controller(robot.arm)
                 with under_gains(robot, own):
                     limits = limits_under(self.limits, robot, own)
-                    driven = run(robot, own, part, plan, limits=limits, correction=aiming)
+                    driven = run(robot, own, TargetSequence(robot.arm, part, correction=aiming), plan, limits=limits)
                 found.append(measure_holds(robot.arm, driven, part, protocol, self.model))
         finally:
             robot.close()

@@ -1,30 +1,21 @@
-"""Finished trials on file, and trials shared with a helper process.
-
-Each line is JSON with its CRC-32; the first names the comparison. Two processes take trials from the two ends of one
-list.
-"""
+"""Finished trials on file: each line is JSON with its CRC-32; the first names the comparison."""
 
 from __future__ import annotations
 
 import json
 import os
 import zlib
-from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
-from queue import Empty, SimpleQueue
-from threading import Thread
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from rejoint.control.comparison.protocols import Driven, Key, Kind, Places
+from rejoint.control.comparison.protocols import Driven, Key
 from rejoint.control.comparison.result import Ended
-from rejoint.control.recording import Recording
 from rejoint.system.errors import FileError
 from rejoint.system.files import MEGABYTE, read_bounded, set_aside, unwritable
-from rejoint.system.stopping import pause
 
 LEDGER_MOST = 256 * MEGABYTE
 """[bytes] (chosen)"""
@@ -102,71 +93,3 @@ def _decode(entry: dict[str, Any]) -> Driven:
     places = tuple((int(s), int(r)) for s, r in entry.pop("places"))
     ended = tuple(Ended(**one) for one in entry.pop("ended"))
     return Driven(**entry, places=places, ended=ended, columns=columns)
-
-
-Task = tuple[str, Kind]
-Result = tuple[Driven, Recording]
-
-_LOOK = 0.02
-
-
-class HelperLostError(Exception):
-    """A helper ended or failed."""
-
-
-class Helper(Protocol):
-    """A process that drives trials."""
-
-    def settle(self) -> tuple[Task, ...]:
-        """Its begun tasks; it begins no more."""
-
-    def drive(self, task: Task, places: Places) -> Result:
-        """Drive the trials of a task; HelperLostError."""
-
-    def close(self) -> None:
-        """End it."""
-
-
-class Shared:
-    """Tasks shared with a helper."""
-
-    def __init__(self, tasks: Sequence[Task], helper: Helper | None, places: Places) -> None:
-        begun = () if helper is None else helper.settle()
-        self._left, self._helper, self._places = deque(sorted(tasks, key=begun.__contains__)), helper, places
-        self._done: SimpleQueue[Result] = SimpleQueue()
-        self._courier = Thread(target=self._carry, daemon=True)
-        if helper is not None and len(tasks) > 1:
-            self._courier.start()
-
-    def here(self) -> Iterator[Task]:
-        """Yield this process's tasks."""
-        while True:
-            while self._left:
-                try:
-                    yield self._left.popleft()
-                except IndexError:  # the helper was quicker
-                    break
-            if not self._courier.is_alive() and not self._left:
-                return
-            pause(_LOOK)
-
-    def arrived(self) -> Iterator[Result]:
-        """Yield the helper's new results."""
-        while True:
-            try:
-                yield self._done.get_nowait()
-            except Empty:
-                return
-
-    def _carry(self) -> None:
-        assert self._helper is not None  # noqa: S101 - for the type checker
-        while True:
-            try:
-                task = self._left.pop()
-            except IndexError:
-                return
-            try:
-                self._done.put(self._helper.drive(task, self._places))
-            except HelperLostError:
-                self._left.append(task)
-                return

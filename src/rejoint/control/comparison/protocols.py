@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from rejoint.control.guard import Reason, reason_names
 from rejoint.control.loop import Schedule
 from rejoint.control.recording import Recording
 from rejoint.control.robot import Robot
-from rejoint.system.statistics import Labels, Spread, cluster, clustered_share, spread
+from rejoint.system.statistics import Labels, cluster, clustered_share, spread
 
 Kind = Literal["crossing", "hold"]
 KINDS: tuple[Kind, ...] = ("crossing", "hold")
@@ -309,9 +309,9 @@ MODELLED = ("modelled", "modelled_low", "modelled_high")
 class Tally:
     """Collects a controller's metrics."""
 
-    def __init__(self, shape: tuple[int, int, int], protocol: Protocol, *, blocks: bool = False) -> None:
-        """``shape``: sets, repetitions, targets; ``blocks``: sets come in parts."""
-        self.protocol, self.blocks = protocol, blocks
+    def __init__(self, shape: tuple[int, int, int], protocol: Protocol) -> None:
+        """``shape``: sets, repetitions, targets."""
+        self.protocol = protocol
         self.columns: Columns = {name: np.full(shape, np.nan) for name in (*METRICS, *protocol.stay_names)}
         self.cycles, self.out, self.source = 0, "", ""
         self.ended: list[Ended] = []
@@ -330,45 +330,49 @@ class Tally:
 
     def row(self, controller: str) -> ControllerRow:
         """Statistics so far."""
-        found = self.columns
-        shape = found["crossed"].shape
-        labels = cluster((shape[0], shape[1], shape[2]))[1]
-        whole = found["crossing_time"].sum(axis=-1)  # NaN where a trip ended the trial
-        if self.blocks:
-            driven = np.isfinite(found["crossed"])
-            time = np.where(driven, found["crossing_time"], 0.0).sum(axis=-1)
-            whole = shape[2] * time / np.where(driven.any(axis=-1), driven.sum(axis=-1), np.nan)
-        names = ("crossing_error", "crossing_true", "settled", "settled_true", "oscillation", "turned")
         guard = sorted(self.reasons.items(), key=lambda item: -item[1])
-        modelled = np.array([found[name] for name in MODELLED])
-        return ControllerRow(
-            controller=controller,
-            success=clustered_share(found["crossed"].ravel(), labels),
-            **{name: spread(found[name].ravel(), labels) for name in names},
-            cycle_time=spread(whole.ravel(), labels.reshape(shape)[..., 0].ravel()),
-            settled_modelled=mean_modelled(modelled) if np.isfinite(modelled).any() else None,
-            **_pose_accuracy(found, ""),
-            **_pose_accuracy(found, "_true"),
-            stays=self._stays(labels),
-            held=int(np.isfinite(found["settled"]).sum()),
+        return replace(
+            summarise(controller, self.columns, cluster(self.columns["crossed"].shape)[1], self.protocol),
+            **_pose_accuracy(self.columns, ""),
+            **_pose_accuracy(self.columns, "_true"),
             guard={name: n / self.cycles for name, n in guard},
             ended=tuple(self.ended),
             out=self.out,
             source=self.source,
         )
 
-    def _stays(self, labels: Labels) -> tuple[Stay, ...]:
-        held, stays = self.columns["held"].ravel() == 1.0, []
-        for within, name in zip(self.protocol.within, self.protocol.stay_names, strict=True) if held.any() else ():
-            time = self.columns[name].ravel()[held]
-            stayed = time < self.protocol.hold  # not where a hold was cut short
-            median = float(np.median(np.where(stayed, time, np.inf)))
-            share = clustered_share(stayed.astype(float), labels[held])
-            stays.append(Stay(within=within, share=share, median=median if np.isfinite(median) else None))
-        return tuple(stays)
+
+def summarise(controller: str, found: Columns, labels: Labels, protocol: Protocol) -> ControllerRow:
+    """Statistics of results (S, R, K) with 95 % intervals over the clusters ``labels``, flat."""
+    driven, held = np.isfinite(found["crossed"]), found["held"].ravel() == 1.0
+    stays = []
+    for within, name in zip(protocol.within, protocol.stay_names, strict=True) if held.any() else ():
+        stayed = found[name].ravel()[held] < protocol.hold  # not where a hold was cut short
+        median = float(np.median(np.where(stayed, found[name].ravel()[held], np.inf)))
+        share = clustered_share(stayed.astype(float), labels[held])
+        stays.append(Stay(within=within, share=share, median=median if np.isfinite(median) else None))
+    names = ("crossing_error", "crossing_true", "settled", "settled_true", "oscillation", "turned")
+    spreads: dict[str, Any] = {name: spread(found[name].ravel(), labels) for name in names}
+    modelled = np.array([found.get(name, np.full(driven.shape, np.nan)) for name in MODELLED])
+    return ControllerRow(
+        controller=controller,
+        success=clustered_share(found["crossed"].ravel(), labels) if driven.any() else None,
+        **spreads,
+        cycle_time=spread(cycle_times(found).ravel(), labels.reshape(driven.shape)[..., 0].ravel()),
+        settled_modelled=mean_modelled(modelled) if np.isfinite(modelled).any() else None,
+        stays=tuple(stays),
+        held=int(np.isfinite(found["settled"]).sum()),
+    )
 
 
-def summarise(
+def cycle_times(found: Columns) -> Array:
+    """Time (S, R) [s] for all targets, extrapolated from those driven; NaN where a trip ended the trial."""
+    driven = np.isfinite(found["crossed"])
+    time = np.where(driven, found["crossing_time"], 0.0).sum(axis=-1)
+    return np.asarray(driven.shape[-1] * time / np.where(driven.any(axis=-1), driven.sum(axis=-1), np.nan))
+
+
+def comparison_of(
     robot: Robot,
     seed: int,
     batched: bool,
@@ -395,7 +399,7 @@ def summarise(
     )
 
 
-def _pose_accuracy(found: Columns, whose: str) -> dict[str, Spread | None]:
+def _pose_accuracy(found: Columns, whose: str) -> dict[str, Any]:
     away = np.stack([found[f"away{whose}_{axis}"] for axis in "xyz"], axis=-1)
     places = np.moveaxis(away, 1, 2)  # (S, K, R, 3)
     each = np.arange(places.shape[0] * places.shape[1])

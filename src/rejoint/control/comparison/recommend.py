@@ -188,7 +188,7 @@ def _needed(criterion: _Criterion, chosen: ControllerRow, better: ControllerRow,
 
 
 def _achieves(row: ControllerRow, comparison: Comparison) -> str:
-    text = f"{row.controller} reaches {100 * row.success.value:.0f} % of the targets"
+    text = f"{row.controller} reaches {100 * row.reached:.0f} % of the targets"
     if row.cycle_time is not None:
         text += f" ({row.cycle_time.mean.value:.1f} s for {len(comparison.targets[0])})"
     if row.settled is not None:
@@ -256,7 +256,7 @@ def failure(row: ControllerRow) -> str:
         return f"{name} {row.out}: what was left of its trials was not driven, and counts neither for nor against it."
     if row.failures:
         return f"{name}: {row.failures} run{'s' * (row.failures > 1)} ended early, because {_why(row)}."
-    if row.success.value == 0.0:
+    if row.reached == 0.0:
         off = "" if row.settled is None else f"; it comes to rest {1e3 * row.settled.mean.value:.1f} mm off"
         return f"{name} reached none of its targets in time{off}."
     return ""

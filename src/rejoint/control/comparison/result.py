@@ -6,10 +6,10 @@ Metres, seconds, shares from 0 to 1; None: unknown.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from importlib import import_module
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
 from rejoint.arms import Array
 from rejoint.control.correction import NOT_KNOWN, TrueError
@@ -70,7 +70,7 @@ class ControllerRow:
     """Statistics of one controller; None: unknown."""
 
     controller: str
-    success: Estimate
+    success: Estimate | None
     """share reached in time"""
     crossing_error: Spread | None
     """[m] encoder error at a target's end"""
@@ -88,18 +88,18 @@ class ControllerRow:
     """[m] rms motion there"""
     turned: Spread | None
     """[rad] orientation error there"""
-    accuracy: Spread | None
+    accuracy: Spread | None = None
     """[m] AP of ISO 9283, encoders"""
-    repeatability: Spread | None
+    repeatability: Spread | None = None
     """[m] RP, encoders"""
-    accuracy_true: Spread | None
+    accuracy_true: Spread | None = None
     """[m] AP, tool"""
-    repeatability_true: Spread | None
+    repeatability_true: Spread | None = None
     """[m] RP, tool"""
     stays: tuple[Stay, ...]
     held: int
     """targets held to the end"""
-    guard: dict[str, float]
+    guard: dict[str, float] = field(default_factory=dict)
     """share of cycles per reason"""
     ended: tuple[Ended, ...] = ()
     out: str = ""
@@ -116,6 +116,11 @@ class ControllerRow:
     def failures(self) -> int:
         """Trials that ended early."""
         return len(self.ended)
+
+    @property
+    def reached(self) -> float:
+        """Share reached in time; NaN: not tried."""
+        return np.nan if self.success is None else self.success.value
 
     @property
     def true_error(self) -> TrueError:
@@ -242,13 +247,15 @@ class Comparison:
             return np.full(self.shape, np.nan)
         return np.array(values, dtype=float).reshape(len(self.rows), *self.shape)[self._index(controller)]
 
+    def table(self) -> pa.Table:
+        """Tidy table: a row per controller, target set, repetition and target."""
+        names = ("controller", "target_set", "repetition", "target")
+        keys = dict(zip(names, np.indices((len(self.rows), *self.shape)).reshape(len(names), -1), strict=True))
+        return pa.table(keys | {"controller": np.array(self.controllers)[keys["controller"]]} | self.results)
+
     def to_pandas(self) -> Any:  # noqa: ANN401 - pandas is not part of the installation
         """Table as a data frame (needs pandas)."""
-        pandas = import_module("pandas")
-        names = ("controller", "target_set", "repetition", "target")
-        index = pandas.MultiIndex.from_product([self.controllers, *map(range, self.shape)], names=names)
-        columns = {name: np.array(values, dtype=float) for name, values in self.results.items()}
-        return pandas.DataFrame(columns, index=index).reset_index()
+        return self.table().to_pandas()
 
     def _index(self, controller: str) -> int:
         if controller not in self.controllers:

@@ -5,7 +5,6 @@ Repetition adds the error to the corrected path, per frequency the share that re
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,17 +12,13 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, tcp_position
 from rejoint.arms.rotations import REACHED_TURN, Orientation
-from rejoint.control.controller import ControlInput
 from rejoint.control.correction import NOT_KNOWN, Modelled, ToolModel, TrueError, checked, modelled
 from rejoint.control.moving.posture import PathPostures
 from rejoint.control.moving.reference import LEAD_IN, Ahead, Corrected, Path, Stream, interpolated, path_of
 from rejoint.control.recording import Recording
-from rejoint.control.robot import Mask
 from rejoint.logs.runlog import RunLog
 
 Rows = NDArray[np.intp]
-GiveUp = Callable[[ControlInput], Mask]
-"""See `rejoint.control.loop.Schedule`"""
 
 _STEP = 0.02  # [s] between the places of a path that is corrected or judged
 _JUDGED = 100  # places of a path at which a model is asked for the tool (chosen: it draws from its covariance at each)
@@ -176,26 +171,6 @@ def along(time: Array, tool: Array, at: Array, places: Array) -> Along:
         rms_after=sizes[best],
         largest_after=float(errors[best].max()),
     )
-
-
-class Sender:
-    """Sends the inverse kinematics: the baseline."""
-
-    name = "default"
-
-    def __init__(self, arm: Arm) -> None:
-        self._arm = arm
-        self._postures: PathPostures | None = None
-
-    def reset(self, inputs: ControlInput, where: Mask) -> None:  # noqa: ARG002 - nothing is remembered that grows old
-        """Begin at the first target."""
-        if self._postures is None:
-            self._postures = PathPostures(self._arm, inputs.target, inputs.turn)
-
-    def command(self, inputs: ControlInput) -> Array:
-        """Commands (B, n) [rad]."""
-        assert self._postures is not None  # noqa: S101 - the loop resets before it asks
-        return np.asarray(self._postures.at(inputs.aims(np.zeros(1)), inputs.turns(np.zeros(1)))[0])
 
 
 DIFFERENT = 0.35e-3

@@ -18,11 +18,13 @@ from rejoint.arms.posing import NEAR, TURNED, missed_pose
 from rejoint.arms.rotations import WEIGHT, Orientation, quaternion_of, same_side, stacked, tool_axis
 from rejoint.arms.workspace import length_size
 from rejoint.control.moving.posture import PathPostures
-from rejoint.control.robot import Mask
+from rejoint.control.reference import Index, Reference, Setpoint
+from rejoint.control.robot import JointState, Mask
 from rejoint.control.targets import (
     PLACE,
     Pose,
     beyond_reach,
+    in_mm,
     in_words,
     lowest,
     read_poses,
@@ -164,12 +166,12 @@ class Path:
         if beyond.any():
             k = int(beyond.argmax())
             raise InputError(
-                f"path: at {times[k]:.2f} s {_point(places[k])} is out of reach, {1e3 * beyond[k]:.0f} mm too far;"
+                f"path: at {times[k]:.2f} s {in_mm(places[k])} is out of reach, {1e3 * beyond[k]:.0f} mm too far;"
                 f"{unit_hint(self.place)} give places that the tool can reach"
             )
         if too_low(arm, places).any():
             k = int(places[:, 2].argmin())
-            raise InputError(f"path: at {times[k]:.2f} s {_point(places[k])} {lowest(arm)}; lead it higher")
+            raise InputError(f"path: at {times[k]:.2f} s {in_mm(places[k])} {lowest(arm)}; lead it higher")
         turns = self.turn_at(times)
         begin = PathPostures(arm, places[:1], turns and turns[:1])
         postures = begin.along(places[:, None], turns and turns[:, None])[:, 0]
@@ -179,7 +181,7 @@ class Path:
         k, j = (int(index) for index in np.unravel_index(int(share.argmax()), share.shape))
         if share[k, j] > SPEED_SHARE:
             raise InputError(
-                f"path: at {times[k]:.2f} s {_point(places[k])} {arm.joint_names[j]} would have to turn at "
+                f"path: at {times[k]:.2f} s {in_mm(places[k])} {arm.joint_names[j]} would have to turn at "
                 f"{np.degrees(share[k, j] * arm.max_speed[j]):.0f} deg/s, "
                 f"{np.degrees(SPEED_SHARE * arm.max_speed[j]):.0f} at most were expected; give the path more time there"
             )
@@ -192,7 +194,7 @@ def _require_turned(arm: Arm, times: Array, places: Array, turns: Orientation, p
     if askew.any():
         k = int(askew.argmax())
         raise InputError(
-            f"path: at {times[k]:.2f} s {_point(places[k])} the tool cannot have {in_words(turns[k])}, at best "
+            f"path: at {times[k]:.2f} s {in_mm(places[k])} the tool cannot have {in_words(turns[k])}, at best "
             f"{1e3 * off[k]:.0f} mm and {np.degrees(angle[k]):.0f} deg off; give another orientation there"
         )
 
@@ -258,10 +260,6 @@ def _through(time: Array, poses: Sequence[Pose], name: str) -> Path:
         direction=None if whole else np.array([pose.direction for pose in poses]),
         quaternion=np.array([quaternion_of(one) for one in rotations]) if whole else None,
     )
-
-
-def _point(place: Array) -> str:
-    return f"({', '.join(f'{value * 1e3:.0f}' for value in place)}) mm"
 
 
 STANDARD = ("circle-20s", "circle-8s", "circle-4s", "random-0.2hz", "random-0.5hz")
@@ -348,11 +346,8 @@ class Guide(Protocol):
     def place(self, now: float) -> Array:
         """Target (3,) [m] at ``now`` [s]."""
 
-    def aims(self, now: float, later: Array) -> Array:
-        """Corrected targets (k, 3) [m] in ``later`` (k,) [s]."""
-
-    def turns(self, now: float, later: Array) -> Orientation | None:
-        """Orientations (k,) then; None: any."""
+    def poses(self, now: float, later: Array) -> tuple[Array, Orientation | None]:
+        """Corrected targets (k, 3) [m] and orientations (k,) in ``later`` (k,) [s]; None: any."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -364,16 +359,13 @@ class Ahead:
     """corrected path with the same times"""
 
     def place(self, now: float) -> Array:
-        """Target (3,) [m] at ``now`` [s]."""
+        """See `Guide`."""
         return self.path.at(now - LEAD_IN)
 
-    def aims(self, now: float, later: Array) -> Array:
-        """Corrected targets (k, 3) [m]."""
-        return (self.aim or self.path).at(now - LEAD_IN + later)
-
-    def turns(self, now: float, later: Array) -> Orientation | None:
-        """Orientations (k,)."""
-        return (self.aim or self.path).turn_at(now - LEAD_IN + later)
+    def poses(self, now: float, later: Array) -> tuple[Array, Orientation | None]:
+        """See `Guide`."""
+        path, time = self.aim or self.path, now - LEAD_IN + later
+        return path.at(time), path.turn_at(time)
 
 
 Corrected = Callable[[Array, Orientation | None], tuple[Array, Orientation | None]]
@@ -439,20 +431,13 @@ class Stream:
         self._now = now
         return self._between(self.targets, np.array([now]), now)[0]
 
-    def aims(self, now: float, later: Array) -> Array:
-        """Corrected targets (k, 3) [m] in ``later`` (k,) [s]."""
-        return self._poses(now, later)[0]
-
-    def turns(self, now: float, later: Array) -> Orientation | None:
-        """Orientations (k,) then; None for places."""
-        return self._poses(now, later)[1] if self._knots else None
-
     def received(self) -> tuple[Array, Orientation | None]:
         """All targets (K, 3) [m] and orientations (K,)."""
         turns = turned_as(np.array(self._knots), self.axis, self._weight) if self._knots else None
         return np.array(self.targets), turns
 
-    def _poses(self, now: float, later: Array) -> tuple[Array, Orientation | None]:
+    def poses(self, now: float, later: Array) -> tuple[Array, Orientation | None]:
+        """See `Guide`."""
         self._now = now
         time = now + later - self.lag
         places, turns = self._between(self.targets, time, now), None
@@ -504,37 +489,40 @@ def _last_velocity(times: Array, values: Array) -> Array:
     return np.asarray(since @ (values[recent] - values[recent].mean(axis=0)) / (since @ since))
 
 
-@dataclass(frozen=True, eq=False)
-class Routes:
-    """Guides of B arms."""
+class PathReference(Reference):
+    """Paths and streams of B arms."""
 
-    guides: Sequence[Guide]
+    def __init__(self, arm: Arm, guides: Sequence[Guide], home: Array | None = None) -> None:
+        """``home`` (n,) or (B, n) [rad]: postures stay near to it; None: rest."""
+        self._arm, self._guides, self._home, self.count = arm, guides, home, len(guides)
+        self.waits = np.array([isinstance(guide, Ahead) for guide in guides])
 
-    @property
-    def count(self) -> int:
-        """Number of arms."""
-        return len(self.guides)
+    def begin(self, where: Mask, index: Index, sent: Array) -> None:  # noqa: ARG002 - all at once
+        """See `Reference`."""
+        now = np.zeros(self.count)
+        places, turns = self.poses(now, now[None])
+        start = places[0], turns and turns[0]
+        self._now, self._later = (PathPostures(self._arm, *start, home=self._home) for _ in range(2))
 
-    @property
-    def waits(self) -> Mask:
-        """(B,) planned paths."""
-        return np.array([isinstance(guide, Ahead) for guide in self.guides])
+    def advance(self, state: JointState, since: Array, /) -> Setpoint:  # noqa: ARG002 - the clock tells
+        """See `Reference`."""
+        place = np.stack([guide.place(float(now)) for guide, now in zip(self._guides, since, strict=True)])
+        aims, turns = self.poses(since, np.zeros((1, self.count)))
+        return Setpoint(
+            goal=self._now.at(aims, turns)[0],
+            target=aims[0],
+            turn=turns and turns[0],
+            place=place,
+            aim=aims[0],
+            ahead=lambda later: self._later.at(*self.poses(since, later)),
+        )
 
-    def place(self, now: Array) -> Array:
-        """Targets (B, 3) [m] at ``now`` (B,) [s]."""
-        return np.stack([guide.place(float(time)) for guide, time in zip(self.guides, now, strict=True)])
-
-    def aims(self, now: Array, later: Array) -> Array:
-        """Corrected targets (k, B, 3) [m] in ``later`` (k, B) [s]."""
-        columns = zip(self.guides, now, later.T, strict=True)
-        return np.stack([guide.aims(float(time), column) for guide, time, column in columns], axis=1)
-
-    def turns(self, now: Array, later: Array) -> Orientation | None:
-        """Orientations (k, B) then; None: any."""
-        columns = zip(self.guides, now, later.T, strict=True)
-        found = [guide.turns(float(time), column) for guide, time, column in columns]
-        known = [one for one in found if one is not None]
-        return stacked(known, axis=1) if len(known) == len(found) else None
+    def poses(self, now: Array, later: Array) -> tuple[Array, Orientation | None]:
+        """Corrected targets (k, B, 3) [m] and orientations (k, B), ``later`` (k, B) [s] than ``now`` (B,)."""
+        columns = zip(self._guides, now, later.T, strict=True)
+        places, turns = zip(*(guide.poses(float(time), column) for guide, time, column in columns), strict=True)
+        known = [turn for turn in turns if turn is not None]
+        return np.stack(places, axis=1), stacked(known, axis=1) if len(known) == self.count else None
 
 
 def played(path: Path, rate: float) -> Stream:

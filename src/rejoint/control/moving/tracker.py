@@ -14,7 +14,7 @@ import numpy as np
 from rejoint.arms import Arm, Array, dls, link_inertia, position_kinematics
 from rejoint.control.controller import ControlInput
 from rejoint.control.law import NOMINAL_PERIOD, Pace, limit_position
-from rejoint.control.moving.posture import Moment, PathPostures, Servos, command_for, home_of, joint_weights
+from rejoint.control.moving.posture import Moment, Servos, command_for, joint_weights
 from rejoint.control.robot import Mask
 
 _PARTS = 5  # steps in which a control period, or a delay, is passed (chosen: 5 ms each)
@@ -133,18 +133,11 @@ class Tracker:
     name = "tracker"
 
     def __init__(
-        self,
-        arm: Arm,
-        servos: Servos,
-        gains: TrackerGains | None = None,
-        period: float = NOMINAL_PERIOD,
-        home: Array | None = None,
+        self, arm: Arm, servos: Servos, gains: TrackerGains | None = None, period: float = NOMINAL_PERIOD
     ) -> None:
-        """``period`` [s] of control; ``home`` (n,) or (B, n) [rad], default `home_of`."""
+        """``period`` [s] of control."""
         self._arm, self._servos, self._gains = arm, servos, gains or TrackerGains()
         self._usual = period
-        self.home = home_of(arm, servos) if home is None else home
-        """[rad]"""
         self._begun = False
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:  # noqa: ARG002 - a gap in the answers forgets nothing
@@ -153,10 +146,6 @@ class Tracker:
             return
         self._begun = True
         count = len(inputs.sent)
-        now = np.zeros(1)
-        turns = inputs.turns(now)
-        begin = inputs.aims(now)[0], turns and turns[0]
-        self._postures, self._seen = (PathPostures(self._arm, *begin, home=self.home) for _ in range(2))
         self._observer = PushObserver(self._arm, self._servos, self._usual)
         self._pace = Pace()
         self._pace.begin(inputs.state.time, np.ones(count, dtype=bool))
@@ -172,7 +161,7 @@ class Tracker:
             observer.sent(self._last, self._effective(inputs.sent) - self._wanted)
         elapsed = self._pace.tick(now)
         self._period += _SMOOTHING * (elapsed > 0.0) * (elapsed - self._period)
-        position, planned = inputs.state.position, self._planned(inputs)
+        position, planned = inputs.state.position, inputs.goal
         shift = self._relieve(position, position - planned, elapsed)
         observer.see(now, elapsed, position - planned - shift)
         away, speed = observer.soon(now)
@@ -199,16 +188,11 @@ class Tracker:
         self._missed += (1.0 - np.exp(-elapsed / self._gains.relief))[:, None] * (missed - self._missed)
         return dls(jacobian * ~light, -self._missed, _RELIEF_DAMPING)
 
-    def _planned(self, inputs: ControlInput) -> Array:
-        """Wanted postures (B, n) [rad]."""
-        return np.asarray(self._seen.at(inputs.aims(np.zeros(1)), inputs.turns(np.zeros(1)))[0])
-
     def _motion(self, inputs: ControlInput, shift: Array) -> Moment:
         step = self._gains.step
         ahead = self._servos.delay + 0.5 * self._period + self._gains.early
         later = ahead + step * np.arange(-1.0, 2.0)[:, None]
-        plan = self._postures.at(inputs.aims(later), inputs.turns(later))
-        return Moment(around=plan + shift, step=step)
+        return Moment(around=inputs.goals(later) + shift, step=step)
 
     def _effective(self, sent: Array) -> Array:
         """Limit ``sent`` (B, n) [rad] to the servo's torque: no windup."""

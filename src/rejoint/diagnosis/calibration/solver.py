@@ -183,7 +183,7 @@ def solve(problem: Fittable, start: Array, iterations: int = ITERATIONS) -> Fitt
     belief, vector = problem.belief, np.array(start, dtype=float)
     free, cost = belief.upper > belief.lower, np.inf
     vector[~free] = belief.lower[~free]
-    root = np.linalg.cholesky(belief.precision).T
+    root: Array = np.asarray(np.linalg.cholesky(belief.precision).T, dtype=float)
 
     def whole(x: Array) -> Array:
         full = vector.copy()
@@ -196,7 +196,7 @@ def solve(problem: Fittable, start: Array, iterations: int = ITERATIONS) -> Fitt
             whitener = whitener * _plausible(whitener, problem.misfit(vector))[:, None, None]
         if step > 1:  # the residuals of a fit without outliers
             belief = scattered(problem, vector)[0]
-            root = np.linalg.cholesky(belief.precision).T
+            root = np.asarray(np.linalg.cholesky(belief.precision).T, dtype=float)
 
         def residual(x: Array, whitener: Array = whitener, root: Array = root, mean: Array = belief.mean) -> Array:
             full = whole(x)

@@ -182,7 +182,7 @@ class _LiveRobot(RobotWrapper):
         self._view, self._subject = view, subject
 
     def onlooker(self, controller: str, limits: GuardLimits) -> Look:
-        """See `rejoint.control.recording.Onlooker`."""
+        """See `rejoint.control.recording.LookedAt`."""
         return self._view.look(self._subject, controller, limits)
 
 

@@ -25,7 +25,7 @@ from rejoint.pages.html import colour_number, render, write_page
 from rejoint.pages.report.contents import Contents, before_after, commands, found, read_contents, read_curves
 from rejoint.pages.report.figures import Gallery
 from rejoint.pages.report.pictures import Pictures, in_base
-from rejoint.pages.report.tables import QUANTITIES, answer, behind, cells, directions, headers
+from rejoint.pages.report.tables import QUANTITIES, answer, behind, columns, directions
 from rejoint.pages.words import (
     CONTROLLERS,
     KINDS,
@@ -113,7 +113,7 @@ def report_html(contents: Contents, gallery: Gallery) -> str:
         mean_error=mean_error, own_policy=own_policy, difference=difference, failure=failure, above_zero=above_zero,
         no_interval=NO_INTERVAL, ringing_most=ringing_most, cost=cost,
         # the comparison
-        headers=headers, cells=cells, controllers=CONTROLLERS, colour_number=colour_number, stands_for=STANDS_FOR,
+        columns=columns, controllers=CONTROLLERS, colour_number=colour_number, stands_for=STANDS_FOR,
         directions=directions, errors_as_found=errors_as_found, target_errors=target_errors,
         failures=lambda comparison: list(filter(None, map(failure, comparison.rows))),
         # the calibration

@@ -3,65 +3,88 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from rejoint.arms import Array
-from rejoint.control.comparison.result import Comparison, ControllerRow
+from rejoint.control.comparison.result import Comparison, ControllerRow, Protocol
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.pages.words import MM, NEVER, UNKNOWN, Cell, interval, listed, measured, number, plural, spread
-from rejoint.system.statistics import NORMAL95, Estimate, above_zero, bootstrap_mean
+from rejoint.system.statistics import NORMAL95, Estimate, Spread, above_zero, bootstrap_mean
 from rejoint.twin.judgement import NO_TWIN, Judgement, PredictionError
 
 DEG = float(np.degrees(1.0))
 
 
-def comparison_table(comparison: Comparison) -> tuple[list[str], list[list[str]]]:
-    """Headers and rows of plain text, first column the controllers."""
-    rows = [
-        [f"{row.controller}{' (by diagnosis)' if row.source else ''}", *(cell.text for cell in cells(row, comparison))]
-        for row in comparison.rows
+class ResultColumn(NamedTuple):
+    """A column of a table of controllers."""
+
+    header: str
+    cell: Callable[[ControllerRow], Cell]
+
+
+def columns(comparison: Comparison) -> tuple[ResultColumn, ...]:
+    """Columns of a comparison, without the names."""
+    basic = result_columns(comparison.protocol, len(comparison.targets[0]), comparison.block)
+    turned = ResultColumn("orientation, encoders [deg]", lambda row: measured(row.turned, DEG))
+    return (*basic[:4], *([turned] if comparison.orientations else []), *basic[4:], ResultColumn("guard", _guard))
+
+
+def result_columns(protocol: Protocol, count: int, block: int = 0) -> tuple[ResultColumn, ...]:
+    """Columns of what controllers reach at ``count`` targets, in blocks of ``block``."""
+    within = " / ".join(f"{distance * MM:g}" for distance in protocol.within)
+    return (
+        ResultColumn("success [%]", _success),
+        ResultColumn("error at the crossing [mm]", lambda row: Cell(_crossing(row.crossing_error))),
+        ResultColumn(f"{plural(count, 'target')} [s]", lambda row: measured(row.cycle_time, 1.0, 3)),
+        ResultColumn("settled error, encoders [mm]", lambda row: _settled(row, block)),
+        ResultColumn("settled error, true [mm]", _true),
+        ResultColumn(f"time to stay within {within} mm [s]", _stays),
+        ResultColumn("oscillation [mm]", lambda row: Cell(measured(row.oscillation).text)),
+    )
+
+
+def plain_table(
+    found: Sequence[ResultColumn], rows: Iterable[ControllerRow], *, notes: bool = False
+) -> tuple[list[str], list[list[str]]]:
+    """Headers and rows of plain text, first column the controllers; ``notes``: with the small print."""
+    lines = [
+        [f"{row.controller}{' (by diagnosis)' if row.source else ''}", *map(str, cells)]
+        for row in rows
+        for cells in [[column.cell(row) if notes else column.cell(row).text for column in found]]
     ]
-    return ["controller", *headers(comparison)], rows
+    return ["controller", *(column.header for column in found)], lines
 
 
-def headers(comparison: Comparison) -> list[str]:
-    """Headers of `cells`."""
-    within = " / ".join(f"{distance * MM:g}" for distance in comparison.protocol.within)
-    return [
-        "success [%]",
-        "error at the crossing [mm]",
-        f"{plural(len(comparison.targets[0]), 'target')} [s]",
-        "settled error, encoders [mm]",
-        *(["orientation, encoders [deg]"] if comparison.orientations else []),
-        "settled error, true [mm]",
-        f"time to stay within {within} mm [s]",
-        "oscillation [mm]",
-        "guard",
-    ]
+def _success(row: ControllerRow) -> Cell:
+    one = row.success
+    return Cell(number(100 * row.reached, 3), "" if one is None else interval(one.low, one.high, 2, factor=100))
 
 
-def cells(row: ControllerRow, comparison: Comparison) -> list[Cell]:
-    """Cells of one controller."""
-    success, crossing, settled = row.success, row.crossing_error, measured(row.settled, MM, 3)
-    held = plural(row.held, "target") if comparison.block else ""  # at fewer than all where some are eliminated
+def _crossing(found: Spread | None) -> str:
+    return UNKNOWN if found is None else spread(MM * found.mean.value, MM * (found.std or math.nan))
+
+
+def _settled(row: ControllerRow, block: int) -> Cell:
+    text, note = measured(row.settled, MM, 3)
+    held = plural(row.held, "target") if block else ""  # at fewer than all where some are eliminated
+    return Cell(text, "\n".join(filter(None, (note, held))))
+
+
+def _true(row: ControllerRow) -> Cell:
     true = row.true_error
-    known = true.value is None or true.how == "known"
+    if true.value is None or true.how == "known":
+        return measured(row.settled_true)
+    return Cell(f"{number(MM * true.value, 2)}, {true.how}", true.range)
+
+
+def _stays(row: ControllerRow) -> Cell:
     stays = " / ".join(NEVER if stay.median is None else number(stay.median, 2) for stay in row.stays)
     shares = " / ".join(f"{100 * stay.share.value:.0f}" for stay in row.stays)
-    return [
-        Cell(number(100 * success.value, 3), interval(success.low, success.high, 2, factor=100)),
-        Cell(UNKNOWN if crossing is None else spread(MM * crossing.mean.value, MM * (crossing.std or math.nan))),
-        measured(row.cycle_time, 1.0, 3),
-        Cell(settled.text, "\n".join(filter(None, (settled.note, held)))),
-        *([measured(row.turned, DEG)] if comparison.orientations else []),
-        measured(row.settled_true) if known else Cell(f"{number(MM * (true.value or 0.0), 2)}, {true.how}", true.range),
-        Cell(stays or UNKNOWN, f"{shares} %" if stays else ""),
-        Cell(measured(row.oscillation).text),
-        _guard(row),
-    ]
+    return Cell(stays or UNKNOWN, f"{shares} %" if stays else "")
 
 
 def _guard(row: ControllerRow) -> Cell:

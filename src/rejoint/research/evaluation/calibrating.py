@@ -18,9 +18,10 @@ from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.rotations import rotation_about
 from rejoint.control.controller import ControlInput, Controller
 from rejoint.control.correction import Modelled
-from rejoint.control.goal import JointGoals
+from rejoint.control.goal import Ways
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import Recording
+from rejoint.control.reference import TargetSequence
 from rejoint.control.robot import Mask
 from rejoint.control.start import play
 from rejoint.control.targets import draw_targets
@@ -126,7 +127,7 @@ class FreshTargets:
     name: str
     targets: Array
     """(A, K, 3) [m]"""
-    goals: JointGoals | None = None
+    ways: Ways | None = None
     """postures and ways there; None: the nearest posture at once"""
 
 
@@ -206,10 +207,10 @@ def evaluate_calibrations(
     """Try calibrations under all conditions; twins of the worn arms are kept in ``folder``."""
     on_progress(0.0, "twins, for targets anywhere")
     box = draw_targets(arm, sets=family.arms, count=family.targets, seed=FAMILY_SIZE * (family.seed + 1) + 1)
-    anywhere, goals = targets_anywhere(arm, family, own_twins(arm, family, folder))
+    anywhere, ways = targets_anywhere(arm, family, own_twins(arm, family, folder))
     fresh = (
         FreshTargets(name="target region", targets=box),
-        FreshTargets(name="anywhere", targets=anywhere, goals=goals),
+        FreshTargets(name="anywhere", targets=anywhere, ways=ways),
     )
     ends = np.linspace(0.0, 1.0, len(conditions) + 1)
     trials = [
@@ -341,8 +342,8 @@ def _hold(
     fresh: FreshTargets,
     correction: Modelled | None = None,
 ) -> Recording:
-    schedule = Schedule(dwell=HOLD, keep_going=True, goals=fresh.goals)
-    return run(robot, controller(robot.arm), fresh.targets, schedule, correction=correction)
+    reference = TargetSequence(robot.arm, fresh.targets, ways=fresh.ways, correction=correction)
+    return run(robot, controller(robot.arm), reference, Schedule(dwell=HOLD, keep_going=True))
 
 
 def _errors(recording: Recording, count: int) -> Array:

@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
 from rejoint.arms import Arm
+from rejoint.control.comparison.protocols import Columns
 from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.logs.runlog import read_parquet
 from rejoint.research.evaluation.contestants import Contestant, check_names
 from rejoint.research.evaluation.family import ArmFamily, Variant
-from rejoint.research.evaluation.outcome import Outcome, read_outcome, write_outcome
 from rejoint.research.evaluation.page import write_page
-from rejoint.research.evaluation.summary import Evaluation, Outcomes, group, summarise
+from rejoint.research.evaluation.summary import Evaluation, Outcomes, pool, summarise
 from rejoint.research.evaluation.trials import TrialSettings, own_twin, try_controller
-from rejoint.system.files import write_json
+from rejoint.system.errors import FileError
+from rejoint.system.files import write_json, write_whole
 from rejoint.system.progress import Progress
 from rejoint.system.shell import __version__
 from rejoint.twin.twin import Twin
@@ -38,7 +45,7 @@ def evaluate(
     family = settings.family
     cells = [(variant, one) for variant in variants for one in contestants]
     each = family.arms * (family.targets + (family.crossings if settings.crossing else 0))
-    outcomes: dict[tuple[str, str], Outcome] = {}
+    outcomes: dict[tuple[str, str], Columns] = {}
     for number, (variant, one) in enumerate(cells):
         text = f"{variant.name}: {one.name}"
 
@@ -73,9 +80,7 @@ def conclude(
     """Sum up and write ``evaluation.json`` and ``evaluation.html``."""
     result = summarise(arm, settings, contestants, meanings, outcomes)
     write_json(folder / "evaluation.json", result)
-    groups = group(contestants)
-    pooled = {(v, name): [outcomes[v, one] for one in ones] for v in meanings for name, ones in groups.items()}
-    write_page(folder / "evaluation.html", result, pooled)
+    write_page(folder / "evaluation.html", result, pool(contestants, meanings, outcomes))
     return result
 
 
@@ -95,3 +100,25 @@ def _identity(arm: Arm, variant: Variant, contestant: Contestant, settings: Tria
         "crossing": settings.crossing,
         "software": __version__,
     }
+
+
+_IDENTITY = b"rejoint.research.evaluation"
+
+
+def write_outcome(path: Path, found: Columns, identity: dict[str, Any]) -> None:
+    """Write results as a tidy table, a row per arm and target; ``identity`` says what they belong to."""
+    table = pa.table({name: values.ravel() for name, values in found.items()})
+    table = table.replace_schema_metadata({_IDENTITY: json.dumps(identity).encode()})
+    write_whole(path, lambda temporary: pq.write_table(table, temporary, compression="zstd", write_page_checksum=True))
+
+
+def read_outcome(path: Path, identity: dict[str, Any]) -> Columns | None:
+    """Read results; None if missing, damaged, or of another identity."""
+    try:
+        table = read_parquet(path, "delete it")
+        if json.loads((table.schema.metadata or {})[_IDENTITY]) != json.loads(json.dumps(identity)):
+            return None
+        count = int(np.max(table["target"])) + 1
+        return {name: table[name].to_numpy().reshape(-1, count) for name in table.column_names}
+    except (OSError, pa.ArrowException, KeyError, TypeError, ValueError, RecursionError, FileError):
+        return None

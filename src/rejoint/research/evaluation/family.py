@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, choose_postures, gravity_torque, tcp_position
+from rejoint.arms import Arm, Array, JointTrajectory, choose_postures, gravity_torque, tcp_position
 from rejoint.arms.postures import comfortable_postures
 from rejoint.arms.workspace import length_size
-from rejoint.control.goal import JointGoals, side_by_side, with_ways
+from rejoint.control.goal import Ways, with_ways
 from rejoint.control.targets import draw_targets
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.lab.plant.wear import Wear, load_wear
@@ -117,15 +117,15 @@ def family_targets(arm: Arm, family: ArmFamily, count: int) -> Array:
     return draw_targets(arm, sets=family.arms, count=count, seed=FAMILY_SIZE * (family.seed + 1))
 
 
-def targets_anywhere(arm: Arm, family: ArmFamily, twins: Sequence[Twin]) -> tuple[Array, JointGoals]:
-    """Draw targets (A, K, 3) [m] that the arms reach and hold by their ``twins``, and postures and ways of each arm.
+def targets_anywhere(arm: Arm, family: ArmFamily, twins: Sequence[Twin]) -> tuple[Array, Ways]:
+    """Draw targets (A, K, 3) [m] that the arms reach and hold by their ``twins``, and the ways of each arm.
 
     Places are drawn evenly in the box around all that the tool reaches above the floor.
     """
     places = tcp_position(arm, comfortable_postures(arm))
     low, high, nearby = places.min(axis=0), places.max(axis=0), NEARBY * length_size(arm)
     low[2] = arm.floor
-    targets, goals = np.empty((family.arms, family.targets, 3)), []
+    targets, ways = np.empty((family.arms, family.targets, 3)), list[Sequence[JointTrajectory]]()
     for i, twin in enumerate(twins):
         motors, most = believed_motors(twin), HELD * twin.parameters.torque_limit
         rng, start = np.random.default_rng([family.wear_seed(i), 2]), arm.rest
@@ -139,8 +139,8 @@ def targets_anywhere(arm: Arm, family: ArmFamily, twins: Sequence[Twin]) -> tupl
                 continue
             targets[i, len(postures)], start = drawn, found.q[0]
             postures.append(start)
-        goals.append(with_ways(arm, np.array(postures), arm.rest, motors=motors))
-    return targets, side_by_side(goals)
+        ways.append(with_ways(arm, np.array(postures), arm.rest, motors=motors))
+    return targets, ways
 
 
 def open_family(arm: Arm, variant: Variant, family: ArmFamily, threads: int = 1) -> EmulatedRobot:

@@ -6,12 +6,13 @@ Each arm then meets controllers that know its twin and controllers that do not.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from rejoint.arms import Arm
+from rejoint.control.comparison.protocols import Columns
 from rejoint.control.controller import Controller
 from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.policy import load_policy
@@ -20,7 +21,6 @@ from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.research.evaluation.contestants import Contestant, classical, learned, planned
 from rejoint.research.evaluation.evaluate import conclude
 from rejoint.research.evaluation.family import find_variant
-from rejoint.research.evaluation.outcome import Outcome
 from rejoint.research.evaluation.summary import Evaluation
 from rejoint.research.evaluation.trials import TrialArms, TrialSettings, own_twin, try_on
 from rejoint.robots.emulated import EmulatedRobot
@@ -64,7 +64,7 @@ def evaluate_identification(
 ) -> Evaluation:
     """Compare controllers with and without each arm's twin; ``policies`` are generic."""
     family = settings.family
-    total, merged = family.arms, dict[str, list[Outcome]]()
+    total, merged = family.arms, dict[str, list[Columns]]()
     contestants: list[Contestant] = []
     for i in range(family.arms):
         seed = family.wear_seed(i)
@@ -74,9 +74,12 @@ def evaluate_identification(
         contestants = _contestants(arm, known, policies)
         for k, one in enumerate(contestants):
             on_progress((i + 0.8 + 0.2 * k / len(contestants)) / total, f"arm {seed}: {one.name}")
-            outcome = try_on(arm, bench_of(arm, seed, settings), one.make, settings, lambda done: None)  # noqa: ARG005
-            merged.setdefault(one.name, []).append(one_arm(outcome))
-    outcomes = {(VARIANT, name): _together(parts) for name, parts in merged.items()}
+            found = try_on(arm, bench_of(arm, seed, settings), one.make, settings, lambda done: None)  # noqa: ARG005
+            merged.setdefault(one.name, []).append(found)
+    outcomes = {
+        (VARIANT, name): {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
+        for name, parts in merged.items()
+    }
     meanings = {VARIANT: "worn arms, each with a twin of its own"}
     return conclude(arm, settings, contestants, meanings, outcomes, folder)
 
@@ -121,21 +124,3 @@ def bench_of(arm: Arm, wear_seed: int, settings: TrialSettings) -> TrialArms:
 
     targets = draw_targets(arm, sets=COPIES, count=max(family.targets, family.crossings), seed=wear_seed)
     return TrialArms(open=open_copies, targets=targets, wear_seed=np.full(COPIES, float(wear_seed)))
-
-
-def one_arm(outcome: Outcome) -> Outcome:
-    """Put the copies' trials into one row, as targets of one arm."""
-    merged = {}
-    for field in fields(Outcome):
-        array = getattr(outcome, field.name)
-        if field.name == "tripped":  # all reasons of all copies
-            merged[field.name] = np.bitwise_or.reduce(array.astype(np.uint16), keepdims=True).astype(float)
-        elif array.ndim == 1:  # of the arm: its seed
-            merged[field.name] = array[:1]
-        else:
-            merged[field.name] = array.reshape(1, -1, *array.shape[2:])
-    return Outcome(**merged)
-
-
-def _together(parts: Sequence[Outcome]) -> Outcome:
-    return Outcome(**{f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Outcome)})

@@ -11,12 +11,23 @@ from pathlib import Path as FilePath
 
 import numpy as np
 
-from rejoint.arms import Arm
+from rejoint.arms import Arm, Array
+from rejoint.control.classical import DefaultController
 from rejoint.control.controller import Controller
-from rejoint.control.loop import Schedule, follow
-from rejoint.control.moving.drive import Along, Repetition, Sender, judge, missed
-from rejoint.control.moving.posture import PathPostures, Servos
-from rejoint.control.moving.reference import LAG, LEAD_IN, STANDARD, Ahead, Guide, Path, Routes, played, standard_path
+from rejoint.control.loop import Schedule, run
+from rejoint.control.moving.drive import Along, Repetition, judge, missed
+from rejoint.control.moving.posture import PathPostures, Servos, home_of
+from rejoint.control.moving.reference import (
+    LAG,
+    LEAD_IN,
+    STANDARD,
+    Ahead,
+    Guide,
+    Path,
+    PathReference,
+    played,
+    standard_path,
+)
 from rejoint.control.moving.tracker import Tracker
 from rejoint.control.recording import Recording
 from rejoint.logs.runfolder.folder import RunFolder
@@ -105,16 +116,17 @@ def _block(
         share = part(on_progress, 0.5 * i / len(seeds), 0.5 * (i + 1) / len(seeds))
         twins.append(own_twin(arm, seed, RunFolder(out / "arms" / str(seed)), family, share).parameters)
     known = {f.name: np.stack([getattr(twin, f.name) for twin in twins for _ in STANDARD]) for f in fields(Servos)}
-    bench = _Block(arm=arm, seeds=seeds, threads=threads)
+    servos = Servos(**known)
+    bench = _Block(arm=arm, seeds=seeds, threads=threads, home=home_of(arm, servos))
     ahead, repetitions = [Ahead(path=path) for path in bench.paths], [Repetition(path) for path in bench.paths]
     worn = [load_wear(f"worn?seed={seed}", arm) for seed in seeds for _ in STANDARD]
 
     def tracker() -> Controller:
-        return Tracker(arm, Servos(**known))
+        return Tracker(arm, servos)
 
     on_progress(0.5, "paths sent")
-    lines = bench.run(SENT, worn, Sender(arm), ahead)[0]
-    lines += bench.run(HEALTHY, [load_wear("healthy", arm)] * len(worn), Sender(arm), ahead)[0]
+    lines = bench.run(SENT, worn, DefaultController(arm), ahead)[0]
+    lines += bench.run(HEALTHY, [load_wear("healthy", arm)] * len(worn), DefaultController(arm), ahead)[0]
     on_progress(0.55, "paths that arrive as they go")
     lines += bench.run(STREAM, worn, tracker(), [played(path, RATE) for path in bench.paths])[0]
     for time in range(REPETITIONS):
@@ -136,6 +148,8 @@ class _Block:
     arm: Arm
     seeds: Sequence[int]
     threads: int
+    home: Array
+    """(B, n) [rad] postures that trackers keep near to"""
 
     @property
     def paths(self) -> list[Path]:
@@ -147,11 +161,12 @@ class _Block:
     ) -> tuple[list[MovingLine], Recording]:
         """Return the lines of a case, and its recording; ``time`` is another noise."""
         paths = self.paths
-        home = controller.home if isinstance(controller, Tracker) else None
+        home = self.home if isinstance(controller, Tracker) else None
         start = PathPostures(self.arm, np.stack([path.place[0] for path in paths]), home=home).last
         robot = EmulatedRobot(self.arm, wears, seed=self.seeds[0] + time, start=start, threads=self.threads)
         dwell = LEAD_IN + LAG + max(path.duration for path in paths)
-        recording = follow(robot, controller, Routes(list(guides)), Schedule(dwell=dwell, sent=start, keep_going=True))
+        reference = PathReference(self.arm, guides, home)
+        recording = run(robot, controller, reference, Schedule(dwell=dwell, sent=start, keep_going=True))
         lines = [
             MovingLine(
                 wear_seed=self.seeds[b // len(STANDARD)],

@@ -4,43 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
+from rejoint.control.comparison.protocols import Columns
 from rejoint.pages import html
 from rejoint.pages.html import LOOKS
 from rejoint.pages.report.figures import HALF, Picture, canvas, inline_svg
+from rejoint.pages.report.tables import ResultColumn, plain_table, result_columns
 from rejoint.pages.words import MM, NEVER, Cell, measured, number
 from rejoint.research.evaluation.family import FAMILY_SIZE
-from rejoint.research.evaluation.outcome import Outcome
 from rejoint.research.evaluation.summary import NEVER_RATIO, Evaluation, Pair, VariantRow
-from rejoint.system.statistics import Estimate
-
-HEADERS = (
-    "settled, encoders [mm]",
-    "95 % below [mm]",
-    "farther than 5 mm [%]",
-    "settled, true [mm]",
-    "oscillation [mm]",
-    "stays within 10 / 5 / 2 mm after [s]",
-    "ten targets [s]",
-)
+from rejoint.system.statistics import Estimate, Spread
 
 
-def row_cells(row: VariantRow) -> list[Cell]:
-    """Cells of one controller on one variant, under `HEADERS`."""
-    stays = " / ".join(NEVER if w.median is None else number(w.median, 2) for w in row.within)
-    shares = " / ".join(f"{100 * w.share.value:.0f}" for w in row.within)
-    reached = None if row.success is None or row.cycle_time is None else f"{number(100 * row.success.value)} % reached"
-    return [
-        measured(row.settled, MM, 3),
-        Cell(_mm(row.settled_p95, 3)),
-        measured(row.outside, 100.0),
-        Cell(measured(row.settled_true).text, f"95 %: {_mm(row.true_p95, 2)}"),
-        Cell(_mm(row.oscillation, 2)),
-        Cell(stays, f"{shares} %"),
-        Cell(measured(row.cycle_time if reached else None, 1.0, 3).text, reached or ""),
-    ]
+def row_columns(evaluation: Evaluation) -> tuple[ResultColumn, ...]:
+    """Columns of the controllers on one variant."""
+    family = evaluation.family
+    return (
+        *result_columns(evaluation.protocol, max(family.targets, family.crossings)),
+        ResultColumn("95 % below, encoders [mm]", lambda row: Cell(_p95(row.settled, 3))),
+        ResultColumn("95 % below, true [mm]", lambda row: Cell(_p95(row.settled_true, 2))),
+        ResultColumn("farther than 5 mm [%]", lambda row: measured(cast(VariantRow, row).outside, 100.0)),
+    )
 
 
 def pair_headers(evaluation: Evaluation) -> tuple[str, ...]:
@@ -57,19 +44,15 @@ def pair_cells(pair: Pair) -> list[Cell]:
 
 def terminal_tables(evaluation: Evaluation) -> list[tuple[str, list[str], list[list[str]]]]:
     """Title, headers and rows of a table per variant, and of pairs."""
-    tables = []
-    for variant in evaluation.variants:
-        rows = [
-            [row.controller, *(cell.text for cell in row_cells(row))]
-            for row in evaluation.rows
-            if row.variant == variant
-        ]
-        tables.append((f"{variant}: {evaluation.family.arms} arms", ["controller", *HEADERS], rows))
+    tables = [
+        (f"{one}: {evaluation.family.arms} arms", *plain_table(row_columns(evaluation), evaluation.on(one)))
+        for one in evaluation.variants
+    ]
     pairs = [
         [
             pair.variant,
             f"{pair.controller} against {pair.rival}",
-            *(f"{text} ({note})" if note else text for text, note in pair_cells(pair)),
+            *map(str, pair_cells(pair)),
         ]
         for pair in evaluation.pairs
         if pair.rival == evaluation.best.get(pair.variant)
@@ -80,8 +63,8 @@ def terminal_tables(evaluation: Evaluation) -> list[tuple[str, list[str], list[l
     return tables
 
 
-def _mm(value: float | None, digits: int) -> str:
-    return number(None if value is None else value * MM, digits)
+def _p95(one: Spread | None, digits: int) -> str:
+    return number(None if one is None else one.p95 * MM, digits)
 
 
 def _signed(value: Estimate | None, factor: float) -> Cell:
@@ -100,8 +83,8 @@ def _ratio(value: Estimate) -> Cell:
 SHOWN_FAILURES = 200
 """Failures on the page; all are in ``evaluation.json`` (chosen)"""
 
-Pooled = dict[tuple[str, str], list[Outcome]]
-"""Outcomes by variant and controller, one per training seed"""
+Pooled = dict[tuple[str, str], Columns]
+"""Results (T, seeds, K) by variant and controller"""
 
 
 def write_page(path: Path, evaluation: Evaluation, pooled: Pooled) -> None:
@@ -112,18 +95,18 @@ def write_page(path: Path, evaluation: Evaluation, pooled: Pooled) -> None:
 
     def figures(variant: str) -> Iterator[Picture]:
         """Draw the share of holds below each value."""
+        narrow, hold = evaluation.protocol.stay_names[-1], evaluation.protocol.hold
         for key, label in (
             ("settled", "settled encoder error [mm]"),
-            ("stay", "time to stay within the narrowest distance [s]"),
+            (narrow, "time to stay within the narrowest distance [s]"),
         ):
             figure, grid = canvas((HALF, 3.4))
             axes = grid[0, 0]
             for controller in evaluation.controllers:
                 some = pooled[variant, controller]
-                found = [1e3 * one.settled if key == "settled" else one.stay[..., -1] for one in some]
-                values = np.sort(
-                    np.nan_to_num(np.concatenate([one.ravel() for one in found]), nan=np.inf, posinf=np.inf)
-                )
+                found = some[key][some["held"] == 1.0]
+                found = 1e3 * found if key == "settled" else np.where(found >= hold, np.inf, found)
+                values = np.sort(np.nan_to_num(found, nan=np.inf, posinf=np.inf))
                 axes.plot(
                     values,
                     100 * np.arange(1, len(values) + 1) / len(values),
@@ -136,7 +119,7 @@ def write_page(path: Path, evaluation: Evaluation, pooled: Pooled) -> None:
             axes.set(xlabel=label, ylabel="holds [%]", ylim=(0, 100))
             axes.legend(frameon=False, fontsize=8)
             alt = f"Distribution of the {label} of every controller"
-            yield Picture(svg=inline_svg(figure, f"{variant}-{key}", alt))
+            yield Picture(svg=inline_svg(figure, f"{variant}-{'settled' if key == 'settled' else 'stay'}", alt))
 
     # The learned ones are what the reader came for; the others are only counted when there are many.
     learned = tuple({pair.controller for pair in evaluation.pairs})
@@ -147,7 +130,7 @@ def write_page(path: Path, evaluation: Evaluation, pooled: Pooled) -> None:
         verdict=_verdict(evaluation), look=look, figures=figures, failures=failures[:SHOWN_FAILURES],
         parts=[*zip(evaluation.variants, evaluation.variants, strict=True), ("failures", "Failures"),
                ("method", "Method")],
-        headers=HEADERS, row_cells=row_cells, pair_headers=pair_headers(evaluation), pair_cells=pair_cells,
+        columns=row_columns(evaluation), pair_headers=pair_headers(evaluation), pair_cells=pair_cells,
         family_size=FAMILY_SIZE,
         footer="Everything on this page is in evaluation.json; every trial is in outcomes/*.parquet.",
     )  # fmt: skip

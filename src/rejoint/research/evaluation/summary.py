@@ -6,17 +6,18 @@ of each target.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.control.comparison.result import Protocol
+from rejoint.control.comparison.protocols import Columns, cycle_times
+from rejoint.control.comparison.protocols import summarise as summarise_trials
+from rejoint.control.comparison.result import ControllerRow, Protocol
 from rejoint.control.guard import reason_names
 from rejoint.research.evaluation.contestants import Contestant
 from rejoint.research.evaluation.family import ArmFamily
-from rejoint.research.evaluation.outcome import Outcome
 from rejoint.research.evaluation.trials import TrialSettings
 from rejoint.system.shell import __version__
 from rejoint.system.statistics import (
@@ -24,7 +25,6 @@ from rejoint.system.statistics import (
     FEWEST_CLUSTERS,
     Estimate,
     Labels,
-    bootstrap_mean,
     clustered_share,
     paired_difference,
 )
@@ -90,26 +90,30 @@ class Failure:
     """whether the guard stopped it"""
 
 
-def list_failures(variant: str, controller: str, outcome: Outcome) -> tuple[Failure, ...]:
-    """List the holds that ended beyond `FAR`, or by the guard."""
-    found = []
-    for b, k in np.argwhere(~(outcome.settled <= FAR)):
-        x, y, z = (round(float(value) * 1e3, 1) for value in outcome.target[b, k])
-        stopped = not np.isfinite(outcome.settled[b, k])
-        names = ", ".join(reason_names(int(outcome.tripped[b]))) or "unknown"
-        found.append(
+def list_failures(variant: str, controller: str, found: Columns) -> tuple[Failure, ...]:
+    """List the holds that ended beyond `FAR`, or by the guard; results (T, K)."""
+    failures = []
+    for at in zip(*np.nonzero(_outside(found) == 1.0), strict=True):
+        one = {name: float(values[at]) for name, values in found.items()}
+        stopped, names = not np.isfinite(one["settled"]), ", ".join(reason_names(int(one["tripped"]))) or "unknown"
+        failures.append(
             Failure(
                 variant=variant,
                 controller=controller,
-                arm=int(outcome.wear_seed[b]),
-                target=int(k),
-                point_mm=(x, y, z),
-                settled_mm=_mm(outcome.settled[b, k]),
-                true_mm=_mm(outcome.settled_true[b, k]),
+                arm=int(one["arm"]),
+                target=int(one["target"]),
+                point_mm=(round(1e3 * one["x"], 1), round(1e3 * one["y"], 1), round(1e3 * one["z"], 1)),
+                settled_mm=_mm(one["settled"]),
+                true_mm=_mm(one["settled_true"]),
                 what=f"stopped by the guard ({names})" if stopped else "farther off than 5 mm",
             )
         )
-    return tuple(found)
+    return tuple(failures)
+
+
+def _outside(found: Columns) -> Array:
+    """1 for holds beyond `FAR` or stopped, else 0; NaN: no hold."""
+    return np.where(found["held"] == 1.0, (~(found["settled"] <= FAR)).astype(float), np.nan)
 
 
 def _mm(value: float) -> float | None:
@@ -117,44 +121,14 @@ def _mm(value: float) -> float | None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Within:
-    """Coming and staying within a distance."""
-
-    distance: float
-    """[m]"""
-    share: Estimate
-    """of the holds"""
-    median: float | None
-    """[s] over all holds; None where fewer than half ever stay"""
-
-
-@dataclass(frozen=True, kw_only=True)
-class VariantRow:
+class VariantRow(ControllerRow):
     """One controller, or several seeds of a learner together, on one variant."""
 
     variant: str
-    controller: str
     seeds: int
     """trainings that are put together"""
-    settled: Estimate | None
-    """[m] encoder error in the last second; None, as the four below, if the guard stopped every hold"""
-    settled_p95: float | None
-    """[m]"""
-    settled_true: Estimate | None
-    """[m]"""
-    true_p95: float | None
-    """[m]"""
-    oscillation: float | None
-    """[m] mean"""
     outside: Estimate
     """share of holds beyond 5 mm or stopped"""
-    within: tuple[Within, ...]
-    success: Estimate | None
-    """share of targets reached by Park et al. 2024's protocol; None if not run"""
-    cycle_time: Estimate | None
-    """[s] for ten targets of that protocol"""
-    crossing_error: Estimate | None
-    """[m]"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,13 +166,30 @@ class Evaluation:
     pairs: tuple[Pair, ...]
     failures: tuple[Failure, ...]
 
-    def row(self, variant: str, controller: str) -> VariantRow:
-        """Return one row."""
-        return next(row for row in self.rows if (row.variant, row.controller) == (variant, controller))
+    def on(self, variant: str) -> tuple[VariantRow, ...]:
+        """Rows of a variant."""
+        return tuple(row for row in self.rows if row.variant == variant)
 
 
-Outcomes = Mapping[tuple[str, str], Outcome]
-"""By variant and contestant"""
+Outcomes = Mapping[tuple[str, str], Columns]
+"""Results (T, K) of T trials by variant and contestant, see `try_on`"""
+
+
+def pool(
+    contestants: Sequence[Contestant], variants: Iterable[str], outcomes: Outcomes
+) -> dict[tuple[str, str], Columns]:
+    """Put the seeds of a learner together: results (T, seeds, K) by variant and group."""
+    groups: dict[str, list[str]] = {}
+    for one in contestants:
+        groups.setdefault(one.group, []).append(one.name)
+    return {
+        (variant, group): {
+            key: np.stack([outcomes[variant, name][key] for name in names], axis=1)
+            for key in outcomes[variant, names[0]]
+        }
+        for variant in variants
+        for group, names in groups.items()
+    }
 
 
 def summarise(
@@ -206,13 +197,13 @@ def summarise(
 ) -> Evaluation:
     """Compute every number of an evaluation; ``meanings`` says what its variants are."""
     family, protocol, variants = settings.family, settings.protocol, tuple(meanings)
-    groups = group(contestants)
-    pooled = {(v, g): [outcomes[v, name] for name in names] for v in variants for g, names in groups.items()}
-    rows = tuple(make_row(v, g, pooled[v, g], protocol) for v in variants for g in groups)
+    pooled = pool(contestants, variants, outcomes)
+    groups = tuple(dict.fromkeys(group for _, group in pooled))
+    rows = tuple(make_row(*key, found, protocol) for key, found in pooled.items())
     learned = {one.group for one in contestants if one.learned}
     best = {v: _best([row for row in rows if row.variant == v and row.controller not in learned]) for v in variants}
     pairs = [
-        make_pair(v, (g, pooled[v, g]), (rival, pooled[v, rival]))
+        make_pair(v, (g, pooled[v, g]), (rival, pooled[v, rival]), protocol)
         for v in variants
         for g in groups
         for rival in groups
@@ -231,7 +222,7 @@ def summarise(
         protocol=protocol,
         variants=variants,
         meanings=meanings,
-        controllers=tuple(groups),
+        controllers=groups,
         rows=rows,
         best={v: name for v, name in best.items() if name},
         pairs=tuple(pairs),
@@ -239,112 +230,52 @@ def summarise(
     )
 
 
-def group(contestants: Sequence[Contestant]) -> dict[str, list[str]]:
-    """Names of the contestants that belong together: the seeds of one learner."""
-    groups: dict[str, list[str]] = {}
-    for one in contestants:
-        groups.setdefault(one.group, []).append(one.name)
-    return groups
+def make_row(variant: str, controller: str, found: Columns, protocol: Protocol) -> VariantRow:
+    """Summarise the results (T, seeds, K) of a controller."""
+    arms = np.repeat(_arms(found), found["settled"][0].size)
+    row = summarise_trials(controller, found, arms, protocol)
+    outside = clustered_share(_outside(found).ravel(), arms)
+    return VariantRow(**vars(row), variant=variant, seeds=found["settled"].shape[1], outside=outside)
 
 
-def make_row(variant: str, controller: str, outcomes: Sequence[Outcome], protocol: Protocol) -> VariantRow:
-    """Join the outcomes of some seeds on the same arms."""
-    arms = _arms(outcomes)
-    settled, true = _joined(outcomes, "settled"), _joined(outcomes, "settled_true")
-    stay = _joined(outcomes, "stay")
-    crossed = _joined(outcomes, "crossed")
-    times = np.concatenate([_ten_targets(outcome) for outcome in outcomes])
-    some = bool(np.isfinite(crossed).any())
-    crossing_arms = _arms(outcomes, "crossed")
-    return VariantRow(
-        variant=variant,
-        controller=controller,
-        seeds=len(outcomes),
-        settled=_mean(settled, arms),
-        settled_p95=_p95(settled),
-        settled_true=_mean(true, arms),
-        true_p95=_p95(true),
-        oscillation=_plain_mean(_joined(outcomes, "oscillation")),
-        outside=clustered_share((~(settled <= FAR)).astype(float), arms),
-        within=tuple(_within(d, stay[..., w], arms) for w, d in enumerate(protocol.within)),
-        success=clustered_share(crossed, crossing_arms) if some else None,
-        cycle_time=_mean(times, _per_arm(outcomes)),
-        crossing_error=_mean(_joined(outcomes, "crossing_error"), crossing_arms),
-    )
-
-
-def make_pair(variant: str, mine: tuple[str, Sequence[Outcome]], other: tuple[str, Sequence[Outcome]]) -> Pair:
+def make_pair(variant: str, mine: tuple[str, Columns], other: tuple[str, Columns], protocol: Protocol) -> Pair:
     """Compare two groups: each seed with each, on the same arm and target."""
-    name, rival = mine[0], other[0]
-    both = [(first, second) for first in mine[1] for second in other[1]]
+    count = len(np.unique(_arms(mine[1])))
 
-    def matched(field: str) -> tuple[Array, Array]:
+    def matched(find: Callable[[Columns], Array]) -> tuple[Array, Array]:
         # Arms stay the first axis, so that a resampled arm brings all its seeds along.
-        firsts, seconds = zip(*((getattr(a, field), getattr(b, field)) for a, b in both), strict=True)
-        return np.concatenate(firsts, axis=1), np.concatenate(seconds, axis=1)
+        both = np.broadcast_arrays(find(mine[1])[:, :, None], find(other[1])[:, None])
+        first, second = (one.reshape(count, -1) for one in both)
+        return first, second
 
-    stays = matched("stay")
+    def stays(name: str) -> Callable[[Columns], Array]:
+        return lambda found: np.where(found[name] >= protocol.hold, np.inf, found[name])[..., : _held(found)]
+
     return Pair(
         variant=variant,
-        controller=name,
-        rival=rival,
-        settled=difference(*matched("settled")),
-        settled_true=difference(*matched("settled_true")),
-        stay_ratio=tuple(time_ratio(stays[0][..., w], stays[1][..., w]) for w in range(stays[0].shape[-1])),
-        cycle_time=difference(*_cycle_times(both)),
+        controller=mine[0],
+        rival=other[0],
+        settled=difference(*matched(lambda found: found["settled"])),
+        settled_true=difference(*matched(lambda found: found["settled_true"])),
+        stay_ratio=tuple(time_ratio(*matched(stays(name))) for name in protocol.stay_names),
+        cycle_time=difference(*matched(lambda found: cycle_times(found)[..., None])),
     )
 
 
-def _cycle_times(both: Sequence[tuple[Outcome, Outcome]]) -> tuple[Array, Array]:
-    times = [[_ten_targets(one)[:, None] for one in pair] for pair in both]
-    return np.concatenate([first for first, _ in times], axis=1), np.concatenate(
-        [second for _, second in times], axis=1
-    )
+def _arms(found: Columns) -> Labels:
+    """Return the number (T,) of each trial's arm."""
+    return np.unique(found["arm"][:, 0, 0], return_inverse=True)[1]
 
 
-def _ten_targets(outcome: Outcome) -> Array:
-    """Time (A,) [s] for ten targets of Park et al. 2024's protocol."""
-    times: Array = 10.0 * outcome.crossing_time.mean(axis=1)
-    return times
+def _held(found: Columns) -> int:
+    """Count the targets that arms were held at."""
+    return int((found["held"][0, 0] == 1.0).sum())
 
 
 def _best(rows: Sequence[VariantRow]) -> str:
     """Rival that is soonest within the narrowest distance, else the nearest."""
-    if not rows:
-        return ""
-    far = Estimate(value=np.inf, low=np.inf, high=np.inf)
-    return min(rows, key=lambda row: (row.within[-1].median or np.inf, (row.settled or far).value)).controller
 
+    def late(row: VariantRow) -> tuple[float, float]:
+        return row.stays[-1].median or np.inf, np.inf if row.settled is None else row.settled.mean.value
 
-def _within(distance: float, stay: Array, arms: Labels) -> Within:
-    finite = np.isfinite(stay)
-    median = float(np.median(np.where(finite, stay, np.inf)))
-    share = clustered_share(finite.astype(float), arms)
-    return Within(distance=distance, share=share, median=median if np.isfinite(median) else None)
-
-
-def _mean(values: Array, arms: Labels) -> Estimate | None:
-    return bootstrap_mean(values.ravel(), arms.ravel()) if np.isfinite(values).any() else None
-
-
-def _plain_mean(values: Array) -> float | None:
-    known = values[np.isfinite(values)]
-    return float(known.mean()) if len(known) else None
-
-
-def _p95(values: Array) -> float | None:
-    known = values[np.isfinite(values)]
-    return float(np.quantile(known, 0.95)) if len(known) else None
-
-
-def _joined(outcomes: Sequence[Outcome], field: str) -> Array:
-    """One field over seeds, arms and targets; trailing axes stay."""
-    return np.concatenate([getattr(o, field).reshape(-1, *getattr(o, field).shape[2:]) for o in outcomes])
-
-
-def _arms(outcomes: Sequence[Outcome], field: str = "settled") -> Labels:
-    return np.concatenate([np.repeat(np.arange(len(o.wear_seed)), getattr(o, field).shape[1]) for o in outcomes])
-
-
-def _per_arm(outcomes: Sequence[Outcome]) -> Labels:
-    return np.concatenate([np.arange(len(o.wear_seed)) for o in outcomes])
+    return min(rows, key=late).controller if rows else ""

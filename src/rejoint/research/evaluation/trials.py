@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.control.comparison.compare import PROGRESS_CYCLES
-from rejoint.control.comparison.protocols import measure_crossings, measure_holds, schedule
-from rejoint.control.comparison.result import Protocol
+from rejoint.control.comparison.protocols import Columns, Kind, measure, schedule
+from rejoint.control.comparison.result import METRICS, Protocol
 from rejoint.control.controller import Controller
-from rejoint.control.goal import JointGoals
+from rejoint.control.goal import Ways
 from rejoint.control.loop import run
 from rejoint.control.recording import Cycle
+from rejoint.control.reference import TargetSequence
 from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.research.evaluation.family import ArmFamily, Variant, family_targets, open_family, targets_anywhere
-from rejoint.research.evaluation.outcome import Outcome
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.system.progress import Progress, no_progress, part
@@ -63,7 +63,7 @@ class TrialArms:
     """puts all arms at rest, as a new batch"""
     targets: Array
     """(A, max(K, C), 3) [m]"""
-    goals: JointGoals | None = None
+    ways: Ways | None = None
     """of the first K targets; None for the nearest postures"""
     wear_seed: Array
     """(A,)"""
@@ -76,16 +76,16 @@ def try_controller(
     settings: TrialSettings,
     on_targets: OnTargets,
     twins: Sequence[Twin] = (),
-) -> Outcome:
+) -> Columns:
     """Try a controller on all arms of a variant; ``twins`` choose postures of targets anywhere."""
-    family, goals = settings.family, None
+    family, ways = settings.family, None
     targets = family_targets(arm, family, max(family.targets, family.crossings))
     if variant.anywhere:
-        targets[:, : family.targets], goals = targets_anywhere(arm, family, twins)
+        targets[:, : family.targets], ways = targets_anywhere(arm, family, twins)
     bench = TrialArms(
         open=lambda: open_family(arm, variant, family, settings.threads),
         targets=targets,
-        goals=goals,
+        ways=ways,
         wear_seed=np.array([family.wear_seed(i) for i in range(family.arms)], dtype=float),
     )
     return try_on(arm, bench, controller, settings, on_targets)
@@ -93,10 +93,14 @@ def try_controller(
 
 def try_on(
     arm: Arm, bench: TrialArms, controller: Callable[[Arm], Controller], settings: TrialSettings, on_targets: OnTargets
-) -> Outcome:
-    """Hold every arm at its targets, then run the crossing protocol."""
-    family, targets, robot = settings.family, bench.targets, bench.open()
-    cycles = 0
+) -> Columns:
+    """Hold every arm at its targets, then run the crossing protocol; returns results (A, max(K, C)).
+
+    Beside `METRICS`: seed of the ``arm``, number and place (``x``, ``y``, ``z``) of the ``target``, and the flags with
+    which the guard ``tripped``.
+    """
+    family, protocol, cycles = settings.family, settings.protocol, 0
+    shape = bench.targets.shape[:2]
 
     def watch(cycle: Cycle) -> None:
         nonlocal cycles
@@ -104,34 +108,24 @@ def try_on(
         if cycles % PROGRESS_CYCLES == 0:
             on_targets(int(cycle.target_index.sum()))
 
-    held = targets[:, : family.targets]
-    plan = replace(schedule("hold", settings.protocol, keep_going=True), goals=bench.goals)
-    recording = run(robot, controller(arm), held, plan, on_cycle=watch)
-    holds = measure_holds(arm, recording, held, settings.protocol)
-    names = ("crossed", "crossing_error", "crossing_true", "crossing_time")
-    crossings = {name: _unknown((len(targets), family.crossings)) for name in names}
-    if settings.crossing:
-        robot = bench.open()
-        points = targets[:, : family.crossings]
-        plan = schedule("crossing", settings.protocol, keep_going=True)
-        crossings = measure_crossings(
-            arm,
-            run(robot, controller(arm), points, plan, on_cycle=watch),
-            points,
-            settings.protocol,
-        )
-    stay = np.stack([holds[name] for name in settings.protocol.stay_names], axis=-1)
-    return Outcome(
-        wear_seed=bench.wear_seed,
-        target=held,
-        settled=holds["settled"],
-        settled_true=holds["settled_true"],
-        oscillation=holds["oscillation"],
-        stay=np.where(stay >= settings.protocol.hold, np.inf, stay),
-        tripped=recording.tripped.astype(float),
-        **crossings,
+    found: Columns = {name: np.full(shape, np.nan) for name in (*METRICS, *protocol.stay_names, "tripped")}
+    found |= dict(zip("xyz", np.moveaxis(bench.targets, -1, 0), strict=True))
+    found["arm"] = np.broadcast_to(bench.wear_seed[:, None], shape)
+    found["target"] = np.broadcast_to(np.arange(shape[1], dtype=float), shape)
+    wanted: tuple[tuple[Kind, int], ...] = (
+        ("hold", family.targets),
+        ("crossing", family.crossings * settings.crossing),
     )
-
-
-def _unknown(shape: tuple[int, ...]) -> Array:
-    return np.full(shape, np.nan)
+    for kind, count in wanted:
+        if not count:
+            continue
+        points, plan = bench.targets[:, :count], schedule(kind, protocol, keep_going=True)
+        ways = bench.ways if kind == "hold" else None
+        sequence = TargetSequence(arm, points, ways=ways)
+        recording = run(bench.open(), controller(arm), sequence, plan, on_cycle=watch)
+        places = tuple((b, 0) for b in range(len(points)))
+        for name, values in measure(arm, recording, points, protocol, ("", kind, places, 0)).columns.items():
+            found[name][:, :count] = values
+        if kind == "hold":
+            found["tripped"][:, :count] = recording.tripped[:, None]
+    return found

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -9,7 +11,8 @@ import numpy as np
 
 from rejoint.control.catalogue import BASELINES
 from rejoint.control.comparison.compare import Settings, Trial, TrialRunner
-from rejoint.control.comparison.result import Comparison, ControllerRow
+from rejoint.control.comparison.protocols import summarise
+from rejoint.control.comparison.result import METRICS, Comparison
 from rejoint.control.policy import load_policy
 from rejoint.control.robot import Robot
 from rejoint.control.targets import draw_targets
@@ -17,11 +20,12 @@ from rejoint.logs.runlog import RunLog, read_log, write_log
 from rejoint.pages.html import look_of
 from rejoint.pages.report.contents import read_curves
 from rejoint.pages.report.figures import Ways, bounds, encoder_path, ways
-from rejoint.research.reproduction.experiment import Bench, Drawing, Experiment, Findings, Grid, Number
+from rejoint.pages.report.tables import columns, plain_table
+from rejoint.research.reproduction.experiment import Bench, Drawing, Experiment, Findings, Grid, Number, likely
 from rejoint.research.reproduction.trainings import WORN
 from rejoint.robots import open_robot
 from rejoint.system.files import read_json, write_json
-from rejoint.system.statistics import Estimate, Labels, cluster, clustered_share
+from rejoint.system.statistics import cluster
 
 CLASSICAL = ("default", "pid-sum", "pid-literal")
 POLICIES = tuple(f"policy-{i}" for i in range(len(WORN)))
@@ -42,20 +46,14 @@ PAPER = {
 def run(bench: Bench) -> Findings:
     """Compare by the paper's protocol, and by holds."""
     result = _compare(bench)
-    rows = {row.controller: row for row in result.rows}
     seconds = [float(read_curves(bench.training(name).outputs.curves).wall_s[-1]) for name in WORN]
-    numbers: list[Number] = []
-    for name, paper in (("default", "default"), ("pid-sum", "pid"), ("pid-literal", "pid")):
-        numbers += _numbers(NAMES[name], result, [rows[name]], PAPER[paper])
-    numbers += _numbers("DT-DRL", result, [rows[name] for name in POLICIES], PAPER["policy"])
-    numbers.append(
-        Number(
-            what="DT-DRL: training time",
-            ours=f"{np.mean(seconds):.0f} s on one core",
-            paper="below 300 s, RTX 3090",
-            value=float(np.mean(seconds)),
-        )
-    )
+    numbers = [
+        *_numbers(NAMES["default"], result, ("default",), PAPER["default"]),
+        *_numbers(NAMES["pid-sum"], result, ("pid-sum",), PAPER["pid"]),
+        *_numbers(NAMES["pid-literal"], result, ("pid-literal",), PAPER["pid"]),
+        *_numbers("DT-DRL", result, POLICIES, PAPER["policy"]),
+        Number.of("DT-DRL: training time", np.mean(seconds), "{:.0f} s on one core", "below 300 s, RTX 3090"),
+    ]
     sets, repetitions = bench.scale.sets, bench.scale.repetitions
     text = (
         f"{bench.scale.targets} targets one after the other, the next at the first crossing of 10 mm or after 20 s; "
@@ -113,51 +111,26 @@ def _log(bench: Bench, controller: str) -> Path:
     return bench.folder / "logs" / f"crossing-{controller}.parquet"
 
 
-def _numbers(label: str, result: Comparison, rows: list[ControllerRow], paper: tuple[str, str, str]) -> list[Number]:
-    crossed, error, time = (
-        np.concatenate([result.array(field, row.controller) for row in rows])
-        for field in ("crossed", "crossing_error", "crossing_time")
-    )
-    error_mm, cycle = 1e3 * error[np.isfinite(error)], time.sum(axis=-1)
-    success = clustered_share(crossed.ravel(), _clusters(len(rows), result.shape))
-    mean = 100 * success.value
+def _numbers(label: str, result: Comparison, names: Sequence[str], paper: tuple[str, str, str]) -> list[Number]:
+    """Trials of ``names`` together, clusters of each apart."""
+    metrics, labels = (*METRICS, *result.protocol.stay_names), cluster(result.shape)[1]
+    found = {metric: np.concatenate([result.array(metric, name) for name in names]) for metric in metrics}
+    apart = np.concatenate([labels + i * (labels.max() + 1) for i in range(len(names))])
+    row = summarise(label, found, apart, result.protocol)
+    share = "" if row.success is None else likely(row.success, 100, 0)
+    time = np.nan if row.cycle_time is None else row.cycle_time.mean.value
     return [
-        Number(what=f"{label}: success rate", ours=f"{mean:.1f} %{_likely(success, 100, 0)}", paper=f"{paper[0]} %",
-               value=mean),
-        Number(what=f"{label}: error at the crossing", ours=f"{error_mm.mean():.2f} ± {error_mm.std():.2f} mm",
-               paper=f"{paper[1]} mm", value=float(error_mm.mean())),
-        Number(what=f"{label}: time for ten targets", ours=f"{np.nanmean(cycle):.1f} s", paper=f"{paper[2]} s",
-               value=float(np.nanmean(cycle))),
-    ]  # fmt: skip
-
-
-def _clusters(seeds: int, shape: tuple[int, int, int]) -> Labels:
-    """Cluster labels (seeds * S, R, K), flat."""
-    labels = cluster(shape)[1]
-    return np.concatenate([labels + i * (labels.max() + 1) for i in range(seeds)])
+        Number.of(f"{label}: success rate", 100 * row.reached, f"{{:.1f}} %{share}", f"{paper[0]} %"),
+        Number.spread(f"{label}: error at the crossing", row.crossing_error, f"{paper[1]} mm"),
+        Number.of(f"{label}: time for ten targets", time, "{:.1f} s", f"{paper[2]} s"),
+    ]
 
 
 def _held(result: Comparison) -> Grid:
-    rows = []
-    for row in result.rows:
-        settled, true, shake = row.settled, row.settled_true, row.oscillation
-        cells = [
-            "-" if one is None else f"{1e3 * one.mean.value:.2f}{_likely(one.mean, 1e3, 2)}"
-            for one in (settled, true, shake)
-        ]
-        rows.append((NAMES[row.controller], *cells, str(row.failures)))
-    headers = ("controller", "settled error mm", "of the tool itself mm", "oscillation mm rms", "runs the guard ended")
-    return Grid(
-        title=f"Every target held for {result.protocol.hold:g} s instead (95 % intervals)",
-        headers=headers,
-        rows=tuple(rows),
-    )
-
-
-def _likely(estimate: Estimate, factor: float, places: int) -> str:
-    if estimate.low is None or estimate.high is None:
-        return ""
-    return f" ({factor * estimate.low:.{places}f} to {factor * estimate.high:.{places}f})"
+    rows = [replace(row, controller=NAMES[row.controller]) for row in result.rows]
+    headers, cells = plain_table(columns(result), rows, notes=True)
+    title = f"The table of the comparison: every target held for {result.protocol.hold:g} s as well (95 % intervals)"
+    return Grid(title=title, headers=tuple(headers), rows=tuple(map(tuple, cells)))
 
 
 def _figure(bench: Bench, result: Comparison) -> Drawing:
@@ -172,12 +145,10 @@ def _figure(bench: Bench, result: Comparison) -> Drawing:
     ]
     return bench.draw(
         ways(panels, bounds([*paths.values(), targets])),
-        Drawing(
-            key="fig-13",
-            alt="The default stays beside the targets, PID wanders, the policy goes from one to the next.",
-            caption="Fig. 13. Paths of the TCP by encoder kinematics through the first set of targets, from above and "
-            "from the side; circles of 10 mm, a square at the start.",
-        ),
+        key="fig-13",
+        alt="The default stays beside the targets, PID wanders, the policy goes from one to the next.",
+        caption="Fig. 13. Paths of the TCP by encoder kinematics through the first set of targets, from above and "
+        "from the side; circles of 10 mm, a square at the start.",
     )
 
 

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from rejoint.arms import Arm, Array
 from rejoint.control.policy import load_policy
 from rejoint.pages.html import BLUE, ORANGE, RED
-from rejoint.pages.report.figures import Series
+from rejoint.pages.report.figures import WIDE, Series, canvas, heading, legend
 from rejoint.research.reproduction.experiment import Bench, Drawing, Experiment, Findings, Number
-from rejoint.research.reproduction.figures import over_training
 from rejoint.research.reproduction.trainings import HEALTHY, WORN, healthy_ranges, play, worn_ranges
 from rejoint.system.errors import FileError
 from rejoint.system.files import read_json, write_json
@@ -144,8 +144,7 @@ def _after(what: str, cycles: float | None, paper: str) -> Number:
 
 def _number(what: str, courses: list[Course], key: str, unit: str, paper: str = "") -> Number:
     values = at_end(courses, key) * (100.0 if unit == " %" else 1.0)
-    ours = f"{values.mean():.3g}{unit} ({values.min():.3g} to {values.max():.3g})"
-    return Number(what=what, ours=ours, paper=paper, value=float(values.mean()))
+    return Number.of(what, values.mean(), f"{{:.3g}}{unit} ({values.min():.3g} to {values.max():.3g})", paper)
 
 
 def _what(bench: Bench) -> str:
@@ -200,12 +199,24 @@ def _figure(bench: Bench, cycles: Array, courses: dict[str, list[Course]]) -> Dr
         panels.append((name, curves))
     return bench.draw(
         over_training(cycles, panels),
-        Drawing(
-            key="fig-12",
-            alt="Reward rises and steps fall with the range of the worn arm, not without it.",
-            caption="Fig. 12. Policies on their way, judged on arms they have not met; three seeds each.",
-        ),
+        key="fig-12",
+        alt="Reward rises and steps fall with the range of the worn arm, not without it.",
+        caption="Fig. 12. Policies on their way, judged on arms they have not met; three seeds each.",
     )
+
+
+def over_training(steps: Array, panels: Sequence[tuple[str, Sequence[Series]]]) -> Figure:
+    """Draw curves with bands over ``steps`` (K,); a panel per group."""
+    figure, grid = canvas((WIDE, 3.5), 1, len(panels))
+    for axes, (name, curves) in zip(grid[0], panels, strict=True):
+        for curve in curves:
+            look = curve.look
+            axes.plot(steps, curve.value, color=look.colour, linestyle=look.dash, linewidth=1.8, label=curve.label)
+            axes.fill_between(steps, curve.low, curve.high, color=look.colour, alpha=0.18, linewidth=0)
+        axes.set(xlabel="time steps of each agent", xlim=(steps[0], steps[-1]))
+        heading(axes, name)
+    legend(figure, grid[0, 0], [curve.label for curve in panels[0][1]])
+    return figure
 
 
 FIG_12 = Experiment(

@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from rejoint.arms import Arm
 from rejoint.control.comparison.result import Protocol
 from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.system.files import write_whole
 from rejoint.system.progress import Progress, no_progress
+from rejoint.system.statistics import Estimate, Spread
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+DPI, COLOURS = 120, 64
+"""of a figure; chosen"""
 SEEDS = 3
 """Trainings of each kind; chosen"""
 
@@ -67,9 +74,25 @@ class Number:
     value: float | None = None
     """ours in that unit"""
 
-    def __post_init__(self) -> None:
-        if self.value is not None:
-            object.__setattr__(self, "value", float(self.value))  # JSON knows no NumPy scalars
+    @classmethod
+    def of(cls, what: str, value: float | np.floating[Any], shown: str, paper: str = "") -> Number:
+        """Our ``value``, as ``shown`` formats it."""
+        return cls(what=what, ours=shown.format(value), paper=paper, value=float(value))  # JSON knows no NumPy scalars
+
+    @classmethod
+    def spread(cls, what: str, found: Spread | None, paper: str = "", places: tuple[int, int] = (2, 2)) -> Number:
+        """Mean and deviation [m] in millimetres, with ``places``."""
+        if found is None:
+            return cls(what=what, ours="-", paper=paper)
+        mean, std = 1e3 * found.mean.value, "" if found.std is None else f" ± {1e3 * found.std:.{places[1]}f}"
+        return cls(what=what, ours=f"{mean:.{places[0]}f}{std} mm", paper=paper, value=mean)
+
+
+def likely(estimate: Estimate, factor: float, places: int) -> str:
+    """Interval in brackets, or empty."""
+    if estimate.low is None or estimate.high is None:
+        return ""
+    return f" ({factor * estimate.low:.{places}f} to {factor * estimate.high:.{places}f})"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,12 +162,16 @@ class Bench:
         """Folder of a training (`rejoint.research.reproduction.trainings`)."""
         return RunFolder(self.folder / "trainings" / name)
 
-    def draw(self, figure: Figure, drawing: Drawing) -> Drawing:
-        """Save a figure of the page."""
-        from rejoint.research.reproduction.figures import save
+    def draw(self, figure: Figure, key: str, alt: str, caption: str) -> Drawing:
+        """Save a figure of the page as a small PNG."""
+        from PIL import Image
 
-        save(figure, self.folder / "figures" / f"{drawing.key}.png")
-        return drawing
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format="png", dpi=DPI, facecolor="white", metadata={"Software": None})
+        small = Image.open(buffer).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
+        path = self.folder / "figures" / f"{key}.png"
+        write_whole(path, lambda temporary: small.save(temporary, format="png", optimize=True))
+        return Drawing(key=key, alt=alt, caption=caption)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -48,12 +48,7 @@ def run(bench: Bench) -> Findings:
         "descriptions hold, and these are the units of every training below.",
     )
     numbers = tuple(
-        Number(
-            what=f"P = {p:g}, D = {d:g}: error, overshoot",
-            ours=f"{error:.2g} mm, {over:.0f} %",
-            paper=word,
-            value=error,
-        )
+        Number.of(f"P = {p:g}, D = {d:g}: error, overshoot", error, f"{{:.2g}} mm, {over:.0f} %", word)
         for (p, d), (error, over), word in zip(PAIRS, measured["rescaled"], WORDS, strict=True)
     )
     readings = (
@@ -114,12 +109,10 @@ def _figure(bench: Bench, paths: Array, targets: Array, measured: list[tuple[flo
     limits = np.stack([points.min(axis=0) - 0.015, points.max(axis=0) + 0.015], axis=1)
     return bench.draw(
         ways(panels, limits, views=("top",)),
-        Drawing(
-            key="fig-10",
-            alt=f"Straight paths for the stiff pair, ringing ones for the others; errors "
-            f"{', '.join(f'{error:.1f}' for error, _ in measured)} mm.",
-            caption="Fig. 10. Paths of the TCP from above; circles of 10 mm around the targets, a square at the start.",
-        ),
+        key="fig-10",
+        alt=f"Straight paths for the stiff pair, ringing ones for the others; errors "
+        f"{', '.join(f'{error:.1f}' for error, _ in measured)} mm.",
+        caption="Fig. 10. Paths of the TCP from above; circles of 10 mm around the targets, a square at the start.",
     )
 
 

@@ -37,16 +37,11 @@ def run(bench: Bench) -> Findings:
         "run on the vendor's angles, as ours do, and nothing that is compared below depends on the choice.",
     )
     numbers = (
-        Number(what="largest flange distance, Table 1 against the vendor's", ours=f"{apart:.2f} mm", value=apart),
-        Number(what="the same with the vendor's d1 and d5", ours=f"{equal:.1g} mm", value=equal),
-        Number(what="target box that inverse kinematics reaches", ours=f"{reached:.0f} %", paper="", value=reached),
-        Number(what="damped least-squares steps to 1 mm, at most 5° each (median)", ours=f"{steps:.0f}", value=steps),
-        Number(
-            what="encoder step",
-            ours=f"{np.degrees(vendor.encoder_step):.3f}°",
-            paper="0.18°",
-            value=float(np.degrees(vendor.encoder_step)),
-        ),
+        Number.of("largest flange distance, Table 1 against the vendor's", apart, "{:.2f} mm"),
+        Number.of("the same with the vendor's d1 and d5", equal, "{:.1g} mm"),
+        Number.of("target box that inverse kinematics reaches", reached, "{:.0f} %"),
+        Number.of("damped least-squares steps to 1 mm, at most 5° each (median)", steps, "{:.0f}"),
+        Number.of("encoder step", np.degrees(vendor.encoder_step), "{:.3f}°", "0.18°"),
     )
     readings = (
         "Equation 5 prints θ where a rotation about x by α is meant; α was taken.",

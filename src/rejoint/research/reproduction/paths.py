@@ -46,16 +46,8 @@ def run(bench: Bench) -> Findings:
         _reached("the same, exploring as at the end of the training", busy),
         _length("length of the path over the straight way, first episode (median)", first),
         _length("the same, trained", last),
-        Number(
-            what="episodes that end in a collision, first",
-            ours=f"{100 * first.collided.mean():.1f} %",
-            value=float(100 * first.collided.mean()),
-        ),
-        Number(
-            what="the same, trained",
-            ours=f"{100 * last.collided.mean():.1f} %",
-            value=float(100 * last.collided.mean()),
-        ),
+        Number.of("episodes that end in a collision, first", 100 * first.collided.mean(), "{:.1f} %"),
+        Number.of("the same, trained", 100 * last.collided.mean(), "{:.1f} %"),
     )
     readings = (
         "The paper shows pictures and gives no numbers here. It speaks of the policy after 20 episodes; the last one, "
@@ -65,14 +57,12 @@ def run(bench: Bench) -> Findings:
 
 
 def _reached(what: str, episodes: Episodes) -> Number:
-    share = 100 * float(episodes.reached.mean())
-    return Number(what=what, ours=f"{share:.1f} %", value=share)
+    return Number.of(what, 100 * episodes.reached.mean(), "{:.1f} %")
 
 
 def _length(what: str, episodes: Episodes) -> Number:
     steps = np.nansum(np.linalg.norm(np.diff(episodes.tcp, axis=0), axis=-1), axis=0)
-    ratio = float(np.median(steps / np.linalg.norm(episodes.target - episodes.tcp[0], axis=-1)))
-    return Number(what=what, ours=f"{ratio:.1f}", value=ratio)
+    return Number.of(what, np.median(steps / np.linalg.norm(episodes.target - episodes.tcp[0], axis=-1)), "{:.1f}")
 
 
 def _figure(bench: Bench, first: Episodes, last: Episodes) -> Drawing:
@@ -93,11 +83,9 @@ def _figure(bench: Bench, first: Episodes, last: Episodes) -> Drawing:
     limits = np.stack([np.minimum(box[:, 0], start) - 0.06, np.maximum(box[:, 1], start) + 0.06], axis=1)
     return bench.draw(
         ways(panels, limits),
-        Drawing(
-            key="fig-11",
-            alt="Tangled paths before the training, straight ones to every target after it.",
-            caption=f"Fig. 11. Paths of the TCP in {shown} episodes, from above and from the side; circles of 5 mm.",
-        ),
+        key="fig-11",
+        alt="Tangled paths before the training, straight ones to every target after it.",
+        caption=f"Fig. 11. Paths of the TCP in {shown} episodes, from above and from the side; circles of 5 mm.",
     )
 
 

@@ -66,20 +66,21 @@ def run(bench: Bench) -> Findings:
     first, seconds = outcomes[WORN[0]], [float(outcomes[name].curves.wall_s[-1]) for name in WORN]
     success = [outcomes[name].success for name in WORN]
     error = np.concatenate([outcomes[name].error_mm for name in WORN])
-    size = layout_size(PAPER.task.layout, bench.arm.joints)
     numbers = (
-        Number(what="size of the state s", ours=str(size), paper="28", value=size),
-        Number(what="transitions of a training", ours=f"{first.curves.step[-1] / 1e6:.2f} million",
-               paper="2.56 million", value=float(first.curves.step[-1])),
-        Number(what="training time", ours=f"{np.mean(seconds):.0f} s on one core", paper="below 300 s, RTX 3090",
-               value=float(np.mean(seconds))),
-        Number(what="success of --preset paper on the worn arm", ours=f"{np.mean(success):.1f} % "
-               f"({min(success):.1f} to {max(success):.1f} over seeds)", paper="100 %", value=float(np.mean(success))),
-        Number(what="its error at the crossing of 10 mm", ours=f"{error.mean():.2f} ± {error.std():.2f} mm",
-               paper="8.21 ± 1.11 mm", value=float(error.mean())),
-        *(Number(what=f"success, {WORDS[name]}", ours=f"{outcomes[name].success:.1f} %", value=outcomes[name].success)
-          for name in LITERALLY),
-    )  # fmt: skip
+        Number.of("size of the state s", layout_size(PAPER.task.layout, bench.arm.joints), "{}", "28"),
+        Number.of("transitions of a training", first.curves.step[-1] / 1e6, "{:.2f} million", "2.56 million"),
+        Number.of("training time", np.mean(seconds), "{:.0f} s on one core", "below 300 s, RTX 3090"),
+        Number.of(
+            "success of --preset paper on the worn arm",
+            np.mean(success),
+            f"{{:.1f}} % ({min(success):.1f} to {max(success):.1f} over seeds)",
+            "100 %",
+        ),
+        Number.of(
+            "its error at the crossing of 10 mm", error.mean(), f"{{:.2f}} ± {error.std():.2f} mm", "8.21 ± 1.11 mm"
+        ),
+        *(Number.of(f"success, {WORDS[name]}", outcomes[name].success, "{:.1f} %") for name in LITERALLY),
+    )
     return Findings(
         text=_text(outcomes), numbers=numbers, readings=_READINGS, grids=(_table_3(bench), _variants(outcomes))
     )

@@ -16,6 +16,7 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.control.servogains import Rung, ServoGains
 from rejoint.robots.bus import Bus, Reading, persist
+from rejoint.robots.family import SerialAddress
 from rejoint.robots.feetech.gains import FULL, RUNGS, FeetechAddress, Tuning, for_all
 from rejoint.robots.feetech.wire import (
     BLOCK,
@@ -151,7 +152,7 @@ class FeetechBus(Bus):
 
     def open(self) -> None:
         """Open the port."""
-        self._wire = Wire(self.address.port, self.address.baud)
+        self._wire = Wire(self.address.wire)
 
     def prepare(self, until: float | None = None) -> None:
         """Check all servos, read their zeros, and hold."""
@@ -280,7 +281,6 @@ class FeetechBus(Bus):
             self._write(servo, TORQUE, [1], until)
 
     def _require_torque(self, until: float | None) -> None:
-        """Raise PowerLostError for servos without torque, before a goal switches it on."""
         self._limp = {servo for servo in self.ids if self._register(servo, TORQUE, 1, until) != 1}
         if self._limp:
             raise PowerLostError(
@@ -340,10 +340,10 @@ class FeetechBus(Bus):
     def _require(
         self, missing: Sequence[int], strangers: Sequence[int] = (), kind: type[Exception] = TimeoutError
     ) -> None:
-        """Raise an error of a ``kind`` with the ``missing`` servos, NoReplyError for all."""
         others = f"; others that answer: {_listed(strangers)}" if strangers else ""
         if len(missing) == len(self.ids):
-            rate = f" at {self.address.baud} baud" if self.address.port.startswith("/") else ""
+            wire = self.address.wire
+            rate = f" at {wire.baud} baud" if isinstance(wire, SerialAddress) else ""
             raise NoReplyError(
                 f"{self.address}: no servo answers{rate}; is the arm's supply on, and its bus cable in?{others}"
             )

@@ -7,7 +7,7 @@ load in proportion to the error, without startup force and dead zone.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import parse_qs, urlsplit
@@ -15,7 +15,7 @@ from urllib.parse import parse_qs, urlsplit
 import numpy as np
 
 from rejoint.control.servogains import HEAVIEST, HOTTEST, Rung, ServoGains
-from rejoint.robots.family import serial_address, tcp_address
+from rejoint.robots.family import SerialAddress, TcpAddress, serial_address, tcp_address
 from rejoint.system.errors import RobotError
 from rejoint.system.stopping import ending, shielded
 
@@ -201,7 +201,6 @@ class Tuning:
         self.laws = [DutyLaw(p=data[0], startup=data[3], above=data[5], below=data[6]) for data in blocks]
 
     def _walk(self, wanted: ServoGains, until: float | None, *, hottest: float = np.inf) -> None:
-        """Set gains in small steps; RobotError after restoring them."""
         before = self.values
         strange = [name for name in wanted if name not in before or len(wanted[name]) != len(self._ids)]
         if strange:
@@ -224,7 +223,6 @@ class Tuning:
         self._wait(PAUSE)
 
     def _problem(self, step: Mapping[str, Sequence[int]], there: Values, until: float | None, hottest: float) -> str:
-        """Name a servo that does not bear a stiffer gain, or empty."""
         ((name, values),) = step.items()
         for servo, old, value in zip(self._ids, there[name], values, strict=True):
             if not stiffer(name, old, value):  # else one that labours could not be relieved
@@ -247,12 +245,7 @@ _OPTIONS = ("baud", "calibration", "zero", *KNOBS)
 class FeetechAddress:
     """A bus, and what is known of its arm."""
 
-    text: str
-    """as the user wrote it"""
-    port: str
-    """of pyserial: ``/dev/ttyACM0``, ``socket://HOST:PORT``"""
-    baud: int = _BAUD
-    """[1/s]"""
+    wire: TcpAddress | SerialAddress
     calibration: Path | None = None
     """LeRobot's; None: the servos' own limits"""
     zero: tuple[float, ...] = ()
@@ -261,15 +254,12 @@ class FeetechAddress:
     """by `rejoint.robots.feetech.gains.KNOBS`; empty: unchanged"""
 
     def __str__(self) -> str:
-        return self.text
+        return str(self.wire)
 
     @property
     def spot(self) -> str:
         """Equal for all its addresses."""
-        plain = self.text.partition("?")[0]
-        if self.port.startswith("/"):
-            return serial_address(plain, baud=self.baud).spot
-        return tcp_address(plain, port=_PORT).spot
+        return self.wire.spot
 
 
 def feetech_address(text: str) -> FeetechAddress:
@@ -280,23 +270,15 @@ def feetech_address(text: str) -> FeetechAddress:
     if unknown or any(len(values) > 1 or not values[0] for values in options.values()):
         raise ValueError(f"expected each of {', '.join(_OPTIONS)} once at most, got {query!r}")
     given = {name: values[0] for name, values in options.items()}
-    parts = urlsplit(plain)
-    if parts.netloc:
-        if "baud" in given:
-            raise ValueError("the baud rate is that of the other machine; leave it out")
-        server = tcp_address(plain, port=_PORT)
-        port = f"socket://{server.host}:{server.port}"
-    elif parts.path.startswith("/") and parts.path != "/":
-        port = parts.path
+    wire: TcpAddress | SerialAddress
+    if not urlsplit(plain).netloc:
+        wire = serial_address(f"{plain}?baud={given.get('baud', _BAUD)}", baud=_BAUD)
+    elif "baud" in given:
+        raise ValueError("the baud rate is that of the other machine; leave it out")
     else:
-        raise ValueError(f"not of the form {FORM}")
-    baud = given.get("baud", str(_BAUD))
-    if not (baud.isascii() and baud.isdecimal() and int(baud) > 0):
-        raise ValueError(f"the baud rate must be a positive whole number, got {baud!r}")
+        wire = tcp_address(plain, port=_PORT)
     return FeetechAddress(
-        text=text,
-        port=port,
-        baud=int(baud),
+        wire=replace(wire, text=text),
         zero=_degrees(given.get("zero")),
         calibration=Path(given["calibration"]).expanduser() if "calibration" in given else None,
         gains=read_gains({name: given[name] for name in KNOBS if name in given}),

@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from select import select
-from urllib.parse import urlsplit
 
 import numpy as np
 import serial
@@ -38,6 +37,7 @@ from rejoint.logs.homing import read_homing
 from rejoint.logs.joints import COUNTS_PER_TURN, match_joints
 from rejoint.logs.options import ImportOptions
 from rejoint.robots.bus import Reading
+from rejoint.robots.family import SerialAddress, TcpAddress
 from rejoint.robots.feetech.gains import DutyLaw
 from rejoint.system.errors import InputError, RobotError
 
@@ -54,13 +54,13 @@ WAIT = 0.02
 class _Port(PortHandler):  # type: ignore[misc]  # the maker's package has no types
     def setupPort(self, _rate: int) -> bool:  # noqa: N802 - the maker's name
         """Open; OSError."""
-        place = urlsplit(self.port_name)
+        place = self.port_name
         try:
-            if place.scheme == "socket":
-                self.ser = socket.create_connection((place.hostname, place.port), CONNECT)
+            if isinstance(place, TcpAddress):
+                self.ser = socket.create_connection((place.host, place.port), CONNECT)
                 self.ser.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # small packets do not wait
             else:
-                self.ser = serial.Serial(self.port_name, baudrate=self.baudrate, exclusive=True)
+                self.ser = serial.Serial(place.device, baudrate=self.baudrate, exclusive=True)
         except serial.SerialException as error:
             if error.errno != errno.EWOULDBLOCK:
                 raise
@@ -97,8 +97,9 @@ class Wire:
     Methods raise TimeoutError, ValueError or IndexError (garbled), or OSError (broken).
     """
 
-    def __init__(self, port: str, baud: int) -> None:
-        self._port = _Port(port)
+    def __init__(self, address: TcpAddress | SerialAddress) -> None:
+        self._port = _Port(address)
+        baud = address.baud if isinstance(address, SerialAddress) else self._port.baudrate
         if not self._port.setBaudRate(baud):
             raise ValueError(f"the maker's client knows no baud rate {baud}")
         self._client = sms_sts(self._port)
@@ -276,7 +277,6 @@ def zeros_of(
 
 
 def _require_swept(arm: Arm, low: Counts, high: Counts) -> None:
-    """Raise RobotError for joints without a calibrated range."""
     whole = (high - low >= COUNTS_PER_TURN - 1) & (arm.upper - arm.lower < TURNING)
     if whole.any():
         names = ", ".join(name for name, bare in zip(arm.joint_names, whole, strict=True) if bare)
@@ -327,7 +327,6 @@ def signed(word: int, bit: int) -> int:
 
 
 def _trouble(row: bytes, before: float) -> str | None:
-    """Fault in words; None: none, empty: unnamed."""
     _, _, volt, _, status, _ = _ROW.unpack(row)
     voltage = volt * VOLT
     words = [name for bit, name in FAULTS.items() if status & bit]

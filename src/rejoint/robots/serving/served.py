@@ -33,7 +33,8 @@ from rejoint.arms.wire.computer import COLLISION, HAS_ARRIVED_LENGTH, at_angles,
 from rejoint.arms.wire.mover import Mover
 from rejoint.control.correction import ROUNDS
 from rejoint.control.guard import GuardLimits, clear_by
-from rejoint.control.posture import PostureGains, Wanted
+from rejoint.control.posture import PostureGains
+from rejoint.control.reference import Reference, Setpoint
 from rejoint.control.robot import JointState, Mask
 from rejoint.control.unloading import OFF, Unloading
 
@@ -111,7 +112,7 @@ class MoveEnd:
     """which joint stands off its goal, and by how much; empty where none does"""
 
 
-class ServedArm(Mover):
+class ServedArm(Mover, Reference):
     """One arm of n joints at rest at ``position`` (n,) [rad]."""
 
     def __init__(
@@ -145,7 +146,7 @@ class ServedArm(Mover):
         self._temperature: Array | None = None
         self._fault: Mask | None = None
         self._came = position.copy()
-        self._wanted = self._aim = Wanted(posture=position[None].copy(), arrived=np.ones(1, dtype=bool))
+        self._wanted = self._aim = Setpoint(position[None].copy())
         # when [s] the reference ended its way; None while it moves
         self._since: float | None = None
         self._settled = True
@@ -162,7 +163,7 @@ class ServedArm(Mover):
 
     # --- what the control loop does ---------------------------------------------------------
 
-    def advance(self, state: JointState) -> Wanted:
+    def advance(self, state: JointState, since: Array, /) -> Setpoint:  # noqa: ARG002 - moves have their own clock
         """Take what was read, let the reference go on, and return where the arm is to be now."""
         if not self._lock.acquire(blocking=False):
             return self._wanted  # a posture is being searched: the reference waits
@@ -186,13 +187,13 @@ class ServedArm(Mover):
         self._temperature = None if state.temperature is None else state.temperature[0].copy()
         self._fault = None if state.fault is None else state.fault[0].copy()
 
-    def _next(self) -> Wanted:
+    def _next(self) -> Setpoint:
         under_way = self._motion.moving and not self._motion.paused
         if under_way or self._since is None:
             posture = self._apparent.measured(self._motion.reference, self._came)
         else:
-            posture = self._aim.posture[0]
-        return Wanted(posture=posture[None], arrived=np.array([not under_way]))
+            posture = self._aim.goal[0]
+        return Setpoint(posture[None], arrived=np.array([not under_way]))
 
     def _judge(self) -> None:
         assert self._time is not None  # noqa: S101 - for the type checker; `_observe` was called
@@ -206,7 +207,7 @@ class ServedArm(Mover):
         if self._stopped:
             self._judge_stopped(self._time)
             return
-        posture = self._wanted.posture[0]
+        posture = self._wanted.goal[0]
         error = float(np.linalg.norm(tcp_position(self.arm, posture) - tcp_position(self.arm, self._position)))
         after = self._time - self._since
         away = float(np.abs(posture - self._position).max())
@@ -232,7 +233,7 @@ class ServedArm(Mover):
 
     def _hold_here(self) -> None:
         self._came = self._position.copy()
-        self._wanted = self._aim = Wanted(posture=self._came[None].copy(), arrived=np.ones(1, dtype=bool))
+        self._wanted = self._aim = Setpoint(self._came[None].copy())
 
     def _stay(self) -> None:
         for joint, angle in enumerate(np.clip(self.angles, self.lower, self.upper)):

@@ -23,7 +23,7 @@ from rejoint.control.servogains import in_words, inner_name
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.logs.homing import corrected_homing, write_homing
 from rejoint.runs.run import Run
-from rejoint.session.controllers import choice, quick_note, recommended
+from rejoint.session.controllers import choice, quick_note
 from rejoint.session.inputs import RunLike, as_calibration, as_policy, as_run
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.extras import require
@@ -39,8 +39,12 @@ Kind = Literal["urdf", "lerobot", "datasheet", "onnx", "ros2"]
 KINDS: tuple[str, ...] = get_args(Kind)
 
 
-def export_run(run: RunLike, kind: str, out: Path | None = None, *, lerobot: Path | None = None) -> tuple[Path, str]:
+def export_run(
+    run: RunLike, kind: str, out: Path | None = None, *, lerobot: Path | None = None, controller: str | None = None
+) -> tuple[Path, str]:
     """Export a run as one of `KINDS`; returns the file and a sentence about it.
+
+    ``controller``: its name, by default what the run recommends.
 
     FileError or InputError for missing inputs.
     """
@@ -51,7 +55,12 @@ def export_run(run: RunLike, kind: str, out: Path | None = None, *, lerobot: Pat
         raise InputError(
             "--format lerobot takes --lerobot FILE, the calibration file of the arm, and no other format does"
         )
-    path, told = _exported(about, kind, out, lerobot)
+    if kind in ("onnx", "ros2"):
+        path, told = _controller(about, kind, out, controller)
+    elif controller is not None:
+        raise InputError(f"--controller is for --format onnx and ros2, not for {kind}")
+    else:
+        path, told = _exported(about, kind, out, lerobot)
     return path, f"{told} {quick_note(about)}".rstrip()
 
 
@@ -61,8 +70,6 @@ def _exported(about: Run, kind: str, out: Path | None, lerobot: Path | None) -> 
         from rejoint.pages.report.page import write_datasheet
 
         return write_datasheet(about.path, out or about.path / "datasheet.html"), "One page; print it on A4."
-    if kind in ("onnx", "ros2"):
-        return _controller(about, kind, out)
     return _urdf(about, out) if lerobot is None else _homing(about, lerobot, out)
 
 
@@ -101,19 +108,19 @@ def _homing(run: Run, source: Path, out: Path | None) -> tuple[Path, str]:
     return path, f"Homing offsets changed by {told} counts (present position = raw - homing_offset)."
 
 
-def _controller(run: Run, kind: str, out: Path | None) -> tuple[Path, str]:
+def _controller(run: Run, kind: str, out: Path | None, wanted: str | None) -> tuple[Path, str]:
     require(f"rejoint export --format {kind}", "onnx", "torch")
 
-    name, why = choice(run, run.arm, None)
+    name, why = choice(run, run.arm, None) if wanted is None else (wanted, "as asked for")
     chosen = f"Controller: {name} ({why})."
     if kind == "ros2":
         folder = out or run.path / "ros2"
-        design = write_package(run, folder)
+        design = write_package(run, folder, name)
         return folder, f"{chosen} The controller in it is the {design.name}. {notice(design)}"
     path = out or run.path / "controller.onnx"
     if path.suffix != ".onnx":
         raise InputError(f"{path}: expected a file that ends with .onnx")
-    design = write_controller(run, path)
+    design = write_controller(run, path, name)
     described = path.with_suffix(".yaml").name
     return path, f"{chosen} The controller is the {design.name}; {described} describes it. {notice(design)}"
 
@@ -129,12 +136,11 @@ OUTSIDE = (
 _PERIODS = (0.018, 0.055)
 
 
-def design_of(run: Run) -> Design:
-    """Recommended controller, else the policy, else the feed-forward.
+def design_of(run: Run, best: str) -> Design:
+    """Return the controller called ``best``, else the policy, else the feed-forward.
 
     InputError for policies by the paper's recipe.
     """
-    best = recommended(run)
     if best == SHELF:
         return _of_policy(run, shelf_policy(run.arm), f"{SHELF} policy")
     if best != FeedforwardController.name and run.folder.policy.exists():
@@ -144,9 +150,7 @@ def design_of(run: Run) -> Design:
     written = inner_name(best) if design.name == POLICY else best  # a policy says which gains it is for
     if written == design.name:
         return design
-    return replace(
-        design, instead=f"This run recommends {best}, which cannot be written so; this is its {design.name} instead."
-    )
+    return replace(design, instead=f"{best} cannot be written so; this is the {design.name} of the run instead.")
 
 
 def _of_feedforward(run: Run) -> Design:
@@ -201,14 +205,14 @@ def notice(design: Design) -> str:
     return f"{design.instead} {OUTSIDE}".strip()
 
 
-def write_controller(run: Run, out: Path) -> Design:
-    """Write ``out`` and its description, with suffix ``.yaml``."""
+def write_controller(run: Run, out: Path, best: str) -> Design:
+    """Write the controller called ``best`` to ``out``, and its description, with suffix ``.yaml``."""
     require("rejoint export --format onnx", "onnx", "torch")
     from onnx import helper
 
     from rejoint.runs.exporting.controllergraph import controller_graph
 
-    design = design_of(run)
+    design = design_of(run, best)
     model = controller_graph(design)
     helper.set_model_props(model, metadata(design))
     data = model.SerializeToString()
@@ -338,12 +342,12 @@ _FILES = {
 }
 
 
-def write_package(run: Run, folder: Path) -> Design:
-    """Write the package into ``folder``, filling in words between @."""
+def write_package(run: Run, folder: Path, best: str) -> Design:
+    """Write the package with the controller called ``best`` into ``folder``, filling in words between @."""
     package = package_name(run.arm)
     inside = folder / package
     inside.mkdir(parents=True, exist_ok=True)
-    design = write_controller(run, inside / "controller.onnx")
+    design = write_controller(run, inside / "controller.onnx", best)
     low, high = design.periods
     words = {
         "PACKAGE": package,

@@ -8,13 +8,16 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import date, datetime, time, timedelta
 from pathlib import Path
+from typing import Annotated
+
+import msgspec
 
 from rejoint.arms import CATALOGUE
 from rejoint.logs.history.rows import plain_name
 from rejoint.robots import place_of
 from rejoint.session.inputs import arm_of
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.tomltable import TomlTable, read_toml
+from rejoint.system.tomltable import Positive, Table, Text, Texts, read_toml
 
 DAYS = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")
 HORIZON = 400
@@ -100,9 +103,26 @@ def _dates(text: str) -> tuple[date, date]:
 FOLDER = "runs"
 """Default folder of runs and checks, beside the file"""
 
-_SHARED = ("hours", "closed", "tolerance_mm", "may_move", "needs_somebody", "may_repair")
-_TOP = ("folder", *_SHARED, "arm")
-_ARM = ("name", "address", "description", "bench", *_SHARED)
+
+class _SharedTable(Table):
+    hours: Texts | None = None
+    closed: Texts | None = None
+    tolerance_mm: Positive | None = None
+    may_move: bool | None = None
+    needs_somebody: bool | None = None
+    may_repair: bool | None = None
+
+
+class _ArmTable(_SharedTable, kw_only=True):
+    name: Text
+    address: Text
+    description: Text | None = None
+    bench: Text = ""
+
+
+class _FleetTable(_SharedTable, kw_only=True):
+    arm: Annotated[list[_ArmTable], msgspec.Meta(min_length=1)]
+    folder: Text = FOLDER
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,74 +171,41 @@ class Fleet:
 
 
 def read_fleet(path: Path | str) -> Fleet:
-    """Read FLEET.toml; FileError names the wrong line and key."""
+    """Read FLEET.toml; FileError names the wrong key."""
     place = Path(path)
-    top = read_toml(place, _TOP, "check the path of the file with the arms")
+    top = read_toml(place, _FleetTable, "check the path of the file with the arms")
     home = place.resolve().parent  # other processes stand in other folders
-    arms: list[FleetArm] = []
-    for table in top.tables("arm", _ARM):
-        arm = _arm(table, top, home)
-        for other in arms:
-            if arm.name == other.name:
-                raise table.error("name", f"two arms have the name {arm.name!r}")
-            if place_of(arm.address).spot == place_of(other.address).spot:
-                same = "" if arm.address == other.address else f", which is that of {other.name}, {other.address!r}"
-                raise table.error("address", f"two arms have the address {arm.address!r}{same}")
-        arms.append(arm)
-    folder = _place(home, top.string("folder") if "folder" in top.data else FOLDER)
-    return Fleet(path=place, folder=folder, arms=tuple(arms))
+    arms: dict[str, FleetArm] = {}
+    spots: dict[str, str] = {}
+    for table in top.arm:
+        try:
+            arm = _arm(table, top, home)
+            spot = place_of(arm.address).spot
+            if arm.name in arms:
+                raise ValueError("two arms have this name")
+            if spot in spots:
+                raise ValueError(f"address {arm.address!r} is that of {spots[spot]}, too")
+        except (ValueError, FileError) as error:
+            raise FileError(place, f"arm {table.name[:40]!r}: {error}", "correct the file") from error
+        arms[arm.name], spots[spot] = arm, arm.name
+    return Fleet(path=place, folder=_place(home, top.folder), arms=tuple(arms.values()))
 
 
-def _arm(table: TomlTable, top: TomlTable, home: Path) -> FleetArm:
-    name, address = table.string("name"), table.string("address")
-    if plain_name(name) != name:
-        raise table.error("name", f"expected letters, digits, dots and dashes, such as bench-3, found {name[:40]!r}")
-    try:
-        place_of(address)
-    except InputError as error:
-        raise table.error("address", str(error)) from error
-    description = _description(table, home)
-    try:
-        arm_of(address, description)
-    except (InputError, FileError) as error:
-        raise table.error("address" if description is None else "description", str(error)) from error
-    hours = Hours(spans=_hours(table, top, "hours").spans, closed=_hours(table, top, "closed").closed)
+def _arm(table: _ArmTable, top: _FleetTable, home: Path) -> FleetArm:
+    """ValueError (as InputError is), FileError."""
+    if plain_name(table.name) != table.name:
+        raise ValueError("expected a name of letters, digits, dots and dashes, such as bench-3")
+    description = table.description
+    if description is not None and description not in CATALOGUE:
+        description = str(_place(home, description))
+    arm_of(table.address, description)
+    said = {name: getattr(table, name) for name in _SharedTable.__struct_fields__}
+    said = {name: getattr(top, name) if value is None else value for name, value in said.items()}
+    hours = read_hours(said.pop("hours") or (), said.pop("closed") or ())
+    given = {name: value for name, value in said.items() if value is not None}
     return FleetArm(
-        name=name,
-        address=address,
-        description=description,
-        hours=hours,
-        bench=table.string("bench") if "bench" in table.data else "",
-        tolerance_mm=_giver("tolerance_mm", table, top).number("tolerance_mm", above=0.0),
-        may_move=_said("may_move", table, top, usual=False),
-        needs_somebody=_said("needs_somebody", table, top, usual=True),
-        may_repair=_said("may_repair", table, top, usual=False),
+        name=table.name, address=table.address, description=description, hours=hours, bench=table.bench, **given
     )
-
-
-def _giver(key: str, table: TomlTable, top: TomlTable) -> TomlTable:
-    return table if key in table.data else top
-
-
-def _said(key: str, table: TomlTable, top: TomlTable, *, usual: bool) -> bool:
-    found = _giver(key, table, top).boolean(key)
-    return usual if found is None else found
-
-
-def _hours(table: TomlTable, top: TomlTable, key: str) -> Hours:
-    giver = _giver(key, table, top)
-    texts = giver.texts(key) or ()
-    try:
-        return read_hours(texts) if key == "hours" else read_hours((), texts)
-    except ValueError as error:
-        raise giver.error(key, str(error)) from error
-
-
-def _description(table: TomlTable, home: Path) -> str | None:
-    if "description" not in table.data:
-        return None
-    text = table.string("description")
-    return text if text in CATALOGUE else str(_place(home, text))
 
 
 def _place(home: Path, text: str) -> Path:

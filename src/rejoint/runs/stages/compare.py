@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,11 +17,11 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.arms.inertia import LoadedArm
 from rejoint.control.classical import DefaultController
+from rejoint.control.comparison.compare import Helper, Trial, TrialRunner
 from rejoint.control.comparison.compare import Settings as TrialSettings
-from rejoint.control.comparison.compare import Trial, TrialRunner
 from rejoint.control.comparison.elimination import Elimination
 from rejoint.control.comparison.holding import Holding, errors_of, found_errors, vary_directions
-from rejoint.control.comparison.ledger import Helper, Ledger
+from rejoint.control.comparison.ledger import Ledger
 from rejoint.control.comparison.protocols import KINDS, Driven, measure
 from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import Comparison, Protocol, TargetErrors
@@ -281,8 +282,13 @@ class ComparisonJob:
 
     def begin_ahead(self) -> HelperProcess | None:
         """Start a second process with the known trials, if a core is free."""
-        tasks = [(name, kind) for name in self.factories for kind in KINDS]
-        return HelperProcess(self._work(), tasks) if self._shareable() else None
+        if not self._shareable():
+            return None
+        job = self._work()
+        helper = HelperProcess(job)
+        for task in product(self.factories, KINDS):
+            helper(task, job.places)
+        return helper
 
     @contextmanager
     def _helped(self, ahead: HelperProcess | None) -> Iterator[Helper | None]:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from typing import cast
-
 from rejoint.control.observer import Observer, pacing
-from rejoint.control.servogains import GEARED, RIVALS, GainsFound, ServoGains, Tunable, gains_in_force, search
+from rejoint.control.servogains import GEARED, RIVALS, GainsFound, ServoGains, search, tunable
 from rejoint.control.targets import draw_targets
 from rejoint.runs.run import Run
 from rejoint.session.controllers import recommended
@@ -70,7 +68,7 @@ def gains(
     ):
         points = draw_targets(session.arm, sets=1, count=TARGETS, seed=session.seed)[0]
         with kept_if_stopped(session.run, "gains"):
-            found = search(cast(Tunable, tried), points, limits=session.limits, on_progress=update)
+            found = search(tried, points, limits=session.limits, on_progress=update)
         if session.run is not None:
             with saving(found):
                 set_aside(session.run.folder.gains)
@@ -95,8 +93,6 @@ def gains_to_keep(run: Run) -> ServoGains:
 def keep_gains(robot: RobotLike, run: RunLike, wanted: ServoGains) -> ServoGains:
     """Write ``wanted`` to the servos' permanent memory; returns the gains before."""
     with noted(), ArmSession(robot, run=run) as session:
-        before = gains_in_force(session.robot)
-        if before is None:
-            raise InputError(f"{session.address} has no servo gains that could be kept")
-        cast(Tunable, session.robot).keep(wanted)
+        servos, before = tunable(session.robot)
+        servos.keep(wanted)
     return before

@@ -8,8 +8,8 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, Pipe
@@ -20,8 +20,7 @@ from typing import Any
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.rotations import Orientation
-from rejoint.control.comparison.compare import Settings, TrialRunner
-from rejoint.control.comparison.ledger import HelperLostError, Result, Task
+from rejoint.control.comparison.compare import Result, Settings, Task, TrialRunner
 from rejoint.control.comparison.protocols import Kind, Places
 from rejoint.control.correction import Modelled
 from rejoint.control.guard import GuardLimits
@@ -82,13 +81,13 @@ class Job:
 
 
 class HelperProcess:
-    """A running helper; first it does the tasks ``ahead``; close it."""
+    """A running helper; close it."""
 
-    def __init__(self, job: Job, ahead: Sequence[Task] = ()) -> None:
+    def __init__(self, job: Job) -> None:
         self._line, other = Pipe()
         self._job: Job | None = job
         self._process: subprocess.Popen[bytes] | None = None
-        with other, suppress(OSError):  # no process to be had: it is lost from the beginning
+        with other, suppress(OSError):  # no process to be had: its tasks fail
             self._process = subprocess.Popen(  # noqa: S603 - this very interpreter
                 [sys.executable, "-c", _START.format(path=sys.path, line=other.fileno())],
                 stdin=subprocess.DEVNULL,
@@ -97,46 +96,29 @@ class HelperProcess:
                 pass_fds=(other.fileno(),),
                 start_new_session=True,  # Ctrl-C is for the process that started it
             )
-        self._places = job.places if ahead else ()
-        self._ahead, self._begun = deque(ahead), dict[Task, Result | None]()
-        self._worker = Thread(target=self._drive_ahead, daemon=True)
-        self._worker.start()
+        self._asking = ThreadPoolExecutor(1)
+        self._futures: dict[tuple[Task, Places], Future[Result]] = {}
 
-    def settle(self) -> tuple[Task, ...]:
-        """Return the tasks begun ahead, and begin no more."""
-        self._ahead.clear()
-        return tuple(self._begun)
-
-    def drive(self, task: Task, places: Places) -> Result:
-        """Run the trials of a task; HelperLostError if that fails."""
-        self._worker.join()
-        found = self._begun.pop(task, None) if places == self._places else None
-        return self._ask(task, places) if found is None else found
-
-    def _drive_ahead(self) -> None:
-        with suppress(IndexError, HelperLostError):
-            while True:
-                task = self._ahead.popleft()
-                self._begun[task] = None
-                self._begun[task] = self._ask(task, self._places)
+    def __call__(self, task: Task, places: Places) -> Future[Result]:
+        """Have the trials of a task driven, once."""
+        if (task, places) not in self._futures:
+            self._futures[task, places] = self._asking.submit(self._ask, task, places)
+        return self._futures[task, places]
 
     def _ask(self, task: Task, places: Places) -> Result:
-        try:
-            if self._job is not None:
-                self._line.send(self._job)
-                self._job = None
-            self._line.send((task, places))
-            found: Result = self._line.recv()
-        except Exception as error:  # whatever it is, the trial is driven elsewhere
-            raise HelperLostError from error
+        if self._job is not None:
+            self._line.send(self._job)
+            self._job = None
+        self._line.send((task, places))
+        found: Result = self._line.recv()
         return found
 
     def close(self) -> None:
         """End the process."""
-        self.settle()
         if self._process is not None:
             self._process.kill()
             self._process.wait()
+        self._asking.shutdown(cancel_futures=True)
         self._line.close()
 
 

@@ -125,12 +125,6 @@ def test_a_link_that_stands_still_lets_everything_out_late(talk):
     assert sorted(gaps)[-3] < 0.06
 
 
-def test_what_was_asked_during_a_stall_is_answered_after_it(talk):
-    sent = talk("stall=0.5/1", [GET_ANGLES] * 5, pause=0.99, patience=0.3)
-    assert [data for _, data in sent] == [ANGLES] * 5
-    assert sent[1][0] == pytest.approx(1.5, abs=0.02)
-
-
 def test_a_silent_link_says_nothing_more_and_takes_no_orders(firmware):
     client, sent = VirtualClient(firmware, timing=PROMPT, faults=faults("silent@1")), []
     client.sent = lambda now, _data: sent.append(now - START)

@@ -56,27 +56,6 @@ def test_a_frame_is_found_after_any_garbage_once_the_line_was_quiet(garbage, fra
     assert decoder.feed(encode(frame)) == [frame]
 
 
-def test_a_half_frame_does_not_keep_the_command_behind_it():
-    decoder = Decoder()
-    assert decoder.feed(bytes.fromhex("FE FE 0F 22 04 1A  FE FE 02 20 FA")) == []
-    assert decoder.expire() == [Frame(0x20)]
-
-
-@pytest.mark.parametrize(
-    "noise", ["FE", "00 FE 33", "FE FE FE", "FE FE 1F 20 FA", "FE FE 01 20 FA", "FE FE 03 20 00 00"]
-)
-def test_noise_before_a_frame_is_skipped(noise):
-    found, rest = split(bytes.fromhex(noise) + encode(Frame(0x12)))
-    assert found == [Frame(0x12)]
-    assert rest == b""
-
-
 def test_header_and_footer_inside_a_payload_are_data():
     frame = Frame(0x22, b"\xfe\xfe\x02\x20\xfa\xfe\xfe")
     assert split(encode(frame)) == ([frame], b"")
-
-
-@pytest.mark.parametrize(("command", "payload"), [(256, b""), (-1, b""), (0x20, bytes(MAX_PAYLOAD + 1))])
-def test_what_does_not_fit_into_a_frame_is_refused(command, payload):
-    with pytest.raises(ValueError, match="a frame holds"):
-        Frame(command, payload)

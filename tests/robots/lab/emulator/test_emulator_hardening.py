@@ -5,19 +5,16 @@ import socket
 import threading
 import time
 import tracemalloc
-from collections import deque
 
 import numpy as np
 import pytest
-from benchmarks.emulator import GET_ANGLES, Soak, descriptors, drop_connections, fuzz
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from benchmarks.emulator import GET_ANGLES, descriptors, drop_connections, fuzz
 
 from rejoint.arms import mycobot280
 from rejoint.arms.wire.mover import MAX_QUEUE
 from rejoint.arms.wire.orders import answer
-from rejoint.arms.wire.values import MAX_PAYLOAD, Decoder, Frame, encode, pack_angles
-from rejoint.robots.lab.emulator import Firmware, Timing, serve_tcp
+from rejoint.arms.wire.values import Frame, encode, pack_angles
+from rejoint.robots.lab.emulator import Timing, serve_tcp
 from rejoint.robots.lab.emulator.firmware import MAX_WRITES
 
 pytestmark = pytest.mark.realtime
@@ -47,20 +44,6 @@ def test_fuzzed_frames_never_raise_and_leave_a_posture(worn):
     worn.power(True)
     worn.calibrate(0)
     assert answer(worn, Frame(0x20)).frame.payload
-
-
-@settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
-@given(st.lists(st.builds(Frame, st.integers(0, 255), st.binary(max_size=MAX_PAYLOAD)), max_size=8))
-def test_any_request_gets_an_answer_of_its_own_or_none(ideal_plant, requests):
-    firmware = Firmware(ideal_plant(), ARM)
-    for request in requests:
-        reply = answer(firmware, request)
-        assert reply is None or reply.frame.command == request.command
-        if reply is not None:
-            assert Decoder().feed(encode(reply.frame)) == [reply.frame]
-            assert len(reply.frame.payload) > 0  # the vendor's client takes an empty one for a failure
-    firmware.advance(0.05)
-    assert np.isfinite(firmware.angles).all()
 
 
 def test_orders_that_nobody_waits_for_fill_no_queue_without_end(firmware):
@@ -117,27 +100,6 @@ def sent(client, data):
         return client.send(data)
     except OSError:
         return 0
-
-
-def test_a_robot_driven_without_rest_keeps_the_time_and_its_size(firmware, plant):
-    """Half a minute in virtual time; an hour with the worn arm is in `make bench`."""
-    plant.writes = deque(maxlen=0)
-    soak = Soak(firmware)
-    soak.run(5.0)
-    tracemalloc.start()
-    try:
-        soak.run(5.0)
-        gc.collect()
-        before = tracemalloc.get_traced_memory()[0]
-        soak.run(20.0)
-        gc.collect()
-        grown = tracemalloc.get_traced_memory()[0] - before
-    finally:
-        tracemalloc.stop()
-    assert soak.answers > 30 * 30
-    assert abs(soak.drift) < 2e-3  # less than a millisecond waits for the next advance
-    assert grown < 20_000
-    assert firmware.time == pytest.approx(30.0, abs=0.1)
 
 
 def test_what_two_clients_write_is_never_mixed(firmware):

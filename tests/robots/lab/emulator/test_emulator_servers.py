@@ -3,11 +3,10 @@
 import os
 import signal
 import socket
-import struct
 import subprocess
 import sys
 import time
-from contextlib import closing, suppress
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -39,13 +38,6 @@ def server(firmware):
         yield running
 
 
-def test_each_answer_arrives_whole_and_alone(server):
-    with connect(server) as client:
-        for _ in range(5):
-            client.sendall(GET_ANGLES)
-            assert client.recv(1024) == ANGLES
-
-
 def test_two_commands_at_once_get_two_answers_in_order(server):
     with connect(server) as client:
         client.sendall(IS_POWER_ON + GET_ANGLES)
@@ -53,57 +45,6 @@ def test_two_commands_at_once_get_two_answers_in_order(server):
         while len(got) < len(POWER_IS_ON) + len(ANGLES):
             got += client.recv(1024)
         assert got == POWER_IS_ON + ANGLES
-
-
-def test_garbage_gets_no_answer_and_does_no_harm(server):
-    with connect(server) as client:
-        client.sendall(np.random.default_rng(1).bytes(5000))
-        client.settimeout(0.3)
-        with suppress(TimeoutError):
-            while client.recv(1024):
-                pass  # random bytes may hold a command
-        client.settimeout(2.0)
-        client.sendall(GET_ANGLES)
-        assert client.recv(1024) == ANGLES
-
-
-@pytest.mark.parametrize("farewell", ["close", "reset", "half frame"])
-def test_the_next_client_is_served_however_the_last_one_left(server, farewell):
-    with connect(server) as client:
-        client.sendall(bytes.fromhex("FE FE 0F 22") if farewell == "half frame" else GET_ANGLES)
-        if farewell == "reset":
-            client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-    with connect(server) as client:
-        client.sendall(GET_ANGLES)
-        assert client.recv(1024) == ANGLES
-
-
-def test_a_second_client_waits_for_the_first_to_leave(server):
-    with connect(server) as first, connect(server, 0.2) as second:
-        first.sendall(GET_ANGLES)
-        assert first.recv(1024) == ANGLES
-        second.sendall(IS_POWER_ON)
-        with pytest.raises(TimeoutError):
-            second.recv(1024)
-        first.close()
-        second.settimeout(2.0)
-        assert second.recv(1024) == POWER_IS_ON
-
-
-def test_a_client_that_never_reads_does_not_block_the_arm(firmware):
-    with (
-        serve_tcp(firmware, port=0, timing=Timing(state=0.0, acknowledgement=0.0)) as running,
-        connect(running) as client,
-    ):
-        client.setblocking(False)
-        with suppress(BlockingIOError):
-            while True:
-                client.send(GET_ANGLES * 200)
-        before = firmware.time
-        deadline = time.monotonic() + 5.0
-        while firmware.time <= before and time.monotonic() < deadline:
-            time.sleep(0.01)
-        assert firmware.time > before
 
 
 def test_time_goes_on_between_requests(server, plant):
@@ -124,14 +65,6 @@ def test_a_port_in_use_is_named(server, firmware):
         serve_tcp(firmware, host="nosuchhost.invalid", port=0)
     with pytest.raises(InputError, match="70000"):
         serve_tcp(firmware, port=70000)
-
-
-def test_a_stopped_server_frees_its_port(firmware):
-    with serve_tcp(firmware, port=0, timing=QUICK) as running:
-        port = place(running)[1]
-    with serve_tcp(firmware, port=port, timing=QUICK) as running, connect(running) as client:
-        client.sendall(GET_ANGLES)
-        assert client.recv(1024) == ANGLES
 
 
 def test_a_terminal_carries_every_byte_and_outlives_its_clients(firmware):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from rejoint.arms import mycobot280, tcp_pose
 from rejoint.arms.rotations import to_coords, to_pose
@@ -34,16 +35,6 @@ def test_numbers_too_large_for_the_wire_saturate():
     assert values.pack_bytes([300, -5, 12.9]) == bytes([255, 0, 12])
 
 
-def axis_rotation(axis, angle):
-    c, s = np.cos(angle), np.sin(angle)
-    rows = {
-        0: [[1, 0, 0], [0, c, -s], [0, s, c]],
-        1: [[c, 0, s], [0, 1, 0], [-s, 0, c]],
-        2: [[c, -s, 0], [s, c, 0], [0, 0, 1]],
-    }
-    return np.array(rows[axis])
-
-
 angles = st.floats(-3.1, 3.1)
 
 
@@ -51,7 +42,7 @@ angles = st.floats(-3.1, 3.1)
 def test_euler_angles_are_zyx_and_invert(rx, ry, rz):
     coords = np.array([0.1, -0.2, 0.3, rx, ry, rz])
     pose = to_pose(coords)
-    by_hand = axis_rotation(2, rz) @ axis_rotation(1, ry) @ axis_rotation(0, rx)
+    by_hand = Rotation.from_euler("xyz", [rx, ry, rz]).as_matrix()
     np.testing.assert_allclose(pose[:3, :3], by_hand, atol=1e-12)
     np.testing.assert_allclose(to_coords(pose), coords, atol=1e-9)
 

@@ -28,7 +28,3 @@ def test_a_draw_is_a_pure_function_of_seed_arm_and_cycle():
     full = Channel().draw(KEYS, np.array([5, 6, 7, 8]))
     alone = Channel().draw(stream_keys(3, 1, first=2), np.array([7]))
     assert [delay[0] for delay in alone] == [delay[2] for delay in full]
-
-
-def test_purposes_have_streams_of_their_own():
-    assert not set(stream_keys(3, 4)) & set(stream_keys(3, 4, purpose=1))

@@ -82,15 +82,6 @@ def test_teeth_do_not_pull_when_they_part():
     assert servo.gear_torque(records[0], 0.021, -5.0) == pytest.approx(5.0 * 0.02)  # the grease alone
 
 
-def test_the_reference_moves_at_its_speed_limit():
-    state = np.zeros(1, servo.STATE)
-    state["goal"], state["speed_limit"], state["powered"] = 1.0, 0.5, True
-    records = joint()
-    for step in range(1, 2_500):
-        servo.motor_torque(records[0], state[0], 0.0, 0.0)
-        assert state["reference"][0] == pytest.approx(min(0.5e-3 * step, 1.0))
-
-
 def test_an_error_of_one_count_is_ignored_and_one_of_two_is_not():
     state = np.zeros(1, servo.STATE)
     state["speed_limit"], state["powered"] = 100.0, True
@@ -124,14 +115,6 @@ def test_back_emf_takes_the_torque_at_the_no_load_speed():
 def test_only_an_encoder_behind_the_gear_sees_the_play_and_none_sees_the_flex(inside, seen):
     records = joint(play=0.04, play_in_loop=inside)
     assert servo.read_encoder(records[0], 0.0, 0.5) == pytest.approx(seen, abs=ARM.encoder_step / 2)
-
-
-def test_readings_are_whole_counts():
-    angles = np.random.default_rng(0).uniform(-3, 3, 200)
-    records = joint()
-    readings = np.array([servo.read_encoder(records[0], angle, 0.0) for angle in angles])
-    np.testing.assert_allclose(readings / ARM.encoder_step, np.rint(readings / ARM.encoder_step), atol=1e-9)
-    assert np.abs(readings - angles).max() <= ARM.encoder_step / 2 + 1e-12
 
 
 def test_a_held_joint_warms_towards_ambient_plus_rise():

@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from rejoint.arms import mycobot280, so101
 from rejoint.robots.lab.plant.wear import (
     PARAMETERS,
-    Wear,
     draw_wear,
     largest_load,
     lifting_torque,
@@ -32,23 +31,6 @@ def worn_text() -> str:
         value = getattr(wear, name)
         lines.append(f"play_deg = {np.degrees(value).tolist()}" if name == "play" else f"{name} = {value.tolist()}")
     return "[joints]\n" + "\n".join(lines) + "\n"
-
-
-def test_the_profiles_of_the_package_load():
-    assert set(SCALING) == {"healthy", "worn", "worn-true", "play-in-loop"}
-    assert set(wear_names()) == {*SCALING, "so101", "so101-new"}
-    for name in SCALING:
-        wear = load_wear(name, ARM)
-        assert wear.name == name
-        assert wear.play_in_loop == (name == "play-in-loop")
-
-
-@pytest.mark.parametrize("name", ["wron", "", "worn?seed=", "worn?seed=x", "worn?seed=-1", "none.toml", "worn.toml?"])
-def test_an_unknown_profile_names_the_alternatives(name):
-    with pytest.raises(ProfileError) as caught:
-        load_wear(name, ARM)
-    text = str(caught.value)
-    assert "whole number" in text or all(known in text for known in wear_names())
 
 
 scalars = st.one_of(
@@ -97,16 +79,6 @@ def test_every_profile_of_the_package_lifts_the_arm_everywhere_in_the_region():
         assert (wear.torque_limit >= lifting_torque(wear, ARM))[:3].all(), name
         moving = largest_load(ARM) * (1 + wear.load_friction) + wear.coulomb
         assert (wear.torque_limit >= 1.1 * moving).all(), name
-
-
-def test_a_wear_is_read_only_and_copies():
-    values = {name: np.ones(6) for name in PARAMETERS}
-    values |= {"reflected_inertia": np.full(6, 0.1), "link_stiffness": np.full(6, 50.0)}
-    wear = Wear(name="mine", **values)
-    values["play"][:] = 7.0
-    assert (wear.play == 1.0).all()
-    with pytest.raises(ValueError, match="read-only"):
-        wear.play[0] = 2.0
 
 
 def test_the_profile_of_the_so101_holds_what_was_identified_on_a_real_one():

@@ -96,7 +96,6 @@ def _paint(
 
 
 def _window(board: Board, lens: Lens, pose: Array) -> tuple[int, int, int, int] | None:
-    """Columns and rows of the image that may show the board, or None."""
     outline = board.outline + np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * _QUIET
     points = outline @ pose[:3, :3].T + pose[:3, 3]
     if (points[:, 2] < 0.05).any():

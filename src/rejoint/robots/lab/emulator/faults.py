@@ -8,9 +8,9 @@ from __future__ import annotations
 import math
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +55,7 @@ class Onset:
 
 @dataclass(frozen=True, kw_only=True)
 class Faults:
-    """All faults; `KNOWN` explains them."""
+    """All faults; `FORMS` explains them."""
 
     drop: float = 0.0
     garbage: float = 0.0
@@ -90,64 +90,34 @@ SERVO_BUS = ("mute", "sag")
 NONE = Faults()
 
 
-class Known(NamedTuple):
-    """Name and meaning of a fault."""
-
-    form: str
-    """text behind its name: `LETTERS` for numbers, optional parts in brackets"""
-    meaning: str
-
-
-LETTERS = {
-    "P": "P from 0 to 1",
-    "J": "joint J from 1 to {joints}",
-    "S": "S seconds",
-    "D": "D seconds",
-    "E": "E seconds",
-    "T": "T seconds",
-    "R": "R ohm",
+FORMS: dict[str, str] = {
+    "drop": "=P",
+    "garbage": "=P",
+    "stale": "=P",
+    "split": "=P",
+    "half": "=P",
+    "double": "=P",
+    "echo": "=P",
+    "slow": "=S",
+    "stall": "=D/E",
+    "gone": "=T/D",
+    "silent": "@T",
+    "die": "@T",
+    "freeze": "=J@T",
+    "blind": "=J@T",
+    "jump": "=J@T",
+    "limit": "=J@T",
+    "overheat": "[=J]@T",
+    "current": "=J@T",
+    "overload": "=J@T",
+    "voltage": "[=J]@T",
+    "mute": "=J@T/D",
+    "sag": "=R",
 }
-KNOWN: dict[str, Known] = {
-    "drop": Known("=P", "share of answers that are lost"),
-    "garbage": Known("=P", "share of answers with random bytes before them or inside"),
-    "stale": Known("=P", "share of answers that repeat the previous one to the same question"),
-    "split": Known("=P", "share of answers that come in two pieces, with a pause between them"),
-    "half": Known("=P", "share of answers that break off inside the frame"),
-    "double": Known("=P", "share of answers that are sent twice"),
-    "echo": Known("=P", "share of answers that come behind an echo of their request"),
-    "slow": Known("=S", "every answer takes S longer"),
-    "stall": Known("=D/E", "the link stands still both ways for D every E; what was under way comes late"),
-    "gone": Known("=T/D", "the connection is closed at T and refused for D, then all is well"),
-    "silent": Known("@T", "from T on nothing comes any more; the connection stays open"),
-    "die": Known("@T", "the emulator ends at T without a word"),
-    "freeze": Known("=J@T", "from T on the encoder of J tells what it told at T; its servo still sees"),
-    "blind": Known("=J@T", "from T on the servo of J itself sees what it saw at T, and runs away when moved"),
-    "jump": Known("=J@T", "the first reading of J after T is off by more than any servo can move"),
-    "limit": Known("=J@T", "from T on the reading of J runs until it is beyond the nearer limit, and stays off"),
-    "overheat": Known("[=J]@T", "from T on a servo (otherwise 2) gets hot, beyond its own threshold, and says so"),
-    "current": Known("=J@T", "from T on the servo of J reports over-current, and a current at the top of its scale"),
-    "overload": Known("=J@T", "from T on the servo of J reports overload"),
-    "voltage": Known("[=J]@T", "from T on the supply (otherwise of all) is too low, and the servos say so"),
-    "mute": Known("=J@T/D", "on a bus of servos: from T on, for D, the servo of J neither hears nor answers; it holds"),
-    "sag": Known("=R", "on a bus of servos: the supply has this resistance and sags under their current"),
-}
-"""Faults as on the command line; names are fields of `Faults`"""
+"""How faults are written behind their names, which are fields of `Faults`; optional parts in brackets. `rejoint emulate
+--help` explains them"""
 
 _REPEATABLE = {field.name for field in fields(Faults) if field.default == ()}
-
-
-def form(name: str) -> str:
-    """How a fault is written: ``freeze=J@T``."""
-    return name + KNOWN[name].form
-
-
-def describe(joints: int) -> Iterable[str]:
-    """Return a line per fault: form, meaning, letters."""
-    return (f"{form(name)}: {known.meaning} ({_ranges(name, joints)})" for name, known in KNOWN.items())
-
-
-def _ranges(name: str, joints: int) -> str:
-    return ", ".join(words for letter, words in LETTERS.items() if letter in KNOWN[name].form).format(joints=joints)
 
 
 def parse_faults(text: str, joints: int) -> Faults:
@@ -155,24 +125,22 @@ def parse_faults(text: str, joints: int) -> Faults:
     found: dict[str, list[object]] = {}
     for item in filter(None, (part.strip() for part in text.split(","))):
         name = re.split("[=@]", item)[0]
-        if name not in KNOWN:
-            known = "".join(f"\n  {line}" for line in describe(joints))
-            raise InputError(f"'{item}' is no known fault; known are{known}")
+        if name not in FORMS:
+            raise InputError(f"'{item}' is no known fault; known are {', '.join(FORMS)}, see rejoint emulate --help")
         try:
             value = _read(name, item.removeprefix(name), joints)
         except ValueError:
-            wanted = f"expected the fault {form(name)}, {_ranges(name, joints)}"
-            raise InputError(f"{wanted}, got '{item}'") from None
+            wanted = f"{name}{FORMS[name]}, see rejoint emulate --help, with a joint J from 1 to {joints}"
+            raise InputError(f"expected the fault {wanted}; got '{item}'") from None
         found.setdefault(name, []).append(value)
         if name not in _REPEATABLE and len(found[name]) > 1:
             raise InputError(f"the fault {name} may be given once, got '{text}'")
     values = {name: tuple(values) if name in _REPEATABLE else values[0] for name, values in found.items()}
-    return Faults(**values)  # type: ignore[arg-type]  # `KNOWN` reads each field as what it is
+    return Faults(**values)  # type: ignore[arg-type]  # `FORMS` reads each field as what it is
 
 
 def _read(name: str, text: str, joints: int) -> object:
-    """Read the text behind a fault's name; ValueError."""
-    optional = KNOWN[name].form.replace("[", "(?:").replace("]", ")?")
+    optional = FORMS[name].replace("[", "(?:").replace("]", ")?")
     match = re.fullmatch(re.sub("[A-Z]", lambda letter: f"(?P<{letter[0]}>[^=@/]+)", optional), text)
     if match is None:
         raise ValueError

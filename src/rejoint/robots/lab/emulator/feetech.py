@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm
 from rejoint.robots.lab.emulator.faults import NONE, SPLIT_PAUSE, SUPPLY_VOLTAGE, EmulatedArm, Faults
-from rejoint.robots.lab.emulator.servers import ByteStream, Conversation, Server, on_port, on_terminal
+from rejoint.robots.lab.emulator.servers import ByteStream, Conversation
 from rejoint.robots.lab.plant.servo import STEP
 from rejoint.robots.lab.plant.sts3215 import BareServos, StsPlant
 
@@ -427,7 +427,6 @@ class ServoBus:
         return answers
 
     def _obey(self, index: int, request: Packet) -> bytes | None:
-        """Execute an order to one servo; returns the answer's data, or None."""
         servo, data = self.arm.servos[index], request.parameters
         if request.code == PING:
             return b""
@@ -534,8 +533,3 @@ class BusSession(Conversation[Packet]):
             pieces[-1] += first
             pieces += rest
         return pieces
-
-
-def serve_bus(session: BusSession, *, host: str = "127.0.0.1", port: int = 0, pty: bool = False) -> Server:
-    """Serve a bus on a TCP port (0: any free one) or a pseudo-terminal; InputError."""
-    return on_terminal(session) if pty else on_port(session, host, port)

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, tcp_pose
-from rejoint.arms.wire.computer import FULL_SPEED, at_angles, at_place
+from rejoint.arms import Arm, Array
+from rejoint.arms.wire.computer import FULL_SPEED
 from rejoint.arms.wire.mover import Mover
 from rejoint.robots.lab.emulator.faults import OVER_TEMPERATURE_BIT, EmulatedArm, Mask
 
@@ -47,8 +47,7 @@ class Firmware(EmulatedArm, Mover):
         self.enabled = np.ones(arm.joints, dtype=bool)
         self.zero = np.zeros(arm.joints)
         """(n,) [rad] calibrated zeros by the encoders"""
-        self.registers: dict[tuple[int, int], int] = {}
-        """(servo, address) -> value; without effect"""
+        self.registers = {}
         self._rng = np.random.default_rng(seed)
         self._clock_ms = 0
         self._owed = 0.0
@@ -60,11 +59,6 @@ class Firmware(EmulatedArm, Mover):
     def angles(self) -> Array:
         """(n,) [rad] by the encoders."""
         return super().angles - self.zero
-
-    @property
-    def pose(self) -> Array:
-        """(4, 4) TCP pose by the encoders."""
-        return tcp_pose(self.arm, self.angles)
 
     @property
     def speed(self) -> Array:
@@ -100,14 +94,6 @@ class Firmware(EmulatedArm, Mover):
     def moving(self) -> bool:
         """Whether the reference or a joint moves."""
         return (self._motion.moving and not self._motion.paused) or bool((np.abs(self.speed) > _AT_REST).any())
-
-    def in_position(self, angles: Array) -> bool:
-        """Whether the encoders are within a degree of ``angles`` (n,) [rad]."""
-        return at_angles(self.angles, angles)
-
-    def at_pose(self, pose: Array) -> bool:
-        """Whether the encoder TCP is within 3 mm and a degree of ``pose`` (4, 4)."""
-        return at_place(self.pose, pose)
 
     # --- moves ------------------------------------------------------------------------------
 

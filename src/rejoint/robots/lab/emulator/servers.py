@@ -207,7 +207,6 @@ class Conversation(ABC, Generic[R]):
             return  # a client that breaks the connection is gone, like one that closes it
 
     def _receive(self, channel: ByteStream, finder: Finder[R]) -> list[R] | None:
-        """Return requests within a tick; None: the client is gone."""
         timeout = HALF_FRAME_TIMEOUT if finder.pending else self._tick
         lay_there = self._await_data(channel.fileno(), 0.0)
         if not self.wait(channel.fileno(), self._clock() + timeout):
@@ -445,7 +444,7 @@ def serve_pty(firmware: Firmware, **options: Any) -> Server:  # noqa: ANN401
     return on_terminal(WireSession(firmware, **options))
 
 
-def on_port(session: Conversation[Any], host: str, port: int) -> Server:
+def on_port(session: Conversation[Any], host: str = "127.0.0.1", port: int = 0) -> Server:
     """Serve a conversation on a TCP port (0: any free one); InputError."""
     return _TcpServer(session, listen_tcp(host, port, BACKLOG))
 

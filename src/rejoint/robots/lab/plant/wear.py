@@ -277,7 +277,6 @@ def _fitted(base: str, arm: Arm) -> Wear:
 
 
 def _options(name: str) -> tuple[str, dict[str, float]]:
-    """Split a profile's name from its options; ProfileError."""
     base, query, rest = name.partition("?")
     options: dict[str, float] = {}
     for part in rest.split("&") if query else []:

@@ -1,0 +1,196 @@
+"""References: where arms are to be over time. The loop asks once per cycle.
+
+Targets in turn are here, and joint motions by the clock. Paths and streams of targets: `rejoint.control.moving`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.arms import Arm, Array, JointTrajectory, tcp_position
+from rejoint.arms.inverse import REST_GAIN
+from rejoint.arms.rotations import Orientation
+from rejoint.control.controller import ControlInput
+from rejoint.control.correction import Modelled
+from rejoint.control.goal import LAGS, Ways, nearest_postures, waiting
+from rejoint.control.robot import JointState, Mask
+from rejoint.system.errors import InputError
+
+Index = NDArray[np.intp]
+
+ARRIVED = np.ones(1, dtype=bool)
+"""At rest, of any number of arms"""
+
+
+class Setpoint(NamedTuple):
+    """Where B arms are to be now."""
+
+    goal: Array
+    """(B, n) [rad]"""
+    target: Array | None = None
+    """(B, 3) [m] of the tools, corrected; None: the joints alone count"""
+    since: Array | None = None
+    """(B,) [s] since the goal has stopped moving, 0 on the way; None: the reference's time"""
+    arrived: Mask = ARRIVED
+    """(B,) or (1,) the goal has stopped moving"""
+    turn: Orientation | None = None
+    """(B,) wanted orientations; None: any"""
+    place: Array | None = None
+    """(B, 3) [m] recorded target, at the end of the way; None: the tool's at the goal"""
+    aim: Array | None = None
+    """(B, 3) [m] the same, corrected; None: as ``place``"""
+    ahead: Callable[[Array], Array] | None = None
+    """goals (k, B, n) [rad] in ``later`` (k, B) [s]; None: as now"""
+
+
+class Reference(ABC):
+    """Where B arms are to be. Its time is the loop's to count: since the begin, without what arms had to wait."""
+
+    count: int = 1
+    """arms"""
+    legs: int = 1
+    """parts, one after the other, which the schedule ends"""
+    waits: Mask | bool = True
+    """(B,) whether its time stops in gaps"""
+    planned: bool = False
+    """whether the goals themselves are clear of contacts"""
+
+    def begin(self, where: Mask, index: Index, sent: Array) -> None:  # noqa: B027 - most have one leg
+        """Begin the legs ``index`` (B,) of the arms in ``where`` (B,), after the commands ``sent`` (B, n) [rad]."""
+
+    @abstractmethod
+    def advance(self, state: JointState, since: Array, /) -> Setpoint:
+        """Return the setpoint ``since`` (B,) [s]; called once per cycle, and again where a leg begins."""
+
+    def again(self, inputs: ControlInput) -> Mask | None:  # noqa: ARG002 - most correct nothing
+        """Correct the aims at this reading; returns the changed arms (B,), None where there are none."""
+        return None
+
+    def left_out(self, since: Array, before: Array, position: Array) -> Array | float:  # noqa: ARG002 - most wait for none
+        """Return the share (B,) of the cycle that does not count, for lagging joints.
+
+        ``since`` (B,) [s], joints ``before`` and now at ``position`` (B, n) [rad].
+        """
+        return 0.0
+
+
+class JointMotion(Reference):
+    """Joint positions by the clock."""
+
+    def __init__(self, trajectory: Callable[[Array], Array], count: int) -> None:
+        """``trajectory(since)``: (B,) [s] to (B, n) [rad]."""
+        self._trajectory, self.count = trajectory, count
+
+    def advance(self, state: JointState, since: Array, /) -> Setpoint:  # noqa: ARG002 - the clock tells
+        """See `Reference`."""
+        return Setpoint(self._trajectory(since), place=np.full((self.count, 3), np.nan))
+
+
+class ToolAtGoals(Reference):
+    """Joint positions of which the tool's place counts: for controllers to points."""
+
+    def __init__(self, arm: Arm, reference: Reference) -> None:
+        self._arm, self._reference, self.count = arm, reference, reference.count
+        self._moved: Array | float = 0.0  # [s] when the goals moved last
+
+    def advance(self, state: JointState, since: Array, /) -> Setpoint:
+        """See `Reference`."""
+        now = self._reference.advance(state, since)
+        self._moved = np.where(now.arrived, self._moved, since)
+        return now._replace(target=tcp_position(self._arm, now.goal), since=since - self._moved)
+
+
+class TargetSequence(Reference):
+    """Targets of B arms in turn, corrected; on ways to their postures, or at once."""
+
+    def __init__(
+        self,
+        arm: Arm,
+        targets: Array,
+        *,
+        ways: Ways | None = None,
+        turns: Orientation | None = None,
+        correction: Modelled | None = None,
+    ) -> None:
+        """Take ``targets`` (B, K, 3) [m] and ``turns`` (B, K) of the tools. A target of NaN is a wait without a goal.
+
+        ``ways`` None: the nearest postures at once. ``correction`` turns targets into aims.
+        """
+        targets = np.asarray(targets, dtype=float)
+        if targets.ndim != 3 or targets.shape[1] == 0 or targets.shape[2] != 3:
+            raise InputError(f"targets have shape {targets.shape}, expected (arms, K, 3) with K > 0")
+        if turns is not None and turns.weight.shape != targets.shape[:2]:
+            raise InputError(f"orientations have shape {turns.weight.shape}, expected that of the targets")
+        self.count, self.legs = targets.shape[:2]
+        if ways is not None and [len(row) for row in ways] != [self.legs] * self.count:
+            raise InputError("ways to targets: expected one for each target")
+        self.planned = ways is not None
+        self._arm, self._targets, self._turns, self._correction, self._rows = arm, targets, turns, correction, ways
+        self._place = self._aim = targets[:, 0]
+        self._goal = self._sag = np.zeros((self.count, arm.joints))  # sag [rad]: off where the ways began, no lag
+        self._turn: Orientation | None = None
+        self._ways: list[JointTrajectory] = []
+
+    def begin(self, where: Mask, index: Index, sent: Array) -> None:
+        """See `Reference`."""
+        each, correction = np.arange(self.count), self._correction
+        self._place = target = self._targets[each, index]
+        self._turn = None if self._turns is None else self._turns[each, index]
+        self._ways = [row[k] for row, k in zip(self._rows or (), index, strict=False)]
+        planned = np.array([way.goal for way in self._ways]) if self.planned else None
+        if correction is None:
+            aim = target
+        elif self._turn is None:
+            aim = correction.aim(target, sent, where, planned)
+        else:
+            aim, self._turn = correction.aim_pose(target, self._turn, sent, where, planned)
+        self._aim_at(aim, sent if planned is None else planned, where)
+
+    def _aim_at(self, aim: Array, near: Array, where: Mask) -> None:
+        """Aim the arms in ``where`` (B,) at ``aim`` (B, 3) [m], with the postures found from ``near`` (B, n) [rad]."""
+        self._aim = np.where(where[:, None], aim, self._aim)
+        turn = None if self._turn is None else self._turn[where]
+        self._goal = self._goal.copy()
+        rest_gain = 0.0 if self.planned else REST_GAIN  # a planned posture is kept
+        self._goal[where] = nearest_postures(self._arm, self._aim[where], near[where], turn, rest_gain=rest_gain)
+
+    def again(self, inputs: ControlInput) -> Mask | None:
+        """See `Reference`."""
+        if self._correction is None:
+            return None
+        fresh = self._correction.again(self._place, replace(inputs, target=self._aim))  # the target moves on the way
+        if fresh is None:
+            return None
+        changed: Mask = (fresh != self._aim).any(axis=-1)
+        self._aim_at(fresh, self._goal, changed)
+        return changed
+
+    def advance(self, state: JointState, since: Array, /) -> Setpoint:  # noqa: ARG002 - the clock tells
+        """See `Reference`. What an aim differs from the planned end is added along the way."""
+        goal, target, ways = self._goal, self._aim, self._ways
+        if not ways:
+            return Setpoint(goal, target, since, ARRIVED, self._turn, self._place, target)
+        duration = np.array([way.duration for way in ways])
+        moving = since < duration
+        if moving.any():
+            goal, target, rows = goal.copy(), target.copy(), np.flatnonzero(moving).tolist()
+            for b in rows:
+                way, share = ways[b], max(float(since[b]), 0.0) / duration[b]
+                goal[b] = way.at(float(since[b])) + share * (self._goal[b] - way.goal)
+            target[rows] += tcp_position(self._arm, goal[rows]) - tcp_position(self._arm, self._goal[rows])
+        at_end = np.where(moving, 0.0, since - duration)
+        return Setpoint(goal, target, at_end, ~moving, self._turn, self._place, self._aim)
+
+    def left_out(self, since: Array, before: Array, position: Array) -> Array | float:
+        """See `Reference`."""
+        if not self._ways:
+            return 0.0
+        sag = np.clip([way.start for way in self._ways] - before, -LAGS[1], LAGS[1])
+        self._sag = np.where((since <= 0.0)[:, None], sag, self._sag)
+        return waiting(self._arm, self._ways, since, position, self._sag)
