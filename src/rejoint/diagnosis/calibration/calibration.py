@@ -179,6 +179,7 @@ FORMAT = 1
 """Version of the layout"""
 
 _PARTS = ("offset", "compliance", "play", "carry", "mass")
+_PLAIN = {"date": str, "source": str, "points": int, "used": bool, "before": float, "after": float, "floor": float}
 
 _ABOUT = """Where the tool of one robot arm is behind its encoders. SI units.
 suspects: rows that do not fit to the others
@@ -219,9 +220,8 @@ def _document(calibration: Calibration) -> tomlkit.TOMLDocument:
     for line in _ABOUT.splitlines():
         document.add(tomlkit.comment(line))
     parts = {name: np.broadcast_to(getattr(found, name), found.offset.shape).tolist() for name in _PARTS}
-    plain = ("date", "source", "points", "used", "before", "after", "floor")
     document.update(
-        {"format": FORMAT, "arm": own.arm.name, **{name: getattr(own, name) for name in plain}}
+        {"format": FORMAT, "arm": own.arm.name, **{name: getattr(own, name) for name in _PLAIN}}
         | {"suspects": list(own.suspects), "left_out": own.left_out.tolist(), "geometry": dict(geometry_of(own.arm))}
         | {"displacement": parts | {"gravity": found.gravity.tolist(), "twist": found.twist.tolist()}}
         | {"frame": {"name": own.frame_name, "pose": own.frame[:3].tolist()}}
@@ -253,13 +253,7 @@ def _calibration(data: dict[str, Any], arm: Arm) -> Calibration:
         covariance=covariance,
         frame=frame,
         frame_name=str(data["frame"]["name"]),
-        source=str(data["source"]),
-        date=str(data["date"]),
-        points=int(data["points"]),
-        used=bool(data["used"]),
-        before=float(data["before"]),
-        after=float(data["after"]),
-        floor=float(data["floor"]),
+        **{name: kind(data[name]) for name, kind in _PLAIN.items()},
         suspects=tuple(int(row) for row in data["suspects"]),
         left_out=_numbers(data["left_out"], (len(data["left_out"]), 2)),
     )

@@ -63,36 +63,23 @@ class DisplacementLayout:
     @property
     def size(self) -> int:
         """Length k of the vector."""
-        return self.body + 6 * self.frame
+        return self.at("frame").stop
 
     @property
     def body(self) -> int:
         """Number of parameters of the arm, without the frame."""
-        return 5 * self.joints + 2 + 6 * (self.joints + 1) + 1
+        return self.at("frame").start
 
     def at(self, name: str) -> slice:
         """Slice of one of `KINDS`, or ``frame``."""
-        n = self.joints
-        ends = {
-            "offset": n,
-            "compliance": 2 * n,
-            "play": 3 * n,
-            "carry": 4 * n,
-            "mass": 5 * n,
-            "tilt": 5 * n + 2,
-            "twist": self.body - 1,
-            "floor": self.body,
-            "frame": self.size,
-        }
-        names = list(ends)
-        place = names.index(name)
-        return slice(ends[names[place - 1]] if place else 0, ends[name])
+        sizes = (*[self.joints] * 5, 2, 6 * (self.joints + 1), 1, 6 * self.frame)
+        place = (*KINDS, "frame").index(name)
+        return slice(sum(sizes[:place]), sum(sizes[: place + 1]))
 
     @property
     def scales(self) -> NDArray[np.int64]:
         """Indices of the parameters that are in the noise: plays, and what nothing explains."""
-        every = np.arange(self.size)
-        return np.concatenate([every[self.at("play")], every[self.at("floor")]])
+        return np.r_[self.at("play"), self.at("floor")]
 
     def names(self) -> tuple[str, ...]:
         """Names of the arm's parameters, such as ``play 2``."""
@@ -133,28 +120,29 @@ class PriorCase:
 
 def belief(arm: Arm, layout: DisplacementLayout, case: PriorCase) -> Belief:
     """Prior of an arm of some case."""
-    n, sigma, mean = arm.joints, np.zeros(layout.size), np.zeros(layout.size)
-    lower, upper = np.full(layout.size, -np.inf), np.full(layout.size, np.inf)
-    if case.twist == 0.0:
-        lower[layout.at("twist")] = upper[layout.at("twist")] = 0.0
-    soft = case.compliance / torque_size(arm)
-    mean[layout.at("compliance")], mean[layout.at("play")] = soft, case.play
-    sigma[layout.at("offset")], sigma[layout.at("compliance")], sigma[layout.at("play")] = (
-        OFFSET,
-        soft,
-        case.play_sigma,
-    )
-    sigma[layout.at("mass")], sigma[layout.at("tilt")] = MASS, case.tilt
-    mean[layout.at("carry")], sigma[layout.at("carry")] = CARRY, CARRY_SIGMA
+    mean, sigma, lower, upper = np.multiply.outer([0.0, 1.0, -np.inf, np.inf], np.ones(layout.size))
+    stiff, floor = torque_size(arm), floor_of(arm)
     each = np.array([SHIFT * length_size(arm)] * 3 + [TURN] * 3)
-    sigma[layout.at("twist")] = np.tile(max(case.twist, 1e-3) * each, n + 1)
-    mean[layout.at("floor")], sigma[layout.at("floor")] = floor_of(arm), FLOOR_SIGMA * floor_of(arm)
-    lower[layout.at("floor")] = LEAST_FLOOR * floor_of(arm)
-    sigma[layout.at("frame")] = np.array([PLACE] * 3 + [ORIENTATION] * 3)[: 6 * layout.frame]
+    told: dict[str, tuple[float, float | Array]] = {
+        "offset": (0.0, OFFSET),
+        "compliance": (case.compliance / stiff, case.compliance / stiff),
+        "play": (case.play, case.play_sigma),
+        "carry": (CARRY, CARRY_SIGMA),
+        "mass": (0.0, MASS),
+        "tilt": (0.0, case.tilt),
+        "twist": (0.0, np.tile(max(case.twist, 1e-3) * each, arm.joints + 1)),
+        "floor": (floor, FLOOR_SIGMA * floor),
+        "frame": (0.0, np.array([PLACE] * 3 + [ORIENTATION] * 3)[: 6 * layout.frame]),
+    }
+    for name, (middle, width) in told.items():
+        mean[layout.at(name)], sigma[layout.at(name)] = middle, width
     for name, most in MOST.items():
-        bound = most / torque_size(arm) if name == "compliance" else most
+        bound = most / stiff if name == "compliance" else most
         upper[layout.at(name)] = bound
         lower[layout.at(name)] = 0.0 if name in ("compliance", "play") else -bound
+    if case.twist == 0.0:
+        lower[layout.at("twist")] = upper[layout.at("twist")] = 0.0
+    lower[layout.at("floor")] = LEAST_FLOOR * floor
     return Belief(mean=mean, precision=np.diag(sigma**-2.0), lower=lower, upper=upper)
 
 

@@ -14,11 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, collides, frames, gravity_torque, heights, solve_position
+from rejoint.arms.displacement import FLOATING
 from rejoint.arms.postures import comfortable_postures
 from rejoint.arms.workspace import length_size, rising_frames
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.fit import earlier
 from rejoint.diagnosis.calibration.parameters import (
+    PLAY,
+    PLAY_SIGMA,
     Belief,
     DisplacementLayout,
     PriorCase,
@@ -45,6 +48,7 @@ WITHIN = 100
 """Candidates in the region of targets; chosen"""
 LINKS = 0.3
 """Scale of the errors of the links that the choice reckons with; chosen: little is lost with exact links"""
+_WIDEST = PLAY + 2.0 * PLAY_SIGMA  # [rad] play that a joint may have
 _PLACES = 32  # postures in the region of targets, and as many elsewhere, over which the error is expected (chosen)
 
 
@@ -145,9 +149,14 @@ def _candidates(arm: Arm, seed: int) -> tuple[Array, Array]:
 
 
 def approachable(arm: Arm, q: Array) -> Array:
-    """Those of postures (C, n) [rad] that are free, and from both sides."""
+    """Those of postures (C, n) [rad] that are free, and from both sides, where no joint may rest on either flank.
+
+    A joint whose load changes its sign within its play stays on the flank where it came to rest, which no model tells.
+    """
     free = [_free(arm, q - away) for away in (0.0, BEFORE, -BEFORE)]
-    return np.asarray(q[np.logical_and.reduce(free)])
+    loads = [gravity_torque(arm, q + side * 0.5 * _WIDEST) for side in (1.0, -1.0)]
+    either = (np.minimum(*loads) < -FLOATING) & (np.maximum(*loads) > FLOATING)
+    return np.asarray(q[np.logical_and.reduce(free) & ~either.any(axis=1)])
 
 
 def _free(arm: Arm, q: Array) -> NDArray[np.bool_]:

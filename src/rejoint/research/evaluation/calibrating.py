@@ -244,8 +244,7 @@ def try_condition(
         on_progress((2 + step) * share, f"{condition.name}: {points} points")
         found = [fit(arm, measured.first(i, points)) for i in range(family.arms)]
         for one, done in zip(fresh, tried, strict=True):
-            robot = open_condition(arm, condition, family, threads)
-            done.append(try_found(robot, found, controller, one, points))
+            done.append(try_found(open_condition(arm, condition, family, threads), found, controller, one, points))
     held = [Held(where=a.name, before=b, tried=tuple(c)) for a, b, c in zip(fresh, before, tried, strict=True)]
     named, accused = find_wrong(arm, measured, family)
     return Trials(condition=condition, held=tuple(held), named=named, accused=accused)
@@ -315,16 +314,14 @@ class OwnCorrections(Modelled):
     """Corrects the targets of each arm by its own calibration."""
 
     def __init__(self, found: Sequence[Calibration]) -> None:
-        nothing = Displacement.none(found[0].arm)
-        self._each = [Modelled(one.arm, one.displacement if one.used else nothing) for one in found]
+        self._each = [Modelled(one.arm, one.displacement if one.used else Displacement.none(one.arm)) for one in found]
 
     def aim(self, target: Array, start: Array, where: Mask, near: Array | None = None) -> Array:
         """Corrected targets (B, 3) [m]."""
-        rows = [
-            one.aim(target[i : i + 1], start[i : i + 1], where[i : i + 1], None if near is None else near[i : i + 1])
-            for i, one in enumerate(self._each)
-        ]
-        return np.concatenate(rows)
+        rows = (target, start, where) if near is None else (target, start, where, near)
+        return np.concatenate(
+            [one.aim(*own) for one, *own in zip(self._each, *(row[:, None] for row in rows), strict=True)]
+        )
 
     def again(self, target: Array, inputs: ControlInput) -> Array | None:
         """Correct settled arms once more."""

@@ -13,6 +13,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from rejoint.arms import Arm, Array, tcp_pose, tcp_position
 from rejoint.arms.camera.board import Board
@@ -25,7 +26,7 @@ from rejoint.control.start import Stance
 from rejoint.diagnosis.calibration.camera.bundle import USUAL
 from rejoint.diagnosis.calibration.camera.film import Film, Shot, positions
 from rejoint.diagnosis.calibration.camera.starting import first_lens, first_rig, first_sights
-from rejoint.diagnosis.calibration.camera.ties import TieProblem, with_poses
+from rejoint.diagnosis.calibration.camera.ties import POSES, TieProblem, with_poses
 from rejoint.diagnosis.calibration.parameters import DisplacementLayout, belief, displacement_of
 from rejoint.diagnosis.calibration.postures import BEFORE, approachable, most_telling, narrowed, wanted, weight_of
 from rejoint.diagnosis.calibration.procedure import StandingDrive
@@ -72,9 +73,8 @@ def choose_postures(arm: Arm, rig: Rig, count: int, seed: int = 0) -> Array:
         by_lens=np.zeros((len(candidates), 6, len(TERMS))),
     )
     slope = problem.whitener(problem.belief.mean) @ problem.residual(problem.belief.mean)[1][..., : -len(TERMS)]
-    spread = np.diag(np.concatenate([1.0 / np.diag(believed.precision), np.full(12, _LOOK**2)]))
-    weight = np.zeros_like(spread)
-    weight[: layout.body, : layout.body] = weight_of(wanted(arm, believed)[0])
+    spread = np.diag(np.concatenate([1.0 / np.diag(believed.precision), np.full(POSES, _LOOK**2)]))
+    weight = block_diag(weight_of(wanted(arm, believed)[0]), np.zeros((POSES, POSES)))
     chosen: list[int] = []
     noise = np.broadcast_to(np.eye(6), (len(slope), 6, 6))
     for _ in range(count):

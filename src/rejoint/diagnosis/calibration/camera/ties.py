@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from rejoint.arms import Arm, Array, Displacement, jacobian
 from rejoint.arms.camera.board import BoardView
@@ -73,15 +74,8 @@ class TieProblem(Fittable):
 
     def rows(self, where: NDArray[np.bool_]) -> TieProblem:
         """Problem of some views."""
-        return replace(
-            self,
-            sights=self.sights[where],
-            by_lens=self.by_lens[where],
-            spread=self.spread[where],
-            position=self.position[where],
-            approach=self.approach[where],
-            posture=self.posture[where],
-        )
+        names = ("sights", "by_lens", "spread", "position", "approach", "posture")
+        return replace(self, **{name: getattr(self, name)[where] for name in names})
 
     def rig_of(self, vector: Array) -> Rig:
         """Rig for the unknowns (k,)."""
@@ -154,16 +148,10 @@ def looseness(arm: Arm, displacement: Displacement, position: Array, floor: floa
 
 def with_poses(own: Belief, lens: Array) -> Belief:
     """Append unknown `POSES` and the ``lens`` (7, 7) to a belief."""
-    count = len(own.mean)
-    size = count + POSES + len(lens)
-    anywhere = np.full(size - count, np.inf)
-    mean, precision = np.concatenate([own.mean, np.zeros(size - count)]), np.zeros((size, size))
-    precision[:count, :count] = own.precision
-    precision[count : count + POSES, count : count + POSES] = NOWHERE**-2.0 * np.eye(POSES)
-    precision[count + POSES :, count + POSES :] = lens
+    anywhere = np.full(POSES + len(lens), np.inf)
     return Belief(
-        mean=mean,
-        precision=precision,
+        mean=np.concatenate([own.mean, np.zeros_like(anywhere)]),
+        precision=block_diag(own.precision, NOWHERE**-2.0 * np.eye(POSES), lens),
         lower=np.concatenate([own.lower, -anywhere]),
         upper=np.concatenate([own.upper, anywhere]),
     )
