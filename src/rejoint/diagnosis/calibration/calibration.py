@@ -20,7 +20,6 @@ from rejoint.diagnosis.calibration.parameters import (
     scatter,
     torque_slopes,
     vector_of,
-    widened,
 )
 from rejoint.system.errors import ContractError, InputError
 from rejoint.system.statistics import CONFIDENCE
@@ -88,16 +87,13 @@ class Calibration:
         """Raise ContractError if this calibration is of another arm."""
         check_arm(self.arm.name, geometry_of(self.arm), arm)
 
-    def tool(self, position: Array, approach: Array | None = None) -> Array:
-        """Tool (..., 3) [m] at the encoders' ``position`` (..., n) [rad].
+    def tool(self, position: Array) -> Array:
+        """Tool (..., 3) [m] at the encoders' ``position`` (..., n) [rad]."""
+        return self.displacement.tool(self.arm, position)
 
-        ``approach`` (..., n) [rad]: position before the last motion, if known.
-        """
-        return self.displacement.tool(self.arm, position, approach)
-
-    def shift(self, position: Array, approach: Array | None = None) -> Array:
+    def shift(self, position: Array) -> Array:
         """Displacement (..., 3) [m] of the tool from the encoders'."""
-        return self.tool(position, approach) - tcp_position(self.arm, position)
+        return self.tool(position) - tcp_position(self.arm, position)
 
     def spread(self, position: Array) -> Array:
         """Covariance (..., 3, 3) [m^2] of `tool`.
@@ -110,35 +106,30 @@ class Calibration:
         known = slope @ self.covariance @ np.swapaxes(slope, -1, -2)
         torque = torque_slopes(self.layout, vector, link_loads(self.arm, flat))
         doubt = np.sqrt(np.einsum("mnk,kl,mnl->mn", torque, self.covariance, torque))
-        variance = np.diag(self.covariance)
-        wide = widened(self.displacement, variance[self.layout.at("play")])
-        unexplained = self.floor**2 + variance[self.layout.at("floor")]
-        total = known + scatter(self.arm, wide, flat, doubt) + unexplained * np.eye(3)
+        total = known + scatter(self.arm, self.displacement, flat, doubt) + self.floor**2 * np.eye(3)
         return np.asarray(total.reshape(*np.shape(position)[:-1], 3, 3))
 
-    def interval(
-        self, position: Array, target: Array | None = None, approach: Array | None = None
-    ) -> tuple[Array, Array]:
+    def interval(self, position: Array, target: Array | None = None) -> tuple[Array, Array]:
         """95 % interval (...), (...) [m] of the distance between tool and ``target`` (..., 3) [m].
 
         Default target: the encoders' tool.
         """
         place = tcp_position(self.arm, position) if target is None else target
         ends = [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]
-        low, high = np.quantile(self._distances(position, place, approach), ends, axis=-1)
-        middle = (self.tool(position, approach) - place)[..., None]
+        low, high = np.quantile(self._distances(position, place), ends, axis=-1)
+        middle = (self.tool(position) - place)[..., None]
         there = (np.linalg.solve(np.linalg.cholesky(self.spread(position)), middle) ** 2).sum(axis=(-2, -1)) < _NEAR
         return np.where(there, 0.0, low), high
 
     def expected(self, position: Array, target: Array | None = None) -> Array:
         """Mean (...) [m] of the distance of `interval`."""
-        return np.asarray(self._distances(position, target, None).mean(axis=-1))
+        return np.asarray(self._distances(position, target).mean(axis=-1))
 
-    def _distances(self, position: Array, target: Array | None, approach: Array | None) -> Array:
+    def _distances(self, position: Array, target: Array | None) -> Array:
         target = tcp_position(self.arm, position) if target is None else target
         root = np.linalg.cholesky(self.spread(position))
         draws = np.random.default_rng(0).standard_normal((_DRAWS, 3))
-        away = (self.tool(position, approach) - target)[..., None, :] + draws @ np.swapaxes(root, -1, -2)
+        away = (self.tool(position) - target)[..., None, :] + draws @ np.swapaxes(root, -1, -2)
         return np.linalg.norm(away, axis=-1)
 
     def sigma(self, position: Array) -> Array:
@@ -178,7 +169,7 @@ def check_arm(name: str, digests: dict[str, str], arm: Arm) -> None:
 FORMAT = 1
 """Version of the layout"""
 
-_PARTS = ("offset", "compliance", "play", "carry", "mass")
+_PARTS = ("offset", "compliance", "play", "mass")
 _PLAIN = {"date": str, "source": str, "points": int, "used": bool, "before": float, "after": float, "floor": float}
 
 _ABOUT = """Where the tool of one robot arm is behind its encoders. SI units.
@@ -193,7 +184,6 @@ displacement: play and offset of one joint cannot be told apart: together they s
 offset: rad, added to what the encoders say
 compliance: rad/(N m), of gear and link
 play: rad, whole width
-carry: 1, of half the play, by which a joint that floats runs ahead of its last motion
 mass: 1, by the description of the arm
 gravity: m/s^2, in the frame of the base
 frame: of whatever measured: pose in the base

@@ -101,7 +101,7 @@ def leave_out(problem: Fittable, fitted: Fitted) -> LeftOut:
     for out in folds(problem.postures):
         refit, held = solve(problem.rows(~out), fitted.vector), problem.rows(out)
         residual, slope = held.residual(refit.vector)
-        total = held.noise(refit.wide) + slope @ refit.covariance @ np.swapaxes(slope, -1, -2)
+        total = held.noise(refit.vector) + slope @ refit.covariance @ np.swapaxes(slope, -1, -2)
         off = residual[:, :3]
         after[out] = np.linalg.norm(off, axis=1)
         surprise[out] = np.einsum("mi,mi->m", off, np.linalg.solve(total[:, :3, :3], off[..., None])[..., 0])
@@ -171,7 +171,6 @@ def earlier(arm: Arm, layout: DisplacementLayout, prior: Calibration) -> Belief:
     drift = AGE**2 / np.diag(base.precision)
     body, mean = slice(0, layout.body), base.mean.copy()
     mean[body] = vector_of(DisplacementLayout(joints=arm.joints), prior.displacement)
-    mean[layout.at("floor")] = prior.floor
     lower, upper, links = base.lower.copy(), base.upper.copy(), layout.at("twist")
     if prior.displacement.twist.any():
         lower[links], upper[links] = -np.inf, np.inf
@@ -206,7 +205,7 @@ def judged(problem: Fittable, fitted: Fitted, measured: Measurements, date: str)
         before=float(tried.before.mean()),
         after=float(tried.after.mean()),
         used=tried.helps(problem.arm, measured),
-        floor=float(fitted.vector[problem.layout.at("floor")][0]),
+        floor=floor_of(problem.arm),
         suspects=tried.suspects(problem.known[:, :3]),
         left_out=np.stack([tried.before, tried.after], axis=-1),
     )

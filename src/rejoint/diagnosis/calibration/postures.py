@@ -30,7 +30,6 @@ from rejoint.diagnosis.calibration.parameters import (
     floor_of,
     linearised,
     scatter,
-    widened,
 )
 from rejoint.system.errors import InputError
 
@@ -98,14 +97,13 @@ def suggest(
             f"arm {arm.name}: only {len(postures)} postures are free of limits, floor and collisions, {count} are to "
             "be measured; ask for fewer"
         )
-    seen = [_seen(arm, known, postures, side, sigma) for side in (1.0, -1.0)]
+    slopes, noises = _seen(arm, known, postures, sigma)
     covariance: Array = np.asarray(np.linalg.inv(known.precision), dtype=float)
     region = wanted(arm, known, seed + 1)
     weight = weight_of(region[0])
     chosen: list[int] = []
     expected = [_expected(region, covariance)]
     while len(chosen) < count:
-        slopes, noises = seen[len(chosen) % 2]
         again = len(chosen) % visits > 0
         best = chosen[-1] if again else most_telling(slopes, noises, covariance, weight, chosen)
         covariance = narrowed(covariance, slopes[best], noises[best])
@@ -123,7 +121,7 @@ def suggest(
 def wanted(arm: Arm, known: Belief, seed: int = 1) -> tuple[Array, Array]:
     """Return derivatives (P, 3, k) and covariances (P, 3, 3) of the tool where it shall be accurate."""
     places = [np.random.default_rng(0).permutation(one)[:_PLACES] for one in _candidates(arm, seed)]
-    return _seen(arm, known, np.concatenate(places), 0.0, 0.0)
+    return _seen(arm, known, np.concatenate(places), 0.0)
 
 
 def weight_of(slope: Array) -> Array:
@@ -168,12 +166,11 @@ def _free(arm: Arm, q: Array) -> NDArray[np.bool_]:
     return np.asarray(inside & above & ~collides(arm, frames(arm, q)))
 
 
-def _seen(arm: Arm, known: Belief, postures: Array, side: float, sigma: float) -> tuple[Array, Array]:
+def _seen(arm: Arm, known: Belief, postures: Array, sigma: float) -> tuple[Array, Array]:
     """Return derivatives (C, 3, k) and covariances (C, 3, 3) of the tool at candidates."""
     layout = DisplacementLayout(joints=arm.joints)
-    _, slope = linearised(arm, layout, known.mean, postures, postures - BEFORE * side)
-    variance = np.diag(np.linalg.inv(known.precision))[layout.at("play")]
-    noise = scatter(arm, widened(displacement_of(layout, known.mean), variance), postures)
+    _, slope = linearised(arm, layout, known.mean, postures)
+    noise = scatter(arm, displacement_of(layout, known.mean), postures)
     return slope, noise + (sigma**2 + floor_of(arm) ** 2) * np.eye(3)
 
 

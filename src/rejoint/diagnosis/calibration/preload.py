@@ -11,7 +11,7 @@ from rejoint.arms.displacement import FLOATING
 from rejoint.arms.kinematics import position_kinematics
 from rejoint.arms.rotations import rotation_about
 from rejoint.diagnosis.calibration.calibration import Calibration
-from rejoint.diagnosis.calibration.parameters import floor_of, scatter
+from rejoint.diagnosis.calibration.parameters import scatter
 
 WEDGE = np.radians(2.0)
 """[rad] slope of the wedge; chosen, see `python -m benchmarks.wedge`"""
@@ -54,7 +54,7 @@ def _floating(found: Calibration, position: Array) -> tuple[str, ...]:
     torque = found.displacement.torque(found.arm, position)
     lever = np.linalg.norm(position_kinematics(found.arm, position)[1], axis=-2).mean(axis=0)
     often = (np.abs(torque) < FLOATING).mean(axis=0) >= 0.5
-    felt = 0.5 * found.displacement.play * lever > floor_of(found.arm) / 2
+    felt = 0.5 * found.displacement.play * lever > found.floor / 2
     return tuple(name for name, floats in zip(found.arm.joint_names, often & felt, strict=True) if floats)
 
 

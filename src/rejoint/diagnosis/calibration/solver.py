@@ -20,6 +20,7 @@ from rejoint.diagnosis.calibration.parameters import (
     Belief,
     DisplacementLayout,
     displacement_of,
+    floor_of,
     linearised,
     scatter,
     vector_of,
@@ -32,7 +33,6 @@ SLIP, MOST_SLIPS = 30.0, 0.25
 ITERATIONS = 40
 _ROUNDS = 5  # of a descent with the noise as it was, at most
 _SMALL = 1e-4  # relative gain of a step, or of a round, after which the fit ends
-_STEP = 1e-6  # [rad] and [m] of derivatives of the noise
 _TILT = np.radians(6.0)
 _DIRECTIONS, _QUICK = 8, 4
 
@@ -50,13 +50,6 @@ class Fitted:
     """(4, 4) pose of the measuring frame in the base"""
     evidence: float
     """log marginal likelihood up to a constant (Laplace's approximation)"""
-
-    @property
-    def wide(self) -> Array:
-        """Vector (k,) with the root mean squares of what is in the noise."""
-        wide, places = self.vector.copy(), self.layout.scales
-        wide[places] = np.hypot(wide[places], np.sqrt(np.diag(self.covariance)[places]))
-        return wide
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -153,7 +146,7 @@ class CalibrationProblem(Fittable):
     def residual(self, vector: Array) -> tuple[Array, Array]:
         """Predicted less measured coordinates (M, 3) [m], zero where not measured; derivative (M, 3, k)."""
         m = self.measurements
-        tool, own = linearised(self.arm, self.layout, vector, m.position, m.approach)
+        tool, own = linearised(self.arm, self.layout, vector, m.position)
         pose, derivative = self.pose(vector), np.zeros((*tool.shape, self.layout.size))
         derivative[..., : self.layout.body] = own
         if self.layout.frame:
@@ -171,7 +164,7 @@ class CalibrationProblem(Fittable):
         rotation = self.pose(vector)[:3, :3]
         spread = scatter(self.arm, displacement_of(self.layout, vector), self.measurements.position)
         spread = rotation.T @ spread @ rotation
-        floor = vector[self.layout.at("floor")]
+        floor = floor_of(self.arm)
         spread = spread + (self.measurements.sigma**2 + floor**2)[:, None, None] * np.eye(3)
         known = np.isfinite(self.measurements.point)
         both = known[:, :, None] & known[:, None, :]
@@ -183,7 +176,7 @@ def solve(problem: Fittable, start: Array, iterations: int = ITERATIONS) -> Fitt
     belief, vector = problem.belief, np.array(start, dtype=float)
     free, cost = belief.upper > belief.lower, np.inf
     vector[~free] = belief.lower[~free]
-    root: Array = np.asarray(np.linalg.cholesky(belief.precision).T, dtype=float)
+    root = np.linalg.cholesky(belief.precision).T
 
     def whole(x: Array) -> Array:
         full = vector.copy()
@@ -194,16 +187,13 @@ def solve(problem: Fittable, start: Array, iterations: int = ITERATIONS) -> Fitt
         whitener = problem.whitener(vector)
         if step:
             whitener = whitener * _plausible(whitener, problem.misfit(vector))[:, None, None]
-        if step > 1:  # the residuals of a fit without outliers
-            belief = scattered(problem, vector)[0]
-            root = np.asarray(np.linalg.cholesky(belief.precision).T, dtype=float)
 
-        def residual(x: Array, whitener: Array = whitener, root: Array = root, mean: Array = belief.mean) -> Array:
+        def residual(x: Array, whitener: Array = whitener) -> Array:
             full = whole(x)
             white, bent, _ = _weighed(problem, whitener, problem.misfit(full))
-            return np.concatenate([(white * bent).ravel(), root @ (full - mean)])
+            return np.concatenate([(white * bent).ravel(), root @ (full - belief.mean)])
 
-        def derivative(x: Array, whitener: Array = whitener, root: Array = root) -> Array:
+        def derivative(x: Array, whitener: Array = whitener) -> Array:
             own, slope = problem.residual(whole(x))
             _, bent, weight = _weighed(problem, whitener, own)
             both = (weight / bent)[..., None] * np.einsum("mij,mjk->mik", whitener, slope[..., free])
@@ -220,7 +210,7 @@ def solve(problem: Fittable, start: Array, iterations: int = ITERATIONS) -> Fitt
             xtol=_SMALL,
         )
         vector, before, cost = whole(found.x), cost, found.cost
-        if iterations < ITERATIONS or (step > 1 and abs(before - cost) <= _SMALL * (1.0 + cost)):
+        if iterations < ITERATIONS or abs(before - cost) <= _SMALL * (1.0 + cost):
             break
     return _fitted(problem, vector)
 
@@ -251,39 +241,14 @@ def search(problem: Fittable) -> Fitted:
     return upright if best is upright else solve(problem, best.vector)
 
 
-def scattered(problem: Fittable, vector: Array) -> tuple[Belief, Array]:
-    """Belief with what the scatter of the residuals says about play and floor, and the curvature (k, k) at ``vector``.
-
-    The play of a floating joint and what nothing explains are in the noise alone. Its likelihood gives a step and an
-    information by Fisher's scoring, with the scatter that the other parameters have absorbed (Patterson and Thompson
-    1971).
-    """
-    belief, noise, places = problem.belief, problem.noise(vector), problem.layout.scales
-    residual, slope = problem.residual(vector)
-    whitener = problem.whitener(vector)
-    _, _, weight = _weighed(problem, whitener, residual)
-    inverse = np.linalg.inv(noise) * _plausible(whitener, residual)[:, None, None]
-    curvature = np.einsum("mik,mij,mjl->kl", slope, weight[..., None] * inverse, slope) + belief.precision
-    absorbed = slope @ np.linalg.inv(curvature) @ np.swapaxes(slope, -1, -2)
-    off, both = residual * weight, problem.known[:, :, None] & problem.known[:, None, :]
-    seen = off[:, :, None] * off[:, None, :] + absorbed
-    steps = vector + _STEP * np.eye(len(vector))[places]
-    changes = np.array([both * (problem.noise(other) - noise) / _STEP for other in steps])
-    by = inverse @ changes
-    score = 0.5 * (np.trace(by @ inverse @ seen, axis1=-2, axis2=-1) - np.trace(by, axis1=-2, axis2=-1)).sum(axis=1)
-    told = np.zeros_like(curvature)
-    told[np.ix_(places, places)] = 0.5 * np.einsum("kmij,lmji->kl", by, by)
-    precision, pull = belief.precision + told, belief.precision @ belief.mean + told @ vector
-    pull[places] += score
-    return replace(belief, mean=np.linalg.solve(precision, pull), precision=precision), curvature + told
-
-
 def _fitted(problem: Fittable, vector: Array) -> Fitted:
-    whitener, belief, curvature = problem.whitener(vector), problem.belief, scattered(problem, vector)[1]
-    white, bent, _ = _weighed(problem, whitener, problem.misfit(vector))
-    off, loss = vector - belief.mean, ((white * bent) ** 2).sum(axis=1)
-    loss = np.minimum(loss, problem.huber * (2.0 * SLIP - problem.huber))  # an outlier does not choose the kind of arm
-    cost = 0.5 * float(loss.sum() + off @ belief.precision @ off)
+    whitener, belief = problem.whitener(vector), problem.belief
+    residual, derivative = problem.residual(vector)
+    white, bent, weight = _weighed(problem, whitener, residual)
+    slope = np.sqrt(weight)[..., None] * np.einsum("mij,mjk->mik", whitener, derivative)
+    flat, off = slope.reshape(-1, len(vector)), vector - belief.mean
+    curvature = flat.T @ flat + belief.precision
+    cost = 0.5 * float(((white * bent) ** 2).sum() + off @ belief.precision @ off)
     spread = np.log(np.abs(np.diagonal(whitener, axis1=1, axis2=2)))[problem.known].sum()
     evidence = -cost + spread + 0.5 * (np.linalg.slogdet(belief.precision)[1] - np.linalg.slogdet(curvature)[1])
     return Fitted(

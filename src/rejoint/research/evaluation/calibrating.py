@@ -288,10 +288,9 @@ def try_found(
     """Send all arms, corrected by what was ``found``, to ``fresh`` targets."""
     recording, count = _hold(robot, controller, fresh, OwnCorrections(found)), fresh.targets.shape[1]
     error, settled = _errors(recording, count), _last(recording, recording.position, count)
-    came = np.concatenate([np.broadcast_to(robot.arm.rest, settled[:, :1].shape), settled[:, :-1]], axis=1)
     inside, expected = np.zeros(error.shape), np.zeros(error.shape)
     for i, calibration in enumerate(found):
-        low, high = calibration.interval(settled[i], fresh.targets[i], came[i])
+        low, high = calibration.interval(settled[i], fresh.targets[i])
         inside[i], expected[i] = (error[i] >= low) & (error[i] <= high), calibration.sigma(settled[i])
     return Tried(
         points=points,

@@ -21,7 +21,7 @@ from rejoint.arms.camera.views import Detector, Unusable
 from rejoint.arms.rotations import difference, inverse, moved
 from rejoint.control.seeing import Sighting
 from rejoint.diagnosis.calibration.measurements import Measurements
-from rejoint.diagnosis.calibration.parameters import Belief, play_variance
+from rejoint.diagnosis.calibration.parameters import Belief, floor_of, play_variance
 from rejoint.diagnosis.calibration.solver import Fittable
 
 HUBER = 3.55
@@ -110,8 +110,7 @@ class TieProblem(Fittable):
 
     def noise(self, vector: Array) -> Array:
         """Covariance (V, 6, 6) of a residual for known parameters."""
-        floor = float(vector[self.layout.at("floor")][0])
-        return looseness(self.arm, self.displacement(vector), self.position, floor) + self.spread
+        return looseness(self.arm, self.displacement(vector), self.position) + self.spread
 
     def measurements(self, vector: Array) -> Measurements:
         """Tool positions in the measuring frame."""
@@ -135,14 +134,14 @@ class TieProblem(Fittable):
 
     def reported(self, vector: Array) -> Array:
         """Tool poses (V, 4, 4) in the base by corrected kinematics."""
-        return self.displacement(vector).tool_pose(self.arm, self.position, self.approach)
+        return self.displacement(vector).tool_pose(self.arm, self.position)
 
 
-def looseness(arm: Arm, displacement: Displacement, position: Array, floor: float) -> Array:
-    """Covariance (V, 6, 6) of the tool's pose beyond ``displacement``, at ``position`` (V, n) [rad]; ``floor`` [m]."""
-    variance = play_variance(arm, displacement, position) + JOINT**2
+def looseness(arm: Arm, displacement: Displacement, position: Array) -> Array:
+    """Covariance (V, 6, 6) of the tool's pose beyond ``displacement``, at ``position`` (V, n) [rad]."""
+    variance = play_variance(displacement, displacement.torque(arm, position)) + JOINT**2
     lever = jacobian(arm, position)
-    rest = np.diag([floor**2] * 3 + [ASKEW**2] * 3)
+    rest = np.diag([floor_of(arm) ** 2] * 3 + [ASKEW**2] * 3)
     return np.asarray((lever * variance[:, None, :]) @ np.swapaxes(lever, -1, -2) + rest)
 
 
