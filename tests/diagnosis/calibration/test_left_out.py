@@ -87,16 +87,16 @@ def test_where_the_base_leans_already_no_joint_floats():
     assert preload(own, at_targets(ARM)).joints == ()
 
 
-def points(posture=None, shift=(0.0, 0.0, -5e-3), turn=(0, 1, 2), repeat=1):
-    """Ten postures of the plan, each ``repeat`` times, and a tool that hangs 5 mm low, its coordinates in any order."""
-    position = np.repeat(suggest(ARM, 10).postures, repeat, axis=0)[:10]
-    noise = np.random.default_rng(0).normal(0.0, 5e-4, (10, 3))
+def points():
+    """Ten postures of the plan, and the tool of a worn arm."""
+    position = suggest(ARM, 10).postures
+    worn = replace(Displacement.none(ARM), compliance=np.full(6, 0.02), play=np.full(6, 0.02))
     return Measurements(
         position=position,
         approach=np.full((10, 6), np.nan),
         sigma=np.full(10, 5e-4),
-        point=(tcp_position(ARM, position) + shift + noise)[:, turn],
-        posture=np.arange(10) if posture is None else posture,
+        point=worn.tool(ARM, position) + np.random.default_rng(0).normal(0.0, 5e-4, (10, 3)),
+        posture=np.arange(10),
     )
 
 
