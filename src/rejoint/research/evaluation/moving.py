@@ -1,7 +1,4 @@
-"""Moving targets on fresh arms: each is diagnosed and identified, then follows paths.
-
-Blocks of arms move side by side; finished blocks are kept.
-"""
+"""Moving targets on fresh arms: each is diagnosed and identified, then follows paths; finished blocks are kept."""
 
 from __future__ import annotations
 
