@@ -212,14 +212,7 @@ class Terminal:
         if not self.notes.is_terminal:
             yield _plain_progress(self, title)
             return
-        columns = (
-            bars.TextColumn("{task.description}"),
-            bars.BarColumn(),
-            bars.TextColumn("{task.percentage:>3.0f} %"),
-            bars.TimeElapsedColumn(),
-            bars.TimeRemainingColumn(),
-            bars.TextColumn("{task.fields[what]}"),
-        )
+        columns = (*bars.Progress.get_default_columns(), bars.TextColumn("{task.fields[what]}"))
         with bars.Progress(*columns, console=self.notes, transient=True) as bar:
             task = bar.add_task(title, total=None, what="")
 
