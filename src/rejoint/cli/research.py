@@ -123,11 +123,12 @@ def tune(
     seed: int = 0,
 ) -> object:
     """Tune classical rivals by CMA-ES on the randomised twins that policies are trained on."""
+    require("rejoint research tune", "train")
     from rejoint.research.rivals.catalogue import find_rival
     from rejoint.research.rivals.tuning import TuningSettings, tune_rival
     from rejoint.training.ranges import BroadRanges
 
-    names, arm = list(dict.fromkeys(rivals)), _arm(call)
+    names, arm = list(dict.fromkeys(rivals)), load_arm(call.pick.arm or "mycobot280")
     for name in names:
         find_rival(name)
     ranges = BroadRanges(arm=arm)
