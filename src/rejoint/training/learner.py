@@ -74,12 +74,12 @@ class RolloutWorker:
 T = TypeVar("T")
 
 PRECISION = "medium"
-"""Of matrix products in PPO: bfloat16 factors where the processor has them, float32 sums; chosen for speed"""
+"""Of matrix products in PPO: bfloat16 factors, float32 sums; chosen for speed"""
 
 
 @contextmanager
 def setting(get: Callable[[], T], put: Callable[[T], object], value: T) -> Iterator[None]:
-    """Hold a setting of the whole process at ``value`` within the block: no trainings side by side in threads."""
+    """Hold a setting of the whole process at ``value`` within the block."""
     before = get()
     put(value)
     try:

@@ -20,7 +20,7 @@ from rejoint.twin.twin import LEAST_SPREAD, Twin
 Interval = tuple[float, float]
 
 TWIN_SHARE = 0.5
-"""Fraction of arms drawn around the identified twin; chosen: 0.8 is faster on the arm, 0.5 steadier with backlash"""
+"""Fraction of arms drawn around the identified twin; chosen: steadier with backlash than 0.8"""
 
 SLOW_BACKLASH: Interval = (0.0, float(np.radians(1.8)))
 """[rad] of arms whose motors cross backlash slowly, as an SO-101; chosen: new servos show about a degree.
@@ -80,7 +80,7 @@ class BroadRanges:
     backlash_free: float = 0.4
     """fraction of arms with encoders before the gears; chosen"""
     grease: Interval = (0.02, 0.2)
-    """log-uniform; from a joint that coasts through a degree of backlash to one that does not; chosen"""
+    """log-uniform; chosen: some joints coast through a degree of backlash"""
 
     def draw(self, rng: np.random.Generator, count: int) -> Draw:
         """Draw ``count`` arms."""

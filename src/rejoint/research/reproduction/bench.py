@@ -146,10 +146,7 @@ Found = dict[str, Any]
 
 
 class Experiment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """An experiment of the paper: what is measured, and how it is shown.
-
-    Text and numbers are formats of what is measured.
-    """
+    """An experiment of the paper; text and numbers are formats of what is measured."""
 
     name: str = ""
     """on the command line"""
