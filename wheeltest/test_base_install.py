@@ -19,7 +19,7 @@ from rejoint.system.files import read_json
 
 COMMANDS = (
     "repair", "diagnose", "identify", "train", "compare", "deploy", "report", "replay", "import", "export", "emulate",
-    "reproduce", "evaluate", "tune", "board",
+    "research", "board",
 )  # fmt: skip
 
 
@@ -114,9 +114,9 @@ def test_it_judges_and_converts_logs(base: Base, complete: RunFolder) -> None:
         ("train new --generic", "train,report"),
         ("report {run}", "report"),
         ("replay {run}/twin.toml --logs {run}/logs", "train,report"),
-        ("evaluate --family", "train,report"),
-        ("tune adaptive", "train"),
-        ("reproduce --list", "train,report"),
+        ("research evaluate", "train,report"),
+        ("research tune adaptive", "train"),
+        ("research reproduce", "train,report"),
         ("emulate", "train"),
         ("board new.pdf", "camera"),
         ("calibrate {arm} new --measure camera=0", "camera"),

@@ -15,9 +15,11 @@ import re
 import signal
 import sys
 import tempfile
+import tomllib
 import traceback
 from collections.abc import Sequence
 from importlib import import_module
+from pathlib import Path
 from typing import Annotated, Any, NamedTuple, TextIO
 
 import msgspec
@@ -35,17 +37,9 @@ BUG = 1
 
 HELP = {"help_option_names": ["-h", "--help"]}
 
-REPAIR, DRIVE, WATCH, FILES, TRY = (
-    "Repair an arm",
-    "Drive an arm",
-    "Watch arms over months",
-    "Files",
-    "Without an arm of your own",
-)
-
 
 class LazyCommand(NamedTuple):
-    """A command, or a group of commands, before its module is loaded."""
+    """A command, or a group of commands where it has no module, before its module is loaded."""
 
     panel: str
     module: str
@@ -55,60 +49,31 @@ class LazyCommand(NamedTuple):
     settings: dict[str, Any] = {}  # noqa: RUF012 - never written
 
 
-RESEARCH = {
-    name: LazyCommand("Commands", "research", text)
-    for name, text in {
-        "evaluate": "Try controllers on a hundred arms on which nothing was chosen.",
-        "follow": "Let many arms follow standard paths.",
-        "calibrate": "Find what outside measurements of many arms bring.",
-        "identification": "Find what a twin of its own brings to an arm.",
-        "tune": "Tune classical rivals on randomised twins.",
-        "reproduce": "Run the paper's experiments again.",
-    }.items()
-}
-COMMANDS = {
-    "repair": LazyCommand(REPAIR, "chain", "The whole chain: from the diagnosis to the report."),
-    "diagnose": LazyCommand(REPAIR, "stages", "Find out what is wrong with an arm."),
-    "calibrate": LazyCommand(REPAIR, "measuring", "Measure where the tool really is, and correct for it."),
-    "identify": LazyCommand(REPAIR, "stages", "Fit a digital twin to the run's logs, or to any logs."),
-    "train": LazyCommand(REPAIR, "stages", "Train a policy on randomised copies of the twin."),
-    "gains": LazyCommand(REPAIR, "stages", "Search for better gains of an SO-101's own servos."),
-    "compare": LazyCommand(REPAIR, "stages", "Try every controller on the same arm with the same targets."),
-    "report": LazyCommand(REPAIR, "stages", "Write the report of a run as one page."),
-    "goto": LazyCommand(  # -120 is a place and no option
-        DRIVE, "stages", "Move the tool to one point, and hold it there.", {"ignore_unknown_options": True}
-    ),
-    "deploy": LazyCommand(DRIVE, "stages", "Drive an arm to targets."),
-    "follow": LazyCommand(DRIVE, "stages", "Drive an arm along a path."),
-    "serve": LazyCommand(DRIVE, "serving", "Let programs written for the arm drive it through the best controller."),
-    "check": LazyCommand(WATCH, "monitoring", "See whether an arm has become worse, and how long it will still do."),
-    "history": LazyCommand(WATCH, "monitoring", "Show all arms of a folder, the worst first."),
-    "fleet": LazyCommand(WATCH, "monitoring", "Check or repair many arms."),
-    "import": LazyCommand(FILES, "offline", "Turn logs of other programs into run logs."),
-    "export": LazyCommand(FILES, "offline", "Write a run log, or what a run has found, for other programs."),
-    "replay": LazyCommand(FILES, "offline", "Judge a twin by logs: predict every motion."),
-    "board": LazyCommand(FILES, "measuring", "Write a board to print, for measuring with a camera."),
-    "emulate": LazyCommand(TRY, "serving", "Serve an emulated arm over TCP, or on a serial line."),
-    "research": LazyCommand(TRY, "", "Try controllers on many arms, and run the paper's experiments again."),
-}
-"""All commands; the module of one is loaded when that command is called or asked for its help"""
+TEXTS: dict[str, Any] = tomllib.loads(Path(__file__).with_name("options.toml").read_text(encoding="utf-8"))
+"""All commands, and help, flags and limits of all options and arguments"""
+
+
+def section(command: str, module: str) -> dict[str, Any]:
+    """Return the texts of a command: ``about`` it, and its own options and arguments."""
+    found: dict[str, Any] = (TEXTS["research"] if module == "research" else TEXTS)[command]
+    return found
 
 
 class CommandGroup(TyperGroup):
     """Lists commands, and loads a command's module when that command is wanted."""
 
-    entries = COMMANDS
+    table = TEXTS["commands"]
     _listing = False
 
     def list_commands(self, ctx: object) -> list[str]:  # noqa: ARG002
         """Return the names of all commands, in the order of the list."""
-        return list(self.entries)
+        return list(self.table)
 
     def get_command(self, ctx: object, cmd_name: str) -> Any:  # noqa: ANN401, ARG002 - the framework's own kind
         """Return a command; while they are listed, only its name and its line; None for another name."""
-        entry = self.entries.get(cmd_name)
-        if entry is None:
+        if cmd_name not in self.table:
             return None
+        entry = LazyCommand(**self.table[cmd_name])
         if self._listing:
             return TyperCommand(cmd_name, help=entry.help, rich_help_panel=entry.panel)
         if not entry.module:
@@ -116,7 +81,8 @@ class CommandGroup(TyperGroup):
         module = import_module(f"{__name__}.{entry.module}")
         function = getattr(module, cmd_name, None) or getattr(module, f"{cmd_name}_")
         alone = typer.Typer(add_completion=False, rich_markup_mode="markdown")
-        alone.command(cmd_name, context_settings=HELP | entry.settings)(function)
+        about = section(cmd_name, entry.module)["about"]
+        alone.command(cmd_name, help=about, context_settings=HELP | entry.settings)(function)
         return typer.main.get_command(alone)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401
@@ -131,7 +97,7 @@ class CommandGroup(TyperGroup):
 class ResearchGroup(CommandGroup):
     """The commands of `rejoint research`."""
 
-    entries = RESEARCH
+    table = TEXTS["research"]["commands"]
 
 
 def _group(kind: type[CommandGroup], name: str, text: str) -> typer.Typer:

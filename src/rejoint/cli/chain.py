@@ -3,66 +3,57 @@
 from __future__ import annotations
 
 import os
-from contextlib import ExitStack, nullcontext
+from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import rejoint
 from rejoint.arms import Arm
 from rejoint.cli import options as opt
 from rejoint.cli import show
-from rejoint.cli.console import Terminal, live_view
+from rejoint.cli.console import ConsoleObserver, Terminal, live_view
 from rejoint.cli.measuring import gauge_by_word
-from rejoint.cli.options import Call, option, takes
-from rejoint.control.observer import Observer
-from rejoint.control.robot import Robot
+from rejoint.cli.options import Call, takes
+from rejoint.control.observer import Observer, Observers
 from rejoint.diagnosis.calibration.procedure import TouchGauge
 from rejoint.logs.runfolder.effort import read_effort
 from rejoint.runs.run import Run, newest_or_new
 from rejoint.session.settings import Settings
 from rejoint.system.errors import UnsavedError
 from rejoint.system.extras import require
-from rejoint.system.progress import Progress, no_progress
 
 if TYPE_CHECKING:
     from rejoint.pages.live.view import LiveView
 
 TITLES = {
-    "diagnose": ("Diagnosis: ten targets open loop, then an excitation of every joint", "diagnosing"),
-    "calibrate": ("Calibration: where the tool really is, measured from outside", "calibrating"),
-    "identify": ("Twin: fitting a simulation to this arm", "identifying"),
-    "train": ("Training: a policy on randomised copies of the twin", "training"),
-    "gains": ("Gains: what the servos' own loops can do", "tuning"),
-    "compare": ("Comparison: every controller on this arm, with the same targets", "comparing"),
-    "report": ("Report", "reporting"),
+    "diagnose": "Diagnosis: ten targets open loop, then an excitation of every joint",
+    "calibrate": "Calibration: where the tool really is, measured from outside",
+    "identify": "Twin: fitting a simulation to this arm",
+    "train": "Training: a policy on randomised copies of the twin",
+    "gains": "Gains: what the servos' own loops can do",
+    "compare": "Comparison: every controller on this arm, with the same targets",
+    "report": "Report",
 }
-"""Heading of each stage, and what is being done meanwhile"""
+"""Heading of each stage"""
 
 
 @takes("arm", "part", "live", "payload", "tool", "period", "dry_run")
 def repair(
     call: Call,
-    robot: opt.Robot = "emulated:worn",
-    run: opt.RunOption = None,
-    preset: opt.Preset = "default",
-    targets: opt.Targets = None,
-    controllers: opt.Controllers = "all",
-    measure: opt.Measure = None,
-    sets: opt.Sets = None,
-    repetitions: opt.Repetitions = None,
-    full: opt.Full = False,
-    seed: opt.Seed = 0,
-    quick: opt.Quick = False,
-    fresh: Annotated[
-        bool, option("Keep no twin and policy of this arm's last repair, even if they still hold.", "--fresh")
-    ] = False,
+    robot: str = "emulated:worn",
+    run: Path | None = None,
+    preset: str = "default",
+    targets: Path | None = None,
+    controllers: str = "all",
+    measure: str | None = None,
+    sets: int | None = None,
+    repetitions: int | None = None,
+    full: bool = False,
+    seed: int = 0,
+    quick: bool = False,
+    fresh: bool = False,
 ) -> object:
-    """Diagnose an arm, fit its twin, train a policy, compare every controller on the arm, and write the report.
-
-    Interrupted, the same command goes on where it stopped. Nothing is changed on the arm itself.
-
-    Example: `rejoint repair serial:///dev/ttyAMA0`
-    """
+    """Diagnose an arm, fit its twin, train a policy, compare every controller on the arm, and write the report."""
     require("rejoint repair", "train", "report")
     chosen = call.arm(robot)
     if call.settings.dry_run:
@@ -85,7 +76,8 @@ def repair(
         live_view(call, call.live, "repair") as view,
         _Narrator(call, view, asking=isinstance(gauge, TouchGauge)) as narrator,
     ):
-        found = rejoint.repair(robot, run=job, quick=quick, plan=plan, settings=call.settings, observer=narrator)
+        observer = narrator if view is None else Observers(narrator, view)
+        found = rejoint.repair(robot, run=job, quick=quick, plan=plan, settings=call.settings, observer=observer)
     page = Path(os.path.relpath(found.page))
     if quick:
         call.say("A quick try: little of everything was done, so none of this is a result.")
@@ -122,12 +114,13 @@ def rehearse(
     observer.message("The first is the diagnosis, the second the comparison of one controller with ten targets.")
 
 
-class _Narrator(Observer):
+class _Narrator(ConsoleObserver):
+    """Shows the stages of a repair; none has a bar where it is ``asking`` at the terminal."""
+
     def __init__(self, terminal: Terminal, view: LiveView | None, *, asking: bool) -> None:
-        self._terminal, self._view, self._bar, self._asking = terminal, view, ExitStack(), asking
-        self.shows = view is not None
+        super().__init__(terminal)
+        self._view, self._asking, self._bar = view, asking, ExitStack()
         self._stage: rejoint.Stage | None = None
-        self._update: Progress = no_progress
 
     def __enter__(self) -> _Narrator:
         return self
@@ -137,38 +130,25 @@ class _Narrator(Observer):
         if isinstance(error, UnsavedError) and self._stage is not None:
             show.stage(self._terminal, self._stage.name, error.result)
 
-    def message(self, line: str) -> None:
-        """Print a sentence."""
-        self._terminal.say(line)
-
     def stage(self, stage: object) -> None:
         """Show how a stage stands."""
         assert isinstance(stage, rejoint.Stage)  # noqa: S101 - for the type checker
         self._bar.close()
-        heading, doing = TITLES[stage.name]
         if stage.state != "done":
-            self._terminal.stage(f"{stage.number}/{stage.total}  {heading}")
+            heading = f"{stage.number}/{stage.total}  {TITLES[stage.name]}"
+            self._terminal.stage(heading)
             if self._view is not None:
-                self._view.begin(f"{stage.number}/{stage.total}  {heading}")
+                self._view.begin(heading)
         if stage.state == "kept":
             self._terminal.say(stage.why or f"already done, as it was asked for then: {stage.file}")
-        if stage.state == "started":
-            asking = self._asking and stage.name == "calibrate"  # a bar would write over the questions
-            bar = nullcontext(no_progress) if asking else self._terminal.progress(doing)
-            self._stage, self._update = stage, self._bar.enter_context(bar)
-        else:
+        if stage.state != "started":
             show.stage(self._terminal, stage.name, stage.result)
-
-    def watch(
-        self, robot: Robot, *, twin: object = None, within: float | None = None, paced: bool | None = None
-    ) -> Robot:
-        """Show the arm on the page, where there is one."""
-        return robot if self._view is None else self._view.watch(robot, twin=twin, within=within, paced=paced)
+            return
+        self._stage, self._progress = stage, None
+        if not (self._asking and stage.name == "calibrate"):  # a bar would write over the questions
+            self._progress = self._bar.enter_context(self._terminal.progress(stage.name))
 
     def progress(self, share: float, what: str) -> None:
         """Show how far the stage is, given how far all of them are."""
         if self._stage is not None:
-            share = self._stage.total * share - (self._stage.number - 1)
-            self._update(share, what)
-            if self._view is not None:
-                self._view.progress(share, what)
+            super().progress(self._stage.total * share - (self._stage.number - 1), what)

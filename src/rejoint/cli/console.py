@@ -212,14 +212,7 @@ class Terminal:
         if not self.notes.is_terminal:
             yield _plain_progress(self, title)
             return
-        columns = (
-            bars.TextColumn("{task.description}"),
-            bars.BarColumn(),
-            bars.TextColumn("{task.percentage:>3.0f} %"),
-            bars.TimeElapsedColumn(),
-            bars.TimeRemainingColumn(),
-            bars.TextColumn("{task.fields[what]}"),
-        )
+        columns = (*bars.Progress.get_default_columns(), bars.TextColumn("{task.fields[what]}"))
         with bars.Progress(*columns, console=self.notes, transient=True) as bar:
             task = bar.add_task(title, total=None, what="")
 
@@ -251,17 +244,13 @@ def _least(cells: Sequence[str]) -> int:
 def results_of(value: object, *traces: str) -> Any:  # noqa: ANN401 - plain data of any kind
     """Return a result as plain data without its ``traces``, fields of thousands of numbers that are in its files."""
     plain = msgspec.to_builtins(value, enc_hook=_plain)
-
-    def kept(part: Any) -> Any:  # noqa: ANN401
-        if isinstance(part, dict):
-            return {key: kept(one) for key, one in part.items() if key not in traces and not _unasked(key, one)}
-        return [kept(one) for one in part] if isinstance(part, list | tuple) else part
-
-    return kept(plain)
+    if isinstance(plain, dict):
+        gone = {key for key in _POSED if not plain.get(key) and plain.get(key) != 0.0} | set(traces)
+        return {key: results_of(one, *traces) for key, one in plain.items() if key not in gone}
+    return [results_of(one, *traces) for one in plain] if isinstance(plain, list | tuple) else plain
 
 
-def _unasked(key: str, value: object) -> bool:
-    return key in ("turned", "orientation", "orientations") and not value and value != 0.0
+_POSED = ("turned", "orientation", "orientations")  # results of targets that ask for orientations
 
 
 def _plain(value: object) -> object:

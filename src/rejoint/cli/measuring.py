@@ -8,17 +8,15 @@ from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 
 import rejoint
 from rejoint.arms import Arm
 from rejoint.arms.camera.board import ON_TABLE, ON_TOOL, Board, read_board, write_board, write_pdf
-from rejoint.cli import options as opt
 from rejoint.cli import show
 from rejoint.cli.console import ConsoleObserver, Terminal
-from rejoint.cli.options import Call, argument, option, takes
+from rejoint.cli.options import Call, takes
 from rejoint.diagnosis.calibration.camera.film import Film, read_folder
 from rejoint.diagnosis.calibration.camera.filming import POSTURES, SCOUTS, CameraGauge
 from rejoint.diagnosis.calibration.measurementfile import read_measurements
@@ -37,38 +35,19 @@ from rejoint.system.shell import command
 @takes("arm", "part", "live", "period", "seed", "dry_run")
 def calibrate(
     call: Call,
-    robot: opt.Robot,
-    run: opt.Run,
-    measure: opt.Measure = None,
-    unit: Annotated[str, option("Unit of the tracker's x, y and z: mm or m.")] = "mm",
-    board: Annotated[Path | None, option("Description of the board, by default board.toml in this folder.")] = None,
-    board_on: Annotated[
-        str, option("Where the board is: on the tool, or on the table under a camera that the tool carries.")
-    ] = "tool",
-    frame: Annotated[
-        str, option("Frame of the tracker's or the file's points: base, or any other name: its pose is fitted.")
-    ] = "base",
-    count: Annotated[
-        int | None,
-        option(
-            f"Postures to measure, each from two sides: by default {POINTS}, with a camera {POSTURES}.", min=1, max=200
-        ),
-    ] = None,
-    once: Annotated[bool, option("Come to each posture from one side only.", "--once")] = False,
-    noise: Annotated[float, option("Standard deviation of a measured coordinate in mm.", min=0.001)] = 1e3 * NOISE,
-    fresh: Annotated[
-        bool, option("Do not start from the run's earlier calibration, measurements or pictures.", "--fresh")
-    ] = False,
+    robot: str,
+    run: Path,
+    measure: str | None = None,
+    unit: str = "mm",
+    board: Path | None = None,
+    board_on: str = "tool",
+    frame: str = "base",
+    count: int | None = None,
+    once: bool = False,
+    noise: float = 1e3 * NOISE,
+    fresh: bool = False,
 ) -> object:
-    """Measure where the tool really is, and correct for what the encoders do not see, where that helps.
-
-    The arm goes slowly to postures and stands still at each until it is measured. `deploy` and `compare` with this run
-    are corrected from then on. An emulated arm tells by itself. A folder that is not there yet is begun. An interrupted
-    session goes on where it was.
-
-    Example: `rejoint calibrate serial:///dev/ttyAMA0 runs/mine --measure touch --count 10`, or
-    `rejoint calibrate serial:///dev/ttyAMA0 runs/mine --measure camera`
-    """
+    """Measure where the tool really is, and correct for what the encoders do not see, where that helps."""
     kind, _, what = (measure or "").partition("=")
     if kind != "camera" and (board is not None or board_on != "tool"):
         raise InputError("--board and --board-on go with --measure camera")
@@ -240,21 +219,15 @@ def _ask(terminal: Terminal, stop: Stop) -> str:
 @takes()
 def board(
     call: Call,
-    file: Annotated[Path, argument("PDF to write; its description goes beside it, as .toml.")],
-    on: Annotated[str, option("Where it is for: tool (20 mm squares) or table (30 mm squares).")] = "tool",
-    squares: Annotated[str | None, option("Squares along x and y, such as 7x5; by default those of --on.")] = None,
-    square: Annotated[float | None, option("Edge of a square in mm; by default that of --on.")] = None,
-    page: Annotated[str, option("Page, landscape: A4, A3 or letter.")] = "A4",
-    measured_x: Annotated[float | None, option("Length in mm that the 100 mm ruler along x has on your print.")] = None,
-    measured_y: Annotated[float | None, option("Length in mm that the 100 mm ruler along y has on your print.")] = None,
+    file: Path,
+    on: str = "tool",
+    squares: str | None = None,
+    square: float | None = None,
+    page: str = "A4",
+    measured_x: float | None = None,
+    measured_y: float | None = None,
 ) -> object:
-    """Write a ChArUco board as a PDF in true size, with rulers to check the print.
-
-    Print it at 100 %, measure both rulers with a calliper, and run the command again with `--measured-x` and
-    `--measured-y`: what is off by more than 0.05 mm matters. Glue it on something flat, stiff and light.
-
-    Example: `rejoint board board.pdf --measured-x 100.2 --measured-y 99.9`
-    """
+    """Write a ChArUco board as a PDF in true size, with rulers to check the print."""
     require("rejoint board", "camera")
     kinds = {"tool": ON_TOOL, "table": ON_TABLE}
     if file.suffix.lower() != ".pdf":

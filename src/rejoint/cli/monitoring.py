@@ -12,11 +12,11 @@ from dataclasses import replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
 import rejoint
 from rejoint.cli import options as opt
-from rejoint.cli.options import Call, Result, argument, option, takes
+from rejoint.cli.options import Call, Result, takes
 from rejoint.control.observer import StageObserver
 from rejoint.runs.run import RUNS
 from rejoint.runs.stages.check import BETWEEN
@@ -36,33 +36,18 @@ DRIFTS, ALARM = 6, 7
 @takes("arm", "part", "live", "period", "dry_run")
 def check(
     call: Call,
-    robot: opt.Robot,
-    history: Annotated[Path, option("Folder below which all runs and checks are.", "--history")] = RUNS,
-    name: Annotated[str | None, option("Name of the arm in the history; by default made of its address.")] = None,
-    tolerance: Annotated[
-        float | None, option("Tool error in mm that you can bear; by default that of the last check.", min=0)
-    ] = None,
-    used: Annotated[float | None, option("Hours for which the arm has been used so far.", min=0)] = None,
-    date: Annotated[
-        datetime | None, option("Date of the check in UTC, by default now; for trying years in minutes.")
-    ] = None,
-    moved: Annotated[
-        bool, option("The arm was moved, or its zeros were set: begin a new baseline.", "--moved")
-    ] = False,
-    repeat: Annotated[int, option("Checks in a row; 5 after a repair are a norm.", min=1)] = 1,
-    prometheus: Annotated[
-        Path | None, option("Write the result for Prometheus here, as its node exporter reads text files.")
-    ] = None,
-    seed: Annotated[
-        int | None, option("Seed of everything random; by default the number of earlier checks.", min=0)
-    ] = None,
+    robot: str,
+    history: Path = RUNS,
+    name: str | None = None,
+    tolerance: float | None = None,
+    used: float | None = None,
+    date: datetime | None = None,
+    moved: bool = False,
+    repeat: int = 1,
+    prometheus: Path | None = None,
+    seed: int | None = None,
 ) -> Result:
-    """See in two and a half minutes whether an arm has become worse, and how long it will still do.
-
-    It is compared with its own first checks since its last repair. Exit code 0: nothing to do; 6: it drifts; 7: alarm,
-    or the tolerance is reached. Example, for a weekly cron job:
-    `rejoint check tcp://192.168.1.20:9000 --name bench-3 --tolerance 3 --json`
-    """
+    """See in two and a half minutes whether an arm has become worse, and how long it will still do."""
     chosen = call.arm(robot)
     with call.watched("check", lambda found: call.result(found.line)) as observer:
         for number in range(repeat):
@@ -95,13 +80,10 @@ def check(
 @takes()
 def history(
     call: Call,
-    folder: Annotated[Path, argument("Folder below which runs and checks are.", "FOLDER")] = RUNS,
-    page: Annotated[Path | None, option("Page to write; by default history.html in FOLDER.")] = None,
+    folder: Path = RUNS,
+    page: Path | None = None,
 ) -> object:
-    """Show all arms of a folder, the worst first, as a table and as a page.
-
-    Example: `rejoint history runs`
-    """
+    """Show all arms of a folder, the worst first, as a table and as a page."""
     from rejoint.logs.history.index import find_rows
     from rejoint.runs.history import HEADERS, arms_of, cells, write_history
 
@@ -132,41 +114,24 @@ def history(
 @takes("dry_run")
 def fleet(
     call: Call,
-    verb: Annotated[Literal["check", "repair"], argument("What is to be done with each arm.")],
-    file: Annotated[Path, argument("File with the arms, see docs/monitoring.md.", "FLEET.toml")],
-    only: Annotated[str, option("Comma-separated names of arms; by default all of the file.")] = "",
-    somebody: Annotated[
-        bool, option("Somebody is there who can stop the arms that need that.", "--somebody-is-there")
-    ] = False,
-    wait: Annotated[bool, option("Stay until the hours of all arms have come.", "--wait")] = False,
-    fresh: Annotated[
-        bool, option("Begin with all arms again, though an earlier call was cut short.", "--fresh")
-    ] = False,
-    needed: Annotated[
-        bool, option("Check each arm first, and repair only those that the check says to.", "--needed")
-    ] = False,
-    address: Annotated[str | None, option("Ray cluster HOST:PORT, or auto; by default this machine alone.")] = None,
-    cpus: Annotated[int | None, option("Processors of this machine to use; by default all.", min=1)] = None,
-    training_cpus: Annotated[
-        float, option("Processors that a training counts for; it runs two threads.", min=0.1)
-    ] = 1.0,
-    preset: opt.Preset = "default",
-    controllers: opt.Controllers = "all",
-    sets: opt.Sets = None,
-    repetitions: opt.Repetitions = None,
-    seed: Annotated[
-        int | None, option("Seed of the repairs; by default that of the run that goes on, or 0.", min=0)
-    ] = None,
-    quick: opt.Quick = False,
+    verb: Literal["check", "repair"],
+    file: Path,
+    only: str = "",
+    somebody: bool = False,
+    wait: bool = False,
+    fresh: bool = False,
+    needed: bool = False,
+    address: str | None = None,
+    cpus: int | None = None,
+    training_cpus: float = 1.0,
+    preset: str = "default",
+    controllers: str = "all",
+    sets: int | None = None,
+    repetitions: int | None = None,
+    seed: int | None = None,
+    quick: bool = False,
 ) -> Result:
-    """Check or repair many arms, each within its hours and with its permissions, and show them, the worst first.
-
-    Interrupted or killed, the same command goes on: one step of each arm is lost at most, and no real arm moves again
-    by itself. Exit code 0: nothing to do; 6 and 7: as for `check`, of the worst arm; 5: not all was done; others: an
-    arm failed.
-
-    Example: `rejoint fleet check FLEET.toml --somebody-is-there`
-    """
+    """Check or repair many arms, each within its hours and with its permissions, and show them, the worst first."""
     require(f"rejoint fleet {verb}", "fleet", "report", *(["train"] if verb == "repair" and address is None else []))
     from rejoint.cli.chain import rehearse
     from rejoint.runs.fleet.call import run_fleet

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace as changed
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,8 +13,8 @@ import rejoint
 from rejoint.arms import Arm, tcp_position
 from rejoint.cli import show
 from rejoint.cli.console import results_of
-from rejoint.cli.options import Call, argument, option, takes
-from rejoint.logs import ANGLE_UNITS, FORMATS, STAMPS, TIME_UNITS, ImportOptions, export_log, import_logs, read_map
+from rejoint.cli.options import Call, takes
+from rejoint.logs import ImportOptions, export_log, import_logs, read_map
 from rejoint.logs.consistency import forced_remarks
 from rejoint.logs.runlog import RunLog, read_log
 from rejoint.runs.run import Run
@@ -27,29 +27,6 @@ if TYPE_CHECKING:
     from rejoint.runs.stages.report import Replayed
     from rejoint.twin.judge import Candidate
     from rejoint.twin.judgement import Errors, Judgement
-
-Published = Annotated[
-    list[str] | None,
-    option("FILE or NAME=FILE: a published parameter set (TOML) to judge beside the twin; repeatable."),
-]
-HeldOut = Annotated[
-    list[str] | None,
-    option(
-        "Motion to keep from the fit and judge it by; repeatable. none: judge it on what it has seen. By default a "
-        "quarter of the motions is drawn."
-    ),
-]
-Gain = Annotated[
-    list[str] | None,
-    option(
-        "MOTION=GAIN: the servos' position gain in a motion over that which the twin is to have, one number or one for "
-        "each joint; repeatable."
-    ),
-]
-TorqueOff = Annotated[
-    list[str] | None,
-    option("MOTION=FROM-TO: seconds of a motion in which the servos give no torque; repeatable."),
-]
 
 
 def diagnose_from_logs(call: Call, job: Run, logs: Path, good: Path | None) -> object:
@@ -101,17 +78,14 @@ def identify_from_logs(call: Call, job: Run, logs: Path, plan: rejoint.LogPlan) 
 @takes("arm", "part")
 def replay(
     call: Call,
-    twin: Annotated[Path, argument("Twin (.toml) to judge.")],
-    logs: Annotated[Path, option("Folder of run logs (.parquet), such as `rejoint import` writes.")],
-    published: Published = None,
-    out: Annotated[Path, option("Folder for the page and its figures.")] = Path("replay"),
+    twin: Path,
+    logs: Path,
+    published: list[str] | None = None,
+    out: Path = Path("replay"),
 ) -> object:
-    """Predict every motion open loop with a twin and show how far off it is, free space and contact apart.
-
-    Example: `rejoint replay runs/so101/twin.toml --logs logs/so101 --published maker.toml --out replay`
-    """
+    """Predict every motion open loop with a twin and show how far off it is, free space and contact apart."""
     require("rejoint replay", "train", "report")
-    chosen = arm_of_twin(twin) if call.pick.source is None else call.arm()
+    chosen = arm_of_twin(twin) if call.pick.arm is None else call.arm()
     replayed = rejoint.replay(twin, logs, arm=chosen, beside=read_sets(published, chosen), out=out)
     say_forced(call, replayed.logs)
     if replayed.judgement is None:
@@ -194,40 +168,22 @@ def _cell(errors: Errors) -> str:
 @takes("arm", "part")
 def import_(
     call: Call,
-    source: Annotated[Path, argument("File or folder: text with columns, JSON, NumPy, bags, MCAP, LeRobot or SAGE.")],
-    out: Annotated[Path, argument("New folder for the run logs.")],
-    kind: Annotated[
-        str | None, option(f"One of {', '.join(FORMATS)}; by default found from the content.", "--format")
-    ] = None,
-    angle_unit: Annotated[
-        str | None, option(f"Unit of angles, where the source is silent: {', '.join(ANGLE_UNITS)}.")
-    ] = None,
-    time_unit: Annotated[
-        str | None, option(f"Unit of times, where the source is silent: {', '.join(TIME_UNITS)}.")
-    ] = None,
-    rate: Annotated[float | None, option("Rows in a second of a file without a time.")] = None,
-    columns: Annotated[
-        list[str] | None,
-        option(
-            "What is what in the file: time=t, JOINT=q1, command.JOINT=u1, JOINT=m1/6.33-0.6, command=27..32; several "
-            "times, by commas, or a TOML file.",
-            "--map",
-        ),
-    ] = None,
-    order: Annotated[str | None, option("Names of columns that have none, comma-separated.")] = None,
-    torque_off: Annotated[str | None, option("Joints that had no torque, comma-separated.")] = None,
-    state_topic: Annotated[str | None, option("Topic of the measured state in a bag.")] = None,
-    command_topic: Annotated[str | None, option("Topic of the commands in a bag.")] = None,
-    stamp: Annotated[str | None, option(f"Clock of a bag: {' or '.join(STAMPS)}.")] = None,
-    calibration: Annotated[Path | None, option("LeRobot calibration file for normalised angles.")] = None,
-    force: Annotated[
-        bool, option("Import despite failed consistency checks; the warnings are stored in the log.", "--force")
-    ] = False,
+    source: Path,
+    out: Path,
+    kind: str | None = None,
+    angle_unit: str | None = None,
+    time_unit: str | None = None,
+    rate: float | None = None,
+    columns: list[str] | None = None,
+    order: str | None = None,
+    torque_off: str | None = None,
+    state_topic: str | None = None,
+    command_topic: str | None = None,
+    stamp: str | None = None,
+    calibration: Path | None = None,
+    force: bool = False,
 ) -> object:
-    """Turn logs of other programs into run logs; units, joint order and clock are checked, never guessed.
-
-    Example: `rejoint import recordings/so101 logs/so101 --arm so101`
-    """
+    """Turn logs of other programs into run logs; units, joint order and clock are checked, never guessed."""
     options = ImportOptions(
         angle_unit=angle_unit,
         time_unit=time_unit,
@@ -255,27 +211,13 @@ def import_(
 @takes()
 def export(
     call: Call,
-    source: Annotated[Path, argument("Run log (.parquet), or with --format a run folder.", "SOURCE")],
-    out: Annotated[
-        Path | None, argument("File to write: of a log .csv, or .mcap for PlotJuggler, Foxglove and Rerun.")
-    ] = None,
-    kind: Annotated[
-        str | None,
-        option(
-            "Of a run: urdf (this unit), lerobot (its zeros), datasheet (a page), onnx or ros2 (its controller).",
-            "--format",
-        ),
-    ] = None,
-    lerobot: Annotated[Path | None, option("Calibration file of LeRobot whose zeros to correct.")] = None,
-    controller: Annotated[
-        str | None, option("For onnx and ros2: its name; by default what the run recommends.")
-    ] = None,
+    source: Path,
+    out: Path | None = None,
+    kind: str | None = None,
+    lerobot: Path | None = None,
+    controller: str | None = None,
 ) -> object:
-    """Write a run log as CSV or MCAP, or what a run has found out: URDF, LeRobot's calibration, data sheet, controller.
-
-    Example: `rejoint export runs/mine/logs/excitation.parquet excitation.mcap`, or
-    `rejoint export runs/mine --format urdf`
-    """
+    """Write a run log as CSV or MCAP."""
     if kind is not None or lerobot is not None or controller is not None:
         from rejoint.runs.exporting.exports import export_run
 

@@ -17,6 +17,7 @@ from rejoint.arms import Arm
 from rejoint.arms.draft import UnfinishedArmError
 from rejoint.arms.inertia import Payload as LoadedWith
 from rejoint.arms.loading import read_arm, write_unfinished
+from rejoint.cli import TEXTS, section
 from rejoint.cli.console import Terminal
 from rejoint.logs.runfolder.folder import LOGS, RunFolder
 from rejoint.robots import DEFAULT_ARM, place_of
@@ -24,16 +25,6 @@ from rejoint.runs.run import Run as OpenRun
 from rejoint.runs.run import newest_or_new
 from rejoint.session.settings import Settings
 from rejoint.system.errors import InputError
-
-
-def option(text: str, *flags: str, **limits: Any) -> Any:  # noqa: ANN401 - the framework's own kind
-    """Describe an option: its help, its flags unless they are its name, and the limits of its value."""
-    return typer.Option(*flags, help=text, **limits)
-
-
-def argument(text: str, metavar: str | None = None) -> Any:  # noqa: ANN401 - the framework's own kind
-    """Describe an argument: its help, and its name in the usage line."""
-    return typer.Argument(help=text, metavar=metavar)
 
 
 def meaning(field: str) -> str:
@@ -46,57 +37,10 @@ def meaning(field: str) -> str:
     return found[1][:1].upper() + re.sub(r"\s+", " ", found[1][1:])
 
 
-Robot = Annotated[
-    str,
-    argument(
-        "Robot: emulated:PROFILE (in process), tcp://HOST:PORT, serial:///dev/ttyAMA0, or feetech:///dev/ttyACM0 "
-        "(SO-101).",
-        "ROBOT",
-    ),
-]
-OptionalRobot = Annotated[str | None, argument("Robot, as for `repair`; by default emulated:worn.", "ROBOT")]
-LogsOption = Annotated[
-    Path | None, option("Folder of run logs (see `rejoint import`) instead of a robot or a run.", "--logs")
-]
-Run = Annotated[Path, argument("Run folder.", "RUN")]
-RunOption = Annotated[Path | None, option("Run folder; by default a new one below runs/.", "--run")]
-Seed = Annotated[int, option("Seed of everything random.", min=0)]
-RunSeed = Annotated[int | None, option(f"{meaning('seed')}.", "--seed", min=0)]
-Quick = Annotated[bool, option("Do little of everything, for a first try; no result.", "--quick")]
-Sets = Annotated[
-    int | None,
-    option("Target sets of ten targets each; by default 10, in a repair 3, on a real arm 1.", "--sets", min=1),
-]
-Repetitions = Annotated[
-    int | None,
-    option("Repetitions of every target set; by default 6, in a repair 2, on a real arm 1.", "--repetitions", min=1),
-]
-Preset = Annotated[
-    str,
-    option("Training recipe: default, scratch (from random weights), or paper (Park et al. 2024 to the letter)."),
-]
-Measure = Annotated[
-    str | None,
-    option(
-        "What measures the tool: touch (you, with a ruler or calliper), camera, camera=NUMBER, tracker=FILE (CSV, "
-        "goes on being written), none; to `calibrate`, which moves nothing then, also camera=PICTURES or points=FILE. "
-        "By default an emulated arm tells, and a real one is not calibrated.",
-        "--measure",
-    ),
-]
-Targets = Annotated[Path | None, option("CSV file of targets in mm: x,y,z, and perhaps an orientation.")]
-Controllers = Annotated[
-    str,
-    option("Comma-separated controllers, such as default,integrator,policy; all: those that suit the robot."),
-]
-Full = Annotated[bool, option("On a real arm, drive every controller to all targets and eliminate none.", "--full")]
-Threads = Annotated[int, option("Threads of the simulation.", min=1)]
-
-
 class ArmPick(NamedTuple):
     """What a user says of the arm: a name or a file, which part of it, and which joints are held."""
 
-    source: str | None = None
+    arm: str | None = None
     base: str | None = None
     tip: str | None = None
     hold: str | None = None
@@ -187,22 +131,28 @@ def payload_of(text: str | None) -> LoadedWith | None:
     if text is None:
         return None
     mass, _, place = text.partition("@")
-    try:
-        kilograms, (x, y, z) = float(mass), map(float, (place or "0,0,0").split(","))
-    except ValueError as error:
-        raise InputError(f"--payload {text!r}: expected kg, such as 0.15, or with x,y,z in mm: 0.15@0,0,30") from error
-    return LoadedWith(mass=kilograms, com=point_of(x, y, z, "--payload"))
+    found = _numbers(f"{mass},{place or '0,0,0'}", 4)
+    if found is None:
+        raise InputError(f"--payload {text!r}: expected kg, such as 0.15, or with x,y,z in mm: 0.15@0,0,30")
+    return LoadedWith(mass=found[0], com=point_of(*found[1:], "--payload"))
 
 
 def tool_of(text: str | None) -> tuple[float, float, float] | None:
     """Read ``x,y,z`` in mm as metres; InputError for anything else."""
     if text is None:
         return None
+    found = _numbers(text, 3)
+    if found is None:
+        raise InputError(f"--tool {text!r}: expected x,y,z in mm, such as 0,0,50")
+    return point_of(*found, "--tool")
+
+
+def _numbers(text: str, count: int) -> list[float] | None:
     try:
-        x, y, z = map(float, text.split(","))
-    except ValueError as error:
-        raise InputError(f"--tool {text!r}: expected x,y,z in mm, such as 0,0,50") from error
-    return point_of(x, y, z, "--tool")
+        found = list(map(float, text.split(",")))
+    except ValueError:
+        return None
+    return found if len(found) == count else None
 
 
 def point_of(x: float, y: float, z: float, option: str = "goto") -> tuple[float, float, float]:
@@ -230,13 +180,14 @@ class SharedOption(NamedTuple):
         field = self.field or name
         what, default, usual = meaning(field).partition("; by default")
         text = f"{what}{self.form and f', {self.form}'}{default}{usual}."
-        return keyword(
-            name, self.kind, option(text, f"--{name.replace('_', '-')}", **self.limits), getattr(Settings, field)
-        )
+        return keyword(name, self.kind, {"help": text, **self.limits}, getattr(Settings, field))
 
 
-def keyword(name: str, kind: object, described: object, default: object = None) -> Parameter:
-    """Return a command's parameter."""
+def keyword(name: str, kind: object, entry: str | Mapping[str, Any], default: object = None) -> Parameter:
+    """Return a command's parameter: an argument or an option, as an ``entry`` of `TEXTS` describes it."""
+    words = {"help": entry} if isinstance(entry, str) else dict(entry)
+    argument, flag = words.pop("argument", None), words.pop("flag", f"--{name.replace('_', '-')}")
+    described = typer.Argument(metavar=argument, **words) if argument else typer.Option(flag, **words)
     return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, described])
 
 
@@ -256,35 +207,19 @@ SHARED = {
 }
 """Options of several commands that become fields of `Settings`"""
 
-ARM = {
-    "arm": "Arm: mycobot280 (default), so101, or a .urdf, .xml (MJCF) or .toml file.",
-    "base": "Body of the file at which the arm begins; by default its root.",
-    "tip": "Body or site of the file at which the arm ends.",
-    "hold": "Joints of the file that are not driven, and where they stand: torso_lift_joint=200mm,waist=30deg. Joints "
-    "that slide are never driven; they stand at zero where nothing is said.",
-}
-"""Options of which an `ArmPick` is made"""
-
-LIVE = option(
-    "Show the arm on a page while it moves, by default at 127.0.0.1:8080, with a button that holds it.",
-    "--live",
-    metavar="[HOST:PORT]",
-)
-JSON = option("End standard output with one line of JSON.", "--json")
-
 
 def takes(*names: str) -> Callable[[Callable[..., object]], Callable[..., None]]:
     """Give a command shared options: ``arm``, ``part`` of it, ``live``, and of `SHARED`; all commands have ``json``.
 
     The command receives them as a `Call`, and returns its `Result` or that one's value; None prints no JSON.
     """
-    arm = {name: text for name, text in ARM.items() if name in names or (name != "arm" and "part" in names)}
-    shared = [name for name in names if name in SHARED]
+    arm = [name for name in ArmPick._fields if name in names or (name != "arm" and "part" in names)]
+    shared, known = [name for name in names if name in SHARED], TEXTS["all"]
     options = [
-        *(keyword(name, str | None, option(text, f"--{name}")) for name, text in arm.items()),
+        *(keyword(name, str | None, known[name]) for name in arm),
         *(SHARED[name].parameter(name) for name in shared),
-        *([keyword("live", str | None, LIVE)] if "live" in names else []),
-        keyword("json", bool, JSON, default=False),
+        *(keyword(name, str | None, known[name]) for name in ("live",) if name in names),
+        keyword("json", bool, known["json"], default=False),
     ]
 
     def decorate(command: Callable[..., object]) -> Callable[..., None]:
@@ -294,7 +229,7 @@ def takes(*names: str) -> Callable[[Callable[..., object]], Callable[..., None]]
             call = Call(
                 json=words.pop("json"),
                 live=words.pop("live", None),
-                pick=ArmPick(*(words.pop(name) for name in arm)),
+                pick=ArmPick(**{name: words.pop(name) for name in arm}),
                 settings=Settings(**fields),  # type: ignore[arg-type]
             )
             found = command(call, **words)
@@ -304,9 +239,11 @@ def takes(*names: str) -> Callable[[Callable[..., object]], Callable[..., None]]
             if result.code:
                 raise typer.Exit(result.code)
 
-        hints = get_type_hints(command, include_extras=True)
+        *_, module = command.__module__.split(".")
+        hints = get_type_hints(command)
         own = list(signature(command).parameters.values())[1:]
-        kept = [one.replace(kind=Parameter.KEYWORD_ONLY, annotation=hints[one.name]) for one in own]
+        texts = known | section(command.__name__.rstrip("_"), module)
+        kept = [keyword(one.name, hints[one.name], texts[one.name], one.default) for one in own]
         run.__signature__ = Signature([*kept, *options])  # type: ignore[attr-defined]
         run.__annotations__ = {one.name: one.annotation for one in (*kept, *options)}
         return run

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 from rejoint.arms import Arm, load_arm, mycobot280
-from rejoint.cli import options as opt
-from rejoint.cli.options import Call, argument, controller_names, option, takes
-from rejoint.runs.run import Run
+from rejoint.cli.options import Call, controller_names, takes
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
 from rejoint.system.files import read_json, write_json
@@ -22,32 +20,22 @@ OUT = Path("runs") / "family"
 CLASSICAL = "integrator,feedforward,tuned-integrator,tuned-feedforward,adaptive"
 """Controllers that take part by default"""
 
-Policies = Annotated[list[Path] | None, option("Policy file; repeatable, such as one per seed.", "--policy")]
-Variants = Annotated[str, option("Comma-separated conditions, or 'all'.")]
-Arms = Annotated[int, option("Number of arms.", min=1)]
-TargetCount = Annotated[int, option("Targets at which each arm is held.", "--targets", min=0)]
-Crossings = Annotated[int, option("Targets of each arm in the protocol of Park et al. 2024; 0: without it.", min=0)]
-Out = Annotated[Path, option("Folder for results; the same command resumes there.")]
-
 
 @takes("arm")
 def evaluate(
     call: Call,
-    policy: Policies = None,
-    controllers: Annotated[str, option("Comma-separated baselines and rivals, 'all' or 'none'.")] = CLASSICAL,
-    variants: Variants = "all",
-    arms: Arms = 100,
-    targets: TargetCount = 5,
-    crossings: Crossings = 10,
-    gains: Annotated[Path | None, option("Gains of rivals instead of their own, from `rejoint research tune`.")] = None,
-    out: Out = OUT,
-    seed: opt.Seed = 0,
-    threads: opt.Threads = 2,
+    policy: list[Path] | None = None,
+    controllers: str = CLASSICAL,
+    variants: str = "all",
+    arms: int = 100,
+    targets: int = 5,
+    crossings: int = 10,
+    gains: Path | None = None,
+    out: Path = OUT,
+    seed: int = 0,
+    threads: int = 2,
 ) -> object:
-    """Try controllers on a hundred arms on which nothing was chosen, and on the same under harder conditions.
-
-    Example: `rejoint research evaluate --policy runs/a/policy.onnx --policy runs/b/policy.onnx`
-    """
+    """Try controllers on a hundred arms on which nothing was chosen, and on the same under harder conditions."""
     arm = _arm(call)
     from rejoint.control.comparison.result import Protocol
     from rejoint.research.evaluation.contestants import known_names
@@ -67,19 +55,16 @@ def evaluate(
 @takes("arm")
 def identification(
     call: Call,
-    policy: Policies = None,
-    arms: Arms = 6,
-    targets: TargetCount = 5,
-    crossings: Crossings = 10,
-    iterations: Annotated[int | None, option("Updates of the trainings instead of the preset's.")] = None,
-    out: Out = Path("runs") / "identified",
-    seed: opt.Seed = 0,
-    threads: opt.Threads = 2,
+    policy: list[Path] | None = None,
+    arms: int = 6,
+    targets: int = 5,
+    crossings: int = 10,
+    iterations: int | None = None,
+    out: Path = Path("runs") / "identified",
+    seed: int = 0,
+    threads: int = 2,
 ) -> object:
-    """Find what a twin of its own brings: diagnose, identify and train for each arm, and try it with and without.
-
-    Example: `rejoint research identification --arms 6 --policy runs/broad/policy.onnx`
-    """
+    """Find what a twin of its own brings: diagnose, identify and train for each arm, and try it with and without."""
     arm = _arm(call)
     from rejoint.control.comparison.result import Protocol
     from rejoint.research.evaluation.family import ArmFamily
@@ -96,18 +81,15 @@ def identification(
 @takes("arm")
 def calibrate(
     call: Call,
-    controller: Annotated[str, option("Baseline, rival or policy file that drives.")] = "shelf",
-    variants: Variants = "all",
-    arms: Arms = 100,
-    targets: TargetCount = 5,
-    out: Out = OUT,
-    seed: opt.Seed = 0,
-    threads: opt.Threads = 2,
+    controller: str = "shelf",
+    variants: str = "all",
+    arms: int = 100,
+    targets: int = 5,
+    out: Path = OUT,
+    seed: int = 0,
+    threads: int = 2,
 ) -> object:
-    """Find what outside measurements bring: true errors of many arms before and after their calibration.
-
-    Example: `rejoint research calibrate --arms 40 --targets 4`
-    """
+    """Find what outside measurements bring: true errors of many arms before and after their calibration."""
     arm, is_file = _arm(call), Path(controller).suffix == ".onnx"
     from rejoint.research.evaluation.calibrating import CONDITIONS, evaluate_calibrations, find_condition, tables
     from rejoint.research.evaluation.family import ArmFamily
@@ -121,11 +103,8 @@ def calibrate(
 
 
 @takes("arm")
-def follow(call: Call, arms: Arms = 100, out: Out = OUT, seed: opt.Seed = 0, threads: opt.Threads = 2) -> object:
-    """Let many arms follow standard paths, each with a twin of its own.
-
-    Example: `rejoint research follow --arms 100 --seed 5`
-    """
+def follow(call: Call, arms: int = 100, out: Path = OUT, seed: int = 0, threads: int = 2) -> object:
+    """Let many arms follow standard paths, each with a twin of its own."""
     arm = _arm(call)
     from rejoint.research.evaluation.family import ArmFamily
     from rejoint.research.evaluation.moving import evaluate_moving, moving_table
@@ -135,32 +114,24 @@ def follow(call: Call, arms: Arms = 100, out: Out = OUT, seed: opt.Seed = 0, thr
     return _keep(call, found, out / "moving.json", [moving_table(found)])
 
 
-@takes()
+@takes("arm")
 def tune(
     call: Call,
-    rivals: Annotated[list[str], argument("tuned-integrator, tuned-feedforward, adaptive.", "RIVAL...")],
-    run: Annotated[Path | None, option("Run whose twin is tuned on; without one, broad ranges.")] = None,
-    generations: Annotated[int, option("Generations of CMA-ES.", min=1)] = 40,
-    out: Annotated[Path, option("File of gains; those of other rivals in it stay.")] = Path("gains.json"),
-    seed: opt.Seed = 0,
+    rivals: list[str],
+    generations: int = 40,
+    out: Path = Path("gains.json"),
+    seed: int = 0,
 ) -> object:
-    """Tune classical rivals by CMA-ES on the randomised twins that policies are trained on.
-
-    Example: `rejoint research tune tuned-feedforward`, then `rejoint research evaluate --gains gains.json`
-    """
+    """Tune classical rivals by CMA-ES on the randomised twins that policies are trained on."""
     require("rejoint research tune", "train")
     from rejoint.research.rivals.catalogue import find_rival
     from rejoint.research.rivals.tuning import TuningSettings, tune_rival
-    from rejoint.training.ranges import BroadRanges, Ranges, identified_ranges
-    from rejoint.twin.file import read_twin
+    from rejoint.training.ranges import BroadRanges
 
-    names, job = list(dict.fromkeys(rivals)), None if run is None else Run.open(run)
+    names, arm = list(dict.fromkeys(rivals)), load_arm(call.pick.arm or "mycobot280")
     for name in names:
         find_rival(name)
-    arm = load_arm("mycobot280") if job is None else job.arm
-    ranges: Ranges = BroadRanges(arm=arm)
-    if job is not None:
-        ranges = identified_ranges(arm, read_twin(job.folder.twin, arm))
+    ranges = BroadRanges(arm=arm)
     known = read_json(out, dict[str, dict[str, float]]) if out.exists() else {}
     how, tuned = TuningSettings(generations=generations, seed=seed), dict[str, dict[str, float]]()
     with call.progress("tune") as update:
@@ -179,22 +150,13 @@ def tune(
 @takes()
 def reproduce(
     call: Call,
-    experiments: Annotated[
-        list[str] | None, argument("Experiments, such as table-1 or fig-9; all by default.", "[EXPERIMENT]...")
-    ] = None,
-    run: Annotated[
-        Path | None, option("Folder for the page and everything that is kept; by default below runs/.")
-    ] = None,
-    quick: opt.Quick = False,
-    seed: opt.Seed = 0,
-    threads: opt.Threads = 2,
+    experiments: list[str] | None = None,
+    run: Path | None = None,
+    quick: bool = False,
+    seed: int = 0,
+    threads: int = 2,
 ) -> object:
-    """Run the experiments of Park et al. 2024 and write a page with their numbers beside ours.
-
-    Interrupted, the same command goes on where it stopped: trainings and trials are kept.
-
-    Example: `rejoint research reproduce table-1 fig-9 fig-10`
-    """
+    """Run the experiments of Park et al. 2024 and write a page with their numbers beside ours."""
     require("rejoint research reproduce", "train", "report")
     from rejoint.research.reproduction.bench import FULL, QUICK, Bench
     from rejoint.research.reproduction.campaign import choose, run_experiments, write_page
@@ -219,7 +181,7 @@ def reproduce(
 
 def _arm(call: Call) -> Arm:
     require("rejoint research", "train", "report")
-    return load_arm(call.pick.source or "mycobot280")
+    return load_arm(call.pick.arm or "mycobot280")
 
 
 def _contestants(

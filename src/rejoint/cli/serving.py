@@ -6,16 +6,15 @@ import os
 import select
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
 
 import rejoint
 from rejoint.arms import load_arm
-from rejoint.cli import options as opt
 from rejoint.cli.console import ConsoleObserver, live_view
-from rejoint.cli.options import Call, option, takes
+from rejoint.cli.options import Call, takes
 from rejoint.control.observer import Observer, Observers
 from rejoint.control.robot import Relaying, part_of
 from rejoint.robots import SIMULATOR, place_of
@@ -34,41 +33,19 @@ SERVED = {"mycobot280": ("A myCobot 280", "worn"), "so101": ("An SO-101", "so101
 """How the arms that can be served are called, and their usual wear profile"""
 
 
-Pty = Annotated[bool, option("Serve a serial line (pseudo terminal) instead of TCP.", "--pty")]
-
-
 @takes()
 def emulate(
     call: Call,
-    arm: Annotated[
-        str, option("mycobot280, on its vendor's protocol, or so101, on its servos' own bus.")
-    ] = "mycobot280",
-    wear: Annotated[
-        str | None,
-        option(
-            "Wear profile: healthy, worn, `play-in-loop`, so101, `worn?seed=N`, or a .toml file; by default worn, of "
-            "an SO-101 so101."
-        ),
-    ] = None,
-    host: Annotated[str, option("Address to listen on; 0.0.0.0 lets other machines in.")] = "127.0.0.1",
-    port: Annotated[int, option("TCP port; 0 takes a free one.", min=0, max=65535)] = 9000,
-    pty: Pty = False,
-    log: Annotated[Path | None, option("Write the true tool position here, as CSV.")] = None,
-    fault: Annotated[str, option("What goes wrong, comma separated; see above.")] = "",
-    seed: opt.Seed = 0,
+    arm: str = "mycobot280",
+    wear: str | None = None,
+    host: str = "127.0.0.1",
+    port: int = 9000,
+    pty: bool = False,
+    log: Path | None = None,
+    fault: str = "",
+    seed: int = 0,
 ) -> object:
-    """Serve a worn arm in real time on its own wire protocol, until Ctrl-C.
-
-    Example: `rejoint emulate --wear worn --port 9000`, then in another terminal
-    `rejoint repair tcp://127.0.0.1:9000`; or `rejoint emulate --arm so101` and `rejoint repair feetech://127.0.0.1:9000`.
-
-    `--fault drop=0.05,stall=1.5/4,freeze=3@5,die@20` loses 5 % of the answers, lets the link stand still for 1.5 s
-    every 4 s, freezes the encoder of joint 3 after 5 s and ends without a word after 20 s, counted from the first
-    byte of a client. Shares of answers: drop=P, garbage=P, stale=P, split=P, half=P, double=P, echo=P. The link:
-    slow=S, stall=D/E, gone=T/D (closed at T, back after D), silent@T, die@T. Joints, from 1: freeze=J@T (the encoder),
-    blind=J@T (its servo too), jump=J@T, limit=J@T, overheat=J@T, current=J@T, overload=J@T, voltage@T.
-    On the bus of an SO-101 alone: mute=J@T/D (a servo that is silent for D), sag=R (a supply of R ohm).
-    """
+    """Serve a worn arm in real time on its own wire protocol, until Ctrl-C."""
     require("rejoint emulate", SIMULATOR)
     from rejoint.robots.lab.emulator import emulate as serve_emulated
     from rejoint.robots.lab.emulator.faults import parse_faults
@@ -99,21 +76,13 @@ def emulate(
 @takes("live", "controller", "calibration", "payload", "tool", "period", "dry_run")
 def serve(
     call: Call,
-    robot: opt.Robot,
-    run: opt.Run,
-    listen: Annotated[str, option("HOST:PORT; 0.0.0.0:9000 lets other machines in.")] = "127.0.0.1:9000",
-    pty: Pty = False,
-    stdio: Annotated[
-        bool, option("Follow joint goals from standard input, a line of JSON each, as from LeRobot.", "--stdio")
-    ] = False,
+    robot: str,
+    run: Path,
+    listen: str = "127.0.0.1:9000",
+    pty: bool = False,
+    stdio: bool = False,
 ) -> object:
-    """Let programs written for the vendor's client drive a worn arm as if it were a new one, until Ctrl-C.
-
-    They speak to this address instead of the arm's; `send_angles`, `send_coords`, jog and all others mean what they
-    always meant. One client at a time, every command guarded; the arm holds when the client goes.
-
-    Example: `rejoint serve tcp://192.168.1.20:9000 runs/mine --listen 127.0.0.1:9001`
-    """
+    """Let programs written for the vendor's client drive a worn arm as if it were a new one, until Ctrl-C."""
     settings, console = call.settings, ConsoleObserver(call)
     if stdio:
         alone = Settings(period=settings.period, dry_run=settings.dry_run)

@@ -32,19 +32,9 @@ if TYPE_CHECKING:
 
 def stage(terminal: Terminal, name: str, result: Any) -> None:  # noqa: ANN401 - of each stage another
     """Print what the function ``name`` of the front door returned; nothing for None, a result that was kept."""
-    match None if result is None else name:
-        case "diagnose":
-            diagnosis(terminal, result.diagnosis)
-        case "identify":
-            twin(terminal, result)
-        case "train":
-            training(terminal, result.training)
-        case "gains":
-            gains(terminal, result)
-        case "calibrate":
-            calibration(terminal, result)
-        case "compare":
-            comparison(terminal, result.comparison, result.recommendation)
+    if result is not None and name in STAGES:
+        show, *parts = STAGES[name]
+        show(terminal, *(getattr(result, part) for part in parts) if parts else (result,))
 
 
 def diagnosis(terminal: Terminal, result: Diagnosis) -> None:
@@ -303,3 +293,14 @@ def show_filmed(terminal: Terminal, found: Filmed) -> None:
 def _with_sigma(values: object, sigma: object, scale: float, digits: int) -> str:
     pairs = zip(np.atleast_1d(np.asarray(values)), np.atleast_1d(np.asarray(sigma)), strict=True)
     return ", ".join(f"{scale * value:.{digits}f} +- {scale * spread:.{digits}f}" for value, spread in pairs)
+
+
+STAGES: dict[str, tuple[Any, ...]] = {
+    "diagnose": (diagnosis, "diagnosis"),
+    "identify": (twin,),
+    "train": (training, "training"),
+    "gains": (gains,),
+    "calibrate": (calibration,),
+    "compare": (comparison, "comparison", "recommendation"),
+}
+"""What prints the result of a stage, and the parts of the result that it takes"""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -17,7 +17,7 @@ from rejoint.arms import load_arm
 from rejoint.cli import offline, show
 from rejoint.cli import options as opt
 from rejoint.cli.console import results_of
-from rejoint.cli.options import Call, Result, argument, option, takes
+from rejoint.cli.options import Call, Result, takes
 from rejoint.control.deployment import REACHED
 from rejoint.control.servogains import in_words
 from rejoint.logs.runfolder.effort import read_effort
@@ -39,20 +39,14 @@ MISSED = 5
 @takes("arm", "part", "live", "payload", "tool", "period", "dry_run")
 def diagnose(
     call: Call,
-    robot: opt.OptionalRobot = None,
-    logs: opt.LogsOption = None,
-    run: opt.RunOption = None,
-    healthy: Annotated[
-        Path | None, option("Run folder of an arm known to be good, instead of an emulated healthy one.")
-    ] = None,
-    seed: opt.Seed = 0,
-    quick: opt.Quick = False,
+    robot: str | None = None,
+    logs: Path | None = None,
+    run: Path | None = None,
+    healthy: Path | None = None,
+    seed: int = 0,
+    quick: bool = False,
 ) -> object:
-    """Find out what is wrong with an arm: ten targets open loop and an excitation, or from logs of any motion alone.
-
-    Example: `rejoint diagnose tcp://192.168.1.20:9000 --run runs/mine`, or
-    `rejoint diagnose --logs logs/so101 --arm so101 --run runs/mine`
-    """
+    """Find out what is wrong with an arm: ten targets open loop and an excitation, or from logs of any motion alone."""
     if logs is not None:
         if robot is not None or call.settings.dry_run or KeptSettings.of(call.settings).given():
             raise InputError("diagnose takes either a robot or --logs FOLDER, and --logs no settings of a motion")
@@ -81,20 +75,17 @@ def diagnose(
 @takes("arm", "part")
 def identify(
     call: Call,
-    run: Annotated[Path | None, argument("Run folder.", "RUN")] = None,
-    logs: opt.LogsOption = None,
-    folder: opt.RunOption = None,
-    published: offline.Published = None,
-    hold_out: offline.HeldOut = None,
-    gain: offline.Gain = None,
-    torque_off: offline.TorqueOff = None,
-    seed: opt.RunSeed = None,
-    quick: opt.Quick = False,
+    run: Path | None = None,
+    logs: Path | None = None,
+    folder: Path | None = None,
+    published: list[str] | None = None,
+    hold_out: list[str] | None = None,
+    gain: list[str] | None = None,
+    torque_off: list[str] | None = None,
+    seed: int | None = None,
+    quick: bool = False,
 ) -> object:
-    """Fit a digital twin to the excitation log of a run, or to logs of any motion alone, and then write the report.
-
-    Example: `rejoint identify runs/mine`, or `rejoint identify --logs logs/so101 --arm so101 --run runs/so101`
-    """
+    """Fit a digital twin to the excitation log of a run, or to logs of any motion alone, and then write the report."""
     require("rejoint identify", "train", *(() if logs is None else ("report",)))  # logs end in a report at once
     if logs is not None and run is None:
         job = call.run_of_logs(logs, folder, seed or 0)
@@ -117,20 +108,15 @@ def identify(
 @takes()
 def train(
     call: Call,
-    run: opt.Run,
-    preset: opt.Preset = "default",
-    learner: Annotated[str, option("ppo; or its rivals sac, td3 and ddpg, on the default preset.")] = "ppo",
-    generic: Annotated[
-        bool, option("Without a twin: a policy for any worn arm of this kind; RUN may be new.", "--generic")
-    ] = False,
-    fresh: Annotated[bool, option("Forget an interrupted training.", "--fresh")] = False,
-    seed: opt.RunSeed = None,
-    quick: opt.Quick = False,
+    run: Path,
+    preset: str = "default",
+    learner: str = "ppo",
+    generic: bool = False,
+    fresh: bool = False,
+    seed: int | None = None,
+    quick: bool = False,
 ) -> object:
-    """Train a policy on randomised copies of the run's twin.
-
-    Example: `rejoint train runs/mine`
-    """
+    """Train a policy on randomised copies of the run's twin."""
     require("rejoint train", "train", "report")
     if generic and RunFolder(run).twin.exists():
         raise InputError(f"{run} has a twin.toml, and --generic trains without one: choose another folder")
@@ -161,21 +147,16 @@ def _off_policy(learner: str, preset: str, seed: int) -> Trainer:
 @takes("live", "calibration", "payload", "tool", "period", "seed", "dry_run")
 def compare(
     call: Call,
-    robot: opt.Robot,
-    run: opt.Run,
-    targets: opt.Targets = None,
-    controllers: opt.Controllers = "all",
-    sets: opt.Sets = None,
-    repetitions: opt.Repetitions = None,
-    full: opt.Full = False,
-    directions: Annotated[
-        bool, option("Also come to five poses from three directions: vAP (ISO 9283).", "--directions")
-    ] = False,
+    robot: str,
+    run: Path,
+    targets: Path | None = None,
+    controllers: str = "all",
+    sets: int | None = None,
+    repetitions: int | None = None,
+    full: bool = False,
+    directions: bool = False,
 ) -> object:
-    """Try every controller on the same arm with the same targets; on a real arm those clearly worse are eliminated.
-
-    Example: `rejoint compare emulated:worn runs/mine --sets 10 --repetitions 6`
-    """
+    """Try every controller on the same arm with the same targets; on a real arm those clearly worse are eliminated."""
     plan = rejoint.TrialPlan(sets=sets, repetitions=repetitions, directions=directions, full=full)
     names = opt.controller_names(controllers)
     with call.watched("compare", partial(show.stage, call, "compare")) as observer:
@@ -197,17 +178,11 @@ def compare(
 )
 def deploy(
     call: Call,
-    robot: opt.Robot,
-    run: Annotated[Path | None, argument("Run folder, if there is one.", "RUN")] = None,
-    targets: opt.Targets = None,
+    robot: str,
+    run: Path | None = None,
+    targets: Path | None = None,
 ) -> Result:
-    """Drive an arm to targets with the trained policy (or another controller); ten random ones by default.
-
-    The arm is looked at first and goes slowly to its rest posture. Exit code 5: not all targets were reached.
-
-    Example: `rejoint deploy tcp://192.168.1.20:9000 runs/mine --targets points.csv`; before any repair
-    `rejoint deploy tcp://192.168.1.20:9000`
-    """
+    """Drive an arm to targets with the trained policy (or another controller); ten random ones by default."""
     if run is not None and any(call.pick):
         raise InputError("deploy takes the arm from RUN; leave out --arm, --base, --tip and --hold")
     chosen = None if run is not None else call.arm(robot)
@@ -232,23 +207,18 @@ def deploy(
 @takes("arm", "live", "controller", "within", "calibration", "payload", "tool", "period", "seed", "dry_run")
 def goto(
     call: Call,
-    robot: opt.Robot,
-    x: Annotated[float, argument("mm in the arm's base frame.", "X")],
-    y: Annotated[float, argument("mm in that frame.", "Y")],
-    z: Annotated[float, argument("mm in that frame.", "Z")],
-    run: opt.RunOption = None,
-    timeout: Annotated[float, option("Time in seconds in which to arrive.", min=0.1)] = 10.0,
+    robot: str,
+    x: float,
+    y: float,
+    z: float,
+    run: Path | None = None,
+    timeout: float = 10.0,
 ) -> Result:
-    """Move the tool to one point, and hold it there.
-
-    The arm is looked at first and goes slowly to its rest posture. Exit code 5: the point was not reached.
-
-    Example: `rejoint goto tcp://192.168.1.20:9000 180 30 210 --run runs/mine`
-    """
+    """Move the tool to one point, and hold it there."""
     target, code = opt.point_of(x, y, z), 0
     with (
         call.watched("goto") as observer,
-        rejoint.connect(robot, run=run, arm=call.pick.source, settings=call.settings, observer=observer) as session,
+        rejoint.connect(robot, run=run, arm=call.pick.arm, settings=call.settings, observer=observer) as session,
     ):
         try:
             found = session.move_to(target, timeout_s=timeout)
@@ -265,22 +235,13 @@ def goto(
 @takes("live", "controller", "within", "calibration", "payload", "tool", "period", "seed", "dry_run")
 def follow(
     call: Call,
-    robot: opt.Robot,
-    run: opt.Run,
-    path: Annotated[
-        str,
-        argument("CSV file time,x,y,z in s and mm, perhaps an orientation; or circle-8s, random-0.2hz and the like."),
-    ],
-    repeat: Annotated[int, option("How often; each time it learns from the last.", min=1)] = 1,
-    rate: Annotated[float | None, option("Tell the path as it goes, so many times a second, instead of ahead.")] = None,
+    robot: str,
+    run: Path,
+    path: str,
+    repeat: int = 1,
+    rate: float | None = None,
 ) -> Result:
-    """Drive an arm along a path, and say how well it followed.
-
-    The arm is looked at first, goes slowly to its rest posture and to the start of the path. Exit code 5: not followed.
-
-    Example: `rejoint follow tcp://192.168.1.20:9000 runs/mine drawing.csv`, or
-    `rejoint follow emulated:worn runs/mine circle-8s --repeat 5`
-    """
+    """Drive an arm along a path, and say how well it followed."""
     dry = call.settings.dry_run
     with call.watched("follow") as observer:
         done = rejoint.follow(
@@ -303,11 +264,8 @@ def follow(
 
 
 @takes()
-def report(call: Call, run: opt.Run) -> object:
-    """Write the report of a run: one self-contained page that opens in a browser.
-
-    Example: `rejoint report runs/mine`
-    """
+def report(call: Call, run: Path) -> object:
+    """Write the report of a run: one self-contained page that opens in a browser."""
     require("rejoint report", "report")
     path = rejoint.report(run).resolve()
     call.result(str(path))
@@ -317,21 +275,12 @@ def report(call: Call, run: opt.Run) -> object:
 @takes("period", "dry_run")
 def gains(
     call: Call,
-    robot: opt.Robot,
-    run: opt.Run,
-    keep: Annotated[
-        bool, option("Write the gains that RUN recommends into the servos' memory, for good.", "--keep")
-    ] = False,
-    yes: Annotated[bool, option("Do not ask before --keep.", "--yes")] = False,
+    robot: str,
+    run: Path,
+    keep: bool = False,
+    yes: bool = False,
 ) -> object:
-    """Search for better gains of an SO-101's own servos, on the arm; what is found takes part in `rejoint compare`.
-
-    Nothing is kept over a loss of power, and the gains before are put back, also after Ctrl-C. --keep alone writes the
-    servos' memory, and says before what.
-
-    Example: `rejoint gains feetech:///dev/ttyACM0 runs/mine`, and after `rejoint compare`
-    `rejoint gains feetech:///dev/ttyACM0 runs/mine --keep`
-    """
+    """Search for better gains of an SO-101's own servos, on the arm; what is found takes part in `rejoint compare`."""
     if not keep:
         with call.watched("gains") as observer:
             found = rejoint.gains(robot, run, settings=call.settings, observer=observer)

@@ -24,6 +24,7 @@ from rejoint.control.contract import (
 from rejoint.control.runtime import ort
 from rejoint.system.files import write_whole
 
+_OPERATORS: dict[type[nn.Module], str] = {nn.Linear: "Gemm", nn.ELU: "Elu", nn.Tanh: "Tanh"}
 _OPSET = 17
 _IR_VERSION = 8  # what ONNX Runtime 1.14 and newer read
 
@@ -46,31 +47,23 @@ def export_policy(path: Path, network: nn.Sequential, contract: PolicyContract) 
 
 def policy_graph(network: nn.Sequential, observation_size: int, joints: int) -> onnx.ModelProto:
     """Build the ONNX graph of linear, ELU and tanh layers, with a final clip to [-1, 1]."""
-    nodes, weights, last = [], [], INPUT
+    nodes, weights, last = [], dict[str, NDArray[np.float32]](), INPUT
     for index, layer in enumerate(network):
-        output = f"layer{index}"
-        if isinstance(layer, nn.Linear):
-            names = [f"{output}.weight", f"{output}.bias"]
-            values = (layer.weight.detach().numpy(), layer.bias.detach().numpy())
-            weights += [numpy_helper.from_array(v.copy(), name) for v, name in zip(values, names, strict=True)]
-            nodes.append(helper.make_node("Gemm", [last, *names], [output], transB=1))
-        elif isinstance(layer, nn.ELU):
-            nodes.append(helper.make_node("Elu", [last], [output], alpha=float(layer.alpha)))
-        elif isinstance(layer, nn.Tanh):
-            nodes.append(helper.make_node("Tanh", [last], [output]))
-        else:
+        if type(layer) not in _OPERATORS:
             raise TypeError(f"cannot export a layer of type {type(layer).__name__}, expected Linear, ELU or Tanh")
-        last = output
-    weights += [
-        numpy_helper.from_array(np.array(value, dtype=np.float32), name) for name, value in (("low", -1), ("high", 1))
-    ]
+        output = f"layer{index}"
+        own = {f"{output}.{name}": values.detach().numpy().copy() for name, values in layer.named_parameters()}
+        options = {"transB": 1} if own else {"alpha": float(layer.alpha)} if isinstance(layer, nn.ELU) else {}
+        nodes.append(helper.make_node(_OPERATORS[type(layer)], [last, *own], [output], **options))
+        weights, last = weights | own, output
+    weights |= {"low": np.array(-1, dtype=np.float32), "high": np.array(1, dtype=np.float32)}
     nodes.append(helper.make_node("Clip", [last, "low", "high"], [OUTPUT]))
     graph = helper.make_graph(
         nodes,
         "policy",
         [helper.make_tensor_value_info(INPUT, TensorProto.FLOAT, ["batch", observation_size])],
         [helper.make_tensor_value_info(OUTPUT, TensorProto.FLOAT, ["batch", joints])],
-        weights,
+        [numpy_helper.from_array(values, name) for name, values in weights.items()],
     )
     model = helper.make_model(
         graph, opset_imports=[helper.make_opsetid("", _OPSET)], ir_version=_IR_VERSION, producer_name="rejoint"

@@ -74,12 +74,12 @@ class RolloutWorker:
 T = TypeVar("T")
 
 PRECISION = "medium"
-"""Of matrix products in PPO: bfloat16 factors where the processor has them, float32 sums; chosen for speed"""
+"""Of matrix products in PPO: bfloat16 factors, float32 sums; chosen for speed"""
 
 
 @contextmanager
 def setting(get: Callable[[], T], put: Callable[[T], object], value: T) -> Iterator[None]:
-    """Hold a setting of the whole process at ``value`` within the block: no trainings side by side in threads."""
+    """Hold a setting of the whole process at ``value`` within the block."""
     before = get()
     put(value)
     try:
@@ -225,7 +225,7 @@ class Learner:
                 module.load_state_dict(content["modules"][name])
             torch.set_rng_state(content["random"])
             for worker, state in zip(self.workers, content["workers"], strict=True):
-                worker.load_state(state | {"task": _arrays(state["task"])})
+                worker.load_state(state)
             self.curve = [CurvePoint(**point) for point in content["curve"]]
         except (
             OSError,
@@ -268,7 +268,3 @@ def _unsealed(path: Path) -> bytes:
 def _tensors(state: dict[str, Any]) -> dict[str, Any]:
     task = {name: torch.from_numpy(v) if isinstance(v, np.ndarray) else v for name, v in state["task"].items()}
     return state | {"task": task}
-
-
-def _arrays(state: dict[str, Any]) -> dict[str, Any]:
-    return {name: value.numpy() if isinstance(value, torch.Tensor) else value for name, value in state.items()}

@@ -20,13 +20,12 @@ from rejoint.twin.twin import LEAST_SPREAD, Twin
 Interval = tuple[float, float]
 
 TWIN_SHARE = 0.5
-"""Fraction of arms drawn around the identified twin; chosen: 0.8 is faster on the arm, 0.5 steadier with backlash"""
+"""Fraction of arms drawn around the identified twin; chosen: steadier with backlash than 0.8"""
 
 SLOW_BACKLASH: Interval = (0.0, float(np.radians(1.8)))
-"""[rad] of arms whose motors cross backlash slowly; chosen: new servos of this class show about a degree.
+"""[rad] of arms whose motors cross backlash slowly, as an SO-101; chosen: new servos show about a degree.
 
-The time to cross is width times damping over spare torque: a control period or two by the prior, ten with an SO-101. A
-policy without such training swings there; elsewhere the training costs accuracy.
+A policy without such training swings there; elsewhere the training costs accuracy.
 """
 
 
@@ -81,7 +80,7 @@ class BroadRanges:
     backlash_free: float = 0.4
     """fraction of arms with encoders before the gears; chosen"""
     grease: Interval = (0.02, 0.2)
-    """log-uniform; from a joint that coasts through a degree of backlash to one that does not; chosen"""
+    """log-uniform; chosen: some joints coast through a degree of backlash"""
 
     def draw(self, rng: np.random.Generator, count: int) -> Draw:
         """Draw ``count`` arms."""
@@ -142,8 +141,7 @@ class BroadRanges:
 class IdentifiedRanges:
     """Draws from the covariance of an identified twin.
 
-    Its intervals are calibrated (`python -m benchmarks truth`), so they are not widened. An assumed stiction, and what
-    a twin does not hold (gravity, period, share of the delays, powerless joints), come from ``broad``.
+    Its intervals are calibrated (`python -m benchmarks truth`). What a twin does not hold comes from ``broad``.
     """
 
     broad: BroadRanges
@@ -200,8 +198,7 @@ HEALTHY_STIFFNESS, HEALTHY_DAMPING = 1e4, 1e3
 class PaperRanges:
     """The randomisation of Park et al. 2024, section III-D, rescaled to an arm of this weight.
 
-    P = 50..200 N m/rad would leave nothing to learn on a 0.85 kg arm. With 0.06 P N m/rad and 0.012 D N m s/rad their
-    Fig. 10 holds (measured).
+    With 0.06 P N m/rad and 0.012 D N m s/rad their Fig. 10 holds (measured).
     """
 
     arm: Arm

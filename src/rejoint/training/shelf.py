@@ -3,8 +3,8 @@
     python -m rejoint.training mycobot280
     python -m rejoint.training so101
 
-write `rejoint.control.catalogue.shelf_path` again: the default preset on broad ranges, first with targets in the target
-region, then anywhere. Other processors give other files from the same seed; compare by `python -m benchmarks shelf`.
+write `rejoint.control.catalogue.shelf_path` again: first with targets in the target region, then anywhere. Other
+processors give other files; compare by `python -m benchmarks shelf`.
 """
 
 from __future__ import annotations
@@ -42,9 +42,8 @@ class Recipe:
 def _so101_ranges(arm: Arm) -> Ranges:
     """Half worn, half as-found SO-101, in factors on the medians of a worn arm of this weight.
 
-    An STS3215 has 0.163 P N m/rad per N m of its stall torque (benches: 2.9 to 6 N m): 7.7 N m/rad and more with
-    LeRobot's P = 16, up to 31 with the 32 as sold. A real SO-101 had viscous friction of 0.8 to 1.6 N m s/rad and dry
-    friction of 0.25 to 0.82 N m (the wear profile ``so101``).
+    An STS3215 has 0.163 P N m/rad per N m of its stall torque (2.9 to 6 N m). A real SO-101 had viscous friction of 0.8
+    to 1.6 N m s/rad and dry friction of 0.25 to 0.82 N m (the wear profile ``so101``).
     """
     worn = BroadRanges(arm=arm, acceleration=arm.servo_acceleration)
     found = replace(

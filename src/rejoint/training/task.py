@@ -1,9 +1,8 @@
 """The learning task: bring the tool to a target and hold it there, on randomly drawn arms.
 
 N agents run in lockstep: a control cycle is a fixed number of physics steps, whose length varies by agent and cycle.
-Observation, command law and guard are those of deployment, without the guard's limits of acceleration (no measurable
-effect on the policy, docs/benchmarks.md), contacts, and the push of stuck joints: with it, policies settle
-farther away.
+Observation, command law and guard are those of deployment, without limits of acceleration (no measurable effect on the
+policy, docs/benchmarks.md), contacts, and the push of stuck joints: with it, policies settle farther away.
 
 A target ends by time-out, not failure: the return is bootstrapped from the last state. So it is after a collision; else
 a policy would crash on purpose to end a bad episode.
@@ -33,8 +32,7 @@ from rejoint.twin.simulation import Draw, Simulation
 def residual_reward(distance: Array, speed: Array, action: Array) -> Array:
     """Reward (N,) that rises with accuracy down to a tenth of a millimetre.
 
-    Three exponentials give a slope at every ``distance`` (N,) [m]; the TCP's ``speed`` (N,) costs only near the target,
-    the ``action`` (N, n) everywhere. Chosen by simulation.
+    ``distance`` (N,) [m], ``speed`` (N,) [m/s] of the TCP, ``action`` (N, n). Chosen by simulation.
     """
     attraction = 0.4 * np.exp(-distance / 0.010) + 0.5 * np.exp(-distance / 0.003) + 0.4 * np.exp(-distance / 0.001)
     haste = 0.2 * np.minimum(speed, 1.0) * np.exp(-distance / 0.020)
@@ -51,8 +49,7 @@ def paper_reward(
 ) -> Array:
     """Equation 25 of Park et al. 2024 for ``distance`` (N,) [m] and ``joint_speed`` (N, n) [rad/s].
 
-    Weights .1, .1, -5, 10, 10. Our choice: centimetres, the mean joint speed; the time-out is a penalty, as the text
-    says.
+    Our choice: centimetres, the mean joint speed; the time-out is a penalty.
     """
     travel = -0.1 * 100.0 * distance - 0.1 * np.abs(joint_speed).mean(axis=-1)
     return travel - 5.0 * timed_out - 10.0 * collided + 10.0 * reached
@@ -92,10 +89,9 @@ class TaskSettings:
     law: CommandLaw = field(default_factory=CommandLaw)
     reward: Literal["residual", "equation-25"] = "residual"
     posture_weight: float = 0.2
-    """[1/rad^2] cost of the null-space distance from rest; chosen: without it the policy drifts to the joint limits"""
+    """[1/rad^2] cost of the null-space distance from rest; chosen: without it policies drift to the limits"""
     anywhere: float = 0.0
-    """share of targets in the whole workspace, with a trajectory there; others are in the target region, and
-    immediate"""
+    """share of targets in the whole workspace, with a trajectory there; others are in the target region"""
     hold_steps: int = 120
     """control cycles per target"""
     targets: int = 6

@@ -109,8 +109,7 @@ def train(
 ) -> TrainingResult:
     """Train a policy and write ``policy.onnx`` and the folder ``training`` into ``out``.
 
-    Without a ``twin`` it uses the broad ranges alone. An interrupted training leaves a checkpoint;
-    `TrainingOptions.resume` continues it to the same end.
+    Without a ``twin`` it uses the broad ranges alone. `TrainingOptions.resume` continues an interrupted training.
     """
     options = TrainingOptions() if options is None else options
     recipe, files = know_stiffness(options.recipe, arm, twin), Outputs(out)

@@ -8,9 +8,8 @@ import pytest
 from commandline import run_cli
 from rejoint.arms import mycobot280
 from rejoint.research.reproduction import gains
-from rejoint.research.reproduction.bench import QUICK, Bench, Experiment, Shown
-from rejoint.research.reproduction.campaign import choose
-from rejoint.research.reproduction.experiments import EXPERIMENTS
+from rejoint.research.reproduction.bench import QUICK, Bench, Experiment, Printed
+from rejoint.research.reproduction.campaign import EXPERIMENTS, choose
 from rejoint.research.reproduction.trainings import WORN, finish_trainings
 from rejoint.system.errors import InputError, RejointError
 
@@ -65,12 +64,11 @@ def test_text_and_numbers_are_formats_of_what_is_measured():
     experiment = Experiment(
         name="x",
         title="X",
-        about="a test",
-        measure=lambda _: {"a": np.float64(1.234), "b": Shown(2.0, "2 ± 1 mm"), "c": "never"},
+        measure="none.at_all",
         text=("It is {a:.1f}.",),
         numbers=(("one", "{a:.2f} s", "3 s"), ("two", "{b}"), ("three", "{c}")),
         readings=(),
     )
-    done = experiment.finish(experiment.measure(None), "1.0")
+    done = experiment.finish({"a": np.float64(1.234), "b": Printed(2.0, "2 ± 1 mm"), "c": "never"}, "1.0")
     assert done.text == ("It is 1.2.",)
     assert done.numbers == (("one", "1.23 s", "3 s", 1.234), ("two", "2 ± 1 mm", "", 2.0), ("three", "never", "", None))

@@ -57,18 +57,18 @@ def known_names() -> tuple[str, ...]:
 
 def classical(name: str, gains: Mapping[str, Mapping[str, float]] | None = None) -> Contestant:
     """Baseline or rival by name; ``gains`` replace its own; InputError names the alternatives."""
+    identity, learns, on_twins = name, name == SHELF, None
+    make: Callable[[Arm], Controller] = partial(make_controller, name)
     if name in BASELINES or name == PREDICTIVE:
-        known = {FeedforwardController.name: _raised, PREDICTIVE: planned}.get(name)
-        return Contestant(name=name, group=name, make=partial(make_controller, name), identity=name, on_twins=known)
-    if name == SHELF:
-        kept = b"".join(shelf_path(arm).read_bytes() for arm in shelf_arms())
-        return Contestant(name=name, group=name, make=shelf_controller, identity=_digest(kept), learned=True)
-    if name not in RIVALS:
+        on_twins = {FeedforwardController.name: _raised, PREDICTIVE: planned}.get(name)
+    elif learns:
+        make, identity = shelf_controller, _digest(b"".join(shelf_path(arm).read_bytes() for arm in shelf_arms()))
+    elif name in RIVALS:
+        own = dict((gains or {}).get(name, RIVALS[name].gains))
+        make, identity = partial(make_rival, name, gains=own), f"{name} {sorted(own.items())}"
+    else:
         raise InputError(f"no controller is called {name!r}; known: {', '.join(known_names())}, and --policy FILE")
-    own = dict((gains or {}).get(name, RIVALS[name].gains))
-    return Contestant(
-        name=name, group=name, make=lambda arm: make_rival(name, arm, own), identity=f"{name} {sorted(own.items())}"
-    )
+    return Contestant(name=name, group=name, make=make, identity=identity, learned=learns, on_twins=on_twins)
 
 
 def planned(arm: Arm, twins: Sequence[Twin]) -> Controller:

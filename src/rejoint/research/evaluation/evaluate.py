@@ -29,7 +29,7 @@ def evaluate(
 ) -> Evaluation:
     """Evaluate and write ``evaluation.json`` and ``.html`` into ``folder``, outcomes as Parquet below ``outcomes/``.
 
-    An outcome that is there already, of the very same contestant, arms and settings, is taken over.
+    An outcome of the same contestant, arms and settings is taken over.
     """
     check_names(contestants)
     family, outcomes = settings.family, {}

@@ -1,8 +1,7 @@
 """Arms on which nothing was chosen: a hundred worn ones, and the same under conditions that make control hard.
 
-Arm i of family s is the wear profile's neighbour ``?seed=`` `FAMILY_SIZE` (s + 1) + i, every parameter of every
-joint within +-30 % (`rejoint.robots.lab.plant.wear.draw_wear`). Family 0 is the one that is reported; what is
-chosen (recipes, gains) is chosen on others.
+Arm i of family s is the wear profile's neighbour ``?seed=`` `FAMILY_SIZE` (s + 1) + i. Family 0 is reported; recipes
+and gains are chosen on others.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ Interval = tuple[float, float]
 HELD = 0.9
 """Share of the torque limits of an arm's twin that a target's posture needs at most"""
 NEARBY = 0.03
-"""[m] of a myCobot 280 from some place that the tool reaches (chosen: these lie 18 mm apart); goes with the reach"""
+"""[m] of a myCobot 280 from a place that the tool reaches (chosen: these lie 18 mm apart)"""
 FAMILY_SIZE = 10_000
 """Wear seeds that belong to one family"""
 
@@ -47,9 +46,9 @@ class Variant:
     latency: Interval = (0.008, 0.013)
     """[s] from sending a command to its arrival in the firmware"""
     anywhere: bool = False
-    """whether targets are drawn in all the room that an arm can reach and hold, instead of its target region"""
+    """whether targets are drawn wherever an arm can reach and hold, instead of its target region"""
     payload: float = 0.0
-    """[kg] the heaviest load at the tool; each arm's own is uniform up to it, and no controller knows it"""
+    """[kg] heaviest load at the tool; each arm's own is uniform up to it, and unknown"""
 
 
 VARIANTS = (
@@ -107,7 +106,7 @@ def family_wears(arm: Arm, variant: Variant, family: ArmFamily) -> list[Wear]:
 
 
 def family_payloads(variant: Variant, family: ArmFamily) -> Array:
-    """Draw the loads (A,) [kg] at the tools; an arm's own does not depend on how many others there are."""
+    """Draw the loads (A,) [kg] at the tools."""
     streams = [np.random.default_rng([family.wear_seed(i), 1]) for i in range(family.arms)]
     return variant.payload * np.array([stream.random() for stream in streams])
 
@@ -118,10 +117,7 @@ def family_targets(arm: Arm, family: ArmFamily, count: int) -> Array:
 
 
 def targets_anywhere(arm: Arm, family: ArmFamily, twins: Sequence[Twin]) -> tuple[Array, Ways]:
-    """Draw targets (A, K, 3) [m] that the arms reach and hold by their ``twins``, and the ways of each arm.
-
-    Places are drawn evenly in the box around all that the tool reaches above the floor.
-    """
+    """Draw targets (A, K, 3) [m] that the arms reach and hold by their ``twins``, and the ways of each arm."""
     places = tcp_position(arm, comfortable_postures(arm))
     low, high, nearby = places.min(axis=0), places.max(axis=0), NEARBY * length_size(arm)
     low[2] = arm.floor

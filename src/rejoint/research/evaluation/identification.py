@@ -1,7 +1,4 @@
-"""What identification buys: arms that are diagnosed, identified and trained for one by one.
-
-Each arm then meets controllers that know its twin and controllers that do not.
-"""
+"""What identification buys: arms, each diagnosed, identified and trained for, under controllers with and without it."""
 
 from __future__ import annotations
 

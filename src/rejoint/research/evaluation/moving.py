@@ -1,7 +1,4 @@
-"""Moving targets on fresh arms: each is diagnosed and identified, then follows paths.
-
-Blocks of arms move side by side; finished blocks are kept.
-"""
+"""Moving targets on fresh arms: each is diagnosed and identified, then follows paths; finished blocks are kept."""
 
 from __future__ import annotations
 
@@ -68,19 +65,7 @@ class MovingRow:
     stopped: int
 
 
-@dataclass(frozen=True, kw_only=True)
-class MovingEvaluation:
-    """All of it."""
-
-    arm: str
-    family: int
-    arms: int
-    rows: list[MovingRow]
-
-
-def evaluate_moving(
-    arm: Arm, family: ArmFamily, out: FilePath, threads: int, on_progress: Progress
-) -> MovingEvaluation:
+def evaluate_moving(arm: Arm, family: ArmFamily, out: FilePath, threads: int, on_progress: Progress) -> list[MovingRow]:
     """Let every arm follow the standard paths in all cases; resumes in ``out``."""
     parts = []
     for first in range(0, family.arms, BLOCK):
@@ -91,8 +76,7 @@ def evaluate_moving(
         file = out / "moving" / f"{seeds[0]}-{seeds[-1]}.parquet"
         parts.append(keep(file, identity, partial(_follow, arm, seeds, twins, threads, part(ahead, 0.5, 1.0))))
     found = {name: np.concatenate([one[name] for one in parts]) for name in parts[0]}
-    rows = [_row(case, path, found) for case in CASES for path in STANDARD]
-    return MovingEvaluation(arm=arm.name, family=family.seed, arms=family.arms, rows=rows)
+    return [_row(case, path, found) for case in CASES for path in STANDARD]
 
 
 def _twins(arm: Arm, seeds: Sequence[int], family: int, out: FilePath, on_progress: Progress) -> list[Twin]:
@@ -161,14 +145,13 @@ def _row(case: str, path: str, found: Columns) -> MovingRow:
     )
 
 
-def moving_table(result: MovingEvaluation) -> tuple[str, list[str], list[list[str]]]:
+def moving_table(rows: Sequence[MovingRow]) -> tuple[str, list[str], list[list[str]]]:
     """Title, headers and rows: mean (95th percentile) over the arms in mm."""
     title = (
-        f"{result.arms} arms of family {result.family}: root mean square encoder error along the way in mm, mean over "
-        "the arms (95th percentile); as it goes: after the best single lag"
+        f"{rows[0].arms} arms: root mean square encoder error along the way in mm, mean over the arms (95th "
+        "percentile); as it goes: after the best single lag"
     )
-    rows = [
-        [case, *(f"{1e3 * row.mean:.2f} ({1e3 * row.high:.2f})" for row in result.rows if row.case == case)]
-        for case in CASES
+    cells = [
+        [case, *(f"{1e3 * row.mean:.2f} ({1e3 * row.high:.2f})" for row in rows if row.case == case)] for case in CASES
     ]
-    return title, ["case", *STANDARD], rows
+    return title, ["case", *STANDARD], cells

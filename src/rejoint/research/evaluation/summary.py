@@ -1,8 +1,4 @@
-"""From outcomes to rows and pairs.
-
-Intervals resample whole arms. Times to stay within a distance may be infinite, so they are compared by the median ratio
-of each target.
-"""
+"""From outcomes to rows and pairs: intervals resample whole arms, times that may be infinite are compared by ratio."""
 
 from __future__ import annotations
 

@@ -136,21 +136,18 @@ def try_on(
 
 
 def keep(path: Path, identity: Mapping[str, Any], find: Callable[[], Columns]) -> Columns:
-    """Return the results in ``path``, or ``find`` and write them where none of this ``identity`` are there.
-
-    The file is a tidy table, a row per arm and target. A damaged one counts as missing.
-    """
-    told = json.dumps(dict(identity) | {"software": __version__})
+    """Return the results of this ``identity`` in ``path``, a tidy table; else ``find`` and write them."""
+    wanted = json.dumps(dict(identity) | {"software": __version__})
     try:
         table = read_parquet(path, "delete it")
-        told_there, *shape = json.loads((table.schema.metadata or {})[_IDENTITY])
-        if told_there == told:
+        found_identity, *shape = json.loads((table.schema.metadata or {})[_IDENTITY])
+        if found_identity == wanted:
             return {name: table[name].to_numpy().reshape(shape) for name in table.column_names}
     except (OSError, pa.ArrowException, KeyError, TypeError, ValueError, RecursionError, FileError):
-        pass
+        pass  # damaged or missing
     found = find()
     shape = next(iter(found.values())).shape
     table = pa.table({name: values.ravel() for name, values in found.items()})
-    table = table.replace_schema_metadata({_IDENTITY: json.dumps([told, *shape]).encode()})
+    table = table.replace_schema_metadata({_IDENTITY: json.dumps([wanted, *shape]).encode()})
     write_whole(path, lambda temporary: pq.write_table(table, temporary, compression="zstd", write_page_checksum=True))
     return found

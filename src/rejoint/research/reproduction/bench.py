@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
+from importlib import import_module
 from pathlib import Path
 from string import Formatter
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+import msgspec
 
 from rejoint.arms import Arm, Array
 from rejoint.control.comparison.result import Protocol
@@ -97,7 +99,7 @@ class Bench:
         write_whole(path, lambda temporary: small.save(temporary, format="png", optimize=True))
 
 
-class Shown(NamedTuple):
+class Printed(NamedTuple):
     """A number with its spread, as it is printed."""
 
     value: float
@@ -140,24 +142,19 @@ class Finished:
 
 
 Found = dict[str, Any]
-"""Values by name: numbers, text or `Shown`; ``grids`` are further tables"""
+"""Values by name: numbers, text or `Printed`; ``grids`` are further tables"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Experiment:
-    """An experiment of the paper: what is measured, and how it is shown.
+class Experiment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """An experiment of the paper; text and numbers are formats of what is measured."""
 
-    Text and numbers are formats of what ``measure`` finds.
-    """
-
-    name: str
+    name: str = ""
     """on the command line"""
     also: str = ""
     """a second name"""
     title: str
-    about: str
-    """one line for the list"""
-    measure: Callable[[Bench], Found]
+    measure: str
+    """module and function in this package"""
     trainings: tuple[str, ...] = ()
     text: tuple[str, ...]
     numbers: tuple[tuple[str, ...], ...]
@@ -169,12 +166,18 @@ class Experiment:
     alt: str = ""
     caption: str = ""
 
+    def run(self, bench: Bench) -> Found:
+        """Measure."""
+        module, _, name = self.measure.partition(".")
+        found: Found = getattr(import_module(f"rejoint.research.reproduction.{module}"), name)(bench)
+        return found
+
     def finish(self, found: Found, software: str) -> Finished:
         """Put what was ``found`` into words."""
 
         def number(what: str, ours: str, paper: str = "") -> Number:
             value = found[next(name for _, name, _, _ in Formatter().parse(ours) if name)]
-            value = value.value if isinstance(value, Shown) else value
+            value = value.value if isinstance(value, Printed) else value
             return Number(what, ours.format_map(found), paper, None if isinstance(value, str) else float(value))
 
         return Finished(

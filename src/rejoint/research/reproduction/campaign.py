@@ -6,15 +6,24 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from msgspec.structs import replace
+
 from rejoint.pages.html import write_page as fill
 from rejoint.research.reproduction.bench import Bench, Experiment, Finished
-from rejoint.research.reproduction.experiments import EXPERIMENTS
 from rejoint.research.reproduction.trainings import finish_trainings
 from rejoint.system.errors import InputError
 from rejoint.system.files import read_json, write_json
 from rejoint.system.shell import __version__
+from rejoint.system.tomltable import read_toml
+from rejoint.training.presets import PAPER
 
 PAGE = "reproduction.md"
+EXPERIMENTS = tuple(
+    replace(one, name=name)
+    for name, one in read_toml(
+        Path(__file__).with_name("experiments.toml"), dict[str, Experiment], "install rejoint again"
+    ).items()
+)
 
 
 def choose(names: Sequence[str]) -> tuple[Experiment, ...]:
@@ -48,7 +57,7 @@ def run_experiments(
     found = []
     for one in experiments:
         on_experiment(one)
-        found.append(one.finish(one.measure(bench), __version__))
+        found.append(one.finish(one.run(bench), __version__))
         write_json(_file(bench, one), found[-1])
     return found
 
@@ -64,6 +73,7 @@ def write_page(bench: Bench) -> Path:
         bench.folder / PAGE,
         "reproduction.md",
         bench=bench,
+        recipe=PAPER,
         experiments=EXPERIMENTS,
         found={name: read_json(file, Finished) for name, file in files.items() if file.exists()},
         table=_table,

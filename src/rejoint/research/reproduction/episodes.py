@@ -13,7 +13,7 @@ from rejoint.control.policy import PolicyController, load_policy
 from rejoint.pages.html import BLUE, ORANGE, RED
 from rejoint.pages.report.figures import TITLE, WIDE, Series, Ways, canvas, legend, ways
 from rejoint.research.evaluation.trials import keep
-from rejoint.research.reproduction.bench import Bench, Found, Shown
+from rejoint.research.reproduction.bench import Bench, Found, Printed
 from rejoint.research.reproduction.trainings import HEALTHY, WORN
 from rejoint.system.errors import FileError
 from rejoint.training.presets import PAPER
@@ -144,8 +144,8 @@ def measure_course(bench: Bench) -> Found:
     }
 
 
-def _range(values: Array) -> Shown:
-    return Shown(values.mean(), f"{values.mean():.3g} ({values.min():.3g} to {values.max():.3g})")
+def _range(values: Array) -> Printed:
+    return Printed(values.mean(), f"{values.mean():.3g} ({values.min():.3g} to {values.max():.3g})")
 
 
 def course(bench: Bench, name: str, arms: str) -> Columns:

@@ -1,8 +1,7 @@
 """Trainings of the experiments.
 
 ``worn-0`` is Table 3's training on the paper's P and D, ``healthy-0`` on a normal arm's; the number adds to the seed.
-``limit-5`` takes the printed largest action, ``noise-5`` also the joint noise, ``literal`` also the last action as
-change of joint angles.
+``limit-5`` takes the printed largest action, ``noise-5`` also the joint noise, ``literal`` also the last action.
 """
 
 from __future__ import annotations

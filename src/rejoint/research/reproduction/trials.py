@@ -13,7 +13,7 @@ from rejoint.control.comparison.protocols import Columns, schedule
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.controller import Controller
 from rejoint.control.loop import run
-from rejoint.control.observation import SUCCESS_DISTANCE, layout_size
+from rejoint.control.observation import layout_size
 from rejoint.control.policy import load_policy
 from rejoint.control.robot import Robot
 from rejoint.pages.html import BLUE, RED, look_of
@@ -24,7 +24,7 @@ from rejoint.pages.words import measured
 from rejoint.research.evaluation.family import ArmFamily
 from rejoint.research.evaluation.summary import VariantRow, make_row
 from rejoint.research.evaluation.trials import TrialArms, TrialSettings, keep, try_on
-from rejoint.research.reproduction.bench import Bench, Found, Grid, Shown
+from rejoint.research.reproduction.bench import Bench, Found, Grid, Printed
 from rejoint.research.reproduction.trainings import LITERALLY, WORN, recipe
 from rejoint.robots import open_robot
 from rejoint.system.statistics import FEWEST_CLUSTERS, Spread
@@ -77,17 +77,17 @@ def _row(name: str, outcomes: list[Columns], protocol: Protocol) -> VariantRow:
     return make_row("", name, {key: np.stack([one[key] for one in outcomes], axis=1) for key in outcomes[0]}, protocol)
 
 
-def _mm(one: Spread | None, places: int = 2) -> Shown:
+def _mm(one: Spread | None, places: int = 2) -> Printed:
     if one is None:
-        return Shown(np.nan, "-")
+        return Printed(np.nan, "-")
     std = "" if one.std is None else f" ± {1e3 * one.std:.{places}f}"
-    return Shown(1e3 * one.mean.value, f"{1e3 * one.mean.value:.2f}{std} mm")
+    return Printed(1e3 * one.mean.value, f"{1e3 * one.mean.value:.2f}{std} mm")
 
 
-def _ten(row: VariantRow) -> Shown:
+def _ten(row: VariantRow) -> Printed:
     """Time [s] for all targets of a set."""
     time = np.nan if row.cycle_time is None else row.cycle_time.mean.value
-    return Shown(time, f"{time:.1f}")
+    return Printed(time, f"{time:.1f}")
 
 
 def measure_wear(bench: Bench) -> Found:
@@ -150,43 +150,17 @@ def measure_trainings(bench: Bench) -> Found:
         "size": layout_size(PAPER.task.layout, bench.arm.joints),
         "transitions": trained.step[-1] / 1e6,
         "seconds": _seconds(bench),
-        "success": Shown(
+        "success": Printed(
             100 * row.reached, f"{100 * row.reached:.1f} % ({min(worn):.1f} to {max(worn):.1f} over seeds)"
         ),
         "error": _mm(row.crossing_error),
         **{name.partition("-")[0]: success[name] for name in LITERALLY},
-        "grids": [_table_3(bench), Grid("What the policies do on the worn arm", headers, tuple(rows))],
+        "grids": [Grid("What the policies do on the worn arm", headers, tuple(rows))],
     }
 
 
 def _seconds(bench: Bench) -> float:
     return float(np.mean([read_curves(bench.training(name).outputs.curves).wall_s[-1] for name in WORN]))
-
-
-def _table_3(bench: Bench) -> Grid:
-    ppo, task = PAPER.ppo, PAPER.task
-    layers = ", ".join(str(width) for width in ppo.actor_layers)
-    rows = (
-        ("learning epochs", "8", str(ppo.epochs)),
-        ("mini-batches", "8", str(ppo.mini_batches)),
-        ("hidden layers, policy and value", "3", f"{len(ppo.actor_layers)} of {layers}, ELU"),
-        ("clipping ratio", "0.10", f"{ppo.clip:.2f}"),
-        ("GAE λ", "0.95", f"{ppo.gae_lambda:.2f}"),
-        ("discount", "0.99", f"{ppo.discount:.2f}"),
-        ("longest episode, time steps", "250", str(task.hold_steps)),
-        ("time steps in all", "5000", str(ppo.rollout * ppo.iterations)),
-        ("agents", "512", str(bench.scale.agents)),
-        ("learning rate", "not given", f"{ppo.learning_rate:g}, constant"),
-        ("time steps between updates", "not given", str(ppo.rollout)),
-        ("entropy bonus", "not given", "none"),
-        ("first policy", "not given", f"action near 0, noise of {np.exp(ppo.log_std):.1f} of the largest action"),
-        ("input of the value network", "the state", "the state and the parameters of the simulated arm"),
-        ("largest action", "0.5° to 5° a frame", f"{np.degrees(task.law.authority_limit):.0f}°"),
-        ("joint noise, standard deviation", "5°", f"{np.degrees(PAPER.joint_noise):.0f}°"),
-        ("success distance in training", "5 mm", f"{1e3 * SUCCESS_DISTANCE:g} mm"),
-        ("control frequency", "30 to 60 Hz", f"{1 / task.max_period:.0f} to {1 / task.min_period:.0f} Hz"),
-    )
-    return Grid("Table 3 and section IV-D", ("", "paper", "run"), rows)
 
 
 def measure_control(bench: Bench) -> Found:
@@ -199,7 +173,7 @@ def measure_control(bench: Bench) -> Found:
         outcomes = [try_arm(bench, one, protocol) for one in policies]
         row = _row(label, outcomes, protocol)
         found |= {
-            f"{name}_success": Shown(100 * row.reached, f"{measured(row.success, 100)} %"),
+            f"{name}_success": Printed(100 * row.reached, f"{measured(row.success, 100)} %"),
             f"{name}_error": _mm(row.crossing_error),
             f"{name}_time": _ten(row),
         }

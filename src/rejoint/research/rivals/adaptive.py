@@ -1,9 +1,8 @@
 """Adaptive regulation of an arm with unknown servos and load.
 
-Tomei, "Adaptive PD controller for robot manipulators", IEEE Trans. Robotics and Automation 7(4), 1991: PD plus gravity
-compensation Y(q) p with ``dp/dt = G Y' (2 e / (1 + 2 e'e) - m v)``. The servo is the PD law, so the command gets ``load
-/ k + mass * lever / k + offset``. Regressor at the goal (Kelly 1997), dead zone (Peterson and Narendra, IEEE Trans.
-Automatic Control 27(3), 1982).
+Tomei, IEEE Trans. Robotics and Automation 7(4), 1991: PD plus gravity compensation Y(q) p with ``dp/dt = G Y' (2 e / (1
++ 2 e'e) - m v)``. The servo is the PD law, so the command gets ``load / k + mass * lever / k + offset``. Dead zone:
+Peterson and Narendra, IEEE Trans. Automatic Control 27(3), 1982.
 """
 
 from __future__ import annotations

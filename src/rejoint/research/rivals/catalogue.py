@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from rejoint.control.controller import Controller
 from rejoint.research.rivals.adaptive import AdaptiveController, AdaptiveGains
 from rejoint.research.rivals.scheduled import ScheduledController, ScheduledGains
 from rejoint.system.errors import InputError
+from rejoint.system.files import read_json
 
 Interval = tuple[float, float]
 
@@ -40,7 +42,6 @@ class Rival:
     intervals: Mapping[str, Interval]
     """bounds of the search"""
     gains: Mapping[str, float]
-    """by ``rejoint tune NAME`` on the broad ranges, seed 0"""
 
 
 def _scheduled(name: str, anchored: bool, arm: Arm, gains: Mapping[str, Array]) -> Controller:
@@ -51,68 +52,30 @@ def _adaptive(arm: Arm, gains: Mapping[str, Array]) -> Controller:
     return AdaptiveController(arm, "adaptive", AdaptiveGains(**gains))
 
 
-RIVALS: dict[str, Rival] = {
-    "tuned-integrator": Rival(
-        make=partial(_scheduled, "tuned-integrator", False),
-        intervals=_SCHEDULED,
-        gains={
-            "far_rate": 5.906,
-            "near_rate": 1.435,
-            "schedule": 0.005833,
-            "deadband": 7.293e-05,
-            "proportional": 0.01664,
-            "damping": 0.01834,
-            "prediction": 0.005945,
-            "moving": 2.464,
-            "speed": 0.9191,
-            "lead": 0.3328,
-        },
-    ),
-    "tuned-feedforward": Rival(
-        make=partial(_scheduled, "tuned-feedforward", True),
-        intervals=_SCHEDULED | {"feedforward": (0.2, 1.8), "ramp": (0.5, 20.0), "carry": (0.2, 1.0)},
-        gains={
-            "far_rate": 1.634,
-            "near_rate": 4.294,
-            "schedule": 0.002525,
-            "deadband": 5.369e-05,
-            "proportional": 0.01778,
-            "damping": 0.02281,
-            "prediction": 0.004416,
-            "moving": 0.09119,
-            "speed": 0.09738,
-            "lead": 0.3625,
-            "feedforward": 1.258,
-            "ramp": 2.125,
-            "carry": 0.453,
-        },
-    ),
-    "adaptive": Rival(
-        make=_adaptive,
-        intervals={
-            "softness_rate": (0.3, 100.0),
-            "load_rate": (0.3, 100.0),
-            "offset_rate": (0.1, 10.0),
-            "scale": (np.radians(0.5), np.radians(30.0)),
-            "damping": (1e-4, 1.0),
-            "dead_zone": (np.radians(0.01), np.radians(1.0)),
-            "proportional": (1e-3, 1.0),
-            "derivative": (1e-4, 0.1),
-            "prior": (0.2, 1.8),
-        },
-        gains={
-            "softness_rate": 9.218,
-            "load_rate": 2.79,
-            "offset_rate": 2.73,
-            "scale": 0.05636,
-            "damping": 0.002689,
-            "dead_zone": 0.0002958,
-            "proportional": 0.007722,
-            "derivative": 0.01169,
-            "prior": 1.305,
-        },
-    ),
+_INTERVALS: dict[str, dict[str, Interval]] = {
+    "tuned-integrator": _SCHEDULED,
+    "tuned-feedforward": _SCHEDULED | {"feedforward": (0.2, 1.8), "ramp": (0.5, 20.0), "carry": (0.2, 1.0)},
+    "adaptive": {
+        "softness_rate": (0.3, 100.0),
+        "load_rate": (0.3, 100.0),
+        "offset_rate": (0.1, 10.0),
+        "scale": (np.radians(0.5), np.radians(30.0)),
+        "damping": (1e-4, 1.0),
+        "dead_zone": (np.radians(0.01), np.radians(1.0)),
+        "proportional": (1e-3, 1.0),
+        "derivative": (1e-4, 0.1),
+        "prior": (0.2, 1.8),
+    },
 }
+GAINS = read_json(Path(__file__).with_name("gains.json"), dict[str, dict[str, float]])
+"""By ``rejoint research tune`` on the broad ranges, seed 0"""
+
+_MAKERS: dict[str, Callable[[Arm, Mapping[str, Array]], Controller]] = {
+    "tuned-integrator": partial(_scheduled, "tuned-integrator", False),
+    "tuned-feedforward": partial(_scheduled, "tuned-feedforward", True),
+    "adaptive": _adaptive,
+}
+RIVALS = {name: Rival(make=make, intervals=_INTERVALS[name], gains=GAINS[name]) for name, make in _MAKERS.items()}
 
 
 def find_rival(name: str) -> Rival:

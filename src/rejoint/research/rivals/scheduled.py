@@ -1,7 +1,7 @@
 """Gain-scheduled integral control, alone or with gravity feed-forward.
 
-A rate by distance (Rugh and Shamma, Automatica 36, 2000), dead zone, proportional and damping terms, conditional
-integration (Astrom and Rundqwist, ACC 1989), prediction, and a speed limit. Gains are numbers or (B, 1).
+A rate by distance (Rugh and Shamma, Automatica 36, 2000), and conditional integration (Astrom and Rundqwist, ACC 1989).
+Gains are numbers or (B, 1).
 """
 
 from __future__ import annotations
