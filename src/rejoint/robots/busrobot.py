@@ -21,7 +21,7 @@ from rejoint.system.errors import ImpossibleReplyError, InputError, NoReplyError
 RANGE_MARGIN = np.radians(5.0)
 """[rad] beyond a joint limit by sag and stops (chosen)"""
 MAX_SPEED_FACTOR = 2.0
-"""Times the arm's speed limit (chosen: above a myCobot's no-load speed)"""
+"""Times the arm's speed limit (chosen: above no-load speed)"""
 JUMP_SLACK = np.radians(5.0)
 """[rad] for answers sampled up to 30 ms before arrival (chosen)"""
 DOUBT = 1.0
@@ -200,7 +200,7 @@ T = TypeVar("T")
 
 
 class BusRobot:
-    """One arm behind a bus; ``period`` [s] gives uniform cycle lengths."""
+    """One arm behind a bus; ``period`` [s]: uniform cycle lengths."""
 
     def __init__(
         self, bus: Bus, arm: Arm, *, address: str, period: tuple[float, float] = (0.050, 0.050), seed: int = 0
@@ -222,10 +222,7 @@ class BusRobot:
         self._link.open()
 
     def read(self) -> JointState:
-        """Ask for the joint positions.
-
-        Raises NoReplyError, StaleReplyError, ImpossibleReplyError or ConnectionLostError.
-        """
+        """Ask for the joint positions; RobotError."""
         if self._state is None:
             self._health.find()
         now, reading = self._link.ask(self._read_once)

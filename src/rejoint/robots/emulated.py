@@ -78,10 +78,7 @@ _CHANNEL_PURPOSE = 1
 
 
 class EmulatedRobot:
-    """B emulated arms; time passes only in `step`.
-
-    Arm i takes noise from the stream ``first + i`` of ``seed``.
-    """
+    """B emulated arms; time passes only in `step`, noise is as in `Plant`."""
 
     def __init__(
         self,

@@ -167,7 +167,7 @@ class SerialAddress:
 
 
 def tcp_address(text: str, *, port: int) -> TcpAddress:
-    """Read ``SCHEME://HOST:PORT`` with a default ``port``; ValueError."""
+    """Read ``SCHEME://HOST:PORT``; ValueError."""
     parts = urlsplit(text)
     given = port if parts.port is None else parts.port
     if not parts.hostname or parts.path not in ("", "/") or parts.query or parts.username or given == 0:
@@ -176,7 +176,7 @@ def tcp_address(text: str, *, port: int) -> TcpAddress:
 
 
 def serial_address(text: str, *, baud: int) -> SerialAddress:
-    """Read ``SCHEME:///dev/DEVICE?baud=N`` with a default ``baud``; ValueError."""
+    """Read ``SCHEME:///dev/DEVICE?baud=N``; ValueError."""
     parts = urlsplit(text)
     query = parse_qs(parts.query, strict_parsing=True) if parts.query else {}
     if parts.netloc or not parts.path.startswith("/") or parts.path == "/" or set(query) - {"baud"}:

@@ -88,7 +88,7 @@ LATE = 0.3
 QUIET = 0.03
 """[s] without a late answer (chosen: twice an answer)"""
 RELAY_BUSY = 0.6
-"""[s] of the vendor's server after a lost answer (its limit is 0.5 s)"""
+"""[s] after a lost answer (the vendor's limit is 0.5 s)"""
 QUIET_RELAY = 3.0
 """[s] of resynchronisation after an unknown command (chosen, as `link.SILENCE`)"""
 POWER_UP = 3.0

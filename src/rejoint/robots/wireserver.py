@@ -24,7 +24,7 @@ HALF_FRAME = 0.05
 TICK = 0.05
 """[s] of one wait (chosen)"""
 SEND_TIMEOUT = 1.0
-"""[s] before a client that takes no answers counts as gone (chosen)"""
+"""[s] before a client that takes nothing counts as gone (chosen)"""
 QUIET_AFTER = 5
 """[s] of silence after which a client's machine is asked whether it runs"""
 BACKLOG = 1
@@ -54,7 +54,7 @@ class ByteStream(Protocol):
 
 
 def await_data(readable: int | None, pause: float) -> bool:
-    """Wait for ``pause`` [s] or data on ``readable``; whether there is data."""
+    """Wait for ``pause`` [s] or data; whether there is data."""
     return bool(select.select([] if readable is None else [readable], [], [], pause)[0])
 
 
@@ -124,12 +124,12 @@ class Conversation(ABC, Generic[R]):
         """Do what is due during a wait."""
 
     def _hear(self, channel: ByteStream, timeout: float) -> bytes | None:
-        """Return bytes within ``timeout`` [s], empty: the client is gone; None: silence."""
+        """Return bytes within ``timeout`` [s], empty: gone; None: silence."""
         return channel.receive() if self.wait(channel.fileno(), self._clock() + timeout) else None
 
 
 class Server(ABC):
-    """Serves in this thread (`run`) or its own (context manager)."""
+    """Serves in this thread (`run`) or its own."""
 
     def __init__(self, session: Conversation[Any], address: str) -> None:
         self.address = address
@@ -166,7 +166,7 @@ class Server(ABC):
 
     @abstractmethod
     def _serve(self) -> None:
-        """Wait for a client, and serve it until it is gone."""
+        """Wait for a client and serve it."""
 
     @abstractmethod
     def _vanish(self) -> None:
@@ -256,7 +256,7 @@ class TerminalServer(Server):
         return self._own
 
     def receive(self) -> bytes:
-        """Return arrived bytes; OSError once the client has closed it."""
+        """Return arrived bytes; OSError: closed."""
         return os.read(self._own, _CHUNK)
 
     def send(self, data: bytes) -> None:

@@ -54,7 +54,7 @@ BUFFER = 1 << 16
 
 
 def listen_tcp(host: str, port: int, backlog: int = 1) -> socket.socket:
-    """Listen on a TCP port, 0: any free one; ``backlog`` waiting clients. InputError."""
+    """Listen on a TCP port, 0: any free one; InputError."""
     refusal = f"cannot listen on {host}:{port}"
     if not 0 <= port <= 65535:
         raise InputError(f"{refusal}: a port is a number from 0 to 65535")

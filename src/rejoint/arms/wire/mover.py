@@ -143,7 +143,7 @@ class Mover(ABC):
         self._motion.queue.clear()
 
     def move_joints(self, angles: Array, rate: float) -> bool:
-        """Move to ``angles`` (n,) [rad]: a ramp in fresh mode, else a queued path; False beyond a limit."""
+        """Move to ``angles`` (n,) [rad]; False beyond a limit."""
         inside = (angles >= self.lower - 1e-9) & (angles <= self.upper + 1e-9)
         if not inside.all():
             self.error = int(np.argmin(inside)) + 1

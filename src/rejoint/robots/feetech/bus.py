@@ -45,7 +45,7 @@ SOFT = 0.5
 """torque share of the gripper, in RAM (as in LeRobot)"""
 
 MOST_SILENT = 3
-"""Unanswered questions before the gripper is given up (chosen)"""
+"""Unanswered questions before it is given up (chosen)"""
 
 Ask = Callable[[int, bytes], bytes | None]
 """Passes on an instruction; None: no answer"""

@@ -140,7 +140,7 @@ Write = Callable[[int, int, Sequence[int], float | None], object]
 
 
 class Tuning:
-    """Registers of the servos ``ids``; ``wanted`` holds on every connection."""
+    """Registers of servos; ``wanted`` holds on every connection."""
 
     def __init__(
         self,
@@ -152,7 +152,7 @@ class Tuning:
         call: Callable[[int], str],
         wait: Callable[[float], object],
     ) -> None:
-        """Callbacks read and write registers, name a servo, and wait."""
+        """Callbacks: registers, a servo's name, and waiting."""
         self.values: Values = {}
         """in force, by `REGISTERS`"""
         self.laws: list[DutyLaw] = []

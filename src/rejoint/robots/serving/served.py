@@ -53,15 +53,15 @@ class MoveEnd(NamedTuple):
     """The end of a move."""
 
     error: float
-    """[m] of the tool, by the encoders, from where it was sent"""
+    """[m] of the tool from its goal, by the encoders"""
     angle: float
     """[rad] of the joint that is farthest away"""
     after: float
     """[s] from the end of the planned way"""
     held_back: str = ""
-    """what the guard kept it from, in words, or empty"""
+    """what the guard kept it from, or empty"""
     short: str = ""
-    """which joint stands off its goal, and by how much, or empty"""
+    """which joint stands off its goal, in words, or empty"""
 
 
 class ServedArm(Mover, Reference):
@@ -112,7 +112,7 @@ class ServedArm(Mover, Reference):
     # --- what the control loop does ---------------------------------------------------------
 
     def advance(self, state: JointState, since: Array, /) -> Setpoint:  # noqa: ARG002 - moves have their own clock
-        """Take a reading and advance; return where the arm is to be."""
+        """Take a reading; return where the arm is to be."""
         if not self._lock.acquire(blocking=False):
             return self._wanted  # a posture is being searched: the reference waits
         try:
@@ -212,7 +212,7 @@ class ServedArm(Mover, Reference):
 
     @property
     def moving(self) -> bool:
-        """Whether a move, or its last approach, is under way."""
+        """Whether a move or its last approach is under way."""
         return not self.paused and (self._motion.moving or not self._settled)
 
     @property

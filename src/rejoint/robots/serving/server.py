@@ -132,7 +132,7 @@ _STAYS = "it would change what the run knows of the arm; end `rejoint serve` fir
 _OWN = "coordinates are those of the arm's own tool in its own base; the tip of a tool is told by --tool"
 _OTHER_FRAME = {0x81: _OWN, 0x83: _OWN, 0x85: _OWN, 0x87: "straight lines are asked for with each order", 0x89: _OWN}
 REFUSED = {0x11: _FALLS, 0x13: _FALLS, 0x1A: _FALLS, 0x56: _FALLS, 0x52: _STAYS, 0x54: _STAYS}
-"""Orders that are refused, and why; 0x1A with 0 is allowed"""
+"""Refused orders, and why; 0x1A with 0 is allowed"""
 PASSED_ON = frozenset((0x60, 0x61, 0x62, *range(0x64, 0x70), 0xA0, 0xA1))
 """Gripper, lamp and pins (pymycobot 4.0.7, `ProtocolCode`)"""
 # Those of them that change nothing
@@ -144,7 +144,7 @@ MOVES = frozenset((0x21, 0x22, 0x24, 0x25, *range(0x30, 0x35), 0x3A, 0x3C, 0x3E)
 
 
 class Answering:
-    """Answers for ``served``; ``say`` tells the person at the terminal."""
+    """Answers for ``served``; ``say`` tells the terminal."""
 
     def __init__(self, served: ServedArm, log: OrderLog, relay: Relay, say: Callable[[str], object]) -> None:
         self._served, self._log, self._relay, self._say = served, log, relay, say
@@ -213,7 +213,7 @@ class Answering:
         return Frame(request.command, flag(False))
 
     def _say_again(self, about: str, line: str) -> None:
-        """Say a line, unless one ``about`` the same was said just now."""
+        """Say a line, unless one ``about`` the same was just said."""
         now = time.monotonic()
         if now - self._said.get(about, -AGAIN) >= AGAIN:
             self._said[about] = now
@@ -247,7 +247,7 @@ WireServer = Server
 
 
 class _Session(Conversation[Frame]):
-    """Clients of an arm, one at a time; more come at ``listener``."""
+    """Clients of an arm, one at a time."""
 
     def __init__(self, answering: Answering, say: Say, listener: socket.socket | None = None) -> None:
         super().__init__()

@@ -176,7 +176,7 @@ class Plant:
         return self._history[np.arange(self.count), (self._tick - steps) % servo.HISTORY]
 
     def reset(self, position: Array, where: Mask | None = None) -> None:
-        """Put the arms at encoder ``position`` (B, n) [rad], at rest, in balance."""
+        """Put the arms at rest at encoder ``position`` (B, n) [rad]."""
         position = self._checked(position)
         angle, gear, load = self._balance(position)
         ids = self._selected(where)
@@ -239,7 +239,7 @@ class Plant:
         self.servos["blind"] |= joints
 
     def set_speed_limit(self, speed: Array | float) -> None:
-        """Limit the reference's speed: (B,), (B, n) or a number, [rad/s], above 0."""
+        """Limit the reference's speed [rad/s], above 0: (B,), (B, n) or a number."""
         speed = np.asarray(speed, dtype=float)
         self.servos["speed_limit"] = speed[:, None] if speed.ndim == 1 else speed
 

@@ -53,7 +53,7 @@ QUEUE = 8
 NEVER = np.iinfo(np.int64).max
 """Due step of an empty slot"""
 RAMP_SPEED = np.radians(120.0)
-"""[rad/s] of a myCobot 280's reference (chosen: 80 % of the vendor's 150 deg/s)"""
+"""[rad/s] of references (chosen: 80 % of the vendor's 150 deg/s)"""
 
 _NO_LOAD_SPEED = 5.0  # [rad/s] STS3215 at 12 V: 45 rpm and some more without its own friction
 _NO_LOAD_MARGIN = 1.05  # least no-load speed by the joint's largest speed (chosen, as above)
@@ -96,7 +96,7 @@ STATE = record_of(
     real="goal reference speed_limit measured measured_speed bristle torque load temperature",
     flag="powered frozen blind",
 )
-"""State of a servo; ``frozen``: reports an old reading, ``blind``: also controls by it"""
+"""State; ``frozen``: reports an old reading, ``blind``: also controls by it"""
 
 
 def gear_armature(stiffness: Array) -> Array:

@@ -10,15 +10,16 @@ Saf. 94, 2009).
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
+from urllib.parse import parse_qsl
 
 import msgspec
 import numpy as np
+from msgspec import UNSET, UnsetType
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, gravity_torque, link_inertia
@@ -99,7 +100,7 @@ _SOFTENED = {"position_gain": _DRIVE, "link_stiffness": _GEAR}
 
 
 def aged(wear: Wear, arm: Arm, hours: float, *, seed: int, young: Wear, old: Wear, least_torque: Array) -> Wear:
-    """``wear`` after ``hours``, by seed; no motor gets below ``least_torque`` (n,) [N m]."""
+    """``wear`` after ``hours``; no motor gets below ``least_torque`` (n,) [N m]."""
     damage = damages(young, arm, hours, seed)
     changed = {
         name: getattr(wear, name) + damage[kind] * np.maximum(getattr(old, name) - getattr(young, name), 0.0)
@@ -115,7 +116,7 @@ def aged(wear: Wear, arm: Arm, hours: float, *, seed: int, young: Wear, old: Wea
 
 
 def warmed(wear: Wear, ambient: float, *, seed: int) -> Wear:
-    """``wear`` in a room of ``ambient`` [deg C], which changes friction and zeros."""
+    """``wear`` in a room of ``ambient`` [deg C]."""
     above = ambient - AMBIENT
     own = np.random.default_rng([seed, 2]).uniform(-1.0, 1.0, len(wear.position_gain))
     thinner = float(np.exp(-_GREASE_PER_DEGREE * above))
@@ -200,17 +201,16 @@ class Wear:
 
     def __post_init__(self) -> None:
         n = np.shape(self.position_gain)
-        if np.ndim(self.offset) == 0:
-            object.__setattr__(self, "offset", np.full(n, self.offset))
         for name in (*PARAMETERS, "offset"):
             value = np.array(getattr(self, name), dtype=float)
+            if name == "offset" and value.ndim == 0:
+                value = np.full(n, value)
             if value.ndim != 1 or value.shape != n:
                 raise ProfileError(f"wear {self.name}: {name} has shape {value.shape}, expected {n}")
-            least, strict = (-np.inf if name == "offset" else 0.0, name in _POSITIVE)
-            if not np.isfinite(value).all() or (value < least).any() or (strict and (value <= least).any()):
-                raise ProfileError(
-                    f"wear {self.name}: {name} must be {'positive' if strict else 'at least 0'}, got {value.tolist()}"
-                )
+            least = np.nextafter(0.0, 1.0) if name in _POSITIVE else -np.inf if name == "offset" else 0.0
+            if not (np.isfinite(value) & (value >= least)).all():
+                wanted = "positive" if name in _POSITIVE else "at least 0"
+                raise ProfileError(f"wear {self.name}: {name} must be {wanted}, got {value.tolist()}")
             value.setflags(write=False)
             object.__setattr__(self, name, value)
         if (self.stiction < self.coulomb).any():
@@ -229,13 +229,6 @@ PARAMETERS = tuple(
 """Per-joint parameters of every profile"""
 _POSITIVE = ("position_gain", "torque_limit", "link_stiffness", "reflected_inertia")
 _FILE_NAMES = tuple("play_deg" if name == "play" else name for name in PARAMETERS)
-_NUMBER = re.compile(r"-?\d+(\.\d+)?", re.ASCII)
-# What may stand behind the name of a profile: what it means, its least and its largest value
-_OPTIONS = {
-    "seed": ("a whole number, draws another arm", 0.0, 2.0**63),
-    "hours": ("of use", 0.0, 100_000.0),
-    "ambient": ("deg C of the room", -10.0, 50.0),
-}
 _TORQUES = ("position_gain", "torque_limit", "coulomb", "stiction", "link_stiffness", "ripple", "torque_noise")
 
 
@@ -253,14 +246,14 @@ def load_wear(name: str, arm: Arm) -> Wear:
     """
     base, options = _options(name)
     wear = _fitted(base, arm)
-    seed = int(options.get("seed", 0))
-    if "seed" in options:
+    seed = options.seed or 0
+    if options.seed is not UNSET:
         wear = draw_wear(wear, arm, seed)
-    if "hours" in options:
+    if options.hours is not UNSET:
         young, old = _fitted("healthy", arm), _fitted("worn", arm)
         least = _LIFT_MARGIN * lifting_torque(wear, arm)
-        wear = aged(wear, arm, options["hours"], seed=seed, young=young, old=old, least_torque=least)
-    return warmed(wear, options["ambient"], seed=seed) if "ambient" in options else wear
+        wear = aged(wear, arm, options.hours, seed=seed, young=young, old=old, least_torque=least)
+    return wear if options.ambient is UNSET else warmed(wear, options.ambient, seed=seed)
 
 
 def _fitted(base: str, arm: Arm) -> Wear:
@@ -275,22 +268,24 @@ def _fitted(base: str, arm: Arm) -> Wear:
     return _wear(found, base, arm.joints)
 
 
-def _options(name: str) -> tuple[str, dict[str, float]]:
+class _Options(msgspec.Struct, forbid_unknown_fields=True):
+    """What may stand behind the name of a profile."""
+
+    seed: Annotated[int, msgspec.Meta(ge=0)] | UnsetType = UNSET
+    hours: Annotated[float, msgspec.Meta(ge=0.0, le=100_000.0)] | UnsetType = UNSET
+    ambient: Annotated[float, msgspec.Meta(ge=-10.0, le=50.0)] | UnsetType = UNSET
+
+
+def _options(name: str) -> tuple[str, _Options]:
     base, query, rest = name.partition("?")
-    options: dict[str, float] = {}
-    for part in rest.split("&") if query else []:
-        key, _, value = part.partition("=")
-        meaning, lowest, highest = _OPTIONS.get(key, ("", 0.0, 0.0))
-        if not meaning or key in options:
-            known = ", ".join(f"{one}=N ({what})" for one, (what, _, _) in _OPTIONS.items())
-            raise ProfileError(f"wear {name!r}: option {part!r} is not known or stands there twice; options: {known}")
-        if not _NUMBER.fullmatch(value) or not lowest <= float(value) <= highest or (key == "seed" and "." in value):
-            whole = "a whole number" if key == "seed" else "a number"
-            raise ProfileError(
-                f"wear {name!r}: expected {whole} from {lowest:g} to {highest:g} after '{key}=', got {value!r}"
-            )
-        options[key] = int(value) if key == "seed" else float(value)
-    return base, options
+    try:
+        given = parse_qsl(rest, keep_blank_values=True, strict_parsing=True) if query else []
+        if len(dict(given)) < len(given):
+            raise ValueError("an option stands there twice")
+        return base, msgspec.convert(dict(given), _Options, strict=False)
+    except ValueError as error:
+        known = "seed=N (draws another arm), hours=N (of use), ambient=N (deg C of the room)"
+        raise ProfileError(f"wear {name!r}: {first_line(error)}; options: {known}") from error
 
 
 def wear_arm(name: str) -> str | None:
