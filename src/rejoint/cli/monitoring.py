@@ -27,9 +27,8 @@ from rejoint.system.errors import FileError, MissingExtraError
 from rejoint.system.extras import require
 
 if TYPE_CHECKING:
-    from rejoint.runs.fleet.call import FleetResult
+    from rejoint.runs.fleet.call import Event, Executor, FleetResult
     from rejoint.runs.fleet.campaign import Campaign
-    from rejoint.runs.fleet.drive import Event, Executor
     from rejoint.runs.fleet.file import FleetArm
     from rejoint.runs.history import ArmHistory
 
@@ -208,9 +207,8 @@ def fleet(
     """
     require(f"rejoint fleet {verb}", "fleet", "report", *(["train"] if verb == "repair" and address is None else []))
     from rejoint.cli.chain import rehearse
-    from rejoint.runs.fleet.call import run_fleet
+    from rejoint.runs.fleet.call import Rules, run_fleet
     from rejoint.runs.fleet.campaign import RepairOptions
-    from rejoint.runs.fleet.drive import Rules
     from rejoint.runs.fleet.file import read_fleet
     from rejoint.runs.fleet.rayexecutor import RayExecutor, has_token
 

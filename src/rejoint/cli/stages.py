@@ -348,7 +348,7 @@ def follow(
         done = rejoint.follow(robot, path, run=run, repeat=repeat, rate_hz=rate, settings=settings, observer=observer)
     show.followed(terminal, done)
     if all(map(installed, EXTRAS["report"])) and not settings.dry_run:
-        from rejoint.pages.report.pictures import draw_followed
+        from rejoint.pages.report.figures import draw_followed
 
         job = Run.open(run)
         with locked(job.folder):

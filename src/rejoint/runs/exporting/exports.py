@@ -44,9 +44,7 @@ def export_run(
 ) -> tuple[Path, str]:
     """Export a run as one of `KINDS`; returns the file and a sentence about it.
 
-    ``controller``: its name, by default what the run recommends.
-
-    FileError or InputError for missing inputs.
+    ``controller``: by default what the run recommends. FileError or InputError for missing inputs.
     """
     about = as_run(run)
     if kind not in KINDS:
