@@ -236,10 +236,9 @@ def twin_error(arm: Arm, twin: Twin, log: RunLog) -> float:
 def _take_over(run: Run, last: Run, why: Kept) -> None:
     shutil.copytree(last.folder.outputs.folder, run.folder.outputs.folder, dirs_exist_ok=True)
     write_json(run.folder.kept, why)
-    ours, theirs = run.folder, last.folder
-    for source, target in ((theirs.twin, ours.twin), (theirs.gains, ours.gains), (theirs.policy, ours.policy)):
-        if source.exists():
-            write_whole(target, partial(shutil.copyfile, source))
+    for name in ("twin", "gains", "policy"):
+        if (source := getattr(last.folder, name)).exists():
+            write_whole(getattr(run.folder, name), partial(shutil.copyfile, source))
 
 
 QUICK_TARGETS = 3

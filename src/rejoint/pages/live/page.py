@@ -119,7 +119,7 @@ class WebPage:
     def _add_limbs(
         self, root: str, colours: tuple[Colour, Colour], share: float, opacity: float | None
     ) -> list[viser.FrameHandle]:
-        """Add the base and the link of each joint, a capsule from its frame's origin to the next."""
+        """Add base and links, each a capsule from its frame's origin to the next."""
         scene, whole, found = self._server.scene, collision_shape(self._arm).radius, []
         for link, end in enumerate([*self._arm.offset[:, :3, 3], self._arm.tip[:3, 3]]):
             found.append(scene.add_frame(f"{root}/{link}", show_axes=False))

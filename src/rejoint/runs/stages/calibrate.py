@@ -215,7 +215,7 @@ def write_picture(path: Path, picture: Picture) -> None:
 
 
 def write_filmed(run: Run, arm: Arm, film: Film, found: Filmed, *, taken: bool) -> None:
-    """Write image sequence, postures if ``taken`` in this run, and camera setup."""
+    """Write image sequence, postures (if ``taken``), and camera setup."""
     if taken:
         write_postures(run.folder.pictures / POSTURES_FILE, arm, film)
     else:
@@ -234,7 +234,7 @@ class Calibrated:
     """Result of a calibration."""
 
     calibration: Calibration
-    """displacement of the tool; ``used`` says whether the correction helps"""
+    """displacement of the tool; ``used``: it helps"""
     measurements: Measurements
     reversal: tuple[float, ...]
     """[m] reversal value (ISO 230-2) of each posture with two approaches"""

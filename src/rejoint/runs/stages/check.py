@@ -66,11 +66,11 @@ class CheckNotes:
     """The user's notes on a check."""
 
     used_h: float | None = None
-    """use of the arm so far; default: an emulated arm's ``hours``"""
+    """use so far; default: an emulated arm's ``hours``"""
     when: datetime | None = None
     """UTC; default: now"""
     moved: bool = False
-    """whether the arm was moved or homed since: a new baseline begins"""
+    """the arm was moved or homed since: a new baseline"""
 
 
 def check(

@@ -179,7 +179,7 @@ class ComparisonJob:
     """(S, K) tool orientations at the targets"""
     observer: Observer = field(default_factory=Observer)
     by_name: bool = False
-    """whether another process can make the controllers by name"""
+    """another process can make the controllers"""
     threads: int = 2
     """of emulated arms; no effect on results"""
 
@@ -297,7 +297,7 @@ class ComparisonJob:
         return replace(self, factories={name: make for name, make in self.factories.items() if name not in names})
 
     def begin_ahead(self) -> HelperProcess | None:
-        """Start a second process with the known trials, if a core is free."""
+        """Start a second process, if a core is free."""
         helper = self._help()
         if helper is not None:
             for task in product(self.factories, KINDS):

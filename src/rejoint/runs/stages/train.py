@@ -39,7 +39,7 @@ class TrainSettings:
     """Options of a training."""
 
     generic: bool = False
-    """train in a run without a twin, for any worn arm"""
+    """without the run's twin, for any worn arm"""
     seed: int | None = None
     """of all random numbers; default: that of the run, else 0"""
     threads: int = 2
@@ -90,7 +90,7 @@ def train(
     Raises
     ------
     InputError
-        if run and twin are given, or neither twin, run nor arm, or the run has no twin
+        for both run and twin, for neither twin, run nor arm, or for a run without a twin
     ContractError
         if the twin is of another arm
 
