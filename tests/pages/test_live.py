@@ -13,7 +13,7 @@ from rejoint.control.classical import DefaultController, IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import Cycle
 from rejoint.control.robot import JointState
-from rejoint.pages.live.records import Ring
+from rejoint.pages.live.animation import Ring
 from rejoint.pages.live.view import LiveView
 from rejoint.robots import open_robot
 from rejoint.robots import wrapper as wallclock

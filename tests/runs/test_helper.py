@@ -15,8 +15,7 @@ from rejoint.arms import mycobot280
 from rejoint.control.comparison.compare import Settings
 from rejoint.control.comparison.result import Protocol
 from rejoint.runs.stages import compare as comparing
-from rejoint.runs.stages.compare import ComparisonJob
-from rejoint.runs.stages.helper import HelperProcess
+from rejoint.runs.stages.compare import ComparisonJob, HelperProcess
 
 ARM = mycobot280()
 QUICK = Protocol(dwell=1.0, hold=0.8, window=0.4)

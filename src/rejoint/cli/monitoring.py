@@ -24,9 +24,8 @@ from rejoint.system.errors import FileError, MissingExtraError
 from rejoint.system.extras import require
 
 if TYPE_CHECKING:
-    from rejoint.runs.fleet.call import FleetResult
+    from rejoint.runs.fleet.call import Event, Executor, FleetResult
     from rejoint.runs.fleet.campaign import Campaign
-    from rejoint.runs.fleet.drive import Event, Executor
     from rejoint.runs.fleet.file import FleetArm
 
 DRIFTS, ALARM = 6, 7
@@ -134,9 +133,8 @@ def fleet(
     """Check or repair many arms, each within its hours and with its permissions, and show them, the worst first."""
     require(f"rejoint fleet {verb}", "fleet", "report", *(["train"] if verb == "repair" and address is None else []))
     from rejoint.cli.chain import rehearse
-    from rejoint.runs.fleet.call import run_fleet
+    from rejoint.runs.fleet.call import Rules, run_fleet
     from rejoint.runs.fleet.campaign import RepairOptions
-    from rejoint.runs.fleet.drive import Rules
     from rejoint.runs.fleet.file import read_fleet
     from rejoint.runs.fleet.rayexecutor import RayExecutor, has_token
 

@@ -249,7 +249,7 @@ def follow(
         )
     show.followed(call, done)
     if all(map(installed, EXTRAS["report"])) and not dry:
-        from rejoint.pages.report.pictures import draw_followed
+        from rejoint.pages.report.figures import draw_followed
 
         job = Run.open(run)
         with locked(job.folder):

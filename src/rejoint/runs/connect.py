@@ -1,4 +1,4 @@
-"""The session as its user has it: an arm that is driven, and the stages of a repair on it."""
+"""The public session: an arm to drive, and the stages of a repair."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 class Session(ArmSession):
     """An arm with everything that drives it, see `rejoint.connect`; its run takes up what a stage finds.
 
-    One motion at a time, always guarded. Before its first motion the arm is looked at; before its first motion to a
-    point or along a path it goes slowly to its rest posture. Between motions it holds. Use it in a ``with`` block.
+    One motion at a time, always guarded; between motions the arm holds. Before its first motion to a point or along a
+    path it goes slowly to its rest posture. Use it in a ``with`` block.
 
     Examples
     --------
@@ -82,24 +82,24 @@ def connect(
     settings: Settings | None = None,
     observer: Observer | None = None,
 ) -> Session:
-    """Connect to an arm that is then driven to points, joint positions and along paths, under the guard.
+    """Connect to an arm, to drive it under the guard; nothing moves yet.
 
-    Nothing moves. For the bare joints of a robot, without a guard, there is `rejoint.open_robot`.
+    Without a guard: `rejoint.open_robot`.
 
     Parameters
     ----------
     address
-        ``emulated:worn`` (in this process, virtual time), ``tcp://HOST:PORT``, ``serial:///dev/DEVICE``,
-        ``feetech:///dev/DEVICE``, or an open robot
+        ``emulated:worn`` (virtual time), ``tcp://HOST:PORT``, ``serial:///dev/DEVICE``, ``feetech:///dev/DEVICE``, or
+        an open robot
     run
-        run, or its folder: its twin, calibration and recommended controller drive the arm, and what it does is logged
-        there; without one the policy that comes with the package drives, where there is one for this arm
+        run, or its folder, for twin, calibration, recommended controller and logs; without one the generic policy
+        drives, if this arm has one
     arm
-        arm, name or file; by default that of the run, or the one that the address names
+        arm, name or file; default: by the run or the address
     settings
         controller, payload, control period and the like
     observer
-        receives messages, progress and control cycles
+        receives messages, progress, control cycles
 
     Returns
     -------

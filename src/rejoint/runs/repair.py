@@ -65,7 +65,7 @@ if TYPE_CHECKING:
     from rejoint.diagnosis.calibration.camera.filming import CameraGauge
     from rejoint.diagnosis.calibration.procedure import Gauge
     from rejoint.diagnosis.diagnosis import Diagnosis
-    from rejoint.runs.stages.helper import HelperProcess
+    from rejoint.runs.stages.compare import HelperProcess
     from rejoint.training.presets import Preset
     from rejoint.twin.twin import Twin
 
@@ -210,10 +210,7 @@ def last_repair(run: Run) -> Run | None:
 
 
 def still_holds(run: Run, last: Run, preset: str) -> Kept | None:
-    """Test the twin of ``last`` on the excitation of ``run``.
-
-    None if arm, servo gains or ``preset`` changed.
-    """
+    """Test the twin of ``last`` on ``run``; None if gains or ``preset`` changed."""
     twin, policy, now, before = last.twin, last.policy, run.diagnosis, last.diagnosis
     if twin is None or policy is None or now is None or before is None:
         return None
@@ -239,10 +236,9 @@ def twin_error(arm: Arm, twin: Twin, log: RunLog) -> float:
 def _take_over(run: Run, last: Run, why: Kept) -> None:
     shutil.copytree(last.folder.outputs.folder, run.folder.outputs.folder, dirs_exist_ok=True)
     write_json(run.folder.kept, why)
-    ours, theirs = run.folder, last.folder
-    for source, target in ((theirs.twin, ours.twin), (theirs.gains, ours.gains), (theirs.policy, ours.policy)):
-        if source.exists():
-            write_whole(target, partial(shutil.copyfile, source))
+    for name in ("twin", "gains", "policy"):
+        if (source := getattr(last.folder, name)).exists():
+            write_whole(getattr(run.folder, name), partial(shutil.copyfile, source))
 
 
 QUICK_TARGETS = 3
@@ -291,17 +287,17 @@ class RepairPlan:
     """Options of a repair."""
 
     preset: str | Preset = "default"
-    """training recipe: ``default``, ``scratch`` (from random weights), ``paper`` (literal), or your own"""
+    """recipe, as for `train`"""
     controllers: Controllers = ()
-    """as for `compare`; default: the same without the paper's PIDs"""
+    """as for `compare`, by default without the paper's PIDs"""
     targets: Targets | None = None
     """as for `compare`"""
     trials: TrialPlan | None = None
-    """as for `compare`; default: 3 sets and 2 repetitions for an emulated arm, 1 and 1 for a real one"""
+    """as for `compare`; default: 3 sets, 2 repetitions; a real arm: 1 and 1"""
     fresh: bool | None = None
-    """fit and train even if the last twin and policy hold; default: only for an emulated arm"""
+    """fit and train even if the last twin holds; default: for an emulated arm"""
     gauge: GaugeLike | None = None
-    """measuring device, as for `calibrate`, or ``none`` (default for a real arm)"""
+    """as for `calibrate`, or ``none`` (default for a real arm)"""
 
 
 def repair(
@@ -315,41 +311,41 @@ def repair(
     settings: Settings | None = None,
     observer: Observer | None = None,
 ) -> Repaired:
-    """Diagnose an arm, fit its twin, train a policy, compare every controller on the arm, and write the report.
+    """Diagnose an arm, fit a twin, train a policy, compare controllers on the arm, and write the report.
 
-    The same call resumes an interrupted repair. It changes nothing on the arm. While the arm moves, Ctrl-C and SIGTERM
-    first bring it to a hold; then it raises `Interrupted`, a KeyboardInterrupt.
+    The same call resumes an interrupted repair. Nothing changes on the arm. Ctrl-C and SIGTERM first bring a moving arm
+    to a hold; then `Interrupted`, a KeyboardInterrupt, is raised.
 
     Parameters
     ----------
     robot
-        robot or its address; default: a worn arm emulated in this process
+        robot or its address; default: an emulated worn arm
     run
-        run, or its folder; default: below ``runs/``, the newest of this robot if interrupted, else a new one
+        run, or its folder; default: below ``runs/``, an interrupted one of this robot, else a new one
     arm
-        arm, name or file (`load_arm` extracts one from a URDF); default: by the address, else a myCobot 280
+        arm, name or file (`load_arm` reads a URDF); default: by the address, else a myCobot 280
     quick
-        test all steps in a minute, without a valid result
+        test all steps in a minute, without a result
     plan
         recipe, controllers, targets, measuring device
     only
         do this stage alone
     settings
-        payload, tool, control period, seed and the like, which the run keeps
+        payload, tool, control period, seed and so on, which the run keeps
     observer
-        receives each stage at its start and end, with its result, and progress
+        receives stages with results, and progress
 
     Returns
     -------
     Repaired
-        diagnosis, recommended controller, policy, and page of the report
+        all results, and the report's page
 
     Raises
     ------
     MissingExtraError
         without the extras ``train`` and ``report``
     InputError
-        for a run of another robot, or an unknown preset, controller or target, before the robot is opened
+        for another robot's run, or an unknown preset, controller or target, before anything moves
     AddressError, GuardTripError, RobotError, UnsavedError
         from the stages; finished ones are kept
 

@@ -37,7 +37,7 @@ RUNS = Path("runs")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
-    """One repair: its folder, robot, arm, seed and results.
+    """One repair: folder, robot, arm, seed, results.
 
     Examples
     --------
@@ -184,10 +184,7 @@ def newest_or_new(robot: str, arm: Arm, seed: int) -> tuple[Path, bool]:
 
 
 def newest_or_new_in(home: Path, robot: str, arm: Arm) -> tuple[Path, bool]:
-    """Find the newest run folder of this robot and arm in ``home`` if interrupted, else a new one.
-
-    Returns the path and whether to resume it.
-    """
+    """Return the newest run folder in ``home`` if interrupted, else a new one, and whether to resume it."""
     numbers = sorted(int(p.name) for p in home.glob("*") if p.name.isdecimal()) if home.is_dir() else []
     last = numbers[-1] if numbers else 0
     newest = RunFolder(home / f"{last:03}")

@@ -10,8 +10,7 @@ from rejoint.control.observation import layout_slots
 from rejoint.control.residual import CommandLaw
 from rejoint.pages.html import render
 from rejoint.pages.report.contents import read_curves
-from rejoint.pages.report.figures import Gallery
-from rejoint.pages.report.pictures import Pictures
+from rejoint.pages.report.figures import Gallery, Pictures
 
 
 @pytest.fixture

@@ -9,9 +9,8 @@ import pytest
 from commandline import run_cli
 from rejoint.logs.history.rows import SUMMARY, HistoryRow, utc_now, write_rows
 from rejoint.logs.runfolder.folder import RunFolder
-from rejoint.runs.fleet.call import FleetResult, run_fleet
+from rejoint.runs.fleet.call import Event, FleetResult, Rules, run_fleet
 from rejoint.runs.fleet.campaign import Lost, RepairOptions, Work, WorkOutcome
-from rejoint.runs.fleet.drive import Event, Rules
 from rejoint.runs.fleet.file import Fleet, FleetArm, read_hours
 from rejoint.runs.repair import STAGES, stages_of
 from rejoint.session.inputs import arm_of

@@ -18,8 +18,7 @@ import numpy as np
 import pytest
 
 from rejoint.logs.runlog import RunLog
-from rejoint.runs.fleet.call import FleetResult, run_fleet
-from rejoint.runs.fleet.drive import Event, Rules
+from rejoint.runs.fleet.call import Event, FleetResult, Rules, run_fleet
 from rejoint.runs.fleet.file import Fleet, FleetArm, read_hours
 from rejoint.runs.fleet.rayexecutor import RayExecutor
 from rejoint.runs.stages.check import check

@@ -31,10 +31,10 @@ PACES = {"real time": 1.0, "3 times as fast": 3.0, "10 times as fast": 10.0, "as
 
 
 class WebPage:
-    """One page that any number of browsers may look at."""
+    """A page for any number of browsers."""
 
     def __init__(self, host: str, port: int, on_hold: Callable[[], None], on_pace: Callable[[float], None]) -> None:
-        """Serve it; InputError where the port is taken or the host is none of this computer."""
+        """Serve it; InputError if the port is taken or the host is another computer."""
         port = _free(host, port)
         for name in ("viser", "websockets"):  # browsers drop connections that they opened ahead: worth no traceback
             logging.getLogger(name).setLevel(logging.CRITICAL)
@@ -65,11 +65,11 @@ class WebPage:
         return bool(self._server.get_clients())
 
     def atomic(self) -> AbstractContextManager[None]:
-        """Let what is changed inside arrive at once."""
+        """Send the changes inside at once."""
         return self._server.atomic()
 
     def show(self, arm: Arm, *, within: float, paced: bool) -> None:
-        """Draw an arm in place of what is drawn; it is the same with a ``within`` [m] at which targets count."""
+        """Draw an arm and the accepted error ``within`` [m], in place of the last ones."""
         scene, size = self._server.scene, reach(arm)
         for part in self._parts:
             part.remove()
@@ -119,7 +119,7 @@ class WebPage:
     def _add_limbs(
         self, root: str, colours: tuple[Colour, Colour], share: float, opacity: float | None
     ) -> list[viser.FrameHandle]:
-        """Add the base and the link of each joint, a capsule from its frame's origin to the next."""
+        """Add base and links, each a capsule from its frame's origin to the next."""
         scene, whole, found = self._server.scene, collision_shape(self._arm).radius, []
         for link, end in enumerate([*self._arm.offset[:, :3, 3], self._arm.tip[:3, 3]]):
             found.append(scene.add_frame(f"{root}/{link}", show_axes=False))
@@ -155,7 +155,7 @@ class WebPage:
                 limb.position, limb.wxyz = place, turn
 
     def aim(self, target: Array, true: Array, text: str) -> None:
-        """Show ``target`` (3,) [m] with a ``text``, and the ``true`` place of the tool (3,) [m]; NaN hides either."""
+        """Show target with a ``text``, and true tool, (3,) [m]; NaN hides either."""
         for handle, point in ((self._target, target), (self._true, true)):
             known = bool(np.isfinite(point).all())
             if handle.visible != known:
@@ -166,7 +166,7 @@ class WebPage:
             self._label.text = text
 
     def trail(self, tool: Array, target: Array) -> None:
-        """Draw the ways (P, 3) [m] of the tool and of a target that moves."""
+        """Draw trails (P, 3) [m] of tool and moving target."""
         for handle, points in ((self._trail, tool), (self._way, target)):
             if len(points) > 1:
                 handle.points = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
@@ -181,7 +181,7 @@ class WebPage:
             self._bar.value = 100.0 * share  # type: ignore[misc]  # declared read-only, and is not
 
     def held(self, text: str) -> None:
-        """Let the button say that it was pressed."""
+        """Disable the button."""
         self._hold.label, self._hold.disabled = text, True
 
     def close(self) -> None:

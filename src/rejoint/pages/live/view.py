@@ -14,8 +14,7 @@ from rejoint.control.guard import GuardLimits
 from rejoint.control.observer import Observer
 from rejoint.control.recording import Look
 from rejoint.control.robot import Robot
-from rejoint.pages.live.animation import Animation, Begun, Doing, Subject
-from rejoint.pages.live.records import Ring
+from rejoint.pages.live.animation import Animation, Begun, Doing, Ghost, Ring, Subject
 from rejoint.robots import place_of
 from rejoint.robots.wrapper import RobotWrapper, WallClock
 from rejoint.system.errors import AddressError, first_line
@@ -44,7 +43,7 @@ BUTTON = "the button of the live view"
 class LiveView(Observer):
     """Shows driven arms on a page; the control loop never waits for it.
 
-    Pass it as ``observer``. Its button acts as Ctrl-C: the arm holds with power on, and `Interrupted` is raised.
+    Pass it as ``observer``. Its button acts as Ctrl-C: the arm holds, and `Interrupted` is raised.
 
     Examples
     --------
@@ -110,18 +109,13 @@ class LiveView(Observer):
 
         ``within`` [m]: accepted error; virtual time, or ``paced``, runs at the page's pace.
         """
-        ghost = None
-        if twin is not None:
-            from rejoint.pages.live.records import Ghost  # late: it brings compiled loops
-
-            ghost = Ghost(robot.arm, cast("Twin", twin))
         slowed = _virtual(robot) if paced is None else paced
         subject = Subject(
             arm=robot.arm,
             address=robot.address,
             count=robot.count,
             ring=Ring(robot.arm.joints),
-            ghost=ghost,
+            ghost=None if twin is None else Ghost(robot.arm, cast("Twin", twin)),
             within=Protocol.threshold if within is None else within,
             paced=slowed,
         )

@@ -23,8 +23,7 @@ from rejoint.logs.runfolder.folder import LOGS, RunFolder
 from rejoint.pages.html import colour_number, render, write_page
 from rejoint.pages.report import tables
 from rejoint.pages.report.contents import Contents, before_after, commands, found, read_contents, read_curves
-from rejoint.pages.report.figures import Gallery
-from rejoint.pages.report.pictures import Pictures, in_base
+from rejoint.pages.report.figures import Gallery, Pictures, in_base
 from rejoint.pages.words import UNKNOWN, interval, number, plural
 from rejoint.system.files import write_json, write_text
 from rejoint.system.shell import __version__
@@ -38,10 +37,7 @@ CAVEAT = "A motion that a twin was fitted to flatters it; which those are, neith
 
 
 def write_report(folder: Path) -> Path:
-    """Write ``report.html`` and ``figures/*.png`` into a run folder; returns the page.
-
-    FileError if a file is damaged or nothing has been run.
-    """
+    """Write ``report.html`` and ``figures/*.png`` into a run folder; FileError if damaged or empty."""
     contents, gallery = read_contents(folder), Gallery()
     html = report_html(contents, gallery)
     gallery.save(contents.folder.figures)

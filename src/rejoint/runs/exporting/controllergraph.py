@@ -105,8 +105,8 @@ def _tensor(value: Any) -> Tensor:  # noqa: ANN401 - whatever NumPy takes
 def _arm_tensors(arm: Arm) -> list[Tensor]:
     """Constants of `_pose` and `_search`.
 
-    Three parts (n, 4, 4) of each joint's frame, constant, with sine and with cosine; axes (n, 3), centres of mass (n,
-    4), tip (4,), rest posture and limits (n,).
+    Joint frames (n, 4, 4): constant, sine and cosine part; axes (n, 3), centres of mass (n, 4), tip (4,), rest posture,
+    limits (n,).
     """
     parts = np.moveaxis(joint_terms(arm).reshape(-1, 4, 4, 3), -1, 0)
     com = np.column_stack([arm.com, np.ones(arm.joints)])
@@ -155,7 +155,7 @@ def _search(
     """Posture (n,) [rad] of a ``target`` (3,) [m] after ``rounds`` from ``q``."""
     tolerance, most_damping, rest_gain, most_step = settings
     rest, lower, upper = arm[6], arm[7], arm[8]
-    q = torch.minimum(torch.maximum(q, lower), upper)
+    q = torch.clamp(q, lower, upper)
     count, left = 0, int(rounds)
     while count < left:
         _, _, _, tcp, transpose = _pose(arm, q)
@@ -167,7 +167,7 @@ def _search(
             pull = (rest - q) * rest_gain
             back = _dls(transpose, pull @ transpose, torch.full_like(damping, 1e-6))
             step = _clip_norm(_dls(transpose, error, damping) + pull - back, most_step)
-            q = torch.minimum(torch.maximum(q + step, lower), upper)
+            q = torch.clamp(q + step, lower, upper)
         count += 1
     return q
 
@@ -177,8 +177,8 @@ class _CycleGraph(nn.Module):
         super().__init__()
         self.design, self.law, self.n = design, design.law, design.arm.joints
         self.arm = _arm_tensors(design.arm)
-        hanging = np.triu(np.ones((self.n, self.n)))
-        self.hanging, self.mass = _tensor(hanging), _tensor(design.arm.mass[:, None])
+        self.limits = self.arm[-2:]
+        self.hanging, self.mass = _tensor(np.triu(np.ones((self.n, self.n)))), _tensor(design.arm.mass[:, None])
         self.stiffness, self.gravity = _tensor(self.law.stiffness), _tensor(-GRAVITY)
         self.factors, self.moves = _tensor(residual_factors(self.n)), _tensor(moves_tool(design.arm))
         self.unloaded = torch.as_tensor(unloaded_joints(design.arm))
@@ -229,9 +229,8 @@ class _CycleGraph(nn.Module):
         learned = (learned + torch.where(on_its_way, 0.0, added) + extra).clamp(
             -gains.learned_limit, gains.learned_limit
         )
-        command = self._limited(raised + learned)
-        command = torch.minimum(torch.maximum(command, goal - law.envelope_margin), goal + law.envelope_margin)
-        command = self._limited(command)
+        command, margin = torch.clamp(raised + learned, *self.limits), law.envelope_margin
+        command = torch.clamp(torch.clamp(command, goal - margin, goal + margin), *self.limits)
         actions = torch.cat([action, known["action"][: (HISTORY - 1) * self.n]])
         memory = (
             known
@@ -265,9 +264,6 @@ class _CycleGraph(nn.Module):
             "eager": torch.where(back * came < 0.0, CALMER * eager, eager),
             "came": torch.where(loose, back, came),
         }
-
-    def _limited(self, q: Tensor) -> Tensor:
-        return torch.minimum(torch.maximum(q, self.arm[-2]), self.arm[-1])
 
     def _measured(self, position: Tensor, elapsed: Tensor, fresh: Tensor, old: dict[str, Tensor]) -> dict[str, Tensor]:
         news = (elapsed > 0.0) & ~fresh

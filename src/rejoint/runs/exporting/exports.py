@@ -44,9 +44,7 @@ def export_run(
 ) -> tuple[Path, str]:
     """Export a run as one of `KINDS`; returns the file and a sentence about it.
 
-    ``controller``: its name, by default what the run recommends.
-
-    FileError or InputError for missing inputs.
+    ``controller``: by default what the run recommends. FileError or InputError for missing inputs.
     """
     about = as_run(run)
     if kind not in KINDS:
@@ -206,7 +204,7 @@ def notice(design: Design) -> str:
 
 
 def write_controller(run: Run, out: Path, best: str) -> Design:
-    """Write the controller called ``best`` to ``out``, and its description, with suffix ``.yaml``."""
+    """Write controller ``best`` to ``out``, and its description (``.yaml``)."""
     require("rejoint export --format onnx", "onnx", "torch")
     from onnx import helper
 
@@ -323,7 +321,7 @@ _FILES = {
 
 
 def write_package(run: Run, folder: Path, best: str) -> Design:
-    """Write the package with the controller called ``best`` into ``folder``, filling in words between @."""
+    """Write the package with controller ``best`` into ``folder``."""
     # lower case, digits and underscores
     package = "rejoint_" + "".join(letter if letter.isalnum() else "_" for letter in run.arm.name.lower())
     design = write_controller(run, folder / package / "controller.onnx", best)

@@ -35,7 +35,7 @@ class Hours:
     """Hours at which an arm may move, by the local clock."""
 
     spans: tuple[tuple[int, int], ...] = ()
-    """first minute of the week, from Monday 00:00, and number of minutes; (): always open"""
+    """first minute of the week and number of minutes; (): always open"""
     closed: tuple[tuple[date, date], ...] = ()
     """first and last day without motion"""
 

@@ -204,6 +204,7 @@ def _started(address: str | None, cpus: int | None, resources: dict[str, float])
     # Its handler of faults takes SIGTERM for one while Ray starts, and aborts the process three seconds later.
     os.environ.setdefault("RAY_DISABLE_FAILURE_SIGNAL_HANDLER", "1")
     os.environ.setdefault("RAY_worker_niceness", "0")  # else 15: whatever else runs here would delay control loops
+    how: dict[str, Any] = {"address": address}
     if address is None:  # no other process may send it work, from outside or on this machine
         if "ray" not in sys.modules:  # it looks at these when it is imported
             os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")  # its way to listen on loopback alone
@@ -214,24 +215,14 @@ def _started(address: str | None, cpus: int | None, resources: dict[str, float])
             )
         os.environ["RAY_AUTH_MODE"] = "token"
         os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
+        how = {"address": "local", "num_cpus": cpus, "resources": resources, "include_dashboard": False}
+        how["object_store_memory"] = STORE
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Ray's own, about itself
         import ray
 
         try:
-            if address is None:
-                ray.init(
-                    address="local",
-                    num_cpus=cpus,
-                    resources=resources,
-                    include_dashboard=False,
-                    object_store_memory=STORE,
-                    log_to_driver=False,
-                    logging_level=logging.ERROR,
-                    namespace=NAMESPACE,
-                )
-            else:
-                ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR, namespace=NAMESPACE)
+            ray.init(**how, log_to_driver=False, logging_level=logging.ERROR, namespace=NAMESPACE)
         except (ConnectionError, RuntimeError, ValueError, ray.exceptions.RayError) as error:
             where = "on this machine" if address is None else f"at {address}"
             raise InputError(f"Ray cannot be used {where}: {first_line(error)}") from error

@@ -215,7 +215,7 @@ def write_picture(path: Path, picture: Picture) -> None:
 
 
 def write_filmed(run: Run, arm: Arm, film: Film, found: Filmed, *, taken: bool) -> None:
-    """Write image sequence, postures if ``taken`` in this run, and camera setup."""
+    """Write image sequence, postures (if ``taken``), and camera setup."""
     if taken:
         write_postures(run.folder.pictures / POSTURES_FILE, arm, film)
     else:
@@ -234,7 +234,7 @@ class Calibrated:
     """Result of a calibration."""
 
     calibration: Calibration
-    """displacement of the tool; ``used`` says whether the correction helps"""
+    """displacement of the tool; ``used``: it helps"""
     measurements: Measurements
     reversal: tuple[float, ...]
     """[m] reversal value (ISO 230-2) of each posture with two approaches"""
@@ -268,45 +268,43 @@ def calibrate(
     settings: Settings | None = None,
     observer: Observer | None = None,
 ) -> Calibrated:
-    """Measure where the tool of an arm really is, fit its displacement, and store a correction that helps.
+    """Measure where an arm's tool is, fit its displacement, and store a correction that helps.
 
-    The arm moves slowly, under the guard, to informative postures, from two sides each. In a run, `deploy` and
-    `compare` then use the correction, and an interrupted session resumes.
+    The arm moves slowly to informative postures, from two sides each. In a run, `deploy` and `compare` then use the
+    correction, and an interrupted session resumes.
 
     Parameters
     ----------
     robot
         robot or its address; None for earlier measurements
     run
-        run, or its folder, for ``measurements.parquet`` and ``calibration.toml``; with a camera also
-        ``views.parquet``, the pictures and ``camera.toml``
+        run, or its folder, for measurements, calibration and pictures
     gauge
         measuring device: `TouchGauge`, `TrackerGauge`, `CameraGauge`, or your own object with ``measure``;
-        default: the emulator's truth with 0.5 mm of noise. Without a robot: measurements, their file (Parquet or
-        CSV), or pictures of a board
+        default: the emulator's truth with 0.5 mm of noise. Without a robot: measurements, their file, or pictures
     count
-        number of postures; default: 10, with a camera 14 and 12 pictures about the rest posture
+        postures; default: 10, with a camera 14 and 12 about rest
     visits
-        2: approach each posture from both sides, which shows play; 1: from one
+        2: from both sides, which shows play; 1: from one
     arm
         arm, name or file, if neither run nor address tells
     settings
-        control period, seed, and ``calibration``: an earlier one to start from; ``none``: no prior and no
-        resuming. Default: that of the run
+        control period, seed, and ``calibration``: an earlier one to start from (default: the run's); ``none``: no
+        prior and no resuming
     observer
         receives progress
 
     Returns
     -------
     Calibrated
-        the calibration, the measurements, and the reversal values
+        calibration, measurements, reversal values
 
     Raises
     ------
     InputError, ContractError
-        for unusable measurements, or an earlier calibration of another arm
+        for unusable measurements, or a calibration of another arm
     NotReadyError, GuardTripError, RobotError
-        if it is unsafe to move the arm, or the motion had to be ended; measurements are kept
+        if the motion is unsafe or was ended; measurements are kept
     UnsavedError
         if writing failed; the error holds the result
 

@@ -66,11 +66,11 @@ class CheckNotes:
     """The user's notes on a check."""
 
     used_h: float | None = None
-    """use of the arm so far; default: an emulated arm's ``hours``"""
+    """use so far; default: an emulated arm's ``hours``"""
     when: datetime | None = None
     """UTC; default: now"""
     moved: bool = False
-    """whether the arm was moved or homed since: a new baseline begins"""
+    """the arm was moved or homed since: a new baseline"""
 
 
 def check(
@@ -84,15 +84,15 @@ def check(
     settings: Settings | None = None,
     observer: Observer | None = None,
 ) -> Checked:
-    """Move an arm through a fixed routine of two and a half minutes, and compare it with its own earlier checks.
+    """Move an arm through a fixed routine (2.5 minutes), and compare it with its own earlier checks.
 
-    The first checks after a repair are the baseline; it needs five, also in a row. A repair in the same history, a
-    move, or another description of the arm begin a new baseline.
+    The first five checks after a repair, also in a row, are the baseline. A repair, a move, or another description of
+    the arm begin a new one.
 
     Parameters
     ----------
     robot
-        robot or its address; default: a worn arm emulated in this process. ``emulated:worn?hours=500`` has aged
+        robot or its address; default: an emulated worn arm. ``emulated:worn?hours=500`` has aged
     history
         folder of all runs and checks
     name
@@ -104,7 +104,7 @@ def check(
     notes
         hours of use, another date, or that the arm was moved
     settings
-        control period, and seed of an emulated arm's noise: by default a new one per check
+        control period, and seed of an emulated arm's noise; default: a new one per check
     observer
         receives progress
 
@@ -116,19 +116,17 @@ def check(
     Raises
     ------
     AddressError, NotReadyError
-        if no robot answers, or it is unsafe to move it
+        if no robot answers, or the motion is unsafe
     GuardTripError, RobotError
-        if the motion had to be ended, or a joint did not follow; the arm holds, the history is unchanged
+        if the motion was ended, or a joint did not follow; the arm holds, the history is unchanged
     FileError, UnsavedError
         if writing failed; the error holds the result, if any
 
     Examples
     --------
-    >>> for month in range(24):
-    ...     date = datetime(2027, 1, 1) + timedelta(days=30 * month)
-    ...     notes = rejoint.CheckNotes(when=date)
-    ...     found = rejoint.check(f"emulated:healthy?hours={6 * month}", notes=notes, tolerance_mm=6.0)
-    ...     print(found.line)
+    >>> notes = rejoint.CheckNotes(when=datetime(2027, 1, 1))
+    >>> found = rejoint.check("emulated:healthy?hours=6", notes=notes, tolerance_mm=6.0)
+    >>> print(found.line)
     """
     said = notes or CheckNotes()
     used_h, when = said.used_h, said.when

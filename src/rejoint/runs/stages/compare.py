@@ -5,12 +5,19 @@ Trials are stored one by one. The diagnosis counts as trials of ``default``.
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from collections.abc import Callable, Collection, Iterator
-from contextlib import contextmanager
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
+from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
+from queue import SimpleQueue
+from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +25,7 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.arms.inertia import LoadedArm
 from rejoint.control.classical import DefaultController
-from rejoint.control.comparison.compare import Helper, Trial, TrialRunner
+from rejoint.control.comparison.compare import Helper, Result, Task, Trial, TrialRunner
 from rejoint.control.comparison.compare import Settings as TrialSettings
 from rejoint.control.comparison.elimination import Elimination
 from rejoint.control.comparison.holding import Holding, errors_of, found_errors, vary_directions
@@ -35,7 +42,6 @@ from rejoint.logs.runlog import RunLog, read_log, write_log
 from rejoint.robots import open_robot
 from rejoint.runs.history import summarise
 from rejoint.runs.run import Run, metered
-from rejoint.runs.stages.helper import LEAST, HelperProcess, core_to_spare
 from rejoint.session.context import calibration_of, correction_of, guard_limits, stance_of
 from rejoint.session.controllers import Controllers, Factory, all_named, listed, make_factories
 from rejoint.session.inputs import (
@@ -59,7 +65,7 @@ from rejoint.system.errors import GuardTripError
 from rejoint.system.files import digest, require_space, saving, set_aside, write_json
 from rejoint.system.numbers import as_seed
 from rejoint.system.progress import Progress
-from rejoint.system.shell import __version__
+from rejoint.system.shell import __version__, give_back
 from rejoint.system.stopping import noted
 
 if TYPE_CHECKING:
@@ -173,7 +179,7 @@ class ComparisonJob:
     """(S, K) tool orientations at the targets"""
     observer: Observer = field(default_factory=Observer)
     by_name: bool = False
-    """whether another process can make the controllers by name"""
+    """another process can make the controllers"""
     threads: int = 2
     """of emulated arms; no effect on results"""
 
@@ -199,7 +205,7 @@ class ComparisonJob:
         return TrialRunner(self._open, factories, self.targets, self.settings, turns=self.turns, **self._how)
 
     def drive(self, on_progress: Progress, helper: HelperProcess | None = None) -> Compared:
-        """Compare; in a run, resume and write the result. The caller closes ``helper``."""
+        """Compare; in a run, resume and write. The caller closes ``helper``."""
         run = self.run
         if run is None:
             return self._drive(Ledger.nowhere(), [], on_progress, helper)
@@ -291,7 +297,7 @@ class ComparisonJob:
         return replace(self, factories={name: make for name, make in self.factories.items() if name not in names})
 
     def begin_ahead(self) -> HelperProcess | None:
-        """Start a second process with the known trials, if a core is free."""
+        """Start a second process, if a core is free."""
         helper = self._help()
         if helper is not None:
             for task in product(self.factories, KINDS):
@@ -352,9 +358,9 @@ class TrialPlan:
     repetitions: int | None = None
     """of each set by each controller; default: 6, on one arm 1"""
     protocol: Protocol | None = None
-    """thresholds [m] and times [s] of a trial; default: Park et al. 2024, holds of 8 s, on one arm of 5 s"""
+    """thresholds [m] and times [s]; default: Park et al. 2024, holds of 8 s, on one arm 5 s"""
     directions: bool = False
-    """whether the recommended controller also approaches poses from three directions: vAP (ISO 9283)"""
+    """whether to measure vAP (ISO 9283): poses approached from three directions"""
     full: bool = False
     """on a real arm, eliminate only after three targets missed in a row"""
 
@@ -373,9 +379,8 @@ def compare(
     """Try controllers on the same arm, with the same targets, from the same start, and recommend one.
 
     Emulated arms run in parallel. On a real one, controllers take turns in blocks of targets. One that misses three
-    targets in a row, or is significantly worse than the best, is eliminated; it ends with one controller left or after
-    all targets. The diagnosis of the run counts as trials of ``default``. In a run, the same call resumes after the
-    last finished trial.
+    targets in a row, or is significantly worse than the best, is eliminated. The diagnosis of the run counts as trials
+    of ``default``. In a run, the same call resumes after the last finished trial.
 
     Parameters
     ----------
@@ -383,42 +388,41 @@ def compare(
         robot or its address
     controllers
         names of baselines (``default``, ``pid-sum``, ``pid-literal``, ``integrator``, ``feedforward``), ``push``,
-        ``shelf``, ``predictive``, policies, their files, or your own controllers; a mapping names them. Default: all
-        baselines (a real arm: no ``pid-sum`` and ``pid-literal``), ``shelf`` where it suits (a real arm: only without
-        a policy in the run), the run's policy, and ``predictive`` with a twin; after a search for servo gains these
-        two under the gains found, with ``servo-gains`` and ``servo-gains+push``
+        ``shelf``, ``predictive``, policies, their files, or your own controllers; a mapping names them. Default:
+        baselines (a real arm: without the PIDs), ``shelf`` where it suits (a real arm: only without a policy), the
+        run's policy, and with a twin ``predictive``; after a search for servo gains these two under the gains found,
+        ``servo-gains`` and ``servo-gains+push``
     targets
-        (K, 3) or (S, K, 3) [m], or `Pose` objects, or a CSV file in mm with the header ``x,y,z`` and optional
-        orientations, for baselines only; default: drawn, ten in a set; on one arm the first ten are the diagnosis's
+        (K, 3) or (S, K, 3) [m], `Pose` objects, or a CSV file in mm (``x,y,z``, and orientations for baselines);
+        default: drawn, ten in a set; on one arm first those of the diagnosis
     run
-        run, or its folder, with policy and twin, for the results; default: nothing is written
+        run, or its folder, for policy, twin and results; default: nothing is written
     arm
         arm, name or file, if neither run nor address tells
     plan
-        numbers of sets and repetitions, protocol, elimination
+        sets, repetitions, protocol, elimination
     settings
-        twin, calibration, payload, control period, seed and the like
+        twin, calibration, payload, period, seed
     observer
         receives messages, progress, and each trial
 
     Returns
     -------
     Compared
-        ``recommendation``, ``comparison``, and one log of each controller
+        ``recommendation``, ``comparison``, logs
 
     Raises
     ------
     InputError, ContractError
-        if a controller, its control period or the targets do not fit; nothing has moved
+        if a controller, its period or the targets do not fit; nothing has moved
     GuardTripError, RobotError
-        if the motion of a real arm had to be ended
+        if a real arm's motion was ended
     UnsavedError
         if writing failed; the error holds the result
 
     Examples
     --------
-    >>> plan = rejoint.TrialPlan(sets=1, repetitions=2)
-    >>> found = rejoint.compare("emulated:worn", ["integrator", policy], plan=plan)
+    >>> found = rejoint.compare("emulated:worn", ["integrator", policy])
     >>> print(found.recommendation.controller, *found.recommendation.why)
     >>> print(found.comparison.row("integrator").settled.mean.value)  # metres
     """
@@ -496,3 +500,77 @@ def comparison_job(
         file=str(targets) if isinstance(targets, Path | str) else "",
         before=before if before is not None and np.array_equal(points[0], before.targets) else None,
     )
+
+
+LEAST = 400
+"""Targets of all trials that are worth a helper; chosen"""
+
+_START = "import sys; sys.path[:] = {path!r}; from rejoint.runs.stages.compare import main; main({line})"
+
+
+def core_to_spare() -> bool:
+    """Whether a second core is free, by OMP_NUM_THREADS."""
+    return os.name == "posix" and (os.cpu_count() or 1) > 1 and os.environ.get("OMP_NUM_THREADS") != "1"
+
+
+class HelperProcess:
+    """A running helper; close it."""
+
+    def __init__(self, job: ComparisonJob) -> None:
+        self._line, other = Pipe()
+        self._job: ComparisonJob | None = job
+        self._process: subprocess.Popen[bytes] | None = None
+        with other, suppress(OSError):  # no process to be had: its tasks fail
+            self._process = subprocess.Popen(  # noqa: S603 - this very interpreter
+                [sys.executable, "-c", _START.format(path=sys.path, line=other.fileno())],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                pass_fds=(other.fileno(),),
+                start_new_session=True,  # Ctrl-C is for the process that started it
+            )
+        self._asking = ThreadPoolExecutor(1)
+        self._futures: dict[tuple[Task, Places], Future[Result]] = {}
+
+    def __call__(self, task: Task, places: Places) -> Future[Result]:
+        """Have the trials of a task driven, once."""
+        if (task, places) not in self._futures:
+            self._futures[task, places] = self._asking.submit(self._ask, task, places)
+        return self._futures[task, places]
+
+    def _ask(self, task: Task, places: Places) -> Result:
+        if self._job is not None:
+            self._line.send(self._job)
+            self._job = None
+        self._line.send((task, places))
+        found: Result = self._line.recv()
+        return found
+
+    def close(self) -> None:
+        """End the process."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+        self._asking.shutdown(cancel_futures=True)
+        self._line.close()
+
+
+def main(line: int) -> None:
+    """Serve `HelperProcess` at file descriptor ``line``."""
+    asked, tasks = Connection(line), SimpleQueue[Any]()
+    Thread(target=_listen, args=(asked, tasks), daemon=True).start()
+    job: ComparisonJob = tasks.get()
+    while True:
+        (name, kind), places = tasks.get()
+        runner = job.runner(name)
+        driven, recording = runner.drive_batch(runner.open_batch(places), name, kind, places)
+        asked.send((driven, recording.of(slice(1))))
+        give_back()
+
+
+def _listen(asked: Connection, tasks: SimpleQueue[Any]) -> None:
+    try:
+        while True:
+            tasks.put(asked.recv())
+    except (OSError, EOFError):
+        os._exit(0)

@@ -81,33 +81,33 @@ def diagnose(
     Parameters
     ----------
     source
-        robot or its address; or run logs, a file of one, or a folder of them. A text with a colon is an address.
+        robot or its address (with a colon); or run logs, a file of one, or a folder of them
     arm
-        arm, name or file; needed for logs, and for a robot whose address does not tell
+        arm, name or file; needed for logs, and where the address does not tell
     run
         run, or its folder, for logs and diagnosis; default: nothing is written
     healthy
-        run or diagnosis of a good arm to compare with; default: an emulated one of its kind
+        run or diagnosis of a good arm; default: an emulated one of its kind
     quick
-        excite for 90 s instead of 140 s, with wider intervals
+        excite for 90 s instead of 140 s
     settings
-        payload, tool, control period, seed and the like, which the run keeps
+        payload, tool, control period, seed and so on, which the run keeps
     observer
         receives progress
 
     Returns
     -------
     Diagnosed
-        ``verdict`` in words, ``findings`` per joint, and the logs of the motion
+        ``verdict``, ``findings`` per joint, and logs
 
     Raises
     ------
     InputError
-        if logs are of another arm or hold too little free motion, or the run is of another robot
+        for logs of another arm or with too little free motion, or another robot's run
     AddressError
         if no robot answers
     GuardTripError, RobotError
-        if the motion had to be ended; the arm holds, and the error's notes name its log
+        if the motion was ended; the notes name its log
     UnsavedError
         if writing failed; the error holds the result
 
@@ -115,8 +115,7 @@ def diagnose(
     --------
     >>> found = rejoint.diagnose("emulated:worn")
     >>> print(found.verdict)
-    >>> log = rejoint.RunLog.of(time, command, position, arm="so101")
-    >>> rejoint.diagnose(log, arm="so101").findings[0].sentence
+    >>> rejoint.diagnose("logs", arm="so101").findings[0].sentence
     """
     chosen = settled(settings, None, None)[0]
     if not is_robot(source):

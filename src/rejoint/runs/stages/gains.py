@@ -24,14 +24,13 @@ def gains(
 ) -> GainsFound:
     """Search for better gains of the servos' own position loops, on the arm itself (about three minutes).
 
-    The arm repeats four targets with higher values of P, dead zone, startup force and I; each joint keeps what brings
-    it nearer to its command without noise. At the end, or at a signal, the gains are as before. `compare` then tries
-    the best.
+    The arm repeats four targets with other P, dead zone, startup force and I; each joint keeps what brings it nearer
+    to its command without noise. Afterwards the gains are as before. `compare` then tries the best.
 
     Parameters
     ----------
     robot
-        robot or its address: an SO-101 on its own bus, or an emulated one
+        robot or its address: an SO-101, or an emulated one
     run
         run, or its folder, for ``gains.json``
     settings
@@ -42,16 +41,16 @@ def gains(
     Returns
     -------
     GainsFound
-        gains by name, one per joint, before and best, and the remaining errors
+        gains per joint, before and best, and errors
 
     Raises
     ------
     InputError
         if the robot reports no gains; nothing has moved
     NotReadyError
-        if it is unsafe to move the arm
+        if the motion is unsafe
     GuardTripError, RobotError
-        if the motion had to be ended; the arm holds, its gains are as before
+        if the motion was ended; the arm holds, its gains are as before
     UnsavedError
         if writing failed; the error holds the result
 
@@ -77,9 +76,9 @@ def gains(
 
 
 def gains_to_keep(run: Run) -> ServoGains:
-    """Recommended controller's gains; without a comparison the best for the servos alone.
+    """Recommended controller's gains; without a comparison those for the servos alone.
 
-    FileError without a search, InputError if the recommended gains are those before it.
+    FileError without a search, InputError if nothing else is recommended.
     """
     if not run.folder.gains.exists():
         raise FileError(run.folder.gains, "no such file", f"run `rejoint gains ROBOT {run.path}` first")

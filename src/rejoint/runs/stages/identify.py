@@ -33,8 +33,7 @@ class LogPlan:
     beside: Sequence[Candidate] = ()
     """other twins to judge"""
     hold_out: Sequence[str] | None = None
-    """motions to hold out; empty: none; default: a quarter of the motions, or of each of few motions; then the twin is
-    fitted to all"""
+    """motions to hold out; empty: none; default: a quarter of all, or of each of a few"""
     gain: Mapping[str, str] = field(default_factory=dict)
     """servos' position gain over the twin's: ``"0.5"``, or one number per joint"""
     torque_off: Mapping[str, str] = field(default_factory=dict)
@@ -51,23 +50,23 @@ def identify(
     quick: bool = False,
     observer: Observer | None = None,
 ) -> Twin:
-    """Fit a digital twin to an arm's motion: stiffness, damping, friction, inertia, torque limit, offset and delay.
+    """Fit a digital twin to an arm's motion: stiffness, damping, friction, inertia, torque limit, offset, delay.
 
-    Logs of an excitation (`Diagnosed.excitation`) are best. In logs of other motion, contacts and stops are left out,
-    and whole motions are held out to judge the fit.
+    Logs of an excitation (`Diagnosed.excitation`) are best. In others, contacts and stops are left out, and whole
+    motions held out to judge the fit.
 
     Parameters
     ----------
     logs
-        run logs, a file of one, or a folder of them; default: the excitation of ``run``
+        run logs, their files or folder; default: the excitation of ``run``
     arm
-        arm, name or file; default: that of the run, or the catalogue arm that the logs name
+        arm, name or file; default: that of run or logs
     run
         run, or its folder, for ``twin.toml``; default: nothing is written
     plan
-        other twins, held-out motions, and gains and pauses of the motions
+        other twins, held-out motions, gains and pauses
     seed
-        of the search and the held-out motions; default: that of the run, else 0
+        of search and held-out motions; default: that of the run, else 0
     quick
         search less: the fit is worse
     observer
@@ -76,15 +75,14 @@ def identify(
     Returns
     -------
     Twin
-        ``parameters`` with ``interval`` (95 %) in SI units; ``held_out``: errors on held-out motion; for logs of any
-        motion ``judgement``: errors by motion
+        ``parameters`` with ``interval`` (95 %) in SI units; ``held_out`` errors; for logs of any motion ``judgement``
 
     Raises
     ------
     InputError
         for too little motion, or logs of another arm
     FileError
-        if the run has no excitation log, or a log is damaged
+        if a log is missing or damaged
 
     Examples
     --------

@@ -50,32 +50,32 @@ def replay(
 ) -> Replayed:
     """Predict every motion open loop with a twin, and compare that with the encoders.
 
-    Motions of the fit flatter the twin. In logs without commands, the measured trajectory is the command.
+    Motions of the fit flatter the twin. Without commands in the logs, the measured trajectory is the command.
 
     Parameters
     ----------
     twin
         twin or its file
     logs
-        run logs of any motion, a file of one, or a folder of them
+        run logs of any motion, their files or folder
     arm
-        arm, name or file; default: that of the twin's run, or the catalogue arm that it names
+        arm, name or file; default: that of the twin
     beside
-        other twins to judge on the same motions
+        other twins to judge
     out
         folder for a page with figures; default: nothing is written
 
     Returns
     -------
     Replayed
-        predicted ``positions``, and their errors as ``judgement``
+        ``positions``, and their errors as ``judgement``
 
     Raises
     ------
     ContractError
         if the twin is of another arm
     InputError
-        if a log is of another arm, or only some hold commands
+        for a log of another arm, or if only some hold commands
 
     Examples
     --------
@@ -108,22 +108,22 @@ def _write(out: Path, judgement: Judgement, twin: TwinLike, logs: LogsLike) -> P
 
 
 def report(run: RunLike) -> Path:
-    """Write the report of a run: one self-contained page for a browser, and its figures as PNG files.
+    """Write the report of a run: one self-contained page, and its figures as PNG files.
 
     Parameters
     ----------
     run
-        run, or its folder; the page names missing stages
+        run, or its folder
 
     Returns
     -------
     Path
-        of ``report.html`` in the folder
+        of ``report.html``
 
     Raises
     ------
     FileError
-        if a file of the run is damaged, or the run is empty
+        if the run is empty, or a file damaged
 
     Examples
     --------

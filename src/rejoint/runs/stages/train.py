@@ -39,7 +39,7 @@ class TrainSettings:
     """Options of a training."""
 
     generic: bool = False
-    """train in a run without a twin, for any worn arm"""
+    """without the run's twin, for any worn arm"""
     seed: int | None = None
     """of all random numbers; default: that of the run, else 0"""
     threads: int = 2
@@ -62,23 +62,23 @@ def train(
 ) -> TrainedPolicy:
     """Train a control policy on randomised copies of a twin (proximal policy optimisation).
 
-    In a run, an interrupted training resumes at its last checkpoint, at most ten updates back, with the same result.
+    In a run, an interrupted training resumes at its last checkpoint, with the same result.
 
     Parameters
     ----------
     twin
-        twin or its file; default: that of the run; without a run the policy is for any worn arm of this kind
+        twin or its file; default: that of the run; without a run: for any worn arm of this kind
     arm
-        arm, name or file; default: that of the run, or the catalogue arm that the twin names
+        arm, name or file; default: that of run or twin
     run
-        run, or its folder, for ``policy.onnx`` and ``training/``; give either a run or a twin
+        run, or its folder, for ``policy.onnx``; give either a run or a twin
     preset
-        recipe: ``default``, ``scratch``, ``paper`` (literal), or your own. With ``default``, a training on a twin
-        starts from the arm's generic policy, if any; all others start from random weights
+        recipe: ``default`` (on a twin: from the arm's generic policy, if any), ``scratch``, ``paper`` (literal), or
+        your own
     quick
         train for seconds: the policy hardly improves
     settings
-        seed, threads and the like
+        seed, threads, resuming
     observer
         receives progress
 
@@ -90,7 +90,7 @@ def train(
     Raises
     ------
     InputError
-        if both a run and a twin are given, or neither twin, run nor arm, or the run has no twin
+        for both run and twin, for neither twin, run nor arm, or for a run without a twin
     ContractError
         if the twin is of another arm
 
