@@ -118,16 +118,8 @@ def serve(
     """
     terminal = Terminal(json=json)
     if stdio:
-        if (
-            pty
-            or json
-            or any(
-                one is not None
-                for one in (settings.controller, settings.calibration, settings.payload, settings.tool, live)
-            )
-        ):
-            raise InputError("--stdio goes with --period and --dry-run alone")
-
+        if pty or json or settings.controller or live:
+            raise InputError("--stdio does not go with --pty, --json, --live or --controller")
         serve_lines(robot, run, settings, ConsoleObserver(terminal))
         return
 
