@@ -85,9 +85,8 @@ def serve(
     """Let programs written for the vendor's client drive a worn arm as if it were a new one, until Ctrl-C."""
     settings, console = call.settings, ConsoleObserver(call)
     if stdio:
-        alone = Settings(period=settings.period, dry_run=settings.dry_run)
-        if pty or call.json or call.live or vars(settings) != vars(alone):
-            raise InputError("--stdio goes with --period and --dry-run alone")
+        if pty or call.json or settings.controller or call.live:
+            raise InputError("--stdio does not go with --pty, --json, --live or --controller")
         serve_lines(robot, run, settings, console)
         return None
 

@@ -111,9 +111,6 @@ def run(
     if to.count != robot.count:
         raise InputError(f"a reference for {to.count} arms, expected one for each of {robot.count}")
     warm_up(limits)
-    rest = limits.arm.rest[None]
-    state = JointState(time=np.zeros(1), position=rest, age=np.zeros(1))
-    Following(limits.arm, state, rest).check(state, rest, np.ones(1, dtype=bool))
     with noted():
         return _cycles(
             lambda: RunState(

@@ -13,7 +13,6 @@ from rejoint.arms.workspace import length_size
 from rejoint.control.law import plain
 from rejoint.control.robot import JointState, Mask
 from rejoint.logs.runlog import RunLog
-from rejoint.system.errors import InputError
 from rejoint.system.shell import Late
 
 compiled = Late("rejoint.control.compiled")
@@ -61,14 +60,6 @@ class Knowledge:
     noise: Array | float = OFFSET_SPREAD
     """(n,) deviation of loads from the line"""
 
-    def __post_init__(self) -> None:
-        positive = [np.isfinite(self.gain).all(), np.all(self.gain > 0.0), np.all(self.within > 0.0)]
-        if not (all(positive) and np.all(self.noise > 0.0)):
-            raise InputError(
-                f"following: gains, their errors and noises must be positive, got {self.gain}, {self.within} and "
-                f"{self.noise}"
-            )
-
 
 def states_of(log: RunLog) -> Iterator[JointState]:
     """Yield the state in each row."""
@@ -95,14 +86,6 @@ class Bands:
     """[rad] largest push of a stationary joint; infinite: unknown"""
     lifted: Array | float = 0.0
     """[rad] largest lead against gravity at which the joint moved on; above it the motor may be too weak"""
-
-    def __post_init__(self) -> None:
-        known = [np.isfinite(self.slope).all(), np.isfinite(self.offset).all()]
-        if not (all(known) and np.all(self.reach > 0.0) and np.all(self.width > 0.0)):
-            raise InputError(
-                f"following: slopes and offsets of bands must be numbers, reach and width positive, got {self.slope}, "
-                f"{self.offset}, {self.reach} and {self.width}"
-            )
 
     def balance(self, arm: Arm, position: Array) -> Array:
         """Leads (..., n) [rad] against gravity at ``position`` (..., n) [rad]."""
@@ -405,8 +388,8 @@ AVERAGED = 5
 """rows (chosen)"""
 LEAST_GRAVITY = 0.04
 """smallest fitted range of gravity over the largest (chosen)"""
-REACHES = np.radians(np.geomspace(0.3, 20.0, 30))
-"""[rad] (chosen)"""
+REACHES = np.radians(np.geomspace(20.0, 0.3, 30))
+"""[rad] (chosen); the longest of equals counts"""
 WIDER, _OFTEN = 1.25, 12
 """Factor on exceeded bands, and repetitions (chosen)"""
 
@@ -485,14 +468,11 @@ def _in_motion(arm: Arm, log: RunLog) -> tuple[Array, Array, Array, Array]:
 
 def _narrowest(arm: Arm, logs: Sequence[RunLog], leads: Sequence[Leads]) -> tuple[Array, Array]:
     """Reach and width (n,) [rad] of the narrowest bands."""
-    best, reach, width = np.zeros(arm.joints), np.full(arm.joints, np.inf), np.full(arm.joints, np.inf)
-    for tried in REACHES:
-        both = [_held(log, _push(lead, np.full(arm.joints, tried))) for log, lead in zip(logs, leads, strict=True)]
-        found = np.maximum(np.max(both, axis=0), arm.encoder_step)
-        better = tried / found >= best
-        best = np.where(better, tried / found, best)
-        reach, width = np.where(better, tried, reach), np.where(better, found, width)
-    return reach, width
+    pairs = list(zip(logs, leads, strict=True))
+    held = [[_held(log, _push(lead, np.full(arm.joints, tried))) for log, lead in pairs] for tried in REACHES]
+    width = np.maximum(np.max(held, axis=1), arm.encoder_step)
+    best = np.argmax(REACHES[:, None] / width, axis=0)
+    return REACHES[best], width[best, np.arange(arm.joints)]
 
 
 def _held(log: RunLog, push: Array) -> Array:

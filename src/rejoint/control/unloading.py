@@ -73,7 +73,8 @@ class Unloading:
 
     def __init__(self, arm: Arm, motors: Motors | None = None, off: float = OFF) -> None:
         """``off`` [rad]: from its goal, at least `STILL`, where a joint counts as stuck."""
-        self._arm, self._motors, self._least = arm, motors, max(off, STILL)
+        self._arm, self._least = arm, max(off, STILL)
+        self._motors = motors or Motors(*np.full((2, arm.joints), np.inf))
         self._goal = np.full(arm.joints, np.nan)
         self._tries = 0
         self._legs: deque[JointTrajectory] = deque()
@@ -92,7 +93,7 @@ class Unloading:
             return ""
         away = np.degrees(abs(self._goal[joint] - position[joint]))
         load = abs(float(gravity_torque(self._arm, self._goal)[joint]))
-        lifts = np.inf if self._motors is None else float(self._motors.usable[joint])
+        lifts = float(self._motors.usable[joint])
         why = f", where it would carry {load:.2f} N m and surely lifts {lifts:.2f} N m" if load > lifts else ""
         return f"{self._arm.joint_names[joint]} stopped {away:.0f} deg from its goal{why}"
 
@@ -107,7 +108,7 @@ class Unloading:
         if not wanted.arrived[0]:
             return wanted
         if self._way is not None:
-            return self._on_legs(state)
+            return self._on_legs(state, self._way)
         if self.given_up or (joint := self._off(position, goal)) is None:
             if now - self._arrived > 2.0 * STANDS:  # there: who pushes the arm away later does not make it swing
                 self._tries = TRIES
@@ -119,8 +120,9 @@ class Unloading:
             if not self._legs:
                 self._tries = TRIES
                 return wanted
-            self._way, self._stood[:] = self._next_leg(), now
-            return self._on_legs(state)
+            self._way = way = self._next_leg()
+            self._stood[:] = now
+            return self._on_legs(state, way)
         return Setpoint(wanted.goal, arrived=np.zeros(1, dtype=bool))
 
     def _next_leg(self) -> PlannedWay:
@@ -132,20 +134,16 @@ class Unloading:
         joint = int(away.argmax())
         return joint if away[joint] > self._least else None
 
-    def _on_legs(self, state: JointState) -> Setpoint:
-        assert self._way is not None  # noqa: S101 - for the type checker
-        now = float(state.time[0])
-        found = self._way.advance(state, state.time)
+    def _on_legs(self, state: JointState, way: PlannedWay) -> Setpoint:
+        now, found = float(state.time[0]), way.advance(state, state.time)
         if found.arrived[0] or now - self._stood.max() > 2.0 * STANDS:  # there, or as near as it comes
-            self._way, self._arrived = None, now
+            self._way, self._arrived = self._next_leg() if self._legs else None, now
             self._stood[:] = now
-            if self._legs:
-                self._way = self._next_leg()
         return Setpoint(found.goal, arrived=np.zeros(1, dtype=bool))
 
 
 def unloaded_way(
-    arm: Arm, position: Array, goal: Array, joint: int, motors: Motors | None = None, share: float = 1.0
+    arm: Arm, position: Array, goal: Array, joint: int, motors: Motors, share: float
 ) -> tuple[JointTrajectory, ...]:
     """Plan a way from ``position`` to ``goal`` (n,) [rad] on which ``joint`` moves where its load helps it.
 
@@ -156,7 +154,7 @@ def unloaded_way(
     """
     pool, sense = pool_of(arm), np.sign(goal[joint] - position[joint])
     load = sense * gravity_torque(arm, position)[joint]
-    if motors is None or load < motors.usable[joint]:
+    if load < motors.usable[joint]:
         with contextlib.suppress(InputError):
             straight = plan(arm, position, goal)
             if len(straight.moves) > 1:  # something was in the way
@@ -170,10 +168,9 @@ def unloaded_way(
     if scale[joint] <= 1e-3 * scale.max():
         return ()
     loads = np.stack([gravity_torque(arm, tried), gravity_torque(arm, there)])
-    against = sense * loads[0, :, joint] / scale[joint]
-    if motors is not None:
-        against += _STARTS * np.maximum((sense * loads[..., joint]).max(axis=0) / motors.usable[joint] - share, 0.0)
-    others = np.delete(np.abs(loads) / (scale if motors is None else motors.usable), joint, axis=2)
+    starts = np.maximum((sense * loads[..., joint]).max(axis=0) / motors.usable[joint] - share, 0.0)
+    against = sense * loads[0, :, joint] / scale[joint] + _STARTS * starts
+    others = np.delete(np.abs(loads) / motors.usable, joint, axis=2)
     heavy = np.maximum(others.max(axis=(0, 2)) - 1.0, 0.0)
     cost = against + heavy + _TRAVEL * (np.abs(tried - position).max(axis=1) + np.abs(goal - there).max(axis=1))
     for k in np.argsort(cost)[:_PLANNED]:

@@ -108,28 +108,25 @@ class GoalStream(Reference):
     Goals are those of a perfect arm, and the arm goes where its tool is in the same place.
     """
 
-    def __init__(self, apparent: Apparent) -> None:
+    def __init__(self, apparent: Apparent, position: Array) -> None:
+        """Begin at ``position`` (n,) [rad]."""
         self._apparent, self._speed = apparent, apparent.arm.max_speed
         self.goal: Array | None = None
         """(n,) [rad]; None: stay"""
-        self._mean = np.full(apparent.arm.joints, np.nan)
-        self._posture = self._came = np.zeros(0)
-        self._time = self._changed = -np.inf
+        self._mean, self._posture, self._came = np.full_like(position, np.nan), position, position
+        self._time, self._changed = np.inf, -np.inf
 
     def measured(self, goal: Array) -> Array:
         """Return the joint positions (n,) [rad] to which the arm goes for ``goal`` (n,)."""
-        return self._apparent.measured(goal, self._came if len(self._came) else goal)
+        return self._apparent.measured(goal, self._came)
 
     def shown(self, position: Array) -> Array:
         """Return the posture (n,) [rad] of a perfect arm for this one at ``position`` (n,) [rad]."""
-        return self._apparent.shown(position, self._came if len(self._came) else position)
+        return self._apparent.shown(position, self._came)
 
     def advance(self, state: JointState, since: Array, /) -> Setpoint:  # noqa: ARG002 - it goes by its own clock
         """Return where the arm is to be: at first, where it is."""
         now, goal = float(state.time[0]), self.goal
-        if not len(self._posture):
-            self._posture = self._came = state.position[0].copy()
-            self._time = now
         elapsed, self._time = max(now - self._time, 0.0), now
         rested = now - self._changed > RESTS
         if goal is None:

@@ -235,10 +235,8 @@ class ArmSession(ArmDriver):
         with self._asking:
             goals = self._stream()
             last = goals.goal if goals.goal is not None else self.shown_joints()
-            if not self._clear(goals.measured(goal)):
-                way = last + _SHARES * (goal - last)
-                goal = way[int(np.argmax([self._clear(goals.measured(one)) for one in way[:-1]] + [True]))]
-            goals.goal = goal
+            way = last + _SHARES * (goal - last)
+            goals.goal = goal = next((one for one in way if self._clear(goals.measured(one))), last)
             return goal.copy()
 
     def shown_joints(self) -> Array:
@@ -259,7 +257,7 @@ class ArmSession(ArmDriver):
         if self._goals is not None and self._motion is not None and self._motion.under_way:
             return self._goals
         self._require_free()
-        goals = GoalStream(self.apparent)
+        goals = GoalStream(self.apparent, self.robot.read().position[0].copy())
 
         def work(motion: ArmMotion) -> None:
             self.begin(rest=False)
