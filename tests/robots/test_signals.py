@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280
-from rejoint.arms.wire.orders import SWITCHES
+from rejoint.arms.wire.orders import ORDERS
 from rejoint.control.classical import IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
@@ -45,13 +45,13 @@ def heard():
 @pytest.fixture
 def stops(monkeypatch):
     """When the firmware was ordered to stop."""
-    times, stop = [], SWITCHES[STOP]
+    times = []
 
     def noticed(firmware):
         times.append(time.monotonic())
-        stop(firmware)
+        firmware.stop()
 
-    monkeypatch.setitem(SWITCHES, STOP, noticed)
+    monkeypatch.setitem(ORDERS, (STOP, 0), ("", noticed))
     return times
 
 

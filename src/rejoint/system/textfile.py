@@ -39,7 +39,7 @@ _LINES = 20
 # Titles that an error shows (chosen)
 _SHOWN = 24
 # Cells that hold no number, in small letters
-_EMPTY = pa.array(["", "-", "null", "none", "na", "n/a", "#n/a"])
+_EMPTY = ("", "-", "null", "none", "na", "n/a", "#n/a")
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.ASCII | re.IGNORECASE)
 _UNIT = re.compile(r"^(?P<name>.*?)(?:_(?P<ending>[^\W_]+)|\s*[\[(]\s*(?P<bracket>\w+|°)\s*[\])])$")
 # What spreadsheets of some languages, such as Swedish, write before a negative number
@@ -114,7 +114,7 @@ class Sheet:
         commas = comma and not point
         values = np.empty((len(self), len(found)))
         for place, cells in enumerate(found):
-            cells = pc.if_else(pc.is_in(pc.utf8_lower(cells), _EMPTY), None, cells)
+            cells = pc.if_else(pc.is_in(pc.utf8_lower(cells), pa.array(_EMPTY)), None, cells)
             try:
                 decimal = pc.replace_substring(cells, ",", ".") if commas else cells
                 values[:, place] = pc.cast(decimal, pa.float64()).fill_null(np.nan).to_numpy()

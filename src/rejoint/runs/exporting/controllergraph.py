@@ -18,7 +18,7 @@ from rejoint.arms import Arm
 from rejoint.arms.inverse import DAMPING, MOST_STEP, REST_GAIN, ROUNDS, TOLERANCE
 from rejoint.arms.kinematics import GRAVITY, joint_terms
 from rejoint.arms.workspace import heaviest_load, length_size, moves_tool, unloaded_joints
-from rejoint.control.feedforward import CALMER, CLOSE, SPEED_SMOOTHING, TAKEN_BACK
+from rejoint.control.feedforward import CALMER, CLOSE, HELD_BACK, SPEED_SMOOTHING, TAKEN_BACK
 from rejoint.control.law import LONGEST_PERIOD as PACE_LONGEST
 from rejoint.control.law import PROJECTION_DAMPING
 from rejoint.control.observation import (
@@ -48,6 +48,7 @@ def memory_slots(joints: int) -> dict[str, int]:
     return {
         "sent": n, "begun": 1, "target": 3, "since_target": 1, "goal": n, "correction": n, "speed": n, "position": n,
         "velocity": HISTORY * n, "action": HISTORY * n, "mean_period": 1, "pushed": n, "eager": n, "came": n,
+        "asked": n,
     }  # fmt: skip
 
 
@@ -218,6 +219,10 @@ class _CycleGraph(nn.Module):
         way = position - torch.where(begun, old["position"], position)
         loosened, sticking = self._loosen(step, distance, span, way, fresh, old)
         extra = extra + loosened
+        if self.design.network is None:
+            short = torch.where(begun, old["asked"], position) - sent
+            held = short.abs() > HELD_BACK
+            push, extra = (torch.where(held & (short * one > 0.0), 0.0, one) for one in (push, extra))
         newest = torch.where(span > 0.0, way / torch.where(span > 0.0, span, 1.0), old["speed"])
         speed = newest * SPEED_SMOOTHING + old["speed"] * (1.0 - SPEED_SMOOTHING)
         near, far = gains.far
@@ -237,6 +242,7 @@ class _CycleGraph(nn.Module):
             | sticking
             | {
                 "sent": command,
+                "asked": command,
                 "begun": torch.ones(1, dtype=torch.float64),
                 "target": target,
                 "since_target": since,
