@@ -245,12 +245,8 @@ def results_of(value: object, *traces: str) -> Any:  # noqa: ANN401 - plain data
     """Return a result as plain data without its ``traces``, fields of thousands of numbers that are in its files."""
     plain = msgspec.to_builtins(value, enc_hook=_plain)
     if isinstance(plain, dict):
-        gone = {key for key in _POSED if not plain.get(key) and plain.get(key) != 0.0} | set(traces)
-        return {key: results_of(one, *traces) for key, one in plain.items() if key not in gone}
+        return {key: results_of(one, *traces) for key, one in plain.items() if key not in traces}
     return [results_of(one, *traces) for one in plain] if isinstance(plain, list | tuple) else plain
-
-
-_POSED = ("turned", "orientation", "orientations")  # results of targets that ask for orientations
 
 
 def _plain(value: object) -> object:

@@ -134,7 +134,8 @@ def payload_of(text: str | None) -> LoadedWith | None:
     found = _numbers(f"{mass},{place or '0,0,0'}", 4)
     if found is None:
         raise InputError(f"--payload {text!r}: expected kg, such as 0.15, or with x,y,z in mm: 0.15@0,0,30")
-    return LoadedWith(mass=found[0], com=point_of(found[1], found[2], found[3], "--payload"))
+    kilograms, x, y, z = found
+    return LoadedWith(mass=kilograms, com=point_of(x, y, z, "--payload"))
 
 
 def tool_of(text: str | None) -> tuple[float, float, float] | None:
@@ -144,7 +145,8 @@ def tool_of(text: str | None) -> tuple[float, float, float] | None:
     found = _numbers(text, 3)
     if found is None:
         raise InputError(f"--tool {text!r}: expected x,y,z in mm, such as 0,0,50")
-    return point_of(found[0], found[1], found[2], "--tool")
+    x, y, z = found
+    return point_of(x, y, z, "--tool")
 
 
 def _numbers(text: str, count: int) -> list[float] | None:

@@ -197,7 +197,7 @@ def deploy(
         "error_mm": [visit.error and 1e3 * visit.error for visit in done.visits],
         "missed": done.missed,
         **({"turned_deg": turned} if any(visit.orientation for visit in done.visits) else {}),
-        "visits": results_of(done.visits),
+        "visits": done.visits,
         "period": done.period,
         "gaps": done.gaps,
     }
@@ -258,7 +258,7 @@ def follow(
     value = {
         "run": run,
         **{name: getattr(done, name) for name in ("path", "controller", "followed", "period", "gaps")},
-        "passes": results_of(passes),
+        "passes": passes,
     }
     return Result(value, 0 if done.followed or dry else MISSED)
 
