@@ -118,6 +118,8 @@ def plan(
         raise InputError(f"goal: {arm.joint_names[j]} at {np.degrees(goal[j]):.1f} deg is beyond its limits")
     found: list[tuple[float, _Field, Array]] = []
     for room in (2.0 * clearance, clearance, 0.5 * clearance):
+        if found and room < clearance:  # rather heavy than so near
+            break
         field = _Field.of(arm, start, goal, room)
         share, item = field.passes(start, goal, leaving=True)
         way = np.stack([start, goal]) if share == 1.0 else field.detour(start, goal, seed)

@@ -26,9 +26,9 @@ redundancy = Late("rejoint.arms.redundancy")
 
 MARGIN = float(np.radians(0.5))
 """[rad] inside the joint limits, as the guard's"""
-CLEARANCE, SPACIOUS = 0.010, 0.015
-"""[m] least clearance, twice that between links (chosen by `python -m benchmarks postures`: with 6 mm, worn arms came
-nearer than 5 mm); and sufficient clearance of a myCobot 280 (chosen)"""
+CLEARANCE, SPACIOUS = 0.006, 0.015
+"""[m] least clearance, twice that between links (chosen: capsules 5 mm thicker touch nothing); and sufficient clearance
+of a myCobot 280 (chosen)"""
 POOL, DRAWN = 8000, 40000
 """Stored and drawn postures (chosen: 18 mm apart for a myCobot 280)"""
 STARTS, BESTS, DESCENTS = 40, 4, 10

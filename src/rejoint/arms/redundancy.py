@@ -28,6 +28,9 @@ from rejoint.arms.compiled import (
     fill_poses,
 )
 
+AMPLE, CRAMPED = 5.0 / 3.0, 10.0
+"""Least distances from which there is enough room, and cost of a sufficient clearance less (chosen by `python -m
+benchmarks postures`: in postures with the least distances, worn arms came nearer than 5 mm)"""
 FAR = 1000.0
 """Cost of an impossible posture"""
 DAMPING, MOST_STEP, REST_GAIN = 0.05, float(np.radians(10.0)), 0.05
@@ -138,13 +141,13 @@ def _judge(body, poses, q, scale, most, torque, clear, facts):  # noqa: ANN001, 
     """Cost of a posture without travel; `FAR` and more: impossible.
 
     ``scale`` (n,) [N m]: torque that counts as one; ``most`` (n,): largest. Fills ``facts`` (3,): largest torque share,
-    smallest distance, distance from a limit.
+    what distances lack to `AMPLE` ones, distance from a limit.
     """
     joints = len(q)
     _weigh(body, poses, torque)
     measure(body, poses, clear)
     cost, wrong, over = 0.0, 0.0, 0.0
-    facts[0], facts[1], facts[2] = 0.0, np.inf, np.inf
+    facts[0], facts[1], facts[2] = 0.0, 0.0, np.inf
     for i in range(joints):
         share = abs(torque[i]) / scale[i]
         cost += 0.5 * min(share / LOAD, MOST_LOAD) ** 4
@@ -164,7 +167,9 @@ def _judge(body, poses, q, scale, most, torque, clear, facts):  # noqa: ANN001, 
         gap = clear[0, k]
         if body.least[k - joints] == -np.inf:
             continue
-        facts[1] = min(facts[1], gap)
+        short = AMPLE * body.least[k - joints] - gap
+        facts[1] = max(facts[1], short)
+        cost += CRAMPED * max(short, 0.0) / body.sizes[2]
         if gap < body.sizes[2]:
             cost += 0.5 * (1.0 - gap / body.sizes[2]) ** 2
         if gap < body.least[k - joints]:
@@ -515,7 +520,7 @@ def stay(body, goal, start, scale, most, near, q):  # noqa: ANN001, ANN201
         cost = _judge(body, poses, q, scale, most, torque, clear, facts)
         light = np.isinf(most[0]) or facts[0] < COMFORT_LOAD
         light = light and not (near and farthest(q, start) > NEAR_REACH)
-        if cost < FAR and light and facts[1] >= 0.5 * body.sizes[2] and facts[2] >= COMFORT_LIMIT:
+        if cost < FAR and light and facts[1] <= 0.0 and facts[2] >= COMFORT_LIMIT:
             return 0.0
     reach = np.inf
     if near or missed >= TOLERANCE:

@@ -34,6 +34,8 @@ share of those lags (chosen by `python -m benchmarks postures`: with half that r
 AHEAD, BRAKING, RESERVE = 0.05, 0.35, 0.005
 """[s] over which the speed is measured with which a way comes nearer to something, least time [s] until it would be as
 near as the [m] after it (chosen likewise: with 0.25 s worn arms overshot, with 0.5 s ways took 0.1 s longer)"""
+STOP, CREEPING = 0.010, 1e-3
+"""[m] to something at which the others stop while a joint is stuck, and [m/s] with which they come nearer (chosen)"""
 
 
 Ways = Sequence[Sequence[JointTrajectory]]
@@ -101,13 +103,14 @@ def pace(arm: Arm, way: JointTrajectory, since: float, position: Array, sag: Arr
     postures = np.stack([goal, position, ahead, position + ahead - goal])
     clear = clearances(arm, postures, np.zeros(0))
     room = max(float((clear[:2] / _roomy(arm)).min(initial=1.0)), LEAST)
-    closing = np.maximum((clear[0] - clear[2]) / AHEAD, 1e-6)
+    closing = (clear[:2] - clear[2:]) / AHEAD
     left = np.maximum(clear[:2].min(axis=0) - RESERVE, 1e-4)
+    brake = float((left / np.maximum(closing, 1e-6)).min(initial=1.0)) / BRAKING
     lag = float(np.abs(goal - position - sag).max())
-    if lag > LAGS[1] and ((clear[3] < RESERVE) & (clear[3] < clear[1])).any():
+    if lag > LAGS[1] and ((clear[3] < STOP) & (closing[1] > CREEPING)).any():
         return 0.0
-    share = min(np.interp(lag / room, LAGS, (1.0, 0.0)), (left / closing).min(initial=1.0) / BRAKING)
-    return float(max(share, SLOWEST * room, np.interp(lag, STUCK, (0.0, 1.0))))
+    slowly, stuck = np.interp(lag / room, LAGS, (1.0, 0.0)), np.interp(lag, STUCK, (0.0, 1.0))
+    return max(min(max(slowly, stuck), brake), SLOWEST * room)
 
 
 @lru_cache(maxsize=32)
