@@ -172,8 +172,8 @@ def part(arm: Arm, logs: Sequence[RunLog], how: HoldOut) -> tuple[list[RunLog], 
 
 
 def _ends(logs: Sequence[RunLog]) -> tuple[list[RunLog], list[RunLog]]:
-    for share in KEPT_END * 0.5 ** np.arange(5):
-        cuts = [int(len(log) * (1.0 - share)) for log in logs]
+    for halvings in (0, 1, 2, 3, 4, 0):  # where even a short end repeats all the rest, as without a repetition
+        cuts = [int(len(log) * (1.0 - KEPT_END * 0.5**halvings)) for log in logs]
         seen = [log.rows(slice(0, cut)) for log, cut in zip(logs, cuts, strict=True)]
         ends = [log.rows(slice(cut, None)) for log, cut in zip(logs, cuts, strict=True)]
         fresh = [
