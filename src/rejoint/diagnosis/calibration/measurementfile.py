@@ -64,7 +64,9 @@ class Columns:
         return self.sheet.words(self.places[name][0])
 
     def numbers(self, name: str) -> Array:
-        """Column (rows,) in SI units, NaN for empty cells; FileError for text."""
+        """Column (rows,) in SI units, NaN for empty cells or without that column; FileError for text."""
+        if name not in self.places:
+            return np.full(len(self), np.nan)
         column, unit = self.places[name]
         values = self.sheet.numbers([column])[:, 0]
         if np.isinf(values).any():
@@ -241,8 +243,7 @@ def _from_csv(path: Path, arm: Arm, frame: str, source: str) -> Measurements:
         raise FileError(path, f"columns {found.sheet.shown}; missing: x_mm, y_mm, z_mm", "give at least one of them")
     if not len(found):
         raise FileError(path, "no measurements below the header", "add one line for each")
-    blank = np.full(len(found), np.nan)
-    columns = {name: found.numbers(name) if name in found.places else blank for name in (*AXES, *came)}
+    columns = {name: found.numbers(name) for name in (*AXES, *came)}
     columns |= {name: found.filled(name) for name in (*joints, "sigma", "posture") if name in found.places}
     seen = np.isfinite([columns[axis] for axis in AXES]).any(axis=0)  # as an empty answer at the prompt leaves one out
     lines = [found.line(row) for row in np.flatnonzero(seen).tolist()]

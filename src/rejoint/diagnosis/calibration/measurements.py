@@ -5,10 +5,11 @@ Rows of one ``posture`` approach it from different sides, which shows play.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from rejoint.arms import Arm, Array, tcp_position
 from rejoint.arms.rotations import pose_of
@@ -18,6 +19,10 @@ Numbers = NDArray[np.int64]
 
 NOISE = 0.5e-3
 """[m] default sigma of a coordinate; chosen: a ruler read with care"""
+
+
+ROWS = ("position", "approach", "point", "sigma", "posture")
+"""Fields of `Measurements` with a row each"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,15 +67,7 @@ class Measurements:
 
     def rows(self, where: NDArray[np.bool_] | NDArray[np.intp]) -> Measurements:
         """Return some rows."""
-        return Measurements(
-            position=self.position[where],
-            approach=self.approach[where],
-            point=self.point[where],
-            sigma=self.sigma[where],
-            posture=self.posture[where],
-            frame=self.frame,
-            source=self.source,
-        )
+        return replace(self, **{name: getattr(self, name)[where] for name in ROWS})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,12 +98,10 @@ def align(arm: Arm, measurements: Measurements) -> Array:
     seen = measurements.point[whole]
     told = tcp_position(arm, measurements.position[whole])
     apart_seen, apart_told = seen - seen.mean(axis=0), told - told.mean(axis=0)
-    left, size, right = np.linalg.svd(apart_seen.T @ apart_told)
-    if np.sqrt(size[1] / len(seen)) < _FLAT / 2:
+    if np.sqrt(np.linalg.svd(apart_seen.T @ apart_told)[1][1] / len(seen)) < _FLAT / 2:
         raise InputError(
             f"measurements in the frame {measurements.frame!r}: all points lie on a line, which leaves its pose open; "
             "measure points that lie apart in two directions at least"
         )
-    sign = np.sign(np.linalg.det(left @ right))
-    rotation = (left @ np.diag([1.0, 1.0, sign]) @ right).T
+    rotation = Rotation.align_vectors(apart_told, apart_seen)[0].as_matrix()
     return pose_of(rotation, told.mean(axis=0) - rotation @ seen.mean(axis=0))

@@ -19,7 +19,7 @@ from rejoint.control.guard import GuardLimits
 from rejoint.control.recording import Recording
 from rejoint.control.robot import Robot
 from rejoint.control.start import Stance, begin, move
-from rejoint.diagnosis.calibration.measurements import NOISE, Measurements, MeasuringSession
+from rejoint.diagnosis.calibration.measurements import NOISE, ROWS, Measurements, MeasuringSession
 from rejoint.diagnosis.calibration.postures import Suggestion
 from rejoint.system.errors import FileError, InputError, NotReadyError
 from rejoint.system.files import MEGABYTE, require_file
@@ -102,7 +102,7 @@ class TouchGauge:
 
     def measure(self, robot: Robot, stop: Stop) -> Array:
         """Ask for the tool (3,) [m]; implausible points must be repeated."""
-        doubted = None
+        doubted = np.full(3, np.inf)
         while True:
             answer = self.ask(stop)
             try:
@@ -111,17 +111,13 @@ class TouchGauge:
                 self.complain(str(error))
                 continue
             off = float(np.nanmax(np.abs(point - stop.believed), initial=0.0))
-            if self.frame != "base" or off <= FAR * reach(robot.arm) or _same(point, doubted):
+            if self.frame != "base" or off <= FAR * reach(robot.arm) or np.array_equal(point, doubted, equal_nan=True):
                 return point
             self.complain(
                 f"that is {1e3 * off:.0f} mm from where the encoders see the tool, along one axis; check sign, unit "
                 "and axes, and type it again if it is right"
             )
             doubted = point
-
-
-def _same(point: Array, other: Array | None) -> bool:
-    return other is not None and np.array_equal(point, other, equal_nan=True)
 
 
 def parse_point(text: str) -> Array:
@@ -267,8 +263,7 @@ def _with_row(
     )
     if before is None:
         return new
-    names = ("position", "approach", "point", "sigma", "posture")
-    both: dict[str, Any] = {name: np.concatenate([getattr(before, name), getattr(new, name)]) for name in names}
+    both: dict[str, Any] = {name: np.concatenate([getattr(before, name), getattr(new, name)]) for name in ROWS}
     return replace(new, **both)
 
 

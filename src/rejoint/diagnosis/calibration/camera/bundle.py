@@ -144,11 +144,6 @@ class Bundle:
         """Displacement of the tool."""
         return self.problem.displacement(self.fitted.vector)
 
-    @property
-    def rms(self) -> float:
-        """[px] over all corners, per coordinate."""
-        return float(np.sqrt(np.mean([one.rms**2 for one in self.residuals])))
-
 
 def bundle(
     arm: Arm,

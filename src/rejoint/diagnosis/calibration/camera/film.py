@@ -239,12 +239,11 @@ def _postures(path: Path, arm: Arm, pictures: set[str]) -> dict[str, dict[str, A
         raise FileError(path, "no such file: the joint positions of each picture are missing", remedy) from error
     except OSError as error:
         raise FileError(path, f"cannot be read ({first_line(error)})", remedy) from error
-    blank = np.full(len(found), np.nan)
     position = np.array([found.filled(name) for name in joints]).T
     if len(found) > 1 and (np.abs(np.degrees(position)) <= np.pi).all():
         raise FileError(path, "every joint position lies between -3.14 and 3.14", "give degrees, not radians")
-    approach = np.array([found.numbers(name) if name in found.places else blank for name in came]).T
-    whole = {name: found.numbers(name) for name in ("posture", "side") if name in found.places}
+    approach = np.array([found.numbers(name) for name in came]).T
+    whole = {name: found.numbers(name) for name in ("posture", "side")}
     rows: dict[str, dict[str, Any]] = {}
     for row, name in enumerate(Path(word).name for word in found.words("picture")):
         one = {"position": position[row], "approach": approach[row]}
