@@ -22,7 +22,14 @@ from rejoint.control.catalogue import make_controller
 from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.calibration.fit import fit
 from rejoint.diagnosis.calibration.postures import suggest
-from rejoint.research.evaluation.calibrating import CONDITIONS, SIGMA, measure, open_condition, try_found
+from rejoint.research.evaluation.calibrating import (
+    CONDITIONS,
+    SIGMA,
+    FreshTargets,
+    measure,
+    open_condition,
+    try_found,
+)
 from rejoint.research.evaluation.family import ArmFamily
 from rejoint.robots.emulated import EmulatedRobot
 
@@ -61,7 +68,8 @@ def main(arms: int = 20, points: str = "3", changes: str = ",".join(CHANGES)) ->
         print(f"{change}, {arms} arms")
         for name, calibrations in found.items():
             drive = partial(make_controller, "feedforward")
-            corrected(name, try_found(changed(change, family), calibrations, drive, targets, 0))
+            fresh = FreshTargets(name="target region", targets=targets)
+            corrected(name, try_found(changed(change, family), calibrations, drive, fresh, 0))
 
 
 if __name__ == "__main__":

@@ -20,7 +20,14 @@ from rejoint.control.catalogue import make_controller
 from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.calibration.fit import fit
 from rejoint.diagnosis.calibration.postures import suggest
-from rejoint.research.evaluation.calibrating import SIGMA, find_condition, measure, open_condition, try_found
+from rejoint.research.evaluation.calibrating import (
+    SIGMA,
+    FreshTargets,
+    find_condition,
+    measure,
+    open_condition,
+    try_found,
+)
 from rejoint.research.evaluation.family import ArmFamily
 
 POINTS, TARGETS = 10, 4
@@ -35,8 +42,8 @@ def main(arms: int = 30, family: int = 3, slopes: str = "0,0.5,1,2", condition: 
         tilted = replace(find_condition(condition), tilt=np.radians(slope))
         measured = measure(open_condition(arm, tilted, drawn, 1), plan, family)
         found = [fit(arm, measured.first(i, POINTS)) for i in range(arms)]
-        controller = partial(make_controller, "feedforward")
-        tried = try_found(open_condition(arm, tilted, drawn, 1), found, controller, targets, POINTS)
+        controller, fresh = partial(make_controller, "feedforward"), FreshTargets(name="target region", targets=targets)
+        tried = try_found(open_condition(arm, tilted, drawn, 1), found, controller, fresh, POINTS)
         corrected(f"{slope:g} degrees", tried)
 
 

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import tomlkit
 
-from rejoint.arms import Arm, Array, Displacement, solve_position, tcp_position
+from rejoint.arms import Arm, Array, Displacement, tcp_position
 from rejoint.arms.inertia import bare
-from rejoint.arms.inverse import REST_GAIN
 from rejoint.control.contract import law_digests
+from rejoint.control.correction import Modelled
 from rejoint.diagnosis.calibration.parameters import (
     DisplacementLayout,
     linearised,
@@ -27,8 +27,6 @@ from rejoint.system.tomltable import read_sealed, write_sealed
 
 GEOMETRY = ("offset", "axis", "tip", "mass", "com")
 """Fields of an arm that a calibration depends on"""
-AIMING = 4
-"""Fixed-point steps of `Calibration.aim`; chosen"""
 _NEAR = 7.81  # squared distance by its covariance that 95 % of draws of three coordinates keep (chi-squared)
 _DRAWS = 256  # of the tool for an interval (chosen: ends repeat within a tenth of the width; the same draws each time)
 
@@ -89,16 +87,13 @@ class Calibration:
         """Raise ContractError if this calibration is of another arm."""
         check_arm(self.arm.name, geometry_of(self.arm), arm)
 
-    def tool(self, position: Array, approach: Array | None = None) -> Array:
-        """Tool (..., 3) [m] at the encoders' ``position`` (..., n) [rad].
+    def tool(self, position: Array) -> Array:
+        """Tool (..., 3) [m] at the encoders' ``position`` (..., n) [rad]."""
+        return self.displacement.tool(self.arm, position)
 
-        ``approach`` (..., n) [rad]: position before the last motion, if known.
-        """
-        return self.displacement.tool(self.arm, position, approach)
-
-    def shift(self, position: Array, approach: Array | None = None) -> Array:
+    def shift(self, position: Array) -> Array:
         """Displacement (..., 3) [m] of the tool from the encoders'."""
-        return self.tool(position, approach) - tcp_position(self.arm, position)
+        return self.tool(position) - tcp_position(self.arm, position)
 
     def spread(self, position: Array) -> Array:
         """Covariance (..., 3, 3) [m^2] of `tool`.
@@ -114,55 +109,45 @@ class Calibration:
         total = known + scatter(self.arm, self.displacement, flat, doubt) + self.floor**2 * np.eye(3)
         return np.asarray(total.reshape(*np.shape(position)[:-1], 3, 3))
 
-    def interval(
-        self, position: Array, target: Array | None = None, approach: Array | None = None
-    ) -> tuple[Array, Array]:
+    def interval(self, position: Array, target: Array | None = None) -> tuple[Array, Array]:
         """95 % interval (...), (...) [m] of the distance between tool and ``target`` (..., 3) [m].
 
         Default target: the encoders' tool.
         """
         place = tcp_position(self.arm, position) if target is None else target
         ends = [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]
-        low, high = np.quantile(self._distances(position, place, approach), ends, axis=-1)
-        middle = (self.tool(position, approach) - place)[..., None]
+        low, high = np.quantile(self._distances(position, place), ends, axis=-1)
+        middle = (self.tool(position) - place)[..., None]
         there = (np.linalg.solve(np.linalg.cholesky(self.spread(position)), middle) ** 2).sum(axis=(-2, -1)) < _NEAR
         return np.where(there, 0.0, low), high
 
     def expected(self, position: Array, target: Array | None = None) -> Array:
         """Mean (...) [m] of the distance of `interval`."""
-        return np.asarray(self._distances(position, target, None).mean(axis=-1))
+        return np.asarray(self._distances(position, target).mean(axis=-1))
 
-    def _distances(self, position: Array, target: Array | None, approach: Array | None) -> Array:
+    def _distances(self, position: Array, target: Array | None) -> Array:
         target = tcp_position(self.arm, position) if target is None else target
         root = np.linalg.cholesky(self.spread(position))
         draws = np.random.default_rng(0).standard_normal((_DRAWS, 3))
-        away = (self.tool(position, approach) - target)[..., None, :] + draws @ np.swapaxes(root, -1, -2)
+        away = (self.tool(position) - target)[..., None, :] + draws @ np.swapaxes(root, -1, -2)
         return np.linalg.norm(away, axis=-1)
 
     def sigma(self, position: Array) -> Array:
         """Root mean square (...) [m] of the tool's distance from `tool`."""
         return np.sqrt(np.trace(self.spread(position), axis1=-2, axis2=-1))
 
-    def aim(self, target: Array, start: Array, near: Array | None = None) -> Array:
+    def aim(self, target: Array, start: Array) -> Array:
         """Where the encoders must see the tool (..., 3) [m] for it to be at ``target`` (..., 3) [m].
 
-        ``start`` (..., n) [rad] is the posture that the arm comes from; it goes to the one next to ``near``, or without
-        to the one found from ``start``. Without a correction it is the target itself.
+        ``start`` (..., n) [rad] is the posture that the arm comes from. Without a correction it is the target itself.
         """
-        target = np.asarray(target, dtype=float)
+        target = np.array(target, dtype=float)
         if not self.used:
-            return target.copy()
-        start = np.asarray(start, dtype=float)
-        command, posture = target, start if near is None else near
-        rest_gain = REST_GAIN if near is None else 0.0
-        for _ in range(AIMING):
-            posture = solve_position(self.arm, command, posture, rest_gain=rest_gain).q
-            command = target - self.shift(posture, start)
-        return command
-
-    def aim_again(self, target: Array, position: Array, approach: Array | None = None) -> Array:
-        """Do the same once the arm has settled near ``target`` at ``position`` (..., n) [rad]."""
-        return target - self.shift(position, approach) if self.used else np.array(target, dtype=float)
+            return target
+        flat = target.reshape(-1, 3)
+        came = np.broadcast_to(start, (*target.shape[:-1], self.arm.joints)).reshape(-1, self.arm.joints)
+        aims = Modelled(self.arm, self.displacement).aim(flat, came, np.ones(len(flat), dtype=bool))
+        return aims.reshape(target.shape)
 
 
 def geometry_of(arm: Arm) -> dict[str, str]:
@@ -184,7 +169,8 @@ def check_arm(name: str, digests: dict[str, str], arm: Arm) -> None:
 FORMAT = 1
 """Version of the layout"""
 
-_PARTS = ("offset", "compliance", "play", "carry", "mass")
+_PARTS = ("offset", "compliance", "play", "mass")
+_PLAIN = {"date": str, "source": str, "points": int, "used": bool, "before": float, "after": float, "floor": float}
 
 _ABOUT = """Where the tool of one robot arm is behind its encoders. SI units.
 suspects: rows that do not fit to the others
@@ -198,7 +184,6 @@ displacement: play and offset of one joint cannot be told apart: together they s
 offset: rad, added to what the encoders say
 compliance: rad/(N m), of gear and link
 play: rad, whole width
-carry: 1, of half the play, by which a joint that floats runs ahead of its last motion
 mass: 1, by the description of the arm
 gravity: m/s^2, in the frame of the base
 frame: of whatever measured: pose in the base
@@ -225,9 +210,8 @@ def _document(calibration: Calibration) -> tomlkit.TOMLDocument:
     for line in _ABOUT.splitlines():
         document.add(tomlkit.comment(line))
     parts = {name: np.broadcast_to(getattr(found, name), found.offset.shape).tolist() for name in _PARTS}
-    plain = ("date", "source", "points", "used", "before", "after", "floor")
     document.update(
-        {"format": FORMAT, "arm": own.arm.name, **{name: getattr(own, name) for name in plain}}
+        {"format": FORMAT, "arm": own.arm.name, **{name: getattr(own, name) for name in _PLAIN}}
         | {"suspects": list(own.suspects), "left_out": own.left_out.tolist(), "geometry": dict(geometry_of(own.arm))}
         | {"displacement": parts | {"gravity": found.gravity.tolist(), "twist": found.twist.tolist()}}
         | {"frame": {"name": own.frame_name, "pose": own.frame[:3].tolist()}}
@@ -259,13 +243,7 @@ def _calibration(data: dict[str, Any], arm: Arm) -> Calibration:
         covariance=covariance,
         frame=frame,
         frame_name=str(data["frame"]["name"]),
-        source=str(data["source"]),
-        date=str(data["date"]),
-        points=int(data["points"]),
-        used=bool(data["used"]),
-        before=float(data["before"]),
-        after=float(data["after"]),
-        floor=float(data["floor"]),
+        **{name: kind(data[name]) for name, kind in _PLAIN.items()},
         suspects=tuple(int(row) for row in data["suspects"]),
         left_out=_numbers(data["left_out"], (len(data["left_out"]), 2)),
     )

@@ -17,8 +17,6 @@ from rejoint.diagnosis.calibration.measurements import Measurements, align
 from rejoint.diagnosis.calibration.parameters import (
     ASKEW,
     LEVEL,
-    OFFSET,
-    PLAY_SIGMA,
     Belief,
     DisplacementLayout,
     PriorCase,
@@ -170,17 +168,14 @@ def beliefs_of(
 def earlier(arm: Arm, layout: DisplacementLayout, prior: Calibration) -> Belief:
     """Earlier calibration as prior, widened by `AGE`."""
     base = belief(arm, layout, PriorCase())
-    drift = AGE * np.sqrt(1.0 / np.diag(base.precision))
-    for name, sigma in (("offset", OFFSET), ("play", PLAY_SIGMA)):
-        drift[layout.at(name)] = AGE * sigma
-    drift[layout.at("tilt")] = AGE * LEVEL
+    drift = AGE**2 / np.diag(base.precision)
     body, mean = slice(0, layout.body), base.mean.copy()
     mean[body] = vector_of(DisplacementLayout(joints=arm.joints), prior.displacement)
     lower, upper, links = base.lower.copy(), base.upper.copy(), layout.at("twist")
     if prior.displacement.twist.any():
         lower[links], upper[links] = -np.inf, np.inf
     precision = base.precision.copy()
-    precision[body, body] = np.linalg.inv(prior.covariance + np.diag(drift[body] ** 2))
+    precision[body, body] = np.linalg.inv(prior.covariance + np.diag(drift[body]))
     return Belief(mean=mean, precision=precision, lower=lower, upper=upper)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from rejoint.arms import Arm, Array, Displacement, frames, position_kinematics
-from rejoint.arms.displacement import FLOATING, direction
+from rejoint.arms.displacement import FLOATING
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.rotations import rotation_about
 from rejoint.arms.workspace import length_size, torque_size
@@ -29,8 +29,6 @@ LEVEL, ASKEW = np.radians(0.1), np.radians(6.0)
 """[rad] sigma of the tilt, per horizontal axis, of a base on a table and a tilted one; chosen"""
 MASS = 0.12
 """[1] sigma of each link's mass, relative to its description; chosen"""
-CARRY, CARRY_SIGMA = 0.2, 0.3
-"""[1] mean and sigma of a floating joint's lead over its last motion, by half its play; chosen on emulated worn arms"""
 SHIFT, TURN = 1e-3, np.radians(0.3)
 """[m] over the reach of a myCobot 280, and [rad]: sigma of each link's description; chosen"""
 PLACE, ORIENTATION = 1.0, 3.0
@@ -42,12 +40,11 @@ MOST = {
     "play": np.radians(8.0),
     "tilt": np.radians(20.0),
     "mass": 0.5,
-    "carry": 1.0,
 }
 """Bounds, in the units above; chosen"""
 
 
-KINDS = ("offset", "compliance", "play", "carry", "mass", "tilt", "twist")
+KINDS = ("offset", "compliance", "play", "mass", "tilt", "twist")
 """Parameters of an arm, in order"""
 
 
@@ -62,29 +59,18 @@ class DisplacementLayout:
     @property
     def size(self) -> int:
         """Length k of the vector."""
-        return self.body + 6 * self.frame
+        return self.at("frame").stop
 
     @property
     def body(self) -> int:
         """Number of parameters of the arm, without the frame."""
-        return 5 * self.joints + 2 + 6 * (self.joints + 1)
+        return self.at("frame").start
 
     def at(self, name: str) -> slice:
         """Slice of one of `KINDS`, or ``frame``."""
-        n = self.joints
-        ends = {
-            "offset": n,
-            "compliance": 2 * n,
-            "play": 3 * n,
-            "carry": 4 * n,
-            "mass": 5 * n,
-            "tilt": 5 * n + 2,
-            "twist": self.body,
-            "frame": self.size,
-        }
-        names = list(ends)
-        place = names.index(name)
-        return slice(ends[names[place - 1]] if place else 0, ends[name])
+        sizes = (*[self.joints] * 4, 2, 6 * (self.joints + 1), 6 * self.frame)
+        place = (*KINDS, "frame").index(name)
+        return slice(sum(sizes[:place]), sum(sizes[: place + 1]))
 
     def names(self) -> tuple[str, ...]:
         """Names of the arm's parameters, such as ``play 2``."""
@@ -125,26 +111,26 @@ class PriorCase:
 
 def belief(arm: Arm, layout: DisplacementLayout, case: PriorCase) -> Belief:
     """Prior of an arm of some case."""
-    n, sigma, mean = arm.joints, np.zeros(layout.size), np.zeros(layout.size)
-    lower, upper = np.full(layout.size, -np.inf), np.full(layout.size, np.inf)
-    if case.twist == 0.0:
-        lower[layout.at("twist")] = upper[layout.at("twist")] = 0.0
-    soft = case.compliance / torque_size(arm)
-    mean[layout.at("compliance")], mean[layout.at("play")] = soft, case.play
-    sigma[layout.at("offset")], sigma[layout.at("compliance")], sigma[layout.at("play")] = (
-        OFFSET,
-        soft,
-        case.play_sigma,
-    )
-    sigma[layout.at("mass")], sigma[layout.at("tilt")] = MASS, case.tilt
-    mean[layout.at("carry")], sigma[layout.at("carry")] = CARRY, CARRY_SIGMA
-    each = np.array([SHIFT * length_size(arm)] * 3 + [TURN] * 3)
-    sigma[layout.at("twist")] = np.tile(max(case.twist, 1e-3) * each, n + 1)
-    sigma[layout.at("frame")] = np.array([PLACE] * 3 + [ORIENTATION] * 3)[: 6 * layout.frame]
+    mean, sigma, lower, upper = np.multiply.outer([0.0, 1.0, -np.inf, np.inf], np.ones(layout.size))
+    stiff = torque_size(arm)
+    soft, each = case.compliance / stiff, np.array([SHIFT * length_size(arm)] * 3 + [TURN] * 3)
+    told: dict[str, tuple[float, float | Array]] = {
+        "offset": (0.0, OFFSET),
+        "compliance": (soft, soft),
+        "play": (case.play, case.play_sigma),
+        "mass": (0.0, MASS),
+        "tilt": (0.0, case.tilt),
+        "twist": (0.0, np.tile(max(case.twist, 1e-3) * each, arm.joints + 1)),
+        "frame": (0.0, np.array([PLACE] * 3 + [ORIENTATION] * 3)[: 6 * layout.frame]),
+    }
+    for name, (middle, width) in told.items():
+        mean[layout.at(name)], sigma[layout.at(name)] = middle, width
     for name, most in MOST.items():
-        bound = most / torque_size(arm) if name == "compliance" else most
+        bound = most / stiff if name == "compliance" else most
         upper[layout.at(name)] = bound
         lower[layout.at(name)] = 0.0 if name in ("compliance", "play") else -bound
+    if case.twist == 0.0:
+        lower[layout.at("twist")] = upper[layout.at("twist")] = 0.0
     return Belief(mean=mean, precision=np.diag(sigma**-2.0), lower=lower, upper=upper)
 
 
@@ -174,14 +160,13 @@ def displacement_of(layout: DisplacementLayout, vector: Array) -> Displacement:
         twist=vector[layout.at("twist")].reshape(layout.joints + 1, 6),
         gravity=gravity_of(vector[layout.at("tilt")]),
         mass=1.0 + vector[layout.at("mass")],
-        carry=vector[layout.at("carry")],
     )
 
 
 def vector_of(layout: DisplacementLayout, displacement: Displacement) -> Array:
     """Turn a displacement into the vector, with zero pose."""
     vector = np.zeros(layout.size)
-    for name in ("offset", "compliance", "play", "carry"):
+    for name in ("offset", "compliance", "play"):
         vector[layout.at(name)] = getattr(displacement, name)
     vector[layout.at("mass")] = displacement.mass - 1.0
     vector[layout.at("tilt")] = tilt_of(displacement.gravity)
@@ -202,30 +187,25 @@ def linearised(
     layout: DisplacementLayout,
     vector: Array,
     position: Array,
-    approach: Array | None = None,
     *,
     flanks: bool = True,
 ) -> tuple[Array, Array]:
     """Tool (M, 3) [m] at ``position`` (M, n) [rad] and its derivative (M, 3, k) by the parameters.
 
-    ``approach`` (M, n) [rad] as in `Measurements`; ``flanks``: with changes of flank, whose slope holds within
-    `FLOATING`.
+    ``flanks``: with changes of flank, whose slope holds within `FLOATING`.
     """
     displacement = displacement_of(layout, vector)
     moved, loads = displacement.moved(arm), link_loads(arm, position)
     torque = loads @ displacement.gravity @ displacement.mass
     side = np.tanh(torque / FLOATING)
-    free, came = 1.0 - side**2, direction(position, approach)
-    ahead = side - displacement.carry * free * came
-    joints = position + displacement.offset - displacement.compliance * torque - 0.5 * displacement.play * ahead
+    joints = position + displacement.offset - displacement.compliance * torque - 0.5 * displacement.play * side
     tool, lever = position_kinematics(moved, joints)
     derivative = np.zeros((*position.shape[:-1], 3, layout.body))
     derivative[..., layout.at("offset")] = lever
     derivative[..., layout.at("compliance")] = -lever * torque[:, None, :]
-    derivative[..., layout.at("play")] = -0.5 * lever * ahead[:, None, :]
-    derivative[..., layout.at("carry")] = 0.5 * lever * (displacement.play * free * came)[:, None, :]
+    derivative[..., layout.at("play")] = -0.5 * lever * side[:, None, :]
     # torque moves joints by flex and by the side of the play
-    turning = 0.5 * displacement.play * free / FLOATING * (1.0 + 2.0 * displacement.carry * side * came)
+    turning = 0.5 * displacement.play * (1.0 - side**2) / FLOATING
     yielding = -lever * (displacement.compliance + flanks * turning)[:, None, :]
     slopes = torque_slopes(layout, vector, loads)
     for name in ("mass", "tilt"):
@@ -272,15 +252,20 @@ def scatter(arm: Arm, displacement: Displacement, position: Array, doubt: Array 
 
     ``doubt`` (..., n) [N m], sigma of each torque, adds joints that may be on the other flank.
     """
-    lever, torque = position_kinematics(arm, position)[1], displacement.torque(arm, position)
+    lever = position_kinematics(arm, position)[1]
+    variance = play_variance(displacement, displacement.torque(arm, position), doubt)
+    return np.asarray((lever * variance[..., None, :]) @ np.swapaxes(lever, -1, -2))
+
+
+def play_variance(displacement: Displacement, torque: Array, doubt: Array | None = None) -> Array:
+    """Variance (..., n) [rad^2] of floating joints under ``torque`` (..., n) [N m]; ``doubt`` as in `scatter`."""
     side = np.tanh(torque / FLOATING)
     free, other = 1.0 - side**2, np.zeros_like(side)
     if doubt is not None:
         sides = np.tanh((torque[..., None] + doubt[..., None] * _DRAWS) / FLOATING)
         free = (1.0 - sides**2).mean(axis=-1)
         other = ((sides - side[..., None]) ** 2).mean(axis=-1)
-    variance = (0.5 * displacement.play) ** 2 * (SCATTER * free + other)
-    return np.asarray((lever * variance[..., None, :]) @ np.swapaxes(lever, -1, -2))
+    return np.asarray((0.5 * displacement.play) ** 2 * (SCATTER * free + other))
 
 
 def floor_of(arm: Arm) -> float:

@@ -1,24 +1,27 @@
 """Postures to measure at, the most informative first.
 
-Chosen one by one, in the region of targets and elsewhere, for the largest gain of information (D-optimal design;
-Atkinson and Donev, Optimum Experimental Designs, 1992, chapter 11). All joints approach alternately from below and
-above.
+Chosen one by one, in the region of targets and elsewhere, for the least variance of the tool in both (I-optimal
+design; Atkinson and Donev, Optimum Experimental Designs, 1992, chapter 10). All joints approach alternately from below
+and above.
 """
 
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, collides, frames, gravity_torque, heights, solve_position
+from rejoint.arms.displacement import FLOATING
 from rejoint.arms.postures import comfortable_postures
 from rejoint.arms.workspace import length_size, rising_frames
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.fit import earlier
 from rejoint.diagnosis.calibration.parameters import (
+    PLAY,
+    PLAY_SIGMA,
     Belief,
     DisplacementLayout,
     PriorCase,
@@ -42,7 +45,10 @@ ENOUGH = 1.1
 """Relative expected error at which fewer points suffice; chosen"""
 WITHIN = 100
 """Candidates in the region of targets; chosen"""
-_PLACES = 64  # postures over which the error is expected (chosen)
+LINKS = 0.3
+"""Scale of the errors of the links that the choice reckons with; chosen: little is lost with exact links"""
+_WIDEST = PLAY + 2.0 * PLAY_SIGMA  # [rad] play that a joint may have
+_PLACES = 32  # postures in the region of targets, and as many elsewhere, over which the error is expected (chosen)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -84,23 +90,23 @@ def suggest(
     Each posture gets ``visits`` (1 or 2). InputError for too few free postures.
     """
     layout = DisplacementLayout(joints=arm.joints)
-    known = earlier(arm, layout, prior) if prior is not None else belief(arm, layout, PriorCase(twist=1.0))
-    postures = _candidates(arm, seed)
+    known = earlier(arm, layout, prior) if prior is not None else belief(arm, layout, PriorCase(twist=LINKS))
+    postures = np.concatenate(_candidates(arm, seed))
     if len(postures) * visits < count:
         raise InputError(
             f"arm {arm.name}: only {len(postures)} postures are free of limits, floor and collisions, {count} are to "
             "be measured; ask for fewer"
         )
-    seen = [_seen(arm, known, postures, side, sigma) for side in (1.0, -1.0)]
+    slopes, noises = _seen(arm, known, postures, sigma)
     covariance: Array = np.asarray(np.linalg.inv(known.precision), dtype=float)
-    places = np.random.default_rng(0).permutation(_candidates(arm, seed + 1))[:_PLACES]
-    region = _seen(arm, known, places, 0.0, 0.0)
+    places = [np.random.default_rng(0).permutation(one)[:_PLACES] for one in _candidates(arm, seed + 1)]
+    region = _seen(arm, known, np.concatenate(places), 0.0)
+    weight = np.einsum("pik,pil->kl", region[0], region[0])
     chosen: list[int] = []
     expected = [_expected(region, covariance)]
     while len(chosen) < count:
-        slopes, noises = seen[len(chosen) % 2]
         again = len(chosen) % visits > 0
-        best = chosen[-1] if again else most_telling(slopes, noises, covariance, chosen)
+        best = chosen[-1] if again else _most_telling(slopes, noises, covariance, weight, chosen)
         covariance = narrowed(covariance, slopes[best], noises[best])
         chosen.append(best)
         expected.append(_expected(region, covariance))
@@ -113,8 +119,8 @@ def suggest(
     )
 
 
-def _candidates(arm: Arm, seed: int) -> Array:
-    """Free postures (C, n) [rad] in the region of targets and elsewhere, approachable from both sides.
+def _candidates(arm: Arm, seed: int) -> tuple[Array, Array]:
+    """Free postures (C, n) [rad] in the region of targets, and elsewhere, approachable from both sides.
 
     Elsewhere no joint carries more than in the region.
     """
@@ -124,12 +130,18 @@ def _candidates(arm: Arm, seed: int) -> Array:
     most = np.abs(gravity_torque(arm, inside)).max(axis=0, initial=0.0)
     light = anywhere[(np.abs(gravity_torque(arm, anywhere)) <= most).all(axis=1)]
     within = _approachable(arm, inside)[:WITHIN]
-    return np.vstack([within, _approachable(arm, rng.permutation(light))[: CANDIDATES - len(within)]])
+    return within, _approachable(arm, rng.permutation(light))[: CANDIDATES - len(within)]
 
 
 def _approachable(arm: Arm, q: Array) -> Array:
+    """Those of postures (C, n) [rad] that are free, and from both sides, where no joint may rest on either flank.
+
+    A joint whose load changes its sign within its play stays on the flank where it came to rest, which no model tells.
+    """
     free = [_free(arm, q - away) for away in (0.0, BEFORE, -BEFORE)]
-    return np.asarray(q[np.logical_and.reduce(free)])
+    loads = [gravity_torque(arm, q + side * 0.5 * _WIDEST) for side in (1.0, -1.0)]
+    either = (np.minimum(*loads) < -FLOATING) & (np.maximum(*loads) > FLOATING)
+    return np.asarray(q[np.logical_and.reduce(free) & ~either.any(axis=1)])
 
 
 def _free(arm: Arm, q: Array) -> NDArray[np.bool_]:
@@ -141,23 +153,26 @@ def _free(arm: Arm, q: Array) -> NDArray[np.bool_]:
     return np.asarray(inside & above & ~collides(arm, frames(arm, q)))
 
 
-def _seen(arm: Arm, known: Belief, postures: Array, side: float, sigma: float) -> tuple[Array, Array]:
+def _seen(arm: Arm, known: Belief, postures: Array, sigma: float) -> tuple[Array, Array]:
     """Return derivatives (C, 3, k) and covariances (C, 3, 3) of the tool at candidates."""
     layout = DisplacementLayout(joints=arm.joints)
-    _, slope = linearised(arm, layout, known.mean, postures, postures - BEFORE * side)
-    noise = scatter(arm, displacement_of(layout, known.mean), postures)
+    _, slope = linearised(arm, layout, known.mean, postures)
+    believed = displacement_of(layout, known.mean)
+    variance = np.diag(np.linalg.inv(known.precision))[layout.at("play")]
+    noise = scatter(arm, replace(believed, play=np.hypot(believed.play, np.sqrt(variance))), postures)
     return slope, noise + (sigma**2 + floor_of(arm) ** 2) * np.eye(3)
 
 
-def most_telling(slope: Array, noise: Array, covariance: Array, chosen: list[int]) -> int:
-    """Candidate, not yet ``chosen``, that adds most to the determinant of the information.
+def _most_telling(slope: Array, noise: Array, covariance: Array, weight: Array, chosen: list[int]) -> int:
+    """Candidate, not yet ``chosen``, that lessens the trace of ``weight`` (k, k) times ``covariance`` (k, k) most.
 
-    Candidates have ``slope`` (C, d, k) and ``noise`` (C, d, d), the unknowns ``covariance`` (k, k).
+    Candidates have ``slope`` (C, d, k) and ``noise`` (C, d, d).
     """
-    told = np.linalg.solve(noise, slope @ covariance @ np.swapaxes(slope, -1, -2))
-    gain = np.linalg.slogdet(np.eye(told.shape[-1]) + told)[1]
-    gain[chosen] = -np.inf
-    return int(np.argmax(gain))
+    told = slope @ covariance
+    gain = np.linalg.solve(told @ np.swapaxes(slope, -1, -2) + noise, told @ weight @ np.swapaxes(told, -1, -2))
+    variance = np.trace(gain, axis1=1, axis2=2)
+    variance[chosen] = -np.inf
+    return int(np.argmax(variance))
 
 
 def narrowed(covariance: Array, slope: Array, noise: Array) -> Array:

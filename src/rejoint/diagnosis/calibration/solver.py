@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from rejoint.arms import Arm, Array, Displacement, tcp_position
+from rejoint.arms import Arm, Array, Displacement
 from rejoint.arms.rotations import rotation_about
-from rejoint.diagnosis.calibration.measurements import Measurements, align
+from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.parameters import (
     Belief,
     DisplacementLayout,
@@ -23,6 +23,7 @@ from rejoint.diagnosis.calibration.parameters import (
     floor_of,
     linearised,
     scatter,
+    vector_of,
 )
 
 HUBER = 2.8
@@ -87,9 +88,13 @@ class Fittable(ABC):
     def noise(self, vector: Array) -> Array:
         """Covariance (R, d, d) of a residual for known parameters."""
 
-    @abstractmethod
     def uncorrected(self, out: NDArray[np.bool_], start: Array) -> Array:
         """Residuals (r, d) of rows ``out`` by encoders alone; the others fit the frame from ``start`` (k,)."""
+        body, own = slice(0, self.layout.body), self.belief
+        mean, lower, upper = own.mean.copy(), own.lower.copy(), own.upper.copy()
+        mean[body] = lower[body] = upper[body] = vector_of(self.layout, Displacement.none(self.arm))[body]
+        rigid = replace(self, belief=replace(own, mean=mean, lower=lower, upper=upper))
+        return rigid.rows(out).misfit(solve(rigid.rows(~out), start).vector)
 
     def misfit(self, vector: Array) -> Array:
         """Residuals (R, d)."""
@@ -122,13 +127,6 @@ class CalibrationProblem(Fittable):
         """Problem of some points."""
         return replace(self, measurements=self.measurements.rows(where))
 
-    def uncorrected(self, out: NDArray[np.bool_], start: Array) -> Array:  # noqa: ARG002 - it needs no guess
-        """Residuals (r, 3) [m] of plain kinematics, zero where not measured."""
-        held = self.measurements.rows(out)
-        pose = align(self.arm, self.measurements.rows(~out)) if self.layout.frame else self.frame
-        seen = (tcp_position(self.arm, held.position) - pose[:3, 3]) @ pose[:3, :3]
-        return np.where(np.isfinite(held.point), seen - held.point, 0.0)
-
     @property
     def known(self) -> NDArray[np.bool_]:
         """(M, 3) which coordinates were measured."""
@@ -148,7 +146,7 @@ class CalibrationProblem(Fittable):
     def residual(self, vector: Array) -> tuple[Array, Array]:
         """Predicted less measured coordinates (M, 3) [m], zero where not measured; derivative (M, 3, k)."""
         m = self.measurements
-        tool, own = linearised(self.arm, self.layout, vector, m.position, m.approach)
+        tool, own = linearised(self.arm, self.layout, vector, m.position)
         pose, derivative = self.pose(vector), np.zeros((*tool.shape, self.layout.size))
         derivative[..., : self.layout.body] = own
         if self.layout.frame:
@@ -185,7 +183,7 @@ def solve(problem: Fittable, start: Array, iterations: int = ITERATIONS) -> Fitt
         full[free] = x
         return full
 
-    for step in range(_ROUNDS):
+    for step in range(_ROUNDS if free.any() else 0):
         whitener = problem.whitener(vector)
         if step:
             whitener = whitener * _plausible(whitener, problem.misfit(vector))[:, None, None]

@@ -13,14 +13,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, Displacement, solve_position
+from rejoint.arms import Arm, Array, Displacement
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.rotations import rotation_about
-from rejoint.control.controller import Controller
+from rejoint.control.controller import ControlInput, Controller
+from rejoint.control.correction import Modelled
 from rejoint.control.goal import Ways
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import Recording
 from rejoint.control.reference import TargetSequence
+from rejoint.control.robot import Mask
 from rejoint.control.start import play
 from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.calibration.calibration import Calibration
@@ -234,7 +236,7 @@ def try_condition(
     share = 1.0 / (len(POINTS) + 2)
     on_progress(share, f"{condition.name}: without calibration")
     before = [
-        _errors(_hold(open_condition(arm, condition, family, threads), controller, one.targets, one.ways), one.targets)
+        _errors(_hold(open_condition(arm, condition, family, threads), controller, one), family.targets)
         for one in fresh
     ]
     tried: list[list[Tried]] = [[] for _ in fresh]
@@ -242,8 +244,7 @@ def try_condition(
         on_progress((2 + step) * share, f"{condition.name}: {points} points")
         found = [fit(arm, measured.first(i, points)) for i in range(family.arms)]
         for one, done in zip(fresh, tried, strict=True):
-            robot = open_condition(arm, condition, family, threads)
-            done.append(try_found(robot, found, controller, one.targets, points, one.ways))
+            done.append(try_found(open_condition(arm, condition, family, threads), found, controller, one, points))
     held = [Held(where=a.name, before=b, tried=tuple(c)) for a, b, c in zip(fresh, before, tried, strict=True)]
     named, accused = find_wrong(arm, measured, family)
     return Trials(condition=condition, held=tuple(held), named=named, accused=accused)
@@ -281,24 +282,15 @@ def try_found(
     robot: EmulatedRobot,
     found: Sequence[Calibration],
     controller: Callable[[Arm], Controller],
-    targets: Array,
+    fresh: FreshTargets,
     points: int,
-    ways: Ways | None = None,
 ) -> Tried:
-    """Send all arms, corrected by what was ``found``, to ``targets`` (A, K, 3) [m] by their ``ways``."""
-    arm, aims = robot.arm, np.empty_like(targets)
-    for i, calibration in enumerate(found):
-        came = arm.rest
-        for k, target in enumerate(targets[i]):
-            near = None if ways is None else ways[i][k].goal
-            aims[i, k] = calibration.aim(target, came, near)
-            came = solve_position(arm, aims[i, k], came).q if near is None else near
-    recording = _hold(robot, controller, aims, ways)
-    error, settled = _errors(recording, targets), _settled(recording, targets.shape[1])
-    came = np.concatenate([np.broadcast_to(arm.rest, settled[:, :1].shape), settled[:, :-1]], axis=1)
+    """Send all arms, corrected by what was ``found``, to ``fresh`` targets."""
+    recording, count = _hold(robot, controller, fresh, OwnCorrections(found)), fresh.targets.shape[1]
+    error, settled = _errors(recording, count), _last(recording, recording.position, count)
     inside, expected = np.zeros(error.shape), np.zeros(error.shape)
     for i, calibration in enumerate(found):
-        low, high = calibration.interval(settled[i], targets[i], came[i])
+        low, high = calibration.interval(settled[i], fresh.targets[i])
         inside[i], expected[i] = (error[i] >= low) & (error[i] <= high), calibration.sigma(settled[i])
     return Tried(
         points=points,
@@ -317,36 +309,52 @@ def _go(robot: EmulatedRobot, sent: Array, goal: Array) -> Array:
     return recording.command[-1]
 
 
-def _hold(robot: EmulatedRobot, controller: Callable[[Arm], Controller], aims: Array, ways: Ways | None) -> Recording:
-    reference = TargetSequence(robot.arm, aims, ways=ways)
+class OwnCorrections(Modelled):
+    """Corrects the targets of each arm by its own calibration."""
+
+    def __init__(self, found: Sequence[Calibration]) -> None:
+        self._each = [Modelled(one.arm, one.displacement if one.used else Displacement.none(one.arm)) for one in found]
+
+    def aim(self, target: Array, start: Array, where: Mask, near: Array | None = None) -> Array:
+        """Corrected targets (B, 3) [m]."""
+        rows = (target, start, where) if near is None else (target, start, where, near)
+        return np.concatenate(
+            [one.aim(*own) for one, *own in zip(self._each, *(row[:, None] for row in rows), strict=True)]
+        )
+
+    def again(self, target: Array, inputs: ControlInput) -> Array | None:
+        """Correct settled arms once more."""
+        fresh, state = inputs.target.copy(), inputs.state
+        for i, one in enumerate(self._each):
+            own = replace(state, time=state.time[i : i + 1], position=state.position[i : i + 1])
+            found = one.again(target[i : i + 1], replace(inputs, state=own, target=inputs.target[i : i + 1]))
+            fresh[i] = fresh[i] if found is None else found[0]
+        return None if (fresh == inputs.target).all() else fresh
+
+
+def _hold(
+    robot: EmulatedRobot,
+    controller: Callable[[Arm], Controller],
+    fresh: FreshTargets,
+    correction: Modelled | None = None,
+) -> Recording:
+    reference = TargetSequence(robot.arm, fresh.targets, ways=fresh.ways, correction=correction)
     return run(robot, controller(robot.arm), reference, Schedule(dwell=HOLD, keep_going=True))
 
 
-def _errors(recording: Recording, targets: Array) -> Array:
+def _errors(recording: Recording, count: int) -> Array:
     """Return true errors (A, K) [m] over the last second at each target; NaN after a guard's stop."""
-    return _over_last(
-        recording,
-        targets.shape[1],
-        lambda rows, i, k: float(np.linalg.norm(recording.true_tcp[rows, i] - targets[i, k], axis=-1).mean()),
-    )[..., 0]
+    return _last(recording, np.linalg.norm(recording.true_tcp - recording.target, axis=-1), count)
 
 
-def _settled(recording: Recording, count: int) -> Array:
-    """Return encoder positions (A, K, n) [rad] over the same time."""
-    return _over_last(recording, count, lambda rows, i, _: recording.position[rows, i].mean(axis=0))
-
-
-def _over_last(recording: Recording, count: int, value: Callable[[NDArray[np.intp], int, int], Array | float]) -> Array:
-    found = []
-    for i in range(recording.position.shape[1]):
-        for k in range(count):
-            rows = np.flatnonzero(recording.active[:, i] & (recording.target_index[:, i] == k))
-            since = recording.since_target[rows, i]
-            done = len(rows) > 0 and since[-1] > HOLD - LAST
-            found.append(np.atleast_1d(value(rows[since > HOLD - LAST], i, k)) if done else None)
-    size = max((len(one) for one in found if one is not None), default=1)
-    flat = np.array([np.full(size, np.nan) if one is None else one for one in found])
-    return flat.reshape(recording.position.shape[1], count, size)
+def _last(recording: Recording, values: Array, count: int) -> Array:
+    """Return means (A, K, ...) of ``values`` (T, A, ...) over the same time."""
+    late = recording.active & (recording.since_target > HOLD - LAST)
+    found = np.full((values.shape[1], count, *values.shape[2:]), np.nan)
+    for i, k in np.ndindex(*found.shape[:2]):
+        rows = late[:, i] & (recording.target_index[:, i] == k)
+        found[i, k] = values[rows, i].mean(axis=0) if rows.any() else np.nan
+    return found
 
 
 HEADERS = (

@@ -27,7 +27,7 @@ from rejoint.diagnosis.calibration.camera.film import Film, Shot, positions
 from rejoint.diagnosis.calibration.camera.starting import first_lens, first_rig, first_sights
 from rejoint.diagnosis.calibration.camera.ties import TieProblem, with_poses
 from rejoint.diagnosis.calibration.parameters import DisplacementLayout, belief, displacement_of
-from rejoint.diagnosis.calibration.postures import BEFORE, most_telling, narrowed
+from rejoint.diagnosis.calibration.postures import BEFORE, narrowed
 from rejoint.diagnosis.calibration.procedure import StandingDrive
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
@@ -49,7 +49,7 @@ _LOOK = 1.0  # [m] and [rad] of camera and board around where they are believed 
 def choose_postures(arm: Arm, rig: Rig, count: int, seed: int = 0, before: float = 0.0) -> Array:
     """Choose ``count`` postures (count, n) [rad] in which ``rig`` shows the board, approached from ``before`` [rad].
 
-    D-optimal. InputError for too few views.
+    D-optimal, because the poses of camera and board count too. InputError for too few views.
     """
     candidates = seen_postures(arm, rig, max(CANDIDATES, 2 * count), seed, before=before)
     if len(candidates) < count:
@@ -75,10 +75,11 @@ def choose_postures(arm: Arm, rig: Rig, count: int, seed: int = 0, before: float
     slope = problem.whitener(problem.belief.mean) @ problem.residual(problem.belief.mean)[1][..., : -len(TERMS)]
     spread = np.diag(np.concatenate([1.0 / np.diag(believed.precision), np.full(12, _LOOK**2)]))
     chosen: list[int] = []
-    noise = np.broadcast_to(np.eye(6), (len(slope), 6, 6))
     for _ in range(count):
-        chosen.append(most_telling(slope, noise, spread, chosen))
-        spread = narrowed(spread, slope[chosen[-1]], noise[0])
+        gain = np.linalg.slogdet(np.eye(6) + slope @ spread @ np.swapaxes(slope, -1, -2))[1]
+        gain[chosen] = -np.inf
+        chosen.append(int(np.argmax(gain)))
+        spread = narrowed(spread, slope[chosen[-1]], np.eye(6))
     return candidates[chosen]
 
 

@@ -11,19 +11,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from rejoint.arms import Arm, Array, Displacement, jacobian
 from rejoint.arms.camera.board import BoardView
 from rejoint.arms.camera.lens import CORNER, TERMS, place
 from rejoint.arms.camera.rig import Rig
 from rejoint.arms.camera.views import Detector, Unusable
-from rejoint.arms.displacement import FLOATING
 from rejoint.arms.rotations import difference, inverse, moved
-from rejoint.arms.workspace import length_size
 from rejoint.control.seeing import Sighting
 from rejoint.diagnosis.calibration.measurements import Measurements
-from rejoint.diagnosis.calibration.parameters import SCATTER, Belief, vector_of
-from rejoint.diagnosis.calibration.solver import Fittable, solve
+from rejoint.diagnosis.calibration.parameters import Belief, floor_of, play_variance
+from rejoint.diagnosis.calibration.solver import Fittable
 
 HUBER = 3.55
 """Residual [sigma] from which the loss is linear: 95 % of six normal numbers"""
@@ -31,8 +30,8 @@ POSES = 12
 """Unknowns after the arm's: shift [m] and turn [rad] of `Rig.standing` and `Rig.mounted`; then the lens"""
 NOWHERE = 10.0
 """[m] and [rad] sigma of unknown poses"""
-LOOSE, ASKEW = 0.5e-3, np.radians(0.15)
-"""[m] over the reach of a myCobot 280, and [rad]: unexplained displacement; chosen"""
+ASKEW = np.radians(0.15)
+"""[rad] unexplained turn; chosen"""
 JOINT = np.radians(0.1)
 """[rad] the same of each joint; chosen"""
 _ANY = np.array([1e3] * 3 + [1.0] * 4)  # standard deviations of a lens of which nothing is known
@@ -75,15 +74,8 @@ class TieProblem(Fittable):
 
     def rows(self, where: NDArray[np.bool_]) -> TieProblem:
         """Problem of some views."""
-        return replace(
-            self,
-            sights=self.sights[where],
-            by_lens=self.by_lens[where],
-            spread=self.spread[where],
-            position=self.position[where],
-            approach=self.approach[where],
-            posture=self.posture[where],
-        )
+        names = ("sights", "by_lens", "spread", "position", "approach", "posture")
+        return replace(self, **{name: getattr(self, name)[where] for name in names})
 
     def rig_of(self, vector: Array) -> Rig:
         """Rig for the unknowns (k,)."""
@@ -120,14 +112,6 @@ class TieProblem(Fittable):
         """Covariance (V, 6, 6) of a residual for known parameters."""
         return looseness(self.arm, self.displacement(vector), self.position) + self.spread
 
-    def uncorrected(self, out: NDArray[np.bool_], start: Array) -> Array:
-        """Shift [m] and turn [rad] (r, 6) of the tool from the encoders'."""
-        body, own = slice(0, self.layout.body), self.belief
-        mean, lower, upper = own.mean.copy(), own.lower.copy(), own.upper.copy()
-        mean[body] = lower[body] = upper[body] = vector_of(self.layout, Displacement.none(self.arm))
-        rigid = replace(self, belief=replace(own, mean=mean, lower=lower, upper=upper))
-        return rigid.rows(out).misfit(solve(rigid.rows(~out), start).vector)
-
     def measurements(self, vector: Array) -> Measurements:
         """Tool positions in the measuring frame."""
         rig = self.rig_of(vector)
@@ -150,30 +134,23 @@ class TieProblem(Fittable):
 
     def reported(self, vector: Array) -> Array:
         """Tool poses (V, 4, 4) in the base by corrected kinematics."""
-        return self.displacement(vector).tool_pose(self.arm, self.position, self.approach)
+        return self.displacement(vector).tool_pose(self.arm, self.position)
 
 
 def looseness(arm: Arm, displacement: Displacement, position: Array) -> Array:
     """Covariance (V, 6, 6) of the tool's pose beyond ``displacement``, at ``position`` (V, n) [rad]."""
-    free = 1.0 - np.tanh(displacement.torque(arm, position) / FLOATING) ** 2
-    variance = SCATTER * (0.5 * displacement.play) ** 2 * free + JOINT**2
+    variance = play_variance(displacement, displacement.torque(arm, position)) + JOINT**2
     lever = jacobian(arm, position)
-    rest = np.diag([(LOOSE * length_size(arm)) ** 2] * 3 + [ASKEW**2] * 3)
+    rest = np.diag([floor_of(arm) ** 2] * 3 + [ASKEW**2] * 3)
     return np.asarray((lever * variance[:, None, :]) @ np.swapaxes(lever, -1, -2) + rest)
 
 
 def with_poses(own: Belief, lens: Array) -> Belief:
     """Append unknown `POSES` and the ``lens`` (7, 7) to a belief."""
-    count = len(own.mean)
-    size = count + POSES + len(lens)
-    anywhere = np.full(size - count, np.inf)
-    mean, precision = np.concatenate([own.mean, np.zeros(size - count)]), np.zeros((size, size))
-    precision[:count, :count] = own.precision
-    precision[count : count + POSES, count : count + POSES] = NOWHERE**-2.0 * np.eye(POSES)
-    precision[count + POSES :, count + POSES :] = lens
+    anywhere = np.full(POSES + len(lens), np.inf)
     return Belief(
-        mean=mean,
-        precision=precision,
+        mean=np.concatenate([own.mean, np.zeros_like(anywhere)]),
+        precision=block_diag(own.precision, NOWHERE**-2.0 * np.eye(POSES), lens),
         lower=np.concatenate([own.lower, -anywhere]),
         upper=np.concatenate([own.upper, anywhere]),
     )
