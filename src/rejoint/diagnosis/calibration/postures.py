@@ -8,7 +8,7 @@ and above.
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,13 +99,14 @@ def suggest(
         )
     slopes, noises = _seen(arm, known, postures, sigma)
     covariance: Array = np.asarray(np.linalg.inv(known.precision), dtype=float)
-    region = wanted(arm, known, seed + 1)
-    weight = weight_of(region[0])
+    places = [np.random.default_rng(0).permutation(one)[:_PLACES] for one in _candidates(arm, seed + 1)]
+    region = _seen(arm, known, np.concatenate(places), 0.0)
+    weight = np.einsum("pik,pil->kl", region[0], region[0])
     chosen: list[int] = []
     expected = [_expected(region, covariance)]
     while len(chosen) < count:
         again = len(chosen) % visits > 0
-        best = chosen[-1] if again else most_telling(slopes, noises, covariance, weight, chosen)
+        best = chosen[-1] if again else _most_telling(slopes, noises, covariance, weight, chosen)
         covariance = narrowed(covariance, slopes[best], noises[best])
         chosen.append(best)
         expected.append(_expected(region, covariance))
@@ -118,20 +119,6 @@ def suggest(
     )
 
 
-def wanted(arm: Arm, known: Belief, seed: int = 1) -> tuple[Array, Array]:
-    """Return derivatives (P, 3, k) and covariances (P, 3, 3) of the tool where it shall be accurate."""
-    places = [np.random.default_rng(0).permutation(one)[:_PLACES] for one in _candidates(arm, seed)]
-    return _seen(arm, known, np.concatenate(places), 0.0)
-
-
-def weight_of(slope: Array) -> Array:
-    """Return the matrix (k, k) whose product with a covariance has the mean variance of tools as its trace.
-
-    ``slope`` (P, 3, k) is their derivative by the unknowns.
-    """
-    return np.asarray(np.einsum("pik,pil->kl", slope, slope) / len(slope))
-
-
 def _candidates(arm: Arm, seed: int) -> tuple[Array, Array]:
     """Free postures (C, n) [rad] in the region of targets, and elsewhere, approachable from both sides.
 
@@ -142,11 +129,11 @@ def _candidates(arm: Arm, seed: int) -> tuple[Array, Array]:
     inside, anywhere = solution.q[solution.converged], comfortable_postures(arm)
     most = np.abs(gravity_torque(arm, inside)).max(axis=0, initial=0.0)
     light = anywhere[(np.abs(gravity_torque(arm, anywhere)) <= most).all(axis=1)]
-    within = approachable(arm, inside)[:WITHIN]
-    return within, approachable(arm, rng.permutation(light))[: CANDIDATES - len(within)]
+    within = _approachable(arm, inside)[:WITHIN]
+    return within, _approachable(arm, rng.permutation(light))[: CANDIDATES - len(within)]
 
 
-def approachable(arm: Arm, q: Array) -> Array:
+def _approachable(arm: Arm, q: Array) -> Array:
     """Those of postures (C, n) [rad] that are free, and from both sides, where no joint may rest on either flank.
 
     A joint whose load changes its sign within its play stays on the flank where it came to rest, which no model tells.
@@ -170,14 +157,16 @@ def _seen(arm: Arm, known: Belief, postures: Array, sigma: float) -> tuple[Array
     """Return derivatives (C, 3, k) and covariances (C, 3, 3) of the tool at candidates."""
     layout = DisplacementLayout(joints=arm.joints)
     _, slope = linearised(arm, layout, known.mean, postures)
-    noise = scatter(arm, displacement_of(layout, known.mean), postures)
+    believed = displacement_of(layout, known.mean)
+    variance = np.diag(np.linalg.inv(known.precision))[layout.at("play")]
+    noise = scatter(arm, replace(believed, play=np.hypot(believed.play, np.sqrt(variance))), postures)
     return slope, noise + (sigma**2 + floor_of(arm) ** 2) * np.eye(3)
 
 
-def most_telling(slope: Array, noise: Array, covariance: Array, weight: Array, chosen: list[int]) -> int:
-    """Candidate, not yet ``chosen``, that lessens the mean variance by ``weight`` (k, k) most, see `weight_of`.
+def _most_telling(slope: Array, noise: Array, covariance: Array, weight: Array, chosen: list[int]) -> int:
+    """Candidate, not yet ``chosen``, that lessens the trace of ``weight`` (k, k) times ``covariance`` (k, k) most.
 
-    Candidates have ``slope`` (C, d, k) and ``noise`` (C, d, d), the unknowns ``covariance`` (k, k).
+    Candidates have ``slope`` (C, d, k) and ``noise`` (C, d, d).
     """
     told = slope @ covariance
     gain = np.linalg.solve(told @ np.swapaxes(slope, -1, -2) + noise, told @ weight @ np.swapaxes(told, -1, -2))

@@ -13,9 +13,8 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
-from rejoint.arms import Arm, Array, tcp_pose, tcp_position
+from rejoint.arms import Arm, Array, collides, frames, heights, tcp_pose, tcp_position
 from rejoint.arms.camera.board import Board
 from rejoint.arms.camera.lens import TERMS
 from rejoint.arms.camera.rig import Rig
@@ -26,9 +25,9 @@ from rejoint.control.start import Stance
 from rejoint.diagnosis.calibration.camera.bundle import USUAL
 from rejoint.diagnosis.calibration.camera.film import Film, Shot, positions
 from rejoint.diagnosis.calibration.camera.starting import first_lens, first_rig, first_sights
-from rejoint.diagnosis.calibration.camera.ties import POSES, TieProblem, with_poses
+from rejoint.diagnosis.calibration.camera.ties import TieProblem, with_poses
 from rejoint.diagnosis.calibration.parameters import DisplacementLayout, belief, displacement_of
-from rejoint.diagnosis.calibration.postures import BEFORE, approachable, most_telling, narrowed, wanted, weight_of
+from rejoint.diagnosis.calibration.postures import BEFORE, narrowed
 from rejoint.diagnosis.calibration.procedure import StandingDrive
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
@@ -42,16 +41,17 @@ SCOUTING = {"board": np.radians(20.0), "camera": np.radians(12.0)}
 """[rad] the same before the camera is located; chosen"""
 _DRAWS = 4000  # at a time
 _TRIES = 25  # of so many draws
+_ROOM = np.radians(5.0)  # from the joint limits
 _AROUND = 0.04  # [m] around the region of targets in which the tool stays (chosen)
 _LOOK = 1.0  # [m] and [rad] of camera and board around where they are believed to be
 
 
-def choose_postures(arm: Arm, rig: Rig, count: int, seed: int = 0) -> Array:
-    """Choose ``count`` postures (count, n) [rad] in which ``rig`` shows the board.
+def choose_postures(arm: Arm, rig: Rig, count: int, seed: int = 0, before: float = 0.0) -> Array:
+    """Choose ``count`` postures (count, n) [rad] in which ``rig`` shows the board, approached from ``before`` [rad].
 
-    I-optimal. InputError for too few views.
+    D-optimal, because the poses of camera and board count too. InputError for too few views.
     """
-    candidates = seen_postures(arm, rig, max(CANDIDATES, 2 * count), seed)
+    candidates = seen_postures(arm, rig, max(CANDIDATES, 2 * count), seed, before=before)
     if len(candidates) < count:
         raise InputError(
             f"the camera sees the board in {len(candidates)} of {_TRIES * _DRAWS} postures around the rest posture, "
@@ -73,19 +73,19 @@ def choose_postures(arm: Arm, rig: Rig, count: int, seed: int = 0) -> Array:
         by_lens=np.zeros((len(candidates), 6, len(TERMS))),
     )
     slope = problem.whitener(problem.belief.mean) @ problem.residual(problem.belief.mean)[1][..., : -len(TERMS)]
-    spread = np.diag(np.concatenate([1.0 / np.diag(believed.precision), np.full(POSES, _LOOK**2)]))
-    weight = block_diag(weight_of(wanted(arm, believed)[0]), np.zeros((POSES, POSES)))
+    spread = np.diag(np.concatenate([1.0 / np.diag(believed.precision), np.full(12, _LOOK**2)]))
     chosen: list[int] = []
-    noise = np.broadcast_to(np.eye(6), (len(slope), 6, 6))
     for _ in range(count):
-        chosen.append(most_telling(slope, noise, spread, weight, chosen))
-        spread = narrowed(spread, slope[chosen[-1]], noise[0])
+        gain = np.linalg.slogdet(np.eye(6) + slope @ spread @ np.swapaxes(slope, -1, -2))[1]
+        gain[chosen] = -np.inf
+        chosen.append(int(np.argmax(gain)))
+        spread = narrowed(spread, slope[chosen[-1]], np.eye(6))
     return candidates[chosen]
 
 
-def scouting_postures(arm: Arm, carried: str, count: int) -> Array:
+def scouting_postures(arm: Arm, carried: str, count: int, before: float) -> Array:
     """Choose ``count`` postures (count, n) [rad] about the rest posture, far apart."""
-    drawn = seen_postures(arm, None, CANDIDATES, 0, SCOUTING[carried])
+    drawn = seen_postures(arm, None, CANDIDATES, 0, spread=SCOUTING[carried], before=before)
     if len(drawn) < count:
         raise InputError(
             f"arm {arm.name}: {len(drawn)} postures about the rest posture are free of floor, limits and collisions, "
@@ -98,18 +98,27 @@ def scouting_postures(arm: Arm, carried: str, count: int) -> Array:
     return np.array(chosen)
 
 
-def seen_postures(arm: Arm, rig: Rig | None, count: int, seed: int, spread: float = SPREAD) -> Array:
-    """Draw up to ``count`` approachable postures (C, n) [rad] about rest that the ``rig``, if any, shows."""
-    rng, found = np.random.default_rng(seed), np.zeros((0, arm.joints))
+def seen_postures(
+    arm: Arm, rig: Rig | None, count: int, seed: int, *, spread: float = SPREAD, before: float = 0.0
+) -> Array:
+    """Draw up to ``count`` free postures (C, n) [rad] about rest that the ``rig``, if any, shows."""
+    rng, room = np.random.default_rng(seed), _ROOM + before
+    low, high = np.maximum(arm.lower + room, arm.rest - spread), np.minimum(arm.upper - room, arm.rest + spread)
+    found, enough = [np.zeros((0, arm.joints))], 0
     for _ in range(_TRIES):
-        drawn = rng.uniform(arm.rest - spread, arm.rest + spread, (_DRAWS, arm.joints))
+        drawn = rng.uniform(low, high, (_DRAWS, arm.joints))
         tool = tcp_position(arm, drawn)
-        drawn = drawn[((tool > arm.targets.lower - _AROUND) & (tool < arm.targets.upper + _AROUND)).all(axis=-1)]
+        near = ((tool > arm.targets.lower - _AROUND) & (tool < arm.targets.upper + _AROUND)).all(axis=-1)
+        drawn = drawn[near & (heights(arm, drawn)[:, 1:].min(axis=-1) > arm.floor)]
         drawn = drawn if rig is None else drawn[rig.shows(tcp_pose(arm, drawn))]
-        found = np.concatenate([found, approachable(arm, drawn)])[:count]
-        if len(found) == count:
+        for away in (0.0, before, -before) if before else (0.0,):
+            drawn = drawn[(heights(arm, drawn - away)[:, 1:].min(axis=-1) > arm.floor)]
+            drawn = drawn[~collides(arm, frames(arm, drawn - away))]
+        found.append(drawn)
+        enough += len(drawn)
+        if enough >= count:
             break
-    return found
+    return np.concatenate(found)[:count]
 
 
 SCOUTS = 12
@@ -163,10 +172,10 @@ class FilmDrive:
         InputError if the board is hardly visible; errors of `rejoint.control.loop.run`.
         """
         arm, total = self._arm, SCOUTS + count * visits
-        for number, posture in enumerate(scouting_postures(arm, self.film.carried, SCOUTS), start=1):
+        for number, posture in enumerate(scouting_postures(arm, self.film.carried, SCOUTS, BEFORE), start=1):
             self._shoot(number, total, posture, number - 1)
         rig = believed_rig(arm, self.film.numbered(1, SCOUTS))
-        chosen = np.repeat(choose_postures(arm, rig, count), visits, axis=0)
+        chosen = np.repeat(choose_postures(arm, rig, count, before=BEFORE), visits, axis=0)
         for row, posture in enumerate(chosen):
             self._shoot(SCOUTS + 1 + row, total, posture, SCOUTS + row // visits)
         if "_drive" in self.__dict__:
