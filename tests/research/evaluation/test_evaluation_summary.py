@@ -52,7 +52,3 @@ def test_a_hold_fails_beyond_five_millimetres_and_not_at_them():
     assert len(list_failures("worn", "x", outcome(beyond))) == 1
     for settled, share in ((at, 0.0), (beyond, 1.0)):  # the row counts what the list lists
         assert make_row("worn", "x", pooled(outcome(settled)), Protocol()).outside.value == share
-
-
-def one(value):
-    return np.full((1, 1), value)

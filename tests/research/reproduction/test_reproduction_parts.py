@@ -1,11 +1,8 @@
 """Single experiments, measures and figures of the reproduction, judged on what is known."""
 
-import json
-
 import numpy as np
 import pytest
 
-from commandline import run_cli
 from rejoint.arms import mycobot280
 from rejoint.pages.report.contents import Curves
 from rejoint.research.reproduction import gains
@@ -22,20 +19,14 @@ from rejoint.system.errors import InputError, RejointError
 ARM = mycobot280()
 
 
-def test_the_command_line_lists_runs_and_refuses(tmp_path, capsys, monkeypatch):
-    tools = {"capsys": capsys, "monkeypatch": monkeypatch}
-    code, out, _ = run_cli("reproduce", "--list", "--json", **tools)
-    assert code == 0
-    assert [one["name"] for one in json.loads(out.splitlines()[-1])] == [one.name for one in EXPERIMENTS]
-    words = ("--run", str(tmp_path / "run"), "--out", str(tmp_path / "page.md"))
-    code, out, _ = run_cli("reproduce", "table-1", *words, "--quick", "--json", **tools)
-    assert code == 0
-    found = json.loads(out.splitlines()[-1])["experiments"][0]
+def test_the_command_line_lists_runs_and_refuses(tmp_path, cli):
+    listed = cli("reproduce", "--list", "--json").last
+    assert [one["name"] for one in listed] == [one.name for one in EXPERIMENTS]
+    words = ("--run", tmp_path / "run", "--out", tmp_path / "page.md", "--quick", "--json")
+    found = cli("reproduce", "table-1", *words).last["experiments"][0]
     assert found["findings"]["numbers"][0]["value"] == pytest.approx(0.97, abs=0.02)
     assert (tmp_path / "page.md").exists()
-    code, _, err = run_cli("reproduce", "table-9", **tools)
-    assert code == 2
-    assert "table-4" in err
+    assert "table-4" in cli("reproduce", "table-9", code=2).err
 
 
 def test_experiments_are_chosen_by_any_of_their_names_in_the_paper_s_order():
