@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 from collections.abc import Iterator
 
 # As many tests run side by side as there are cores: threads of one would only wait for those of the others. Small
@@ -12,6 +13,7 @@ import mujoco
 import pytest
 from hypothesis import HealthCheck, settings
 
+from commandline import Told
 from rejoint.system.stopping import SIGNALS
 
 # The same cases in every run, and no test fails since the machine was slow.
@@ -40,3 +42,19 @@ def stable_simulations() -> Iterator[None]:
     yield
     mujoco.set_mju_user_warning(None)
     assert not warnings, f"MuJoCo warned {len(warnings)} times: {warnings[0]}"
+
+
+@pytest.fixture
+def cli(capsys, monkeypatch):
+    """`cli(*words)` runs `rejoint WORDS` in this process, which ends with ``code``."""
+    from rejoint.cli import main
+
+    def run(*words, code=0):
+        monkeypatch.setattr(sys, "argv", ["rejoint", *map(str, words)])
+        with pytest.raises(SystemExit) as stopped:
+            main()
+        told = Told(int(stopped.value.code or 0), *capsys.readouterr())
+        assert told.code == code, told.err
+        return told
+
+    return run

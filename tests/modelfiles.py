@@ -1,9 +1,10 @@
 """Descriptions of arms that nobody here wrote: files inside packages of the extra dev, which are not imported."""
 
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
-from rejoint.arms import Arm, load_arm
+from rejoint.arms import Arm, Box, load_arm
 
 
 def packaged(package: str, path: str) -> Path:
@@ -14,3 +15,21 @@ def packaged(package: str, path: str) -> Path:
 
 def ur5e() -> Arm:
     return load_arm(packaged("airo_models", "arms/ur5e/ur5e.urdf"))
+
+
+def resized(arm, length, mass=1.0):
+    """The same arm, with lengths and masses times a factor."""
+    offset, tip = arm.offset.copy(), arm.tip.copy()
+    offset[:, :3, 3] *= length
+    tip[:3, 3] *= length
+    return replace(
+        arm,
+        name="resized",
+        offset=offset,
+        tip=tip,
+        com=length * arm.com,
+        mass=mass * arm.mass,
+        inertia=mass * length**2 * arm.inertia,
+        floor=length * arm.floor,
+        targets=Box(lower=length * arm.targets.lower, upper=length * arm.targets.upper),
+    )

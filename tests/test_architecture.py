@@ -8,17 +8,19 @@ import sys
 from collections import Counter
 from pathlib import Path
 
+from commandline import python
+
 ROOT = Path(__file__).parent.parent
 
 
-def test_imports_point_one_way() -> None:
+def test_imports_point_one_way():
     command = [str(Path(sys.executable).with_name("lint-imports")), "--config", str(ROOT / ".importlinter")]
     result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stdout + result.stderr
     assert "0 broken" in result.stdout
 
 
-def test_nothing_is_unpickled() -> None:
+def test_nothing_is_unpickled():
     """A file that is read can then run no code. PyTorch's own reader is told to read tensors and plain data alone."""
     suspects = {"load", "loads", "Unpickler", "eval", "exec", "read_pickle"}
     ours = {"Policy.load", "rejoint.Twin.load"}  # readers of our own formats
@@ -41,7 +43,7 @@ def test_nothing_is_unpickled() -> None:
     }
 
 
-def test_the_page_draws_the_graph_that_is_kept() -> None:
+def test_the_page_draws_the_graph_that_is_kept():
     config = configparser.ConfigParser()
     config.read(ROOT / ".importlinter")
     layers = config["importlinter:contract:layers"]["layers"].replace("rejoint.", "").split("\n")
@@ -52,27 +54,25 @@ def test_the_page_draws_the_graph_that_is_kept() -> None:
         assert f"`{room}/`" in page or f"`{room}.py`" in page, room
 
 
-def test_a_policy_runs_without_a_simulator() -> None:
-    blocked = ["torch", "skrl", "mujoco", "matplotlib", "jinja2"]
+def test_a_policy_runs_without_a_simulator():
+    blocked = ["torch", "skrl", "mujoco", "matplotlib", "jinja2", "onnx"]
     code = (
         f"import sys\nfor name in {blocked!r}: sys.modules[name] = None\n"
         "import rejoint.cli, rejoint.control.policy, rejoint.control.loop, rejoint.robots.mycobot, rejoint.robots\n"
     )
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert result.returncode == 0, result.stderr
+    python("-c", code)
 
 
-def test_help_does_not_wait_for_what_is_slow_to_import() -> None:
+def test_help_does_not_wait_for_what_is_slow_to_import():
     code = (
         "import sys, rejoint.cli\n"
         "slow = {'torch', 'mujoco', 'numba', 'matplotlib', 'viser', 'scipy', 'pandas', 'pyarrow'}\n"
         "print(sorted(slow & set(sys.modules)))"
     )
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert result.stdout.strip() == "[]", result.stdout + result.stderr
+    assert python("-c", code).out.strip() == "[]"
 
 
-def named(kind: type[ast.AST]) -> list[tuple[str, str]]:
+def named(kind):
     """Names of all functions or classes of the package, each with its file."""
     files = sorted((ROOT / "src" / "rejoint").rglob("*.py"))
     return [
@@ -83,13 +83,13 @@ def named(kind: type[ast.AST]) -> list[tuple[str, str]]:
     ]
 
 
-def test_no_two_classes_have_one_name() -> None:
+def test_no_two_classes_have_one_name():
     found = Counter(name.lstrip("_") for name, _ in named(ast.ClassDef))
     public = {"Observer", "Settings"}  # of a session; the law of a policy and a comparison have some of their own
     assert {name for name, count in found.items() if count > 1} <= public
 
 
-def test_functions_and_classes_are_named_by_the_fields_words() -> None:
+def test_functions_and_classes_are_named_by_the_fields_words():
     private = re.compile(r"(?i)(^|_)(told|nobody|crew|seat|burden|patience|calm|lump|weightless|situation|forget)(_|$)")
     names = [*named(ast.ClassDef), *named(ast.FunctionDef)]
     assert [name for name in names if private.search(name[0])] == []

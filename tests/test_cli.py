@@ -14,20 +14,19 @@ import numpy as np
 import pytest
 
 import rejoint
-from commandline import run_cli
+from commandline import python
 from rejoint.arms import mycobot280
-from rejoint.control.robot import JointState
-from rejoint.logs.runfolder.folder import RunFolder, RunInfo
+from rejoint.logs.runfolder.folder import RunInfo
 from rejoint.logs.runlog import read_log
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.runs.run import Run, newest_or_new
-from rejoint.system.errors import FileError, InputError
+from rejoint.system.errors import FileError
 from rejoint.system.files import write_json
 from rejoint.training.train import TrainingOptions, train
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+def finished(tmp_path_factory):
     """A run with everything up to a policy that has hardly been trained."""
     path = tmp_path_factory.mktemp("runs") / "one"
     run = Run.create(path, "emulated:worn", mycobot280(), 0)
@@ -37,67 +36,49 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     return run.folder
 
 
-def test_repair_goes_on_where_it_stopped(
-    finished: RunFolder, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_repair_goes_on_where_it_stopped(finished, cli):
     before = {path: path.stat().st_mtime_ns for path in (finished.diagnosis, finished.twin, finished.policy)}
     options = ("--run", str(finished.path), "--sets", "1", "--repetitions", "1", "--controllers", "default,integrator")
-    code, out, err = run_cli("repair", *options, "--json", capsys=capsys, monkeypatch=monkeypatch)
-    assert code == 0, err
+    done = cli("repair", *options, "--json")
     assert before == {path: path.stat().st_mtime_ns for path in before}
-    assert err.count("already done") == 3
-    last = json.loads(out.splitlines()[-1])
+    assert done.err.count("already done") == 3
+    last = done.last
     assert last["recommended"]["controller"] == "integrator"
     assert Path(last["report"]).read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
-    assert out.splitlines()[-2] == last["report"]
+    assert done.out.splitlines()[-2] == last["report"]
 
 
-def test_a_twin_is_replayed_on_the_logs_it_came_from(
-    finished: RunFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_twin_is_replayed_on_the_logs_it_came_from(finished, tmp_path, cli):
     words = ("replay", str(finished.twin), "--logs", str(finished.path / "logs"), "--out", str(tmp_path), "--json")
-    code, out, err = run_cli(*words, capsys=capsys, monkeypatch=monkeypatch)
-    assert code == 0, err
-    mean = json.loads(out.splitlines()[-1])["mean"]
+    mean = cli(*words).last["mean"]
     assert mean["twin"]["all"]["tcp"] < mean["no twin"]["all"]["tcp"]
     assert (tmp_path / "replay.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
     assert {path.name for path in (tmp_path / "figures").iterdir()} >= {"prediction-free.png"}
 
 
-def test_deploy_logs_what_it_did(
-    finished: RunFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_deploy_logs_what_it_did(finished, tmp_path, cli):
     points = tmp_path / "points.csv"
     points.write_text("x,y,z\n170,0,200\n180,30,210\n")
     words = ("deploy", "emulated:worn", str(finished.path), "--controller", "integrator", "--targets", str(points))
-    code, out, _ = run_cli(*words, "--dwell", "6", "--json", capsys=capsys, monkeypatch=monkeypatch)
-    assert code == 0
-    errors = json.loads(out.splitlines()[-1])["error_mm"]
+    errors = cli(*words, "--dwell", "6", "--json").last["error_mm"]
     assert len(errors) == 2
     assert max(errors) < 5.0
     log = read_log(next(path for name, path in finished.logs().items() if name.startswith("deploy")))
     assert log.time[-1] - log.time[0] == pytest.approx(12.8, abs=0.8)
 
 
-def test_follow_goes_along_a_path_and_logs_each_time(
-    finished: RunFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_follow_goes_along_a_path_and_logs_each_time(finished, tmp_path, cli):
     points = tmp_path / "line.csv"
     points.write_text("time,x,y,z\n0,170,0,200\n1,180,15,205\n2,180,30,210\n")
     words = ("follow", "emulated:worn", str(finished.path), str(points), "--repeat", "2", "--json")
-    code, out, err = run_cli(*words, capsys=capsys, monkeypatch=monkeypatch)
-    assert code == 0, err
-    told = json.loads(out.splitlines()[-1])
-    assert [one["encoder"]["rms"] < 5e-3 for one in told["passes"]] == [True, True]
+    assert [one["encoder"]["rms"] < 5e-3 for one in cli(*words).last["passes"]] == [True, True]
     logs = {name: path for name, path in finished.logs().items() if name.startswith("follow-0")}
     assert len(logs) == 2
     log = read_log(next(iter(logs.values())))
     assert np.allclose(log.target[0], [0.17, 0.0, 0.2])
     assert np.allclose(log.target[-1], [0.18, 0.03, 0.21], atol=2e-3)
     words = ("follow", "emulated:worn", str(finished.path), str(points), "--controller", "default", "--rate", "30")
-    code, out, _ = run_cli(*words, capsys=capsys, monkeypatch=monkeypatch)
-    assert code == 5
-    assert "Not followed" in out
+    assert "Not followed" in cli(*words, code=5).out
 
 
 @pytest.mark.parametrize(
@@ -122,124 +103,89 @@ def test_follow_goes_along_a_path_and_logs_each_time(
         (("repiar",), "'repair', 'report', 'replay'? See "),
     ],
 )
-def test_bad_input_is_one_line_and_exit_code_2(
-    words: tuple[str, ...],
-    says: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_bad_input_is_one_line_and_exit_code_2(words, says, tmp_path, cli, monkeypatch):
     monkeypatch.chdir(tmp_path)
     folder = Run.create(tmp_path / "run", "emulated:worn", mycobot280(), 0).folder
     folder.policy.write_bytes(b"half a policy")
-    Run.create(tmp_path / "identified", "emulated:worn", mycobot280(), 0).folder.twin.write_text("half a twin")
     (tmp_path / "empty").mkdir()
-    (tmp_path / "bad.csv").write_text("x,y,z\n1,2\n")
-    names = {"run": "run", "identified": "identified", "empty": "empty", "bad_csv": "bad.csv"}
-    places = {f"{{{name}}}": str(tmp_path / place) for name, place in names.items()}
-    code, _, err = run_cli(*(_fill(word, places) for word in words), capsys=capsys, monkeypatch=monkeypatch)
-    assert code == 2
-    errors = [line for line in err.splitlines() if line.startswith("error: ")]
-    assert errors == [err.splitlines()[-1]]
-    assert says in errors[0]
+    (tmp_path / "bad_csv").write_text("x,y,z\n1,2\n")
+    places = {name: tmp_path / name for name in ("run", "empty", "bad_csv")}
+    assert says in cli(*(word.format(**places) for word in words), code=2).error
 
 
-def _fill(word: str, places: dict[str, str]) -> str:
-    for name, place in places.items():
-        word = word.replace(name, place)
-    return word
-
-
-def test_a_policy_for_another_arm_is_refused_before_anything_moves(tmp_path: Path) -> None:
+def test_a_policy_for_another_arm_is_refused_before_anything_moves(tmp_path, cli):
     arm = mycobot280()
     folder = Run.create(tmp_path / "run", "emulated:worn", mycobot280(), 0).folder
     tip = arm.tip.copy()
     tip[2, 3] += 0.01
     longer = replace(arm, tip=tip)
     train(longer, None, out=folder.path, options=TrainingOptions(iterations=1, agents=8, threads=1))
-    command = [sys.executable, "-m", "rejoint", "deploy", "emulated:worn", str(folder.path)]
-    result = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert result.returncode == 2
-    assert "a mycobot280 with another tip" in result.stderr
+    assert "a mycobot280 with another tip" in cli("deploy", "emulated:worn", folder.path, code=2).err
     assert not folder.logs()
 
 
-def test_what_a_stopped_deployment_recorded_is_kept(
-    finished: RunFolder, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_a_stopped_deployment_recorded_is_kept(finished, cli, monkeypatch):
     step, steps = EmulatedRobot.step, []
 
-    def hot(self: EmulatedRobot, *arguments: object) -> JointState:
+    def hot(self, *arguments):
         steps.append(arguments)
         state = step(self, *arguments)
         return replace(state, temperature=np.full((1, 6), 90.0)) if len(steps) == 20 else state
 
     monkeypatch.setattr(EmulatedRobot, "step", hot)
     words = ("deploy", "emulated:worn", str(finished.path), "--controller", "integrator")
-    code, _, err = run_cli(*words, capsys=capsys, monkeypatch=monkeypatch)
-    assert code == 3
-    path = Path(re.search(r"What was recorded until then: (.+)", err)[1])
+    path = Path(re.search(r"What was recorded until then: (.+)", cli(*words, code=3).err)[1])
     log = read_log(path)
     path.unlink()
     assert log.label == "deploy/begin/stopped"
     assert 15 < len(log.time) <= 21
 
 
-def test_interruption_is_exit_code_130(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def interrupt(*_: object, **__: object) -> None:
+def test_interruption_is_exit_code_130(tmp_path, cli, monkeypatch):
+    def interrupt(*_, **__):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("rejoint.runs.repair.diagnose", interrupt)
-    code, _, err = run_cli("repair", "--run", str(tmp_path / "run"), capsys=capsys, monkeypatch=monkeypatch)
-    assert code == 130
+    err = cli("repair", "--run", tmp_path / "run", code=130).err
     assert "the same `rejoint repair` goes on from there" in err
     monkeypatch.setattr("rejoint.deploy", interrupt)
-    code, _, err = run_cli("deploy", "emulated:worn", str(tmp_path), capsys=capsys, monkeypatch=monkeypatch)
-    assert code == 130
+    err = cli("deploy", "emulated:worn", tmp_path, code=130).err
     assert err.strip() == "error: interrupted by SIGINT", "nothing else goes on where it was"
 
 
-def test_a_bug_is_one_line_and_a_file(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(*_: object, **__: object) -> None:
+def test_a_bug_is_one_line_and_a_file(tmp_path, cli, monkeypatch):
+    def fail(*_, **__):
         raise ZeroDivisionError("made for this test")
 
     monkeypatch.setattr("rejoint.deploy", fail)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     words = ("deploy", "emulated:worn", str(tmp_path), "--json")
-    code, out, err = run_cli(*words, capsys=capsys, monkeypatch=monkeypatch)
-    assert (code, json.loads(out)["exit_code"], json.loads(out)["error"]) == (1, 1, "InternalError")
-    (line,) = err.splitlines()
+    _, out, line = cli(*words, code=1)
+    assert (json.loads(out)["exit_code"], json.loads(out)["error"]) == (1, "InternalError")
     found = re.fullmatch(
-        r"error: a bug in rejoint itself: ZeroDivisionError: made for this test; where it is: (.+)", line
+        r"error: a bug in rejoint itself: ZeroDivisionError: made for this test; where it is: (.+)\n", line
     )
     assert "raise ZeroDivisionError" in Path(found[1]).read_text(encoding="utf-8")
 
 
-def test_a_start_that_fails_leaves_nothing_and_takes_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_start_that_fails_leaves_nothing_and_takes_nothing(tmp_path, cli):
     words = ("diagnose", "tcp://127.0.0.1:1", "--run", str(tmp_path / "runs" / "one"))
-    assert run_cli(*words, capsys=capsys, monkeypatch=monkeypatch)[0] == 2
+    cli(*words, code=2)
     far = tmp_path / "far.csv"
     far.write_text("x,y,z\n900,0,200\n")
     repair = ("repair", "emulated:worn", "--run", words[-1], "--targets", str(far))
-    assert run_cli(*repair, capsys=capsys, monkeypatch=monkeypatch)[0] == 2
+    cli(*repair, code=2)
     assert not (tmp_path / "runs" / "one").exists()
     folder = Run.create(tmp_path / "runs" / "one", "tcp://127.0.0.1:1", mycobot280(), 0).folder
     write_json(folder.diagnosis, {"kept": True})
-    assert run_cli(*words, capsys=capsys, monkeypatch=monkeypatch)[0] == 2
+    cli(*words, code=2)
     assert {path.name for path in folder.path.iterdir()} >= {"run.json", "diagnosis.json"}
 
 
-def test_what_is_to_be_ignored_stays_ignored(tmp_path: Path) -> None:
+def test_what_is_to_be_ignored_stays_ignored(tmp_path):
     words = [sys.executable, "-m", "rejoint", "repair", "--run", str(tmp_path / "run")]
     code = "import os, signal, sys; signal.signal(signal.SIGHUP, signal.SIG_IGN); os.execv(sys.argv[1], sys.argv[1:])"
     with subprocess.Popen([sys.executable, "-c", code, *words], stderr=subprocess.PIPE, text=True) as process:
-        assert process.stderr is not None
         while "Diagnosis" not in process.stderr.readline():
             assert process.poll() is None
         process.send_signal(signal.SIGHUP)
@@ -249,14 +195,7 @@ def test_what_is_to_be_ignored_stays_ignored(tmp_path: Path) -> None:
         assert "interrupted" in process.stderr.read()
 
 
-def test_a_run_folder_is_never_taken_over(tmp_path: Path) -> None:
-    (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(InputError, match="not a run folder and not empty"):
-        Run.create(tmp_path, "emulated:worn", mycobot280(), 0)
-    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
-
-
-def test_the_newest_unfinished_run_is_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_newest_unfinished_run_is_resumed(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     first, resumed = newest_or_new("emulated:worn?seed=3", mycobot280(), 0)
     assert (first, resumed) == (Path("runs/mycobot280-emulated-worn-seed-3-seed0/001"), False)
@@ -274,7 +213,7 @@ def test_the_newest_unfinished_run_is_resumed(tmp_path: Path, monkeypatch: pytes
 
 
 @pytest.mark.parametrize("stream", ["stdout", "stderr", "both"])
-def test_a_reader_who_leaves_decides_nothing(stream: str) -> None:
+def test_a_reader_who_leaves_decides_nothing(stream):
     reading, writing = os.pipe()
     os.close(reading)  # as `head` does when it has seen enough
     words = ("deploy", "emulated:worn", "--dwell", "0.1", "--within", "0.01", "--json")
@@ -292,7 +231,7 @@ def test_a_reader_who_leaves_decides_nothing(stream: str) -> None:
         assert json.loads(done.stdout.splitlines()[-1])["controller"] == "shelf"
 
 
-def test_a_terminal_that_was_closed_decides_nothing() -> None:
+def test_a_terminal_that_was_closed_decides_nothing():
     """A deployment, or a repair, ended at its first result with an input/output error, and exit code 2."""
     mine, its = pty.openpty()
     words = ("deploy", "emulated:worn", "--dwell", "0.1", "--within", "0.01", "--json")
@@ -302,7 +241,7 @@ def test_a_terminal_that_was_closed_decides_nothing() -> None:
     assert process.wait(timeout=120) == 5
 
 
-def test_a_signal_at_the_very_end_is_not_the_exit_code(tmp_path: Path) -> None:
+def test_a_signal_at_the_very_end_is_not_the_exit_code(tmp_path):
     code = (
         "import atexit, os, subprocess, sys\n"
         "flood = f'for _ in $(seq 200); do kill -TERM {os.getpid()} || break; sleep 0.005; done'\n"
@@ -312,6 +251,4 @@ def test_a_signal_at_the_very_end_is_not_the_exit_code(tmp_path: Path) -> None:
         "from rejoint.__main__ import main\n"
         "main()\n"
     )
-    done = subprocess.run([sys.executable, "-c", code, tmp_path], check=False, capture_output=True, text=True)
-    assert done.returncode == 2
-    assert len(done.stderr.splitlines()) == 1
+    assert python("-c", code, tmp_path, code=2).err.count("\n") == 1

@@ -6,9 +6,7 @@ import inspect
 import re
 import shlex
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 import typer.main
@@ -39,18 +37,18 @@ CODE = re.compile(r"(?<!`)`([^`]+)`(?!`)")
 each_page = pytest.mark.parametrize("page", PAGES)
 
 
-def blocks(page: str, language: str) -> list[tuple[str, str]]:
+def blocks(page, language):
     """Title line and text of every fenced block of a language."""
     return [(head, text) for _, head, text in FENCE.findall(PAGES[page]) if head.split(" ")[0] == language]
 
 
-def inline(page: str) -> list[str]:
+def inline(page):
     """Every piece of code in the text of a page, on one line each."""
     paragraphs = FENCE.sub("", PAGES[page]).split("\n\n")
     return [" ".join(code.split()) for paragraph in paragraphs for code in CODE.findall(paragraph)]
 
 
-def shell(page: str) -> Iterator[list[str]]:
+def shell(page):
     """Words of every command in the blocks of a page, variables of the page put in."""
     known: dict[str, str] = {}
     for _, text in blocks(page, "sh"):
@@ -64,7 +62,7 @@ def shell(page: str) -> Iterator[list[str]]:
                 yield words
 
 
-def check_command(words: list[str], *, whole: bool) -> None:
+def check_command(words, *, whole):
     """Raise unless `rejoint WORDS` names a command and options that it has; ``whole``: also all it needs."""
     if not words or words[0].startswith("-"):
         return
@@ -79,7 +77,7 @@ def check_command(words: list[str], *, whole: bool) -> None:
         command.make_context(words[0], with_place(words[1:]))
 
 
-def check_program(words: list[str]) -> None:
+def check_program(words):
     """Raise unless the module or script of a `python` command is there and reads the options."""
     name = words[2] if words[1:2] == ["-m"] else words[1]
     if name.partition(".")[0] not in ("benchmarks", "rejoint") and not name.endswith(".py"):
@@ -99,7 +97,7 @@ def check_program(words: list[str]) -> None:
 
 
 @each_page
-def test_python_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_python_runs(page, tmp_path, monkeypatch):
     """The blocks of a page build on one another; they run in an empty folder, beside the modules of the examples."""
     monkeypatch.chdir(tmp_path)
     for folder in {path.parent for path in (ROOT / "examples").rglob("*.py")}:
@@ -113,7 +111,7 @@ def test_python_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 
 
 @each_page
-def test_calls_take_what_they_are_given(page: str) -> None:
+def test_calls_take_what_they_are_given(page):
     """Names and parameters of `rejoint` are right in blocks that are not run as well."""
     for _, text in blocks(page, "python"):
         for node in ast.walk(ast.parse(text)):
@@ -124,33 +122,25 @@ def test_calls_take_what_they_are_given(page: str) -> None:
 
 
 @each_page
-def test_commands_are_known(page: str) -> None:
+def test_commands_are_known(page):
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     for _, text in blocks(page, ""):
         assert not re.search(r"^(pip|rejoint|python) ", text, re.MULTILINE), f"{page}: commands stand in blocks of sh"
-    for words in shell(page):
+    found = [shlex.split(code) for code in inline(page) if re.match(r"(rejoint|make|python) ", code)]
+    for words, whole in [(words, True) for words in shell(page)] + [(words, False) for words in found]:
         program = words[0].rpartition("/")[2]
         if program == "rejoint":
-            check_command(words[1:], whole=True)
+            check_command(words[1:], whole=whole)
         elif program == "make":
-            assert f"\n{words[1]}:" in makefile, words
+            assert all(f"\n{target}:" in makefile or "=" in target for target in words[1:]), words
         elif program == "python":
             check_program(words)
         else:
             assert program in ("pip", "source"), f"{page}: what is {program}?"
-    for code in inline(page):
-        words = shlex.split(code) if re.match(r"(rejoint|make|python) ", code) else []
-        if words[:1] == ["rejoint"]:
-            check_command(words[1:], whole=False)
-        elif words[:1] == ["make"]:
-            for target in words[1:]:
-                assert f"\n{target}:" in makefile or "=" in target, code
-        elif words[:1] == ["python"]:
-            check_program(words)
 
 
 @each_page
-def test_places_in_the_code_exist(page: str) -> None:
+def test_places_in_the_code_exist(page):
     for name in re.findall(r"^::: (\S+)", PAGES[page], re.MULTILINE):
         resolve(name)
     tests = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "tests").rglob("*.py"))
@@ -164,7 +154,7 @@ def test_places_in_the_code_exist(page: str) -> None:
             resolve(code)
 
 
-def resolve(name: str) -> Any:
+def resolve(name):
     """Return the module, or what is in one, that a dotted name means."""
     try:
         return importlib.import_module(name)
@@ -176,7 +166,7 @@ def resolve(name: str) -> Any:
         return getattr(found, attribute)
 
 
-def slugs(text: str) -> set[str]:
+def slugs(text):
     """Anchors of a page's headings, as GitHub and MkDocs make them."""
     titles = re.findall(r"^#+ (.+)$", FENCE.sub("", text), re.MULTILINE)
     return {re.sub(r"[\s-]+", "-", re.sub(r"[^\w\s-]", "", title).strip().lower()) for title in titles}
@@ -196,12 +186,12 @@ LONGEST = 30
 """Words in a sentence of a page (chosen: it is read once)"""
 
 
-def prose(text: str) -> str:
+def prose(text):
     """Return a page without its code, and its links without their addresses."""
     return re.sub(r"\]\([^)]*\)", "]", CODE.sub("", FENCE.sub("", text)))
 
 
-def sentences(text: str) -> list[str]:
+def sentences(text):
     """Return the sentences of paragraphs and list items; a piece of code is one word, and tables are no sentences."""
     text = re.sub(r"!\[[^\]]*\]\([^)]*\)", "", CODE.sub("code", FENCE.sub("\n\n", text)))
     text = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", text)
@@ -210,24 +200,24 @@ def sentences(text: str) -> list[str]:
     return [one for part in re.split(r"\n\s*\n", text) for one in re.split(r"(?<=[.!?])[\"*)]*\s+", part)]
 
 
-def check_words(text: str, where: str, words: tuple[str, ...] = PRIVATE) -> None:
+def check_words(text, where, words=PRIVATE):
     """Raise where prose holds a private word; code and names are no prose."""
     found = [match[0] for match in re.finditer(rf"\b(?:{'|'.join(words)})\b", prose(text), re.IGNORECASE)]
     assert not found, f"{where}: {', '.join(found)}"
 
 
 @each_page
-def test_pages_use_the_words_of_the_field(page: str) -> None:
+def test_pages_use_the_words_of_the_field(page):
     check_words(PAGES[page], page, PRIVATE + OLD)
 
 
 @each_page
-def test_sentences_are_short(page: str) -> None:
+def test_sentences_are_short(page):
     long = [one for one in sentences(PAGES[page]) if len(re.findall(r"\S*\w\S*", one)) > LONGEST]
     assert not long, f"{page}: {long}"
 
 
-def test_only_prose_counts_as_sentences() -> None:
+def test_only_prose_counts_as_sentences():
     page = (
         f"Move it. See [the page](a.md).\n\n| {'cell ' * 40} |\n\n```\n{'code ' * 40}\n```\n* One item\n* Two `a b`\n"
     )
@@ -240,12 +230,12 @@ def test_only_prose_counts_as_sentences() -> None:
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_help_uses_the_words_of_the_field(name: str) -> None:
+def test_help_uses_the_words_of_the_field(name):
     texts = [COMMANDS[name].help, *(getattr(parameter, "help", None) for parameter in COMMANDS[name].params)]
     check_words("\n\n".join(filter(None, texts)), name)
 
 
-def test_every_option_says_what_it_is() -> None:
+def test_every_option_says_what_it_is():
     for name, command in COMMANDS.items():
         assert "Example" in command.help, name
         for parameter in command.params:
@@ -254,7 +244,7 @@ def test_every_option_says_what_it_is() -> None:
             assert text.endswith("."), f"rejoint {name}: {text}"
 
 
-def test_the_glossary_gives_a_word_one_meaning() -> None:
+def test_the_glossary_gives_a_word_one_meaning():
     words = re.findall(r"^\| ([^|]+?) \| [^|]+ \|", PAGES["docs/glossary.md"], re.MULTILINE)
     words = [word for word in words if word not in ("word", "---")]
     assert len(words) >= 30
@@ -262,7 +252,7 @@ def test_the_glossary_gives_a_word_one_meaning() -> None:
 
 
 @each_page
-def test_links_lead_somewhere(page: str) -> None:
+def test_links_lead_somewhere(page):
     for link in re.findall(r"\]\(([^)\s]+)\)", FENCE.sub("", PAGES[page])):
         if link.startswith("https://"):
             continue
@@ -273,12 +263,12 @@ def test_links_lead_somewhere(page: str) -> None:
             assert anchor in slugs(goal.read_text(encoding="utf-8")), f"{page}: there is no heading for {link}"
 
 
-def test_every_page_is_in_the_navigation() -> None:
+def test_every_page_is_in_the_navigation():
     config = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
     assert sorted(re.findall(r": ([\w-]+\.md)$", config, re.MULTILINE)) == sorted(p.name for p in DOCS.glob("*.md"))
 
 
-def test_every_command_is_listed() -> None:
+def test_every_command_is_listed():
     lines = [
         words.removeprefix("rejoint ").split() for words in inline("docs/commands.md") if words.startswith("rejoint ")
     ]
@@ -286,13 +276,13 @@ def test_every_command_is_listed() -> None:
     assert listed == set(COMMANDS)
 
 
-def test_every_option_is_on_a_page() -> None:
+def test_every_option_is_on_a_page():
     pages = "".join(text for page, text in PAGES.items() if page.startswith("docs/"))
     options = {name for command in COMMANDS.values() for option in command.params for name in option.opts}
     assert {name for name in options if name.startswith("--")} - set(re.findall(r"--[a-z-]+", pages)) == set()
 
 
-def test_arms_in_the_pages_can_be_loaded(tmp_path: Path) -> None:
+def test_arms_in_the_pages_can_be_loaded(tmp_path):
     found = [text for page in PAGES for _, text in blocks(page, "toml") if "[[joint]]" in text]
     assert found
     for text in found:
@@ -300,7 +290,7 @@ def test_arms_in_the_pages_can_be_loaded(tmp_path: Path) -> None:
         assert load_arm(str(tmp_path / "arm.toml")).joints == len(tomllib.loads(text)["joint"])
 
 
-def test_every_file_of_a_run_folder_is_described() -> None:
+def test_every_file_of_a_run_folder_is_described():
     page = PAGES["docs/files.md"]
     folder = RunFolder(Path())
     files = [value for name in dir(RunFolder) if isinstance(value := getattr(folder, name, None), Path)]
@@ -309,7 +299,7 @@ def test_every_file_of_a_run_folder_is_described() -> None:
         assert f"`{path}" in page, path
 
 
-def test_every_parameter_of_a_twin_is_described() -> None:
+def test_every_parameter_of_a_twin_is_described():
     rows = {(p.name, "yes" if p.per_joint else "no") for p in PARAMETERS}
     found = re.findall(r"^\| `(\w+)` \| [^|]+ \| (yes|no) \|", PAGES["docs/files.md"], re.MULTILINE)
     assert set(found) == rows

@@ -14,14 +14,14 @@ EXAMPLES = Path(__file__).parent.parent / "examples"
 
 
 @pytest.fixture(autouse=True)
-def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def elsewhere(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     matplotlib.use("Agg")
 
 
 @pytest.fixture
-def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
-    def script(name: str, *words: str | Path) -> str:
+def run(capsys, monkeypatch):
+    def script(name, *words):
         monkeypatch.setattr(sys, "argv", [name, *map(str, words)])
         runpy.run_path(str(EXAMPLES / name), run_name="__main__")
         return capsys.readouterr().out
@@ -29,11 +29,11 @@ def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
     return script
 
 
-def is_figure(path: str) -> bool:
+def is_figure(path):
     return Path(path).read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 
 
-def test_a_repair_is_five_lines_and_its_policy_drives(run) -> None:
+def test_a_repair_is_five_lines_and_its_policy_drives(run):
     said = run("repair_an_arm.py", "--quick", "--run", "mine")
     assert "This arm misses its targets by 2" in said
     assert "Use: integrator" in said, "a policy that was trained for seconds is not handed over"
@@ -49,7 +49,7 @@ def test_a_repair_is_five_lines_and_its_policy_drives(run) -> None:
     assert is_figure("controllers.png")
 
 
-def test_wear_is_found_in_arrays(run) -> None:
+def test_wear_is_found_in_arrays(run):
     worn, healthy = (
         run("diagnose_recorded_motion.py"),
         run("diagnose_recorded_motion.py", "--robot", "emulated:healthy"),
@@ -58,20 +58,20 @@ def test_wear_is_found_in_arrays(run) -> None:
     assert "No joint shows wear" in healthy
 
 
-def test_a_twin_predicts_targets_that_it_has_not_seen(run) -> None:
+def test_a_twin_predicts_targets_that_it_has_not_seen(run):
     said = run("fit_a_twin.py", "--quick")
     assert said.count("N m/rad") == 6
     assert is_figure("twin.png")
 
 
-def test_an_arm_that_only_a_file_describes_is_repaired(run) -> None:
+def test_an_arm_that_only_a_file_describes_is_repaired(run):
     file = packaged("ManipulaPy", "ManipulaPy_data/universal_robots/ur10/ur10.urdf")
     said = run("repair_an_arm_from_urdf.py", file, "--base", "base_link", "--tip", "tool0", "--quick", "--run", "ur10")
     assert "Use: " in said
     assert is_figure("urdf.png")
 
 
-def test_no_example_is_longer_than_a_screen() -> None:
+def test_no_example_is_longer_than_a_screen():
     scripts = sorted(EXAMPLES.glob("*.py"))
     assert len(scripts) == 7
     assert all(len(path.read_text(encoding="utf-8").splitlines()) < 50 for path in scripts)

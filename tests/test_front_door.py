@@ -1,15 +1,13 @@
 """The front door: light to import, complete, documented; every stage alone on arrays; the files of the commands."""
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import rejoint
-from commandline import run_cli
+from commandline import python
 from hearing import Hears
 from rejoint.arms import mycobot280
 from rejoint.control.classical import IntegratorController
@@ -21,13 +19,12 @@ TARGETS = [[0.17, 0.0, 0.2], [0.18, 0.03, 0.21]]
 HEAVY = ("torch", "mujoco", "numba", "matplotlib", "scipy", "pyarrow", "onnxruntime", "numpy", "typer", "rich")
 
 
-def test_importing_it_loads_nothing_heavy() -> None:
+def test_importing_it_loads_nothing_heavy():
     code = f"import sys, rejoint; print(sorted({set(HEAVY)!r} & set(sys.modules)), dir(rejoint)[:3])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.stdout.startswith("[] ['AddressError', 'Arm', "), done.stdout + done.stderr
+    assert python("-c", code).out.startswith("[] ['AddressError', 'Arm', ")
 
 
-def test_every_name_is_there_for_python_and_for_type_checkers() -> None:
+def test_every_name_is_there_for_python_and_for_type_checkers():
     for name in rejoint.__all__:
         assert getattr(rejoint, name) is not None
     assert set(rejoint.__all__) == set(rejoint._HOME) <= set(dir(rejoint))
@@ -41,7 +38,7 @@ def test_every_name_is_there_for_python_and_for_type_checkers() -> None:
 
 
 @pytest.fixture(scope="module")
-def motion() -> rejoint.RunLog:
+def motion():
     """A worn arm that swings all its joints, as arrays from a loop of one's own."""
     robot = rejoint.open_robot("emulated:worn")
     state, rows = robot.read(), []
@@ -53,7 +50,7 @@ def motion() -> rejoint.RunLog:
     return rejoint.RunLog.of(time, command, position, arm="mycobot280")
 
 
-def test_every_stage_works_on_data_in_memory(motion: rejoint.RunLog, tmp_path: Path, monkeypatch) -> None:
+def test_every_stage_works_on_data_in_memory(motion, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     seen: list[float] = []
     found = rejoint.diagnose(motion, observer=Hears(progress=lambda share, _: seen.append(share)))
@@ -61,7 +58,6 @@ def test_every_stage_works_on_data_in_memory(motion: rejoint.RunLog, tmp_path: P
     assert seen == sorted(seen)
     assert seen[0] == 0.0
     twin = rejoint.identify([motion], quick=True)
-    assert twin.judgement is not None
     predicted = rejoint.replay(twin, motion).positions[0]
     assert predicted.shape == motion.position.shape
     lag = np.sqrt(np.mean((motion.command - motion.position) ** 2))
@@ -86,12 +82,11 @@ def test_every_stage_works_on_data_in_memory(motion: rejoint.RunLog, tmp_path: P
     }
     done = rejoint.deploy("emulated:worn", TARGETS, settings=rejoint.Settings(controller=policy, dwell=1.0))
     assert [len(visit.target) for visit in done.visits] == [3, 3]
-    assert done.log is not None
     assert 2.0 < done.log.time[-1] - done.log.time[0] < 4.0, "two targets of a second each, and the ways there"
     assert [path.name for path in tmp_path.iterdir()] == ["policy.onnx"], "nothing else is written"
 
 
-def test_an_arm_is_driven_before_anything_is_trained(tmp_path, monkeypatch) -> None:
+def test_an_arm_is_driven_before_anything_is_trained(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     done = rejoint.deploy("emulated:worn", TARGETS, settings=rejoint.Settings(dwell=2.0))
     assert done.controller == "shelf"
@@ -99,7 +94,7 @@ def test_an_arm_is_driven_before_anything_is_trained(tmp_path, monkeypatch) -> N
     assert not list(tmp_path.iterdir())
 
 
-def test_an_open_robot_stays_open(monkeypatch) -> None:
+def test_an_open_robot_stays_open(monkeypatch):
     robot = rejoint.open_robot("emulated:worn")
     monkeypatch.setattr(type(robot), "close", lambda _: pytest.fail("closed"))
     assert (
@@ -111,7 +106,7 @@ def test_an_open_robot_stays_open(monkeypatch) -> None:
     assert not found.comparison.batched
 
 
-def test_controllers_come_in_every_form() -> None:
+def test_controllers_come_in_every_form():
     own = IntegratorController(ARM)
     found = make_factories(["default", own, lambda arm: IntegratorController(arm)], ARM, None)
     assert list(found) == ["default", "integrator", "controller"]
@@ -123,17 +118,16 @@ def test_controllers_come_in_every_form() -> None:
         make_factories(["magic"], ARM, None)
 
 
-def test_a_command_and_its_function_write_the_same_files(motion, tmp_path: Path, monkeypatch, capsys) -> None:
+def test_a_command_and_its_function_write_the_same_files(motion, tmp_path, monkeypatch, cli):
     monkeypatch.chdir(tmp_path)
     write_log(tmp_path / "logs" / "motion.parquet", motion)
-    tools = {"capsys": capsys, "monkeypatch": monkeypatch}
-    assert run_cli("diagnose", "--logs", "logs", "--run", "command", **tools)[0] == 0
+    cli("diagnose", "--logs", "logs", "--run", "command")
     run = rejoint.Run.plan("function", "logs:logs", ARM)
     assert rejoint.diagnose(Path("logs"), run=run).verdict == run.diagnosis.verdict
     points = tmp_path / "points.csv"
     points.write_text("x,y,z\n170,0,200\n")
     few = ("--targets", points, "--repetitions", "1", "--controllers", "integrator")
-    assert run_cli("compare", "emulated:worn", "command", *few, **tools)[0] == 0
+    cli("compare", "emulated:worn", "command", *few)
     rejoint.compare("emulated:worn", ["integrator"], points, run="function", plan=rejoint.TrialPlan(repetitions=1))
     names = (
         "diagnosis.json",
@@ -147,7 +141,7 @@ def test_a_command_and_its_function_write_the_same_files(motion, tmp_path: Path,
         rejoint.diagnose("emulated:worn", run="function")
 
 
-def test_a_notebook_s_own_interruption_stays_as_it_is() -> None:
+def test_a_notebook_s_own_interruption_stays_as_it_is():
     """Whoever has not installed our signal handlers gets KeyboardInterrupt, from us as from Python."""
     assert issubclass(rejoint.Interrupted, KeyboardInterrupt)
     with pytest.raises(KeyboardInterrupt):
@@ -159,5 +153,5 @@ def test_a_notebook_s_own_interruption_stays_as_it_is() -> None:
         )
 
 
-def _interrupt(share: float, what: str) -> None:
+def _interrupt(share, what):
     raise KeyboardInterrupt

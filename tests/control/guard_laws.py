@@ -1,4 +1,4 @@
-"""Laws that whatever leaves the guard must keep, checked without it: plain NumPy, own kinematics and distances.
+"""Laws that whatever leaves the guard must keep, checked without it: plain NumPy and own distances.
 
 Used by the tests, and by `python -m benchmarks guard` for millions of cases.
 """
@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rejoint.arms import Arm, Box, tcp_position
+from rejoint.arms import Arm, Box, frames, tcp_position
 from rejoint.arms.collision import collision_shape
 from rejoint.control.guard import RAMP, TRIPS, Guarded, GuardLimits, Reason, guard
 from rejoint.control.robot import JointState
@@ -107,7 +107,7 @@ def draw_cases(limits: GuardLimits, rng: np.random.Generator, count: int, *, gar
     for array in (command, sent, speed, position):
         spoilt = (rng.random((count, 1)) < garbage / 4) & (rng.random(shape) < 0.4)
         array[spoilt] = rng.choice(SPECIAL, int(spoilt.sum()))
-    temperature = np.where(rng.random(shape) < 0.01, rng.choice([66.0, np.nan, 1e9], shape), 30.0)
+    temperature = np.where(rng.random(shape) < 0.01, rng.choice([66.0, np.nan, 1e9], shape), 50.0)
     fault = rng.random(shape) < 0.005
     told = rng.random() < 0.5
     state = JointState(
@@ -184,17 +184,8 @@ def clearances(limits: GuardLimits, q: np.ndarray) -> np.ndarray:
 
 def link_ends(arm: Arm, q: np.ndarray) -> np.ndarray:
     """The base, the origins of all joint frames, and the TCP: (B, n + 2, 3) [m]."""
-    pose, ends = np.broadcast_to(np.eye(4), (len(q), 4, 4)), [np.zeros((len(q), 3))]
-    for offset, axis, angle in zip(arm.offset, arm.axis, q.T, strict=True):
-        x, y, z = axis
-        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-        turn = np.zeros((len(q), 4, 4))
-        sine, cosine = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
-        turn[:, :3, :3] = cosine * np.eye(3) + sine * cross + (1.0 - cosine) * np.outer(axis, axis)
-        turn[:, 3, 3] = 1.0
-        pose = pose @ offset @ turn
-        ends.append(pose[:, :3, 3])
-    return np.stack([*ends, (pose @ arm.tip)[:, :3, 3]], axis=1)
+    f = frames(arm, q)
+    return np.concatenate([np.zeros((len(q), 1, 3)), f.position, f.tcp_position[:, None]], axis=1)
 
 
 def _check_holds(limits: GuardLimits, case: Case, out: Guarded, tripped: np.ndarray) -> None:

@@ -29,18 +29,7 @@ def sticky_log(lead, slope=0.1, offset=0.0, period=0.025, seconds=60.0):
         balance = slope * gravity_torque(ARM, position[k - 1]) + offset
         push = command[k - 1] - position[k - 1] - balance
         position[k] = position[k - 1] + np.sign(push) * np.maximum(np.abs(push) - lead, 0.0)
-    nowhere, step = np.full((len(time), 3), np.nan), ARM.encoder_step
-    return RunLog(
-        arm=ARM.name,
-        joint_names=ARM.joint_names,
-        robot="test:",
-        label="sticky",
-        time=time,
-        command=command,
-        position=np.round(position / step) * step,
-        target=nowhere,
-        true_tcp=nowhere,
-    )
+    return RunLog.of(time, command, np.round(position / ARM.encoder_step) * ARM.encoder_step, arm=ARM)
 
 
 @pytest.mark.parametrize("lead_deg", [1.0, 3.0])

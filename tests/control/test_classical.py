@@ -8,12 +8,11 @@ import pytest
 from rejoint.arms import gravity_torque, mycobot280, position_kinematics, solve_position, tcp_position
 from rejoint.control.catalogue import make_controller
 from rejoint.control.classical import IntegratorController, IntegratorGains, PidController, PidGains
-from rejoint.control.controller import ControlInput
 from rejoint.control.feedforward import LOOSEN, FeedforwardController, FeedforwardGains
 from rejoint.control.goal import nearest_postures
 from rejoint.control.law import dls_step, null_space
 from rejoint.control.loop import Schedule, run
-from rejoint.control.robot import JointState
+from standin import StandIn, inputs_of, state_of
 
 ARM = mycobot280()
 TARGETS = ARM.targets.sample(np.random.default_rng(8), (3, 2))
@@ -22,50 +21,23 @@ ALL = np.ones(3, dtype=bool)
 
 def inputs(position, *, sent=None, target=TARGETS[:, 0], time=0.0):
     position = np.array(position, dtype=float)
-    state = JointState(time=np.full(3, time), position=position, age=np.zeros(3))
-    return ControlInput(
-        state=state,
-        target=target,
-        goal=nearest_postures(ARM, target, REST),
-        sent=position if sent is None else sent,
-        since_target=np.full(3, time),
-    )
+    state = state_of(position, time)
+    return inputs_of(state, target, nearest_postures(ARM, target, REST), position if sent is None else sent, time)
 
 
 REST = np.tile(ARM.rest, (3, 1))
 
 
-class SaggingRobot:
-    """Servos that follow with a lag and sag by gravity torque over a stiffness; the encoder sees it."""
+class SaggingRobot(StandIn):
+    """Servos that follow with a lag and sag by gravity torque over a stiffness of 6 N m/rad; the encoder sees it."""
 
-    arm, address = ARM, "test:sagging"
-
-    def __init__(self, stiffness, count=3):
-        self.count, self.stiffness = count, stiffness
-        self.position, self.time = np.tile(ARM.rest, (count, 1)), np.zeros(count)
-
-    def read(self):
-        return JointState(time=self.time, position=self.position, age=np.zeros(self.count))
-
-    def step(self, command, active=None):
-        goal = command - gravity_torque(ARM, self.position) / self.stiffness
-        moved = self.position + 0.25 * (goal - self.position)
-        self.position = np.where(active[:, None], moved, self.position)
-        self.time = self.time + 0.025 * active
-        return self.read()
-
-    def true_tcp(self):
-        return np.full((self.count, 3), np.nan)
-
-    def stop(self):
-        pass
-
-    def close(self):
-        pass
+    def moved(self, command):
+        goal = command - gravity_torque(ARM, self.position) / 6.0
+        return self.position + 0.25 * (goal - self.position)
 
 
-def final_error(controller, stiffness=6.0, dwell=4.0):
-    rec = run(SaggingRobot(stiffness), controller, TARGETS, Schedule(dwell=dwell))
+def final_error(controller, dwell=4.0):
+    rec = run(SaggingRobot(3), controller, TARGETS, Schedule(dwell=dwell))
     error = np.linalg.norm(tcp_position(ARM, rec.position) - rec.target, axis=-1)
     last = [np.flatnonzero(rec.target_index[:, 0] == k)[-1] for k in range(2)]
     return error[last]

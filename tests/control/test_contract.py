@@ -7,18 +7,15 @@ import pytest
 
 from rejoint.arms import Box, mycobot280
 from rejoint.control.contract import (
-    PolicyContract,
     arm_digest,
     check_contract,
-    law_digests,
 )
-from rejoint.control.controller import ControlInput
-from rejoint.control.observation import layout_slots
 from rejoint.control.policy import PolicyController
 from rejoint.control.residual import CommandLaw
-from rejoint.control.robot import JointState
 from rejoint.system.errors import ContractError
 from rejoint.training.presets import DEFAULT, PAPER
+from rejoint.training.train import policy_contract
+from standin import inputs_of, state_of
 
 ARM = mycobot280()
 COUNT, CYCLES = 24, 6
@@ -39,13 +36,9 @@ UNREAD = {"max_speed", "floor", "inertia", "encoder_step", "servo_acceleration",
 """Fields that no law computes with: those of the guard, the twin and the diagnosis."""
 
 
-def contract(law, layout, **changes) -> PolicyContract:
-    complete = PolicyContract(
-        arm=ARM.name, arm_digests=law_digests(ARM), joint_names=ARM.joint_names, lower=tuple(ARM.lower.tolist()),
-        upper=tuple(ARM.upper.tolist()), layout=layout, observation=layout_slots(layout, 6), law=law,
-        min_period=0.018, max_period=0.055, probe=(), twin_digest="", preset="default", seed=0, software="0",
-    )  # fmt: skip
-    return dataclasses.replace(complete, **changes)
+def contract(law, layout, **changes):
+    recipe = dataclasses.replace(DEFAULT, task=dataclasses.replace(DEFAULT.task, law=law, layout=layout))
+    return dataclasses.replace(policy_contract(ARM, None, recipe, 0), **changes)
 
 
 class Network:
@@ -104,8 +97,8 @@ def commands(arm, law, layout):
         position, sent = rng.uniform(ARM.lower, ARM.upper, (2, COUNT, 6))
         near = rng.random(COUNT) < 0.3
         sent[near] = position[near] + rng.normal(0.0, 0.05, (int(near.sum()), 6))
-        state = JointState(time=np.full(COUNT, 0.03 * cycle), position=position, age=np.zeros(COUNT))
-        now = ControlInput(state=state, target=target, goal=goal, sent=sent, since_target=np.full(COUNT, 0.03 * cycle))
+        state = state_of(position, 0.03 * cycle)
+        now = inputs_of(state, target, goal, sent, 0.03 * cycle)
         if cycle == 0:
             controller.reset(now, everyone)
         given.append(controller.command(now))

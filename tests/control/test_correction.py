@@ -4,16 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from test_finishing import Watching
 
 from rejoint.arms import Displacement, mycobot280, solve_position, tcp_position
 from rejoint.control.classical import DefaultController, IntegratorController
-from rejoint.control.controller import ControlInput
 from rejoint.control.correction import MOST, Modelled
 from rejoint.control.loop import Schedule, run
 from rejoint.control.reference import TargetSequence
-from rejoint.control.robot import JointState
-from rejoint.control.seeing import Seen, Sighting
+from rejoint.control.seeing import Seen
 from rejoint.system.errors import InputError
+from standin import StandIn, inputs_of, state_of
 
 ARM = mycobot280()
 TARGETS = ARM.targets.sample(np.random.default_rng(4), (3, 2))
@@ -36,32 +36,18 @@ def _to(targets, correction):
     return TargetSequence(ARM, targets, correction=correction)
 
 
-class PerfectServos:
+class PerfectServos(StandIn):
     """Arms whose encoders come to where they were sent, and whose tools do not."""
 
-    arm, address = ARM, "test:displaced"
-
     def __init__(self, displacement, count=3):
-        self.displacement, self.count = displacement, count
-        self.position, self.time = np.tile(ARM.rest, (count, 1)), np.zeros(count)
+        super().__init__(count)
+        self.displacement = displacement
 
-    def read(self):
-        return JointState(time=self.time.copy(), position=self.position.copy(), age=np.zeros(self.count))
-
-    def step(self, command, active=None):
-        active = np.ones(self.count, bool) if active is None else active
-        self.position = np.where(active[:, None], 0.5 * (command + self.position), self.position)
-        self.time = self.time + np.where(active, 0.025, 0.0)
-        return self.read()
+    def moved(self, command):
+        return 0.5 * (command + self.position)
 
     def true_tcp(self):
         return self.displacement.tool(ARM, self.position)
-
-    def stop(self):
-        pass
-
-    def close(self):
-        pass
 
 
 def errors(recording):
@@ -101,10 +87,8 @@ def test_an_aim_of_another_posture_is_mended_when_the_arm_has_settled():
     off = np.linalg.norm(displacement.tool(ARM, settled) - target, axis=-1)
     found = None
     for cycle in range(40):
-        state = JointState(time=np.full(3, 0.025 * cycle), position=settled, age=np.zeros(3))
-        found = modelled.again(
-            target, ControlInput(state=state, target=aim, goal=settled, sent=settled, since_target=state.time)
-        )
+        state = state_of(settled, 0.025 * cycle)
+        found = modelled.again(target, inputs_of(state, aim, settled, settled, state.time))
         if found is not None:
             break
     assert found is not None
@@ -119,30 +103,20 @@ def test_a_shift_that_no_arm_needs_is_refused():
         Modelled(ARM, huge).aim(TARGETS[:, 0], np.tile(ARM.rest, (3, 1)), EVERY)
 
 
-class Watching:
-    """Sees the tool of a robot ten times a second, 0.15 s late; not before ``since`` [s]."""
-
-    def __init__(self, robot, *, since=0.0, offset=0.0):
-        self.robot, self.since, self.offset, self.taken = robot, since, offset, []
-
-    def sighting(self, now):
-        if not self.taken or now - self.taken[-1].time >= 0.1:
-            self.taken.append(Sighting(time=now, place=self.robot.true_tcp()[0] + self.offset))
-        ready = [one for one in self.taken if now - one.time >= 0.15 and one.time >= self.since]
-        return ready[-1] if ready else None
+ALWAYS = (0.0, np.inf)
 
 
-def seen_errors(eye_of, displacement, believed):
+def seen_errors(displacement, believed, **seeing):
     robot = PerfectServos(displacement, count=1)
-    correction = Seen(ARM, believed, eye=eye_of(robot))
+    correction = Seen(ARM, believed, eye=Watching(robot, rate=10.0, late=0.15, **seeing))
     recording = run(robot, DefaultController(ARM), _to(TARGETS[:1], correction), Schedule(dwell=6.0))
     return errors(recording)[1], correction
 
 
 def test_what_the_model_does_not_know_is_seen_and_taken_out():
     truth, nothing = displaced(), Displacement.none(ARM)
-    blind, _ = seen_errors(lambda robot: Watching(robot, since=np.inf), truth, nothing)
-    seen, correction = seen_errors(Watching, truth, nothing)
+    blind, _ = seen_errors(truth, nothing, hidden=ALWAYS)
+    seen, correction = seen_errors(truth, nothing)
     assert blind.mean() > 3e-3
     assert seen.max() < 0.4e-3
     assert correction.used > 2
@@ -150,13 +124,13 @@ def test_what_the_model_does_not_know_is_seen_and_taken_out():
 
 def test_a_hidden_tool_falls_back_to_the_model():
     truth = displaced()
-    seen, correction = seen_errors(lambda robot: Watching(robot, since=np.inf), truth, truth)
+    seen, correction = seen_errors(truth, truth, hidden=ALWAYS)
     assert correction.used == 0
     assert seen.max() < 0.4e-3
 
 
 def test_a_sighting_of_something_else_is_not_believed():
     truth = displaced()
-    seen, correction = seen_errors(lambda robot: Watching(robot, offset=0.05), truth, truth)
+    seen, correction = seen_errors(truth, truth, wrong=1)
     assert correction.used == 0
     assert seen.max() < 0.4e-3

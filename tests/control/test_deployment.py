@@ -11,14 +11,12 @@ from rejoint.arms import mycobot280
 from rejoint.control.catalogue import make_controller
 from rejoint.control.classical import DefaultController
 from rejoint.control.deployment import Deployment, deployed_of, judge
-from rejoint.control.recording import recording_of
-from rejoint.control.start import Stance
 from rejoint.logs.runlog import write_log
 from rejoint.robots import open_robot
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.runs.run import Run
 from rejoint.session.context import guard_limits
-from rejoint.system.errors import ContractError, GuardTripError, InputError, NotReadyError
+from rejoint.system.errors import ContractError, GuardTripError, InputError
 from rejoint.training.presets import DEFAULT
 from rejoint.training.train import policy_contract
 from targetdrive import deploy
@@ -57,15 +55,6 @@ def test_a_target_out_of_reach_is_missed_and_says_how_far():
     assert done.visits[1].error > 0.2
 
 
-def test_the_arm_goes_to_rest_first_and_slowly():
-    robot = open_robot("emulated:worn")
-    robot.restart(ARM.rest + 0.4)
-    recording, _ = deploy(robot, make_controller("integrator", ARM), job(NEAR))
-    assert recording.time[0, 0] > 0.4 / 0.5, "at half a radian per second"
-    np.testing.assert_allclose(recording.command[0, 0], ARM.rest, atol=np.radians(4.0), err_msg="one step from there")
-    assert np.abs(recording.position[0, 0] - ARM.rest).max() < 0.2, "it stands there, but for its sag"
-
-
 def test_what_was_done_before_a_trip_is_told(monkeypatch):
     step, count = EmulatedRobot.step, []
 
@@ -84,27 +73,15 @@ def test_what_was_done_before_a_trip_is_told(monkeypatch):
     assert done.missed == (2, 3, 4)
 
 
-def test_an_arm_that_does_not_stand_as_its_twin_says_is_sent_to_no_target():
-    stance = Stance(stiffness=np.full(6, 0.5), offset=np.zeros(6))
-    with pytest.raises(NotReadyError, match="from where the twin of this run expects it") as caught:
-        deploy(open_robot("emulated:worn"), make_controller("integrator", ARM), job(NEAR), stance=stance)
-    assert deployed_of(caught.value, ARM, job(NEAR)) is None
-    assert recording_of(caught.value) is None
-
-
 def test_a_policy_is_refused_by_the_period_that_was_measured():
     robot, policy = open_robot("emulated:worn"), DefaultController(ARM)
-    trained = policy_contract(ARM, None, DEFAULT, 0)
-    policy.contract = replace(trained, min_period=0.040, max_period=0.060)
-    with pytest.raises(
-        ContractError, match="control period is 25 ms, the policy was trained for 40 to 60 ms"
-    ) as caught:
-        deploy(robot, policy, job(NEAR))
-    assert deployed_of(caught.value, ARM, job(NEAR)) is None
+    policy.contract = replace(policy_contract(ARM, None, DEFAULT, 0), min_period=0.040, max_period=0.060)
+    settings = rejoint.Settings(controller=policy, dwell=1.0)
+    with pytest.raises(ContractError, match="control period is 25 ms, the policy was trained for 40 to 60 ms"):
+        rejoint.deploy(robot, NEAR, settings=settings)
     assert robot.read().time == pytest.approx(1.0, abs=0.1), "it was brought to rest, and no farther"
-    policy.contract = replace(trained, min_period=0.020, max_period=0.030)
-    _, done = deploy(open_robot("emulated:worn"), policy, job(NEAR[:1]))
-    assert done.visits[0].error is not None
+    policy.contract = replace(policy.contract, min_period=0.020, max_period=0.030)
+    assert rejoint.deploy("emulated:worn", NEAR[:1], settings=settings).visits[0].error is not None
 
 
 def test_a_stage_that_drives_knows_at_which_pushes_the_joints_of_this_arm_stand(tmp_path, monkeypatch):

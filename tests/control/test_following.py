@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from modelfiles import resized
 from rejoint.arms import mycobot280, position_kinematics
 from rejoint.control import compiled
 from rejoint.control.catalogue import make_controller
@@ -12,11 +13,11 @@ from rejoint.control.guard import GuardLimits, Reason
 from rejoint.control.loop import RELEASE_CYCLES, Schedule, run
 from rejoint.control.monitor import EXCUSED, TRAVEL, Bands, Following, Knowledge
 from rejoint.control.recording import recording_of
-from rejoint.control.robot import JointState
 from rejoint.control.start import play
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.system.errors import GuardTripError
+from standin import state_of
 
 ARM = mycobot280()
 REST = ARM.rest
@@ -237,13 +238,9 @@ def test_an_excitation_is_ended_by_a_blind_joint_where_the_load_tells():
     assert robot.plant.time[0] < 2.5
 
 
-def reading_at(clock, position):
-    return JointState(time=np.array([clock]), position=position.copy(), age=np.zeros(1))
-
-
 def follow(load_of, steps=120, knowledge=None, count=1):
     """Raise the command of joint 1 by 0.1 deg a cycle over a reading that stands; ``load_of`` (lead) is told."""
-    state = JointState(time=np.zeros(count), position=np.tile(REST, (count, 1)), age=np.zeros(count))
+    state = state_of(np.tile(REST, (count, 1)))
     watch, found = Following(ARM, state, state.position, knowledge), []
     for k in range(1, steps):
         lead = np.zeros((count, 6))
@@ -285,14 +282,9 @@ def test_without_load_a_joint_that_hardly_ever_moved_is_bounded_and_not_judged()
 
 
 def test_friction_holds_the_joints_of_a_longer_arm_over_the_same_angles():
-    offset = ARM.offset.copy()
-    offset[:, :3, 3] *= 4.0
-    tip = ARM.tip.copy()
-    tip[:3, 3] *= 4.0
-    long = replace(ARM, offset=offset, tip=tip)
     reach = []
-    for arm in (ARM, long):
-        state = JointState(time=np.zeros(1), position=REST[None], age=np.zeros(1))
+    for arm in (ARM, resized(ARM, 4.0)):
+        state = state_of(REST)
         watch = Following(arm, state, REST[None])
         reach.append(watch.bound(REST[None] + 0.3, REST[None], np.ones(1, dtype=bool)) - REST)
     np.testing.assert_allclose(*reach, rtol=1e-9)
@@ -300,18 +292,18 @@ def test_friction_holds_the_joints_of_a_longer_arm_over_the_same_angles():
 
 def test_an_arm_that_is_at_once_where_it_is_sent_and_stands_there_is_never_judged():
     sent, clock = np.tile(REST, (1, 1)), 0.0
-    watcher, away = Following(ARM, reading_at(clock, sent), sent), sent + np.radians(30.0)
+    watcher, away = Following(ARM, state_of(sent, clock), sent), sent + np.radians(30.0)
     for goal in (away, sent) * 3:
         for _ in range(100):
             clock += 0.02
-            assert watcher.check(reading_at(clock, sent), sent, np.array([True])) is None
+            assert watcher.check(state_of(sent, clock), sent, np.array([True])) is None
             sent = sent + np.clip(goal - sent, -np.radians(8.0), np.radians(8.0))
 
 
 def test_a_repeated_answer_is_no_news():
     watch, _ = follow(lambda lead: 10.0 * lead, 20, SERVOS)
     before = watch._tracks.copy()
-    again = JointState(time=np.array([0.025 * 19]), position=REST[None], age=np.zeros(1), load=np.ones((1, 6)))
+    again = state_of(REST, 0.025 * 19, load=np.ones((1, 6)))
     watch.check(again, REST[None] + 0.5, np.ones(1, dtype=bool))
     assert (watch._tracks == before).all()
 
@@ -323,13 +315,13 @@ def bands_of(width_deg, **changes):
 
 def pushed(lead_deg, bands, *, before_deg=0.0, period=0.025, cycles=200, moves=()):
     """When [s] a joint is overdue that leads by so much from 0.5 s on, and stands but for the cycles ``moves``."""
-    state = JointState(time=np.zeros(1), position=REST[None], age=np.zeros(1))
+    state = state_of(REST)
     third, position = np.arange(6) == 2, REST.copy()
     watch = Following(ARM, state, (REST + np.radians(before_deg) * third)[None], bands=bands)
     for k in range(1, cycles):
         position = position + ARM.encoder_step * (k in moves) * third
         sent = position + np.radians(lead_deg if (k - 1) * period >= 0.5 else before_deg) * third
-        now = JointState(time=np.full(1, k * period), position=position[None], age=np.zeros(1))
+        now = state_of(position, k * period)
         bad = watch.check(now, sent[None], np.zeros(1, dtype=bool))
         if bad is not None:
             assert bad.tolist() == [[False, False, True, False, False, False]]
@@ -360,7 +352,7 @@ def test_a_whole_joint_whose_command_was_acknowledged_late_is_believed(period, s
     third, way, stalled = np.arange(6) == 2, np.radians(10.0), 20
     clocks = period * np.arange(40) + stall * (np.arange(40) > stalled)
     arrives = clocks[stalled + 1] if stall else clocks[stalled] + 0.013
-    state = JointState(time=np.zeros(1), position=REST[None], age=np.zeros(1), load=np.zeros((1, 6)) if told else None)
+    state = state_of(REST, load=np.zeros((1, 6)) if told else None)
     watch, gone = Following(ARM, state, REST[None], SERVOS if told else None, bands=bands_of(1.0)), 0.0
     for k, clock in enumerate(clocks[1:], 1):
         gone = np.clip((clock - 0.013 - arrives - 0.02) * np.radians(100.0), 0.0, way)
@@ -391,9 +383,9 @@ def stands_after_a_step(joints, late, *, cycles=12, period=0.05):
     wanted = np.array([*swings, *[swings[-1] + np.radians(25.0) * joints] * cycles])
     read = np.array([wanted[0], *wanted[:-1]])  # a cycle later
     read[62:, late] = wanted[60, late]
-    watch, found = Following(ARM, reading_at(0.0, read[:1]), wanted[:1]), []
+    watch, found = Following(ARM, state_of(read[:1], 0.0), wanted[:1]), []
     for k in range(1, len(wanted)):
-        bad = watch.check(reading_at(period * k, read[k][None]), wanted[k - 1][None], np.ones(1, dtype=bool))
+        bad = watch.check(state_of(read[k][None], period * k), wanted[k - 1][None], np.ones(1, dtype=bool))
         found.append(np.zeros(6, dtype=bool) if bad is None else bad[0])
     assert not np.any(found[:60])
     return np.array(found[60:])

@@ -7,10 +7,8 @@ import pytest
 
 from rejoint.control.classical import DefaultController
 from rejoint.control.contract import PolicyContract
-from rejoint.control.controller import ControlInput
 from rejoint.control.guard import GuardLimits
 from rejoint.control.monitor import Bands, Knowledge
-from rejoint.control.robot import JointState
 from rejoint.control.servogains import (
     SHAKES,
     Geared,
@@ -24,6 +22,7 @@ from rejoint.control.servogains import (
 from rejoint.robots.feetech.gains import LIMIT, for_all, steps
 from rejoint.system.errors import ContractError, GuardTripError, InputError, NotReadyError, RobotError
 from servorobot import ARM, ServoRobot
+from standin import inputs_of, state_of
 
 
 def targets(count=3):
@@ -84,8 +83,7 @@ def test_a_servo_that_suffers_ends_the_search_and_no_round_alone(ill):
 
 
 def state(time, *, shift=0.0, **changes):
-    position = ARM.rest[None] + np.array([[0.0, 0.0, shift, 0.0, 0.0]])
-    return JointState(time=np.array([time]), position=position, age=np.zeros(1), **changes)
+    return state_of(ARM.rest + shift * np.eye(5)[2], time, **changes)
 
 
 @pytest.mark.parametrize(
@@ -100,17 +98,7 @@ def state(time, *, shift=0.0, **changes):
 def test_a_joint_that_shakes_labours_or_gets_warm_ends_the_round(joint, seen):
     watch = _RoundWatch(ARM)
     ended = [
-        bool(
-            watch.bad(
-                ControlInput(
-                    state=seen(t),
-                    target=np.zeros((1, 3)),
-                    goal=ARM.rest[None],
-                    sent=ARM.rest[None],
-                    since_target=np.array([t]),
-                )
-            )
-        )
+        bool(watch.bad(inputs_of(seen(t), np.zeros((1, 3)), ARM.rest[None], ARM.rest[None], t)))
         for t in np.arange(0.0, 2.5, 0.02)
     ]
     assert ended[-1] == (joint is not None)

@@ -1,16 +1,19 @@
 """The lines of load over error that the logs of an arm's own motion tell."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from test_following import bands_of
 
 from rejoint.arms import mycobot280
 from rejoint.control import compiled
-from rejoint.control.monitor import Bands, Following, Knowledge, servo_lines
-from rejoint.control.robot import JointState
+from rejoint.control.monitor import Following, Knowledge, servo_lines
 from rejoint.diagnosis.excitation import record
 from rejoint.logs.runlog import RunLog
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.lab.plant.wear import load_wear
+from standin import state_of
 
 ARM = mycobot280()
 STEP = ARM.encoder_step
@@ -24,19 +27,7 @@ def standing_log(gain=GAIN, offset=0.01, noise=0.0, holds=20, lead=0.02):
     time, position = 0.025 * np.arange(rows), np.tile(STEP * np.round(ARM.rest / STEP), (rows, 1))
     arrived = np.vstack([leads[:1], leads[:-1]])  # row k holds the command sent after its state was read
     load = np.clip(gain * arrived + offset + rng.normal(0.0, max(noise, 1e-12), arrived.shape), -1.0, 1.0)
-    nowhere = np.full((rows, 3), np.nan)
-    return RunLog(
-        arm=ARM.name,
-        joint_names=ARM.joint_names,
-        robot="test:",
-        label="standing",
-        time=time,
-        position=position,
-        command=position + leads,
-        target=nowhere,
-        true_tcp=nowhere,
-        servo_load=load,
-    )
+    return replace(RunLog.of(time, position + leads, position, arm=ARM), servo_load=load)
 
 
 def worn_logs(kind, count=2):
@@ -73,24 +64,19 @@ def test_a_diagnosis_tells_the_lines_of_joints_that_sag_or_stick(kind, known):
     assert count >= known
 
 
-def bands_of(sticks):
-    """Bands of joints whose commands go ``sticks`` [rad] from one end of theirs to the other."""
-    return Bands(slope=np.zeros(6), offset=np.zeros(6), reach=np.full(6, np.inf), width=np.full(6, 0.5 * sticks))
-
-
 def watch(load_of, cycles=40, lead=0.02, within=0.02, sticks=None):
     """First cycle in which joint 1, at a ``lead`` [rad] over a reading that stands, is not believed; None: never."""
     position, told = np.tile(ARM.rest, (1, 1)), np.zeros((1, 6))
-    begin = JointState(time=np.zeros(1), position=position, age=np.zeros(1), load=told)
+    begin = state_of(position, load=told)
     knowledge = Knowledge(gain=np.full(6, 10.0), within=within, noise=0.001)
-    bands = None if sticks is None else bands_of(sticks)
+    bands = None if sticks is None else bands_of(0.5 * np.degrees(sticks))
     monitor = Following(ARM, begin, position, knowledge, bands=bands)
     for k in range(1, cycles):
         sent = position.copy()
         sent[0, 0] += lead if k > 1 else 0.0
         load = told.copy()
         load[0, 0] = load_of(k)
-        state = JointState(time=np.array([0.025 * k]), position=position, age=np.zeros(1), load=load)
+        state = state_of(position, 0.025 * k, load=load)
         bad = monitor.check(state, sent, np.zeros(1, dtype=bool))
         if bad is not None:
             assert bad[0].tolist() == [True] + [False] * 5
@@ -115,12 +101,12 @@ def test_a_joint_without_a_line_is_not_judged_by_its_load():
 def learned(off_for, breaks_loose=False):
     """Joints that are not believed, where a line was learned, a command goes far, and loads are off for some cycles."""
     position, one = np.tile(ARM.rest, (1, 1)), np.arange(6) == 1
-    begin = JointState(time=np.zeros(1), position=position - 0.05 * one, age=np.zeros(1), load=np.zeros((1, 6)))
+    begin = state_of(position - 0.05 * one, load=np.zeros((1, 6)))
     monitor, found, lead = Following(ARM, begin, position), [], 0.0  # its joint has moved before
     for k in range(1, 160):
         load = 3.4 * lead - 0.4 * (150 <= k < 150 + off_for)
         read = position + 0.01 * one * (breaks_loose and k >= 150 + off_for)
-        now = JointState(time=np.array([0.025 * k]), position=read, age=np.zeros(1), load=(load * one)[None])
+        now = state_of(read, 0.025 * k, load=(load * one)[None])
         bad = monitor.check(now, position + lead * one, np.ones(1, dtype=bool))
         found += [] if bad is None else [bad[0].tolist()]
         lead = 0.001 * (k // 8) + 0.23 * (k > 140)  # [rad] stands at every lead for a while

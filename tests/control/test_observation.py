@@ -1,27 +1,20 @@
 import numpy as np
 
 from rejoint.arms import dls, mycobot280, position_kinematics, tcp_position
-from rejoint.control.controller import ControlInput
 from rejoint.control.observation import Observer, layout_slots, look
 from rejoint.control.residual import CommandLaw
-from rejoint.control.robot import JointState
+from standin import inputs_of, state_of
 
 ARM = mycobot280()
 
 
-def inputs(position, target, sent, time=0.0, since=0.0) -> ControlInput:
+def inputs(position, target, sent, time=0.0, since=0.0):
     count = len(position)
-    state = JointState(time=np.full(count, time), position=np.asarray(position), age=np.zeros(count))
-    return ControlInput(
-        state=state,
-        target=np.asarray(target),
-        goal=np.tile(ARM.rest, (count, 1)),
-        sent=np.asarray(sent),
-        since_target=np.full(count, since),
-    )
+    state = state_of(np.asarray(position), time)
+    return inputs_of(state, np.asarray(target), np.tile(ARM.rest, (count, 1)), np.asarray(sent), since)
 
 
-def columns(layout: str) -> dict[str, slice]:
+def columns(layout):
     result, start = {}, 0
     for slot in layout_slots(layout, ARM.joints):
         result[slot.name] = slice(start, start + slot.size)
@@ -46,14 +39,14 @@ def test_residual_observation_worked_by_hand():
     observer.reset(begin, np.array([True]))
     observer.observe(begin)
     observer.acted(-acted)
-    observer.observe(inputs([first - 0.002], [target], [sent], time=1.02, since=0.275))
+    observer.observe(inputs([first - 0.002], [target], [sent], time=1.2, since=0.275))
     observer.acted(acted)
-    seen = observer.observe(inputs([second], [target], [sent], time=1.045, since=0.3))[0]
+    seen = observer.observe(inputs([second], [target], [sent], time=1.225, since=0.3))[0]
     tcp, jacobian = position_kinematics(ARM, second)
     step = dls(jacobian, target - tcp)
     expected = {
         "drive": [0.4, -0.8, 0.0, 0.0, 0.2, 0.0],
-        "velocity": [0.04, 0.04 + 0.2, 0.04, 0.04, 0.04, 0.04, *[-0.05] * 6, *[0.0] * 6],
+        "velocity": [0.04, 0.04 + 0.2, 0.04, 0.04, 0.04, 0.04, *[-0.005] * 6, *[0.0] * 6],
         "step": 5.0 * step,
         "step.near": np.tanh(step / np.radians(1.0)),
         "step.fine": np.tanh(step / np.radians(0.2)),
@@ -62,7 +55,7 @@ def test_residual_observation_worked_by_hand():
         "direction": np.array([0.003, -0.004, 0.012]) / 0.016,
         "distance": [(np.log(0.0133) + 5.0) / 2.0],
         "waited": [-0.2],
-        "period": [20.0 * (0.3 * 0.025 + 0.7 * (0.3 * 0.020 + 0.7 * 0.035)) - 0.7],
+        "period": [20.0 * (0.3 * 0.025 + 0.7 * (0.3 * 0.1 + 0.7 * 0.035)) - 0.7],  # a gap counts as 0.1 s,
         "action": [*acted[0], *-acted[0], *np.zeros(6)],
     }
     assert set(expected) == set(where)

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from rejoint.arms import load_arm, tcp_position
-from rejoint.control.controller import ControlInput
 from rejoint.control.feedforward import FeedforwardController, PushController, PushGains
 from rejoint.control.goal import nearest_postures
-from rejoint.control.robot import JointState
 from rejoint.system.errors import InputError
+from standin import inputs_of, state_of
 
 ARM = load_arm("so101")
 STIFFNESS, FRICTION = np.array([25.0, 20.0, 20.0, 23.0, 26.0]), np.array([0.25, 0.6, 0.8, 0.35, 0.0])
@@ -18,9 +17,9 @@ PERIOD = 0.02
 
 
 def inputs(position, target, time):
-    state = JointState(time=np.full(1, time), position=position, age=np.zeros(1))
+    state = state_of(position, time)
     goal = nearest_postures(ARM, target, position)
-    return ControlInput(state=state, target=target, goal=goal, sent=position, since_target=np.full(1, time))
+    return inputs_of(state, target, goal, position, time)
 
 
 def led(positions, target, gains=GAINS, friction=FRICTION):

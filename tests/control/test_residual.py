@@ -7,12 +7,11 @@ import pytest
 
 from rejoint.arms import gravity_torque, mycobot280, position_kinematics, solve_position, tcp_position
 from rejoint.arms.workspace import heaviest_load
-from rejoint.control.controller import ControlInput
 from rejoint.control.goal import nearest_postures
 from rejoint.control.observation import look
 from rejoint.control.residual import Commander, CommandLaw
-from rejoint.control.robot import JointState
 from rejoint.system.errors import InputError
+from standin import inputs_of, state_of
 
 ARM = mycobot280()
 STIFFNESS = (5.0, 6.0, 7.0, 4.0, 5.0, 6.0)
@@ -21,31 +20,36 @@ EVERY = np.ones(2, dtype=bool)
 MOVES = np.array([1, 1, 1, 1, 1, 0])  # the last joint only turns the tool, and is left alone
 
 
-def inputs(position: np.ndarray, target: np.ndarray, time: float = 0.0) -> ControlInput:
-    state = JointState(time=np.full(2, time), position=position, age=np.zeros(2))
+def inputs(position, target, time=0.0):
+    state = state_of(position, time)
     goal = nearest_postures(ARM, target, position)
-    return ControlInput(state=state, target=target, goal=goal, sent=position, since_target=np.zeros(2))
+    return inputs_of(state, target, goal, position)
 
 
-def command(commander: Commander, now: ControlInput, action: np.ndarray) -> np.ndarray:
+def command(commander, now, action):
     return commander.command(now, look(ARM, now.state.position, now.target, now.goal), action)
 
 
-def test_without_error_or_action_it_sends_the_goal_raised_by_its_sag() -> None:
+def begun(target=None, law=LAW):
+    """A commander of two arms at rest, and what it was told."""
+    rest = np.tile(ARM.rest, (2, 1))
+    now = inputs(rest, tcp_position(ARM, rest) if target is None else target)
+    commander = Commander(ARM, law)
+    commander.reset(now, EVERY)
+    return commander, now
+
+
+def test_without_error_or_action_it_sends_the_goal_raised_by_its_sag():
     targets = ARM.targets.sample(np.random.default_rng(1), (2,))
     goal = solve_position(ARM, targets, np.tile(ARM.rest, (2, 1))).q
-    commander = Commander(ARM, LAW)
-    commander.reset(inputs(np.tile(ARM.rest, (2, 1)), targets), EVERY)
+    commander, _ = begun(targets)
     now = inputs(goal, tcp_position(ARM, goal))
     expected = goal + gravity_torque(ARM, goal) / np.array(STIFFNESS)
     np.testing.assert_allclose(command(commander, now, np.zeros((2, 6))), expected, atol=1e-12)
 
 
-def test_an_action_is_remembered_until_the_arm_is_exchanged() -> None:
-    rest = np.tile(ARM.rest, (2, 1))
-    now = inputs(rest, tcp_position(ARM, rest))
-    commander = Commander(ARM, LAW)
-    commander.reset(now, EVERY)
+def test_an_action_is_remembered_until_the_arm_is_exchanged():
+    commander, now = begun()
     before = command(commander, now, np.zeros((2, 6)))
     pushed = command(commander, now, np.full((2, 6), 2.0))  # beyond 1 counts as 1
     np.testing.assert_allclose(pushed - before, [LAW.authority_floor * MOVES] * 2, atol=1e-12)
@@ -86,43 +90,38 @@ def test_a_corrected_aim_moves_no_joint_that_stands_for_the_tool() -> None:
     np.testing.assert_allclose(kept, learned, atol=1e-12)
 
 
-def test_what_is_learned_is_bounded() -> None:
-    rest = np.tile(ARM.rest, (2, 1))
-    now = inputs(rest, ARM.targets.sample(np.random.default_rng(2), (2,)))
-    commander = Commander(ARM, replace(LAW, envelope_margin=10.0))
-    commander.reset(now, EVERY)
+def test_what_is_learned_is_bounded():
+    targets = ARM.targets.sample(np.random.default_rng(2), (2,))
+    commander, now = begun(targets, replace(LAW, envelope_margin=10.0))
     first = command(commander, now, np.zeros((2, 6)))
     for cycle in range(300):
-        last = command(commander, inputs(rest, now.target, 0.02 * cycle), np.ones((2, 6)))
+        last = command(commander, inputs(now.state.position, now.target, 0.02 * cycle), np.ones((2, 6)))
     assert np.abs(last - first).max() <= LAW.learning.learned_limit + 1e-9
     assert np.abs(last - first).max() > 0.9 * LAW.learning.learned_limit
 
 
-def test_commands_stay_near_the_goal() -> None:
+def test_commands_stay_near_the_goal():
     """The null space holds a joint that turns the tool only: what is learned there may add up, but not for ever."""
-    commander, goal = Commander(ARM, LAW), np.tile(ARM.rest, (2, 1))
-    now = inputs(goal, tcp_position(ARM, goal))
-    commander.reset(now, EVERY)
+    commander, now = begun()
     for _ in range(600):
         q = command(commander, now, np.ones((2, 6)))
-    away = np.abs(q - goal).max(axis=0)
+    away = np.abs(q - ARM.rest).max(axis=0)
     assert (away <= LAW.envelope_margin + 1e-12).all()
     assert away.max() >= 0.9 * LAW.envelope_margin
 
 
-def test_the_stiffness_of_every_servo_is_needed() -> None:
+def test_the_stiffness_of_every_servo_is_needed():
     with pytest.raises(InputError, match="stiffness of 6 servos, got"):
         Commander(ARM, CommandLaw(anchor="goal"))
 
 
 @pytest.mark.parametrize(("distance", "near"), [(0.0003, 1.0 / 1.01), (0.003, 0.5), (0.09, 1.0 / 901.0)])
-def test_near_the_target_the_heaviest_joint_is_spared(distance: float, near: float) -> None:
+def test_near_the_target_the_heaviest_joint_is_spared(distance, near):
     rest = np.tile(ARM.rest, (2, 1))
     target = tcp_position(ARM, rest) + np.array([0.6, 0.0, 0.8]) * distance
     moved = {}
     for law in (LAW, replace(LAW, load_penalty=3.0)):
-        commander = Commander(ARM, law)
-        commander.reset(inputs(rest, target), EVERY)
+        commander, _ = begun(target, law)
         first, second = (command(commander, inputs(rest, target, t), np.zeros((2, 6))) for t in (0.0, 0.02))
         moved[law.load_penalty] = (second - first)[0]
     share = heaviest_load(ARM) / heaviest_load(ARM)[1]  # the shoulder's is the largest

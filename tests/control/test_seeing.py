@@ -5,13 +5,12 @@ import pytest
 
 from rejoint.arms import Displacement, mycobot280, position_kinematics, tcp_position
 from rejoint.control.classical import IntegratorController
-from rejoint.control.controller import ControlInput
 from rejoint.control.loop import Schedule, run
 from rejoint.control.reference import TargetSequence
-from rejoint.control.robot import JointState
 from rejoint.control.seeing import NOISE, Finishing, Seen, Sighting
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.lab.plant.wear import load_wear
+from standin import inputs_of, state_of
 
 ARM = mycobot280()
 POSTURE = ARM.rest + np.radians([20.0, -20.0, -30.0, 10.0, 5.0, 0.0])
@@ -38,10 +37,8 @@ def standing(shifts, sigma=np.nan):
     for k, shift in enumerate(shifts):
         now = k * PERIOD
         eye.one = Sighting(time=now, place=place + shift, sigma=sigma)
-        state = JointState(time=np.array([now]), position=POSTURE[None], age=np.zeros(1))
-        inputs = ControlInput(
-            state=state, target=aim, goal=POSTURE[None], sent=POSTURE[None], since_target=np.array([now])
-        )
+        state = state_of(POSTURE, now)
+        inputs = inputs_of(state, aim, POSTURE[None], POSTURE[None], now)
         fresh = seen.again(place[None], inputs)
         aim = aim if fresh is None else fresh
         missing = seen.missing(inputs)

@@ -8,7 +8,6 @@ import pytest
 
 from rejoint.arms import gravity_torque, mycobot280
 from rejoint.control.loop import say_faulty
-from rejoint.control.robot import JointState
 from rejoint.control.start import STANCE, Stance, begin, check_ready
 from rejoint.logs.runlog import RunLog, write_log
 from rejoint.robots import open_robot
@@ -16,36 +15,26 @@ from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.runs.run import Run
 from rejoint.session.context import stance_of
 from rejoint.system.errors import NotReadyError
+from standin import StandIn
 
 ARM = mycobot280()
 
 
-class Standing:
+class Standing(StandIn):
     """One arm that stands where it is put, on a clock that goes on."""
 
-    arm, address, count = ARM, "test:standing", 1
-
     def __init__(self, position=ARM.rest, drift=0.0, **health):
-        self.position, self.drift, self.health, self.time, self.sent = np.array(position), drift, health, 0.0, []
+        super().__init__(period=0.04, start=position)
+        self.drift, self.health, self.sent = drift, health, []
 
     def read(self):
-        self.time += 0.01
+        self.time = self.time + 0.01
         self.position = self.position + self.drift
-        position = self.position[None].copy()
-        return JointState(time=np.array([self.time]), position=position, age=np.zeros(1), **self.health)
+        return super().read(**self.health)
 
-    def step(self, command, active):
-        assert active.all()
+    def moved(self, command):
         self.sent.append(command[0].copy())
-        self.position = command[0].copy()
-        self.time += 0.04
-        return self.read()
-
-    def true_tcp(self):
-        return np.full((1, 3), np.nan)
-
-    def stop(self):
-        pass
+        return command.copy()
 
 
 def heat(joint, degrees):
@@ -73,20 +62,14 @@ class Crossed(Standing):
 
     def __init__(self, told, position):
         super().__init__(position)
-        self.told, self.stops = told, 0
+        self.told = told
 
     def read(self):
         state = super().read()
         return replace(state, position=self.told(state.position))
 
-    def step(self, command, active):
-        before = self.position
-        super().step(command, active)
-        self.position = before + np.clip(command[0] - before, -np.radians(5.0), np.radians(5.0))
-        return self.read()
-
-    def stop(self):
-        self.stops += 1
+    def moved(self, command):
+        return self.position + np.clip(super().moved(command) - self.position, -np.radians(5.0), np.radians(5.0))
 
 
 def reversed_in(joint):
@@ -169,17 +152,7 @@ def test_a_run_tells_how_far_its_arm_stood_off_in_its_diagnosis(tmp_path):
     command = position + gravity_torque(ARM, position) / 8.0
     command[2, 3] += np.radians(20.0)  # where the first target ends; on the way to the next one it does not count
     command[3, 2] += np.radians(50.0)
-    log = RunLog(
-        arm=ARM.name,
-        joint_names=ARM.joint_names,
-        robot="emulated:worn",
-        label="targets",
-        time=0.05 * np.arange(6.0),
-        position=position,
-        command=command,
-        target=rows,
-        true_tcp=rows,
-    )
+    log = RunLog.of(0.05 * np.arange(6.0), command, position, arm=ARM, label="targets", target=rows, true_tcp=rows)
     write_log(run.folder.log("targets"), log)
     np.testing.assert_allclose(np.degrees(stance_of(twin, run).off), [0.0, 0.0, 0.0, 20.0, 0.0, 0.0], atol=1e-9)
 

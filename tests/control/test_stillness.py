@@ -1,14 +1,16 @@
 """An arm that stands under one command will not come nearer: the rest of the wait is left out, and counted."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from rejoint.arms import gravity_torque, mycobot280, tcp_position
+from rejoint.arms import gravity_torque, mycobot280
 from rejoint.control.classical import DefaultController
 from rejoint.control.comparison.protocols import STANDS_FOR, measure_crossings, schedule
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.loop import Schedule, Stillness, run
-from rejoint.control.robot import JointState
+from standin import StandIn, state_of
 
 ARM = mycobot280()
 STEP = ARM.encoder_step
@@ -16,43 +18,29 @@ TARGETS = ARM.targets.sample(np.random.default_rng(3), (3, 2))
 PROTOCOL = Protocol()
 
 
-class Sagging:
+class Sagging(StandIn):
     """Arms with clocks of their own that go a third of the way to their command in a period, and sag."""
 
-    arm, address = ARM, "test:sagging"
-
     def __init__(self, periods):
-        self.periods, self.count = np.asarray(periods), len(periods)
-        self.position, self.time = np.tile(ARM.rest, (self.count, 1)), np.arange(self.count, dtype=float)
+        super().__init__(len(periods), period=periods)
+        self.time = np.arange(self.count, dtype=float)
 
     def read(self):
-        read = np.rint(self.position / STEP) * STEP
-        return JointState(time=self.time, position=read, age=np.zeros(self.count))
+        return replace(super().read(), position=np.rint(self.position / STEP) * STEP)
 
-    def step(self, command, active=None):
+    def moved(self, command):
         goal = command - gravity_torque(ARM, self.position) / 4.0
-        self.position = self.position + np.where(active[:, None], 0.3 * (goal - self.position), 0.0)
-        self.time = self.time + np.where(active, self.periods, 0.0)
-        return self.read()
-
-    def true_tcp(self):
-        return tcp_position(ARM, self.position)
-
-    def stop(self):
-        pass
-
-    def close(self):
-        pass
+        return self.position + 0.3 * (goal - self.position)
 
 
 def test_stillness_by_hand():
     sent, position = np.zeros((1, 6)), np.zeros((1, 6))
 
     def at(time, moved=0.0, command=0.0):
-        state = JointState(time=np.array([time]), position=position + moved, age=np.zeros(1))
+        state = state_of(position + moved, time)
         return still.look(state, sent + command)[0]
 
-    still = Stillness(JointState(time=np.array([5.0]), position=position, age=np.zeros(1)), sent, STEP)
+    still = Stillness(state_of(position, 5.0), sent, STEP)
     assert at(6.0) == 1.0
     assert at(7.0, moved=STEP) == 2.0  # an encoder flickers
     assert at(8.0, moved=-STEP) == 3.0
@@ -63,9 +51,10 @@ def test_stillness_by_hand():
 
 
 def test_what_is_waited_for_would_have_shown_nothing_else():
-    whole = run(Sagging([0.025]), DefaultController(ARM), TARGETS[:1], Schedule(dwell=9.0, stop_below=1e-6))
-    short = run(
-        Sagging([0.025]), DefaultController(ARM), TARGETS[:1], Schedule(dwell=9.0, stop_below=1e-6, stands_for=2.0)
+    plan = Schedule(dwell=9.0, stop_below=1e-6)
+    whole, short = (
+        run(Sagging([0.025]), DefaultController(ARM), TARGETS[:1], schedule)
+        for schedule in (plan, replace(plan, stands_for=2.0))
     )
     for k in range(2):
         ours, theirs = (rec.position[rec.target_index[:, 0] == k, 0] for rec in (short, whole))

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from rejoint.arms import Arm, Array, Displacement, mycobot280, so101, solve_position, tcp_position
+from rejoint.arms import Arm, Displacement, mycobot280, so101, solve_position, tcp_position
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.rotations import pose_of, rotation_about
-from rejoint.diagnosis.calibration.calibration import Calibration, read_calibration, write_calibration
+from rejoint.diagnosis.calibration.calibration import read_calibration, write_calibration
 from rejoint.diagnosis.calibration.fit import fit
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.parameters import (
@@ -30,7 +29,7 @@ ARM = mycobot280()
 SIGMA = 5e-4
 
 
-def worn(seed: int = 0, scale: float = 1.0) -> Displacement:
+def worn(seed=0, scale=1.0):
     """Draw a displacement of the size of a worn arm's."""
     rng = np.random.default_rng(seed)
     return replace(
@@ -41,12 +40,12 @@ def worn(seed: int = 0, scale: float = 1.0) -> Displacement:
     )
 
 
-def postures(count: int, seed: int = 0) -> Array:
+def postures(count, seed=0):
     """Postures of targets."""
     return solve_position(ARM, ARM.targets.sample(np.random.default_rng(seed), (count,)), ARM.rest).q
 
 
-def measured(truth: Displacement, count: int, *, seed: int = 0, noise: float = SIGMA) -> Measurements:
+def measured(truth, count, *, seed=0, noise=SIGMA):
     """Measure an arm whose floating base joint lies anywhere in its play."""
     rng, q = np.random.default_rng(seed), postures(count, seed)
     links = truth.joints(ARM, q)
@@ -61,14 +60,14 @@ def measured(truth: Displacement, count: int, *, seed: int = 0, noise: float = S
     )
 
 
-def error_of(found: Calibration, truth: Displacement) -> float:
+def error_of(found, truth):
     """Mean distance [m] of modelled and true tools at fresh postures, the base joint in the middle of its play."""
     q = postures(40, seed=99)
     return float(np.linalg.norm(found.tool(q) - truth.tool(ARM, q), axis=1).mean())
 
 
 @pytest.mark.parametrize("tilt", [(0.0, 0.0), (0.004, -0.003), (0.1, 0.05)])
-def test_derivatives_are_finite_differences(tilt: tuple[float, float]) -> None:
+def test_derivatives_are_finite_differences(tilt):
     layout, rng, q = DisplacementLayout(joints=6), np.random.default_rng(1), postures(4)
     vector = vector_of(layout, worn())
     vector[layout.at("mass")] = rng.normal(0.0, 0.1, 6)
@@ -80,7 +79,7 @@ def test_derivatives_are_finite_differences(tilt: tuple[float, float]) -> None:
         assert np.allclose((ends[0] - ends[1]) / 2e-6, slope[..., k], atol=2e-5), layout.names()[k]
 
 
-def test_derivatives_by_the_pose_of_a_foreign_frame_are_finite_differences() -> None:
+def test_derivatives_by_the_pose_of_a_foreign_frame_are_finite_differences():
     layout = DisplacementLayout(joints=6, frame=True)
     start = pose_of(rotation_about(np.array([0.0, 0.6, 0.8]), 0.7), np.array([0.3, -0.1, 0.05]))
     problem = CalibrationProblem(
@@ -94,13 +93,13 @@ def test_derivatives_by_the_pose_of_a_foreign_frame_are_finite_differences() -> 
         assert np.allclose(change, slope[..., k], atol=1e-6)
 
 
-def test_links_weigh_what_the_kinematics_say() -> None:
+def test_links_weigh_what_the_kinematics_say():
     q, down = postures(6), np.array([0.5, -1.0, -9.7])
     tilted = replace(Displacement.none(ARM), gravity=down)
     assert np.allclose((link_loads(ARM, q) @ down).sum(axis=-1), tilted.torque(ARM, q), atol=1e-12)
 
 
-def test_a_single_joint_by_hand() -> None:
+def test_a_single_joint_by_hand():
     # A rod of 1 kg with its centre 0.1 m out, held level, its tool at 0.2 m: 0.981 N m bend it by 0.00981 rad at
     # 100 N m/rad, and its weight presses it to the lower end of 0.02 rad of play.
     turn = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
@@ -126,7 +125,7 @@ def test_a_single_joint_by_hand() -> None:
     assert np.allclose(behind.tool(rod, np.zeros(1)), [0.2 * np.cos(drop), 0.0, -0.2 * np.sin(drop)], atol=1e-9)
 
 
-def test_a_floating_joint_runs_ahead_of_its_last_motion_and_a_loaded_one_does_not() -> None:
+def test_a_floating_joint_runs_ahead_of_its_last_motion_and_a_loaded_one_does_not():
     behind = replace(worn(), carry=np.full(6, 0.5))
     q = postures(3)
     up = behind.joints(ARM, q, q - 0.2) - behind.joints(ARM, q)
@@ -136,7 +135,7 @@ def test_a_floating_joint_runs_ahead_of_its_last_motion_and_a_loaded_one_does_no
 
 
 @pytest.mark.parametrize(("count", "most"), [(5, 1.2e-3), (10, 1.0e-3), (20, 0.7e-3)])
-def test_a_fit_finds_the_displacement_that_was_put_in(count: int, most: float) -> None:
+def test_a_fit_finds_the_displacement_that_was_put_in(count, most):
     errors = []
     for seed in range(3):
         truth = worn(seed)
@@ -147,14 +146,14 @@ def test_a_fit_finds_the_displacement_that_was_put_in(count: int, most: float) -
     assert np.mean(errors) < most
 
 
-def test_a_base_that_stands_askew_is_told_from_the_points() -> None:
+def test_a_base_that_stands_askew_is_told_from_the_points():
     truth = replace(worn(), gravity=rotation_about(np.array([1.0, 0.0, 0.0]), np.radians(8.0)) @ GRAVITY)
     m = measured(replace(truth, play=worn().play), 20)
     m = replace(m, point=truth.tool(ARM, m.position) + np.random.default_rng(0).normal(0.0, SIGMA, (20, 3)))
     assert error_of(fit(ARM, m), truth) < 0.4e-3
 
 
-def test_heights_alone_are_enough() -> None:
+def test_heights_alone_are_enough():
     truth = replace(worn(), offset=np.zeros(6))
     m = measured(truth, 12)
     found = fit(ARM, replace(m, point=np.where([False, False, True], m.point, np.nan)))
@@ -163,7 +162,7 @@ def test_heights_alone_are_enough() -> None:
     assert np.abs(found.tool(q)[:, 2] - truth.tool(ARM, q)[:, 2]).mean() < 0.8e-3
 
 
-def test_the_gate_refuses_to_correct_noise() -> None:
+def test_the_gate_refuses_to_correct_noise():
     refused = 0
     for seed in range(8):
         found = fit(ARM, measured(Displacement.none(ARM), 6, seed=seed))
@@ -176,7 +175,7 @@ def test_the_gate_refuses_to_correct_noise() -> None:
     assert refused >= 6
 
 
-def test_a_wrong_point_is_named_and_right_ones_are_not() -> None:
+def test_a_wrong_point_is_named_and_right_ones_are_not():
     named = accused = 0
     for seed in range(5):
         m = measured(worn(seed), 10, seed=seed)
@@ -188,7 +187,7 @@ def test_a_wrong_point_is_named_and_right_ones_are_not() -> None:
     assert accused <= 1
 
 
-def test_aiming_brings_the_tool_to_the_target() -> None:
+def test_aiming_brings_the_tool_to_the_target():
     truth = worn()
     found = fit(ARM, measured(truth, 10))
     target = ARM.targets.sample(np.random.default_rng(3), (2, 5))
@@ -196,7 +195,7 @@ def test_aiming_brings_the_tool_to_the_target() -> None:
     assert np.linalg.norm(found.tool(settled) - target, axis=-1).max() < 0.3e-3
 
 
-def test_intervals_hold_the_truth() -> None:
+def test_intervals_hold_the_truth():
     inside, widths = [], []
     for seed in range(6):
         truth = worn(seed)
@@ -210,7 +209,7 @@ def test_intervals_hold_the_truth() -> None:
     assert np.mean(widths) < 6e-3
 
 
-def test_a_file_gives_back_what_was_written(tmp_path: Path) -> None:
+def test_a_file_gives_back_what_was_written(tmp_path):
     found, path = fit(ARM, measured(worn(), 6), date="2026-01-31"), tmp_path / "calibration.toml"
     write_calibration(path, found)
     again = read_calibration(path, ARM)
@@ -221,7 +220,7 @@ def test_a_file_gives_back_what_was_written(tmp_path: Path) -> None:
         assert getattr(again, name) == getattr(found, name)
 
 
-def test_a_file_is_refused_for_another_arm_and_where_it_was_changed(tmp_path: Path) -> None:
+def test_a_file_is_refused_for_another_arm_and_where_it_was_changed(tmp_path):
     path = tmp_path / "calibration.toml"
     write_calibration(path, fit(ARM, measured(worn(), 3)))
     with pytest.raises(ContractError, match="expected one of 'so101'"):

@@ -11,7 +11,7 @@ from rejoint.diagnosis.excitation import SHORT, DiagnosisLogs, record
 from rejoint.diagnosis.healthy import load_healthy, reference_from
 from rejoint.logs.runlog import read_log, write_log
 from rejoint.robots.emulated import EmulatedRobot
-from rejoint.robots.lab.plant.wear import Wear, load_wear
+from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.system.errors import InputError, NotReadyError
 from rejoint.system.files import read_json, write_json
 
@@ -20,7 +20,7 @@ HEALTHY, WORN = load_wear("healthy", ARM), load_wear("worn", ARM)
 OFFSET = np.radians([2.0, -3.0, 0.0, 0.0, 4.0, 0.0])
 
 
-def with_joint(joint: int, *, play_in_loop: bool = False, **values: float) -> Wear:
+def with_joint(joint, *, play_in_loop=False, **values):
     """A healthy arm with one joint changed."""
     changed = {name: np.array(getattr(HEALTHY, name)) for name in values}
     for name, value in values.items():
@@ -46,19 +46,18 @@ WEARS = {
 
 
 @pytest.fixture(scope="module")
-def logs() -> dict[str, DiagnosisLogs]:
+def logs():
     robot = EmulatedRobot(ARM, list(WEARS.values()), seed=77, address="emulated:worn")
     return dict(zip(WEARS, record(robot, seed=11), strict=True))
 
 
 @pytest.fixture(scope="module")
-def found(logs) -> dict[str, Diagnosis]:
+def found(logs):
     healthy = load_healthy(ARM)
-    assert healthy is not None
     return {name: judge(ARM, entry, healthy) for name, entry in logs.items()}
 
 
-def kinds(diagnosis: Diagnosis) -> set[tuple[str, str]]:
+def kinds(diagnosis):
     return {(finding.joint, finding.kind) for finding in diagnosis.findings}
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from modelfiles import packaged, ur5e
-from rejoint.arms import Arm, gravity_torque, load_arm, mycobot280, so101
+from rejoint.arms import gravity_torque, load_arm, mycobot280, so101
 from rejoint.arms.workspace import heaviest_load, is_safe, torque_size
 from rejoint.diagnosis.diagnosis import judge
 from rejoint.diagnosis.excitation import plan_excitation, record
@@ -19,7 +19,7 @@ from rejoint.system.errors import InputError
 ARM = mycobot280()
 
 
-def low_shoulder() -> Arm:
+def low_shoulder():
     """A UR5, whose shoulder sits 89 mm above the base, less than what other joints keep from the floor."""
     file = packaged("ManipulaPy", "ManipulaPy_data/universal_robots/ur5/ur5.urdf")
     return load_arm(file, base="base_link", tip="tool0")

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from rejoint.arms import load_arm
-from rejoint.diagnosis.monitoring.judge import Outlook, PastCheck, outlook, say
-from rejoint.diagnosis.monitoring.measures import CheckMeasures, measure_check
+from rejoint.diagnosis.monitoring.judge import PastCheck, outlook, say
+from rejoint.diagnosis.monitoring.measures import measure_check
 from rejoint.diagnosis.monitoring.routine import record_check
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.lab.plant.wear import load_wear
@@ -19,7 +19,7 @@ MOVED_DEG = {"joint2": 1.2, "joint3": -0.8}
 AGED = ("healthy?seed=5&hours=900", "worn")
 
 
-def judged(*checks: CheckMeasures) -> Outlook:
+def judged(*checks):
     """Judge checks, one a month, whose true error nobody knows."""
     return outlook(
         [PastCheck(time=BEGIN + timedelta(days=30 * n), measures=one) for n, one in enumerate(checks)],
@@ -28,7 +28,7 @@ def judged(*checks: CheckMeasures) -> Outlook:
 
 
 @pytest.fixture(scope="module")
-def checks() -> list[CheckMeasures]:
+def checks():
     """Check a healthy arm, the same with two zeros moved, and arms that wear much."""
     healthy, *aged = (load_wear(name, ARM) for name in ("healthy", *AGED))
     off = np.array([MOVED_DEG.get(name, 0.0) for name in ARM.joint_names])
@@ -40,7 +40,7 @@ def checks() -> list[CheckMeasures]:
     ]
 
 
-def test_zeros_that_were_moved_are_no_wear(checks: list[CheckMeasures]) -> None:
+def test_zeros_that_were_moved_are_no_wear(checks):
     healthy, moved = checks[:2]
     found = judged(*[healthy] * 6, moved)
     assert {one.joint: one.degrees for one in found.moved} == pytest.approx(MOVED_DEG, abs=0.1)
@@ -57,19 +57,19 @@ def test_zeros_that_were_moved_are_no_wear(checks: list[CheckMeasures]) -> None:
     assert say(later, "ROBOT").startswith("The zeros of joint2 and joint3 have moved")
 
 
-def test_one_odd_check_is_no_moved_arm(checks: list[CheckMeasures]) -> None:
+def test_one_odd_check_is_no_moved_arm(checks):
     healthy, moved = checks[:2]
     assert judged(*[healthy] * 6, moved, healthy).moved == ()
 
 
 @pytest.mark.parametrize("which", range(len(AGED)), ids=AGED)
-def test_wear_is_no_moved_zero_however_fast_it_comes(checks: list[CheckMeasures], which: int) -> None:
+def test_wear_is_no_moved_zero_however_fast_it_comes(checks, which):
     found = judged(*[checks[0]] * 6, *[checks[2 + which]] * 3)
     assert found.moved == ()
     assert found.state == "alarm"
 
 
-def test_where_a_joint_rests_may_go_with_the_warmth_of_its_whole_friction(checks: list[CheckMeasures]) -> None:
+def test_where_a_joint_rests_may_go_with_the_warmth_of_its_whole_friction(checks):
     """A reversal is the small rest of a wide band: it goes with warmth by more than a small share of itself."""
     seen = []
     for month in (0.0, 0.05, 0.1, 0.15, *range(1, 19)):

@@ -2,15 +2,12 @@
 
 import dataclasses
 import html
-import json
-from functools import partial
 from types import SimpleNamespace
 
 import pytest
 from plant_logs import ARM, HEALTHY, record_motions, with_joint
 
 import rejoint
-from commandline import run_cli
 from rejoint.arms import load_arm, write_arm_toml
 from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.logs.runfolder.folder import LOGS, RunFolder, RunInfo
@@ -39,47 +36,36 @@ def logs(motions, tmp_path_factory):
     return folder
 
 
-@pytest.fixture
-def run(capsys, monkeypatch, tmp_path):
-    """Run the command line in an empty folder: exit code, standard output, standard error."""
+def test_logs_alone_become_diagnosis_twin_report_and_replay(cli, logs, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-
-    return partial(run_cli, capsys=capsys, monkeypatch=monkeypatch)
-
-
-def test_logs_alone_become_diagnosis_twin_report_and_replay(run, logs, tmp_path):
-    code, out, err = run("diagnose", "--logs", logs, "--arm", "SO101", "--run", "one", "--json")
-    assert code == 0, err
-    assert "elbow_flex is soft" in err
-    told = json.loads(out.splitlines()[-1])
+    done = cli("diagnose", "--logs", logs, "--arm", "SO101", "--run", "one", "--json")
+    assert "elbow_flex is soft" in done.err
     folder = RunFolder(tmp_path / "one")
     diagnosis = read_json(folder.diagnosis, Diagnosis)
-    assert told["diagnosis"]["verdict"] == diagnosis.verdict
+    assert done.last["diagnosis"]["verdict"] == diagnosis.verdict
     assert diagnosis.robot == f"{LOGS}{logs}" == read_json(folder.info, RunInfo).robot
 
     (tmp_path / "maker.toml").write_text(PUBLISHED)
     words = ("identify", "--logs", logs, "--run", "one", "--published", "the maker=maker.toml")
-    code, out, err = run(*words, "--json")
-    assert code == 0, err
+    done = cli(*words, "--json")
     judgement = read_json(folder.judgement, Judgement)
     assert list(judgement.mean) == [NO_TWIN, "fitted twin", "healthy twin", "the maker"]
     assert judgement.mean["fitted twin"].free.tcp < 0.3 * judgement.mean["the maker"].free.tcp
-    assert "Trust “fitted twin”" in out
+    assert "Trust “fitted twin”" in done.out
     page = folder.report.read_text(encoding="utf-8")
     assert "Trust “fitted twin”" in page
-    notes = json.loads(out.splitlines()[-1])["notes"]
+    notes = done.last["notes"]
     assert REFITTED in notes
     for note in notes:
-        assert " ".join(note.split()) in " ".join(err.split())
+        assert " ".join(note.split()) in " ".join(done.err.split())
         assert note[1:] in html.unescape(page)
     assert f"rejoint diagnose --logs {logs} --arm so101 --run" in page
     figures = {path.name for path in folder.figures.iterdir()}
     assert "prediction-free.png" in figures
 
-    code, out, err = run("replay", folder.twin, "--logs", logs, "--out", "again", "--json")  # of the arm of the twin
-    assert code == 0, err
+    done = cli("replay", folder.twin, "--logs", logs, "--out", "again", "--json")  # of the arm of the twin
     again = read_json(tmp_path / "again" / "replay.json", Judgement)
-    assert json.loads(out.splitlines()[-1])["page"] == "again/replay.html"
+    assert done.last["page"] == "again/replay.html"
     assert len(again.motions) == 5
     assert (tmp_path / "again" / "replay.html").read_text(encoding="utf-8").count("<svg") == 1
 

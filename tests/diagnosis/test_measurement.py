@@ -22,12 +22,12 @@ INERTIA = np.array([0.020, 0.020, 0.016, 0.016, 0.016, 0.016])
 
 
 @pytest.fixture(scope="module")
-def log() -> RunLog:
+def log():
     """The log of servos that turn as fast as they should."""
     return simulated(ARM.max_speed)
 
 
-def simulated(top_speed) -> RunLog:
+def simulated(top_speed):
     """Six joints, each a PD servo with an inertia, Coulomb friction and gravity, behind a channel with jitter."""
     excitation = plan_excitation(ARM, seed=7)
     rng = np.random.default_rng(7)
@@ -49,18 +49,7 @@ def simulated(top_speed) -> RunLog:
         q = q + STEP * v
         history.append(q)
     time, position, command = (np.array(column) for column in zip(*rows, strict=True))
-    nothing = np.full((len(time), 3), np.nan)
-    plain = RunLog(
-        arm=ARM.name,
-        joint_names=ARM.joint_names,
-        robot="here",
-        label=EXCITATION_LABEL,
-        time=time + 5.0,
-        position=position,
-        command=command,
-        target=nothing,
-        true_tcp=nothing,
-    )
+    plain = RunLog.of(time + 5.0, command, position, arm=ARM, label=EXCITATION_LABEL)
     return attach_segments(plain, excitation.segments)
 
 
@@ -125,22 +114,3 @@ def test_noise_is_not_taken_for_hunting_and_hunting_not_for_noise(log, every):
     swing = 0.009 * 2**0.5 * np.sin(2 * np.pi * 4.0 * thinned.time)
     hunting = dataclasses.replace(thinned, position=thinned.position + swing[:, None])
     assert all(row.hunting_rad.low > 0.006 for row in measure(ARM, hunting).joints)
-
-
-def test_link_inertia_is_the_kinetic_energy_of_a_turning_joint():
-    """1/2 I w^2 equals the kinetic energy of the links, from finite differences of their motion."""
-    from rejoint.arms import frames
-
-    def points(q):  # four point masses per link with its mass, centre and inertia would do; here centres only
-        f = frames(ARM, q)
-        return f.position + np.einsum("nij,nj->ni", f.rotation, ARM.com), f.rotation
-
-    for joint in range(6):
-        delta = np.zeros(6)
-        delta[joint] = 1e-6
-        (after, turned), (before, _) = points(ARM.rest + delta), points(ARM.rest - delta)
-        speed = (after - before) / 2e-6
-        axis = np.einsum("ij,j->i", frames(ARM, ARM.rest).rotation[joint], ARM.axis[joint])
-        spin = np.einsum("i,kij,kjl,kml,m->k", axis, turned, ARM.inertia, turned, axis)
-        energy = ARM.mass * (speed**2).sum(axis=1) + np.where(np.arange(6) >= joint, spin, 0.0)
-        assert link_inertia(ARM, ARM.rest)[joint] == pytest.approx(energy.sum(), rel=1e-5)

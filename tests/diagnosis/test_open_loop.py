@@ -15,7 +15,7 @@ OFFSETS = np.array([[0.003, 0.0, 0.004], [0.0, 0.0, 0.010], [0.0, -0.006, 0.008]
 """[m] target minus settled TCP: 5, 10 and 10 mm; 4, 10 and 8 mm of it too low"""
 
 
-def made_up() -> RunLog:
+def made_up():
     """Three targets for 2 s each; the arm is elsewhere for the first second of each."""
     time = np.arange(0.0, 6.0, 0.05)
     settled = time % 2.0 >= 0.9
@@ -23,17 +23,7 @@ def made_up() -> RunLog:
     tcp = tcp_position(ARM, ARM.rest)
     target = tcp + OFFSETS[(time // 2.0).astype(int)]
     true = np.where(settled[:, None], tcp + np.array([0.0, 0.002, 0.0]), tcp + 0.1)
-    return RunLog(
-        arm=ARM.name,
-        joint_names=ARM.joint_names,
-        robot="here",
-        label="targets",
-        time=time,
-        position=position,
-        command=position,
-        target=target,
-        true_tcp=true,
-    )
+    return RunLog.of(time, position, position, arm=ARM, label="targets", target=target, true_tcp=true)
 
 
 def test_only_the_last_second_of_each_target_counts():

@@ -12,11 +12,11 @@ from rejoint.arms import mycobot280
 from rejoint.control.classical import DefaultController, IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import Cycle
-from rejoint.control.robot import JointState
 from rejoint.pages.live.animation import Ring
 from rejoint.pages.live.view import LiveView
 from rejoint.robots import open_robot
 from rejoint.robots import wrapper as wallclock
+from standin import state_of
 
 ARM = mycobot280()
 N = ARM.joints
@@ -40,9 +40,7 @@ def write(ring, number, *, time=None, reasons=0, position=None, wanted=None, com
         load=each,
         turned=np.full(1, np.nan),
     )
-    state = JointState(
-        time=cycle.time, position=position, age=np.zeros(1), temperature=given.get("temperature"), load=each
-    )
+    state = state_of(position, cycle.time, temperature=given.get("temperature"), load=each)
     ring.write(0, cycle, state, wanted)
 
 
@@ -110,7 +108,7 @@ class Passing:
 
     def step(self, command, active=None):  # noqa: ARG002 - as robots are
         self.now = getattr(self, "now", 100.0) + 1.0
-        return JointState(time=np.array([self.now, 0.0]), position=command, age=np.zeros(2))
+        return state_of(command, np.array([self.now, 0.0]))
 
 
 def test_virtual_time_is_slowed_down_to_the_pace_which_may_change(monkeypatch):

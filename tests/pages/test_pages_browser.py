@@ -1,7 +1,6 @@
 """Pages of many arms in a real browser: what to do is seen at once, on a desk, on a phone and on paper."""
 
 from datetime import datetime
-from pathlib import Path
 
 import pytest
 from browser import CHROMIUM, chromium
@@ -20,7 +19,7 @@ return [place.left, place.right, place.height, document.documentElement.scrollWi
 
 
 @pytest.mark.parametrize(("width", "medium"), [(1280, ""), (400, ""), (700, "print")])
-def test_what_to_do_is_seen_without_scrolling_sideways(tmp_path: Path, width: int, medium: str) -> None:
+def test_what_to_do_is_seen_without_scrolling_sideways(tmp_path, width, medium):
     row = FleetRow(
         name="bench-3",
         address="tcp://10.0.0.1:9000",

@@ -1,5 +1,3 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
@@ -12,12 +10,12 @@ from rejoint.training.export import policy_graph
 ARM = mycobot280()
 
 
-def quick(name: str, **changes: float) -> OffPolicySettings:
+def quick(name, **changes):
     return OffPolicySettings(algorithm=name, cycles=6, memory=8, warm_up=2, batch=16, agents=8, threads=1, **changes)
 
 
 @pytest.mark.parametrize("name", ALGORITHMS)
-def test_every_algorithm_leaves_a_policy_that_loads(name, tmp_path: Path):
+def test_every_algorithm_leaves_a_policy_that_loads(name, tmp_path):
     result = train_offpolicy(ARM, None, out=tmp_path, settings=quick(name, seed=3))
     controller = load_policy(result.policy, ARM)
     assert (controller.contract.preset, controller.contract.seed) == (name, 3)
@@ -25,7 +23,7 @@ def test_every_algorithm_leaves_a_policy_that_loads(name, tmp_path: Path):
     assert np.isfinite(result.reward)
 
 
-def test_a_training_is_a_function_of_its_seed(tmp_path: Path):
+def test_a_training_is_a_function_of_its_seed(tmp_path):
     policies = []
     for folder, seed in (("a", 1), ("b", 1), ("c", 2)):
         train_offpolicy(ARM, None, out=tmp_path / folder, settings=quick("td3", seed=seed))

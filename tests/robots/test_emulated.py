@@ -12,7 +12,7 @@ ARM = mycobot280()
 FAMILY = [load_wear(f"worn?seed={i}", ARM) for i in range(4)]
 
 
-def drive(robot: EmulatedRobot, numbers: np.ndarray, active: np.ndarray | None = None) -> np.ndarray:
+def drive(robot, numbers, active=None):
     track = []
     for k in range(60):
         state = robot.step(ARM.rest + 0.2 * np.sin(0.2 * k + numbers[:, None] + np.arange(6)), active)

@@ -8,9 +8,11 @@ import subprocess
 import sys
 import time
 from types import SimpleNamespace
+from typing import ClassVar
 
 import numpy as np
 import pytest
+from plainbus import PlainBus
 
 from rejoint.arms import mycobot280
 from rejoint.control.classical import IntegratorController
@@ -21,7 +23,7 @@ from rejoint.robots import (
     mycobot,  # noqa: F401 - imports the client without the deprecation that it raises
     open_robot,
 )
-from rejoint.robots.bus import Bus, Clock, Reading, Vitals
+from rejoint.robots.bus import Vitals
 from rejoint.robots.busrobot import BusRobot
 from rejoint.robots.lab.emulator import Timing, build_firmware, serve_tcp
 from rejoint.robots.lab.emulator.faults import parse_faults
@@ -114,56 +116,29 @@ def test_what_servos_suffer_from_holds_the_arm(fault, reason, says):
     assert "was stopped" in error.__notes__[-1]
 
 
-class SimulatedClock(Clock):
-    time = 0.0
+class TimedBus(PlainBus):
+    """Its servos suffer from ``onset`` [s] on."""
 
-    def now(self):
-        return self.time
-
-    def wait(self, duration):
-        self.time += max(duration, 0.0)
-
-
-class TimedBus(Bus):
-    """A bus in simulated time to servos that follow at once, and suffer from ``onset`` [s] on."""
-
-    SEND, ASK = 0.008, 0.012
+    costs: ClassVar = {"read": 0.012, "ask": 0.012, "send": 0.008}
 
     def __init__(self, what, onset):
-        self.what, self.onset, self.clock = what, onset, SimulatedClock()
-        self.position, self.sent = ARM.rest.copy(), []
+        super().__init__()
+        self.what, self.onset, self.sent = what, onset, []
 
-    def suffers(self):
-        suffers = self.clock.now() >= self.onset
-        self.clock.wait(self.ASK)
+    def suffers(self, what):
+        suffers = self.clock.now() >= self.onset and self.what == what
+        self.tell("ask")
         return suffers
 
-    def open(self):
-        pass
-
-    def read(self):
-        self.clock.wait(self.ASK)
-        return Reading(position=self.position)
-
     def vitals(self):
-        def temperatures():
-            return Vitals(temperature=np.full(6, 80.0 if self.suffers() and self.what == "temperature" else 30.0))
-
-        def faults():
-            return Vitals(fault=np.full(6, self.suffers() and self.what == "servo fault"))
-
-        return temperatures, faults
+        return (
+            lambda: Vitals(temperature=np.full(6, 80.0 if self.suffers("temperature") else 30.0)),
+            lambda: Vitals(fault=np.full(6, self.suffers("servo fault"))),
+        )
 
     def send(self, goal):
-        self.clock.wait(self.SEND)
+        super().send(goal)
         self.sent.append(self.clock.now())
-        self.position = goal.copy()
-
-    def stop(self):
-        pass
-
-    def close(self):
-        pass
 
 
 def trip_in_simulated_time(what, onset, period):

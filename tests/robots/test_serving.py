@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from benchmarks.serve import ARM, attack, check_log, connected, holds, play, read_times, served
 
+from madetwin import made_twin
 from rejoint.arms import Motors, gravity_torque, tcp_pose, tcp_position
 from rejoint.arms.wire.mover import COLLISION
 from rejoint.arms.wire.values import Decoder, Frame, encode, pack_angles, pack_coords
 from rejoint.control.correction import Apparent
 from rejoint.control.guard import GuardLimits
-from rejoint.control.robot import JointState
 from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.robots.mycobot import MyCobot280
 from rejoint.robots.serving.served import PATIENCE, MoveEnd, ServedArm
@@ -25,8 +25,8 @@ from rejoint.robots.serving.server import REFUSED, Answering, OrderLog, Relay, t
 from rejoint.runs.run import Run
 from rejoint.session.settings import Settings
 from rejoint.system.errors import NoReplyError
-from rejoint.twin.parameters import nominal_parameters, prior
-from rejoint.twin.twin import HeldOut, PredictionError, Twin
+from rejoint.twin.parameters import nominal_parameters
+from standin import state_of
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*getdefaultlocale.*:DeprecationWarning")
 PACE = 6.0
@@ -34,31 +34,18 @@ PACE = 6.0
 
 
 @pytest.fixture
-def run(tmp_path: Path) -> Path:
+def run(tmp_path):
     return Run.create(tmp_path / "run", "emulated:worn", ARM, 0).path
 
 
 @pytest.fixture(scope="module")
-def twin() -> Twin:
-    """What an identification would find: here the stiffness is known."""
-    belief, error = prior(ARM), PredictionError(joints=(0.01,) * 6, joint=0.01, tcp=1e-3)
-    return Twin(
-        arm=ARM.name,
-        joint_names=ARM.joint_names,
-        parameters=dataclasses.replace(nominal_parameters(ARM), stiffness=load_wear("worn", ARM).position_gain),
-        covariance=np.diag((0.1 * belief.sigma) ** 2),
-        lower=belief.lower,
-        upper=belief.upper,
-        narrowing=np.full(len(belief.mean), 0.1),
-        identified=np.ones(len(belief.mean), dtype=bool),
-        held_out=HeldOut(seconds=30.0, no_twin=error, healthy_twin=error, twin=error),
-        fit_seconds=1.0,
-        notes=(),
-    )
+def twin():
+    known = dataclasses.replace(nominal_parameters(ARM), stiffness=load_wear("worn", ARM).position_gain)
+    return made_twin(ARM, known)
 
 
 @pytest.mark.realtime
-def test_a_program_hits_and_nothing_a_client_does_ends_the_serving(run: Path, twin: Twin) -> None:
+def test_a_program_hits_and_nothing_a_client_does_ends_the_serving(run, twin):
     said: list[str] = []
     options = {"listen": "127.0.0.1:0", "settings": Settings(twin=twin), "pace": PACE, "said": said}
     with served("emulated:worn", run, **options) as (address, ends):
@@ -91,7 +78,7 @@ def test_a_program_hits_and_nothing_a_client_does_ends_the_serving(run: Path, tw
 
 
 @pytest.mark.realtime
-def test_a_serial_line_is_served_and_the_arm_holds_when_it_is_closed(run: Path, twin: Twin) -> None:
+def test_a_serial_line_is_served_and_the_arm_holds_when_it_is_closed(run, twin):
     said: list[str] = []
     with served("emulated:worn", run, pty=True, settings=Settings(twin=twin), pace=PACE, said=said) as (address, ends):
         device = address.removeprefix("serial://").partition("?")[0]
@@ -107,20 +94,17 @@ def test_a_serial_line_is_served_and_the_arm_holds_when_it_is_closed(run: Path, 
     assert ends[0].orders == 2
 
 
-def advance(served, reading):
+def advance(served, clock, position):
+    reading = state_of(position, clock)
     return served.advance(reading, reading.time)
 
 
-def state(time_s: float, position: np.ndarray) -> JointState:
-    return JointState(time=np.array([time_s]), position=position[None], age=np.zeros(1))
-
-
-def answering(served: ServedArm, relay: Relay | None = None) -> tuple[Answering, list[str]]:
+def answering(served, relay=None):
     said: list[str] = []
     return Answering(served, OrderLog(), relay or Relay(None), said.append), said
 
 
-def test_a_move_has_ended_once_the_tool_stays_near_or_comes_no_nearer() -> None:
+def test_a_move_has_ended_once_the_tool_stays_near_or_comes_no_nearer():
     for off, expected in ((0.0, 0.3), (0.05, PATIENCE)):
         served, ends = ServedArm(ARM, ARM.rest), list[MoveEnd]()
         served.on_arrival = ends.append
@@ -129,7 +113,7 @@ def test_a_move_has_ended_once_the_tool_stays_near_or_comes_no_nearer() -> None:
         assert served.moving
         clock, wanted = 0.0, None
         while not ends and clock < 20.0:
-            wanted = advance(served, state(clock, ARM.rest if wanted is None else wanted.goal[0] + off))
+            wanted = advance(served, clock, ARM.rest if wanted is None else wanted.goal[0] + off)
             clock += 0.05
         assert not served.moving
         assert ends[0].after == pytest.approx(expected, abs=0.11)
@@ -139,7 +123,7 @@ def test_a_move_has_ended_once_the_tool_stays_near_or_comes_no_nearer() -> None:
         assert served.in_position(goal) == (off == 0.0)
 
 
-def test_a_stopped_arm_is_held_where_it_stands() -> None:
+def test_a_stopped_arm_is_held_where_it_stands():
     served, ends = ServedArm(ARM, ARM.rest), list[MoveEnd]()
     served.on_arrival = ends.append
     answers, _ = answering(served)
@@ -148,19 +132,19 @@ def test_a_stopped_arm_is_held_where_it_stands() -> None:
         position, clock = served.angles, 0.0 if served._time is None else served._time
         for _ in range(8):
             clock += 0.05
-            position = advance(served, state(clock, position)).goal[0] - lag
+            position = advance(served, clock, position).goal[0] - lag
         answers.answer(Frame(0x29))
         stopped = clock
         while served.moving:
             clock += 0.05
-            wanted = advance(served, state(clock, position))
+            wanted = advance(served, clock, position)
         assert clock - stopped < 0.6
         np.testing.assert_allclose(wanted.goal[0], position, atol=1e-9)
         np.testing.assert_allclose(served.destination, position, atol=1e-9)
     assert not ends, "it was sent nowhere"
 
 
-def test_an_arm_whose_client_goes_is_still_brought_to_the_end_of_its_way() -> None:
+def test_an_arm_whose_client_goes_is_still_brought_to_the_end_of_its_way():
     served = ServedArm(ARM, ARM.rest)
     answers, _ = answering(served)
     goal = ARM.rest + 0.1
@@ -168,12 +152,12 @@ def test_an_arm_whose_client_goes_is_still_brought_to_the_end_of_its_way() -> No
     clock = 0.0
     while served.on_its_way:
         clock += 0.05
-        advance(served, state(clock, ARM.rest))
+        advance(served, clock, ARM.rest)
     assert answers.hold("the client is gone"), "its joints are not there yet"
-    np.testing.assert_allclose(advance(served, state(clock + 0.05, ARM.rest)).goal[0], goal, atol=1e-9)
+    np.testing.assert_allclose(advance(served, clock + 0.05, ARM.rest).goal[0], goal, atol=1e-9)
 
 
-def test_an_order_into_the_ground_is_refused_with_the_code_of_a_collision() -> None:
+def test_an_order_into_the_ground_is_refused_with_the_code_of_a_collision():
     served = ServedArm(ARM, ARM.rest, limits=GuardLimits.of(ARM))
     answers, said = answering(served)
     low = tcp_pose(ARM, ARM.rest)
@@ -188,7 +172,7 @@ def test_an_order_into_the_ground_is_refused_with_the_code_of_a_collision() -> N
     assert answers.answer(Frame(0x22, pack_angles(ARM.rest + 0.1) + b"\x32")) == Frame(0x22, b"\x01")
 
 
-def test_a_move_that_the_guard_keeps_back_ends_where_the_arm_is_and_is_told() -> None:
+def test_a_move_that_the_guard_keeps_back_ends_where_the_arm_is_and_is_told():
     served = ServedArm(ARM, ARM.rest)
     answers, said = answering(served)
     served.on_arrival = answers.arrived
@@ -197,15 +181,15 @@ def test_a_move_that_the_guard_keeps_back_ends_where_the_arm_is_and_is_told() ->
     clock, served.held_back = 0.0, "collision"
     while served.moving:
         clock += 0.05
-        advance(served, state(clock, here))
+        advance(served, clock, here)
     np.testing.assert_allclose(served.destination, here, atol=1e-12)
-    np.testing.assert_allclose(advance(served, state(clock + 0.05, here)).goal[0], here, atol=1e-12)
+    np.testing.assert_allclose(advance(served, clock + 0.05, here).goal[0], here, atol=1e-12)
     assert len(said) == 1
     assert said[0].startswith("A move ended")
     assert said[0].endswith("from where it was sent: the guard kept it back (collision).")
 
 
-def test_orders_that_would_let_the_arm_fall_are_refused_and_said() -> None:
+def test_orders_that_would_let_the_arm_fall_are_refused_and_said():
     answers, said = answering(ServedArm(ARM, ARM.rest))
     for command in REFUSED:
         assert answers.answer(Frame(command, b"\x01")) == Frame(command, b"\x00")
@@ -214,7 +198,7 @@ def test_orders_that_would_let_the_arm_fall_are_refused_and_said() -> None:
 
 
 @pytest.mark.realtime
-def test_a_client_that_leaves_a_move_half_done_is_told_of() -> None:
+def test_a_client_that_leaves_a_move_half_done_is_told_of():
     said: list[str] = []
     with socket.create_server(("127.0.0.1", 0)) as listener:
         answers, _ = answering(ServedArm(ARM, ARM.rest))
@@ -232,7 +216,7 @@ def test_a_client_that_leaves_a_move_half_done_is_told_of() -> None:
     assert "Its last move was not at its end: a program waits for it" in ends[1]
 
 
-def test_an_error_is_told_until_it_is_cleared() -> None:
+def test_an_error_is_told_until_it_is_cleared():
     answers, _ = answering(ServedArm(ARM, ARM.rest))
     beyond = Frame(0x22, pack_angles(np.full(6, 3.2)) + b"\x32")
     assert answers.answer(beyond) == Frame(0x22, b"\x00")
@@ -242,7 +226,7 @@ def test_an_error_is_told_until_it_is_cleared() -> None:
     assert answers.answer(Frame(0x07)) == Frame(0x07, b"\x00")
 
 
-def test_what_is_old_is_not_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_old_is_not_told(monkeypatch):
     served = ServedArm(ARM, ARM.rest)
     answers, _ = answering(served)
     now = time.monotonic()
@@ -252,7 +236,7 @@ def test_what_is_old_is_not_told(monkeypatch: pytest.MonkeyPatch) -> None:
     assert answers.answer(Frame(0x20)) is None
 
 
-def test_a_client_sees_the_angles_of_a_perfect_arm_where_its_tool_really_is() -> None:
+def test_a_client_sees_the_angles_of_a_perfect_arm_where_its_tool_really_is():
     way = np.array([0.004, -0.003, -0.008])
     apparent = Apparent(arm=ARM, shift=lambda position, came: way)  # noqa: ARG005
     rng = np.random.default_rng(3)
@@ -265,11 +249,11 @@ def test_a_client_sees_the_angles_of_a_perfect_arm_where_its_tool_really_is() ->
     assert bare.shown(ARM.rest, ARM.rest) is ARM.rest is bare.measured(ARM.rest, ARM.rest)
 
 
-def test_a_gripper_is_passed_on_and_one_that_is_silent_asked_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_gripper_is_passed_on_and_one_that_is_silent_asked_once(monkeypatch):
     monkeypatch.setattr("rejoint.robots.serving.server.PATIENCE", 60.0)
     asked: list[tuple[int, bytes]] = []
 
-    def gripper(command: int, payload: bytes) -> bytes | None:
+    def gripper(command, payload):
         asked.append((command, payload))
         if command == 0x67:
             raise NoReplyError("silent")
@@ -279,7 +263,7 @@ def test_a_gripper_is_passed_on_and_one_that_is_silent_asked_once(monkeypatch: p
     answers, _ = answering(ServedArm(ARM, ARM.rest), relay)
     over = threading.Event()
 
-    def loop() -> None:
+    def loop():
         while not over.wait(0.005):
             relay.serve()
 
@@ -293,7 +277,7 @@ def test_a_gripper_is_passed_on_and_one_that_is_silent_asked_once(monkeypatch: p
     assert asked == [(0x66, b"\x01\x32"), (0x67, b"\x32\x32")]
 
 
-def test_any_bytes_are_borne(tmp_path: Path) -> None:
+def test_any_bytes_are_borne(tmp_path):
     served = ServedArm(ARM, ARM.rest)
     log = OrderLog(tmp_path / "orders.jsonl")
     answers = Answering(served, log, Relay(None), lambda _: None)
@@ -308,16 +292,16 @@ def test_any_bytes_are_borne(tmp_path: Path) -> None:
             if request.command not in slow:
                 found = answers.answer(request)
                 assert found is None or found.command == request.command
-        advance(served, state(0.05 * number, ARM.rest))
+        advance(served, 0.05 * number, ARM.rest)
     assert len((tmp_path / "orders.jsonl").read_text().splitlines()) == log.orders
     assert all(json.loads(line)["what"] == "order" for line in (tmp_path / "orders.jsonl").read_text().splitlines())
 
 
-def test_a_full_disk_ends_the_log_and_not_the_arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_ends_the_log_and_not_the_arm(tmp_path, monkeypatch):
     said: list[str] = []
     log = OrderLog(tmp_path / "orders.jsonl", say=said.append)
 
-    def full(*_: object) -> int:
+    def full(*_):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("rejoint.robots.serving.server.os.write", full)
@@ -326,7 +310,7 @@ def test_a_full_disk_ends_the_log_and_not_the_arm(tmp_path: Path, monkeypatch: p
     assert "No space left on device" in said[0]
 
 
-def test_an_order_that_the_motors_cannot_hold_is_refused_with_the_joint_and_by_how_much() -> None:
+def test_an_order_that_the_motors_cannot_hold_is_refused_with_the_joint_and_by_how_much():
     """A worn arm ended 16 degrees off such an order, in silence."""
     goal = np.radians([0.0, -60.0, -30.0, 0.0, 0.0, 0.0])
     needed = np.abs(gravity_torque(ARM, goal))
@@ -341,7 +325,7 @@ def test_an_order_that_the_motors_cannot_hold_is_refused_with_the_joint_and_by_h
     assert ServedArm(ARM, ARM.rest, motors=Motors(2.0 * limit, 2.0 * limit)).move_joints(goal, 0.5)
 
 
-def test_an_order_of_one_coordinate_keeps_the_place_where_no_motor_holds_its_orientation() -> None:
+def test_an_order_of_one_coordinate_keeps_the_place_where_no_motor_holds_its_orientation():
     start = np.radians([0.0, -60.0, -40.0, 90.0, 0.0, 0.0])
     limit = np.full(6, 5.0)
     limit[1] = 0.9 * np.abs(gravity_torque(ARM, start))[1]
@@ -359,7 +343,7 @@ def test_an_order_of_one_coordinate_keeps_the_place_where_no_motor_holds_its_ori
     assert computer.answer(Frame(0x07)) == Frame(0x07, b"\x02")
 
 
-def test_a_joint_that_stays_off_its_goal_is_named_with_by_how_much() -> None:
+def test_a_joint_that_stays_off_its_goal_is_named_with_by_how_much():
     served = ServedArm(ARM, ARM.rest)
     answers, said = answering(served)
     served.on_arrival = answers.arrived
@@ -367,6 +351,6 @@ def test_a_joint_that_stays_off_its_goal_is_named_with_by_how_much() -> None:
     clock = 0.0
     while served.moving:
         clock += 0.05
-        advance(served, state(clock, ARM.rest))  # joint 6 turns the tool about itself: its place is right
+        advance(served, clock, ARM.rest)  # joint 6 turns the tool about itself: its place is right
     assert len(said) == 1
     assert "joint6 stopped 20 deg from its goal" in said[0]

@@ -34,12 +34,8 @@ TARGETS = np.array([[[0.20, 0.05, 0.20], [0.18, -0.05, 0.22]]])
 @pytest.fixture(autouse=True)
 def heard():
     """Background jobs ignore SIGINT from their start on, and SIGTERM ends a process that does not handle it."""
-    before = {signum: signal.getsignal(signum) for signum in stopping.SIGNALS}
     signal.signal(signal.SIGINT, signal.default_int_handler)
     stopping.install()
-    yield
-    for signum, handler in before.items():
-        signal.signal(signum, handler)
 
 
 @pytest.fixture

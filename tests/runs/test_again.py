@@ -3,7 +3,6 @@
 import logging
 import shutil
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -16,7 +15,7 @@ PRESET = rejoint.Policy.load(shelf_path("mycobot280")).contract.preset
 
 
 @pytest.fixture(scope="module")
-def repaired(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def repaired(tmp_path_factory):
     """A run with everything that a repair leaves, the policy from the shelf."""
     run = Run.create(tmp_path_factory.mktemp("runs") / "001", "emulated:worn", rejoint.load_arm("mycobot280"))
     rejoint.diagnose("emulated:worn", run=run, quick=True)
@@ -30,13 +29,13 @@ def repaired(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def last(repaired: Path, tmp_path: Path) -> Run:
+def last(repaired, tmp_path):
     shutil.copytree(repaired, tmp_path / "001")
     return Run.open(tmp_path / "001")
 
 
 @pytest.fixture
-def run(last: Run, tmp_path: Path) -> Run:
+def run(last, tmp_path):
     """The same arm, diagnosed again."""
     run = Run.create(tmp_path / "002", last.robot, last.arm)
     shutil.copy(last.folder.diagnosis, run.folder.diagnosis)
@@ -44,9 +43,8 @@ def run(last: Run, tmp_path: Path) -> Run:
     return run
 
 
-def test_twin_policy_and_curves_are_kept_to_the_byte_and_the_run_says_from_where(last: Run, run: Run) -> None:
+def test_twin_policy_and_curves_are_kept_to_the_byte_and_the_run_says_from_where(last, run):
     why = keep_what_holds(run, PRESET)
-    assert why is not None
     for name in ("twin.toml", "policy.onnx", "training/curves.parquet"):
         assert (run.path / name).read_bytes() == (last.path / name).read_bytes()
     assert why.error < 2.0 * why.fitted
@@ -59,9 +57,8 @@ def test_twin_policy_and_curves_are_kept_to_the_byte_and_the_run_says_from_where
     assert not run.folder.kept.exists(), "the twin is another one now"
 
 
-def test_nothing_is_kept_where_the_arm_has_changed_or_the_repair_was_of_another_kind(last: Run, run: Run) -> None:
+def test_nothing_is_kept_where_the_arm_has_changed_or_the_repair_was_of_another_kind(last, run):
     twin = last.twin
-    assert twin is not None
     softer = replace(twin.parameters, stiffness=0.3 * twin.parameters.stiffness)
     replace(twin, parameters=softer).save(last.folder.twin)
     assert keep_what_holds(run, PRESET) is None
@@ -74,7 +71,7 @@ def test_nothing_is_kept_where_the_arm_has_changed_or_the_repair_was_of_another_
     assert keep_what_holds(run, PRESET) is not None
 
 
-def test_a_damaged_last_repair_is_told_and_costs_no_more(last: Run, run: Run, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_damaged_last_repair_is_told_and_costs_no_more(last, run, caplog):
     last.folder.twin.write_text("stiffness = [")
     with caplog.at_level(logging.WARNING, "rejoint"):
         assert keep_what_holds(run, PRESET) is None

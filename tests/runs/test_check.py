@@ -1,20 +1,17 @@
 """The check of an emulated arm, from motion to rows; one of them is driven for the whole file."""
 
-import json
 import logging
 import os
 import time
 from dataclasses import replace
 from datetime import datetime, timedelta
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import rejoint
-from rejoint.arms import Arm, load_arm, tcp_position
+from rejoint.arms import load_arm, tcp_position
 from rejoint.arms.workspace import is_safe
-from rejoint.control.comparison.protocols import RISING_LEFT, iso_poses
 from rejoint.diagnosis.monitoring.measures import measure_check
 from rejoint.diagnosis.monitoring.routine import CYCLES, POSES, plan_check, record_check
 from rejoint.diagnosis.segments import attach_segments
@@ -32,7 +29,7 @@ BEGIN = datetime(2027, 1, 1)
 
 
 @pytest.fixture(scope="module")
-def checked(tmp_path_factory: pytest.TempPathFactory) -> tuple[rejoint.Checked, Path]:
+def checked(tmp_path_factory):
     home = tmp_path_factory.mktemp("history")
     found = rejoint.check(
         "emulated:healthy?hours=5", history=home, tolerance_mm=6.0, notes=rejoint.CheckNotes(when=BEGIN)
@@ -41,7 +38,7 @@ def checked(tmp_path_factory: pytest.TempPathFactory) -> tuple[rejoint.Checked, 
 
 
 @pytest.mark.parametrize("arm", [load_arm("mycobot280"), load_arm("so101")], ids=lambda arm: arm.name)
-def test_the_routine_is_short_safe_and_always_the_same(arm: Arm) -> None:
+def test_the_routine_is_short_safe_and_always_the_same(arm):
     plan, again = plan_check(arm), plan_check(arm)
     assert (plan.position == again.position).all()
     assert 100.0 < plan.duration < 180.0
@@ -52,16 +49,7 @@ def test_the_routine_is_short_safe_and_always_the_same(arm: Arm) -> None:
     assert swept == set(range(arm.joints))
 
 
-def test_the_poses_are_those_of_the_standard() -> None:
-    points = iso_poses(ARM, RISING_LEFT)
-    low, high = ARM.targets.lower, ARM.targets.upper
-    np.testing.assert_allclose(points[0], 0.5 * (low + high))
-    inset = np.minimum(points[1:] - low, high - points[1:])
-    np.testing.assert_allclose(inset, np.tile(0.1 * (high - low), (4, 1)))
-    assert np.linalg.matrix_rank(points[1:] - points[0], tol=1e-9) == 2  # on one plane through the middle
-
-
-def test_measures_of_a_motion_made_by_hand() -> None:
+def test_measures_of_a_motion_made_by_hand():
     """Joint 2 lags by 1 deg under way, stops half of that short from both sides, and hangs 2 deg low."""
     plan = plan_check(ARM)
     time = np.arange(0.0, plan.duration, 0.02)
@@ -90,7 +78,7 @@ def test_measures_of_a_motion_made_by_hand() -> None:
     assert found.temperature_c == 30.0
 
 
-def test_a_check_leaves_its_log_and_its_rows(checked: tuple[rejoint.Checked, Path]) -> None:
+def test_a_check_leaves_its_log_and_its_rows(checked):
     found, home = checked
     rows, unread = find_rows(home)
     assert unread == ()
@@ -107,7 +95,7 @@ def test_a_check_leaves_its_log_and_its_rows(checked: tuple[rejoint.Checked, Pat
     assert 100.0 < log.time[-1] - log.time[0] < 180.0
 
 
-def test_guarded_and_in_batches_bit_for_bit(checked: tuple[rejoint.Checked, Path]) -> None:
+def test_guarded_and_in_batches_bit_for_bit(checked):
     """An arm in a batch does what it does alone, and neither a healthy nor a worn one trips the guard."""
     wears = [load_wear(name, ARM) for name in ("healthy?hours=5", "worn")]
     robot = EmulatedRobot(ARM, wears, seed=0)
@@ -119,16 +107,14 @@ def test_guarded_and_in_batches_bit_for_bit(checked: tuple[rejoint.Checked, Path
 
 
 @pytest.fixture
-def stood_in(checked: tuple[rejoint.Checked, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+def stood_in(checked, monkeypatch):
     """Let checks take the log of the one that was driven: what is tried here is what becomes of it."""
     log = RunLog.load(checked[0].folder / "check.parquet")
     monkeypatch.setattr(stage, "_drive", lambda *_: (log, np.full(ARM.joints, 25.0)))
 
 
 @pytest.mark.parametrize("since", [0.0, 60.0])
-def test_a_joint_whose_reading_stands_is_told_and_does_not_count(
-    since: float, checked: tuple[rejoint.Checked, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_joint_whose_reading_stands_is_told_and_does_not_count(since, checked, tmp_path, monkeypatch):
     """A dead encoder: the servo still follows, and all that is measured of its joint would be zero."""
     log = RunLog.load(checked[0].folder / "check.parquet")
     position = log.position.copy()
@@ -141,8 +127,8 @@ def test_a_joint_whose_reading_stands_is_told_and_does_not_count(
 
 
 @pytest.mark.usefixtures("stood_in")
-def test_a_history_grows_and_begins_anew(tmp_path: Path) -> None:
-    def once(month: int, *, moved: bool = False, **options: object) -> rejoint.Checked:
+def test_a_history_grows_and_begins_anew(tmp_path):
+    def once(month, *, moved=False, **options):
         notes = rejoint.CheckNotes(when=BEGIN + timedelta(days=30 * month), moved=moved)
         return rejoint.check("emulated:healthy", history=tmp_path, notes=notes, **options)
 
@@ -164,10 +150,10 @@ def test_a_history_grows_and_begins_anew(tmp_path: Path) -> None:
         once(3)
 
 
-def test_what_a_killed_check_recorded_is_kept_by_the_next_one(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_what_a_killed_check_recorded_is_kept_by_the_next_one(tmp_path, caplog):
     home = tmp_path / "checks" / "mine"
 
-    def killed(name: str, rows: int, ago: float) -> Path:
+    def killed(name, rows, ago):
         """Leave what a process does that is killed in a check."""
         log = home / name / "check.parquet"
         journal = Journal.begin(log, arm="a", joint_names=ARM.joint_names, robot="emulated:healthy", label="check")
@@ -190,29 +176,11 @@ def test_what_a_killed_check_recorded_is_kept_by_the_next_one(tmp_path: Path, ca
 
 
 @pytest.mark.usefixtures("stood_in")
-def test_the_command_tells_cron_by_its_exit_code(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from typer.testing import CliRunner
-
-    from rejoint.cli import app
-
-    words = [
-        "check",
-        "emulated:healthy",
-        "--history",
-        str(tmp_path),
-        "--json",
-        "--prometheus",
-        str(tmp_path / "a.prom"),
-    ]
-    done = CliRunner().invoke(app, [*words, "--date", "2027-01-01", "--repeat", "6", "--tolerance", "50"])
-    assert done.exit_code == 0, done.output
-    told = json.loads(done.stdout.splitlines()[-1])
-    assert told["outlook"]["state"] == "steady"
+def test_the_command_tells_cron_by_its_exit_code(tmp_path, cli):
+    words = "check", "emulated:healthy", "--history", tmp_path, "--json", "--prometheus", tmp_path / "a.prom"
+    done = cli(*words, "--date", "2027-01-01", "--repeat", "6", "--tolerance", "50")
+    assert done.last["outlook"]["state"] == "steady"
     assert 'rejoint_state{arm="mycobot280-emulated-healthy",state="steady"} 1' in (tmp_path / "a.prom").read_text()
-    done = CliRunner().invoke(app, [*words, "--date", "2027-02-01", "--tolerance", "1"])
-    assert done.exit_code == 7, done.output
-    assert "which is reached" in done.stdout
-    done = CliRunner().invoke(app, ["history", str(tmp_path), "--json"])
-    assert done.exit_code == 0, done.output
-    assert "tolerance reached" in done.stdout
+    assert "which is reached" in cli(*words, "--date", "2027-02-01", "--tolerance", "1", code=7).out
+    assert "tolerance reached" in cli("history", tmp_path, "--json").out
     assert (tmp_path / "history.html").exists()

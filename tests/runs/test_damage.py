@@ -15,6 +15,7 @@ import pytest
 import torch
 from torch import nn
 
+from madetwin import made_twin
 from rejoint.arms import load_arm, mycobot280, write_arm_toml
 from rejoint.control.policy import load_policy
 from rejoint.control.targets import read_targets
@@ -27,13 +28,11 @@ from rejoint.runs.run import Run
 from rejoint.system.errors import ContractError, FileError, InputError
 from rejoint.system.files import read_json, write_json
 from rejoint.training.export import export_policy
-from rejoint.training.learner import CurvePoint, Learner, _save
+from rejoint.training.learner import CurvePoint, _save
 from rejoint.training.train import TrainingOptions, know_stiffness, make_learner, policy_contract, write_curves
 from rejoint.twin.file import read_twin, write_twin
 from rejoint.twin.judge import read_published
-from rejoint.twin.judgement import PredictionError
 from rejoint.twin.parameters import pack, prior, unpack
-from rejoint.twin.twin import HeldOut, Twin
 
 ARM = mycobot280()
 OPTIONS = TrainingOptions(agents=8, iterations=4, threads=1)
@@ -57,7 +56,7 @@ class Kind:
     """what is nested too deep"""
 
 
-def log() -> RunLog:
+def log():
     rng = np.random.default_rng(1)
     return RunLog(
         arm="planar",
@@ -73,7 +72,7 @@ def log() -> RunLog:
     )
 
 
-def plain_log(path: Path) -> dict[str, Any]:
+def plain_log(path):
     found = read_log(path)
     return {
         name: np.array(value).tolist() if isinstance(value, np.ndarray) else value
@@ -82,50 +81,34 @@ def plain_log(path: Path) -> dict[str, Any]:
     }
 
 
-def make_twin(path: Path) -> None:
-    belief = prior(ARM)
-    error = PredictionError(joints=(0.01,) * 6, joint=0.03, tcp=0.002)
-    k = len(belief.mean)
-    twin = Twin(
-        arm=ARM.name,
-        joint_names=ARM.joint_names,
-        parameters=unpack(belief.mean, ARM.joints),
-        covariance=np.diag((0.1 * belief.sigma) ** 2),
-        lower=belief.lower,
-        upper=belief.upper,
-        narrowing=np.full(k, 0.1),
-        identified=np.ones(k, bool),
-        held_out=HeldOut(seconds=30.0, no_twin=error, healthy_twin=error, twin=error),
-        fit_seconds=98.5,
-        notes=("one",),
-    )
-    write_twin(path, twin)
+def make_twin(path):
+    write_twin(path, made_twin(ARM, unpack(prior(ARM).mean, ARM.joints), fit_seconds=98.5, notes=("one",)))
 
 
-def plain_twin(path: Path) -> Any:
+def plain_twin(path):
     twin = read_twin(path, ARM)
     plain = [pack(twin.parameters), twin.covariance, twin.lower, twin.upper, twin.narrowing, twin.held_out.twin.joints]
     return [np.asarray(array).tolist() for array in plain], twin.fit_seconds, twin.held_out.seconds, twin.notes
 
 
-def make_policy(path: Path) -> None:
+def make_policy(path):
     torch.manual_seed(0)
     recipe = know_stiffness(OPTIONS.recipe, ARM, None)
     contract = policy_contract(ARM, None, recipe, 0)
     export_policy(path, nn.Sequential(nn.Linear(contract.observation_size, 16), nn.ELU(), nn.Linear(16, 6)), contract)
 
 
-def plain_policy(path: Path) -> Any:
+def plain_policy(path):
     return msgspec.to_builtins(load_policy(path, ARM).contract)
 
 
-def make_curves(path: Path) -> None:
+def make_curves(path):
     point = dict.fromkeys(CurvePoint.__annotations__, 0.5)
     write_curves(path, [CurvePoint(**point | {"step": k}) for k in range(9)])
 
 
 @pytest.fixture(scope="module")
-def learner() -> Learner:
+def learner():
     return make_learner(ARM, None, know_stiffness(OPTIONS.recipe, ARM, None), OPTIONS)
 
 
@@ -150,14 +133,14 @@ EXPECTED = (FileError, ContractError, InputError)
 
 
 @pytest.fixture(scope="module", params=KINDS, ids=lambda kind: kind.name)
-def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Kind, bytes, Any]:
+def whole(request, tmp_path_factory):
     """A kind of file, a good one's bytes, and what is read from it."""
     path = tmp_path_factory.mktemp("whole") / request.param.name
     request.param.make(path)
     return request.param, path.read_bytes(), request.param.read(path)
 
 
-def judge(kind: Kind, path: Path, good: Any) -> bool:
+def judge(kind, path, good):
     """Return whether a damaged file was refused; what else is right is to read the same."""
     try:
         found = kind.read(path)
@@ -169,7 +152,7 @@ def judge(kind: Kind, path: Path, good: Any) -> bool:
     return False
 
 
-def test_a_damaged_file_is_refused_or_read_as_it_was(whole: tuple[Kind, bytes, Any], tmp_path: Path) -> None:
+def test_a_damaged_file_is_refused_or_read_as_it_was(whole, tmp_path):
     kind, data, good = whole
     rng, path = random.Random(11), tmp_path / kind.name
     refused = 0
@@ -182,7 +165,7 @@ def test_a_damaged_file_is_refused_or_read_as_it_was(whole: tuple[Kind, bytes, A
     assert refused > (20 if kind.sealed else 0)
 
 
-def test_a_truncated_file_is_refused(whole: tuple[Kind, bytes, Any], tmp_path: Path) -> None:
+def test_a_truncated_file_is_refused(whole, tmp_path):
     kind, data, good = whole
     path = tmp_path / kind.name
     for length in [0, 1, *np.linspace(2, len(data.rstrip()) - 1, 25).astype(int)]:
@@ -192,7 +175,7 @@ def test_a_truncated_file_is_refused(whole: tuple[Kind, bytes, Any], tmp_path: P
     assert judge(kind, path, good)
 
 
-def test_what_is_no_such_file_is_refused_unread(whole: tuple[Kind, bytes, Any], tmp_path: Path) -> None:
+def test_what_is_no_such_file_is_refused_unread(whole, tmp_path):
     kind, data, good = whole
     path = tmp_path / kind.name
     assert judge(kind, path, good)  # nothing there
@@ -212,7 +195,7 @@ def test_what_is_no_such_file_is_refused_unread(whole: tuple[Kind, bytes, Any], 
         assert judge(kind, path, good)
 
 
-def test_a_small_log_that_unfolds_to_a_huge_one_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_small_log_that_unfolds_to_a_huge_one_is_refused(tmp_path, monkeypatch):
     path, rows = tmp_path / "log.parquet", 100_000
     pq.write_table(pa.table({f"c{k}": np.zeros(rows) for k in range(3)}), path)
     assert path.stat().st_size < 10_000
@@ -221,7 +204,7 @@ def test_a_small_log_that_unfolds_to_a_huge_one_is_refused(tmp_path: Path, monke
         read_log(path)
 
 
-def test_a_folder_of_another_version_is_named(tmp_path: Path) -> None:
+def test_a_folder_of_another_version_is_named(tmp_path):
     run = Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
     assert read_json(run.folder.info, dict[str, Any])["format"] == FORMAT
     newer = {"format": FORMAT + 1, "version": "9.9", "robots": ["a", "b"]}
@@ -236,7 +219,7 @@ def test_a_folder_of_another_version_is_named(tmp_path: Path) -> None:
         Run.open(run.folder.path)
 
 
-def test_a_run_s_own_arm_is_the_one_that_it_was_begun_with(tmp_path: Path) -> None:
+def test_a_run_s_own_arm_is_the_one_that_it_was_begun_with(tmp_path):
     run = Run.create(tmp_path / "run", "emulated:worn", replace(ARM, name="mine"), 0)
     assert Run.open(run.folder.path).arm.name == "mine"
     text = run.folder.description.read_text()
@@ -248,7 +231,7 @@ def test_a_run_s_own_arm_is_the_one_that_it_was_begun_with(tmp_path: Path) -> No
         Run.open(run.folder.path)
 
 
-def test_a_damaged_checkpoint_is_refused(learner: Learner, tmp_path: Path) -> None:
+def test_a_damaged_checkpoint_is_refused(learner, tmp_path):
     path, rng = tmp_path / "checkpoint.pt", random.Random(5)
     learner.save(path, IDENTITY)
     data = path.read_bytes()
@@ -266,9 +249,9 @@ def test_a_damaged_checkpoint_is_refused(learner: Learner, tmp_path: Path) -> No
             learner.load(path, IDENTITY)
 
 
-def test_a_checkpoint_that_would_run_code_is_not_unpickled(learner: Learner, tmp_path: Path) -> None:
+def test_a_checkpoint_that_would_run_code_is_not_unpickled(learner, tmp_path):
     class Evil:
-        def __reduce__(self) -> tuple[object, ...]:
+        def __reduce__(self):
             return os.mkdir, (str(tmp_path / "was-here"),)
 
     path = tmp_path / "checkpoint.pt"

@@ -3,7 +3,6 @@
 import importlib
 import json
 import os
-import subprocess
 import sys
 import types
 from dataclasses import replace
@@ -18,20 +17,20 @@ import torch
 from ruamel.yaml import YAML
 from torch import nn
 
-from rejoint.arms import Arm, mycobot280, so101, tcp_position
+from commandline import python
+from rejoint.arms import mycobot280, so101, tcp_position
 from rejoint.control.catalogue import shelf_controller
-from rejoint.control.contract import PolicyContract, law_digests
 from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.observation import layout_slots
 from rejoint.control.policy import Policy
-from rejoint.control.recording import Recording
 from rejoint.control.residual import CommandLaw
-from rejoint.control.servogains import ServoGains
 from rejoint.robots import open_robot
 from rejoint.runs.exporting.exports import export_run
 from rejoint.runs.run import Run
 from rejoint.training.export import export_policy
+from rejoint.training.presets import DEFAULT
+from rejoint.training.train import policy_contract
 
 ARM = mycobot280()
 JUDGE = Path(os.environ.get("REJOINT_JUDGE", Path(__file__).parents[2] / ".judge"))
@@ -39,24 +38,19 @@ BOUND = 1e-5
 """[rad] by which other runtimes may differ"""
 
 
-def write_policy(path: Path, arm: Arm, gains: ServoGains | None = None, **changes) -> Policy:
+def write_policy(path, arm, gains=None, **changes):
     """A policy with a random network, which does something in every cycle."""
     n = arm.joints
     law = CommandLaw(anchor="goal", stiffness=(7.0,) * n, load_penalty=3.0, decay_start=1.0)
     size = sum(slot.size for slot in layout_slots("residual", n))
     torch.manual_seed(1)
     network = nn.Sequential(nn.Linear(size, 16), nn.ELU(), nn.Linear(16, n), nn.Tanh())
-    contract = PolicyContract(
-        arm=arm.name, arm_digests=law_digests(arm), joint_names=arm.joint_names, lower=tuple(arm.lower.tolist()),
-        upper=tuple(arm.upper.tolist()), layout="residual", observation=layout_slots("residual", n),
-        law=replace(law, **changes), min_period=0.018, max_period=0.055, probe=(), twin_digest="", preset="default",
-        seed=0, software="0", servo_gains=gains,
-    )  # fmt: skip
+    contract = replace(policy_contract(arm, None, DEFAULT, 0), law=replace(law, **changes), servo_gains=gains)
     export_policy(path, network, contract)
     return Policy.load(path)
 
 
-def differences(file: Path, recording: Recording) -> np.ndarray:
+def differences(file, recording):
     """How far (T,) [rad] commands of a file are from recorded ones that the guard left alone."""
     session = onnxruntime.InferenceSession(file.read_bytes(), providers=["CPUExecutionProvider"])
     memory = np.zeros((1, session.get_inputs()[3].shape[1]), np.float32)
@@ -78,7 +72,7 @@ def differences(file: Path, recording: Recording) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("arm", "address"), [(ARM, "emulated:worn"), (so101(), "emulated:so101")])
-def test_onnx_runtime_commands_what_our_controller_commands(arm: Arm, address: str, tmp_path: Path) -> None:
+def test_onnx_runtime_commands_what_our_controller_commands(arm, address, tmp_path):
     about = Run.create(tmp_path / "run", address, arm, 0)
     targets = arm.targets.sample(np.random.default_rng(0), (1, 4))
     policy = write_policy(about.folder.policy, arm)
@@ -118,7 +112,7 @@ class StubNode:
 
 
 @pytest.fixture
-def ros(monkeypatch: pytest.MonkeyPatch) -> None:
+def ros(monkeypatch):
     """A stub of ROS 2."""
     stubs = {
         "rclpy": {"init": None, "spin": None},
@@ -137,9 +131,7 @@ def ros(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setitem(sys.modules, name, module)
 
 
-def test_a_node_drives_an_arm_to_its_target_and_is_silent_without_joint_states(
-    ros: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_node_drives_an_arm_to_its_target_and_is_silent_without_joint_states(ros, tmp_path, monkeypatch):
     about = Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
     folder, _ = export_run(about, "ros2")
     needs = {one.text for one in ElementTree.parse(folder / "package.xml").iter("exec_depend")}
@@ -195,7 +187,7 @@ def test_a_node_drives_an_arm_to_its_target_and_is_silent_without_joint_states(
 
 
 @pytest.mark.skipif(not (JUDGE / "leapp").is_dir(), reason=f"LEAPP is not in {JUDGE}: `make judge` puts it there")
-def test_the_reader_of_nvidia_runs_the_bundle(tmp_path: Path) -> None:
+def test_the_reader_of_nvidia_runs_the_bundle(tmp_path):
     about = Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
     policy = write_policy(about.folder.policy, ARM)
     file, _ = export_run(about, "onnx")
@@ -205,10 +197,8 @@ def test_the_reader_of_nvidia_runs_the_bundle(tmp_path: Path) -> None:
     rows = np.concatenate([recording.position[:, 0], np.repeat(target[0], len(period), axis=0), period], axis=1)
     np.save(tmp_path / "states.npy", rows.astype(np.float32))
     script = Path(__file__).with_name("leapp_judge.py")
-    words = [sys.executable, script, file.with_suffix(".yaml"), tmp_path / "states.npy", tmp_path / "out.npy"]
-    environment = os.environ | {"PYTHONPATH": str(JUDGE)}
-    done = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=120, check=False)
-    assert done.returncode == 0, done.stderr
+    words = (script, file.with_suffix(".yaml"), tmp_path / "states.npy", tmp_path / "out.npy")
+    python(*words, env=os.environ | {"PYTHONPATH": str(JUDGE)}, timeout=120)
     session = onnxruntime.InferenceSession(file.read_bytes(), providers=["CPUExecutionProvider"])
     memory = np.zeros((1, session.get_inputs()[3].shape[1]), np.float32)
     for row, command in zip(rows.astype(np.float32), np.load(tmp_path / "out.npy"), strict=True):

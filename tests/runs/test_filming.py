@@ -1,8 +1,8 @@
 """Calibrating with a camera: what is taken survives, what goes wrong is one line, and the same rig watches the arm."""
 
-import sys
 import time
 from contextlib import nullcontext
+from dataclasses import replace
 from types import SimpleNamespace
 
 import cv2
@@ -13,8 +13,6 @@ import rejoint
 from rejoint.arms import Displacement, mycobot280, tcp_pose
 from rejoint.arms.camera.board import ON_TOOL
 from rejoint.arms.camera.rig import write_rig
-from rejoint.cli import main
-from rejoint.control.robot import JointState
 from rejoint.diagnosis.calibration.calibration import read_calibration
 from rejoint.diagnosis.calibration.camera import filming
 from rejoint.diagnosis.calibration.camera.film import read_film, read_folder
@@ -25,44 +23,25 @@ from rejoint.runs.run import Run
 from rejoint.runs.stages.calibrate import film_of
 from rejoint.session.eyes import LiveEye, opened_eye
 from rejoint.system.errors import InputError
+from standin import StandIn
 
 ARM = mycobot280()
 SCENE = beside(ARM)
 
 
-class Still:
+class Still(StandIn):
     """An arm whose encoders are where they were sent at once, and whose links are elsewhere, the same each time."""
 
-    arm, address, count = ARM, "test:still", 1
+    behind = replace(Displacement.none(ARM), compliance=np.full(6, 0.02), play=np.full(6, 0.02))
 
     def __init__(self):
-        self.position, self.time = ARM.rest[None].copy(), np.zeros(1)
-        self.behind = Displacement(
-            offset=np.zeros(6),
-            compliance=np.full(6, 0.02),
-            play=np.full(6, 0.02),
-            twist=np.zeros((7, 6)),
-            gravity=np.array([0.0, 0.0, -9.81]),
-        )
+        super().__init__(period=0.2)
 
-    def read(self):
-        return JointState(time=self.time.copy(), position=self.position.copy(), age=np.zeros(1))
-
-    def step(self, command, active=None):  # noqa: ARG002 - one arm
-        self.position, self.time = np.round(command, 6), self.time + 0.2  # as encoders count
-        return self.read()
+    def moved(self, command):
+        return np.round(command, 6)  # as encoders count
 
     def tool(self):
         return tcp_pose(ARM, self.behind.joints(ARM, self.position[0]))
-
-    def true_tcp(self):
-        return np.full((1, 3), np.nan)
-
-    def stop(self):
-        pass
-
-    def close(self):
-        pass
 
 
 class Cut(EmulatedCamera):
@@ -87,7 +66,7 @@ def film(robot, camera, run, **options):
 
 def test_an_interrupted_film_goes_on_to_the_same_end(tmp_path, monkeypatch):
     monkeypatch.setattr(filming, "SCOUTS", filming.FEWEST_SCOUTS)
-    runs = [Run.create(tmp_path / name, "test:still", ARM) for name in ("whole", "cut")]
+    runs = [Run.create(tmp_path / name, Still.address, ARM) for name in ("whole", "cut")]
     whole = film(robot := Still(), Cut(robot), runs[0])
     for last in (3, filming.SCOUTS + 1):
         with pytest.raises(InputError, match="check its cable") as stopped:
@@ -117,24 +96,15 @@ def test_an_interrupted_film_goes_on_to_the_same_end(tmp_path, monkeypatch):
     assert list(runs[1].path.glob("views-*.parquet"))
 
 
-def run_cli(words, capsys, monkeypatch):
-    monkeypatch.setattr(sys, "argv", ["rejoint", *map(str, words)])
-    with pytest.raises(SystemExit) as stopped:
-        main()
-    told = capsys.readouterr()
-    return stopped.value.code, told.out, told.err
-
-
-def test_an_emulated_arm_is_calibrated_by_rendered_pictures(tmp_path, capsys, monkeypatch):
+def test_an_emulated_arm_is_calibrated_by_rendered_pictures(tmp_path, cli, monkeypatch):
     monkeypatch.chdir(tmp_path)
     words = ("calibrate", "emulated:worn", "run", "--measure", "camera=emulated", "--count", "2", "--once")
-    code, out, err = run_cli(words, capsys, monkeypatch)
-    assert code == 0, err
-    assert "12 pictures come first" in err
+    done = cli(*words)
+    assert "12 pictures come first" in done.err
     run = Run.open(tmp_path / "run")
     found = read_calibration(run.folder.calibration, ARM)
     assert (found.source, found.used) == ("camera", True)
-    assert "The correction clearly helps" in out
+    assert "The correction clearly helps" in done.out
     kept, ended = read_film(run.folder.views, ARM)
     assert ended
     robot = rejoint.open_robot("emulated:worn")

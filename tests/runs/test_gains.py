@@ -2,7 +2,6 @@
 
 import io
 import json
-import sys
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -10,7 +9,6 @@ import numpy as np
 import pytest
 
 import rejoint
-from rejoint.cli import main
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.contract import decode_contract, encode_contract
 from rejoint.control.servogains import GainsFound, Round
@@ -66,7 +64,6 @@ def test_what_a_search_finds_takes_part_in_the_comparison(tmp_path, monkeypatch)
     assert not run.folder.gains.exists()
     found = rejoint.gains(robot, run)
     spent = read_effort(run.folder)
-    assert spent is not None
     assert [stage.name for stage in spent.stages] == ["gains"]
     assert spent.moving > 0.0
     assert read_json(run.folder.gains, GainsFound) == found
@@ -93,19 +90,14 @@ def test_an_arm_that_tells_no_gains_is_not_driven_under_any(tmp_path):
         )
 
 
-def test_the_memory_of_the_servos_is_written_after_a_yes_alone(tmp_path, monkeypatch, capsys):
+def test_the_memory_of_the_servos_is_written_after_a_yes_alone(tmp_path, monkeypatch, cli):
     arm = build_arm(ARM, "so101")
     with on_port(BusSession(arm)) as server:
         run = Run.create(tmp_path / "run", server.address, ARM)
         found = found_by(run, server.address)
-        words = ["rejoint", "gains", server.address, str(run.path), "--keep"]
         for more, answer, code in (([], "n\n", 2), (["--yes"], "", 0)):
-            monkeypatch.setattr(sys, "argv", [*words, *more])
             monkeypatch.setattr("sys.stdin", io.StringIO(answer))
-            with pytest.raises(SystemExit) as end:
-                main()
-            assert end.value.code == code
-            told = capsys.readouterr()
+            told = cli("gains", server.address, run.path, "--keep", *more, code=code)
             assert "p 40/48/48/40/32" in told.err
             assert "LeRobot" in told.err
             if code:

@@ -65,7 +65,7 @@ def started(monkeypatch):
     found = []
 
     class Kept(HelperProcess):
-        def __init__(self, job: ComparisonJob) -> None:
+        def __init__(self, job):
             super().__init__(job)
             found.append(self)
 
@@ -119,7 +119,7 @@ def test_it_ends_with_the_process_that_started_it_however_that_ends():
     assert not alive(helper)
 
 
-def alive(pid: int) -> bool:
+def alive(pid):
     """Whether there is such a process, and no remains of one that nobody has asked about."""
     try:
         os.kill(pid, 0)

@@ -4,7 +4,6 @@ import threading
 import time
 from dataclasses import replace
 from datetime import datetime, timedelta
-from pathlib import Path
 
 import pytest
 
@@ -19,7 +18,7 @@ BEGIN = datetime(2027, 1, 1)
 JOINTS = ("shoulder", "elbow")
 
 
-def measures(error: float = 3.0, hysteresis: float = 2.0, temperature: float | None = 25.0) -> CheckMeasures:
+def measures(error=3.0, hysteresis=2.0, temperature=25.0):
     joints = tuple(
         JointCheck(
             joint=name,
@@ -43,7 +42,7 @@ def measures(error: float = 3.0, hysteresis: float = 2.0, temperature: float | N
     )
 
 
-def head(month: float = 0.0, arm: str = "a1", **values: object) -> HistoryRow:
+def head(month=0.0, arm="a1", **values):
     return replace(
         HistoryRow(
             time=BEGIN + timedelta(days=30 * month),
@@ -57,18 +56,18 @@ def head(month: float = 0.0, arm: str = "a1", **values: object) -> HistoryRow:
     )
 
 
-def put(folder: Path, name: str, rows: list[HistoryRow]) -> Path:
+def put(folder, name, rows):
     write_rows(folder / name / SUMMARY, rows)
     return folder / name / SUMMARY
 
 
-def test_rows_come_back_as_they_were(tmp_path: Path) -> None:
+def test_rows_come_back_as_they_were(tmp_path):
     row = replace(head(), due=BEGIN, used_h=3.5, line='shoulder: 1 mm; "so"', temperature_c=None)
     path = put(tmp_path, "x", rows_of(row, measures()))
     assert read_rows(path) == rows_of(row, measures())
 
 
-def test_a_damaged_file_loses_only_itself(tmp_path: Path) -> None:
+def test_a_damaged_file_loses_only_itself(tmp_path):
     paths = [put(tmp_path, str(i), rows_of(head(i), measures())) for i in range(4)]
     paths[1].write_bytes(paths[1].read_bytes()[:-40])
     data = bytearray(paths[2].read_bytes())
@@ -85,11 +84,11 @@ def test_a_damaged_file_loses_only_itself(tmp_path: Path) -> None:
         read_rows(paths[1])
 
 
-def test_many_write_at_once(tmp_path: Path) -> None:
+def test_many_write_at_once(tmp_path):
     """Several writers and a reader: every row is there at the end, and none is ever half there."""
     problems: list[tuple[str, ...]] = []
 
-    def write(writer: int) -> None:
+    def write(writer):
         for i in range(15):
             put(tmp_path, f"{writer}-{i}", rows_of(head(i, arm=f"a{writer}"), measures()))
 
@@ -115,7 +114,7 @@ def test_many_write_at_once(tmp_path: Path) -> None:
         ([head(0), head(1, arm="a2"), head(2)], 2),
     ],
 )
-def test_a_repair_or_a_moved_arm_begin_a_new_norm(rows: list[HistoryRow], count: int) -> None:
+def test_a_repair_or_a_moved_arm_begin_a_new_norm(rows, count):
     every = [row for one in rows for row in (rows_of(one, measures()) if one.kind == "check" else [one])]
     past = past_of(every, "a1", name_of("tcp://10.0.0.1:9000", "mycobot280"))
     assert len(past.visits) == count
@@ -123,7 +122,7 @@ def test_a_repair_or_a_moved_arm_begin_a_new_norm(rows: list[HistoryRow], count:
     assert past.visits[-1].measures == measures()
 
 
-def test_a_repair_is_of_the_arm_that_was_checked_last_at_its_address(tmp_path: Path) -> None:
+def test_a_repair_is_of_the_arm_that_was_checked_last_at_its_address(tmp_path):
     """Arms are plugged into one port one after the other; the history shows each with its own repair."""
     key = name_of("tcp://10.0.0.1:9000", "mycobot280")
     repair = head(2.5, kind="repair", arm=key, settled_mm=0.5, error_mm=30.0, state="bad")
@@ -143,7 +142,7 @@ def test_a_repair_is_of_the_arm_that_was_checked_last_at_its_address(tmp_path: P
     assert "<p>Nothing to do on 2 arms.</p>" in (tmp_path / "told.html").read_text(encoding="utf-8")
 
 
-def history_of(hysteresis: list[float], tolerance: float | None = None) -> Outlook:
+def history_of(hysteresis, tolerance=None):
     past = [
         PastCheck(time=BEGIN + timedelta(days=30 * i), measures=measures(3.0 + value - 2.0, value))
         for i, value in enumerate(hysteresis)
@@ -151,7 +150,7 @@ def history_of(hysteresis: list[float], tolerance: float | None = None) -> Outlo
     return outlook(past, tolerance)
 
 
-def test_the_line_says_cause_millimetres_date_and_what_to_do() -> None:
+def test_the_line_says_cause_millimetres_date_and_what_to_do():
     assert "5 are needed" in say(history_of([2.0] * 3), "R")
     assert say(history_of([2.0] * 3), "R").endswith(
         "Do: check again, 3 more times; the first ones may follow each other at once."
@@ -171,12 +170,12 @@ def test_the_line_says_cause_millimetres_date_and_what_to_do() -> None:
     assert say(history_of([2.0] * 3, 2.5), "arm://1?a&b").endswith("Do: rejoint repair 'arm://1?a&b'.")
 
 
-def judged(*checks: CheckMeasures, tolerance: float | None = None, left: float | None = None) -> Outlook:
+def judged(*checks, tolerance=None, left=None):
     past = [PastCheck(time=BEGIN + timedelta(days=182 * i), measures=one) for i, one in enumerate(checks)]
     return outlook(past, tolerance, left_mm=left)
 
 
-def test_a_repaired_arm_is_held_against_what_its_repair_left() -> None:
+def test_a_repaired_arm_is_held_against_what_its_repair_left():
     """It is bad without a controller, before and after; its owner bears what is left with it."""
     bare = [measures(30.0) for _ in range(6)]
     assert judged(*bare, tolerance=3.0).over
@@ -190,21 +189,7 @@ def test_a_repaired_arm_is_held_against_what_its_repair_left() -> None:
     assert judged(*bare, measures(32.1), tolerance=3.0, left=1.0).over
 
 
-def many(folder: Path, arms: int, checks: int) -> None:
-    """Histories of arms of which the last ones are the worst."""
-    for a in range(arms):
-        for c in range(checks):
-            row = head(
-                c,
-                arm=f"arm-{a:03}",
-                tolerance_mm=6.0,
-                state="alarm" if a >= arms - 2 else "steady",
-                line=f"Something. Do: look at arm {a}.",
-            )
-            put(folder, f"{a}-{c}", rows_of(row, measures(3.0 + 0.001 * a * c)))
-
-
-def test_prometheus_reads_every_line() -> None:
+def test_prometheus_reads_every_line():
     change = Change(joint='el"bow', quantity="sag", state="alarm", usual_mm=1, now_mm=2, since=None, cusum=6.5)
     seen = Outlook(
         state="alarm",

@@ -1,13 +1,13 @@
 """Payloads and tools: told to everything that computes, refused by no policy, noticed where nobody told."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import rejoint
 from hearing import Hears
+from madetwin import made_calibration
 from rejoint.arms import (
     Displacement,
     gravity_torque,
@@ -19,12 +19,9 @@ from rejoint.arms import (
 )
 from rejoint.arms.inertia import Payload, bare, loaded
 from rejoint.arms.kinematics import GRAVITY
-from rejoint.control.controller import ControlInput
 from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.goal import nearest_postures
-from rejoint.control.robot import JointState
-from rejoint.diagnosis.calibration.calibration import Calibration, write_calibration
-from rejoint.diagnosis.calibration.parameters import DisplacementLayout
+from rejoint.diagnosis.calibration.calibration import write_calibration
 from rejoint.robots import open_robot, place_of
 from rejoint.robots.registry import unloaded
 from rejoint.runs.run import Run
@@ -32,19 +29,20 @@ from rejoint.session.context import guard_limits
 from rejoint.session.inputs import as_calibration
 from runs.test_connect import a_twin
 from runs.test_exporting import write_policy
+from standin import inputs_of, state_of
 
 ARM = mycobot280()
 TARGETS = [[0.17, 0.0, 0.2], [0.18, 0.03, 0.21], [0.16, -0.05, 0.22]]
 
 
 @pytest.fixture
-def run(tmp_path: Path) -> Path:
+def run(tmp_path):
     path = Run.create(tmp_path / "run", "emulated:worn", ARM, 0).path
     a_twin().save(path / "twin.toml")
     return path
 
 
-def test_a_payload_pulls_on_joints_by_its_lever_and_a_tool_moves_the_tip() -> None:
+def test_a_payload_pulls_on_joints_by_its_lever_and_a_tool_moves_the_tip():
     posture = ARM.rest + 0.2
     torque = gravity_torque(loaded(ARM, 0.1), posture) - gravity_torque(ARM, posture)
     np.testing.assert_allclose(torque, -0.1 * position_kinematics(ARM, posture)[1].T @ GRAVITY, atol=1e-12)
@@ -61,7 +59,7 @@ def test_a_payload_pulls_on_joints_by_its_lever_and_a_tool_moves_the_tip() -> No
             loaded(ARM, payload, tool)
 
 
-def test_an_emulated_arm_carries_what_its_address_says_whatever_was_told() -> None:
+def test_an_emulated_arm_carries_what_its_address_says_whatever_was_told():
     stands = {}
     for address, told in (("emulated:worn", 0.0), ("emulated:worn?payload=0.1", 0.0), ("emulated:worn", 0.1)):
         robot = open_robot(address, arm=loaded(ARM, told))
@@ -77,49 +75,23 @@ def test_an_emulated_arm_carries_what_its_address_says_whatever_was_told() -> No
         place_of("emulated:worn?payload=much")
 
 
-def test_an_untold_load_is_noticed_and_a_told_one_is_not(run: Path) -> None:
-    said, targets = {}, [*TARGETS, [0.2, 0.05, 0.15], [0.13, 0.1, 0.1]]
-    for payload in (None, 0.1):
-        said[payload] = list[str]()
-        rejoint.deploy(
-            "emulated:worn?payload=0.1",
-            targets,
-            run=run,
-            observer=Hears(message=said[payload].append),
-            settings=rejoint.Settings(controller="feedforward", dwell=6.0, payload=payload),
-        )
-    assert any("as if the hand carried" in line for line in said[None])
-    assert not any("as if the hand carried" in line for line in said[0.1])
-    quiet = list[str]()
-    rejoint.deploy(
-        "emulated:worn",
-        TARGETS,
-        run=run,
-        settings=rejoint.Settings(controller="feedforward", dwell=3.0),
-        observer=Hears(message=quiet.append),
-    )
-    rejoint.deploy(
-        "emulated:worn",
-        targets[-1:],
-        run=run,
-        settings=rejoint.Settings(controller="feedforward", dwell=3.0),
-        observer=Hears(message=quiet.append),
-    )
-    assert not any("hand carried" in line for line in quiet), (
-        "in a single posture friction seems to carry 160 g of this arm"
-    )
+def test_an_untold_load_is_noticed_and_a_told_one_is_not(run):
+    def noticed(address, targets, **given):
+        said, settings = [], rejoint.Settings(controller="feedforward", **given)
+        rejoint.deploy(address, targets, run=run, settings=settings, observer=Hears(message=said.append))
+        return any("hand carried" in line for line in said)
+
+    targets = [*TARGETS, [0.2, 0.05, 0.15], [0.13, 0.1, 0.1]]
+    assert noticed("emulated:worn?payload=0.1", targets, dwell=6.0)
+    assert not noticed("emulated:worn?payload=0.1", targets, dwell=6.0, payload=0.1)
+    assert not noticed("emulated:worn", TARGETS, dwell=3.0)
+    assert not noticed("emulated:worn", targets[-1:], dwell=3.0), "there friction seems to carry 160 g of this arm"
 
 
-def test_a_told_load_raises_commands_by_what_a_servo_gives_way() -> None:
-    state = JointState(time=np.zeros(1), position=ARM.rest[None], age=np.zeros(1))
+def test_a_told_load_raises_commands_by_what_a_servo_gives_way():
+    state = state_of(ARM.rest)
     target = np.array(TARGETS[:1])
-    inputs = ControlInput(
-        state=state,
-        target=target,
-        goal=nearest_postures(ARM, target, ARM.rest[None]),
-        sent=ARM.rest[None],
-        since_target=np.zeros(1),
-    )
+    inputs = inputs_of(state, target, nearest_postures(ARM, target, ARM.rest[None]), ARM.rest[None])
     commands = []
     for arm in (ARM, loaded(ARM, 0.1)):
         controller = FeedforwardController(arm, 7.0)
@@ -131,7 +103,7 @@ def test_a_told_load_raises_commands_by_what_a_servo_gives_way() -> None:
     assert np.abs(expected).max() > np.radians(1.0)
 
 
-def test_a_load_that_no_motor_lifts_is_refused_before_anything_moves(run: Path) -> None:
+def test_a_load_that_no_motor_lifts_is_refused_before_anything_moves(run):
     with rejoint.connect("emulated:worn", run=run, settings=rejoint.Settings(payload=0.4)) as arm:
         with pytest.raises(rejoint.InputError, match=r"too heavy: joint2 needs .* per cent .* the nearest place"):
             arm.move_to([0.2, 0.0, 0.12], timeout_s=0.5)
@@ -141,7 +113,7 @@ def test_a_load_that_no_motor_lifts_is_refused_before_anything_moves(run: Path) 
         rejoint.deploy(open_robot("emulated:worn"), TARGETS, run=run, settings=settings)
 
 
-def test_a_policy_drives_its_arm_with_a_told_load_and_guard_and_calibration_are_those_of_the_arm(run: Path) -> None:
+def test_a_policy_drives_its_arm_with_a_told_load_and_guard_and_calibration_are_those_of_the_arm(run):
     policy = write_policy(run / "policy.onnx", ARM)
     told = loaded(ARM, 0.1, [0.0, 0.0, 0.03])
     assert policy.controller(told).arm is told
@@ -151,32 +123,17 @@ def test_a_policy_drives_its_arm_with_a_told_load_and_guard_and_calibration_are_
         policy.controller(bare(told).__class__(**{**_fields(ARM), "mass": told.mass}))
 
 
-def _fields(arm: rejoint.Arm) -> dict[str, object]:
+def _fields(arm):
     return {name: getattr(arm, name) for name in rejoint.Arm.__dataclass_fields__}
 
 
-def test_a_calibrated_arm_takes_a_tool_and_a_payload_and_aims_by_them(run: Path, tmp_path: Path) -> None:
+def test_a_calibrated_arm_takes_a_tool_and_a_payload_and_aims_by_them(run, tmp_path):
     askew = replace(Displacement.none(ARM), offset=np.array([0.0, 0.01, -0.01, 0.0, 0.0, 0.0]))
-    size = DisplacementLayout(joints=ARM.joints).size
-    own = Calibration(
-        arm=ARM,
-        displacement=askew,
-        covariance=1e-12 * np.eye(size),
-        frame=np.eye(4),
-        frame_name="base",
-        source="touch",
-        date="",
-        points=4,
-        before=2e-3,
-        after=1e-3,
-        used=True,
-        floor=1e-6,
-    )
+    own = made_calibration(ARM, askew)
     write_calibration(run / "calibration.toml", own)
     told = loaded(ARM, 0.1, [0.0, 0.0, 0.05])
     for given in (None, own):
         found = as_calibration(given, Run.open(run), told)
-        assert found is not None
         assert found.arm is told, "it says where this tool is"
         assert np.linalg.norm(found.tool(ARM.rest) - tcp_position(told, ARM.rest + askew.offset)) < 1e-9
     done = rejoint.deploy(

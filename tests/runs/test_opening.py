@@ -1,15 +1,12 @@
 """Run folders: which one is gone on with, who may work in it, and what a killed process leaves there."""
 
 import os
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280
-from rejoint.cli import main
 from rejoint.logs.runfolder.folder import LOGS, RunFolder, RunInfo, locked
 from rejoint.logs.runlog import RunLog, write_log
 from rejoint.runs.run import Run, exclusive
@@ -19,20 +16,13 @@ from rejoint.system.files import write_json
 ARM = mycobot280()
 
 
-def folder_of(path: Path, robot: str = "emulated:worn") -> RunFolder:
+def folder_of(path, robot="emulated:worn"):
     info = RunInfo(robot=robot, arm="mycobot280", seed=0, version="1", created="now")
     write_json(path / "run.json", info)
     return RunFolder(path)
 
 
-def leave(folder: RunFolder, *names: str) -> None:
-    """Leave files that were written one after the other, a second apart."""
-    for age, name in enumerate(reversed(names)):
-        (folder.path / name).write_text("done")
-        os.utime(folder.path / name, (0, 1_000_000_000 - age))
-
-
-def test_a_run_that_was_killed_while_it_was_begun_is_begun_again(tmp_path: Path) -> None:
+def test_a_run_that_was_killed_while_it_was_begun_is_begun_again(tmp_path):
     arm, path = replace(ARM, name="mine"), tmp_path / "run"
     path.mkdir()
     for name in (".lock", "arm.toml", ".run.json.abcd1234.partial"):
@@ -44,9 +34,10 @@ def test_a_run_that_was_killed_while_it_was_begun_is_begun_again(tmp_path: Path)
     (other / "thesis.tex").touch()
     with pytest.raises(InputError, match="not a run folder and not empty"):
         Run.create(other, "emulated:worn", arm, 0)
+    assert [path.name for path in other.iterdir()] == ["thesis.tex"]
 
 
-def test_what_killed_writers_left_is_removed_and_nothing_else(tmp_path: Path) -> None:
+def test_what_killed_writers_left_is_removed_and_nothing_else(tmp_path):
     folder, kept = folder_of(tmp_path), {"run.json", ".lock", "notes.partial", ".hidden.settings"}
     for place in (tmp_path, tmp_path / "logs", folder.outputs.folder, folder.figures):
         place.mkdir(exist_ok=True)
@@ -58,19 +49,9 @@ def test_what_killed_writers_left_is_removed_and_nothing_else(tmp_path: Path) ->
     assert {path.name for path in tmp_path.rglob("*") if path.is_file()} == kept
 
 
-def example() -> RunLog:
+def example():
     time, still = np.arange(0.0, 2.0, 0.025), np.tile(ARM.rest, (80, 1))
-    return RunLog(
-        arm=ARM.name,
-        joint_names=ARM.joint_names,
-        robot="x",
-        label="x",
-        time=time,
-        position=still,
-        command=still,
-        target=np.full((80, 3), np.nan),
-        true_tcp=np.full((80, 3), np.nan),
-    )
+    return RunLog.of(time, still, still, arm=ARM)
 
 
 @pytest.mark.parametrize(
@@ -85,24 +66,18 @@ def example() -> RunLog:
         ("deploy", "emulated:worn", "{run}"),
     ],
 )
-def test_every_command_that_writes_in_a_run_waits_for_nobody(
-    words: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_every_command_that_writes_in_a_run_waits_for_nobody(words, tmp_path, cli):
     logs, path = tmp_path / "logs", tmp_path / "run"
     write_log(logs / "one.parquet", example())
     folder = folder_of(path, robot=f"{LOGS}{logs}" if "--logs" in words else "emulated:worn")
-    places = {"{run}": str(path), "{logs}": str(logs)}
-    monkeypatch.setattr(sys, "argv", ["rejoint", *(places.get(word, word) for word in words)])
     with locked(folder):
         before = {file: file.read_bytes() for file in path.rglob("*") if file.is_file()}
-        with pytest.raises(SystemExit) as stopped:
-            main()
-        assert stopped.value.code == 2
-        assert "this program is working there already; close what it has open there" in capsys.readouterr().err
+        err = cli(*(word.format(run=path, logs=logs) for word in words), code=2).err
+        assert "this program is working there already; close what it has open there" in err
         assert {file: file.read_bytes() for file in path.rglob("*") if file.is_file()} == before
 
 
-def test_a_folder_is_free_at_the_end_also_where_a_process_was_forked_meanwhile(tmp_path: Path) -> None:
+def test_a_folder_is_free_at_the_end_also_where_a_process_was_forked_meanwhile(tmp_path):
     """What a forked process inherits is the lock itself: a pool of workers kept the folder."""
     folder = folder_of(tmp_path)
     hears, says = os.pipe()
@@ -121,10 +96,10 @@ def test_a_folder_is_free_at_the_end_also_where_a_process_was_forked_meanwhile(t
         os.waitpid(child, 0)
 
 
-def test_a_stage_that_fails_leaves_no_folder_that_it_has_not_begun(tmp_path: Path) -> None:
+def test_a_stage_that_fails_leaves_no_folder_that_it_has_not_begun(tmp_path):
     run = Run.plan(tmp_path / "new", "logs:x", ARM, 0)
 
-    def stage(run: Run) -> None:
+    def stage(run):
         with exclusive(run):
             raise FileError(run.folder.path, "nothing to work on", "do something")
 

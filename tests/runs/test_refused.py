@@ -1,16 +1,14 @@
 """Numbers that no arm can be driven by are refused before the robot is opened: at these addresses nothing answers."""
 
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 import rejoint
+from madetwin import made_calibration
 from rejoint.arms import Displacement, mycobot280, so101
-from rejoint.diagnosis.calibration.calibration import Calibration, write_calibration
-from rejoint.diagnosis.calibration.parameters import DisplacementLayout
+from rejoint.diagnosis.calibration.calibration import write_calibration
 from rejoint.runs.run import Run
 from runs.test_connect import a_twin
 
@@ -21,35 +19,21 @@ POSES = [rejoint.Pose(place_m=(0.17, 0.0, 0.2), direction=(0.0, 0.0, -1.0))]
 
 
 @pytest.fixture
-def run(tmp_path: Path) -> Path:
+def run(tmp_path):
     path = Run.create(tmp_path / "run", NOBODY, ARM, 0).path
     a_twin().save(path / "twin.toml")
     return path
 
 
 @pytest.mark.parametrize("wrong", [{"dwell": np.inf}, {"dwell": 0.0}, {"within": 5.0}, {"within": np.nan}], ids=str)
-def test_a_deployment_without_end_or_measure(run: Path, wrong: dict[str, float]) -> None:
+def test_a_deployment_without_end_or_measure(run, wrong):
     with pytest.raises(rejoint.InputError, match="positive"):
         rejoint.deploy(NOBODY, TARGETS, run=run, settings=rejoint.Settings(controller="integrator", **wrong))
 
 
-def test_a_calibration_that_shifts_a_tool_farther_than_any_wear(run: Path) -> None:
+def test_a_calibration_that_shifts_a_tool_farther_than_any_wear(run):
     far = replace(Displacement.none(ARM), offset=np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.0]))
-    calibration = Calibration(
-        arm=ARM,
-        displacement=far,
-        covariance=1e-12 * np.eye(DisplacementLayout(joints=ARM.joints).size),
-        frame=np.eye(4),
-        frame_name="base",
-        source="touch",
-        date="",
-        points=4,
-        before=2e-3,
-        after=1e-3,
-        used=True,
-        floor=1e-6,
-    )
-    write_calibration(run / "calibration.toml", calibration)
+    write_calibration(run / "calibration.toml", made_calibration(ARM, far))
     drives = (
         lambda: rejoint.deploy(NOBODY, TARGETS, run=run, settings=rejoint.Settings(controller="integrator")),
         lambda: rejoint.follow(NOBODY, "circle-8s", run=run),
@@ -74,14 +58,14 @@ def test_a_calibration_that_shifts_a_tool_farther_than_any_wear(run: Path) -> No
     ],
     ids=str,
 )
-def test_a_repair_whose_comparison_or_training_cannot_be(tmp_path: Path, wrong: dict[str, Any], why: str) -> None:
+def test_a_repair_whose_comparison_or_training_cannot_be(tmp_path, wrong, why):
     """It would be found out after minutes of motion and a training."""
     with pytest.raises((rejoint.InputError, rejoint.FileError), match=why):
         rejoint.repair(NOBODY, run=tmp_path / "run", quick=True, plan=rejoint.RepairPlan(**wrong))
     assert not (tmp_path / "run").exists()
 
 
-def test_an_arm_without_the_wire_that_is_served(tmp_path: Path) -> None:
+def test_an_arm_without_the_wire_that_is_served(tmp_path):
     run = Run.create(tmp_path / "run", "feetech://127.0.0.1:1", so101(), 0).path
     with pytest.raises(rejoint.InputError, match="not of so101; for joint goals line by line take --stdio"):
         rejoint.serve("feetech://127.0.0.1:1", run)

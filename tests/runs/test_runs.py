@@ -6,12 +6,9 @@ import re
 import subprocess
 import sys
 from datetime import datetime
-from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 import rejoint
 from rejoint.arms import mycobot280
@@ -25,7 +22,7 @@ from rejoint.system.errors import FileError
 from rejoint.system.files import read_json, set_aside, write_json, write_whole
 
 
-def example(rows: int = 5) -> RunLog:
+def example(rows=5):
     rng = np.random.default_rng(rows)
     return RunLog(
         arm="planar",
@@ -41,7 +38,7 @@ def example(rows: int = 5) -> RunLog:
     )
 
 
-def test_a_log_survives_the_disk_bit_for_bit(tmp_path: Path) -> None:
+def test_a_log_survives_the_disk_bit_for_bit(tmp_path):
     log = example()
     write_log(tmp_path / "a.parquet", log)
     back = read_log(tmp_path / "a.parquet")
@@ -56,27 +53,7 @@ def test_a_log_survives_the_disk_bit_for_bit(tmp_path: Path) -> None:
     )
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow], max_examples=60)
-@given(cut=st.floats(0, 0.999), flips=st.lists(st.tuples(st.floats(0, 0.999), st.integers(1, 255)), max_size=3))
-def test_a_damaged_log_is_named_or_read_whole(tmp_path: Path, cut: float, flips: list[tuple[float, int]]) -> None:
-    path = tmp_path / "log.parquet"
-    write_log(path, example(50))
-    data = bytearray(path.read_bytes())
-    if flips:
-        for where, mask in flips:
-            data[int(where * len(data))] ^= mask
-    else:
-        data = data[: int(cut * len(data))]
-    path.write_bytes(data)
-    try:
-        back = read_log(path)
-    except FileError as error:
-        assert str(path) in str(error)  # noqa: PT017 - either outcome is right, a third is not
-    else:
-        np.testing.assert_array_equal(back.position, example(50).position)
-
-
-def test_json_of_the_wrong_shape_names_the_file(tmp_path: Path) -> None:
+def test_json_of_the_wrong_shape_names_the_file(tmp_path):
     path = tmp_path / "value.json"
     write_json(path, {"a": 1.5})
     assert read_json(path, dict[str, float]) == {"a": 1.5}
@@ -86,21 +63,7 @@ def test_json_of_the_wrong_shape_names_the_file(tmp_path: Path) -> None:
         read_json(tmp_path / "other.json", dict[str, float])
 
 
-def test_a_write_that_fails_leaves_the_old_file(tmp_path: Path) -> None:
-    path = tmp_path / "result"
-    path.write_text("old")
-
-    def fail(temporary: Path) -> None:
-        temporary.write_text("half")
-        raise RuntimeError("interrupted")
-
-    with pytest.raises(RuntimeError, match="interrupted"):
-        write_whole(path, fail)
-    assert path.read_text() == "old"
-    assert list(tmp_path.iterdir()) == [path]
-
-
-def test_nobody_else_works_in_a_run_folder_meanwhile(tmp_path: Path) -> None:
+def test_nobody_else_works_in_a_run_folder_meanwhile(tmp_path):
     code = "import sys\nfrom pathlib import Path\nfrom rejoint.logs.runfolder.folder import RunFolder, locked\n"
     code += "with locked(RunFolder(Path(sys.argv[1]))): print('in', flush=True); sys.stdin.read()\n"
     words = [sys.executable, "-c", code, str(tmp_path)]
@@ -113,15 +76,17 @@ def test_nobody_else_works_in_a_run_folder_meanwhile(tmp_path: Path) -> None:
         pass
 
 
-def test_what_cannot_be_written_is_a_file_error_and_leaves_what_was_there(tmp_path: Path) -> None:
+def test_what_cannot_be_written_is_a_file_error_and_leaves_what_was_there(tmp_path):
     path = tmp_path / "diagnosis.json"
     write_json(path, {"a": 1})
-    for number in (errno.ENOSPC, errno.EROFS):
+    full, read_only = (OSError(number, os.strerror(number)) for number in (errno.ENOSPC, errno.EROFS))
+    for error, told in ((full, FileError), (read_only, FileError), (RuntimeError("interrupted"), RuntimeError)):
 
-        def fail(_: Path, number: int = number) -> None:
-            raise OSError(number, os.strerror(number))
+        def fail(temporary, error=error):
+            temporary.write_text("half")
+            raise error
 
-        with pytest.raises(FileError, match=re.escape(os.strerror(number))):
+        with pytest.raises(told, match=re.escape(error.args[-1])):
             write_whole(path, fail)
     assert read_json(path, dict[str, int]) == {"a": 1}
     assert list(tmp_path.iterdir()) == [path]
@@ -131,7 +96,7 @@ def test_what_cannot_be_written_is_a_file_error_and_leaves_what_was_there(tmp_pa
         pass
 
 
-def test_what_another_result_replaces_is_kept_by_its_time(tmp_path: Path) -> None:
+def test_what_another_result_replaces_is_kept_by_its_time(tmp_path):
     path = tmp_path / "comparison.json"
     set_aside(path)  # nothing there yet
     for day in (1, 2):
@@ -149,7 +114,7 @@ def test_what_another_result_replaces_is_kept_by_its_time(tmp_path: Path) -> Non
     }
 
 
-def test_under_a_clock_that_stands_still_no_log_takes_the_place_of_another(tmp_path: Path, monkeypatch) -> None:
+def test_under_a_clock_that_stands_still_no_log_takes_the_place_of_another(tmp_path, monkeypatch):
     class Stopped(datetime):
         @classmethod
         def now(cls, tz=None):

@@ -1,13 +1,9 @@
 """Motions that no journal keeps: what an arm did there is kept as well where they end early."""
 
-from collections.abc import Callable
-from pathlib import Path
-
 import pytest
 
 import rejoint
 from rejoint.arms import mycobot280
-from rejoint.control.robot import Robot
 from rejoint.robots import open_robot
 from rejoint.runs.run import Run
 from runs.test_connect import a_twin
@@ -15,11 +11,11 @@ from runs.test_connect import a_twin
 ARM = mycobot280()
 
 
-def failing(robot: Robot, steps: int) -> Robot:
+def failing(robot, steps):
     """Return the robot as one that fails after some steps."""
     step, left = robot.step, iter(range(steps))
 
-    def fail_later(*given: object) -> object:
+    def fail_later(*given):
         if next(left, None) is None:
             raise rejoint.RobotError("made for this test")
         return step(*given)  # type: ignore[arg-type]
@@ -46,9 +42,7 @@ def failing(robot: Robot, steps: int) -> Robot:
         ),
     ],
 )
-def test_what_an_arm_did_is_kept_where_a_stage_ends_early(
-    tmp_path: Path, steps: int, label: str, stage: Callable[[Robot, Run], object]
-) -> None:
+def test_what_an_arm_did_is_kept_where_a_stage_ends_early(tmp_path, steps, label, stage):
     run = Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
     a_twin().save(run.folder.twin)
     with pytest.raises(rejoint.RobotError, match="made for this test") as failed:

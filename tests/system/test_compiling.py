@@ -7,24 +7,22 @@ import numba
 import pytest
 from numba.core import caching
 
-from commandline import run_cli
 from rejoint.system.extras import explain
 
 
-def test_a_compiler_that_is_switched_off_is_told_before_anything_begins(capsys, monkeypatch) -> None:
+def test_a_compiler_that_is_switched_off_is_told_before_anything_begins(cli, monkeypatch):
     monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
-    code, _, told = run_cli("repair", "emulated:worn", capsys=capsys, monkeypatch=monkeypatch)
-    assert (code, told.count("\n")) == (2, 1)
+    told = cli("repair", "emulated:worn", code=2).err
+    assert told.count("\n") == 1
     assert "NUMBA_DISABLE_JIT is set" in told
 
 
-def test_compiled_loops_without_a_place_are_told_with_what_to_do(monkeypatch) -> None:
+def test_compiled_loops_without_a_place_are_told_with_what_to_do(monkeypatch):
     for locator in caching.CacheImpl._locator_classes:
         monkeypatch.setattr(locator, "ensure_cache_path", lambda _: (_ for _ in ()).throw(OSError("read-only")))
     with pytest.raises(RuntimeError) as failed:
         numba.njit("f8(f8)", cache=True)(lambda x: 2.0 * x)
     line = explain(failed.value)
-    assert line is not None
     assert "set NUMBA_CACHE_DIR to a folder that can" in line
     assert explain(RuntimeError("something else")) is None
 
@@ -52,7 +50,6 @@ def test_damaged_compiled_loops_are_removed_and_told(kept, ending, left):
     with pytest.raises(Exception) as failed:  # noqa: PT011 - whatever Numba makes of it
         load()
     line = explain(failed.value)
-    assert line is not None
     assert str(folder) in line
     assert "compiles them again" in line
     assert load()(2.0) == 4.0

@@ -1,10 +1,8 @@
 """Free memory goes back to the system where the C library can do it."""
 
-import subprocess
-import sys
-
 import pytest
 
+from commandline import python
 from rejoint.system import shell as memory
 
 LEFT = """
@@ -26,7 +24,6 @@ print(full, kept, resident())
 
 @pytest.mark.skipif(memory._trim() is None, reason="this C library cannot")
 def test_what_is_free_below_something_in_use_is_given_back():
-    done = subprocess.run([sys.executable, "-c", LEFT], check=True, capture_output=True, text=True)
-    full, kept, left = map(int, done.stdout.split())
+    full, kept, left = map(int, python("-c", LEFT).out.split())
     assert kept > full - 10_000
     assert left < full - 80_000

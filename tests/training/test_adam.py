@@ -1,12 +1,10 @@
 """Our Adam is torch's own, to the bit, without torch's compiler."""
 
-import subprocess
-import sys
-
 import pytest
 import torch
 from torch.nn import Parameter
 
+from commandline import python
 from rejoint.training.ppo import Adam
 
 
@@ -57,4 +55,4 @@ def test_a_learner_does_without_torchs_compiler():
         "assert 'torch' in sys.modules\n"
         "assert not {'torch._dynamo', 'sympy'} & set(sys.modules)\n"
     )
-    subprocess.run([sys.executable, "-c", code], check=True)
+    python("-c", code)

@@ -3,36 +3,24 @@ import dataclasses
 import numpy as np
 import pytest
 
+from madetwin import made_twin
 from rejoint.arms import mycobot280
 from rejoint.training.presets import DEFAULT
 from rejoint.training.ranges import BroadRanges, IdentifiedRanges, MixedRanges
 from rejoint.training.train import training_ranges
-from rejoint.twin.judgement import PredictionError
 from rejoint.twin.parameters import nominal_parameters, pack, prior, vector_names
-from rejoint.twin.twin import HeldOut, Twin
 
 ARM = mycobot280()
 BROAD = BroadRanges(arm=ARM)
-ERROR = PredictionError(joints=(0.0,) * 6, joint=0.0, tcp=0.0)
 
 
-def make_twin() -> Twin:
+def make_twin():
     """A twin whose stiffness and delay are known to 4 % and 1 ms; all else is as vague as the prior."""
     belief, names = prior(ARM), vector_names(ARM.joint_names)
     known = np.array([name.startswith(("stiffness", "delay")) for name in names])
     sigma = np.where(known, [0.04 if "stiffness" in name else 0.001 for name in names], belief.sigma)
-    return Twin(
-        arm=ARM.name,
-        joint_names=ARM.joint_names,
-        parameters=nominal_parameters(ARM),
-        covariance=np.diag(sigma**2),
-        lower=belief.lower,
-        upper=belief.upper,
-        narrowing=sigma / belief.sigma,
-        identified=known,
-        held_out=HeldOut(seconds=1.0, no_twin=ERROR, healthy_twin=ERROR, twin=ERROR),
-        fit_seconds=1.0,
-    )
+    found = {"covariance": np.diag(sigma**2), "narrowing": sigma / belief.sigma, "identified": known}
+    return made_twin(ARM, nominal_parameters(ARM), **found)
 
 
 def draws(ranges, count=4000, seed=0):

@@ -2,15 +2,14 @@ import numpy as np
 import pytest
 
 from rejoint.arms import gravity_torque, heights, mycobot280, tcp_position
-from rejoint.control.controller import ControlInput
 from rejoint.control.guard import GuardLimits, guard
 from rejoint.control.policy import PolicyController
 from rejoint.control.residual import CommandLaw
-from rejoint.control.robot import JointState
 from rejoint.training.presets import PAPER
 from rejoint.training.ranges import BroadRanges, PaperRanges
 from rejoint.training.task import ReachTask, TaskSettings, paper_reward, residual_reward
 from rejoint.twin.parameters import nominal_parameters
+from standin import inputs_of, state_of
 
 ARM = mycobot280()
 
@@ -18,7 +17,7 @@ ARM = mycobot280()
 GOAL = CommandLaw(anchor="goal", stiffness=(6.0,) * 6, loosen=0.0)
 
 
-def make(agents=8, settings=TaskSettings(law=GOAL), seed=1, **ranges) -> ReachTask:  # noqa: B008 - frozen
+def make(agents=8, settings=TaskSettings(law=GOAL), seed=1, **ranges):  # noqa: B008 - frozen
     return ReachTask(ARM, BroadRanges(arm=ARM, **ranges), agents, settings, seed=seed)
 
 
@@ -44,10 +43,8 @@ def test_training_and_deployment_see_and_command_the_same_bit_for_bit(law):
     controller, limits = Scripted(actions, law), GuardLimits.of(ARM).of_simulation()
     sent = task._sent.copy()
     for cycle, action in enumerate(actions):
-        state = JointState(time=task.simulation.time.copy(), position=task.simulation.measured.copy(), age=np.zeros(6))
-        now = ControlInput(
-            state=state, target=task._aim.copy(), goal=task._goal.copy(), sent=sent, since_target=task._since.copy()
-        )
+        state = state_of(task.simulation.measured.copy(), task.simulation.time.copy())
+        now = inputs_of(state, task._aim.copy(), task._goal.copy(), sent, task._since.copy())
         if cycle == 0:
             controller.reset(now, np.ones(6, dtype=bool))
         wanted = controller.command(now)
@@ -79,8 +76,8 @@ def test_a_new_target_begins_as_a_deployed_reset_does():
         transition = task.step(np.full((5, 6), 0.3))
         ended = transition.truncated
     controller = Scripted([np.zeros((5, 6))])
-    state = JointState(time=task.simulation.time, position=task.simulation.measured, age=np.zeros(5))
-    now = ControlInput(state=state, target=task._aim, goal=task._goal, sent=task._sent, since_target=task._since)
+    state = state_of(task.simulation.measured, task.simulation.time)
+    now = inputs_of(state, task._aim, task._goal, task._sent, task._since)
     controller.reset(now, np.ones(5, dtype=bool))
     controller.command(now)
     kept = np.ones(controller.seen[0].shape[1], dtype=bool)

@@ -12,7 +12,7 @@ from rejoint.control.policy import load_policy
 from rejoint.logs.runfolder.folder import Outputs
 from rejoint.training.export import policy_graph
 from rejoint.training.learner import Learner
-from rejoint.training.ppo import Actor, Critic, Ppo, Rollout, perceptron
+from rejoint.training.ppo import Actor, Critic, Ppo, perceptron
 from rejoint.training.presets import DEFAULT, PpoSettings
 from rejoint.training.ranges import BroadRanges
 from rejoint.training.task import ReachTask, TaskSettings
@@ -26,11 +26,11 @@ SMALL = dataclasses.replace(
 )
 
 
-def options(**changes) -> TrainingOptions:
+def options(**changes):
     return dataclasses.replace(TrainingOptions(preset=SMALL, agents=16, threads=1, checkpoint_every=2), **changes)
 
 
-def small_learner(seed=0, **ppo) -> Learner:
+def small_learner(seed=0, **ppo):
     tasks = [ReachTask(ARM, BroadRanges(arm=ARM), 8, SMALL.task, seed=seed + k) for k in range(2)]
     return Learner(tasks, dataclasses.replace(SMALL.ppo, **ppo), seed=seed)
 
@@ -159,7 +159,7 @@ def test_the_density_of_actions_is_that_of_the_noise():
     np.testing.assert_allclose(actions.std(dim=0).numpy(), np.exp(-0.7), rtol=0.05)
 
 
-def rollout(cycles, agents, **tensors) -> Rollout:
+def rollout(cycles, agents, **tensors):
     """A rollout of zeros but for what is given."""
     shape = (cycles, agents)
     zeros = {name: torch.zeros(shape) for name in ("log_prob", "values", "final_value", "reward", "distance")}
@@ -168,7 +168,7 @@ def rollout(cycles, agents, **tensors) -> Rollout:
     return zeros | {name: torch.zeros((*shape, 2)) for name in vectors} | tensors
 
 
-def returns(seen: Rollout, next_value: float, **changes) -> torch.Tensor:
+def returns(seen, next_value, **changes):
     """Taught returns less values (T, N), where the critic gives ``next_value`` to the state after the last."""
     settings = dataclasses.replace(SMALL.ppo, rollout=len(seen["reward"]), mini_batches=1, **changes)
     critic = Critic(2, 2, 2, (4,))
@@ -226,7 +226,7 @@ def test_learning_improves_the_reward():
     )
     learner = Learner([ReachTask(ARM, BroadRanges(arm=ARM), 128, preset.task, seed=0)], preset.ppo, seed=0)
 
-    def mean_reward() -> float:
+    def mean_reward():
         task = ReachTask(ARM, BroadRanges(arm=ARM), 128, preset.task, seed=99)
         observation, _ = task.reset()
         rewards = []

@@ -8,20 +8,19 @@ from rejoint.arms import load_arm
 from rejoint.control.catalogue import shelf_path, shelf_policy
 from rejoint.control.contract import probe_observations
 from rejoint.control.policy import Policy
-from rejoint.system.errors import FileError
 from rejoint.training.presets import DEFAULT
 from rejoint.training.train import TrainingOptions, train
-from rejoint.training.warmstart import network_weights, shelf_start
+from rejoint.training.warmstart import network_weights
 
 ARM = load_arm("mycobot280")
 FIRST = DEFAULT.warm.critic_first
 
 
-def options(**changes) -> TrainingOptions:
+def options(**changes):
     return TrainingOptions(**{"agents": 8, "threads": 1, "iterations": FIRST + 1, "checkpoint_every": 1} | changes)
 
 
-def answers(path) -> np.ndarray:
+def answers(path):
     return np.array(Policy.load(path).contract.probe)
 
 
@@ -46,13 +45,3 @@ def test_a_training_on_a_twin_begins_at_the_shelf_and_lets_the_critic_learn_firs
     assert 1e-4 < moved.max() < 0.3
     train(ARM, make_twin(), out=tmp_path / "random", options=options(preset="scratch", iterations=1))
     assert np.abs(answers(tmp_path / "random" / "policy.onnx")).mean() < 0.1  # hardly more than the law alone
-
-
-def test_a_damaged_shelf_is_named(tmp_path, monkeypatch):
-    broken = tmp_path / "mycobot280.onnx"
-    data = bytearray(shelf_path(ARM.name).read_bytes())
-    data[len(data) // 2] ^= 1
-    broken.write_bytes(data)
-    monkeypatch.setattr("rejoint.control.catalogue.shelf_path", lambda _: broken)
-    with pytest.raises(FileError, match=r"mycobot280\.onnx"):
-        shelf_start(ARM, DEFAULT)

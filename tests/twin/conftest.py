@@ -44,18 +44,7 @@ def simulate_log(arm, truth, rng, seconds, jitter=0.002):
     read = np.clip(time + rng.uniform(-jitter, jitter, len(time)), clock[0], clock[-1])
     position = np.stack([np.interp(read, clock, column) for column in path.T], axis=1)
     position = np.round(position / arm.encoder_step) * arm.encoder_step
-    nowhere = np.full((len(time), 3), np.nan)
-    return RunLog(
-        arm=arm.name,
-        joint_names=arm.joint_names,
-        robot="twin",
-        label="excitation",
-        time=time,
-        position=position,
-        command=command,
-        target=nowhere,
-        true_tcp=nowhere,
-    )
+    return RunLog.of(time, command, position, arm=arm, label="excitation")
 
 
 @pytest.fixture(scope="session")

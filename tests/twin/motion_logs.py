@@ -62,18 +62,7 @@ def record(label, time, command, truth=TRUTH, stiction=1.25, table=None, acceler
 
 
 def as_log(label, time, position, command):
-    nowhere = np.full((len(time), 3), np.nan)
-    return RunLog(
-        arm=ARM.name,
-        joint_names=ARM.joint_names,
-        robot="twin",
-        label=label,
-        time=time,
-        position=position,
-        command=command,
-        target=nowhere,
-        true_tcp=nowhere,
-    )
+    return RunLog.of(time, command, position, arm=ARM, label=label)
 
 
 def pressing(seconds=24.0, depth=0.5):

@@ -34,23 +34,23 @@ class PlanAlone:
         return self.planner.command(inputs)
 
 
-def drawn() -> tuple[Draw, Draw]:
+def drawn():
     """Two arms, and their twins as an identification has them: the whole delay lies on the way out."""
     draw = RANGES.draw(np.random.default_rng(11), 2)
     whole = replace(draw.twin, delay=draw.command_delay + draw.readback_delay)
     return draw, replace(Draw.of(whole), stiction=draw.stiction)
 
 
-def drive(draw: Draw, controller, dwell: float = 2.5):
+def drive(draw, controller, dwell=2.5):
     return run(TwinRobot(ARM, draw, seed=0), controller, TARGETS, Schedule(dwell=dwell, keep_going=True))
 
 
-def final_error(draw: Draw, controller) -> np.ndarray:
+def final_error(draw, controller):
     tail = tcp_position(ARM, drive(draw, controller).position[-20:])
     return np.linalg.norm(tail - TARGETS[:, 0], axis=-1).mean(axis=0)
 
 
-def wrong_twins(twins: Draw, factor: float) -> Draw:
+def wrong_twins(twins, factor):
     twin = twins.twin
     return replace(twins, twin=replace(twin, stiffness=factor * twin.stiffness, offset=twin.offset + np.radians(1.0)))
 

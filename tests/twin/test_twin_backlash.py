@@ -19,14 +19,14 @@ class Bench:
 
     timestep = np.full(1, MS)
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.ctrl, self.qpos, self.qvel = np.zeros((1, 6)), np.full((1, 6), 0.5), np.zeros((1, 6))
         self.armature = self.damping = self.friction = np.zeros((1, 6))
 
-    def set_motors(self, *, armature: np.ndarray, damping: np.ndarray) -> None:
+    def set_motors(self, *, armature, damping):
         self.armature, self.damping = armature, damping
 
-    def set_friction(self, friction: np.ndarray) -> None:
+    def set_friction(self, friction):
         self.friction = friction
 
 
@@ -35,13 +35,13 @@ class Geared(Backlash):
 
     terms: np.ndarray
 
-    def drive(self, bench: Bench) -> None:
+    def drive(self, bench):
         friction = dry_friction(self.terms, bench.qvel)
         self.part(bench, self.terms, friction)
         bench.set_friction(friction)
 
 
-def make(backlash: float = 0.02, stiction: float = 1.0, armature: float = 1e-6) -> Geared:
+def make(backlash=0.02, stiction=1.0, armature=1e-6):
     """An arm of 10 N m/rad, 2 N m s/rad and 0.2 N m of friction, whose gears have backlash."""
     draw = BroadRanges(arm=ARM).draw(np.random.default_rng(0), 1)
     values = {"stiffness": 10.0, "damping": 2.0, "coulomb": 0.2, "armature": armature, "torque_limit": 5.0}
@@ -53,7 +53,7 @@ def make(backlash: float = 0.02, stiction: float = 1.0, armature: float = 1e-6) 
     return result
 
 
-def push(backlash: Geared, lead: float, steps: int) -> tuple[np.ndarray, np.ndarray, Bench]:
+def push(backlash, lead, steps):
     """Ask the joints to be ``lead`` [rad] further; the lead that they feel and the speed they get, (steps, 6) each."""
     bench, leads, speeds = Bench(), [], []
     for _ in range(steps):

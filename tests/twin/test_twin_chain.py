@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from rejoint.arms import frames, mycobot280, so101
+from rejoint.arms import mycobot280, so101
 from rejoint.twin.batch import TwinBatch
 from rejoint.twin.chain.batch import ChainBatch
 from rejoint.twin.chain.dynamics import GROUP, LANES, turn
@@ -86,41 +86,6 @@ def test_friction_holds_a_joint_for_ten_minutes_and_lets_it_go_at_its_limit():
     chain.rollout(np.repeat((start + load)[:, None], 60_000, axis=1))
     assert abs(chain.qpos[0, 0] - start[0, 0]) < arm.encoder_step
     assert chain.qpos[1, 0] - start[1, 0] > 0.0
-
-
-def test_a_frictionless_arm_keeps_its_energy():
-    arm = ARMS["mycobot280"]
-    twins = nominal_parameters(arm).repeat(1)
-    none = np.zeros((1, 6))
-    twins = replace(twins, stiffness=none + 1e-9, damping=none + 1e-12, coulomb=none + 1e-12, armature=none + 0.01)
-    drift = []
-    for timestep in (2e-4, 1e-4):
-        chain = ChainBatch(arm, 1, timestep=timestep)
-        chain.write(twins)
-        chain.restart(arm.rest + 0.3)
-        path = chain.rollout(np.tile(arm.rest, (1, round(0.5 / timestep), 1)))
-        before, after = (energy(arm, q, v) for q, v in ((path[0, 0], 0.0 * arm.rest), (chain.qpos[0], chain.qvel[0])))
-        drift.append(abs(after - before))
-    assert drift[0] < 2e-3
-    assert drift[1] < 0.6 * drift[0]  # of first order in the time step
-
-
-def energy(arm, position, velocity, armature=0.01):
-    """Potential and kinetic energy [J] from the frames of the links, by differences."""
-
-    def places(q):
-        turned, joints = frames(arm, q)[:2]
-        return turned, joints + np.einsum("nij,nj->ni", turned, arm.com)
-
-    step = 1e-6
-    (_, there), (turned, here), (back, before) = (places(position + s * step * velocity) for s in (1.0, 0.0, -1.0))
-    forward = places(position + step * velocity)[0]
-    speed = (there - before) / (2.0 * step)
-    spin = np.einsum("nji,njk->nik", turned, (forward - back) / (2.0 * step))
-    omega = np.stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]], axis=-1)
-    kinetic = 0.5 * (arm.mass * (speed**2).sum(axis=-1)).sum()
-    kinetic += 0.5 * np.einsum("ni,nij,nj->", omega, arm.inertia, omega) + 0.5 * armature * (velocity**2).sum()
-    return kinetic + 9.81 * (arm.mass * here[:, 2]).sum()
 
 
 @pytest.mark.parametrize("threads", [1, 3])

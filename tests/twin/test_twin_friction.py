@@ -2,14 +2,13 @@
 
 import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import rejoint
+from commandline import python
 from rejoint.twin.friction import STRIBECK_SPEED, dry_friction, is_steady
 
 SOURCE = Path(rejoint.__file__).parent
@@ -80,7 +79,7 @@ print(*(speeds[1] - speeds[0]), sep=",")
 """
 
 
-def documented_edits() -> list[tuple[str, str, str]]:
+def documented_edits():
     """Edits that the page shows: file, the text that stands there, and that which takes its place."""
     section = PAGE.read_text(encoding="utf-8").split("### A friction law", 1)[1].split("\n## ", 1)[0]
     edits = []
@@ -104,9 +103,7 @@ def test_the_law_of_the_page_is_fitted_kept_drawn_and_simulated(tmp_path):
         assert text.count(old) == 1, (file, old)
         path.write_text(text.replace(old, new), encoding="utf-8")
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
-    done = subprocess.run([sys.executable, "-c", USE], env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    names, *numbers = done.stdout.split()
+    names, *numbers = python("-c", USE, env=environment).out.split()
     assert names.split(",")[0] == "asymmetry.joint1"
     fitted, kept, drawn, faster_back = (np.array(row.split(","), dtype=float) for row in numbers)
     truth = [0.4, -0.3, 0.2, 0.0, -0.4, 0.3]

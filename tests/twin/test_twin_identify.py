@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from rejoint.twin.file import read_twin, write_twin
 from rejoint.twin.fit import Problem, correlation_time, fit
 from rejoint.twin.identify import IdentifySettings, identify
 from rejoint.twin.judgement import prediction_error
@@ -60,15 +59,6 @@ def test_drawn_twins_have_the_covariance_and_keep_the_bounds(twin):
     np.testing.assert_allclose(np.cov(drawn[:, inside].T) / scale, expected / scale, atol=0.08)
     again = twin.sample(np.random.default_rng(7), 3)
     np.testing.assert_array_equal(again.stiffness, twin.sample(np.random.default_rng(7), 3).stiffness)
-
-
-def test_identification_survives_its_file(twin, arm, tmp_path):
-    write_twin(tmp_path / "twin.toml", twin)
-    back = read_twin(tmp_path / "twin.toml", arm)
-    assert back.digest() == twin.digest()
-    assert back.notes == twin.notes
-    np.testing.assert_array_equal(back.covariance, twin.covariance)
-    assert back.held_out.twin.tcp == twin.held_out.twin.tcp
 
 
 def test_block_jacobian_is_the_slope_of_each_joints_own_prediction(arm, truth, log):

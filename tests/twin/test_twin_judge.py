@@ -7,9 +7,8 @@ import pytest
 from motion_logs import ARM, TRUTH, pressing, record, wandering
 
 from rejoint.arms import tcp_position
-from rejoint.system.files import read_json, write_json
 from rejoint.twin.judge import Candidate, judge, read_published
-from rejoint.twin.judgement import NO_TWIN, Judgement
+from rejoint.twin.judgement import NO_TWIN
 from rejoint.twin.parameters import healthy_parameters
 from rejoint.twin.table import TablePlane
 
@@ -57,11 +56,6 @@ def test_contact_counts_apart_and_needs_the_table(judgement):
     assert press.errors["truth on its table"].contact.tcp < 0.002
     assert press.errors["truth on its table"].all.tcp < 0.2 * press.errors["truth"].all.tcp
     assert judgement.table_height == pytest.approx(TABLE.height, abs=0.011)
-
-
-def test_a_judgement_survives_its_file(judgement, tmp_path):
-    write_json(tmp_path / "replay.json", judgement)
-    assert read_json(tmp_path / "replay.json", Judgement) == judgement
 
 
 def test_a_published_set_is_read(tmp_path):

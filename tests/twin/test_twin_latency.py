@@ -1,6 +1,6 @@
 import numpy as np
 
-from rejoint.twin.reference import Latency, approach, follow
+from rejoint.twin.reference import Latency
 
 
 def test_commands_are_in_force_after_their_delay():
@@ -39,13 +39,3 @@ def test_positions_are_as_old_as_the_delay_says():
         time = time + period
         then = np.maximum(time - latency.readback_delay, 0.0)
         np.testing.assert_allclose(latency.read(time), then[:, None] * speed, atol=1e-12)
-
-
-def test_servos_follow_step_by_step_as_the_twin_s_reference_does():
-    rng = np.random.default_rng(0)
-    start, goals, reach = rng.normal(size=(5, 3)), rng.normal(size=(5, 4, 3)), rng.uniform(0.0, 0.5, 5)
-    never, unlimited = np.zeros(goals.shape, dtype=bool), np.full(5, np.inf)
-    path, now = follow(start, np.zeros_like(start), goals, never, reach, unlimited, np.ones(5))[0], start
-    for k in range(4):
-        now = approach(now, goals[:, k], reach[:, None])
-        np.testing.assert_array_equal(path[:, k], now)

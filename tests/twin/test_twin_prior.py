@@ -5,7 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from rejoint.arms import Arm, Box, gravity_torque, mycobot280, so101
+from modelfiles import resized
+from rejoint.arms import gravity_torque, mycobot280, so101
 from rejoint.logs.runlog import RunLog
 from rejoint.twin.fit import Problem
 from rejoint.twin.parameters import (
@@ -19,25 +20,9 @@ from rejoint.twin.replay import Replay, cut
 ARM = mycobot280()
 
 
-def resized(length: float, mass: float) -> Arm:
-    offset, tip = ARM.offset.copy(), ARM.tip.copy()
-    offset[:, :3, 3] *= length
-    tip[:3, 3] *= length
-    return dataclasses.replace(
-        ARM,
-        name="resized",
-        offset=offset,
-        tip=tip,
-        com=length * ARM.com,
-        mass=mass * ARM.mass,
-        inertia=mass * length**2 * ARM.inertia,
-        targets=Box(lower=length * ARM.targets.lower, upper=length * ARM.targets.upper),
-    )
-
-
 @pytest.mark.parametrize(("length", "mass"), [(2.0, 8.0), (0.5, 0.4)])
 def test_the_prior_of_a_resized_arm_has_the_dimensions_of_its_quantities(length, mass):
-    other, torque, time = resized(length, mass), length * mass, length**0.5
+    other, torque, time = resized(ARM, length, mass), length * mass, length**0.5
     for believed in (nominal_parameters, healthy_parameters):
         old, new = believed(ARM), believed(other)
         for name in ("stiffness", "coulomb", "torque_limit"):

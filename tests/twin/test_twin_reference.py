@@ -23,24 +23,12 @@ def test_hand_worked_ramp():
 
 @settings(max_examples=25)
 @given(delay=st.floats(0.0, 0.1), speed=st.floats(0.2, 10.0), seed=st.integers(0, 99))
-def test_delay_shifts_and_the_ramp_equals_small_steps(delay, speed, seed):
+def test_delay_shifts(delay, speed, seed):
     time, command = commands(seed)
     r = ServoReference(time, command, np.array([speed, speed]), command[0])
     at = np.linspace(time[0], time[-1] + 0.1, 57)
     both = r.sample(at, np.array([0.0, delay]))
     np.testing.assert_allclose(both[1], r.sample(at - delay, np.array([0.0, 0.0]))[0], atol=1e-9)
-    stepped, k = command[0].copy(), 0
-    for clock in np.arange(time[0], at[-1], 2e-4):
-        while k + 1 < len(time) and time[k + 1] <= clock:
-            k += 1
-        stepped = approach(stepped, command[k], speed * 2e-4)
-    np.testing.assert_allclose(both[0][-1], stepped, atol=8 * 2 * 2e-4 * speed + 1e-9)  # a step late at each command
-
-
-def test_no_twin_is_the_limit_of_a_fast_ramp():
-    time, command = np.array([0.0, 1.0, 2.0]), np.array([[0.0], [1.0], [2.0]])
-    r = ServoReference(time, command, np.array([1e9]), np.array([0.0]))
-    np.testing.assert_allclose(r.sample(np.array([0.5, 1.5, 2.5]), np.array([0.0]))[0, :, 0], [0, 1, 2], atol=1e-6)
 
 
 def test_skipping_what_is_reached_changes_nothing():

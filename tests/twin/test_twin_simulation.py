@@ -16,7 +16,7 @@ PERIOD = STEP * SUBSTEPS
 TWIN = nominal_parameters(ARM)
 
 
-def commands() -> np.ndarray:
+def commands():
     """Commands (T, n) that wander, jump by half a radian, and are then sent again and again."""
     command = ARM.rest + np.cumsum(np.random.default_rng(0).normal(0.0, 0.04, (CYCLES, 6)), axis=0)
     command[20:] = command[19] + 0.5

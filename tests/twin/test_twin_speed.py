@@ -10,7 +10,7 @@ from twinmodel import twin_model
 ARM = mycobot280()
 
 
-def swing(solver: mujoco.mjtSolver) -> np.ndarray:
+def swing(solver):
     """Positions (400, n) [rad] of a twin that follows a slow swing and sticks at its turning points."""
     model = twin_model(ARM, nominal_parameters(ARM))
     model.opt.solver = solver

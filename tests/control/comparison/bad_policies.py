@@ -3,15 +3,10 @@
 import dataclasses
 
 import numpy as np
-import onnx
-from onnx import TensorProto, helper, numpy_helper
 
+from madetwin import made_twin
+from policyfiles import chained, sealed
 from rejoint.control.contract import (
-    DIGEST_KEY,
-    INPUT,
-    METADATA_KEY,
-    OUTPUT,
-    content_digest,
     encode_contract,
     probe_observations,
 )
@@ -19,9 +14,7 @@ from rejoint.control.observation import layout_slots
 from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.training.presets import DEFAULT
 from rejoint.training.train import TrainingOptions, policy_contract, train
-from rejoint.twin.judgement import PredictionError
-from rejoint.twin.parameters import nominal_parameters, prior
-from rejoint.twin.twin import HeldOut, Twin
+from rejoint.twin.parameters import nominal_parameters
 
 LATE, FAR = 1.2, 1.02
 """Values of the slots ``waited`` (1.7 s after the target was set) and ``distance`` (52 mm off) that no probe has"""
@@ -59,22 +52,8 @@ def for_a_softer_arm(folder, arm):
 
 def softer_twin(arm):
     """A twin with a third of the stiffness that the worn arm has."""
-    belief = prior(arm)
     soft = load_wear("worn", arm).position_gain / 3
-    error = PredictionError(joints=(0.01,) * arm.joints, joint=0.01, tcp=1e-3)
-    return Twin(
-        arm=arm.name,
-        joint_names=arm.joint_names,
-        parameters=dataclasses.replace(nominal_parameters(arm), stiffness=soft),
-        covariance=np.diag((0.1 * belief.sigma) ** 2),
-        lower=belief.lower,
-        upper=belief.upper,
-        narrowing=np.full(len(belief.mean), 0.1),
-        identified=np.ones(len(belief.mean), dtype=bool),
-        held_out=HeldOut(seconds=30.0, no_twin=error, healthy_twin=error, twin=error),
-        fit_seconds=1.0,
-        notes=(),
-    )
+    return made_twin(arm, dataclasses.replace(nominal_parameters(arm), stiffness=soft))
 
 
 def _size(arm):
@@ -87,26 +66,6 @@ def _index(arm, name):
 
 
 def _write(path, arm, layers):
-    """Chain Gemm layers (weight, bias); the first is clipped to [-1, 1] if it is the only one, else from below at 0."""
-    tensors = {"low": np.array(-1.0 if len(layers) == 1 else 0.0), "high": np.array(1.0)}
-    nodes, last = [], INPUT
-    for number, (weight, bias) in enumerate(layers):
-        tensors |= {f"w{number}": weight, f"b{number}": np.zeros(len(weight)) if bias is None else bias}
-        names = [last, f"w{number}", f"b{number}"]
-        last = OUTPUT if number == len(layers) - 1 and number else f"sum{number}"
-        nodes.append(helper.make_node("Gemm", names, [last], transB=1))
-        if number == 0:
-            after = "clipped" if len(layers) > 1 else OUTPUT
-            nodes.append(helper.make_node("Clip", [last, "low", "high"], [after]))
-            last = after
-    ends = [
-        helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", size])
-        for name, size in ((INPUT, _size(arm)), (OUTPUT, arm.joints))
-    ]
-    kept = [numpy_helper.from_array(value.astype(np.float32), name) for name, value in tensors.items()]
-    graph = helper.make_graph(nodes, "policy", ends[:1], ends[1:], kept)
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
-    onnx.checker.check_model(model)
     law = dataclasses.replace(DEFAULT.task.law, stiffness=tuple(load_wear("worn", arm).position_gain.tolist()))
     recipe = dataclasses.replace(DEFAULT, task=dataclasses.replace(DEFAULT.task, law=law))
     probe = probe_observations(_size(arm)).astype(np.float32)
@@ -116,8 +75,4 @@ def _write(path, arm, layers):
     contract = dataclasses.replace(
         policy_contract(arm, None, recipe, 0), probe=tuple(tuple(map(float, row)) for row in answers)
     )
-    text = encode_contract(contract)
-    digest = content_digest(model.SerializeToString(), text)
-    helper.set_model_props(model, {METADATA_KEY: text, DIGEST_KEY: digest})
-    path.write_bytes(model.SerializeToString())
-    return path
+    return sealed(path, chained(layers), encode_contract(contract))

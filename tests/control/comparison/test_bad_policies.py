@@ -1,8 +1,5 @@
 """Whatever a policy says: the guard keeps its laws, the comparison notices, a baseline is handed over."""
 
-import json
-import sys
-
 import bad_policies as bad
 import numpy as np
 import pytest
@@ -10,7 +7,6 @@ import pytest
 import rejoint
 from comparisons import picked
 from rejoint.arms import heights, mycobot280
-from rejoint.cli import main
 from rejoint.control.catalogue import make_controller
 from rejoint.control.comparison.compare import Settings, TrialRunner
 from rejoint.control.comparison.recommend import failure, recommend
@@ -110,22 +106,17 @@ def before_policy(tmp_path_factory):
     return run.folder
 
 
-def repair(folder, capsys, monkeypatch):
+def repair(cli, folder, code):
     points = folder.path.parent / "points.csv"
     points.write_text("x,y,z\n170,0,200\n180,30,210\n")
-    options = ("--targets", str(points), "--repetitions", "1", "--controllers", "integrator,policy", "--json")
-    monkeypatch.setattr(sys, "argv", ["rejoint", "repair", "emulated:worn", "--run", str(folder.path), *options])
-    with pytest.raises(SystemExit) as stopped:
-        main()
-    return int(stopped.value.code or 0), capsys.readouterr()
+    options = ("--targets", points, "--repetitions", "1", "--controllers", "integrator,policy", "--json")
+    return cli("repair", "emulated:worn", "--run", folder.path, *options, code=code)
 
 
-def test_repair_hands_over_the_baseline_and_says_why(before_policy, files, capsys, monkeypatch):
+def test_repair_hands_over_the_baseline_and_says_why(before_policy, files, cli):
     before_policy.policy.write_bytes(files["nan-later"].read_bytes())
-    code, said = repair(before_policy, capsys, monkeypatch)
-    assert code == 0, said.err
-    last = json.loads(said.out.splitlines()[-1])
-    assert last["recommended"]["controller"] == "integrator"
+    said = repair(cli, before_policy, 0)
+    assert said.last["recommended"]["controller"] == "integrator"
     sentence = "policy: 1 run ended early, because a command or a measured position was not a number."
     assert sentence in said.out
     page = before_policy.report.read_text(encoding="utf-8")
@@ -133,13 +124,9 @@ def test_repair_hands_over_the_baseline_and_says_why(before_policy, files, capsy
     assert "What failed, and why" in page
 
 
-def test_a_damaged_policy_is_one_line(before_policy, files, capsys, monkeypatch):
+def test_a_damaged_policy_is_one_line(before_policy, files, cli):
     before_policy.comparison.unlink(missing_ok=True)
     before_policy.policy.write_bytes(files["random"].read_bytes()[:3000])
     logs = before_policy.logs()
-    code, said = repair(before_policy, capsys, monkeypatch)
-    assert code == 2
-    errors = [line for line in said.err.splitlines() if line.startswith("error: ")]
-    assert errors == [said.err.splitlines()[-1]]
-    assert "policy.onnx" in errors[0]
+    assert "policy.onnx" in repair(cli, before_policy, 2).error
     assert before_policy.logs() == logs, "nothing has moved"

@@ -12,9 +12,9 @@ from rejoint.control.comparison.protocols import encoder_tcp, measure_crossings,
 from rejoint.control.comparison.recommend import difference, recommend
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.loop import run
-from rejoint.control.robot import JointState
 from rejoint.control.targets import draw_targets
 from rejoint.system.errors import GuardTripError
+from standin import StandIn
 
 ARM = mycobot280()
 PROTOCOL = Protocol(dwell=4.0, hold=5.0)
@@ -23,44 +23,33 @@ STIFFNESS = 4.0
 OFFSET = np.array([0.0, 0.0, -0.006])
 
 
-class SaggingRobot:
+class SaggingRobot(StandIn):
     """Servos with lag and sag and seeded noise; the tool is truly 6 mm below where the encoders put it."""
 
-    arm, address = ARM, "test:sagging"
-
-    def __init__(self, count, seed, *, know_truth=True, hot=()):
-        self.count, self.know_truth, self.hot = count, know_truth, hot
+    def __init__(self, count=1, seed=0, *, know_truth=True, hot=np.inf):
+        super().__init__(count)
+        self.know_truth, self.hot = know_truth, np.array(hot)
         self.rngs = [np.random.default_rng([seed, b]) for b in range(count)]
-        self.position, self.time = np.tile(ARM.rest, (count, 1)), np.zeros(count)
-        self.closed = 0
 
     def read(self):
-        temperature = np.full(self.position.shape, 30.0)
-        for b, since in self.hot:
-            temperature[b] = 90.0 if self.time[b] > since else 30.0
-        return JointState(
-            time=self.time, position=self.position.copy(), age=np.zeros(self.count), temperature=temperature
-        )
+        heat = np.where(self.time > self.hot, 90.0, 30.0)
+        return super().read(temperature=np.tile(heat[:, None], (1, ARM.joints)))
 
-    def step(self, command, active=None):
-        noise = np.zeros(self.position.shape)
-        for b in np.flatnonzero(active):
-            noise[b] = 1e-4 * self.rngs[b].normal(size=ARM.joints)
+    def moved(self, command):
+        noise = [1e-4 * rng.normal(size=ARM.joints) for rng in self.rngs]
         goal = command - gravity_torque(ARM, self.position) / STIFFNESS
-        moved = self.position + 0.3 * (goal - self.position) + noise
-        self.position = np.where(active[:, None], moved, self.position)
-        self.time = self.time + 0.025 * active
-        return self.read()
+        return self.position + 0.3 * (goal - self.position) + noise
 
     def true_tcp(self):
-        found = tcp_position(ARM, self.position) + OFFSET
-        return found if self.know_truth else np.full_like(found, np.nan)
+        return self.tcp() + OFFSET if self.know_truth else super().true_tcp()
 
-    def stop(self):
-        pass
 
-    def close(self):
-        self.closed += 1
+def compared(open_robot, controllers, targets=TARGETS, *, hooks=None, **settings):
+    """The comparison in a batch, or on the one arm that is given in place of a function that opens some."""
+    batched = isinstance(open_robot, type) or not isinstance(open_robot, StandIn)
+    chosen = Settings(**{"batched": batched, "protocol": PROTOCOL} | settings)
+    opening = open_robot if batched else lambda *_: open_robot
+    return TrialRunner(opening, controllers, targets, chosen, **hooks or {}).compare()
 
 
 def factories(*names):
@@ -69,25 +58,24 @@ def factories(*names):
 
 @pytest.fixture(scope="module")
 def comparison():
-    opened, trials, progress = [], [], []
+    opened, trials = [], []
 
     def open_robot(count, seed):
         opened.append(SaggingRobot(count, seed))
         return opened[-1]
 
-    found = TrialRunner(
+    found = compared(
         open_robot,
         factories("default", "integrator"),
-        TARGETS,
-        Settings(repetitions=3, seed=7, batched=True, protocol=PROTOCOL),
-        on_progress=lambda *step: progress.append(step),
-        on_trial=trials.append,
-    ).compare()
-    return found, opened, trials, progress
+        repetitions=3,
+        seed=7,
+        hooks={"on_trial": trials.append},
+    )
+    return found, opened, trials
 
 
 def test_batch_has_one_arm_per_trial_and_closes_it(comparison):
-    found, opened, trials, _ = comparison
+    found, opened, trials = comparison
     assert [robot.count for robot in opened] == [6] * 4  # 2 controllers x 2 protocols
     assert all(robot.closed == 1 for robot in opened)
     assert {trial.label for trial in trials} == {
@@ -106,7 +94,7 @@ def test_batch_has_one_arm_per_trial_and_closes_it(comparison):
 
 def test_results_per_target_are_those_of_single_trials(comparison):
     """Recompute one trial of the hold protocol from its run log alone."""
-    found, _, trials, _ = comparison
+    found, _, trials = comparison
     trial = next(trial for trial in trials if trial.label == "hold/integrator/1/2")
     log = trial.log()
     error = np.linalg.norm(tcp_position(ARM, log.position) - log.target, axis=-1)
@@ -138,10 +126,8 @@ def test_numbers_are_those_of_the_robot(comparison):
 
 
 def test_same_seed_same_numbers_and_noise_shared_by_the_controllers():
-    settings = Settings(repetitions=2, seed=3, batched=True, protocol=PROTOCOL)
     two = dict.fromkeys(("one", "two"), IntegratorController)
-    first = TrialRunner(SaggingRobot, two, TARGETS, settings).compare()
-    again = TrialRunner(SaggingRobot, two, TARGETS, settings).compare()
+    first, again = (compared(SaggingRobot, two, repetitions=2, seed=3) for _ in range(2))
     assert first == again
     for name in first.results:
         np.testing.assert_array_equal(first.array(name, "one"), first.array(name, "two"))
@@ -150,19 +136,14 @@ def test_same_seed_same_numbers_and_noise_shared_by_the_controllers():
 
 
 def test_one_arm_interleaves_and_returns_to_the_start():
-    robot, starts, order = SaggingRobot(1, 0, know_truth=False), [], []
+    robot, starts, order = SaggingRobot(know_truth=False), [], []
 
     def note(trial):
         order.append((trial.repetition, trial.target_set, trial.controller, trial.kind))
         starts.append(trial.recording.position[0, 0])
 
-    found = TrialRunner(
-        lambda *_: robot,
-        dict.fromkeys(("one", "two", "three"), IntegratorController),
-        TARGETS[:1, :1],
-        Settings(repetitions=4, seed=2, batched=False, protocol=PROTOCOL),
-        on_trial=note,
-    ).compare()
+    three = dict.fromkeys(("one", "two", "three"), IntegratorController)
+    found = compared(robot, three, TARGETS[:1, :1], repetitions=4, seed=2, hooks={"on_trial": note})
     assert robot.closed == 1
     assert [entry[0] for entry in order] == [r for r in range(4) for _ in range(6)]
     firsts = {tuple(entry[2] for entry in order[6 * r : 6 * r + 6 : 2]) for r in range(4)}
@@ -177,21 +158,14 @@ def test_one_arm_interleaves_and_returns_to_the_start():
 
 
 def test_a_trip_on_one_arm_ends_the_comparison():
-    robot = SaggingRobot(1, 0, hot=[(0, 6.0)])
+    robot = SaggingRobot(hot=6.0)
     with pytest.raises(GuardTripError, match="temperature"):
-        TrialRunner(
-            lambda *_: robot, factories("integrator"), TARGETS, Settings(batched=False, protocol=PROTOCOL)
-        ).compare()
+        compared(robot, factories("integrator"))
     assert robot.closed == 1
 
 
 def test_a_trip_in_a_batch_is_a_failure_of_its_trial():
-    found = TrialRunner(
-        lambda count, seed: SaggingRobot(count, seed, hot=[(1, 6.0)]),
-        factories("default"),
-        TARGETS,
-        Settings(batched=True, protocol=PROTOCOL),
-    ).compare()
+    found = compared(lambda *given: SaggingRobot(*given, hot=[np.inf, 6.0]), factories("default"))
     row = found.row("default")
     assert row.failures == 2
     assert "temperature" in row.guard
@@ -205,17 +179,16 @@ def test_a_trip_in_a_batch_is_a_failure_of_its_trial():
 
 def test_protocols_on_one_recording():
     targets = TARGETS[:, :2]
-    plan = schedule("crossing", PROTOCOL, keep_going=True)
-    rec = run(SaggingRobot(2, 0), make_controller("integrator", ARM), targets, plan)
+    rec, held = (
+        run(SaggingRobot(2), IntegratorController(ARM), targets, schedule(kind, PROTOCOL, keep_going=True))
+        for kind in ("crossing", "hold")
+    )
     assert np.isnan(encoder_tcp(ARM, rec)).all(axis=-1).tolist() == (~rec.active).tolist()
     found = measure_crossings(ARM, rec, targets, PROTOCOL)
     for b in range(2):
         rows = np.flatnonzero(rec.active[:, b])
         assert found["crossing_time"][b].sum() == pytest.approx(rec.time[rows[-1], b] - rec.time[rows[0], b])
-    plan = schedule("hold", PROTOCOL, keep_going=True)
-    holds = measure_holds(
-        ARM, run(SaggingRobot(2, 0), make_controller("integrator", ARM), targets, plan), targets, PROTOCOL
-    )
+    holds = measure_holds(ARM, held, targets, PROTOCOL)
     stays = [holds[name] for name in PROTOCOL.stay_names]
     assert (np.diff(stays, axis=0) >= 0).all()  # the narrower, the later
 
@@ -223,9 +196,7 @@ def test_protocols_on_one_recording():
 def alike(errors):
     """Comparison of controllers whose settled errors are given; all else equal."""
     same = dict.fromkeys(errors, IntegratorController)
-    found = TrialRunner(
-        SaggingRobot, same, draw_targets(ARM, sets=6, count=1), Settings(batched=True, protocol=PROTOCOL)
-    ).compare()
+    found = compared(SaggingRobot, same, draw_targets(ARM, sets=6, count=1))
     rng = np.random.default_rng(0)
     for name, error in errors.items():
         found = refilled(found, name, settled=error * (1 + 0.2 * rng.normal(size=6)))

@@ -4,11 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_compare import ARM, PROTOCOL, STIFFNESS, SaggingRobot, factories
+from test_compare import ARM, PROTOCOL, STIFFNESS, SaggingRobot, compared, factories
 
 import rejoint
 from rejoint.control.classical import DefaultController, IntegratorController
-from rejoint.control.comparison.compare import Settings, TrialRunner
 from rejoint.control.comparison.elimination import Elimination, worse
 from rejoint.control.comparison.ledger import Ledger
 from rejoint.control.comparison.recommend import failure, recommend
@@ -39,16 +38,9 @@ class Breaks(IntegratorController):
 
 
 def on_one_arm(controllers, targets=TARGETS, repetitions=1, **robot):
-    trials, progress = [], []
-    arm = SaggingRobot(1, 0, **robot)
-    found = TrialRunner(
-        lambda *_: arm,
-        controllers,
-        targets,
-        Settings(repetitions=repetitions, batched=False, protocol=PROTOCOL),
-        on_trial=trials.append,
-        on_progress=lambda *step: progress.append(step),
-    ).compare()
+    trials, progress, arm = [], [], SaggingRobot(**robot)
+    hooks = {"on_trial": trials.append, "on_progress": lambda *step: progress.append(step)}
+    found = compared(arm, controllers, targets, repetitions=repetitions, hooks=hooks)
     return found, trials, progress, arm
 
 
@@ -104,7 +96,7 @@ def test_a_command_that_is_not_a_number_costs_the_trial_and_not_the_comparison(o
 
 def test_a_fault_of_the_arm_still_ends_the_comparison():
     with pytest.raises(GuardTripError, match="temperature"):
-        on_one_arm({"policy": Breaks}, TARGETS[:1], hot=[(0, 0.5)])
+        on_one_arm({"policy": Breaks}, TARGETS[:1], hot=0.5)
 
 
 def test_a_measured_position_that_is_not_a_number_is_not_the_controllers_fault():
@@ -113,21 +105,13 @@ def test_a_measured_position_that_is_not_a_number_is_not_the_controllers_fault()
             state = super().read()
             return replace(state, position=np.where(self.time[0] > 4.0, np.nan, state.position))
 
-    robot = Blind(1, 0)
     with pytest.raises(GuardTripError, match="not finite") as caught:
-        TrialRunner(
-            lambda *_: robot, {"policy": IntegratorController}, TARGETS, Settings(batched=False, protocol=PROTOCOL)
-        ).compare()
+        compared(Blind(), {"policy": IntegratorController}, TARGETS)
     assert recording_of(caught.value) is not None
 
 
 def test_a_batch_is_driven_to_the_end_and_a_bad_command_costs_the_same_there():
-    found = TrialRunner(
-        SaggingRobot,
-        factories("default", "integrator") | {"policy": Breaks},
-        TARGETS[:1],
-        Settings(batched=True, protocol=PROTOCOL),
-    ).compare()
+    found = compared(SaggingRobot, factories("default", "integrator") | {"policy": Breaks}, TARGETS[:1])
     assert np.isfinite(found.array("crossed", "default")).all()
     row = found.row("policy")
     assert (found.row("default").out, row.out, row.failures) == ("", "", 2)
@@ -145,7 +129,7 @@ def test_a_run_can_be_given_up_arm_by_arm():
         asked.append(inputs.since_target.copy())
         return np.array([False, inputs.since_target[1] >= 1.0])
 
-    robot = SaggingRobot(2, 0)
+    robot = SaggingRobot(2)
     plan = Schedule(dwell=2.0, give_up=second_after_a_second)
     recording = run(robot, IntegratorController(ARM), TARGETS[:, :1], plan)
     ends = [recording.time[recording.active[:, b], b][-1] for b in range(2)]
@@ -157,14 +141,9 @@ def test_a_run_can_be_given_up_arm_by_arm():
 
 def test_an_arm_that_does_not_stand_as_its_twin_says_is_not_compared_on():
     def on(stiffness, trials):
-        return TrialRunner(
-            lambda *_: SaggingRobot(1, 0),
-            factories("integrator"),
-            TARGETS[:1, :1],
-            Settings(batched=False, protocol=PROTOCOL),
-            on_trial=trials.append,
-            stance=Stance(stiffness=np.full(6, stiffness), offset=np.zeros(6)),
-        ).compare()
+        stance = Stance(stiffness=np.full(6, stiffness), offset=np.zeros(6))
+        hooks = {"on_trial": trials.append, "stance": stance}
+        compared(SaggingRobot(), factories("integrator"), TARGETS[:1, :1], hooks=hooks)
 
     on(STIFFNESS, tried := [])
     assert len(tried) == 2, "a crossing and a hold"
@@ -186,13 +165,7 @@ def trained_for(low, high):
 
 def test_a_policy_whose_period_does_not_suit_is_left_out_or_refused():
     def on(controllers, **settings):
-        return TrialRunner(
-            lambda *_: SaggingRobot(1, 0),
-            controllers,
-            TARGETS[:1, :1],
-            Settings(batched=False, protocol=PROTOCOL, **settings),
-            on_trial=trials.append,
-        ).compare()
+        return compared(SaggingRobot(), controllers, TARGETS[:1, :1], hooks={"on_trial": trials.append}, **settings)
 
     trials, slow, quick = [], trained_for(0.040, 0.060), trained_for(0.020, 0.030)
     found = on(factories("integrator") | {"policy": slow}, leave_out=True)
@@ -234,18 +207,9 @@ def in_blocks(controllers, targets=TWENTY, *, measured=(), ledger=None, on_trial
         if on_trial is not None:
             on_trial(trial)
 
-    settings = Settings(batched=False, protocol=protocol, elimination=Elimination())
-    found = TrialRunner(
-        lambda *_: SaggingRobot(1, 0),
-        controllers,
-        targets,
-        settings,
-        on_trial=note,
-        ledger=ledger,
-        measured=measured,
-        source="the diagnosis",
-    ).compare()
-    return found, order
+    hooks = {"on_trial": note, "ledger": ledger, "measured": measured, "source": "the diagnosis"}
+    rules = {"protocol": protocol, "elimination": Elimination()}
+    return compared(SaggingRobot(), controllers, targets, hooks=hooks, **rules), order
 
 
 def results(rng, factor, count=10):
@@ -287,9 +251,7 @@ def test_equal_ones_are_driven_to_all_targets_and_the_simpler_is_recommended():
 
 def test_holds_tell_when_targets_are_crossed():
     blocks, _ = in_blocks(factories("integrator"), TWENTY[:1], protocol=SETTLING)
-    whole = TrialRunner(
-        SaggingRobot, factories("integrator"), TWENTY[:1], Settings(batched=True, protocol=SETTLING)
-    ).compare()
+    whole = compared(SaggingRobot, factories("integrator"), TWENTY[:1], protocol=SETTLING)
     row, other = blocks.row("integrator"), whole.row("integrator")
     assert row.success.value == other.success.value == 1.0
     assert row.cycle_time.mean.value == pytest.approx(other.cycle_time.mean.value, rel=0.2)
@@ -302,9 +264,7 @@ def test_what_was_measured_open_loop_is_not_driven_again():
     row = found.row("default")
     assert {entry[0] for entry in order} == {"integrator"}
     assert (row.source, row.held) == ("the diagnosis", 10)
-    whole = TrialRunner(
-        SaggingRobot, factories("default"), TWENTY[:1], Settings(batched=True, protocol=QUICK, seed=3)
-    ).compare()
+    whole = compared(SaggingRobot, factories("default"), TWENTY[:1], protocol=QUICK, seed=3)
     assert row.settled.mean.value == pytest.approx(whole.row("default").settled.mean.value, rel=0.02)
     assert row.cycle_time is None, "the targets were not waited for"
     assert open_loop_trials(ARM, log, replace(QUICK, hold=3.0)) is None, "held shorter than that"
@@ -315,7 +275,7 @@ def test_a_real_arm_is_compared_in_blocks_and_goes_on_from_its_diagnosis(tmp_pat
     about = Run.create(tmp_path / "run", SaggingRobot.address, ARM, seed=2)
     write_log(about.folder.log("targets"), log)
     quick = rejoint.TrialPlan(protocol=QUICK)
-    found = rejoint.compare(SaggingRobot(1, 0), run=about, plan=quick).comparison
+    found = rejoint.compare(SaggingRobot(), run=about, plan=quick).comparison
     assert found.controllers == ("default", "integrator", "feedforward", "shelf"), "the paper's PIDs only on request"
     np.testing.assert_array_equal(found.targets[0], TWENTY[0])
     assert about.comparison == found
@@ -323,9 +283,9 @@ def test_a_real_arm_is_compared_in_blocks_and_goes_on_from_its_diagnosis(tmp_pat
     (spent,) = read_effort(about.folder).stages
     assert spent.moving > sum(row.held for row in found.rows if not row.source) * QUICK.hold
     assert plain_table(columns(found), found.rows)[1][0][0] == "default (by diagnosis)"
-    other = rejoint.compare(SaggingRobot(1, 0), ["default"], TWENTY[1, :3], run=about, plan=quick).comparison
+    other = rejoint.compare(SaggingRobot(), ["default"], TWENTY[1, :3], run=about, plan=quick).comparison
     assert other.rows[0].source == "", "at other targets it is driven"
-    full = rejoint.compare(SaggingRobot(1, 0), ["integrator"], TWENTY[0, :2], plan=replace(quick, full=True)).comparison
+    full = rejoint.compare(SaggingRobot(), ["integrator"], TWENTY[0, :2], plan=replace(quick, full=True)).comparison
     assert (full.block, full.rows[0].source) == (0, "")
 
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from rejoint.arms import mycobot280, tcp_position
+from rejoint.arms import mycobot280
 from rejoint.control.classical import DefaultController
 from rejoint.control.comparison.holding import Holding, found_errors, vary_directions
-from rejoint.control.comparison.protocols import INSET, RISING_AHEAD, iso_poses
+from rejoint.control.comparison.protocols import INSET, RISING_AHEAD, RISING_LEFT, iso_poses
 from rejoint.control.comparison.result import Protocol
-from rejoint.control.robot import JointState
+from standin import StandIn
 
 ARM = mycobot280()
 SHORT = Protocol(hold=1.5, window=0.3)
@@ -16,52 +16,36 @@ BEHIND = 2e-3
 """[m] by which the tool of a `Dragging` arm stays behind its encoders"""
 
 
-class Dragging:
+class Dragging(StandIn):
     """Arms that go where they are sent at once, and whose tools stay behind along their last long way."""
 
-    address, arm = "test", ARM
-
     def __init__(self, count, seed):  # noqa: ARG002 - as robots are opened
-        self.count, self._now = count, np.zeros(count)
-        self._position = np.tile(ARM.rest, (count, 1))
-        self._came = np.tile(tcp_position(ARM, ARM.rest), (count, 1))
-        self._way = np.tile([1.0, 0.0, 0.0], (count, 1))
+        super().__init__(count)
+        self.came, self.way = self.tcp(), np.eye(3)[[0] * count]
 
-    def read(self):
-        return JointState(time=self._now.copy(), position=self._position.copy(), age=np.zeros(self.count))
-
-    def step(self, command, active=None):  # noqa: ARG002 - all of them move
-        moved = np.abs(command - self._position).max(axis=1) > 1e-9
-        rested = ~moved & (np.abs(self._place() - self._came).max(axis=1) > 1e-4)
-        way = self._place() - self._came
+    def moved(self, command):
+        way = self.tcp() - self.came
         length = np.linalg.norm(way, axis=1, keepdims=True)
-        self._way = np.where(rested[:, None], way / np.maximum(length, 1e-9), self._way)
-        self._came = np.where(rested[:, None], self._place(), self._came)
-        self._position, self._now = command.copy(), self._now + 0.025
-        return self.read()
-
-    def _place(self):
-        return tcp_position(ARM, self._position)
+        rested = (command == self.position).all(axis=1, keepdims=True) & (length > 1e-4)
+        self.way = np.where(rested, way / np.maximum(length, 1e-9), self.way)
+        self.came = np.where(rested, self.tcp(), self.came)
+        return command.copy()
 
     def true_tcp(self):
-        return self._place() - BEHIND * self._way
-
-    def stop(self):
-        pass
-
-    close = stop
+        return self.tcp() - BEHIND * self.way
 
 
 def holding(**more):
     return Holding(**{"open_robot": Dragging, "batched": True, "seed": 0} | more)
 
 
-def test_the_poses_are_the_centre_and_four_near_the_corners_of_a_diagonal_plane():
-    poses, box = iso_poses(ARM, RISING_AHEAD), ARM.targets
+@pytest.mark.parametrize(("plane", "across"), [(RISING_AHEAD, 0), (RISING_LEFT, 1)])
+def test_the_poses_are_the_centre_and_four_near_the_corners_of_a_diagonal_plane(plane, across):
+    poses, box = iso_poses(ARM, plane), ARM.targets
     share = (poses - box.lower) / (box.upper - box.lower)
     np.testing.assert_allclose(share[0], 0.5)
     np.testing.assert_allclose(np.minimum(share[1:], 1.0 - share[1:]), INSET)
-    np.testing.assert_allclose(share[:, 0], share[:, 2], err_msg="a plane through two opposite edges")
+    np.testing.assert_allclose(share[:, across], share[:, 2], err_msg="a plane through two opposite edges")
 
 
 def test_a_tool_that_drags_behind_varies_with_the_direction_and_its_encoders_do_not():

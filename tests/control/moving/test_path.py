@@ -64,27 +64,30 @@ def test_what_is_no_path_is_refused(time, place, words):
         Path(time=np.array(time), place=np.array(place))
 
 
-def test_out_of_reach_and_too_fast_are_refused_with_where():
-    far = Path(time=np.array([0.0, 2.0, 4.0]), place=np.array([[0.18, 0, 0.2], [0.6, 0, 0.2], [0.18, 0, 0.2]]))
-    with pytest.raises(InputError, match=r"at [12]\.\d\d s \(600, .* is out of reach, \d+ mm too far"):
-        far.require_followable(ARM)
-    low = Path(time=np.array([0.0, 2.0, 4.0]), place=np.array([[0.18, 0, 0.1], [0.18, 0, 0.01], [0.18, 0, 0.1]]))
-    with pytest.raises(
-        InputError, match=r"at \d\.\d\d s \(180, 0, 10\) mm is lower than 20 mm, where the guard keeps the tool"
-    ):
-        low.require_followable(ARM)
-    metres = Path(time=np.array([0.0, 2.0]), place=np.array([[0.18e-3, 0, 0.2e-3], [0.19e-3, 0, 0.2e-3]]))
-    with pytest.raises(InputError, match="they look like metres, and millimetres are expected"):
-        metres.require_followable(ARM)
-    milliseconds = Path(time=np.array([0.0, 5500.0]), place=np.array([[0.18, 0, 0.2], [0.19, 0, 0.2]]))
-    with pytest.raises(InputError, match=r"takes 5500 s, 0\.1 to 3600 s were expected; give times in"):
-        milliseconds.require_followable(ARM)
-    no_time = Path(time=np.array([0.0, 1e-9]), place=np.array([[0.18, 0, 0.2], [0.18, 0, 0.2]]))
-    with pytest.raises(InputError, match=r"takes 1e-09 s, 0\.1 to 3600 s were expected"):
-        no_time.require_followable(ARM)
-    quick = standard_path("circle-0.5s", ARM)
-    with pytest.raises(InputError, match=r"at \d+\.\d\d s .* joint\d would have to turn at \d+ deg/s, 120 at most"):
-        quick.require_followable(ARM)
+def way(*millimetres, end=2.0):
+    return Path(time=np.linspace(0.0, end, len(millimetres)), place=1e-3 * np.array(millimetres))
+
+
+@pytest.mark.parametrize(
+    ("path", "words"),
+    [
+        (
+            way([180, 0, 200], [600, 0, 200], [180, 0, 200], end=4.0),
+            r"at [12]\.\d\d s \(600, .* out of reach, \d+ mm too",
+        ),
+        (
+            way([180, 0, 100], [180, 0, 10], [180, 0, 100], end=4.0),
+            r"at \d\.\d\d s \(180, 0, 10\) mm is lower than 20 mm",
+        ),
+        (way([0.18, 0, 0.2], [0.19, 0, 0.2]), "they look like metres, and millimetres are expected"),
+        (way([180, 0, 200], [190, 0, 200], end=5500.0), r"takes 5500 s, 0\.1 to 3600 s were expected; give times in"),
+        (way([180, 0, 200], [180, 0, 200], end=1e-9), r"takes 1e-09 s, 0\.1 to 3600 s were expected"),
+        (standard_path("circle-0.5s", ARM), r"at \d+\.\d\d s .* joint\d would have to turn at \d+ deg/s, 120 at most"),
+    ],
+)
+def test_out_of_reach_and_too_fast_are_refused_with_where(path, words):
+    with pytest.raises(InputError, match=words):
+        path.require_followable(ARM)
 
 
 def test_postures_reach_their_places_and_depend_on_nothing_else():

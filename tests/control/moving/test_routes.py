@@ -15,9 +15,9 @@ from rejoint.control.moving.reference import (
     played,
     standard_path,
 )
-from rejoint.control.robot import JointState
 from rejoint.control.targets import Pose
 from rejoint.system.errors import InputError
+from standin import state_of
 
 ARM = mycobot280()
 CIRCLE = standard_path("circle-4s", ARM)
@@ -73,7 +73,6 @@ def test_a_stream_of_poses_turns_the_tool_on_the_way_between_them_and_then_holds
         stream.put(Pose(place_m=[0.18, 0.0, 0.2], quaternion=sign * turn, weight_m=0.03), 0.1 * k)
     later = np.array([-0.5, -0.05, LAG, LAG + 0.1, LAG + EXTRAPOLATED, LAG + 2.0])
     places, turns = stream.poses(1.0, later)
-    assert turns is not None
     expected = 0.4 * (1.0 + np.minimum(later - LAG, EXTRAPOLATED))
     for k, angle in enumerate(expected):
         assert turns[k].angle(rotation_about(axis, angle)) < np.radians(0.02)
@@ -105,7 +104,7 @@ def test_courses_keep_arms_apart():
     assert np.array_equal(aims[1, 0], CIRCLE.at(1.2))
     assert np.array_equal(aims[0, 1], other.at(2.1))
     both.begin(np.ones(2, dtype=bool), np.zeros(2, dtype=int), *np.zeros((2, 2, ARM.joints)))
-    setpoint = both.advance(JointState(time=now, position=np.zeros((2, ARM.joints)), age=np.zeros(2)), now)
+    setpoint = both.advance(state_of(np.zeros((2, ARM.joints)), now), now)
     assert np.array_equal(setpoint.place[1], other.at(2.0))
     np.testing.assert_allclose(tcp_position(ARM, setpoint.goal), setpoint.target, atol=1e-3)
 

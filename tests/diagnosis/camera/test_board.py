@@ -1,15 +1,12 @@
 """A board is printed in true size, and its description says what came out of the printer."""
 
-import json
 import re
-import sys
 
 import cv2
 import numpy as np
 import pytest
 
 from rejoint.arms.camera.board import DOTS, ON_TABLE, ON_TOOL, PAGES, page_of, read_board, write_pdf
-from rejoint.cli import main
 
 
 @pytest.mark.parametrize(("board", "page"), [(ON_TOOL, "A4"), (ON_TABLE, "A4"), (ON_TABLE, "letter")])
@@ -42,19 +39,10 @@ def test_corners_are_those_of_opencv_stretched_as_measured():
     np.testing.assert_allclose(printed.size, [0.14 * 1.004, 0.1 * 0.997])
 
 
-def test_the_command_writes_the_board_and_its_description(tmp_path, monkeypatch, capsys):
-    def run(*words):
-        monkeypatch.setattr(sys, "argv", ["rejoint", "board", *words])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        return ended.value.code, capsys.readouterr()
-
+def test_the_command_writes_the_board_and_its_description(tmp_path, cli):
     path = tmp_path / "mine.pdf"
-    code, told = run(
-        str(path), "--on", "table", "--squares", "8x5", "--square", "28", "--measured-x", "100.5", "--json"
-    )
-    assert code == 0
-    assert json.loads(told.out.splitlines()[-1])["pdf"] == str(path)
+    words = ("--on", "table", "--squares", "8x5", "--square", "28", "--measured-x", "100.5", "--json")
+    assert cli("board", path, *words).last["pdf"] == str(path)
     board = read_board(tmp_path / "mine.toml")
     assert (board.columns, board.rows, board.stretch_x, board.stretch_y) == (8, 5, 1.005, 1.0)
     assert (board.square, board.marker) == pytest.approx((0.028, 0.022 / 0.030 * 0.028), abs=1e-9)
@@ -63,6 +51,4 @@ def test_the_command_writes_the_board_and_its_description(tmp_path, monkeypatch,
         (("x.pdf", "--on", "wall"), "--on"),
         (("x.pdf", "--squares", "7"), "such as 7x5"),
     ):
-        code, told = run(*words)
-        assert code == 2
-        assert line in told.err
+        assert line in cli("board", *words, code=2).err

@@ -17,6 +17,7 @@ from report_samples import (
     write_curves,
 )
 
+from madetwin import made_twin
 from rejoint.arms import load_arm
 from rejoint.diagnosis.calibration.calibration import write_calibration
 from rejoint.diagnosis.calibration.measurementfile import write_measurements
@@ -32,7 +33,7 @@ from rejoint.system.statistics import Estimate
 from rejoint.twin.file import write_twin
 from rejoint.twin.judgement import PredictionError
 from rejoint.twin.parameters import nominal_parameters, prior
-from rejoint.twin.twin import HeldOut, Twin
+from rejoint.twin.twin import HeldOut
 
 
 @pytest.fixture(scope="session")
@@ -96,13 +97,10 @@ def twin(arm):
     def error(scale):
         return PredictionError(joints=(scale * 0.01,) * n, joint=scale * 0.01, tcp=scale * 2.5e-3)
 
-    return Twin(
-        arm=arm.name,
-        joint_names=arm.joint_names,
-        parameters=parameters,
+    return made_twin(
+        arm,
+        parameters,
         covariance=covariance,
-        lower=belief.lower,
-        upper=belief.upper,
         narrowing=np.where(identified, 0.15, 1.0),
         identified=identified,
         held_out=HeldOut(seconds=30.0, no_twin=error(10), healthy_twin=error(8), twin=error(1)),

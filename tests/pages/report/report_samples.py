@@ -8,10 +8,10 @@ import numpy as np
 from markupsafe import Markup, escape
 
 from comparisons import made_comparison
+from madetwin import made_calibration
 from readpage import Page
 from rejoint.arms import Displacement, solve_position
 from rejoint.control.comparison.result import Ended, Protocol
-from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.parameters import DisplacementLayout
 from rejoint.logs.runlog import RunLog
@@ -99,23 +99,9 @@ def make_calibration(arm):
     )
     left_out = np.stack([rng.uniform(6e-3, 9e-3, 8), rng.uniform(0.5e-3, 2e-3, 8)], axis=-1)
     before, after = left_out.mean(axis=0)
-    calibration = Calibration(
-        arm=arm,
-        displacement=found,
-        covariance=1e-6 * np.eye(DisplacementLayout(joints=n).size),
-        frame=np.eye(4),
-        frame_name="base",
-        source="touch",
-        date="2026-11-20T07:30:00",
-        points=8,
-        before=before,
-        after=after,
-        used=True,
-        floor=1e-3,
-        suspects=(5,),
-        left_out=left_out,
-    )
-    return calibration, measured
+    noise = {"covariance": 1e-6 * np.eye(DisplacementLayout(joints=n).size), "floor": 1e-3}
+    told = {"date": "2026-11-20T07:30:00", "points": 8, "suspects": (5,)}
+    return made_calibration(arm, found, before=before, after=after, left_out=left_out, **noise, **told), measured
 
 
 def make_comparison(arm, names=tuple(SETTLED), *, true_known=True):
@@ -142,18 +128,9 @@ def trial_log(arm, name, kind, targets):
         position.append(stop + (here - stop) * fade)
         here = position[-1][-1]
     q = np.concatenate(position)
-    return RunLog(
-        arm=arm.name,
-        joint_names=arm.joint_names,
-        robot="emulated:worn",
-        label=f"{kind}/{name}/0/0",
-        time=period * np.arange(1, len(q) + 1),
-        position=q,
-        command=q,
-        target=np.repeat(targets, steps, axis=0),
-        true_tcp=np.full((len(q), 3), np.nan),
-        extra={"controller": name},
-    )
+    time, target = period * np.arange(1, len(q) + 1), np.repeat(targets, steps, axis=0)
+    log = RunLog.of(time, q, q, arm=arm, label=f"{kind}/{name}/0/0", target=target)
+    return dataclasses.replace(log, robot="emulated:worn", extra={"controller": name})
 
 
 def write_curves(path):

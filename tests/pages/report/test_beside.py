@@ -13,25 +13,21 @@ from rejoint.control.comparison.result import Protocol
 SHORT = Protocol(dwell=1.0, hold=1.0, window=0.3)
 
 
+def compared(controller, targets, *, directions=False, **given):
+    plan = rejoint.TrialPlan(repetitions=1, protocol=SHORT, directions=directions)
+    return rejoint.compare("emulated:worn", [controller], targets, plan=plan, **given)
+
+
 @pytest.mark.parametrize("used", [True, False])
 def test_an_aimed_comparison_tells_how_the_arm_was_found(used):
     arm = mycobot280()
     targets = arm.targets.sample(np.random.default_rng(0), (1, 2))
     calibration = replace(make_calibration(arm)[0], used=used)
-    found = rejoint.compare(
-        "emulated:worn",
-        ["default"],
-        targets,
-        plan=rejoint.TrialPlan(repetitions=1, protocol=SHORT),
-        settings=rejoint.Settings(calibration=calibration),
-    ).comparison
+    found = compared("default", targets, settings=rejoint.Settings(calibration=calibration)).comparison
     assert (found.as_found is not None) is used
     if used:
         aimed = found.array("settled_true", "default").ravel()
-        alone = rejoint.compare(
-            "emulated:worn", ["default"], targets, plan=rejoint.TrialPlan(repetitions=1, protocol=SHORT)
-        ).comparison
-        told = alone.array("settled_true", "default").ravel()
+        told = compared("default", targets).comparison.array("settled_true", "default").ravel()
         as_found = [error.value for error in found.as_found.true]
         np.testing.assert_allclose(as_found, told, rtol=1e-9, err_msg="the same drive, from the same start")
         assert (np.abs(aimed - as_found) > 1e-4).all()
@@ -40,28 +36,18 @@ def test_an_aimed_comparison_tells_how_the_arm_was_found(used):
 def test_directions_are_driven_where_they_are_asked_for():
     arm = mycobot280()
     targets = arm.targets.sample(np.random.default_rng(0), (1, 1))
-    found = rejoint.compare(
-        "emulated:worn",
-        ["feedforward"],
-        targets,
-        plan=rejoint.TrialPlan(repetitions=1, protocol=SHORT, directions=True),
-    ).comparison
+    found = compared("feedforward", targets, directions=True).comparison
     assert (found.directions.controller, found.directions.poses, found.directions.cycles) == ("feedforward", 5, 1)
     assert found.directions.tool.mean.value > found.directions.encoders.mean.value / 2 > 0.0
     assert found.as_found is None
 
 
-def test_a_trip_beside_a_comparison_is_told_and_costs_no_more(monkeypatch: pytest.MonkeyPatch):
-    def trip(*_: object) -> None:
+def test_a_trip_beside_a_comparison_is_told_and_costs_no_more(monkeypatch):
+    def trip(*_):
         raise rejoint.GuardTripError("temperature", "joint2 is at 71 deg C")
 
     monkeypatch.setattr("rejoint.runs.stages.compare.vary_directions", trip)
     targets = mycobot280().targets.sample(np.random.default_rng(0), (1, 1))
-    done = rejoint.compare(
-        "emulated:worn",
-        ["feedforward"],
-        targets,
-        plan=rejoint.TrialPlan(repetitions=1, protocol=SHORT, directions=True),
-    )
+    done = compared("feedforward", targets, directions=True)
     assert done.comparison.directions is None
     assert any("joint2 is at 71 deg C" in line for line in done.recommendation.why)

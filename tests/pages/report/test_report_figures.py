@@ -15,24 +15,6 @@ from rejoint.pages.report.figures import (
     inline_svg,
 )
 
-RNG = np.random.default_rng(5)
-
-
-def series(label="worn", look=palette.GREY, count=10):
-    value = RNG.uniform(1, 30, count)
-    return Series(label=label, look=look, value=value, low=value - 0.5, high=value + 1.0)
-
-
-def test_bars_have_the_given_heights_and_unit():
-    one, other = series(), series("healthy", palette.GREEN)
-    axes = error_per_target([one, other]).axes[0]
-    heights = [bar.get_height() for container in axes.containers for bar in getattr(container, "patches", [])]
-    np.testing.assert_allclose(heights, [*one.value, *other.value])
-    assert "[mm]" in axes.get_ylabel()
-    assert [
-        line.get_ydata()[0] for line in axes.lines if len(set(line.get_ydata())) == 1 and len(line.get_xdata()) == 2
-    ] == [10.0]
-
 
 def test_error_over_time_draws_every_line_on_a_log_axis():
     time = np.linspace(0, 8, 50)

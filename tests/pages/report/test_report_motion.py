@@ -18,17 +18,7 @@ def arm():
 def log_of(arm, target, period=0.5):
     rows = len(target)
     position = arm.rest + 0.01 * np.arange(rows)[:, None]
-    return RunLog(
-        arm=arm.name,
-        joint_names=arm.joint_names,
-        robot="emulated:worn",
-        label="hold",
-        time=10 + period * np.arange(rows),
-        position=position,
-        command=position,
-        target=target,
-        true_tcp=np.full((rows, 3), np.nan),
-    )
+    return RunLog.of(10 + period * np.arange(rows), position, position, arm=arm, label="hold", target=target)
 
 
 def test_a_visit_starts_with_the_last_row_of_the_one_before(arm):

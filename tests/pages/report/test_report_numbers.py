@@ -101,10 +101,3 @@ def test_the_table_of_the_twin_holds_every_parameter_and_says_which_are_not_iden
                 shows(places, cell, values[i], lows[i], highs[i])
             else:
                 assert places[f"{cell} / small"] == "not identified"
-
-
-ENCODERS, TRUE = "settled error, encoders [mm]", "settled error, true [mm]"
-
-
-def cell(controller, column, small=False):
-    return f"{COMPARED} / {controller} / {column}{' / small' * small}"

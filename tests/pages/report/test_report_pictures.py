@@ -41,6 +41,7 @@ def points(axes, across):
 
 def test_bars_per_target_are_means_over_the_repetitions_with_their_extremes(figures, comparison, diagnosis):
     axes = figures["error-per-target"].axes[0]
+    assert "[mm]" in axes.get_ylabel()
     heights, chosen = bars(axes), ("default", "pid-sum", "policy")
     assert tuple(heights) == chosen, "the arm as it was, the recommended one, and one more"
     ends = []

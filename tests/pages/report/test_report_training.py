@@ -1,16 +1,16 @@
 """The training section with the contract of a policy, with and without a twin."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
 
 from readpage import Page
-from rejoint.control.contract import PolicyContract, law_digests
-from rejoint.control.observation import layout_slots
-from rejoint.control.residual import CommandLaw
 from rejoint.pages.html import render
 from rejoint.pages.report.contents import read_curves
 from rejoint.pages.report.figures import Gallery, Pictures
+from rejoint.training.presets import PAPER
+from rejoint.training.train import policy_contract
 
 
 @pytest.fixture
@@ -22,23 +22,8 @@ def curves(tmp_path):
 
 
 def contract(arm, digest):
-    return PolicyContract(
-        arm=arm.name,
-        arm_digests=law_digests(arm),
-        joint_names=arm.joint_names,
-        lower=tuple(arm.lower),
-        upper=tuple(arm.upper),
-        layout="equation-16",
-        observation=layout_slots("equation-16", arm.joints),
-        law=CommandLaw(),
-        min_period=0.018,
-        max_period=0.055,
-        probe=(),
-        twin_digest=digest,
-        preset="paper",
-        seed=11,
-        software="0.1.0",
-    )
+    given = {"twin_digest": digest, "min_period": 0.018, "max_period": 0.055}
+    return replace(policy_contract(arm, None, PAPER, 11), **given)
 
 
 def section(curves, contract):

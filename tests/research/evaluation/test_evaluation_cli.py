@@ -1,54 +1,32 @@
-import json
-from functools import partial
-from pathlib import Path
-
-import pytest
-
-from commandline import run_cli
 from runs.test_connect import a_twin
 
 
-@pytest.fixture
-def cli(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
-    return partial(run_cli, capsys=capsys, monkeypatch=monkeypatch)
+def rows_of(cli, command, out, *words):
+    return cli("research", command, *words, "--threads", "1", "--out", out, "--json").last["rows"]
 
 
-def test_a_family_is_evaluated_and_resumed(cli, tmp_path: Path):
-    words = (
-        "research", "evaluate", "--arms", "2", "--targets", "1", "--variants", "worn", "--controllers", "integrator",
-        "--crossings", "0", "--threads", "1", "--out", str(tmp_path), "--json",
-    )  # fmt: skip
-    code, out, err = cli(*words)
-    assert code == 0, err
-    row = json.loads(out.splitlines()[-1])["rows"][0]
+def test_a_family_is_evaluated_and_resumed(cli, tmp_path):
+    one = "--arms", "2", "--targets", "1", "--variants", "worn", "--controllers", "integrator", "--crossings", "0"
+    row = rows_of(cli, "evaluate", tmp_path, *one)[0]
     assert 0.0 < row["settled"]["mean"]["value"] < 0.005
     assert row["cycle_time"] is None
     kept = tmp_path / "outcomes" / "worn--integrator.parquet"
     before = kept.stat().st_mtime_ns
-    assert cli(*words)[1].splitlines()[-1] == out.splitlines()[-1]
+    assert rows_of(cli, "evaluate", tmp_path, *one) == [row]
     assert kept.stat().st_mtime_ns == before
 
 
-def test_targets_anywhere_are_held_by_controllers_that_know_each_arm_by_its_twin(cli, tmp_path: Path, monkeypatch):
+def test_targets_anywhere_are_held_by_controllers_that_know_each_arm_by_its_twin(cli, tmp_path, monkeypatch):
     monkeypatch.setattr("rejoint.research.evaluation.evaluate.own_twin", lambda *_: a_twin())
-    code, out, err = cli(
-        "research", "evaluate", "--arms", "2", "--targets", "1", "--variants", "anywhere", "--controllers",
-        "feedforward,predictive", "--crossings", "0", "--threads", "1", "--out", str(tmp_path), "--json",
-    )  # fmt: skip
-    assert code == 0, err
-    rows = json.loads(out.splitlines()[-1])["rows"]
+    held = "--variants", "anywhere", "--controllers", "feedforward,predictive", "--crossings", "0"
+    rows = rows_of(cli, "evaluate", tmp_path, "--arms", "2", "--targets", "1", *held)
     assert [row["controller"] for row in rows] == ["feedforward", "predictive"]
     assert all(row["settled"]["mean"]["value"] < 0.002 for row in rows)
 
 
-def test_calibrations_are_tried_in_the_target_region_and_anywhere(cli, tmp_path: Path, monkeypatch):
+def test_calibrations_are_tried_in_the_target_region_and_anywhere(cli, tmp_path, monkeypatch):
     monkeypatch.setattr("rejoint.research.evaluation.evaluate.own_twin", lambda *_: a_twin())
-    code, out, err = cli(
-        "research", "calibrate", "--arms", "1", "--targets", "2", "--variants", "worn", "--threads", "1",
-        "--out", str(tmp_path), "--json",
-    )  # fmt: skip
-    assert code == 0, err
-    rows = json.loads(out.splitlines()[-1])["rows"]
+    rows = rows_of(cli, "calibrate", tmp_path, "--arms", "1", "--targets", "2", "--variants", "worn")
     error = {(row["where"], row["points"]): row["error"]["value"] for row in rows}
     for where in ("target region", "anywhere"):
         assert error[where, 20] < 0.5 * error[where, 0]

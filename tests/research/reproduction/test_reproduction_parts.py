@@ -1,11 +1,8 @@
 """Single experiments, measures and figures of the reproduction, judged on what is known."""
 
-import json
-
 import numpy as np
 import pytest
 
-from commandline import run_cli
 from rejoint.arms import mycobot280
 from rejoint.research.reproduction import gains
 from rejoint.research.reproduction.bench import QUICK, Bench, Experiment, Printed
@@ -16,18 +13,12 @@ from rejoint.system.errors import InputError, RejointError
 ARM = mycobot280()
 
 
-def test_the_command_line_runs_and_refuses(tmp_path, capsys, monkeypatch):
-    tools = {"capsys": capsys, "monkeypatch": monkeypatch}
-    words = ("--run", str(tmp_path / "run"), "--quick", "--json")
-    code, out, _ = run_cli("research", "reproduce", "table-1", *words, **tools)
-    assert code == 0
-    last = json.loads(out.splitlines()[-1])
-    assert last["numbers"][0]["value"] == pytest.approx(0.97, abs=0.02)
-    assert {row["experiment"] for row in last["numbers"]} == {"table-1"}
+def test_the_command_line_runs_and_refuses(tmp_path, cli):
+    found = cli("research", "reproduce", "table-1", "--run", tmp_path / "run", "--quick", "--json").last
+    assert found["numbers"][0]["value"] == pytest.approx(0.97, abs=0.02)
+    assert {row["experiment"] for row in found["numbers"]} == {"table-1"}
     assert (tmp_path / "run" / "reproduction.md").exists()
-    code, _, err = run_cli("research", "reproduce", "table-9", **tools)
-    assert code == 2
-    assert "table-4" in err
+    assert "table-4" in cli("research", "reproduce", "table-9", code=2).err
 
 
 def test_experiments_are_chosen_by_any_of_their_names_in_the_paper_s_order():

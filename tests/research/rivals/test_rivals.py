@@ -3,15 +3,14 @@ import pytest
 
 from rejoint.arms import gravity_torque, mycobot280, solve_position, tcp_position
 from rejoint.control.classical import IntegratorController
-from rejoint.control.controller import ControlInput
 from rejoint.control.goal import nearest_postures
-from rejoint.control.robot import JointState
 from rejoint.research.rivals.adaptive import AdaptiveController, AdaptiveGains
 from rejoint.research.rivals.catalogue import make_rival
 from rejoint.research.rivals.scheduled import ScheduledController, ScheduledGains
 from rejoint.research.rivals.tuning import TuningSettings, tune
 from rejoint.system.errors import InputError
 from rejoint.training.ranges import BroadRanges
+from standin import inputs_of, state_of
 
 ARM = mycobot280()
 RANGES = BroadRanges(arm=ARM)
@@ -31,10 +30,10 @@ PLAIN = ScheduledGains(
 )
 
 
-def inputs(position: np.ndarray, sent: np.ndarray, time: float = 0.0) -> ControlInput:
-    state = JointState(time=np.full(len(sent), time), position=position, age=np.zeros(len(sent)))
+def inputs(position, sent, time=0.0):
+    state = state_of(position, time)
     goal = nearest_postures(ARM, TARGET, np.tile(ARM.rest, (2, 1)))
-    return ControlInput(state=state, target=TARGET, goal=goal, sent=sent, since_target=np.full(len(sent), time))
+    return inputs_of(state, TARGET, goal, sent, time)
 
 
 def test_without_its_extras_the_schedule_is_the_integrator():

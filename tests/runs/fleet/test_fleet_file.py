@@ -2,9 +2,7 @@
 
 from dataclasses import replace
 from datetime import datetime, timedelta
-from pathlib import Path
 
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -37,7 +35,7 @@ may_repair = true
 """
 
 
-def write_fleet(folder: Path, text: str = TEXT) -> Path:
+def write_fleet(folder, text=TEXT):
     """Write the file, and the description of its second arm."""
     folder.mkdir(exist_ok=True)
     write_arm_toml(folder / "own.toml", OWN)
@@ -45,7 +43,7 @@ def write_fleet(folder: Path, text: str = TEXT) -> Path:
     return folder / "FLEET.toml"
 
 
-def test_arms_take_what_they_do_not_say_from_the_top(tmp_path: Path) -> None:
+def test_arms_take_what_they_do_not_say_from_the_top(tmp_path):
     fleet = read_fleet(write_fleet(tmp_path))
     first, second = fleet.arms
     assert fleet.folder == tmp_path / "lab"
@@ -66,9 +64,7 @@ def test_arms_take_what_they_do_not_say_from_the_top(tmp_path: Path) -> None:
 
 @settings(max_examples=300)
 @given(data=st.data())
-def test_a_file_is_read_or_refused_whatever_is_in_it(
-    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
-) -> None:
+def test_a_file_is_read_or_refused_whatever_is_in_it(tmp_path_factory, data):
     """Values of every kind, in every place."""
     values = [
         "0",
@@ -126,7 +122,7 @@ spans = st.builds(
     day=st.integers(0, 13),
     now=st.datetimes(datetime(2026, 11, 23), datetime(2026, 12, 7)),
 )
-def test_hours_open_and_close_when_they_say(texts: list[str], day: int, now: datetime) -> None:
+def test_hours_open_and_close_when_they_say(texts, day, now):
     """Between now and the next change nothing changes, minute by minute; then it does."""
     hours = read_hours(texts, [f"{datetime(2026, 11, 23) + timedelta(days=day):%Y-%m-%d}"])
     now = now.replace(second=0, microsecond=0)

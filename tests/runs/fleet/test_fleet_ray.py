@@ -6,8 +6,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, closing
+from contextlib import closing
 from dataclasses import replace
 from datetime import datetime, timedelta
 from importlib.machinery import ModuleSpec
@@ -18,7 +17,7 @@ import numpy as np
 import pytest
 
 from rejoint.logs.runlog import RunLog
-from rejoint.runs.fleet.call import Event, FleetResult, Rules, run_fleet
+from rejoint.runs.fleet.call import Event, Rules, run_fleet
 from rejoint.runs.fleet.file import Fleet, FleetArm, read_hours
 from rejoint.runs.fleet.rayexecutor import RayExecutor
 from rejoint.runs.stages.check import check
@@ -34,11 +33,10 @@ STARTING, MOVING = 12.0, 1.0
 
 
 @pytest.fixture(scope="module")
-def address() -> Iterator[str]:
+def address():
     """An arm behind the vendor's protocol, in wall-clock time, as a real one."""
     words = [sys.executable, "-m", "rejoint", "emulate", "--port", "0"]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as emulator:
-        assert emulator.stdout is not None
         text = ""
         while (found := re.search(r"tcp://\S+:\d+(?=\s)", text)) is None:
             line = emulator.stdout.readline()
@@ -51,22 +49,22 @@ def address() -> Iterator[str]:
 class World:
     """The clock of a call, and what happens meanwhile."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder):
         self.folder, self.events = folder, list[Event]()
         self.since: float | None = None
         self.nice = set[int]()
 
-    def executor(self, arms: Sequence[FleetArm]) -> AbstractContextManager[RayExecutor]:
+    def executor(self, arms):
         """Start Ray."""
         return closing(RayExecutor(arms, cpus=1))
 
-    def see(self, event: Event) -> None:
+    def see(self, event):
         """Notice that the work on the real arm begins, which moves it within `STARTING`."""
         self.events.append(event)
         if event.kind == "begun" and event.arm.name == "real":
             self.since = time.monotonic() + STARTING
 
-    def now(self) -> datetime:
+    def now(self):
         """Kill what works on the emulated arm, once; it becomes evening when the real arm has moved."""
         if not any(event.kind == "lost" for event in self.events):
             for process in working_on(VIRTUAL):
@@ -76,7 +74,7 @@ class World:
         return MONDAY + timedelta(hours=12) if late else MONDAY
 
 
-def working_on(name: str) -> list[int]:
+def working_on(name):
     """Return the processes that Ray has named after work on an arm."""
     found = []
     for entry in Path("/proc").glob("[0-9]*/cmdline"):
@@ -89,7 +87,7 @@ def working_on(name: str) -> list[int]:
 
 
 @pytest.fixture(scope="module")
-def called(address: str, tmp_path_factory: pytest.TempPathFactory) -> tuple[FleetResult, World]:
+def called(address, tmp_path_factory):
     allowed = FleetArm(name=VIRTUAL, address="emulated:worn?seed=3", may_move=True, needs_somebody=False)
     real = replace(allowed, name="real", address=address, hours=read_hours(["Mon-Fri 08:00-18:00"]))
     home = tmp_path_factory.mktemp("fleet")
@@ -102,9 +100,7 @@ def called(address: str, tmp_path_factory: pytest.TempPathFactory) -> tuple[Flee
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for the process to kill in /proc")
-def test_work_whose_process_was_killed_is_done_again_to_the_same_bits(
-    called: tuple[FleetResult, World], tmp_path: Path
-) -> None:
+def test_work_whose_process_was_killed_is_done_again_to_the_same_bits(called, tmp_path):
     found, world = called
     row = next(row for row in found.rows if row.name == VIRTUAL)
     assert (row.end, row.lost) == ("done", 1)
@@ -116,7 +112,7 @@ def test_work_whose_process_was_killed_is_done_again_to_the_same_bits(
     assert world.nice == {os.getpriority(os.PRIO_PROCESS, 0)}  # else whatever else runs here delays control loops
 
 
-def test_a_real_arm_is_held_at_the_end_of_its_hours_and_its_motion_is_kept(called: tuple[FleetResult, World]) -> None:
+def test_a_real_arm_is_held_at_the_end_of_its_hours_and_its_motion_is_kept(called):
     found, world = called
     row = next(row for row in found.rows if row.name == "real")
     assert (row.end, row.lost, row.code) == ("left", 0, 5), row.found
@@ -125,7 +121,7 @@ def test_a_real_arm_is_held_at_the_end_of_its_hours_and_its_motion_is_kept(calle
     assert 0.5 < np.ptp(RunLog.load(log).time) < 30.0
 
 
-def test_ray_that_was_imported_without_its_token_is_refused_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ray_that_was_imported_without_its_token_is_refused_at_once(monkeypatch):
     """Its own error comes after twenty seconds, and names a server."""
     imported = ModuleType("ray")
     imported.__spec__ = ModuleSpec("ray", None)

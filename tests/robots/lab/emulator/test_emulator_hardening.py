@@ -3,12 +3,12 @@
 import gc
 import socket
 import threading
-import time
 import tracemalloc
 
 import numpy as np
 import pytest
 from benchmarks.emulator import GET_ANGLES, descriptors, drop_connections, fuzz
+from reaching import place, until
 
 from rejoint.arms import mycobot280
 from rejoint.arms.wire.mover import MAX_QUEUE
@@ -21,19 +21,6 @@ pytestmark = pytest.mark.realtime
 
 ARM = mycobot280()
 AT_ONCE = Timing(state=0.0, acknowledgement=0.0)
-
-
-def place(server):
-    host, port = server.address.removeprefix("tcp://").rsplit(":", 1)
-    return host, int(port)
-
-
-def until(condition, patience=10.0):
-    """Wait for what another thread does; the deadline is only there so that a failure ends."""
-    deadline = time.monotonic() + patience
-    while not condition():
-        assert time.monotonic() < deadline, "it never happened"
-        time.sleep(0.01)
 
 
 def test_fuzzed_frames_never_raise_and_leave_a_posture(worn):

@@ -10,6 +10,7 @@ from contextlib import closing
 
 import numpy as np
 import pytest
+from reaching import place
 
 from rejoint.robots.lab.emulator import Timing, serve_pty, serve_tcp
 from rejoint.system.errors import InputError
@@ -21,11 +22,6 @@ GET_ANGLES = bytes.fromhex("FE FE 02 20 FA")
 ANGLES = bytes.fromhex("FE FE 0E 20 07D0 0000 DECC FE0C 0000 0000 FA")
 IS_POWER_ON = bytes.fromhex("FE FE 02 12 FA")
 POWER_IS_ON = bytes.fromhex("FE FE 03 12 01 FA")
-
-
-def place(server):
-    host, port = server.address.removeprefix("tcp://").rsplit(":", 1)
-    return host, int(port)
 
 
 def connect(server, patience=2.0):

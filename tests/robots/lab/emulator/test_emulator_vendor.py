@@ -4,6 +4,7 @@ import time
 
 import numpy as np
 import pytest
+from reaching import until
 
 from rejoint.arms import mycobot280, tcp_pose
 from rejoint.robots.lab.emulator import Timing, build_firmware, serve_pty, serve_tcp
@@ -43,14 +44,6 @@ def arm(client):
     assert client.send_angles(REST, 100) == 1
     settle(client)
     return client
-
-
-def until(condition, patience=8.0):
-    """Wait for something that the arm does; the deadline is only there so that a failure ends."""
-    deadline = time.monotonic() + patience
-    while not condition():
-        assert time.monotonic() < deadline, "it never happened"
-        time.sleep(0.01)
 
 
 def settle(client):

@@ -109,37 +109,6 @@ def test_a_goal_turns_the_torque_on_where_the_joint_is(bus):
     assert abs(value(bus, 2, 56) - limp) < 20
 
 
-def test_the_load_is_the_duty_that_the_lead_calls_for(bus):
-    """(duty - startup) / (P / 4) + dead zone: Feetech's law at rest."""
-    bus.arm.advance(1.0)
-    for index in range(5):
-        servo = bus.arm.servos[index]
-        bus.arm.measure(index)
-        lead = servo["Goal_In_Force"] - servo["Present_Position"]
-        duty = servo["Present_Load"]
-        if abs(lead) > 1:
-            assert abs(duty) == pytest.approx((abs(lead) - 1) * 8 + 16, abs=1)
-            assert np.sign(duty) == np.sign(lead)
-
-
-def test_the_error_bits_of_every_answer_are_the_alarms(bus):
-    answers(bus, 1, packets.WRITE, 15, 130)  # a supply of 12 V is too low then
-    bus.arm.advance(0.01)
-    assert answers(bus, 1, packets.PING)[0].code == 1
-    assert value(bus, 1, 65, 1) == 1
-
-
-def test_a_supply_with_resistance_sags_under_load():
-    weak = build_arm(ARM, "so101", resistance=3.0)
-    for index in range(3):
-        weak.servos[index]["Goal_Position"] = weak.servos[index]["Min_Position_Limit"]
-        weak.go(index)
-    weak.advance(0.1)
-    weak.advance(0.1)
-    weak.measure(0)
-    assert weak.servos[0]["Present_Voltage"] < 115
-
-
 @settings(max_examples=200)
 @given(number=st.integers(0, 254), code=st.integers(0, 255), parameters=st.binary(max_size=40))
 def test_no_packet_ends_the_bus(number, code, parameters):

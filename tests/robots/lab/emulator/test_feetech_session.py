@@ -66,26 +66,18 @@ class Client:
         return [[packet.id for packet in PacketFinder().feed(data)] for _, data in self.heard]
 
 
-def test_an_answer_takes_the_time_of_its_bytes_and_of_the_adapter():
-    client = Client([BLOCK])
+@pytest.mark.parametrize(
+    ("requests", "given"),
+    [([BLOCK], {}), ([MOVE + BLOCK], {}), ([MOVE, BLOCK], {"pause": 1e-4, "busy": 4e-4})],
+    ids=["alone", "right behind an order", "while the emulator works, which is no time on the wire"],
+)
+def test_an_answer_takes_the_time_of_all_bytes_and_of_the_adapter(requests, given):
+    client = Client(requests, **given)
     slots, last = 5 * (15 + 6 + 3), 15 + 6
-    expected = (len(BLOCK) + slots + last) * 10e-6 + 20e-6 + ADAPTER
+    expected = (len(b"".join(requests)) + slots + last) * 10e-6 + 20e-6 + ADAPTER
     assert client.heard[0][0] - client.asked[0] == pytest.approx(expected, abs=2e-5)
     assert client.packets() == [[1, 2, 3, 4, 5, 6]]
     assert expected < 3e-3
-
-
-def test_packets_follow_each_other_on_the_wire():
-    """A question that is asked right behind an order waits until that has left."""
-    client = Client([MOVE + BLOCK])
-    expected = (len(MOVE) + len(BLOCK) + 5 * 24 + 21) * 10e-6 + 20e-6 + ADAPTER
-    assert client.heard[0][0] - client.asked[0] == pytest.approx(expected, abs=2e-5)
-
-
-def test_the_work_of_the_emulator_is_no_time_on_the_wire():
-    client = Client([MOVE, BLOCK], pause=1e-4, busy=4e-4)
-    expected = (len(MOVE) + len(BLOCK) + 5 * 24 + 21) * 10e-6 + 20e-6 + ADAPTER
-    assert client.heard[0][0] - client.asked[0] == pytest.approx(expected, abs=2e-5)
 
 
 def test_the_arm_has_moved_up_to_the_moment_of_a_question():

@@ -22,14 +22,14 @@ WORSE = {
 }
 
 
-def test_no_hours_are_no_wear() -> None:
+def test_no_hours_are_no_wear():
     fresh, drawn = load_wear("healthy?seed=4&hours=0", ARM), load_wear("healthy?seed=4", ARM)
     for name in PARAMETERS:
         np.testing.assert_allclose(getattr(fresh, name), getattr(drawn, name), rtol=1e-15)
 
 
 @pytest.mark.parametrize("profile", ["healthy", "worn"])
-def test_wear_only_grows_and_the_same_seed_ages_alike(profile: str) -> None:
+def test_wear_only_grows_and_the_same_seed_ages_alike(profile):
     arms = [load_wear(f"{profile}?seed=4&hours={hours}", ARM) for hours in HOURS]
     for name, sign in WORSE.items():
         values = sign * np.array([getattr(arm, name) for arm in arms])
@@ -38,7 +38,7 @@ def test_wear_only_grows_and_the_same_seed_ages_alike(profile: str) -> None:
     assert all((getattr(again, name) == getattr(arms[4], name)).all() for name in PARAMETERS)
 
 
-def test_wear_goes_with_load_and_travel() -> None:
+def test_wear_goes_with_load_and_travel():
     """Shoulder and elbow carry the arm; the last joint turns for no target, and so never wears."""
     rate = severity(HEALTHY, ARM)
     assert rate[1] > rate[2] > rate[3] > rate[4] > rate[5] >= 0.0
@@ -47,7 +47,7 @@ def test_wear_goes_with_load_and_travel() -> None:
     np.testing.assert_allclose(mean, rate, rtol=0.06, atol=1e-9)  # a damage of one is a life of mean load and travel
 
 
-def test_warmth_is_a_state_and_no_wear() -> None:
+def test_warmth_is_a_state_and_no_wear():
     cold, warm = (load_wear(f"healthy?seed=4&hours=300&ambient={ambient}", ARM) for ambient in (25, 35))
     assert (warm.play == cold.play).all()
     assert (warm.position_gain == cold.position_gain).all()

@@ -5,7 +5,7 @@ from rejoint.robots.lab.plant.servo import Channel, stream_keys
 KEYS = stream_keys(3, 4)
 
 
-def draw(cycles: int = 4000) -> np.ndarray:
+def draw(cycles=4000):
     return np.array([Channel().draw(KEYS, np.full(4, cycle)) for cycle in range(cycles)])
 
 

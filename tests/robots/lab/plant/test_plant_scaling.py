@@ -5,7 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from rejoint.arms import Arm, Box, mycobot280
+from modelfiles import resized
+from rejoint.arms import mycobot280
 from rejoint.robots.lab.plant.plant import Plant
 from rejoint.robots.lab.plant.wear import (
     PARAMETERS,
@@ -16,27 +17,6 @@ from rejoint.robots.lab.plant.wear import (
 ARM = mycobot280()
 HEAVY = dataclasses.replace(ARM, name="heavy", mass=16.0 * ARM.mass, inertia=16.0 * ARM.inertia)
 SCALING = ("healthy", "play-in-loop", "worn", "worn-true")
-
-
-def resized(arm: Arm, length: float, mass: float) -> Arm:
-    """The same arm, with lengths and masses times a factor."""
-
-    def moved(pose: np.ndarray) -> np.ndarray:
-        pose = pose.copy()
-        pose[..., :3, 3] *= length
-        return pose
-
-    return dataclasses.replace(
-        arm,
-        name="resized",
-        offset=moved(arm.offset),
-        tip=moved(arm.tip),
-        com=length * arm.com,
-        mass=mass * arm.mass,
-        inertia=mass * length**2 * arm.inertia,
-        floor=length * arm.floor,
-        targets=Box(lower=length * arm.targets.lower, upper=length * arm.targets.upper),
-    )
 
 
 @pytest.mark.parametrize(("length", "mass"), [(2.0, 8.0), (0.5, 0.3), (3.0, 1.0)])

@@ -6,25 +6,25 @@ import pytest
 from rejoint.arms import mycobot280
 from rejoint.robots.lab.plant import servo
 from rejoint.robots.lab.plant.plant import joint_records
-from rejoint.robots.lab.plant.wear import Wear, load_wear
+from rejoint.robots.lab.plant.wear import load_wear
 
 ARM = mycobot280()
 
 
-def wear(**changes: float) -> Wear:
+def wear(**changes):
     """A worn arm without ripple and noise, changed in some parameters for all joints."""
     quiet = {"ripple": 0.0, "torque_noise": 0.0} | changes
     return dataclasses.replace(load_wear("worn", ARM), **{name: np.full(6, value) for name, value in quiet.items()})
 
 
-def joint(**changes: float) -> np.record:
+def joint(**changes):
     record = joint_records(ARM, wear())[:1].copy()
     for name, value in changes.items():
         record[name] = value
     return record
 
 
-def slide(torque: float, steps: int, inertia: float = 0.02) -> tuple[float, float]:
+def slide(torque, steps, inertia=0.02):
     """Push a mass against friction alone, harder for 0.2 s and then steadily; returns angle [rad] and speed [rad/s]."""
     records = joint(coulomb=0.1, stiction=0.2, load_friction=0.0, reflected_inertia=inertia)
     state = np.zeros(1, servo.STATE)
@@ -69,12 +69,6 @@ def test_friction_grows_with_the_transmitted_torque():
         light = servo.friction_torque(records[0], state[0], 1.0, 0.0)
         loaded = servo.friction_torque(records[0], state[0], 1.0, -0.5)
     assert (light, loaded) == (pytest.approx(-0.1), pytest.approx(-0.15))
-
-
-def test_the_gear_pushes_only_beyond_half_its_play():
-    records = joint(play=0.04, link_stiffness=50.0)
-    torques = [servo.gear_torque(records[0], angle, 0.0) for angle in (-0.03, -0.02, 0.0, 0.02, 0.03)]
-    np.testing.assert_allclose(torques, [0.5, 0.0, 0.0, 0.0, -0.5], atol=1e-12)
 
 
 def test_teeth_do_not_pull_when_they_part():

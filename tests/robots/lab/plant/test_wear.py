@@ -24,7 +24,7 @@ SCALING = tuple(name for name in wear_names() if wear_arm(name) is None)
 FAMILY = [load_wear(f"worn?seed={seed}", ARM) for seed in range(20)]
 
 
-def worn_text() -> str:
+def worn_text():
     wear = load_wear("worn", ARM)
     lines = []
     for name in PARAMETERS:

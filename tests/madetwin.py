@@ -1,0 +1,40 @@
+"""Twins and calibrations as they would be found."""
+
+import numpy as np
+
+from rejoint.diagnosis.calibration.calibration import Calibration
+from rejoint.diagnosis.calibration.parameters import DisplacementLayout
+from rejoint.twin.parameters import prior
+from rejoint.twin.twin import HeldOut, PredictionError, Twin
+
+
+def made_twin(arm, parameters, **facts):
+    """A twin whose parameters are known to a tenth of what was known before."""
+    belief = prior(arm)
+    error = PredictionError(joints=(0.01,) * arm.joints, joint=0.01, tcp=1e-3)
+    found = {
+        "covariance": np.diag((0.1 * belief.sigma) ** 2),
+        "narrowing": np.full(len(belief.mean), 0.1),
+        "identified": np.ones(len(belief.mean), dtype=bool),
+        "held_out": HeldOut(seconds=30.0, no_twin=error, healthy_twin=error, twin=error),
+        "fit_seconds": 1.0,
+        "lower": belief.lower,
+        "upper": belief.upper,
+    }
+    return Twin(arm=arm.name, joint_names=arm.joint_names, parameters=parameters, **found | facts)
+
+
+def made_calibration(arm, displacement, **facts):
+    found = {
+        "covariance": 1e-12 * np.eye(DisplacementLayout(joints=arm.joints).size),
+        "frame": np.eye(4),
+        "frame_name": "base",
+        "source": "touch",
+        "date": "",
+        "points": 4,
+        "before": 2e-3,
+        "after": 1e-3,
+        "used": True,
+        "floor": 1e-6,
+    }
+    return Calibration(arm=arm, displacement=displacement, **found | facts)
