@@ -65,6 +65,10 @@ class CommandGroup(TyperGroup):
     table = TEXTS["commands"]
     _listing = False
 
+    def __init__(self, **words: Any) -> None:  # noqa: ANN401
+        super().__init__(**words)
+        self.commands = dict.fromkeys(self.table)  # type: ignore[assignment]  # names, for suggestions
+
     def list_commands(self, ctx: object) -> list[str]:  # noqa: ARG002
         """Return the names of all commands, in the order of the list."""
         return list(self.table)
