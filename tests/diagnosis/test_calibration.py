@@ -197,8 +197,6 @@ def test_aiming_brings_the_tool_to_the_target() -> None:
     assert (
         np.linalg.norm(found.tool(settled, np.broadcast_to(ARM.rest, settled.shape)) - target, axis=-1).max() < 0.3e-3
     )
-    again = found.aim_again(target, settled, np.broadcast_to(ARM.rest, settled.shape))
-    assert np.linalg.norm(again - found.aim(target, ARM.rest), axis=-1).max() < 0.3e-3
 
 
 def test_intervals_hold_the_truth() -> None:

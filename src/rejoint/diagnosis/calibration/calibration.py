@@ -160,10 +160,6 @@ class Calibration:
             command = target - self.shift(posture, start)
         return command
 
-    def aim_again(self, target: Array, position: Array, approach: Array | None = None) -> Array:
-        """Do the same once the arm has settled near ``target`` at ``position`` (..., n) [rad]."""
-        return target - self.shift(position, approach) if self.used else np.array(target, dtype=float)
-
 
 def geometry_of(arm: Arm) -> dict[str, str]:
     """Digest the fields of an arm that a calibration depends on."""

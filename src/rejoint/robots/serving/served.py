@@ -85,7 +85,7 @@ class ServedArm(Mover, Reference):
         """what a motor is too weak for in the last order; empty where none is"""
         self._apparent = apparent or Apparent(arm=arm)
         self._unloading = Unloading(arm, motors)
-        super().__init__(arm, self._apparent.shown(position, position))
+        super().__init__(arm, self._apparent.shown(position))
         self._lock = threading.RLock()
         self.powered = True
         self.enabled: Mask = np.ones(arm.joints, dtype=bool)
@@ -100,7 +100,7 @@ class ServedArm(Mover, Reference):
         self._speed = np.zeros(arm.joints)
         self._temperature: Array | None = None
         self._fault: Mask | None = None
-        self._came = position.copy()
+        self._apparent.came = position.copy()
         self._wanted = self._aim = Setpoint(position[None].copy())
         # when [s] the reference ended its way; None while it moves
         self._since: float | None = None
@@ -145,7 +145,7 @@ class ServedArm(Mover, Reference):
     def _next(self) -> Setpoint:
         under_way = self._motion.moving and not self._motion.paused
         if under_way or self._since is None:
-            posture = self._apparent.measured(self._motion.reference, self._came)
+            posture = self._apparent.measured(self._motion.reference)
         else:
             posture = self._aim.goal[0]
         return Setpoint(posture[None], arrived=np.array([not under_way]))
@@ -170,7 +170,7 @@ class ServedArm(Mover, Reference):
         self._close_since = (self._close_since or self._time) if near else None
         calm = self._close_since is not None and self._time - self._close_since >= CALM
         if calm or after > PATIENCE:
-            self._settled, self._came = True, posture.copy()
+            self._settled, self._apparent.came = True, posture.copy()
             held_back = self.held_back if error > HAS_ARRIVED_LENGTH else ""
             if held_back:  # what is ordered next begins where the arm is, not where it will never come
                 self._stay()
@@ -187,8 +187,8 @@ class ServedArm(Mover, Reference):
             self._settled = True
 
     def _hold_here(self) -> None:
-        self._came = self._position.copy()
-        self._wanted = self._aim = Setpoint(self._came[None].copy())
+        self._apparent.came = here = self._position.copy()
+        self._wanted = self._aim = Setpoint(here[None].copy())
 
     def _stay(self) -> None:
         for joint, angle in enumerate(np.clip(self.angles, self.lower, self.upper)):
@@ -204,7 +204,7 @@ class ServedArm(Mover, Reference):
     @property
     def angles(self) -> Array:
         """(n,) [rad] shown joint angles."""
-        return self._apparent.shown(self._position, self._came)
+        return self._apparent.shown(self._position)
 
     @property
     def pose(self) -> Array:
@@ -318,7 +318,7 @@ class ServedArm(Mover, Reference):
         """Return the joint whose motor cannot hold ``angles`` (n,) [rad], and why; None where all can."""
         if self._motors is None:
             return None, ""
-        return too_heavy(self.arm, self._apparent.measured(angles, self._came), self._motors.limit)
+        return too_heavy(self.arm, self._apparent.measured(angles), self._motors.limit)
 
     def _is_clear(self, angles: Array) -> bool:
         """Whether motors and guard allow the arm at ``angles`` (n,) [rad].
@@ -331,7 +331,7 @@ class ServedArm(Mover, Reference):
             return False
         if self._limits is None:
             return True
-        goal, here = (self._apparent.measured(one, self._came) for one in (angles, self.planned_angles))
+        goal, here = (self._apparent.measured(one) for one in (angles, self.planned_angles))
         clear = clear_by(self._limits, np.stack([goal, here]))
         if (clear[0] >= np.minimum(clear[1], 0.0) - TOUCH).all():
             return True
