@@ -241,12 +241,12 @@ def test_a_client_sees_the_angles_of_a_perfect_arm_where_its_tool_really_is():
     apparent = Apparent(arm=ARM, shift=lambda position, came: way)  # noqa: ARG005
     rng = np.random.default_rng(3)
     for posture in ARM.rest + rng.uniform(-0.4, 0.4, (10, 6)):
-        shown = apparent.shown(posture, posture)
+        shown = apparent.shown(posture)
         np.testing.assert_allclose(tcp_position(ARM, shown), tcp_position(ARM, posture) + way, atol=1e-3)
-        measured = apparent.measured(posture, posture)
-        np.testing.assert_allclose(apparent.shown(measured, posture), posture, atol=1e-3)
+        measured = apparent.measured(posture)
+        np.testing.assert_allclose(apparent.shown(measured), posture, atol=1e-3)
     bare = Apparent(arm=ARM)
-    assert bare.shown(ARM.rest, ARM.rest) is ARM.rest is bare.measured(ARM.rest, ARM.rest)
+    assert bare.shown(ARM.rest) is ARM.rest is bare.measured(ARM.rest)
 
 
 def test_a_gripper_is_passed_on_and_one_that_is_silent_asked_once(monkeypatch):

@@ -218,27 +218,29 @@ SHOWN = np.radians(15.0)
 """[rad] by which a joint is shown elsewhere at most (chosen: what 5 cm take at the wrist)"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(kw_only=True, eq=False)
 class Apparent:
     """The posture of a perfect arm whose tool is where that of ``arm`` really is, and where to send the arm for one."""
 
     arm: Arm
     shift: Callable[[Array, Array], Array] | None = None
     """Shift (3,) [m] of the tool, by position and approach (n,) [rad] each, as `Modelled.shift`; None: no shift"""
+    came: Array | None = None
+    """(n,) [rad] where the arm came from; None: nowhere else"""
 
-    def shown(self, position: Array, came: Array) -> Array:
-        """Posture (n,) [rad] shown where ``position`` (n,) is measured and the arm came from ``came`` (n,)."""
+    def shown(self, position: Array) -> Array:
+        """Posture (n,) [rad] shown where ``position`` (n,) is measured."""
         if self.shift is None:
             return position
-        return position + self._turn(position, self.shift(position, came))
+        return position + self._turn(position, self.shift(position, position if self.came is None else self.came))
 
-    def measured(self, posture: Array, came: Array) -> Array:
+    def measured(self, posture: Array) -> Array:
         """Measured position (n,) [rad] at which ``posture`` (n,) is shown."""
         if self.shift is None:
             return posture
         position = posture
         for _ in range(ROUNDS):
-            position = posture - (self.shown(position, came) - position)
+            position = posture - (self.shown(position) - position)
         return np.clip(position, self.arm.lower, self.arm.upper)
 
     def _turn(self, position: Array, way: Array) -> Array:

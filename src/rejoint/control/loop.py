@@ -85,12 +85,6 @@ class Schedule:
     give_up: Callable[[ControlInput], Mask] | None = None
     """asked once per cycle: arms (B,) that are done; they hold their last command"""
 
-    def __post_init__(self) -> None:
-        if not 0.0 < self.dwell < np.inf:
-            raise InputError(f"schedule: the dwell must be a positive time in seconds, got {self.dwell}")
-        if self.stop_below is not None and not self.stop_below > 0.0:
-            raise InputError(f"schedule: stop_below must be a positive distance in metres, got {self.stop_below}")
-
 
 def run(
     robot: Robot,
@@ -108,8 +102,6 @@ def run(
     """
     limits = GuardLimits.of(robot.arm) if limits is None else limits
     to = reference if isinstance(reference, Reference) else TargetSequence(limits.arm, reference)
-    if to.count != robot.count:
-        raise InputError(f"a reference for {to.count} arms, expected one for each of {robot.count}")
     warm_up(limits)
     with noted():
         return _cycles(

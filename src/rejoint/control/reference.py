@@ -130,8 +130,6 @@ class TargetSequence(Reference):
         targets = np.asarray(targets, dtype=float)
         if targets.ndim != 3 or targets.shape[1] == 0 or targets.shape[2] != 3:
             raise InputError(f"targets have shape {targets.shape}, expected (arms, K, 3) with K > 0")
-        if turns is not None and turns.weight.shape != targets.shape[:2]:
-            raise InputError(f"orientations have shape {turns.weight.shape}, expected that of the targets")
         self.count, self.legs = targets.shape[:2]
         if ways is not None and [len(row) for row in ways] != [self.legs] * self.count:
             raise InputError("ways to targets: expected one for each target")

@@ -53,7 +53,7 @@ class UnloadedWay(Reference):
 
     def __init__(self, way: Reference, unloading: Unloading, say: Callable[[str], object] = lambda _: None) -> None:
         """``say`` receives which joint stays off its goal, and by how much."""
-        self._way, self._unloading, self._say, self._since, self._said = way, unloading, say, np.inf, False
+        self._way, self._unloading, self._say, self._since = way, unloading, say, np.inf
 
     def advance(self, state: JointState, since: Array, /) -> Setpoint:
         """Return where the arm is to be."""
@@ -61,10 +61,9 @@ class UnloadedWay(Reference):
         short = self._unloading.short(state.position[0]) if self._unloading.given_up and wanted.arrived[0] else ""
         now = float(state.time[0])
         self._since = min(self._since, now) if short else np.inf  # a joint that is still pushed may come
-        lasts = now - self._since > PUSHED
-        if lasts and not self._said:
+        if now - self._since > PUSHED:
             self._say(f"{short}.")
-        self._said = lasts
+            self._since = np.nan  # said once
         return wanted
 
 

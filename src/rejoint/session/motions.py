@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -110,19 +111,11 @@ class GoalStream(Reference):
 
     def __init__(self, apparent: Apparent, position: Array) -> None:
         """Begin at ``position`` (n,) [rad]."""
-        self._apparent, self._speed = apparent, apparent.arm.max_speed
+        self.apparent = replace(apparent, came=position)
         self.goal: Array | None = None
         """(n,) [rad]; None: stay"""
-        self._mean, self._posture, self._came = np.full_like(position, np.nan), position, position
+        self._mean, self._posture = np.full_like(position, np.nan), position
         self._time, self._changed = np.inf, -np.inf
-
-    def measured(self, goal: Array) -> Array:
-        """Return the joint positions (n,) [rad] to which the arm goes for ``goal`` (n,)."""
-        return self._apparent.measured(goal, self._came)
-
-    def shown(self, position: Array) -> Array:
-        """Return the posture (n,) [rad] of a perfect arm for this one at ``position`` (n,) [rad]."""
-        return self._apparent.shown(position, self._came)
 
     def advance(self, state: JointState, since: Array, /) -> Setpoint:  # noqa: ARG002 - it goes by its own clock
         """Return where the arm is to be: at first, where it is."""
@@ -132,12 +125,13 @@ class GoalStream(Reference):
         if goal is None:
             return Setpoint(self._posture[None])
         if not np.abs(goal - self._mean).max() < JITTER:
-            self._came = self._posture if rested else self._came
+            if rested:
+                self.apparent.came = self._posture
             self._mean, self._changed, rested = goal, now, False
         # The mean over all the rest: one that goes on wandering with the hand moves joints that stick.
         self._mean = self._mean + elapsed / (now - self._changed + RESTS) * (goal - self._mean)
-        aim = self.measured(self._mean if rested else goal)
-        reach = self._speed * elapsed
+        aim = self.apparent.measured(self._mean if rested else goal)
+        reach = self.apparent.arm.max_speed * elapsed
         self._posture = self._posture + np.clip(aim - self._posture, -reach, reach)
         arrived = rested and bool((self._posture == aim).all())
         return Setpoint(self._posture[None], arrived=np.array([arrived]))

@@ -54,7 +54,7 @@ TURNS = 2.0 * np.pi
 STARTING = 5.0
 """[s] for the first cycle of a stream (chosen)"""
 _LOOK = 0.01  # [s] between two looks at whether a motion has ended (chosen)
-_SHARES = np.linspace(1.0, 0.0, 65)[:, None]  # of a way to joint positions, looked at from its end
+_SHARES = np.linspace(0.0, 1.0, 65)[:, None]  # of a way back from joint positions
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -235,8 +235,8 @@ class ArmSession(ArmDriver):
         with self._asking:
             goals = self._stream()
             last = goals.goal if goals.goal is not None else self.shown_joints()
-            way = last + _SHARES * (goal - last)
-            goals.goal = goal = next((one for one in way if self._clear(goals.measured(one))), last)
+            way = goal + _SHARES * (last - goal)
+            goals.goal = goal = next((one for one in way if self._clear(goals.apparent.measured(one))), last)
             return goal.copy()
 
     def shown_joints(self) -> Array:
@@ -245,7 +245,7 @@ class ArmSession(ArmDriver):
         They are those of `send_joints`, and measured ones without a calibration.
         """
         position = self.state.joints_rad
-        return self.apparent.shown(position, position) if self._goals is None else self._goals.shown(position)
+        return (self._goals or self).apparent.shown(position)
 
     def hold(self) -> None:
         """Hold the arm until the next order; raises what ended the hold."""
@@ -287,8 +287,7 @@ class ArmSession(ArmDriver):
 
     def _clear(self, posture: Array) -> bool:
         """Whether the guard lets the arm go to ``posture`` (n,) [rad]."""
-        limits = self.limits if self.limits is not None else GuardLimits.of(self.arm)
-        return bool((clear_by(limits, posture) >= 0.0).all())
+        return bool((clear_by(self.limits or GuardLimits.of(self.arm), posture) >= 0.0).all())
 
     def follow(
         self,

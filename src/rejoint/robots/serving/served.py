@@ -82,7 +82,7 @@ class ServedArm(Mover, Reference):
         """what a motor is too weak for in the last order, or empty"""
         self._apparent = apparent or Apparent(arm=arm)
         self._unloading = Unloading(arm, motors)
-        super().__init__(arm, self._apparent.shown(position, position))
+        super().__init__(arm, self._apparent.shown(position))
         self._lock = threading.RLock()
         self.on_arrival: Callable[[MoveEnd], object] = lambda _: None
         """is told how each move ended"""
@@ -93,7 +93,7 @@ class ServedArm(Mover, Reference):
         self._position = position.copy()
         self._speed = np.zeros(arm.joints)
         self._state: JointState | None = None
-        self._came = position.copy()
+        self._apparent.came = position.copy()
         self._wanted = self._aim = Setpoint(position[None].copy())
         # when [s] the reference ended its way; None while it moves
         self._since: float | None = None
@@ -136,7 +136,7 @@ class ServedArm(Mover, Reference):
     def _next(self) -> Setpoint:
         under_way = self._motion.moving and not self.paused
         if under_way or self._since is None:
-            posture = self._apparent.measured(self._motion.reference, self._came)
+            posture = self._apparent.measured(self._motion.reference)
         else:
             posture = self._aim.goal[0]
         return Setpoint(posture[None], arrived=np.array([not under_way]))
@@ -161,7 +161,7 @@ class ServedArm(Mover, Reference):
         self._close_since = (self._close_since or self._time) if near else None
         calm = self._close_since is not None and self._time - self._close_since >= CALM
         if calm or after > PATIENCE:
-            self._settled, self._came = True, posture.copy()
+            self._settled, self._apparent.came = True, posture.copy()
             held_back = self.held_back if error > ARRIVED_LENGTH else ""
             if held_back:  # what is ordered next begins where the arm is, not where it will never come
                 self._stay()
@@ -178,8 +178,8 @@ class ServedArm(Mover, Reference):
             self._settled = True
 
     def _hold_here(self) -> None:
-        self._came = self._position.copy()
-        self._wanted = self._aim = Setpoint(self._came[None].copy())
+        self._apparent.came = here = self._position.copy()
+        self._wanted = self._aim = Setpoint(here[None].copy())
 
     def _stay(self) -> None:
         for joint, angle in enumerate(np.clip(self.angles, self.lower, self.upper)):
@@ -195,7 +195,7 @@ class ServedArm(Mover, Reference):
     @property
     def angles(self) -> Array:
         """(n,) [rad] shown joint angles."""
-        return self._apparent.shown(self._position, self._came)
+        return self._apparent.shown(self._position)
 
     def sensed(self) -> Sensed:
         """Return what the robot tells, else zeros."""
@@ -281,7 +281,7 @@ class ServedArm(Mover, Reference):
         """Return the joint that cannot hold ``angles`` (n,) [rad], and why, or None."""
         if self._motors is None:
             return None, ""
-        return too_heavy(self.arm, self._apparent.measured(angles, self._came), self._motors.limit)
+        return too_heavy(self.arm, self._apparent.measured(angles), self._motors.limit)
 
     def _is_clear(self, angles: Array) -> bool:
         """Whether motors and guard allow ``angles`` (n,) [rad]; in contact it may go nearer to what is clear."""
@@ -291,7 +291,7 @@ class ServedArm(Mover, Reference):
             return False
         if self._limits is None:
             return True
-        goal, here = (self._apparent.measured(one, self._came) for one in (angles, self.planned_angles))
+        goal, here = (self._apparent.measured(one) for one in (angles, self.planned_angles))
         clear = clear_by(self._limits, np.stack([goal, here]))
         if (clear[0] >= np.minimum(clear[1], 0.0) - TOUCH).all():
             return True
