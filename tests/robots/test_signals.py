@@ -12,19 +12,18 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280
-from rejoint.arms.wire.orders import SWITCHES
 from rejoint.control.classical import IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
 from rejoint.robots import open_robot
-from rejoint.robots.lab.emulator import Timing, build_firmware, serve_pty, serve_tcp
+from rejoint.robots.lab.emulator import Firmware, Timing, build_firmware, serve_pty, serve_tcp
 from rejoint.system import stopping
 from rejoint.system.stopping import Interrupted
 
 pytestmark = pytest.mark.realtime
 
 ARM = mycobot280()
-PERIOD, STOP = 0.02, 0x29
+PERIOD = 0.02
 HEARD = (
     "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); from rejoint.cli import main; main()"
 )
@@ -45,13 +44,13 @@ def heard():
 @pytest.fixture
 def stops(monkeypatch):
     """When the firmware was ordered to stop."""
-    times, stop = [], SWITCHES[STOP]
+    times, stop = [], Firmware.stop
 
     def noticed(firmware):
         times.append(time.monotonic())
         stop(firmware)
 
-    monkeypatch.setitem(SWITCHES, STOP, noticed)
+    monkeypatch.setattr(Firmware, "stop", noticed)
     return times
 
 
