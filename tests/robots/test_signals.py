@@ -12,19 +12,18 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280
-from rejoint.arms.wire.orders import ORDERS
 from rejoint.control.classical import IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
 from rejoint.robots import open_robot
-from rejoint.robots.lab.emulator import Timing, build_firmware, serve_pty, serve_tcp
+from rejoint.robots.lab.emulator import Firmware, Timing, build_firmware, serve_pty, serve_tcp
 from rejoint.system import stopping
 from rejoint.system.stopping import Interrupted
 
 pytestmark = pytest.mark.realtime
 
 ARM = mycobot280()
-PERIOD, STOP = 0.02, 0x29
+PERIOD = 0.02
 HEARD = (
     "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); from rejoint.cli import main; main()"
 )
@@ -34,20 +33,24 @@ TARGETS = np.array([[[0.20, 0.05, 0.20], [0.18, -0.05, 0.22]]])
 @pytest.fixture(autouse=True)
 def heard():
     """Background jobs ignore SIGINT from their start on, and SIGTERM ends a process that does not handle it."""
+    before = {signum: signal.getsignal(signum) for signum in stopping.SIGNALS}
     signal.signal(signal.SIGINT, signal.default_int_handler)
     stopping.install()
+    yield
+    for signum, handler in before.items():
+        signal.signal(signum, handler)
 
 
 @pytest.fixture
 def stops(monkeypatch):
     """When the firmware was ordered to stop."""
-    times = []
+    times, stop = [], Firmware.stop
 
     def noticed(firmware):
         times.append(time.monotonic())
-        firmware.stop()
+        stop(firmware)
 
-    monkeypatch.setitem(ORDERS, (STOP, 0), ("", noticed))
+    monkeypatch.setattr(Firmware, "stop", noticed)
     return times
 
 
