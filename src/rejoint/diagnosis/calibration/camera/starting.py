@@ -11,7 +11,7 @@ from rejoint.arms import Arm, Array, tcp_pose
 from rejoint.arms.camera.board import Board, BoardView
 from rejoint.arms.camera.lens import Lens, place
 from rejoint.arms.camera.rig import Rig, tool_of
-from rejoint.arms.rotations import difference, inverse, pose_of
+from rejoint.arms.rotations import difference, inverse
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
 
@@ -75,11 +75,12 @@ def first_rig(arm: Arm, lens: Lens, board: Board, carried: str, position: Array,
     between = sights if carried == "board" else inverse(sights)
     used = np.ones(len(tool), bool)
     for _ in range(_ROUNDS):
-        standing, mounted, scale = _solve(tool[used], between[used])
+        standing, mounted = _solve(tool[used], between[used])
         seen = tool_of(carried, standing, mounted, sights)
         shift, turn = np.split(difference(seen, tool), 2, axis=-1)
         off = np.linalg.norm(shift, axis=-1) + _LEVER * np.linalg.norm(turn, axis=-1)
         used = off <= _FAR * np.median(off)
+    scale = _scale(tool[used], between[used], standing)
     if not _LEAST < scale < 1.0 / _LEAST:
         raise InputError(
             "the pictures do not fit the joint positions: check that each is paired with its own, in the right unit, "
@@ -93,19 +94,31 @@ def first_rig(arm: Arm, lens: Lens, board: Board, carried: str, position: Array,
     return Rig(lens=lens, board=board, carried=carried, standing=standing, mounted=mounted)
 
 
-def _solve(tool: Array, between: Array) -> tuple[Array, Array, float]:
-    """Poses A and B with A M = F B for poses M ``between`` and F of the ``tool`` (V, 4, 4), and the scale of M."""
+def _solve(tool: Array, between: Array) -> tuple[Array, Array]:
+    """Poses A and B with A M = F B for poses M ``between`` and F of the ``tool`` (V, 4, 4)."""
     one = np.eye(3)
     rows = [
         np.hstack([np.kron(m[:3, :3].T, one), -np.kron(one, f[:3, :3])]) for m, f in zip(between, tool, strict=True)
     ]
-    both = np.linalg.svd(np.vstack(rows), full_matrices=False)[2][-1].reshape(2, 3, 3).swapaxes(1, 2)
-    both = both / np.cbrt(np.linalg.det(both[0]))
-    left_turn, right_turn = Rotation.from_matrix(both).as_matrix()
-    lengths = (between[:, :3, 3] @ left_turn.T)[..., None]
-    left = np.concatenate([np.broadcast_to(one, (len(tool), 3, 3)), -tool[:, :3, :3], lengths], axis=2).reshape(-1, 7)
-    shift = np.linalg.lstsq(left, tool[:, :3, 3].ravel(), rcond=None)[0]
-    return pose_of(left_turn, shift[:3]), pose_of(right_turn, shift[3:6]), float(shift[6])
+    both = np.linalg.svd(np.vstack(rows), full_matrices=False)[2][-1]
+    a, b = both[:9].reshape(3, 3).T, both[9:].reshape(3, 3).T
+    sign = np.sign(np.linalg.det(a))
+    standing, mounted = np.eye(4), np.eye(4)
+    standing[:3, :3], mounted[:3, :3] = (
+        Rotation.from_matrix(sign * one / np.cbrt(abs(np.linalg.det(one)))).as_matrix() for one in (a, b)
+    )
+    left = np.concatenate([np.broadcast_to(one, (len(tool), 3, 3)), -tool[:, :3, :3]], axis=2).reshape(-1, 6)
+    right = (tool[:, :3, 3] - between[:, :3, 3] @ standing[:3, :3].T).ravel()
+    shift = np.linalg.lstsq(left, right, rcond=None)[0]
+    standing[:3, 3], mounted[:3, 3] = shift[:3], shift[3:]
+    return standing, mounted
+
+
+def _scale(tool: Array, between: Array, standing: Array) -> float:
+    one = np.broadcast_to(np.eye(3), (len(tool), 3, 3))
+    lengths = (between[:, :3, 3] @ standing[:3, :3].T)[..., None]
+    left = np.concatenate([one, -tool[:, :3, :3], lengths], axis=2).reshape(-1, 7)
+    return float(np.linalg.lstsq(left, tool[:, :3, 3].ravel(), rcond=None)[0][6])
 
 
 def _require_turns(tool: Array) -> None:
