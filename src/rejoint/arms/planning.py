@@ -138,8 +138,7 @@ def plan(
 
 def clearance(arm: Arm, q: Array) -> Array:
     """Least distance (...) [m] between links, to ground and boxes at ``q`` (..., n) [rad]; negative: contact."""
-    posture = np.asarray(q, dtype=float)
-    smallest: Array = clearances(arm, posture, np.zeros(0)).min(axis=-1, initial=np.inf)
+    smallest: Array = clearances(arm, np.asarray(q, dtype=float), np.zeros(0)).min(axis=-1, initial=np.inf)
     return smallest
 
 

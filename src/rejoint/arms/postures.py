@@ -31,9 +31,9 @@ CLEARANCE, SPACIOUS = 0.006, 0.015
 of a myCobot 280 (chosen)"""
 POOL, DRAWN = 8000, 40000
 """Stored and drawn postures (chosen: 18 mm apart for a myCobot 280)"""
-STARTS, BESTS, DESCENTS = 40, 4, 10
+EFFORT = (40, 4, 10)
 """Moved and improved stored postures, and steps (chosen)"""
-MORE_STARTS, MORE_BESTS, MORE_DESCENTS = 500, 24, 25
+THOROUGH = (500, 24, 25)
 """The same before a target is refused (chosen)"""
 NEIGHBOUR, SWITCH = 0.06, 3.0
 """[m] of a myCobot 280 between neighbours, and cost for another branch (chosen)"""
@@ -145,12 +145,11 @@ def _choose(demand: _Demand, goal: Array, start: Array, near: bool) -> Array | N
     """Posture (n,) of one goal (17,), or None."""
     arm, body = demand.arm, body_of(demand.arm)
     stayed = np.empty(arm.joints)
-    begin = np.array(start)
-    begin.setflags(write=False)
+    begin = frozen(start)
     cost = redundancy.stay(body, goal, begin, demand.scale, demand.most, near, stayed)
     if cost == 0.0 or (near and cost < SWITCH):
         return stayed
-    found, other, _ = _search(demand, goal, begin, (STARTS, BESTS, DESCENTS))
+    found, other, _ = _search(demand, goal, begin, EFFORT)
     if other >= redundancy.FAR and cost >= redundancy.FAR:
         return None
     return stayed if cost <= other + float(near) else found
@@ -170,8 +169,7 @@ def _search(demand: _Demand, goal: Array, start: Array, effort: tuple[int, int, 
 def _refuse(demand: _Demand, goal: Array, start: Array) -> tuple[str, Array, Array]:
     """Search thoroughly: the refusal or empty, and the nearest possible posture (n,) and place (3,)."""
     arm = demand.arm
-    begin = np.array(start)
-    begin.setflags(write=False)
+    begin = frozen(start)
     if goal[2] < arm.floor:
         lifted = np.array(goal)
         lifted[2] = arm.floor
@@ -179,19 +177,18 @@ def _refuse(demand: _Demand, goal: Array, start: Array) -> tuple[str, Array, Arr
         lifted.setflags(write=False)
         found = _choose(demand, lifted, start, False)
         return (why, found, lifted[:3]) if found is not None else (why, *_nearby(demand, goal, begin))
-    effort = (MORE_STARTS, MORE_BESTS, MORE_DESCENTS)
-    found, cost, closest = _search(demand, goal, begin, effort)
+    found, cost, closest = _search(demand, goal, begin, THOROUGH)
     if cost < redundancy.FAR:
         return "", found, goal[:3]
     return _why(demand, goal, begin, found, cost, closest), *_nearby(demand, goal, begin)
 
 
 def _why(demand: _Demand, goal: Array, start: Array, found: Array, cost: float, closest: Array) -> str:
-    arm, effort = demand.arm, (MORE_STARTS, MORE_BESTS, MORE_DESCENTS)
+    arm = demand.arm
     if cost == np.inf:
         if goal[16] > 0.0:
             place = frozen(np.append(goal[:16], 0.0))
-            found, cost, closest = _search(demand, place, start, effort)
+            found, cost, closest = _search(demand, place, start, THOROUGH)
             if cost < redundancy.FAR:
                 return "the orientation cannot be reached there; the place alone can"
         if cost == np.inf:
@@ -200,7 +197,7 @@ def _why(demand: _Demand, goal: Array, start: Array, found: Array, cost: float, 
     distances = clearances(arm, found, body_of(arm).floors)
     touching = distances[arm.joints :] < body_of(arm).least
     if touching.any():
-        light, cost, _ = _search(_demand(arm, None), goal, start, effort)
+        light, cost, _ = _search(_demand(arm, None), goal, start, THOROUGH)
         if cost < redundancy.FAR:
             found, touching[:] = light, False
     if touching.any():
@@ -236,9 +233,7 @@ def _nearby(demand: _Demand, goal: Array, start: Array) -> tuple[Array, Array]:
         low, high = 0.0, 1.0
         for _ in range(_BISECTIONS + 1):
             share = low if goal[16] > 0.0 and low == 0.0 and high == 1.0 else 0.5 * (low + high)
-            trial = np.array(goal)
-            trial[:3] = place + share * (goal[:3] - place)
-            trial.setflags(write=False)
+            trial = frozen(np.append(place + share * (goal[:3] - place), goal[3:]))
             found = None if trial[2] < demand.arm.floor else _choose(demand, trial, works, False)
             if found is None:
                 high = share
