@@ -322,7 +322,7 @@ def _own(reading: Reading, joints: int) -> Reading:
     for name in ("position", "load", "temperature", "fault", "voltage"):
         if (value := getattr(reading, name)) is not None:
             arrays[name] = np.array(value, float)
-            if arrays[name].shape != (joints,):
+            if name != "position" and arrays[name].shape != (joints,):
                 raise ImpossibleReplyError(f"expected {joints} values of {name}, got {value!r}")
     return replace(reading, **arrays)
 

@@ -18,10 +18,11 @@ def test_a_family_is_evaluated_and_resumed(cli, tmp_path):
 
 def test_targets_anywhere_are_held_by_controllers_that_know_each_arm_by_its_twin(cli, tmp_path, monkeypatch):
     monkeypatch.setattr("rejoint.research.evaluation.evaluate.own_twin", lambda *_: a_twin())
-    held = "--variants", "anywhere", "--controllers", "feedforward,predictive", "--crossings", "0"
+    held = "--variants", "anywhere", "--controllers", "feedforward,predictive", "--crossings", "0", "--seed", "1"
     rows = rows_of(cli, "evaluate", tmp_path, "--arms", "2", "--targets", "1", *held)
     assert [row["controller"] for row in rows] == ["feedforward", "predictive"]
-    assert all(row["settled"]["mean"]["value"] < 0.002 for row in rows)
+    settled = [row["settled"]["mean"]["value"] for row in rows]
+    assert max(settled) < 0.002, settled
 
 
 def test_calibrations_are_tried_in_the_target_region_and_anywhere(cli, tmp_path, monkeypatch):

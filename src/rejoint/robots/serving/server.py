@@ -246,7 +246,7 @@ Say = Callable[[str], object]
 WireServer = Server
 
 
-class _ServedClient(Conversation[Frame]):
+class _Clients(Conversation[Frame]):
     """Clients of an arm, one at a time."""
 
     def __init__(self, answering: Answering, say: Say, listener: socket.socket | None = None) -> None:
@@ -295,9 +295,9 @@ def _is_gone(handle: int) -> bool:
 
 def tcp_wire(answering: Answering, listener: socket.socket, say: Say) -> WireServer:
     """Serve on a listening socket."""
-    return TcpServer(_ServedClient(answering, say, listener), listener)
+    return TcpServer(_Clients(answering, say, listener), listener)
 
 
 def pty_wire(answering: Answering, say: Say) -> WireServer:
     """Serve on a pseudo-terminal."""
-    return TerminalServer(_ServedClient(answering, say))
+    return TerminalServer(_Clients(answering, say))
