@@ -1,4 +1,4 @@
-"""Measure the healthy reference of a catalogue arm again: ``python -m rejoint.diagnosis mycobot280``."""
+"""Measure a catalogue arm's healthy reference: ``python -m rejoint.diagnosis mycobot280``."""
 
 from __future__ import annotations
 

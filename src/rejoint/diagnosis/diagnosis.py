@@ -25,23 +25,21 @@ class Evidence:
 
     motions: int
     seconds: float
-    """[s]"""
     free_seconds: float
-    """[s] of the free arm"""
     contact_seconds: float
-    """[s] with the tool on a table, recovery included"""
+    """with the tool on a table, recovery included"""
     stop_seconds: float
-    """[s] with a joint at a stop, recovery included"""
+    """with a joint at a stop, recovery included"""
     dead_seconds: float
-    """[s] of frozen readings, recovery included"""
+    """of frozen readings, recovery included"""
     table_height_m: float | None
-    """[m] in the base frame; None without contact"""
+    """in the base frame; None without contact"""
     rest_error_mm: Estimate | None
-    """[mm] from the tool's target to its rest, by encoders; None without rest"""
+    """between target and rest, by encoders; None without rest"""
 
 
 HIDDEN_MARGIN_MM = 1.0
-"""[mm] between tool and encoders, beyond the healthy range, of wear on a myCobot 280; goes with the reach; chosen"""
+"""Tool from encoders, beyond the healthy range, of a worn myCobot 280; goes with the reach; chosen"""
 
 KINDS = {
     "stuck": "stuck or without power",
@@ -65,21 +63,21 @@ class Diagnosis:
     arm: str
     robot: str
     condition: str
-    """ok, worn or bad; unknown where the logs do not tell"""
+    """ok, worn, bad or unknown"""
     verdict: str
     """sentences for the user"""
     findings: tuple[Finding, ...]
     """largest tool error first"""
     unseen: tuple[str, ...]
-    """sentences on what encoders cannot tell"""
+    """what encoders cannot tell, in sentences"""
     open_loop: OpenLoop | None
-    """ten targets; None for logs of other motion"""
+    """None for logs of other motion"""
     measurement: Measurement
     healthy: HealthyReference | None
     evidence: Evidence | None = None
-    """only for a diagnosis from logs"""
+    """of a diagnosis from logs"""
     servo_gains: dict[str, tuple[int, ...]] | None = None
-    """one per joint (`rejoint.control.servogains`); None: unknown"""
+    """one per joint (`rejoint.control.servogains`)"""
 
 
 def diagnose(
@@ -99,7 +97,7 @@ def diagnose(
 
 
 def judge(arm: Arm, logs: DiagnosisLogs, healthy: HealthyReference | None) -> Diagnosis:
-    """Judge an arm by its logs; InputError if they do not fit or hold too little."""
+    """Judge an arm by its logs; InputError if unfit or too short."""
     if healthy is not None and healthy.arm != arm.name:
         raise InputError(f"the healthy reference is of arm {healthy.arm}, expected {arm.name}")
     measurement = measure(arm, logs.excitation, None if healthy is None else healthy.motors_kg_m2)
@@ -149,7 +147,7 @@ def _verdict(open_loop: OpenLoop, findings: tuple[Finding, ...], healthy: Health
 def causes(
     shown: tuple[Finding, ...], all_of_them: tuple[Finding, ...], told: Finding | None = None
 ) -> tuple[str, list[Finding], str]:
-    """Name the worst findings of the three worst joints of ``shown``, and count the others."""
+    """Name the worst findings of the three worst joints, count the others."""
     joints = {finding.joint: finding for finding in reversed(shown)}  # the worst finding of a joint wins
     worst = sorted(joints.values(), key=lambda f: -f.tcp_mm)[:3]
     named = "; ".join(f"{f.joint} is {KINDS[f.kind]} ({f.tcp_mm:.1f} mm)" for f in worst)

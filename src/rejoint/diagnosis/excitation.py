@@ -1,10 +1,9 @@
 """The motion for a diagnosis: a seeded plan, checked before the arm moves.
 
 Segments: ``approach``; ``still`` (noise, hunting); ``sweep``, slow, at two speeds; ``step`` of each joint alone (lag,
-overshoot); ``multisine``, band-limited (dynamics); ``hold``, postures of different gravity torques, approached from
-both sides.
+overshoot); ``multisine``, band-limited (dynamics); ``hold``, postures of different gravity torques, from both sides.
 
-Each posture respects joint limits, floor, column and the largest load.
+Postures respect joint limits, floor, column and the largest load.
 """
 
 from __future__ import annotations
@@ -49,7 +48,7 @@ def swept(arm: Arm, joints: tuple[int, ...]) -> Array:
 
 
 class CommandPath:
-    """Knots of a trajectory from a start posture (n,) [rad] at time 0."""
+    """Knots of a trajectory from a posture (n,) [rad] at time 0."""
 
     def __init__(self, start: Array) -> None:
         self._time = [0.0]
@@ -68,7 +67,7 @@ class CommandPath:
 
     @contextmanager
     def segment(self, name: str, kind: str, joints: tuple[int, ...] = ()) -> Iterator[None]:
-        """Name what is added inside the ``with`` block."""
+        """Name what the ``with`` block adds."""
         start = self._time[-1]
         yield
         self._segments.append(Segment(name=name, kind=kind, start=start, stop=self._time[-1], joints=joints))
@@ -78,13 +77,13 @@ class CommandPath:
         self._add(duration, self._position[-1])
 
     def travel(self, goal: Array, speed: float) -> None:
-        """Go straight to ``goal`` (n,) [rad]; the joint with the longest way has ``speed`` [rad/s]."""
+        """Go straight to ``goal`` (n,) [rad], the farthest joint at ``speed`` [rad/s]."""
         self._add(float(np.abs(goal - self._position[-1]).max()) / speed, goal)
 
     def sweep(self, arm: Arm, amplitude: float, travel: float, speeds: Sequence[tuple[float, int]]) -> None:
-        """Sweep every other joint about the rest posture by ``amplitude`` [rad].
+        """Sweep every other joint about rest by ``amplitude`` [rad].
 
-        ``speeds`` are [rad/s] and cycles; ``travel`` [rad/s] is the speed in between.
+        ``speeds``: [rad/s] and cycles; ``travel`` [rad/s] in between.
         """
         for group in (range(0, arm.joints, 2), range(1, arm.joints, 2)):
             joints = tuple(group)
@@ -99,7 +98,7 @@ class CommandPath:
             self.wait(_SETTLE)
 
     def follow(self, time: Array, position: Array) -> None:
-        """Append samples (K,) [s] from 0 and (K, n) [rad] from the present posture."""
+        """Append samples (K,) [s] from 0 and (K, n) [rad] from here."""
         begin = self._time[-1]
         self._time.extend((begin + time[1:]).tolist())
         self._position.extend(position[1:])
@@ -121,7 +120,7 @@ def smooth_ramp(time: Array) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """Amplitudes, speeds and durations of an excitation; all defaults are chosen."""
+    """Amplitudes, speeds and durations of an excitation; defaults chosen."""
 
     still: float = 3.0
     """[s]"""
@@ -130,7 +129,6 @@ class Plan:
     sweep_speeds: tuple[float, ...] = (0.12, 0.5)
     """[rad/s]; twice the Stribeck velocity; fast: viscous lag outweighs friction"""
     sweep_cycles: tuple[int, ...] = (2, 4)
-    """up-and-down cycles at each speed"""
     step_size: float = 0.2
     """[rad]; half of the guard's limit"""
     step_dwell: float = 1.0
@@ -169,7 +167,7 @@ _SETTLE = 0.3
 """[s] pause between segments; chosen"""
 
 _ATTEMPTS, _SMALLER = 12, 0.8
-"""Attempts, and the factor on an amplitude that was too large; chosen"""
+"""Attempts, and factor on too large amplitudes; chosen"""
 
 _LEAST_SPREAD = 0.2
 """[rad] least spread of hold postures; chosen"""
@@ -180,7 +178,7 @@ _AMPLITUDES = {
     "multisine": "multisine_amplitude",
     "hold": "posture_spread",
 }
-"""Field of `Plan` to reduce for an unsafe segment"""
+"""Field of `Plan` to reduce if unsafe"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -213,7 +211,7 @@ _REMEDY = (
 
 
 def plan_excitation(arm: Arm, *, seed: int, start: Array | None = None, plan: Plan = FULL) -> Excitation:
-    """Plan the excitation of an arm at ``start`` (n,) [rad] (default: its rest posture).
+    """Plan the excitation of an arm at ``start`` (n,) [rad] (default: rest).
 
     Slows and shrinks motion; InputError if that does not suffice.
     """
@@ -296,7 +294,7 @@ def _add_holds(path: CommandPath, arm: Arm, plan: Plan, rng: np.random.Generator
 
 
 def hold_postures(arm: Arm, plan: Plan, rng: np.random.Generator) -> Array:
-    """Postures (P, n) [rad] whose gravity torques, scaled per joint, lie far apart (farthest-point sampling)."""
+    """Postures (P, n) [rad] of most different scaled gravity torques (farthest-point sampling)."""
     spread = plan.posture_spread
     q = postures_to_hold(arm, rng, spread=spread, offset=plan.hold_offset)
     while len(q) < plan.postures and spread > _LEAST_SPREAD:
@@ -348,7 +346,7 @@ TARGETS_LABEL, EXCITATION_LABEL = "diagnosis/targets", "diagnosis/excitation"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DiagnosisLogs:
-    """Logs of one arm for its diagnosis."""
+    """Logs for a diagnosis of one arm."""
 
     targets: RunLog
     """ten targets open loop"""
@@ -364,7 +362,7 @@ def record(
     on_progress: Progress = no_progress,
     on_cycle: OnCycle | None = None,
 ) -> tuple[DiagnosisLogs, ...]:
-    """Drive every arm of ``robot`` through the diagnosis; return the logs of each.
+    """Drive every arm through the diagnosis; return the logs of each.
 
     NotReadyError before it moves if unsafe; GuardTripError or RobotError if the motion had to be ended.
     """

@@ -1,4 +1,4 @@
-"""A diagnosis from logs of any motion, against the same healthy reference.
+"""A diagnosis from logs of any motion.
 
 Stiffness needs a gravity load, friction motion in both directions.
 """
@@ -26,7 +26,7 @@ from rejoint.system.progress import Progress, no_progress
 from rejoint.system.statistics import Estimate
 
 _MANY = 8
-"""Number of logs from which each is one observation; chosen"""
+"""Logs from which each is one observation; chosen"""
 
 SHORTEST = 10.0
 """[s] least free motion; chosen"""
@@ -40,10 +40,7 @@ def diagnose_logs(
     source: str = "logs",
     on_progress: Progress = no_progress,
 ) -> Diagnosis:
-    """Judge an arm by logs of any motion from ``source``.
-
-    InputError for logs of another arm or too little free motion.
-    """
+    """Judge an arm by logs of any motion; InputError for another arm or too little free motion."""
     if healthy is not None and healthy.arm != arm.name:
         raise InputError(f"the healthy reference is of arm {healthy.arm}, expected {arm.name}")
     for log in logs:
@@ -91,7 +88,7 @@ def diagnose_logs(
 
 
 def left_out(evidence: Evidence) -> str:
-    """Describe the time without free arm, as the end of a sentence."""
+    """Describe the time without free arm, to end a sentence."""
     parts = (
         (evidence.contact_seconds, "with the tool on a table"),
         (evidence.stop_seconds, "at a stop"),

@@ -1,12 +1,12 @@
 """What a healthy arm of the same kind measures, by the same procedure.
 
-For a catalogue arm it is a file in this package, measured on emulated arms with the wear profile ``healthy`` or that of
-`NEW`, and written by
+A catalogue arm has a file in this package, measured on emulated arms with the wear profile ``healthy`` or that of
+`NEW`. It is written by
 
     python -m rejoint.diagnosis mycobot280
 
-An SO-101 has one for each P in `MEASURED`. `healthy_reference` measures one for other arms, `reference_by` makes one
-from a real good arm.
+An SO-101 has one for each P in `MEASURED`. `healthy_reference` measures other arms, `reference_by` uses a real good
+arm.
 """
 
 from __future__ import annotations
@@ -41,23 +41,23 @@ SIGMAS = 3.0
 """Standard deviations that count as healthy; chosen"""
 
 OVERSHOOT_ALLOWED = 0.05
-"""Overshoot, as a fraction of a step, of any healthy arm; chosen"""
+"""Of any healthy arm, as a fraction of a step; chosen"""
 
 NO_OFFSET = Estimate(0.0, -OFFSET_ALLOWED, OFFSET_ALLOWED)
 """[rad] without an offset: each servo has its own zero"""
 
 ARMS, SEED = 12, 2024
-"""Emulated healthy arms of a reference, and their seed; chosen"""
+"""Of a reference's emulated arms; chosen"""
 
 ARMS_ON_DEMAND = 6
 """The same on demand (about 10 s); chosen"""
 
 
 HOBBY = ("emulated:", "feetech:")
-"""Beginnings of the addresses of robots with hobby servos"""
+"""Addresses of hobby servos begin so"""
 
 NEW = {"so101": "so101-new"}
-"""Arms with a wear profile for new ones"""
+"""Wear profiles of new arms"""
 
 MEASURED = (16, 32, 64)
 """P: LeRobot's, as sold, and the largest in a search"""
@@ -67,23 +67,23 @@ AS_SOLD, SUPPLY = 32, 12.0
 
 @dataclass(frozen=True, kw_only=True)
 class HealthyReference:
-    """Healthy values; an ``Estimate`` holds the mean and the healthy range."""
+    """Healthy values; an ``Estimate`` holds mean and healthy range."""
 
     arm: str
     source: str
     motors_kg_m2: tuple[float | None, ...]
-    """inertia of motor and gear at each joint; None where unknown"""
+    """of motor and gear at each joint"""
     joints: tuple[JointMetrics, ...]
     error_mm: Estimate
     """of ten targets open loop, by encoders"""
     hidden_mm: Estimate | None
-    """between tool and encoders; None: unknown"""
+    """between tool and encoders"""
     setting: str = ""
     """P and supply it was computed for"""
 
 
 def reference_path(arm: Arm, p: int = AS_SOLD) -> Path:
-    """Path of the package's reference of an arm with servo gain ``p``."""
+    """Path of the package's reference with servo gain ``p``."""
     under = "" if p == AS_SOLD else f"_p{p}"
     return Path(str(files("rejoint.diagnosis"))) / f"healthy_{arm.name}{under}.json"
 
@@ -97,7 +97,7 @@ def load_healthy(arm: Arm, p: int = AS_SOLD) -> HealthyReference | None:
 def healthy_reference(arm: Arm, robot: str = "") -> HealthyReference | None:
     """Return the package's reference, or measure one for a ``robot`` (address) with hobby servos.
 
-    Other arms, and logs of them, have none: an emulated hobby servo is no reference for their joints.
+    Other arms have none: an emulated hobby servo is no reference for their joints.
     """
     packaged = load_healthy(arm)
     if packaged is not None or not robot.startswith(HOBBY) or not installed(SIMULATOR):
@@ -110,7 +110,7 @@ def as_set(
 ) -> HealthyReference | None:
     """Return what a healthy arm measures with these ``gains`` and this ``voltage`` (n,) [V].
 
-    Torque scales with P and supply; each joint uses the reference of the nearest P.
+    Torque scales with P and supply, from the reference of the nearest P.
     """
     if _new(arm) is None or reference is None or gains is None or "p" not in gains:
         return reference
@@ -159,7 +159,7 @@ def _stiffer(row: JointMetrics, factor: float) -> JointMetrics:
 
 
 def measure_healthy(arm: Arm, *, count: int = ARMS, p: int = AS_SOLD) -> HealthyReference:
-    """Diagnose ``count`` emulated healthy arms; ``p``: gain of the servos of an arm in `NEW`."""
+    """Diagnose emulated healthy arms; ``p``: gain of an arm in `NEW`."""
     logs: list[DiagnosisLogs] = []
     new = _new(arm)
     profile = new or "healthy"
@@ -235,13 +235,12 @@ def _range_about_zero(values: list[float], allowed: float) -> Estimate:
 
 
 POSITIVE = ("stiffness_nm_per_rad", "coulomb_nm", "damping_ratio", "hysteresis_rad", "lag_s")
-"""Positive quantities of a joint"""
 
 
 def reference_by(arm: Arm, good: Diagnosis) -> HealthyReference:
     """Make a reference from a diagnosis, widened by the spread between arms.
 
-    InputError for another kind of arm or too few numbers.
+    InputError for another arm or too few numbers.
     """
     if good.arm != arm.name:
         raise InputError(f"the arm known to be good is a {good.arm}, expected {arm.name}")

@@ -1,4 +1,4 @@
-"""All measurements of an arm: one row per joint."""
+"""All measurements of an arm by joint."""
 
 from __future__ import annotations
 
@@ -17,22 +17,21 @@ from rejoint.logs.runlog import RunLog
 from rejoint.system.statistics import Estimate
 
 LOADED = 0.05
-"""[N m] range of gravity's torque on a myCobot 280 for a stiffness; chosen"""
+"""[N m] gravity range on a myCobot 280 that a stiffness needs; chosen"""
 
 GRAVITY_SHARE = 0.35
-"""Relative half width up to which stiffness from gravity outranks inertia; chosen"""
+"""Relative half width of stiffness from gravity that outranks inertia; chosen"""
 
 FOLLOWS = 0.8
-"""Share of the sag (`rejoint.diagnosis.metrics.Law.follows`) from which it tells a stiffness.
-
-Measured: at least 0.86 for joints of emulated arms whose stiffness is known, at most 0.74 where gravity is fed forward.
+"""Share of the sag (`Law.follows`) from which it tells a stiffness. Measured: at least 0.86 for emulated arms of known
+stiffness, at most 0.74 with gravity fed forward
 """
 
 MASSES = 0.05
 """Relative sigma of a joint's gravity torque by a stranger's model; chosen"""
 
 KNOWN_WITHIN = 4.0
-"""Ratio of an interval's ends up to which it is used alone; chosen"""
+"""Ratio of the ends of an interval that is used alone; chosen"""
 
 FEWEST_STEPS, FEWEST_RESTS = 3, 4
 """Steps that overshoot needs, and rests that noise needs; chosen"""
@@ -67,7 +66,7 @@ class JointMetrics:
     coulomb_nm: Estimate | None = None
     """friction of a moving joint"""
     lag_s: Estimate | None = None
-    """following error over speed, beyond the delay of all joints"""
+    """following error over speed, less the common delay"""
     damping_ratio: Estimate | None = None
     """without friction: 1 aperiodic, 0.3 rings"""
     overshoot: Estimate | None = None
@@ -77,21 +76,20 @@ class JointMetrics:
     noise_rad: Estimate | None = None
     """rms of one reading at rest"""
     torque_limit_nm: Estimate | None = None
-    """at the load: the motor's limit less stiction; None: not reached"""
+    """at the load: motor limit less stiction; None: not reached"""
     torque_seen_nm: float = 0.0
-    """largest torque seen"""
     saturated_share: float = 0.0
-    """share of the time at the torque limit"""
+    """of time, at the torque limit"""
     motor_inertia_kg_m2: float | None = None
     """of motor and gear at the joint"""
     sweep_gain: float | None = None
-    """share of a slow sweep that the joint follows"""
+    """followed share of a slow sweep"""
     stuck_rad: float = 0.0
-    """largest distance in a hold from what the joint's stiffness explains"""
+    """largest unexplained distance in a hold"""
     coulomb_effort: Estimate | None = None
-    """Coulomb friction in the unit of the logged current or torque"""
+    """in the unit of logged current or torque"""
     viscous_effort: Estimate | None = None
-    """the same by speed, in that unit times s/rad"""
+    """in that unit times s/rad"""
     offset_rad: Estimate | None = None
     """position without load minus command"""
 
@@ -104,13 +102,13 @@ class Measurement:
     delay_s: float | None
     """of commands and answers; None: not separable from lag"""
     period_s: float
-    """median time between readings"""
+    """median of the readings"""
 
 
 def measure(arm: Arm, log: RunLog, motors: Sequence[float | None] | None = None) -> Measurement:
-    """Measure every joint from an excitation; InputError if it holds too little.
+    """Measure every joint; InputError for too little motion.
 
-    ``motors``: a healthy arm's motor inertias [kg m^2], if known, for the stiffness of joints without gravity load.
+    ``motors``: a healthy arm's motor inertias [kg m^2], for the stiffness of joints without gravity load.
     """
     data = ExcitationLog.of(arm, log)
     delay = arm_delay(data)
@@ -133,7 +131,7 @@ def measure(arm: Arm, log: RunLog, motors: Sequence[float | None] | None = None)
 
 
 def measure_joint(data: ExcitationLog, joint: int) -> JointMetrics:
-    """Measure one joint from joined logs of any motion."""
+    """Measure one joint from joined logs."""
     law = fit_law(data, joint)
     k = _by_sag(data.arm, law)
     row = _row(data, joint, law, _Stiffness(value=k, source="none" if k is None else "gravity"))
@@ -192,9 +190,9 @@ def _stiffness(
 
 
 def sag(data: ExcitationLog, joint: int) -> tuple[float, float | None]:
-    """Sag per gravity torque [rad/(N m)] of a joint, infinite if unknown, and the sigma of the model's gravity.
+    """Sag per gravity torque [rad/(N m)] of a joint, infinite if unknown, and relative sigma of the model's gravity.
 
-    That is relative, and None where the sag does not tell the stiffness.
+    The sigma is None where the sag does not tell the stiffness.
     """
     law = fit_law(data, joint)
     if law is None:
@@ -204,12 +202,12 @@ def sag(data: ExcitationLog, joint: int) -> tuple[float, float | None]:
 
 
 def _doubt(arm: Arm, law: Law) -> float:
-    """Relative sigma of the model's gravity torque; 0 for arms of the catalogue."""
+    """Relative sigma of the model's gravity torque."""
     return 0.0 if arm.name in CATALOGUE else float(np.hypot(MASSES, np.sqrt(max(1.0 - law.follows, 0.0))))
 
 
 def _by_sag(arm: Arm, law: Law | None) -> Estimate | None:
-    """Stiffness by gravity, with uncertain masses; None if too wide, or if the sag does not follow the model."""
+    """Stiffness by gravity; None if too wide, or if the sag does not follow the model."""
     found = None if law is None or law.follows < FOLLOWS else _from_gravity(arm, law)
     if law is None or found is None:
         return None
@@ -234,7 +232,7 @@ def _loaded(arm: Arm, law: Law | None, ratio: Estimate | None, link: float) -> _
 
 
 def _inertia_ratio(law: Law) -> Estimate:
-    """J/k [s^2] of a law, widened by the delay's error."""
+    """J/k [s^2], widened by the delay's error."""
     ratio, lag = law.fit.estimate(INERTIA), float(law.fit.coefficients[LAG])
     half = float(np.hypot((ratio.high or 0.0) - ratio.value, DELAY_ERROR * lag))
     return Estimate(ratio.value, ratio.value - half, ratio.value + half)
@@ -259,7 +257,7 @@ def friction_torque(stiffness: Estimate, half_width: Estimate) -> Estimate:
 
 
 def surely_offset(offset: Estimate, *, doubt: float = 0.0) -> bool:
-    """Whether an offset's interval lies beyond a healthy joint's and ``doubt`` [rad]."""
+    """Whether the interval lies beyond a healthy joint's and ``doubt`` [rad]."""
     low, high = offset.low, offset.high
     return low is not None and high is not None and max(low, -high) > OFFSET_ALLOWED + doubt
 

@@ -1,12 +1,12 @@
-"""What motion and rest say about a joint: its law, overshoot, hunting, noise and torque.
+"""A joint's law, overshoot, hunting, noise and torque, from its motion and rest.
 
 The following error e = command - measured position of a servo with stiffness k, damping d, inertia J, gravity torque
 tau and Coulomb friction F is
 
     e = (d/k) q' + (F/k) sign(q') + (J/k) q'' + tau/k + offset.
 
-`fit_law` fits all terms to moving moments of any log. Only the start of a step separates delay from lag, so each delay
-gets its own fit, and the one that starts the steps on time wins.
+`fit_law` fits all terms to moving moments of any log. Only the start of a step separates delay from lag: each delay
+gets its own fit, and the one that predicts these starts best wins.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ COARSEST = 0.1
 """[s] most between readings; chosen"""
 
 _SETTLING = 0.2
-"""[s] left out at the beginning of a free stretch; chosen"""
+"""[s] left out at the start of free stretches; chosen"""
 
 _MOVING = 0.7
 """Averaged direction of a moving window; chosen: 0.04 rad/s"""
@@ -45,16 +45,16 @@ _BOTH_WAYS = 0.1
 """Least share of the windows in either direction; chosen"""
 
 _FEWEST = 8
-"""Independent observations per direction that a law needs; chosen"""
+"""Independent observations per direction for a law; chosen"""
 
 _LIGHT = 0.2
-"""Share of the windows, of least load, that a fit starts from; chosen: keeps saturation out"""
+"""Share of least loaded windows to start from; chosen: keeps saturation out"""
 
 _MANY_LOGS = 8
-"""Number of logs from which each is one observation; chosen"""
+"""Logs from which each is one observation; chosen"""
 
 _VISIBLE = 1e-3
-"""Least relative effect of masses that a log can tell apart; chosen"""
+"""Least relative effect of masses that shows; chosen"""
 
 _MIN_TORQUE_RANGE = 2e-3
 """[N m] least range of gravity's torque on a myCobot 280; chosen"""
@@ -69,31 +69,31 @@ CHANCE = 3.0
 """Standard errors from which a correlation is not chance; chosen"""
 
 LAG, WIDTH, INERTIA, SOFTNESS, OFFSET = range(5)
-"""Coefficients of a law: d/k [s], F/k [rad], J/k [s^2], 1/k [rad/(N m)], offset [rad]"""
+"""Coefficients: d/k [s], F/k [rad], J/k [s^2], 1/k [rad/(N m)], offset [rad]"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Law:
-    """The law of one joint, N windows."""
+    """Of one joint, N windows."""
 
     fit: LinearFit
     torque_range: float
-    """[N m] range of gravity's torque"""
+    """[N m] of gravity"""
     follows: float = 1.0
-    """share of what any masses explain of the sag that the arm's masses explain; 1 for hobby servos"""
+    """share of the sag by any masses that the arm's own explain; 1 for hobby servos"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _LogMotion:
     design: Array
-    """(N, 5) columns in the order of the coefficients"""
+    """(N, 5) in the order of the coefficients"""
     error: Array
     """(D, N) [rad] for each delay"""
     effort: Array
     cluster: NDArray[np.intp]
     """(N,) independent observation"""
     position: Array
-    """(N, n) [rad] of all joints"""
+    """(N, n) [rad]"""
 
     @property
     def enough(self) -> bool:
@@ -132,7 +132,7 @@ def _motion(data: ExcitationLog, joint: int, delays: Array, *, fast: bool) -> _L
 
 
 def fit_law(data: ExcitationLog, joint: int, delay: float = 0.0, *, fast: bool = False) -> Law | None:
-    """Fit the law to slow motion (friction, stiffness), or to ``fast`` motion as well (inertia).
+    """Fit the law to slow motion (friction, stiffness), or with ``fast`` motion (inertia).
 
     None with too little motion, one direction only, or readings further apart than `COARSEST`.
     """
@@ -151,7 +151,7 @@ def fit_law(data: ExcitationLog, joint: int, delay: float = 0.0, *, fast: bool =
 def _follows(arm: Arm, motion: _LogMotion, joint: int) -> float:
     """Share of the sag by any masses that the arm's own explain.
 
-    Where a controller compensates gravity, or masses are wrong, the sag of a joint does not follow the model's gravity.
+    It is low where a controller compensates gravity, or masses are wrong.
     """
     model, error = motion.design, motion.error[0]
     base = np.delete(model, SOFTNESS, axis=1)
@@ -177,7 +177,7 @@ def gravity_terms(arm: Arm, position: Array) -> Array:
 
 
 def fit_effort(data: ExcitationLog, joint: int) -> LinearFit | None:
-    """Fit a joint's torque or current to the terms of its law; None with too little motion."""
+    """Fit torque or current to the terms of the law; None with too little motion."""
     motion = _motion(data, joint, np.zeros(1), fast=True)
     if data.effort_unit is None or not motion.enough:
         return None
@@ -185,14 +185,14 @@ def fit_effort(data: ExcitationLog, joint: int) -> LinearFit | None:
 
 
 def followed(data: ExcitationLog, joint: int) -> float | None:
-    """Share of the commands' range that a joint covers, preferably in sweeps; None without range."""
+    """Share of the commands' range that a joint covers, preferably in sweeps; None without."""
     rows = np.concatenate([data.rows(segment) for segment in data.of_kind(SWEEP, joint) or data.of_kind(FREE)])
     asked = float(np.ptp(data.log.command[rows, joint])) if len(rows) else 0.0
     return float(np.ptp(data.log.position[rows, joint])) / asked if asked > MIN_SWEEP else None
 
 
 def farthest_off(data: ExcitationLog, joint: int, law: Law | None) -> float:
-    """[rad] largest distance at rest from what law and friction explain."""
+    """[rad] largest distance at rest that law and friction leave."""
     _, width, _, softness, offset = np.zeros(5) if law is None else law.fit.coefficients
     found = [0.0]
     for segment in data.of_kind(HOLD, joint):
@@ -204,7 +204,7 @@ def farthest_off(data: ExcitationLog, joint: int, law: Law | None) -> float:
 
 
 def overshoot(data: ExcitationLog, joint: int) -> Estimate:
-    """Overshoot of a joint's steps, as a fraction of the motion."""
+    """Overshoot of steps, as a fraction of the motion."""
     shares = []
     for segment in data.of_kind(STEP, joint):
         rows, end = data.rows(segment), data.rows(segment, last=SETTLED_LAST)
@@ -218,9 +218,9 @@ def overshoot(data: ExcitationLog, joint: int) -> Estimate:
 
 
 def hunting(data: ExcitationLog, joint: int) -> Estimate | None:
-    """Rms [rad] of the motion at the end of holds: mean, least and most of the worst quarter.
+    """Rms [rad] of motion at the end of holds, without uncorrelated noise: mean, least and most of the worst quarter.
 
-    Without uncorrelated noise. None with fewer than four holds of four readings.
+    None with fewer than four holds of four readings.
     """
     spans = [data.rows(segment, last=SETTLED_LAST) for segment in data.of_kind(HOLD)]
     spans = [rows for rows in spans if len(rows) >= 4]
@@ -233,7 +233,7 @@ def hunting(data: ExcitationLog, joint: int) -> Estimate | None:
 
 
 def _repeating_share(pieces: list[Array]) -> float:
-    """Largest autocorrelation, 0 to 1, of the pieces over one to five readings; 0 for noise."""
+    """Largest autocorrelation, 0 to 1, over one to five readings; 0 for noise."""
     power = sum(float((piece**2).sum()) for piece in pieces)
     if power <= 0.0:
         return 0.0
@@ -250,7 +250,7 @@ def _repeating_share(pieces: list[Array]) -> float:
 
 
 def _share_of_noise(lengths: list[int], shift: int) -> float:
-    """Return the same for white noise less its line, in pieces of ``lengths``."""
+    """Return the same for white noise less its line."""
     both = base = 0.0
     for length in lengths:
         line = np.linalg.qr(np.stack([np.ones(length), np.arange(length)], axis=1))[0]
@@ -261,7 +261,7 @@ def _share_of_noise(lengths: list[int], shift: int) -> float:
 
 
 def noise(data: ExcitationLog, joint: int) -> Estimate | None:
-    """Rms [rad] of a reading at rest, from differences of neighbours; None with under 12."""
+    """Rms [rad] of a reading at rest, from neighbours' differences; None with under 12."""
     rows = [data.rows(segment, skip=0.5) for segment in data.of_kind(STILL)]
     if sum(map(len, rows)) < 12:
         return None
@@ -277,13 +277,13 @@ def _without_drift(time: Array, value: Array) -> Array:
 
 
 DELAYS = np.arange(0.005, 0.0801, 0.005)
-"""[s] tried: from an idle bus to two periods of a slow one"""
+"""[s] tried: idle bus to two periods of a slow one"""
 
 _USUAL_DELAY = 0.02
 """[s] where no joint moves; chosen"""
 
 _ONSET = 0.12
-"""[s] of a step that decide about the delay; chosen"""
+"""[s] of a step that decide the delay; chosen"""
 
 _STEP = 0.0025
 """[s] step of that simulation; chosen"""
@@ -295,7 +295,7 @@ _MIN_WINDOWS = 40
 """Windows that a delay and a torque limit need; chosen: about 2 s"""
 
 _EXCESS = 0.15
-"""[N m] of a myCobot 280 between demand and torque by chance; chosen"""
+"""[N m] between demand and torque by chance, on a myCobot 280; chosen"""
 
 _MIN_SHARE = 0.006
 """Share of the steady time at the limit; chosen on emulated arms"""
@@ -311,7 +311,7 @@ _MIN_RATIO = 5e-5
 
 
 def arm_delay(data: ExcitationLog) -> float:
-    """Delay [s] of commands and answers: lower quartile over the joints."""
+    """Delay [s] of commands and answers: lower quartile of the joints."""
     found = []
     for joint in range(data.arm.joints):
         motion = _motion(data, joint, DELAYS, fast=True)
@@ -323,7 +323,7 @@ def arm_delay(data: ExcitationLog) -> float:
 
 
 def _lowest(cost: Array) -> float:
-    """Delay [s] at the minimum of the parabola through the lowest cost (D,) and its neighbours."""
+    """Delay [s] at the minimum of a parabola through the lowest cost (D,)."""
     i = int(np.argmin(cost))
     if 0 < i < len(cost) - 1 and np.isfinite(cost[i - 1 : i + 2]).all():
         before, here, after = cost[i - 1 : i + 2]
@@ -335,7 +335,7 @@ def _lowest(cost: Array) -> float:
 
 
 def _onset_costs(data: ExcitationLog, joint: int, fits: Array) -> Array:
-    """Squared errors (D,) of simulated step beginnings, by the laws (D, 5) of each delay."""
+    """Squared errors (D,) of simulated step beginnings by laws (D, 5)."""
     log, steps = data.log, data.of_kind(STEP, joint)
     data.require(len(steps) >= 2, "steps", joint)
     offsets = np.arange(0.0, _ONSET, _STEP)
@@ -362,21 +362,21 @@ def _onset_costs(data: ExcitationLog, joint: int, fits: Array) -> Array:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Torque:
-    """Torque that a joint was asked for and gave."""
+    """Torque demanded and given."""
 
     limit: Estimate | None
-    """[N m] at the load: the motor's limit less friction; None: not reached"""
+    """[N m] at the load: motor limit less friction; None: not reached"""
     seen: float
-    """[N m] largest that it gave"""
+    """[N m] largest given"""
     saturated_share: float
-    """share of the time at the limit"""
+    """of the time, at the limit"""
 
 
 def torque_given(data: ExcitationLog, joint: int, law: Law, stiffness: float, delay: float) -> Torque:
     """Compare the torque that a joint's law asks for with that of its load, in steady motion.
 
-    A joint is behind where it hardly turns and the demand is more than twice the torque, beyond friction, `_EXCESS` and
-    10 ms. At its limit it is behind for `_MIN_SHARE` of the time, near its largest torque.
+    A joint is behind where it hardly turns and the demand is over twice the torque, beyond friction, `_EXCESS` and
+    10 ms. It is at its limit if behind for `_MIN_SHARE` of the time, near its largest torque.
     """
     segments = [s for s in data.segments if s.kind in (SWEEP, STEP, "multisine", HOLD)]
     averages = window_averages(data, segments, joint, length=_TORQUE_WINDOW, delays=np.array([delay]))

@@ -20,7 +20,7 @@ _GRID = 0.0025
 """[s] step of the interpolated readings; chosen"""
 
 _STILL_SPEED = 0.05
-"""[rad/s] below which a joint counts less as moving; chosen"""
+"""[rad/s] below which motion counts less; chosen"""
 
 _SPARSE = 0.5
 """Largest share of a window between two readings; chosen"""
@@ -31,7 +31,7 @@ _LONG = 4.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Averages:
-    """Window averages of one joint's signals, N windows, D delays."""
+    """Averages of a joint's signals, N windows, D delays."""
 
     error: Array
     """(D, N) [rad] delayed command minus measured position"""
@@ -56,7 +56,7 @@ class Averages:
 def window_averages(
     data: ExcitationLog, segments: list[Segment], joint: int, *, length: float, delays: Array, cut: float = 0.0
 ) -> Averages:
-    """Average a joint's signals under windows of ``length`` [s] that overlap by three quarters.
+    """Average a joint's signals under windows of ``length`` [s], overlapping by three quarters.
 
     Tries ``delays`` (D,) [s]; leaves out ``cut`` [s] of each segment and gaps in the readings.
     """
@@ -103,7 +103,7 @@ def _averages(
 
 
 def _read(readings: Array, time: Array, length: float) -> NDArray[np.bool_]:
-    """Whether the ``readings`` (T,) [s] around each ``time`` (K,) [s] are near enough."""
+    """Whether ``readings`` (T,) [s] are near each ``time`` (K,) [s]."""
     apart = np.diff(readings)
     before = np.clip(np.searchsorted(readings, time, side="right") - 1, 0, len(apart) - 1)
     return np.asarray(apart[before] <= max(_SPARSE * length, 2.0 * float(np.median(apart))))

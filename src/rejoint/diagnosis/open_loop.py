@@ -36,7 +36,7 @@ class TargetError:
     sag_mm: float
     """downward part; negative: too high"""
     true_error_mm: float | None
-    """of the tool itself; None: unknown"""
+    """of the tool itself"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,12 +45,12 @@ class OpenLoop:
 
     targets: tuple[TargetError, ...]
     error_mm: Estimate
-    """mean over the targets, 95 % interval"""
+    """mean, 95 % interval"""
     spread_mm: float
-    """standard deviation over the targets"""
+    """standard deviation"""
     true_error_mm: Estimate | None
     hidden_mm: float | None
-    """mean distance between tool and encoders; None: unknown"""
+    """between tool and encoders; None: unknown"""
 
     @property
     def true_error(self) -> TrueError:
@@ -59,7 +59,7 @@ class OpenLoop:
 
 
 def settled_rows(log: RunLog) -> list[NDArray[np.intp]]:
-    """Find the rows of the last second of every target; InputError without targets."""
+    """Rows of the last second of every target; InputError without targets."""
     known = np.asarray(np.isfinite(log.target).all(axis=1))
     if not known.any():
         raise InputError(f"run log {log.label} holds no targets; record one with `rejoint diagnose`")
@@ -121,7 +121,7 @@ class Postures:
 
 
 def settled_postures(targets: RunLog) -> Postures:
-    """Means over the settled end of every target; InputError without targets."""
+    """Means over each target's settled end; InputError without targets."""
     rows = settled_rows(targets)
     return Postures(
         position=np.array([targets.position[part].mean(axis=0) for part in rows]),
@@ -130,7 +130,7 @@ def settled_postures(targets: RunLog) -> Postures:
 
 
 def resting_postures(log: RunLog, excluded: Exclusions, *, stops: bool = False) -> Postures:
-    """Evenly spread rows of the free arm at rest; with ``stops`` also blocked ones."""
+    """Evenly spread rows at rest; with ``stops`` also blocked ones."""
     quiet = (joint_speed(log.time, log.command) < AT_REST) & (joint_speed(log.time, log.position) < AT_REST)
     usable = ~(excluded.contact | excluded.stale) if stops else excluded.free
     rows = np.flatnonzero(quiet & usable)

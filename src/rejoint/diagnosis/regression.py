@@ -37,7 +37,7 @@ class LinearFit:
 
 
 def fit_clustered(design: Array, response: Array, cluster: NDArray[np.intp]) -> LinearFit:
-    """Fit ``response`` (N,) on ``design`` (N, p), samples grouped by ``cluster`` (N,)."""
+    """Fit ``response`` (N,) on ``design`` (N, p), grouped by ``cluster`` (N,)."""
     scale = np.sqrt((design**2).mean(axis=0))
     scale = np.where(scale > 0.0, scale, 1.0)  # a column of zeros keeps the coefficient 0
     scaled = design / scale

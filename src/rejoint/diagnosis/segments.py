@@ -36,7 +36,7 @@ class Segment:
     stop: float
     """[s]"""
     joints: tuple[int, ...] = ()
-    """joints that it judges"""
+    """that it judges"""
 
 
 def attach_segments(log: RunLog, segments: tuple[Segment, ...], waits: Array | None = None) -> RunLog:
@@ -51,13 +51,13 @@ def attach_segments(log: RunLog, segments: tuple[Segment, ...], waits: Array | N
 
 
 def is_excitation(log: RunLog) -> bool:
-    """Whether a log says that it is of an excitation."""
+    """Whether a log is of an excitation."""
     return _KEY in log.extra
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExcitationLog:
-    """A run log with its segments and derived signals."""
+    """A run log with segments and derived signals."""
 
     arm: Arm
     log: RunLog
@@ -69,7 +69,7 @@ class ExcitationLog:
 
     @classmethod
     def of(cls, arm: Arm, log: RunLog) -> ExcitationLog:
-        """Read a log with segments; InputError for another arm or no segments."""
+        """Read a log; InputError for another arm or no segments."""
         log.require(arm.name, arm.joint_names)
         if _KEY not in log.extra:
             raise InputError(f"run log {log.label} holds no excitation; record one with `rejoint diagnose`")
@@ -115,7 +115,7 @@ class ExcitationLog:
 
     @property
     def excited(self) -> bool:
-        """Whether the log is of an excitation."""
+        """As `is_excitation`."""
         return any(s.kind == SWEEP for s in self.segments)
 
     def of_kind(self, kind: str, joint: int | None = None) -> list[Segment]:
@@ -128,7 +128,7 @@ class ExcitationLog:
         return np.arange(*np.searchsorted(self.log.time, [begin, segment.stop]))
 
     def require(self, enough: bool, what: str, joint: int) -> None:
-        """Raise InputError unless there is ``enough`` of something to judge a joint by."""
+        """Raise InputError unless there is ``enough`` to judge a joint."""
         if not enough:
             raise InputError(
                 f"run log {self.log.label} holds too few {what} of joint {joint + 1}; record the excitation again"
@@ -147,7 +147,7 @@ def _ramp(arm: Arm, log: RunLog) -> Array:
 
 
 FREE, STEP, HOLD, STILL, SWEEP = "free", "step", "hold", "still", "sweep"
-"""Kinds of spans; all but the first belong to an excitation"""
+"""Kinds; all but the first belong to an excitation"""
 
 _APART = 60.0
 """[s] between logs on the common clock"""
@@ -159,7 +159,7 @@ LONGEST = 300.0
 """[s] longest span of free motion; chosen"""
 
 QUIET = 1.0
-"""[s] of constant commands before a span counts as rest; chosen"""
+"""[s] of constant commands before rest; chosen"""
 
 STEP_TIME, STEP_SIZE = 0.15, 0.05
 """[s] and [rad] of a command step; chosen"""

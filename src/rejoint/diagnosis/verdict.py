@@ -20,10 +20,10 @@ from rejoint.diagnosis.regression import mean_of
 from rejoint.system.statistics import Estimate
 
 BAD_MM = 3.0
-"""[mm] tool error of a bad finding: a healthy myCobot's (Park et al. 2024, section IV-B); goes with the reach"""
+"""Tool error of a bad finding: a healthy myCobot's (Park et al. 2024, section IV-B); goes with the reach"""
 
 FELT_MM = 0.05
-"""[mm] tool error below which a finding costs nothing; chosen"""
+"""Tool error of a finding that counts; chosen"""
 
 RINGING_RATIO = 0.4
 """Damping ratio of ringing without a reference: 25 % overshoot (second order)"""
@@ -35,7 +35,7 @@ QUIET_COUNTS = 2.0
 """Encoder counts of rms motion at rest beyond flicker"""
 
 SATURATED = 0.3
-"""Share of time at the torque limit that hides stiffness and friction; chosen"""
+"""Share of time at the limit that hides stiffness and friction; chosen"""
 
 FOLLOWS = 0.3
 """Share of a slow sweep of a stuck joint; chosen: a worn one makes 0.7"""
@@ -69,7 +69,7 @@ class Finding:
     """with unit, such as ``stiffness_nm_per_rad``"""
     measured: Estimate
     healthy: Estimate | None
-    """mean and healthy range; None without a reference"""
+    """mean and range; None without a reference"""
     tcp_mm: float
     """tool error in the ten target postures"""
     sentence: str
@@ -89,9 +89,9 @@ class _Case:
     levers: Array
     """(K,) [m/rad] of the TCP"""
     loads: Array
-    """(K,) [N m] size of the gravity torque"""
+    """(K,) [N m] of gravity"""
     errors: Array
-    """(K,) [rad] size of the settled following error"""
+    """(K,) [rad] settled following error"""
     encoder_step: float
     """[rad]"""
     common_lag: float
@@ -167,7 +167,7 @@ def find(
 
 
 def stuck(case: _Case) -> Iterator[Finding]:
-    """Report a joint that does not move when commanded, or is beyond measurement."""
+    """Report a joint that does not move, or is beyond measurement."""
     gain, far = case.row.sweep_gain, float(case.errors.max())
     if gain is not None:  # one that breaks loose on a long way may come near its targets, and stick elsewhere
         far = max(far, case.row.stuck_rad)
@@ -246,7 +246,7 @@ def play_in_loop(case: _Case) -> Iterator[Finding]:
 
 
 def torque_limit(case: _Case) -> Iterator[Finding]:
-    """Report a joint whose motor is at its limit and does not follow."""
+    """Report a motor at its limit that does not follow."""
     limit, k, width = case.row.torque_limit_nm, case.row.stiffness_nm_per_rad, case.row.hysteresis_rad
     if limit is None or k is None:
         return
@@ -265,7 +265,7 @@ def torque_limit(case: _Case) -> Iterator[Finding]:
 
 
 def low_damping(case: _Case) -> Iterator[Finding]:
-    """Report a joint that rings after a move; at its torque limit, in every step."""
+    """Report ringing after a move; at the torque limit, in every step."""
     ratio, overshoot = case.row.damping_ratio, case.row.overshoot
     if ratio is None or ratio.high is None or overshoot is None or not case.moves:
         return
@@ -290,7 +290,7 @@ def low_damping(case: _Case) -> Iterator[Finding]:
 
 
 def lag(case: _Case) -> Iterator[Finding]:
-    """Report a joint that follows late for another reason than a weak gain."""
+    """Report a joint that is late, but not by a weak gain."""
     late, reference = case.row.lag_s, case.healthy.lag_s if case.healthy is not None else None
     if (
         late is None
@@ -314,7 +314,7 @@ def lag(case: _Case) -> Iterator[Finding]:
 
 
 def offset(case: _Case) -> Iterator[Finding]:
-    """Report a joint with the same offset everywhere, with or without load."""
+    """Report the same offset everywhere, with or without load."""
     found, k, weight = case.row.offset_rad, case.row.stiffness_nm_per_rad, float(case.loads.mean())
     if found is None or not case.moves or (k is None and weight > UNLOADED):
         return
@@ -359,7 +359,7 @@ RULES: tuple[Callable[[_Case], Iterator[Finding]], ...] = (
 
 
 def _common_lag(measurement: Measurement, healthy: HealthyReference | None) -> float:
-    """Delay of all joints beyond the reference: bus or firmware, not wear."""
+    """Return common delay beyond the reference: bus or firmware, not wear."""
     if healthy is None:
         return 0.0
     pairs = [(row.lag_s, good.lag_s) for row, good in zip(measurement.joints, healthy.joints, strict=True)]

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 def guard_limits(run: Run | None, arm: Arm, robot: str) -> GuardLimits:
     """Guard's limits, with friction bands and load lines if ``robot`` is the run's own.
 
-    A servo that reports its gains reports loads of its loop, which fit any reading.
+    No load lines where a servo reports its gains: its loads are of its loop and fit any reading.
     """
     limits = GuardLimits.of(arm)
     paths = [] if run is None else [run.folder.log(name) for name in ("excitation", "targets")]
@@ -83,13 +83,13 @@ def twin_in_force(run: Run, robot: Robot) -> Twin | None:
 
 
 def twin_under(twin: Twin, before: ServoGains | None, now: ServoGains | None) -> Twin:
-    """Return a ``twin`` fitted under the gains ``before``, as stiff as under those ``now``."""
+    """Return a ``twin`` fitted under the gains ``before``, made as stiff as ``now``."""
     stiffness = stiffness_under(twin.parameters.stiffness, before, now)
     return replace(twin, parameters=replace(twin.parameters, stiffness=stiffness))
 
 
 def tuned_gains(run: Run | None) -> GainsFound | None:
-    """Gains that the search of a run found, or None."""
+    """Gains that the run's search found."""
     if run is None or not run.folder.gains.exists():
         return None
     return read_json(run.folder.gains, GainsFound)
@@ -132,7 +132,7 @@ def correction_of(
 def calibration_of(
     given: CalibrationLike | None, run: Run | None, arm: Arm, robot: str, say: Say = silent
 ) -> Calibration | None:
-    """Calibration given, or that of the run for its own robot, where it helps; ``say`` receives why one is not applied.
+    """Calibration given, or that of the run for its own robot, where it helps; ``say`` receives why not.
 
     ContractError for another arm.
     """

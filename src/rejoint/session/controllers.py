@@ -47,7 +47,7 @@ ControllerLike: TypeAlias = "str | Path | Policy | Controller | Callable[[Arm], 
 """A controller, its name, a policy or its file, or a factory"""
 
 Controllers: TypeAlias = "Sequence[ControllerLike] | Mapping[str, ControllerLike]"
-"""Controllers, or a mapping from their names in tables"""
+"""Controllers, or a mapping from their names"""
 
 Factory = Callable[[Arm], Controller]
 
@@ -61,7 +61,7 @@ def recommended(run: Run) -> str:
 
 
 def choice(run: Run | None, arm: Arm, period: Period | None) -> tuple[str, str]:
-    """Return the controller that drives where none is named, and why.
+    """Return the controller that drives by default, and why.
 
     In this order: the run's recommendation, its policy, the generic policy if it suits arm and ``period`` [s],
     feed-forward.
@@ -98,8 +98,8 @@ def make_factories(
 ) -> dict[str, Factory]:
     """Return factories by name; ``twin`` gives the feed-forward its stiffness.
 
-    Nothing given: the `contenders` for a ``real`` arm or virtual time. Refuses what does not fit before anything moves;
-    ``posed`` targets need controllers that turn the tool.
+    Nothing given: the `contenders` for a ``real`` arm or virtual time. Refuses what does not fit; ``posed`` targets
+    need controllers that turn the tool.
     """
     usual = np.nan if period is None else sum(period) / 2
     if not given:
@@ -119,7 +119,7 @@ def make_factories(
 def require_possible(
     given: Controllers, arm: Arm, period: Period | None, *, tunable: bool, posed: bool = False
 ) -> None:
-    """Refuse what `make_factories` would, before a run has its own twin, policy and gains."""
+    """Refuse what `make_factories` would, before a run has twin, policy and gains."""
     named = given if isinstance(given, Mapping) else _unique(given)
     for name, one in named.items():
         if not (isinstance(one, str) and one in _OF_A_RUN):
@@ -160,7 +160,7 @@ def _contenders(
 
 
 def _on_shelf(arm: Arm, period: float) -> bool:
-    """Whether there is a policy from the shelf for this arm and control ``period`` [s]; NaN: not known yet."""
+    """Whether a generic policy suits arm and control ``period`` [s]; NaN: not known yet."""
     try:
         check_controller_period(shelf_policy(arm), period)
     except ContractError:
@@ -174,7 +174,7 @@ def listed(given: Controllers | ControllerLike) -> Controllers:
 
 
 def any_geared(given: Controllers) -> bool:
-    """Tell whether any of the controllers needs a search for gains."""
+    """Whether any of them needs a search for gains."""
     return any(name in RIVALS for name in given if isinstance(name, str))
 
 

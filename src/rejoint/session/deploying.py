@@ -48,12 +48,12 @@ def deploy(
     robot
         robot or its address
     targets
-        (K, 3) [m], `Pose` objects, or a CSV file in mm; by default ten points that are drawn
+        (K, 3) [m], `Pose` objects, or a CSV file in mm; default: ten random points
     run
-        run, or its folder: its controller, twin and calibration drive the arm, and its logs keep the motion; without
-        one the generic policy drives, and nothing is written
+        its controller, twin and calibration drive the arm, and it keeps the log; without one the generic policy drives,
+        and nothing is written
     arm
-        arm, name or file, where neither run nor address tells
+        needed where neither run nor address tells it
     settings
         controller, payload, time per target (``dwell``), accepted error (``within``) and the like
     observer
@@ -73,7 +73,7 @@ def deploy(
     GuardTripError, RobotError
         if the motion had to be ended; the arm holds
     UnsavedError
-        if the log could not be written; the result is in the error
+        if the log could not be written; the error has the result
 
     Examples
     --------
@@ -96,7 +96,7 @@ class TargetDrive:
 
     @classmethod
     def of(cls, session: ArmSession, targets: Targets | None) -> TargetDrive:
-        """Check the request before anything moves; InputError where it cannot be done."""
+        """Check the request before anything moves; InputError if impossible."""
         arm, settings = session.arm, session.settings
         points, turns = as_targets(targets, arm, sets=1, seed=session.seed, reachable=False)
         if len(points) != 1:

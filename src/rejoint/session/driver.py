@@ -1,4 +1,4 @@
-"""What holds an arm: robot, guard, twin, calibration, controller, log; the only caller of the control loop."""
+"""What holds an arm; the only caller of the control loop."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ class ArmDriver:
         self.limits: GuardLimits | None = None
         """of the guard; None before the robot is open"""
         self.beside: list[Callable[[], object]] = []
-        """called in every cycle, for a gripper and the like"""
+        """called in every cycle"""
         self.watching: list[OnCycle] = []
         """called with every cycle, and with every reading between motions"""
         self._given, self._pace = robot, pace
@@ -99,7 +99,7 @@ class ArmDriver:
         self._named = about  # as the user knows it, also where a copy is worked on
         self.rehearsal: RehearsedRobot | None = None
         self.run = about if about is None or not self.settings.dry_run else self._stack.enter_context(copied(about))
-        """the run, in a dry run a copy; None: nothing is written"""
+        """a copy in a dry run; None: nothing is written"""
         self.recorder = RunRecorder(self.run, self.observer.message)
         self._base: GuardLimits | None = None
         self._gains, self._in_charge = ExitStack(), cast("Controller | None", object())
@@ -177,7 +177,7 @@ class ArmDriver:
         return self.driver()[0]
 
     def driver(self, *, posed: bool = False) -> tuple[str, Controller]:
-        """Return name and object of the controller to points, or to ``posed`` targets; a message says which and why."""
+        """Name and object of the controller to points, or to ``posed`` targets; a message says why."""
         if posed not in self._chosen:
             wanted, why = self._to_points()
             name, controller = self._made(wanted)
@@ -203,7 +203,7 @@ class ArmDriver:
             self.observer.message(f"Controller: {name} ({why}).")
 
     def instead(self, name: str, why: str) -> None:
-        """Report once that ``name`` drives instead of the controller to points, and why."""
+        """Report once that ``name`` drives instead, and why."""
         best, reason = self._to_points()
         self.announce(name, f"{why}; {name_of(best)} drives to points: {reason}")
 
@@ -231,8 +231,8 @@ class ArmDriver:
     def begin(self, controller: Controller | None = None, *, rest: bool = True) -> tuple[Array, float]:
         """Look at the arm, and bring it to rest the first time.
 
-        Returns the command (1, n) [rad] in force and the usual period [s] (NaN: not known). NotReadyError where it is
-        unsafe to move the arm; ContractError where ``controller`` does not suit the period.
+        Return the command (1, n) [rad] in force and the usual period [s] (NaN: not known). NotReadyError if it is
+        unsafe to move the arm; ContractError if ``controller`` does not suit the period.
         """
         self.take_up(controller)
         if rest and not self._rested:
@@ -251,8 +251,7 @@ class ArmDriver:
     ) -> Recording:
         """Let ``controller`` drive from here where a ``reference`` says, by a ``schedule``.
 
-        Every way of driving ends here, guarded, recorded and shown; raises as `rejoint.control.loop.run`, with a note
-        on the log.
+        Every motion ends here, guarded and recorded; raises as `rejoint.control.loop.run`, with a note on the log.
         """
         self.take_up(controller)
         assert self._sent is not None  # noqa: S101 - callers have begun

@@ -33,7 +33,7 @@ EyeLike: TypeAlias = "Eye | Callable[[Robot], Eye] | str"
 
 @contextmanager
 def opened_eye(given: EyeLike | None, robot: Robot, run: Run | None, seed: int) -> Iterator[Eye | None]:
-    """Open the eye for ``robot``; InputError where there is none. A camera needs the ``camera.toml`` of ``run``."""
+    """Open the eye for ``robot``; InputError without one. A camera needs the ``camera.toml`` of ``run``."""
     if given is None:
         yield None
     elif given == "emulated":
@@ -91,7 +91,7 @@ def with_sightings(done: Deployed, seen: Seen | None) -> Deployed:
 
 
 def _measured(visit: Visit, seen: float | None) -> TrueError:
-    """Return what was ``seen`` [m] as the true error of a visit, unless it is known better."""
+    """Take what was ``seen`` [m] as true error, unless it is known better."""
     if seen is None or visit.true_error.how == "known":
         return visit.true_error
     return TrueError(how="measured", value=seen)
@@ -116,7 +116,7 @@ class LiveEye:
     def __init__(self, camera: PictureStream, rig: Rig, name: str = "camera") -> None:
         self.name = name
         self.why = ""
-        """why the last picture was of no use, or empty"""
+        """why the last picture was unusable, or empty"""
         self._camera, self._tracker, self._size = camera, ToolTracker(rig), (rig.lens.width, rig.lens.height)
         self._newest: Sighting | None = None
         self._seen, self._gone = 0, False
@@ -144,7 +144,7 @@ class LiveEye:
             _LOGGER.warning("%s: %s; the arm was driven by its calibration alone from then on", self.name, self.why)
 
     def sighting(self, now: float) -> Sighting | None:
-        """Newest detection on the robot's clock, which shows ``now`` [s], or None."""
+        """Newest detection on the robot's clock, ``now`` [s], or None."""
         newest = self._newest
         if newest is None:
             return None

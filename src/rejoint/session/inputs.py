@@ -1,4 +1,4 @@
-"""What public functions take: paths or objects, addresses or robots; here each becomes the object."""
+"""What public functions take: paths or objects, addresses or robots."""
 
 from __future__ import annotations
 
@@ -47,7 +47,6 @@ GaugeLike: TypeAlias = "Gauge | CameraGauge | Literal['none']"
 NO_GAUGE: Literal["none"] = "none"
 
 RunLike: TypeAlias = "Run | Path | str"
-"""A run, or its folder"""
 
 Targets: TypeAlias = "ArrayLike | Sequence[Pose] | Path"
 """(K, 3) or (S, K, 3) [m], poses, or a CSV file in millimetres"""
@@ -121,7 +120,7 @@ def period_of(robot: RobotLike, period: Period | None) -> Period | None:
 
 
 def as_logs(given: LogsLike) -> list[RunLog]:
-    """Return run logs from objects, files or a folder; FileError if there is none."""
+    """Run logs from objects, files or a folder; FileError without any."""
     if isinstance(given, RunLog):
         return [given]
     if isinstance(given, Iterable) and not isinstance(given, str):
@@ -166,9 +165,9 @@ def as_policy(given: PolicyLike) -> Policy:
 
 
 def as_calibration(given: CalibrationLike | None, run: Run | None, arm: Arm) -> Calibration | None:
-    """Calibration given, read, or of the run; None without, or for ``none``.
+    """Calibration given, read, or of the run; None for ``none``.
 
-    ContractError where it is not of ``arm``.
+    ContractError for another arm's.
     """
     from rejoint.diagnosis.calibration.calibration import read_calibration
 
@@ -193,7 +192,7 @@ def as_run(given: RunLike) -> Run:
 def run_about(run: RunLike | None, robot: str, arm: Arm, seed: int | None) -> Run | None:
     """Run that a stage will write into, or None; writes nothing.
 
-    InputError for another robot, arm or seed; ``seed`` None takes the folder's.
+    InputError for another robot, arm or seed; default seed: the folder's.
     """
     if run is None:
         return None
@@ -216,7 +215,7 @@ def run_of_logs(run: RunLike | None, logs: LogsLike, arm: ArmLike | None) -> tup
 
 
 def arm_named(name: str, whose: str) -> Arm:
-    """Return a catalogue arm that logs or a twin name; InputError for others."""
+    """Catalogue arm that logs or a twin name; else InputError."""
     if name not in CATALOGUE:
         raise InputError(f"{whose} of an arm {name!r}, which is described elsewhere; give its file as the arm")
     return load_arm(name)
@@ -236,7 +235,7 @@ def as_targets(
 ) -> tuple[Array, Orientation | None]:
     """Return targets (S, K, 3) [m], given, read or drawn, and orientations (S, K) or None.
 
-    InputError or FileError for those out of reach, unless ``reachable`` is left to the caller.
+    InputError or FileError for those out of reach, if ``reachable``.
     """
     if given is None:
         return draw_targets(arm, sets=sets, seed=seed), None

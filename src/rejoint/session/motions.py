@@ -18,7 +18,7 @@ from rejoint.system.errors import NotReachedError
 CALM = 0.3
 """[s] at the goal (chosen)"""
 RESTS, JITTER = 0.8, float(np.radians(0.3))
-"""[s] without a new joint goal before the arm rests, and [rad] by which a hand that rests jitters (chosen)"""
+"""[s] from the last new joint goal to rest, and [rad] jitter of a resting hand (chosen)"""
 
 
 class EndedError(Exception):
@@ -26,7 +26,7 @@ class EndedError(Exception):
 
 
 class ArmMotion:
-    """One motion: ``work`` drives and returns its result; `ended` asks it to end."""
+    """``work`` drives and returns its result; `ended` asks it to end."""
 
     def __init__(self, goal: str, work: Callable[[ArmMotion], object]) -> None:
         self.goal, self._work = goal, work
@@ -106,7 +106,7 @@ class GoalCheck:
 class GoalStream(Reference):
     """Goes to the newest joint goal at full speed; rests after `RESTS` without a new one.
 
-    Goals are those of a perfect arm, and the arm goes where its tool is in the same place.
+    Goals are those of a perfect arm with its tool in the same place.
     """
 
     def __init__(self, apparent: Apparent, position: Array) -> None:

@@ -74,8 +74,8 @@ def follow(
 ) -> Followed:
     """Drive an arm along a path, under the guard, and say how well it followed.
 
-    The arm goes slowly to its rest posture and to the start of the path, stands there for two seconds, and moves.
-    Ctrl-C and SIGTERM bring it to a hold; then `Interrupted` is raised. `Session.follow` follows a `Stream`.
+    The arm goes slowly to its rest posture and to the start of the path, waits two seconds, and moves. Ctrl-C and
+    SIGTERM bring it to a hold; then `Interrupted` is raised. `Session.follow` follows a `Stream`.
 
     Parameters
     ----------
@@ -85,28 +85,28 @@ def follow(
         `Path`, CSV file ``time,x,y,z`` in seconds and millimetres, (T, 4) numbers in seconds and metres, or a standard
         path such as ``circle-8s`` and ``random-0.2hz``
     run
-        run, or its folder, with the twin; its logs keep the motion
+        run with the twin; keeps the log
     arm
-        arm, name or file, where neither run nor address tells
+        needed where neither run nor address tells it
     repeat
-        how often; each time the aims correct what was missed before
+        how often; each pass corrects the errors of those before
     rate_hz
-        rate at which the path is sent as a stream instead of being known ahead
+        sends the path as a stream at this rate, not known ahead
     settings
-        twin, payload, accepted error (``within``) and the like; ``controller``: by default ``tracker`` by the twin,
-        without one what drives to points
+        twin, payload, accepted error (``within``) and the like; ``controller``: by default ``tracker`` with a twin,
+        else what drives to points
     observer
         receives messages and progress
 
     Returns
     -------
     Followed
-        ``passes``, one for each time: encoder errors [m], true error, run log; ``followed``
+        for each of the ``passes``: encoder errors [m], true error, run log; ``followed``
 
     Raises
     ------
     InputError, FileError
-        if the path is out of reach, or too fast, and where; or no twin is known; nothing has moved
+        if the path is out of reach or too fast, or no twin is known; nothing has moved
     NotReadyError
         if it is unsafe to move the arm
     GuardTripError, RobotError
@@ -128,9 +128,9 @@ class Follower:
     name: str
     """of the controller"""
     make: Callable[[float], Controller]
-    """makes it for a usual period [s], for each time along the path"""
+    """for a usual period [s], for each pass"""
     home: Array | None = None
-    """(n,) [rad] posture that it keeps near to; None: rest"""
+    """(n,) [rad] preferred posture; None: rest"""
 
 
 @dataclass(kw_only=True, eq=False)
@@ -141,11 +141,11 @@ class PathDrive:
     path: Path | Stream
     repeat: int
     rate: float | None
-    """[Hz] of a path played as a stream; None: known ahead"""
+    """[Hz] of a stream; None: known ahead"""
     duration: float
     """[s] of a stream"""
     within: float
-    """[m] root mean square within which a path counts as followed"""
+    """[m] accepted rms"""
     controller: ControllerLike
 
     @classmethod
@@ -159,7 +159,7 @@ class PathDrive:
         duration: float | None,
         within: float | None,
     ) -> PathDrive:
-        """Check the request before anything moves; InputError where it cannot be followed."""
+        """Check the request before anything moves; InputError if impossible."""
         arm, settings = session.arm, session.settings
         accepted = within if within is not None else WITHIN if settings.within is None else settings.within
         require_repeatable(path, repeat, rate, accepted)
@@ -293,7 +293,7 @@ def as_path(given: PathLike, arm: Arm, seed: int) -> Path:
 
 
 def followable(given: PathLike | Stream, arm: Arm, seed: int, duration: float | None) -> Path | Stream:
-    """Stream or path that ``arm`` can follow; InputError where it cannot."""
+    """Stream or path that ``arm`` can follow; else InputError."""
     if isinstance(given, Stream):
         as_seconds("follow: a stream", duration)
         if given.followed:
@@ -347,7 +347,7 @@ def servos_of(twin: Twin) -> Servos:
 
 
 def follower_of(given: ControllerLike, session: ArmSession, twin: Twin | None, *, posed: bool) -> Follower:
-    """Return what follows under a name, or what is given; InputError where it cannot."""
+    """Return what follows under a name, or is given; else InputError."""
     arm = session.arm
     if given == TRACKER:
         if twin is None:

@@ -1,4 +1,4 @@
-"""What the hand carries: given by the user, judged before the arm tries, and noticed otherwise."""
+"""What the hand carries: given, judged before the motion, or noticed."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def silent(line: str) -> None:
 def equipped(bare: Arm, robot: RobotLike | None, settings: Settings) -> Arm:
     """Arm with payload, tool and boxes of the settings.
 
-    InputError for a payload or tool of an open robot, and for a box that holds a part of the resting arm.
+    InputError for payload or tool of an open robot, and for a box that holds a part of the resting arm.
     """
     arm = loaded(bare, settings.payload, settings.tool)
     if arm is not bare and not isinstance(robot, str):
@@ -65,7 +65,7 @@ def equipped(bare: Arm, robot: RobotLike | None, settings: Settings) -> Arm:
 
 
 def say_heavy(arm: Arm, twin: Twin | None, targets: Array, say: Say, turns: Orientation | None = None) -> None:
-    """Report ``targets`` (..., 3) [m], turned as in ``turns`` (...), where a given load is too heavy by the twin."""
+    """Report ``targets`` (..., 3) [m], turned by ``turns`` (...), where the load is too heavy by the twin."""
     if twin is None or not isinstance(arm, LoadedArm):
         return
     points = targets.reshape(-1, 3)
@@ -89,7 +89,7 @@ def believed_motors(twin: Twin) -> Motors:
 
 
 def _named(arm: Arm, points: Array, over: NDArray[Any]) -> str:
-    """Name the motors that are too weak, and at which ``points`` (K, 3) [m], where ``over`` (K, n) says so."""
+    """Name too weak motors and ``points`` (K, 3) [m], by ``over`` (K, n)."""
     which = np.flatnonzero(over.any(axis=1))
     joints = ", ".join(arm.joint_names[j] for j in range(arm.joints) if over[:, j].any())
     places = "; ".join(f"({', '.join(f'{1e3 * value:.0f}' for value in points[k])}) mm" for k in which[:_NAMED])
@@ -112,7 +112,7 @@ def heavy(arm: Arm, twin: Twin, targets: Array, turns: Orientation | None = None
 
 
 def noticed_load(arm: Arm, twin: Twin, log: RunLog) -> tuple[float, float]:
-    """Estimate an unreported mass [kg] at the tool and its standard error, from a log; NaN: nothing stood.
+    """Estimate an unreported mass [kg] at the tool and its standard error; NaN if the arm never stood.
 
     Joints at their torque limit are left out, so it is rather too small.
     """

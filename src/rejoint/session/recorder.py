@@ -22,13 +22,13 @@ from rejoint.system.errors import FileError, RejointError
 from rejoint.system.files import require_space, unused
 
 EVERY = 0.02
-"""[s] between two readings of an arm that is recorded and not driven (chosen)"""
+"""[s] between readings of an arm that is not driven (chosen)"""
 
 
 class RunRecorder:
     """Writes ``logs/NAME-DATE.parquet`` of a run, one log for motions of a kind, a new one every `PIECE`.
 
-    FileError without room on the disk before the arm moves; later ``say`` reports once that the log ends.
+    FileError without disk space before the arm moves; later ``say`` reports once that the log ends.
     """
 
     def __init__(self, run: Run | None, say: Callable[[str], object]) -> None:
@@ -40,7 +40,7 @@ class RunRecorder:
         self._told = False
 
     def begin(self, robot: Robot, name: str, label: str, rows: int = 0) -> None:
-        """Start a log or continue one of this kind; ``rows`` reserves disk space."""
+        """Start or continue a log of this kind; ``rows`` reserves disk space."""
         if self._kind == (name, label):
             if sum(float(np.ptp(piece.time)) for piece in self._pieces if len(piece.time)) > PIECE:
                 self.turn()
@@ -106,13 +106,13 @@ class RunRecorder:
 
 
 class StateRecord:
-    """What an arm does while it is recorded; see `ArmSession.record`.
+    """What an arm does; see `ArmSession.record`.
 
-    Where no motion of the session drives the arm, ``look`` reads it.
+    Between motions of the session ``look`` reads the arm.
     """
 
     log: RunLog | None = None
-    """what was recorded, after the end"""
+    """after the end"""
 
     def __init__(self, robot: Robot, recorder: RunRecorder, name: str, look: Callable[[], object]) -> None:
         self._cycles = Recorder(robot=robot, controller=name)

@@ -40,7 +40,7 @@ def copied(run: Run) -> Iterator[Run]:
 
 
 class RehearsedRobot(RobotWrapper):
-    """A simulation in the place of a robot, at its present posture; of nominal servos without a twin."""
+    """Simulates a robot at its present posture; with nominal servos without a twin."""
 
     def __init__(self, robot: Robot, twin: Twin | None, period: Period | None) -> None:
         """NotReadyError where the arm would not be moved either."""
@@ -65,7 +65,7 @@ class RehearsedRobot(RobotWrapper):
         return state
 
     def servo_gains(self) -> ServoGains | None:
-        """Return the gains that the arm has, or would have now; the simulation does not heed them."""
+        """Gains that the arm has, or would have; the simulation ignores them."""
         return self._gains
 
     def tune(self, gains: ServoGains) -> None:

@@ -45,7 +45,6 @@ class Serving:
     """What an arm was served for."""
 
     address: str
-    """where it was served"""
     orders: int
     """of clients, carried out or refused"""
     log: str
@@ -63,7 +62,7 @@ def serve(
     settings: Settings | None = None,
     observer: Observer | None = None,
 ) -> Serving:
-    """Speak the myCobot's own wire to programs and drive the arm behind it, until interrupted.
+    """Drive an arm for programs that speak the myCobot's own protocol, until interrupted.
 
     The arm goes slowly to its rest posture; then one client at a time drives it, and it holds in between. Ctrl-C and
     SIGTERM bring it to a hold, and end the serving.
@@ -73,9 +72,9 @@ def serve(
     robot
         robot or its address
     run
-        run, or its folder, with the twin; orders and motion are logged there
+        run with the twin; keeps the log of orders and motion
     listen
-        HOST:PORT of the TCP port, where port 0 is any free one
+        HOST:PORT of the TCP port; port 0 is any free one
     pty
         serve a serial line (pseudo-terminal) instead
     pace
@@ -91,7 +90,7 @@ def serve(
     Returns
     -------
     Serving
-        where it was served, how many orders came, and the path of their log
+        address, number of orders, path of their log
 
     Raises
     ------

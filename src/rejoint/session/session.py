@@ -1,4 +1,4 @@
-"""The session: one object through which a program drives an arm, one motion at a time."""
+"""The session: a program drives an arm, one motion at a time."""
 
 from __future__ import annotations
 
@@ -78,10 +78,10 @@ class ArmState:
 
 
 class ArmSession(ArmDriver):
-    """An arm with everything that drives it: robot, guard, twin, calibration, controller, log; see `rejoint.connect`.
+    """An arm and everything that drives it, one motion at a time and always guarded; see `rejoint.connect`.
 
-    One motion at a time, always guarded. Before its first motion the arm is looked at; before its first motion to a
-    point or along a path it goes slowly to its rest posture. Between motions it holds. Use it in a ``with`` block.
+    Before the first motion the session looks at the arm. Before the first motion to a point or along a path, the arm
+    goes slowly to its rest posture. Between motions it holds. Use it in a ``with`` block.
 
     Examples
     --------
@@ -92,7 +92,7 @@ class ArmSession(ArmDriver):
     """
 
     followed: Followed | None = None
-    """result of the last path"""
+    """of the last path"""
     _motion: ArmMotion | None = None
     _goals: GoalStream | None = None
     _seen: JointState | Cycle | None = None
@@ -142,10 +142,11 @@ class ArmSession(ArmDriver):
         """Bring the tool to ``target_m`` (3,) [m] in the base frame, or to a `Pose`.
 
         It is reached once the tool stays ``within_m`` (default: the settings', else 2 mm) of its corrected target, by
-        the encoders, and ``within_rad`` of its orientation. ``wait``: return the state at the end; else return None at
-        once, and the next order or `close` raises what ended the motion. InputError for a target out of reach;
-        NotReadyError during a motion; NotReachedError after ``timeout_s``; GuardTripError or RobotError. The arm then
-        holds.
+        the encoders, and ``within_rad`` of its orientation. With ``wait`` return the state at the end. Else return None
+        at once; the next order or `close` raises what ended the motion.
+
+        InputError for a target out of reach; NotReadyError during a motion; NotReachedError after ``timeout_s``;
+        GuardTripError or RobotError. The arm then holds.
         """
         pose = target_m if isinstance(target_m, Pose) else None
         target = as_place("move_to", target_m if pose is None else pose.place_m)
@@ -170,10 +171,7 @@ class ArmSession(ArmDriver):
         return self._start(ArmMotion(in_mm(target), work), wait=wait)
 
     def ways(self, targets: Array, turns: Orientation | None = None) -> tuple[JointTrajectory, ...]:
-        """Choose postures for ``targets`` (K, 3) [m], turned so (K,), and plan the ways.
-
-        InputError names what cannot be done.
-        """
+        """Choose postures for ``targets`` (K, 3) [m], turned so (K,), and plan the ways; InputError if impossible."""
         start = self.arm.rest if not self._rested else self.state.joints_rad
         found = choose_postures(self.arm, targets, start, turn=turns, motors=self.motors, chained=True)
         for k, why in enumerate(found.refusals):
@@ -223,13 +221,11 @@ class ArmSession(ArmDriver):
         return self.posture_controller(EVERY_JOINT), UnloadedWay(way, unloading, self.observer.message)
 
     def send_joints(self, joints_rad: ArrayLike) -> Array:
-        """Send joint positions (n,) [rad] of a stream.
+        """Send joint positions (n,) [rad] of a stream; return what the limits and contacts leave of them (n,).
 
-        Return (n,) what is sent of them, inside limits and clear of contacts. With a calibration they are those of a
-        perfect arm: the tool goes where its tool would be.
-
-        The arm follows in its own thread, and rests where the stream stops; the next call raises what ended it.
-        InputError for a wrong number, or degrees.
+        With a calibration they are those of a perfect arm: the tool goes where its tool would be. The arm follows in
+        its own thread, and rests where the stream stops; the next call raises what ended it. InputError for a wrong
+        number, or degrees.
         """
         goal = np.clip(self._joints("send_joints", joints_rad), self.arm.lower, self.arm.upper)
         with self._asking:
@@ -240,9 +236,9 @@ class ArmSession(ArmDriver):
             return goal.copy()
 
     def shown_joints(self) -> Array:
-        """Return the joint positions (n,) [rad] of a perfect arm with its tool where this one's is.
+        """Joint positions (n,) [rad] as in `send_joints`: of a perfect arm with its tool where this one's is.
 
-        They are those of `send_joints`, and measured ones without a calibration.
+        Without a calibration they are the measured ones.
         """
         position = self.state.joints_rad
         return (self._goals or self).apparent.shown(position)
@@ -299,10 +295,10 @@ class ArmSession(ArmDriver):
         within_m: float | None = None,
         wait: bool = True,
     ) -> Followed | None:
-        """Drive the tool along ``path``, with ``repeat`` and rate as in `rejoint.follow`.
+        """Drive the tool along ``path``; ``repeat`` and rate as in `rejoint.follow`, ``wait`` as in `move_to`.
 
-        A `Stream` needs ``duration_s`` and a first target. ``wait`` as in `move_to`; the result is also `followed`;
-        NotReachedError after `stop`. InputError for a path out of reach or too fast, or without a twin.
+        A `Stream` needs ``duration_s`` and a first target. NotReachedError after `stop`. InputError for a path out of
+        reach or too fast, or without a twin.
         """
         from rejoint.session.paths import PathDrive
 
@@ -344,10 +340,10 @@ class ArmSession(ArmDriver):
 
     @contextmanager
     def recording(self, name: str = "record") -> Iterator[StateRecord]:
-        """Record in a ``with`` block what the arm does: driven by this session, by a hand, or by another program.
+        """Record in a ``with`` block what the arm does, whoever drives it.
 
         Afterwards ``log`` of what is yielded is a `RunLog`; with a run also ``logs/NAME-DATE.parquet``. RobotError at
-        the end where the arm could not be read.
+        the end if the arm could not be read.
         """
         self._require_open()
         record = StateRecord(self.robot, RunRecorder(self.run, self.observer.message), name, lambda: self.state)
@@ -359,7 +355,7 @@ class ArmSession(ArmDriver):
             self.watching.remove(record.see)
 
     def record(self, duration_s: float, *, name: str = "record") -> RunLog:
-        """Record for ``duration_s`` on the robot's clock, as `recording`; an emulated arm without a motion holds."""
+        """Record for ``duration_s`` on the robot's clock, as `recording`; without a motion an emulated arm holds."""
         seconds = as_seconds("record", duration_s)
         with noted(), self.recording(name) as record:
             virtual, held = self.rehearsal is not None or is_virtual(self.robot), False
@@ -374,9 +370,9 @@ class ArmSession(ArmDriver):
         return record.log
 
     def wait(self, timeout_s: float | None = None) -> ArmState:
-        """Wait for the end of the motion, and return the state; raises what ended it.
+        """Wait for the end of the motion and return the state; raises what ended it.
 
-        NotReachedError after ``timeout_s``, the motion then goes on. Ctrl-C stops the arm.
+        NotReachedError after ``timeout_s``; the motion goes on. Ctrl-C stops the arm.
         """
         motion, waited = self._motion, 0.0
         if motion is None:

@@ -1,4 +1,4 @@
-"""The options that every way of driving an arm shares, and those that a run keeps of its diagnosis."""
+"""Options of driving an arm, and those that a run keeps."""
 
 from __future__ import annotations
 
@@ -27,8 +27,7 @@ if TYPE_CHECKING:
 class Settings:
     """Options of a session; those of the command line have the same names.
 
-    A run keeps payload, tool, boxes, period and accepted error of its diagnosis. They hold wherever that run drives the
-    arm, unless others are given.
+    A run keeps payload, tool, boxes, period and accepted error of its diagnosis; they hold for that run by default.
 
     Examples
     --------
@@ -76,7 +75,7 @@ class Settings:
 
 @dataclass(frozen=True, kw_only=True)
 class KeptSettings:
-    """What a run keeps of the settings of its diagnosis (`settings.json`); fields as in `Settings`."""
+    """What a run keeps of its diagnosis (`settings.json`); fields as in `Settings`."""
 
     payload: Payload | None = None
     tool: tuple[float, ...] | None = None
@@ -115,7 +114,7 @@ class KeptSettings:
 
 
 def keep(run: Run, settings: Settings) -> None:
-    """Write what ``run`` keeps of the settings of its diagnosis; FileError where that fails."""
+    """Write what ``run`` keeps; FileError where that fails."""
     kept = KeptSettings.of(settings)
     if kept.given() or run.folder.settings.exists():
         write_json(run.folder.settings, kept)
@@ -128,9 +127,9 @@ def kept(run: Run | None) -> KeptSettings:
 
 
 def settled(given: Settings | None, run: Run | None, robot: RobotLike | None) -> tuple[Settings, str]:
-    """Return ``given`` settings, where nothing is given those that ``run`` keeps, and a sentence on the latter.
+    """Complete ``given`` settings by those that ``run`` keeps; return a sentence on the latter too.
 
-    Payload and tool belong to an address: an open robot has its own. InputError for what are no settings.
+    An open robot has its own payload and tool. InputError for what are no settings.
     """
     settings = Settings() if given is None else given
     if not isinstance(settings, Settings):
@@ -146,6 +145,6 @@ def settled(given: Settings | None, run: Run | None, robot: RobotLike | None) ->
 
 
 def laden(run: Run) -> Arm:
-    """Return the arm as it was diagnosed: with payload and tool that its run keeps."""
+    """Return the arm with payload and tool of its diagnosis."""
     mine = kept(run)
     return loaded(run.arm, mine.payload, mine.tool)

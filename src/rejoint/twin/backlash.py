@@ -3,7 +3,7 @@
 An unloaded joint rests anywhere between the flanks; to turn it back the motor first crosses the backlash. Logs do not
 separate it from friction: only training draws it.
 
-Out of contact, motor and joint are two bodies, which exchange momentum when they meet (review: Nordin and Gutman 2002).
+Out of contact, motor and joint are two bodies; they exchange momentum when they meet (Nordin and Gutman 2002).
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
@@ -77,7 +77,7 @@ class Backlash:
         """Separate motors from joints for one step of ``twins`` with set references.
 
         Joints out of contact get no torque, motor inertia, damping and ``friction`` (N, n) [N m]; ``terms`` (t, N, n)
-        are those of `rejoint.twin.friction`.
+        as in `rejoint.twin.friction`.
         """
         if not self.present:
             return

@@ -2,8 +2,8 @@
 
 Per joint: torque = clip(stiffness (command + offset - q), +-limit) - damping qdot - dry friction, without contacts and
 joint stops. Friction constraints are nearly rigid (MuJoCo's default creeps 1 deg/s, measured). The Jacobian is dense:
-the sparse Cholesky of MuJoCo 4.0.0 has a fault. Newton's method stops too early on such friction (measured), so the
-solver is projected Gauss-Seidel.
+the sparse Cholesky of MuJoCo 4.0.0 has a fault. The solver is projected Gauss-Seidel: Newton's method stops too early
+(measured).
 
 Only the TCP touches the table, with a soft sphere.
 """
@@ -64,7 +64,7 @@ class TwinBatch:
     ) -> None:
         """Set parameters of the simulations ``ids`` (indices or mask; default: all), not their state.
 
-        ``parameters``: leading shape (m,) or none; ``timestep`` [s] and ``gravity_scale``: a number or (m,).
+        ``parameters``: (m,) or none; ``timestep`` [s] and ``gravity_scale``: a number or (m,).
         """
         chosen = np.arange(self.nsim)[slice(None) if ids is None else ids]
         if parameters.shape == ():
@@ -111,7 +111,7 @@ class TwinBatch:
         self._batch.step(None, nstep=substeps)
 
     def rollout(self, control: Array) -> Array:
-        """Advance by ``control`` (nsim, steps, n) [rad]; return positions (nsim, steps, n)."""
+        """Advance by ``control`` (nsim, steps, n) [rad]; return such positions."""
         return self._batch.rollout(control.shape[1], control, record=("qpos",))["qpos"]
 
     def model(self, index: int) -> mujoco.MjModel:
@@ -137,7 +137,7 @@ TCP_SITE = "tcp"
 
 
 def model_fields(parameters: TwinParameters, timestep: Array, gravity_scale: Array) -> Iterator[tuple[str, Array]]:
-    """Yield every model field that a twin decides, as (name, value)."""
+    """Yield the model fields that a twin decides, as (name, value)."""
     p, shape = parameters, parameters.stiffness_shape
     timestep = np.broadcast_to(timestep, p.shape)
     gain = np.zeros((*shape, mujoco.mjNGAIN))
@@ -155,7 +155,7 @@ def model_fields(parameters: TwinParameters, timestep: Array, gravity_scale: Arr
 
 
 def friction_solref(timestep: Array) -> Array:
-    """Solref (..., 2) of the friction constraints for a time step (...) [s]."""
+    """Solref (..., 2) of friction for a time step (...) [s]."""
     return np.stack([2.0 * timestep, np.ones_like(timestep)], axis=-1)
 
 
@@ -211,7 +211,7 @@ PLANE, TIP = "table", "tip"
 
 
 def add_table(spec: mujoco.MjSpec, tip: mujoco.MjsBody, position: Array) -> None:
-    """Add to a model the plane and, at ``position`` (3,) [m] on ``tip``, the sphere."""
+    """Add the plane and, at ``position`` (3,) [m] on ``tip``, the sphere."""
     spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC  # a pyramid would stiffen as friction vanishes
     sphere, plane = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_PLANE
@@ -234,7 +234,7 @@ def add_table(spec: mujoco.MjSpec, tip: mujoco.MjsBody, position: Array) -> None
 
 
 def table_pose(table: TablePlane) -> tuple[Array, Array]:
-    """Position (3,) [m] and quaternion (4,) of a table's plane."""
+    """Position (3,) [m] and quaternion (4,) of the plane."""
     normal = np.array([-table.slope_x, -table.slope_y, 1.0]) / np.sqrt(1 + table.slope_x**2 + table.slope_y**2)
     turn = np.zeros(4)
     mujoco.mju_quatZ2Vec(turn, normal)
@@ -244,7 +244,7 @@ def table_pose(table: TablePlane) -> tuple[Array, Array]:
 def table_fields(table: TablePlane, timestep: float, inverse_mass: Array) -> Iterator[tuple[str, Array]]:
     """Yield the tip's fields that a table decides in models with `add_table`, as (field, value).
 
-    ``inverse_mass`` (...) [1/kg] is ``body_invweight0`` of the tip's body: stiffness = k d / (1 - d) / inverse mass.
+    ``inverse_mass`` (...) [1/kg] is the tip's ``body_invweight0``: stiffness = k d / (1 - d) / inverse mass.
     """
     d = IMPEDANCE
     k = np.minimum(table.stiffness * (1 - d) / d * inverse_mass, (2 * timestep * d) ** -2.0)

@@ -23,7 +23,7 @@ class Parameter:
     lower: float
     upper: float
     wide: Mapping[str, float | bool] = field(default_factory=dict)
-    """replacements for an unknown arm"""
+    """for an unknown arm"""
     log: bool = True
     """estimated as its logarithm"""
     difference: float = 0.045
@@ -34,12 +34,12 @@ class Parameter:
     scaled: bool = False
     """torque known up to its joint's common scale"""
     wrist: float = 1.0
-    """factor on the nominal value for wrist joints"""
+    """factor for wrist joints"""
     alike: float | None = None
-    """sigma of the logarithm among joints with equal servos (`rejoint.arms.Arm.servos`)"""
+    """sigma of the logarithm among equal servos (`rejoint.arms.Arm.servos`)"""
     by_load: bool = False
-    """whether nominal value and bounds scale with the arm's weight"""
+    """nominal value and bounds scale with the arm's weight"""
     by_time: int = 0
     """their power of sqrt(reach)"""
     by_speed: bool = False
-    """whether they scale with the arm's speed"""
+    """they scale with the arm's speed"""

@@ -1,4 +1,4 @@
-"""``twin.toml``: a twin as a file, in SI units.
+"""``twin.toml``: a twin as a file.
 
 One digest covers the parameters, another the whole text.
 """
@@ -21,19 +21,18 @@ from rejoint.twin.table import TablePlane
 from rejoint.twin.twin import HeldOut, Twin
 
 FORMAT = 1
-"""Version of the layout"""
 
 ERRORS = ("no_twin", "healthy_twin", "twin")
 """Rms errors on held-out motion"""
 
 
 def write_twin(path: Path, twin: Twin) -> None:
-    """Write a twin as TOML, atomically."""
+    """Write a twin, atomically."""
     write_sealed(path, _document(twin))
 
 
 def read_twin(path: Path, arm: Arm | None = None) -> Twin:
-    """Read a twin; FileError if missing or damaged, ContractError if of another arm."""
+    """Read a twin; FileError if missing or damaged, ContractError for another arm."""
 
     def build(data: dict[str, Any]) -> Twin:
         twin = _twin(data)

@@ -1,8 +1,8 @@
 """Maximum a posteriori fit of a twin's parameters to windows of motion, by block Gauss-Newton.
 
-A joint's own parameters nearly decide its motion, so one simulation perturbs one parameter of every joint. Optimiser of
-Levenberg and Marquardt (Nocedal and Wright, chapter 10), pseudo-Huber loss (Charbonnier et al. 1997), Gaussian prior;
-the data's weight is divided by the residuals' autocorrelation time.
+A joint's own parameters nearly decide its motion, so one simulation perturbs one parameter of every joint.
+Levenberg-Marquardt (Nocedal and Wright, chapter 10), pseudo-Huber loss (Charbonnier et al. 1997), Gaussian prior; the
+data's weight is divided by the residuals' autocorrelation time.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ POSTURES = 500
 STIFFNESS = number("stiffness")
 
 SCALES = (0.5, 0.7, 0.85, 1.18, 1.41, 2.0)
-"""Factors of a joint's common scale that are tried; chosen"""
+"""Tried factors of a joint's common scale; chosen"""
 
 DAMPINGS = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
-"""Levenberg-Marquardt damping relative to the curvature's diagonal; chosen"""
+"""Levenberg-Marquardt, relative to the curvature's diagonal; chosen"""
 
 LEAST_GAIN = 0.5
 """Gain that ends a descent; chosen"""
@@ -74,8 +74,8 @@ class Fit:
 class Problem:
     """Residuals, costs and Jacobians of one set of windows under one prior.
 
-    Parameters in ``frozen`` keep their start. ``stride`` scales the finite differences; residuals within ``memory`` [s]
-    are dependent; window errors have ``freedom`` degrees of freedom (Student).
+    ``frozen`` parameters keep their start. ``stride`` scales finite differences; residuals within ``memory`` [s] are
+    dependent; window errors have ``freedom`` degrees of freedom (Student).
     """
 
     def __init__(
@@ -116,7 +116,7 @@ class Problem:
         return Weights(scale=scale, correlation=correlation, share=share)
 
     def shares(self, residual: Array) -> Array:
-        """Weights (rows, n) of each window's motion for residuals (rows, n), by Student's distribution.
+        """Weights (rows, n) of each window's motion, by Student's distribution.
 
         Iteratively reweighted (Lange, Little and Taylor 1989).
         """
@@ -147,7 +147,7 @@ class Problem:
     def perturbations(self, vector: Array, signs: Array) -> Array:
         """Vectors (p, k), each with one parameter of every joint, or one of the arm, moved.
 
-        Instead of the stiffness, all torques and the inertia move: only gravity and link inertia fix that scale.
+        Instead of the stiffness, torques and inertia move: only gravity and link inertia fix that scale.
         """
         groups = self._groups()
         moved = np.tile(vector, (len(groups), 1))
@@ -158,7 +158,7 @@ class Problem:
         return np.clip(moved[self._live], self.prior.lower, self.prior.upper)
 
     def rescaled(self, vector: Array, factors: Sequence[float]) -> Array:
-        """Vectors (f, k) with torques and inertia of each joint scaled by ``factors``.
+        """Vectors (f, k) with torques and inertia scaled by ``factors``.
 
         The offset balances gravity; the motor takes the change of inertia.
         """
@@ -185,14 +185,14 @@ class Problem:
         return link_inertia(self.replay.arm, self.measured.mean(axis=0))
 
     def inward(self, vector: Array, signs: Array) -> Array:
-        """Flip those ``signs`` (k,) whose step would leave the bounds."""
+        """Flip ``signs`` (k,) whose step would leave the bounds."""
         moved = vector + signs * self.steps
         return np.where((moved > self.prior.upper) | (moved < self.prior.lower), -signs, signs)
 
     def jacobian(self, base: Array, moved: Array, signs: Array) -> Array:
         """Sensitivities (rows, n, q) of each joint to its own parameters and, last, the arm's.
 
-        ``base`` (rows, n) and ``moved`` (p, rows, n): residuals at the point and at `perturbations`.
+        ``base`` (rows, n) and ``moved`` (p, rows, n): residuals there and at `perturbations`.
         """
         groups = self._groups()
         slopes = np.zeros((len(groups), *base.shape))
@@ -216,7 +216,7 @@ class Problem:
         return curvature, gradient
 
     def columns(self, joint: int) -> NDArray[np.integer]:
-        """Return indices of one joint's parameters and, last, the arm's."""
+        """Return indices of a joint's parameters and, last, the arm's."""
         return np.concatenate([np.flatnonzero(self.owner == joint), np.flatnonzero(self.owner == -1)])
 
     def clusters(self, length: float) -> NDArray[np.integer]:
@@ -235,7 +235,7 @@ class Problem:
 def fit(problem: Problem, start: Array, iterations: int, scales: Sequence[float] = ()) -> Fit:
     """Descend from ``start`` (k,) until a step gains almost nothing.
 
-    First every joint takes the best of the ``scales``, along which the loss is flat.
+    First joints take the best of the ``scales``, along which the loss is flat.
     """
     x = np.clip(start, problem.prior.lower, problem.prior.upper)
     fixed = problem.frozen
@@ -312,7 +312,7 @@ def _steps(problem: Problem, x: Array, curvature: Array, gradient: Array, fixed:
 def line_up(problem: Problem, candidates: Array, residuals: Array, weights: Weights) -> tuple[Array, float, Array]:
     """Mix each joint's best of the candidates (s, k); return the mixture, its gain and its residuals.
 
-    ``residuals`` (r, rows, n): those of the first candidates. A mixture by groups or a single candidate may win.
+    ``residuals`` (r, rows, n) of the first candidates. A mixture by groups or one candidate may win.
     """
     if len(residuals) < len(candidates):
         residuals = np.concatenate([residuals, problem.residuals(candidates[len(residuals) :])])

@@ -1,7 +1,7 @@
 """Identification from logs of several motions of a little-known arm.
 
-Only free motion counts, whole motions are held out, priors are wide. After the judgement, all motions are fitted; the
-table comes last.
+Only free motion counts, whole motions are held out, priors are wide. After the judgement all motions are fitted, the
+table last.
 """
 
 from __future__ import annotations
@@ -41,14 +41,14 @@ from rejoint.twin.twin import HeldOut, Twin
 from rejoint.twin.uncertainty import uncertainty
 
 FITTED, HEALTHY = "fitted twin", "healthy twin"
-"""Predictions in a judgement beside `NO_TWIN`"""
+"""Predictions besides `NO_TWIN`"""
 
 LEAST_CONTACT = 5.0
 """[s] least contact for a table fit; chosen"""
 
 
 FOLLOWED = 0.4
-"""Least weight of a motion's worst joint without report; chosen"""
+"""Weight of a motion's worst joint that is reported; chosen"""
 REFITTED = "errors on held-out motion are those of a fit that had not seen it; the values are fitted to all motions"
 NOTHING = "the motions tell no joint's stiffness, damping or friction"
 REPEATED = "the motions held out repeat those that were fitted: errors on other motion are larger"

@@ -1,6 +1,6 @@
 """Identification: a twin with intervals from logs of an excitation, judged on held-out windows.
 
-A coarse fit from many starts (`rejoint.twin.fit`), a final one, then intervals (`rejoint.twin.uncertainty`).
+Coarse fit from many starts (`rejoint.twin.fit`), final one, intervals (`rejoint.twin.uncertainty`).
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ def identify(
 def fitted_twin(
     problem: Problem, found: Fit, knowledge: Uncertainty, held_out: HeldOut, table: TablePlane | None = None
 ) -> Twin:
-    """Assemble a twin, with bounds from the torques seen."""
+    """Assemble a twin, bounded by the torques seen."""
     replay, belief = problem.replay, problem.prior
     twin = Twin(
         arm=replay.arm.name,
@@ -166,7 +166,7 @@ def largest_drive_torque(problem: Problem, parameters: TwinParameters) -> Array:
 
 
 def torque_bounds(problem: Problem, logs: Sequence[RunLog], twin: Twin) -> Array:
-    """Raise lower bounds (k,): the torque limit is at least the torque seen."""
+    """Raise lower bounds (k,) to the torque seen."""
     arm, n = problem.replay.arm, problem.joints
     limited = twin.identified[problem.layout.at("torque_limit")]
     static = largest_static_torque(arm, logs, twin.parameters.coulomb)

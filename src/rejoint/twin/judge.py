@@ -4,7 +4,7 @@ A twin is trusted only where joints moved, readings come often, on the commands'
 commands with any delay.
 
 Candidates may be published parameter sets (docs/published): TOML with stiffness, damping, coulomb and armature, one
-value or one per joint; the rest is optional.
+value or one per joint; more is optional.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Candidate:
     table: TablePlane | None = None
     """for contacts"""
     acceleration: float = np.inf
-    """[rad/s^2] of the servos' references, while commands keep changing"""
+    """[rad/s^2] of references, while commands change"""
 
     @staticmethod
     def of(name: str, twin: Twin) -> Candidate:
@@ -78,7 +78,7 @@ def judge(
     timestep: float = TIMESTEP,
     threads: int = 1,
 ) -> Judgement:
-    """Compare candidates, and no twin, on whole logs; ``table`` [m] is its height, default: found.
+    """Compare candidates, and no twin, on whole logs; ``table`` [m]: height, default: found.
 
     InputError without a log or candidate, for equal names or another arm.
     """
@@ -93,7 +93,7 @@ def judge(
 def predict_logs(
     arm: Arm, candidates: Sequence[Candidate], logs: Sequence[RunLog], timestep: float = TIMESTEP, threads: int = 1
 ) -> dict[str, list[Array]]:
-    """Positions (T, n) [rad] in each log by prediction, no twin first."""
+    """Predicted positions (T, n) [rad] in each log, no twin first."""
     for log in logs:
         log.require(arm.name, arm.joint_names)
     return {NO_TWIN: _no_twin(logs)} | {c.name: _paths(arm, c, logs, timestep, threads) for c in candidates}
@@ -206,7 +206,7 @@ COARSEST = 0.1
 
 
 def doubts(arm: Arm, logs: Sequence[RunLog], rows: Sequence[Exclusions], paths: dict[str, list[Array]]) -> list[str]:
-    """Say why no prediction of ``paths`` is trusted; empty if one is."""
+    """Why no prediction is trusted; empty if one is."""
     found = []
     travel = max(float(np.ptp(log.position, axis=0).max()) for log in logs)
     if travel < MOVED:

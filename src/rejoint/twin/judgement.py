@@ -45,9 +45,9 @@ class MotionErrors:
     motion: str
     seconds: float
     contact_seconds: float
-    """[s] in contact with the table, recovery included"""
+    """with the table, recovery included"""
     left_out_seconds: float
-    """[s] at stops or with dead readings, recovery included"""
+    """at stops or with dead readings, recovery included"""
     errors: dict[str, Errors]
     """by prediction"""
 
@@ -77,7 +77,7 @@ class Judgement:
     """[m] of the tip in contact; None without contact"""
     motions: tuple[MotionErrors, ...]
     mean: dict[str, Errors]
-    """over the motions with equal weight, by prediction"""
+    """over motions with equal weight, by prediction"""
     worst: Trace
     doubts: tuple[str, ...] = ()
     """why no prediction is trusted (`rejoint.twin.judge`)"""
@@ -93,7 +93,7 @@ def prediction_error(arm: Arm, predicted: Array, measured: Array) -> PredictionE
 
 
 def smaller(ours: Array, theirs: Array) -> bool:
-    """Whether errors (K,) are measurably smaller than others in the same motions."""
+    """Whether errors (K,) are measurably smaller in the same motions."""
     if len(ours) < FEWEST:
         return bool(len(ours) and ours.mean() < CLEARLY * theirs.mean())
     return above_zero(bootstrap_mean(theirs - ours, np.arange(len(ours)), fewest=FEWEST))

@@ -2,8 +2,8 @@
 
 Positions give a joint's torques up to a common scale, which gravity and link inertia fix, except for a vertical axis or
 near the flange. A load is a share of the largest torque, so the slope of load over error at rest (`servo_lines`) is
-stiffness over largest torque, within some percent. Equal motors share one joint's scale. Stall torques in data sheets
-differ too much to replace the masses (an STS3215: 2.9 to 6 N m).
+stiffness over largest torque, within some percent. Equal motors share a scale. Stall torques in data sheets differ too
+much to replace the masses (an STS3215: 2.9 to 6 N m).
 """
 
 from __future__ import annotations

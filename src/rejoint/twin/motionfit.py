@@ -79,7 +79,7 @@ def thin(windows: Sequence[Window], logs: Sequence[RunLog], seconds: float) -> l
 def fastest(windows: Sequence[Window], logs: Sequence[RunLog], seconds: float) -> list[Window]:
     """Keep about ``seconds`` [s] of the windows whose commands accelerate most.
 
-    Without jumps to a constant goal, where a limited acceleration does not show.
+    Not jumps to a constant goal, where a limited acceleration does not show.
     """
 
     def acceleration(w: Window) -> float:
@@ -119,11 +119,11 @@ def _pieces(index: int, log: RunLog, run: tuple[int, int], length: float) -> lis
 FEW_MOTIONS = 4
 """Motions from which whole ones are held out; chosen"""
 KEPT_END = 0.25
-"""Share of a motion held out then, halved until `MOSTLY` is left to fit; chosen"""
+"""Share of a motion held out, halved until `MOSTLY` is left; chosen"""
 GRID, STEPS = 0.2, 10
-"""[s] between samples of commands, and samples that are compared; chosen"""
+"""[s] between samples of commands, and samples compared; chosen"""
 ALIKE = 0.25
-"""Distance of commands that repeat others over their own motion; chosen: half of `GRID` at constant speed is 0.17"""
+"""Distance of repeated commands over their own motion; chosen: half of `GRID` at constant speed is 0.17"""
 MOSTLY = 0.5
 """Share of a motion; chosen"""
 
@@ -142,7 +142,7 @@ class HoldOut:
 def part(arm: Arm, logs: Sequence[RunLog], how: HoldOut) -> tuple[list[RunLog], list[RunLog]]:
     """Split logs into those to fit and those to judge; of few motions the end of each.
 
-    What repeats commands that are held out is not fitted, unless names are given or too little would be left. Without
+    Motion that repeats held-out commands is not fitted, unless names are given or too little would be left. Without
     hold-out both are all logs. InputError for duplicate, missing or all labels.
     """
     ordered = sorted(logs, key=lambda log: log.label)
@@ -188,7 +188,7 @@ def _ends(logs: Sequence[RunLog]) -> tuple[list[RunLog], list[RunLog]]:
 
 
 def repeated(logs: Sequence[RunLog], others: Sequence[RunLog]) -> list[NDArray[np.bool_]]:
-    """Rows (T,) of each log whose commands move as those of ``others`` do somewhere."""
+    """Rows (T,) of each log whose commands move as some of ``others``."""
     known, found = cKDTree(np.concatenate([_stretches(log)[1] for log in others])), []
     for log in logs:
         start, paths = (values[:: STEPS // 2] for values in _stretches(log))
@@ -201,7 +201,7 @@ def repeated(logs: Sequence[RunLog], others: Sequence[RunLog]) -> list[NDArray[n
 
 
 def _stretches(log: RunLog) -> tuple[Array, Array]:
-    """Beginnings (S,) [s] and commands (S, n `STEPS`) [rad] of all stretches of a log; after its end it rests."""
+    """Beginnings (S,) [s] and commands (S, n `STEPS`) [rad] of a log's stretches."""
     time = np.arange(log.time[0], log.time[-1] + GRID, GRID)
     path = np.stack([np.interp(time, log.time, column) for column in log.command.T], axis=1)
     path = np.pad(path, ((0, STEPS - 1), (0, 0)), mode="edge")
@@ -209,7 +209,7 @@ def _stretches(log: RunLog) -> tuple[Array, Array]:
 
 
 def folds(arm: Arm, logs: Sequence[RunLog], count: int, seed: int = 0) -> NDArray[np.integer]:
-    """(K,) fold of each log; each fold has motions of every kind."""
+    """(K,) fold of each log, with motions of every kind."""
     touching = [rows.contact.any() for rows in find_exclusions(arm, logs, table_height(arm, logs))]
     speed = [float(np.sqrt(np.mean((np.diff(log.command, axis=0) / np.diff(log.time)[:, None]) ** 2))) for log in logs]
     order = sorted(range(len(logs)), key=lambda i: (bool(touching[i]), round(speed[i], 6), logs[i].label))
@@ -257,7 +257,7 @@ class LogSettings:
     table_height: float | None = None
     """[m] of the tip; None: found in the logs"""
     stictions: tuple[float, ...] = STICTIONS
-    """ratios of static to kinetic friction to try"""
+    """to try"""
     timestep: float = TIMESTEP
     threads: int = 2
 
@@ -272,7 +272,7 @@ def fit_motions(
     settings: LogSettings = DEFAULT_LOG_SETTINGS,
     on_progress: Progress = no_progress,
 ) -> tuple[Problem, Fit, Structure]:
-    """Find a twin's structure for free motion, and fit it; InputError for too little."""
+    """Find a twin's structure, and fit it; InputError for too little motion."""
     windows = free_windows(logs, excluded, settings.window)
     seconds = sum(float(logs[w.log].time[w.last - 1] - logs[w.log].time[w.first]) for w in windows)
     if seconds < SHORTEST:
@@ -343,6 +343,6 @@ def _problem(
 
 
 def independent(problem: Problem) -> NDArray[np.integer]:
-    """(rows,) numbers of independent stretches: motions or windows."""
+    """(rows,) numbers of independent motions or windows."""
     windows = problem.replay.windows
     return by_motion(windows) if len({w.log for w in windows}) >= CLUSTERED else problem.window

@@ -4,7 +4,7 @@ Stiffness: Park et al. 2024 train on P = 50..200; a 0.85 kg arm oscillates as in
 (measured in simulation, as the other ranges). Bounds contain identified hobby servos (SO-101: stiffness 19-26 N m/rad,
 Coulomb friction 0.25-0.8 N m, viscous friction 0.8-1.6 N m s/rad). Ranges of unknown arms reach to industrial joints.
 
-The plant in `rejoint.robots.lab.plant` shares no physics code with the twin, so that it can test the fit.
+`rejoint.robots.lab.plant` shares no physics code with the twin, so that it can test the fit.
 """
 
 from __future__ import annotations
@@ -143,10 +143,7 @@ WRIST_INERTIA = 0.2
 
 @dataclass(frozen=True)
 class Layout:
-    """Indices of the parameters of a twin of n joints in its vector of length k.
-
-    In the order of `PARAMETERS`: first those of joints, then those of the arm.
-    """
+    """Indices of a twin's parameters in its vector of length k: those of n joints, then of the arm."""
 
     joints: int
 
@@ -167,27 +164,27 @@ class Layout:
 
     @cached_property
     def is_log(self) -> NDArray[np.bool_]:
-        """(k,) which elements are logarithms."""
+        """(k,) which are logarithms."""
         return np.array([p.log for p in PARAMETERS])[self.kind]
 
     @cached_property
     def is_scaled(self) -> NDArray[np.bool_]:
-        """(k,) which elements share their joint's common scale of torques and inertia."""
+        """(k,) which share a joint's common scale of torques and inertia."""
         return np.array([p.per_joint and p.log for p in PARAMETERS])[self.kind]
 
     @cached_property
     def is_fitted(self) -> NDArray[np.bool_]:
-        """(k,) which elements a descent may change."""
+        """(k,) which a descent may change."""
         return np.array([p.fitted for p in PARAMETERS])[self.kind]
 
     def fitted(self, values: Array) -> Array:
-        """Vectors (m, k) of ``values`` (m, f) of the fitted elements, else 0."""
+        """Vectors (m, k) of ``values`` (m, f), else 0."""
         whole = np.zeros((len(values), self.size))
         whole[:, self.is_fitted] = values
         return whole
 
     def normal(self, rng: np.random.Generator, count: int) -> Array:
-        """Draw standard normal values (count, k) of the fitted elements, else 0."""
+        """Return standard normal values (count, k) of the fitted elements, else 0."""
         return self.fitted(rng.standard_normal((count, int(self.is_fitted.sum()))))
 
     @property
@@ -212,7 +209,7 @@ class Layout:
 
 
 def number(name: str) -> int:
-    """Return number of a parameter in `PARAMETERS`."""
+    """Return the number in `PARAMETERS`."""
     return [p.name for p in PARAMETERS].index(name)
 
 
@@ -270,7 +267,7 @@ class Prior:
 
 
 def prior(arm: Arm, table: tuple[Parameter, ...] = PARAMETERS) -> Prior:
-    """Prior of an arm from a table, its largest gravity torque, reach, speed and link inertias."""
+    """Prior by a table, the arm's largest gravity torque, reach, speed and link inertias."""
     load = largest_gravity_torque(arm) / REFERENCE_LOAD
     time = (reach(arm) / REFERENCE_REACH) ** 0.5
     speed = float(arm.max_speed.min()) / REFERENCE_SPEED
@@ -315,7 +312,7 @@ HEALTHY_FRICTION_FACTOR = 0.6
 
 
 def is_hobby(arm: Arm) -> bool:
-    """Whether an arm's servos are hobby servos: those of the catalogue are."""
+    """Whether the servos are hobby servos: those of the catalogue are."""
     return arm.name in CATALOGUE
 
 

@@ -1,8 +1,8 @@
 """Predictive control: a plan on the arm's own twin for the motion, another controller near the target.
 
-The other controller also takes over where twin and arm disagree. Model predictive path integral control (Williams et
-al., ICRA 2017): the plan is the average of simulated candidates, weighted by exp(-cost), among them overdriven ones. An
-offset of the commands takes up the model's error (offset-free MPC: Pannocchia and Rawlings, AIChE Journal 49(2), 2003).
+The other one also takes over where twin and arm disagree. Model predictive path integral control (Williams et al., ICRA
+2017): the plan averages simulated candidates, weighted by exp(-cost); some are overdriven. An offset of the commands
+takes up the model's error (offset-free MPC: Pannocchia and Rawlings, AIChE Journal 49(2), 2003).
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ class PredictiveController:
         return np.where(self._planning[:, None], self._planner.command(inputs), held)
 
     def _over(self, inputs: ControlInput, missed: Array) -> Mask:
-        """For which arms (B,) the plan is over, by the prediction error ``missed`` (B, n) [rad]."""
+        """Whose plan (B,) is over, by the prediction error ``missed`` (B, n) [rad]."""
         until = self._until
         tcp, jacobian = position_kinematics(self._arm, inputs.state.position)
         wrong = np.linalg.norm((jacobian @ missed[..., None])[..., 0], axis=-1)
@@ -151,7 +151,7 @@ class PlanSettings:
     effort: float = 0.3
     """[1/rad] cost of a change of command"""
     correction: float = 0.4
-    """share of the prediction error corrected per cycle"""
+    """of the prediction error, per cycle"""
     offset_rate: float = 1.0
     """[1/s] the same for the offset of the commands"""
     lead: float = float(np.radians(20.0))
@@ -161,7 +161,7 @@ class PlanSettings:
 
 
 class Planner:
-    """Plans for B arms; the twins' simulation ``shadow`` runs along."""
+    """Plans for B arms, with their simulation ``shadow``."""
 
     def __init__(self, arm: Arm, twins: Draw, settings: PlanSettings | None = None) -> None:
         """Take the twins of B arms, or one for all."""

@@ -1,8 +1,8 @@
 """The servo's reference: commands that arrive late and are approached at limited speed or acceleration.
 
 Between commands it is a ramp, or the time-optimal motion to rest at the goal (bang-bang; Pontryagin et al. 1962). An
-SO-101 (Feetech STS3215) limits its acceleration to 254 x 100 counts/s^2 at most; a repeated goal ends the plan and is
-followed at once (measured).
+SO-101 (Feetech STS3215) limits its acceleration to at most 254 x 100 counts/s^2; it follows a repeated goal at once
+(measured).
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
@@ -92,7 +92,7 @@ class LiveReference:
         self._speed, self._acceleration = np.ones(count), np.full(count, np.inf)
 
     def restart(self, where: Mask, position: Array, *, speed: Array, acceleration: Array) -> None:
-        """Rest at ``position`` (m, n) [rad] in ``where`` (N,); limits (m,) [rad/s] or, if finite, [rad/s^2]."""
+        """Rest at ``position`` (m, n) [rad] in ``where`` (N,); limits (m,) [rad/s] or finite [rad/s^2]."""
         self.position[where], self.velocity[where] = position, 0.0
         self._speed[where], self._acceleration[where] = speed, acceleration
 
@@ -106,7 +106,7 @@ class LiveReference:
         return path
 
     def ahead(self, which: NDArray[np.integer], goals: Array, step: float) -> Array:
-        """Later references (m, s, n) [rad] of the arms ``which`` (m,) for ``goals``."""
+        """Later references (m, s, n) [rad] of arms ``which`` (m,)."""
         again, each = np.zeros(goals.shape, dtype=bool), np.full(len(which), step)
         position, velocity, speed = self.position[which], self.velocity[which], self._speed[which]
         return np.asarray(follow(position, velocity, goals, again, speed * step, self._acceleration[which], each)[0])
@@ -125,7 +125,7 @@ class LiveReference:
 def follow(position, velocity, goals, again, reach, acceleration, step):  # noqa: ANN001, ANN201
     """Move references (N, n) towards ``goals`` (N, s, n); return them after each step, and speeds.
 
-    By ``reach`` (N,) [rad] per ``step`` (N,) [s], or with a finite ``acceleration`` (N,).
+    By ``reach`` (N,) [rad] per ``step`` (N,) [s], or a finite ``acceleration`` (N,).
     """
     agents, steps, joints = goals.shape
     path, speed = np.empty(goals.shape), np.zeros(velocity.shape)
@@ -165,10 +165,7 @@ class Profile:
 def advance(
     position: Array, velocity: Array, goal: Array, acceleration: float, elapsed: Array | float
 ) -> tuple[Array, Array]:
-    """Position and velocity after ``elapsed`` [s] of the fastest motion to rest at ``goal``.
-
-    Plain arithmetic, also compiled.
-    """
+    """Position and velocity after ``elapsed`` [s] of the fastest motion to rest at ``goal``; also compiled."""
     away = goal - position
     direction = np.where(away >= 0.5 * velocity * np.abs(velocity) / acceleration, 1.0, -1.0)
     away, start = direction * away, direction * velocity

@@ -1,9 +1,9 @@
 """Open-loop replay: a twin under the commands of a run log.
 
 Windows start from the measured state, so they run as one batch. The delay contains the age of the reading. A log may
-declare (`RunLog.extra`): ``gain``, the servos' position gain over the twin's (``0.5`` or ``1 0.5 1``), and
-``torque_off``, spans [s] without torque, which are cut out (``3-7.5 12-14``). Joints that never answer their command
-are replayed where they were.
+declare (`RunLog.extra`) ``gain``, the servos' position gain over the twin's (``0.5`` or ``1 0.5 1``), and
+``torque_off``, spans [s] without torque to cut out (``3-7.5 12-14``). Joints that never answer stay at the measured
+position.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class Replay:
         self._simulations: dict[tuple[int, bool], Simulation] = {}
 
     def predict(self, parameters: TwinParameters, tables: Sequence[TablePlane] = ()) -> list[Array]:
-        """Positions (m, rows, n) [rad] of twins (m,) in each window, with m ``tables`` if given."""
+        """Positions (m, rows, n) [rad] of twins (m,) in each window, with m ``tables``."""
         m, count = parameters.shape[0], len(self.windows)
         simulation = self._simulation(m * count, table=bool(tables))
         which = np.tile(np.arange(m), count)  # simulation = window * m + twin
@@ -143,7 +143,7 @@ class Replay:
     def _control(self, parameters: TwinParameters) -> Array:
         """Return references (windows * m, steps, n) at the start of each simulation step.
 
-        Means over the step, for commands in step with it: else the delay would depend on the step.
+        For commands in step with it, means over the step: else the delay would depend on it.
         """
         references = self._references(parameters)
         grid = np.asarray(np.arange(self.steps) * self.timestep, dtype=np.float64)
@@ -179,7 +179,7 @@ class Replay:
 
 
 def predict(arm: Arm, parameters: TwinParameters, log: RunLog, timestep: float = TIMESTEP) -> Array:
-    """Open-loop positions (T, n) [rad] of the twin from the first measured state."""
+    """Open-loop positions (T, n) [rad] from the first measured state."""
     whole = Window(log=0, first=0, last=len(log))
     return Replay(arm, [log], [whole], timestep).predict(parameters.repeat(1))[0][0]
 
@@ -197,7 +197,7 @@ def measured_velocity(log: RunLog) -> Array:
 
 
 def _interpolate(path: Array, timestep: float, time: Array) -> Array:
-    """Paths (m, s, n) of an even grid from ``time[0]``, at ``time`` (rows,)."""
+    """Paths (m, s, n) of an even grid, at ``time`` (rows,)."""
     place = (time - time[0]) / timestep
     index = np.minimum(place.astype(int), path.shape[1] - 2)
     part = (place - index)[:, None]
@@ -209,7 +209,7 @@ GAIN, TORQUE_OFF = "gain", "torque_off"
 
 
 def declare(logs: Sequence[RunLog], key: str, values: Mapping[str, str]) -> list[RunLog]:
-    """Give the logs named in ``values`` their ``key``; InputError for an unknown log."""
+    """Give named logs their ``key``; InputError for an unknown log."""
     unknown = sorted(set(values) - {log.label for log in logs})
     if unknown:
         raise InputError(

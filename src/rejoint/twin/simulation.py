@@ -1,7 +1,7 @@
 """The simulation behind training, tuning, replay and predictive control.
 
-It adds late and limited commands (`rejoint.twin.reference`), backlash, friction by speed and delayed readings to the
-dynamics. Each arm has its own clock.
+It adds late and limited commands (`rejoint.twin.reference`), backlash, friction by speed and delayed readings. Each arm
+has its own clock.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ SUBSTEPS = 6
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Draw:
-    """N arms to simulate: all their differences."""
+    """All differences of N simulated arms."""
 
     twin: TwinParameters
     """leading shape (N,)"""
@@ -47,7 +47,7 @@ class Draw:
     stiction: Array
     """(N, n) static over kinetic friction"""
     acceleration: Array
-    """(N,) [rad/s^2] of the servos' references while commands change; inf: limited speed instead"""
+    """(N,) [rad/s^2] of references while commands change; inf: limited speed instead"""
     gravity_scale: Array
     """(N,) for unknown masses and payload"""
     period: Array
@@ -55,7 +55,7 @@ class Draw:
     backlash: Array
     """(N, n) [rad] inside the servo loop"""
     grease: Array
-    """(N,) damping of a joint in the backlash, relative to its motor's"""
+    """(N,) damping in the backlash, relative to the motor's"""
 
     @staticmethod
     def of(twin: TwinParameters, stiction: Array | float = 1.0, acceleration: Array | float = np.inf) -> Draw:
@@ -107,7 +107,7 @@ class Simulation:
     def place(self, draw: Draw, position: Array, command: Array, where: Mask | None = None) -> None:
         """Put the arms of ``draw`` (m,) in ``where`` (N,), default: all, at time 0.
 
-        At ``position`` (m, n) [rad] with constant ``command`` (m, n) [rad].
+        At ``position`` with constant ``command`` (m, n) [rad].
         """
         where = np.ones(len(self.time), dtype=bool) if where is None else where
         self.twins.write(draw.twin, where, gravity_scale=draw.gravity_scale)
@@ -132,7 +132,7 @@ class Simulation:
         self.latency.send(command, self.time)
 
     def advance(self, period: Array, offset: Array | None = None) -> None:
-        """Advance by ``period`` (N,) [s] and read; ``offset`` (N, n) [rad] shifts the references."""
+        """Advance by ``period`` (N,) [s] and read; ``offset`` (N, n) [rad] shifts references."""
         step = period / self.substeps
         self.twins.set_timestep(step)
         starts = self.time[:, None] + step[:, None] * np.arange(self.substeps)
@@ -145,7 +145,7 @@ class Simulation:
         self.measured = self._quantised(self.latency.read(self.time))
 
     def rollout(self, reference: Array) -> Array:
-        """Advance by ``reference`` (N, steps, n) [rad]; return positions of that shape."""
+        """Advance by ``reference`` (N, steps, n) [rad]; return such positions."""
         if not self.backlash.present and isinstance(self.twins, ChainBatch):
             return self.twins.rollout(reference, self._friction)
         if is_steady(self._friction) and not self.backlash.present:
@@ -232,7 +232,7 @@ class TwinRobot:
         return JointState(time=now.time.copy(), position=now.measured.copy(), age=np.zeros(self.count))
 
     def step(self, command: Array, active: Mask | None = None) -> JointState:
-        """Send ``command`` (B, n) [rad], advance one period; read only ``active`` twins."""
+        """Send ``command`` (B, n) [rad], advance one period; read ``active`` twins."""
         simulation, before = self.simulation, self.simulation.measured
         simulation.send(command)
         spread = self._rng.uniform(1.0 - self._jitter, 1.0 + self._jitter, self.count // self._copies)

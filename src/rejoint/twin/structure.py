@@ -1,6 +1,6 @@
 """What a twin needs to explain some logs: active limits, and static friction.
 
-Neither has a gradient, so fits to the same windows are compared; more elaborate structures must pay for themselves.
+Neither has a gradient, so fits to the same windows are compared; complex structures must pay for themselves.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ ROUGH = 6
 FURTHER = 2
 """Steps from a similar optimum; chosen"""
 FAR = 5.0
-"""Rms residual over the median of a window to leave out; chosen between real jumps (4) and infeasible chirps (20)"""
+"""Rms residual over the median of windows left out; chosen between real jumps (4) and infeasible chirps (20)"""
 
 _RAMPS = (1.0, 2.0, 4.0, 8.0)
 """[rad/s] tried"""
@@ -89,7 +89,7 @@ class Found:
 def decide_compensation(belief: Prior, arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]) -> Prior:
     """Assume gravity fed forward at joints whose sag does not tell their stiffness, but for hobby servos.
 
-    Their sag then is that of the prior's stiffness. Gravity that no sag follows is in the sigma of the others.
+    Their sag is then that of the prior's stiffness; the others' sigma contains gravity that no sag follows.
     """
     if is_hobby(arm):
         return belief
@@ -109,7 +109,7 @@ def simplest(belief: Prior, stiction: float, acceleration: float = np.inf) -> St
 
 
 def rough_fit(problem: Problem) -> Array:
-    """Fit (k,) from the prior's median, else from the best of a random search."""
+    """Fit (k,) from the prior's median, else a random search."""
     belief, measured = problem.prior, problem.measured
     x = fit(problem, fit(problem, belief.mean, SHORT).vector, SHORT, SCALES).vector
     no_twin = loss(np.concatenate(problem.replay.commands()) - measured).sum(axis=0)
@@ -134,7 +134,7 @@ def expressible(problem: Problem, x: Array) -> list[Window]:
 def find_acceleration(make: Callable[[Structure], Problem], simple: Structure, start: Array) -> Structure:
     """Limit the reference's acceleration where that explains the fastest windows, from ``start`` (k,).
 
-    ``make`` turns a structure into a problem of these windows. Without evidence, the acceleration of ``simple`` holds.
+    ``make`` turns a structure into a problem. Without evidence, that of ``simple`` holds.
     """
     known = simple.acceleration
 
@@ -188,7 +188,7 @@ def find_structure(
 ) -> Found:
     """Compare structures on the same windows, from a simple one and its ``start`` (k,).
 
-    ``make`` turns a structure and a number of threads into a problem.
+    ``make`` turns a structure and a thread count into a problem.
     """
     problem = make(structure, threads)
     x = fit(problem, start, FURTHER, SCALES).vector
@@ -214,7 +214,7 @@ def find_structure(
 def _climb(
     make: Callable[[Structure], Problem], structure: Structure, x: Array, best: Array, ladder: Sequence[float]
 ) -> Found:
-    """Try the stictions of a ladder while they pay, from optimum ``x`` (k,), losses (n,)."""
+    """Try higher stictions while they pay, from optimum ``x`` (k,), losses (n,)."""
     for stiction in ladder:
         stickier = replace(structure, stiction=stiction)
         problem = make(stickier)

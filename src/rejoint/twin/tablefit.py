@@ -23,13 +23,13 @@ STIFFNESS, FRICTION = 1000.0, 0.3
 """Start of a fit [N/m], [1]; chosen: a hand-sized arm"""
 
 NOISE, ROWS = np.radians(0.5), 50
-"""[rad] of a prediction in contact, and rows of one observation; chosen"""
+"""[rad] error in contact, and rows of one observation; chosen"""
 
 
 def fit_table(
     replay: Replay, parameters: TwinParameters, height: float, start: TablePlane | None = None, evaluations: int = 12
 ) -> TablePlane:
-    """Fit the table to a replay, from ``start`` or level at ``height`` [m]."""
+    """Fit the table, from ``start`` or level at ``height`` [m]."""
     measured, weight = np.concatenate(replay.measured()), 1.0 / (NOISE * ROWS**0.5)
     mean = np.array([height, 0.0, 0.0, np.log(STIFFNESS), np.log(FRICTION)])
 

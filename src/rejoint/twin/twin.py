@@ -29,7 +29,7 @@ LEAST_SPREAD = 0.05
 """Extra sigma of the logarithms of drawn twins; chosen"""
 
 SCALE_KNOWN = 2.0
-"""Information on a joint's common scale, over the prior's, of a known one; chosen"""
+"""Information on a known common scale over the prior's; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -42,7 +42,7 @@ class HeldOut:
     """the command as prediction"""
     twin: PredictionError
     healthy_twin: PredictionError | None = None
-    """an arm of this build without wear; None where its servos are unknown"""
+    """None where the arm's servos are unknown"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,23 +76,23 @@ class Twin:
     stiction: float = STICTION
     """static over kinetic friction"""
     acceleration: float = np.inf
-    """[rad/s^2] of the servos' references while commands change (`rejoint.twin.reference`)"""
+    """[rad/s^2] of references while commands change (`rejoint.twin.reference`)"""
     table: TablePlane | None = None
     """contact in the logs; not part of the arm"""
     judgement: Judgement | None = None
     """on held-out motions; not on file"""
     fitted: tuple[str, ...] = ()
-    """labels of the motions in the fit; not on file"""
+    """labels of motions; not on file"""
 
     @classmethod
     def load(cls, path: Path | str) -> Twin:
-        """Read a twin file (TOML); FileError if missing or damaged."""
+        """Read a TOML file; FileError if missing or damaged."""
         from rejoint.twin.file import read_twin
 
         return read_twin(Path(path))
 
     def save(self, path: Path | str) -> None:
-        """Write a twin file (TOML), atomically; FileError if that fails."""
+        """Write a TOML file, atomically; FileError if that fails."""
         from rejoint.twin.file import write_twin
 
         write_twin(Path(path), self)
@@ -134,7 +134,7 @@ class Twin:
 
     @property
     def unknown_scale(self) -> tuple[str, ...]:
-        """Joints with torques and inertia known up to a common factor only."""
+        """Joints with torques and inertia known up to a factor."""
         layout, sigma = Layout(len(self.joint_names)), np.sqrt(np.diag(self.covariance)) / self.narrowing
         unknown = []
         for joint, name in enumerate(self.joint_names):

@@ -5,8 +5,7 @@ with Student's quantile; clusters are motions, or stretches of an excitation. Cu
 are too narrow: a third of such 95 % intervals held the truth (`python -m benchmarks truth`). Stick-slip looks like
 curvature, so the curvature comes from the loss itself.
 
-Uncertain masses widen the common scale of a joint's torques ("consider" covariance, Schmidt 1966; Bierman 1977, chapter
-8).
+Uncertain masses widen a joint's common scale ("consider" covariance, Schmidt 1966; Bierman 1977, chapter 8).
 """
 
 from __future__ import annotations
@@ -33,10 +32,10 @@ REACH = 2.0
 LEAST_SHARE = 0.01
 """Least share of the curvature along a flat loss; chosen"""
 SCALE_STEP = float(np.log(SCALES[-2]))
-"""Step of the ladder `SCALES`; measured: without it only 4 of 5 intervals agree"""
+"""Step of `SCALES`; measured: without it only 4 of 5 intervals agree"""
 
 IDENTIFIED = 0.5
-"""Share of the prior's sigma of an identified parameter; chosen"""
+"""Sigma over the prior's of an identified parameter; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,7 +51,7 @@ class Uncertainty:
 
 
 def uncertainty(problem: Problem, fit: Fit, clusters: NDArray[np.integer]) -> Uncertainty:
-    """Estimate a fit's covariance from the scores of ``clusters`` (rows,) and the masses."""
+    """Covariance from the scores of ``clusters`` (rows,) and the masses."""
     prior = problem.prior
     residual, jacobian = _central_differences(problem, fit.vector)
     covariance = jackknife(prior, *_by_cluster(problem, fit, residual, jacobian, clusters))
@@ -84,7 +83,7 @@ def _fed_forward(problem: Problem, x: Array) -> Array:
 def jackknife(prior: Prior, curvatures: Array, scores: Array) -> Array:
     """Covariance (k, k) of a posterior from g clusters and n joints: (g, k, k) and (g, n, k).
 
-    Spread of the leave-one-out estimates plus the inverse curvature, by Student's width.
+    Leave-one-out spread plus the inverse curvature, by Student's width.
     """
     count, precision = len(scores), prior.precision
     whole = curvatures.sum(axis=0)
@@ -101,7 +100,7 @@ def jackknife(prior: Prior, curvatures: Array, scores: Array) -> Array:
 def _by_cluster(
     problem: Problem, fit: Fit, residual: Array, jacobian: Array, clusters: NDArray[np.integer]
 ) -> tuple[Array, Array]:
-    """Curvature (g, k, k) of each cluster, and score (g, n, k) of its joints."""
+    """Curvature (g, k, k) and score (g, n, k) of each cluster."""
     count, k = int(clusters.max()) + 1, len(fit.vector)
     curvatures, scores = np.zeros((count, k, k)), np.zeros((count, problem.joints, k))
     rows = [np.flatnonzero(clusters == g) for g in range(count)]
@@ -153,7 +152,7 @@ def _steadied(problem: Problem, fit: Fit, jacobian: Array, covariance: Array) ->
 def _central_differences(problem: Problem, x: Array) -> tuple[Array, Array]:
     """Residual (rows, n) at ``x`` and sensitivities (rows, n, q), one-sided near a bound.
 
-    The torque limit's is upward: a limit never reached has a lower bound only.
+    The torque limit's is upward: a limit never reached has only a lower bound.
     """
     ones = np.ones(len(x))
     up, down = problem.inward(x, ones), problem.inward(x, -ones)

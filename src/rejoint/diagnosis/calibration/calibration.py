@@ -26,7 +26,6 @@ from rejoint.system.statistics import CONFIDENCE
 from rejoint.system.tomltable import read_sealed, write_sealed
 
 GEOMETRY = ("offset", "axis", "tip", "mass", "com")
-"""Fields of an arm that a calibration depends on"""
 _NEAR = 7.81  # squared distance by its covariance that 95 % of draws of three coordinates keep (chi-squared)
 _DRAWS = 256  # of the tool for an interval (chosen: ends repeat within a tenth of the width; the same draws each time)
 
@@ -44,7 +43,7 @@ class Calibration:
     arm: Arm
     displacement: Displacement
     covariance: Array
-    """(k, k) of the parameters, see `parameters.DisplacementLayout`"""
+    """(k, k), see `parameters.DisplacementLayout`"""
     frame: Array
     """(4, 4) pose of the measuring frame in the base"""
     frame_name: str
@@ -59,11 +58,11 @@ class Calibration:
     after: float
     """[m] the same by this calibration, points left out"""
     used: bool
-    """whether the correction helped at points left out; else it is off"""
+    """whether the correction helped at points left out"""
     floor: float
-    """[m] sigma, per coordinate, beyond the model"""
+    """[m] sigma per coordinate beyond the model"""
     suspects: tuple[int, ...] = ()
-    """rows, from 0, that do not fit"""
+    """rows that do not fit"""
     left_out: Array = field(default_factory=lambda: np.zeros((0, 2)))
     """(M, 2) [m] errors ``before`` and ``after``"""
 
@@ -75,7 +74,7 @@ class Calibration:
 
     @property
     def missed(self) -> Array:
-        """(M,) [m] error at each point, predicted from the others."""
+        """(M,) [m] error at each point, by the others."""
         return self.left_out[:, 1] if len(self.left_out) else np.array([self.after])
 
     @property
@@ -84,7 +83,7 @@ class Calibration:
         return DisplacementLayout(joints=self.arm.joints)
 
     def require(self, arm: Arm) -> None:
-        """Raise ContractError if this calibration is of another arm."""
+        """Raise ContractError for another arm."""
         check_arm(self.arm.name, geometry_of(self.arm), arm)
 
     def tool(self, position: Array) -> Array:
@@ -98,7 +97,7 @@ class Calibration:
     def spread(self, position: Array) -> Array:
         """Covariance (..., 3, 3) [m^2] of `tool`.
 
-        Where a torque may have either sign, both flanks of the play count.
+        Torques of uncertain sign count both flanks of the play.
         """
         flat = np.reshape(position, (-1, self.arm.joints))
         vector = vector_of(self.layout, self.displacement)
@@ -122,7 +121,7 @@ class Calibration:
         return np.where(there, 0.0, low), high
 
     def expected(self, position: Array, target: Array | None = None) -> Array:
-        """Mean (...) [m] of the distance of `interval`."""
+        """Mean (...) [m] of that distance."""
         return np.asarray(self._distances(position, target).mean(axis=-1))
 
     def _distances(self, position: Array, target: Array | None) -> Array:
@@ -139,7 +138,7 @@ class Calibration:
     def aim(self, target: Array, start: Array) -> Array:
         """Where the encoders must see the tool (..., 3) [m] for it to be at ``target`` (..., 3) [m].
 
-        ``start`` (..., n) [rad] is the posture that the arm comes from. Without a correction it is the target itself.
+        ``start`` (..., n) [rad]: posture that the arm comes from. Without a correction return the target.
         """
         target = np.array(target, dtype=float)
         if not self.used:
@@ -151,7 +150,7 @@ class Calibration:
 
 
 def geometry_of(arm: Arm) -> dict[str, str]:
-    """Digest the fields of an arm that a calibration depends on."""
+    """Digest the fields of an arm that count for a calibration."""
     digests = law_digests(bare(arm))
     return {name: digests[name] for name in GEOMETRY}
 
@@ -167,7 +166,6 @@ def check_arm(name: str, digests: dict[str, str], arm: Arm) -> None:
 
 
 FORMAT = 1
-"""Version of the layout"""
 
 _PARTS = ("offset", "compliance", "play", "mass")
 _PLAIN = {"date": str, "source": str, "points": int, "used": bool, "before": float, "after": float, "floor": float}
@@ -191,7 +189,7 @@ covariance: of the parameters of the displacement: mass less one, gravity as til
 
 
 def write_calibration(path: Path, calibration: Calibration) -> None:
-    """Write a calibration as TOML, atomically."""
+    """Write a calibration, atomically."""
     write_sealed(path, _document(calibration))
 
 

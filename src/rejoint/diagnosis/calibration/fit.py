@@ -1,4 +1,4 @@
-"""From measurements to a calibration: the likeliest of several priors, cross-validated."""
+"""From measurements to a calibration: the likeliest prior, cross-validated."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ SURE = 1.3
 LEAST = 1e-4
 """[m] least useful gain; chosen"""
 ASTRAY = 0.04
-"""Error, as a share of summed link lengths, of wrong units, columns or frames; chosen"""
+"""Error over summed link lengths of wrong units, columns or frames; chosen"""
 SAME = np.radians(0.5)
 """[rad] within which rows are of one posture; chosen"""
 WRONG = 2.9
@@ -49,7 +49,7 @@ DISTURBED = (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LeftOut:
-    """Every measured point, predicted from those of other postures."""
+    """Points, predicted from those of other postures."""
 
     before: Array
     """(M,) [m] distance from the encoders' tool"""
@@ -59,7 +59,7 @@ class LeftOut:
     """(M,) squared Mahalanobis distance: chi-squared"""
 
     def helps(self, arm: Arm, measured: Measurements) -> bool:
-        """Whether the correction clearly beats the encoders."""
+        """Whether the correction is clearly better."""
         postures = np.unique(measured.posture)
         gain = np.array([(self.before - self.after)[measured.posture == p].mean() for p in postures])
         noise = float((measured.sigma**2).mean() + floor_of(arm) ** 2)
@@ -69,19 +69,19 @@ class LeftOut:
         return bool(gain.mean() > max(SURE * np.sqrt(spread / len(gain)), LEAST))
 
     def suspects(self, known: NDArray[np.bool_]) -> tuple[int, ...]:
-        """Rows of points that do not fit the others, the worst first; ``known`` (M, 3) where measured."""
+        """Rows that do not fit the others, the worst first; ``known`` (M, 3) where measured."""
         freedom = known.sum(axis=1)
         excess = self.surprise / np.where(freedom > 0, chdtri(np.maximum(freedom, 1), ndtr(-WRONG)), np.inf)
         return tuple(int(i) for i in np.argsort(-excess) if excess[i] > 1.0)
 
 
 def astray(arm: Arm, after: Array) -> bool:
-    """Whether over a fifth of the errors ``after`` (M,) [m] are too large."""
+    """Whether over a fifth of the errors (M,) [m] are too large."""
     return bool(np.quantile(after, 0.8, method="lower") > ASTRAY * reach(arm))
 
 
 def disturbed(suspects: tuple[int, ...], points: int) -> bool:
-    """Whether so many ``points`` do not fit that the setup has moved."""
+    """Whether so many do not fit that the setup has moved."""
     return len(suspects) >= max(3, points / 4)
 
 
@@ -96,7 +96,7 @@ def merge_repeats(measured: Measurements) -> Measurements:
 
 
 def leave_out(problem: Fittable, fitted: Fitted) -> LeftOut:
-    """Predict each posture from fits to the others, with and without displacement."""
+    """Predict postures from the others, with and without displacement."""
     before, after, surprise = np.zeros((3, len(problem.postures)))
     for out in folds(problem.postures):
         refit, held = solve(problem.rows(~out), fitted.vector), problem.rows(out)
@@ -131,9 +131,9 @@ LINKS_FROM = 5
 
 
 def fit(arm: Arm, measurements: Measurements, *, prior: Calibration | None = None, date: str = "") -> Calibration:
-    """Fit a displacement to ``measurements`` of ``arm`` and test it on points left out.
+    """Fit a displacement to ``measurements`` and test it on points left out.
 
-    ``prior``: an earlier calibration (ContractError for another arm's). InputError for unusable measurements.
+    ``prior``: an earlier calibration; ContractError for another arm's. InputError for unusable measurements.
     """
     if measurements.position.shape[1] != arm.joints:
         raise InputError(
@@ -191,7 +191,7 @@ def likeliest(problem: P, beliefs: Sequence[tuple[Belief, float]]) -> tuple[P, F
 
 
 def judged(problem: Fittable, fitted: Fitted, measured: Measurements, date: str) -> Calibration:
-    """Make a calibration of a fit to ``measured``, tested on rows left out."""
+    """Make a calibration of a fit, tested on rows left out."""
     body, tried = slice(0, problem.layout.body), leave_out(problem, fitted)
     return Calibration(
         arm=problem.arm,

@@ -42,11 +42,10 @@ Units = Mapping[str, float]
 
 @dataclass(frozen=True, kw_only=True)
 class Columns:
-    """The known columns of a table."""
+    """Known columns of a table."""
 
     sheet: Sheet
     places: Mapping[str, tuple[int, float]]
-    """name to column and unit"""
 
     def __len__(self) -> int:
         return len(self.sheet)
@@ -60,7 +59,7 @@ class Columns:
         return self.sheet.words(self.places[name][0])
 
     def numbers(self, name: str) -> Array:
-        """Column (rows,) in SI units, NaN for empty cells or without that column; FileError for text."""
+        """Column (rows,) in SI units, NaN for empty cells or no such column; FileError for text."""
         if name not in self.places:
             return np.full(len(self), np.nan)
         column, unit = self.places[name]
@@ -71,7 +70,7 @@ class Columns:
         return unit * values
 
     def filled(self, name: str) -> Array:
-        """Column without empty cells; else FileError."""
+        """Column; FileError for empty cells."""
         values = self.numbers(name)
         if np.isnan(values).any():
             row = int(np.argmax(np.isnan(values)))
@@ -83,7 +82,7 @@ class Columns:
 def read_columns(path: Path, meanings: Mapping[str, Units | None], needed: Collection[str]) -> Columns:
     """Read a table with columns ``meanings``: name to units, or None for words.
 
-    FileError for a missing ``needed`` column, a duplicate, or a wrong unit.
+    FileError for missing ``needed`` columns, duplicates, wrong units.
     """
     require_file(path, SHEET_MOST, "give fewer rows")
     sheet = read_sheet(path)
@@ -132,7 +131,7 @@ _REMEDY = "measure again, or take another file"
 
 
 def write_measurements(path: Path, arm: Arm, measured: Measurements, session: MeasuringSession | None = None) -> None:
-    """Write measurements as Parquet; ``session``: progress if interrupted."""
+    """Write measurements as Parquet; ``session``: progress."""
     columns: dict[str, Array] = {"posture": measured.posture.astype(float), "sigma": measured.sigma}
     for group in ("position", "approach"):
         columns |= {f"{group}.{name}": getattr(measured, group)[:, i] for i, name in enumerate(arm.joint_names)}
@@ -146,10 +145,7 @@ def write_measurements(path: Path, arm: Arm, measured: Measurements, session: Me
 
 
 def read_measurements(path: Path, arm: Arm, *, frame: str = "base", source: str = "tracker") -> Measurements:
-    """Read measurements, CSV or Parquet; FileError if unusable.
-
-    ``frame`` and ``source`` are for CSV.
-    """
+    """Read CSV, with ``frame`` and ``source``, or Parquet; FileError if unusable."""
     if path.suffix.lower() != ".csv":
         return read_table(path, arm, "measurements", partial(_measured, arm=arm))[0]
     with readable(path, "measurements"):
@@ -157,7 +153,7 @@ def read_measurements(path: Path, arm: Arm, *, frame: str = "base", source: str 
 
 
 def read_interrupted(path: Path, arm: Arm) -> tuple[Measurements, MeasuringSession] | None:
-    """Read interrupted measurements and their progress; None if complete."""
+    """Read interrupted measurements and progress; None if complete."""
     measured, session = read_table(path, arm, "measurements", partial(_measured, arm=arm))
     return None if session is None else (measured, session)
 
@@ -171,7 +167,7 @@ def _measured(
 
 
 def write_table(path: Path, arm: Arm, what: str, columns: Mapping[str, Any], about: Mapping[str, Any]) -> None:
-    """Write ``columns`` as Parquet with header ``about`` and a digest."""
+    """Write Parquet with header ``about`` and a digest."""
     table = pa.table(dict(columns))
     header = {"format": FORMAT, "what": what, "arm": arm.name, "joints": list(arm.joint_names), **about}
     header["digest"] = _digest(table, header)
@@ -180,7 +176,7 @@ def write_table(path: Path, arm: Arm, what: str, columns: Mapping[str, Any], abo
 
 
 def read_table(path: Path, arm: Arm, what: str, build: Callable[[dict[str, list[Any]], dict[str, Any]], T]) -> T:
-    """Apply ``build`` to a table's columns and header; FileError for another kind."""
+    """Build from a table's columns and header; FileError for another kind."""
     with readable(path, what):
         table = read_parquet(path, _REMEDY)
         header = json.loads((table.schema.metadata or {}).get(_KEY, b"{}"))
@@ -195,7 +191,7 @@ def read_table(path: Path, arm: Arm, what: str, build: Callable[[dict[str, list[
 
 @contextmanager
 def readable(path: Path, what: str) -> Iterator[None]:
-    """Turn errors from a file that is no ``what`` into FileError."""
+    """Make errors from a file that is no ``what`` FileErrors."""
     try:
         yield
     except FileNotFoundError as error:
@@ -226,7 +222,7 @@ def _assemble(columns: dict[str, Array], arm: Arm, frame: str, source: str) -> M
 
 
 BEYOND = np.radians(10.0)
-"""[rad] by which a joint may exceed its limits; chosen"""
+"""[rad] tolerated beyond joint limits; chosen"""
 
 
 def _from_csv(path: Path, arm: Arm, frame: str, source: str) -> Measurements:

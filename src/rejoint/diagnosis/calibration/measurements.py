@@ -1,4 +1,4 @@
-"""Measurements of the real tool position, at rest.
+"""Measurements of the real tool at rest.
 
 Rows of one ``posture`` approach it from different sides, which shows play.
 """
@@ -75,15 +75,15 @@ class MeasuringSession:
     """Progress of an interrupted measuring session."""
 
     plan: str
-    """digest of its postures, `rejoint.diagnosis.calibration.postures.Suggestion.digest`"""
+    """`rejoint.diagnosis.calibration.postures.Suggestion.digest`"""
     answered: int
     """postures measured or left out"""
     fresh: bool = False
-    """whether to ignore earlier calibrations"""
+    """ignore earlier calibrations"""
 
 
 FEWEST = 4
-"""Least number of complete points of a pose; chosen"""
+"""Complete points that a pose needs; chosen"""
 _FLAT = 0.02  # [m] least extent of the points across their longest direction (chosen: ten times the error of a point)
 
 

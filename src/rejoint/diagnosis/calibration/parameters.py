@@ -1,9 +1,9 @@
 """The parameter vector of a calibration: entries, prior and bounds.
 
-Torques and compliances scale with the size of the arm, lengths with its reach (`rejoint.arms.workspace`).
+Torques and compliances scale with the arm's size, lengths with its reach (`rejoint.arms.workspace`).
 
-Gravity presses a loaded joint to one flank of its play. An unloaded joint floats: its play is an anisotropic scatter,
-not a shift.
+Gravity presses a loaded joint to one flank of its play. An unloaded joint floats: its play is anisotropic scatter, not
+a shift.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ COMPLIANCE = 0.015
 PLAY, PLAY_SIGMA = np.radians(0.9), np.radians(0.7)
 """[rad] mean and sigma of a joint's play (SO-ARM100 issue 134: about 1 deg on healthy servos)"""
 LEVEL, ASKEW = np.radians(0.1), np.radians(6.0)
-"""[rad] sigma of the tilt, per horizontal axis, of a base on a table and a tilted one; chosen"""
+"""[rad] sigma of the tilt per horizontal axis, on a table and tilted; chosen"""
 MASS = 0.12
-"""[1] sigma of each link's mass, relative to its description; chosen"""
+"""Relative sigma of each link's mass; chosen"""
 SHIFT, TURN = 1e-3, np.radians(0.3)
-"""[m] over the reach of a myCobot 280, and [rad]: sigma of each link's description; chosen"""
+"""[m] over a myCobot 280's reach, and [rad]: sigma of each link's description; chosen"""
 PLACE, ORIENTATION = 1.0, 3.0
 """[m] and [rad] sigma of a measuring frame around its first estimate"""
 
@@ -54,7 +54,7 @@ class DisplacementLayout:
 
     joints: int
     frame: bool = False
-    """whether the last six parameters are the pose of the measuring frame"""
+    """whether the measuring frame's six parameters come last"""
 
     @property
     def size(self) -> int:
@@ -63,7 +63,7 @@ class DisplacementLayout:
 
     @property
     def body(self) -> int:
-        """Number of parameters of the arm, without the frame."""
+        """Number of the arm's parameters."""
         return self.at("frame").start
 
     def at(self, name: str) -> slice:
@@ -100,7 +100,7 @@ class PriorCase:
     play_sigma: float = PLAY_SIGMA
     """[rad]"""
     compliance: float = COMPLIANCE
-    """[rad/(N m)] mean and sigma on an arm of the size of a myCobot 280"""
+    """[rad/(N m)] mean and sigma for a myCobot 280's size"""
     tilt: float = LEVEL
     """[rad] sigma"""
     twist: float = 0.0
@@ -110,7 +110,7 @@ class PriorCase:
 
 
 def belief(arm: Arm, layout: DisplacementLayout, case: PriorCase) -> Belief:
-    """Prior of an arm of some case."""
+    """Prior of an arm in a case."""
     mean, sigma, lower, upper = np.multiply.outer([0.0, 1.0, -np.inf, np.inf], np.ones(layout.size))
     stiff = torque_size(arm)
     soft, each = case.compliance / stiff, np.array([SHIFT * length_size(arm)] * 3 + [TURN] * 3)
@@ -175,9 +175,9 @@ def vector_of(layout: DisplacementLayout, displacement: Displacement) -> Array:
 
 
 FLOOR = 0.5e-3
-"""[m] over the reach of a myCobot 280, sigma of unexplained displacement; chosen"""
+"""[m] over a myCobot 280's reach, sigma of unexplained displacement; chosen"""
 SCATTER = 1.0 / 3.0
-"""Variance of a floating joint by the square of half its play; chosen: uniform distribution"""
+"""Variance of a floating joint over half its play squared: uniform distribution; chosen"""
 _STEP = 1e-6  # [rad] for the derivative of the direction of gravity
 _DRAWS = ndtri((np.arange(64) + 0.5) / 64)  # of a torque that is not known exactly
 
@@ -216,7 +216,7 @@ def linearised(
 
 
 def torque_slopes(layout: DisplacementLayout, vector: Array, loads: Array) -> Array:
-    """Return derivative (M, n, k) [N m] of the torques by the parameters, from `link_loads`."""
+    """Return derivative (M, n, k) [N m] of the torques, from `link_loads`."""
     displacement, tilt = displacement_of(layout, vector), vector[layout.at("tilt")]
     slopes = np.zeros((*loads.shape[:2], layout.body))
     slopes[..., layout.at("mass")] = loads @ displacement.gravity
@@ -258,7 +258,7 @@ def scatter(arm: Arm, displacement: Displacement, position: Array, doubt: Array 
 
 
 def play_variance(displacement: Displacement, torque: Array, doubt: Array | None = None) -> Array:
-    """Variance (..., n) [rad^2] of floating joints under ``torque`` (..., n) [N m]; ``doubt`` as in `scatter`."""
+    """Variance (..., n) [rad^2] of floating joints under ``torque`` (..., n) [N m]; ``doubt``: see `scatter`."""
     side = np.tanh(torque / FLOATING)
     free, other = 1.0 - side**2, np.zeros_like(side)
     if doubt is not None:

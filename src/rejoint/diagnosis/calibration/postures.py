@@ -1,8 +1,7 @@
 """Postures to measure at, the most informative first.
 
-Chosen one by one, in the region of targets and elsewhere, for the least variance of the tool in both (I-optimal
-design; Atkinson and Donev, Optimum Experimental Designs, 1992, chapter 10). All joints approach alternately from below
-and above.
+One by one, each lessens the tool's variance most, in the region of targets and elsewhere (I-optimal design; Atkinson
+and Donev, Optimum Experimental Designs, 1992, chapter 10). Joints approach alternately from below and above.
 """
 
 from __future__ import annotations
@@ -36,17 +35,17 @@ from rejoint.system.errors import InputError
 CANDIDATES = 300
 """Postures to choose from; chosen"""
 BEFORE = np.radians(6.0)
-"""[rad] of each joint's approach; chosen: three times the play"""
+"""[rad] of each approach; chosen: three times the play"""
 MARGIN = 0.05
-"""Part of a joint's range kept from each limit; chosen"""
+"""Part of a joint's range kept free; chosen"""
 CLEARANCE = 0.03
-"""[m] above the floor on an arm of the reach of a myCobot 280; chosen: worn arms sag"""
+"""[m] above the floor at a myCobot 280's reach; chosen: worn arms sag"""
 ENOUGH = 1.1
-"""Relative expected error at which fewer points suffice; chosen"""
+"""Relative error that fewer points may have; chosen"""
 WITHIN = 100
 """Candidates in the region of targets; chosen"""
 LINKS = 0.3
-"""Scale of the errors of the links that the choice reckons with; chosen: little is lost with exact links"""
+"""Scale of the links' errors for the choice; chosen: little is lost with exact links"""
 _WIDEST = PLAY + 2.0 * PLAY_SIGMA  # [rad] play that a joint may have
 _PLACES = 32  # postures in the region of targets, and as many elsewhere, over which the error is expected (chosen)
 
@@ -62,7 +61,7 @@ class Suggestion:
     posture: NDArray[np.int64]
     """(K,) visits of one posture share a number"""
     expected: Array
-    """(K + 1,) [m] rms true error left after so many"""
+    """(K + 1,) [m] rms true error after so many"""
 
     @property
     def fewest(self) -> int:
@@ -85,9 +84,9 @@ def suggest(
     prior: Calibration | None = None,
     seed: int = 0,
 ) -> Suggestion:
-    """Choose ``count`` visits for measurements of ``sigma`` [m] per coordinate.
+    """Choose ``count`` visits for measurements of ``sigma`` [m] per coordinate, ``visits`` (1 or 2) per posture.
 
-    Each posture gets ``visits`` (1 or 2). InputError for too few free postures.
+    InputError for too few free postures.
     """
     layout = DisplacementLayout(joints=arm.joints)
     known = earlier(arm, layout, prior) if prior is not None else belief(arm, layout, PriorCase(twist=LINKS))
@@ -122,7 +121,7 @@ def suggest(
 def _candidates(arm: Arm, seed: int) -> tuple[Array, Array]:
     """Free postures (C, n) [rad] in the region of targets, and elsewhere, approachable from both sides.
 
-    Elsewhere no joint carries more than in the region.
+    Elsewhere joints carry no more than there.
     """
     rng = np.random.default_rng(seed)
     solution = solve_position(arm, arm.targets.sample(rng, (CANDIDATES,)), arm.rest)
@@ -136,7 +135,7 @@ def _candidates(arm: Arm, seed: int) -> tuple[Array, Array]:
 def _approachable(arm: Arm, q: Array) -> Array:
     """Those of postures (C, n) [rad] that are free, and from both sides, where no joint may rest on either flank.
 
-    A joint whose load changes its sign within its play stays on the flank where it came to rest, which no model tells.
+    If the load changes its sign within the play, no model tells the flank.
     """
     free = [_free(arm, q - away) for away in (0.0, BEFORE, -BEFORE)]
     loads = [gravity_torque(arm, q + side * 0.5 * _WIDEST) for side in (1.0, -1.0)]
@@ -154,7 +153,7 @@ def _free(arm: Arm, q: Array) -> NDArray[np.bool_]:
 
 
 def _seen(arm: Arm, known: Belief, postures: Array, sigma: float) -> tuple[Array, Array]:
-    """Return derivatives (C, 3, k) and covariances (C, 3, 3) of the tool at candidates."""
+    """Return derivatives (C, 3, k) and covariances (C, 3, 3) of the tool."""
     layout = DisplacementLayout(joints=arm.joints)
     _, slope = linearised(arm, layout, known.mean, postures)
     believed = displacement_of(layout, known.mean)
@@ -164,7 +163,7 @@ def _seen(arm: Arm, known: Belief, postures: Array, sigma: float) -> tuple[Array
 
 
 def _most_telling(slope: Array, noise: Array, covariance: Array, weight: Array, chosen: list[int]) -> int:
-    """Candidate, not yet ``chosen``, that lessens the trace of ``weight`` (k, k) times ``covariance`` (k, k) most.
+    """Candidate that lessens the trace of ``weight`` (k, k) times ``covariance`` (k, k) most.
 
     Candidates have ``slope`` (C, d, k) and ``noise`` (C, d, d).
     """

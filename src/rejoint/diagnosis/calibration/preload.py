@@ -18,7 +18,7 @@ WEDGE = np.radians(2.0)
 RISE = 100.0 * float(np.tan(WEDGE))
 """[mm] rise on 10 cm"""
 WORTH = 0.8
-"""Share of the random error that a useful wedge leaves; chosen"""
+"""Share of random error that a useful wedge leaves; chosen"""
 _SIDES = {"-x": (0.0, 1.0), "+x": (0.0, -1.0), "-y": (-1.0, 0.0), "+y": (1.0, 0.0)}
 """Raised side of the base, and the axis (x, y) of that turn"""
 
@@ -30,11 +30,11 @@ class Preload:
     joints: tuple[str, ...]
     """that float at half of the postures or more"""
     chance: float
-    """[m] root mean square tool error by floating joints"""
+    """[m] rms tool error by floating joints"""
     wedge: float
     """[m] the same on a wedge"""
     side: str
-    """side of the base to raise, such as ``+y``"""
+    """to raise, such as ``+y``"""
 
     @property
     def wedge_helps(self) -> bool:

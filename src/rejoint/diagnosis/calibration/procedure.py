@@ -33,14 +33,14 @@ PATIENCE = 5.0
 TRACK_MOST = 1000 * MEGABYTE
 """Largest tracker file; chosen: a day at 100 Hz"""
 FAR = 0.08
-"""Share of an arm's summed link lengths of an implausible coordinate; chosen: three times a worn arm's error"""
+"""Share of summed link lengths of an implausible coordinate; chosen: three times a worn arm's error"""
 _TAIL = 64_000  # [bytes] of its end (chosen: 500 rows)
 _UNITS = {"m": 1.0, "mm": 1e-3}
 
 
 @dataclass(frozen=True)
 class Stop:
-    """A posture in which the arm waits to be measured."""
+    """A posture to measure in."""
 
     number: int
     """from 1"""
@@ -48,7 +48,7 @@ class Stop:
     believed: Array
     """(3,) [m] tool by encoders, in the base frame"""
     again: str = ""
-    """why it is measured again, or empty"""
+    """why again, or empty"""
 
 
 class Gauge(Protocol):
@@ -93,15 +93,14 @@ class TouchGauge:
     """Asks the user, who measures with a ruler."""
 
     ask: Callable[[Stop], str]
-    """returns the answer: x, y, z in millimetres, ``-`` for one not measured"""
+    """answers x, y, z in millimetres, ``-`` for none"""
     complain: Callable[[str], None]
-    """prints why an answer is unusable"""
     sigma: float = NOISE
     source: str = "touch"
     frame: str = "base"
 
     def measure(self, robot: Robot, stop: Stop) -> Array:
-        """Ask for the tool (3,) [m]; implausible points must be repeated."""
+        """Ask for the tool (3,) [m], again if implausible."""
         doubted = np.full(3, np.inf)
         while True:
             answer = self.ask(stop)
@@ -121,7 +120,7 @@ class TouchGauge:
 
 
 def parse_point(text: str) -> Array:
-    """Read x, y and z in millimetres, ``-`` for one not measured; returns (3,) [m].
+    """Read x, y and z in millimetres, ``-`` for none; returns (3,) [m].
 
     Between blanks or semicolons a comma is a decimal point.
     """
@@ -144,14 +143,12 @@ def parse_point(text: str) -> Array:
 
 @dataclass(kw_only=True)
 class TrackerGauge:
-    """Reads the end of a tracker's CSV file: columns time [s], x, y and z."""
+    """Reads a growing CSV file: time [s], x, y and z."""
 
     path: Path
     unit: str = "mm"
-    """``mm`` or ``m``"""
     sigma: float = NOISE
     frame: str = "tracker"
-    """as in `Gauge`"""
     source: str = "tracker"
     wait: Callable[[float], None] = time.sleep
 
@@ -208,11 +205,11 @@ SETTLE = 1.5
 WINDOW = 0.4
 """[s] at its end whose readings are averaged; chosen"""
 MOVED = np.radians(2.0)
-"""[rad] of motion during a measurement; chosen: a centimetre at the tool"""
+"""[rad] motion that spoils a measurement; chosen: a centimetre at the tool"""
 TRIES = 3
 """Attempts per posture if the arm moved; chosen"""
 OnMeasured = Callable[[Measurements, int], object]
-"""Called after each posture with all measurements and the number done"""
+"""Receives all measurements and the number done"""
 
 
 def measure(
@@ -226,7 +223,7 @@ def measure(
     on_measured: OnMeasured | None = None,
     begun: tuple[Measurements, MeasuringSession] | None = None,
 ) -> Measurements:
-    """Move one arm to the postures of ``plan`` and measure the tool there; resumes ``begun``.
+    """Move one arm to the postures of ``plan`` and measure the tool; resumes ``begun``.
 
     InputError for no measurements, NotReadyError for a moving arm; errors of `run`.
     """
@@ -268,7 +265,7 @@ def _with_row(
 
 
 class StandingDrive:
-    """Moves one arm to postures, slowly and under the guard."""
+    """Moves one arm to postures, slowly and guarded."""
 
     def __init__(self, robot: Robot, limits: GuardLimits | None = None, stance: Stance | None = None) -> None:
         self.robot, self._limits = robot, limits or GuardLimits.of(robot.arm)
@@ -276,16 +273,16 @@ class StandingDrive:
             self._sent = begin(robot, self._limits, stance).command[-1]
 
     def stand(self, posture: Array, before: Array) -> tuple[Array, Array]:
-        """Go to ``before`` (n,) [rad], then to ``posture`` (n,); return both readings."""
+        """Go to ``before`` (n,) [rad], then ``posture`` (n,); return both readings."""
         came = self._go(before, settle=0.3)
         return _reading(self._go(posture, settle=SETTLE)), came.position[-1, 0]
 
     def rest(self) -> None:
-        """Go back to the rest posture."""
+        """Go back to rest."""
         self._go(self.robot.arm.rest, settle=0.0)
 
     def _go(self, posture: Array, settle: float) -> Recording:
-        """Go to a posture (n,) [rad] around obstacles; return the last recording."""
+        """Go around obstacles; return the last recording."""
         arm, start = self.robot.arm, self._sent[0]
         try:
             ways = [plan(arm, start, posture)]
@@ -304,7 +301,7 @@ class StandingDrive:
 
 
 def _measured(drive: StandingDrive, gauge: Gauge, plan: Suggestion, number: int) -> tuple[Array, Array, Array] | None:
-    """Return readings (n,) there and before, and the tool (3,); None: left out or unreachable."""
+    """Return readings (n,) there and before, and tool (3,); None: left out or unreachable."""
     robot, again = drive.robot, ""
     for _ in range(TRIES):
         try:
@@ -340,7 +337,7 @@ def _reading(recording: Recording) -> Array:
 def reversals(arm: Arm, measured: Measurements, frame: Array) -> tuple[float, ...]:
     """Reversal values [m] at the tool (ISO 230-2) of postures with two approaches, less the encoders' part.
 
-    ``frame`` (4, 4) is the measuring frame in the base.
+    ``frame`` (4, 4): measuring frame in the base.
     """
     away = measured.point @ frame[:3, :3].T + frame[:3, 3] - tcp_position(arm, measured.position)
     found = []

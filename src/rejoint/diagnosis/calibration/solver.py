@@ -29,7 +29,7 @@ from rejoint.diagnosis.calibration.parameters import (
 HUBER = 2.8
 """Residual [sigma] from which the loss is linear: 95 % of three normal coordinates"""
 SLIP, MOST_SLIPS = 30.0, 0.25
-"""Residual [sigma] of an outlier, and the largest share of outliers; chosen"""
+"""Residual [sigma] of an outlier, and their largest share; chosen"""
 ITERATIONS = 40
 _ROUNDS = 5  # of a descent with the noise as it was, at most
 _SMALL = 1e-4  # relative gain of a step, or of a round, after which the fit ends
@@ -54,13 +54,12 @@ class Fitted:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fittable(ABC):
-    """A problem: R residuals of d numbers, the first three a position, and a prior."""
+    """R residuals of d numbers, the first three a position, and a prior."""
 
     arm: Arm
     layout: DisplacementLayout
     belief: Belief
     huber: float
-    """residual [sigma] from which the loss is linear"""
 
     @property
     @abstractmethod
@@ -86,10 +85,10 @@ class Fittable(ABC):
 
     @abstractmethod
     def noise(self, vector: Array) -> Array:
-        """Covariance (R, d, d) of a residual for known parameters."""
+        """Covariance (R, d, d) of a residual."""
 
     def uncorrected(self, out: NDArray[np.bool_], start: Array) -> Array:
-        """Residuals (r, d) of rows ``out`` by encoders alone; the others fit the frame from ``start`` (k,)."""
+        """Residuals (r, d) of rows ``out`` by encoders; the others fit the frame from ``start`` (k,)."""
         body, own = slice(0, self.layout.body), self.belief
         mean, lower, upper = own.mean.copy(), own.lower.copy(), own.upper.copy()
         mean[body] = lower[body] = upper[body] = vector_of(self.layout, Displacement.none(self.arm))[body]
@@ -101,7 +100,7 @@ class Fittable(ABC):
         return self.residual(vector)[0]
 
     def whitener(self, vector: Array) -> Array:
-        """Matrices (R, d, d) that give residuals unit variance."""
+        """Matrices (R, d, d) that whiten residuals."""
         return np.asarray(np.linalg.inv(np.linalg.cholesky(self.noise(vector))))
 
     def displacement(self, vector: Array) -> Displacement:
@@ -115,7 +114,7 @@ class CalibrationProblem(Fittable):
 
     measurements: Measurements
     frame: Array
-    """(4, 4) first estimate of the measuring frame in the base"""
+    """(4, 4) first estimate, in the base"""
     huber: float = HUBER
 
     @property
@@ -144,7 +143,7 @@ class CalibrationProblem(Fittable):
         return pose
 
     def residual(self, vector: Array) -> tuple[Array, Array]:
-        """Predicted less measured coordinates (M, 3) [m], zero where not measured; derivative (M, 3, k)."""
+        """Predicted less measured (M, 3) [m], zero where not measured; derivative (M, 3, k)."""
         m = self.measurements
         tool, own = linearised(self.arm, self.layout, vector, m.position)
         pose, derivative = self.pose(vector), np.zeros((*tool.shape, self.layout.size))
@@ -160,7 +159,7 @@ class CalibrationProblem(Fittable):
         return residual, np.where(known[..., None], turned, 0.0)
 
     def noise(self, vector: Array) -> Array:
-        """Covariance (M, 3, 3) [m^2] of a residual for known parameters."""
+        """Covariance (M, 3, 3) [m^2] of a residual."""
         rotation = self.pose(vector)[:3, :3]
         spread = scatter(self.arm, displacement_of(self.layout, vector), self.measurements.position)
         spread = rotation.T @ spread @ rotation

@@ -1,7 +1,7 @@
 """Charts of one quantity over the checks of an arm: baseline, state, and jumped zeros.
 
-The first checks give mean, scatter and temperature effect. Later ones, in standard deviations, give the state by an
-EWMA (Roberts 1959), the alarm by a two-sided CUSUM (Page 1954).
+The first checks give mean, scatter and temperature effect. For later ones, in standard deviations, an EWMA (Roberts
+1959) gives the state, a two-sided CUSUM (Page 1954) the alarm.
 
 A collision moves a zero alike in all poses; wear changes sag and friction too.
 """
@@ -42,7 +42,7 @@ State = Literal["learning", "steady", "drifting", "alarm"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Chart:
-    """One quantity since its baseline began; T checks, the newest last."""
+    """One quantity since its baseline began, T checks."""
 
     z: Array
     """(T,) standard deviations from the baseline; NaN in its first checks"""
@@ -62,7 +62,7 @@ class Chart:
 def chart(value: Array, temperature: Array, *, scatter: float, per_degree: float) -> Chart:
     """Compute the chart of ``value`` (T,) at ``temperature`` (T,) [deg C], NaN where unknown.
 
-    ``scatter``: prior sigma of one check; ``per_degree``: prior effect of a degree.
+    Prior: ``scatter``, sigma of one check; ``per_degree``, effect of a degree.
     """
     count = len(value)
     warm = np.nan_to_num(temperature - temperature[0]) if count else temperature
@@ -98,9 +98,9 @@ def chart(value: Array, temperature: Array, *, scatter: float, per_degree: float
 
 
 def _norm(value: Array, warm: Array, count: int, scatter: float, per_degree: float) -> tuple[float, float, float]:
-    """Mean of the first ``count`` checks, temperature effect on the last one, and sigma.
+    """Mean of the first ``count`` checks, temperature effect on the last, and sigma.
 
-    Sigma is from neighbouring checks, the effect from regression with a prior and a linear trend.
+    Sigma is from neighbours, the effect from regression with a prior and a linear trend.
     """
     known, middle = warm[:count].mean(), float(value[:count].mean())
     variance, slope, doubt = scatter**2, 0.0, 0.0
@@ -125,7 +125,7 @@ def _slope(value: Array, warm: Array, variance: float, per_degree: float) -> tup
 SURE = 5.0
 """Standard deviations of a jumped zero; chosen, see `python -m benchmarks years`"""
 SHARE = 1.0 / 3.0
-"""Share of the jump, most change of all else; chosen"""
+"""Largest change of all else, over the jump; chosen"""
 STAYED = 0.5
 """Share of the jump that must remain; chosen"""
 BEFORE = 3
@@ -150,7 +150,7 @@ def find_jump(
     """Find where the zero of a joint last jumped, if it has.
 
     ``deviation`` (T,) [mm] at ``temperature`` (T,) [deg C]; ``others`` (T,) [mm] also change by wear; ``scatter`` and
-    ``per_degree`` as for `chart`.
+    ``per_degree`` as in `chart`.
     """
     for at in range(len(deviation) - 1, 0, -1):
         way = float(deviation[at] - deviation[at - 1])

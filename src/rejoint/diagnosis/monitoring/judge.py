@@ -1,4 +1,4 @@
-"""Result of all checks of an arm: state, cause, start, remaining service time."""
+"""Result of all checks of an arm."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from rejoint.system.shell import command
 ZERO_PER_DEGREE = np.radians(0.02)
 """[rad/K] drift of an STS3215's zero; shared facts on monitoring"""
 FRICTION_PER_DEGREE = 0.015
-"""[1/K] of friction (Bittencourt and Axehill 2012: viscous friction halves in 47 K)"""
+"""[1/K] (Bittencourt and Axehill 2012: viscous friction halves in 47 K)"""
 LOAD_PER_DEGREE = 0.002
 """[1/K] of sag; chosen"""
 SCATTER_MM = {"hysteresis": 0.03, "reversal": 0.05, "sag": 0.07, "deviation": 0.06, "error": 0.10}
-"""[mm] sigma of one check of a steady arm; measured: `python -m benchmarks years`"""
+"""Sigma of one check of a steady arm; measured: `python -m benchmarks years`"""
 SCATTER_SHARE = 0.005
 """The same as a share of the value; measured as above"""
 
@@ -51,11 +51,11 @@ class Change:
     now_mm: float
     """at the baseline's temperature"""
     since: datetime | None
-    """last check before the change, if any"""
+    """last check before it, if any"""
     cusum: float
     """signed, in standard deviations"""
     away: float = 0.0
-    """median of the last three, signed, in standard deviations"""
+    """median of the last three, as `cusum`"""
 
     @property
     def better(self) -> bool:
@@ -78,7 +78,7 @@ class MovedZero:
 
 @dataclass(frozen=True, kw_only=True)
 class Due:
-    """When the tolerance will be reached: 10, 50 and 90 % quantiles."""
+    """When the error reaches the tolerance: 10, 50 and 90 % quantiles."""
 
     early: datetime
     middle: datetime | None
@@ -88,7 +88,7 @@ class Due:
 
 @dataclass(frozen=True, kw_only=True)
 class Outlook:
-    """State of an arm by its checks since the baseline began."""
+    """State of an arm by its checks."""
 
     state: State
     checks: int
@@ -97,16 +97,16 @@ class Outlook:
     newest: datetime
     """last check"""
     changes: tuple[Change, ...]
-    """worst state first, then the largest change; the tool last"""
+    """worst state first, then the largest; the tool last"""
     error_mm: float
-    """newest in the five poses, without a controller"""
+    """in the five poses, without a controller"""
     error_known: bool
-    """whether it is the tool's; else by encoders"""
+    """whether the tool's; else by encoders"""
     tolerance_mm: float | None
     due: Due | None
     """None: unknown, no wear, or moved zeros"""
     moved: tuple[MovedZero, ...] = ()
-    """since the baseline began, the largest first"""
+    """largest first"""
     controlled_mm: float | None = None
     """largest with the repair's controller, if any"""
 
@@ -122,9 +122,9 @@ class Outlook:
 
 
 def outlook(visits: Sequence[PastCheck], tolerance_mm: float | None = None, *, left_mm: float | None = None) -> Outlook:
-    """Judge an arm by its checks since the baseline began, the oldest first.
+    """Judge an arm by its checks since the baseline began, oldest first.
 
-    ``left_mm``: tool error with the repair's controller; it grows as that of the bare arm.
+    ``left_mm``: error with the repair's controller; it grows as that of the bare arm.
     """
     warm = np.array([_nan(visit.measures.temperature_c) for visit in visits])
     drawn = [_change(visits, *one) for one in _quantities(visits, warm)]
@@ -183,7 +183,7 @@ def _quantities(visits: Sequence[PastCheck], warm: Array) -> list[tuple[str, str
 
 
 def _ranked(drawn: Sequence[Change]) -> tuple[Change, ...]:
-    """Sort by state, then by distance, friction and sag before the deviation."""
+    """Sort by state, then distance, friction and sag before deviation."""
     order: tuple[State, ...] = ("alarm", "drifting", "steady", "learning")
     most: dict[tuple[str, str], float] = {}
     for one in drawn:
@@ -286,11 +286,10 @@ MEANINGS = {
     "deviation": "distance from its commands",
     "error": "tool error",
 }
-"""Quantities in words"""
 
 
 def say(found: Outlook, robot: str, described: str = "") -> str:
-    """Report the state of the arm at ``robot`` in one line; ``described``: more options of a repair."""
+    """Report the arm's state in one line; ``described``: more repair options."""
     repair = command("repair", robot) + described
     error = _error(found)
     if found.moved:

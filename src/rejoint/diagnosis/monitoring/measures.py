@@ -1,8 +1,7 @@
 """What a check measures by encoders: each joint in slow motion and in five poses, and the tool.
 
-ISO 9283: *accuracy* AP is the distance of the mean attained position from the command, *repeatability* RP the scatter
-about it, vAP the distance between directions of approach. ISO 230-2: the *reversal value* B is a joint's difference
-between directions.
+ISO 9283: *accuracy* AP is the distance of the mean position from the command, *repeatability* RP the scatter about it,
+vAP the distance between directions of approach. ISO 230-2: *reversal value* B, a joint's difference between directions.
 """
 
 from __future__ import annotations
@@ -26,13 +25,13 @@ _LEAST_RANGE = 0.1
 """[N m] of a myCobot 280, least range of load for sag; chosen"""
 
 LEAST_APPROACHES = 3
-"""Approaches from one side that a check needs; chosen"""
+"""Approaches from one side in a check; chosen"""
 
 _SWEEP_MIDDLE = 0.6  # share of a sweep, about its middle, in which a joint moves steadily (chosen)
 
 
 DEAD_TIME, DEAD_WAY = 15.0, np.radians(10.0)
-"""[s] and [rad] of commands without a changed reading of a dead joint; chosen"""
+"""[s] and [rad] of commands with frozen readings of a dead joint; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,13 +44,13 @@ class JointCheck:
     reversal_mm: float
     """ISO 230-2 B: rest from above minus from below"""
     deviation_mm: float
-    """command minus rest, mean of both sides: sag and offset"""
+    """command minus rest, mean of both sides: sag, offset"""
     sag_mm: float | None
     """change of `deviation_mm` with the load; None for a constant load"""
     lever_mm: float
     """[mm/rad]"""
     temperature_c: float | None
-    """of the servo; None: unknown"""
+    """of the servo"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,11 +61,11 @@ class CheckMeasures:
     error_mm: float
     """AP by encoders, mean over poses and sides"""
     repeatability_mm: float
-    """largest RP of a pose from one side, of `CYCLES` approaches (standard: 30)"""
+    """largest RP from one side, of `CYCLES` approaches (standard: 30)"""
     approach_mm: float
     """largest vAP of a pose by encoders"""
     true_error_mm: float | None
-    """as `error_mm`, of the tool itself; None: unknown"""
+    """as `error_mm`, of the tool itself"""
     true_approach_mm: float | None
     """as `approach_mm`, of the tool itself"""
     temperature_c: float | None
@@ -76,7 +75,7 @@ class CheckMeasures:
 def measure_check(arm: Arm, log: RunLog, temperature: Array | None) -> CheckMeasures:
     """Measure an arm by its check; ``temperature`` (n,) [deg C] of its servos.
 
-    InputError unless the log holds a whole check of this arm.
+    InputError for no whole check of this arm.
     """
     data = ExcitationLog.of(arm, log)
     command, position, tool = _settled(data)
@@ -111,7 +110,7 @@ def measure_check(arm: Arm, log: RunLog, temperature: Array | None) -> CheckMeas
 
 
 def require_followed(arm: Arm, log: RunLog) -> None:
-    """Raise RobotError for a joint whose reading froze during motion."""
+    """Raise RobotError for a reading that froze during motion."""
     for j, name in enumerate(arm.joint_names):
         away = np.abs(log.position[:, j] - log.position[-1, j]) > 1.5 * arm.encoder_step
         since = int(np.flatnonzero(away)[-1]) + 1 if away.any() else 0
@@ -125,7 +124,7 @@ def require_followed(arm: Arm, log: RunLog) -> None:
 
 
 def _settled(data: ExcitationLog) -> tuple[Array, Array, Array]:
-    """Means of command, position (poses, sides, cycles, n) [rad] and tool (poses, sides, cycles, 3) [m] at rest."""
+    """Means at rest: command, position (poses, sides, cycles, n) [rad] and tool (poses, sides, cycles, 3) [m]."""
     log, shape = data.log, (POSES, len(SIDES), CYCLES)
     found = [np.full((*shape, width), np.nan) for width in (data.arm.joints, data.arm.joints, 3)]
     for segment in data.of_kind("pose"):
@@ -152,7 +151,7 @@ def _levers(arm: Arm, posture: Array) -> Array:
 
 
 def _hysteresis(data: ExcitationLog, joint: int) -> float:
-    """[rad] following error of slow sweeps upwards minus downwards."""
+    """[rad] following error upwards minus downwards."""
     sides: tuple[list[float], list[float]] = ([], [])
     for segment in data.of_kind("sweep", joint):
         cut = 0.5 * (1.0 - _SWEEP_MIDDLE) * (segment.stop - segment.start)

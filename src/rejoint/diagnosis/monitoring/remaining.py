@@ -1,7 +1,7 @@
 """When the tool error will reach the tolerance: a first-passage time, with an interval.
 
-Wear is a Brownian motion with drift, observed by noisy checks; the time is inverse Gaussian for each posterior draw
-(Folks and Chhikara, J. R. Stat. Soc. B 40, 1978).
+Wear is a Brownian motion with drift, seen by noisy checks; for each posterior draw the time is inverse Gaussian (Folks
+and Chhikara, J. R. Stat. Soc. B 40, 1978).
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def remaining(
 ) -> Remaining | None:
     """Estimate the use left until an arm's ``error`` (T,) [mm] reaches ``tolerance`` [mm].
 
-    ``use`` (T,) grows; ``warm`` (T,) [K] is relative; ``scatter`` and ``per_degree`` as for `chart`. None for too few
+    ``use`` (T,) grows; ``warm`` (T,) [K] is relative; ``scatter`` and ``per_degree`` as in `chart`. None for too few
     checks or no wear.
     """
     if len(use) < FEWEST + 1 or use[-1] <= use[0]:

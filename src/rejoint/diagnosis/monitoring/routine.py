@@ -1,7 +1,7 @@
 """The motion of a check: two to three minutes.
 
-Every other joint sweeps slowly, then the rest; then the tool visits the five poses of ISO 9283:1998, five times each
-from below and above.
+Every other joint sweeps slowly, then the rest; then the tool visits the poses of ISO 9283:1998, five times from below
+and above.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def plan_check(arm: Arm) -> Excitation:
 
 
 def _poses(arm: Arm) -> tuple[Array, float]:
-    """Postures (5, n) [rad], and the distance [rad] of their approach."""
+    """Postures (5, n) [rad], and the distance [rad] of approach."""
     for size in _SMALLER:
         q = solve_position(arm, iso_poses(arm, RISING_LEFT, float(size)), arm.rest).q
         for offset in HOLD_OFFSET * _SMALLER[:4]:
@@ -102,7 +102,7 @@ LABEL = "check"
 def record_check(
     robot: Robot, *, on_progress: Progress = no_progress, on_cycle: OnCycle | None = None
 ) -> Sequence[tuple[RunLog, Array | None]]:
-    """Drive every arm of ``robot`` through the check; return logs and mean servo temperatures (n,) [deg C].
+    """Drive every arm through the check; return logs and mean servo temperatures (n,) [deg C].
 
     NotReadyError before the motion, GuardTripError or RobotError in it.
     """

@@ -21,7 +21,7 @@ from rejoint.twin.parameters import TwinParameters, nominal_parameters
 Ids = NDArray[np.integer] | NDArray[np.bool_] | None
 
 ROWS = ("stiffness", "offset", "torque_limit", "damping", "armature", "coulomb")
-"""Rows of a joint's parameters for `rejoint.twin.chain.step`"""
+"""Rows of parameters for `rejoint.twin.chain.step`"""
 
 
 class ChainBatch:
@@ -78,13 +78,13 @@ class ChainBatch:
         self.row("armature")[:], self.row("damping")[:] = armature, damping
 
     def step(self) -> None:
-        """Advance all by one time step with the present ``ctrl``."""
+        """Advance by one time step."""
         self.rollout(self.ctrl[:, None])
 
     def rollout(self, control: Array, terms: Array | None = None) -> Array:
-        """Advance by ``control`` (nsim, steps, n) [rad]; return positions of that shape.
+        """Advance by ``control`` (nsim, steps, n) [rad]; return such positions.
 
-        ``terms`` (t, nsim, n) of `rejoint.twin.friction.friction_terms` make dry friction depend on speed.
+        ``terms`` (t, nsim, n): friction by speed (`rejoint.twin.friction.friction_terms`).
         """
         path = np.empty_like(control)
         control = np.ascontiguousarray(control)

@@ -1,8 +1,8 @@
 """Compiled dynamics of some dozen serial arms at once.
 
 Bias forces by recursive Newton-Euler, inertia by composite bodies (Featherstone 2008, chapters 5 and 6), in link frames
-whose z axis is the joint. Loops over the arms, the lanes, vectorize only without overlap of arrays (`NoAlias`), with
-one row per quantity of a joint, without calls, and with an unknown number of lanes.
+whose z axis is the joint. To vectorize, loops over the arms need arrays without overlap (`NoAlias`), one row per
+quantity of a joint, no calls, and an unknown number of lanes.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
@@ -149,7 +149,7 @@ def forward(lanes, link, before, here, speed, sine, cosine):
 
 @njit(**OPTIONS)
 def backward(lanes, link, before, here):
-    """Add force, moment and mass of a joint to the one before."""
+    """Add a joint's force, moment and mass to those before."""
     px, py, pz, mass = link[PLACE], link[PLACE + 1], link[PLACE + 2], link[CARRIED]
     for l in range(lanes):
         r0, r1, r2 = here[R0 + l], here[R1 + l], here[R2 + l]
@@ -186,7 +186,7 @@ def backward(lanes, link, before, here):
 
 @njit(**OPTIONS)
 def coupling(lanes, links, j, kept, reach, inertia):
-    """Fill the row of joint ``j`` in the ``inertia`` (n, n, LANES)."""
+    """Fill row ``j`` of the ``inertia`` (n, n, LANES)."""
     here = kept[j + 1]
     for l in range(lanes):
         reach[_X + l], reach[_Y + l], reach[_Z + l] = -here[HY + l], here[HX + l], 0.0
@@ -216,7 +216,7 @@ def _carry(lanes, link, here, reach, moment):
 
 @njit(**OPTIONS)
 def invert(lanes, joints, inertia, half, inverse, scratch):
-    """Invert symmetric matrices (n, n, LANES), given their lower half, by Cholesky factors."""
+    """Invert symmetric matrices (n, n, LANES), given as lower half, by Cholesky factors."""
     for j in range(joints):
         for l in range(lanes):
             scratch[l] = inertia[j, j, l]

@@ -19,7 +19,7 @@ _dry_friction = njit(inline="always")(friction.dry_friction)
 
 
 def _compiled(sources):
-    """Compile the loop, cached on disk until this file or its ``sources`` change."""
+    """Compile the loop; cached until this file or its ``sources`` change."""
 
     @njit(**OPTIONS)
     def advance(links, motors, gravity, timestep, control, state, path, part):

@@ -39,7 +39,7 @@ def step_block(lanes, links, timestep, servo, reference, state, work):
     """Advance ``lanes`` arms of n joints by ``timestep`` (lanes,) [s]; arrays have room for LANES.
 
     ``servo`` (6, n, lanes), ``reference`` (n, lanes) [rad]; changes ``state``: position, speed, impulse (n, lanes).
-    ``work``: a `workspace` with minus gravity in its first row.
+    ``work``: `workspace` with minus gravity in its first row.
     """
     position, speed, impulse = state
     kept, inertia, half, inverse, reach, free, next_speed, scratch, sine, cosine = work

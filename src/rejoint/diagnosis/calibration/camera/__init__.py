@@ -1,1 +1,1 @@
-"""A camera and a ChArUco board: views, bundle adjustment, camera setup, tool in single pictures."""
+"""A camera and a ChArUco board: bundle adjustment, camera setup, tool in single pictures."""

@@ -1,7 +1,7 @@
 """Lens, camera, board and arm from pictures of a board and encoder readings.
 
-Mends views with an ambiguous tilt, reports others that do not fit. Refuses a bent board: it makes focal lengths wrong
-(6 to 8 % for 2.5 mm in 140 mm, `tests/diagnosis/camera/test_film.py`).
+Mends views with an ambiguous tilt, reports others that do not fit. Refuses a bent board, which makes focal lengths
+wrong (6 to 8 % for 2.5 mm in 140 mm, `tests/diagnosis/camera/test_film.py`).
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from rejoint.diagnosis.calibration.solver import Fitted, solve
 from rejoint.system.errors import InputError
 
 CROOKED = 4.0
-"""Multiple of the views' median rms of a board that is not flat; chosen"""
+"""Rms of a view of a bent board, over their median; chosen"""
 LEAST_CROOKED = 0.6
 """[px] below which it never is; chosen"""
 ELSEWHERE = 4.0
-"""Rms of six deviations of a view that does not fit its joint positions; chosen"""
+"""Rms of six deviations of a view that does not fit; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,7 +48,7 @@ class Judged:
 
 
 def judge(problem: TieProblem, vector: Array, views: Sequence[BoardView]) -> Judged:
-    """Check each view with the poses and the arm ``vector`` (k,) of all."""
+    """Check each view with the vector (k,) of all."""
     rig, whitener = problem.rig_of(vector), problem.whitener(vector)
     lens, corners, told = problem.rig.lens, rig.board.corners, problem.reported(vector)
     placed = [
@@ -78,7 +78,7 @@ def judge(problem: TieProblem, vector: Array, views: Sequence[BoardView]) -> Jud
 
 
 def _distance(whitener: Array, seen: Array, told: Array) -> Array:
-    """Root mean squares (...) of the six whitened differences between tools."""
+    """Rms (...) of the six whitened differences between tools."""
     white = (whitener @ difference(seen, told)[..., None])[..., 0]
     return np.asarray(np.sqrt((white**2).mean(axis=-1)))
 
@@ -99,7 +99,7 @@ def _elsewhere(seen: Array, told: Array) -> str:
 
 
 FEWEST = 10
-"""Least number of views of which an arm is estimated; chosen"""
+"""Views that an arm's fit needs; chosen"""
 USUAL = PriorCase(twist=0.5)
 """Prior of a worn arm on a table"""
 
@@ -115,7 +115,7 @@ class Residual:
     rms: float
     """[px] per coordinate"""
     away: float
-    """[m] between the tool in the picture and by corrected kinematics"""
+    """[m] of the tool, picture against corrected kinematics"""
     turned: float
     """[rad] the same of its orientation"""
 
@@ -130,9 +130,7 @@ class Bundle:
     """with the prior `USUAL` or an earlier calibration"""
     views: tuple[BoardView, ...]
     residuals: tuple[Residual, ...]
-    """one per view used"""
     left_out: tuple[Unusable, ...]
-    """views that do not fit, and why"""
 
     @property
     def rig(self) -> Rig:
@@ -141,7 +139,7 @@ class Bundle:
 
     @property
     def displacement(self) -> Displacement:
-        """Displacement of the tool."""
+        """Of the tool."""
         return self.problem.displacement(self.fitted.vector)
 
 
@@ -158,8 +156,8 @@ def bundle(
 ) -> Bundle:
     """Fit lens, poses and arm to ``views`` of ``board`` with the encoders at ``position`` (V, n) [rad].
 
-    ``size`` [px] of the pictures; ``approach`` (V, n) as in `Measurements`; ``carried``: one of `MOUNTINGS`. InputError
-    for too few views that fit.
+    ``size`` [px] of the pictures; ``approach`` (V, n) as in `Measurements`; ``carried`` of `MOUNTINGS`. InputError for
+    too few views that fit.
     """
     position = np.asarray(position, dtype=float)
     layout, count = DisplacementLayout(joints=arm.joints), len(views)
@@ -212,7 +210,7 @@ def bundle(
 
 
 MOST = 0.005
-"""Bow by the board's longer edge of a refused board, half of the true one; chosen"""
+"""Bow over the longer edge of a refused board; chosen: half of the true one"""
 SURE = 5.0
 """Standard deviations of a significant bow; chosen"""
 
@@ -255,6 +253,6 @@ def bow(found: Bundle) -> tuple[float, float]:
 
 
 def _surface(board: Board) -> Array:
-    """Shapes (C, 3) at the corners: bent along x, twisted, bent along y; height about one."""
+    """Shapes (C, 3) at the corners: bent along x, twisted, bent along y."""
     x, y = (board.corners[:, :2] / board.size.max() * 2.0 - board.size / board.size.max()).T
     return np.stack([x * x, x * y, y * y], axis=-1)

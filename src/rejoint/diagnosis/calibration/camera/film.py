@@ -1,9 +1,8 @@
 """An image sequence: pictures of a board in many postures of one arm, with encoder readings.
 
-A row of ``views.parquet`` is a picture: ``picture``, ``number``, ``posture``, ``side``; ``position.JOINT`` and
-``approach.JOINT`` [rad]; the lists ``corner``, ``x`` and ``y`` [px]; ``why`` it is unusable. ``postures.csv`` beside a
-folder of pictures has ``picture``, ``position.JOINT_deg`` and, where known, ``approach.JOINT_deg``, ``posture``,
-``side``.
+Columns of ``views.parquet``: ``picture``, ``number``, ``posture``, ``side``; ``position.JOINT`` and ``approach.JOINT``
+[rad]; the lists ``corner``, ``x`` and ``y`` [px]; ``why`` it is unusable. Those of ``postures.csv`` beside pictures:
+``picture``, ``position.JOINT_deg``; optional ``approach.JOINT_deg``, ``posture``, ``side``.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ class Shot:
     posture: int
     """shots of the same number visit one posture from different sides"""
     side: int
-    """1: approached with joints turning upwards, -1: downwards, 0: unknown"""
+    """1: joints approached upwards, -1: downwards, 0: unknown"""
     seen: BoardView | Unusable
 
     @property
@@ -54,19 +53,19 @@ class Film:
 
     board: Board
     carried: str
-    """by the tool: ``board`` or ``camera`` (`rejoint.arms.camera.rig.MOUNTINGS`)"""
+    """by the tool, one of `rejoint.arms.camera.rig.MOUNTINGS`"""
     size: tuple[int, int] | None = None
-    """[px] width and height; None before the first picture"""
+    """[px] width and height"""
     shots: tuple[Shot, ...] = field(default=())
     """by number"""
     fresh: bool = False
-    """whether to ignore earlier calibrations"""
+    """ignore earlier calibrations"""
 
     def __len__(self) -> int:
         return len(self.shots)
 
     def with_shot(self, shot: Shot, size: tuple[int, int]) -> Film:
-        """Add a picture of ``size``; InputError where the others have another size."""
+        """Add a picture; InputError for another ``size``."""
         if self.size is not None and size != self.size:
             raise InputError(
                 f"picture {shot.name} has {size[0]} x {size[1]} px, those before it {self.size[0]} x {self.size[1]}; "
@@ -94,22 +93,21 @@ class Film:
         return replace(self, shots=tuple(shot for shot in self.shots if first <= shot.number <= last))
 
     def again(self) -> Film:
-        """Return what an interrupted sequence resumes from: without unusable shots."""
+        """Return the film to resume, without unusable shots."""
         return replace(self, shots=self.usable)
 
 
 def positions(shots: tuple[Shot, ...], arm: Arm) -> tuple[Array, Array]:
-    """Positions (V, n) [rad] of shots, and their approaches (V, n)."""
+    """Positions and approaches (V, n) [rad] of shots."""
     rows = [(shot.position, shot.approach) for shot in shots]
     return tuple(np.array([row[i] for row in rows]).reshape(-1, arm.joints) for i in (0, 1))  # type: ignore[return-value]
 
 
 POSTURES = "postures.csv"
-"""Postures of the pictures in a folder"""
 
 
 def write_film(path: Path, arm: Arm, film: Film, *, ended: bool = False) -> None:
-    """Write the pictures of ``arm``, atomically; ``ended``: the sequence is complete."""
+    """Write pictures, atomically; ``ended``: they are complete."""
     about = {
         "board": asdict(film.board),
         "carried": film.carried,
@@ -121,7 +119,7 @@ def write_film(path: Path, arm: Arm, film: Film, *, ended: bool = False) -> None
 
 
 def read_film(path: Path, arm: Arm) -> tuple[Film, bool]:
-    """Read pictures of ``arm`` and whether they are complete; FileError if unusable."""
+    """Read pictures and whether they are complete; FileError if unusable."""
 
     def build(columns: dict[str, list[Any]], about: dict[str, Any]) -> tuple[Film, bool]:
         rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]

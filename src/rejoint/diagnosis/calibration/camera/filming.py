@@ -1,7 +1,4 @@
-"""Taking an image sequence: a picture in each posture.
-
-The first pictures locate the camera, which decides the other postures.
-"""
+"""Taking an image sequence: the first pictures locate the camera, which decides the other postures."""
 
 from __future__ import annotations
 
@@ -49,7 +46,7 @@ _LOOK = 1.0  # [m] and [rad] of camera and board around where they are believed 
 def choose_postures(arm: Arm, rig: Rig, count: int, seed: int = 0, before: float = 0.0) -> Array:
     """Choose ``count`` postures (count, n) [rad] in which ``rig`` shows the board, approached from ``before`` [rad].
 
-    D-optimal, because the poses of camera and board count too. InputError for too few views.
+    D-optimal: the poses of camera and board count too. InputError for too few views.
     """
     candidates = seen_postures(arm, rig, max(CANDIDATES, 2 * count), seed, before=before)
     if len(candidates) < count:
@@ -84,7 +81,7 @@ def choose_postures(arm: Arm, rig: Rig, count: int, seed: int = 0, before: float
 
 
 def scouting_postures(arm: Arm, carried: str, count: int, before: float) -> Array:
-    """Choose ``count`` postures (count, n) [rad] about the rest posture, far apart."""
+    """Choose postures (count, n) [rad] about rest, far apart."""
     drawn = seen_postures(arm, None, CANDIDATES, 0, spread=SCOUTING[carried], before=before)
     if len(drawn) < count:
         raise InputError(
@@ -101,7 +98,7 @@ def scouting_postures(arm: Arm, carried: str, count: int, before: float) -> Arra
 def seen_postures(
     arm: Arm, rig: Rig | None, count: int, seed: int, *, spread: float = SPREAD, before: float = 0.0
 ) -> Array:
-    """Draw up to ``count`` free postures (C, n) [rad] about rest that the ``rig``, if any, shows."""
+    """Draw up to ``count`` free postures (C, n) [rad] about rest that a ``rig`` shows."""
     rng, room = np.random.default_rng(seed), _ROOM + before
     low, high = np.maximum(arm.lower + room, arm.rest - spread), np.minimum(arm.upper - room, arm.rest + spread)
     found, enough = [np.zeros((0, arm.joints))], 0
@@ -124,13 +121,13 @@ def seen_postures(
 SCOUTS = 12
 """Pictures about the rest posture; chosen"""
 FEWEST_SCOUTS = 6
-"""Those that must show the board; chosen: three locate the camera"""
+"""Those that must show the board; chosen"""
 POSTURES = 14
 """Postures chosen then, each from two sides; chosen"""
 
 Picture = NDArray[np.uint8]
 OnShot = Callable[[Film, str, Picture], object]
-"""Called after each picture with the sequence, its name and the picture"""
+"""Called after each picture; the text is its name"""
 
 
 class StillCamera(Protocol):
@@ -146,7 +143,7 @@ class UnseenBoardError(InputError):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CameraGauge:
-    """A camera as measuring device for `rejoint.calibrate`."""
+    """A camera as measuring device."""
 
     camera: Callable[[Robot], AbstractContextManager[StillCamera]]
     board: Board
@@ -156,7 +153,7 @@ class CameraGauge:
 
 @dataclass(kw_only=True, eq=False)
 class FilmDrive:
-    """Takes the image sequence of one arm; resumes ``film``."""
+    """Takes or resumes the image sequence of one arm."""
 
     robot: Robot
     camera: StillCamera
@@ -215,7 +212,7 @@ class FilmDrive:
 
 
 def believed_rig(arm: Arm, scouted: Film) -> Rig:
-    """Locate camera and board by pictures about rest; InputError where that fails."""
+    """Locate camera and board by pictures about rest; InputError on failure."""
     shots = scouted.usable
     if len(shots) < FEWEST_SCOUTS or scouted.size is None:
         raise UnseenBoardError(

@@ -31,11 +31,9 @@ class Filmed:
     """the tool in each view used"""
     rig: Rig
     rig_sigma: Array
-    """(19,) sigma of the lens's `TERMS`, shift [m] and turn [rad] of `Rig.standing` and `Rig.mounted`"""
+    """(19,) sigma of the lens's `TERMS`, shift [m] and turn [rad] of camera and board"""
     residuals: tuple[Residual, ...]
-    """of each view used"""
     left_out: tuple[Unusable, ...]
-    """unused pictures, and why"""
 
     @property
     def rms(self) -> float:
@@ -44,7 +42,7 @@ class Filmed:
 
 
 def fit_film(arm: Arm, film: Film, *, prior: Calibration | None = None, date: str = "") -> Filmed:
-    """Fit lens, camera, board and displacement of ``arm``, tested on views left out.
+    """Fit lens, camera, board and displacement, tested on views left out.
 
     ``prior``: an earlier calibration. InputError for too few views or a bent board.
     """

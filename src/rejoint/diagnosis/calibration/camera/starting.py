@@ -24,11 +24,11 @@ _ROUNDS = 4  # of finding the poses and leaving out views that do not fit them
 _FAR = 4.0  # times the median distance beyond which a view does not help the first estimate (chosen)
 _LEVER = 0.1  # [m] that makes a length of a turn (chosen: the size of a board)
 _STRETCH = 0.2
-"""Relative error of lengths that means another board; chosen: wear makes 0.05"""
+"""Relative error of lengths by another board; chosen: wear makes 0.05"""
 _LEAST = 0.2
 """Factor of lengths below which motion and pictures do not match; chosen"""
 _TURNED = np.radians(10.0)
-"""[rad] least turn of the tool about two directions; chosen"""
+"""[rad] least turn about two directions; chosen"""
 
 
 def first_lens(size: tuple[int, int], board: Board, views: Sequence[BoardView]) -> Lens:
@@ -67,8 +67,7 @@ def first_sights(lens: Lens, board: Board, views: Sequence[BoardView]) -> Array:
 def first_rig(arm: Arm, lens: Lens, board: Board, carried: str, position: Array, sights: Array) -> Rig:
     """Find the poses of camera and board by the encoders' ``position`` (V, n) [rad].
 
-    Linear least squares of A M = F B (Dornaika and Horaud 1998, section III), without outliers. InputError for too
-    little rotation.
+    Linear least squares of A M = F B (Dornaika and Horaud 1998, section III). InputError for too little rotation.
     """
     tool = tcp_pose(arm, position)
     _require_turns(tool)

@@ -27,7 +27,7 @@ from rejoint.diagnosis.calibration.solver import Fittable
 HUBER = 3.55
 """Residual [sigma] from which the loss is linear: 95 % of six normal numbers"""
 POSES = 12
-"""Unknowns after the arm's: shift [m] and turn [rad] of `Rig.standing` and `Rig.mounted`; then the lens"""
+"""Unknowns after the arm's, shift [m] and turn [rad] of `Rig.standing` and `Rig.mounted`; the lens follows"""
 NOWHERE = 10.0
 """[m] and [rad] sigma of unknown poses"""
 ASKEW = np.radians(0.15)
@@ -40,15 +40,15 @@ _STEP = 1e-6  # [m] and [rad] of numerical derivatives
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TieProblem(Fittable):
-    """Poses of the board in views, and beliefs, for `rejoint.diagnosis.calibration.solver`."""
+    """Poses of the board in views, and beliefs."""
 
     rig: Rig
     sights: Array
     """(V, 4, 4) of the board in the camera frame"""
     by_lens: Array
-    """(V, 6, 7) derivative of their shift [m] and turn [rad] by the lens's `TERMS`"""
+    """(V, 6, 7) derivative of shift [m] and turn [rad] by the lens's `TERMS`"""
     spread: Array
-    """(V, 6, 6) covariance of the tool's pose by the corners, base axes"""
+    """(V, 6, 6) covariance of the tool's pose by corners, base axes"""
     position: Array
     """(V, n) [rad]"""
     approach: Array
@@ -109,11 +109,11 @@ class TieProblem(Fittable):
         return base, slope
 
     def noise(self, vector: Array) -> Array:
-        """Covariance (V, 6, 6) of a residual for known parameters."""
+        """Covariance (V, 6, 6) of a residual."""
         return looseness(self.arm, self.displacement(vector), self.position) + self.spread
 
     def measurements(self, vector: Array) -> Measurements:
-        """Tool positions in the measuring frame."""
+        """Tool in the measuring frame."""
         rig = self.rig_of(vector)
         point = (inverse(rig.standing) @ self.tool(vector))[:, :3, 3]
         sigma = np.sqrt(np.trace(self.spread[:, :3, :3], axis1=1, axis2=2) / 3.0)
@@ -128,17 +128,17 @@ class TieProblem(Fittable):
         )
 
     def tool(self, vector: Array, sights: Array | None = None) -> Array:
-        """Tool poses (V, 4, 4) in the base by the camera."""
+        """Tool (V, 4, 4) in the base by the camera."""
         moves = self.by_lens @ vector[self.layout.body + POSES :]
         return self.rig_of(vector).tool(moved(self.sights if sights is None else sights, moves))
 
     def reported(self, vector: Array) -> Array:
-        """Tool poses (V, 4, 4) in the base by corrected kinematics."""
+        """Tool (V, 4, 4) in the base by corrected kinematics."""
         return self.displacement(vector).tool_pose(self.arm, self.position)
 
 
 def looseness(arm: Arm, displacement: Displacement, position: Array) -> Array:
-    """Covariance (V, 6, 6) of the tool's pose beyond ``displacement``, at ``position`` (V, n) [rad]."""
+    """Covariance (V, 6, 6) of the tool's pose beyond ``displacement``, at positions (V, n)."""
     variance = play_variance(displacement, displacement.torque(arm, position)) + JOINT**2
     lever = jacobian(arm, position)
     rest = np.diag([floor_of(arm) ** 2] * 3 + [ASKEW**2] * 3)
@@ -169,7 +169,7 @@ def lens_ties(rig: Rig, views: Sequence[BoardView], sights: Array) -> tuple[Arra
 
 
 def tool_spread(rig: Rig, sights: Array, covariance: Array) -> Array:
-    """Covariance (V, 6, 6) of the tool's pose, base axes, from the board's."""
+    """Covariance (V, 6, 6) of the tool's pose from the board's."""
     base = rig.tool(sights)
     rows = [difference(rig.tool(moved(sights, _STEP * row)), base) / _STEP for row in np.eye(6)]
     slope = np.stack(rows, axis=-1)
@@ -186,7 +186,7 @@ CROOKED = 1.0
 
 
 class ToolTracker:
-    """Locates the tool in single pictures, without encoders."""
+    """Locates the tool in pictures, without encoders."""
 
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
@@ -195,13 +195,13 @@ class ToolTracker:
         self._detector = Detector(rig.board)
 
     def see(self, picture: NDArray[np.uint8], time: float = 0.0) -> Sighting | None:
-        """Locate the tool in a grey or BGR ``picture``; None without a good view."""
+        """Locate the tool in a grey or BGR picture; None without a good view."""
         found = self._detector.find("picture", picture)
         self.why = found.why if isinstance(found, Unusable) else ""
         return None if isinstance(found, Unusable) else self.sighting(found, time)
 
     def sighting(self, view: BoardView, time: float = 0.0) -> Sighting | None:
-        """Do the same for a ``view`` with known corners."""
+        """Return the same for a ``view`` with known corners."""
         placed = place(self.rig.lens, self.rig.board.corners[view.number], view.pixel)
         if placed.rms > CROOKED:
             self.why = f"its corners lie {placed.rms:.1f} px beside those of a flat board"
