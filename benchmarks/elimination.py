@@ -1,7 +1,7 @@
 """Whether elimination in blocks recommends what a comparison to the end does, and in how much of the arm's time.
 
 Emulated arms drawn about the worn one, each diagnosed and with its own twin; one policy for all of them (a file,
-`--policy` of `python -m benchmarks.elimination`; without one the generic policy takes part). What every controller does
+`--policy` of `python -m benchmarks elimination`; without one the generic policy takes part). What every controller does
 at every target is emulated side by side first, twice with other noise, holding for eight seconds. The first time is the
 long way, twenty targets judged by their intervals. Of the second time the comparison in blocks takes the trials that it
 asks for, the first five seconds of each hold; its arm's time is that of these trials. What the recommended controller
@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import typer
 
 import rejoint
 from rejoint.arms import mycobot280
@@ -195,7 +194,3 @@ def main(
         f"own; worse than the best by {1e3 * worse[0]:.2f} mm and {worse[1]:.2f} s in the mean; "
         f"{np.median(minutes):.1f} min of the arm's time in the median, {minutes.max():.1f} at most"
     )
-
-
-if __name__ == "__main__":
-    typer.run(main)

@@ -1,6 +1,6 @@
 """True errors of emulated arms before and after `rejoint calibrate --measure camera=emulated`, with rendered pictures.
 
-    python -m benchmarks.filming --arms 8 --first 700
+    python -m benchmarks filming --arms 8 --first 700
 
 Every arm is filmed from its own start, fitted, and sent to fresh targets by the integrator, by its encoders alone and
 corrected (where the gate allows it), 8 s at each: mean and 95th percentile of the true error at the end [mm].
@@ -11,7 +11,6 @@ from __future__ import annotations
 import time
 
 import numpy as np
-import typer
 
 import rejoint
 from benchmarks.frame import cell
@@ -63,7 +62,3 @@ def main(
         print(f"{name:16} {cell(errors)}")
     worse = np.mean(after, axis=1) - np.mean(before, axis=1)
     print(f"arms that became worse: {int((worse > 0.2).sum())}; the tool within the interval: {np.mean(inside):.0%}")
-
-
-if __name__ == "__main__":
-    typer.run(main)

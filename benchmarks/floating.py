@@ -1,6 +1,6 @@
 """What chance leaves of the true error, however well an arm is calibrated: links that float in their backlash.
 
-    python -m benchmarks.floating --arms 40
+    python -m benchmarks floating --arms 40
 
 Emulated worn arms are held at fresh targets, not calibrated, and where each link lies beyond its encoder is read from
 the plant. For each joint of each arm that is then fitted by the terms of a calibration (offset, load, side of the
@@ -16,7 +16,6 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-import typer
 
 from benchmarks.frame import cell
 from rejoint.arms import Arm, Array, gravity_torque, mycobot280, tcp_position
@@ -73,7 +72,3 @@ def main(
         "encoders and joints": tcp_position(arm, read + left) - places,
     }.items():
         print(f"{name:22s} {cell(1e3 * np.linalg.norm(off, axis=-1))}", flush=True)
-
-
-if __name__ == "__main__":
-    typer.run(main)

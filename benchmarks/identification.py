@@ -1,6 +1,6 @@
 """Identification on the logs of a real SO-101, and its speed beside MuJoCo's own tool.
 
-    python -m benchmarks.identification --logs LOGS --sections folds,sysid
+    python -m benchmarks identification --logs LOGS --sections folds,sysid
 
 LOGS is a folder of SAGE motions (github.com/isaac-sim2real/sage, output/real/so101/custom), by default that of the
 environment variable REJOINT_SO101. Times are processor seconds of the whole process.
@@ -19,7 +19,6 @@ from pathlib import Path
 import mujoco
 import mujoco.rollout
 import numpy as np
-import typer
 
 from rejoint.arms import Arm, load_arm
 from rejoint.logs import import_logs
@@ -210,7 +209,3 @@ def main(logs: Path | None = None, sections: str = "sysid") -> None:
     print(f"{len(found)} motions in {folder}; errors in mm and degrees: free space | contact | all samples", flush=True)
     for name in sections.split(","):
         SECTIONS[name](arm, found)
-
-
-if __name__ == "__main__":
-    typer.run(main)

@@ -1,6 +1,6 @@
 """How near worn arms of a family come to joint goals anywhere, and to those of a hand that leads them.
 
-    python -m benchmarks.joints --arms 3 --goals 10
+    python -m benchmarks joints --arms 3 --goals 10
 
 Every arm is diagnosed, identified and calibrated in `--out` first, which takes minutes, or found there. Goals are drawn
 in 95 % of the joints' ranges, 5 mm clear of what the arm could touch. `Session.move_joints` goes to them, then
@@ -13,7 +13,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-import typer
 
 import rejoint
 from rejoint.arms import Arm, Array, gravity_torque, load_arm, plan, tcp_position
@@ -125,7 +124,3 @@ def report(kind: str, errors: Array, held: Array, tools: Array, sound: Array) ->
         print(f"{kind} send_joints, {name}: {np.median(size):.2f} mm, largest {size.max():.2f}")
     worse = (tools[1] <= sound + 1.0).sum()
     print(f"{kind} send_joints: at most 1 mm worse than healthy {worse} of {len(sound)}")
-
-
-if __name__ == "__main__":
-    typer.run(main)

@@ -1,7 +1,7 @@
 """`kill -9` at random moments of every stage of a repair and of deployments over TCP; what is lost, and what goes on.
 
     python -m benchmarks kills
-    python -m benchmarks.kills 20 --stages train,deploy
+    python -m benchmarks kills 20 --stages train,deploy
 
 A repair is killed ten times in a folder and then let come to its end: its files must be those of one that nobody
 disturbed, to the bit. Excitation, identification and training are cut down, so that the kills meet every stage and
@@ -265,7 +265,3 @@ def main(
                 f"deployments over TCP: {round(kills / len(chosen))} kills, {len(lost)} of them while it moved; "
                 f"the log lacks {np.median(lost):.2f} s in the middle, {np.max(lost):.2f} s at most"
             )
-
-
-if __name__ == "__main__":
-    typer.run(main)

@@ -1,7 +1,7 @@
 """What a load at the tool costs worn arms, told and untold: holds by three controllers, paths by the tracker, in mm.
 
     python -m benchmarks payload
-    python -m benchmarks.payload --load 0.05 --seeds 60007,60015 --controllers feedforward --cases empty,told
+    python -m benchmarks payload --load 0.05 --seeds 60007,60015 --controllers feedforward --cases empty,told
 
 Each arm is diagnosed and identified with an empty hand, or its twin is in ``FOLDER/SEED/twin.toml``. Only targets that
 are not said to be too heavy count; of the others it is printed how many were missed by more than 2 mm. As before every
@@ -17,7 +17,6 @@ from pathlib import Path as FilePath
 from tempfile import TemporaryDirectory
 
 import numpy as np
-import typer
 
 from rejoint.arms import Arm, Array, gravity_torque, mycobot280, tcp_position
 from rejoint.arms.inertia import loaded
@@ -140,7 +139,3 @@ def _follow(arm: Arm, seed: int, twin: Twin, true: float, told: float) -> float:
     schedule = Schedule(dwell=LEAD_IN + path.duration, sent=sent)
     recording = run(robot, Tracker(robot.arm, servos), PathReference(robot.arm, [guide], home), schedule)
     return judge(arm, recording, guide).encoder.rms
-
-
-if __name__ == "__main__":
-    typer.run(main)

@@ -1,6 +1,6 @@
 """What an arm's own twin buys: predictive control on it, against the policy from the shelf and laws that know no twin.
 
-`python -m benchmarks.predictive --arms 16 --twins FOLDER` identifies each arm, a minute or two, and keeps its twin in
+`python -m benchmarks predictive --arms 16 --twins FOLDER` identifies each arm, a minute or two, and keeps its twin in
 FOLDER; then every controller holds all arms at three targets each. Also what one control step costs.
 """
 
@@ -9,7 +9,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import typer
 
 from benchmarks.frame import held_columns, holds
 from rejoint.arms import mycobot280
@@ -88,7 +87,3 @@ def main(
         shelf = shelf or found
     median, p99 = 1e3 * np.percentile(step_times(own[0])[100:], [50, 99])
     print(f"one control step while it plans: median {median:.2f} ms, p99 {p99:.2f} ms of processor time")
-
-
-if __name__ == "__main__":
-    typer.run(main)

@@ -1,6 +1,6 @@
 """How near the tool comes with and without a camera that watches it.
 
-    python -m benchmarks.seeing --arms 12 --first 1000 --policy runs/mine/policy.onnx
+    python -m benchmarks seeing --arms 12 --first 1000 --policy runs/mine/policy.onnx
 
 Every emulated worn arm is calibrated from ten measured points, then goes to targets drawn by its seed. True errors,
 mean / 95th percentile over all targets [mm], each the mean of the last 0.2 s before a time since the target was set.
@@ -11,7 +11,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import typer
 
 import rejoint
 from benchmarks.frame import cell
@@ -73,7 +72,3 @@ def main(arms: int = 4, first: int = 1000, targets: int = 8, policy: Path | None
     for case, rows in found.items():
         table = np.concatenate(rows, axis=1)
         print(f"{case:24} | {' | '.join(map(cell, table))}")
-
-
-if __name__ == "__main__":
-    typer.run(main)

@@ -1,14 +1,14 @@
 """The vendor's unmodified client against a bare worn arm and through `rejoint serve` on it: one script, errors beside.
 
     python -m benchmarks serve
-    python -m benchmarks.serve --run runs/mine --abuse 600
-    python -m benchmarks.serve --run runs/mine --controller predictive
+    python -m benchmarks serve --run runs/mine --abuse 600
+    python -m benchmarks serve --run runs/mine --controller predictive
 
 The arm is an emulated one behind TCP, in wall-clock time. Without ``--run`` it is diagnosed and its twin identified
 first, which takes minutes. Then a client of the second kind: reconnects, garbage, half frames, and clients killed in
 the middle of a motion; at the end the arm must hold, and the log must be whole. A test runs a short version.
 
-    python -m benchmarks.serve --run runs/mine --anywhere 20
+    python -m benchmarks serve --run runs/mine --anywhere 20
 
 sends as many poses and postures, drawn in the whole workspace, to a healthy arm and through `rejoint serve` to the worn
 one, and compares where their tools truly are.
@@ -404,7 +404,3 @@ def main(
             with connected(address) as client:
                 print(f"{count} clients in {abuse:.0f} s, every twentieth killed; the arm holds: {holds(client)}")
         print(f"log: {check_log(Path(ends[0].log))} orders, whole")
-
-
-if __name__ == "__main__":
-    typer.run(main)

@@ -59,7 +59,3 @@ def main() -> None:
         kept, new = found["kept"], found["again"]
         met = new[0] <= kept[0] + FARTHER and new[2] <= LATER * kept[2]
         print(f"  as good as the one that is kept: {'yes' if met else 'NO'}")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,11 +1,9 @@
-"""Emulated SO-101 on the law of their servos, in virtual time: `python -m benchmarks.so101 shelf|push|tuned`.
+"""Emulated SO-101 on the law of their servos, in virtual time: `python -m benchmarks so101 shelf|push|tuned`.
 
 `shelf`: the policy from the shelf against the classical controllers, on twenty arms that it never met, at two P.
 `push`: shares of the friction push and of its dither, under gains that a search found.
 `tuned`: what controllers gain from the gains of a search, with the twin of the gains before made as stiff as then.
 """
-
-import sys
 
 import numpy as np
 
@@ -132,5 +130,6 @@ def tuned():
         print(f"{label:12s} gains {under:7s} settled {mean[0]:.3f}, within 2 mm after {mean[1]:.2f}")
 
 
-if __name__ == "__main__":
-    {"shelf": shelf, "push": push, "tuned": tuned}[sys.argv[1]]()
+def main(study: str) -> None:
+    """Print one of the tables: shelf, push or tuned."""
+    {"shelf": shelf, "push": push, "tuned": tuned}[study]()

@@ -1,6 +1,6 @@
 """What the estimators say about real arms from public repositories, beside what is true of them.
 
-    python -m benchmarks.strangers --data FOLDER --arms bam,iris,g1
+    python -m benchmarks strangers --data FOLDER --arms bam,iris,g1
 
 FOLDER (or the environment variable REJOINT_REAL) holds one folder per arm, with files as their authors published them:
 `bam_xl330` (Rhoban/bam), `iris` (thejerrycheng/MEng_project), `ur5` (swiatecki/ProjectMoose), `kinova`
@@ -24,7 +24,6 @@ from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
-import typer
 
 from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.logs.runfolder.folder import RunFolder
@@ -173,7 +172,3 @@ def main(data: Path | None = None, arms: str = ",".join(ARMS)) -> None:
             for command in ("diagnose", "identify"):
                 ask(command, "--logs", out / "logs", "--arm", model, *ends, "--run", out / "run")
             numbers(RunFolder(out / "run"))
-
-
-if __name__ == "__main__":
-    typer.run(main)

@@ -1,7 +1,7 @@
 """Twins of arms whose parameters are known: how far off they are, and whether their intervals say so.
 
     python -m benchmarks truth
-    python -m benchmarks.truth --arms 10 --masses 0.15
+    python -m benchmarks truth --arms 10 --masses 0.15
 
 Arms around a worn one move as in a diagnosis; readings are rounded to encoder steps and jitter. They are twins
 themselves, with links of other masses than the fit assumes, so that only the fit is judged, not the twin's structure.
@@ -11,7 +11,6 @@ import time
 from dataclasses import replace
 
 import numpy as np
-import typer
 
 from rejoint.arms import Arm, mycobot280
 from rejoint.diagnosis.excitation import plan_excitation
@@ -106,7 +105,3 @@ def main(arms: int = 6, masses: float = 0.15, seed: int = 0) -> None:
         f"middle, joints 2 and 3 by {100 * np.median(np.array(scales)[:, loaded]):.0f} %, the worst by "
         f"{100 * np.max(scales):.0f} %. Held out {np.mean(residual):.3f} deg. {np.mean(seconds):.1f} s of processor."
     )
-
-
-if __name__ == "__main__":
-    typer.run(main)

@@ -1,6 +1,6 @@
 """What it buys to begin a training on an arm's own twin at the policy from the shelf instead of at random weights.
 
-`python -m benchmarks.warmstart --arms 16 --twins FOLDER` identifies each arm, a few seconds, trains for it from both
+`python -m benchmarks warmstart --arms 16 --twins FOLDER` identifies each arm, a few seconds, trains for it from both
 beginnings with the same number of updates, and holds eight copies of the arm with other noise at three targets each,
 the same for every policy. Twins and policies are kept in FOLDER. ``--updates 12,24,150`` trains with several numbers
 of them, ``--starts random`` from one beginning.
@@ -13,7 +13,6 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-import typer
 
 from benchmarks.frame import held_columns, holds
 from benchmarks.predictive import ARM, TARGETS, know
@@ -79,7 +78,3 @@ def main(
 def together(found: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
     """Stack what was found of each arm."""
     return np.stack([settled for settled, _ in found]), np.stack([stay for _, stay in found])
-
-
-if __name__ == "__main__":
-    typer.run(main)
