@@ -10,6 +10,8 @@ goals as they are.
 """
 
 import time
+from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -27,14 +29,13 @@ RESTS = 20.0
 """[s] that an arm is given for a goal"""
 
 
-def drawn(arm: Arm, count: int, seed: int) -> Array:
-    """Joint positions (count, n) [rad] anywhere in the workspace, 5 mm clear of what the arm could touch."""
-    rng, limits, found = np.random.default_rng(seed), GuardLimits.of(arm), list[Array]()
-    while len(found) < count:
+def clear(arm: Arm, seed: int) -> Iterator[Array]:
+    """Joint positions (n,) [rad] anywhere in the workspace, 5 mm clear of what the arm could touch."""
+    rng, limits = np.random.default_rng(seed), GuardLimits.of(arm)
+    while True:
         goal = rng.uniform(0.95 * arm.lower, 0.95 * arm.upper)
         if (clear_by(limits, goal) > 0.005).all():
-            found.append(goal)
-    return np.array(found)
+            yield goal
 
 
 def prepare(address: str, arm: Arm, run: Path) -> None:
@@ -103,7 +104,7 @@ def main(arms: int = 3, goals: int = 10, family: int = 40, out: Path = Path("run
             address, run = f"emulated:worn?seed={seed}", out / f"{kind}-{seed}"
             prepare(address, arm, run)
             robot = EmulatedRobot(arm, [load_wear(f"worn?seed={seed}", arm)], address=address, seed=seed)
-            wanted = drawn(arm, goals, seed)
+            wanted = np.array([*islice(clear(arm, seed), goals)])
             held.append(np.abs(gravity_torque(arm, wanted)) <= robot.plant.torque_limit[0])
             with rejoint.connect(robot, run=run) as session:
                 found.append(np.abs(moved(session, wanted)))

@@ -65,18 +65,8 @@ def excite(arm: Arm, truth: TwinParameters, rng: np.random.Generator) -> RunLog:
     path = np.vstack([simulation.twins.qpos.copy(), simulation.rollout(control)[0]])
     read = np.clip(times + rng.uniform(-JITTER, JITTER, len(times)), 0.0, grid[-1])
     position = np.stack([np.interp(read, np.arange(len(path)) * STEP, column) for column in path.T], axis=1)
-    nowhere = np.full((len(times), 3), np.nan)
-    return RunLog(
-        arm=arm.name,
-        joint_names=arm.joint_names,
-        robot="twin",
-        label="excitation",
-        time=times,
-        command=command,
-        position=np.round(position / arm.encoder_step) * arm.encoder_step,
-        target=nowhere,
-        true_tcp=nowhere,
-    )
+    position = np.round(position / arm.encoder_step) * arm.encoder_step
+    return RunLog.of(times, command, position, arm=arm, label="excitation")
 
 
 def main(arms: int = 6, masses: float = 0.15, seed: int = 0) -> None:
