@@ -26,6 +26,7 @@ import typer
 
 from rejoint.arms import load_arm, solve_position, tcp_position
 from rejoint.control.classical import DefaultController, IntegratorController
+from rejoint.control.comparison.protocols import Protocol, measure_holds
 from rejoint.control.loop import Schedule, run
 from rejoint.logs import import_logs
 from rejoint.robots import place_of
@@ -158,7 +159,7 @@ def predict(folder):
 
 def gains():
     """Print what gains of the servos leave of the error at ten targets, alone and under the integrator."""
-    targets = np.random.default_rng(0).uniform(ARM.targets.lower, ARM.targets.upper, (10, 3))
+    targets = ARM.targets.sample(np.random.default_rng(0), (10,))
     for p, i in ((16, 0), (32, 0), (48, 0), (48, 4), (64, 8)):
         found = [_settled(controller(ARM), targets, p, i) for controller in (DefaultController, IntegratorController)]
         print(f"| {p}, {i} | {found[0]:.1f} | {found[1]:.1f} |")
@@ -169,16 +170,12 @@ def _settled(controller, targets, p, i):
     gains = {"p": p, "i": i}
     robot = EmulatedRobot(ARM, [load_wear("so101", ARM)], seed=0, period=(0.020, 0.020), gains=gains)
     recording = run(robot, controller, targets[None], Schedule(dwell=DWELL))
-    time, tool = recording.time[:, 0] - recording.time[0, 0], tcp_position(ARM, recording.position[:, 0])
-    last = [(time >= (k + 1) * DWELL - 1.0) & (time < (k + 1) * DWELL) for k in range(len(targets))]
-    return 1e3 * np.mean(
-        [np.linalg.norm(tool[rows] - at, axis=1).mean() for rows, at in zip(last, targets, strict=True)]
-    )
+    return 1e3 * measure_holds(ARM, recording, targets[None], Protocol(hold=DWELL))["settled"].mean()
 
 
 def joints(address, run):
     """Print how near the tool comes, by the encoders, to where joint goals have it: sent as they are, and by us."""
-    targets = np.random.default_rng(1).uniform(ARM.targets.lower, ARM.targets.upper, (10, 3))
+    targets = ARM.targets.sample(np.random.default_rng(1), (10,))
     goals = solve_position(ARM, targets, np.tile(ARM.rest, (len(targets), 1))).q
 
     def streamed(send, read):

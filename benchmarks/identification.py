@@ -10,15 +10,16 @@ from __future__ import annotations
 
 import contextlib
 import io
-import os
 import tempfile
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Annotated
 
 import mujoco
 import mujoco.rollout
 import numpy as np
+import typer
 
 from rejoint.arms import Arm, load_arm
 from rejoint.logs import import_logs
@@ -33,9 +34,6 @@ from rejoint.twin.motionfit import folds as fold_numbers
 from rejoint.twin.parameters import TwinParameters, pack, unknown_prior, unpack, vector_names
 from rejoint.twin.replay import Replay
 from rejoint.twin.structure import LIMITS, rough_fit, simplest
-
-VARIABLE = "REJOINT_SO101"
-"""Environment variable that names the folder of a real SO-101's SAGE motions"""
 
 
 def read_logs(folder: Path, arm: Arm) -> list[RunLog]:
@@ -198,14 +196,15 @@ def sysid_problem(tool, arm: Arm, problem: Problem, start: TwinParameters):
 SECTIONS = {"folds": folds, "sysid": sysid}
 
 
-def main(logs: Path | None = None, sections: str = "sysid") -> None:
+def main(
+    logs: Annotated[Path | None, typer.Option(envvar="REJOINT_SO101", exists=True)] = None, sections: str = "sysid"
+) -> None:
     """Run ``sections`` on a folder of a real SO-101's motions."""
-    folder = logs or Path(os.environ.get(VARIABLE, ""))
-    if not folder.is_dir() or folder == Path():
-        print(f"left out: make bench LOGS=FOLDER, --logs or {VARIABLE} names the motions")
+    if logs is None:
+        print("left out: make bench LOGS=FOLDER, --logs or REJOINT_SO101 names the motions")
         return
     arm = load_arm("so101")
-    found = read_logs(folder, arm)
-    print(f"{len(found)} motions in {folder}; errors in mm and degrees: free space | contact | all samples", flush=True)
+    found = read_logs(logs, arm)
+    print(f"{len(found)} motions in {logs}; errors in mm and degrees: free space | contact | all samples", flush=True)
     for name in sections.split(","):
         SECTIONS[name](arm, found)

@@ -27,11 +27,8 @@ from rejoint.session.eyes import watched
 
 TIMES = (2.0, 3.0, 3.95)
 WINDOW = 0.2
-CASES: dict[str, dict[str, float] | None] = {
-    "model only": None,
-    "camera": {},
-}
-"""What watches: nothing, or an emulated eye with these settings"""
+CASES = {"model only": False, "camera": True}
+"""Whether an emulated eye watches"""
 
 
 def errors(recording: Recording) -> np.ndarray:
@@ -46,13 +43,13 @@ def errors(recording: Recording) -> np.ndarray:
     )
 
 
-def driven(arm: Arm, seed: int, controller: Controller, known: Displacement, eye: dict[str, float] | None, count: int):
+def driven(arm: Arm, seed: int, controller: Controller, known: Displacement, eye: bool, count: int):
     """Return the true errors (times, targets) [mm] of the arm of one ``seed``."""
     robot = rejoint.open_robot(f"emulated:worn?seed={seed}")
     start = move(robot, arm.rest)
     correction: Modelled = Modelled(arm, known)
-    if eye is not None:
-        controller, correction = watched(robot, controller, correction, EmulatedEye(robot, seed=seed, **eye))
+    if eye:
+        controller, correction = watched(robot, controller, correction, EmulatedEye(robot, seed=seed))
     targets = arm.targets.sample(np.random.default_rng(seed), (1, count))
     schedule = Schedule(dwell=4.0, sent=start.command[-1])
     return errors(run(robot, controller, TargetSequence(robot.arm, targets, correction=correction), schedule))

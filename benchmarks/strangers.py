@@ -11,7 +11,6 @@ does not contain them.
 
 from __future__ import annotations
 
-import os
 import shutil
 import subprocess
 import sys
@@ -22,15 +21,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+import typer
 
 from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.system.files import read_json
-
-VARIABLE = "REJOINT_REAL"
-"""Environment variable that names the folder of real arms' recordings"""
 
 
 def chain(masses: Sequence[float], lengths: Sequence[float], axes: Sequence[str], at: float) -> str:
@@ -153,17 +151,14 @@ def numbers(run: RunFolder) -> None:
             print(f"    twin, {name}:", *(f"{low:.3g} to {high:.3g}{'' if told else '?'}" for low, high, told in rows))
 
 
-def main(data: Path | None = None, arms: str = ",".join(ARMS)) -> None:
+def main(data: Annotated[Path, typer.Option(envvar="REJOINT_REAL", exists=True)], arms: str = ",".join(ARMS)) -> None:
     """Print what is said about each of the ``arms`` (comma-separated)."""
-    folder = data or Path(os.environ.get(VARIABLE, ""))
-    if not folder.is_dir() or folder == Path():
-        sys.exit(f"{VARIABLE} or --data must name the folder of recordings (see the head of this file)")
     for name in arms.split(","):
         stranger = ARMS[name]
         print(f"\n{name}: {stranger.truth}")
         with tempfile.TemporaryDirectory() as place:
             out, ends = Path(place), stranger.ends.split()
-            paths = sorted(folder.glob(stranger.files))
+            paths = sorted(data.glob(stranger.files))
             model = model_of(stranger, paths[0].parent, out)
             (out / "files").mkdir()
             for path in paths:

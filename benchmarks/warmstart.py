@@ -46,9 +46,7 @@ def held(file: Path, wear_seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Settled errors [m] and times [s] to come and stay within 2 mm of all holds of one arm."""
     settings = TrialSettings(family=ArmFamily(arms=1, targets=TARGETS, crossings=0), protocol=Protocol())
     bench = bench_of(ARM, wear_seed, settings)
-    found = try_on(ARM, bench, lambda arm: load_policy(file, arm), settings, lambda _: None)
-    settled, stay = held_columns(found, arms=1)
-    return settled[0], stay[0]
+    return held_columns(try_on(ARM, bench, lambda arm: load_policy(file, arm), settings, lambda _: None), arms=1)
 
 
 def main(
@@ -75,6 +73,6 @@ def main(
             print(f"  trained in {np.median(spent):.0f} s of processor time")
 
 
-def together(found: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
-    """Stack what was found of each arm."""
-    return np.stack([settled for settled, _ in found]), np.stack([stay for _, stay in found])
+def together(found: list[tuple[np.ndarray, np.ndarray]]) -> list[np.ndarray]:
+    """Put together what was found of each arm."""
+    return [np.concatenate(one) for one in zip(*found, strict=True)]

@@ -32,13 +32,13 @@ from rejoint.research.evaluation.family import ArmFamily
 POINTS, TARGETS = 10, 4
 
 
-def main(arms: int = 30, family: int = 3, slopes: str = "0,0.5,1,2", condition: str = "worn") -> None:
+def main(arms: int = 30, family: int = 3, slopes: str = "0,0.5,1,2") -> None:
     """Print a row for each slope [deg]."""
     arm, drawn = mycobot280(), ArmFamily(arms=arms, targets=TARGETS, seed=family)
     plan = suggest(arm, POINTS, visits=2, sigma=SIGMA)
     targets = draw_targets(arm, sets=arms, count=TARGETS, seed=90 + family)
     for slope in map(float, slopes.split(",")):
-        tilted = replace(find_condition(condition), tilt=np.radians(slope))
+        tilted = replace(find_condition("worn"), tilt=np.radians(slope))
         measured = measure(open_condition(arm, tilted, drawn, 1), plan, family)
         found = [fit(arm, measured.first(i, POINTS)) for i in range(arms)]
         controller, fresh = partial(make_controller, "feedforward"), FreshTargets(name="target region", targets=targets)
