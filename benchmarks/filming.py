@@ -26,18 +26,17 @@ def main(
     arms: int = 4,
     first: int = 700,
     profile: str = "worn",
-    count: int = POSTURES,
     targets: int = 4,
     carried: str = "board",
 ) -> None:
-    """Print a row for each arm; ``count`` postures beyond those at rest, the tool carries the board or the camera."""
+    """Print a row for each arm; the tool carries the board or the camera."""
     arm, board = mycobot280(), ON_TOOL if carried == "board" else ON_TABLE
     before, after, inside, used, left, pictures = [], [], [], 0, 0, 0
     began = time.perf_counter()
     for seed in range(first, first + arms):
         address = f"emulated:{profile}?seed={seed}"
         gauge = CameraGauge(camera=watching(board, carried, seed), board=board, carried=carried)
-        found = rejoint.calibrate(address, gauge=gauge, count=count, settings=rejoint.Settings(seed=seed))
+        found = rejoint.calibrate(address, gauge=gauge, count=POSTURES, settings=rejoint.Settings(seed=seed))
         goals = arm.targets.sample(np.random.default_rng(seed), (targets,))
         for errors, calibration in ((before, "none"), (after, found.calibration)):
             done = rejoint.deploy(
