@@ -1,10 +1,13 @@
 """`make bench`: every benchmark that needs no arguments, in one run. Ratios within a run count; machines differ.
 
-Run one of them alone with `python -m benchmarks plant`, with its options by `python -m benchmarks.plant --help`.
+`python -m benchmarks plant` runs one of the modules beside this one, `python -m benchmarks plant --help` lists options.
 """
 
 import sys
 from importlib import import_module
+from pathlib import Path
+
+import typer
 
 BENCHMARKS = (
     "plant", "step", "control", "guard", "postures", "following", "training", "rivals", "policy", "diagnosis",
@@ -13,9 +16,12 @@ BENCHMARKS = (
 )  # fmt: skip
 """Modules beside this one; each has a `main`"""
 
-names = sys.argv[1:]
-if unknown := {*names} - {*BENCHMARKS}:
-    sys.exit(f"no benchmark is called {', '.join(sorted(unknown))}; known: {', '.join(BENCHMARKS)}")
-for name in names or BENCHMARKS:
-    print(f"\n== {name} ==")
-    import_module(f"benchmarks.{name}").main()
+name, *words = sys.argv[1:] or [""]
+known = sorted({path.stem for path in Path(__file__).parent.glob("[a-z]*.py")} - {"frame", "virtual"})
+if name and name not in known:
+    sys.exit(f"no benchmark is called {name}; known: {', '.join(known)}")
+for one in [name] if name else BENCHMARKS:
+    print(f"\n== {one} ==", flush=True)
+    app = typer.Typer(add_completion=False)
+    app.command()(import_module(f"benchmarks.{one}").main)
+    app(words, prog_name=f"python -m benchmarks {one}", standalone_mode=bool(name))

@@ -1,7 +1,5 @@
 """How well an arm's twin predicts a second excitation: with other noise, and after hours of work."""
 
-import typer
-
 import rejoint
 from rejoint.runs.repair import WORSE, twin_error
 
@@ -19,7 +17,3 @@ def main(arms: int = 3, first: int = 3) -> None:
             again = rejoint.diagnose(f"{robot}&hours={hours}", settings=rejoint.Settings(seed=noise))
             found.append(f"{hours} h {twin_error(arm, twin, again.excitation) / own:.2f}")
         print(f"arm {seed}: {1e3 * own:.2f} mm; times that: {', '.join(found)}", flush=True)
-
-
-if __name__ == "__main__":
-    typer.run(main)

@@ -1,12 +1,12 @@
 """Whether elimination in blocks recommends what a comparison to the end does, and in how much of the arm's time.
 
 Emulated arms drawn about the worn one, each diagnosed and with its own twin; one policy for all of them (a file,
-`--policy` of `python -m benchmarks.elimination`; without one the generic policy takes part). What every controller does
+`--policy` of `python -m benchmarks elimination`; without one the generic policy takes part). What every controller does
 at every target is emulated side by side first, twice with other noise, holding for eight seconds. The first time is the
 long way, twenty targets judged by their intervals. Of the second time the comparison in blocks takes the trials that it
 asks for, the first five seconds of each hold; its arm's time is that of these trials. What the recommended controller
 costs is measured on all forty holds: how much farther off it settles than the best one, and how much later it stays
-within 2 mm. ``--sets 2`` goes to twenty targets, ``--shelf`` adds the generic policy beside the other one.
+within 2 mm. ``--sets 2`` goes to twenty targets.
 """
 
 from __future__ import annotations
@@ -16,11 +16,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import typer
 
 import rejoint
 from rejoint.arms import mycobot280
-from rejoint.control.catalogue import SHELF, contenders
+from rejoint.control.catalogue import contenders
 from rejoint.control.classical import DefaultController
 from rejoint.control.comparison.compare import Settings, Trial, TrialRunner
 from rejoint.control.comparison.elimination import Elimination
@@ -74,14 +73,13 @@ class _Asked(dict):  # type: ignore[type-arg]
         return found
 
 
-def try_arm(number: int, policy: Path | None, sets: int, *, shelf: bool) -> Outcome:
+def try_arm(number: int, policy: Path | None, sets: int) -> Outcome:
     """Compare in blocks on the worn arm drawn with the seed ``number``, and go the long way."""
     address = f"emulated:worn?seed={number}"
     diagnosed = rejoint.diagnose(address, settings=rejoint.Settings(period=PERIOD, seed=number))
     twin = rejoint.identify(diagnosed.excitation)
-    names = [*contenders(real=True, shelf=True, policy=policy is not None, twin=True)]
-    names = [name for name in dict.fromkeys((*names, *([SHELF] if shelf else ()))) if name != DEFAULT]
-    given = {name: policy or name if name == "policy" else name for name in names}
+    names = contenders(real=True, shelf=True, policy=policy is not None, twin=True)
+    given = {name: policy or name if name == "policy" else name for name in names if name != DEFAULT}
     factories = make_factories(given, ARM, PERIOD, twin=twin)
 
     def connect(count: int, seed: int) -> Robot:
@@ -173,13 +171,11 @@ def _worse(twice: Comparison, ours: str) -> tuple[float, float]:
     return settled[ours] - min(settled.values()), stay[ours] - min(stay.values())
 
 
-def main(
-    arms: int = 4, first: int = 0, policy: Path | None = None, sets: int = ONE_ARM_SETS, *, shelf: bool = False
-) -> None:
+def main(arms: int = 4, first: int = 0, policy: Path | None = None, sets: int = ONE_ARM_SETS) -> None:
     """Compare on so many arms and count; without a policy the generic one takes part."""
     found = []
     for number in range(first, first + arms):
-        begun, one = time.perf_counter(), try_arm(number, policy, sets, shelf=shelf)
+        begun, one = time.perf_counter(), try_arm(number, policy, sets)
         found.append(one)
         print(
             f"arm {number:3}: {one.verdict:5}  blocks: {one.short.controller} after {one.held} targets, "
@@ -195,7 +191,3 @@ def main(
         f"own; worse than the best by {1e3 * worse[0]:.2f} mm and {worse[1]:.2f} s in the mean; "
         f"{np.median(minutes):.1f} min of the arm's time in the median, {minutes.max():.1f} at most"
     )
-
-
-if __name__ == "__main__":
-    typer.run(main)

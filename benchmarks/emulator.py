@@ -5,7 +5,6 @@
 
 import os
 import socket
-import struct
 import threading
 import time
 from collections import Counter
@@ -15,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.virtual import START, VirtualClient
+from benchmarks.virtual import START, VirtualClient, endpoint, reset_at_end
 from rejoint.arms import mycobot280
 from rejoint.arms.wire.orders import ORDERS, QUESTIONS, answer
 from rejoint.arms.wire.values import MAX_PAYLOAD, Decoder, Frame, encode, pack_angles
@@ -90,16 +89,15 @@ def drop_connections(server: Server, count: int, seed: int = 0) -> None:
     find the backlog full and had to try again after a second.
     """
     rng = np.random.default_rng(seed)
-    host, port = server.address.removeprefix("tcp://").rsplit(":", 1)
     for number in range(count):
-        with closing(socket.create_connection((host, int(port)), 10.0)) as client:
+        with closing(socket.create_connection(endpoint(server.address), 10.0)) as client:
             if number % 2:
                 client.sendall(GET_ANGLES)
                 if client.recv(100)[:4] != b"\xfe\xfe\x0e\x20":
                     raise AssertionError("the angles were asked for, and something else came")
             client.sendall((b"", GET_ANGLES, GET_ANGLES[:4], GET_ANGLES * 20, rng.bytes(500))[rng.integers(5)])
-            if rng.random() < 0.5:  # a reset instead of a farewell
-                client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            if rng.random() < 0.5:
+                reset_at_end(client)
 
 
 def swing(period: float = 0.05) -> Iterator[bytes]:

@@ -4,8 +4,8 @@ The emulator runs in a process of its own, on a pseudo-terminal, as slow as the 
 the driver, the same bytes are exchanged without it: what they take beyond the time on the wire is the emulator's and
 the system's, and what the driver takes beyond that is its own and that of the maker's client.
 
-With the recordings of a real SO-101, `python -m benchmarks.feetech LOGS [EVERY]`, how well the plant on the law of its
-servos predicts them, all or every so many: open loop, from the first measured pose, with the acceleration that LeRobot
+With the recordings of a real SO-101, `python -m benchmarks feetech LOGS`, how well the plant on the law of its
+servos predicts them: open loop, from the first measured pose, with the acceleration that LeRobot
 sets. With `gains` instead of LOGS, what gains of the servos leave of the error at ten targets, in virtual time. With
 `joints ADDRESS RUN`, how near an arm comes to joint goals that a program sends: as they are, and through a session.
 """
@@ -16,13 +16,17 @@ import subprocess
 import sys
 import time
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Annotated
 
 import numpy as np
+import typer
 
 from rejoint.arms import load_arm, solve_position, tcp_position
 from rejoint.control.classical import DefaultController, IntegratorController
+from rejoint.control.comparison.protocols import Protocol, measure_holds
 from rejoint.control.loop import Schedule, run
 from rejoint.logs import import_logs
 from rejoint.robots import place_of
@@ -48,6 +52,7 @@ from rejoint.system.errors import NoReplyError
 from rejoint.twin.judge import judge_paths
 from rejoint.twin.judgement import NO_TWIN
 
+ARM = load_arm("so101")
 CYCLES = 2000
 PAUSE = 0.005
 """[s] between two of them (chosen: enough to sleep, as in a control period of 20 ms)"""
@@ -111,17 +116,18 @@ def exchange(line, write, read, size):
 def on_the_wire(ids):
     """Return the time [s] that the bytes of a cycle take on the wire and in the adapter, as the emulator has them."""
     write, read = requests(ids, [0] * len(ids))
-    answers = ServoBus(build_arm(_arm(), "so101")).execute(PacketFinder().feed(read)[0])
+    answers = ServoBus(build_arm(ARM, "so101")).execute(PacketFinder().feed(read)[0])
     return (len(write) + len(read)) * BYTE + answers[-1].after, ADAPTER
 
 
-def main():
+def bus_cost():
+    """Print what a cycle takes, with the driver and without."""
     command = [sys.executable, "-m", "rejoint", "emulate", "--arm", "so101", "--pty"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as emulator:
         try:
             address = next(word for line in emulator.stdout for word in line.split() if word.startswith("feetech:"))
             place = place_of(address)
-            with closing(FeetechBus(place.detail, _arm())) as bus:
+            with closing(FeetechBus(place.detail, ARM)) as bus:
                 bus.open()
                 bus.prepare()
                 taken = 1e3 * cycles(bus, place.detail.port)
@@ -135,17 +141,17 @@ def main():
             print(f"{name:10s} {who:8s} {shown} ms" + f" (at most {most} ms is asked for)" * (who == "driver"))
 
 
-def predict(folder, every=1):
+def predict(folder):
     """Print the errors of two plants on the motions in ``folder``: that of the law, and that of a linear servo."""
-    arm = _arm()
-    wear = load_wear("so101", arm)
+    wear = load_wear("so101", ARM)
     with TemporaryDirectory() as kept:
-        names = sorted(path.name for path in folder.iterdir() if (path / "control.csv").exists())[::every]
-        logs = [import_logs(folder / name, arm, out=Path(kept) / name).logs[0] for name in names]
+        folder = Path(folder)
+        names = sorted(path.name for path in folder.iterdir() if (path / "control.csv").exists())
+        logs = [import_logs(folder / name, ARM, out=Path(kept) / name).logs[0] for name in names]
     paths = {NO_TWIN: [log.command[np.maximum(np.arange(len(log)) - 1, 0)] for log in logs]}
     for name, kind in (("linear servo", Plant), ("law of the firmware", StsPlant)):
-        paths[name] = [replay(kind(arm, [wear], seed=0), log) for log in logs]
-    found = judge_paths(arm, paths, logs)
+        paths[name] = [replay(kind(ARM, [wear], seed=0), log) for log in logs]
+    found = judge_paths(ARM, paths, logs)
     print(f"{len(logs)} motions; free space, means over motions")
     for name, errors in found.mean.items():
         print(f"{name:20s} tool {1e3 * errors.free.tcp:.2f} mm, joints {np.degrees(errors.free.joint):.2f} deg")
@@ -153,37 +159,29 @@ def predict(folder, every=1):
 
 def gains():
     """Print what gains of the servos leave of the error at ten targets, alone and under the integrator."""
-    arm = _arm()
-    targets = np.random.default_rng(0).uniform(arm.targets.lower, arm.targets.upper, (10, 3))
+    targets = ARM.targets.sample(np.random.default_rng(0), (10,))
     for p, i in ((16, 0), (32, 0), (48, 0), (48, 4), (64, 8)):
-        found = [
-            _settled(arm, controller(arm), targets, p, i) for controller in (DefaultController, IntegratorController)
-        ]
+        found = [_settled(controller(ARM), targets, p, i) for controller in (DefaultController, IntegratorController)]
         print(f"| {p}, {i} | {found[0]:.1f} | {found[1]:.1f} |")
 
 
-def _settled(arm, controller, targets, p, i):
+def _settled(controller, targets, p, i):
     """Mean distance [mm] of the tool by the encoders from its target in the last second of `DWELL`."""
     gains = {"p": p, "i": i}
-    robot = EmulatedRobot(arm, [load_wear("so101", arm)], seed=0, period=(0.020, 0.020), gains=gains)
+    robot = EmulatedRobot(ARM, [load_wear("so101", ARM)], seed=0, period=(0.020, 0.020), gains=gains)
     recording = run(robot, controller, targets[None], Schedule(dwell=DWELL))
-    time, tool = recording.time[:, 0] - recording.time[0, 0], tcp_position(arm, recording.position[:, 0])
-    last = [(time >= (k + 1) * DWELL - 1.0) & (time < (k + 1) * DWELL) for k in range(len(targets))]
-    return 1e3 * np.mean(
-        [np.linalg.norm(tool[rows] - at, axis=1).mean() for rows, at in zip(last, targets, strict=True)]
-    )
+    return 1e3 * measure_holds(ARM, recording, targets[None], Protocol(hold=DWELL))["settled"].mean()
 
 
 def joints(address, run):
     """Print how near the tool comes, by the encoders, to where joint goals have it: sent as they are, and by us."""
-    arm = _arm()
-    targets = np.random.default_rng(1).uniform(arm.targets.lower, arm.targets.upper, (10, 3))
-    goals = solve_position(arm, targets, np.tile(arm.rest, (len(targets), 1))).q
+    targets = ARM.targets.sample(np.random.default_rng(1), (10,))
+    goals = solve_position(ARM, targets, np.tile(ARM.rest, (len(targets), 1))).q
 
     def streamed(send, read):
         """Send every goal in 30 steps a second at 1 rad/s, wait, and return the error [mm] and the largest [deg]."""
         found, sent = [], read()
-        for goal in [arm.rest, *goals]:
+        for goal in [ARM.rest, *goals]:
             count = max(int(np.abs(goal - sent).max() * 30), 1)
             for share in np.linspace(1 / count, 1.0, count):
                 send(sent + share * (goal - sent))
@@ -191,11 +189,11 @@ def joints(address, run):
             for _ in range(int(30 * SETTLING)):
                 send(goal)
             off = read() - goal
-            found.append((1e3 * np.linalg.norm(tcp_position(arm, read()) - tcp_position(arm, goal)), np.abs(off).max()))
+            found.append((1e3 * np.linalg.norm(tcp_position(ARM, read()) - tcp_position(ARM, goal)), np.abs(off).max()))
         error, angle = np.array(found[1:]).T
         return f"tool {error.mean():.2f} mm (largest {error.max():.2f}), joints {np.degrees(angle.max()):.2f} deg"
 
-    with closing(place_of(address).open(arm=arm, period=(1 / 30, 1 / 30))) as robot:
+    with closing(place_of(address).open(arm=ARM, period=(1 / 30, 1 / 30))) as robot:
         print("as they are:", streamed(lambda goal: robot.step(goal[None]), lambda: robot.read().position[0]))
 
     def send(goal):
@@ -218,16 +216,7 @@ def replay(plant, log):
     return np.array(found)
 
 
-def _arm():
-    return load_arm("so101")
-
-
-if __name__ == "__main__":
-    if len(sys.argv) == 1:
-        main()
-    elif sys.argv[1] == "gains":
-        gains()
-    elif sys.argv[1] == "joints":
-        joints(*sys.argv[2:])
-    else:
-        predict(Path(sys.argv[1]), *map(int, sys.argv[2:]))
+def main(words: Annotated[list[str] | None, typer.Argument()] = None):
+    """Measure a control cycle; or do what the head of this file says of gains, joints ADDRESS RUN, or a folder."""
+    what, *rest = words or ["bus"]
+    {"bus": bus_cost, "gains": gains, "joints": joints}.get(what, partial(predict, what))(*rest)

@@ -1,6 +1,6 @@
 """True errors of emulated arms before and after `rejoint calibrate --measure camera=emulated`, with rendered pictures.
 
-    python -m benchmarks.filming --arms 8 --first 700
+    python -m benchmarks filming --arms 8 --first 700
 
 Every arm is filmed from its own start, fitted, and sent to fresh targets by the integrator, by its encoders alone and
 corrected (where the gate allows it), 8 s at each: mean and 95th percentile of the true error at the end [mm].
@@ -11,7 +11,6 @@ from __future__ import annotations
 import time
 
 import numpy as np
-import typer
 
 import rejoint
 from benchmarks.frame import cell
@@ -27,18 +26,17 @@ def main(
     arms: int = 4,
     first: int = 700,
     profile: str = "worn",
-    count: int = POSTURES,
     targets: int = 4,
     carried: str = "board",
 ) -> None:
-    """Print a row for each arm; ``count`` postures beyond those at rest, the tool carries the board or the camera."""
+    """Print a row for each arm; the tool carries the board or the camera."""
     arm, board = mycobot280(), ON_TOOL if carried == "board" else ON_TABLE
     before, after, inside, used, left, pictures = [], [], [], 0, 0, 0
     began = time.perf_counter()
     for seed in range(first, first + arms):
         address = f"emulated:{profile}?seed={seed}"
         gauge = CameraGauge(camera=watching(board, carried, seed), board=board, carried=carried)
-        found = rejoint.calibrate(address, gauge=gauge, count=count, settings=rejoint.Settings(seed=seed))
+        found = rejoint.calibrate(address, gauge=gauge, count=POSTURES, settings=rejoint.Settings(seed=seed))
         goals = arm.targets.sample(np.random.default_rng(seed), (targets,))
         for errors, calibration in ((before, "none"), (after, found.calibration)):
             done = rejoint.deploy(
@@ -63,7 +61,3 @@ def main(
         print(f"{name:16} {cell(errors)}")
     worse = np.mean(after, axis=1) - np.mean(before, axis=1)
     print(f"arms that became worse: {int((worse > 0.2).sum())}; the tool within the interval: {np.mean(inside):.0%}")
-
-
-if __name__ == "__main__":
-    typer.run(main)

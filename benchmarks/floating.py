@@ -1,6 +1,6 @@
 """What chance leaves of the true error, however well an arm is calibrated: links that float in their backlash.
 
-    python -m benchmarks.floating --arms 40
+    python -m benchmarks floating --arms 40
 
 Emulated worn arms are held at fresh targets, not calibrated, and where each link lies beyond its encoder is read from
 the plant. For each joint of each arm that is then fitted by the terms of a calibration (offset, load, side of the
@@ -11,20 +11,16 @@ miss, what the links of joint 1 and of all joints add by chance, and encoders an
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
-import typer
 
 from benchmarks.frame import cell
 from rejoint.arms import Arm, Array, gravity_torque, mycobot280, tcp_position
 from rejoint.arms.displacement import FLOATING, direction
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.rotations import rotation_about
-from rejoint.control.catalogue import make_controller, shelf_controller
-from rejoint.control.controller import Controller
+from rejoint.control.catalogue import make_controller
 from rejoint.control.loop import Schedule, run
 from rejoint.control.targets import draw_targets
 from rejoint.research.evaluation.calibrating import HOLD, find_condition, open_condition
@@ -32,11 +28,16 @@ from rejoint.research.evaluation.family import FAMILY_SIZE, ArmFamily
 from rejoint.robots.emulated import EmulatedRobot
 
 
-def held(robot: EmulatedRobot, controller: Callable[[Arm], Controller], targets: Array) -> tuple[Array, Array]:
+def held(robot: EmulatedRobot, targets: Array) -> tuple[Array, Array]:
     """Return encoders, and links beyond them, (A, K, n) [rad] at the end of each hold of ``targets`` (A, K, 3) [m]."""
     read, beyond = [], []
     for k in range(targets.shape[1]):
-        run(robot, controller(robot.arm), targets[:, k : k + 1], Schedule(dwell=HOLD, keep_going=True))
+        run(
+            robot,
+            make_controller("feedforward", robot.arm),
+            targets[:, k : k + 1],
+            Schedule(dwell=HOLD, keep_going=True),
+        )
         read.append(robot.plant.encoder())
         beyond.append(robot.plant.link_position() - read[-1])
     return np.stack(read, axis=1), np.stack(beyond, axis=1)
@@ -55,15 +56,13 @@ def by_chance(arm: Arm, read: Array, beyond: Array, tilt: float) -> Array:
     return left
 
 
-def main(
-    arms: int = 40, targets: int = 20, family: int = 0, slope: float = 0.0, controller: str = "feedforward"
-) -> None:
+def main(arms: int = 40, targets: int = 20, family: int = 0, slope: float = 0.0) -> None:
     """Print what chance leaves; ``slope`` [deg] raises the base on one side."""
     arm, drawn = mycobot280(), ArmFamily(arms=arms, targets=targets, seed=family)
     places = draw_targets(arm, sets=arms, count=targets, seed=FAMILY_SIZE * (family + 1) + 1)
-    tilt, make = np.radians(slope), shelf_controller if controller == "shelf" else partial(make_controller, controller)
+    tilt = np.radians(slope)
     robot = open_condition(arm, replace(find_condition("worn"), tilt=tilt), drawn, 1)
-    read, beyond = held(robot, make, places)
+    read, beyond = held(robot, places)
     left, reached = by_chance(arm, read, beyond, tilt), tcp_position(arm, read)
     first = np.concatenate([left[..., :1], np.zeros_like(left[..., 1:])], axis=-1)
     for name, off in {
@@ -73,7 +72,3 @@ def main(
         "encoders and joints": tcp_position(arm, read + left) - places,
     }.items():
         print(f"{name:22s} {cell(1e3 * np.linalg.norm(off, axis=-1))}", flush=True)
-
-
-if __name__ == "__main__":
-    typer.run(main)

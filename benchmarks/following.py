@@ -1,6 +1,6 @@
 """Joints that do not follow: how soon frozen and blind encoders are noticed, and whether others are taken for them.
 
-    python -m benchmarks.following --arms 64 --first 0
+    python -m benchmarks following --arms 64 --first 0
 
 Arms are drawn, driven through their diagnosis, and then by every controller to targets of their own; where encoders
 break, once more with the same noise and a fault. Four monitors look on and stop nothing, so that all of them see the
@@ -20,7 +20,6 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-import typer
 from numpy.typing import NDArray
 
 from rejoint.arms import Array, mycobot280
@@ -310,7 +309,3 @@ def main(arms: int = 64, first: int = 0, wires: str = ",".join(WIRES)) -> None:
         print(f"{wire} {kind}: {len(found)} runs in {time.perf_counter() - start:.0f} s", flush=True)
         seen += found
     say(seen)
-
-
-if __name__ == "__main__":
-    typer.run(main)

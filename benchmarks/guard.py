@@ -2,7 +2,7 @@
 
 The laws, and a geometry of their own, are those of the tests (tests/control/guard_laws.py). Half of the cases belong to
 the arms of the catalogue, half to chains that nobody built, a new one every now and then. Ten million of them:
-`python -c "from benchmarks.guard import millions; millions(10**7)"`.
+`python -m benchmarks guard --cases 10000000`.
 """
 
 import sys

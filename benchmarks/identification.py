@@ -1,6 +1,6 @@
 """Identification on the logs of a real SO-101, and its speed beside MuJoCo's own tool.
 
-    python -m benchmarks.identification --logs LOGS --sections folds,sysid
+    python -m benchmarks identification --logs LOGS --sections folds,sysid
 
 LOGS is a folder of SAGE motions (github.com/isaac-sim2real/sage, output/real/so101/custom), by default that of the
 environment variable REJOINT_SO101. Times are processor seconds of the whole process.
@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import contextlib
 import io
-import os
 import tempfile
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Annotated
 
 import mujoco
 import mujoco.rollout
@@ -34,9 +34,6 @@ from rejoint.twin.motionfit import folds as fold_numbers
 from rejoint.twin.parameters import TwinParameters, pack, unknown_prior, unpack, vector_names
 from rejoint.twin.replay import Replay
 from rejoint.twin.structure import LIMITS, rough_fit, simplest
-
-VARIABLE = "REJOINT_SO101"
-"""Environment variable that names the folder of a real SO-101's SAGE motions"""
 
 
 def read_logs(folder: Path, arm: Arm) -> list[RunLog]:
@@ -199,18 +196,15 @@ def sysid_problem(tool, arm: Arm, problem: Problem, start: TwinParameters):
 SECTIONS = {"folds": folds, "sysid": sysid}
 
 
-def main(logs: Path | None = None, sections: str = "sysid") -> None:
+def main(
+    logs: Annotated[Path | None, typer.Option(envvar="REJOINT_SO101", exists=True)] = None, sections: str = "sysid"
+) -> None:
     """Run ``sections`` on a folder of a real SO-101's motions."""
-    folder = logs or Path(os.environ.get(VARIABLE, ""))
-    if not folder.is_dir() or folder == Path():
-        print(f"left out: make bench LOGS=FOLDER, --logs or {VARIABLE} names the motions")
+    if logs is None:
+        print("left out: make bench LOGS=FOLDER, --logs or REJOINT_SO101 names the motions")
         return
     arm = load_arm("so101")
-    found = read_logs(folder, arm)
-    print(f"{len(found)} motions in {folder}; errors in mm and degrees: free space | contact | all samples", flush=True)
+    found = read_logs(logs, arm)
+    print(f"{len(found)} motions in {logs}; errors in mm and degrees: free space | contact | all samples", flush=True)
     for name in sections.split(","):
         SECTIONS[name](arm, found)
-
-
-if __name__ == "__main__":
-    typer.run(main)

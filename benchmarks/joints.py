@@ -1,6 +1,6 @@
 """How near worn arms of a family come to joint goals anywhere, and to those of a hand that leads them.
 
-    python -m benchmarks.joints --arms 3 --goals 10
+    python -m benchmarks joints --arms 3 --goals 10
 
 Every arm is diagnosed, identified and calibrated in `--out` first, which takes minutes, or found there. Goals are drawn
 in 95 % of the joints' ranges, 5 mm clear of what the arm could touch. `Session.move_joints` goes to them, then
@@ -10,10 +10,11 @@ goals as they are.
 """
 
 import time
+from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
-import typer
 
 import rejoint
 from rejoint.arms import Arm, Array, gravity_torque, load_arm, plan, tcp_position
@@ -28,14 +29,13 @@ RESTS = 20.0
 """[s] that an arm is given for a goal"""
 
 
-def drawn(arm: Arm, count: int, seed: int) -> Array:
-    """Joint positions (count, n) [rad] anywhere in the workspace, 5 mm clear of what the arm could touch."""
-    rng, limits, found = np.random.default_rng(seed), GuardLimits.of(arm), list[Array]()
-    while len(found) < count:
+def clear(arm: Arm, seed: int) -> Iterator[Array]:
+    """Joint positions (n,) [rad] anywhere in the workspace, 5 mm clear of what the arm could touch."""
+    rng, limits = np.random.default_rng(seed), GuardLimits.of(arm)
+    while True:
         goal = rng.uniform(0.95 * arm.lower, 0.95 * arm.upper)
         if (clear_by(limits, goal) > 0.005).all():
-            found.append(goal)
-    return np.array(found)
+            yield goal
 
 
 def prepare(address: str, arm: Arm, run: Path) -> None:
@@ -104,7 +104,7 @@ def main(arms: int = 3, goals: int = 10, family: int = 40, out: Path = Path("run
             address, run = f"emulated:worn?seed={seed}", out / f"{kind}-{seed}"
             prepare(address, arm, run)
             robot = EmulatedRobot(arm, [load_wear(f"worn?seed={seed}", arm)], address=address, seed=seed)
-            wanted = drawn(arm, goals, seed)
+            wanted = np.array([*islice(clear(arm, seed), goals)])
             held.append(np.abs(gravity_torque(arm, wanted)) <= robot.plant.torque_limit[0])
             with rejoint.connect(robot, run=run) as session:
                 found.append(np.abs(moved(session, wanted)))
@@ -125,7 +125,3 @@ def report(kind: str, errors: Array, held: Array, tools: Array, sound: Array) ->
         print(f"{kind} send_joints, {name}: {np.median(size):.2f} mm, largest {size.max():.2f}")
     worse = (tools[1] <= sound + 1.0).sum()
     print(f"{kind} send_joints: at most 1 mm worse than healthy {worse} of {len(sound)}")
-
-
-if __name__ == "__main__":
-    typer.run(main)

@@ -1,7 +1,7 @@
 """`kill -9` at random moments of every stage of a repair and of deployments over TCP; what is lost, and what goes on.
 
     python -m benchmarks kills
-    python -m benchmarks.kills 20 --stages train,deploy
+    python -m benchmarks kills 20 --stages train,deploy
 
 A repair is killed ten times in a folder and then let come to its end: its files must be those of one that nobody
 disturbed, to the bit. Excitation, identification and training are cut down, so that the kills meet every stage and
@@ -98,6 +98,12 @@ def wait(child: int) -> int:
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 
 
+def finish(child: int, out: Path) -> None:
+    """Wait for a process; WrongError unless it ends well."""
+    if wait(child) != 0 or "Traceback" in out.read_text():
+        raise WrongError(out.read_text())
+
+
 def kill(child: int, after: float) -> bool:
     """Kill a process ``after`` [s]; returns whether it was still running."""
     time.sleep(after)
@@ -162,10 +168,7 @@ def kill_repairs(work: Path, stage: str, kills: int, seconds: float, rng: np.ran
                 met[stage_of(folder)] += 1
             else:  # the machine has become faster
                 seconds *= 0.8
-        if wait(repair(folder, out)) != 0:
-            raise WrongError(out.read_text())
-        if "Traceback" in out.read_text():
-            raise WrongError(out.read_text())
+        finish(repair(folder, out), out)
         check_same(folder, good)
     return met
 
@@ -180,8 +183,7 @@ def kill_trainings(work: Path, kills: int, rng: np.random.Generator) -> None:
         for _ in range(times):
             kill(start(words, out, small), rng.uniform(0.2, 1.0) * took)
             (path / "policy.onnx").unlink(missing_ok=True)  # begun again after its end, the kill came too late
-        if wait(start(words, out, small)) != 0 or "Traceback" in out.read_text():
-            raise WrongError(out.read_text())
+        finish(start(words, out, small), out)
     if (folder / "policy.onnx").read_bytes() != (good / "policy.onnx").read_bytes() or leftovers(folder):
         raise WrongError(f"another policy than that of the undisturbed training, or left behind: {leftovers(folder)}")
 
@@ -211,8 +213,7 @@ def kill_deployments(work: Path, kills: int, rng: np.random.Generator) -> list[f
         words = ["deploy", found[0], str(folder.path), "--controller", "integrator", "--dwell", str(DWELL)]
         words += ["--targets", str(work / "points.csv")]
         began = time.monotonic()
-        if wait(start(words, out, counting)) != 0:
-            raise WrongError(out.read_text())
+        finish(start(words, out, counting), out)
         took, motion = time.monotonic() - began, 2 * DWELL
         for _ in range(kills):
             shutil.rmtree(folder.path / "logs", ignore_errors=True)
@@ -227,10 +228,8 @@ def kill_deployments(work: Path, kills: int, rng: np.random.Generator) -> list[f
                 logs = [read_log(path) for path in folder.logs().values()]
             if leftovers(folder.path):
                 raise WrongError(f"not put right: {leftovers(folder.path)}")
-            if rows and not logs:
-                lost.append(last - first)
-            elif rows:
-                lost.append(last - float(logs[0].time[-1]))
+            if rows:
+                lost.append(last - (float(logs[0].time[-1]) if logs else first))
     finally:
         os.kill(emulator, signal.SIGTERM)
         wait(emulator)
@@ -248,8 +247,7 @@ def main(
         met: Counter[str] = Counter()
         if set(chosen) & set(STAGES):
             began = time.time()
-            if wait(repair(work / "good", work / "good.txt")) != 0:
-                raise WrongError((work / "good.txt").read_text())
+            finish(repair(work / "good", work / "good.txt"), work / "good.txt")
             ends = [(work / "good" / files[0]).stat().st_mtime for files in STAGES.values()]
             took = dict(zip(STAGES, np.diff([began, *ends]), strict=True))
             print("undisturbed: " + ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in took.items()))
@@ -265,7 +263,3 @@ def main(
                 f"deployments over TCP: {round(kills / len(chosen))} kills, {len(lost)} of them while it moved; "
                 f"the log lacks {np.median(lost):.2f} s in the middle, {np.max(lost):.2f} s at most"
             )
-
-
-if __name__ == "__main__":
-    typer.run(main)

@@ -90,7 +90,3 @@ def identified(seeds: Sequence[int]) -> list[TwinParameters]:
             folder = RunFolder(Path(place) / str(seed))
             twins.append(own_twin(ARM, seed, folder, 0).parameters)
     return twins
-
-
-if __name__ == "__main__":
-    main()

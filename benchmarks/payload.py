@@ -1,7 +1,7 @@
 """What a load at the tool costs worn arms, told and untold: holds by three controllers, paths by the tracker, in mm.
 
     python -m benchmarks payload
-    python -m benchmarks.payload --load 0.05 --seeds 60007,60015 --controllers feedforward --cases empty,told
+    python -m benchmarks payload --load 0.05 --seeds 60007,60015 --controllers feedforward --cases empty,told
 
 Each arm is diagnosed and identified with an empty hand, or its twin is in ``FOLDER/SEED/twin.toml``. Only targets that
 are not said to be too heavy count; of the others it is printed how many were missed by more than 2 mm. As before every
@@ -17,12 +17,13 @@ from pathlib import Path as FilePath
 from tempfile import TemporaryDirectory
 
 import numpy as np
-import typer
 
-from rejoint.arms import Arm, Array, gravity_torque, mycobot280, tcp_position
+from benchmarks.frame import NARROW
+from rejoint.arms import Arm, Array, gravity_torque, mycobot280
 from rejoint.arms.inertia import loaded
 from rejoint.arms.posing import find_postures
 from rejoint.control.catalogue import shelf_controller
+from rejoint.control.comparison.protocols import Protocol, measure_holds
 from rejoint.control.controller import Controller
 from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.loop import Schedule, run
@@ -112,14 +113,9 @@ def _hold(
     """Settled errors (K,) [m] and times (K,) [s] to stay within 2 mm, and the mass [kg] that seems to be untold."""
     robot, sent = _robot(arm, seed, true, told)
     recording = run(robot, make(robot.arm, twin), targets, Schedule(dwell=DWELL, sent=sent))
-    error = np.linalg.norm(recording.target[:, 0] - tcp_position(arm, recording.position[:, 0]), axis=-1)
-    settled, times = [], []
-    for k in range(targets.shape[1]):
-        mine = recording.target_index[:, 0] == k
-        since, off = recording.since_target[mine, 0], error[mine]
-        settled.append(off[since > DWELL - 1.0].mean())
-        times.append(since[np.flatnonzero(off > 2e-3)[-1]] if (off > 2e-3).any() else 0.0)
-    return np.array(settled), np.array(times), noticed_load(robot.arm, twin, recording.log(0, "hold"))[0]
+    holds = measure_holds(arm, recording, targets, Protocol(hold=DWELL))
+    seems = noticed_load(robot.arm, twin, recording.log(0, "hold"))[0]
+    return holds["settled"][0], holds[Protocol().stay_names[NARROW]][0], seems
 
 
 def _needed(arm: Arm, seed: int, load: float, targets: Array) -> Array:
@@ -140,7 +136,3 @@ def _follow(arm: Arm, seed: int, twin: Twin, true: float, told: float) -> float:
     schedule = Schedule(dwell=LEAD_IN + path.duration, sent=sent)
     recording = run(robot, Tracker(robot.arm, servos), PathReference(robot.arm, [guide], home), schedule)
     return judge(arm, recording, guide).encoder.rms
-
-
-if __name__ == "__main__":
-    typer.run(main)

@@ -27,7 +27,3 @@ def main(updates: int = ITERATIONS, seed: int = 0) -> None:
         f"settled on {ARMS} worn arms, {TARGETS} targets each: mean {1e3 * mean:.2f} mm (bar {1e3 * MEAN:.1f}), "
         f"95 % below {1e3 * tail:.2f} mm (bar {1e3 * TAIL:.1f}): {met}"
     )
-
-
-if __name__ == "__main__":
-    main()

@@ -1,6 +1,6 @@
 """What an arm's own twin buys: predictive control on it, against the policy from the shelf and laws that know no twin.
 
-`python -m benchmarks.predictive --arms 16 --twins FOLDER` identifies each arm, a minute or two, and keeps its twin in
+`python -m benchmarks predictive --arms 16 --twins FOLDER` identifies each arm, a minute or two, and keeps its twin in
 FOLDER; then every controller holds all arms at three targets each. Also what one control step costs.
 """
 
@@ -9,7 +9,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import typer
 
 from benchmarks.frame import held_columns, holds
 from rejoint.arms import mycobot280
@@ -21,8 +20,8 @@ from rejoint.control.goal import nearest_postures
 from rejoint.control.robot import JointState
 from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.research.evaluation.contestants import planned
-from rejoint.research.evaluation.family import ArmFamily, family_targets, find_variant, open_family
-from rejoint.research.evaluation.trials import TrialArms, TrialSettings, own_twin, try_on
+from rejoint.research.evaluation.family import ArmFamily, find_variant
+from rejoint.research.evaluation.trials import TrialSettings, own_twin, try_controller
 from rejoint.research.rivals.catalogue import make_rival
 from rejoint.twin.predictive import PredictiveController
 from rejoint.twin.twin import Twin
@@ -68,11 +67,6 @@ def main(
     drawn, condition = ArmFamily(arms=arms, targets=TARGETS, crossings=0, seed=family), find_variant(variant)
     own = know(drawn, twins, again)
     stiffness = float(np.mean([one.parameters.stiffness.mean() for one in own]))
-    bench = TrialArms(
-        open=lambda: open_family(ARM, condition, drawn),
-        targets=family_targets(ARM, drawn, TARGETS),
-        wear_seed=np.array([drawn.wear_seed(i) for i in range(arms)], dtype=float),
-    )
     settings, shelf = TrialSettings(family=drawn, protocol=Protocol()), None
     for name, make in {
         "shelf": shelf_controller,
@@ -82,13 +76,9 @@ def main(
         "feedforward": lambda arm: make_controller("feedforward", arm),
         "tuned-feedforward": lambda arm: make_rival("tuned-feedforward", arm),
     }.items():
-        outcome = try_on(ARM, bench, make, settings, lambda _: None)
+        outcome = try_controller(ARM, condition, make, settings, lambda _: None)
         found = held_columns(outcome, arms)
         holds(name, *found, shelf)
         shelf = shelf or found
     median, p99 = 1e3 * np.percentile(step_times(own[0])[100:], [50, 99])
     print(f"one control step while it plans: median {median:.2f} ms, p99 {p99:.2f} ms of processor time")
-
-
-if __name__ == "__main__":
-    typer.run(main)

@@ -1,6 +1,6 @@
 """What an earlier calibration is worth as the prior of a later one from few points.
 
-    python -m benchmarks.prior --arms 20
+    python -m benchmarks prior --arms 20
 
 Emulated worn arms are calibrated from ten touch points. Then something changes: 30 % more play and flex, or the base is
 bumped by two degrees. They are measured again at a few points, and calibrated from these with the first calibration as
@@ -14,7 +14,6 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-import typer
 
 from benchmarks.frame import corrected
 from rejoint.arms import mycobot280
@@ -70,7 +69,3 @@ def main(arms: int = 20, points: str = "3", changes: str = ",".join(CHANGES)) ->
             drive = partial(make_controller, "feedforward")
             fresh = FreshTargets(name="target region", targets=targets)
             corrected(name, try_found(changed(change, family), calibrations, drive, fresh, 0))
-
-
-if __name__ == "__main__":
-    typer.run(main)

@@ -113,7 +113,3 @@ def main() -> None:
     for name, speeds in theirs.items():
         other = float(np.median(speeds))
         print(f"Stable-Baselines3, {name}: {other:.0f}; ours is {speed / other:.1f} x as fast")
-
-
-if __name__ == "__main__":
-    main()

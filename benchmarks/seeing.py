@@ -1,6 +1,6 @@
 """How near the tool comes with and without a camera that watches it.
 
-    python -m benchmarks.seeing --arms 12 --first 1000 --policy runs/mine/policy.onnx
+    python -m benchmarks seeing --arms 12 --first 1000 --policy runs/mine/policy.onnx
 
 Every emulated worn arm is calibrated from ten measured points, then goes to targets drawn by its seed. True errors,
 mean / 95th percentile over all targets [mm], each the mean of the last 0.2 s before a time since the target was set.
@@ -11,7 +11,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import typer
 
 import rejoint
 from benchmarks.frame import cell
@@ -28,11 +27,8 @@ from rejoint.session.eyes import watched
 
 TIMES = (2.0, 3.0, 3.95)
 WINDOW = 0.2
-CASES: dict[str, dict[str, float] | None] = {
-    "model only": None,
-    "camera": {},
-}
-"""What watches: nothing, or an emulated eye with these settings"""
+CASES = {"model only": False, "camera": True}
+"""Whether an emulated eye watches"""
 
 
 def errors(recording: Recording) -> np.ndarray:
@@ -47,13 +43,13 @@ def errors(recording: Recording) -> np.ndarray:
     )
 
 
-def driven(arm: Arm, seed: int, controller: Controller, known: Displacement, eye: dict[str, float] | None, count: int):
+def driven(arm: Arm, seed: int, controller: Controller, known: Displacement, eye: bool, count: int):
     """Return the true errors (times, targets) [mm] of the arm of one ``seed``."""
     robot = rejoint.open_robot(f"emulated:worn?seed={seed}")
     start = move(robot, arm.rest)
     correction: Modelled = Modelled(arm, known)
-    if eye is not None:
-        controller, correction = watched(robot, controller, correction, EmulatedEye(robot, seed=seed, **eye))
+    if eye:
+        controller, correction = watched(robot, controller, correction, EmulatedEye(robot, seed=seed))
     targets = arm.targets.sample(np.random.default_rng(seed), (1, count))
     schedule = Schedule(dwell=4.0, sent=start.command[-1])
     return errors(run(robot, controller, TargetSequence(robot.arm, targets, correction=correction), schedule))
@@ -73,7 +69,3 @@ def main(arms: int = 4, first: int = 1000, targets: int = 8, policy: Path | None
     for case, rows in found.items():
         table = np.concatenate(rows, axis=1)
         print(f"{case:24} | {' | '.join(map(cell, table))}")
-
-
-if __name__ == "__main__":
-    typer.run(main)

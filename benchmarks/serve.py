@@ -1,14 +1,14 @@
 """The vendor's unmodified client against a bare worn arm and through `rejoint serve` on it: one script, errors beside.
 
     python -m benchmarks serve
-    python -m benchmarks.serve --run runs/mine --abuse 600
-    python -m benchmarks.serve --run runs/mine --controller predictive
+    python -m benchmarks serve --run runs/mine --abuse 600
+    python -m benchmarks serve --run runs/mine --controller predictive
 
 The arm is an emulated one behind TCP, in wall-clock time. Without ``--run`` it is diagnosed and its twin identified
 first, which takes minutes. Then a client of the second kind: reconnects, garbage, half frames, and clients killed in
 the middle of a motion; at the end the arm must hold, and the log must be whole. A test runs a short version.
 
-    python -m benchmarks.serve --run runs/mine --anywhere 20
+    python -m benchmarks serve --run runs/mine --anywhere 20
 
 sends as many poses and postures, drawn in the whole workspace, to a healthy arm and through `rejoint serve` to the worn
 one, and compares where their tools truly are.
@@ -20,12 +20,12 @@ import os
 import shutil
 import signal
 import socket
-import struct
 import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
+from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -33,11 +33,12 @@ import numpy as np
 import typer
 
 import rejoint
+from benchmarks.joints import clear, prepare
+from benchmarks.virtual import endpoint, reset_at_end
 from rejoint.arms import Array, mycobot280, tcp_pose
-from rejoint.arms.rotations import to_coords
+from rejoint.arms.rotations import difference, to_coords, to_pose
 from rejoint.arms.wire.orders import answer, flag
 from rejoint.arms.wire.values import Frame, encode, pack_angles, pack_coords
-from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.robots import open_robot
 from rejoint.robots.lab.emulator import Timing, build_firmware, serve_tcp
 from rejoint.robots.mycobot import MyCobot280Socket
@@ -72,10 +73,8 @@ class Step(NamedTuple):
 
     kind: str
     order: Callable[[Any], object]
-    place: Array
-    """(3,) [mm]"""
-    rotation: Array
-    """(3, 3)"""
+    goal: Array
+    """(6,) [mm, deg]"""
 
 
 class Outcome(NamedTuple):
@@ -123,8 +122,7 @@ def play(client: Any, pace: float = 1.0, steps: int | None = None) -> list[Outco
             raise AssertionError(f"an order of {step.kind} was refused")
         await_rest(client, pace)
         seconds = pace * (time.monotonic() - began)
-        here = np.array(client.get_coords())
-        outcomes.append(Outcome(step.kind, float(np.linalg.norm(here[:3] - step.place)), _turn(here, step), seconds))
+        outcomes.append(Outcome(step.kind, *_off(np.array(client.get_coords()), step.goal), seconds))
     return outcomes
 
 
@@ -138,24 +136,18 @@ def await_rest(client: Any, pace: float = 1.0) -> None:
 
 
 def _step(kind: str, method: str, values: tuple[object, ...], goal: Array) -> Step:
-    return Step(kind, lambda client: getattr(client, method)(*values, SPEED), goal[:3], _rotation(goal))
+    return Step(kind, lambda client: getattr(client, method)(*values, SPEED), goal)
 
 
 def _plain(values: Array) -> list[float]:
     return [float(value) for value in values]
 
 
-def _rotation(coords: Array) -> Array:
-    (sx, sy, sz), (cx, cy, cz) = np.sin(np.radians(coords[3:])), np.cos(np.radians(coords[3:]))
-    about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
-    about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
-    about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
-    return np.asarray(about_z @ about_y @ about_x)
-
-
-def _turn(here: Array, step: Step) -> float:
-    cosine = (np.trace(_rotation(here).T @ step.rotation) - 1.0) / 2.0
-    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+def _off(here: Array, goal: Array) -> tuple[float, float]:
+    """Distance [mm] and turn [deg] between coordinates (6,) [mm, deg]."""
+    seen, wanted = (to_pose(np.r_[coords[:3], np.radians(coords[3:])]) for coords in (here, goal))
+    shift, turn = np.linalg.norm(difference(seen, wanted).reshape(2, 3), axis=1)
+    return float(shift), float(np.degrees(turn))
 
 
 class _Announced(rejoint.Observer):
@@ -207,18 +199,12 @@ def served(robot: Any, run: Path, said: list[str] | None = None, **options: Any)
 
 def connected(address: str) -> Any:
     """Return the vendor's client."""
-    host, port = address.removeprefix("tcp://").rsplit(":", 1)
-    return closing(MyCobot280Socket(host, int(port)))
-
-
-def _socket(address: str) -> socket.socket:
-    host, port = address.removeprefix("tcp://").rsplit(":", 1)
-    return socket.create_connection((host, int(port)), 5.0)
+    return closing(MyCobot280Socket(*endpoint(address)))
 
 
 def _jog(address: str) -> None:
     """Be a program that lets a joint run; for a process that is killed."""
-    client = _socket(address)
+    client = socket.create_connection(endpoint(address), 5.0)
     client.sendall(encode(Frame(0x30, bytes((1, 1, 30)))))
     time.sleep(60.0)
 
@@ -237,7 +223,7 @@ def attack(address: str, duration: float, seed: int = 0) -> int:
             killed.join()
             continue
         try:
-            with closing(_socket(address)) as client:
+            with closing(socket.create_connection(endpoint(address), 5.0)) as client:
                 client.settimeout(1.0)
                 goal = ARM.rest + rng.uniform(-0.15, 0.15, ARM.joints)
                 order = encode(Frame(0x22, pack_angles(goal) + bytes((30,))))
@@ -246,8 +232,8 @@ def attack(address: str, duration: float, seed: int = 0) -> int:
                 for _ in range(int(rng.integers(1, 6))):
                     client.sendall(parts[rng.integers(len(parts))])
                     time.sleep(rng.uniform(0.0, 0.05))
-                if rng.random() < 0.5:  # a reset instead of a farewell
-                    client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+                if rng.random() < 0.5:
+                    reset_at_end(client)
         except OSError:
             time.sleep(0.05)  # the one before is not gone yet: refused
     return count
@@ -299,13 +285,9 @@ def table(bare: list[Outcome], through: list[Outcome]) -> str:
 
 def drawn(count: int, seed: int) -> Array:
     """Postures (count, 6) [deg] anywhere in the workspace, 5 mm clear of what the arm could touch."""
-    rng, limits, found = np.random.default_rng(seed), GuardLimits.of(ARM), list[Array]()
-    while len(found) < count:
-        posture = np.round(np.degrees(rng.uniform(0.95 * ARM.lower, 0.95 * ARM.upper)), 2)
-        takes = np.abs(coords_at(posture)[:2]).max() <= REACH  # the client refuses the rest
-        if takes and (clear_by(limits, np.radians(posture)) > 0.005).all():
-            found.append(posture)
-    return np.array(found)
+    postures = (np.round(np.degrees(q), 2) for q in clear(ARM, seed))
+    takes = (q for q in postures if np.abs(coords_at(q)[:2]).max() <= REACH)  # the client refuses the rest
+    return np.array([*islice(takes, count)])
 
 
 def roam(client: Any, count: int, tool: Callable[[], Array], pace: float = 1.0) -> Array:
@@ -357,13 +339,6 @@ def anywhere(run: Path, count: int) -> None:
     print(*said, sep="\n")
 
 
-def prepare(run: Path) -> None:
-    """Make a run with a twin of the emulated worn arm."""
-    rejoint.diagnose("emulated:worn", run=run)
-    rejoint.identify(run=run)
-    rejoint.calibrate("emulated:worn", run)
-
-
 def main(
     run: Path | None = None,
     abuse: float = ABUSE,
@@ -374,7 +349,7 @@ def main(
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "run"
         if run is None:
-            prepare(folder)
+            prepare("emulated:worn", ARM, folder)
         else:
             folder.mkdir()
             for file in ("run.json", "twin.toml", *(("calibration.toml",) if anywhere_count else ())):
@@ -404,7 +379,3 @@ def main(
             with connected(address) as client:
                 print(f"{count} clients in {abuse:.0f} s, every twentieth killed; the arm holds: {holds(client)}")
         print(f"log: {check_log(Path(ends[0].log))} orders, whole")
-
-
-if __name__ == "__main__":
-    typer.run(main)

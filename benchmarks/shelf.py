@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.frame import NARROW
 from rejoint.arms import load_arm
 from rejoint.control.catalogue import shelf_arms, shelf_path
 from rejoint.control.comparison.protocols import Columns, Protocol
@@ -34,11 +35,10 @@ def tried(name: str, file: Path) -> Columns:
 
 def figures(outcome: Columns) -> tuple[float, float, float]:
     """Mean settled error [m], its 95th percentile [m], and median time [s] to come and stay within 2 mm."""
-    narrow = int(np.argmin(Protocol().within))
     return (
         float(np.nanmean(outcome["settled"])),
         float(np.nanpercentile(outcome["settled"], 95)),
-        float(np.median(outcome[Protocol().stay_names[narrow]])),
+        float(np.median(outcome[Protocol().stay_names[NARROW]])),
     )
 
 
@@ -59,7 +59,3 @@ def main() -> None:
         kept, new = found["kept"], found["again"]
         met = new[0] <= kept[0] + FARTHER and new[2] <= LATER * kept[2]
         print(f"  as good as the one that is kept: {'yes' if met else 'NO'}")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,11 +1,9 @@
-"""Emulated SO-101 on the law of their servos, in virtual time: `python -m benchmarks.so101 shelf|push|tuned`.
+"""Emulated SO-101 on the law of their servos, in virtual time: `python -m benchmarks so101 shelf|push|tuned`.
 
 `shelf`: the policy from the shelf against the classical controllers, on twenty arms that it never met, at two P.
 `push`: shares of the friction push and of its dither, under gains that a search found.
 `tuned`: what controllers gain from the gains of a search, with the twin of the gains before made as stiff as then.
 """
-
-import sys
 
 import numpy as np
 
@@ -46,7 +44,7 @@ def robot(names, gains=None, seed=5, **options):
 
 
 def targets(count, each, seed):
-    return np.random.default_rng(seed).uniform(ARM.targets.lower, ARM.targets.upper, (count, each, 3))
+    return ARM.targets.sample(np.random.default_rng(seed), (count, each))
 
 
 def held(arm, controller, points):
@@ -78,16 +76,11 @@ def shelf():
             tell(f"P = {p}, {name}", held(robot(names, [{"p": p}] * len(names)), controller, points), 10)
 
 
-def searched(names):
-    """Return what the search for gains finds for each arm."""
-    points = draw_targets(ARM, sets=1, count=4, seed=0)[0]
-    return [search(robot([name], seed=11), points) for name in names]
-
-
 def known():
     """Return arms of both kinds, the gains that a search finds for each, and its twin under these."""
-    names = arms(4, 1)
-    for name, found in zip(names, searched(names), strict=True):
+    points = draw_targets(ARM, sets=1, count=4, seed=0)[0]
+    for name in arms(4, 1):
+        found = search(robot([name], seed=11), points)
         twin = identify(ARM, [record(robot([name], seed=21), seed=0)[0].excitation])
         yield name, found, twin
 
@@ -132,5 +125,6 @@ def tuned():
         print(f"{label:12s} gains {under:7s} settled {mean[0]:.3f}, within 2 mm after {mean[1]:.2f}")
 
 
-if __name__ == "__main__":
-    {"shelf": shelf, "push": push, "tuned": tuned}[sys.argv[1]]()
+def main(study: str) -> None:
+    """Print one of the tables: shelf, push or tuned."""
+    {"shelf": shelf, "push": push, "tuned": tuned}[study]()

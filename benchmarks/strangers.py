@@ -1,6 +1,6 @@
 """What the estimators say about real arms from public repositories, beside what is true of them.
 
-    python -m benchmarks.strangers --data FOLDER --arms bam,iris,g1
+    python -m benchmarks strangers --data FOLDER --arms bam,iris,g1
 
 FOLDER (or the environment variable REJOINT_REAL) holds one folder per arm, with files as their authors published them:
 `bam_xl330` (Rhoban/bam), `iris` (thejerrycheng/MEng_project), `ur5` (swiatecki/ProjectMoose), `kinova`
@@ -11,7 +11,6 @@ does not contain them.
 
 from __future__ import annotations
 
-import os
 import shutil
 import subprocess
 import sys
@@ -22,6 +21,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import typer
@@ -29,9 +29,6 @@ import typer
 from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.system.files import read_json
-
-VARIABLE = "REJOINT_REAL"
-"""Environment variable that names the folder of real arms' recordings"""
 
 
 def chain(masses: Sequence[float], lengths: Sequence[float], axes: Sequence[str], at: float) -> str:
@@ -154,17 +151,14 @@ def numbers(run: RunFolder) -> None:
             print(f"    twin, {name}:", *(f"{low:.3g} to {high:.3g}{'' if told else '?'}" for low, high, told in rows))
 
 
-def main(data: Path | None = None, arms: str = ",".join(ARMS)) -> None:
+def main(data: Annotated[Path, typer.Option(envvar="REJOINT_REAL", exists=True)], arms: str = ",".join(ARMS)) -> None:
     """Print what is said about each of the ``arms`` (comma-separated)."""
-    folder = data or Path(os.environ.get(VARIABLE, ""))
-    if not folder.is_dir() or folder == Path():
-        sys.exit(f"{VARIABLE} or --data must name the folder of recordings (see the head of this file)")
     for name in arms.split(","):
         stranger = ARMS[name]
         print(f"\n{name}: {stranger.truth}")
         with tempfile.TemporaryDirectory() as place:
             out, ends = Path(place), stranger.ends.split()
-            paths = sorted(folder.glob(stranger.files))
+            paths = sorted(data.glob(stranger.files))
             model = model_of(stranger, paths[0].parent, out)
             (out / "files").mkdir()
             for path in paths:
@@ -173,7 +167,3 @@ def main(data: Path | None = None, arms: str = ",".join(ARMS)) -> None:
             for command in ("diagnose", "identify"):
                 ask(command, "--logs", out / "logs", "--arm", model, *ends, "--run", out / "run")
             numbers(RunFolder(out / "run"))
-
-
-if __name__ == "__main__":
-    typer.run(main)

@@ -100,8 +100,6 @@ def main() -> None:
     overhead()
     print(f"{'agents':>6} {'us/transition':>14} {'memory [MiB]':>12}", flush=True)
     for agents in AGENTS:
-        subprocess.run([sys.executable, "-m", "benchmarks.training", str(agents)], check=True)
-
-
-if __name__ == "__main__":
-    measure(int(sys.argv[1])) if sys.argv[1:] else main()
+        subprocess.run(
+            [sys.executable, "-c", f"from benchmarks.training import measure; measure({agents})"], check=True
+        )

@@ -1,7 +1,7 @@
 """Twins of arms whose parameters are known: how far off they are, and whether their intervals say so.
 
     python -m benchmarks truth
-    python -m benchmarks.truth --arms 10 --masses 0.15
+    python -m benchmarks truth --arms 10 --masses 0.15
 
 Arms around a worn one move as in a diagnosis; readings are rounded to encoder steps and jitter. They are twins
 themselves, with links of other masses than the fit assumes, so that only the fit is judged, not the twin's structure.
@@ -11,7 +11,6 @@ import time
 from dataclasses import replace
 
 import numpy as np
-import typer
 
 from rejoint.arms import Arm, mycobot280
 from rejoint.diagnosis.excitation import plan_excitation
@@ -66,18 +65,8 @@ def excite(arm: Arm, truth: TwinParameters, rng: np.random.Generator) -> RunLog:
     path = np.vstack([simulation.twins.qpos.copy(), simulation.rollout(control)[0]])
     read = np.clip(times + rng.uniform(-JITTER, JITTER, len(times)), 0.0, grid[-1])
     position = np.stack([np.interp(read, np.arange(len(path)) * STEP, column) for column in path.T], axis=1)
-    nowhere = np.full((len(times), 3), np.nan)
-    return RunLog(
-        arm=arm.name,
-        joint_names=arm.joint_names,
-        robot="twin",
-        label="excitation",
-        time=times,
-        command=command,
-        position=np.round(position / arm.encoder_step) * arm.encoder_step,
-        target=nowhere,
-        true_tcp=nowhere,
-    )
+    position = np.round(position / arm.encoder_step) * arm.encoder_step
+    return RunLog.of(times, command, position, arm=arm, label="excitation")
 
 
 def main(arms: int = 6, masses: float = 0.15, seed: int = 0) -> None:
@@ -106,7 +95,3 @@ def main(arms: int = 6, masses: float = 0.15, seed: int = 0) -> None:
         f"middle, joints 2 and 3 by {100 * np.median(np.array(scales)[:, loaded]):.0f} %, the worst by "
         f"{100 * np.max(scales):.0f} %. Held out {np.mean(residual):.3f} deg. {np.mean(seconds):.1f} s of processor."
     )
-
-
-if __name__ == "__main__":
-    typer.run(main)

@@ -1,6 +1,8 @@
 """The world of an emulated robot without waiting: a clock that is put forward, and a client that never tires."""
 
 import math
+import socket
+import struct
 from collections.abc import Callable, Iterable, Iterator
 
 from rejoint.robots.lab.emulator import Faults, Firmware, Timing
@@ -8,6 +10,17 @@ from rejoint.robots.lab.emulator.servers import WireSession
 
 START = 1e6
 """[s] that the clock shows at first: as large as that of a machine that has been up for twelve days (chosen)"""
+
+
+def endpoint(address: str) -> tuple[str, int]:
+    """Host and port of ``tcp://HOST:PORT``."""
+    host, port = address.removeprefix("tcp://").rsplit(":", 1)
+    return host, int(port)
+
+
+def reset_at_end(client: socket.socket) -> None:
+    """Let a connection end by a reset instead of a farewell."""
+    client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
 
 
 class VirtualClient:

@@ -1,6 +1,6 @@
 """What it buys to begin a training on an arm's own twin at the policy from the shelf instead of at random weights.
 
-`python -m benchmarks.warmstart --arms 16 --twins FOLDER` identifies each arm, a few seconds, trains for it from both
+`python -m benchmarks warmstart --arms 16 --twins FOLDER` identifies each arm, a few seconds, trains for it from both
 beginnings with the same number of updates, and holds eight copies of the arm with other noise at three targets each,
 the same for every policy. Twins and policies are kept in FOLDER. ``--updates 12,24,150`` trains with several numbers
 of them, ``--starts random`` from one beginning.
@@ -13,7 +13,6 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-import typer
 
 from benchmarks.frame import held_columns, holds
 from benchmarks.predictive import ARM, TARGETS, know
@@ -47,9 +46,7 @@ def held(file: Path, wear_seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Settled errors [m] and times [s] to come and stay within 2 mm of all holds of one arm."""
     settings = TrialSettings(family=ArmFamily(arms=1, targets=TARGETS, crossings=0), protocol=Protocol())
     bench = bench_of(ARM, wear_seed, settings)
-    found = try_on(ARM, bench, lambda arm: load_policy(file, arm), settings, lambda _: None)
-    settled, stay = held_columns(found, arms=1)
-    return settled[0], stay[0]
+    return held_columns(try_on(ARM, bench, lambda arm: load_policy(file, arm), settings, lambda _: None), arms=1)
 
 
 def main(
@@ -76,10 +73,6 @@ def main(
             print(f"  trained in {np.median(spent):.0f} s of processor time")
 
 
-def together(found: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
-    """Stack what was found of each arm."""
-    return np.stack([settled for settled, _ in found]), np.stack([stay for _, stay in found])
-
-
-if __name__ == "__main__":
-    typer.run(main)
+def together(found: list[tuple[np.ndarray, np.ndarray]]) -> list[np.ndarray]:
+    """Put together what was found of each arm."""
+    return [np.concatenate(one) for one in zip(*found, strict=True)]

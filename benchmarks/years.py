@@ -13,7 +13,6 @@ from dataclasses import replace
 from datetime import datetime, timedelta
 
 import numpy as np
-import typer
 
 from rejoint.arms import load_arm
 from rejoint.diagnosis.monitoring.charts import FEWEST
@@ -181,7 +180,3 @@ def _ambient(seed: int, number: int, month: float) -> float:
     phase = np.random.default_rng([seed, 9]).integers(12)
     season = 23.0 + 5.0 * np.sin(2.0 * np.pi * (month + phase) / 12.0)
     return float(np.clip(season + np.random.default_rng([seed, number, 3]).normal(0.0, 1.5), -10.0, 50.0))
-
-
-if __name__ == "__main__":
-    typer.run(main)

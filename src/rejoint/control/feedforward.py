@@ -217,7 +217,7 @@ GOLDEN = np.pi * (3.0 - np.sqrt(5.0))
 
 @dataclass(frozen=True, kw_only=True)
 class PushGains:
-    """Settings of the push; chosen by `python -m benchmarks.so101 push`."""
+    """Settings of the push; chosen by `python -m benchmarks so101 push`."""
 
     push: float = 0.3
     """share of the dry friction (chosen: arms that stick most hunt at half of it)"""

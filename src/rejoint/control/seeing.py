@@ -2,7 +2,7 @@
 
 Each detection, with the encoders at its time, measures the tool error. Near the target a worn joint sticks and jumps by
 a millimetre. So the few joints nearest to the tool swing as little as moves them (dither), and an integrator removes
-the error; then the swing fades. Results: `python -m benchmarks.seeing`.
+the error; then the swing fades. Results: `python -m benchmarks seeing`.
 """
 
 from __future__ import annotations

@@ -82,7 +82,7 @@ WARM = PpoSettings(
     log_std=-1.0,  # with -1.5 and half the learning rate policies settle as near, and come no sooner than the shelf's
     critic_first=3,
 )
-"""Training from the generic policy; chosen on arms of family 1 and `make repair`, see `python -m benchmarks.warmstart`
+"""Training from the generic policy; chosen on arms of family 1 and `make repair`, see `python -m benchmarks warmstart`
 and docs/research.md"""
 
 SCRATCH = Preset(

@@ -14,7 +14,7 @@ from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.parameters import scatter
 
 WEDGE = np.radians(2.0)
-"""[rad] slope of the wedge; chosen, see `python -m benchmarks.wedge`"""
+"""[rad] slope of the wedge; chosen, see `python -m benchmarks wedge`"""
 RISE = 100.0 * float(np.tan(WEDGE))
 """[mm] rise on 10 cm"""
 WORTH = 0.8
