@@ -19,7 +19,7 @@ from rejoint.system.files import read_json
 
 COMMANDS = (
     "repair", "diagnose", "identify", "train", "compare", "deploy", "report", "replay", "import", "export", "emulate",
-    "research", "board",
+    "research evaluate", "research reproduce", "board",
 )  # fmt: skip
 
 
@@ -48,7 +48,7 @@ def test_no_extra_is_there(base: Base) -> None:
 
 def test_every_command_has_help(base: Base) -> None:
     for name in COMMANDS:
-        ended = base.rejoint(name, "--help")
+        ended = base.rejoint(*name.split(), "--help")
         assert ended.code == 0, ended.err
         assert "Example" in ended.out
 

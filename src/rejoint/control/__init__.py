@@ -1,1 +1,1 @@
-"""What drives an arm: interfaces, controllers, the guard and the control loop."""
+"""Interfaces, controllers, the guard and the control loop."""

@@ -36,7 +36,7 @@ CONTROLLERS = (*BASELINES, PUSH, SHELF, POLICY, PREDICTIVE)
 """The simplest first"""
 
 ON_REQUEST = ("pid-sum", "pid-literal")
-"""Baselines that repeat the paper; driven on request only"""
+"""Baselines of the paper, on request only"""
 
 
 def contenders(*, real: bool, shelf: bool, policy: bool, twin: bool) -> tuple[str, ...]:
@@ -56,9 +56,9 @@ def make_controller(
     friction: Array | float | None = None,
     policy: Path | None = None,
 ) -> Controller:
-    """Build the controller ``name``; InputError lists the names.
+    """Build the controller ``name``; InputError.
 
-    ``stiffness`` (n,) [N m/rad] and ``friction`` (n,) [N m] serve feed-forward and push; ``policy`` is a file.
+    ``stiffness`` (n,) [N m/rad] and ``friction`` (n,) [N m] serve feed-forward and push.
     """
     if name == POLICY:
         if policy is None:
@@ -92,7 +92,7 @@ def shelf_arms() -> tuple[str, ...]:
 
 
 def shelf_policy(arm: Arm) -> Policy:
-    """Return an arm's generic policy; ContractError: none."""
+    """Load the generic policy of an arm; ContractError: none."""
     if arm.name not in shelf_arms():
         known = ", ".join(shelf_arms())
         raise ContractError(
@@ -107,5 +107,5 @@ def shelf_policy(arm: Arm) -> Policy:
 
 
 def shelf_controller(arm: Arm) -> PolicyController:
-    """Return its controller; ContractError: none."""
+    """Load the controller of `shelf_policy`; ContractError: none."""
     return shelf_policy(arm).controller(arm)

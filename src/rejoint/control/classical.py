@@ -1,8 +1,7 @@
 """Classical controllers: integrator, PID, and the arm's default (one posture per target, open loop).
 
-The integrator adds shares of the damped least-squares step to the last command, with anti-windup. PID: Park et al.
-2024, equations 26 and 27, ``theta_{t+1} = theta_t + Kp e_t + Ki sum(e) [dt] + Kd (e_t - e_{t-1}) / dt``. Default:
-section IV-F.
+PID: Park et al. 2024, equations 26 and 27,
+``theta_{t+1} = theta_t + Kp e_t + Ki sum(e) [dt] + Kd (e_t - e_{t-1}) / dt``. Default: section IV-F.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ class IntegratorGains:
 
 
 class IntegratorController:
-    """Integrates the TCP error into the command."""
+    """Adds shares of the damped least-squares step to the last command, with anti-windup."""
 
     name = "integrator"
     heeds_turn = True
@@ -52,7 +51,7 @@ class IntegratorController:
         self._goal[where] = inputs.goal[where]
 
     def command(self, inputs: ControlInput) -> Array:
-        """Commands (B, n) [rad]."""
+        """See `Controller`."""
         arm, gains, measured = self._arm, self._gains, inputs.state.position
         elapsed = self._pace.tick(inputs.state.time)[:, None]
         seen = dls_step(arm, measured, inputs.target, inputs.turn)
@@ -80,7 +79,7 @@ class PidGains:
 
 
 class PidController:
-    """Adds a PID correction of the joint error to the measured position."""
+    """Adds a PID correction to the measured position."""
 
     heeds_turn = True
 
@@ -103,7 +102,7 @@ class PidController:
         self._last[where] = inputs.goal[where] - inputs.state.position[where]
 
     def command(self, inputs: ControlInput) -> Array:
-        """Commands (B, n) [rad]."""
+        """See `Controller`."""
         gains, measured = self._gains, inputs.state.position
         error = inputs.goal - measured
         self._sum += error * (gains.period if gains.integral_times_period else 1.0)

@@ -1,6 +1,6 @@
 """Compiled loops of control step and joint monitor.
 
-Arrays are contiguous float64; results equal NumPy's to the bit.
+Arrays are contiguous float64; results equal NumPy's to the bit. Constants without a source are chosen.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
@@ -41,11 +41,11 @@ def differentiate(rows, time, position, last_time, last_position, velocity, peri
 
 @njit(void(OUT3, IN2, IN2, IN1, IN2, IN1, IN1, IN1), **OPTIONS)
 def weigh(out, step, error, distance, action, moves, spared, rules):  # noqa: ANN001, ANN201
-    """Fill ``out`` (2, B, n) with the part of ``step`` (B, n) to integrate, and that of ``action`` (B, n).
+    """Fill ``out`` (2, B, n): the part of ``step`` (B, n) to integrate, and that of ``action`` (B, n).
 
-    ``rules`` (6,): least, slope and most of the authority, step limit, fade, near. The step is clipped to its limit,
-    fades with ``error`` (B, 3), and spares joints by ``spared`` (n,) within near of the target at ``distance`` (B,).
-    The action counts as in `CommandLaw.authority`, on joints that ``moves`` (n,) the tool.
+    ``rules`` (6,): least, slope and most of the authority, step limit, fade, near. The limited step fades with
+    ``error`` (B, 3). It spares joints by ``spared`` (n,) at a ``distance`` (B,) within near. The action counts as in
+    `CommandLaw.authority`, on joints that ``moves`` (n,) the tool.
     """
     arms, joints = step.shape
     floor, slope, most, step_limit, fade, near = rules[0], rules[1], rules[2], rules[3], rules[4], rules[5]
@@ -163,49 +163,49 @@ def credible(command, sent, speed, position, lowest, highest, age, oldest):  # n
 HISTORY = 8
 """Stored commands (chosen: 160 ms at the shortest period)"""
 SETTLE = 0.08
-"""[s] from a command to a reading that shows it (chosen)"""
+"""[s] from a command to a reading that shows it"""
 AFTER = 1
-"""Commands after one that has arrived (chosen)"""
+"""Commands after one that has arrived"""
 STILL = 2
-"""Equal readings of a stationary joint (chosen)"""
+"""Equal readings of a stationary joint"""
 STRIKES = 2
-"""Cycles in a row with a load off by `MARGIN` (chosen)"""
+"""Cycles in a row with a load off by `MARGIN`"""
 PUSHED, UNPUSHED_STRIKES = np.radians(0.3), 4
-"""[rad] command travel below which it takes more cycles (chosen)"""
+"""[rad] travel below which it takes more cycles"""
 MARGIN = 0.03
-"""Share of the largest torque (chosen)"""
+"""Share of the largest torque"""
 SUDDEN, LIGHT = 0.08, np.radians(2.0)
-"""Share that is too much for one cycle, in joints that stick by less than that [rad] (chosen)"""
+"""Share that is too much for one cycle, in joints that stick by less than this [rad]"""
 COUNTS = 1.1
-"""Encoder steps between the servo's and the reported reading (chosen)"""
+"""Encoder steps between the servo's and the reported reading"""
 STEADY, STEADY_COUNTS = 12, 0.3
-"""Cycles that average encoder flicker, and its steps (chosen)"""
+"""Cycles that average encoder flicker, and its steps"""
 STEADY_MARGIN, STEADY_NOISE = 0.002, 2.0
-"""Share of the largest torque, and multiple of noise, for so long (chosen)"""
+"""Share of the largest torque, and multiple of noise, for so long"""
 NOISE = 0.015
-"""Deviation of a learned load over the largest torque (chosen)"""
+"""Deviation of a learned load over the largest torque"""
 SURE = 1.5
-"""Allowed deviations of the expected load (chosen)"""
+"""Allowed deviations of the expected load"""
 KNOWN = 0.5
-"""relative error of an unusable gain (chosen)"""
+"""relative error of an unusable gain"""
 FULL = 0.9
-"""Share of full torque (chosen)"""
+"""Share of full torque"""
 FULL_CYCLES = 8
-"""Cycles of full torque of a stuck joint (chosen)"""
+"""Cycles of full torque of a stuck joint"""
 MOST, AND = 1.5, np.radians(0.2)
-"""Allowed multiple of the largest push in the diagnosis, plus [rad] (chosen)"""
+"""Allowed multiple of the largest push in the diagnosis, plus [rad]"""
 LATE = 2
-"""Readings in a row beyond it (chosen)"""
+"""Readings in a row beyond it"""
 PATIENCE = 0.05
-"""[s] The excess, integrated twice, may reach the band times its square (chosen)"""
+"""[s] The excess, integrated twice, may reach the band times its square"""
 LONGEST = 0.1
-"""[s] longest counted cycle (chosen)"""
+"""[s] longest counted cycle"""
 LEARN_SPREAD = np.radians(0.5)
-"""[rad] spread of commands when a load is learned (chosen)"""
+"""[rad] spread of commands when a load is learned"""
 LEARN_STILL = 4
-"""Stationary cycles before a load is learned (chosen)"""
+"""Stationary cycles before a load is learned"""
 LEARN_LAST = 200
-"""Stationary cycles after which none is learned (chosen)"""
+"""Stationary cycles after which none is learned"""
 TRACK = np.dtype(
     [
         ("position", "f8"), ("held", "f8"), ("since", "f8"), ("travel", "f8"), ("stuck", "f8"),
@@ -219,10 +219,10 @@ TRACK = np.dtype(
 )  # fmt: skip
 """State of a joint. ``held`` [rad]: command at the last change of the reading, at ``since`` [s]. ``travel`` [rad]:
 command travel since then; ``stuck``: its largest value before a change. ``moves``: changes; ``moved`` [rad] from
-``home``. The load of a stationary joint is ``gain`` * (command - position) + ``offset`` with covariance ``p`` and
-``noise``. Only a ``given`` gain shows turning joints; one below ``least`` is not learned. Following errors beyond
-``reach`` [rad] push no harder. ``width`` and ``push`` [rad]: largest push in the diagnosis, and now. ``late``: readings
-beyond it; ``pushed`` [rad s], ``due`` [rad s^2]: integrals of the excess."""
+``home``. Load of a stationary joint: ``gain`` * (command - position) + ``offset``, with covariance ``p`` and ``noise``.
+Only a ``given`` gain shows turning joints; ``least`` bounds a learned one. Following errors beyond ``reach`` [rad] push
+no harder. ``width`` and ``push`` [rad]: largest push in the diagnosis, and now. ``late``: readings beyond it;
+``pushed`` [rad s], ``due`` [rad s^2]: integrals of the excess."""
 
 FINE, STANDING, UNKNOWN, TURNING, OVERDUE = range(5)
 """Verdicts: reading changes; stationary by load; stationary, no load; turning by load; overdue by push"""
@@ -352,7 +352,7 @@ def _by_load(track, load, loaded, unsettled, low, high, step):  # noqa: ANN001, 
 
 @njit(void(_TRACKS, float64[:, ::1], OUT3, IN2, IN3, bool_, float64, int64[:, ::1]), **OPTIONS)
 def watch(tracks, sent_at, sent, clock, reading, loaded, step, verdict):  # noqa: ANN001, ANN201
-    """Take a reading and give a ``verdict`` (B, n) per joint.
+    """Take a reading and give a ``verdict`` (B, n).
 
     ``clock`` (2, B) [s]: now, and time of the command. ``reading`` (4, B, n): position and command [rad], load (NaN:
     none), following error against gravity [rad]. ``sent_at`` (B, HISTORY) [s] and ``sent`` (B, HISTORY, n) [rad],

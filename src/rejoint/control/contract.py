@@ -61,7 +61,6 @@ class PolicyContract:
     """[rad]"""
     layout: Layout
     observation: tuple[Slot, ...]
-    """slots in order"""
     law: CommandLaw
     min_period: float
     """[s] in training"""
@@ -87,7 +86,7 @@ class PolicyContract:
 
 
 def probe_observations(size: int) -> Array:
-    """Return fixed observations (8, size) in [-1, 1] that try a network."""
+    """Return fixed observations (8, size) in [-1, 1]."""
     index = np.arange(_PROBE_ROWS * size, dtype=float).reshape(_PROBE_ROWS, size)
     return np.sin(1.0 + index**1.5)
 

@@ -15,7 +15,7 @@ from rejoint.control.robot import JointState, Mask
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ControlInput:
-    """Inputs of a controller: a reading, the last command, and where the reference wants the arms."""
+    """Inputs of a controller."""
 
     state: JointState
     target: Array
@@ -29,12 +29,12 @@ class ControlInput:
     turn: Orientation | None = None
     """(B,) wanted orientations; None: any"""
     arrived: Mask = field(default_factory=lambda: np.ones(1, dtype=bool))
-    """(B,) the goals have stopped moving"""
+    """(B,) the goals have stopped"""
     ahead: Callable[[Array], Array] | None = None
     """See `goals`"""
 
     def goals(self, later: Array) -> Array:
-        """Goals (k, B, n) [rad] in ``later`` (k, B) [s], as far as they are known."""
+        """Goals (k, B, n) [rad] in ``later`` (k, B) [s], as far as known."""
         return np.broadcast_to(self.goal, (len(later), *self.goal.shape)) if self.ahead is None else self.ahead(later)
 
 

@@ -203,7 +203,7 @@ class Modelled:
 
 
 def checked(target: Array, aim: Array) -> Array:
-    """Return ``aim`` (..., 3) [m]; InputError if too far."""
+    """``aim`` (..., 3) [m]; InputError if too far."""
     far = float(np.linalg.norm(aim - target, axis=-1).max(initial=0.0))
     if not far <= MOST:
         raise InputError(
@@ -213,29 +213,29 @@ def checked(target: Array, aim: Array) -> Array:
 
 
 DAMPING = 0.01
-"""[m] of the inverse kinematics of shown postures (chosen: a fifth of what controllers take)"""
+"""[m] of the inverse kinematics (chosen: a fifth of the controllers')"""
 SHOWN = np.radians(15.0)
-"""[rad] by which a joint is shown elsewhere at most (chosen: what 5 cm take at the wrist)"""
+"""[rad] largest shift of a shown joint (chosen: what 5 cm take at the wrist)"""
 
 
 @dataclass(kw_only=True, eq=False)
 class Apparent:
-    """The posture of a perfect arm whose tool is where that of ``arm`` really is, and where to send the arm for one."""
+    """Maps postures of ``arm`` to those of a perfect arm with its tool at the same true place, and back."""
 
     arm: Arm
     shift: Callable[[Array, Array], Array] | None = None
-    """Shift (3,) [m] of the tool, by position and approach (n,) [rad] each, as `Modelled.shift`; None: no shift"""
+    """(3,) [m] as `Modelled.shift`; None: no shift"""
     came: Array | None = None
-    """(n,) [rad] where the arm came from; None: nowhere else"""
+    """(n,) [rad] approach; None: none"""
 
     def shown(self, position: Array) -> Array:
-        """Posture (n,) [rad] shown where ``position`` (n,) is measured."""
+        """Posture (n,) [rad] shown at ``position`` (n,)."""
         if self.shift is None:
             return position
         return position + self._turn(position, self.shift(position, position if self.came is None else self.came))
 
     def measured(self, posture: Array) -> Array:
-        """Measured position (n,) [rad] at which ``posture`` (n,) is shown."""
+        """Position (n,) [rad] that shows ``posture`` (n,)."""
         if self.shift is None:
             return posture
         position = posture
@@ -244,7 +244,7 @@ class Apparent:
         return np.clip(position, self.arm.lower, self.arm.upper)
 
     def _turn(self, position: Array, way: Array) -> Array:
-        """Joint motion (n,) [rad] that takes the tool ``way`` (3,) [m] farther, without turning it where it can."""
+        """Joint motion (n,) [rad] for the tool motion ``way`` (3,) [m], if possible without turning it."""
         jacobian = position_kinematics(self.arm, position)[1]
         turning = np.swapaxes(frames(self.arm, position).axis, -1, -2)
         both = np.concatenate([jacobian, DAMPING * turning], axis=-2)

@@ -66,7 +66,6 @@ class Deployed:
     """Result of a deployment."""
 
     controller: str
-    """name"""
     visits: tuple[Visit, ...]
     period: float | None
     """[s] median"""

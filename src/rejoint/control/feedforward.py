@@ -1,11 +1,9 @@
 """Model-based control: inverse kinematics, gravity feed-forward, and an integrator.
 
-A servo of stiffness k sags by gravity torque / k, so the command is raised by that much. The integrator removes and
-remembers the rest; its correction carries over to the next target. It corrects joints that are not moving yet. A stuck
-joint is pushed ever harder; when its reading changes, most of that push is removed.
-
-The push controller adds a push against friction and a dither, which fade with motion and at the target. Sources of such
-laws: i2rt, pull request 37; almond-bot/axol, pull request 317.
+The command is raised by the servo's sag: gravity torque over stiffness. The integrator corrects slow joints; its
+correction carries over to the next target. A stuck joint is pushed harder until its reading changes; then most of that
+push is removed. The push controller adds a push against friction and a dither. Sources of such laws: i2rt, pull request
+37; almond-bot/axol, pull request 317. Constants without a source are chosen.
 """
 
 from __future__ import annotations
@@ -30,14 +28,14 @@ NOMINAL_STIFFNESS = 6.0
 """[N m/rad] of a worn myCobot's servos (chosen: twins have 3 to 12); other arms scale with load"""
 
 LOOSEN, TAKEN_BACK, CALMER, CLOSE = float(np.radians(10.0)), 0.9, 0.7, 4e-4
-"""[rad/s] push of the joint that can do most while stationary; removed share of it; share that remains each time a
-joint breaks loose the other way; distance [m] of a myCobot 280 without a push (chosen on worn arms of family 1)"""
+"""[rad/s] fastest push of a stationary joint; removed share of it; remaining share each time a joint breaks loose the
+other way; [m] of a myCobot 280 without a push (chosen on worn arms of family 1)"""
 
 HELD_BACK = float(np.radians(3.0))
-"""[rad] by which a command may exceed what is sent before the integrator stops (chosen)"""
+"""[rad] excess over the last command that stops the integrator"""
 
 SPEED_SMOOTHING = 0.5
-"""Share of the newest difference (chosen)"""
+"""Share of the newest difference"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,15 +49,15 @@ class FeedforwardGains:
     learned_limit: float = float(np.radians(45.0))
     """[rad] largest correction (chosen: other joints make up for a stuck one)"""
     forgetting: float = 2.0
-    """[1/s] decay of the correction's null-space part far from the target (chosen)"""
+    """[1/s] decay of the correction's null-space part far from the target"""
     far: tuple[float, float] = (0.005, 0.015)
-    """[m] distances between which that begins, and a new goal clears it (chosen)"""
+    """[m] distances between which that begins, and a new goal clears it"""
     moving: float = 0.1
     """[rad/s] of a moving joint (chosen: two encoder counts per 30 ms)"""
 
 
 class FeedforwardController:
-    """Sends the posture raised by the sag, and integrates the rest."""
+    """Gravity feed-forward with an integrator."""
 
     name = "feedforward"
     heeds_turn = True
@@ -94,7 +92,7 @@ class FeedforwardController:
         self._correction -= (where * self._far(distance))[:, None] * self._unneeded()
 
     def on_the_way(self, inputs: ControlInput) -> Mask:
-        """Which arms (B,) have moving goals."""
+        """Arms (B,) with moving goals."""
         moved: Mask = np.logical_or.reduce(inputs.goal != self._goal, axis=-1)
         return moved
 
@@ -104,12 +102,11 @@ class FeedforwardController:
         return part
 
     def _far(self, distance: Array) -> Array:
-        """Share (B,), 0 to 1, by which tools are far from their targets at ``distance`` (B,) [m]."""
+        """Share (B,), from 0 near to 1 far, at ``distance`` (B,) [m]."""
         near, far = self._gains.far
         return between((distance - near) / (far - near), 0.0, 1.0)
 
     def _take(self, inputs: ControlInput, where: Mask) -> None:
-        """Take goals of ``where`` (B,), raised by the sag."""
         goal = self._goal[where] = inputs.goal[where]
         self._eager[where], self._came[where] = 1.0, 0.0
         stiffness = np.broadcast_to(self._stiffness, self._goal.shape)[where]
@@ -119,7 +116,7 @@ class FeedforwardController:
         self._idle[where] = null_space(jacobian[:, None], np.eye(self._arm.joints)).swapaxes(-1, -2)
 
     def command(self, inputs: ControlInput) -> Array:
-        """Commands (B, n) [rad]."""
+        """See `Controller`."""
         seen = dls_step(self._arm, inputs.state.position, inputs.target, inputs.turn)
         step = fade(seen.error, self._gains.fade) * seen.step
         distance = np.linalg.norm(seen.error[:, :3], axis=-1)
@@ -130,7 +127,7 @@ class FeedforwardController:
         return self._asked.copy()
 
     def loosening(self, inputs: ControlInput, step: Array, distance: Array) -> Array:
-        """Push (B, n) [rad] of stuck joints in this cycle; call `correct` next.
+        """Push (B, n) [rad] of stuck joints; call `correct` next.
 
         ``step`` (B, n) [rad]: joint errors; ``distance`` (B,) [m]: tool errors.
         """
@@ -149,7 +146,7 @@ class FeedforwardController:
     def correct(self, inputs: ControlInput, step: Array, extra: Array, distance: Array) -> Array:
         """Integrate ``step`` (B, n) [rad] of slow joints and add ``extra`` (B, n) [rad]; returns the commands.
 
-        ``distance`` (B,) [m]: tool errors. Call this or `command` once per cycle.
+        Call this or `command` once per cycle. ``distance`` as in `loosening`.
         """
         position = plain(inputs.state.position)
         if not step.shape == extra.shape == position.shape == self._correction.shape:
@@ -224,13 +221,13 @@ class PushGains:
     dither: float = 0.3
     """amplitude, likewise"""
     frequency: float = 8.0
-    """[Hz] of the dither (chosen)"""
+    """[Hz] of the dither"""
     moving: float = 0.05
-    """[rad/s] at which the push fades to 1/e (chosen)"""
+    """[rad/s] at which the push fades to 1/e"""
     sign: float = 1.5
-    """[encoder steps] of missing motion over which the push changes sign (chosen)"""
+    """[encoder steps] of missing motion over which the push changes sign"""
     near: float = 3e-4
-    """[m] at which it fades to half (chosen)"""
+    """[m] at which it fades to half"""
     most: float = float(np.radians(5.0))
     """[rad] largest friction that counts (chosen: an SO-101's elbow has 4.7 deg at P = 16)"""
 
@@ -258,7 +255,7 @@ class PushController:
         self._base.reset(inputs, where)
 
     def command(self, inputs: ControlInput) -> Array:
-        """Commands (B, n) [rad]."""
+        """See `Controller`."""
         arm, gains, position = self._arm, self._gains, inputs.state.position
         seen = dls_step(arm, position, inputs.target, inputs.turn)
         push = gains.push * np.tanh(seen.step / (gains.sign * arm.encoder_step))

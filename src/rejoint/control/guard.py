@@ -2,7 +2,7 @@
 
 Limits change a command; trips (`TRIPS`) return the last one, and the loop stops the robot. Limits apply in the order
 lead, position, step, acceleration, floor, contacts; the later one wins. All but the first two only shorten the step, so
-a hold is always allowed. The guard judges the commanded posture, and the one with joints where they are that lag most.
+a hold is always allowed. The guard also judges the posture with the most lagging joints where they are.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Reason(IntFlag):
     TEMPERATURE = 128
     SERVO_FAULT = 256
     GAP = 512
-    """pause in the answers, or a flagged joint broke loose; the arm held and starts again"""
+    """pause in the answers, or a flagged joint broke loose"""
     NOT_FOLLOWING = 1024
     """reading constant and not trusted, see `rejoint.control.monitor`"""
     ACCELERATION = 2048
@@ -100,11 +100,9 @@ class GuardLimits:
     range_margin: float = np.radians(10.0)
     """[rad] of readings outside the limits (chosen)"""
     servos: Knowledge | None = None
-    """for the joint monitor"""
     bands: Bands | None = None
-    """for the joint monitor"""
     gains: Mapping[str, tuple[int, ...]] | None = None
-    """of the servos for both; None: any"""
+    """of `servos` and `bands`; None: any"""
 
     def __post_init__(self) -> None:
         for name in ("lower", "upper", "max_speed", "max_acceleration"):
@@ -191,7 +189,7 @@ class Guarded(NamedTuple):
 def guard(
     limits: GuardLimits, command: Array, sent: Array, speed: Array, state: JointState, period: float | Array
 ) -> Guarded:
-    """Return the allowed command for ``command`` (B, n) [rad] after ``sent`` (B, n) at ``speed`` (B, n) [rad/s].
+    """Limit a ``command`` (B, n) [rad] after ``sent`` (B, n) at ``speed`` (B, n) [rad/s].
 
     ``period`` [s], a number or (B,): time since ``sent``. The result is finite, within a step of ``sent``, and inside
     the limits if ``sent`` is. InputError for different shapes.
@@ -229,9 +227,9 @@ def guard_along(
     state: JointState,
     period: float | Array,
 ) -> Guarded:
-    """`guard` a ``command`` (B, n) [rad] of arms (B,) whose ``goal`` (B, n) [rad] is ``moving`` along a clear way.
+    """`guard` a ``command`` (B, n) [rad] whose ``goal`` (B, n) [rad] is ``moving`` (B,) along a clear way.
 
-    Where the command would touch something, the arm goes on with the part that does not of what was added to the goal.
+    Where the command would touch something, only the clear part of its difference from the goal remains.
     """
     guarded = guard(limits, command, sent, speed, state, period)
     touched = guarded.reasons & np.uint16(Reason.COLLISION.value)

@@ -89,7 +89,7 @@ class Pace:
         """(B,) [s]"""
 
     def tick(self, time: Array) -> Array:
-        """Time (B,) [s] since the last call, by joint states' ``time`` (B,) [s]; 0 for an old state."""
+        """Period (B,) [s] before ``time`` (B,) [s] of joint states; 0 for an old state."""
         if len(self.last) != len(time):
             elapsed = np.full(len(time), NOMINAL_PERIOD)
         else:

@@ -1,7 +1,7 @@
 """The one control loop: every motion of every robot goes through `run`.
 
-Each cycle: the last state decides whether the target is done, the controller wants, the guard allows, the robot steps.
-Every arm of a batch has its own clock and target.
+In each cycle the loop looks for the end of the target, the controller commands, the guard limits, the robot moves.
+Every arm has its own clock and target. Constants without a source are chosen.
 """
 
 from __future__ import annotations
@@ -39,31 +39,28 @@ FIRST_PERIOD = 0.02
 """[s] assumed before a period is measured (chosen: the shortest)"""
 
 GAP_PERIODS = 3.0
-"""Times the usual period that a gap also exceeds (chosen)"""
+"""Times the usual period that a gap also exceeds"""
 LATE_PERIODS = 2.0
-"""Times the usual period from which a cycle is late (chosen)"""
+"""Times the usual period from which a cycle is late"""
 _SMOOTHING = 0.1  # share of the newest period in that mean (chosen)
 
 ELSEWHERE = np.radians(5.0)
-"""[rad] off the way to its last command after which a joint was moved by others (chosen)"""
+"""[rad] off the way to the last command, of a joint that others moved"""
 _ROUNDING = 1e-6  # [s] of a difference of times, many times over
 EASE = 1.0
-"""[s] of slow motion after a gap (chosen)"""
+"""[s] of slow motion after a gap"""
 EASE_SHARE = 0.2
 """(chosen: the share that `move` takes by default)"""
 
 
 def elsewhere(before: Array, command: Array, position: Array) -> Mask:
-    """Which arms (B,) are at ``position`` (B, n) [rad] by no command.
-
-    Off the way from ``before`` to ``command`` (B, n).
-    """
+    """Arms (B,) with a ``position`` (B, n) [rad] off the way from ``before`` to ``command`` (B, n)."""
     low, high = np.minimum(before, command) - ELSEWHERE, np.maximum(before, command) + ELSEWHERE
     return np.logical_or.reduce((position < low) | (position > high), axis=-1)
 
 
 def in_force(state: JointState, sent: Array) -> Array:
-    """Commands (B, n) [rad] from which arms go on after ``sent`` (B, n); where they stand if they were moved."""
+    """``sent`` (B, n) [rad], or the measured positions of arms that others moved."""
     known = np.array(sent, dtype=float)
     return known if state.elsewhere is None else np.where(state.elsewhere[:, None], state.position, known)
 
@@ -77,13 +74,13 @@ class Schedule:
     stop_below: float | None = None
     """[m] TCP error that ends a target; None: the dwell alone"""
     keep_going: bool = False
-    """whether the other arms of a batch go on after a trip"""
+    """the other arms go on after a trip"""
     sent: Array | None = None
     """(B, n) [rad] command in force before the run; None: the measured position"""
     stands_for: float | None = None
-    """[s] of standing after which the rest of a dwell is left out; None: never"""
+    """[s] stationary after which a dwell ends; None: never"""
     give_up: Callable[[ControlInput], Mask] | None = None
-    """asked once per cycle: arms (B,) that are done; they hold their last command"""
+    """called once per cycle: arms (B,) that are done, and hold"""
 
 
 def run(
@@ -95,10 +92,9 @@ def run(
     limits: GuardLimits | None = None,
     on_cycle: OnCycle | None = None,
 ) -> Recording:
-    """Drive ``robot`` where a ``reference`` says, or to targets (B, K, 3) [m] in turn.
+    """Drive ``robot`` along a ``reference``, or to targets (B, K, 3) [m] in turn.
 
-    What ends the run early first stops the robot; the error carries the recording (`recording_of`) and a note. After a
-    gap an arm goes on slowly.
+    An exception first stops the robot, and carries the recording (`recording_of`). After a gap an arm goes on slowly.
     """
     limits = GuardLimits.of(robot.arm) if limits is None else limits
     to = reference if isinstance(reference, Reference) else TargetSequence(limits.arm, reference)
@@ -154,11 +150,11 @@ def _hold(robot: Robot, *, limp: bool = False) -> str:
 
 
 PULL_CYCLES, RELEASE_CYCLES = 12, 18
-"""Cycles in which a flagged joint is pulled back, and those until it is at its last equilibrium (chosen)"""
+"""Cycles that pull a flagged joint back, and those until its last equilibrium"""
 LOOSE = 3
-"""Encoder steps after which a joint is trusted again (chosen)"""
+"""Encoder steps after which a joint is trusted again"""
 MOST_DOUBTED = 2
-"""Times in a run that an arm goes on after that (chosen)"""
+"""Times in a run that an arm goes on after that"""
 
 
 def own(state: JointState) -> JointState:
@@ -173,10 +169,10 @@ def reported_load(state: JointState) -> Array:
 
 
 class Stillness:
-    """Looks on at B arms, cycle by cycle."""
+    """Measures how long arms are stationary."""
 
     def __init__(self, state: JointState, sent: Array, encoder_step: float) -> None:
-        """Begin with a reading and the command in force (B, n) [rad]."""
+        """``sent`` (B, n) [rad]: command in force."""
         self._position, self._sent, self._since = state.position.copy(), sent.copy(), state.time.copy()
         self._flicker = 1.5 * encoder_step
 
@@ -192,7 +188,7 @@ class Stillness:
 
 @dataclass(kw_only=True, eq=False)
 class RunState:
-    """A run under way: where every arm is in its sequence of targets."""
+    """State of a run."""
 
     robot: Robot
     controller: Controller
@@ -229,7 +225,6 @@ class RunState:
             self._ease(state.elsewhere, told)
 
     def _ask(self) -> None:
-        """Ask the reference where the arms are to be at this reading."""
         since = self.state.time - self.set_at
         now = self.reference.advance(self.state, since)
         # (B, 3) [m] recorded
@@ -247,7 +242,7 @@ class RunState:
         )
 
     def _leave_out(self, longest: float) -> None:
-        """End the dwell of targets under which an arm stood for ``longest`` [s]; call in every cycle, or in none."""
+        """End the dwell of arms stationary for ``longest`` [s]; call in every cycle, or in none."""
         enough = self.stillness.look(self.state, self.sent) >= longest
         if np.count_nonzero(enough):
             over = self.inputs.since_target - self.schedule.dwell - _ROUNDING  # below zero by what is left
@@ -318,7 +313,7 @@ class RunState:
         return np.where(self.state.time < self.eased_until, EASE_SHARE, 1.0)
 
     def cycle(self) -> bool:
-        """Do a control cycle; returns whether there is another one."""
+        """Do a cycle; returns whether another follows."""
         if self.schedule.stands_for is not None:
             self._leave_out(self.schedule.stands_for)
         before, target, aim = self.inputs, self.place, self.aim
@@ -354,7 +349,7 @@ class RunState:
         return bool(self.active.any())
 
     def _finished(self, inputs: ControlInput, aim: Array) -> Mask:
-        """Arms (B,) that have reached their target or waited long enough."""
+        """Arms (B,) whose target has ended."""
         finished: Mask = inputs.since_target >= self.schedule.dwell
         finished = finished | (self.state.time - self.begun >= self.schedule.dwell + self.reference.patience)
         if self.schedule.stop_below is not None:
@@ -364,7 +359,7 @@ class RunState:
         return finished
 
     def _decide(self, renewed: Mask) -> Guarded:
-        """Commands (B, n) that may be sent, the guard's reasons (B,), and the speed of the commands."""
+        """Ask the controller, then the guard."""
         active = self.active
         if not active.any():
             return Guarded(self.sent, np.zeros(len(active), dtype=np.uint16), self.speed)
@@ -410,7 +405,7 @@ class RunState:
         return True
 
     def _release(self, trips: Reasons) -> Mask:
-        """Pull flagged joints back; returns the arms (B,) whose readings tell that they move."""
+        """Pull flagged joints back; returns the arms (B,) that moved."""
         if self.unbelieved is None:
             return np.zeros(len(trips), dtype=bool)
         where = self.active & ((trips & np.uint16(Reason.NOT_FOLLOWING)) != 0)

@@ -1,4 +1,7 @@
-"""The joint monitor: finds stuck joints and dead encoders."""
+"""The joint monitor: finds stuck joints and dead encoders.
+
+Constants without a source are chosen.
+"""
 
 from __future__ import annotations
 
@@ -18,31 +21,31 @@ from rejoint.system.shell import Late
 compiled = Late("rejoint.control.compiled")
 
 TRAVEL = 0.020
-"""[m] of the tool that a command may go beyond a constant reading, for a myCobot 280 (chosen)"""
+"""[m] tool travel of a command beyond a constant reading, for a myCobot 280"""
 STICKING = 1.5
-"""times the largest sticking (chosen)"""
+"""times the largest sticking"""
 STICKS = np.radians(4.0)
-"""[rad] sticking of an unknown joint (chosen)"""
+"""[rad] sticking of an unknown joint"""
 SHORT_LEVER = 0.13
-"""[m] joints with shorter levers are not judged without load, for a myCobot 280 (chosen)"""
+"""[m] joints with shorter levers are not judged without load, for a myCobot 280"""
 MOVED = np.radians(2.0)
-"""[rad] of a moving joint (chosen)"""
+"""[rad] of a moving joint"""
 TURN_ROUND = 0.12
-"""[s] of a constant reading before judgement (chosen)"""
+"""[s] of a constant reading before judgement"""
 EXCUSED = 0.15
-"""[s] for two joints at once (chosen)"""
+"""[s] for two joints at once"""
 ARRIVED = np.radians(1.0)
-"""[rad] following error at arrival (chosen)"""
+"""[rad] following error at arrival"""
 SETTLED = 30
-"""changes of a reading before its sticking is known (chosen)"""
+"""changes of a reading before its sticking is known"""
 GAIN, GAIN_SPREAD = 20.0, 2.0
 """[1/rad] and relative deviation of unknown servos (measured)"""
 LEAST_GAIN = 3.0
-"""[1/rad] (chosen)"""
+"""[1/rad]"""
 OFFSET_SPREAD, UNKNOWN_OFFSET = 0.02, 0.15
-"""deviations of the unloaded torque share (chosen)"""
+"""deviations of the unloaded torque share"""
 PULL = 2.0
-"""times the allowed push, by which an overdue joint is pulled back (chosen)"""
+"""times the allowed push, to pull an overdue joint back"""
 _EARLIEST = np.radians(2.0)  # [rad] travel from which levers are computed (chosen: 10 mm at 0.28 m)
 _UNKNOWN, _TURNING, _OVERDUE = 2, 3, 4  # as in `watching`, which is imported late
 
@@ -136,7 +139,7 @@ class Following:
         tracks["p11"] = np.where(given, knowledge.noise, UNKNOWN_OFFSET) ** 2
 
     def check(self, state: JointState, sent: Array, aimed: Mask) -> Mask | None:
-        """Joints (B, n) that are flagged after the command ``sent`` (B, n) [rad], or None.
+        """Joints (B, n) flagged after ``sent`` (B, n) [rad], or None.
 
         Travel counts only for arms ``aimed`` (B,) at a target: a diagnosis must find stuck joints.
         """
@@ -210,9 +213,9 @@ class Following:
         return np.where(joints, self._tracks["held"], sent)
 
     def pulled(self, joints: Mask, sent: Array) -> Array:
-        """Return commands (B, n) [rad] that move overdue ``joints`` (B, n) back if they move at all; else `balance`.
+        """Commands (B, n) [rad] that move overdue ``joints`` (B, n) back; else `balance`.
 
-        A motor may be too weak to move a joint on against its load, and strong enough to hold it: back it always goes.
+        A motor that holds a joint may be too weak to move it on, but never to move it back.
         """
         tracks, overdue = self._tracks, joints & (self._verdict == _OVERDUE)
         width = np.where(overdue, tracks["width"], 0.0)
@@ -224,11 +227,11 @@ class Following:
         return self._nothing if self._bands is None else self._bands.balance(self._arm, self._tracks["position"])
 
     def describe(self, b: int, joints: Mask) -> str:
-        """Return finding on ``joints`` (n,) of arm ``b``, and advice."""
+        """Describe the finding on ``joints`` (n,) of arm ``b``, with advice."""
         return "; ".join(self._describe(b, int(j)) for j in np.flatnonzero(joints))
 
     def _travelled(self, position: Array, sent: Array) -> tuple[Mask, Mask]:
-        """Joints (B, n) whose commands are too far from a constant reading."""
+        """Joints (B, n) with commands far from a constant reading."""
         tracks = self._tracks
         travel = np.abs(tracks["travel"])
         stands = self._last[:, None] - tracks["since"] > TURN_ROUND
@@ -242,9 +245,9 @@ class Following:
         return asked & (lever > SHORT_LEVER) & (beyond > TRAVEL / lever), asked & (beyond > 0.0)
 
     def _levers(self, position: Array) -> Array:
-        """How far (B, n) [m/rad] the tool of an arm of the reach of a myCobot 280 goes with each joint.
+        """Levers (B, n) [m/rad] of the tool, scaled to the reach of a myCobot 280.
 
-        Friction holds the joints of a longer arm over as large angles, so its tool goes farther before they move.
+        Joints of a longer arm stick over equal angles, so its tool goes farther.
         """
         levers = np.linalg.norm(position_kinematics(self._arm, position)[1], axis=-2) / length_size(self._arm)
         return np.maximum(levers, 1e-6)
@@ -274,17 +277,17 @@ class Following:
 FEWEST = 50
 """rows of a line (chosen: two seconds)"""
 STILL = 4
-"""rows of a constant reading (chosen)"""
+"""rows of a constant reading"""
 AT_REST = np.radians(0.1)
 """[rad] allowed change of commands (chosen: an encoder count)"""
 SURE = 4.0
-"""Allowed error of a slope, times residual over spread (chosen)"""
+"""Allowed error of a slope, times residual over spread"""
 LEAST_ERROR = 0.01
-"""relative, of a slope (chosen)"""
+"""relative, of a slope"""
 LEAST_NOISE = 0.001
 """share of the largest torque (chosen: a register's count)"""
 HUBER = 2.0
-"""Robust deviations beyond which a row counts less (chosen)"""
+"""Robust deviations beyond which a row counts less"""
 _ROUNDS = 20  # of reweighting (chosen: it settles in ten)
 PER_MEDIAN = 1.4826
 """Standard deviation over median absolute residual, normal"""
@@ -368,7 +371,7 @@ def robust_fit(columns: Array, value: Array, least: float) -> tuple[Array, float
 
 
 def _turns(arm: Arm, log: RunLog, known: Knowledge) -> NDArray[np.bool_]:
-    """Joints (n,) that the monitor flags as turning in a log of a healthy arm."""
+    """Joints (n,) flagged as turning in a healthy arm's log."""
     states = states_of(log)
     following, found = Following(arm, next(states), log.command[:1], known), np.zeros(arm.joints, dtype=bool)
     for row, state in enumerate(states):
@@ -379,19 +382,19 @@ def _turns(arm: Arm, log: RunLog, known: Knowledge) -> NDArray[np.bool_]:
 
 
 HELD = 0.05
-"""[s] of a push (chosen)"""
+"""[s] of a push"""
 FEWEST_MOVING = 100
-"""moving rows of a balance (chosen)"""
+"""moving rows of a balance"""
 SLOWEST, FASTEST = 0.04, 0.4
-"""[rad/s] (chosen)"""
+"""[rad/s]"""
 AVERAGED = 5
-"""rows (chosen)"""
+"""rows"""
 LEAST_GRAVITY = 0.04
-"""smallest fitted range of gravity over the largest (chosen)"""
+"""smallest fitted range of gravity over the largest"""
 REACHES = np.radians(np.geomspace(20.0, 0.3, 30))
-"""[rad] (chosen); the longest of equals counts"""
+"""[rad]; the longest of equals counts"""
 WIDER, _OFTEN = 1.25, 12
-"""Factor on exceeded bands, and repetitions (chosen)"""
+"""Factor on exceeded bands, and repetitions"""
 
 
 def standing_bands(arm: Arm, logs: Sequence[RunLog]) -> Bands:

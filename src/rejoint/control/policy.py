@@ -48,7 +48,7 @@ class PolicyController:
 
     @property
     def name(self) -> str:
-        """Name in tables."""
+        """Name."""
         return "policy"
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
@@ -66,7 +66,7 @@ class PolicyController:
         self._commander.take_over(inputs, where)
 
     def command(self, inputs: ControlInput) -> Array:
-        """Commands (B, n) [rad]."""
+        """See `Controller`."""
         observer = self._observer
         action = self.act(observer.observe(inputs))
         observer.acted(action)
@@ -93,7 +93,6 @@ class Policy:
     content: bytes = field(repr=False)
     """of the ONNX file"""
     contract: PolicyContract
-    """of the training"""
     source: str = "policy"
     """origin, for messages"""
 

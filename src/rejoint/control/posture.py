@@ -1,8 +1,7 @@
 """Brings a worn arm to joint positions, its tool first.
 
 The command is the posture, raised by the twin's sag and an integrator. A joint without torque keeps its following
-error; others make up for the tool. A joint that breaks loose gives most of its push back. A stationary arm near its
-goal stays uncorrected.
+error; others make up for the tool.
 """
 
 from __future__ import annotations
@@ -86,7 +85,7 @@ class PostureController:
         """Do nothing."""
 
     def command(self, inputs: ControlInput) -> Array:
-        """Commands (B, n) [rad]."""
+        """See `Controller`."""
         state = inputs.state
         raised = inputs.goal + gravity_torque(self._arm, inputs.goal) / self._stiffness - self._offset
         if self._time is None:

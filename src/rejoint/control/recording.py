@@ -165,7 +165,7 @@ class Recorder:
     cycles: list[Cycle] = field(default_factory=list)
 
     def recording(self, tripped: Reasons) -> Recording:
-        """Return all cycles so far; ``tripped`` (B,)."""
+        """All cycles so far; ``tripped`` (B,)."""
         robot, columns = self.robot, self._columns()
         return Recording(
             arm=robot.arm.name,
@@ -184,7 +184,7 @@ class Recorder:
 
 
 def cycle_at_rest(state: JointState, true_tcp: Array) -> Cycle:
-    """Cycle of B arms that were read and not driven; ``true_tcp`` (B, 3) [m]."""
+    """Cycle of B undriven arms; ``true_tcp`` (B, 3) [m]."""
     none, nowhere, zero = np.full_like(state.position, np.nan), np.full_like(true_tcp, np.nan), np.zeros(len(true_tcp))
     return Cycle(
         time=state.time,

@@ -1,6 +1,6 @@
-"""References: where arms are to be over time. The loop asks once per cycle.
+"""References: where arms are to be over time.
 
-Targets in turn are here, and joint motions by the clock. Paths and streams of targets: `rejoint.control.moving`.
+Paths and streams of targets: `rejoint.control.moving`.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ class Setpoint(NamedTuple):
     target: Array | None = None
     """(B, 3) [m] of the tools, corrected; None: the joints alone count"""
     since: Array | None = None
-    """(B,) [s] since the goal has stopped moving, 0 on the way; None: the reference's time"""
+    """(B,) [s] since the goal stopped, 0 on the way; None: the reference's time"""
     arrived: Mask = ARRIVED
-    """(B,) or (1,) the goal has stopped moving"""
+    """(B,) or (1,) the goal has stopped"""
     turn: Orientation | None = None
     """(B,) wanted orientations; None: any"""
     place: Array | None = None
@@ -50,35 +50,35 @@ class Setpoint(NamedTuple):
 
 
 class Reference(ABC):
-    """Where B arms are to be. Its time is the loop's to count: since the begin, without what arms had to wait."""
+    """Where B arms are to be. The loop counts its time, without waits."""
 
     count: int = 1
     """arms"""
     legs: int = 1
-    """parts, one after the other, which the schedule ends"""
+    """successive parts, ended by the schedule"""
     waits: Mask | bool = True
     """(B,) whether its time stops in gaps"""
     planned: bool = False
-    """whether the goals themselves are clear of contacts"""
+    """the goals are clear of contacts"""
     patience: Array | float = np.inf
-    """(B,) [s] after which a leg and its dwell are over, wherever the arm is"""
+    """(B,) [s] after which a leg and its dwell are over"""
 
     def begin(self, where: Mask, index: Index, sent: Array, position: Array) -> None:  # noqa: B027 - most have one leg
         """Begin the legs ``index`` (B,) of the arms in ``where`` (B,).
 
-        ``sent`` (B, n) [rad]: the last commands; ``position`` (B, n) [rad]: where they are.
+        ``sent``, the last commands, and ``position``: (B, n) [rad].
         """
 
     @abstractmethod
     def advance(self, state: JointState, since: Array, /) -> Setpoint:
-        """Return the setpoint ``since`` (B,) [s]; called once per cycle, and again where a leg begins."""
+        """Setpoint ``since`` (B,) [s]; called once per cycle, and again where a leg begins."""
 
     def again(self, inputs: ControlInput) -> Mask | None:  # noqa: ARG002 - most correct nothing
-        """Correct the aims at this reading; returns the changed arms (B,), None where there are none."""
+        """Correct the aims; returns the changed arms (B,), or None."""
         return None
 
     def left_out(self, since: Array, before: Array, position: Array) -> Array | float:  # noqa: ARG002 - most wait for none
-        """Return the share (B,) of the cycle that does not count, for lagging joints.
+        """Share (B,) of the cycle that does not count, for lagging joints.
 
         ``since`` (B,) [s], joints ``before`` and now at ``position`` (B, n) [rad].
         """
@@ -98,7 +98,7 @@ class JointMotion(Reference):
 
 
 class ToolAtGoals(Reference):
-    """Joint positions of which the tool's place counts: for controllers to points."""
+    """Joint positions, for controllers of the tool's place."""
 
     def __init__(self, arm: Arm, reference: Reference) -> None:
         self._arm, self._reference, self.count = arm, reference, reference.count
@@ -112,7 +112,7 @@ class ToolAtGoals(Reference):
 
 
 class TargetSequence(Reference):
-    """Targets of B arms in turn, corrected; on ways to their postures, or at once."""
+    """Corrected targets of B arms in turn."""
 
     def __init__(
         self,
@@ -123,9 +123,9 @@ class TargetSequence(Reference):
         turns: Orientation | None = None,
         correction: Modelled | None = None,
     ) -> None:
-        """Take ``targets`` (B, K, 3) [m] and ``turns`` (B, K) of the tools. A target of NaN is a wait without a goal.
+        """Take ``targets`` (B, K, 3) [m] and ``turns`` (B, K). A target of NaN is a wait without a goal.
 
-        ``ways`` None: the nearest postures at once. ``correction`` turns targets into aims.
+        ``ways`` None: the nearest postures at once.
         """
         targets = np.asarray(targets, dtype=float)
         if targets.ndim != 3 or targets.shape[1] == 0 or targets.shape[2] != 3:
@@ -161,7 +161,7 @@ class TargetSequence(Reference):
         self._aim_at(aim, sent if planned is None else planned, where)
 
     def _aim_at(self, aim: Array, near: Array, where: Mask) -> None:
-        """Aim the arms in ``where`` (B,) at ``aim`` (B, 3) [m], with the postures found from ``near`` (B, n) [rad]."""
+        """Aim arms in ``where`` (B,) at ``aim`` (B, 3) [m], with postures found from ``near`` (B, n) [rad]."""
         self._aim = np.where(where[:, None], aim, self._aim)
         turn = None if self._turn is None else self._turn[where]
         self._goal = self._goal.copy()
@@ -180,7 +180,7 @@ class TargetSequence(Reference):
         return changed
 
     def advance(self, state: JointState, since: Array, /) -> Setpoint:  # noqa: ARG002 - the clock tells
-        """See `Reference`. What an aim differs from the planned end is added along the way."""
+        """See `Reference`. The correction of the aim grows along the way."""
         goal, target, ways = self._goal, self._aim, self._ways
         if not ways:
             return Setpoint(goal, target, since, ARRIVED, self._turn, self._place, target)

@@ -3,10 +3,10 @@
 Park et al. 2024, equation 17: next command = position + damped least-squares step + action. The ``anchor`` is what the
 action is added to:
 
-* ``measured``: the measured position, literally.
+* ``measured``: the measured position.
 * ``sent``: the last command; the law integrates.
-* ``goal``: the command of the feed-forward controller (residual policy learning: Silver et al. 2018,
-  arXiv:1812.06298; Johannink et al. 2019, arXiv:1812.03201). On a trajectory that controller acts alone.
+* ``goal``: the command of the feed-forward controller (residual policy learning: Silver et al. 2018, arXiv:1812.06298;
+  Johannink et al. 2019, arXiv:1812.03201). On a trajectory that controller acts alone.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class CommandLaw:
     def command(self, arm: Arm, view: View, position: Array, sent: Array, action: Array) -> Array:
         """Commands (B, n) [rad] of the anchors ``sent`` and ``measured``.
 
-        ``position`` and last command ``sent`` (B, n) [rad]; ``action`` (B, n) in [-1, 1]; ``view`` at this position.
+        ``position`` and last command ``sent`` (B, n) [rad]; ``action`` (B, n) in [-1, 1].
         """
         anchor = sent if self.anchor == "sent" else position
         wanted = anchor + self.step_gain * clip_norm(view.step, self.step_limit)

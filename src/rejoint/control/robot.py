@@ -72,14 +72,14 @@ class Robot(Protocol):
 
 @runtime_checkable
 class Relaying(Protocol):
-    """What passes words on to other devices on its wire, such as a gripper."""
+    """Relays words to other devices on its wire, such as a gripper."""
 
     def relay(self, command: int, payload: bytes) -> bytes | None:
         """Ask a device; None: no answer."""
 
 
 def part_of(robot: Robot, kind: type[T]) -> T | None:
-    """Return the ``robot``, or the one inside its wrappers, that is of a ``kind``; None."""
+    """Find the ``robot`` or wrapped robot of a ``kind``; or None."""
     inner: object = robot
     while inner is not None and not isinstance(inner, kind):
         inner = getattr(inner, "robot", None)

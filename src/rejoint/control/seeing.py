@@ -1,8 +1,8 @@
 """Visual servoing of the last millimetres.
 
 Each detection, with the encoders at its time, measures the tool error. Near the target a worn joint sticks and jumps by
-a millimetre. So the few joints nearest to the tool swing as little as moves them (dither), and an integrator removes
-the error; then the swing fades. Results: `python -m benchmarks seeing`.
+a millimetre. So the joints nearest to the tool dither while an integrator removes the error; then the dither fades.
+Results: `python -m benchmarks seeing`. Constants without a source are chosen.
 """
 
 from __future__ import annotations
@@ -21,29 +21,29 @@ from rejoint.control.law import limit_lead, limit_position
 from rejoint.control.robot import Mask
 
 NOISE = 0.3e-3
-"""[m] least and default deviation of a coordinate (chosen)"""
+"""[m] least and default deviation of a coordinate"""
 UNKNOWN = 3e-3
-"""[m] error of the model before a detection (chosen)"""
+"""[m] error of the model before a detection"""
 DRIFT = 0.2e-3
-"""[m/sqrt(s)] drift of that (chosen)"""
+"""[m/sqrt(s)] drift of that"""
 RATTLE = 12e-3
-"""[rad/sqrt(s)] wander of a loose link (chosen)"""
+"""[rad/sqrt(s)] wander of a loose link"""
 ALONG = 0.1
-"""change of the shift over the tool's motion (chosen)"""
+"""change of the shift over the tool's motion"""
 NEAR = 0.015
-"""[m] error within which detections count (chosen)"""
+"""[m] error within which detections count"""
 CHANGE = 2e-4
-"""[m] smallest change of a target (chosen)"""
+"""[m] smallest change of a target"""
 JUMP = 0.015
-"""[m] of a rejected detection from the model (chosen)"""
+"""[m] of a rejected detection from the model"""
 HISTORY = 64
-"""Stored readings (chosen)"""
+"""Stored readings"""
 SHIFTED, ALIKE = 3e-3, 3
-"""[m] common offset at so many targets of a moved camera or board (chosen)"""
+"""[m] common offset at so many targets of a moved camera or board"""
 ENOUGH = 2
-"""detections before the fine motion (chosen)"""
+"""detections before the fine motion"""
 FRESH = 0.6
-"""[s] age of a new detection (chosen)"""
+"""[s] age of a new detection"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -161,51 +161,51 @@ class Seen(Modelled):
 
 
 TAKE_OVER = 0.006
-"""[m] error of small joint motions (chosen)"""
+"""[m] error of small joint motions"""
 SLOW = np.radians(1.5)
-"""[rad] per `LOOK` at the take-over (chosen)"""
+"""[rad] per `LOOK` at the take-over"""
 AT_REST = np.radians(0.1)
-"""[rad] per `LOOK` at rest (chosen)"""
+"""[rad] per `LOOK` at rest"""
 STRANDED, STRANDED_AT = 1.0, 0.015
-"""[s] and [m] at rest before a take-over (chosen)"""
+"""[s] and [m] at rest before a take-over"""
 LOOK = 5
 """cycles (chosen: a tenth of a second)"""
 CALM = 0.35e-3
-"""[m] error at which the dither ends (chosen)"""
+"""[m] error at which the dither ends"""
 RELAX = 0.5
-"""[s] of dither after which twice that is enough (chosen)"""
+"""[s] of dither after which twice that is enough"""
 MOST_CALM = 0.6e-3
 """[m] largest (chosen: the promise)"""
 OFF = 0.6e-3
-"""[m] error that ends the rest (chosen)"""
+"""[m] error that ends the rest"""
 AGREED = 2
-"""detections in their mean (chosen)"""
+"""detections in their mean"""
 QUIET = 0.1
-"""[s] at rest before (chosen)"""
+"""[s] at rest before"""
 RATE = 6.0
-"""[1/s] of the integrator (chosen)"""
+"""[1/s] of the integrator"""
 AHEAD = 0.5
-"""share of the error in the command (chosen)"""
+"""share of the error in the command"""
 DAMPING = 0.01
-"""[m] of the least squares (chosen)"""
+"""[m] of the least squares"""
 STEP = np.radians(10.0)
-"""[rad] largest wanted joint motion (chosen)"""
+"""[rad] largest wanted joint motion"""
 LEAD = np.radians(12.0)
-"""[rad] largest following error (chosen)"""
+"""[rad] largest following error"""
 FADE = 0.2
-"""[s] of the swing's end (chosen)"""
+"""[s] of the swing's end"""
 HALF_SWING = 0.05
 """[s] (chosen: 10 Hz)"""
 FIRST, WIDEST = np.radians(1.2), np.radians(2.0)
-"""[rad] first and largest amplitude (chosen)"""
+"""[rad] first and largest amplitude"""
 WIDER, NARROWER = 1.5, 0.8
-"""factors on it, stationary and swinging (chosen)"""
+"""factors on it, stationary and swinging"""
 SWING = 4.5
 """encoder counts (chosen: half a millimetre at the tool)"""
 STUCK = 3
-"""widest swings before giving a joint up (chosen)"""
+"""widest swings before giving a joint up"""
 LEAST_LEVER = 0.05
-"""smallest singular value over longest lever (chosen)"""
+"""smallest singular value over longest lever"""
 
 
 class Finishing:
@@ -221,7 +221,7 @@ class Finishing:
 
     @property
     def name(self) -> str:
-        """The controller's name."""
+        """Name."""
         return self._controller.name
 
     @property

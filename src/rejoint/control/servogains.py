@@ -1,8 +1,8 @@
 """Gains of the servos' position loops, and a safe search.
 
 Whole numbers in servo units per joint, by name (``p``, ``i``, ``d``, ``dead``, ...). The search changes one gain at a
-time and drives to a few targets. Each joint keeps a value that reduces its error without unrest. Shaking, overloaded or
-warm joints end a round.
+time and drives to a few targets. Each joint keeps a value that reduces its error without unrest. Constants without a
+source are chosen.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from rejoint.system.stopping import shielded
 ServoGains = Mapping[str, tuple[int, ...]]
 """(n,) per name"""
 HOTTEST, HEAVIEST = 55.0, 0.7
-"""[deg C] and torque share that end a round (chosen)"""
+"""[deg C] and torque share that end a round"""
 
 
 class Rung(NamedTuple):
@@ -39,7 +39,6 @@ class Rung(NamedTuple):
     names: tuple[str, ...]
     """gains set alike"""
     values: tuple[int, ...]
-    """in order"""
     rising: bool = True
     beside: tuple[tuple[str, int], ...] = ()
     """other gains set with it"""
@@ -69,7 +68,7 @@ def gains_in_force(robot: Robot) -> ServoGains | None:
 
 
 def tunable(robot: Robot) -> tuple[Tunable, ServoGains]:
-    """Servos of ``robot``, and their gains; InputError where it has none that can be set."""
+    """Servos and gains of ``robot``; InputError if none can be set."""
     servos = part_of(robot, Tunable)
     before = None if servos is None else servos.servo_gains()
     if servos is None or before is None:
@@ -79,10 +78,7 @@ def tunable(robot: Robot) -> tuple[Tunable, ServoGains]:
 
 @contextmanager
 def under_gains(robot: Robot, controller: object) -> Iterator[None]:
-    """Drive under the ``controller``'s gains, then restore the others.
-
-    ContractError for a policy of other gains, InputError.
-    """
+    """Drive under the ``controller``'s gains, then restore the others; ContractError, InputError."""
     require_gains(robot, controller)
     wanted: ServoGains | None = getattr(controller, "servo_gains", None)
     if wanted is None:
@@ -174,18 +170,18 @@ def in_words(gains: ServoGains) -> str:
 GEARED = "servo-gains"
 """Tuned servo loops alone; ``servo-gains+NAME``: below a controller"""
 UNDER = ("integrator", "feedforward", PUSH, POLICY, PREDICTIVE)
-"""Controllers also run with tuned gains (chosen)"""
+"""Controllers also run with tuned gains"""
 RIVALS = (GEARED, *(f"{GEARED}+{name}" for name in UNDER))
 GEARED_PUSH, GEARED_POLICY, GEARED_PREDICTIVE = (f"{GEARED}+{name}" for name in (PUSH, POLICY, PREDICTIVE))
 
 
 def inner_name(name: str) -> str:
-    """Return controller above tuned gains."""
+    """Name the controller above tuned gains."""
     return DefaultController.name if name == GEARED else name.removeprefix(f"{GEARED}+")
 
 
 def own_policy(names: Sequence[str]) -> str | None:
-    """Return a run's own policy, or None."""
+    """Name a run's own policy, or None."""
     return next((name for name in names if inner_name(name) == POLICY), None)
 
 
@@ -203,24 +199,24 @@ class Geared:
         self._controller.reset(inputs, where)
 
     def command(self, inputs: ControlInput) -> Array:
-        """Commands (B, n) [rad]."""
+        """See `Controller`."""
         return self._controller.command(inputs)
 
 
 DWELL = 2.5
-"""[s] at each target (chosen)"""
+"""[s] at each target"""
 LOOKED = 0.8
-"""[s] evaluated at its end (chosen)"""
+"""[s] evaluated at its end"""
 GAIN = 0.25
-"""[counts] least improvement (chosen)"""
+"""[counts] least improvement"""
 LOUDER = 1.5
-"""allowed multiple of the first unrest (chosen)"""
+"""allowed multiple of the first unrest"""
 QUIET = 1.0
-"""[counts] of no unrest (chosen)"""
+"""[counts] of no unrest"""
 SHAKES = np.radians(2.0)
-"""[rad] swing within `LOOKED` that ends a round (chosen)"""
+"""[rad] swing within `LOOKED` that ends a round"""
 LABOURS = 1.0
-"""[s] beyond `HEAVIEST` that end it (chosen)"""
+"""[s] beyond `HEAVIEST` that end it"""
 
 Values = dict[str, tuple[int, ...]]
 

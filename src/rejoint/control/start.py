@@ -1,4 +1,7 @@
-"""Start of every drive: a look, then slow motion."""
+"""Start of every drive: a look, then slow motion.
+
+Constants without a source are chosen.
+"""
 
 from __future__ import annotations
 
@@ -19,27 +22,27 @@ from rejoint.system.errors import NotReadyError
 from rejoint.system.stopping import pause
 
 BEYOND = np.radians(3.0)
-"""[rad] beyond a limit (chosen)"""
+"""[rad] beyond a limit"""
 WARMTH = 5.0
-"""[deg C] below the guard's trip (chosen)"""
+"""[deg C] below the guard's trip"""
 COLDEST, HOTTEST = -20.0, 120.0
-"""[deg C] trusted (chosen)"""
+"""[deg C] trusted"""
 LOOK = 0.3
-"""[s] (chosen)"""
+"""[s]"""
 STILL = np.radians(5.0)
-"""[rad] motion during the look (chosen)"""
+"""[rad] motion during the look"""
 STANCE = np.radians(15.0)
-"""[rad] from the twin's rest posture (chosen)"""
+"""[rad] from the twin's rest posture"""
 FARTHER = np.radians(5.0)
-"""[rad] more than in the diagnosis (chosen)"""
+"""[rad] more than in the diagnosis"""
 FALL = GuardLimits.max_lead + np.radians(5.0)
-"""[rad] of falling off the first motion (chosen)"""
+"""[rad] of falling off the first motion"""
 ASTRAY = np.radians(8.0)
-"""[rad] of leaving it without or against weight (chosen)"""
+"""[rad] of leaving it without or against weight"""
 STRIKES = 2
-"""Readings in a row (chosen)"""
+"""Readings in a row"""
 LIGHT = 1e-3
-"""[N m] without weight (chosen)"""
+"""[N m] without weight"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -110,12 +110,12 @@ def placed(arm: Arm, poses: Sequence[Pose]) -> tuple[Array, Orientation | None]:
 
 
 def in_mm(place: Array) -> str:
-    """Return a place (3,) [m] in words."""
+    """Describe a place (3,) [m]."""
     return f"({', '.join(f'{1e3 * value:.0f}' for value in place)}) mm"
 
 
 def in_words(turn: Orientation) -> str:
-    """Return an orientation () in words; empty: any."""
+    """Describe an orientation (); empty: any."""
     if not turn.counts:
         return ""
     if not turn.whole:

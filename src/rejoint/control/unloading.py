@@ -1,7 +1,7 @@
-"""Taking a joint that sticks short of its goal over a posture in which it starts.
+"""Brings stuck joints to their goals.
 
-A worn motor may hold a joint and not start it under the same load. Then the other joints bring it where its load helps
-it, it goes to its goal there, and the others follow.
+A worn motor may hold a joint and not start it under the same load. Then the joint moves where its load helps it
+(`unloaded_way`).
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ from rejoint.control.robot import JointState
 from rejoint.system.errors import InputError
 
 OFF, STANDS = float(np.radians(3.0)), 0.5
-"""[rad] from its goal, and [s] without moving, from which a joint counts as stuck (chosen)"""
+"""[rad] off its goal, and [s] without motion, of a stuck joint (chosen)"""
 PUSHED = 5.0
-"""[s] without moving from which a joint counts as stuck that is nearer: until then it is pushed (chosen)"""
+"""[s] the same for a nearer joint, which is pushed until then (chosen)"""
 STILL = float(np.radians(0.5))
 """[rad] within which a joint stands (chosen)"""
 TRIES = 4
-"""Postures that are tried for one goal (chosen)"""
+"""Postures tried for one goal (chosen)"""
 EASIER = 0.2
-"""Share by which the motor of a joint lifts less in each further try (chosen)"""
+"""Share less that a motor lifts in each further try (chosen)"""
 _SHARES, _PLANNED, _TRAVEL = (0.3, 0.6, 1.0), 6, 0.15  # of ways to stored postures; what a radian counts
 _STARTS = 5.0  # what a load counts that the motor does not surely lift
 
 
 class PlannedWay(Reference):
-    """Goes along a planned way and stays at its end; slower where a joint lags behind."""
+    """Follows a planned way at its `pace`, and stays at its end."""
 
     def __init__(self, arm: Arm, way: JointTrajectory) -> None:
         self._arm, self._way, self._since, self._time = arm, way, 0.0, np.nan
 
     def advance(self, state: JointState, since: Array, /) -> Setpoint:  # noqa: ARG002 - it waits by itself
-        """Return where the arm is to be; the first call begins the way."""
+        """See `Reference`. The first call begins the way."""
         now = float(state.time[0])
         if now > self._time:
             self._since += (now - self._time) * pace(self._arm, self._way, self._since, state.position[0])
@@ -49,14 +49,14 @@ class PlannedWay(Reference):
 
 
 class UnloadedWay(Reference):
-    """Any way of one arm, whose stuck joints are brought to its goals."""
+    """Any way of one arm, with `Unloading`."""
 
     def __init__(self, way: Reference, unloading: Unloading, say: Callable[[str], object] = lambda _: None) -> None:
-        """``say`` receives which joint stays off its goal, and by how much."""
+        """``say`` receives the joint that stays off its goal."""
         self._way, self._unloading, self._say, self._since = way, unloading, say, np.inf
 
     def advance(self, state: JointState, since: Array, /) -> Setpoint:
-        """Return where the arm is to be."""
+        """See `Reference`."""
         wanted = self._unloading.advance(state, self._way.advance(state, since))
         short = self._unloading.short(state.position[0]) if self._unloading.given_up and wanted.arrived[0] else ""
         now = float(state.time[0])
@@ -68,10 +68,10 @@ class UnloadedWay(Reference):
 
 
 class Unloading:
-    """Brings stuck joints of one arm of the ``motors`` to the goals of any way."""
+    """Brings stuck joints of one arm to their goals."""
 
     def __init__(self, arm: Arm, motors: Motors | None = None, off: float = OFF) -> None:
-        """``off`` [rad]: from its goal, at least `STILL`, where a joint counts as stuck."""
+        """``off`` [rad], at least `STILL`: distance of a stuck joint from its goal."""
         self._arm, self._least = arm, max(off, STILL)
         self._motors = motors or Motors(*np.full((2, arm.joints), np.inf))
         self._goal = np.full(arm.joints, np.nan)
@@ -86,7 +86,7 @@ class Unloading:
         return self._tries >= TRIES
 
     def short(self, position: Array) -> str:
-        """Say which joint is off the last goal at ``position`` (n,) [rad], and by how much; empty where none is."""
+        """Describe the joint off its goal at ``position`` (n,) [rad], or empty."""
         joint = self._off(position, self._goal)
         if joint is None:
             return ""
@@ -97,7 +97,7 @@ class Unloading:
         return f"{self._arm.joint_names[joint]} stopped {away:.0f} deg from its goal{why}"
 
     def advance(self, state: JointState, wanted: Setpoint) -> Setpoint:
-        """Return ``wanted``, or where the arm is to be instead so that a joint starts; that has not arrived."""
+        """``wanted``, or another setpoint, not arrived, from which a joint starts."""
         now, position, goal = float(state.time[0]), state.position[0], wanted.goal[0]
         if not (wanted.arrived[0] and np.abs(goal - self._goal).max() < STILL):
             self._goal, self._tries, self._way, self._arrived = goal.copy(), 0, None, now
@@ -128,7 +128,7 @@ class Unloading:
         return PlannedWay(self._arm, self._legs.popleft())
 
     def _off(self, position: Array, goal: Array) -> int | None:
-        """Return the joint that is farthest off its goal; None where all are near."""
+        """Joint farthest off its goal, or None."""
         away = np.abs(goal - position)
         joint = int(away.argmax())
         return joint if away[joint] > self._least else None
@@ -144,12 +144,10 @@ class Unloading:
 def unloaded_way(
     arm: Arm, position: Array, goal: Array, joint: int, motors: Motors, share: float
 ) -> tuple[JointTrajectory, ...]:
-    """Plan a way from ``position`` to ``goal`` (n,) [rad] on which ``joint`` moves where its load helps it.
+    """Plan a way from ``position`` to ``goal`` (n,) [rad] on which its load helps ``joint``.
 
-    Its motor lifts at most a ``share`` of what the ``motors`` say, where that is possible.
-
-    Three trajectories: the others go there, the joint moves, the others go to the goal. One where the straight way was
-    blocked; none where none is clear.
+    Its motor lifts at most a ``share`` of its torque, if possible. Three trajectories: the others move, the joint
+    moves, the others go to the goal. One if the straight way was blocked; none if no way is clear.
     """
     pool, sense = pool_of(arm), np.sign(goal[joint] - position[joint])
     load = sense * gravity_torque(arm, position)[joint]

@@ -1,7 +1,7 @@
-"""Try every controller on the same arm, with the same targets and start.
+"""Try every controller on one arm, with the same targets and start.
 
 Emulated arms run all trials of a controller as one batch with equal noise. A real arm runs them in random order: drift
-favours no controller.
+favours none.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from rejoint.system.progress import Progress, no_progress
 from rejoint.system.stopping import pause
 
 PROGRESS_CYCLES = 40
-"""between progress reports (chosen)"""
+"""(chosen)"""
 
 
 class Targets:
@@ -132,11 +132,10 @@ class Settings:
     """side by side on emulated arms"""
     protocol: Protocol = field(default_factory=Protocol)
     leave_out: bool = False
-    """leave out a policy of another period"""
+    """a policy of another period"""
     elimination: Elimination | None = None
-    """None: no elimination"""
     wait: bool = False
-    """wait for uncrossed targets although the arm is stationary, as in the paper"""
+    """wait for uncrossed targets of a stationary arm, as in the paper"""
 
     def __post_init__(self) -> None:
         if self.repetitions < 1:
@@ -153,9 +152,9 @@ REPEATS = 2
 
 @dataclass(eq=False)
 class TrialRunner:
-    """Compares ``controllers`` by name on ``targets``.
+    """Compares controllers.
 
-    A guard trip fails a trial of a batch; on one arm it ends the comparison, as does a robot's error. A command that is
+    A guard trip fails a trial of a batch. On one arm it ends the comparison, as a robot's error does. A command that is
     not a number fails the trial.
     """
 
@@ -170,7 +169,6 @@ class TrialRunner:
     limits: GuardLimits | None = None
     stance: Stance | None = None
     correction: MakeCorrection | None = None
-    """makes corrected targets"""
     model: ToolModel | None = None
     """estimates unknown tool errors"""
     ledger: Ledger | None = None
@@ -179,7 +177,6 @@ class TrialRunner:
     measured: Sequence[Driven] = ()
     source: str = ""
     helper: Helper | None = None
-    """drives a part of a batch"""
 
     def __post_init__(self) -> None:
         targets, settings = np.asarray(self.targets, dtype=float), self.settings
@@ -203,7 +200,7 @@ class TrialRunner:
         self._rng = np.random.default_rng(settings.seed)
 
     def compare(self) -> Comparison:
-        """Drive all trials; NotReadyError where the arm is not in its stance."""
+        """Drive all trials; NotReadyError if not in its stance."""
         settings, turns = self.settings, self.turns
         robot = self._side_by_side() if settings.batched else self._in_turns()
         tallies = {name: self.tallies[name] for name in self._taking_part}

@@ -1,4 +1,4 @@
-"""Elimination of controllers that fail, or are significantly worse than the best.
+"""Elimination of failing and of significantly worse controllers.
 
 After each block: three misses in a row, or a paired t-test on logarithms of settled errors (Maron and Moore, Hoeffding
 races, NIPS 1993; Bonferroni's level).

@@ -39,7 +39,7 @@ class Holding:
     """How to drive held places."""
 
     open_robot: Callable[[int, int], Robot]
-    """(arms, noise seed) to a robot"""
+    """(arms, noise seed)"""
     batched: bool
     seed: int
     limits: GuardLimits | None = None

@@ -86,10 +86,7 @@ def measure_crossings(arm: Arm, recording: Recording, targets: Array, protocol: 
 def measure_holds(
     arm: Arm, recording: Recording, targets: Array, protocol: Protocol, model: ToolModel | None = None
 ) -> Columns:
-    """Metrics of holding; ``targets`` (B, K, 3) [m]; NaN where a trip ended a hold.
-
-    ``model`` estimates true errors.
-    """
+    """Metrics of holding; ``targets`` (B, K, 3) [m]; NaN where a trip ended a hold."""
     tcp = encoder_tcp(arm, recording)
     error, true_error = _errors(arm, recording, tcp)
     shape = targets.shape[:2]
@@ -125,7 +122,7 @@ def _columns(shape: tuple[int, ...], *names: str) -> Columns:
 
 
 def _errors(arm: Arm, recording: Recording, tcp: Array | None = None) -> tuple[Array, Array]:
-    """Return encoder error, from the corrected target, and true error (T, B) [m]."""
+    """Return encoder and true errors (T, B) [m]."""
     tcp = encoder_tcp(arm, recording) if tcp is None else tcp
     return (
         np.linalg.norm(tcp - recording.aim, axis=-1),

@@ -1,7 +1,7 @@
-"""Recommendation: the simplest controller that no other beats significantly.
+"""The simplest controller that no other beats significantly.
 
-Criteria in order: targets reached, settled encoder error, time to stay within the narrowest distance, then within the
-wider ones. A difference whose 95 % interval contains zero is a tie. Eliminated controllers are out, unless all are.
+Criteria in order: targets reached, settled encoder error, time to stay within the narrowest distance, then the wider
+ones. A 95 % interval that contains zero is a tie. Eliminated controllers are out, unless all are.
 """
 
 from __future__ import annotations

@@ -62,7 +62,7 @@ class Ended:
     target: int
     """index"""
     why: str
-    """such as ``not finite``, see `reason_names`"""
+    """see `reason_names`"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,9 +201,8 @@ class Comparison:
     clusters: str
     """unit of resampling: ``target sets``, ``trials`` or ``targets``"""
     rows: tuple[ControllerRow, ...]
-    """one per controller"""
     results: dict[str, Values] = field(repr=False)
-    """tidy table by column (`METRICS`), ordered by controller, target set, repetition, target"""
+    """columns (`METRICS`) of `table`"""
     targets_file: str = ""
     """empty: drawn"""
     period: tuple[float, float] | None = None

@@ -90,7 +90,7 @@ def corrector(
 
 
 def judge(arm: Arm, recording: Recording, guide: Ahead | Stream, b: int = 0, model: ToolModel | None = None) -> Pass:
-    """Errors of arm ``b``; ``model`` estimates tool errors."""
+    """Errors of arm ``b``."""
     rows, time = rows_on(recording, guide, b)
     tool = tcp_position(arm, recording.position[rows, b])
     at, places, aims = route_of(guide)
@@ -224,7 +224,7 @@ def _spectrum(values: Array) -> Array:
 
 
 def _smooth(values: Array, width: float) -> Array:
-    """Return moving mean of ``values`` (F,) over about ``width``."""
+    """Average ``values`` (F,) over about ``width``."""
     reach = int(np.ceil(3.0 * width))
     weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / width) ** 2)
     return np.convolve(np.pad(values, reach, mode="symmetric"), weights / weights.sum(), "valid")

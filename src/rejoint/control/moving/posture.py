@@ -1,7 +1,6 @@
 """Postures on a path, the arm's home, and commands of a motion by the twin.
 
 The posture nearest to home depends on the place alone, so nothing drifts. Lightly loaded joints are spared: they stick.
-Home is rest, or a fold that relieves a weak motor (`python -m benchmarks moving`).
 """
 
 from __future__ import annotations
@@ -86,7 +85,11 @@ _PLACES = 32  # of the region of targets, at which postures are looked at
 
 
 def home_of(arm: Arm, servos: Servos) -> Array:
-    """Home (B, n) [rad]: rest where the loaded motors have spare torque; else the fold that loads the weakest least."""
+    """Home (B, n) [rad].
+
+    Rest where the loaded motors have spare torque; else the fold that loads the weakest least
+    (`python -m benchmarks moving`).
+    """
     places = arm.targets.sample(np.random.default_rng(0), (_PLACES,))
     light = joint_weights(arm) > 1.0
     room = np.maximum((1.0 - _SPARE) * servos.torque_limit - servos.coulomb, np.finfo(float).tiny)

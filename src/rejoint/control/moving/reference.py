@@ -1,4 +1,7 @@
-"""References: planned paths (files, standard ones), and streams of targets."""
+"""References: planned paths (files, standard ones), and streams of targets.
+
+Constants without a source are chosen.
+"""
 
 from __future__ import annotations
 
@@ -38,17 +41,17 @@ from rejoint.system.numbers import as_floats, as_place
 
 _HEADER = ("time", *PLACE)
 _MOST = 4_000_000
-"""[bytes] (chosen)"""
+"""[bytes]"""
 LONGEST = 3600.0
-"""[s] (chosen)"""
+"""[s]"""
 SHORTEST = 0.1
-"""[s] (chosen)"""
+"""[s]"""
 _LOOK = 0.04
-"""[s] between judged places (chosen)"""
+"""[s] between judged places"""
 _OPPOSITE = -0.5
-"""Cosine of the largest turn between points (chosen)"""
+"""Cosine of the largest turn between points"""
 SPEED_SHARE = 0.8
-"""Largest share of joint speed (chosen)"""
+"""Largest share of joint speed"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -263,11 +266,11 @@ STANDARD = ("circle-20s", "circle-8s", "circle-4s", "random-0.2hz", "random-0.5h
 RADIUS = 0.040
 """[m] of a myCobot's circle; scales with the reach"""
 EASE = 1.0
-"""[s] to start and to stop (chosen)"""
+"""[s] to start and to stop"""
 LENGTH = 20.0
-"""[s] of a standard path (chosen)"""
+"""[s] of a standard path"""
 _SINES, _FILL = 5, 0.7
-"""waves per coordinate, and their share of the region (chosen)"""
+"""waves per coordinate, and their share of the region"""
 _STEP = 0.02  # [s] between the points
 _NAME = re.compile(r"(circle)-(\d+(?:\.\d+)?)s|(random)-(\d+(?:\.\d+)?)hz")
 
@@ -327,13 +330,13 @@ def interpolated(time: Array, at: Array, places: Array) -> Array:
 
 
 LEAD_IN = 2.0
-"""[s] at rest before a path (chosen)"""
+"""[s] at rest before a path"""
 LAG = 0.08
-"""[s] behind a stream (chosen)"""
+"""[s] behind a stream"""
 EXTRAPOLATED = 0.2
-"""[s] in a pause of a stream (chosen)"""
+"""[s] in a pause of a stream"""
 _MOST_TURN = float(np.radians(120.0))
-"""[rad] between targets of a stream (chosen)"""
+"""[rad] between targets of a stream"""
 _RECENT = 2.0  # [s] of a stream that are looked at (chosen: more than the longest lag and what follows look back)
 
 
@@ -523,7 +526,7 @@ class PathReference(Reference):
 
 
 def played(path: Path, rate: float) -> Stream:
-    """Play a path as a stream of ``rate`` [Hz], after a rest; InputError beyond 1 to 1000 Hz."""
+    """Play a path as a stream of ``rate`` [Hz], after a rest; InputError."""
     require_rate(rate)
     stream = Stream(axis=path.axis)
     stream.put(path.pose_at(0.0), 0.0)

@@ -2,7 +2,7 @@
 
 Deviation x of a joint: ``M x'' + D x' + k x = k (u + d)``; u was sent beyond the inverse, ``delay`` ago; d is the
 disturbance. A stationary Kalman filter per joint estimates x, x' and d. The command subtracts d, and adds stiffness and
-damping for the time of its effect.
+damping.
 """
 
 from __future__ import annotations
@@ -135,7 +135,6 @@ class Tracker:
     def __init__(
         self, arm: Arm, servos: Servos, gains: TrackerGains | None = None, period: float = NOMINAL_PERIOD
     ) -> None:
-        """``period`` [s] of control."""
         self._arm, self._servos, self._gains = arm, servos, gains or TrackerGains()
         self._usual = period
         self._begun = False
@@ -155,7 +154,7 @@ class Tracker:
         self._period = np.full(count, self._usual)
 
     def command(self, inputs: ControlInput) -> Array:
-        """Commands (B, n) [rad]."""
+        """See `Controller`."""
         gains, observer, now = self._gains, self._observer, inputs.state.time
         if self._last is not None:
             observer.sent(self._last, self._effective(inputs.sent) - self._wanted)
