@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from modelfiles import resized
-from rejoint.arms import Box, frames, mycobot280, tcp_position
+from rejoint.arms import frames, mycobot280, tcp_position
 from rejoint.arms.collision import collision_shape
 from rejoint.control.guard import RAMP, GuardLimits, Reason, guard, reason_names
 from rejoint.system.errors import InputError
@@ -137,20 +137,3 @@ def test_clearances_go_with_the_size_of_the_arm_and_follow_its_floor():
     assert double.joint_floor == pytest.approx(2 * LIMITS.joint_floor)
     on_a_pedestal = GuardLimits.of(dataclasses.replace(ARM, floor=-0.5))
     assert on_a_pedestal.joint_floor == pytest.approx(-0.49)
-
-
-def test_the_others_heed_where_a_stuck_joint_is():
-    low = tcp_position(ARM, ARM.rest)[2] - 0.05
-    wall = Box(lower=np.array([-1.0, -1.0, -0.5]), upper=np.array([1.0, 1.0, low]))
-    limits = GuardLimits.of(dataclasses.replace(ARM, keep_out=(wall,)))
-    for stuck in (False, True):
-        sent, speed = ARM.rest[None] + np.radians([0.0, 20.0, 0.0, 0.0, 0.0, 0.0]), np.zeros((1, 6))
-        reasons = 0
-        for _ in range(14):
-            position = sent.copy()
-            if stuck:
-                position[0, 1] = ARM.rest[1]
-            wanted = sent - np.radians([0.0, 0.0, 1.5, 0.0, 0.0, 0.0])
-            sent, found, speed = guard(limits, wanted, sent, speed, state_of(position), PERIOD)
-            reasons |= int(found[0])
-        assert bool(reasons & Reason.COLLISION) == stuck

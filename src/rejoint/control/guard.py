@@ -2,7 +2,7 @@
 
 Limits change a command; trips (`TRIPS`) return the last one, and the loop stops the robot. Limits apply in the order
 lead, position, step, acceleration, floor, contacts; the later one wins. All but the first two only shorten the step, so
-a hold is always allowed. The guard also judges the posture with the most lagging joints where they are.
+a hold is always allowed. The guard judges the commanded posture.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import IntFlag
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -206,7 +206,7 @@ def guard(
     compiled.limit(stages, plain(measured), last, plain(speed), elapsed, limits.bounds, limits.max_lead)
     if hold:  # whatever the limits say of the posture
         stepped[trips != 0] = last[trips != 0]
-    allowed, shortened = _keep_clear(limits, stepped, last, measured)
+    allowed, shortened = _keep_clear(limits, stepped, last)
     now = np.empty_like(allowed)
     compiled.take_speed(now, allowed, last, elapsed, limits.max_speed)
     changed = allowed != wanted
@@ -309,25 +309,14 @@ def _flag(per_joint: NDArray[np.bool_], reason: Reason) -> Reasons:
     return flagged
 
 
-def _keep_clear(limits: GuardLimits, command: Array, sent: Array, measured: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _keep_clear(limits: GuardLimits, command: Array, sent: Array) -> tuple[Array, NDArray[np.bool_]]:
     shortened = np.zeros((2, len(command)), dtype=bool)
-    behind = np.abs(command - measured) >= limits.max_lead - _TOLERANCE  # may be stuck: the others heed where it is
-    stuck = limits.collisions and np.count_nonzero(behind) > 0
-
-    def both(q: Array, rows: Any) -> Array:  # noqa: ANN401 - whatever arrays take
-        clear = clear_by(limits, q)
-        if not stuck:
-            return clear
-        there = clear_by(limits, np.where(behind[rows], measured[rows], q))
-        there = np.where(behind[rows].any(axis=-1, keepdims=True), there, np.inf)
-        return np.concatenate([clear, there], axis=-1)
-
-    clear = both(command, slice(None))
+    clear = clear_by(limits, command)
     if not np.count_nonzero(clear < 0.0):
         return command, shortened
     index = np.flatnonzero(np.logical_or.reduce(clear < 0.0, axis=-1))
     start, way = sent[index], command[index] - sent[index]
-    on_way = both(start[:, None] + limits.shares * way[:, None], np.s_[index, None])
+    on_way = clear_by(limits, start[:, None] + limits.shares * way[:, None])
     on_way[:, -1] = clear[index]  # of the command itself, without rounding
     nearer, why = command[index], np.zeros((2, len(index)), dtype=bool)
     compiled.shorten(nearer, why, start, way, plain(on_way), _TOLERANCE)
