@@ -169,11 +169,12 @@ class Terminal:
         """Print a table with the row ``bold`` set off; a wide one is split, its first column in each part."""
         title, width = f"{self._of}{title}", self.results.width if self.results.is_terminal else WIDTH
         page = _Output(file=_results(), width=width, highlight=False)
-        for part in _parts(headers, rows, width):
+        for part, widths in _parts(headers, rows, width):
             table = Table(title=Text(title), title_justify="left", header_style="bold")
-            for index, least in part.items():  # as text: square brackets are units here, and no markup
-                side: Literal["left", "right"] = "right" if index else "left"
-                table.add_column(Text(headers[index]), justify=side, overflow="fold", min_width=least)
+            for index, wide in zip(part, widths, strict=True):
+                # as text: square brackets are units here, and no markup
+                justify: Literal["left", "right"] = "left" if index == 0 else "right"
+                table.add_column(Text(headers[index]), justify=justify, overflow="fold", width=wide)
             for number, row in enumerate(rows):
                 table.add_row(*(Text(row[index]) for index in part), style="bold" if number == bold else None)
             page.print(table)
@@ -223,16 +224,27 @@ class Terminal:
             yield update
 
 
-def _parts(headers: Sequence[str], rows: Sequence[Sequence[str]], most: int) -> list[dict[int, int]]:
-    """Distribute columns to tables of at most ``most`` characters, the first to each; with their least widths."""
-    least = [_least([header, *(row[k] for row in rows)]) for k, header in enumerate(headers)]
-    parts = [{0: least[0]}]
+def _parts(headers: Sequence[str], rows: Sequence[Sequence[str]], most: int) -> list[tuple[list[int], list[int]]]:
+    """Distribute columns to tables of at most ``most`` characters, the first to each; with the widths of columns."""
+    cells = [[header, *(row[index] for row in rows)] for index, header in enumerate(headers)]
+    natural = [max(map(cell_len, column)) for column in cells]
+    least = [_least(column) for column in cells]
+    parts: list[list[int]] = [[0]]
     for index in range(1, len(headers)):
-        across = sum(width + 3 for width in parts[-1].values()) + 1
-        if len(parts[-1]) > 1 and across + least[index] + 3 > most:
-            parts.append({0: least[0]})
-        parts[-1][index] = least[index]
-    return parts
+        if len(parts[-1]) > 1 and _across([least[one] for one in [*parts[-1], index]]) > most:
+            parts.append([0])
+        parts[-1].append(index)
+    found = []
+    for part in parts:
+        widths = [least[index] for index in part]
+        for place, index in enumerate(part):  # what is left goes to those whose text would break
+            widths[place] += min(natural[index] - widths[place], max(most - _across(widths), 0))
+        found.append((part, widths))
+    return found
+
+
+def _across(widths: Sequence[int]) -> int:
+    return sum(width + 3 for width in widths) + 1
 
 
 def _least(cells: Sequence[str]) -> int:
