@@ -39,7 +39,7 @@ class Evidence:
 
 
 HIDDEN_MARGIN_MM = 1.0
-"""Tool from encoders, beyond the healthy range, of a worn myCobot 280; goes with the reach; chosen"""
+"""Distance of tool and encoders, beyond the healthy range, by wear on a myCobot 280; goes with the reach; chosen"""
 
 KINDS = {
     "stuck": "stuck or without power",

@@ -47,7 +47,7 @@ NO_OFFSET = Estimate(0.0, -OFFSET_ALLOWED, OFFSET_ALLOWED)
 """[rad] without an offset: each servo has its own zero"""
 
 ARMS, SEED = 12, 2024
-"""Of a reference's emulated arms; chosen"""
+"""Emulated healthy arms of a reference, and their seed; chosen"""
 
 ARMS_ON_DEMAND = 6
 """The same on demand (about 10 s); chosen"""

@@ -69,7 +69,7 @@ class Finding:
     """with unit, such as ``stiffness_nm_per_rad``"""
     measured: Estimate
     healthy: Estimate | None
-    """mean and range; None without a reference"""
+    """mean and healthy range; None without a reference"""
     tcp_mm: float
     """tool error in the ten target postures"""
     sentence: str
@@ -167,7 +167,7 @@ def find(
 
 
 def stuck(case: _Case) -> Iterator[Finding]:
-    """Report a joint that does not move, or is beyond measurement."""
+    """Report a joint that does not move when commanded, or is beyond measurement."""
     gain, far = case.row.sweep_gain, float(case.errors.max())
     if gain is not None:  # one that breaks loose on a long way may come near its targets, and stick elsewhere
         far = max(far, case.row.stuck_rad)
@@ -359,7 +359,7 @@ RULES: tuple[Callable[[_Case], Iterator[Finding]], ...] = (
 
 
 def _common_lag(measurement: Measurement, healthy: HealthyReference | None) -> float:
-    """Return common delay beyond the reference: bus or firmware, not wear."""
+    """Return the common delay beyond the reference: bus or firmware, not wear."""
     if healthy is None:
         return 0.0
     pairs = [(row.lag_s, good.lag_s) for row, good in zip(measurement.joints, healthy.joints, strict=True)]

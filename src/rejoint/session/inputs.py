@@ -47,6 +47,7 @@ GaugeLike: TypeAlias = "Gauge | CameraGauge | Literal['none']"
 NO_GAUGE: Literal["none"] = "none"
 
 RunLike: TypeAlias = "Run | Path | str"
+"""A run, or its folder"""
 
 Targets: TypeAlias = "ArrayLike | Sequence[Pose] | Path"
 """(K, 3) or (S, K, 3) [m], poses, or a CSV file in millimetres"""

@@ -48,7 +48,7 @@ LEAST_CONTACT = 5.0
 
 
 FOLLOWED = 0.4
-"""Weight of a motion's worst joint that is reported; chosen"""
+"""Least weight of a motion's worst joint without report; chosen"""
 REFITTED = "errors on held-out motion are those of a fit that had not seen it; the values are fitted to all motions"
 NOTHING = "the motions tell no joint's stiffness, damping or friction"
 REPEATED = "the motions held out repeat those that were fitted: errors on other motion are larger"

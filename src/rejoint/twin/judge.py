@@ -4,7 +4,7 @@ A twin is trusted only where joints moved, readings come often, on the commands'
 commands with any delay.
 
 Candidates may be published parameter sets (docs/published): TOML with stiffness, damping, coulomb and armature, one
-value or one per joint; more is optional.
+value or one per joint; the rest is optional.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def judge(
     timestep: float = TIMESTEP,
     threads: int = 1,
 ) -> Judgement:
-    """Compare candidates, and no twin, on whole logs; ``table`` [m]: height, default: found.
+    """Compare candidates, and no twin, on whole logs; ``table`` [m] is its height, default: found.
 
     InputError without a log or candidate, for equal names or another arm.
     """

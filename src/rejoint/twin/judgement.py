@@ -49,7 +49,6 @@ class MotionErrors:
     left_out_seconds: float
     """at stops or with dead readings, recovery included"""
     errors: dict[str, Errors]
-    """by prediction"""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -201,7 +201,7 @@ def repeated(logs: Sequence[RunLog], others: Sequence[RunLog]) -> list[NDArray[n
 
 
 def _stretches(log: RunLog) -> tuple[Array, Array]:
-    """Beginnings (S,) [s] and commands (S, n `STEPS`) [rad] of a log's stretches."""
+    """Beginnings (S,) [s] and commands (S, n `STEPS`) [rad] of all stretches of a log; after its end it rests."""
     time = np.arange(log.time[0], log.time[-1] + GRID, GRID)
     path = np.stack([np.interp(time, log.time, column) for column in log.command.T], axis=1)
     path = np.pad(path, ((0, STEPS - 1), (0, 0)), mode="edge")

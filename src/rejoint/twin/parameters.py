@@ -184,7 +184,7 @@ class Layout:
         return whole
 
     def normal(self, rng: np.random.Generator, count: int) -> Array:
-        """Return standard normal values (count, k) of the fitted elements, else 0."""
+        """Draw standard normal values (count, k) of the fitted elements, else 0."""
         return self.fitted(rng.standard_normal((count, int(self.is_fitted.sum()))))
 
     @property

@@ -92,7 +92,7 @@ class LiveReference:
         self._speed, self._acceleration = np.ones(count), np.full(count, np.inf)
 
     def restart(self, where: Mask, position: Array, *, speed: Array, acceleration: Array) -> None:
-        """Rest at ``position`` (m, n) [rad] in ``where`` (N,); limits (m,) [rad/s] or finite [rad/s^2]."""
+        """Rest at ``position`` (m, n) [rad] in ``where`` (N,); limits (m,) [rad/s] or, if finite, [rad/s^2]."""
         self.position[where], self.velocity[where] = position, 0.0
         self._speed[where], self._acceleration[where] = speed, acceleration
 
@@ -153,7 +153,7 @@ class Profile:
         self.position, self.velocity = _states(time, np.ascontiguousarray(command), acceleration)
 
     def sample(self, time: Array, delay: Array) -> Array:
-        """Return references (m, s, n) [rad] at ``time`` (s,) [s] for delays (m,) [s]."""
+        """As `ServoReference.sample`."""
         delays, which = np.unique(np.asarray(delay), return_inverse=True)
         late = time - delays[:, None]
         row = np.clip(np.searchsorted(self.time, late, side="right") - 1, 0, len(self.time) - 1)

@@ -197,7 +197,7 @@ def measured_velocity(log: RunLog) -> Array:
 
 
 def _interpolate(path: Array, timestep: float, time: Array) -> Array:
-    """Paths (m, s, n) of an even grid, at ``time`` (rows,)."""
+    """Paths (m, s, n) of an even grid from ``time[0]``, at ``time`` (rows,)."""
     place = (time - time[0]) / timestep
     index = np.minimum(place.astype(int), path.shape[1] - 2)
     part = (place - index)[:, None]

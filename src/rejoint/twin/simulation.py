@@ -232,7 +232,7 @@ class TwinRobot:
         return JointState(time=now.time.copy(), position=now.measured.copy(), age=np.zeros(self.count))
 
     def step(self, command: Array, active: Mask | None = None) -> JointState:
-        """Send ``command`` (B, n) [rad], advance one period; read ``active`` twins."""
+        """Send ``command`` (B, n) [rad], advance one period; read only ``active`` twins."""
         simulation, before = self.simulation, self.simulation.measured
         simulation.send(command)
         spread = self._rng.uniform(1.0 - self._jitter, 1.0 + self._jitter, self.count // self._copies)

@@ -214,7 +214,7 @@ def find_structure(
 def _climb(
     make: Callable[[Structure], Problem], structure: Structure, x: Array, best: Array, ladder: Sequence[float]
 ) -> Found:
-    """Try higher stictions while they pay, from optimum ``x`` (k,), losses (n,)."""
+    """Try the stictions of a ladder while they pay, from optimum ``x`` (k,), losses (n,)."""
     for stiction in ladder:
         stickier = replace(structure, stiction=stiction)
         problem = make(stickier)

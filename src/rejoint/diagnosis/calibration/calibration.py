@@ -58,11 +58,11 @@ class Calibration:
     after: float
     """[m] the same by this calibration, points left out"""
     used: bool
-    """whether the correction helped at points left out"""
+    """whether the correction helped at points left out; else it is off"""
     floor: float
     """[m] sigma per coordinate beyond the model"""
     suspects: tuple[int, ...] = ()
-    """rows that do not fit"""
+    """rows, from 0, that do not fit"""
     left_out: Array = field(default_factory=lambda: np.zeros((0, 2)))
     """(M, 2) [m] errors ``before`` and ``after``"""
 
@@ -97,7 +97,7 @@ class Calibration:
     def spread(self, position: Array) -> Array:
         """Covariance (..., 3, 3) [m^2] of `tool`.
 
-        Torques of uncertain sign count both flanks of the play.
+        Where a torque may have either sign, both flanks of the play count.
         """
         flat = np.reshape(position, (-1, self.arm.joints))
         vector = vector_of(self.layout, self.displacement)

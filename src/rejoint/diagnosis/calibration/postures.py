@@ -37,7 +37,7 @@ CANDIDATES = 300
 BEFORE = np.radians(6.0)
 """[rad] of each approach; chosen: three times the play"""
 MARGIN = 0.05
-"""Part of a joint's range kept free; chosen"""
+"""Part of a joint's range kept from each limit; chosen"""
 CLEARANCE = 0.03
 """[m] above the floor at a myCobot 280's reach; chosen: worn arms sag"""
 ENOUGH = 1.1

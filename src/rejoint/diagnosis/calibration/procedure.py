@@ -55,7 +55,7 @@ class Gauge(Protocol):
     """A device that measures the tool of a stationary arm."""
 
     source: str
-    """``touch``, ``camera``, ``tracker`` or ``emulated``"""
+    """as in `Measurements`"""
     frame: str
     """``base``, or the name of another frame of its points"""
     sigma: float
@@ -143,10 +143,11 @@ def parse_point(text: str) -> Array:
 
 @dataclass(kw_only=True)
 class TrackerGauge:
-    """Reads a growing CSV file: time [s], x, y and z."""
+    """Reads the end of a tracker's CSV file: time [s], x, y and z."""
 
     path: Path
     unit: str = "mm"
+    """``mm`` or ``m``"""
     sigma: float = NOISE
     frame: str = "tracker"
     source: str = "tracker"

@@ -85,7 +85,7 @@ class Fittable(ABC):
 
     @abstractmethod
     def noise(self, vector: Array) -> Array:
-        """Covariance (R, d, d) of a residual."""
+        """Covariance (R, d, d) of a residual for known parameters."""
 
     def uncorrected(self, out: NDArray[np.bool_], start: Array) -> Array:
         """Residuals (r, d) of rows ``out`` by encoders; the others fit the frame from ``start`` (k,)."""

@@ -42,7 +42,7 @@ State = Literal["learning", "steady", "drifting", "alarm"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Chart:
-    """One quantity since its baseline began, T checks."""
+    """One quantity since its baseline began; T checks, the newest last."""
 
     z: Array
     """(T,) standard deviations from the baseline; NaN in its first checks"""

@@ -183,7 +183,6 @@ def _quantities(visits: Sequence[PastCheck], warm: Array) -> list[tuple[str, str
 
 
 def _ranked(drawn: Sequence[Change]) -> tuple[Change, ...]:
-    """Sort by state, then distance, friction and sag before deviation."""
     order: tuple[State, ...] = ("alarm", "drifting", "steady", "learning")
     most: dict[tuple[str, str], float] = {}
     for one in drawn:

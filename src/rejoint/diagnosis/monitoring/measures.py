@@ -25,7 +25,7 @@ _LEAST_RANGE = 0.1
 """[N m] of a myCobot 280, least range of load for sag; chosen"""
 
 LEAST_APPROACHES = 3
-"""Approaches from one side in a check; chosen"""
+"""Approaches from one side that a check needs; chosen"""
 
 _SWEEP_MIDDLE = 0.6  # share of a sweep, about its middle, in which a joint moves steadily (chosen)
 
@@ -151,7 +151,7 @@ def _levers(arm: Arm, posture: Array) -> Array:
 
 
 def _hysteresis(data: ExcitationLog, joint: int) -> float:
-    """[rad] following error upwards minus downwards."""
+    """[rad] following error of slow sweeps upwards minus downwards."""
     sides: tuple[list[float], list[float]] = ([], [])
     for segment in data.of_kind("sweep", joint):
         cut = 0.5 * (1.0 - _SWEEP_MIDDLE) * (segment.stop - segment.start)

@@ -66,15 +66,15 @@ class ChainBatch:
         self._gravity[chosen] = np.broadcast_to(gravity_scale, len(chosen))[:, None] * GRAVITY
 
     def set_timestep(self, timestep: float | Array) -> None:
-        """Set the time step [s], a number or (nsim,)."""
+        """As `rejoint.twin.batch.TwinBatch.set_timestep`."""
         self.timestep[:] = timestep
 
     def set_friction(self, friction: Array) -> None:
-        """Set the dry friction (nsim, n) [N m]."""
+        """As `rejoint.twin.batch.TwinBatch.set_friction`."""
         self.row("coulomb")[:] = friction
 
     def set_motors(self, *, armature: Array, damping: Array) -> None:
-        """Set armature (nsim, n) [kg m^2] and damping (nsim, n) [N m s/rad]."""
+        """As `rejoint.twin.batch.TwinBatch.set_motors`."""
         self.row("armature")[:], self.row("damping")[:] = armature, damping
 
     def step(self) -> None:
@@ -101,7 +101,7 @@ class ChainBatch:
         return path
 
     def restart(self, position: Array, velocity: Array | float = 0.0, ids: Ids = None) -> None:
-        """Restart at ``position`` (m, n) [rad] with ``velocity`` [rad/s], without friction impulses."""
+        """As `rejoint.twin.batch.TwinBatch.restart`, without friction impulses."""
         chosen = np.arange(self.nsim)[slice(None) if ids is None else ids]
         self.qpos[chosen] = self.ctrl[chosen] = position
         self.qvel[chosen], self._impulse[chosen] = velocity, 0.0

@@ -48,7 +48,7 @@ class Judged:
 
 
 def judge(problem: TieProblem, vector: Array, views: Sequence[BoardView]) -> Judged:
-    """Check each view with the vector (k,) of all."""
+    """Check each view with the poses and the arm ``vector`` (k,) of all."""
     rig, whitener = problem.rig_of(vector), problem.whitener(vector)
     lens, corners, told = problem.rig.lens, rig.board.corners, problem.reported(vector)
     placed = [
@@ -125,7 +125,6 @@ class Bundle:
     """Fit of pictures and encoders."""
 
     problem: TieProblem
-    """with the views used"""
     fitted: Fitted
     """with the prior `USUAL` or an earlier calibration"""
     views: tuple[BoardView, ...]
@@ -253,6 +252,6 @@ def bow(found: Bundle) -> tuple[float, float]:
 
 
 def _surface(board: Board) -> Array:
-    """Shapes (C, 3) at the corners: bent along x, twisted, bent along y."""
+    """Shapes (C, 3) at the corners: bent along x, twisted, bent along y; height about one."""
     x, y = (board.corners[:, :2] / board.size.max() * 2.0 - board.size / board.size.max()).T
     return np.stack([x * x, x * y, y * y], axis=-1)

@@ -121,7 +121,7 @@ def seen_postures(
 SCOUTS = 12
 """Pictures about the rest posture; chosen"""
 FEWEST_SCOUTS = 6
-"""Those that must show the board; chosen"""
+"""Those that must show the board; chosen: three locate the camera"""
 POSTURES = 14
 """Postures chosen then, each from two sides; chosen"""
 

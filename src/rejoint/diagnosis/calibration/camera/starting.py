@@ -67,7 +67,8 @@ def first_sights(lens: Lens, board: Board, views: Sequence[BoardView]) -> Array:
 def first_rig(arm: Arm, lens: Lens, board: Board, carried: str, position: Array, sights: Array) -> Rig:
     """Find the poses of camera and board by the encoders' ``position`` (V, n) [rad].
 
-    Linear least squares of A M = F B (Dornaika and Horaud 1998, section III). InputError for too little rotation.
+    Linear least squares of A M = F B (Dornaika and Horaud 1998, section III), without outliers. InputError for too
+    little rotation.
     """
     tool = tcp_pose(arm, position)
     _require_turns(tool)

@@ -138,7 +138,7 @@ class TieProblem(Fittable):
 
 
 def looseness(arm: Arm, displacement: Displacement, position: Array) -> Array:
-    """Covariance (V, 6, 6) of the tool's pose beyond ``displacement``, at positions (V, n)."""
+    """Covariance (V, 6, 6) of the tool's pose beyond ``displacement``, at ``position`` (V, n) [rad]."""
     variance = play_variance(displacement, displacement.torque(arm, position)) + JOINT**2
     lever = jacobian(arm, position)
     rest = np.diag([floor_of(arm) ** 2] * 3 + [ASKEW**2] * 3)
@@ -169,7 +169,7 @@ def lens_ties(rig: Rig, views: Sequence[BoardView], sights: Array) -> tuple[Arra
 
 
 def tool_spread(rig: Rig, sights: Array, covariance: Array) -> Array:
-    """Covariance (V, 6, 6) of the tool's pose from the board's."""
+    """Covariance (V, 6, 6) of the tool's pose, base axes, from the board's."""
     base = rig.tool(sights)
     rows = [difference(rig.tool(moved(sights, _STEP * row)), base) / _STEP for row in np.eye(6)]
     slope = np.stack(rows, axis=-1)
