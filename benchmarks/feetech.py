@@ -30,8 +30,8 @@ from rejoint.control.comparison.protocols import Protocol, measure_holds
 from rejoint.control.loop import Schedule, run
 from rejoint.logs import import_logs
 from rejoint.robots import place_of
-from rejoint.robots.feetech.bus import GOAL, FeetechBus
-from rejoint.robots.feetech.wire import BLOCK, FRAME, PRESENT
+from rejoint.robots.feetech.bus import BLOCK, TABLE, FeetechBus
+from rejoint.robots.feetech.wire import FRAME
 from rejoint.runs.connect import connect
 from rejoint.system.errors import NoReplyError
 from rejoint.twin.judge import judge_paths
@@ -100,8 +100,8 @@ def requests(ids, counts):
     """Return the two packets of a cycle that sends servos to ``counts``."""
     goals = b"".join(bytes([servo, *count.to_bytes(2, "little")]) for servo, count in zip(ids, counts, strict=True))
     return (
-        encode(Packet(BROADCAST, SYNC_WRITE, bytes([GOAL, 2]) + goals)),
-        encode(Packet(BROADCAST, SYNC_READ, bytes([PRESENT, BLOCK, *ids]))),
+        encode(Packet(BROADCAST, SYNC_WRITE, bytes([TABLE["goal"].address, 2]) + goals)),
+        encode(Packet(BROADCAST, SYNC_READ, bytes([TABLE["position"].address, BLOCK, *ids]))),
     )
 
 
