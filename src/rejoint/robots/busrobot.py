@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pkgutil import resolve_name
 from typing import Any, TypeVar
 
 import numpy as np
@@ -327,13 +328,20 @@ def _own(reading: Reading, joints: int) -> Reading:
     return replace(reading, **arrays)
 
 
-def bus_family(bus: Callable[[T, Arm], Bus], *, parse: Callable[[str], T], **options: Any) -> Family[T]:  # noqa: ANN401
-    """Family of arms behind a ``bus`` of a parsed address; ``options`` as in `Family`."""
+def bus_family(
+    bus: Callable[[T, Arm], Bus] | str,
+    *,
+    parse: Callable[[str], T],
+    **options: Any,  # noqa: ANN401
+) -> Family[T]:
+    """Family of arms behind a ``bus`` of a parsed address, or behind ``package.module:name``, which is imported late.
+
+    ``options`` as in `Family`.
+    """
 
     def connect(place: Place[T], opening: Opening) -> Robot:
-        robot = BusRobot(
-            bus(place.detail, opening.arm), opening.arm, address=place.text, period=opening.period, seed=opening.seed
-        )
+        made: Bus = (resolve_name(bus) if isinstance(bus, str) else bus)(place.detail, opening.arm)
+        robot = BusRobot(made, opening.arm, address=place.text, period=opening.period, seed=opening.seed)
         robot.open()
         return robot
 
