@@ -43,9 +43,9 @@ from rejoint_lab.emulator.feetech import (
     BYTE,
     SYNC_READ,
     SYNC_WRITE,
+    EmulatedBus,
     Packet,
     PacketFinder,
-    ServoBus,
     build_arm,
     encode,
 )
@@ -116,7 +116,7 @@ def exchange(line, write, read, size):
 def on_the_wire(ids):
     """Return the time [s] that the bytes of a cycle take on the wire and in the adapter, as the emulator has them."""
     write, read = requests(ids, [0] * len(ids))
-    answers = ServoBus(build_arm(ARM, "so101")).execute(PacketFinder().feed(read)[0])
+    answers = EmulatedBus(build_arm(ARM, "so101")).execute(PacketFinder().feed(read)[0])
     return (len(write) + len(read)) * BYTE + answers[-1].after, ADAPTER
 
 
