@@ -53,7 +53,7 @@ def emulate(
         if one in faults:
             raise InputError(f"the fault {one} is one of an arm on its servos' own bus, as --arm so101 is")
     with suppress(KeyboardInterrupt), ExitStack() as stack:
-        truth = None if log is None else servers.TruthLog.open(log, chosen.joints)
+        truth = None if log is None else servers.TruthLog(log, chosen.joints)
         if truth is not None:
             stack.callback(truth.close)
         session: servers.EmulatedConversation[Any]

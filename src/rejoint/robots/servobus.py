@@ -97,7 +97,9 @@ class ServoBus(Bus):
     """The servos of one arm, by ID, without the gripper."""
 
     registers: Mapping[str, Register]
-    """by name; ``id``, ``lock``, ``mode``, ``torque``, ``goal`` and ``position`` are used here"""
+    """by name; ``id``, ``mode``, ``torque``, ``goal`` and ``position`` are used here"""
+    protected: tuple[str, ...] = ("id",)
+    """registers that no client may write"""
     models: Mapping[int, str]
     """servos with these registers, by number"""
     position_mode = 0
@@ -159,7 +161,7 @@ class ServoBus(Bus):
     def relay(self, command: int, payload: bytes) -> bytes | None:
         """Read or write registers of another servo, such as the gripper's."""
         servo, address, *rest = payload
-        if servo in self.ids or address in (self.registers["id"].address, self.registers["lock"].address):
+        if servo in self.ids or address in {self.registers[name].address for name in self.protected}:
             raise RobotError(f"register {address} of servo {servo} is not passed on")
         if command == READ and len(rest) == 1:
             return self.wire.read(servo, address, rest[0])

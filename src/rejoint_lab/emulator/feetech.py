@@ -252,8 +252,8 @@ class ServoArm(EmulatedArm):
         self._owed -= steps * STEP
         drop = self.resistance * sum(abs(float(status["current"])) for status in self._status)
         settings = self.plant.settings
-        settings["voltage"][0] = np.maximum(self.ailments.voltage - drop, 0.0)
-        settings["warmth"][0] = self.ailments.warmth
+        settings["voltage"][0] = np.maximum(self.faults.voltage - drop, 0.0)
+        settings["warmth"][0] = self.faults.warmth
         self.gripper.settings["voltage"] = max(SUPPLY_VOLTAGE - drop, 0.0)
         self.plant.advance(steps * STEP)
         self.gripper.advance(steps * STEP)
@@ -283,7 +283,7 @@ class ServoArm(EmulatedArm):
         status, setting = self._status[index], self._settings[index]
         joint, shift = index < self.arm.joints, self._shift(index)
         heat = self.temperature[index] if joint else self.gripper.servos["temperature"][0]
-        least = self.ailments.current[index] if joint else 0.0
+        least = self.faults.current[index] if joint else 0.0
         current = round(max(abs(float(status["current"])), least) / CURRENT_UNIT)
         measured = {
             "Present_Position": (self._count(index) - shift) % COUNTS,
@@ -303,7 +303,7 @@ class ServoArm(EmulatedArm):
     def alarms(self, index: int) -> int:
         """Error bits of a servo."""
         found = int(self._status[index]["alarms"])
-        return found | int(self.ailments.alarms[index]) if index < self.arm.joints else found
+        return found | int(self.faults.alarms[index]) if index < self.arm.joints else found
 
     def _count(self, index: int) -> int:
         if index < self.arm.joints:
@@ -458,7 +458,7 @@ class BusSession(EmulatedConversation[Packet]):
         if not answers:
             return
         if request.code in (READ, SYNC_READ):
-            self._arm.was_read()
+            self._emulated.faults.was_read()
         pieces = [b""]
         for answer in answers:
             first, *rest = self._wire.pieces(encode(request), answer.data) or [b""]

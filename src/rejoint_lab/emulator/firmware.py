@@ -61,7 +61,7 @@ class Firmware(EmulatedArm, Mover):
 
     def sensed(self) -> Sensed:
         """Return what else is measured."""
-        heat, own = self.temperature, self.ailments
+        heat, own = self.temperature, self.faults
         return Sensed(
             speed=self.plant.speed[0],
             current=np.maximum(np.abs(self.plant.torque[0]) * CURRENT_PER_TORQUE, own.current),

@@ -99,8 +99,9 @@ _ADDED = {
 _SOFTENED = {"position_gain": _DRIVE, "link_stiffness": _GEAR}
 
 
-def aged(wear: Wear, arm: Arm, hours: float, *, seed: int, young: Wear, old: Wear, least_torque: Array) -> Wear:
-    """``wear`` after ``hours``; no motor gets below ``least_torque`` (n,) [N m]."""
+def aged(wear: Wear, arm: Arm, hours: float, *, seed: int) -> Wear:
+    """``wear`` after ``hours``; every motor still lifts the arm."""
+    young, old = _fitted("healthy", arm), _fitted("worn", arm)
     damage = damages(young, arm, hours, seed)
     changed = {
         name: getattr(wear, name) + damage[kind] * np.maximum(getattr(old, name) - getattr(young, name), 0.0)
@@ -111,7 +112,8 @@ def aged(wear: Wear, arm: Arm, hours: float, *, seed: int, young: Wear, old: Wea
         changed[name] = 1.0 / (1.0 / getattr(wear, name) + damage[kind] * softer)
     changed["damping_gain"] = wear.damping_gain * changed["position_gain"] / wear.position_gain
     weaker = wear.torque_limit * np.exp(-_WEAKENING * damage[_DRIVE])
-    changed["torque_limit"] = np.maximum(weaker, np.minimum(wear.torque_limit, least_torque))
+    least = _LIFT_MARGIN * lifting_torque(wear, arm)
+    changed["torque_limit"] = np.maximum(weaker, np.minimum(wear.torque_limit, least))
     return replace(wear, name=f"{wear.name}, {hours:g} h", **changed)
 
 
@@ -250,9 +252,7 @@ def load_wear(name: str, arm: Arm) -> Wear:
     if options.seed is not UNSET:
         wear = draw_wear(wear, arm, seed)
     if options.hours is not UNSET:
-        young, old = _fitted("healthy", arm), _fitted("worn", arm)
-        least = _LIFT_MARGIN * lifting_torque(wear, arm)
-        wear = aged(wear, arm, options.hours, seed=seed, young=young, old=old, least_torque=least)
+        wear = aged(wear, arm, options.hours, seed=seed)
     return wear if options.ambient is UNSET else warmed(wear, options.ambient, seed=seed)
 
 

@@ -65,6 +65,7 @@ class FeetechBus(ServoBus):
     name = "SO-101"
     advice = f"{ServoBus.advice} `rejoint emulate --arm so101` starts an arm to try"
     registers = TABLE
+    protected = ("id", "lock")
     models = {777: "STS3215", 2825: "STS3250"}  # noqa: RUF012 - never written; both have 4096 counts per turn
 
     def __init__(self, address: FeetechAddress, arm: Arm) -> None:
