@@ -30,8 +30,8 @@ from rejoint.control.comparison.protocols import Protocol, measure_holds
 from rejoint.control.loop import Schedule, run
 from rejoint.logs import import_logs
 from rejoint.robots import place_of
-from rejoint.robots.feetech.bus import GOAL, FeetechBus
-from rejoint.robots.feetech.wire import BLOCK, FRAME, PRESENT
+from rejoint.robots.feetech.bus import BLOCK, TABLE, FeetechBus
+from rejoint.robots.feetech.wire import FRAME
 from rejoint.runs.connect import connect
 from rejoint.system.errors import NoReplyError
 from rejoint.twin.judge import judge_paths
@@ -43,9 +43,9 @@ from rejoint_lab.emulator.feetech import (
     BYTE,
     SYNC_READ,
     SYNC_WRITE,
+    EmulatedBus,
     Packet,
     PacketFinder,
-    ServoBus,
     build_arm,
     encode,
 )
@@ -100,8 +100,8 @@ def requests(ids, counts):
     """Return the two packets of a cycle that sends servos to ``counts``."""
     goals = b"".join(bytes([servo, *count.to_bytes(2, "little")]) for servo, count in zip(ids, counts, strict=True))
     return (
-        encode(Packet(BROADCAST, SYNC_WRITE, bytes([GOAL, 2]) + goals)),
-        encode(Packet(BROADCAST, SYNC_READ, bytes([PRESENT, BLOCK, *ids]))),
+        encode(Packet(BROADCAST, SYNC_WRITE, bytes([TABLE["goal"].address, 2]) + goals)),
+        encode(Packet(BROADCAST, SYNC_READ, bytes([TABLE["position"].address, BLOCK, *ids]))),
     )
 
 
@@ -116,7 +116,7 @@ def exchange(line, write, read, size):
 def on_the_wire(ids):
     """Return the time [s] that the bytes of a cycle take on the wire and in the adapter, as the emulator has them."""
     write, read = requests(ids, [0] * len(ids))
-    answers = ServoBus(build_arm(ARM, "so101")).execute(PacketFinder().feed(read)[0])
+    answers = EmulatedBus(build_arm(ARM, "so101")).execute(PacketFinder().feed(read)[0])
     return (len(write) + len(read)) * BYTE + answers[-1].after, ADAPTER
 
 

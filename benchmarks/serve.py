@@ -42,7 +42,8 @@ from rejoint.arms.wire.values import Frame, encode, pack_angles, pack_coords
 from rejoint.robots import open_robot
 from rejoint.robots.mycobot import MyCobot280Socket
 from rejoint.session.serving import Serving
-from rejoint_lab.emulator import Timing, build_firmware, serve_tcp
+from rejoint_lab.emulator.firmware import build_firmware
+from rejoint_lab.emulator.servers import Timing, serve_tcp
 
 ARM = mycobot280()
 SPEED = 50

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import os
+from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rejoint.arms import Arm, load_arm, mycobot280
 from rejoint.cli import CommandGroup, command_group, texts
 from rejoint.cli.options import Call, controller_names, takes
+from rejoint.robots.wireserver import TerminalServer
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
 from rejoint.system.files import read_json, write_json
@@ -20,6 +23,8 @@ if TYPE_CHECKING:
 
 SERVED = {"mycobot280": ("A myCobot 280", "worn"), "so101": ("An SO-101", "so101")}
 """How the arms that can be served are called, and their usual wear profile"""
+DIED = 1
+"""Exit code after the fault ``die``"""
 
 
 @takes()
@@ -36,30 +41,39 @@ def emulate(
 ) -> object:
     """Serve a worn arm in real time on its own wire protocol, until Ctrl-C."""
     require("rejoint emulate", SIMULATOR)
-    from rejoint_lab.emulator import emulate as serve_emulated
-    from rejoint_lab.emulator.faults import parse_faults
-    from rejoint_lab.emulator.servers import beyond_loopback
+    from rejoint_lab.emulator import feetech, firmware, servers
+    from rejoint_lab.emulator.faults import SERVO_BUS, parse_faults, size_of
 
-    served: list[str] = []
     chosen = load_arm(arm)
     if chosen.name not in SERVED:
         raise InputError(f"no wire protocol is known for {chosen.name}; expected --arm {' or '.join(SERVED)}")
     name, profile = SERVED[chosen.name]
-    wear = wear or profile
-    faults = parse_faults(fault, chosen.joints)
-
-    def announce(address: str) -> None:
-        served.append(address)
-        call.say(f"{name} with the wear profile '{wear}' answers at {address}  (Ctrl-C ends it)")
-        if beyond_loopback(address):
+    wear, on_bus, faults = wear or profile, chosen.name == "so101", parse_faults(fault, chosen.joints)
+    for one in () if on_bus else SERVO_BUS:
+        if one in faults:
+            raise InputError(f"the fault {one} is one of an arm on its servos' own bus, as --arm so101 is")
+    with suppress(KeyboardInterrupt), ExitStack() as stack:
+        truth = None if log is None else servers.TruthLog(log, chosen.joints)
+        if truth is not None:
+            stack.callback(truth.close)
+        session: servers.EmulatedConversation[Any]
+        if on_bus:
+            servos = feetech.build_arm(chosen, wear, seed=seed, resistance=size_of(faults, "sag"))
+            session = feetech.BusSession(servos, seed=seed, faults=faults, log=truth)
+        else:
+            computer = firmware.build_firmware(chosen, wear, seed=seed)
+            session = servers.WireSession(computer, seed=seed, faults=faults, log=truth)
+        server = TerminalServer(session) if pty else servers.on_port(session, host, port)
+        server.on_death = lambda: os._exit(DIED)
+        stack.callback(server.stop)
+        call.say(f"{name} with the wear profile '{wear}' answers at {server.address}  (Ctrl-C ends it)")
+        if servers.beyond_loopback(server.address):
             call.say(f"Other machines can drive it too, without a password: it listens on {host}.")
         if fault:
             call.say(f"Faults: {fault}")
-
-    place = None if pty else (host, port)
-    serve_emulated(chosen, wear, place=place, seed=seed, announce=announce, log=log, faults=faults)
+        server.run()
     call.say("Emulator ended.")
-    return {"wear": wear, "address": served[-1], "faults": fault}
+    return {"wear": wear, "address": server.address, "faults": fault}
 
 
 class ResearchGroup(CommandGroup):

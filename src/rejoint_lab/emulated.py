@@ -11,7 +11,8 @@ from rejoint.arms import Arm, Array
 from rejoint.arms.camera.board import Board
 from rejoint.control.robot import JointState, Mask
 from rejoint.control.servogains import Rung, ServoGains
-from rejoint.robots.feetech.gains import FIRST, FULL, LIMIT, LOAD, REGISTERS, RUNGS, SIZE, Gains, Tuning, for_all
+from rejoint.robots.feetech.gains import FULL, GAINS, LIMIT, REGISTERS, RUNGS, Gains, duty_laws, for_all
+from rejoint.robots.servobus import Tuning, Values
 from rejoint.system.errors import InputError
 from rejoint_lab.cameras.emulated import EmulatedCamera, EmulatedEye
 from rejoint_lab.cameras.scene import beside, on_tool
@@ -19,62 +20,44 @@ from rejoint_lab.plant.plant import Plant, StsPlant, Truth
 from rejoint_lab.plant.servo import Channel, Interval, has_these_servos, stream_keys
 from rejoint_lab.plant.wear import Wear
 
-# Fields of `rejoint_lab.plant.sts3215.SETTING` that the registers of gains are
-_FIELDS = {address: "integral_limit" if name == LIMIT else name for name, address in REGISTERS.items()}
-
 
 class EmulatedServos:
-    """Registers of arms with equal gains, for `Tuning`."""
+    """Gains of the servos of arms that have equal ones."""
 
     def __init__(self, plant: StsPlant, gains: Gains) -> None:
         """``gains`` are in force from the start."""
-        self._plant = plant
-        joints = plant.arm.joints
-        for name, values in for_all(gains, joints).items():
-            plant.settings[_FIELDS[REGISTERS[name]]] = values
-        self._tuning = Tuning(
-            range(1, joints + 1),
-            {},
-            read=self._read,
-            write=self._write,
-            call=lambda servo: plant.arm.joint_names[servo - 1],
-            wait=plant.advance,
-        )
-        self._tuning.prepare(None)
-
-    @property
-    def gains(self) -> ServoGains:
-        """Gains in force."""
-        return dict(self._tuning.values)
+        self._plant, self.names, self.wait = plant, plant.arm.joint_names, plant.advance
+        for name, values in for_all(gains, plant.arm.joints).items():
+            self.write_gain(name, values)
+        self.tuning = Tuning(self, GAINS, {})
+        self.tuning.look_up()
 
     @property
     def load(self) -> Array:
         """(B, n) share of the largest torque (`rejoint.robots.feetech.gains`)."""
         status = self._plant.status
         duty, error = status["output"].tolist(), (status["goal"] - status["position"]).tolist()
+        laws = duty_laws(self.tuning.values)
         return np.array(
-            [
-                [law.share(*seen) for law, *seen in zip(self._tuning.laws, *arm, strict=True)]
-                for arm in zip(duty, error, strict=True)
-            ]
+            [[law.share(*seen) for law, *seen in zip(laws, *arm, strict=True)] for arm in zip(duty, error, strict=True)]
         )
 
-    def tune(self, gains: ServoGains) -> None:
-        """Set the gains of all arms, see `Tuning.tune`; time passes."""
-        self._tuning.tune(gains)
+    def read_gains(self) -> Values:
+        """Gains in force."""
+        return {name: tuple(self._plant.settings[_field(name)][0].tolist()) for name in REGISTERS}
 
-    def _read(self, servo: int, address: int, size: int, _until: float | None) -> bytes:
-        joint, plant = servo - 1, self._plant
-        if (address, size) == (FIRST, SIZE):
-            row = plant.settings[0, joint]
-            return bytes(int(row[_FIELDS[cell]]) for cell in range(FIRST, FIRST + SIZE))
-        if address != LOAD:
-            raise ValueError(f"register {address} of an emulated servo is not known here")
-        duty = int(np.abs(plant.status["output"][:, joint]).max())
-        return bytes((*min(duty, int(FULL)).to_bytes(2, "little"), 0, int(plant.temperature[:, joint].max())))
+    def write_gain(self, name: str, values: Sequence[int]) -> None:
+        """Set one gain of all servos."""
+        self._plant.settings[_field(name)] = values
 
-    def _write(self, servo: int, address: int, data: Sequence[int], _until: float | None) -> None:
-        self._plant.settings[_FIELDS[address]][:, servo - 1] = data[0]
+    def strain(self, joint: int) -> tuple[float, float]:
+        """Largest share of the torque, and temperature [deg C]."""
+        plant = self._plant
+        return float(np.abs(plant.status["output"][:, joint]).max()) / FULL, float(plant.temperature[:, joint].max())
+
+
+def _field(name: str) -> str:
+    return "integral_limit" if name == LIMIT else name  # of `rejoint_lab.plant.sts3215.SETTING`
 
 
 _CHANNEL_PURPOSE = 1
@@ -150,7 +133,7 @@ class EmulatedRobot:
 
     def servo_gains(self) -> ServoGains | None:
         """Return the servo gains, or None."""
-        return None if self._servos is None else self._servos.gains
+        return None if self._servos is None else dict(self._servos.tuning.values)
 
     def rungs(self) -> tuple[Rung, ...]:
         """Return the search order of gains."""
@@ -160,7 +143,7 @@ class EmulatedRobot:
         """Set the gains of all arms in small steps of virtual time."""
         if self._servos is None:
             raise InputError(f"{self.address} has no servo gains that could be set; an SO-101 has")
-        self._servos.tune(gains)
+        self._servos.tuning.tune(gains)
         self._position = self.plant.encoder()
 
     def keep(self, gains: ServoGains) -> None:  # noqa: ARG002 - nothing of an arm in this process outlasts it

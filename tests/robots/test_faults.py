@@ -27,8 +27,9 @@ from rejoint.robots.bus import Vitals
 from rejoint.robots.busrobot import BusRobot
 from rejoint.runs.run import Run
 from rejoint.system.errors import ConnectionLostError, GuardTripError, RobotError
-from rejoint_lab.emulator import Timing, build_firmware, serve_tcp
 from rejoint_lab.emulator.faults import parse_faults
+from rejoint_lab.emulator.firmware import build_firmware
+from rejoint_lab.emulator.servers import Timing, serve_tcp
 
 pytestmark = pytest.mark.realtime
 

@@ -15,8 +15,9 @@ from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
 from rejoint.robots import open_robot, place_of
 from rejoint.robots.feetech.bus import FeetechBus, Gripper
-from rejoint.robots.feetech.gains import LIMIT, Tuning
-from rejoint.robots.feetech.wire import Wire, Zeros, read_calibration, zeros_of
+from rejoint.robots.feetech.gains import GAINS, LIMIT
+from rejoint.robots.feetech.wire import Wire
+from rejoint.robots.servobus import Tuning, Zeros, read_calibration, zeros_of
 from rejoint.robots.wireserver import TerminalServer
 from rejoint.system.errors import (
     AddressError,
@@ -106,24 +107,31 @@ def test_servos_as_sold_or_slowed_down_by_another_program_follow_as_promptly_as_
 
 
 def test_a_servo_that_labours_gets_its_old_gains_back_and_no_stiffer_ones():
-    memory = {servo: bytearray(80) for servo in (1, 2)}
-    for registers in memory.values():
-        registers[21:28] = [32, 32, 0, 16, 0, 1, 1]
-    tuning = Tuning(
-        (1, 2),
-        {},
-        read=lambda servo, first, size, _: bytes(memory[servo][first : first + size]),
-        call=str,
-        write=lambda servo, first, data, _: memory[servo].__setitem__(first, *data),
-        wait=lambda _: None,
-    )
-    tuning.prepare(None)
+    class Memory:
+        names, load = ("1", "2"), 0.0
+        gains = {"p": (32, 32), "i": (0, 0), LIMIT: (0, 0), "dead_cw": (1, 1)}  # noqa: RUF012
+
+        def read_gains(self):
+            return dict(self.gains)
+
+        def write_gain(self, name, values):
+            self.gains[name] = tuple(values)
+
+        def strain(self, joint):
+            return self.load * (joint == 0), 30
+
+        def wait(self, duration):
+            pass
+
+    memory = Memory()
+    tuning = Tuning(memory, GAINS, {})
+    tuning.prepare()
     before = dict(tuning.values)
     tuning.tune({"p": (48, 32), "i": (1, 0), LIMIT: (50, 0), "dead_cw": (0, 1)})
-    memory[1][60:62] = (900).to_bytes(2, "little")
+    memory.load = 0.9
     with pytest.raises(RobotError, match="1 does not bear p=52: load 90 %"):
         tuning.tune({"p": (64, 32)})
-    assert memory[1][21] == 48
+    assert memory.gains["p"][0] == 48
     tuning.tune(before)
     assert tuning.values == before
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rejoint.robots.feetech.gains import KNOBS, DutyLaw, way
+from rejoint.robots.feetech.gains import GAINS, DutyLaw
 from rejoint_lab.plant.sts3215 import BareServos
 
 
@@ -28,8 +28,8 @@ def test_loads_keep_the_sign_and_the_size_of_their_duty(duty):
     assert load * duty >= 0.0
 
 
-@given(before=st.integers(0, 254), wanted=st.integers(0, 254), name=st.sampled_from(sorted(KNOBS)))
+@given(before=st.integers(0, 254), wanted=st.integers(0, 254), name=st.sampled_from(sorted(GAINS.strides)))
 def test_gains_change_in_small_steps_and_arrive(before, wanted, name):
-    steps = way(before, wanted, KNOBS[name].stride)
-    assert np.abs(np.diff([before, *steps])).max(initial=0) <= KNOBS[name].stride
+    steps = [step[name][0] for step in GAINS.steps({name: (before,)}, {name: (wanted,)})]
+    assert np.abs(np.diff([before, *steps])).max(initial=0) <= GAINS.strides[name]
     assert [before, *steps][-1] == wanted

@@ -31,7 +31,8 @@ from rejoint.system.errors import (
     RobotError,
     StaleReplyError,
 )
-from rejoint_lab.emulator import Timing, build_firmware, serve_pty, serve_tcp
+from rejoint_lab.emulator.firmware import build_firmware
+from rejoint_lab.emulator.servers import Timing, serve_pty, serve_tcp
 
 pytestmark = pytest.mark.realtime
 

@@ -18,7 +18,8 @@ from rejoint.control.recording import recording_of
 from rejoint.robots import open_robot
 from rejoint.system import stopping
 from rejoint.system.stopping import Interrupted
-from rejoint_lab.emulator import Firmware, Timing, build_firmware, serve_pty, serve_tcp
+from rejoint_lab.emulator.firmware import Firmware, build_firmware
+from rejoint_lab.emulator.servers import Timing, serve_pty, serve_tcp
 
 pytestmark = pytest.mark.realtime
 

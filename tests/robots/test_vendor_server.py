@@ -20,7 +20,8 @@ from rejoint.arms import mycobot280
 from rejoint.arms.wire.values import Decoder, encode
 from rejoint.robots import open_robot
 from rejoint.robots.mycobot import MyCobot280Socket
-from rejoint_lab.emulator import build_firmware, serve_pty
+from rejoint_lab.emulator.firmware import build_firmware
+from rejoint_lab.emulator.servers import serve_pty
 
 pytestmark = pytest.mark.realtime
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pkgutil import resolve_name
 from typing import Any, TypeVar
 
 import numpy as np
@@ -141,28 +142,20 @@ V = TypeVar("V", bound=Vitals)
 
 
 class Health:
-    """Last state of one arm's servos; None: unknown."""
+    """Last state of one arm's servos."""
 
     def __init__(self, link: Link, bus: Bus) -> None:
-        self._link, self._clock, self._questions = link, bus.clock, bus.vitals()
-        self.temperature: Array | None = None
-        """(1, n) [deg C]"""
-        self.fault: NDArray[np.bool_] | None = None
-        """(1, n)"""
-        self.trouble: tuple[str, ...] | None = None
-        """(n,) faults in words"""
-        self._turn = 0
-        self._due = 0.0
-        self._cost = 0.0
+        self._link, self._clock, self._questions = link, bus.clock, list(bus.vitals())
+        self.known = Vitals()
+        self._due = self._cost = 0.0
 
     def find(self) -> None:
         """Find the questions that this firmware answers."""
         try:
-            for _ in self._questions:
+            for _ in range(len(self._questions)):
                 self._ask()
         except NoReplyError:
-            self.temperature = self.fault = None
-            self._questions = ()
+            self.known, self._questions = Vitals(), []
 
     def poll(self, spare: float) -> None:
         """Ask the next question if ``spare`` [s] is enough or one is due."""
@@ -172,16 +165,17 @@ class Health:
     def take(self, found: Vitals) -> None:
         """Store an answer."""
         if found.temperature is not None:
-            self.temperature = np.array(found.temperature, float)[None]
+            self.known = replace(self.known, temperature=np.array(found.temperature, float))
         if found.fault is not None:
-            self.fault, self.trouble = np.array(found.fault, bool)[None], found.trouble
+            self.known = replace(self.known, fault=np.array(found.fault, bool), trouble=found.trouble)
 
     def _ask(self) -> None:
-        began, question = self._clock.now(), self._questions[self._turn]
+        began, question = self._clock.now(), self._questions.pop(0)
+        self._questions.append(question)
         self.take(believed(lambda: self._link.ask(question)))
         now = self._clock.now()
         self._cost += (_SMOOTHING if self._cost else 1.0) * (now - began - self._cost)
-        self._turn, self._due = (self._turn + 1) % len(self._questions), now + INTERVAL
+        self._due = now + INTERVAL
 
 
 def believed(ask: Callable[[], V]) -> V:
@@ -227,15 +221,16 @@ class BusRobot:
             self._health.find()
         now, reading = self._link.ask(self._read_once)
         self._health.take(reading)
+        servos = self._health.known
         self._state = JointState(
             time=np.array([now]),
             position=reading.position[None],
             age=np.array([self._continuity.accept(now, reading.position, self._command)]),
-            temperature=self._health.temperature,
-            fault=self._health.fault,
-            trouble=self._health.trouble,
-            load=None if reading.load is None else reading.load[None],
-            voltage=None if reading.voltage is None else reading.voltage[None],
+            temperature=_batch(servos.temperature),
+            fault=_batch(servos.fault),
+            trouble=servos.trouble,
+            load=_batch(reading.load),
+            voltage=_batch(reading.voltage),
             elsewhere=self._elsewhere(now, reading.position[None]),
         )
         return self._state
@@ -317,6 +312,10 @@ class BusRobot:
         return now, reading
 
 
+def _batch(values: NDArray[Any] | None) -> NDArray[Any] | None:
+    return None if values is None else values[None]
+
+
 def _own(reading: Reading, joints: int) -> Reading:
     arrays: dict[str, Any] = {}
     for name in ("position", "load", "temperature", "fault", "voltage"):
@@ -327,13 +326,20 @@ def _own(reading: Reading, joints: int) -> Reading:
     return replace(reading, **arrays)
 
 
-def bus_family(bus: Callable[[T, Arm], Bus], *, parse: Callable[[str], T], **options: Any) -> Family[T]:  # noqa: ANN401
-    """Family of arms behind a ``bus`` of a parsed address; ``options`` as in `Family`."""
+def bus_family(
+    bus: Callable[[T, Arm], Bus] | str,
+    *,
+    parse: Callable[[str], T],
+    **options: Any,  # noqa: ANN401
+) -> Family[T]:
+    """Family of arms behind a ``bus`` of a parsed address, or behind ``package.module:name``, which is imported late.
+
+    ``options`` as in `Family`.
+    """
 
     def connect(place: Place[T], opening: Opening) -> Robot:
-        robot = BusRobot(
-            bus(place.detail, opening.arm), opening.arm, address=place.text, period=opening.period, seed=opening.seed
-        )
+        made: Bus = (resolve_name(bus) if isinstance(bus, str) else bus)(place.detail, opening.arm)
+        robot = BusRobot(made, opening.arm, address=place.text, period=opening.period, seed=opening.seed)
         robot.open()
         return robot
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 from urllib.parse import parse_qs, urlsplit
 
-from rejoint.arms import Arm, load_arm
+from rejoint.arms import CATALOGUE, Arm, load_arm
 from rejoint.control.robot import Robot
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
@@ -52,6 +52,8 @@ class Family(Generic[T]):
     """name or description of the default arm"""
     default_period: tuple[float, float] = (0.050, 0.050)
     """[s] shortest and longest"""
+    only: bool = False
+    """other arms of the catalogue are refused: the guard would use their links"""
     virtual: bool = False
     """batches of arms in virtual time"""
     tunable: bool | Callable[[Arm], bool] = False
@@ -118,6 +120,11 @@ class Place(Generic[T]):
         AddressError, MissingExtraError.
         """
         arm = arm or load_arm(self.default_arm)
+        if self.family.only and arm.name in CATALOGUE and arm.name != self.default_arm:
+            raise InputError(
+                f"at {self.family.scheme}: addresses there are arms of the kind {self.default_arm}, and this is about "
+                f"a {arm.name}; check the address, and whose run it is"
+            )
         if count < 1:
             raise InputError(f"a robot needs at least one arm, got count {count}")
         if count != 1 and not self.virtual:

@@ -2,81 +2,54 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from traceback import walk_tb
 from typing import Any
 
-from rejoint.arms import CATALOGUE, Arm
-from rejoint.robots.bus import Bus
 from rejoint.robots.busrobot import bus_family
 from rejoint.robots.family import (
-    DEFAULT_ARM,
     Family,
     Place,
     serial_address,
     tcp_address,
 )
 from rejoint.robots.feetech.gains import FORM, feetech_address
-from rejoint.system.errors import AddressError, InputError, MissingExtraError, first_line
+from rejoint.system.errors import AddressError, MissingExtraError, first_line
 from rejoint.system.extras import require
 
-# TCP port of the vendor's server on a myCobot
-_PORT = 9000
-# [1/s] of the serial port on a myCobot's Raspberry Pi (vendor's manual); the M5 version needs 115200
-_BAUD = 1_000_000
-# [s] shortest cycle of control and feedback that the vendor of the myCobot names (its FAQ)
-_MYCOBOT_PERIOD = (0.050, 0.050)
-_FEETECH_ARM = "so101"
-# [s] 50 Hz (chosen)
-_FEETECH_PERIOD = (0.020, 0.020)
-
-
-def _behind(module: str, name: str, kind: str, schemes: str) -> Callable[[Any, Arm], Bus]:
-    """Return what makes a module's bus; it has arms of one ``kind``."""
-
-    def bus(address: object, arm: Arm) -> Bus:
-        if arm.name in CATALOGUE and arm.name != kind:  # the guard would use its links
-            raise InputError(
-                f"at {schemes} addresses there are arms of the kind {kind}, and this is about a {arm.name}; check the "
-                "address, and whose run it is"
-            )
-        made: Bus = getattr(import_module(f"rejoint.robots.{module}"), name)(address, arm)
-        return made
-
-    return bus
-
-
-_MYCOBOT = _behind("mycobot", "MyCobotBus", DEFAULT_ARM, "tcp: and serial:")
-MYCOBOT_TCP = bus_family(
-    _MYCOBOT,
-    scheme="tcp",
-    form="tcp://HOST:PORT",
-    parse=lambda text: tcp_address(text, port=_PORT),
-    default_period=_MYCOBOT_PERIOD,
+FAMILIES: tuple[Family[Any], ...] = (
+    # TCP port of the vendor's server, and the shortest cycle [s] that the vendor of the myCobot names (its FAQ)
+    bus_family(
+        "rejoint.robots.mycobot:MyCobotBus",
+        scheme="tcp",
+        form="tcp://HOST:PORT",
+        parse=lambda text: tcp_address(text, port=9000),
+        default_period=(0.050, 0.050),
+        only=True,
+    ),
+    # [1/s] of the serial port on its Raspberry Pi (vendor's manual); the M5 version needs 115200
+    bus_family(
+        "rejoint.robots.mycobot:MyCobotBus",
+        scheme="serial",
+        form="serial:///dev/DEVICE",
+        parse=lambda text: serial_address(text, baud=1_000_000),
+        default_period=(0.050, 0.050),
+        only=True,
+    ),
+    # 50 Hz (chosen)
+    bus_family(
+        "rejoint.robots.feetech.bus:FeetechBus",
+        scheme="feetech",
+        form=FORM,
+        parse=feetech_address,
+        default_arm="so101",
+        default_period=(0.020, 0.020),
+        only=True,
+        tunable=True,
+        needs=("feetech",),
+    ),
 )
-MYCOBOT_SERIAL = bus_family(
-    _MYCOBOT,
-    scheme="serial",
-    form="serial:///dev/DEVICE",
-    parse=lambda text: serial_address(text, baud=_BAUD),
-    default_period=_MYCOBOT_PERIOD,
-)
-FEETECH = bus_family(
-    _behind("feetech.bus", "FeetechBus", _FEETECH_ARM, "feetech:"),
-    scheme="feetech",
-    form=FORM,
-    parse=feetech_address,
-    default_arm=_FEETECH_ARM,
-    default_period=_FEETECH_PERIOD,
-    tunable=True,
-    needs=("feetech",),
-)
-
-FAMILIES: tuple[Family[Any], ...] = (MYCOBOT_TCP, MYCOBOT_SERIAL, FEETECH)
 """Families of this package"""
-
 
 GROUP = "rejoint.robots"
 """Entry points of `Family` objects"""

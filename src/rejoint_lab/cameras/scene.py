@@ -27,7 +27,7 @@ BLACK, WHITE, WALL = 35.0, 215.0, 120.0
 _FINE = 3  # rays across a pixel (chosen)
 _DOT = 0.25e-3  # [m] of the drawing's dots (chosen: a tenth of a cell; edges of cells are on them)
 _QUIET = 5e-3  # [m] white paper around the board (chosen)
-_MARGIN = 8  # [px] around the board that are rendered with it
+_MARGIN = 40  # [px] around the corners: the lens bends the edges between them (chosen)
 
 
 class Looks(NamedTuple):
@@ -92,14 +92,15 @@ def _paint(
 
 
 def _window(board: Board, lens: Lens, pose: Array) -> tuple[int, int, int, int] | None:
+    """Return the pixels (x from, to, y from, to) that may show the board; None: it is out of sight."""
     outline = board.outline + np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * _QUIET
     points = outline @ pose[:3, :3].T + pose[:3, 3]
     if (points[:, 2] < 0.05).any():
         return None
-    edge = np.linspace(0, 1, 9)[:, None, None]
-    pixel = lens.project((points * (1 - edge) + np.roll(points, 1, axis=0) * edge).reshape(-1, 3))
-    low = np.maximum(np.floor(pixel.min(axis=0)).astype(int) - _MARGIN, 0)
-    high = np.minimum(np.ceil(pixel.max(axis=0)).astype(int) + _MARGIN, [lens.width, lens.height])
+    pixel, size = lens.project(points), np.array([lens.width, lens.height])
+    low, high = (
+        np.clip(end, 0, size).astype(int) for end in (pixel.min(axis=0) - _MARGIN, pixel.max(axis=0) + _MARGIN)
+    )
     return None if (low >= high).any() else (int(low[0]), int(high[0]), int(low[1]), int(high[1]))
 
 

@@ -187,53 +187,6 @@ SUPPLY_VOLTAGE = 12.0
 """[V] (vendor's product parameters)"""
 
 
-class Ailments:
-    """Faults of n joints, added to measurements."""
-
-    def __init__(self, joints: int) -> None:
-        self.misreading = np.zeros(joints)
-        """(n,) [rad] encoder errors"""
-        self.warmth = np.zeros(joints)
-        """(n,) [K] extra heat"""
-        self.current = np.zeros(joints)
-        """(n,) [A] least current"""
-        self.voltage = np.full(joints, SUPPLY_VOLTAGE)
-        """(n,) [V] supply"""
-        self.alarms = np.zeros(joints, dtype=np.uint8)
-        """(n,) status bits, besides over-temperature"""
-
-
-class EmulatedArm(ABC):
-    """An emulated arm of n joints; ``plant`` holds one arm."""
-
-    def __init__(self, plant: Plant, arm: Arm) -> None:
-        self.plant, self.arm, self.ailments = plant, arm, Ailments(arm.joints)
-
-    @property
-    def angles(self) -> Array:
-        """(n,) [rad] by the encoders."""
-        return self.plant.encoder()[0] + self.ailments.misreading
-
-    @property
-    def temperature(self) -> Array:
-        """(n,) [deg C]."""
-        return self.plant.temperature[0] + self.ailments.warmth
-
-    @property
-    def true_tcp(self) -> Array:
-        """(3,) [m] true tool."""
-        return self.plant.true_tcp()[0]
-
-    @property
-    def true_links(self) -> Array:
-        """(n,) [rad] true links, behind play and flex."""
-        return self.plant.link_position()[0]
-
-    @abstractmethod
-    def advance(self, duration: float) -> None:
-        """Advance by [s]."""
-
-
 JUMP = np.radians(60.0)
 """[rad] of an impossible jump (chosen: a servo takes 0.4 s)"""
 BEYOND_LIMIT = np.radians(3.0)
@@ -247,51 +200,87 @@ HOT = 85.0
 _OF_SERVOS = ("freeze", "blind", "jump", "limit", "overheat", "current", "overload", "voltage")
 
 
-class ArmFaults:
-    """Begins the arm's faults in time."""
+class ServoFaults:
+    """Faults of n joints, which begin in time and are added to measurements."""
 
-    def __init__(self, faults: Faults, arm: EmulatedArm) -> None:
-        self._emulated = arm
-        self._waiting = sorted((one.after, kind, one.joints) for kind in _OF_SERVOS for one in faults.get(kind, ()))
+    def __init__(self, emulated: EmulatedArm) -> None:
+        self._emulated, joints = emulated, emulated.arm.joints
+        self.misreading = np.zeros(joints)
+        """(n,) [rad] encoder errors"""
+        self.warmth = np.zeros(joints)
+        """(n,) [K] extra heat"""
+        self.current = np.zeros(joints)
+        """(n,) [A] least current"""
+        self.voltage = np.full(joints, SUPPLY_VOLTAGE)
+        """(n,) [V] supply"""
+        self.alarms = np.zeros(joints, dtype=np.uint8)
+        """(n,) status bits, besides over-temperature"""
         # (n,) which heat up, the direction in which a reading runs or 0, and [rad] jumps that were not read yet
-        self._heating, self._running, self._jumped = np.zeros((3, arm.arm.joints))
+        self._heating, self._running, self._jumped = np.zeros((3, joints))
+        self._waiting: list[tuple[float, str, tuple[int, ...]]] = []
         self._then = 0.0
 
+    def expect(self, faults: Faults) -> None:
+        """Begin these faults in time."""
+        self._waiting = sorted((one.after, kind, one.joints) for kind in _OF_SERVOS for one in faults.get(kind, ()))
+
     def advance(self, elapsed: float) -> None:
-        """Advance faults to ``elapsed`` [s] after the first byte."""
+        """Advance to ``elapsed`` [s] after the first byte."""
         passed, self._then = elapsed - self._then, elapsed
         while self._waiting and self._waiting[0][0] <= elapsed:
             after, kind, joints = self._waiting.pop(0)
-            self._begin(kind, np.isin(np.arange(self._emulated.arm.joints), joints))
+            self._begin(kind, np.isin(np.arange(len(self.warmth)), joints))
             passed = np.inf if after == 0.0 else passed
-        arm, own, running = self._emulated.arm, self._emulated.ailments, self._running
+        arm, running = self._emulated.arm, self._running
         if self._heating.any():
             missing = np.maximum(HOT - self._emulated.temperature, 0.0)
-            own.warmth += np.where(self._heating, np.minimum(missing, HEATING * passed), 0.0)
+            self.warmth += np.where(self._heating, np.minimum(missing, HEATING * passed), 0.0)
         if running.any():
             end = np.where(running > 0, arm.upper + BEYOND_LIMIT, arm.lower - BEYOND_LIMIT)
             left = np.where(running == 0, 0.0, np.maximum(running * (end - self._emulated.angles), 0.0))
-            own.misreading += running * np.minimum(left, RUN_AWAY * passed)
+            self.misreading += running * np.minimum(left, RUN_AWAY * passed)
             running[left <= RUN_AWAY * passed] = 0.0
 
     def was_read(self) -> None:
         """End jumps after one reading."""
-        self._emulated.ailments.misreading -= self._jumped
+        self.misreading -= self._jumped
         self._jumped[:] = 0.0
 
     def _begin(self, kind: str, joints: NDArray[np.bool_]) -> None:
-        arm, own = self._emulated.arm, self._emulated.ailments
+        arm = self._emulated.arm
         inwards = np.where(self._emulated.angles < 0.5 * (arm.lower + arm.upper), 1.0, -1.0)
         if kind in ("freeze", "blind"):
             getattr(self._emulated.plant, kind)(joints[None])
         elif kind == "jump":
             self._jumped += JUMP * inwards * joints
-            own.misreading += JUMP * inwards * joints
+            self.misreading += JUMP * inwards * joints
         elif kind == "limit":
             self._running[joints] = -inwards[joints]
         elif kind == "overheat":
             self._heating[joints] = 1.0
         else:
-            own.alarms[joints] |= BITS[kind]
+            self.alarms[joints] |= BITS[kind]
             if kind in EXTREMES:
-                getattr(own, kind)[joints] = EXTREMES[kind]
+                getattr(self, kind)[joints] = EXTREMES[kind]
+
+
+class EmulatedArm(ABC):
+    """An emulated arm of n joints; ``plant`` holds one arm."""
+
+    def __init__(self, plant: Plant, arm: Arm) -> None:
+        self.plant, self.arm = plant, arm
+        self.faults = ServoFaults(self)
+
+    @property
+    def angles(self) -> Array:
+        """(n,) [rad] by the encoders."""
+        return self.plant.encoder()[0] + self.faults.misreading
+
+    @property
+    def temperature(self) -> Array:
+        """(n,) [deg C]."""
+        return self.plant.temperature[0] + self.faults.warmth
+
+    @abstractmethod
+    def advance(self, duration: float) -> None:
+        """Advance by [s]."""

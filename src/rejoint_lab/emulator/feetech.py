@@ -26,7 +26,7 @@ SIZE = 88
 """[bytes] (chosen: the last known register is 86)"""
 
 
-class Register(NamedTuple):
+class MemoryField(NamedTuple):
     """A value in the registers."""
 
     address: int
@@ -47,10 +47,10 @@ class Register(NamedTuple):
 
 with (files(__package__) / "sts3215.csv").open(encoding="utf-8") as _file:
     TABLE = tuple(
-        Register(int(address), int(size), name, access, int(default), unit, int(sign) if sign else None)
+        MemoryField(int(address), int(size), name, access, int(default), unit, int(sign) if sign else None)
         for address, size, name, access, default, unit, sign in list(csv.reader(_file))[1:]
     )
-BY_NAME: dict[str, Register] = {register.name: register for register in TABLE}
+BY_NAME: dict[str, MemoryField] = {register.name: register for register in TABLE}
 
 
 def factory_settings(servo: int) -> bytearray:
@@ -199,23 +199,20 @@ PROMPT = 254
 CURRENT_UNIT = 0.0065
 """[A] per count"""
 _GRIPPER = (-0.17, 1.75)  # [rad] range of the jaw: so101_new_calib.xml
-# Fields of `sts3215.SETTING` and the registers that they are, as they stand.
-_COPIES = {
-    "p": "P_Coefficient",
-    "d": "D_Coefficient",
-    "i": "I_Coefficient",
-    "startup": "Minimum_Startup_Force",
-    "integral_limit": "Integral_Limit",
-    "dead_cw": "CW_Dead_Zone",
-    "dead_ccw": "CCW_Dead_Zone",
-    "torque_limit": "Torque_Limit",
-    "threshold": "Moving_Velocity_Threshold",
-    "unloading": "Unloading_Condition",
-    "heat_limit": "Max_Temperature_Limit",
-    "torque_on": "Torque_Enable",
-}
-# Likewise, times a factor.
-_SCALED = {
+# Fields of `sts3215.SETTING`: the register of each, and its unit.
+_SETTINGS = {
+    "p": ("P_Coefficient", 1),
+    "d": ("D_Coefficient", 1),
+    "i": ("I_Coefficient", 1),
+    "startup": ("Minimum_Startup_Force", 1),
+    "integral_limit": ("Integral_Limit", 1),
+    "dead_cw": ("CW_Dead_Zone", 1),
+    "dead_ccw": ("CCW_Dead_Zone", 1),
+    "torque_limit": ("Torque_Limit", 1),
+    "threshold": ("Moving_Velocity_Threshold", 1),
+    "unloading": ("Unloading_Condition", 1),
+    "heat_limit": ("Max_Temperature_Limit", 1),
+    "torque_on": ("Torque_Enable", 1),
     "protective": ("Protective_Torque", 10),
     "overload": ("Overload_Torque", 10),
     "protection_ticks": ("Protection_Time", 10),
@@ -255,8 +252,8 @@ class ServoArm(EmulatedArm):
         self._owed -= steps * STEP
         drop = self.resistance * sum(abs(float(status["current"])) for status in self._status)
         settings = self.plant.settings
-        settings["voltage"][0] = np.maximum(self.ailments.voltage - drop, 0.0)
-        settings["warmth"][0] = self.ailments.warmth
+        settings["voltage"][0] = np.maximum(self.faults.voltage - drop, 0.0)
+        settings["warmth"][0] = self.faults.warmth
         self.gripper.settings["voltage"] = max(SUPPLY_VOLTAGE - drop, 0.0)
         self.plant.advance(steps * STEP)
         self.gripper.advance(steps * STEP)
@@ -264,10 +261,8 @@ class ServoArm(EmulatedArm):
     def settle(self, index: int) -> None:
         """Apply the registers of a servo, index from 0."""
         servo, setting = self.servos[index], self._settings[index]
-        for field, name in _COPIES.items():
-            setting[field] = servo[name]
-        for field, (name, factor) in _SCALED.items():
-            setting[field] = servo[name] * factor
+        for field, (name, unit) in _SETTINGS.items():
+            setting[field] = servo[name] * unit
         low, high = servo["Min_Position_Limit"], servo["Max_Position_Limit"]
         shift = self._shift(index) if low != high else 0
         setting["least"], setting["most"] = low + shift, high + shift
@@ -285,26 +280,30 @@ class ServoArm(EmulatedArm):
 
     def measure(self, index: int) -> None:
         """Write a servo's measurements to its registers."""
-        servo, status, setting = self.servos[index], self._status[index], self._settings[index]
-        joint = index < self.arm.joints
-        servo["Present_Position"] = (self._count(index) - self._shift(index)) % COUNTS
-        servo["Present_Velocity"] = int(np.clip(status["speed"], -32767, 32767))
-        servo["Present_Load"] = int(np.clip(status["output"], -1023, 1023))
-        servo["Present_Voltage"] = round(float(setting["voltage"]) * 10)
+        status, setting = self._status[index], self._settings[index]
+        joint, shift = index < self.arm.joints, self._shift(index)
         heat = self.temperature[index] if joint else self.gripper.servos["temperature"][0]
-        servo["Present_Temperature"] = int(min(heat, 255.0))
-        servo["Status"] = self.alarms(index)
-        servo["Moving"] = int(status["moving"])
-        servo["Goal_In_Force"] = int(status["goal"]) - self._shift(index)
-        least = self.ailments.current[index] if joint else 0.0
-        current = max(abs(float(status["current"])), least)
-        servo["Present_Current"] = round(current / CURRENT_UNIT) * (-1 if status["current"] < 0 else 1)
-        servo["Torque_Enable"] = int(setting["torque_on"])  # over-current switches it off
+        least = self.faults.current[index] if joint else 0.0
+        current = round(max(abs(float(status["current"])), least) / CURRENT_UNIT)
+        measured = {
+            "Present_Position": (self._count(index) - shift) % COUNTS,
+            "Present_Velocity": np.clip(status["speed"], -32767, 32767),
+            "Present_Load": np.clip(status["output"], -1023, 1023),
+            "Present_Voltage": round(float(setting["voltage"]) * 10),
+            "Present_Temperature": min(heat, 255.0),
+            "Status": self.alarms(index),
+            "Moving": status["moving"],
+            "Goal_In_Force": status["goal"] - shift,
+            "Present_Current": -current if status["current"] < 0 else current,
+            "Torque_Enable": setting["torque_on"],  # over-current switches it off
+        }
+        for name, value in measured.items():
+            self.servos[index][name] = int(value)
 
     def alarms(self, index: int) -> int:
         """Error bits of a servo."""
         found = int(self._status[index]["alarms"])
-        return found | int(self.ailments.alarms[index]) if index < self.arm.joints else found
+        return found | int(self.faults.alarms[index]) if index < self.arm.joints else found
 
     def _count(self, index: int) -> int:
         if index < self.arm.joints:
@@ -356,7 +355,7 @@ class Answer(NamedTuple):
     data: bytes
 
 
-class ServoBus:
+class EmulatedBus:
     """Servos of ``arm`` on their wire; ``muted`` ones, from 0, are silent."""
 
     def __init__(self, arm: ServoArm) -> None:
@@ -442,7 +441,7 @@ class BusSession(EmulatedConversation[Packet]):
         **options: Any,  # noqa: ANN401
     ) -> None:
         super().__init__(arm, faults=faults, **options)
-        self.bus = ServoBus(arm)
+        self.bus = EmulatedBus(arm)
         self.bus.muted = lambda: {
             joint for spell in in_force(faults, "mute", self._elapsed(self._clock())) for joint in spell.joints
         }
@@ -459,7 +458,7 @@ class BusSession(EmulatedConversation[Packet]):
         if not answers:
             return
         if request.code in (READ, SYNC_READ):
-            self._arm.was_read()
+            self._emulated.faults.was_read()
         pieces = [b""]
         for answer in answers:
             first, *rest = self._wire.pieces(encode(request), answer.data) or [b""]

@@ -61,7 +61,7 @@ class Firmware(EmulatedArm, Mover):
 
     def sensed(self) -> Sensed:
         """Return what else is measured."""
-        heat, own = self.temperature, self.ailments
+        heat, own = self.temperature, self.faults
         return Sensed(
             speed=self.plant.speed[0],
             current=np.maximum(np.abs(self.plant.torque[0]) * CURRENT_PER_TORQUE, own.current),
@@ -168,3 +168,14 @@ class Firmware(EmulatedArm, Mover):
         if arrived:
             self.plant.set_speed_limit(arrived[-1].speed)
             self.plant.command(arrived[-1].goal[None])
+
+
+def build_firmware(arm: Arm, wear_name: str, *, seed: int = 0) -> Firmware:
+    """Firmware of an arm at rest, with the wear profile ``wear_name``."""
+    from rejoint_lab.plant.plant import Plant
+    from rejoint_lab.plant.wear import load_wear
+
+    plant = Plant(arm, [load_wear(wear_name, arm)], seed=seed)
+    firmware = Firmware(plant, arm, seed=seed)
+    firmware.advance(0.01)  # compiles the plant now instead of during the first request
+    return firmware

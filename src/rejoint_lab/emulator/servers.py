@@ -5,7 +5,7 @@ from __future__ import annotations
 import ipaddress
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, NamedTuple, TextIO, TypeVar
+from typing import Any, NamedTuple, TypeVar
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -21,12 +21,11 @@ from rejoint.robots.wireserver import (
     TcpServer,
     TerminalServer,
 )
-from rejoint.system.errors import FileError
+from rejoint.system.files import unwritable
 from rejoint.system.shell import listen_tcp
 from rejoint_lab.emulator.faults import (
     NONE,
     SPLIT_PAUSE,
-    ArmFaults,
     EmulatedArm,
     Faults,
     WireFaults,
@@ -35,36 +34,31 @@ from rejoint_lab.emulator.firmware import Firmware
 
 
 class TruthLog:
-    """Writes the true tool and `time.monotonic`: CSV, a row per tick."""
+    """Writes the true tool and `time.monotonic`: CSV, a row per tick; FileError."""
 
-    def __init__(self, path: Path, stream: TextIO, joints: int) -> None:
-        self._path, self._stream = path, stream
+    def __init__(self, path: Path, joints: int) -> None:
+        self._path = path
+        try:
+            self._stream = path.open("w", encoding="utf-8", buffering=1)
+        except OSError as error:
+            raise unwritable(path, error) from error
         names = [f"{what}.joint{i + 1}" for what in ("encoder", "link") for i in range(joints)]
         self._put(["time", "x", "y", "z", *names])
 
-    @classmethod
-    def open(cls, path: Path, joints: int) -> TruthLog:
-        """Begin a file; FileError."""
-        try:
-            return cls(path, path.open("w", encoding="utf-8", buffering=1), joints)
-        except OSError as error:
-            raise FileError(path, f"cannot be written ({error.strerror})", "choose another path") from error
-
     def write(self, now: float, arm: EmulatedArm) -> None:
-        """Add a row: [s], [m], [rad]; FileError."""
-        self._put(f"{value:.6f}" for value in [now, *arm.true_tcp, *arm.angles, *arm.true_links])
+        """Add a row: [s], [m], [rad]."""
+        row = [now, *arm.plant.true_tcp()[0], *arm.angles, *arm.plant.link_position()[0]]
+        self._put(f"{value:.6f}" for value in row)
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._stream.close()
 
     def _put(self, row: Iterable[str]) -> None:
         try:
             self._stream.write(",".join(row) + "\n")
         except OSError as error:
-            raise FileError(
-                self._path, f"cannot be written ({error.strerror})", "make room or log elsewhere"
-            ) from error
-
-    def close(self) -> None:
-        """Finish the file."""
-        self._stream.close()
+            raise unwritable(self._path, error) from error
 
 
 R = TypeVar("R")
@@ -105,7 +99,8 @@ class EmulatedConversation(Conversation[R]):
         super().__init__(**clock)
         self._timing = timing or Timing()
         self._emulated, self.tick, self._log = arm, self._timing.tick, log
-        self._wire, self._arm = WireFaults(faults, seed), ArmFaults(faults, arm)
+        self._wire = WireFaults(faults, seed)
+        arm.faults.expect(faults)
         # when the first byte came
         self._began: float | None = None
         # when the newest bytes came; those that came while a request was worked on count as come with that one
@@ -136,7 +131,7 @@ class EmulatedConversation(Conversation[R]):
         data = channel.receive()
         if data and self._began is None:
             self._began = self._clock()
-            self._arm.advance(0.0)
+            self._emulated.faults.advance(0.0)
         return data
 
     def _say(self, channel: ByteStream, pieces: list[bytes]) -> None:
@@ -167,7 +162,7 @@ class EmulatedConversation(Conversation[R]):
             self._now = now
         if now - self._now >= 1e-3:
             if self._began is not None:
-                self._arm.advance(self._elapsed(now))
+                self._emulated.faults.advance(self._elapsed(now))
             self._emulated.advance(min(now - self._now, MAX_CATCH_UP) * self._timing.pace)
             self._now = now
             if self._log is not None:
@@ -195,7 +190,7 @@ class WireSession(EmulatedConversation[Frame]):
         if reply is None:
             return
         if request.command in READINGS:
-            self._arm.was_read()
+            self._emulated.faults.was_read()
         mean = self._timing.state if reply.is_state else self._timing.acknowledgement
         delay = mean * max(0.0, 1.0 + self._timing.jitter * self._rng.standard_normal())
         self.wait(None, self._clock() + delay + self._wire.delay)

@@ -99,8 +99,9 @@ _ADDED = {
 _SOFTENED = {"position_gain": _DRIVE, "link_stiffness": _GEAR}
 
 
-def aged(wear: Wear, arm: Arm, hours: float, *, seed: int, young: Wear, old: Wear, least_torque: Array) -> Wear:
-    """``wear`` after ``hours``; no motor gets below ``least_torque`` (n,) [N m]."""
+def aged(wear: Wear, arm: Arm, hours: float, *, seed: int) -> Wear:
+    """``wear`` after ``hours``; every motor still lifts the arm."""
+    young, old = _fitted("healthy", arm), _fitted("worn", arm)
     damage = damages(young, arm, hours, seed)
     changed = {
         name: getattr(wear, name) + damage[kind] * np.maximum(getattr(old, name) - getattr(young, name), 0.0)
@@ -111,7 +112,8 @@ def aged(wear: Wear, arm: Arm, hours: float, *, seed: int, young: Wear, old: Wea
         changed[name] = 1.0 / (1.0 / getattr(wear, name) + damage[kind] * softer)
     changed["damping_gain"] = wear.damping_gain * changed["position_gain"] / wear.position_gain
     weaker = wear.torque_limit * np.exp(-_WEAKENING * damage[_DRIVE])
-    changed["torque_limit"] = np.maximum(weaker, np.minimum(wear.torque_limit, least_torque))
+    least = _LIFT_MARGIN * lifting_torque(wear, arm)
+    changed["torque_limit"] = np.maximum(weaker, np.minimum(wear.torque_limit, least))
     return replace(wear, name=f"{wear.name}, {hours:g} h", **changed)
 
 
@@ -203,14 +205,14 @@ class Wear:
         n = np.shape(self.position_gain)
         for name in (*PARAMETERS, "offset"):
             value = np.array(getattr(self, name), dtype=float)
-            if name == "offset" and value.ndim == 0:
-                value = np.full(n, value)
-            if value.ndim != 1 or value.shape != n:
-                raise ProfileError(f"wear {self.name}: {name} has shape {value.shape}, expected {n}")
+            value = np.full(n, value) if name == "offset" and value.ndim == 0 else value
             least = np.nextafter(0.0, 1.0) if name in _POSITIVE else -np.inf if name == "offset" else 0.0
-            if not (np.isfinite(value) & (value >= least)).all():
-                wanted = "positive" if name in _POSITIVE else "at least 0"
-                raise ProfileError(f"wear {self.name}: {name} must be {wanted}, got {value.tolist()}")
+            if value.ndim != 1 or value.shape != n or not (np.isfinite(value) & (value >= least)).all():
+                wanted = "positive" if name in _POSITIVE else "finite" if name == "offset" else "at least 0"
+                raise ProfileError(
+                    f"wear {self.name}: {name} must be {wanted} for {' x '.join(map(str, n))} joints, "
+                    f"got {value.tolist()}"
+                )
             value.setflags(write=False)
             object.__setattr__(self, name, value)
         if (self.stiction < self.coulomb).any():
@@ -250,22 +252,20 @@ def load_wear(name: str, arm: Arm) -> Wear:
     if options.seed is not UNSET:
         wear = draw_wear(wear, arm, seed)
     if options.hours is not UNSET:
-        young, old = _fitted("healthy", arm), _fitted("worn", arm)
-        least = _LIFT_MARGIN * lifting_torque(wear, arm)
-        wear = aged(wear, arm, options.hours, seed=seed, young=young, old=old, least_torque=least)
+        wear = aged(wear, arm, options.hours, seed=seed)
     return wear if options.ambient is UNSET else warmed(wear, options.ambient, seed=seed)
 
 
 def _fitted(base: str, arm: Arm) -> Wear:
     found = _profile(_text(base), base)
-    if found.arm is not None and found.arm != arm.name and not found.scales:
+    if found.scales:
+        return scale_wear(found.wear(base, reference_arm().joints), arm)
+    if found.arm not in (None, arm.name):
         raise ProfileError(
             f"wear {base} describes the arm {found.arm} alone, not {arm.name}; give --arm {found.arm} or a run of that "
             f"arm, or a profile that scales with the arm: {', '.join(n for n in wear_names() if wear_arm(n) is None)}"
         )
-    if found.scales:
-        return scale_wear(_wear(found, base, reference_arm().joints), arm)
-    return _wear(found, base, arm.joints)
+    return found.wear(base, arm.joints)
 
 
 class _Options(msgspec.Struct, forbid_unknown_fields=True):
@@ -297,7 +297,7 @@ def wear_arm(name: str) -> str | None:
 
 def parse_wear(text: str, *, name: str, joints: int) -> Wear:
     """Read a profile for ``joints`` joints from TOML text."""
-    return _wear(_profile(text, name), name, joints)
+    return _profile(text, name).wear(name, joints)
 
 
 def scale_wear(wear: Wear, arm: Arm) -> Wear:
@@ -344,12 +344,30 @@ def _text(base: str) -> str:
         raise ProfileError(f"cannot read the wear profile {base!r} ({error}); {known}") from error
 
 
+_Numbers = float | list[float]
+_Joints = msgspec.defstruct(
+    "_Joints",
+    [*((name, _Numbers) for name in _FILE_NAMES), ("offset_deg", _Numbers, 0.0)],
+    forbid_unknown_fields=True,
+)
+
+
 class _WearFile(msgspec.Struct, forbid_unknown_fields=True):
-    joints: dict[str, Any]
+    joints: _Joints  # type: ignore[valid-type]  # one number for all joints, or one per joint
     arm: str | None = None
     """the only arm"""
     scales: bool = False
     play_in_loop: bool = False
+
+    def wear(self, name: str, joints: int) -> Wear:
+        """Return the wear of ``joints`` joints; ProfileError."""
+        values: dict[str, Any] = {}
+        for field, value in msgspec.structs.asdict(self.joints).items():
+            if np.size(value) not in (1, joints):
+                raise ProfileError(f"wear {name}: {field} must be a number or a list of {joints} numbers, got {value}")
+            numbers = np.broadcast_to(np.array(value), joints)
+            values[field.removesuffix("_deg")] = np.radians(numbers) if field.endswith("_deg") else numbers
+        return Wear(name=name, play_in_loop=self.play_in_loop, **values)
 
 
 def _profile(text: str, name: str) -> _WearFile:
@@ -361,20 +379,3 @@ def _profile(text: str, name: str) -> _WearFile:
     if found.scales and found.arm != _SCALING_ARM:
         raise ProfileError(f"wear {name}: only profiles with arm = '{_SCALING_ARM}' can scale, got arm {found.arm!r}")
     return found
-
-
-def _wear(found: _WearFile, name: str, joints: int) -> Wear:
-    if differing := set(_FILE_NAMES) ^ set(found.joints) - {"offset_deg"}:
-        raise ProfileError(
-            f"wear {name}: [joints] lacks, or does not know, {', '.join(sorted(differing))}; fields: "
-            f"{', '.join(_FILE_NAMES)}; optional: offset_deg"
-        )
-    values: dict[str, Any] = {}
-    for field, value in found.joints.items():
-        try:
-            numbers = np.broadcast_to(msgspec.convert(value, float | list[float]), joints)
-        except ValueError as error:
-            message = f"wear {name}: {field} must be a number or a list of {joints} numbers, got {value!r}"
-            raise ProfileError(message) from error
-        values[field.removesuffix("_deg")] = np.radians(numbers) if field.endswith("_deg") else numbers
-    return Wear(name=name, play_in_loop=found.play_in_loop, **values)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280, tcp_position
-from rejoint_lab.emulator import Firmware, build_firmware
+from rejoint_lab.emulator.firmware import Firmware, build_firmware
 
 ARM = mycobot280()
 

@@ -7,8 +7,8 @@ from benchmarks.virtual import START, VirtualClient
 from rejoint.arms import mycobot280
 from rejoint.arms.wire.values import Frame, encode, pack_angles
 from rejoint.robots.wireserver import DeathError, LinkGoneError
-from rejoint_lab.emulator import Timing, parse_faults
-from rejoint_lab.emulator.faults import Fault, WireFaults
+from rejoint_lab.emulator.faults import Fault, WireFaults, parse_faults
+from rejoint_lab.emulator.servers import Timing
 
 ARM = mycobot280()
 PROMPT = Timing(state=0.01, acknowledgement=0.01, jitter=0.0)

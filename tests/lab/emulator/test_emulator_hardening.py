@@ -14,8 +14,8 @@ from rejoint.arms import mycobot280
 from rejoint.arms.wire.mover import MAX_QUEUE
 from rejoint.arms.wire.orders import answer
 from rejoint.arms.wire.values import Frame, encode, pack_angles
-from rejoint_lab.emulator import Timing, serve_tcp
 from rejoint_lab.emulator.firmware import MAX_WRITES
+from rejoint_lab.emulator.servers import Timing, serve_tcp
 
 pytestmark = pytest.mark.realtime
 

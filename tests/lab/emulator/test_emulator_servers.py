@@ -1,6 +1,7 @@
 """Servers under clients that behave badly: raw sockets and terminals, no vendor client."""
 
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -13,7 +14,7 @@ import pytest
 from reaching import place
 
 from rejoint.system.errors import InputError
-from rejoint_lab.emulator import Timing, serve_pty, serve_tcp
+from rejoint_lab.emulator.servers import Timing, serve_pty, serve_tcp
 
 pytestmark = pytest.mark.realtime
 
@@ -76,19 +77,13 @@ def test_a_terminal_carries_every_byte_and_outlives_its_clients(firmware):
             assert got == ANGLES
 
 
-@pytest.mark.parametrize("options", ["place=('127.0.0.1', 0)", "place=None"])
+@pytest.mark.parametrize("options", [("--port", "0"), ("--pty",)])
 def test_emulate_can_be_reached_when_it_says_so_and_ends_with_ctrl_c(options, tmp_path):
     """A program of its own: it serves a client, and an interrupt ends it without a trace."""
-    log = tmp_path / "truth.csv"
-    program = (
-        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "  # ignored in background jobs
-        "from pathlib import Path; from rejoint.arms import mycobot280; "
-        "from rejoint_lab.emulator import emulate; "
-        f"emulate(mycobot280(), 'worn', {options}, log=Path({str(log)!r}), announce=lambda a: print(a, flush=True))"
-    )
-    pipe = subprocess.PIPE
-    with subprocess.Popen([sys.executable, "-c", program], stdout=pipe, stderr=pipe, text=True) as process:
-        address = process.stdout.readline().strip()
+    log, pipe = tmp_path / "truth.csv", subprocess.PIPE
+    words = [sys.executable, "-m", "rejoint", "emulate", *options, "--log", str(log)]
+    with subprocess.Popen(words, stdout=pipe, stderr=pipe, text=True) as process:
+        address = re.search(r"\w+://\S+", process.stderr.readline())[0]
         if address.startswith("tcp://"):
             host, port = address.removeprefix("tcp://").rsplit(":", 1)
             with closing(socket.create_connection((host, int(port)), 5.0)) as client:
@@ -106,5 +101,5 @@ def test_emulate_can_be_reached_when_it_says_so_and_ends_with_ctrl_c(options, tm
             rest, complaints = process.communicate(timeout=20)
         finally:
             process.kill()
-    assert (process.returncode, rest, complaints) == (0, "", "")
+    assert (process.returncode, rest, complaints) == (0, "", "Emulator ended.\n")
     assert len(log.read_text(encoding="utf-8").splitlines()) > 1

@@ -8,7 +8,8 @@ from reaching import until
 
 from rejoint.arms import mycobot280, tcp_pose
 from rejoint.robots.mycobot import MyCobot280, MyCobot280Socket
-from rejoint_lab.emulator import Timing, build_firmware, serve_pty, serve_tcp
+from rejoint_lab.emulator.firmware import build_firmware
+from rejoint_lab.emulator.servers import Timing, serve_pty, serve_tcp
 
 ARM = mycobot280()
 QUICK = Timing(state=0.002, acknowledgement=0.001, pace=4.0)

@@ -5,18 +5,15 @@ An STS3215 gives P / 4 per mille of duty per count of error beyond its dead zone
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import parse_qs, urlsplit
 
-import numpy as np
-
-from rejoint.control.servogains import HEAVIEST, HOTTEST, Rung, ServoGains
+from rejoint.control.servogains import Rung, ServoGains
 from rejoint.robots.family import SerialAddress, TcpAddress, serial_address, tcp_address
-from rejoint.system.errors import RobotError
-from rejoint.system.stopping import ending, shielded
+from rejoint.robots.servobus import GainTable, Values
 
 
 class Knob(NamedTuple):
@@ -41,12 +38,12 @@ KNOBS: dict[str, Knob] = {
 LIMIT, LIMITED = "limit", 50
 """Limit of the I part, and its value: 20 % of PWM (chosen: beyond friction)"""
 REGISTERS = {LIMIT: 25, "p": 21, "d": 22, "i": 23, "startup": 24, "dead_cw": 26, "dead_ccw": 27}
-"""Addresses, one byte each"""
-FIRST, SIZE = 21, 7
-"""Block of these registers"""
-_STRIDES = {name: knob.stride for knob in KNOBS.values() for name in knob.names} | {LIMIT: LIMITED}
-PAUSE = 0.05
-"""[s] between steps (chosen: longer than a servo rings)"""
+"""Addresses, one byte each, side by side"""
+GAINS = GainTable(
+    strides={name: knob.stride for knob in KNOBS.values() for name in knob.names} | {LIMIT: LIMITED},
+    falling=frozenset(KNOBS["dead"].names),
+    limit=LIMIT,
+)
 RUNGS = (
     Rung(("p",), (8, 16, 24, 32, 40, 48, 56, 64)),
     Rung(("dead_cw", "dead_ccw"), (0,), rising=False),
@@ -56,8 +53,6 @@ RUNGS = (
 """Search order (chosen: within `KNOBS`)"""
 
 Gains = Mapping[str, int]
-Values = dict[str, tuple[int, ...]]
-"""One per joint, by name"""
 
 
 def read_gains(given: Mapping[str, str]) -> Gains:
@@ -71,40 +66,10 @@ def read_gains(given: Mapping[str, str]) -> Gains:
     return found
 
 
-def way(before: int, wanted: int, stride: int) -> list[int]:
-    """Values to write, from ``before`` to ``wanted``."""
-    step = stride if wanted > before else -stride
-    return [*range(before + step, wanted, step), wanted] if wanted != before else []
-
-
-def read_block(blocks: Sequence[bytes]) -> Values:
-    """Gains in blocks of `SIZE` registers from `FIRST`."""
-    return {name: tuple(block[cell - FIRST] for block in blocks) for name, cell in REGISTERS.items()}
-
-
 def for_all(gains: Gains, joints: int) -> Values:
     """Equal gains for all ``joints``, with the I part's limit."""
     found = {name: (value,) * joints for knob, value in gains.items() for name in KNOBS[knob].names}
     return {LIMIT: (LIMITED,) * joints, **found} if gains.get("i") else found
-
-
-def stiffer(name: str, before: int, now: int) -> bool:
-    """Whether a servo pushes harder with the gain ``now``."""
-    return now < before if name in KNOBS["dead"].names else now > before
-
-
-def steps(before: Mapping[str, tuple[int, ...]], wanted: Mapping[str, tuple[int, ...]]) -> list[dict[str, list[int]]]:
-    """Values to write in small steps, by name, one per joint; the I part's limit is raised first and lowered last."""
-    ways = [(name, before[name], wanted[name]) for name in REGISTERS if name in wanted and name != LIMIT]
-    if LIMIT in wanted:
-        most = tuple(map(max, before[LIMIT], wanted[LIMIT]))
-        ways = [(LIMIT, before[LIMIT], most), *ways, (LIMIT, most, wanted[LIMIT])]
-    found = []
-    for name, here, there in ways:
-        each = [[old, *way(old, new, _STRIDES[name])] for old, new in zip(here, there, strict=True)]
-        longest = max(map(len, each))
-        found += [{name: [one[min(k, len(one) - 1)] for one in each]} for k in range(1, longest)]
-    return found
 
 
 FULL = 1000.0
@@ -130,103 +95,10 @@ class DutyLaw(NamedTuple):
         return min(size / FULL, 1.0) if duty > 0 else max(-size / FULL, -1.0)
 
 
-LOCK, LOAD, HEAT = 55, 60, 63
-"""Register addresses"""
-_NEGATIVE = 1 << 10  # sign of a load
-
-Read = Callable[[int, int, int, float | None], bytes]
-"""Reads registers: ID, address, size, deadline [s]"""
-Write = Callable[[int, int, Sequence[int], float | None], object]
-
-
-class Tuning:
-    """Registers of servos; ``wanted`` holds on every connection."""
-
-    def __init__(
-        self,
-        ids: Sequence[int],
-        wanted: Values,
-        *,
-        read: Read,
-        write: Write,
-        call: Callable[[int], str],
-        wait: Callable[[float], object],
-    ) -> None:
-        """Callbacks: registers, a servo's name, and waiting."""
-        self.values: Values = {}
-        """in force, by `REGISTERS`"""
-        self.laws: list[DutyLaw] = []
-        """of these values, per servo"""
-        self._ids, self._wanted = ids, wanted
-        self._read, self._write, self._call, self._wait = read, write, call, wait
-
-    def prepare(self, until: float | None) -> None:
-        """Read the gains, and set the wanted ones."""
-        self._look_up(until)
-        self._walk(self._wanted, until, hottest=HOTTEST)
-
-    def tune(self, gains: ServoGains) -> None:
-        """Set gains, also on later connections."""
-        self._walk(gains, None)
-        self._wanted = {name: tuple(values) for name, values in gains.items()}
-
-    def keep(self, gains: ServoGains) -> None:
-        """Save gains; each lock is open meanwhile."""
-        self.tune(gains)
-        for index, servo in enumerate(self._ids):
-            try:
-                self._write(servo, LOCK, [0], None)
-                for name, values in gains.items():
-                    self._write(servo, REGISTERS[name], [values[index]], None)
-            finally:
-                with shielded():
-                    self._write(servo, LOCK, [1], None)
-            if self._read(servo, LOCK, 1, None) != b"\1":
-                raise RobotError(f"the lock of {self._call(servo)} stays open; switch the arm's power off and on")
-        self._look_up(None)
-        if any(self.values[name] != tuple(values) for name, values in gains.items()):
-            raise RobotError(f"the servos have not taken the gains; they are {self.values}")
-
-    def _blocks(self, until: float | None) -> list[bytes]:
-        return [self._read(servo, FIRST, SIZE, until) for servo in self._ids]
-
-    def _look_up(self, until: float | None) -> None:
-        blocks = self._blocks(until)
-        self.values = read_block(blocks)
-        self.laws = [DutyLaw(p=data[0], startup=data[3], above=data[5], below=data[6]) for data in blocks]
-
-    def _walk(self, wanted: ServoGains, until: float | None, *, hottest: float = np.inf) -> None:
-        before = self.values
-        strange = [name for name in wanted if name not in before or len(wanted[name]) != len(self._ids)]
-        if strange:
-            known = f"{', '.join(before)} of {len(self._ids)} joints"
-            raise RobotError(f"expected gains {known}, got {', '.join(strange)}")
-        there = read_block(self._blocks(until))
-        for step in steps(there, wanted):  # a walk that a lost connection cut short goes on
-            self._take(step, until)
-            problem = "" if ending() else self._problem(step, there, until, hottest)
-            if problem:
-                for back in steps(read_block(self._blocks(until)), before):
-                    self._take(back, until)
-                raise RobotError(f"{problem}; the gains are as before")
-        self._look_up(until)
-
-    def _take(self, step: Mapping[str, Sequence[int]], until: float | None) -> None:
-        for name, values in step.items():
-            for servo, value in zip(self._ids, values, strict=True):
-                self._write(servo, REGISTERS[name], [value], until)
-        self._wait(PAUSE)
-
-    def _problem(self, step: Mapping[str, Sequence[int]], there: Values, until: float | None, hottest: float) -> str:
-        ((name, values),) = step.items()
-        for servo, old, value in zip(self._ids, there[name], values, strict=True):
-            if not stiffer(name, old, value):  # else one that labours could not be relieved
-                continue
-            low, high, _, heat = self._read(servo, LOAD, 4, until)
-            load = ((low | high << 8) & ~_NEGATIVE) / FULL
-            if load > HEAVIEST or heat > hottest:
-                return f"{self._call(servo)} does not bear {name}={value}: load {100 * load:.0f} %, {heat} deg C"
-        return ""
+def duty_laws(gains: ServoGains) -> list[DutyLaw]:
+    """Laws (n,) of servos with these gains."""
+    names = ("p", "startup", "dead_cw", "dead_ccw")
+    return [DutyLaw(*values) for values in zip(*(gains[name] for name in names), strict=True)]
 
 
 FORM = "feetech:///dev/DEVICE or feetech://HOST:PORT"

@@ -1,23 +1,15 @@
-"""The client `ftservo-python-sdk` on any port of pyserial, and counts in radians.
-
-A joint is at zero in mid-range, as in LeRobot's degrees, or at the address's ``zero``.
-"""
+"""The client `ftservo-python-sdk` on any port of pyserial."""
 
 from __future__ import annotations
 
 import errno
 import os
 import socket
-import struct
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from select import select
-from typing import NamedTuple
 
-import numpy as np
 import serial
-from numpy.typing import NDArray
 from scservo_sdk import (
     COMM_PORT_BUSY,
     COMM_RX_TIMEOUT,
@@ -32,13 +24,7 @@ from scservo_sdk import (
     sms_sts,
 )
 
-from rejoint.arms import Arm, Array
-from rejoint.logs.homing import read_homing
-from rejoint.logs.joints import COUNTS_PER_TURN, match_joints
-from rejoint.robots.bus import Reading
 from rejoint.robots.family import SerialAddress, TcpAddress
-from rejoint.robots.feetech.gains import DutyLaw
-from rejoint.system.errors import InputError, RobotError
 
 FRAME = 6
 """[bytes] around the data: header, ID, length, errors, checksum"""
@@ -107,14 +93,6 @@ class Wire:
         """Model number of a servo; ignores late answers."""
         return int.from_bytes(self.read(servo, MODEL, 2), "little")
 
-    def answers(self, servo: int) -> bool:
-        """Whether a servo answers."""
-        try:
-            self.model(servo)
-        except (TimeoutError, ValueError, IndexError):
-            return False
-        return True
-
     def read(self, servo: int, address: int, size: int) -> bytes:
         """Read ``size`` registers."""
         packet: list[int] = []
@@ -175,147 +153,3 @@ def _judge(result: int, servo: int) -> None:
     if result in (COMM_PORT_BUSY, COMM_TX_FAIL):
         raise OSError("the port did not take the request")
     raise ValueError(f"the answer of servo {servo} is garbled")
-
-
-Counts = NDArray[np.int64]
-
-_STEP = 2 * np.pi / COUNTS_PER_TURN
-TURNING = np.radians(300.0)
-"""[rad] range of a joint that may turn fully (chosen: LeRobot does so with a wrist)"""
-
-
-class MotorRanges(NamedTuple):
-    """LeRobot's calibration of the motors (n,)."""
-
-    ids: tuple[int, ...]
-    homing: Counts
-    low: Counts
-    high: Counts
-
-
-class Zeros(NamedTuple):
-    """Counts and radians of n joints, as plain numbers for speed."""
-
-    middle: tuple[float, ...]
-    """(n,) [counts] at ``zero``"""
-    zero: tuple[float, ...]
-    """(n,) [rad]"""
-    low: tuple[int, ...]
-    """(n,) [counts] goals"""
-    high: tuple[int, ...]
-    """(n,) [counts]"""
-
-    def radians(self, counts: Sequence[int]) -> list[float]:
-        """Joint positions (n,) [rad]."""
-        return [
-            (count - middle) * _STEP + zero for count, middle, zero in zip(counts, self.middle, self.zero, strict=True)
-        ]
-
-    def counts(self, position: Array) -> list[int]:
-        """Goals (n,) of positions [rad], within the servos' limits."""
-        return [
-            min(max(round((angle - zero) / _STEP + middle), low), high)
-            for angle, middle, zero, low, high in zip(
-                position.tolist(), self.middle, self.zero, self.low, self.high, strict=True
-            )
-        ]
-
-
-def read_calibration(path: Path, arm: Arm) -> MotorRanges:
-    """Read LeRobot's calibration of ``arm``; FileError, InputError for its numbers."""
-    motors = read_homing(path)
-    columns = match_joints(list(motors), arm, path, "calibration").columns
-    joints = [list(motors.values())[column] for column in columns]
-    try:
-        numbers = {
-            name: [int(joint[name]) for joint in joints] for name in ("id", "homing_offset", "range_min", "range_max")
-        }
-    except (KeyError, TypeError, ValueError) as error:
-        wanted = "id, homing_offset, range_min and range_max of every motor"
-        raise InputError(f"{path}: expected {wanted} ({error!r})") from error
-    low, high = np.array(numbers["range_min"]), np.array(numbers["range_max"])
-    if not ((low >= 0) & (low < high) & (high < COUNTS_PER_TURN)).all():
-        raise InputError(f"{path}: ranges must rise within 0 and {COUNTS_PER_TURN - 1}; run lerobot-calibrate again")
-    return MotorRanges(ids=tuple(numbers["id"]), homing=np.array(numbers["homing_offset"]), low=low, high=high)
-
-
-def zeros_of(
-    arm: Arm, file: MotorRanges | None, homing: Counts, low: Counts, high: Counts, degrees: tuple[float, ...]
-) -> Zeros:
-    """Zeros from servo offsets and limits (n,); RobotError."""
-    if degrees and len(degrees) != arm.joints:
-        raise InputError(f"zero= of the address needs {arm.joints} angles, one per joint, got {len(degrees)}")
-    if file is not None and (file.homing != homing).any():
-        j = int(np.argmax(file.homing != homing))
-        raise RobotError(
-            f"the calibration file is not that of this arm: {arm.joint_names[j]} has a homing offset of {homing[j]} "
-            f"counts in its servo and {file.homing[j]} in the file; give the arm's own file, or run lerobot-calibrate"
-        )
-    limited = low < high
-    low, high = np.where(limited, low, 0), np.where(limited, high, COUNTS_PER_TURN - 1)
-    ranges = (low, high) if file is None else (file.low, file.high)
-    if not degrees:
-        _require_swept(arm, *ranges)
-    turned = np.radians(degrees) if degrees else np.zeros(arm.joints)
-    return Zeros(
-        middle=tuple(((ranges[0] + ranges[1]) / 2).tolist()),
-        zero=tuple(turned.tolist()),
-        low=tuple(low.tolist()),
-        high=tuple(high.tolist()),
-    )
-
-
-def _require_swept(arm: Arm, low: Counts, high: Counts) -> None:
-    whole = (high - low >= COUNTS_PER_TURN - 1) & (arm.upper - arm.lower < TURNING)
-    if whole.any():
-        names = ", ".join(name for name, bare in zip(arm.joint_names, whole, strict=True) if bare)
-        raise RobotError(
-            f"{names} may turn by a whole turn, as servos do that were never calibrated: zero is unknown; "
-            "run lerobot-calibrate, or say by zero=DEG,DEG,... what angle each joint has in the middle of its range"
-        )
-
-
-PRESENT, BLOCK = 56, 15
-"""Address and number of measured registers (Feetech's memory table of the STS/SMS series)"""
-FAULTS = {1: "voltage", 2: "encoder", 4: "heat", 8: "over-current", 32: "overload"}
-"""Bits of the status register"""
-SAGGING = 0.75
-"""share of the first voltage (chosen: servos go silent at half of it)"""
-VOLT = 0.1
-"""[V] per count"""
-# of these position, load, voltage, temperature, status and goal
-_ROW = struct.Struct("<HxxHBBxBxHxx")
-
-
-def decode(rows: Sequence[bytes], zeros: Zeros, laws: Sequence[DutyLaw], supply: Sequence[float]) -> Reading:
-    """Read the ``rows`` of n servos; ``supply`` [V] at the start."""
-    places, loads, voltages, heats, words = [], [], [], [], []
-    for row, law, before in zip(rows, laws, supply, strict=True):
-        position, duty, volt, heat, status, goal = _ROW.unpack(row)
-        place, voltage = signed(position, 15), volt * VOLT
-        places.append(place)
-        loads.append(law.share(signed(duty, 10), signed(goal, 15) - place))
-        voltages.append(voltage)
-        heats.append(heat)
-        words.append(_trouble(status, voltage, before) if status or voltage < SAGGING * before else None)
-    table = np.array(zeros.radians(places) + loads + voltages + heats).reshape(4, len(rows))
-    return Reading(
-        position=table[0],
-        load=table[1],
-        voltage=table[2],
-        temperature=table[3],
-        fault=np.array([word is not None for word in words]),
-        trouble=tuple(word or "" for word in words) if any(word is not None for word in words) else None,
-    )
-
-
-def signed(word: int, bit: int) -> int:
-    """Return number with a sign ``bit``."""
-    return -(word & ~(1 << bit)) if word & 1 << bit else word
-
-
-def _trouble(status: int, voltage: float, before: float) -> str:
-    words = [name for bit, name in FAULTS.items() if status & bit]
-    if voltage < SAGGING * before:
-        words.append(f"the supply sags to {voltage:.1f} V from {before:.1f} V")
-    return ", ".join(words)

@@ -10,9 +10,7 @@ import contextlib
 import json
 import os
 import socket
-import threading
 import time
-from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import Future
 from datetime import datetime
@@ -32,11 +30,9 @@ class OrderLog:
     """Writes to ``path``, or only counts; FileError."""
 
     def __init__(self, path: Path | None = None, *, say: Callable[[str], object] = lambda _: None) -> None:
-        self.path = path
+        self.path, self._say = path, say
         self.orders = 0
         """so far"""
-        self._say, self._lock = say, threading.Lock()
-        self._questions: Counter[str] = Counter()
         self._handle: int | None = None
         if path is not None:
             try:
@@ -45,48 +41,30 @@ class OrderLog:
             except OSError as error:
                 raise unwritable(path, error) from error
 
-    def asked(self, command: int) -> None:
-        """Count a question."""
-        self._questions[f"0x{command:02x}"] += 1
-
     def ordered(self, command: int, payload: bytes, *, done: bool, why: str = "") -> int:
         """Write an order, whether it is carried out and why not; returns its number."""
-        with self._lock:
-            self.orders += 1
-            number = self.orders
-        words = {"why": why} if why else {}
-        questions, self._questions = dict(self._questions), Counter()
-        self.write(
-            "order",
-            number=number,
-            name=NAMES.get(command, f"0x{command:02x}"),
-            payload=payload.hex(),
-            done=done,
-            **words,
-            questions_before=questions,
-        )
-        return number
+        self.orders += 1
+        name, because = NAMES.get(command, f"0x{command:02x}"), {"why": why} if why else {}
+        self.write("order", number=self.orders, name=name, payload=payload.hex(), done=done, **because)
+        return self.orders
 
     def write(self, what: str, **found: object) -> None:
-        """Write one line, safe from a killed process."""
+        """Write one line at once, safe from a killed process; the loop and the server write."""
         line = json.dumps({"date": datetime.now().isoformat(timespec="milliseconds"), "what": what, **found}) + "\n"
-        with self._lock:
-            try:
-                if self._handle is not None:
-                    os.write(self._handle, line.encode())
-            except OSError as error:
-                self._end()
-                self._say(f"{self.path}: cannot be written any more ({error.strerror}); the arm goes on without")
+        handle = self._handle
+        if handle is None:
+            return
+        try:
+            os.write(handle, line.encode())
+        except OSError as error:
+            self._handle = None
+            self._say(f"{self.path}: cannot be written any more ({error.strerror}); the arm goes on without")
 
     def close(self) -> None:
         """End the log."""
-        with self._lock:
-            self._end()
-
-    def _end(self) -> None:
-        if self._handle is not None:
-            os.close(self._handle)
-            self._handle = None
+        handle, self._handle = self._handle, None
+        if handle is not None:
+            os.close(handle)
 
 
 PATIENCE = 0.25
@@ -157,7 +135,6 @@ class Answering:
         if command in PASSED_ON:
             return self._pass_on(request)
         if command not in COMMANDS:
-            self._log.asked(command)
             found = None if self._served.is_lost else answer(self._served, request)
             return None if found is None else found.frame
         why = "" if command == 0x1A and payload[:1] == b"\x00" else REFUSED.get(command, "")
@@ -221,9 +198,7 @@ class Answering:
 
     def _pass_on(self, request: Frame) -> Frame | None:
         found = self._relay.ask(request.command, request.payload)
-        if request.command in _ASKS:
-            self._log.asked(request.command)
-        else:
+        if request.command not in _ASKS:
             why = "" if found is not None else "the robot does not answer it, or its driver cannot pass it on"
             self._log.ordered(request.command, request.payload, done=found is not None, why=why)
         return None if found is None else Frame(request.command, found)
