@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from rejoint.control.comparison.protocols import Columns
-from rejoint.control.comparison.result import METRICS, Protocol
+from rejoint.control.comparison.result import METRICS, Columns, Protocol
 
 
 def outcome(

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rejoint.arms import Arm
-from rejoint.control.comparison.protocols import Columns
+from rejoint.control.comparison.result import Columns
 from rejoint.control.targets import draw_targets
 from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.research.evaluation.contestants import Contestant, classical, learned, on_twin

@@ -8,7 +8,7 @@ from typing import cast
 
 import numpy as np
 
-from rejoint.control.comparison.protocols import Columns
+from rejoint.control.comparison.result import Columns
 from rejoint.pages import html
 from rejoint.pages.html import LOOKS
 from rejoint.pages.report.figures import HALF, Picture, canvas, inline_svg

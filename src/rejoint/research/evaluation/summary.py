@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.control.comparison.protocols import Columns, cycle_times
-from rejoint.control.comparison.protocols import summarise as summarise_trials
-from rejoint.control.comparison.result import ControllerRow, Protocol
+from rejoint.control.comparison.result import Columns, ControllerRow, Protocol, cycle_times
+from rejoint.control.comparison.result import summarise as summarise_trials
 from rejoint.research.evaluation.contestants import Contestant
 from rejoint.research.evaluation.family import ArmFamily
 from rejoint.research.evaluation.trials import TrialSettings

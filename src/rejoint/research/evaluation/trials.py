@@ -13,13 +13,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from rejoint.arms import Arm, Array
-from rejoint.control.comparison.compare import PROGRESS_CYCLES
-from rejoint.control.comparison.protocols import KINDS, Columns, measure, schedule
-from rejoint.control.comparison.result import METRICS, Protocol
+from rejoint.control.comparison.compare import count_targets
+from rejoint.control.comparison.protocols import measure, schedule
+from rejoint.control.comparison.result import KINDS, METRICS, Columns, Protocol
 from rejoint.control.controller import Controller
 from rejoint.control.goal import Ways
 from rejoint.control.loop import run
-from rejoint.control.recording import Cycle
 from rejoint.control.reference import TargetSequence
 from rejoint.control.robot import Robot
 from rejoint.logs.runfolder.folder import RunFolder
@@ -107,15 +106,7 @@ def try_on(
     Beside `METRICS`: seed of the ``arm``, number and place (``x``, ``y``, ``z``) of the ``target``, and the flags with
     which the guard ``tripped``.
     """
-    family, protocol, cycles = settings.family, settings.protocol, 0
-    shape = bench.targets.shape[:2]
-
-    def watch(cycle: Cycle) -> None:
-        nonlocal cycles
-        cycles += 1
-        if cycles % PROGRESS_CYCLES == 0:
-            on_targets(int(cycle.target_index.sum()))
-
+    family, protocol, shape = settings.family, settings.protocol, bench.targets.shape[:2]
     found: Columns = {name: np.full(shape, np.nan) for name in (*METRICS, *protocol.stay_names, "tripped")}
     found |= dict(zip("xyz", np.moveaxis(bench.targets, -1, 0), strict=True))
     found["arm"] = np.broadcast_to(bench.wear_seed[:, None], shape)
@@ -126,7 +117,7 @@ def try_on(
             continue
         points, ways = bench.targets[:, :count], bench.ways if kind == "hold" else None
         plan, sequence = schedule(kind, protocol, keep_going=True), TargetSequence(arm, points, ways=ways)
-        recording = run(bench.open(), controller(arm), sequence, plan, on_cycle=watch)
+        recording = run(bench.open(), controller(arm), sequence, plan, on_cycle=count_targets(on_targets))
         places = tuple((b, 0) for b in range(len(points)))
         for name, values in measure(arm, recording, points, protocol, ("", kind, places, 0)).columns.items():
             found[name][:, :count] = values

@@ -7,7 +7,7 @@ import pyarrow.parquet as pq
 from matplotlib.figure import Figure
 
 from rejoint.arms import Array
-from rejoint.control.comparison.protocols import Columns
+from rejoint.control.comparison.result import Columns
 from rejoint.control.observation import POINT_SCALE, Observation, layout_slots
 from rejoint.control.policy import PolicyController, load_policy
 from rejoint.pages.html import BLUE, ORANGE, RED

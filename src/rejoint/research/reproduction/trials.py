@@ -9,8 +9,8 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, tcp_position
 from rejoint.control.catalogue import make_controller
-from rejoint.control.comparison.protocols import Columns, schedule
-from rejoint.control.comparison.result import Protocol
+from rejoint.control.comparison.protocols import schedule
+from rejoint.control.comparison.result import Columns, Protocol
 from rejoint.control.controller import Controller
 from rejoint.control.loop import run
 from rejoint.control.observation import layout_size

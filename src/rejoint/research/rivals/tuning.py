@@ -13,8 +13,8 @@ import numpy as np
 from cmaes import CMA  # type: ignore[import-untyped,unused-ignore]
 
 from rejoint.arms import Arm, Array
-from rejoint.control.comparison.protocols import Columns, measure_holds, schedule
-from rejoint.control.comparison.result import Protocol
+from rejoint.control.comparison.protocols import metrics_of, schedule
+from rejoint.control.comparison.result import Columns, Protocol
 from rejoint.control.controller import Controller
 from rejoint.control.loop import run
 from rejoint.research.rivals.catalogue import find_rival
@@ -98,7 +98,7 @@ def candidate_costs(
     each = {name: np.repeat(value, settings.arms)[:, None] for name, value in gains.items()}
     protocol = Protocol(hold=settings.hold, within=(0.002,))
     recording = run(robot, make(arm, each), targets, schedule("hold", protocol, keep_going=True))
-    return cost(measure_holds(arm, recording, targets, protocol), settings).reshape(count, -1).mean(axis=1)
+    return cost(metrics_of(arm, recording, targets, protocol), settings).reshape(count, -1).mean(axis=1)
 
 
 def cost(holds: Columns, settings: TuningSettings) -> Array:
