@@ -8,8 +8,8 @@ from rejoint.arms import mycobot280
 from rejoint.diagnosis.diagnosis import judge, ringing_most
 from rejoint.diagnosis.excitation import record
 from rejoint.diagnosis.healthy import load_healthy
-from rejoint.robots.emulated import EmulatedRobot
-from rejoint.robots.lab.plant.wear import Wear, load_wear
+from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.plant.wear import Wear, load_wear
 
 HEALTHY = tuple(range(60))
 WORN = tuple(range(1, 6))

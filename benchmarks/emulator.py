@@ -18,7 +18,7 @@ from benchmarks.virtual import START, VirtualClient, endpoint, reset_at_end
 from rejoint.arms import mycobot280
 from rejoint.arms.wire.orders import ORDERS, QUESTIONS, answer
 from rejoint.arms.wire.values import MAX_PAYLOAD, Decoder, Frame, encode, pack_angles
-from rejoint.robots.lab.emulator import Firmware, Server, Timing, build_firmware, serve_tcp
+from rejoint_lab.emulator import Firmware, Server, Timing, build_firmware, serve_tcp
 
 FRAMES, CONNECTIONS, SOAK = 1_000_000, 10_000, 3600.0
 """How many requests and connections, and how long [s] the soak is"""

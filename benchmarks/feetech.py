@@ -31,10 +31,14 @@ from rejoint.control.comparison.result import Protocol
 from rejoint.control.loop import Schedule, run
 from rejoint.logs import import_logs
 from rejoint.robots import place_of
-from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.feetech.bus import GOAL, FeetechBus
 from rejoint.robots.feetech.wire import BLOCK, FRAME, PRESENT
-from rejoint.robots.lab.emulator.feetech import (
+from rejoint.runs.connect import connect
+from rejoint.system.errors import NoReplyError
+from rejoint.twin.judge import judge_paths
+from rejoint.twin.judgement import NO_TWIN
+from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.emulator.feetech import (
     ADAPTER,
     BROADCAST,
     BYTE,
@@ -46,12 +50,8 @@ from rejoint.robots.lab.emulator.feetech import (
     build_arm,
     encode,
 )
-from rejoint.robots.lab.plant.plant import Plant, StsPlant
-from rejoint.robots.lab.plant.wear import load_wear
-from rejoint.runs.connect import connect
-from rejoint.system.errors import NoReplyError
-from rejoint.twin.judge import judge_paths
-from rejoint.twin.judgement import NO_TWIN
+from rejoint_lab.plant.plant import Plant, StsPlant
+from rejoint_lab.plant.wear import load_wear
 
 ARM = load_arm("so101")
 CYCLES = 2000

@@ -9,6 +9,7 @@ corrected (where the gate allows it), 8 s at each: mean and 95th percentile of t
 from __future__ import annotations
 
 import time
+from contextlib import nullcontext
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from benchmarks.frame import cell
 from rejoint.arms import mycobot280
 from rejoint.arms.camera.board import ON_TABLE, ON_TOOL
 from rejoint.diagnosis.calibration.camera.filming import POSTURES, CameraGauge
-from rejoint.robots.cameras import watching
+from rejoint.robots.cameras import simulated
 
 DWELL = 8.0
 
@@ -35,7 +36,11 @@ def main(
     began = time.perf_counter()
     for seed in range(first, first + arms):
         address = f"emulated:{profile}?seed={seed}"
-        gauge = CameraGauge(camera=watching(board, carried, seed), board=board, carried=carried)
+        gauge = CameraGauge(
+            camera=lambda robot, seed=seed: nullcontext(simulated(robot).camera(board, carried, seed)),
+            board=board,
+            carried=carried,
+        )
         found = rejoint.calibrate(address, gauge=gauge, count=POSTURES, settings=rejoint.Settings(seed=seed))
         goals = arm.targets.sample(np.random.default_rng(seed), (targets,))
         for errors, calibration in ((before, "none"), (after, found.calibration)):

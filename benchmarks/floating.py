@@ -23,9 +23,9 @@ from rejoint.arms.rotations import rotation_about
 from rejoint.control.catalogue import make_controller
 from rejoint.control.loop import Schedule, run
 from rejoint.control.targets import draw_targets
-from rejoint.research.evaluation.calibrating import HOLD, find_condition, open_condition
-from rejoint.research.evaluation.family import FAMILY_SIZE, ArmFamily
-from rejoint.robots.emulated import EmulatedRobot
+from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.research.evaluation.calibrating import HOLD, find_condition, open_condition
+from rejoint_lab.research.evaluation.family import FAMILY_SIZE, ArmFamily
 
 
 def held(robot: EmulatedRobot, targets: Array) -> tuple[Array, Array]:

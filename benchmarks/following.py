@@ -30,10 +30,10 @@ from rejoint.control.guard import GuardLimits, guard, warm_up
 from rejoint.control.monitor import Bands, Following, Knowledge, servo_lines, standing_bands
 from rejoint.control.robot import Mask
 from rejoint.diagnosis.excitation import DiagnosisLogs, record
-from rejoint.robots.emulated import EmulatedRobot
-from rejoint.robots.lab.plant.servo import Channel, Delays, Interval, Keys
-from rejoint.robots.lab.plant.wear import Wear, load_wear
 from rejoint.system.errors import GuardTripError
+from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.plant.servo import Channel, Delays, Interval, Keys
+from rejoint_lab.plant.wear import Wear, load_wear
 
 ARM = mycobot280()
 LIMITS = GuardLimits.of(ARM)

@@ -19,10 +19,10 @@ import numpy as np
 import rejoint
 from rejoint.arms import Arm, Array, gravity_torque, load_arm, plan, tcp_position
 from rejoint.control.guard import GuardLimits, clear_by
-from rejoint.research.evaluation.family import ArmFamily
-from rejoint.robots.emulated import EmulatedRobot
-from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.session.session import ArmSession
+from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.plant.wear import load_wear
+from rejoint_lab.research.evaluation.family import ArmFamily
 
 KINDS = ("mycobot280", "so101")
 RESTS = 20.0

@@ -20,10 +20,10 @@ from rejoint.control.moving.reference import LAG, LEAD_IN, STANDARD, Ahead, Path
 from rejoint.control.moving.tracker import Tracker
 from rejoint.control.recording import Recording
 from rejoint.logs.runfolder.folder import RunFolder
-from rejoint.research.evaluation.trials import own_twin
-from rejoint.robots.emulated import EmulatedRobot
-from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.twin.parameters import TwinParameters, healthy_parameters
+from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.plant.wear import load_wear
+from rejoint_lab.research.evaluation.trials import own_twin
 
 ARM = mycobot280()
 SEEDS = (30001, 30002, 30003)

@@ -35,14 +35,14 @@ from rejoint.control.moving.tracker import Tracker
 from rejoint.control.start import begin, move
 from rejoint.control.targets import draw_targets
 from rejoint.logs.runfolder.folder import RunFolder
-from rejoint.research.evaluation.contestants import planned
-from rejoint.research.evaluation.family import FAMILY_SIZE
-from rejoint.research.evaluation.trials import own_twin
-from rejoint.robots.emulated import EmulatedRobot
-from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.session.paths import servos_of
 from rejoint.session.payload import heavy, noticed_load
 from rejoint.twin.twin import Twin
+from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.plant.wear import load_wear
+from rejoint_lab.research.evaluation.contestants import planned
+from rejoint_lab.research.evaluation.family import FAMILY_SIZE
+from rejoint_lab.research.evaluation.trials import own_twin
 
 LOAD = 0.1  # [kg]
 SEEDS = range(50000, 50008)  # of worn arms, those of family 4

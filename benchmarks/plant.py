@@ -6,8 +6,8 @@ from timeit import repeat
 import numpy as np
 
 from rejoint.arms import mycobot280
-from rejoint.robots.lab.plant.plant import Plant
-from rejoint.robots.lab.plant.wear import load_wear
+from rejoint_lab.plant.plant import Plant
+from rejoint_lab.plant.wear import load_wear
 
 
 def main() -> None:

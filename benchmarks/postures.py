@@ -45,11 +45,11 @@ from rejoint.control.guard import GuardLimits, guard
 from rejoint.control.loop import run
 from rejoint.control.reference import TargetSequence
 from rejoint.control.robot import JointState
-from rejoint.research.evaluation.contestants import classical
-from rejoint.research.evaluation.evaluate import own_twins
-from rejoint.research.evaluation.family import NEARBY, ArmFamily, find_variant, open_family, targets_anywhere
 from rejoint.twin.batch import twin_spec
 from rejoint.twin.twin import Twin
+from rejoint_lab.research.evaluation.contestants import classical
+from rejoint_lab.research.evaluation.evaluate import own_twins
+from rejoint_lab.research.evaluation.family import NEARBY, ArmFamily, find_variant, open_family, targets_anywhere
 
 ROUNDS, WAYS, PERIOD = 5, 100, 0.025
 """Sets of boxes per arm, ways of each set, and the control period [s]"""

@@ -19,12 +19,12 @@ from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.goal import nearest_postures
 from rejoint.control.robot import JointState
 from rejoint.logs.runfolder.folder import RunFolder
-from rejoint.research.evaluation.contestants import planned
-from rejoint.research.evaluation.family import ArmFamily, find_variant
-from rejoint.research.evaluation.trials import TrialSettings, own_twin, try_controller
-from rejoint.research.rivals.catalogue import make_rival
 from rejoint.twin.predictive import PredictiveController
 from rejoint.twin.twin import Twin
+from rejoint_lab.research.evaluation.contestants import planned
+from rejoint_lab.research.evaluation.family import ArmFamily, find_variant
+from rejoint_lab.research.evaluation.trials import TrialSettings, own_twin, try_controller
+from rejoint_lab.research.rivals.catalogue import make_rival
 
 TARGETS, STEPS = 3, 2000
 OTHER_MOTIONS = 1_000_000

@@ -21,7 +21,8 @@ from rejoint.control.catalogue import make_controller
 from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.calibration.fit import fit
 from rejoint.diagnosis.calibration.postures import suggest
-from rejoint.research.evaluation.calibrating import (
+from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.research.evaluation.calibrating import (
     CONDITIONS,
     SIGMA,
     FreshTargets,
@@ -29,8 +30,7 @@ from rejoint.research.evaluation.calibrating import (
     open_condition,
     try_found,
 )
-from rejoint.research.evaluation.family import ArmFamily
-from rejoint.robots.emulated import EmulatedRobot
+from rejoint_lab.research.evaluation.family import ArmFamily
 
 FIRST, TARGETS = 10, 4
 WORN_ON, BUMPED = 1.3, np.radians(2.0)

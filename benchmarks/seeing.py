@@ -22,8 +22,8 @@ from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import Recording
 from rejoint.control.reference import TargetSequence
 from rejoint.control.start import move
-from rejoint.robots.cameras import EmulatedEye
 from rejoint.session.eyes import watched
+from rejoint_lab.cameras.emulated import EmulatedEye
 
 TIMES = (2.0, 3.0, 3.95)
 WINDOW = 0.2

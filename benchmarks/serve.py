@@ -40,9 +40,9 @@ from rejoint.arms.rotations import difference, to_coords, to_pose
 from rejoint.arms.wire.orders import answer, flag
 from rejoint.arms.wire.values import Frame, encode, pack_angles, pack_coords
 from rejoint.robots import open_robot
-from rejoint.robots.lab.emulator import Timing, build_firmware, serve_tcp
 from rejoint.robots.mycobot import MyCobot280Socket
 from rejoint.session.serving import Serving
+from rejoint_lab.emulator import Timing, build_firmware, serve_tcp
 
 ARM = mycobot280()
 SPEED = 50

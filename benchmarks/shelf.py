@@ -15,9 +15,9 @@ from rejoint.arms import load_arm
 from rejoint.control.catalogue import shelf_arms, shelf_path
 from rejoint.control.comparison.result import Columns, Protocol
 from rejoint.control.policy import load_policy
-from rejoint.research.evaluation.family import ArmFamily, find_variant
-from rejoint.research.evaluation.trials import TrialSettings, try_controller
 from rejoint.training.shelf import make_shelf_policy
+from rejoint_lab.research.evaluation.family import ArmFamily, find_variant
+from rejoint_lab.research.evaluation.trials import TrialSettings, try_controller
 
 ARMS, TARGETS = 20, 3
 FARTHER, LATER = 0.15e-3, 1.2

@@ -17,11 +17,11 @@ from rejoint.control.loop import Schedule, run
 from rejoint.control.servogains import search
 from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.excitation import record
-from rejoint.robots.emulated import EmulatedRobot
-from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.session.context import twin_under
 from rejoint.twin.identify import identify
 from rejoint.twin.predictive import PredictiveController
+from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.plant.wear import load_wear
 
 ARM, PROTOCOL = load_arm("so101"), Protocol()
 KINDS = ("worn", "so101")

@@ -5,8 +5,8 @@ import socket
 import struct
 from collections.abc import Callable, Iterable, Iterator
 
-from rejoint.robots.lab.emulator import Faults, Firmware, Timing
-from rejoint.robots.lab.emulator.servers import WireSession
+from rejoint_lab.emulator import Faults, Firmware, Timing
+from rejoint_lab.emulator.servers import WireSession
 
 START = 1e6
 """[s] that the clock shows at first: as large as that of a machine that has been up for twelve days (chosen)"""

@@ -19,12 +19,12 @@ from benchmarks.predictive import ARM, TARGETS, know
 from rejoint.control.catalogue import shelf_path
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.policy import load_policy
-from rejoint.research.evaluation.family import ArmFamily
-from rejoint.research.evaluation.identification import bench_of
-from rejoint.research.evaluation.trials import TrialSettings, try_on
 from rejoint.training.presets import DEFAULT, SCRATCH
 from rejoint.training.train import TrainingOptions, train
 from rejoint.twin.twin import Twin
+from rejoint_lab.research.evaluation.family import ArmFamily
+from rejoint_lab.research.evaluation.identification import bench_of
+from rejoint_lab.research.evaluation.trials import TrialSettings, try_on
 
 PRESETS = {"shelf": DEFAULT, "random": SCRATCH}
 

@@ -19,7 +19,7 @@ from rejoint.control.catalogue import make_controller
 from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.calibration.fit import fit
 from rejoint.diagnosis.calibration.postures import suggest
-from rejoint.research.evaluation.calibrating import (
+from rejoint_lab.research.evaluation.calibrating import (
     SIGMA,
     FreshTargets,
     find_condition,
@@ -27,7 +27,7 @@ from rejoint.research.evaluation.calibrating import (
     open_condition,
     try_found,
 )
-from rejoint.research.evaluation.family import ArmFamily
+from rejoint_lab.research.evaluation.family import ArmFamily
 
 POINTS, TARGETS = 10, 4
 

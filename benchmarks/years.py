@@ -19,8 +19,8 @@ from rejoint.diagnosis.monitoring.charts import FEWEST
 from rejoint.diagnosis.monitoring.judge import PastCheck, outlook
 from rejoint.diagnosis.monitoring.measures import CheckMeasures, measure_check
 from rejoint.diagnosis.monitoring.routine import record_check
-from rejoint.robots.emulated import EmulatedRobot
-from rejoint.robots.lab.plant.wear import load_wear
+from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.plant.wear import load_wear
 
 ARMS = 100
 """Of each kind"""

@@ -1,9 +1,9 @@
 """An emulated SO-101 in virtual time that keeps a record of its gains, and may not bear some."""
 
 from rejoint.arms import load_arm
-from rejoint.robots.emulated import EmulatedRobot
-from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.system.errors import RobotError
+from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.plant.wear import load_wear
 
 ARM = load_arm("so101")
 

@@ -73,8 +73,8 @@ def test_help_does_not_wait_for_what_is_slow_to_import():
 
 
 def named(kind):
-    """Names of all functions or classes of the package, each with its file."""
-    files = sorted((ROOT / "src" / "rejoint").rglob("*.py"))
+    """Names of all functions or classes of both packages, each with its file."""
+    files = sorted((ROOT / "src").rglob("*.py"))
     return [
         (node.name, str(file))
         for file in files

@@ -18,11 +18,11 @@ from commandline import python
 from rejoint.arms import mycobot280
 from rejoint.logs.runfolder.folder import RunInfo
 from rejoint.logs.runlog import read_log
-from rejoint.robots.emulated import EmulatedRobot
 from rejoint.runs.run import Run, newest_or_new
 from rejoint.system.errors import FileError
 from rejoint.system.files import write_json
 from rejoint.training.train import TrainingOptions, train
+from rejoint_lab.emulated import EmulatedRobot
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +88,7 @@ def test_follow_goes_along_a_path_and_logs_each_time(finished, tmp_path, cli):
         (("follow", "emulated:worn", "{run}", "circle-0.5s"), "give the path more time there"),
         (("follow", "emulated:worn", "{run}", "circle-8s", "--rate", "30", "--repeat", "2"), "known ahead"),
         (("diagnose", "tcp://nowhere"), "tcp://nowhere"),
-        (("diagnose", "carrier-pigeon:1"), "expected emulated:PROFILE"),
+        (("diagnose", "carrier-pigeon:1"), "emulated:PROFILE"),
         (("identify", "{empty}"), "no run folder"),
         (("compare", "emulated:worn", "{run}", "--controllers", "magic"), "known controllers"),
         (("deploy", "emulated:worn", "{run}", "--targets", "{bad_csv}"), "line 2"),

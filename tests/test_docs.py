@@ -80,7 +80,7 @@ def check_command(words, *, whole):
 def check_program(words):
     """Raise unless the module or script of a `python` command is there and reads the options."""
     name = words[2] if words[1:2] == ["-m"] else words[1]
-    if name.partition(".")[0] not in ("benchmarks", "rejoint") and not name.endswith(".py"):
+    if name.partition(".")[0] not in ("benchmarks", "rejoint", "rejoint_lab") and not name.endswith(".py"):
         return  # a module of Python itself, or of another package
     if name == "benchmarks":
         if words[3:4] in ([], ["NAME"]):
@@ -147,11 +147,11 @@ def test_places_in_the_code_exist(page):
     tests = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "tests").rglob("*.py"))
     for code in inline(page):
         if re.fullmatch(r"[\w/]+\.py", code):
-            at = (ROOT, ROOT / "src" / "rejoint")
+            at = (ROOT, ROOT / "src" / "rejoint", ROOT / "src" / "rejoint_lab")
             assert any((root / code).exists() for root in at) or "/" not in code, f"there is no {code}"
         elif re.fullmatch(r"test_\w+", code):
             assert f"def {code}(" in tests, f"there is no test {code}"
-        elif re.fullmatch(r"rejoint(\.\w+)+", code) and code not in (METADATA_KEY, DIGEST_KEY):
+        elif re.fullmatch(r"rejoint(_lab)?(\.\w+)+", code) and code not in (METADATA_KEY, DIGEST_KEY):
             resolve(code)
 
 

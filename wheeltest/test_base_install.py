@@ -32,7 +32,7 @@ def points(tmp_path: Path) -> Path:
 
 def test_the_wheel_holds_every_file_of_the_package(wheel: Path) -> None:
     listed = subprocess.run(
-        ["git", "ls-files", "src/rejoint"], cwd=ROOT, capture_output=True, text=True, check=True
+        ["git", "ls-files", "src"], cwd=ROOT, capture_output=True, text=True, check=True
     ).stdout.split()
     kept = {name.removeprefix("src/") for name in listed if (ROOT / name).exists()}
     packed = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}

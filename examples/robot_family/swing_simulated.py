@@ -8,8 +8,8 @@ import numpy as np
 
 from rejoint.arms import load_arm
 from rejoint.robots import Clock
-from rejoint.robots.lab.plant.plant import Plant
-from rejoint.robots.lab.plant.wear import load_wear
+from rejoint_lab.plant.plant import Plant
+from rejoint_lab.plant.wear import load_wear
 
 ANSWER = 0.004
 """[s] from a question to its answer"""

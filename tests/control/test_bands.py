@@ -12,8 +12,8 @@ from rejoint.control.loop import Schedule, run
 from rejoint.control.monitor import Bands, Following, standing_bands, states_of
 from rejoint.diagnosis.excitation import SHORT, record
 from rejoint.logs.runlog import RunLog
-from rejoint.robots.emulated import EmulatedRobot
-from rejoint.robots.lab.plant.wear import load_wear
+from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.plant.wear import load_wear
 
 ARM = mycobot280()
 DWELL = Schedule(dwell=2.0, keep_going=True)

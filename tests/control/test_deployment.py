@@ -13,12 +13,12 @@ from rejoint.control.classical import DefaultController
 from rejoint.control.deployment import Deployment, deployed_of, judge
 from rejoint.logs.runlog import write_log
 from rejoint.robots import open_robot
-from rejoint.robots.emulated import EmulatedRobot
 from rejoint.runs.run import Run
 from rejoint.session.context import guard_limits
 from rejoint.system.errors import ContractError, GuardTripError, InputError
 from rejoint.training.presets import DEFAULT
 from rejoint.training.train import policy_contract
+from rejoint_lab.emulated import EmulatedRobot
 from targetdrive import deploy
 
 ARM = mycobot280()

@@ -11,8 +11,8 @@ from rejoint.control.guard import TRIPS
 from rejoint.control.loop import Schedule, run
 from rejoint.control.reference import TargetSequence
 from rejoint.control.seeing import CALM, WIDEST, Finishing, Seen, Sighting
-from rejoint.robots.emulated import EmulatedRobot
-from rejoint.robots.lab.plant.wear import load_wear
+from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.plant.wear import load_wear
 
 ARM = mycobot280()
 TARGETS = ARM.targets.sample(np.random.default_rng(11), (1, 3))

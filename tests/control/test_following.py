@@ -14,9 +14,9 @@ from rejoint.control.loop import RELEASE_CYCLES, Schedule, run
 from rejoint.control.monitor import EXCUSED, TRAVEL, Bands, Following, Knowledge
 from rejoint.control.recording import recording_of
 from rejoint.control.start import play
-from rejoint.robots.emulated import EmulatedRobot
-from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.system.errors import GuardTripError
+from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.plant.wear import load_wear
 from standin import state_of
 
 ARM = mycobot280()

@@ -11,11 +11,11 @@ from rejoint.control.goal import beginning_at, pace, waiting, with_ways
 from rejoint.control.loop import Schedule, run
 from rejoint.control.reference import TargetSequence
 from rejoint.control.robot import JointState
-from rejoint.research.evaluation.family import HELD, ArmFamily, targets_anywhere
 from rejoint.robots import open_robot
-from rejoint.robots.emulated import EmulatedRobot
-from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.system.errors import InputError
+from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.plant.wear import load_wear
+from rejoint_lab.research.evaluation.family import HELD, ArmFamily, targets_anywhere
 from runs.test_connect import a_twin
 
 ARM = mycobot280()

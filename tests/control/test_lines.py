@@ -11,8 +11,8 @@ from rejoint.control import compiled
 from rejoint.control.monitor import Following, Knowledge, servo_lines
 from rejoint.diagnosis.excitation import record
 from rejoint.logs.runlog import RunLog
-from rejoint.robots.emulated import EmulatedRobot
-from rejoint.robots.lab.plant.wear import load_wear
+from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.plant.wear import load_wear
 from standin import state_of
 
 ARM = mycobot280()

@@ -13,7 +13,7 @@ from rejoint.control.posture import PostureController, PostureGains, _without
 from rejoint.control.reference import Reference, Setpoint, ToolAtGoals
 from rejoint.control.start import move
 from rejoint.robots import open_robot
-from rejoint.robots.lab.plant.wear import load_wear
+from rejoint_lab.plant.wear import load_wear
 from standin import inputs_of, state_of
 
 ARM = mycobot280()

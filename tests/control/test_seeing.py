@@ -8,8 +8,8 @@ from rejoint.control.classical import IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.reference import TargetSequence
 from rejoint.control.seeing import NOISE, Finishing, Seen, Sighting
-from rejoint.robots.emulated import EmulatedRobot
-from rejoint.robots.lab.plant.wear import load_wear
+from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.plant.wear import load_wear
 from standin import inputs_of, state_of
 
 ARM = mycobot280()

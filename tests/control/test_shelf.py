@@ -9,12 +9,12 @@ from rejoint.arms import CATALOGUE, load_arm
 from rejoint.control.catalogue import SHELF, make_controller, shelf_arms, shelf_path, shelf_policy
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.contract import check_period
-from rejoint.research.evaluation.family import ArmFamily, find_variant
-from rejoint.research.evaluation.trials import TrialSettings, try_controller
 from rejoint.robots import place_of
 from rejoint.session.controllers import make_factories
 from rejoint.system.errors import ContractError
 from rejoint.training.shelf import RECIPES
+from rejoint_lab.research.evaluation.family import ArmFamily, find_variant
+from rejoint_lab.research.evaluation.trials import TrialSettings, try_controller
 
 
 def test_there_is_one_for_each_arm_of_the_catalogue():

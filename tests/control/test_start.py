@@ -11,10 +11,10 @@ from rejoint.control.loop import say_faulty
 from rejoint.control.start import STANCE, Stance, begin, check_ready
 from rejoint.logs.runlog import RunLog, write_log
 from rejoint.robots import open_robot
-from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.runs.run import Run
 from rejoint.session.context import stance_of
 from rejoint.system.errors import NotReadyError
+from rejoint_lab.plant.wear import load_wear
 from standin import StandIn
 
 ARM = mycobot280()

@@ -9,8 +9,8 @@ from rejoint.arms import so101
 from rejoint.control.guard import GuardLimits
 from rejoint.control.start import move, play
 from rejoint.diagnosis.healthy import ARMS_ON_DEMAND, measure_healthy
-from rejoint.robots.emulated import EmulatedRobot
-from rejoint.robots.lab.plant.wear import load_wear
+from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.plant.wear import load_wear
 
 ARM = so101()
 PLAIN = dataclasses.replace(ARM, servos=())

@@ -10,10 +10,10 @@ from rejoint.diagnosis.diagnosis import Diagnosis, diagnose, judge
 from rejoint.diagnosis.excitation import SHORT, DiagnosisLogs, record
 from rejoint.diagnosis.healthy import load_healthy, reference_from
 from rejoint.logs.runlog import read_log, write_log
-from rejoint.robots.emulated import EmulatedRobot
-from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.system.errors import InputError, NotReadyError
 from rejoint.system.files import read_json, write_json
+from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.plant.wear import load_wear
 
 ARM = mycobot280()
 HEALTHY, WORN = load_wear("healthy", ARM), load_wear("worn", ARM)

@@ -12,9 +12,9 @@ from rejoint.diagnosis.diagnosis import judge
 from rejoint.diagnosis.excitation import plan_excitation, record
 from rejoint.diagnosis.healthy import as_set, healthy_reference, load_healthy
 from rejoint.robots import open_robot
-from rejoint.robots.emulated import EmulatedRobot
-from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.system.errors import InputError
+from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.plant.wear import load_wear
 
 ARM = mycobot280()
 

@@ -10,8 +10,8 @@ from rejoint.arms import load_arm
 from rejoint.diagnosis.monitoring.judge import PastCheck, outlook, say
 from rejoint.diagnosis.monitoring.measures import measure_check
 from rejoint.diagnosis.monitoring.routine import record_check
-from rejoint.robots.emulated import EmulatedRobot
-from rejoint.robots.lab.plant.wear import load_wear
+from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.plant.wear import load_wear
 
 ARM = load_arm("mycobot280")
 BEGIN = datetime(2027, 1, 1)

@@ -4,8 +4,8 @@ import torch
 
 from rejoint.arms import mycobot280
 from rejoint.control.policy import load_policy
-from rejoint.research.offpolicy import ALGORITHMS, BoundedActor, OffPolicySettings, SquashedActor, train_offpolicy
 from rejoint.training.export import policy_graph
+from rejoint_lab.research.offpolicy import ALGORITHMS, BoundedActor, OffPolicySettings, SquashedActor, train_offpolicy
 
 ARM = mycobot280()
 

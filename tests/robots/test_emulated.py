@@ -4,9 +4,9 @@ import pytest
 from rejoint.arms import mycobot280, so101, tcp_position
 from rejoint.control.robot import Robot
 from rejoint.robots import open_robot, place_of
-from rejoint.robots.emulated import EmulatedRobot
-from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.system.errors import ProfileError
+from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.plant.wear import load_wear
 
 ARM = mycobot280()
 FAMILY = [load_wear(f"worn?seed={i}", ARM) for i in range(4)]

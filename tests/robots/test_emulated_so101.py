@@ -5,11 +5,11 @@ import pytest
 
 from rejoint.arms import load_arm
 from rejoint.robots import open_robot
-from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.feetech.gains import for_all
-from rejoint.robots.lab.emulator.feetech import build_arm
-from rejoint.robots.lab.plant.sts3215 import SETTING
-from rejoint.robots.lab.plant.wear import load_wear
+from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.emulator.feetech import build_arm
+from rejoint_lab.plant.sts3215 import SETTING
+from rejoint_lab.plant.wear import load_wear
 
 ARM = load_arm("so101")
 PROMPT = {"period": (0.02, 0.02), "command_latency": (0.0, 0.0), "readback_age": (0.0, 0.0)}

@@ -16,11 +16,11 @@ from rejoint.control.robot import Robot
 from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.logs.runlog import read_log
 from rejoint.robots import open_robot
-from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.training import presets
 from rejoint.training.presets import DEFAULT, PpoSettings
 from rejoint.training.task import TaskSettings
 from rejoint.twin.parameters import nominal_parameters
+from rejoint_lab.plant.wear import load_wear
 
 ADDRESS = "swing://one"
 EXAMPLE = Path(__file__).parents[2] / "examples" / "robot_family"

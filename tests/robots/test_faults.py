@@ -25,10 +25,10 @@ from rejoint.robots import (
 )
 from rejoint.robots.bus import Vitals
 from rejoint.robots.busrobot import BusRobot
-from rejoint.robots.lab.emulator import Timing, build_firmware, serve_tcp
-from rejoint.robots.lab.emulator.faults import parse_faults
 from rejoint.runs.run import Run
 from rejoint.system.errors import ConnectionLostError, GuardTripError, RobotError
+from rejoint_lab.emulator import Timing, build_firmware, serve_tcp
+from rejoint_lab.emulator.faults import parse_faults
 
 pytestmark = pytest.mark.realtime
 

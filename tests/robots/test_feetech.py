@@ -17,9 +17,6 @@ from rejoint.robots import open_robot, place_of
 from rejoint.robots.feetech.bus import FeetechBus, Gripper
 from rejoint.robots.feetech.gains import LIMIT, Tuning
 from rejoint.robots.feetech.wire import Wire, Zeros, read_calibration, zeros_of
-from rejoint.robots.lab.emulator.faults import parse_faults, size_of
-from rejoint.robots.lab.emulator.feetech import HOMING, NAMES, BusSession, build_arm
-from rejoint.robots.lab.emulator.servers import on_port
 from rejoint.robots.wireserver import TerminalServer
 from rejoint.system.errors import (
     AddressError,
@@ -30,6 +27,9 @@ from rejoint.system.errors import (
     PowerLostError,
     RobotError,
 )
+from rejoint_lab.emulator.faults import parse_faults, size_of
+from rejoint_lab.emulator.feetech import HOMING, NAMES, BusSession, build_arm
+from rejoint_lab.emulator.servers import on_port
 
 pytestmark = pytest.mark.realtime  # the client waits 50 ms for an answer, whatever keeps the emulated bus from it
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rejoint.robots.feetech.gains import KNOBS, DutyLaw, way
-from rejoint.robots.lab.plant.sts3215 import BareServos
+from rejoint_lab.plant.sts3215 import BareServos
 
 
 @given(error=st.integers(-90, 90), p=st.sampled_from([8, 16, 32]), startup=st.integers(0, 40), dead=st.integers(0, 4))

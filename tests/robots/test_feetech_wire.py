@@ -13,7 +13,7 @@ import pytest
 
 from rejoint.robots.family import serial_address, tcp_address
 from rejoint.robots.feetech.wire import Wire
-from rejoint.robots.lab.emulator.feetech import Packet, encode
+from rejoint_lab.emulator.feetech import Packet, encode
 
 READ_56 = "FF FF FE 07 82 38 02 01 02 03 38"
 """A synchronous read of two registers from 56 on, of the servos 1 to 3"""

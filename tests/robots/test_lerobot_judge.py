@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from rejoint.arms import load_arm
-from rejoint.robots.lab.emulator.feetech import HOMING, NAMES, BusSession, build_arm
 from rejoint.robots.wireserver import TerminalServer
+from rejoint_lab.emulator.feetech import HOMING, NAMES, BusSession, build_arm
 
 JUDGE = Path(os.environ.get("REJOINT_JUDGE", Path(__file__).parents[2] / ".judge"))
 

@@ -13,12 +13,12 @@ import pytest
 
 from rejoint.arms import load_arm
 from rejoint.control.guard import GuardLimits
-from rejoint.robots.lab.emulator.feetech import BusSession, build_arm
-from rejoint.robots.lab.emulator.servers import on_port
 from rejoint.robots.wireserver import TerminalServer
 from rejoint.runs.connect import connect
 from rejoint.runs.run import Run
 from rejoint.system.errors import InputError
+from rejoint_lab.emulator.feetech import BusSession, build_arm
+from rejoint_lab.emulator.servers import on_port
 
 ARM = load_arm("so101")
 JUDGE = Path(os.environ.get("REJOINT_JUDGE", Path(__file__).parents[2] / ".judge"))

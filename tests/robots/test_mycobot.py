@@ -22,7 +22,6 @@ from rejoint.robots import bus as link_module
 from rejoint.robots import mycobot as mycobot_module
 from rejoint.robots import open_robot
 from rejoint.robots.family import SerialAddress, TcpAddress
-from rejoint.robots.lab.emulator import Timing, build_firmware, serve_pty, serve_tcp
 from rejoint.robots.mycobot import MyCobotBus
 from rejoint.system.errors import (
     AddressError,
@@ -32,6 +31,7 @@ from rejoint.system.errors import (
     RobotError,
     StaleReplyError,
 )
+from rejoint_lab.emulator import Timing, build_firmware, serve_pty, serve_tcp
 
 pytestmark = pytest.mark.realtime
 

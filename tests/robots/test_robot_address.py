@@ -6,8 +6,8 @@ import pytest
 from rejoint.control.robot import Robot
 from rejoint.robots import open_robot, place_of
 from rejoint.robots.family import SerialAddress, TcpAddress
-from rejoint.robots.registry import EmulatedAddress
 from rejoint.system.errors import InputError
+from rejoint_lab.family import EmulatedAddress
 
 KNOWN = [
     ("emulated:worn", EmulatedAddress(profile="worn")),

@@ -18,7 +18,6 @@ from rejoint.arms.wire.mover import COLLISION
 from rejoint.arms.wire.values import Decoder, Frame, encode, pack_angles, pack_coords
 from rejoint.control.correction import Apparent
 from rejoint.control.guard import GuardLimits
-from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.robots.mycobot import MyCobot280
 from rejoint.robots.serving.served import PATIENCE, MoveEnd, ServedArm
 from rejoint.robots.serving.server import REFUSED, Answering, OrderLog, Relay, tcp_wire
@@ -26,6 +25,7 @@ from rejoint.runs.run import Run
 from rejoint.session.settings import Settings
 from rejoint.system.errors import NoReplyError
 from rejoint.twin.parameters import nominal_parameters
+from rejoint_lab.plant.wear import load_wear
 from standin import state_of
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*getdefaultlocale.*:DeprecationWarning")

@@ -16,9 +16,9 @@ from rejoint.control.classical import IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
 from rejoint.robots import open_robot
-from rejoint.robots.lab.emulator import Firmware, Timing, build_firmware, serve_pty, serve_tcp
 from rejoint.system import stopping
 from rejoint.system.stopping import Interrupted
+from rejoint_lab.emulator import Firmware, Timing, build_firmware, serve_pty, serve_tcp
 
 pytestmark = pytest.mark.realtime
 

@@ -19,8 +19,8 @@ import pytest
 from rejoint.arms import mycobot280
 from rejoint.arms.wire.values import Decoder, encode
 from rejoint.robots import open_robot
-from rejoint.robots.lab.emulator import build_firmware, serve_pty
 from rejoint.robots.mycobot import MyCobot280Socket
+from rejoint_lab.emulator import build_firmware, serve_pty
 
 pytestmark = pytest.mark.realtime
 

@@ -19,10 +19,10 @@ from rejoint.logs.history.index import find_rows
 from rejoint.logs.history.rows import SUMMARY, read_rows, write_rows
 from rejoint.logs.journal import Journal
 from rejoint.logs.runlog import RunLog
-from rejoint.robots.emulated import EmulatedRobot
-from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.runs.stages import check as stage
 from rejoint.system.errors import InputError
+from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.plant.wear import load_wear
 
 ARM = load_arm("mycobot280")
 BEGIN = datetime(2027, 1, 1)

@@ -18,11 +18,11 @@ from rejoint.control.recording import Cycle
 from rejoint.control.reference import Reference, Setpoint
 from rejoint.control.robot import JointState
 from rejoint.control.unloading import PlannedWay, UnloadedWay, Unloading
-from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.runs.run import Run
 from rejoint.session.motions import GoalStream
 from rejoint.twin.parameters import nominal_parameters, prior
 from rejoint.twin.twin import HeldOut, PredictionError, Twin
+from rejoint_lab.plant.wear import load_wear
 
 ARM = mycobot280()
 TIME = np.linspace(0.0, 4.0, 100)

@@ -23,7 +23,6 @@ from rejoint.logs import runlog
 from rejoint.logs.runfolder.folder import FORMAT, RunInfo, read_info
 from rejoint.logs.runlog import RunLog, read_log, write_log
 from rejoint.pages.report.contents import read_curves
-from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.runs.run import Run
 from rejoint.system.errors import ContractError, FileError, InputError
 from rejoint.system.files import read_json, write_json
@@ -33,6 +32,7 @@ from rejoint.training.train import TrainingOptions, know_stiffness, make_learner
 from rejoint.twin.file import read_twin, write_twin
 from rejoint.twin.judge import read_published
 from rejoint.twin.parameters import pack, prior, unpack
+from rejoint_lab.plant.wear import load_wear
 
 ARM = mycobot280()
 OPTIONS = TrainingOptions(agents=8, iterations=4, threads=1)

@@ -53,7 +53,7 @@ def test_an_arm_does_not_move_where_its_log_may_not_fit(words, folder, cli, monk
     usage = shutil.disk_usage(folder.path)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=12_300_000))
 
-    monkeypatch.setattr("rejoint.robots.emulated.EmulatedRobot.step", lambda *_: pytest.fail("the arm was moved"))
+    monkeypatch.setattr("rejoint_lab.emulated.EmulatedRobot.step", lambda *_: pytest.fail("the arm was moved"))
     err = cli(*(word.format(run=folder.path) for word in words), code=2).err
     assert f"{folder.path}: 12.3 MB free on that disk, 50.0 MB needed; free some space" in err
 

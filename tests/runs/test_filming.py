@@ -17,12 +17,12 @@ from rejoint.diagnosis.calibration.calibration import read_calibration
 from rejoint.diagnosis.calibration.camera import filming
 from rejoint.diagnosis.calibration.camera.film import read_film, read_folder
 from rejoint.diagnosis.calibration.camera.filming import CameraGauge
-from rejoint.robots.cameras import EmulatedCamera
-from rejoint.robots.lab.camera.scene import beside
 from rejoint.runs.run import Run
 from rejoint.runs.stages.calibrate import film_of
 from rejoint.session.eyes import LiveEye, opened_eye
 from rejoint.system.errors import InputError
+from rejoint_lab.cameras.emulated import EmulatedCamera
+from rejoint_lab.cameras.scene import beside
 from standin import StandIn
 
 ARM = mycobot280()

@@ -15,8 +15,6 @@ from rejoint.control.servogains import GainsFound, Round
 from rejoint.logs.runfolder.effort import read_effort
 from rejoint.robots import place_of
 from rejoint.robots.feetech.gains import for_all
-from rejoint.robots.lab.emulator.feetech import BusSession, build_arm
-from rejoint.robots.lab.emulator.servers import on_port
 from rejoint.runs.run import Run
 from rejoint.runs.stages import gains as stage
 from rejoint.session import context, controllers
@@ -25,6 +23,8 @@ from rejoint.system.files import read_json, write_json
 from rejoint.training.presets import DEFAULT
 from rejoint.training.train import policy_contract
 from rejoint.twin.parameters import nominal_parameters
+from rejoint_lab.emulator.feetech import BusSession, build_arm
+from rejoint_lab.emulator.servers import on_port
 from servorobot import ARM, ServoRobot
 
 FOUND = for_all({"p": 32, "i": 0, "d": 32, "dead": 1, "startup": 16}, 5) | {"limit": (0,) * 5}

@@ -23,7 +23,6 @@ from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.goal import nearest_postures
 from rejoint.diagnosis.calibration.calibration import write_calibration
 from rejoint.robots import open_robot, place_of
-from rejoint.robots.registry import unloaded
 from rejoint.runs.run import Run
 from rejoint.session.context import guard_limits
 from rejoint.session.inputs import as_calibration
@@ -70,7 +69,7 @@ def test_an_emulated_arm_carries_what_its_address_says_whatever_was_told():
     np.testing.assert_array_equal(stands["emulated:worn", 0.1], empty)
     assert np.abs(stands["emulated:worn?payload=0.1", 0.0] - empty).max() > np.radians(0.5)
     assert place_of("emulated:worn?payload=0.1&seed=3").detail.profile == "worn?seed=3"
-    assert unloaded("emulated:worn?seed=3&payload=0.2") == "emulated:worn?seed=3"
+    assert place_of("emulated:worn?seed=3&payload=0.2").unloaded == "emulated:worn?seed=3"
     with pytest.raises(rejoint.AddressError, match="mass in kg"):
         place_of("emulated:worn?payload=much")
 

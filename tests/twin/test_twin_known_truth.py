@@ -9,12 +9,12 @@ import pytest
 from motion_logs import ARM, PERIOD, STEP, TRUTH, record, wandering
 
 from rejoint.logs.exclusions import find_exclusions
-from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.twin.fromlogs import FITTED, HEALTHY, identify_logs
 from rejoint.twin.judgement import NO_TWIN
 from rejoint.twin.motionfit import HoldOut, LogSettings, fit_motions, independent
 from rejoint.twin.parameters import pack, vector_names
 from rejoint.twin.uncertainty import uncertainty
+from rejoint_lab.plant.wear import load_wear
 
 sys.path.append(str(Path(__file__).parents[1] / "diagnosis"))
 from plant_logs import record_motions

@@ -17,9 +17,11 @@ import sys
 import tempfile
 import tomllib
 import traceback
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import cache
 from importlib import import_module
-from pathlib import Path
+from importlib.resources import files
+from types import ModuleType
 from typing import Annotated, Any, NamedTuple, TextIO
 
 import msgspec
@@ -27,7 +29,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from rejoint.cli.console import into_nothing, notes, with_place
-from rejoint.system.errors import RejointError, first_line
+from rejoint.system.errors import InputError, RejointError, first_line
 from rejoint.system.extras import explain, require_compiler
 from rejoint.system.shell import __version__
 from rejoint.system.stopping import Interrupted, close, install, interruption
@@ -43,26 +45,22 @@ class LazyCommand(NamedTuple):
 
     panel: str
     module: str
-    """in this package, with a function of the command's name"""
+    """in this package, or of another one with its whole name: has a function or a group of the command's name"""
     help: str
     """its line in the list of commands"""
     settings: dict[str, Any] = {}  # noqa: RUF012 - never written
 
 
-TEXTS: dict[str, Any] = tomllib.loads(Path(__file__).with_name("options.toml").read_text(encoding="utf-8"))
-"""All commands, and help, flags and limits of all options and arguments"""
-
-
-def section(command: str, module: str) -> dict[str, Any]:
-    """Return the texts of a command: ``about`` it, and its own options and arguments."""
-    found: dict[str, Any] = (TEXTS["research"] if module == "research" else TEXTS)[command]
-    return found
+@cache
+def texts(package: str) -> dict[str, Any]:
+    """Return the commands of a package, and help, flags and limits of all their options and arguments."""
+    return tomllib.loads((files(package) / "options.toml").read_text(encoding="utf-8"))
 
 
 class CommandGroup(TyperGroup):
     """Lists commands, and loads a command's module when that command is wanted."""
 
-    table = TEXTS["commands"]
+    table: Mapping[str, Any] = texts(__name__)["commands"]
     _listing = False
 
     def __init__(self, **words: Any) -> None:  # noqa: ANN401
@@ -80,12 +78,12 @@ class CommandGroup(TyperGroup):
         entry = LazyCommand(**self.table[cmd_name])
         if self._listing:
             return TyperCommand(cmd_name, help=entry.help, rich_help_panel=entry.panel)
-        if not entry.module:
-            return typer.main.get_command(_group(ResearchGroup, cmd_name, entry.help))
-        module = import_module(f"{__name__}.{entry.module}")
+        module = _module_of(cmd_name, entry.module)
         function = getattr(module, cmd_name, None) or getattr(module, f"{cmd_name}_")
+        if isinstance(function, typer.Typer):
+            return typer.main.get_command(function)
         alone = typer.Typer(add_completion=False, rich_markup_mode="markdown")
-        about = section(cmd_name, entry.module)["about"]
+        about = texts(str(module.__package__))[cmd_name]["about"]
         alone.command(cmd_name, help=about, context_settings=HELP | entry.settings)(function)
         return typer.main.get_command(alone)
 
@@ -98,13 +96,19 @@ class CommandGroup(TyperGroup):
             self._listing = False
 
 
-class ResearchGroup(CommandGroup):
-    """The commands of `rejoint research`."""
+def _module_of(command: str, name: str) -> ModuleType:
+    whole = name if "." in name else f"{__name__}.{name}"
+    try:
+        return import_module(whole)
+    except ModuleNotFoundError as error:
+        package = whole.partition(".")[0]
+        if error.name != package:
+            raise
+        raise InputError(f"rejoint {command} is a command of the package {package}, which is not installed") from error
 
-    table = TEXTS["research"]["commands"]
 
-
-def _group(kind: type[CommandGroup], name: str, text: str) -> typer.Typer:
+def command_group(kind: type[CommandGroup], name: str, text: str) -> typer.Typer:
+    """Return a group of commands with help ``text``."""
     group = typer.Typer(
         name=name,
         cls=kind,
@@ -119,7 +123,7 @@ def _group(kind: type[CommandGroup], name: str, text: str) -> typer.Typer:
     return group
 
 
-app = _group(
+app = command_group(
     CommandGroup,
     "rejoint",
     "Give a worn robot arm its accuracy back: diagnose it, fit a digital twin, train a policy, prove the gain.",

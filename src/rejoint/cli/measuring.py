@@ -158,11 +158,15 @@ class Means:
     def camera(self, robot: str, word: str, seed: int) -> CameraGauge:
         """Return the gauge for ``NUMBER`` or ``emulated``; InputError where it does not suit."""
         require("measuring with a camera", "camera")
-        from rejoint.robots.cameras import LiveCamera, watching
+        from rejoint.robots.cameras import LiveCamera, simulated
 
         if word == EMULATED:
             drawn = self.pattern(ON_TOOL if self.carried == "board" else ON_TABLE)
-            return CameraGauge(camera=watching(drawn, self.carried, seed), board=drawn, carried=self.carried)
+            return CameraGauge(
+                camera=lambda robot: nullcontext(simulated(robot).camera(drawn, self.carried, seed)),
+                board=drawn,
+                carried=self.carried,
+            )
         if place_of(robot).virtual:
             raise InputError(f"camera {word} cannot see {robot}; watch an emulated arm with camera=emulated")
         number = int(word)

@@ -17,7 +17,7 @@ from rejoint.arms import Arm
 from rejoint.arms.draft import UnfinishedArmError
 from rejoint.arms.inertia import Payload as LoadedWith
 from rejoint.arms.loading import read_arm, write_unfinished
-from rejoint.cli import TEXTS, section
+from rejoint.cli import texts
 from rejoint.cli.console import Terminal
 from rejoint.logs.runfolder.folder import LOGS, RunFolder
 from rejoint.robots import DEFAULT_ARM, place_of
@@ -186,7 +186,7 @@ class SharedOption(NamedTuple):
 
 
 def keyword(name: str, kind: object, entry: str | Mapping[str, Any], default: object = None) -> Parameter:
-    """Return a command's parameter: an argument or an option, as an ``entry`` of `TEXTS` describes it."""
+    """Return a command's parameter: an argument or an option, as an ``entry`` of `texts` describes it."""
     words = {"help": entry} if isinstance(entry, str) else dict(entry)
     argument, flag = words.pop("argument", None), words.pop("flag", f"--{name.replace('_', '-')}")
     if kind is bool:
@@ -218,7 +218,7 @@ def takes(*names: str) -> Callable[[Callable[..., object]], Callable[..., None]]
     The command receives them as a `Call`, and returns its `Result` or that one's value; None prints no JSON.
     """
     arm = [name for name in ArmPick._fields if name in names or (name != "arm" and "part" in names)]
-    shared, known = [name for name in names if name in SHARED], TEXTS["all"]
+    shared, known = [name for name in names if name in SHARED], texts("rejoint.cli")["all"]
     options = [
         *(keyword(name, str | None, known[name]) for name in arm),
         *(SHARED[name].parameter(name) for name in shared),
@@ -243,11 +243,11 @@ def takes(*names: str) -> Callable[[Callable[..., object]], Callable[..., None]]
             if result.code:
                 raise typer.Exit(result.code)
 
-        *_, module = command.__module__.split(".")
+        ours = texts(command.__module__.rpartition(".")[0])
         hints = get_type_hints(command)
         own = list(signature(command).parameters.values())[1:]
-        texts = known | section(command.__name__.rstrip("_"), module)
-        kept = [keyword(one.name, hints[one.name], texts[one.name], one.default) for one in own]
+        entries = known | ours["all"] | ours[command.__name__.rstrip("_")]
+        kept = [keyword(one.name, hints[one.name], entries[one.name], one.default) for one in own]
         run.__signature__ = Signature([*kept, *options])  # type: ignore[attr-defined]
         run.__annotations__ = {one.name: one.annotation for one in (*kept, *options)}
         return run

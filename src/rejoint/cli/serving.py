@@ -12,65 +12,20 @@ import msgspec
 import numpy as np
 
 import rejoint
-from rejoint.arms import load_arm
 from rejoint.cli.console import ConsoleObserver, live_view
 from rejoint.cli.options import Call, takes
 from rejoint.control.observer import Observer, Observers
 from rejoint.control.robot import Relaying, part_of
-from rejoint.robots import SIMULATOR, place_of
+from rejoint.robots import place_of
 from rejoint.robots.feetech.gains import FeetechAddress
 from rejoint.session.inputs import RunLike
 from rejoint.session.session import ArmSession
 from rejoint.session.settings import Settings
 from rejoint.system.errors import InputError
-from rejoint.system.extras import require
 from rejoint.system.stopping import check, noted
 
 if TYPE_CHECKING:
     from rejoint.robots.feetech.bus import Gripper
-
-SERVED = {"mycobot280": ("A myCobot 280", "worn"), "so101": ("An SO-101", "so101")}
-"""How the arms that can be served are called, and their usual wear profile"""
-
-
-@takes()
-def emulate(
-    call: Call,
-    arm: str = "mycobot280",
-    wear: str | None = None,
-    host: str = "127.0.0.1",
-    port: int = 9000,
-    pty: bool = False,
-    log: Path | None = None,
-    fault: str = "",
-    seed: int = 0,
-) -> object:
-    """Serve a worn arm in real time on its own wire protocol, until Ctrl-C."""
-    require("rejoint emulate", SIMULATOR)
-    from rejoint.robots.lab.emulator import emulate as serve_emulated
-    from rejoint.robots.lab.emulator.faults import parse_faults
-    from rejoint.robots.lab.emulator.servers import beyond_loopback
-
-    served: list[str] = []
-    chosen = load_arm(arm)
-    if chosen.name not in SERVED:
-        raise InputError(f"no wire protocol is known for {chosen.name}; expected --arm {' or '.join(SERVED)}")
-    name, profile = SERVED[chosen.name]
-    wear = wear or profile
-    faults = parse_faults(fault, chosen.joints)
-
-    def announce(address: str) -> None:
-        served.append(address)
-        call.say(f"{name} with the wear profile '{wear}' answers at {address}  (Ctrl-C ends it)")
-        if beyond_loopback(address):
-            call.say(f"Other machines can drive it too, without a password: it listens on {host}.")
-        if fault:
-            call.say(f"Faults: {fault}")
-
-    place = None if pty else (host, port)
-    serve_emulated(chosen, wear, place=place, seed=seed, announce=announce, log=log, faults=faults)
-    call.say("Emulator ended.")
-    return {"wear": wear, "address": served[-1], "faults": fault}
 
 
 @takes("live", "controller", "calibration", "payload", "tool", "period", "dry_run")

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from functools import partial
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -123,7 +124,7 @@ def train(
     if generic and not run.exists():
         Run.create(run, "emulated:worn", load_arm("mycobot280"), seed or 0)
     job = Run.open(run).seeded(seed)
-    trainer = None if learner == "ppo" else _off_policy(learner, preset, job.seed)
+    trainer = None if learner == "ppo" else _other_trainer(learner, preset, job.seed)
     from rejoint.pages.report.page import draw_training
 
     how = rejoint.TrainSettings(generic=generic, resume=not fresh, trainer=trainer)
@@ -136,12 +137,19 @@ def train(
     return result
 
 
-def _off_policy(learner: str, preset: str, seed: int) -> Trainer:
+TRAINERS = "rejoint.trainers"
+"""Entry points of functions that make a `Trainer` from its name and a seed"""
+
+
+def _other_trainer(learner: str, preset: str, seed: int) -> Trainer:
     if preset != "default":
         raise InputError(f"--preset {preset} is a recipe of PPO; {learner} trains on the default one: leave it out")
-    from rejoint.research.offpolicy import trainer
-
-    return trainer(learner, seed)
+    points = entry_points(group=TRAINERS)
+    if learner not in points.names:
+        raise InputError(f"--learner {learner!r}: expected one of {', '.join(('ppo', *sorted(points.names)))}")
+    point = points[learner]
+    made: Trainer = point.load()(learner, seed)
+    return made
 
 
 @takes("live", "calibration", "payload", "tool", "period", "seed", "dry_run")

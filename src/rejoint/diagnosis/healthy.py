@@ -25,9 +25,8 @@ from rejoint.control.servogains import ServoGains
 from rejoint.diagnosis.excitation import DiagnosisLogs, record
 from rejoint.diagnosis.measurement import OFFSET_ALLOWED, JointMetrics, measure, scaled
 from rejoint.diagnosis.open_loop import open_loop_errors
-from rejoint.robots import SIMULATOR, open_robot
+from rejoint.robots import open_robot, usable
 from rejoint.system.errors import InputError
-from rejoint.system.extras import installed
 from rejoint.system.files import read_json
 from rejoint.system.statistics import Estimate
 
@@ -100,7 +99,7 @@ def healthy_reference(arm: Arm, robot: str = "") -> HealthyReference | None:
     Other arms have none: an emulated hobby servo is no reference for their joints.
     """
     packaged = load_healthy(arm)
-    if packaged is not None or not robot.startswith(HOBBY) or not installed(SIMULATOR):
+    if packaged is not None or not robot.startswith(HOBBY) or not usable("emulated:healthy"):
         return packaged
     return measure_healthy(arm, count=ARMS_ON_DEMAND)
 

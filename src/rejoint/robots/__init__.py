@@ -9,7 +9,7 @@ from rejoint.control.robot import Robot
 from rejoint.robots.bus import Bus, Clock, Reading, Vitals
 from rejoint.robots.busrobot import BusRobot, bus_family
 from rejoint.robots.family import DEFAULT_ARM, Family, Opening, Place
-from rejoint.robots.registry import SIMULATOR, place_of
+from rejoint.robots.registry import place_of, usable
 
 
 def open_robot(
@@ -37,7 +37,6 @@ def open_robot(
 
 __all__ = [
     "DEFAULT_ARM",
-    "SIMULATOR",
     "Bus",
     "BusRobot",
     "Clock",
@@ -49,4 +48,5 @@ __all__ = [
     "bus_family",
     "open_robot",
     "place_of",
+    "usable",
 ]

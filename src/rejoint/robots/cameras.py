@@ -1,23 +1,16 @@
-"""Cameras: of this computer, rendered, and an emulated detector."""
+"""Cameras of this computer, and those that a simulated robot brings."""
 
 from __future__ import annotations
 
 import time
-from collections import deque
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Array
 from rejoint.arms.camera.board import Board
 from rejoint.control.robot import Robot, part_of
-from rejoint.control.seeing import Sighting
-from rejoint.robots.emulated import EmulatedRobot
-from rejoint.robots.lab.camera.scene import Picture, Scene, beside, on_tool
+from rejoint.control.seeing import Eye
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
 
@@ -30,6 +23,9 @@ PAUSE = 0.4
 """[s] at rest before an image (chosen)"""
 FRAMES = 5
 """Averaged images (chosen: halves noise and flicker)"""
+
+Picture: TypeAlias = "NDArray[np.uint8]"
+"""(height, width) grey"""
 
 _MANUAL = 1.0  # what Video4Linux calls an exposure by hand
 _TRIES = 30  # frames that may fail before the camera counts as gone: a second
@@ -91,76 +87,30 @@ class LiveCamera:
         return np.rint(frames.mean(axis=0)).astype(np.uint8)
 
 
-class EmulatedCamera:
-    """Rendered images; noise by seed and number."""
-
-    def __init__(self, scene: Scene, tool: Callable[[], Array], seed: int = 0) -> None:
-        """``tool`` returns the tool's pose (4, 4) in the base."""
-        self.scene, self._tool, self._seed = scene, tool, seed
+class StillCamera(Protocol):
+    """A camera beside a stationary arm."""
 
     def still(self, number: int) -> Picture:
-        """Render image ``number``."""
-        return self.scene.shows(self._tool(), (self._seed, number))
+        """Take picture ``number``; InputError without an answer."""
 
 
-def watching(board: Board, carried: str, seed: int) -> Callable[[Robot], AbstractContextManager[EmulatedCamera]]:
-    """Return the opener of a camera beside an emulated arm, or on its tool."""
+@runtime_checkable
+class Simulated(Protocol):
+    """A simulated robot, which brings the cameras that see it."""
 
-    def opened(robot: Robot) -> AbstractContextManager[EmulatedCamera]:
-        arm = robot.arm
-        scene = beside(arm, board=board) if carried == "board" else on_tool(arm, board=board)
-        emulated = part_of(robot, EmulatedRobot)
-        if emulated is None:
-            raise InputError(
-                f"camera emulated: {robot.address} is not emulated in this process; give the number of a camera"
-            )
-        return nullcontext(EmulatedCamera(scene, lambda: emulated.plant.true_pose()[0], seed))
+    def eye(self, seed: int) -> Eye:
+        """Detector of the tool; noise by ``seed``."""
 
-    return opened
+    def camera(self, board: Board, carried: str, seed: int) -> StillCamera:
+        """Camera that sees the ``board``; the tool has ``carried``, which is ``board`` or ``camera``."""
 
 
-LATERAL, DEPTH = 1e-4, 5e-4
-"""[m] deviations across and along the line of sight (chosen)"""
-
-
-@dataclass(eq=False)
-class EmulatedEye:
-    """Detects the tool of one emulated arm."""
-
-    robot: Robot
-    rate: float = 15.0
-    """[1/s] images (chosen)"""
-    late: float = 0.1
-    """[s] from image to detection (chosen)"""
-    sight: tuple[float, float, float] = (1.0, 0.0, 0.0)
-    """line of sight in the base frame"""
-    lateral: float = LATERAL
-    depth: float = DEPTH
-    hidden: tuple[tuple[float, float], ...] = ()
-    """(from, to) [s] robot time of a hidden tool"""
-    seed: int = 0
-    _taken: deque[Sighting] = field(default_factory=lambda: deque(maxlen=64), init=False)
-    _next: float = field(default=-np.inf, init=False)  # [s] when the next picture is due
-
-    def __post_init__(self) -> None:
-        if self.robot.count != 1 or not np.isfinite(self.robot.true_tcp()).all():
-            raise InputError(
-                f"camera emulated: it sees one arm that is emulated in this process, not {self.robot.address}; give "
-                "emulated:WEAR as the robot"
-            )
-        if not (self.rate > 0.0 and self.late >= 0.0):
-            raise InputError(f"camera emulated: expected a positive rate, got {self.rate} 1/s and {self.late} s")
-        self._rng = np.random.default_rng(self.seed)
-        along = np.array(self.sight) / np.linalg.norm(self.sight)
-        self._noise: Array = self.lateral * np.eye(3) + (self.depth - self.lateral) * np.outer(along, along)
-
-    def sighting(self, now: float) -> Sighting | None:
-        """Newest detection at robot time ``now`` [s], or None."""
-        if now >= self._next:
-            due = self._next if now - self._next < 1.0 / self.rate else now  # pictures that were not taken are lost
-            self._next = due + 1.0 / self.rate
-            if not any(start <= now < end for start, end in self.hidden):
-                place = self.robot.true_tcp()[0] + self._noise @ self._rng.normal(size=3)
-                self._taken.append(Sighting(time=now, place=place))
-        ready = [one for one in self._taken if one.time <= now - self.late]
-        return ready[-1] if ready else None
+def simulated(robot: Robot) -> Simulated:
+    """Return the robot that brings its cameras; InputError without."""
+    found = part_of(robot, Simulated)
+    if found is None:
+        raise InputError(
+            f"camera emulated: it sees one arm that is emulated in this process, not {robot.address}; give the number "
+            "of a camera, or emulated:WEAR as the robot"
+        )
+    return found

@@ -76,6 +76,11 @@ class Place(Generic[T]):
         return str(getattr(self.detail, "spot", self.text))
 
     @property
+    def unloaded(self) -> str:
+        """Address without payload and gains, where its family reads them from it."""
+        return str(getattr(self.detail, "unloaded", self.text))
+
+    @property
     def virtual(self) -> bool:
         """Whether arms come in batches in virtual time."""
         return self.family.virtual

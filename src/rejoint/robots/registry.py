@@ -3,30 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from traceback import walk_tb
 from typing import Any
 
 from rejoint.arms import CATALOGUE, Arm
-from rejoint.arms.inertia import bare
-from rejoint.control.robot import Robot
 from rejoint.robots.bus import Bus
 from rejoint.robots.busrobot import bus_family
 from rejoint.robots.family import (
     DEFAULT_ARM,
     Family,
-    Opening,
     Place,
     serial_address,
     tcp_address,
 )
-from rejoint.robots.feetech.gains import FORM, KNOBS, Gains, feetech_address, read_gains
-from rejoint.system.errors import AddressError, InputError, first_line
+from rejoint.robots.feetech.gains import FORM, feetech_address
+from rejoint.system.errors import AddressError, InputError, MissingExtraError, first_line
+from rejoint.system.extras import require
 
-SIMULATOR = "mujoco"
-"""Module of emulated arms"""
 # TCP port of the vendor's server on a myCobot
 _PORT = 9000
 # [1/s] of the serial port on a myCobot's Raspberry Pi (vendor's manual); the M5 version needs 115200
@@ -36,78 +31,6 @@ _MYCOBOT_PERIOD = (0.050, 0.050)
 _FEETECH_ARM = "so101"
 # [s] 50 Hz (chosen)
 _FEETECH_PERIOD = (0.020, 0.020)
-# [s] Park et al. 2024 name 20 ms; the wire adds up to half of it (chosen)
-_EMULATED_PERIOD = (0.020, 0.030)
-
-
-@dataclass(frozen=True, kw_only=True)
-class EmulatedAddress:
-    """An arm emulated in this process."""
-
-    profile: str
-    """of wear"""
-    payload: float = 0.0
-    """[kg] true, unknown to the software"""
-    gains: Gains = field(default_factory=dict)
-    """of servos; empty: as sold"""
-
-    @property
-    def text(self) -> str:
-        """Address without payload and gains."""
-        return f"emulated:{self.profile}"
-
-
-def _profile(text: str) -> EmulatedAddress:
-    base, _, query = text.partition(":")[2].partition("?")
-    if not base or base.startswith("//"):
-        raise ValueError("not of the form emulated:PROFILE")
-    parts = [part.partition("=")[::2] for part in query.split("&")] if query else []
-    given = {key: value for key, value in parts if key in ("payload", *KNOBS)}
-    rest = "&".join(f"{key}={value}" for key, value in parts if key not in given)
-    try:
-        payload = float(given.pop("payload", "0"))
-    except ValueError:
-        payload = -1.0
-    if not 0.0 <= payload < 100.0:
-        raise ValueError(f"a payload is a mass in kg, such as payload=0.1, got {query!r}")
-    return EmulatedAddress(profile=f"{base}?{rest}" if rest else base, payload=payload, gains=read_gains(given))
-
-
-def _profile_arm(address: EmulatedAddress) -> str:
-    from rejoint.robots.lab.plant.wear import wear_arm
-
-    return wear_arm(address.profile) or DEFAULT_ARM
-
-
-def _emulated(place: Place[EmulatedAddress], opening: Opening) -> Robot:
-    from rejoint.robots.emulated import EmulatedRobot
-    from rejoint.robots.lab.plant.wear import load_wear
-
-    # What was told of the hand is a description: of it only where the tip is becomes true by being told.
-    true = bare(opening.arm)
-    bodies = None if true is opening.arm else [replace(true, tip=opening.arm.tip)] * opening.count
-    return EmulatedRobot(
-        opening.arm,
-        [load_wear(place.detail.profile, true)] * opening.count,
-        address=place.text,
-        seed=opening.seed,
-        period=opening.period,
-        threads=opening.threads,
-        payload=place.detail.payload,
-        bodies=bodies,
-        gains=place.detail.gains,
-    )
-
-
-def _has_gains(arm: Arm) -> bool:
-    from rejoint.robots.lab.plant.servo import has_these_servos
-
-    return has_these_servos(arm)
-
-
-def unloaded(address: str) -> str:
-    """Address of an emulated arm without its payload; others unchanged."""
-    return _profile(address).text if address.startswith("emulated:") else address
 
 
 def _behind(module: str, name: str, kind: str, schemes: str) -> Callable[[Any, Arm], Bus]:
@@ -126,17 +49,6 @@ def _behind(module: str, name: str, kind: str, schemes: str) -> Callable[[Any, A
 
 
 _MYCOBOT = _behind("mycobot", "MyCobotBus", DEFAULT_ARM, "tcp: and serial:")
-EMULATED = Family(
-    scheme="emulated",
-    form="emulated:PROFILE",
-    parse=_profile,
-    connect=_emulated,
-    default_arm=_profile_arm,
-    default_period=_EMULATED_PERIOD,
-    virtual=True,
-    tunable=_has_gains,
-    needs=(SIMULATOR,),
-)
 MYCOBOT_TCP = bus_family(
     _MYCOBOT,
     scheme="tcp",
@@ -162,7 +74,7 @@ FEETECH = bus_family(
     needs=("feetech",),
 )
 
-FAMILIES: tuple[Family[Any], ...] = (EMULATED, MYCOBOT_TCP, MYCOBOT_SERIAL, FEETECH)
+FAMILIES: tuple[Family[Any], ...] = (MYCOBOT_TCP, MYCOBOT_SERIAL, FEETECH)
 """Families of this package"""
 
 
@@ -170,6 +82,7 @@ GROUP = "rejoint.robots"
 """Entry points of `Family` objects"""
 
 _OWN: dict[str, Family[Any]] = {family.scheme: family for family in FAMILIES}
+_LOADED: dict[str, Family[Any]] = {}  # of other packages; to look for one takes 50 ms
 
 
 def place_of(text: str) -> Place[Any]:
@@ -183,6 +96,15 @@ def place_of(text: str) -> Place[Any]:
     except ValueError as error:
         expected = "" if family.form in str(error) else f"; expected {family.form}"
         raise AddressError(f"robot address {text!r}: {error}{expected}") from error
+
+
+def usable(text: str) -> bool:
+    """Whether a robot at this address can be opened with what is installed."""
+    try:
+        require(text, *place_of(text).family.needs)
+    except (AddressError, MissingExtraError):
+        return False
+    return True
 
 
 def forms() -> str:
@@ -200,7 +122,8 @@ def forms() -> str:
 
 def driver_of(error: BaseException) -> str | None:
     """Package of another's driver in an error's traceback, or None."""
-    drivers = {point.module.partition(".")[0]: point for point in entry_points(group=GROUP)}
+    points = [point for point in entry_points(group=GROUP) if point.dist is None or point.dist.name != "rejoint"]
+    drivers = {point.module.partition(".")[0]: point for point in points}
     for frame, _ in walk_tb(error.__traceback__):
         point = drivers.get(str(frame.f_globals.get("__name__")).partition(".")[0])
         if point is not None:
@@ -211,8 +134,12 @@ def driver_of(error: BaseException) -> str | None:
 def _family(scheme: str) -> Family[Any] | None:
     if scheme in _OWN:
         return _OWN[scheme]
-    points = tuple(entry_points(group=GROUP, name=scheme))
-    return _load(points[0]) if points else None
+    if scheme not in _LOADED:
+        points = tuple(entry_points(group=GROUP, name=scheme))
+        if not points:
+            return None
+        _LOADED[scheme] = _load(points[0])
+    return _LOADED[scheme]
 
 
 def _load(point: EntryPoint) -> Family[Any]:

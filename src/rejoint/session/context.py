@@ -19,7 +19,6 @@ from rejoint.control.servogains import GainsFound, ServoGains, differing, gains_
 from rejoint.control.start import Stance
 from rejoint.logs.runlog import read_log
 from rejoint.robots import place_of
-from rejoint.robots.registry import unloaded
 from rejoint.runs.run import Run
 from rejoint.session.inputs import CalibrationLike, as_calibration
 from rejoint.session.payload import Say, silent
@@ -49,12 +48,11 @@ def guard_limits(run: Run | None, arm: Arm, robot: str) -> GuardLimits:
 
 
 def _is_own(run: Run, robot: str) -> bool:
-    if unloaded(robot) == unloaded(run.robot):
-        return True
     try:
-        return not any(place_of(address).virtual for address in (run.robot, robot))
+        own, here = place_of(run.robot), place_of(robot)
     except AddressError:  # a robot that was opened by other means
-        return False
+        return robot == run.robot
+    return own.unloaded == here.unloaded or not (own.virtual or here.virtual)
 
 
 def stance_of(twin: Twin | None, run: Run | None) -> Stance | None:

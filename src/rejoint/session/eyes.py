@@ -37,9 +37,9 @@ def opened_eye(given: EyeLike | None, robot: Robot, run: Run | None, seed: int) 
     if given is None:
         yield None
     elif given == "emulated":
-        from rejoint.robots.cameras import EmulatedEye
+        from rejoint.robots.cameras import simulated
 
-        yield EmulatedEye(robot, seed=seed)
+        yield simulated(robot).eye(seed)
     elif not isinstance(given, str):
         yield given if hasattr(given, "sighting") else given(robot)
     elif given.isdecimal():

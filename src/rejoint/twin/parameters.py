@@ -4,7 +4,7 @@ Stiffness: Park et al. 2024 train on P = 50..200; a 0.85 kg arm oscillates as in
 (measured in simulation, as the other ranges). Bounds contain identified hobby servos (SO-101: stiffness 19-26 N m/rad,
 Coulomb friction 0.25-0.8 N m, viscous friction 0.8-1.6 N m s/rad). Ranges of unknown arms reach to industrial joints.
 
-`rejoint.robots.lab.plant` shares no physics code with the twin, so that it can test the fit.
+`rejoint_lab.plant` shares no physics code with the twin, so that it can test the fit.
 """
 
 from __future__ import annotations

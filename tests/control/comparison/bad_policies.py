@@ -11,10 +11,10 @@ from rejoint.control.contract import (
     probe_observations,
 )
 from rejoint.control.observation import layout_slots
-from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.training.presets import DEFAULT
 from rejoint.training.train import TrainingOptions, policy_contract, train
 from rejoint.twin.parameters import nominal_parameters
+from rejoint_lab.plant.wear import load_wear
 
 LATE, FAR = 1.2, 1.02
 """Values of the slots ``waited`` (1.7 s after the target was set) and ``distance`` (52 mm off) that no probe has"""

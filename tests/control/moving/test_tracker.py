@@ -12,8 +12,8 @@ from rejoint.control.moving.drive import Repetition, along, judge
 from rejoint.control.moving.posture import Moment, PathPostures, Servos, command_for, home_of
 from rejoint.control.moving.reference import Ahead, PathReference, standard_path
 from rejoint.control.moving.tracker import PushObserver, Tracker
-from rejoint.robots.emulated import EmulatedRobot
-from rejoint.robots.lab.plant.wear import load_wear
+from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.plant.wear import load_wear
 from standin import inputs_of, state_of
 
 ARM = mycobot280()

@@ -8,7 +8,7 @@ import numpy as np
 from rejoint.arms import Displacement, mycobot280, tcp_pose
 from rejoint.arms.camera.board import ON_TABLE, BoardView
 from rejoint.diagnosis.calibration.camera.filming import choose_postures
-from rejoint.robots.lab.camera.scene import beside, on_tool
+from rejoint_lab.cameras.scene import beside, on_tool
 
 ARM = mycobot280()
 WORN = Displacement(

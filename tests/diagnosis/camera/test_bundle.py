@@ -7,7 +7,7 @@ from camera_scenes import ARM, WORN, taken
 from rejoint.arms import tcp_pose, tcp_position
 from rejoint.arms.camera.board import BoardView
 from rejoint.diagnosis.calibration.camera.bundle import bundle
-from rejoint.robots.lab.camera.scene import LENS
+from rejoint_lab.cameras.scene import LENS
 
 SIZE = (LENS.width, LENS.height)
 

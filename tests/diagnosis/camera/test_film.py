@@ -22,8 +22,8 @@ from rejoint.diagnosis.calibration.camera.film import (
 )
 from rejoint.diagnosis.calibration.camera.filming import believed_rig
 from rejoint.diagnosis.calibration.camera.fit import fit_film
-from rejoint.robots.lab.camera.scene import LENS
 from rejoint.system.errors import FileError, InputError
+from rejoint_lab.cameras.scene import LENS
 
 SIZE = (LENS.width, LENS.height)
 SWAPPED = ("view-05.png", "view-06.png")

@@ -6,7 +6,7 @@ import pytest
 from rejoint.arms.camera.board import ON_TOOL
 from rejoint.arms.camera.lens import TERMS, place
 from rejoint.arms.rotations import difference, inverse, moved, rotation_vector, turned
-from rejoint.robots.lab.camera.scene import LENS
+from rejoint_lab.cameras.scene import LENS
 
 STRONG = LENS.with_numbers(np.array([1400, 950, 545, -0.2, 0.05, 1e-3, -5e-4]))
 

@@ -11,8 +11,8 @@ from rejoint.arms.camera.views import Detector
 from rejoint.arms.rotations import turned
 from rejoint.diagnosis.calibration.camera.ties import ToolTracker
 from rejoint.robots import cameras
-from rejoint.robots.lab.camera.scene import LENS, Looks, render
 from rejoint.system.errors import InputError
+from rejoint_lab.cameras.scene import LENS, Looks, render
 
 CLEAN = Looks(blur=0.5, noise=0.0)
 

@@ -7,18 +7,18 @@ from evaluation_samples import outcome
 from rejoint.arms import mycobot280
 from rejoint.control.classical import IntegratorController
 from rejoint.control.comparison.result import Protocol
-from rejoint.research.evaluation.contestants import Contestant
-from rejoint.research.evaluation.evaluate import evaluate, outcome_path
-from rejoint.research.evaluation.family import (
+from rejoint_lab.research.evaluation.contestants import Contestant
+from rejoint_lab.research.evaluation.evaluate import evaluate, outcome_path
+from rejoint_lab.research.evaluation.family import (
     ArmFamily,
     family_payloads,
     family_targets,
     family_wears,
     find_variant,
 )
-from rejoint.research.evaluation.page import terminal_tables
-from rejoint.research.evaluation.summary import summarise
-from rejoint.research.evaluation.trials import TrialSettings, keep
+from rejoint_lab.research.evaluation.page import terminal_tables
+from rejoint_lab.research.evaluation.summary import summarise
+from rejoint_lab.research.evaluation.trials import TrialSettings, keep
 
 ARM = mycobot280()
 SETTINGS = TrialSettings(family=ArmFamily(arms=3, targets=2), protocol=Protocol())

@@ -9,13 +9,13 @@ from readpage import Page
 from rejoint.arms import mycobot280
 from rejoint.control.classical import IntegratorController
 from rejoint.control.comparison.result import Protocol
-from rejoint.research.evaluation import page
-from rejoint.research.evaluation.contestants import Contestant
-from rejoint.research.evaluation.evaluate import conclude
-from rejoint.research.evaluation.family import ArmFamily
-from rejoint.research.evaluation.summary import Evaluation, pool, summarise
-from rejoint.research.evaluation.trials import TrialSettings
 from rejoint.system.files import read_json
+from rejoint_lab.research.evaluation import page
+from rejoint_lab.research.evaluation.contestants import Contestant
+from rejoint_lab.research.evaluation.evaluate import conclude
+from rejoint_lab.research.evaluation.family import ArmFamily
+from rejoint_lab.research.evaluation.summary import Evaluation, pool, summarise
+from rejoint_lab.research.evaluation.trials import TrialSettings
 
 ARM = mycobot280()
 SETTINGS = TrialSettings(family=ArmFamily(arms=8, targets=3), protocol=Protocol())

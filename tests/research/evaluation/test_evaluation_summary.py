@@ -5,8 +5,8 @@ import pytest
 from evaluation_samples import outcome, pooled
 
 from rejoint.control.comparison.result import Protocol
-from rejoint.research.evaluation.summary import FAR, make_row
 from rejoint.system.statistics import wilson
+from rejoint_lab.research.evaluation.summary import FAR, make_row
 
 
 def test_a_row_counts_what_it_says():

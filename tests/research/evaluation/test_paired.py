@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from rejoint.research.evaluation.summary import difference, ratios, time_ratio
+from rejoint_lab.research.evaluation.summary import difference, ratios, time_ratio
 
 
 def test_ratios_know_infinity():

@@ -9,11 +9,11 @@ from PIL import Image
 
 from rejoint.arms import mycobot280
 from rejoint.control.policy import load_policy
-from rejoint.research.reproduction.bench import QUICK, Bench
-from rejoint.research.reproduction.campaign import EXPERIMENTS, choose, run_experiments, write_page
-from rejoint.research.reproduction.episodes import play, ranges_of
-from rejoint.research.reproduction.trainings import WORN
 from rejoint.system.errors import InputError
+from rejoint_lab.research.reproduction.bench import QUICK, Bench
+from rejoint_lab.research.reproduction.campaign import EXPERIMENTS, choose, run_experiments, write_page
+from rejoint_lab.research.reproduction.episodes import play, ranges_of
+from rejoint_lab.research.reproduction.trainings import WORN
 
 ARM = mycobot280()
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280
-from rejoint.research.reproduction import gains
-from rejoint.research.reproduction.bench import QUICK, Bench, Experiment, Printed
-from rejoint.research.reproduction.campaign import EXPERIMENTS, choose
-from rejoint.research.reproduction.trainings import WORN, finish_trainings
 from rejoint.system.errors import InputError, RejointError
+from rejoint_lab.research.reproduction import gains
+from rejoint_lab.research.reproduction.bench import QUICK, Bench, Experiment, Printed
+from rejoint_lab.research.reproduction.campaign import EXPERIMENTS, choose
+from rejoint_lab.research.reproduction.trainings import WORN, finish_trainings
 
 ARM = mycobot280()
 

@@ -4,12 +4,12 @@ import pytest
 from rejoint.arms import gravity_torque, mycobot280, solve_position, tcp_position
 from rejoint.control.classical import IntegratorController
 from rejoint.control.goal import nearest_postures
-from rejoint.research.rivals.adaptive import AdaptiveController, AdaptiveGains
-from rejoint.research.rivals.catalogue import make_rival
-from rejoint.research.rivals.scheduled import ScheduledController, ScheduledGains
-from rejoint.research.rivals.tuning import TuningSettings, tune
 from rejoint.system.errors import InputError
 from rejoint.training.ranges import BroadRanges
+from rejoint_lab.research.rivals.adaptive import AdaptiveController, AdaptiveGains
+from rejoint_lab.research.rivals.catalogue import make_rival
+from rejoint_lab.research.rivals.scheduled import ScheduledController, ScheduledGains
+from rejoint_lab.research.rivals.tuning import TuningSettings, tune
 from standin import inputs_of, state_of
 
 ARM = mycobot280()
@@ -92,7 +92,7 @@ def test_the_tuning_finds_the_bottom_of_a_known_valley(monkeypatch):
     def bowl(arm, ranges, gains, make, settings, draw_seed):
         return (np.log(gains["a"] / 0.5)) ** 2 + (np.log(gains["b"] / 20.0)) ** 2
 
-    monkeypatch.setattr("rejoint.research.rivals.tuning.candidate_costs", bowl)
+    monkeypatch.setattr("rejoint_lab.research.rivals.tuning.candidate_costs", bowl)
     intervals, seen = {"a": (0.01, 10.0), "b": (1.0, 100.0)}, []
     settings = TuningSettings(generations=30)
     found = tune(ARM, RANGES, intervals, None, settings, lambda *report: seen.append(report))

@@ -16,7 +16,7 @@ from rejoint.control.robot import Robot
 from rejoint.diagnosis.calibration.calibration import Calibration, write_calibration
 from rejoint.diagnosis.calibration.camera.film import POSTURES as POSTURES_FILE
 from rejoint.diagnosis.calibration.camera.film import Film, read_film, write_film, write_postures
-from rejoint.diagnosis.calibration.camera.filming import POSTURES, CameraGauge, FilmDrive, Picture, UnseenBoardError
+from rejoint.diagnosis.calibration.camera.filming import POSTURES, CameraGauge, FilmDrive, UnseenBoardError
 from rejoint.diagnosis.calibration.camera.fit import Filmed, fit_film
 from rejoint.diagnosis.calibration.fit import fit
 from rejoint.diagnosis.calibration.measurementfile import read_interrupted, read_measurements, write_measurements
@@ -24,6 +24,7 @@ from rejoint.diagnosis.calibration.measurements import Measurements, MeasuringSe
 from rejoint.diagnosis.calibration.postures import Suggestion, suggest
 from rejoint.diagnosis.calibration.preload import Preload, preload
 from rejoint.diagnosis.calibration.procedure import EmulatedGauge, Gauge, measure, reversals
+from rejoint.robots.cameras import Picture
 from rejoint.runs.run import Run
 from rejoint.session.context import stance_of
 from rejoint.session.inputs import ArmLike, RobotLike, RunLike, as_calibration

@@ -6,10 +6,8 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, collides, frames, heights, tcp_pose, tcp_position
 from rejoint.arms.camera.board import Board
@@ -26,6 +24,7 @@ from rejoint.diagnosis.calibration.camera.ties import TieProblem, with_poses
 from rejoint.diagnosis.calibration.parameters import DisplacementLayout, belief, displacement_of
 from rejoint.diagnosis.calibration.postures import BEFORE, narrowed
 from rejoint.diagnosis.calibration.procedure import StandingDrive
+from rejoint.robots.cameras import Picture, StillCamera
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
 from rejoint.system.stopping import check
@@ -125,16 +124,8 @@ FEWEST_SCOUTS = 6
 POSTURES = 14
 """Postures chosen then, each from two sides; chosen"""
 
-Picture = NDArray[np.uint8]
 OnShot = Callable[[Film, str, Picture], object]
 """Called after each picture; the text is its name"""
-
-
-class StillCamera(Protocol):
-    """A camera beside a stationary arm."""
-
-    def still(self, number: int) -> Picture:
-        """Take picture ``number``, grey (height, width); InputError without an answer."""
 
 
 class UnseenBoardError(InputError):

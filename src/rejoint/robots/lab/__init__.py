@@ -1,1 +1,0 @@
-"""Simulated reality: worn arms, their firmware and servers. Only drivers use it."""

@@ -1,0 +1,270 @@
+"""Commands of the lab: `rejoint emulate`, and the group `rejoint research` about controllers on many arms."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rejoint.arms import Arm, load_arm, mycobot280
+from rejoint.cli import CommandGroup, command_group, texts
+from rejoint.cli.options import Call, controller_names, takes
+from rejoint.system.errors import InputError
+from rejoint.system.extras import require
+from rejoint.system.files import read_json, write_json
+from rejoint.system.progress import part
+from rejoint_lab.family import SIMULATOR
+
+if TYPE_CHECKING:
+    from rejoint_lab.research.evaluation.contestants import Contestant
+    from rejoint_lab.research.evaluation.summary import Evaluation
+
+SERVED = {"mycobot280": ("A myCobot 280", "worn"), "so101": ("An SO-101", "so101")}
+"""How the arms that can be served are called, and their usual wear profile"""
+
+
+@takes()
+def emulate(
+    call: Call,
+    arm: str = "mycobot280",
+    wear: str | None = None,
+    host: str = "127.0.0.1",
+    port: int = 9000,
+    pty: bool = False,
+    log: Path | None = None,
+    fault: str = "",
+    seed: int = 0,
+) -> object:
+    """Serve a worn arm in real time on its own wire protocol, until Ctrl-C."""
+    require("rejoint emulate", SIMULATOR)
+    from rejoint_lab.emulator import emulate as serve_emulated
+    from rejoint_lab.emulator.faults import parse_faults
+    from rejoint_lab.emulator.servers import beyond_loopback
+
+    served: list[str] = []
+    chosen = load_arm(arm)
+    if chosen.name not in SERVED:
+        raise InputError(f"no wire protocol is known for {chosen.name}; expected --arm {' or '.join(SERVED)}")
+    name, profile = SERVED[chosen.name]
+    wear = wear or profile
+    faults = parse_faults(fault, chosen.joints)
+
+    def announce(address: str) -> None:
+        served.append(address)
+        call.say(f"{name} with the wear profile '{wear}' answers at {address}  (Ctrl-C ends it)")
+        if beyond_loopback(address):
+            call.say(f"Other machines can drive it too, without a password: it listens on {host}.")
+        if fault:
+            call.say(f"Faults: {fault}")
+
+    place = None if pty else (host, port)
+    serve_emulated(chosen, wear, place=place, seed=seed, announce=announce, log=log, faults=faults)
+    call.say("Emulator ended.")
+    return {"wear": wear, "address": served[-1], "faults": fault}
+
+
+class ResearchGroup(CommandGroup):
+    """The commands of `rejoint research`."""
+
+    table = texts(__package__)["commands"]
+
+
+research = command_group(ResearchGroup, "research", texts("rejoint.cli")["commands"]["research"]["help"])
+
+OUT = Path("runs") / "family"
+CLASSICAL = "integrator,feedforward,tuned-integrator,tuned-feedforward,adaptive"
+"""Controllers that take part by default"""
+
+
+@takes("arm")
+def evaluate(
+    call: Call,
+    policy: list[Path] | None = None,
+    controllers: str = CLASSICAL,
+    variants: str = "all",
+    arms: int = 100,
+    targets: int = 5,
+    crossings: int = 10,
+    gains: Path | None = None,
+    out: Path = OUT,
+    seed: int = 0,
+    threads: int = 2,
+) -> object:
+    """Try controllers on a hundred arms on which nothing was chosen, and on the same under harder conditions."""
+    arm = _arm(call)
+    from rejoint.control.comparison.result import Protocol
+    from rejoint_lab.research.evaluation.contestants import known_names
+    from rejoint_lab.research.evaluation.evaluate import evaluate as run
+    from rejoint_lab.research.evaluation.family import VARIANTS, ArmFamily, find_variant
+    from rejoint_lab.research.evaluation.trials import TrialSettings
+
+    names = {"all": known_names(), "none": ()}.get(controllers, controller_names(controllers))
+    chosen = VARIANTS if variants == "all" else [find_variant(name) for name in controller_names(variants)]
+    family = ArmFamily(arms=arms, targets=targets, crossings=crossings, seed=seed)
+    settings = TrialSettings(family=family, protocol=Protocol(), threads=threads)
+    with call.progress("evaluate") as update:
+        found = run(arm, _contestants(arm, names, policy, gains), chosen, settings, out.resolve(), update)
+    return _show(call, found, out)
+
+
+@takes("arm")
+def identification(
+    call: Call,
+    policy: list[Path] | None = None,
+    arms: int = 6,
+    targets: int = 5,
+    crossings: int = 10,
+    iterations: int | None = None,
+    out: Path = Path("runs") / "identified",
+    seed: int = 0,
+    threads: int = 2,
+) -> object:
+    """Find what a twin of its own brings: diagnose, identify and train for each arm, and try it with and without."""
+    arm = _arm(call)
+    from rejoint.control.comparison.result import Protocol
+    from rejoint_lab.research.evaluation.family import ArmFamily
+    from rejoint_lab.research.evaluation.identification import evaluate_identification
+    from rejoint_lab.research.evaluation.trials import TrialSettings
+
+    family = ArmFamily(arms=arms, targets=targets, crossings=crossings, seed=seed)
+    settings = TrialSettings(family=family, protocol=Protocol(), threads=threads)
+    with call.progress("identification") as update:
+        found = evaluate_identification(arm, policy or [], settings, out, iterations, update)
+    return _show(call, found, out)
+
+
+@takes("arm")
+def calibrate(
+    call: Call,
+    controller: str = "shelf",
+    variants: str = "all",
+    arms: int = 100,
+    targets: int = 5,
+    out: Path = OUT,
+    seed: int = 0,
+    threads: int = 2,
+) -> object:
+    """Find what outside measurements bring: true errors of many arms before and after their calibration."""
+    arm, is_file = _arm(call), Path(controller).suffix == ".onnx"
+    from rejoint_lab.research.evaluation.calibrating import CONDITIONS, evaluate_calibrations, find_condition, tables
+    from rejoint_lab.research.evaluation.family import ArmFamily
+
+    (one,) = _contestants(arm, [] if is_file else [controller], [Path(controller)] if is_file else [])
+    conditions = CONDITIONS if variants == "all" else [find_condition(name) for name in controller_names(variants)]
+    family = ArmFamily(arms=arms, targets=targets, seed=seed)
+    with call.progress("calibrate") as update:
+        found = evaluate_calibrations(arm, conditions, one, family, out.resolve(), threads, update)
+    return _keep(call, found, out / "calibrated.json", tables(found))
+
+
+@takes("arm")
+def follow(call: Call, arms: int = 100, out: Path = OUT, seed: int = 0, threads: int = 2) -> object:
+    """Let many arms follow standard paths, each with a twin of its own."""
+    arm = _arm(call)
+    from rejoint_lab.research.evaluation.family import ArmFamily
+    from rejoint_lab.research.evaluation.moving import evaluate_moving, moving_table
+
+    with call.progress("follow") as update:
+        found = evaluate_moving(arm, ArmFamily(arms=arms, seed=seed), out, threads, update)
+    return _keep(call, found, out / "moving.json", [moving_table(found)])
+
+
+@takes("arm")
+def tune(
+    call: Call,
+    rivals: list[str],
+    generations: int = 40,
+    out: Path = Path("gains.json"),
+    seed: int = 0,
+) -> object:
+    """Tune classical rivals by CMA-ES on the randomised twins that policies are trained on."""
+    require("rejoint research tune", "train")
+    from rejoint.training.ranges import BroadRanges
+    from rejoint_lab.research.rivals.catalogue import find_rival
+    from rejoint_lab.research.rivals.tuning import TuningSettings, tune_rival
+
+    names, arm = list(dict.fromkeys(rivals)), load_arm(call.pick.arm or "mycobot280")
+    for name in names:
+        find_rival(name)
+    ranges = BroadRanges(arm=arm)
+    known = read_json(out, dict[str, dict[str, float]]) if out.exists() else {}
+    how, tuned = TuningSettings(generations=generations, seed=seed), dict[str, dict[str, float]]()
+    with call.progress("tune") as update:
+        for k, name in enumerate(names):
+            ahead = part(update, k / len(names), (k + 1) / len(names), f"{name}: ")
+            tuned[name] = tune_rival(arm, ranges, how, name, ahead)
+    write_json(out, known | tuned)
+    rows = [
+        {"rival": name, "gain": gain, "value": value} for name, gains in tuned.items() for gain, value in gains.items()
+    ]
+    call.table("Tuned gains", list(rows[0]), [[*map(str, one.values())] for one in rows])
+    call.result(f"Next: rejoint research evaluate --controllers {','.join(names)} --gains {out}")
+    return {"out": out, "gains": rows}
+
+
+@takes()
+def reproduce(
+    call: Call,
+    experiments: list[str] | None = None,
+    run: Path | None = None,
+    quick: bool = False,
+    seed: int = 0,
+    threads: int = 2,
+) -> object:
+    """Run the experiments of Park et al. 2024 and write a page with their numbers beside ours."""
+    require("rejoint research reproduce", "train", "report")
+    from rejoint_lab.research.reproduction.bench import FULL, QUICK, Bench
+    from rejoint_lab.research.reproduction.campaign import choose, run_experiments, write_page
+
+    chosen = choose(experiments or ())
+    folder = run or Path("runs") / f"reproduction{'-quick' * quick}-seed{seed}"
+    scale = QUICK if quick else FULL
+    with call.progress("reproduce") as update:
+        bench = Bench(
+            folder=folder.resolve(), arm=mycobot280(), seed=seed, scale=scale, threads=threads, on_progress=update
+        )
+        found = run_experiments(bench, chosen, lambda one: call.say(one.title))
+    for one, finished in zip(chosen, found, strict=True):
+        call.table(
+            one.title, ["", "ours", "paper"], [(row.what, row.ours, row.paper or "-") for row in finished.numbers]
+        )
+    page = write_page(bench)
+    call.result(str(page))
+    rows = [{"experiment": one.experiment, **row._asdict()} for one in found for row in one.numbers]
+    return {"page": page, "run": folder, "numbers": rows}
+
+
+def _arm(call: Call) -> Arm:
+    require("rejoint research", "train", "report")
+    return load_arm(call.pick.arm or "mycobot280")
+
+
+def _contestants(
+    arm: Arm, names: list[str] | tuple[str, ...], policies: list[Path] | None, gains: Path | None = None
+) -> list[Contestant]:
+    from rejoint_lab.research.evaluation.contestants import classical, learned
+
+    tuned = {} if gains is None else read_json(gains, dict[str, dict[str, float]])
+    found = [classical(name, tuned) for name in names] + [learned(path, arm) for path in policies or []]
+    if not found:
+        raise InputError("no controller takes part; name --controllers or give a --policy")
+    return found
+
+
+Tables = list[tuple[str, list[str], list[list[str]]]]
+
+
+def _keep(call: Call, found: object, file: Path, tables: Tables) -> object:
+    write_json(file, found)
+    for table in tables:
+        call.table(*table)
+    call.result(f"All of it: {file.resolve()}")
+    return found
+
+
+def _show(call: Call, found: Evaluation, out: Path) -> object:
+    from rejoint_lab.research.evaluation.page import terminal_tables
+
+    for table in terminal_tables(found):
+        call.table(*table)
+    call.result(f"Page: {(out / 'evaluation.html').resolve()}")
+    return {"out": out, "best": found.best, "rows": found.rows, "pairs": found.pairs}

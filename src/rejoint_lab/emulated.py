@@ -1,0 +1,186 @@
+"""Worn arms in this process, in virtual time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from rejoint.arms import Arm, Array
+from rejoint.arms.camera.board import Board
+from rejoint.control.robot import JointState, Mask
+from rejoint.control.servogains import Rung, ServoGains
+from rejoint.robots.feetech.gains import FIRST, FULL, LIMIT, LOAD, REGISTERS, RUNGS, SIZE, Gains, Tuning, for_all
+from rejoint.system.errors import InputError
+from rejoint_lab.cameras.emulated import EmulatedCamera, EmulatedEye
+from rejoint_lab.cameras.scene import beside, on_tool
+from rejoint_lab.plant.plant import Plant, StsPlant, Truth
+from rejoint_lab.plant.servo import Channel, Interval, has_these_servos, stream_keys
+from rejoint_lab.plant.wear import Wear
+
+# Fields of `rejoint_lab.plant.sts3215.SETTING` that the registers of gains are
+_FIELDS = {address: "integral_limit" if name == LIMIT else name for name, address in REGISTERS.items()}
+
+
+class EmulatedServos:
+    """Registers of arms with equal gains, for `Tuning`."""
+
+    def __init__(self, plant: StsPlant, gains: Gains) -> None:
+        """``gains`` are in force from the start."""
+        self._plant = plant
+        joints = plant.arm.joints
+        for name, values in for_all(gains, joints).items():
+            plant.settings[_FIELDS[REGISTERS[name]]] = values
+        self._tuning = Tuning(
+            range(1, joints + 1),
+            {},
+            read=self._read,
+            write=self._write,
+            call=lambda servo: plant.arm.joint_names[servo - 1],
+            wait=plant.advance,
+        )
+        self._tuning.prepare(None)
+
+    @property
+    def gains(self) -> ServoGains:
+        """Gains in force."""
+        return dict(self._tuning.values)
+
+    @property
+    def load(self) -> Array:
+        """(B, n) share of the largest torque (`rejoint.robots.feetech.gains`)."""
+        status = self._plant.status
+        duty, error = status["output"].tolist(), (status["goal"] - status["position"]).tolist()
+        return np.array(
+            [
+                [law.share(*seen) for law, *seen in zip(self._tuning.laws, *arm, strict=True)]
+                for arm in zip(duty, error, strict=True)
+            ]
+        )
+
+    def tune(self, gains: ServoGains) -> None:
+        """Set the gains of all arms, see `Tuning.tune`; time passes."""
+        self._tuning.tune(gains)
+
+    def _read(self, servo: int, address: int, size: int, _until: float | None) -> bytes:
+        joint, plant = servo - 1, self._plant
+        if (address, size) == (FIRST, SIZE):
+            row = plant.settings[0, joint]
+            return bytes(int(row[_FIELDS[cell]]) for cell in range(FIRST, FIRST + SIZE))
+        if address != LOAD:
+            raise ValueError(f"register {address} of an emulated servo is not known here")
+        duty = int(np.abs(plant.status["output"][:, joint]).max())
+        return bytes((*min(duty, int(FULL)).to_bytes(2, "little"), 0, int(plant.temperature[:, joint].max())))
+
+    def _write(self, servo: int, address: int, data: Sequence[int], _until: float | None) -> None:
+        self._plant.settings[_FIELDS[address]][:, servo - 1] = data[0]
+
+
+_CHANNEL_PURPOSE = 1
+
+
+class EmulatedRobot:
+    """B emulated arms; time passes only in `step`, noise is as in `Plant`."""
+
+    def __init__(
+        self,
+        arm: Arm,
+        wears: Sequence[Wear],
+        *,
+        address: str = "emulated:worn",
+        seed: int = 0,
+        period: Interval = (0.020, 0.030),
+        start: Array | None = None,
+        gains: Gains | None = None,
+        **options: Any,  # noqa: ANN401
+    ) -> None:
+        """Put the arms at ``start`` (B, n) or (n,) [rad], or rest.
+
+        ``options``: fields of `Truth`; ``threads``, ``first`` of `Plant`; ``command_latency``, ``readback_age`` [s];
+        ``tells_load``.
+        """
+        self.arm, self.address, self.count = arm, address, len(wears)
+        self._tells_load = options.pop("tells_load", True)
+        delays = {"latency": options.pop("command_latency", None), "age": options.pop("readback_age", None)}
+        self._channel = Channel(period=period, **{name: ends for name, ends in delays.items() if ends is not None})
+        truth = Truth(**{name: options.pop(name) for name in Truth._fields if name in options})
+        first = options.get("first", 0)
+        law = has_these_servos(arm)
+        if gains and not law:
+            raise InputError(f"{address} has no servo gains that could be set; an SO-101 has: give --arm so101")
+        self.plant = (StsPlant if law else Plant)(arm, wears, seed=seed, truth=truth, **options)
+        self._servos = EmulatedServos(self.plant, gains or {}) if isinstance(self.plant, StsPlant) else None
+        self._keys = stream_keys(seed, len(wears), first=first, purpose=_CHANNEL_PURPOSE)
+        self._cycle = np.zeros(len(wears), np.int64)
+        self._position = np.zeros((len(wears), arm.joints))
+        self.restart(arm.rest if start is None else start)
+
+    def restart(self, start: Array, where: Mask | None = None) -> None:
+        """Put arms at rest at ``start`` (B, n) or (n,) [rad]."""
+        self.plant.reset(np.broadcast_to(start, (self.count, self.arm.joints)), where)
+        self._position = self._merge(self.plant.encoder(), where)
+
+    def read(self) -> JointState:
+        """Newest state; takes no virtual time."""
+        return JointState(
+            time=self.plant.time,
+            position=self._position.copy(),
+            age=np.zeros(self.count),
+            temperature=self.plant.temperature,
+            load=(self._servos or self.plant).load if self._tells_load else None,
+        )
+
+    def step(self, command: Array, active: Mask | None = None) -> JointState:
+        """Send ``command`` (B, n) [rad], wait a period, read."""
+        delays = self._channel.draw(self._keys, self._cycle)
+        self.plant.command(command, delays.latency, active)
+        self.plant.advance(delays.period, active)
+        self._position = self._merge(self.plant.encoder(delays.age), active)
+        self._cycle += 1 if active is None else active
+        return self.read()
+
+    def true_tcp(self) -> Array:
+        """(B, 3) [m] true tools."""
+        return self.plant.true_tcp()
+
+    def stop(self) -> None:
+        """Hold: the reference stops."""
+        self.plant.halt()
+
+    def servo_gains(self) -> ServoGains | None:
+        """Return the servo gains, or None."""
+        return None if self._servos is None else self._servos.gains
+
+    def rungs(self) -> tuple[Rung, ...]:
+        """Return the search order of gains."""
+        return () if self._servos is None else RUNGS
+
+    def tune(self, gains: ServoGains) -> None:
+        """Set the gains of all arms in small steps of virtual time."""
+        if self._servos is None:
+            raise InputError(f"{self.address} has no servo gains that could be set; an SO-101 has")
+        self._servos.tune(gains)
+        self._position = self.plant.encoder()
+
+    def keep(self, gains: ServoGains) -> None:  # noqa: ARG002 - nothing of an arm in this process outlasts it
+        """Raise InputError: emulated arms do not last."""
+        raise InputError(
+            f"{self.address} forgets its gains at the end of the command; name them in its address, as "
+            "emulated:so101?p=48, or keep them in what `rejoint emulate --arm so101` serves"
+        )
+
+    def eye(self, seed: int) -> EmulatedEye:
+        """Detector of the tool of the only arm; InputError."""
+        return EmulatedEye(self, seed=seed)
+
+    def camera(self, board: Board, carried: str, seed: int) -> EmulatedCamera:
+        """Camera beside the only arm, or on its tool."""
+        scene = beside(self.arm, board=board) if carried == "board" else on_tool(self.arm, board=board)
+        return EmulatedCamera(scene, lambda: self.plant.true_pose()[0], seed)
+
+    def close(self) -> None:
+        """Do nothing."""
+
+    def _merge(self, position: Array, where: Mask | None) -> Array:
+        return position if where is None else np.where(where[:, None], position, self._position)

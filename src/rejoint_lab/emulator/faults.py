@@ -1,0 +1,297 @@
+"""Faults of an emulated arm: ``drop=0.05,stall=1.5/4,freeze=3@5,die@20``.
+
+Times in seconds after a client's first byte. Every fault has its own random stream.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.arms import Arm, Array
+from rejoint.robots.wireserver import DeathError, LinkGoneError
+from rejoint.system.errors import InputError
+
+if TYPE_CHECKING:
+    from rejoint_lab.plant.plant import Plant
+
+HOT_JOINT = 2
+"""Joint that gets hot by default: the shoulder (chosen)"""
+
+
+class Fault(NamedTuple):
+    """One fault; a form lacks what it does not need."""
+
+    size: float = 0.0
+    """chance, [s] or [ohm]"""
+    joints: tuple[int, ...] = ()
+    """from 0; empty: the link"""
+    after: float = 0.0
+    """[s]"""
+    duration: float = math.inf
+    """[s]"""
+    every: float = math.inf
+    """[s] between beginnings; the first comes after it"""
+
+    def holds(self, elapsed: float) -> bool:
+        """Whether it holds ``elapsed`` [s] after the first byte."""
+        return self.after <= elapsed < self.after + self.duration
+
+
+Faults = Mapping[str, tuple[Fault, ...]]
+"""By name, see `FORMS`"""
+NONE: Faults = {}
+
+FORMS: dict[str, str] = {
+    **dict.fromkeys(("drop", "garbage", "stale", "split", "half", "double", "echo"), "=P"),
+    "slow": "=S",
+    "stall": "=D/E",
+    "gone": "=T/D",
+    **dict.fromkeys(("silent", "die"), "@T"),
+    **dict.fromkeys(("freeze", "blind", "jump", "limit"), "=J@T"),
+    "overheat": "[=J]@T",
+    **dict.fromkeys(("current", "overload"), "=J@T"),
+    "voltage": "[=J]@T",
+    "mute": "=J@T/D",
+    "sag": "=R",
+}
+"""How faults are written, optional parts in brackets; see `rejoint emulate --help`"""
+SERVO_BUS = ("mute", "sag")
+"""Faults of arms on their servo bus only"""
+_LETTERS = {"P": "size", "S": "size", "R": "size", "T": "after", "D": "duration", "E": "every"}
+
+
+def parse_faults(text: str, joints: int) -> Faults:
+    """Read comma-separated faults; InputError."""
+    found: dict[str, tuple[Fault, ...]] = {}
+    for item in filter(None, (part.strip() for part in text.split(","))):
+        name = re.split("[=@]", item)[0]
+        if name not in FORMS:
+            raise InputError(f"'{item}' is no known fault; known are {', '.join(FORMS)}, see rejoint emulate --help")
+        try:
+            fault = _read(name, item.removeprefix(name), joints)
+        except ValueError:
+            wanted = f"{name}{FORMS[name]}, see rejoint emulate --help, with a joint J from 1 to {joints}"
+            raise InputError(f"expected the fault {wanted}; got '{item}'") from None
+        if name in found and name != "gone" and "J" not in FORMS[name]:
+            raise InputError(f"the fault {name} may be given once, got '{text}'")
+        found[name] = (*found.get(name, ()), fault)
+    return found
+
+
+def _read(name: str, text: str, joints: int) -> Fault:
+    optional = FORMS[name].replace("[", "(?:").replace("]", ")?")
+    match = re.fullmatch(re.sub("[A-Z]", lambda letter: f"(?P<{letter[0]}>[^=@/]+)", optional), text)
+    if match is None:
+        raise ValueError
+    words = match.groupdict()
+    joint = words.pop("J", None)
+    numbers = {letter: float(word) for letter, word in words.items()}
+    if not all(0.0 <= number < math.inf for number in numbers.values()) or numbers.get("P", 0.0) > 1.0:
+        raise ValueError
+    if numbers.get("D", 0.0) >= numbers.get("E", math.inf):
+        raise ValueError
+    chosen: tuple[int, ...] = {"overheat": (min(HOT_JOINT, joints) - 1,), "voltage": tuple(range(joints))}.get(name, ())
+    if joint is not None:
+        chosen = (range(joints).index(int(joint) - 1),)
+    return Fault(joints=chosen, **{_LETTERS[letter]: number for letter, number in numbers.items()})
+
+
+def in_force(faults: Faults, name: str, elapsed: float) -> list[Fault]:
+    """Faults of a name that hold ``elapsed`` [s] after the first byte."""
+    return [fault for fault in faults.get(name, ()) if fault.holds(elapsed)]
+
+
+def size_of(faults: Faults, name: str) -> float:
+    """Size of a fault that may be given once; 0 without it."""
+    return sum(fault.size for fault in faults.get(name, ()))
+
+
+SPLIT_PAUSE = 0.05
+"""[s] between the pieces of an answer (chosen)"""
+MOST_GARBAGE = 12
+"""[bytes] (chosen)"""
+
+_CHANCES = ("drop", "garbage", "stale", "split", "half", "double", "echo")
+
+
+class WireFaults:
+    """Applies faults to a link; times in [s] after the first byte."""
+
+    def __init__(self, faults: Faults, seed: int = 0) -> None:
+        self._faults = faults
+        self.delay = size_of(faults, "slow")
+        """[s] extra time of every answer"""
+        self._streams = {name: np.random.default_rng([seed, place]) for place, name in enumerate(_CHANCES)}
+        # id -> the last request of this id and what was answered
+        self._earlier: dict[int, tuple[bytes, bytes]] = {}
+
+    def check(self, elapsed: float) -> None:
+        """DeathError after the end, LinkGoneError without a link."""
+        if in_force(self._faults, "die", elapsed):
+            raise DeathError
+        if in_force(self._faults, "gone", elapsed):
+            raise LinkGoneError
+
+    def still_until(self, elapsed: float) -> float:
+        """End of a stall, else ``elapsed``."""
+        if in_force(self._faults, "silent", elapsed):
+            return math.inf
+        for stall in self._faults.get("stall", ()):
+            if elapsed >= stall.every:
+                return max(elapsed, stall.every * math.floor(elapsed / stall.every) + stall.duration)
+        return elapsed
+
+    def pieces(self, request: bytes, answer: bytes) -> list[bytes]:
+        """Pieces sent instead of ``answer``, with a `SPLIT_PAUSE` between; empty: lost."""
+        hit = {name for name in _CHANCES if name in self._faults and self._hits(name)}
+        if "stale" in self._faults:
+            asked, answered = self._earlier.get(request[3], (b"", b""))
+            if "stale" in hit and asked == request:
+                answer = answered
+            else:
+                self._earlier[request[3]] = request, answer
+        if "drop" in hit:
+            return []
+        if "half" in hit:
+            answer = answer[: self._cut("half", answer)]
+        if "garbage" in hit:
+            stream = self._streams["garbage"]
+            noise = stream.bytes(int(stream.integers(1, MOST_GARBAGE, endpoint=True)))
+            place = 0 if stream.random() < 0.5 else self._cut("garbage", answer)
+            answer = answer[:place] + noise + answer[place:]
+        answer = ("echo" in hit) * request + answer
+        answer *= 1 + ("double" in hit)
+        cut = self._cut("split", answer) if "split" in hit else len(answer)
+        return [answer[:cut], answer[cut:]] if cut < len(answer) else [answer]
+
+    def _hits(self, name: str) -> bool:
+        return bool(self._streams[name].random() < size_of(self._faults, name))
+
+    def _cut(self, name: str, answer: bytes) -> int:
+        return int(self._streams[name].integers(1, max(len(answer), 2)))
+
+
+OVER_TEMPERATURE_BIT = 1 << 2
+BITS = {"voltage": 1 << 0, "current": 1 << 3, "overload": 1 << 5}
+"""Bits of the servo status (pymycobot 4.0.7, robot_info)"""
+EXTREMES = {"voltage": 7.0, "current": 3.25}
+"""[V] of a broken supply (chosen), [A] full scale: 500 steps of 6.5 mA (Feetech STS memory table)"""
+SUPPLY_VOLTAGE = 12.0
+"""[V] (vendor's product parameters)"""
+
+
+class Ailments:
+    """Faults of n joints, added to measurements."""
+
+    def __init__(self, joints: int) -> None:
+        self.misreading = np.zeros(joints)
+        """(n,) [rad] encoder errors"""
+        self.warmth = np.zeros(joints)
+        """(n,) [K] extra heat"""
+        self.current = np.zeros(joints)
+        """(n,) [A] least current"""
+        self.voltage = np.full(joints, SUPPLY_VOLTAGE)
+        """(n,) [V] supply"""
+        self.alarms = np.zeros(joints, dtype=np.uint8)
+        """(n,) status bits, besides over-temperature"""
+
+
+class EmulatedArm(ABC):
+    """An emulated arm of n joints; ``plant`` holds one arm."""
+
+    def __init__(self, plant: Plant, arm: Arm) -> None:
+        self.plant, self.arm, self.ailments = plant, arm, Ailments(arm.joints)
+
+    @property
+    def angles(self) -> Array:
+        """(n,) [rad] by the encoders."""
+        return self.plant.encoder()[0] + self.ailments.misreading
+
+    @property
+    def temperature(self) -> Array:
+        """(n,) [deg C]."""
+        return self.plant.temperature[0] + self.ailments.warmth
+
+    @property
+    def true_tcp(self) -> Array:
+        """(3,) [m] true tool."""
+        return self.plant.true_tcp()[0]
+
+    @property
+    def true_links(self) -> Array:
+        """(n,) [rad] true links, behind play and flex."""
+        return self.plant.link_position()[0]
+
+    @abstractmethod
+    def advance(self, duration: float) -> None:
+        """Advance by [s]."""
+
+
+JUMP = np.radians(60.0)
+"""[rad] of an impossible jump (chosen: a servo takes 0.4 s)"""
+BEYOND_LIMIT = np.radians(3.0)
+"""[rad] beyond a joint limit, still credible (chosen)"""
+RUN_AWAY = np.radians(90.0)
+"""[rad/s] of such a reading (chosen: below the joints' speed)"""
+HEATING = 10.0
+"""[K/s] (chosen: faster than real)"""
+HOT = 85.0
+"""[deg C] final (chosen: 15 K above the protection threshold)"""
+_OF_SERVOS = ("freeze", "blind", "jump", "limit", "overheat", "current", "overload", "voltage")
+
+
+class ArmFaults:
+    """Begins the arm's faults in time."""
+
+    def __init__(self, faults: Faults, arm: EmulatedArm) -> None:
+        self._emulated = arm
+        self._waiting = sorted((one.after, kind, one.joints) for kind in _OF_SERVOS for one in faults.get(kind, ()))
+        # (n,) which heat up, the direction in which a reading runs or 0, and [rad] jumps that were not read yet
+        self._heating, self._running, self._jumped = np.zeros((3, arm.arm.joints))
+        self._then = 0.0
+
+    def advance(self, elapsed: float) -> None:
+        """Advance faults to ``elapsed`` [s] after the first byte."""
+        passed, self._then = elapsed - self._then, elapsed
+        while self._waiting and self._waiting[0][0] <= elapsed:
+            after, kind, joints = self._waiting.pop(0)
+            self._begin(kind, np.isin(np.arange(self._emulated.arm.joints), joints))
+            passed = np.inf if after == 0.0 else passed
+        arm, own, running = self._emulated.arm, self._emulated.ailments, self._running
+        if self._heating.any():
+            missing = np.maximum(HOT - self._emulated.temperature, 0.0)
+            own.warmth += np.where(self._heating, np.minimum(missing, HEATING * passed), 0.0)
+        if running.any():
+            end = np.where(running > 0, arm.upper + BEYOND_LIMIT, arm.lower - BEYOND_LIMIT)
+            left = np.where(running == 0, 0.0, np.maximum(running * (end - self._emulated.angles), 0.0))
+            own.misreading += running * np.minimum(left, RUN_AWAY * passed)
+            running[left <= RUN_AWAY * passed] = 0.0
+
+    def was_read(self) -> None:
+        """End jumps after one reading."""
+        self._emulated.ailments.misreading -= self._jumped
+        self._jumped[:] = 0.0
+
+    def _begin(self, kind: str, joints: NDArray[np.bool_]) -> None:
+        arm, own = self._emulated.arm, self._emulated.ailments
+        inwards = np.where(self._emulated.angles < 0.5 * (arm.lower + arm.upper), 1.0, -1.0)
+        if kind in ("freeze", "blind"):
+            getattr(self._emulated.plant, kind)(joints[None])
+        elif kind == "jump":
+            self._jumped += JUMP * inwards * joints
+            own.misreading += JUMP * inwards * joints
+        elif kind == "limit":
+            self._running[joints] = -inwards[joints]
+        elif kind == "overheat":
+            self._heating[joints] = 1.0
+        else:
+            own.alarms[joints] |= BITS[kind]
+            if kind in EXTREMES:
+                getattr(own, kind)[joints] = EXTREMES[kind]

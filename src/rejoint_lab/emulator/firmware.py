@@ -1,0 +1,170 @@
+"""The robot's computer: limits, moves, servo power and answers."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from rejoint.arms import Arm, Array
+from rejoint.arms.wire.mover import FULL_SPEED, Mask, Mover, Sensed
+from rejoint_lab.emulator.faults import OVER_TEMPERATURE_BIT, EmulatedArm
+
+if TYPE_CHECKING:
+    from rejoint_lab.plant.plant import Plant
+
+TICK_MS = 10
+"""[ms] between set-points (chosen)"""
+COMMAND_DELAY = (0.008, 0.013)
+"""[s] from a command to its effect"""
+MAX_WRITES = 64
+"""Goals on the bus; more drop the oldest (chosen)"""
+
+CURRENT_PER_TORQUE = 2.7 / 2.94
+"""[A/(N m)] of an STS3215 at 12 V: 2.7 A at 30 kg cm stall (Feetech data sheet)"""
+
+# [rad/s] below this speed a joint counts as standing (chosen)
+_AT_REST = np.radians(2.0)
+# [deg C] default protection threshold of Feetech STS servos (their register table)
+_OVER_TEMPERATURE = 70.0
+
+
+class _Write(NamedTuple):
+    due_ms: int
+    goal: Array
+    speed: float
+
+
+class Firmware(EmulatedArm, Mover):
+    """An emulated myCobot; ``plant`` holds one arm."""
+
+    def __init__(self, plant: Plant, arm: Arm, *, seed: int = 0) -> None:
+        EmulatedArm.__init__(self, plant, arm)
+        Mover.__init__(self, arm, plant.goal[0])
+        self.zero = np.zeros(arm.joints)
+        """(n,) [rad] calibrated zeros by the encoders"""
+        self._rng = np.random.default_rng(seed)
+        self._clock_ms, self._owed = 0, 0.0
+        self.outbox: list[_Write] = []
+
+    # --- what is measured -------------------------------------------------------------------
+
+    @property
+    def angles(self) -> Array:
+        """(n,) [rad] by the encoders."""
+        return super().angles - self.zero
+
+    @property
+    def moving(self) -> bool:
+        """Whether the reference or a joint moves."""
+        return (self._motion.moving and not self.paused) or bool((np.abs(self.plant.speed) > _AT_REST).any())
+
+    def sensed(self) -> Sensed:
+        """Return what else is measured."""
+        heat, own = self.temperature, self.ailments
+        return Sensed(
+            speed=self.plant.speed[0],
+            current=np.maximum(np.abs(self.plant.torque[0]) * CURRENT_PER_TORQUE, own.current),
+            voltage=own.voltage,
+            temperature=heat,
+            alarms=np.where(heat >= _OVER_TEMPERATURE, OVER_TEMPERATURE_BIT, 0).astype(np.uint8) | own.alarms,
+        )
+
+    # --- moves ------------------------------------------------------------------------------
+
+    def stop(self, joint: int | None = None) -> None:
+        """Hold one joint, or the arm; drop its moves."""
+        self._motion.hold(joint)
+        if joint is not None:
+            self._write(self._motion.ramp_speed, self._motion.goal)
+            return
+        self.outbox.clear()
+        self.plant.halt()
+        self._track(np.full(self.arm.joints, True), self.plant.goal[0] - self.zero)
+
+    def pause(self) -> None:
+        """Hold until `resume`."""
+        super().pause()
+        self._write(FULL_SPEED)
+
+    def resume(self) -> None:
+        """Continue."""
+        super().resume()
+        if not self._motion.interpolating:
+            self._write(self._motion.ramp_speed, self._motion.goal)
+
+    # --- power ------------------------------------------------------------------------------
+
+    def power(self, on: bool) -> None:
+        """Power all servos, which hold, or none: the arm falls."""
+        self.powered = on
+        self.enable(np.full(self.arm.joints, on))
+
+    def enable(self, wanted: Mask) -> None:
+        """Hold with the servos in ``wanted`` (n,); release the others."""
+        self._motion.hold()
+        self.outbox.clear()
+        self._track(wanted & ~self.enabled, self.angles)
+        self.enabled = wanted.copy()
+        self.plant.set_power(np.array([bool(wanted.any())]))
+        self.outbox.append(_Write(self._clock_ms, self._motion.reference + self.zero, FULL_SPEED))
+
+    def calibrate(self, joint: int) -> None:
+        """Set a joint's zero here."""
+        shift = float(self.angles[joint])
+        self.zero[joint] += shift
+        self._motion.hold()
+        self._motion.place(joint, float(self._motion.reference[joint]) - shift)
+
+    # --- time -------------------------------------------------------------------------------
+
+    @property
+    def time(self) -> float:
+        """[s] since the start."""
+        return self._clock_ms * 1e-3
+
+    def advance(self, duration: float) -> None:
+        """Advance by ``duration`` [s], in whole milliseconds."""
+        self._owed += duration * 1e3
+        left = int(self._owed + 1e-6)
+        self._owed -= left
+        while left > 0:
+            next_due = min((write.due_ms for write in self.outbox), default=self._clock_ms + TICK_MS)
+            step = min(left, TICK_MS, max(1, next_due - self._clock_ms))
+            interpolating = self._motion.interpolating
+            self._motion.advance(step * 1e-3)
+            if interpolating or not self.enabled.all():
+                self._track(~self.enabled, self.angles)
+                self.outbox = [_Write(self._clock_ms, self._motion.reference + self.zero, FULL_SPEED)]
+            self._deliver()
+            self.plant.advance(step * 1e-3)
+            self._clock_ms += step
+            left -= step
+
+    def _ready(self) -> bool:
+        if self.powered and not self.enabled.all():
+            self.enable(np.ones(self.arm.joints, dtype=bool))
+        return self.powered
+
+    def _track(self, joints: Mask, angles: Array) -> None:
+        """Set the reference of ``joints`` (n,) to ``angles`` (n,) [rad]."""
+        for joint in np.flatnonzero(joints):
+            self._motion.place(int(joint), float(angles[joint]))
+
+    def _ramped(self, speed: float, goal: Array) -> None:
+        self._write(speed, goal)
+
+    def _write(self, speed: float, goal: Array | None = None) -> None:
+        """Send a goal (n,) [rad], by default the reference."""
+        due_ms = self._clock_ms + round(1e3 * self._rng.uniform(*COMMAND_DELAY))
+        due_ms = max([due_ms, *(write.due_ms for write in self.outbox)])  # a bus does not overtake itself
+        target = (self._motion.reference if goal is None else goal) + self.zero
+        self.outbox.append(_Write(due_ms, target, speed))
+        del self.outbox[:-MAX_WRITES]
+
+    def _deliver(self) -> None:
+        arrived = [write for write in self.outbox if write.due_ms <= self._clock_ms]
+        self.outbox = [write for write in self.outbox if write.due_ms > self._clock_ms]
+        if arrived:
+            self.plant.set_speed_limit(arrived[-1].speed)
+            self.plant.command(arrived[-1].goal[None])

@@ -1,0 +1,223 @@
+"""Server of an emulated robot in wall-clock time."""
+
+from __future__ import annotations
+
+import ipaddress
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, NamedTuple, TextIO, TypeVar
+from urllib.parse import urlsplit
+
+import numpy as np
+
+from rejoint.arms.wire.orders import answer
+from rejoint.arms.wire.values import Decoder, Frame, encode
+from rejoint.robots.wireserver import (
+    BACKLOG,
+    ByteStream,
+    Conversation,
+    LinkGoneError,
+    Server,
+    TcpServer,
+    TerminalServer,
+)
+from rejoint.system.errors import FileError
+from rejoint.system.shell import listen_tcp
+from rejoint_lab.emulator.faults import (
+    NONE,
+    SPLIT_PAUSE,
+    ArmFaults,
+    EmulatedArm,
+    Faults,
+    WireFaults,
+)
+from rejoint_lab.emulator.firmware import Firmware
+
+
+class TruthLog:
+    """Writes the true tool and `time.monotonic`: CSV, a row per tick."""
+
+    def __init__(self, path: Path, stream: TextIO, joints: int) -> None:
+        self._path, self._stream = path, stream
+        names = [f"{what}.joint{i + 1}" for what in ("encoder", "link") for i in range(joints)]
+        self._put(["time", "x", "y", "z", *names])
+
+    @classmethod
+    def open(cls, path: Path, joints: int) -> TruthLog:
+        """Begin a file; FileError."""
+        try:
+            return cls(path, path.open("w", encoding="utf-8", buffering=1), joints)
+        except OSError as error:
+            raise FileError(path, f"cannot be written ({error.strerror})", "choose another path") from error
+
+    def write(self, now: float, arm: EmulatedArm) -> None:
+        """Add a row: [s], [m], [rad]; FileError."""
+        self._put(f"{value:.6f}" for value in [now, *arm.true_tcp, *arm.angles, *arm.true_links])
+
+    def _put(self, row: Iterable[str]) -> None:
+        try:
+            self._stream.write(",".join(row) + "\n")
+        except OSError as error:
+            raise FileError(
+                self._path, f"cannot be written ({error.strerror})", "make room or log elsewhere"
+            ) from error
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._stream.close()
+
+
+R = TypeVar("R")
+
+MAX_CATCH_UP = 1.0
+"""[s] caught up at once; longer suspensions are skipped (chosen)"""
+
+
+class Timing(NamedTuple):
+    """Answer times, as measured on a myCobot 280."""
+
+    state: float = 0.012
+    """[s] to a state's answer"""
+    acknowledgement: float = 0.008
+    """[s] to an acknowledgement"""
+    jitter: float = 0.1
+    """relative deviation of both (chosen)"""
+    tick: float = 0.010
+    """[s] longest step of the plant (chosen)"""
+    pace: float = 1.0
+    """simulated seconds per second; 1 with a controller"""
+
+
+class EmulatedConversation(Conversation[R]):
+    """Lets the time of an emulated arm pass, and applies faults."""
+
+    def __init__(
+        self,
+        arm: EmulatedArm,
+        *,
+        timing: Timing | None = None,
+        seed: int = 0,
+        log: TruthLog | None = None,
+        faults: Faults = NONE,
+        **clock: Any,  # noqa: ANN401
+    ) -> None:
+        """``clock``: as in `Conversation`."""
+        super().__init__(**clock)
+        self._timing = timing or Timing()
+        self._emulated, self.tick, self._log = arm, self._timing.tick, log
+        self._wire, self._arm = WireFaults(faults, seed), ArmFaults(faults, arm)
+        # when the first byte came
+        self._began: float | None = None
+        # when the newest bytes came; those that came while a request was worked on count as come with that one
+        self._came = 0.0
+        self._now: float | None = None
+
+    def outlast_absence(self) -> None:
+        """Wait for a link; DeathError."""
+        while not self.stopping:
+            try:
+                self._look(None)
+            except LinkGoneError:
+                self._await_data(None, self.tick)
+            else:
+                break
+
+    def converse(self, channel: ByteStream) -> None:
+        """Serve one client until it is gone or the end."""
+        self._came = self._clock()
+        super().converse(channel)
+
+    def _hear(self, channel: ByteStream, timeout: float) -> bytes | None:
+        lay_there = self._await_data(channel.fileno(), 0.0)
+        if not self.wait(channel.fileno(), self._clock() + timeout) or not self._moves_on():
+            return None
+        if not lay_there:
+            self._came = self._clock()
+        data = channel.receive()
+        if data and self._began is None:
+            self._began = self._clock()
+            self._arm.advance(0.0)
+        return data
+
+    def _say(self, channel: ByteStream, pieces: list[bytes]) -> None:
+        for place, piece in enumerate(pieces):
+            if place:
+                self.wait(None, self._clock() + SPLIT_PAUSE)
+            if self._moves_on() and piece:
+                channel.send(piece)
+
+    def _moves_on(self) -> bool:
+        now = self._clock()
+        left = self._wire.still_until(self._elapsed(now)) - self._elapsed(now)
+        if left <= 0.0:
+            return True
+        self.wait(None, now + left)
+        return not self.stopping
+
+    def _elapsed(self, now: float) -> float:
+        """[s] since the first byte, or -1."""
+        return -1.0 if self._began is None else now - self._began
+
+    def _look(self, readable: int | None) -> None:  # noqa: ARG002 - time passes in any wait
+        self._wire.check(self._elapsed(self._catch_up()))
+
+    def _catch_up(self) -> float:
+        now = self._clock()
+        if self._now is None:
+            self._now = now
+        if now - self._now >= 1e-3:
+            if self._began is not None:
+                self._arm.advance(self._elapsed(now))
+            self._emulated.advance(min(now - self._now, MAX_CATCH_UP) * self._timing.pace)
+            self._now = now
+            if self._log is not None:
+                self._log.write(now, self._emulated)
+        return now
+
+
+READINGS = frozenset({0x20, 0x23, 0x3B, 0x3D, 0xD5})
+"""Questions that read encoders"""
+
+
+class WireSession(EmulatedConversation[Frame]):
+    """One arm's ``firmware`` with the answer times ``timing``."""
+
+    def __init__(self, firmware: Firmware, *, seed: int = 0, **options: Any) -> None:  # noqa: ANN401
+        super().__init__(firmware, seed=seed, **options)
+        self._firmware, self._rng = firmware, np.random.default_rng(seed)
+
+    def _finder(self) -> Decoder:
+        return Decoder()
+
+    def _answer(self, channel: ByteStream, request: Frame) -> None:
+        self._catch_up()
+        reply = answer(self._firmware, request)
+        if reply is None:
+            return
+        if request.command in READINGS:
+            self._arm.was_read()
+        mean = self._timing.state if reply.is_state else self._timing.acknowledgement
+        delay = mean * max(0.0, 1.0 + self._timing.jitter * self._rng.standard_normal())
+        self.wait(None, self._clock() + delay + self._wire.delay)
+        self._say(channel, self._wire.pieces(encode(request), encode(reply.frame)))
+
+
+def beyond_loopback(address: str) -> bool:
+    """Whether other machines can reach ``address``."""
+    place = urlsplit(address)
+    return place.hostname is not None and not ipaddress.ip_address(place.hostname).is_loopback
+
+
+def serve_tcp(firmware: Firmware, host: str = "127.0.0.1", port: int = 9000, **options: Any) -> Server:  # noqa: ANN401
+    """Listen on a TCP port (0: any free one); InputError."""
+    return on_port(WireSession(firmware, **options), host, port)
+
+
+def serve_pty(firmware: Firmware, **options: Any) -> Server:  # noqa: ANN401
+    """Open a pseudo-terminal; run the server to serve."""
+    return TerminalServer(WireSession(firmware, **options))
+
+
+def on_port(session: Conversation[Any], host: str = "127.0.0.1", port: int = 0) -> Server:
+    """Serve a conversation on a TCP port (0: any free one); InputError."""
+    return TcpServer(session, listen_tcp(host, port, BACKLOG))

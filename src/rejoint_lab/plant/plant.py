@@ -1,0 +1,453 @@
+"""A batch of simulated worn arms.
+
+The MuJoCo model has two hinges per axis: servo output, and play and flex behind it. All else are applied torques.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from numba import njit
+from numpy.typing import NDArray
+
+from rejoint.arms import Arm, Array, gravity_torque, tcp_pose
+from rejoint.arms.inertia import SpatialInertia, combined
+from rejoint.arms.kinematics import GRAVITY
+from rejoint.system.errors import InputError
+from rejoint_lab.plant import servo, sts3215
+from rejoint_lab.plant.servo import STEP, stream_keys
+from rejoint_lab.plant.wear import PARAMETERS, Wear, scale_of
+
+_DISABLED = "CONSTRAINT CONTACT ACTUATION SENSOR SPRING DAMPER WARMSTART AUTORESET"
+# [kg m^2] placeholders that keep the inertia matrix regular while MuJoCo compiles the chain.
+_ARMATURE = {"servo": 0.01, "gear": 0.001}
+
+
+def build_model(arm: Arm, gravity: Array = GRAVITY) -> mujoco.MjModel:
+    """Compile ``arm`` with 2n hinges under ``gravity`` (3,), without armatures."""
+    spec = mujoco.MjSpec()
+    spec.option.gravity = gravity
+    spec.option.timestep = STEP
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    for name in _DISABLED.split():
+        spec.option.disableflags |= getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}")
+    body = spec.worldbody
+    for i, name in enumerate(arm.joint_names):
+        quaternion = np.empty(4)
+        mujoco.mju_mat2Quat(quaternion, arm.offset[i, :3, :3].flatten())
+        inertia = arm.inertia[i]
+        body = body.add_body(
+            name=name,
+            pos=arm.offset[i, :3, 3],
+            quat=quaternion,
+            mass=arm.mass[i],
+            ipos=arm.com[i],
+            fullinertia=[*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2]],
+            explicitinertial=True,
+        )
+        for part, armature in _ARMATURE.items():
+            body.add_joint(name=f"{name}/{part}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=arm.axis[i], armature=armature)
+    return spec.compile()
+
+
+Mask = NDArray[np.bool_]
+Ids = NDArray[np.int64]
+
+# [N m] gravity torque below which a link rests in the middle of its play instead of at a flank.
+_NO_LOAD = 1e-6
+
+ARMS_PER_THREAD = 24
+"""(measured by processor time)"""
+
+
+class Truth(NamedTuple):
+    """Unknown deviations of the arms from their description."""
+
+    payload: Array | float = 0.0
+    """[kg] at the TCP, or (B,)"""
+    bodies: Sequence[Arm] | None = None
+    """(B,) true arms"""
+    gravity: Array = GRAVITY
+    """(3,) [m/s^2] in the base frame"""
+
+
+class _State:
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __get__(self, plant: Plant, _: object = None) -> Array:
+        return np.array(plant.servos[self._name])
+
+
+class Plant:
+    """B simulated arms in steps of a millisecond.
+
+    Arm i takes noise from the stream ``first + i`` of ``seed`` and moves bit for bit as alone.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        wears: Sequence[Wear],
+        *,
+        seed: int,
+        threads: int = 1,
+        first: int = 0,
+        truth: Truth | None = None,
+    ) -> None:
+        """Put the arms at rest."""
+        self.arm, truth = arm, truth or Truth()
+        self.count = len(wears)
+        self._pull = np.asarray(truth.gravity, dtype=float)
+        self._carried = _loaded(arm, np.broadcast_to(np.asarray(truth.payload, float), self.count), truth.bodies)
+        self._bent = () if truth.bodies is None else tuple(range(self.count))
+        self.joints = np.array([joint_records(arm, wear) for wear in wears])
+        """(B, n) as `servo.JOINT`"""
+        self.servos = np.zeros((self.count, arm.joints), servo.STATE)
+        """(B, n) as `servo.STATE`"""
+        self._tick = np.zeros(self.count, np.int64)
+        self._key = stream_keys(seed, self.count, first=first)
+        self._due = np.full((self.count, servo.QUEUE), servo.NEVER)
+        self._queue = np.zeros((self.count, servo.QUEUE, arm.joints))
+        self._firmware: tuple[NDArray[Any], ...] | None = None
+        self._history = np.zeros((self.count, servo.HISTORY, arm.joints))
+        worth = max(1, min(threads, self.count // ARMS_PER_THREAD))
+        self.batch = Batch(build_model(arm, self._pull), self.count, worth)
+        armature = self.batch.expand("dof_armature")
+        armature[:, 0::2] = self.joints["reflected_inertia"]
+        armature[:, 1::2] = servo.gear_armature(self.joints["link_stiffness"])
+        self._load_tools()
+        self.qpos, self.qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
+        """(B, 2 n) [rad] and [rad/s]: servo output and gear in turn"""
+        self._applied = self.batch.bind("qfrc_applied")
+        self._bodies = self.qpos, self.qvel, self._applied
+        self.servos["speed_limit"] = servo.ramp_speed(arm.max_speed)
+        self.servos["temperature"] = self.joints["ambient"]
+        self.reset(np.tile(arm.rest, (self.count, 1)))
+
+    @property
+    def time(self) -> Array:
+        """(B,) [s]."""
+        return np.asarray(self._tick * servo.STEP)
+
+    @property
+    def speed(self) -> Array:
+        """(B, n) [rad/s] of the servo outputs."""
+        return self.qvel[:, 0::2].copy()
+
+    torque = _State("torque")
+    """(B, n) [N m] of the motors"""
+    load = _State("load")
+    """(B, n) reported torque share, smoothed over 10 ms"""
+    temperature = _State("temperature")
+    """(B, n) [deg C]"""
+    goal = _State("goal")
+    """(B, n) [rad] command in the firmware"""
+
+    @property
+    def power(self) -> Mask:
+        """(B,)."""
+        return np.asarray(self.servos["powered"].all(axis=1))
+
+    def link_position(self) -> Array:
+        """(B, n) [rad] true links, behind play and flex."""
+        return self.qpos[:, 0::2] + self.qpos[:, 1::2]
+
+    def true_tcp(self) -> Array:
+        """(B, 3) [m] true tools."""
+        return self.true_pose()[:, :3, 3]
+
+    def true_pose(self) -> Array:
+        """(B, 4, 4) true tools."""
+        links = self.link_position()
+        pose = tcp_pose(self.arm, links)
+        for i in self._bent:
+            pose[i] = tcp_pose(self._carried[i], links[i])
+        return pose
+
+    def encoder(self, age: Array | float | None = None) -> Array:
+        """(B, n) [rad] encoder reading ``age`` (B,) [s] ago."""
+        steps = np.rint(np.broadcast_to(0.0 if age is None else age, self.count) / servo.STEP).astype(np.int64)
+        return self._history[np.arange(self.count), (self._tick - steps) % servo.HISTORY]
+
+    def reset(self, position: Array, where: Mask | None = None) -> None:
+        """Put the arms at rest at encoder ``position`` (B, n) [rad]."""
+        position = self._checked(position)
+        angle, gear, load = self._balance(position)
+        ids = self._selected(where)
+        self.qpos[ids, 0::2], self.qpos[ids, 1::2] = angle[ids], gear[ids]
+        self.qvel[ids], self._applied[ids] = 0.0, 0.0
+        torque = np.clip(load, -self.joints["torque_limit"], self.joints["torque_limit"])
+        step = self.arm.encoder_step
+        fresh: dict[str, Array | float] = {
+            "measured": np.rint(position / step) * step,
+            "measured_speed": 0.0,
+            "bristle": 0.0,
+            "torque": torque,
+            "load": torque / self.joints["torque_limit"],
+        }
+        for name, value in fresh.items():
+            self.servos[name][ids] = np.broadcast_to(value, position.shape)[ids]
+        self.servos["powered"][ids] = True
+        self.servos["frozen"][ids] = self.servos["blind"][ids] = False
+        self._history[ids] = self.servos["measured"][ids][:, None]
+        self._hold(ids, self._held(position, torque))
+
+    def command(self, position: Array, delay: Array | float | None = None, where: Mask | None = None) -> None:
+        """Send ``position`` (B, n) [rad]; it arrives after ``delay`` (B,) [s]."""
+        position = self._checked(position)
+        wait = np.broadcast_to(0.0 if delay is None else delay, self.count)
+        due = self._tick + np.ceil(wait / servo.STEP - 1e-9).astype(np.int64)
+        for i in self._selected(where):
+            slot = int(np.argmax(self._due[i]))
+            if self._due[i, slot] != servo.NEVER:
+                raise InputError(f"arm {i}: more than {servo.QUEUE} commands on their way")
+            self._due[i, slot], self._queue[i, slot] = due[i], position[i]
+
+    def advance(self, duration: Array | float, where: Mask | None = None) -> None:
+        """Advance by ``duration`` (B,) [s], in whole milliseconds."""
+        wanted = np.broadcast_to(duration, self.count)
+        steps = np.zeros(self.count, np.int64)
+        chosen = self._selected(where)
+        steps[chosen] = np.rint(wanted[chosen] / servo.STEP).astype(np.int64)
+        done = 0
+        for until in np.unique(steps[steps > 0]):  # arms with longer durations go on without the others
+            self._run(np.flatnonzero(steps >= until), int(until) - done)
+            done = int(until)
+
+    def set_power(self, on: Mask) -> None:
+        """Switch the servos of each arm (B,). Off: only friction. On: hold."""
+        rising = np.flatnonzero(on & ~self.power)
+        self.servos["powered"] = np.asarray(on)[:, None]
+        self._hold(rising, self.encoder())
+
+    def halt(self, where: Mask | None = None) -> None:
+        """Stop the reference and drop pending commands."""
+        self._hold(self._selected(where), self.servos["reference"])
+
+    def freeze(self, joints: Mask) -> None:
+        """Freeze the reported encoders of ``joints`` (B, n)."""
+        self.servos["frozen"] |= joints
+
+    def blind(self, joints: Mask) -> None:
+        """Freeze also what the servos of ``joints`` (B, n) see: they run away."""
+        self.servos["blind"] |= joints
+
+    def set_speed_limit(self, speed: Array | float) -> None:
+        """Limit the reference's speed [rad/s], above 0: (B,), (B, n) or a number."""
+        speed = np.asarray(speed, dtype=float)
+        self.servos["speed_limit"] = speed[:, None] if speed.ndim == 1 else speed
+
+    def _hold(self, ids: Ids, position: Array) -> None:
+        self._due[ids] = servo.NEVER
+        self.servos["goal"][ids] = self.servos["reference"][ids] = position[ids]
+
+    def _held(self, position: Array, torque: Array) -> Array:
+        """Command (B, n) [rad] for ``torque`` (B, n) [N m] at ``position``."""
+        return np.asarray(position + torque / self.joints["position_gain"] - self.joints["offset"])
+
+    def _run(self, ids: Ids, steps: int) -> None:
+        stepped = None if len(ids) == self.count else ids
+        for _ in range(steps):
+            arms, commands = (self.joints, self.servos), (self._due, self._queue)
+            _drive(ids, self._tick, self._key, arms, commands, self._bodies, self._firmware)
+            self.batch.step(stepped)
+            servo.record(ids, self._tick, self.joints, self.servos, self.qpos, self._history)
+
+    def _balance(self, position: Array) -> tuple[Array, Array, Array]:
+        """Servo angles, gear angles and motor torques (B, n) at rest."""
+        joints, seen = self.joints, np.zeros_like(position)
+        load = self._gravity(position)
+        for _ in range(5):  # the gear turns the links by a degree or two, which hardly changes the load
+            flank = np.where(np.abs(load) > _NO_LOAD, -0.5 * joints["play"] * np.sign(load), 0.0)
+            gear = flank - load / joints["link_stiffness"]
+            seen = np.where(joints["play_in_loop"], flank, 0.0)
+            load = self._gravity(position - seen + gear)
+        return position - seen, gear, load
+
+    def _gravity(self, position: Array) -> Array:
+        load = gravity_torque(self.arm, position, self._pull)
+        for i, arm in self._carried.items():
+            load[i] = gravity_torque(arm, position[i], self._pull)
+        return load
+
+    def _load_tools(self) -> None:
+        if not self._carried:
+            return
+        mass, com = self.batch.expand("body_mass"), self.batch.expand("body_ipos")
+        inertia, turn = self.batch.expand("body_inertia"), self.batch.expand("body_iquat")
+        for i, arm in self._carried.items():
+            for link in range(0 if self._bent else self.arm.joints - 1, self.arm.joints):
+                body = link + 1  # after the world
+                moments, axes = np.linalg.eigh(arm.inertia[link])
+                axes[:, 0] *= np.sign(np.linalg.det(axes))
+                mass[i, body], com[i, body], inertia[i, body] = arm.mass[link], arm.com[link], moments
+                mujoco.mju_mat2Quat(turn[i, body], axes.flatten())
+        if self._bent:
+            place, angle = self.batch.expand("body_pos"), self.batch.expand("body_quat")
+            for i in self._bent:
+                for link, offset in enumerate(self._carried[i].offset):
+                    place[i, link + 1] = offset[:3, 3]
+                    mujoco.mju_mat2Quat(angle[i, link + 1], offset[:3, :3].flatten())
+        self.batch.set_const(np.array(list(self._carried), dtype=np.int32))  # the masses of whole branches
+
+    def _selected(self, where: Mask | None) -> Ids:
+        return np.arange(self.count) if where is None else np.flatnonzero(where)
+
+    def _checked(self, position: Array) -> Array:
+        position = np.asarray(position, dtype=float)
+        if position.shape != (self.count, self.arm.joints) or not np.isfinite(position).all():
+            found = "some that are not" if np.shape(position) == (self.count, self.arm.joints) else np.shape(position)
+            raise InputError(
+                f"expected finite joint positions of shape {(self.count, self.arm.joints)} [rad], got {found}"
+            )
+        return position
+
+
+def _loaded(arm: Arm, payload: Array, bodies: Sequence[Arm] | None) -> dict[int, Arm]:
+    """Arms that differ: ``bodies``, and those with a ``payload`` (B,) [kg]."""
+    described, carried = arm, {} if bodies is None else dict(enumerate(bodies))
+    for i in np.flatnonzero(payload > 0.0):
+        arm = carried.get(int(i), described)
+        link = SpatialInertia(mass=float(arm.mass[-1]), com=arm.com[-1], inertia=arm.inertia[-1])
+        joined = combined([link, SpatialInertia(mass=float(payload[i]), com=arm.tip[:3, 3], inertia=np.zeros((3, 3)))])
+        carried[int(i)] = replace(
+            arm,
+            mass=np.append(arm.mass[:-1], joined.mass),
+            com=np.vstack([arm.com[:-1], joined.com]),
+            inertia=np.concatenate([arm.inertia[:-1], joined.inertia[None]]),
+        )
+    return carried
+
+
+def joint_records(arm: Arm, wear: Wear) -> NDArray[np.void]:
+    """`servo.JOINT` (n,) of an arm of some wear."""
+    if wear.position_gain.shape != (arm.joints,):
+        raise InputError(f"wear {wear.name} is for {len(wear.position_gain)} joints, arm {arm.name} has {arm.joints}")
+    records = np.zeros(arm.joints, servo.JOINT)
+    for name in (*PARAMETERS, "offset"):
+        records[name] = getattr(wear, name)
+    records["play_in_loop"], records["encoder_step"] = wear.play_in_loop, arm.encoder_step
+    records["lower"], records["upper"] = arm.lower, arm.upper
+    records["ambient"] = wear.ambient
+    records["no_load_speed"] = servo.no_load_speed(arm.max_speed)
+    scale = scale_of(arm)
+    servo.fill_constants(records, scale.torque, scale.time)
+    return records
+
+
+RECORDED_P = 32
+"""P of the profile ``so101`` (kscalelabs/sysid: 4.4 to 6 N m stall)"""
+
+
+class StsPlant(Plant):
+    """B arms with STS3215 servos and adjustable `sts3215.SETTING`.
+
+    A profile's ``position_gain`` gives the stall torque at `RECORDED_P`, its ``offset`` a constant torque.
+    """
+
+    def __init__(self, arm: Arm, wears: Sequence[Wear], *, seed: int, **options: Any) -> None:  # noqa: ANN401
+        super().__init__(arm, wears, seed=seed, **options)
+        shape, step, no_load = (len(wears), arm.joints), arm.encoder_step, self.joints["no_load_speed"]
+        self.settings = sts3215.as_sold(shape)
+        stall = self.joints["position_gain"] / (sts3215.GAIN_PER_P * RECORDED_P)
+        self.settings["stall"], self.settings["bias"] = stall, self.joints["position_gain"] * self.joints["offset"]
+        if np.isfinite(arm.servo_acceleration):
+            self.settings["acceleration"] = arm.servo_acceleration / step
+        measured = self.joints["damping_gain"] + self.joints["torque_limit"] / no_load
+        self.settings["viscous"] = np.maximum(measured - stall / no_load, 0.0)
+        self.status = np.zeros(shape, sts3215.STATUS)
+        """(B, n) `sts3215.STATUS`"""
+        self._errors, self._positions = np.zeros((2, *shape, sts3215.WINDOW), np.int64)
+        self._firmware = self.settings, self.status, self._errors, self._positions
+        self.reset(np.tile(arm.rest, (self.count, 1)))
+
+    def set_speed_limit(self, speed: Array | float) -> None:
+        """Limit the reference's speed: (B,), (B, n) or a number, [rad/s], above 0."""
+        super().set_speed_limit(speed)
+        self.settings["speed"] = self.servos["speed_limit"] / self.arm.encoder_step
+
+    def halt(self, where: Mask | None = None) -> None:
+        """Stop the reference and drop pending commands."""
+        self._hold(self._selected(where), self.status["reference"] * self.arm.encoder_step)
+
+    def _held(self, position: Array, torque: Array) -> Array:
+        """Command (B, n) [rad] for ``torque`` (B, n) [N m] at ``position``."""
+        if self._firmware is None:
+            return super()._held(position, torque)
+        setting = self.settings
+        output = sts3215.PWM_FULL * (torque - setting["bias"]) / setting["stall"]
+        size = np.maximum(np.abs(output) - setting["startup"], 0.0) * 4 / np.maximum(setting["p"], 1)
+        lead = np.where(np.abs(output) > 0.5, size + setting["dead_cw"], 0.0) * np.sign(output)
+        return np.asarray(position + np.rint(lead) * self.arm.encoder_step)
+
+    def _hold(self, ids: Ids, position: Array) -> None:
+        """Set goal and reference to ``position`` (B, n) [rad]."""
+        super()._hold(ids, position)
+        if self._firmware is None:
+            return
+        goal, here = (
+            np.rint(angle / self.arm.encoder_step).astype(np.int64) for angle in (position, self.servos["measured"])
+        )
+        fresh = {"goal": goal, "reference": goal, "filtered": here, "position": here}
+        for name in (*fresh, "rate", "speed", "sum", "alarms", "blocked", "over_current", "hot"):
+            self.status[name][ids] = fresh[name][ids] if name in fresh else 0
+        raw = goal - here
+        error = np.sign(raw) * np.maximum(np.abs(raw) - self.settings["dead_cw"], 0)
+        self._errors[ids], self._positions[ids] = error[ids][..., None], here[ids][..., None]
+
+
+# mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
+# ruff: noqa: ANN001, ANN202
+
+
+@njit(cache=True)
+def _drive(ids, tick, key, arms, commands, bodies, firmware):
+    """Write the next torques of the arms ``ids``.
+
+    ``arms``: JOINT and STATE (B, n); ``commands``: due steps (B, QUEUE), goals (B, QUEUE, n); ``bodies``: positions,
+    velocities, torques (B, 2n); ``firmware``: None, or SETTING, STATUS (B, n) and rings.
+    """
+    (joints, servos), (due, queue), (qpos, qvel, applied) = arms, commands, bodies
+    n = joints.shape[1]
+    for i in ids:
+        if due[i].min() <= tick[i]:
+            servo.receive(tick[i], due[i], queue[i], servos[i])
+            if firmware is not None:
+                for j in range(n):
+                    firmware[1][i, j].goal = int(np.rint(servos[i, j].goal / joints[i, j].encoder_step))
+        for j in range(n):
+            joint, state = joints[i, j], servos[i, j]
+            angle, speed = qpos[i, 2 * j], qvel[i, 2 * j]
+            gear_angle, gear_speed = qpos[i, 2 * j + 1], qvel[i, 2 * j + 1]
+            seen = state.measured if state.blind else servo.read_encoder(joint, angle, gear_angle)
+            if firmware is not None:
+                settings, status, errors, positions = firmware
+                state.measured = seen
+                push = sts3215.tick_servo(
+                    settings[i, j],
+                    status[i, j],
+                    (errors[i, j], positions[i, j]),
+                    joint,
+                    state,
+                    tick[i],
+                    int(np.rint(seen / joint.encoder_step)),
+                    speed,
+                )
+                state.torque = push
+                state.load = status[i, j].output / sts3215.PWM_FULL
+                push = push + settings[i, j].bias - settings[i, j].viscous * speed
+            else:
+                push = state.torque = servo.motor_torque(joint, state, seen, speed)
+                state.load += servo.LOAD_FILTER * (push / joint.torque_limit - state.load)
+            load = servo.gear_torque(joint, gear_angle, gear_speed)
+            unit = servo.uniform(key[i], tick[i] * n + j) if state.powered else 0.5
+            friction = servo.friction_torque(joint, state, speed, load)
+            applied[i, 2 * j] = push + friction + servo.disturbance(joint, angle, speed, unit)
+            applied[i, 2 * j + 1] = load
+            servo.warm_up(joint, state)

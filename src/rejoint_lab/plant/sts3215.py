@@ -1,0 +1,284 @@
+"""The position loop of an STS3215 in counts and per mille of PWM, per millisecond.
+
+Sources: 0o8o0-blip/sts3215-firmware (MIT), kscalelabs/sysid, Feetech's identification, a measured sag (lerobot, PR
+4310), Feetech's memory table.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from rejoint_lab.plant import servo
+from rejoint_lab.plant.servo import STEP, record_of
+
+# mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
+# ruff: noqa: ANN001, ANN201, ANN202
+
+
+COUNTS = 4096
+"""per turn"""
+WINDOW = 20
+"""[ticks] of speed and derivative (register 81: 20 ms)"""
+PWM_FULL = 1000
+"""[0.1 %]"""
+PWM_MOST = 970
+"""saturation"""
+NOMINAL_VOLTAGE = 12.0
+"""[V] of stall torque and no-load speed"""
+STALL_CURRENT = 12.0 / 9.03
+"""[A] by the winding of kscalelabs/sysid, 9.03 ohm; the data sheet says 2.7 A"""
+VOLTAGE, HEAT, CURRENT, OVERLOAD = 1, 4, 8, 32
+"""Bits of the status register"""
+GAIN_PER_P = COUNTS / (2 * np.pi) / 4 / PWM_FULL
+"""[1/rad] share of the stall torque per radian at P = 1: 0.163"""
+
+_SPEED_STEP = 50  # [counts/s] in which speeds are told
+_ENCODER_SHARE = 0.8  # of the newest reading in the filtered one
+_TRAVEL = 50  # [counts] of motion that show that a joint is not blocked
+_HOT_TICKS = 50  # ticks over the limit that count
+_COOL = 5.0  # [deg C] below the limit at which heat is forgotten
+_INTEGRAL_DIVISOR = 500
+
+SETTING = record_of(
+    whole="p d i startup integral_limit dead_cw dead_ccw torque_limit least most threshold unloading protective "
+    "protection_ticks overload current_ticks torque_on",
+    real="acceleration speed current_limit heat_limit low_voltage high_voltage voltage warmth stall bias viscous",
+)
+"""Settings: outputs in 0.1 % PWM, ``least`` and ``most`` in counts (equal: none), counts/s^2, counts/s, A,
+``torque_on`` 0, 1 or 2 (damping). Environment: ``voltage`` [V], ``warmth`` [K], ``stall`` [N m], ``bias`` [N m],
+``viscous`` [N m s/rad]."""
+
+STATUS = record_of(
+    whole="goal position speed error output alarms blocked blocked_at sign over_current hot",
+    real="reference rate filtered sum current",
+    flag="moving",
+)
+"""State: counts, counts/s, 0.1 % PWM, A; ``alarms`` are bits, then counters in ticks"""
+
+DEFAULTS = {
+    "p": 32, "d": 32, "i": 0, "startup": 16, "integral_limit": 0, "dead_cw": 1, "dead_ccw": 1, "torque_limit": 1000,
+    "least": 0, "most": 0, "acceleration": 10_000.0, "speed": 7500.0, "threshold": 2, "unloading": 44,
+    "protective": 200, "protection_ticks": 2000, "overload": 800, "current_limit": 310 * 0.0065, "current_ticks": 2000,
+    "heat_limit": 70.0, "low_voltage": 4.0, "high_voltage": 14.0, "torque_on": 1, "voltage": NOMINAL_VOLTAGE,
+    "warmth": 0.0, "stall": 2.94, "bias": 0.0, "viscous": 0.0,
+}  # fmt: skip
+"""As sold (C018), powered, torque on"""
+
+
+def as_sold(shape: tuple[int, ...]) -> NDArray[np.void]:
+    """Return `SETTING` of this shape."""
+    settings = np.zeros(shape, SETTING)
+    for name, value in DEFAULTS.items():
+        settings[name] = value
+    return settings
+
+
+@njit(cache=True)
+def ramp(setting, status):
+    """Move the reference by one tick, on a trapezoid of speed."""
+    goal = float(status.goal)
+    if setting.least != setting.most:
+        goal = min(max(goal, float(setting.least)), float(setting.most))
+    left = goal - status.reference
+    gain = setting.acceleration * STEP
+    braking = gain * (np.sqrt(0.25 + 2.0 * abs(left) / (gain * STEP)) - 0.5)  # from it the goal is reached in steps
+    wanted = min(setting.speed, braking)
+    wanted = wanted if left >= 0.0 else -wanted
+    status.rate += min(max(wanted - status.rate, -gain), gain)
+    stride = status.rate * STEP
+    if abs(left) <= max(abs(stride), 0.5) and abs(status.rate) <= 2.0 * gain:
+        status.reference, status.rate = goal, 0.0
+    else:
+        status.reference += stride
+
+
+@njit(cache=True)
+def sense(status, count, positions, tick):
+    """Take an encoder reading, and the speed over `WINDOW`; ``positions`` (WINDOW,)."""
+    status.filtered += _ENCODER_SHARE * (count - status.filtered)
+    status.position = int(np.rint(status.filtered))
+    slot = tick % WINDOW
+    speed = (status.position - positions[slot]) / (WINDOW * STEP)
+    status.speed = int(speed / _SPEED_STEP) * _SPEED_STEP
+    positions[slot] = status.position
+
+
+@njit(cache=True)
+def output_of(setting, status, errors, tick):
+    """Output [0.1 % PWM]; ``errors`` (WINDOW,)."""
+    raw = int(status.reference) - status.position
+    error = max(raw - setting.dead_cw, 0) if raw > 0 else min(raw + setting.dead_ccw, 0)
+    slot = tick % WINDOW
+    change = error - errors[slot]
+    errors[slot] = error
+    status.error = error
+    if abs(change) < setting.threshold:
+        change = 0
+    output = int(error * setting.p / 4) + int(change * setting.d / 8)
+    if setting.i == 0:
+        status.sum = 0.0
+    part = int(status.sum * setting.i / _INTEGRAL_DIVISOR)
+    if setting.integral_limit:
+        part = min(max(part, -4 * setting.integral_limit), 4 * setting.integral_limit)
+    output += part
+    if output > 0:
+        output += setting.startup
+    elif output < 0:
+        output -= setting.startup
+    held = min(max(output, -setting.torque_limit), setting.torque_limit)
+    if setting.i != 0 and abs(status.speed) < _SPEED_STEP and not status.alarms & setting.unloading:
+        status.sum += error + (held - output)  # what the clamp cut off is not counted
+    return held
+
+
+@njit(cache=True)
+def protect(setting, status, output, temperature):
+    """Update the alarms of a tick; returns the allowed ``output``."""
+    turned = output * status.sign < 0
+    if abs(output) > setting.overload:
+        if status.blocked == 0 or abs(status.position - status.blocked_at) > _TRAVEL:
+            status.blocked, status.blocked_at = 0, status.position
+        status.blocked += 1
+        if status.blocked > setting.protection_ticks and not status.alarms & OVERLOAD:
+            status.alarms |= OVERLOAD
+            status.sign = 1 if output > 0 else -1
+    else:
+        status.blocked = 0
+    if status.alarms & OVERLOAD and (turned or abs(output) <= setting.protective):
+        status.alarms &= ~OVERLOAD
+        status.blocked = 0
+    if abs(status.current) > setting.current_limit:
+        status.over_current += 1
+        if status.over_current > setting.current_ticks:
+            status.alarms |= CURRENT
+            if setting.unloading & CURRENT:
+                setting.torque_on = 0
+    else:
+        status.over_current = 0
+    status.hot = status.hot + 1 if temperature > setting.heat_limit else 0
+    if status.hot > _HOT_TICKS:
+        status.alarms |= HEAT
+    elif temperature < setting.heat_limit - _COOL:
+        status.alarms &= ~HEAT
+    if setting.low_voltage <= setting.voltage <= setting.high_voltage:
+        status.alarms &= ~VOLTAGE
+    else:
+        status.alarms |= VOLTAGE
+    masked = status.alarms & setting.unloading
+    if masked & HEAT:
+        return 0
+    if masked & OVERLOAD:
+        return min(max(output, -setting.protective), setting.protective)
+    return output
+
+
+@njit(cache=True)
+def torque_of(setting, status, powered, speed, no_load_speed):
+    """Motor torque [N m] at ``speed`` [rad/s] and the present voltage."""
+    braked = setting.stall * speed / no_load_speed
+    if not powered or setting.torque_on == 0:
+        status.output, status.current = 0, 0.0
+        return 0.0  # the windings are open
+    if setting.torque_on == 2:
+        status.output = 0
+        return -braked
+    duty = min(max(status.output, -PWM_MOST), PWM_MOST) / PWM_FULL
+    torque = setting.stall * duty * setting.voltage / NOMINAL_VOLTAGE - braked
+    status.current = STALL_CURRENT * torque / setting.stall
+    return torque
+
+
+@njit(cache=True)
+def tick_servo(setting, status, rings, joint, state, tick, count, speed):
+    """One millisecond of a servo at ``count``; returns the motor torque [N m]."""
+    errors, positions = rings
+    powered, temperature = state.powered, state.temperature
+    sense(status, count, positions, tick)
+    if not powered or setting.torque_on != 1:
+        status.reference, status.rate, status.sum = float(status.position), 0.0, 0.0
+        status.goal = status.position
+        status.alarms &= ~(OVERLOAD | CURRENT)
+        errors[:] = 0
+        status.moving = status.speed != 0
+        status.output = protect(setting, status, 0, temperature + setting.warmth)
+    else:
+        ramp(setting, status)
+        status.output = protect(setting, status, output_of(setting, status, errors, tick), temperature + setting.warmth)
+        status.moving = status.rate != 0.0 or status.speed != 0
+    return torque_of(setting, status, powered, speed, joint.no_load_speed)
+
+
+STEP_ANGLE = 2 * np.pi / COUNTS
+_NO_LOAD_SPEED = 4.71  # [rad/s] 45 rpm
+_FRICTION = 0.05  # [N m] of a bare servo (fits of Rhoban/bam: 0.051 and 0.053)
+_INERTIA = 0.0261  # [kg m^2] motor and gear, seen from the output (Rhoban/bam)
+
+
+class BareServos:
+    """n servos without an arm."""
+
+    def __init__(self, count: int, *, lower: float = -np.inf, upper: float = np.inf) -> None:
+        """``lower`` and ``upper`` [rad]: mechanical stops."""
+        self.settings = as_sold((count,))
+        self.status = np.zeros(count, STATUS)
+        self.joints, self.servos = np.zeros(count, servo.JOINT), np.zeros(count, servo.STATE)
+        known = {
+            "coulomb": _FRICTION,
+            "stiction": 1.1 * _FRICTION,
+            "reflected_inertia": _INERTIA,
+            "lower": lower,
+            "upper": upper,
+            "no_load_speed": _NO_LOAD_SPEED,
+            "stop_stiffness": 60.0,
+            "stop_damping": 0.5,
+        }
+        for name, value in known.items():
+            self.joints[name] = value
+        self.joints["ambient"] = servo.AMBIENT
+        self.joints["torque_limit"] = self.settings["stall"]
+        self.servos["temperature"], self.servos["powered"] = servo.AMBIENT, True
+        self.angle, self.speed, self.push = np.zeros(count), np.zeros(count), np.zeros(count)
+        """(n,) [rad], [rad/s] of the shafts, and external torque [N m]"""
+        self._errors = np.zeros((count, WINDOW), np.int64)
+        self._positions = np.zeros((count, WINDOW), np.int64)
+        self._tick = 0
+
+    def advance(self, duration: float, *, blocked: bool = False) -> None:
+        """Advance by ``duration`` [s], in whole milliseconds; ``blocked`` shafts do not move."""
+        steps = round(duration / STEP)
+        _turn(
+            steps,
+            self._tick,
+            (self.settings, self.status, self._errors, self._positions),
+            (self.joints, self.servos),
+            (self.angle, self.speed, self.push),
+            blocked,
+        )
+        self._tick += steps
+
+
+@njit(cache=True)
+def _turn(steps, tick, firmware, arms, shafts, blocked):
+    (settings, status, errors, positions), (joints, servos), (angle, speed, push) = firmware, arms, shafts
+    for step in range(steps):
+        for j in range(len(settings)):
+            joint, state = joints[j], servos[j]
+            state.torque = tick_servo(
+                settings[j],
+                status[j],
+                (errors[j], positions[j]),
+                joint,
+                state,
+                tick + step,
+                int(np.rint(angle[j] / STEP_ANGLE)),
+                speed[j],
+            )
+            servo.warm_up(joint, state)
+            if blocked:
+                continue
+            torque = state.torque + push[j] + servo.disturbance(joint, angle[j], speed[j], 0.5)
+            torque += servo.friction_torque(joint, state, speed[j], 0.0)
+            speed[j] += STEP * torque / joint.reflected_inertia
+            angle[j] += STEP * speed[j]

@@ -1,0 +1,157 @@
+"""Moving targets on fresh arms: each is diagnosed and identified, then follows paths; finished blocks are kept."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, fields
+from functools import partial
+from pathlib import Path as FilePath
+
+import numpy as np
+
+from rejoint.arms import Arm
+from rejoint.control.classical import DefaultController
+from rejoint.control.comparison.result import Columns
+from rejoint.control.loop import Schedule, run
+from rejoint.control.moving.drive import Along, Repetition, judge, missed
+from rejoint.control.moving.posture import PathPostures, Servos, home_of
+from rejoint.control.moving.reference import (
+    LAG,
+    LEAD_IN,
+    STANDARD,
+    Ahead,
+    Guide,
+    PathReference,
+    played,
+    standard_path,
+)
+from rejoint.control.moving.tracker import Tracker
+from rejoint.control.recording import Recording
+from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.system.progress import Progress, part
+from rejoint.twin.twin import Twin
+from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.plant.wear import Wear, load_wear
+from rejoint_lab.research.evaluation.family import ArmFamily
+from rejoint_lab.research.evaluation.trials import keep, own_twin
+
+RATE = 30.0
+"""[Hz] of a path's setpoints where it is not known ahead"""
+REPETITIONS = 10
+BLOCK = 5
+"""Arms that move side by side (chosen)"""
+SENT, HEALTHY, KNOWN, STREAM = "worn, sent as it comes", "healthy, sent as it comes", "known ahead", "as it goes, 30 Hz"
+REPEATED = f"time {REPETITIONS} of one path"
+CASES = (HEALTHY, SENT, KNOWN, REPEATED, STREAM)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MovingRow:
+    """One case on one path, over the arms: rms errors."""
+
+    case: str
+    path: str
+    arms: int
+    mean: float
+    """[m] after the best single lag for online paths"""
+    middle: float
+    """[m] median"""
+    high: float
+    """[m] 95th percentile"""
+    largest: float
+    """[m] largest error of any arm at any time"""
+    lag: float
+    """[s] median"""
+    stopped: int
+
+
+def evaluate_moving(arm: Arm, family: ArmFamily, out: FilePath, threads: int, on_progress: Progress) -> list[MovingRow]:
+    """Let every arm follow the standard paths in all cases; resumes in ``out``."""
+    parts = []
+    for first in range(0, family.arms, BLOCK):
+        seeds = [family.wear_seed(i) for i in range(first, min(first + BLOCK, family.arms))]
+        ahead = part(on_progress, first / family.arms, min(first + BLOCK, family.arms) / family.arms)
+        twins = partial(_twins, arm, seeds, family.seed, out, part(ahead, 0.0, 0.5))
+        identity = {"arm": arm.name, "seeds": seeds, "cases": CASES}
+        file = out / "moving" / f"{seeds[0]}-{seeds[-1]}.parquet"
+        parts.append(keep(file, identity, partial(_follow, arm, seeds, twins, threads, part(ahead, 0.5, 1.0))))
+    found = {name: np.concatenate([one[name] for one in parts]) for name in parts[0]}
+    return [_row(case, path, found) for case in CASES for path in STANDARD]
+
+
+def _twins(arm: Arm, seeds: Sequence[int], family: int, out: FilePath, on_progress: Progress) -> list[Twin]:
+    ends = np.linspace(0.0, 1.0, len(seeds) + 1)
+    return [  # the same plan of excitation for all of them: a few are not safe and are refused
+        own_twin(arm, seed, RunFolder(out / "arms" / str(seed)), family, part(on_progress, *ends[i : i + 2]))
+        for i, seed in enumerate(seeds)
+    ]
+
+
+def _follow(
+    arm: Arm, seeds: Sequence[int], twins: Callable[[], list[Twin]], threads: int, on_progress: Progress
+) -> Columns:
+    """Follow all paths with each arm in all cases; returns errors (A P, C)."""
+    pairs = [(twin.parameters, seed, name) for twin, seed in zip(twins(), seeds, strict=True) for name in STANDARD]
+    servos = Servos(**{f.name: np.stack([getattr(twin, f.name) for twin, *_ in pairs]) for f in fields(Servos)})
+    paths = [standard_path(name, arm, seed) for _, seed, name in pairs]  # random ones differ from arm to arm
+    ahead, home = [Ahead(path=path) for path in paths], home_of(arm, servos)
+    worn, columns = [load_wear(f"worn?seed={seed}", arm) for _, seed, _ in pairs], list[list[list[float]]]()
+
+    def drive(
+        case: str, wears: list[Wear], guides: Sequence[Guide], *, tracks: bool = True, noise: int = 0
+    ) -> Recording:
+        on_progress(len(columns) / len(CASES), case)
+        near = home if tracks else None
+        start = PathPostures(arm, np.stack([path.place[0] for path in paths]), home=near).last
+        robot = EmulatedRobot(arm, wears, seed=seeds[0] + noise, start=start, threads=threads)
+        plan = Schedule(dwell=LEAD_IN + LAG + max(path.duration for path in paths), sent=start, keep_going=True)
+        controller = Tracker(arm, servos) if tracks else DefaultController(arm)
+        recording = run(robot, controller, PathReference(arm, guides, near), plan)
+        if case in CASES:
+            errors = [judge(arm, recording, Ahead(path=path), b).encoder for b, path in enumerate(paths)]
+            ends = zip(errors, recording.tripped, strict=True)
+            columns.append([[*asdict(one).values(), float(end > 0)] for one, end in ends])
+        return recording
+
+    drive(HEALTHY, [load_wear("healthy", arm)] * len(worn), ahead, tracks=False)
+    drive(SENT, worn, ahead, tracks=False)
+    known, lessons = ahead, [Repetition(path) for path in paths]
+    for time in range(REPETITIONS):
+        case = {0: KNOWN, REPETITIONS - 1: REPEATED}.get(time, f"time {time + 1}")
+        recording = drive(case, worn, known, noise=time)
+        known = [
+            Ahead(path=one.path, aim=lesson.learn(one.aim or one.path, *missed(arm, recording, one, one.path, b)))
+            for b, (one, lesson) in enumerate(zip(known, lessons, strict=True))
+        ]
+    drive(STREAM, worn, [played(path, RATE) for path in paths])
+    names = (*(f.name for f in fields(Along)), "stopped")
+    return dict(zip(names, np.array(columns).T, strict=True))
+
+
+def _row(case: str, path: str, found: Columns) -> MovingRow:
+    own = {name: values[STANDARD.index(path) :: len(STANDARD), CASES.index(case)] for name, values in found.items()}
+    after = "_after" * (case == STREAM)
+    rms = own[f"rms{after}"]
+    return MovingRow(
+        case=case,
+        path=path,
+        arms=len(rms),
+        mean=float(rms.mean()),
+        middle=float(np.median(rms)),
+        high=float(np.percentile(rms, 95)),
+        largest=float(own[f"largest{after}"].max()),
+        lag=float(np.median(own["lag"])),
+        stopped=int(own["stopped"].sum()),
+    )
+
+
+def moving_table(rows: Sequence[MovingRow]) -> tuple[str, list[str], list[list[str]]]:
+    """Title, headers and rows: mean (95th percentile) over the arms in mm."""
+    title = (
+        f"{rows[0].arms} arms: root mean square encoder error along the way in mm, mean over the arms (95th "
+        "percentile); as it goes: after the best single lag"
+    )
+    cells = [
+        [case, *(f"{1e3 * row.mean:.2f} ({1e3 * row.high:.2f})" for row in rows if row.case == case)] for case in CASES
+    ]
+    return title, ["case", *STANDARD], cells

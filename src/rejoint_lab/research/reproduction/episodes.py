@@ -1,0 +1,185 @@
+"""Figs. 11 and 12: policies at the paper's task, on randomised twins that no training has seen."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyarrow.parquet as pq
+from matplotlib.figure import Figure
+
+from rejoint.arms import Array
+from rejoint.control.comparison.result import Columns
+from rejoint.control.observation import POINT_SCALE, Observation, layout_slots
+from rejoint.control.policy import PolicyController, load_policy
+from rejoint.pages.html import BLUE, ORANGE, RED
+from rejoint.pages.report.figures import TITLE, WIDE, Series, Ways, canvas, legend, ways
+from rejoint.system.errors import FileError
+from rejoint.training.presets import PAPER
+from rejoint.training.ranges import PaperRanges, Ranges
+from rejoint.training.task import ReachTask
+from rejoint_lab.research.evaluation.trials import keep
+from rejoint_lab.research.reproduction.bench import Bench, Found, Printed
+from rejoint_lab.research.reproduction.trainings import HEALTHY, WORN
+
+DRAWN = 12
+"""paths on Fig. 11; chosen"""
+ARMS = 256
+"""episodes of Fig. 11"""
+CONVERGED = -5.0
+"""Reward reached in Fig. 12 of Park et al. 2024"""
+LAST = 3
+"""Averaged last policies; chosen"""
+CONDITIONS = {
+    "with Real2Sim ranges": (WORN, "worn", BLUE),
+    "without, on the worn arms": (HEALTHY, "worn", RED),
+    "without, on its own normal arm": (HEALTHY, "healthy", ORANGE),
+}
+"""Trainings, arms on which they are judged, look"""
+_SEED = 1_000_003
+"""Seed increment of the evaluated arms"""
+
+
+def play(
+    controller: PolicyController, ranges: Ranges, arms: int, *, seed: int, noise: float = 0.0, threads: int = 1
+) -> Columns:
+    """Run one episode on each of N ``arms``; ``noise``: exploration in units of the action.
+
+    Returns accumulated ``reward``, ``steps``, ``reached`` and ``collided`` (N,), the ``tcp`` (T, N, 3) [m] from the
+    start, NaN after the end, and the ``target`` (N, 3) [m].
+    """
+    task = ReachTask(controller.arm, ranges, arms, PAPER.task, seed=_SEED + seed, threads=threads)
+    rng = np.random.default_rng(seed)
+    observation, _ = task.reset(staggered=False)
+    target, paths = _point(observation, "target"), [_point(observation, "tcp")]
+    going, found = np.ones(arms, dtype=bool), dict(zip(MEASURES, np.zeros((4, arms)), strict=True))
+    while going.any():
+        action = controller.act(observation) + rng.normal(0.0, noise, (arms, controller.arm.joints))
+        result = task.step(action)
+        events = (result.reward, going, result.terminated, result.collided)
+        for total, event in zip(found.values(), events, strict=True):
+            total += np.where(going, event, 0.0)
+        paths.append(np.where(going[:, None], _point(result.final_observation, "tcp"), np.nan))
+        going = going & ~(result.terminated | result.truncated)
+        observation = result.observation
+    return found | {"tcp": np.stack(paths), "target": target}
+
+
+MEASURES = ("reward", "steps", "reached", "collided")
+
+
+def _point(observation: Observation, name: str) -> Array:
+    """Point (N, 3) [m] in observations of equation 16."""
+    slots = layout_slots("equation-16", (observation.shape[1] - 10) // 3)
+    at = [slot.name for slot in slots].index(name)
+    begin = sum(slot.size for slot in slots[:at])
+    return observation[:, begin : begin + 3].astype(float) / POINT_SCALE
+
+
+def ranges_of(bench: Bench, kind: str) -> Ranges:
+    """Arms with the paper's P and D, or ``healthy`` ones."""
+    if kind == "healthy":
+        return PaperRanges.healthy(bench.arm, PAPER.joint_noise)
+    return PaperRanges(arm=bench.arm, joint_noise=PAPER.joint_noise)
+
+
+def measure_paths(bench: Bench) -> Found:
+    """Play the same episodes before and after training."""
+    folder, ranges = bench.training(WORN[0]), ranges_of(bench, "worn")
+    noises = pq.read_table(folder.outputs.curves, columns=["noise"])["noise"].to_numpy()
+    arms, found, played = min(ARMS, 4 * bench.scale.judged), Found(), {}
+    for key, file, noise in (
+        ("first", folder.outputs.snapshot(0), noises[0]),
+        ("quiet", folder.outputs.snapshot(0), 0.0),
+        ("last", folder.policy, 0.0),
+        ("busy", folder.policy, noises[-1]),
+    ):
+        controller = load_policy(file, bench.arm)
+        played[key] = one = play(controller, ranges, arms, seed=bench.seed, noise=noise, threads=bench.threads)
+        way = np.nansum(np.linalg.norm(np.diff(one["tcp"], axis=0), axis=-1), axis=0)
+        found[f"{key}_way"] = np.median(way / np.linalg.norm(one["target"] - one["tcp"][0], axis=-1))
+        found |= {f"{key}_{name}": 100 * one[name].mean() for name in ("reached", "collided")}
+    panels = [
+        Ways(
+            title=title,
+            look=look,
+            paths=list(np.moveaxis(played[key]["tcp"][:, :DRAWN], 1, 0)),
+            targets=played[key]["target"][:DRAWN],
+            numbered=False,
+            radius=0.005,
+        )
+        for title, look, key in (("first episode, exploring", RED, "first"), ("trained", BLUE, "last"))
+    ]
+    start, box = played["last"]["tcp"][0, 0], bench.arm.targets
+    limits = np.stack([np.minimum(box.lower, start) - 0.06, np.maximum(box.upper, start) + 0.06], axis=1)
+    bench.draw(ways(panels, limits), "fig-11")
+    return found | {"arms": arms}
+
+
+def measure_course(bench: Bench) -> Found:
+    """Judge the policies of all trainings on the same arms."""
+    jobs = [(label, name, arms) for label, (names, arms, _) in CONDITIONS.items() for name in names]
+    courses: dict[str, list[Columns]] = {label: [] for label in CONDITIONS}
+    for done, (label, name, arms) in enumerate(jobs):
+        bench.on_progress(done / len(jobs), f"policies of {name} on {arms} arms")
+        courses[label].append(course(bench, name, arms))
+    cycles = PAPER.ppo.rollout * courses[label][0]["updates"]
+    curves = {(label, key): np.array([one[key] for one in some]) for label, some in courses.items() for key in MEASURES}
+    ends = {at: values[:, -LAST:].mean(axis=1) for at, values in curves.items()}
+    own, other, home = CONDITIONS
+    rewards = curves[other, "reward"].mean(axis=0)
+    below = np.flatnonzero(curves[own, "reward"].mean(axis=0) <= CONVERGED)
+    first = int(below[-1]) + 1 if len(below) else 0
+    better = ends[own, "reward"].min() > ends[other, "reward"].max()
+    found: Found = {
+        f"{label}_{key}": _range(factor * ends[name, key])
+        for label, name in (("own", own), ("other", other), ("home", home))
+        for key, factor in zip(MEASURES, (1.0, 1.0, 100.0, 100.0), strict=True)
+    }
+    bench.draw(over_training(cycles, curves), "fig-12")
+    return found | {
+        "converged": f"{cycles[first]:.0f}" if first < len(cycles) else "never",
+        "highest": cycles[np.argmax(rewards)],
+        "apart": "yes" if better and ends[own, "steps"].max() < ends[other, "steps"].min() else "no",
+        "every": bench.scale.snapshot_every * PAPER.ppo.rollout,
+        "judged": bench.scale.judged,
+    }
+
+
+def _range(values: Array) -> Printed:
+    return Printed(values.mean(), f"{values.mean():.3g} ({values.min():.3g} to {values.max():.3g})")
+
+
+def course(bench: Bench, name: str, arms: str) -> Columns:
+    """Judge the policies of a training: means (K,) over the episodes, with the ``updates`` (K,) of the policies."""
+    folder = bench.training(name)
+    files = {int(file.stem.rpartition("-")[2]): file for file in sorted(folder.outputs.folder.glob("policy-*.onnx"))}
+    if not files:
+        raise FileError(folder.outputs.folder, "no policies of the training's course", "delete it, run it again")
+    files[max(files) + bench.scale.snapshot_every] = folder.policy
+
+    def judge() -> Columns:
+        played = [
+            play(load_policy(file, bench.arm), ranges_of(bench, arms), count, seed=bench.seed, threads=bench.threads)
+            for file in files.values()
+        ]
+        means = {key: np.array([one[key].mean() for one in played]) for key in MEASURES}
+        return means | {"updates": np.array(list(files), dtype=float)}
+
+    count = bench.scale.judged
+    identity = {"training": name, "arms": arms, "count": count, "seed": bench.seed}
+    return keep(folder.path / f"course-{arms}.parquet", identity, judge)
+
+
+def over_training(steps: Array, curves: dict[tuple[str, str], Array]) -> Figure:
+    """Draw reward and steps (seeds, K) over ``steps`` (K,), with bands over the seeds."""
+    figure, grid = canvas((WIDE, 3.5), 1, 2)
+    for axes, (key, name) in zip(
+        grid[0], (("reward", "reward per episode"), ("steps", "time steps per episode")), strict=True
+    ):
+        for label, (_, _, look) in CONDITIONS.items():
+            values = curves[label, key]
+            low, mean, high = values.min(axis=0), values.mean(axis=0), values.max(axis=0)
+            Series(label=label, look=look, value=mean, low=low, high=high).line(axes, steps)
+        axes.set(xlabel="time steps of each agent", xlim=(steps[0], steps[-1]))
+        axes.set_title(name, **TITLE)
+    legend(figure, grid[0, 0])
+    return figure

@@ -1,0 +1,200 @@
+"""Fig. 9, Table 3 and Table 4: controllers on a healthy and on a worn arm, by the trials of all evaluations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from rejoint.arms import Arm, Array, tcp_position
+from rejoint.control.catalogue import make_controller
+from rejoint.control.comparison.protocols import schedule
+from rejoint.control.comparison.result import Columns, Protocol
+from rejoint.control.controller import Controller
+from rejoint.control.loop import run
+from rejoint.control.observation import layout_size
+from rejoint.control.policy import load_policy
+from rejoint.control.robot import Robot
+from rejoint.pages.html import BLUE, RED, look_of
+from rejoint.pages.report.contents import read_curves
+from rejoint.pages.report.figures import Series, Ways, bounds, error_per_target, ways
+from rejoint.pages.report.tables import plain_table, result_columns
+from rejoint.pages.words import measured
+from rejoint.robots import open_robot
+from rejoint.system.statistics import FEWEST_CLUSTERS, Spread
+from rejoint.training.presets import PAPER
+from rejoint_lab.research.evaluation.family import ArmFamily
+from rejoint_lab.research.evaluation.summary import VariantRow, make_row
+from rejoint_lab.research.evaluation.trials import TrialArms, TrialSettings, keep, try_on
+from rejoint_lab.research.reproduction.bench import Bench, Found, Grid, Printed
+from rejoint_lab.research.reproduction.trainings import LITERALLY, WORN, recipe
+
+DWELL = 5.0
+"""[s] per target of Fig. 9; chosen"""
+LAST = 5
+"""last updates that are averaged; chosen"""
+NAMES = {
+    "default": "default",
+    "pid-sum": "PID, plain sum",
+    "pid-literal": "PID, as printed",
+    "policy": "DT-DRL",
+}
+
+
+def try_arm(bench: Bench, name: str, protocol: Protocol, profile: str = "worn", *, only: str = "") -> Columns:
+    """Try a controller, or the policy of a training, on all targets; ``only`` by one of the protocols.
+
+    Results (S R, K); targets of a set are those of one "arm", or each repetition is one where sets are few.
+    """
+    scale = bench.scale
+    crossings, holds = (scale.targets * (only in ("", kind)) for kind in ("crossing", "hold"))
+    repetitions = 1 if only == "hold" else scale.repetitions
+    targets = np.repeat(bench.targets, repetitions, axis=0)
+    labels = np.arange(len(targets)) // (repetitions if scale.sets >= FEWEST_CLUSTERS else 1)
+    arms = TrialArms(open=partial(_open, bench, profile, len(targets)), targets=targets, wear_seed=labels.astype(float))
+    settings = TrialSettings(
+        family=ArmFamily(arms=len(targets), targets=holds, crossings=crossings),
+        protocol=protocol,
+        threads=bench.threads,
+    )
+    identity = {"seed": bench.seed, "settings": str(settings), "profile": profile}
+    path = bench.folder / "outcomes" / f"{profile}--{name}{only and f'--{only}'}.parquet"
+    return keep(path, identity, lambda: try_on(bench.arm, arms, _maker(bench, name), settings, lambda done: None))  # noqa: ARG005
+
+
+def _maker(bench: Bench, name: str) -> Callable[[Arm], Controller]:
+    if name in NAMES:
+        return partial(make_controller, name)
+    return partial(load_policy, bench.training(name).policy)
+
+
+def _open(bench: Bench, profile: str, count: int) -> Robot:
+    return open_robot(f"emulated:{profile}", arm=bench.arm, seed=bench.seed, count=count, threads=bench.threads)
+
+
+def _row(name: str, outcomes: list[Columns], protocol: Protocol) -> VariantRow:
+    return make_row("", name, {key: np.stack([one[key] for one in outcomes], axis=1) for key in outcomes[0]}, protocol)
+
+
+def _mm(one: Spread | None, places: int = 2) -> Printed:
+    if one is None:
+        return Printed(np.nan, "-")
+    std = "" if one.std is None else f" ± {1e3 * one.std:.{places}f}"
+    return Printed(1e3 * one.mean.value, f"{1e3 * one.mean.value:.2f}{std} mm")
+
+
+def _ten(row: VariantRow) -> Printed:
+    """Time [s] for all targets of a set."""
+    time = np.nan if row.cycle_time is None else row.cycle_time.mean.value
+    return Printed(time, f"{time:.1f}")
+
+
+def measure_wear(bench: Bench) -> Found:
+    """Send the default controller of a healthy and of a worn arm to the same targets."""
+    protocol, found, series = Protocol(hold=DWELL), Found(), list[Series]()
+    for profile, look, paper in (("healthy", BLUE, 3.09), ("worn", RED, 22.7)):
+        bench.on_progress(0.5 * len(series), f"{profile} arm")
+        outcome = try_arm(bench, "default", protocol, profile, only="hold")
+        row, sets = _row("default", [outcome], protocol), 1e3 * outcome["settled"]
+        found |= {profile: _mm(row.settled, 1), f"{profile}_true": _mm(row.settled_true, 1)}
+        label = f"{profile}, mean {sets[0].mean():.1f} mm (paper {paper:g} mm)"
+        series.append(Series(label=label, look=look, value=sets[0]))
+    bench.draw(error_per_target(series), "fig-9")
+    means, scale = sets.mean(axis=1), bench.scale
+    return found | {
+        "ratio": found["worn"].value / found["healthy"].value,
+        "low": means.min(),
+        "high": means.max(),
+        "sets": scale.sets,
+        "targets": scale.targets,
+        "dwell": DWELL,
+    }
+
+
+def measure_trainings(bench: Bench) -> Found:
+    """Compare trainings over the paper's open points, and their policies on the worn arm."""
+    names, rows, success = (*WORN, *LITERALLY), [], dict[str, float]()
+    for done, name in enumerate(names):
+        bench.on_progress(done / len(names), f"policy of {name} on the worn arm")
+        outcome, (preset, offset) = try_arm(bench, name, bench.scale.protocol, only="crossing"), recipe(name)
+        trained, row = read_curves(bench.training(name).outputs.curves), _row(name, [outcome], bench.scale.protocol)
+        success[name] = 100 * row.reached
+        rows.append(
+            (
+                f"{np.degrees(preset.task.law.authority_limit):.0f}°",
+                f"{np.degrees(preset.joint_noise):.0f}°",
+                "command - position" if preset.task.layout == "equation-16" else "last action",
+                str(offset),
+                f"{100 * trained.success_rate[-LAST:].mean():.0f}",
+                f"{success[name]:.1f}",
+                str(_mm(row.crossing_error)).removesuffix(" mm"),
+                str(_ten(row)),
+            )
+        )
+    headers = (
+        "largest action",
+        "joint noise",
+        "Δθ",
+        "seed",
+        "success in training %, 5 mm",
+        "on the worn arm %, 10 mm",
+        "error at the crossing mm",
+        "ten targets s",
+    )
+    worn = [success[name] for name in WORN]
+    row = _row(
+        "policy", [try_arm(bench, name, bench.scale.protocol, only="crossing") for name in WORN], bench.scale.protocol
+    )
+    return {
+        "size": layout_size(PAPER.task.layout, bench.arm.joints),
+        "transitions": trained.step[-1] / 1e6,
+        "seconds": _seconds(bench),
+        "success": Printed(
+            100 * row.reached, f"{100 * row.reached:.1f} % ({min(worn):.1f} to {max(worn):.1f} over seeds)"
+        ),
+        "error": _mm(row.crossing_error),
+        **{name.partition("-")[0]: success[name] for name in LITERALLY},
+        "grids": [Grid("What the policies do on the worn arm", headers, tuple(rows))],
+    }
+
+
+def _seconds(bench: Bench) -> float:
+    return float(np.mean([read_curves(bench.training(name).outputs.curves).wall_s[-1] for name in WORN]))
+
+
+def measure_control(bench: Bench) -> Found:
+    """Compare by the paper's protocol, and by holds."""
+    protocol, found, rows, panels = bench.scale.protocol, Found(), list[VariantRow](), list[Ways]()
+    targets = bench.targets[0]
+    for name, label in NAMES.items():
+        policies = WORN if name == "policy" else (name,)
+        bench.on_progress(len(rows) / 6, label)
+        outcomes = [try_arm(bench, one, protocol) for one in policies]
+        row = _row(label, outcomes, protocol)
+        found |= {
+            f"{name}_success": Printed(100 * row.reached, f"{measured(row.success, 100)} %"),
+            f"{name}_error": _mm(row.crossing_error),
+            f"{name}_time": _ten(row),
+        }
+        rows += [_row(one, [outcome], protocol) for one, outcome in zip(policies, outcomes, strict=True)]
+        panels.append(
+            Ways(title=label, look=look_of(name), paths=[_path(bench, policies[0], targets)], targets=targets)
+        )
+    bench.draw(ways(panels, bounds([*(panel.paths[0] for panel in panels), targets])), "fig-13")
+    headers, cells = plain_table(result_columns(protocol, bench.scale.targets), rows, notes=True)
+    title = f"The table of the comparison: every target held for {protocol.hold:g} s as well (95 % intervals)"
+    return found | {
+        "seconds": _seconds(bench),
+        "targets": bench.scale.targets,
+        "sets": bench.scale.sets,
+        "repetitions": bench.scale.repetitions,
+        "grids": [Grid(title, tuple(headers), tuple(map(tuple, cells)))],
+    }
+
+
+def _path(bench: Bench, name: str, targets: Array) -> Array:
+    """Path (T, 3) [m] by the encoders through ``targets`` (K, 3) [m]."""
+    plan = schedule("crossing", bench.scale.protocol, keep_going=True)
+    recording = run(_open(bench, "worn", 1), _maker(bench, name)(bench.arm), targets[None], plan)
+    return tcp_position(bench.arm, recording.position[:, 0])
