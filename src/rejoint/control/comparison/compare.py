@@ -163,7 +163,7 @@ class TrialRunner:
     correction: MakeCorrection | None = None
     model: ToolModel | None = None
     """estimates unknown tool errors"""
-    ledger: Ledger = field(default_factory=Ledger.nowhere)
+    ledger: Ledger | None = None
     on_progress: Progress = no_progress
     on_trial: OnTrial | None = None
     measured: Sequence[Driven] = ()
@@ -188,6 +188,7 @@ class TrialRunner:
         kinds = len(KINDS) if settings.elimination is None else 1
         self._done, self._total, self._text = 0, len(self.controllers) * kinds * int(np.prod(self.shape)), ""
         self._sent: Array | None = None
+        self._ledger = self.ledger or Ledger.nowhere()
         self._rng = np.random.default_rng(settings.seed)
 
     def compare(self) -> Comparison:
@@ -367,15 +368,15 @@ class TrialRunner:
     # --- a trial ------------------------------------------------------------------------------
 
     def _known(self, name: str, kind: Kind, places: Places, first: int = 0) -> Driven | None:
-        driven = self.ledger.done.get((name, kind, places, first))
+        driven = self._ledger.done.get((name, kind, places, first))
         if driven is not None:
             self._take(driven)
         return driven
 
     def _take(self, driven: Driven) -> None:
         self._trials[driven.controller].append(driven)
-        if driven.key not in self.ledger.done:
-            self.ledger.add(driven)
+        if driven.key not in self._ledger.done:
+            self._ledger.add(driven)
         self._advance(len(driven.places) * driven.targets)
 
     def _advance(self, size: int) -> None:
