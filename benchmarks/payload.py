@@ -40,7 +40,7 @@ from rejoint.session.payload import heavy, noticed_load
 from rejoint.twin.twin import Twin
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
-from rejoint_lab.research.evaluation.contestants import planned
+from rejoint_lab.research.evaluation.evaluate import planned
 from rejoint_lab.research.evaluation.family import FAMILY_SIZE
 from rejoint_lab.research.evaluation.trials import own_twin
 

@@ -27,8 +27,7 @@ from rejoint.training.presets import PAPER
 from rejoint_lab.research.evaluation.family import ArmFamily
 from rejoint_lab.research.evaluation.summary import VariantRow, make_row
 from rejoint_lab.research.evaluation.trials import TrialArms, TrialSettings, keep, try_on
-from rejoint_lab.research.reproduction.bench import Bench, Found, Grid, Printed
-from rejoint_lab.research.reproduction.trainings import LITERALLY, WORN, recipe
+from rejoint_lab.research.reproduction.campaign import LITERALLY, WORN, Bench, Found, Grid, Printed, recipe
 
 DWELL = 5.0
 """[s] per target of Fig. 9; chosen"""

@@ -6,7 +6,7 @@ the settled error.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,16 +15,11 @@ from cmaes import CMA  # type: ignore[import-untyped,unused-ignore]
 from rejoint.arms import Arm, Array
 from rejoint.control.comparison.protocols import metrics_of, schedule
 from rejoint.control.comparison.result import Columns, Protocol
-from rejoint.control.controller import Controller
 from rejoint.control.loop import run
 from rejoint.system.progress import Progress
 from rejoint.training.ranges import Ranges
 from rejoint.twin.simulation import TwinRobot
-from rejoint_lab.research.rivals.catalogue import find_rival
-
-Interval = tuple[float, float]
-MakeController = Callable[[Arm, Mapping[str, Array]], Controller]
-"""The controller of B arms from gains by name, each (B, 1)"""
+from rejoint_lab.research.rivals.laws import Interval, MakeController
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,14 +71,6 @@ def tune(
         search.tell([(point, float(cost)) for point, cost in zip(points, costs, strict=True)])
         on_progress((generation + 1) / settings.generations, f"cost {costs.min():.2f} s")
     return {name: float(value) for name, value in gains(np.clip(search.mean, 0.0, 1.0)).items()}
-
-
-def tune_rival(
-    arm: Arm, ranges: Ranges, settings: TuningSettings, name: str, on_progress: Progress
-) -> dict[str, float]:
-    """Search the gains of a rival, as `tune`."""
-    rival = find_rival(name)
-    return tune(arm, ranges, rival.intervals, rival.make, settings, on_progress)
 
 
 def candidate_costs(
