@@ -16,6 +16,7 @@ from markupsafe import Markup, escape
 from matplotlib.axes import Axes
 from matplotlib.container import Container
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 from matplotlib.ticker import LogLocator, MaxNLocator, MultipleLocator, NullFormatter
 from numpy.typing import NDArray
 
@@ -332,10 +333,8 @@ class Ways:
             points = in_view(path[np.isfinite(path).all(axis=-1)], view)
             axes.plot(*points, color=colour, linewidth=0.8 if thin else 1.1, alpha=0.75 if thin else 1.0)
             axes.plot(*points[:, :1], "s", markersize=4, color=colour)
-        turn = np.linspace(0, 2 * np.pi, 61)
-        circle = 1e3 * self.radius * np.stack([np.cos(turn), np.sin(turn)])
         for i, target in enumerate(in_view(self.targets, view).T, start=1):
-            axes.plot(*(target[:, None] + circle), color=INK, linewidth=0.7, alpha=0.7)
+            axes.add_patch(Circle(target, 1e3 * self.radius, fill=False, edgecolor=INK, linewidth=0.7, alpha=0.7))
             axes.plot(*target, "+", markersize=4, color=INK, markeredgewidth=0.8)
             if self.numbered:
                 how: dict[str, Any] = {"textcoords": "offset points", "fontsize": FONT - 1.5, "color": INK}

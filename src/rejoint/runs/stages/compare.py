@@ -113,25 +113,27 @@ def _recording(log: RunLog) -> tuple[Recording, Array]:
     index = np.concatenate([[0], np.cumsum((target[1:] != target[:-1]).any(axis=1))])
     first = np.searchsorted(index, np.arange(index[-1] + 1))
     begun = time[np.maximum(first - 1, 0)]  # a target comes into force after the last row of the one before
-    count = len(rows)
+    columns = {
+        "time": time,
+        "position": log.position[rows],
+        "command": log.command[rows],
+        "target": target,
+        "aim": target.copy(),
+        "target_index": index.astype(np.intp),
+        "since_target": time - begun[index],
+        "true_tcp": log.true_tcp[rows],
+        "active": np.ones(len(rows), dtype=bool),
+        "reasons": np.zeros(len(rows), dtype=np.uint16),
+        "load": np.full_like(log.position[rows], np.nan),
+        "turned": np.full(len(rows), np.nan),
+    }
     return Recording(
         arm=log.arm,
         joint_names=log.joint_names,
         robot=log.robot,
         controller=DEFAULT,
-        time=time[:, None],
-        position=log.position[rows][:, None],
-        command=log.command[rows][:, None],
-        target=target[:, None],
-        aim=target[:, None].copy(),
-        target_index=index[:, None].astype(np.intp),
-        since_target=(time - begun[index])[:, None],
-        true_tcp=log.true_tcp[rows][:, None],
-        active=np.ones((count, 1), dtype=bool),
-        reasons=np.zeros((count, 1), dtype=np.uint16),
-        load=np.full((count, 1, log.position.shape[1]), np.nan),
-        turned=np.full((count, 1), np.nan),
         tripped=np.zeros(1, dtype=np.uint16),
+        **{name: values[:, None] for name, values in columns.items()},
     ), target[first]
 
 

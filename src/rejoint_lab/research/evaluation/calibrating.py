@@ -67,8 +67,8 @@ class Measured:
         )
 
     def fitted(self, arm: Arm, count: int) -> list[Calibration]:
-        """Calibrations of all arms from their first measurements."""
-        return [fit(arm, self.first(i, count)) for i in range(len(self.point))]
+        """Calibrations of all arms from their first measurements; none for 0."""
+        return [fit(arm, self.first(i, count)) for i in range(len(self.point))] if count else []
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,7 +135,7 @@ def evaluate_calibrations(
         opened = partial(open_family, arm, condition, family, settings.threads)
         ahead(0.0, "measuring")
         points = measure(opened(), suggestion, family.seed)
-        calibrations = {0: []} | {count: points.fitted(arm, count) for count in POINTS}
+        calibrations = {count: points.fitted(arm, count) for count in (0, *POINTS)}
         rows = []
         for k, (where, (targets, ways)) in enumerate({"target region": (box, None), "anywhere": anywhere}.items()):
             tried = dict[int, Columns]()

@@ -34,7 +34,7 @@ from rejoint.twin.predictive import PredictiveController
 from rejoint.twin.twin import Twin
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
-from rejoint_lab.research.evaluation.family import WORN, Variant
+from rejoint_lab.research.evaluation.family import Variant
 from rejoint_lab.research.evaluation.summary import Evaluation, Outcomes, pool, summarise, write_page
 from rejoint_lab.research.evaluation.trials import (
     TrialArms,
@@ -96,7 +96,7 @@ def planned(arm: Arm, twins: Sequence[Twin]) -> Controller:
     return PredictiveController.of(arm, twins, holder)
 
 
-def _raised(arm: Arm, twins: Sequence[Twin]) -> Controller:
+def _raised(arm: Arm, twins: Sequence[Twin]) -> FeedforwardController:
     """Feed-forward with the stiffness of the arms' own twins."""
     return FeedforwardController(arm, np.stack([twin.parameters.stiffness for twin in twins]))
 
@@ -243,9 +243,8 @@ def _contestants(
 def copies_of(arm: Arm, wear_seed: int, settings: TrialSettings) -> TrialArms:
     """Return copies of the arm ``worn?seed=``, each with other noise and targets."""
     family, wear = settings.family, load_wear(f"worn?seed={wear_seed}", arm)
-    options = {"period": WORN.period, "command_latency": WORN.latency, "threads": settings.threads}
     return TrialArms(
-        open=lambda: EmulatedRobot(arm, [wear] * COPIES, seed=wear_seed, **options),
+        open=lambda: EmulatedRobot(arm, [wear] * COPIES, seed=wear_seed, threads=settings.threads),
         targets=draw_targets(arm, sets=COPIES, count=max(family.targets, family.crossings), seed=wear_seed),
         wear_seeds=[wear_seed] * COPIES,
     )

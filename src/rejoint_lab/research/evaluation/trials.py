@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 from rejoint.arms import Arm, Array, Displacement
 from rejoint.control.comparison.compare import count_targets
 from rejoint.control.comparison.protocols import metrics_of, schedule
-from rejoint.control.comparison.result import METRICS, MODELLED, Columns, Protocol
+from rejoint.control.comparison.result import METRICS, MODELLED, Columns, Kind, Protocol
 from rejoint.control.controller import ControlInput, Controller
 from rejoint.control.correction import Modelled
 from rejoint.control.goal import Ways
@@ -130,7 +130,8 @@ def try_on(
     found["arm"] = np.repeat(np.array(arms.wear_seeds, dtype=float)[:, None], shape[1], axis=1)
     found["target"] = np.broadcast_to(np.arange(shape[1], dtype=float), shape)
     correction = OwnCorrections(arms.calibrations) if arms.calibrations else None
-    for kind, count in (("hold", family.targets), ("crossing", family.crossings)):
+    counts: dict[Kind, int] = {"hold": family.targets, "crossing": family.crossings}
+    for kind, count in counts.items():
         if not count:
             continue
         points, ways = arms.targets[:, :count], arms.ways if kind == "hold" else None

@@ -51,7 +51,7 @@ def try_arm(bench: Bench, name: str, protocol: Protocol, profile: str = "worn", 
     repetitions = 1 if only == "hold" else scale.repetitions
     targets = np.repeat(bench.targets, repetitions, axis=0)
     labels = np.arange(len(targets)) // (repetitions if scale.sets >= FEWEST_CLUSTERS else 1)
-    arms = TrialArms(open=partial(_open, bench, profile, len(targets)), targets=targets, wear_seed=labels.astype(float))
+    arms = TrialArms(open=partial(_open, bench, profile, len(targets)), targets=targets, wear_seeds=labels.tolist())
     settings = TrialSettings(
         family=ArmFamily(arms=len(targets), targets=holds, crossings=crossings),
         protocol=protocol,
@@ -59,7 +59,7 @@ def try_arm(bench: Bench, name: str, protocol: Protocol, profile: str = "worn", 
     )
     identity = {"seed": bench.seed, "settings": str(settings), "profile": profile}
     path = bench.folder / "outcomes" / f"{profile}--{name}{only and f'--{only}'}.parquet"
-    return keep(path, identity, lambda: try_on(bench.arm, arms, _maker(bench, name), settings, lambda done: None))  # noqa: ARG005
+    return keep(path, identity, lambda: try_on(bench.arm, arms, _maker(bench, name), settings))
 
 
 def _maker(bench: Bench, name: str) -> Callable[[Arm], Controller]:
