@@ -10,7 +10,7 @@ import numpy as np
 from rejoint.arms import load_arm
 from rejoint.control.catalogue import shelf_controller
 from rejoint.control.classical import DefaultController, IntegratorController
-from rejoint.control.comparison.protocols import measure_holds
+from rejoint.control.comparison.protocols import metrics_of
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.feedforward import FeedforwardController, PushController, PushGains
 from rejoint.control.loop import Schedule, run
@@ -50,7 +50,7 @@ def targets(count, each, seed):
 def held(arm, controller, points):
     """Settled error [mm] and tremble [mm], both (B, K), and time [s] (B, K) to come and stay within 2 mm."""
     recording = run(arm, controller, points, Schedule(dwell=PROTOCOL.hold, keep_going=True))
-    holds = measure_holds(ARM, recording, points, PROTOCOL)
+    holds = metrics_of(ARM, recording, points, PROTOCOL)
     return 1e3 * holds["settled"], 1e3 * holds["oscillation"], holds[PROTOCOL.stay_names[-1]]
 
 

@@ -11,8 +11,7 @@ from rejoint.arms.workspace import reach
 from rejoint.control.classical import DefaultController
 from rejoint.control.comparison import protocols
 from rejoint.control.comparison import recommend as advising
-from rejoint.control.comparison.holding import errors_of
-from rejoint.control.comparison.result import Comparison, TargetErrors
+from rejoint.control.comparison.result import MODELLED, Comparison, TargetErrors
 from rejoint.control.servogains import own_policy
 from rejoint.diagnosis.calibration import fit, preload
 from rejoint.diagnosis.calibration.calibration import Calibration
@@ -99,9 +98,8 @@ def mean_error(diagnosis: Diagnosis) -> Estimate | None:
 
 def target_errors(comparison: Comparison, controller: str) -> TargetErrors:
     """Errors of a controller at the first set's targets, means over repetitions."""
-    return errors_of(
-        {name: comparison.array(name, controller)[0] for name in ("settled", "settled_true", *protocols.MODELLED)}
-    )
+    names = ("settled", "settled_true", *MODELLED)
+    return TargetErrors.of({name: comparison.array(name, controller)[0] for name in names})
 
 
 def errors_as_found(comparison: Comparison) -> TargetErrors | None:
