@@ -7,7 +7,7 @@ import numpy as np
 from rejoint.arms import so101
 from rejoint.logs.runlog import RunLog
 from rejoint.twin.parameters import TwinParameters
-from rejoint.twin.reference import Profile, ServoReference
+from rejoint.twin.reference import Reference
 from rejoint.twin.simulation import Draw, Simulation
 
 ARM = replace(so101(), servos=())  # its truths are drawn for each joint by itself
@@ -48,9 +48,9 @@ def record(label, time, command, truth=TRUTH, stiction=1.25, table=None, acceler
     arm.place(Draw.of(truth.repeat(1), stiction), command[:1], command[:1])
     if table is not None:
         arm.twins.put_tables([table])
-    reference = ServoReference(time, command, np.atleast_1d(truth.ramp_speed), command[0])
+    reference = Reference(time, command, np.atleast_1d(truth.ramp_speed))
     if acceleration < np.inf:
-        reference = Profile(time, command, acceleration)
+        reference = Reference(time, command, np.ones(1), acceleration)
     grid = np.arange(int((time[-1] - time[0]) / STEP) + 2) * STEP + time[0]
     control = reference.sample(grid, np.atleast_1d(truth.delay))[0]
     arm.rollout(np.tile(control[:1], (1, 400, 1)))

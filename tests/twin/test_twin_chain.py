@@ -105,19 +105,6 @@ def test_every_arm_moves_to_the_bit_as_it_does_alone(threads):
         assert_array_equal(alone.rollout(control[i : i + 1], terms[:, i : i + 1])[0], path[i])
 
 
-def test_a_state_that_is_put_back_goes_on_to_the_bit():
-    arm, rng = ARMS["so101"], np.random.default_rng(5)
-    twins, position, velocity = drawn(arm, 7, rng)
-    control = position[:, None] + rng.normal(0.0, 0.1, (7, 20, arm.joints))
-    whole, resumed = ChainBatch(arm, 7), ChainBatch(arm, 7)
-    whole.write(twins)
-    whole.restart(position, velocity)
-    whole.rollout(control)
-    for name, value in resumed.state().items():
-        value[...] = whole.state()[name]
-    assert_array_equal(resumed.rollout(control[:, ::-1]), whole.rollout(control[:, ::-1]))
-
-
 @settings(max_examples=200)
 @given(st.lists(st.floats(-1e3, 1e3), min_size=LANES, max_size=LANES))
 def test_sine_and_cosine_are_those_of_numpy(angles):

@@ -91,17 +91,6 @@ class Backlash:
         )
         friction[free] = 0.0
 
-    def state(self) -> dict[str, Array]:
-        """Live arrays for a checkpoint."""
-        return {
-            "half": self._half,
-            "ahead": self._ahead,
-            "speed": self._speed,
-            "touch": self._touch,
-            "grease": self._grease,
-            "motor": self._motor,
-        }
-
 
 @njit(cache=True, nogil=True)
 def _drive(gear, friction, motor, link, arm, step):  # noqa: ANN001, ANN202

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -20,7 +21,7 @@ from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.twin.declaration import TIMESTEP
 from rejoint.twin.parameters import STICTION, TwinParameters
-from rejoint.twin.reference import Profile, ServoReference
+from rejoint.twin.reference import Reference
 from rejoint.twin.simulation import Draw, Simulation
 from rejoint.twin.table import TablePlane
 
@@ -28,7 +29,7 @@ IN_STEP = 0.2
 """Regularity of command times, 0 to 1, that shifts the delay; chosen"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, order=True)
 class Window:
     """Rows ``first`` to ``last`` (exclusive) of one log."""
 
@@ -58,32 +59,46 @@ def divide(windows: Sequence[Window], rows: int) -> list[Window]:
     return pieces
 
 
+@dataclass(frozen=True, eq=False)
 class Replay:
     """Replays windows of logs for many twins at once."""
 
-    def __init__(
-        self,
-        arm: Arm,
-        logs: Sequence[RunLog],
-        windows: Sequence[Window],
-        timestep: float = TIMESTEP,
-        threads: int = 1,
-        stiction: float = STICTION,
-        acceleration: float = np.inf,
-    ) -> None:
-        for log in logs:
-            log.require(arm.name, arm.joint_names)
-        if not windows:
+    arm: Arm
+    logs: Sequence[RunLog]
+    windows: Sequence[Window]
+    timestep: float = TIMESTEP
+    threads: int = 1
+    stiction: float = STICTION
+    acceleration: float = np.inf
+
+    def __post_init__(self) -> None:
+        for log in self.logs:
+            log.require(self.arm.name, self.arm.joint_names)
+        if not self.windows:
             raise InputError("replay: no windows; a run log needs at least three rows")
-        self.arm, self.logs, self.windows = arm, list(logs), list(windows)
-        self.timestep, self.threads, self.stiction, self.acceleration = timestep, threads, stiction, acceleration
-        self._profiles: dict[int, Profile] = {}
-        self._gains = np.stack([gains(log) for log in self.logs])
-        self._velocity = [measured_velocity(log) for log in self.logs]
-        self._even = {i for i, log in enumerate(self.logs) if _in_step(log.time, timestep) > IN_STEP}
-        spans = [self._log(w).time[w.last - 1] - self._log(w).time[w.first] for w in self.windows]
-        self.steps = int(np.ceil(max(spans) / timestep)) + 1
-        self._simulations: dict[tuple[int, bool], Simulation] = {}
+
+    @cached_property
+    def _gains(self) -> Array:
+        return np.stack([gains(log) for log in self.logs])
+
+    @cached_property
+    def _velocity(self) -> list[Array]:
+        return [measured_velocity(log) for log in self.logs]
+
+    @cached_property
+    def _even(self) -> set[int]:
+        """Logs with commands in step with the simulation."""
+        return {i for i, log in enumerate(self.logs) if _in_step(log.time, self.timestep) > IN_STEP}
+
+    @cached_property
+    def _grid(self) -> Array:
+        """Times (steps,) [s] of the simulation steps."""
+        longest = max(self.times(i)[-1] for i in range(len(self.windows)))
+        return np.arange(int(np.ceil(longest / self.timestep)) + 1) * self.timestep
+
+    @cached_property
+    def _simulations(self) -> dict[tuple[int, bool], Simulation]:
+        return {}
 
     def predict(self, parameters: TwinParameters, tables: Sequence[TablePlane] = ()) -> list[Array]:
         """Positions (m, rows, n) [rad] of twins (m,) in each window, with m ``tables``."""
@@ -145,36 +160,31 @@ class Replay:
 
         For commands in step with it, means over the step: else the delay would depend on it.
         """
-        references = self._references(parameters)
-        grid = np.asarray(np.arange(self.steps) * self.timestep, dtype=np.float64)
+        references, grid = self._references(parameters), self._grid
         parts = []
         for w in self.windows:
             reference, times = references[w.log], self._log(w).time[w.first] + grid
-            if w.log in self._even and isinstance(reference, ServoReference):
+            if w.log in self._even and self.acceleration == np.inf:
                 parts.append(reference.mean(times, parameters.delay, self.timestep))
             else:
                 parts.append(reference.sample(times, parameters.delay))
         control = np.concatenate(parts)
         if parameters.compensation.any():
-            torque = np.stack([self._gravity(w, grid) for w in self.windows])[:, None]  # (windows, 1, steps, n)
+            torque = np.stack([self._gravity(w) for w in self.windows])[:, None]  # (windows, 1, steps, n)
             share = (parameters.compensation / parameters.stiffness)[:, None]
             control += (share * torque).reshape(control.shape)
         return control
 
-    def _gravity(self, window: Window, grid: Array) -> Array:
+    def _gravity(self, window: Window) -> Array:
         """Gravity torques (steps, n) [N m] at the commands of a window."""
         log = self._log(window)
-        time, columns = log.time[window.first] + grid, log.command.T
+        time, columns = log.time[window.first] + self._grid, log.command.T
         return gravity_torque(self.arm, np.stack([np.interp(time, log.time, column) for column in columns], axis=1))
 
-    def _references(self, parameters: TwinParameters) -> Mapping[int, ServoReference | Profile]:
+    def _references(self, parameters: TwinParameters) -> dict[int, Reference]:
         shown = {w.log: self.logs[w.log] for w in self.windows}
-        if self.acceleration < np.inf:
-            if not self._profiles:
-                self._profiles = {i: Profile(log.time, log.command, self.acceleration) for i, log in shown.items()}
-            return self._profiles
         return {
-            i: ServoReference(log.time, log.command, parameters.ramp_speed, log.command[0]) for i, log in shown.items()
+            i: Reference(log.time, log.command, parameters.ramp_speed, self.acceleration) for i, log in shown.items()
         }
 
 

@@ -162,16 +162,18 @@ class Simulation:
 
     def state(self) -> dict[str, Array]:
         """Live arrays for a checkpoint; not with tables."""
-        twins = self.twins.state() if isinstance(self.twins, ChainBatch) else {}
+        parts = {
+            "simulation": self,
+            "latency": self.latency,
+            "reference": self.reference,
+            "backlash": self.backlash,
+            "twins": self.twins,
+        }
         return {
-            "time": self.time,
-            "measured": self.measured,
-            "friction": self._friction,
-            "feed": self._feed,
-            **{f"latency.{name}": value for name, value in self.latency.state().items()},
-            **{f"reference.{name}": value for name, value in self.reference.state().items()},
-            **{f"backlash.{name}": value for name, value in self.backlash.state().items()},
-            **{f"twins.{name}": value for name, value in twins.items()},
+            f"{part}.{name}": value
+            for part, owner in parts.items()
+            for name, value in vars(owner).items()
+            if isinstance(value, np.ndarray) and value.flags.writeable
         }
 
     def _quantised(self, position: Array) -> Array:

@@ -106,18 +106,6 @@ class ChainBatch:
         self.qpos[chosen] = self.ctrl[chosen] = position
         self.qvel[chosen], self._impulse[chosen] = velocity, 0.0
 
-    def state(self) -> dict[str, Array]:
-        """Live arrays for a checkpoint."""
-        return {
-            "qpos": self.qpos,
-            "qvel": self.qvel,
-            "ctrl": self.ctrl,
-            "timestep": self.timestep,
-            "impulse": self._impulse,
-            "parameters": self._parameters,
-            "gravity": self._gravity,
-        }
-
     def row(self, name: str) -> Array:
         """Live (nsim, n) values of one of `ROWS`."""
         row: Array = self._parameters[ROWS.index(name)]
