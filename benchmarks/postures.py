@@ -48,7 +48,7 @@ from rejoint.control.robot import JointState
 from rejoint.research.evaluation.contestants import classical
 from rejoint.research.evaluation.evaluate import own_twins
 from rejoint.research.evaluation.family import NEARBY, ArmFamily, find_variant, open_family, targets_anywhere
-from rejoint.twin.batch import twin_spec
+from rejoint.twin.table import twin_spec
 from rejoint.twin.twin import Twin
 
 ROUNDS, WAYS, PERIOD = 5, 100, 0.025

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from motion_logs import ARM, PERIOD, STEP, TRUTH, pressing, record, wandering
+from motion_logs import ARM, PERIOD, STEP, TRUTH, pressing, record, surface, wandering
 
 from rejoint.arms import gravity_torque, tcp_position
 from rejoint.logs.runlog import RunLog
@@ -16,7 +16,7 @@ from rejoint.twin.motionfit import part, repeated
 from rejoint.twin.parameters import pack, unknown_prior, vector_names
 from rejoint.twin.replay import Replay, cut
 from rejoint.twin.structure import EARLIER, find_acceleration, simplest
-from rejoint.twin.table import TablePlane
+from rejoint.twin.twin import TablePlane
 
 TABLE = TablePlane(height=-0.02, slope_x=0.02, slope_y=0.0, stiffness=3000.0, friction=0.2)
 QUICK = LogSettings(coarse_seconds=40.0, fit_seconds=96.0, contact_seconds=24.0, threads=1)
@@ -79,7 +79,7 @@ def test_the_table_is_found_and_contacts_predicted(found, logs):
     press = logs[-1]
     tip = tcp_position(ARM, press.position)
     low = tip[tip[:, 2] < np.quantile(tip[:, 2], 0.2)]
-    assert np.abs(table.surface(low) - TABLE.surface(low)).max() < 0.004
+    assert np.abs(surface(table, low) - surface(TABLE, low)).max() < 0.004
     contact = found.judgement.motions[-1].errors[FITTED].contact
     assert contact.tcp < 0.003
     assert contact.tcp < 0.2 * found.judgement.motions[-1].errors[NO_TWIN].contact.tcp

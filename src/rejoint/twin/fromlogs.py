@@ -45,9 +45,7 @@ from rejoint.twin.structure import (
     rough_fit,
     simplest,
 )
-from rejoint.twin.table import TablePlane
-from rejoint.twin.tablefit import fit_table
-from rejoint.twin.twin import HeldOut, Twin
+from rejoint.twin.twin import HeldOut, TablePlane, Twin
 from rejoint.twin.uncertainty import uncertainty
 
 FITTED, HEALTHY = "fitted twin", "healthy twin"
@@ -251,6 +249,8 @@ def _fit_table(
     windows = [] if height is None else contact_windows(replay.logs, excluded, settings.window)
     if height is None or durations(windows, replay.logs).sum() < LEAST_CONTACT:
         return None
+    from rejoint.twin.table import fit_table  # late: free arms need no MuJoCo
+
     touching = replace(replay, windows=thin(windows, replay.logs, settings.contact_seconds))
     return fit_table(touching, unpack(found.vector, problem.joints), height, start)
 

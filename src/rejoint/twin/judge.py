@@ -34,8 +34,7 @@ from rejoint.twin.judgement import (
 )
 from rejoint.twin.parameters import PARAMETERS, STICTION, Parameter, TwinParameters, unknown_prior, unpack
 from rejoint.twin.replay import Replay, Window
-from rejoint.twin.table import TablePlane
-from rejoint.twin.twin import Twin
+from rejoint.twin.twin import TablePlane, Twin
 
 TIMESTEP = 0.010
 """[s]; measured: as good as a quarter of it"""

@@ -41,7 +41,7 @@ def move(position, velocity, goal, reach, acceleration, elapsed):
     return position + direction * travelled, direction * speed
 
 
-class Reference:
+class ServoReference:
     """References of m twins for one record of commands."""
 
     def __init__(

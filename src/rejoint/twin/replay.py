@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,11 +20,15 @@ from rejoint.arms import Arm, Array, gravity_torque
 from rejoint.logs.exclusions import answered
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
+from rejoint.twin.chain.batch import ChainBatch
 from rejoint.twin.declaration import TIMESTEP
+from rejoint.twin.friction import friction_terms
 from rejoint.twin.parameters import STICTION, TwinParameters
-from rejoint.twin.reference import Reference
-from rejoint.twin.simulation import Draw, Simulation
-from rejoint.twin.table import TablePlane
+from rejoint.twin.reference import ServoReference
+
+if TYPE_CHECKING:
+    from rejoint.twin.table import TableBatch
+    from rejoint.twin.twin import TablePlane
 
 IN_STEP = 0.2
 """Regularity of command times, 0 to 1, that shifts the delay; chosen"""
@@ -97,13 +102,12 @@ class Replay:
         return np.arange(int(np.ceil(longest / self.timestep)) + 1) * self.timestep
 
     @cached_property
-    def _simulations(self) -> dict[tuple[int, bool], Simulation]:
+    def _batches(self) -> dict[int, ChainBatch]:
         return {}
 
     def predict(self, parameters: TwinParameters, tables: Sequence[TablePlane] = ()) -> list[Array]:
         """Positions (m, rows, n) [rad] of twins (m,) in each window, with m ``tables``."""
         m, count = parameters.shape[0], len(self.windows)
-        simulation = self._simulation(m * count, table=bool(tables))
         which = np.tile(np.arange(m), count)  # simulation = window * m + twin
         start = np.repeat(np.stack([self._log(w).position[w.first] for w in self.windows]), m, axis=0)
         velocity = np.repeat(np.stack([self._velocity[w.log][w.first] for w in self.windows]), m, axis=0)
@@ -111,11 +115,19 @@ class Replay:
         arms = replace(
             arms, stiffness=arms.stiffness * np.repeat(self._gains[[w.log for w in self.windows]], m, axis=0)
         )
-        simulation.place(Draw.of(arms, self.stiction), start, start)
-        simulation.twins.qvel[:] = velocity
+        twins: ChainBatch | TableBatch
         if tables:
-            simulation.put_tables([tables[i] for i in which])
-        path = np.concatenate([start[:, None], simulation.rollout(self._control(parameters))], axis=1)
+            from rejoint.twin.table import TableBatch  # late: free arms need no MuJoCo
+
+            twins = TableBatch(self.arm, arms, [tables[i] for i in which], self.timestep, self.threads)
+        else:
+            if m * count not in self._batches:
+                self._batches[m * count] = ChainBatch(self.arm, m * count, self.timestep, self.threads)
+            twins = self._batches[m * count]
+            twins.write(arms)
+        twins.restart(start, velocity)
+        passed = twins.rollout(self._control(parameters), friction_terms(arms, self.stiction))
+        path = np.concatenate([start[:, None], passed], axis=1)
         return [
             _interpolate(path[i * m : (i + 1) * m], self.timestep, self._log(w).time[w.first : w.last])
             for i, w in enumerate(self.windows)
@@ -148,13 +160,6 @@ class Replay:
     def _log(self, window: Window) -> RunLog:
         return self.logs[window.log]
 
-    def _simulation(self, count: int, *, table: bool) -> Simulation:
-        if (count, table) not in self._simulations:
-            self._simulations[count, table] = Simulation(
-                self.arm, count, timestep=self.timestep, threads=self.threads, table=table
-            )
-        return self._simulations[count, table]
-
     def _control(self, parameters: TwinParameters) -> Array:
         """Return references (windows * m, steps, n) at the start of each simulation step.
 
@@ -181,10 +186,11 @@ class Replay:
         time, columns = log.time[window.first] + self._grid, log.command.T
         return gravity_torque(self.arm, np.stack([np.interp(time, log.time, column) for column in columns], axis=1))
 
-    def _references(self, parameters: TwinParameters) -> dict[int, Reference]:
+    def _references(self, parameters: TwinParameters) -> dict[int, ServoReference]:
         shown = {w.log: self.logs[w.log] for w in self.windows}
         return {
-            i: Reference(log.time, log.command, parameters.ramp_speed, self.acceleration) for i, log in shown.items()
+            i: ServoReference(log.time, log.command, parameters.ramp_speed, self.acceleration)
+            for i, log in shown.items()
         }
 
 

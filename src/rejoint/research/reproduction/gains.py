@@ -11,7 +11,7 @@ from rejoint.pages.html import BLUE, ORANGE, RED
 from rejoint.pages.report.figures import Ways, bounds, ways
 from rejoint.research.reproduction.bench import Bench, Found, Grid
 from rejoint.training.ranges import PaperRanges
-from rejoint.twin.batch import TwinBatch
+from rejoint.twin.chain.batch import ChainBatch
 
 PAIRS = ((1e4, 1e3), (1e3, 50.0), (200.0, 10.0))
 """Park et al. 2024, section IV-C"""
@@ -57,7 +57,7 @@ def measure(bench: Bench) -> Found:
 def trace(bench: Bench, ranges: PaperRanges, targets: Array) -> Array:
     """Move twins to ``targets`` (K, 3) [m]; returns paths (3, T, 3) [m]."""
     arm = bench.arm
-    twins, free = TwinBatch(arm, len(PAIRS), timestep=STEP), ranges.twins(*np.array(PAIRS).T[..., None])
+    twins, free = ChainBatch(arm, len(PAIRS), timestep=STEP), ranges.twins(*np.array(PAIRS).T[..., None])
     twins.write(replace(free, torque_limit=np.full_like(free.stiffness, BOUNDLESS)))
     twins.restart(np.tile(arm.rest, (len(PAIRS), 1)))
     steps, goal, paths = round(DWELL / STEP), arm.rest, []
