@@ -63,7 +63,7 @@ def thin(windows: Sequence[Window], logs: Sequence[RunLog], seconds: float) -> l
         return list(windows)
     # Taken whenever the time passed reaches the next multiple: long motions give more than short ones.
     passed = np.floor((np.cumsum(lengths) - 0.5 * lengths) * seconds / total / lengths.mean()).astype(int)
-    return [windows[i] for i in np.flatnonzero(np.diff(passed, prepend=-1) > 0)]
+    return [windows[i] for i in np.flatnonzero(np.diff(passed, prepend=-1) > 0).tolist()]
 
 
 def fastest(windows: Sequence[Window], logs: Sequence[RunLog], seconds: float) -> list[Window]:
@@ -82,7 +82,7 @@ def fastest(windows: Sequence[Window], logs: Sequence[RunLog], seconds: float) -
 
     order = np.argsort([-acceleration(w) for w in windows], kind="stable")
     passed = np.cumsum(durations(windows, logs)[order])
-    return [windows[i] for i in np.sort(order[: np.searchsorted(passed, seconds) + 1])]
+    return [windows[i] for i in sorted(order[: np.searchsorted(passed, seconds) + 1].tolist())]
 
 
 def merged(one: Sequence[Window], other: Sequence[Window]) -> list[Window]:

@@ -99,7 +99,7 @@ class Replay:
     def _grid(self) -> Array:
         """Times (steps,) [s] of the simulation steps."""
         longest = max(self.times(i)[-1] for i in range(len(self.windows)))
-        return np.arange(int(np.ceil(longest / self.timestep)) + 1) * self.timestep
+        return np.asarray(np.arange(int(np.ceil(longest / self.timestep)) + 1) * self.timestep, dtype=np.float64)
 
     @cached_property
     def _batches(self) -> dict[int, ChainBatch]:

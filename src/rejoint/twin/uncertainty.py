@@ -75,7 +75,7 @@ def _fed_forward(problem: Problem, x: Array) -> Array:
     """Covariance (k, k) of each joint's common scale: the gravity's, or the prior's where the sag does not tell it."""
     at, owner, sigma = problem.layout.at, problem.owner, problem.prior.sigma
     scale = np.where(x[at("compensation")] > 0.0, sigma[at("stiffness")], sigma[at("compensation")])
-    step = np.where(problem.layout.is_scaled, scale[owner], 0.0)
+    step = np.where(problem.layout.is_log & (owner >= 0), scale[owner], 0.0)
     return np.outer(step, step) * (owner[:, None] == owner)
 
 

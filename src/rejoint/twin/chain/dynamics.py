@@ -71,7 +71,7 @@ def _cross(ax, ay, az, bx, by, bz):
 
 @njit(**INLINE)
 def _turned(here, l, x, y, z):
-    """A vector of the frame ``here``, seen from the one before."""
+    """Turn a vector of the frame ``here`` to the one before."""
     return (
         here[R0 + l] * x + here[R1 + l] * y + here[R2 + l] * z,
         here[R3 + l] * x + here[R4 + l] * y + here[R5 + l] * z,
@@ -81,7 +81,7 @@ def _turned(here, l, x, y, z):
 
 @njit(**INLINE)
 def _back(here, l, x, y, z):
-    """A vector of the frame before, seen from ``here``."""
+    """Turn a vector of the frame before to ``here``."""
     return (
         here[R0 + l] * x + here[R3 + l] * y + here[R6 + l] * z,
         here[R1 + l] * x + here[R4 + l] * y + here[R7 + l] * z,
