@@ -99,7 +99,7 @@ class Problem:
         self.memory = memory * (len(self.measured) - len(lengths)) / seconds  # rows
         self.layout = Layout(self.joints)
         self.owner = self.layout.owner
-        self.steps = stride * np.array([p.difference for p in PARAMETERS])[self.layout.kind]
+        self.steps = stride * self.layout.has("difference")
         self.group = prior.groups(self.joints)
         self._live = [index for index, p in enumerate(PARAMETERS) if p.fitted and p.name not in frozen]
         self.frozen = ~np.isin(self.layout.kind, self._live)

@@ -30,8 +30,7 @@ from rejoint.twin.parameters import (
     vector_names,
 )
 from rejoint.twin.replay import Replay, cut, divide, measured_velocity
-from rejoint.twin.table import TablePlane
-from rejoint.twin.twin import HeldOut, Twin
+from rejoint.twin.twin import HeldOut, TablePlane, Twin
 from rejoint.twin.uncertainty import CLUSTER, Uncertainty, uncertainty
 
 

@@ -18,6 +18,8 @@ from rejoint.control.catalogue import PREDICTIVE
 from rejoint.control.controller import ControlInput, Controller
 from rejoint.control.law import Pace, limit_lead, limit_position
 from rejoint.control.robot import JointState, Mask
+from rejoint.twin.chain.batch import ChainBatch
+from rejoint.twin.friction import friction_terms
 from rejoint.twin.parameters import TwinParameters
 from rejoint.twin.simulation import Draw, Simulation
 from rejoint.twin.twin import Twin
@@ -224,9 +226,10 @@ class Planner:
         self.shadow = Simulation(self._arm, self._count, substeps=_SHADOW_STEPS)
         self.shadow.place(arms, start, inputs.sent)
         self.shadow.time = inputs.state.time.copy()
-        self._rollouts = Simulation(self._arm, self._count * settings.samples, timestep=settings.timestep)
-        each = np.repeat(np.arange(self._count), settings.samples)
-        self._rollouts.place(arms.rows(each), start[each], inputs.sent[each])
+        self._rollouts = ChainBatch(self._arm, self._count * settings.samples, timestep=settings.timestep)
+        samples = arms.rows(np.repeat(np.arange(self._count), settings.samples))
+        self._rollouts.write(samples.twin, gravity_scale=samples.gravity_scale)
+        self._friction = friction_terms(samples.twin, samples.stiction)
         self._jacobian = np.zeros((self._count, 3, n))
         self._goal, self._holding, self._offset = np.zeros((3, self._count, n))
         self._plan = np.zeros((self._count, 2, n))  # first command, and the one after `bend`
@@ -259,8 +262,8 @@ class Planner:
         each, now = np.repeat(np.arange(count), samples), self.shadow.twins
         control = self.shadow.reference.ahead(each, wanted.reshape(-1, steps, n), timestep)
         control += self._offset[each, None]
-        self._rollouts.twins.restart(now.qpos[each], now.qvel[each])
-        passed = self._rollouts.rollout(control).reshape(count, samples, steps, n)
+        self._rollouts.restart(now.qpos[each], now.qvel[each])
+        passed = self._rollouts.rollout(control, self._friction).reshape(count, samples, steps, n)
         return self._judge(inputs, candidates, passed)
 
     def _judge(self, inputs: ControlInput, candidates: Array, passed: Array) -> Array:

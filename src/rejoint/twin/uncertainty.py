@@ -20,7 +20,6 @@ from rejoint.arms import Arm, Array
 from rejoint.system.statistics import NORMAL95, student95
 from rejoint.twin.fit import SCALES, STIFFNESS, Fit, Problem, influence, loss
 from rejoint.twin.parameters import Prior, number, unpack
-from rejoint.twin.replay import Replay
 
 CLUSTER = 3.0
 """[s]; chosen: longer than stick-slip and the slowest oscillation"""
@@ -76,7 +75,7 @@ def _fed_forward(problem: Problem, x: Array) -> Array:
     """Covariance (k, k) of each joint's common scale: the gravity's, or the prior's where the sag does not tell it."""
     at, owner, sigma = problem.layout.at, problem.owner, problem.prior.sigma
     scale = np.where(x[at("compensation")] > 0.0, sigma[at("stiffness")], sigma[at("compensation")])
-    step = np.where(problem.layout.is_scaled, scale[owner], 0.0)
+    step = np.where(problem.layout.is_log & (owner >= 0), scale[owner], 0.0)
     return np.outer(step, step) * (owner[:, None] == owner)
 
 
@@ -182,9 +181,7 @@ def mass_covariance(problem: Problem, fit: Fit, residual: Array, jacobian: Array
     """
     moved, replay = [], problem.replay
     for arm, sigma in _other_arms(replay.arm):
-        other = Replay(
-            arm, replay.logs, replay.windows, replay.timestep, replay.threads, replay.stiction, replay.acceleration
-        )
+        other = replace(replay, arm=arm)
         path = np.concatenate(other.predict(unpack(fit.vector[None], problem.joints)), axis=1)[0]
         change = (path - problem.measured - residual) * (sigma / STEP)
         pull = np.zeros(len(fit.vector))

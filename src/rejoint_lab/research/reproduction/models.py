@@ -13,7 +13,7 @@ from rejoint.control.law import dls_step
 from rejoint.pages.html import BLUE, ORANGE, RED
 from rejoint.pages.report.figures import Ways, bounds, ways
 from rejoint.training.ranges import PaperRanges
-from rejoint.twin.batch import TwinBatch
+from rejoint.twin.chain.batch import ChainBatch
 from rejoint_lab.research.reproduction.campaign import Bench, Found, Grid
 
 POSTURES = 1000
@@ -122,7 +122,7 @@ def measure_gains(bench: Bench) -> Found:
 def trace(bench: Bench, ranges: PaperRanges, targets: Array) -> Array:
     """Move twins to ``targets`` (K, 3) [m]; returns paths (3, T, 3) [m]."""
     arm = bench.arm
-    twins, free = TwinBatch(arm, len(PAIRS), timestep=STEP), ranges.twins(*np.array(PAIRS).T[..., None])
+    twins, free = ChainBatch(arm, len(PAIRS), timestep=STEP), ranges.twins(*np.array(PAIRS).T[..., None])
     twins.write(replace(free, torque_limit=np.full_like(free.stiffness, BOUNDLESS)))
     twins.restart(np.tile(arm.rest, (len(PAIRS), 1)))
     steps, goal, paths = round(DWELL / STEP), arm.rest, []
