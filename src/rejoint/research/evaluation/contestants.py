@@ -24,6 +24,7 @@ from rejoint.control.controller import Controller
 from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.policy import load_policy
 from rejoint.research.rivals.catalogue import RIVALS, make_rival
+from rejoint.research.rivals.pid import PIDS
 from rejoint.system.errors import InputError
 from rejoint.twin.predictive import PredictiveController
 from rejoint.twin.twin import Twin
@@ -52,7 +53,7 @@ class Contestant:
 
 def known_names() -> tuple[str, ...]:
     """Names that need neither file nor twins."""
-    return (*BASELINES, *RIVALS, SHELF)
+    return (*BASELINES, *PIDS, *RIVALS, SHELF)
 
 
 def classical(name: str, gains: Mapping[str, Mapping[str, float]] | None = None) -> Contestant:
@@ -61,6 +62,8 @@ def classical(name: str, gains: Mapping[str, Mapping[str, float]] | None = None)
     make: Callable[[Arm], Controller] = partial(make_controller, name)
     if name in BASELINES or name == PREDICTIVE:
         on_twins = {FeedforwardController.name: _raised, PREDICTIVE: planned}.get(name)
+    elif name in PIDS:
+        make = PIDS[name]
     elif learns:
         make, identity = shelf_controller, _digest(b"".join(shelf_path(arm).read_bytes() for arm in shelf_arms()))
     elif name in RIVALS:

@@ -26,6 +26,7 @@ from rejoint.research.evaluation.summary import VariantRow, make_row
 from rejoint.research.evaluation.trials import TrialArms, TrialSettings, keep, try_on
 from rejoint.research.reproduction.bench import Bench, Found, Grid, Printed
 from rejoint.research.reproduction.trainings import LITERALLY, WORN, recipe
+from rejoint.research.rivals.pid import PIDS
 from rejoint.robots import open_robot
 from rejoint.system.statistics import FEWEST_CLUSTERS, Spread
 from rejoint.training.presets import PAPER
@@ -65,7 +66,7 @@ def try_arm(bench: Bench, name: str, protocol: Protocol, profile: str = "worn", 
 
 def _maker(bench: Bench, name: str) -> Callable[[Arm], Controller]:
     if name in NAMES:
-        return partial(make_controller, name)
+        return PIDS.get(name) or partial(make_controller, name)
     return partial(load_policy, bench.training(name).policy)
 
 
