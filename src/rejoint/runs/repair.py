@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Literal, TypeVar, cast, get_args
 import numpy as np
 
 from rejoint.arms import Arm
-from rejoint.control.catalogue import ON_REQUEST
 from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import Comparison
 from rejoint.control.observer import Observer, Observers, StageObserver, pacing
@@ -289,7 +288,7 @@ class RepairPlan:
     preset: str | Preset = "default"
     """recipe, as for `train`"""
     controllers: Controllers = ()
-    """as for `compare`, by default without the paper's PIDs"""
+    """as for `compare`"""
     targets: Targets | None = None
     """as for `compare`"""
     trials: TrialPlan | None = None
@@ -418,7 +417,7 @@ def _do_stages(
     compared = replace(settings, calibration=NO_GAUGE) if no_gauge else settings
 
     def job(watch: Observer) -> ComparisonJob:
-        wanted = comparison_job(
+        return comparison_job(
             robot,
             controllers,
             targets,
@@ -428,7 +427,6 @@ def _do_stages(
             settings=compared,
             observer=watch,
         )
-        return wanted if controllers else wanted.without(ON_REQUEST)
 
     ahead = job(Observer()).begin_ahead() if chain.does("train", "compare") and emulated and not controllers else None
     with nullcontext() if ahead is None else closing(ahead):

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -285,10 +285,6 @@ class ComparisonJob:
             result = replace(result, left_out=(*result.left_out, told))
         return result
 
-    def without(self, names: Collection[str]) -> ComparisonJob:
-        """Job without some controllers."""
-        return replace(self, factories={name: make for name, make in self.factories.items() if name not in names})
-
     def begin_ahead(self) -> HelperProcess | None:
         """Start a second process, if a core is free."""
         helper = self._help()
@@ -380,11 +376,10 @@ def compare(
     robot
         robot or its address
     controllers
-        names of baselines (``default``, ``pid-sum``, ``pid-literal``, ``integrator``, ``feedforward``), ``push``,
-        ``shelf``, ``predictive``, policies, their files, or your own controllers; a mapping names them. Default:
-        baselines (a real arm: without the PIDs), ``shelf`` where it suits (a real arm: only without a policy), the
-        run's policy, and with a twin ``predictive``; after a search for servo gains these two under the gains found,
-        ``servo-gains`` and ``servo-gains+push``
+        names of baselines (``default``, ``integrator``, ``feedforward``), ``shelf``, ``predictive``, policies, their
+        files, or your own controllers; a mapping names them. Default: baselines, ``shelf`` where it suits (a real arm:
+        only without a policy), the run's policy, and with a twin ``predictive``; after a search for servo gains these
+        two under the gains found, and ``servo-gains``
     targets
         (K, 3) or (S, K, 3) [m], `Pose` objects, or a CSV file in mm (``x,y,z``, and orientations for baselines);
         default: drawn, ten in a set; on one arm first those of the diagnosis

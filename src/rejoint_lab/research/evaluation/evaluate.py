@@ -46,6 +46,7 @@ from rejoint_lab.research.evaluation.trials import (
     try_on,
 )
 from rejoint_lab.research.rivals.laws import RIVALS, make_rival
+from rejoint_lab.research.rivals.pid import PIDS
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,19 +70,19 @@ class Contestant:
 
 def known_names() -> tuple[str, ...]:
     """Names that need neither file nor twins."""
-    return (*BASELINES, *RIVALS, SHELF)
+    return (*BASELINES, *PIDS, *RIVALS, SHELF)
 
 
 def classical(name: str, gains: Mapping[str, Mapping[str, float]] | None = None) -> Contestant:
     """Baseline or rival by name; ``gains`` replace its own; InputError names the alternatives."""
     identity, learns, on_twins = name, name == SHELF, {FeedforwardController.name: _raised, PREDICTIVE: planned}
-    made: Callable[[Arm], Controller] = partial(make_controller, name)
+    made: Callable[[Arm], Controller] = PIDS.get(name) or partial(make_controller, name)
     if learns:
         made, identity = shelf_controller, _digest(b"".join(shelf_path(arm).read_bytes() for arm in shelf_arms()))
     elif name in RIVALS:
         own = dict((gains or {}).get(name, RIVALS[name].gains))
         made, identity = partial(make_rival, name, gains=own), f"{name} {sorted(own.items())}"
-    elif name not in BASELINES and name != PREDICTIVE:
+    elif name not in (*BASELINES, *PIDS, PREDICTIVE):
         raise InputError(f"no controller is called {name!r}; known: {', '.join(known_names())}, and --policy FILE")
 
     def make(arm: Arm, twins: Sequence[Twin]) -> Controller:

@@ -28,6 +28,7 @@ from rejoint_lab.research.evaluation.family import ArmFamily
 from rejoint_lab.research.evaluation.summary import VariantRow, make_row
 from rejoint_lab.research.evaluation.trials import TrialArms, TrialSettings, keep, try_on
 from rejoint_lab.research.reproduction.campaign import LITERALLY, WORN, Bench, Found, Grid, Printed, recipe
+from rejoint_lab.research.rivals.pid import PIDS
 
 DWELL = 5.0
 """[s] per target of Fig. 9; chosen"""
@@ -64,7 +65,7 @@ def try_arm(bench: Bench, name: str, protocol: Protocol, profile: str = "worn", 
 
 def _maker(bench: Bench, name: str) -> Callable[[Arm], Controller]:
     if name in NAMES:
-        return partial(make_controller, name)
+        return PIDS.get(name) or partial(make_controller, name)
     return partial(load_policy, bench.training(name).policy)
 
 
