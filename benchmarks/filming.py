@@ -15,9 +15,9 @@ import numpy as np
 import rejoint
 from benchmarks.frame import cell
 from rejoint.arms import mycobot280
-from rejoint.arms.camera.board import ON_TABLE, ON_TOOL
-from rejoint.diagnosis.calibration.camera.filming import POSTURES, CameraGauge
-from rejoint.robots.cameras import watching
+from rejoint.camera.board import ON_TABLE, ON_TOOL
+from rejoint.camera.filming import POSTURES, CameraGauge
+from rejoint.camera.scene import watching
 
 DWELL = 8.0
 

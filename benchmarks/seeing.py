@@ -22,7 +22,7 @@ from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import Recording
 from rejoint.control.reference import TargetSequence
 from rejoint.control.start import move
-from rejoint.robots.cameras import EmulatedEye
+from rejoint.robots.emulatedeye import EmulatedEye
 from rejoint.session.eyes import watched
 
 TIMES = (2.0, 3.0, 3.95)

@@ -18,10 +18,10 @@ from rejoint.system.statistics import Spread
 _NAMED = 8  # pictures whose faults are printed line by line
 
 if TYPE_CHECKING:
+    from rejoint.camera.fit import Filmed
     from rejoint.control.deployment import Deployed
     from rejoint.control.moving.drive import Followed
     from rejoint.control.servogains import GainsFound
-    from rejoint.diagnosis.calibration.camera.fit import Filmed
     from rejoint.diagnosis.calibration.preload import Preload
     from rejoint.diagnosis.diagnosis import Diagnosis
     from rejoint.pages.report.contents import BeforeAfter

@@ -133,8 +133,8 @@ _REMEDY = "measure again, or take another file"
 def write_measurements(path: Path, arm: Arm, measured: Measurements, session: MeasuringSession | None = None) -> None:
     """Write measurements as Parquet; ``session``: progress."""
     columns: dict[str, Array] = {"posture": measured.posture.astype(float), "sigma": measured.sigma}
-    for group in ("position", "approach"):
-        columns |= {f"{group}.{name}": getattr(measured, group)[:, i] for i, name in enumerate(arm.joint_names)}
+    for names, rows in zip(joint_columns(arm), (measured.position, measured.approach), strict=True):
+        columns |= dict(zip(names, rows.T, strict=True))
     columns |= {axis: measured.point[:, i] for i, axis in enumerate(AXES)}
     about = {
         "frame": measured.frame,
@@ -206,13 +206,10 @@ def _digest(table: pa.Table, header: Mapping[str, Any]) -> str:
 
 def _assemble(columns: dict[str, Array], arm: Arm, frame: str, source: str) -> Measurements:
     rows = len(columns["x"])
-
-    def group(prefix: str) -> Array:
-        return np.stack([columns[f"{prefix}.{name}"] for name in arm.joint_names], axis=-1)
-
+    position, approach = (np.stack([columns[name] for name in names], axis=-1) for names in joint_columns(arm))
     return Measurements(
-        position=group("position"),
-        approach=group("approach"),
+        position=position,
+        approach=approach,
         point=np.stack([columns[axis] for axis in AXES], axis=-1),
         sigma=columns.get("sigma", np.full(rows, NOISE)),
         posture=np.asarray(columns.get("posture", np.arange(rows, dtype=float)), dtype=np.int64),
@@ -225,9 +222,20 @@ BEYOND = np.radians(10.0)
 """[rad] tolerated beyond joint limits; chosen"""
 
 
+def joint_columns(arm: Arm) -> tuple[list[str], list[str]]:
+    """Names of the columns of positions, and of positions before the last motion."""
+    position, approach = ([f"{group}.{name}" for name in arm.joint_names] for group in ("position", "approach"))
+    return position, approach
+
+
+def require_degrees(path: Path, position: Array) -> None:
+    """Raise FileError if positions (M, n) [rad] were given in radians, and taken for degrees."""
+    if len(position) > 1 and (np.abs(np.degrees(position)) <= np.pi).all():
+        raise FileError(path, "every joint position lies between -3.14 and 3.14", "give degrees, not radians")
+
+
 def _from_csv(path: Path, arm: Arm, frame: str, source: str) -> Measurements:
-    joints = [f"position.{name}" for name in arm.joint_names]
-    came = [f"approach.{name}" for name in arm.joint_names]
+    joints, came = joint_columns(arm)
     meanings = dict.fromkeys(joints + came, ANGLES) | dict.fromkeys((*AXES, "sigma"), LENGTHS) | {"posture": COUNT}
     found = read_columns(path, meanings, joints)
     if not any(axis in found.places for axis in AXES):
@@ -259,7 +267,6 @@ def _require_units(path: Path, arm: Arm, measured: Measurements, lines: list[int
             f"line {lines[row]}: {arm.joint_names[joint]} at {angle:.1f} deg, expected {low:.0f} to {high:.0f}",
             "give what this arm's encoders said, in degrees",
         )
-    if len(measured) > 1 and (np.abs(np.degrees(measured.position)) <= np.pi).all():
-        raise FileError(path, "every joint position lies between -3.14 and 3.14", "give degrees, not radians")
+    require_degrees(path, measured.position)
     if measured.frame == "base" and in_metres(measured.point):
         raise FileError(path, "every coordinate of the tool is below 5", "give millimetres, not metres")

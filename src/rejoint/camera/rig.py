@@ -10,14 +10,15 @@ import msgspec
 import numpy as np
 import tomlkit
 
-from rejoint.arms.arm import Arm, Array
-from rejoint.arms.camera.board import Board
-from rejoint.arms.camera.lens import TERMS, Lens
-from rejoint.arms.rotations import inverse
+from rejoint.arms import Arm, Array
+from rejoint.arms.rotations import difference, inverse, moved
+from rejoint.camera.board import Board
+from rejoint.camera.lens import TERMS, Lens
 from rejoint.system.errors import ContractError, InputError
 from rejoint.system.tomltable import read_sealed, write_sealed
 
 MOUNTINGS = ("board", "camera")
+_STEP = 1e-6  # [m] and [rad] of numerical derivatives
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,7 +44,15 @@ class Rig:
 
     def tool(self, board: Array) -> Array:
         """Tool poses (..., 4, 4) in the base, for ``board`` (..., 4, 4) in the camera."""
-        return tool_of(self.carried, self.standing, self.mounted, board)
+        between = board if self.carried == "board" else inverse(board)
+        return np.asarray(self.standing @ between @ inverse(self.mounted))
+
+    def spread(self, board: Array, covariance: Array) -> Array:
+        """Covariance (V, 6, 6) of the tool's pose, base axes, from that of ``board`` (V, 4, 4), camera axes."""
+        base = self.tool(board)
+        rows = [difference(self.tool(moved(board, _STEP * row)), base) / _STEP for row in np.eye(6)]
+        slope = np.stack(rows, axis=-1)
+        return np.asarray(slope @ covariance @ np.swapaxes(slope, -1, -2))
 
     def sight(self, tool: Array) -> Array:
         """Board poses (..., 4, 4) in the camera, for ``tool`` (..., 4, 4)."""
@@ -64,10 +73,9 @@ class Rig:
         return np.asarray(ahead & (facing > np.cos(steepest)) & self.lens.shows(pixel, margin).all(axis=-1))
 
 
-def tool_of(carried: str, standing: Array, mounted: Array, board: Array) -> Array:
-    """Tool poses (..., 4, 4), see `Rig.tool`."""
-    between = board if carried == "board" else inverse(board)
-    return np.asarray(standing @ between @ inverse(mounted))
+def point_sigma(spread: Array) -> Array:
+    """Sigma (...) [m] of a coordinate, for covariances (..., 6, 6) of poses."""
+    return np.asarray(np.sqrt(np.trace(spread[..., :3, :3], axis1=-2, axis2=-1) / 3.0))
 
 
 FORMAT = 1
@@ -76,24 +84,18 @@ FORMAT = 1
 
 def write_rig(path: Path, arm: Arm, rig: Rig, sigma: Array, date: str = "") -> None:
     """Write a rig; ``sigma`` (19,): deviations of `TERMS`, `Rig.standing` and `Rig.mounted`."""
-    n = len(TERMS)
-    spread = dict(zip(("standing", "mounted"), (sigma[n : n + 6], sigma[n + 6 :]), strict=True))
+    lens, standing, mounted = np.split(sigma, [len(TERMS), len(TERMS) + 6])
     told = {
         "format": FORMAT,
         "arm": arm.name,
         "date": date,
         "carried": rig.carried,
         "board": asdict(rig.board),
-        "lens": asdict(rig.lens) | {"sigma": dict(zip(TERMS, map(float, sigma[:n]), strict=True))},
-        **{
-            name: {
-                "pose": getattr(rig, name)[:3].tolist(),
-                "sigma_shift": own[:3].tolist(),
-                "sigma_turn": own[3:].tolist(),
-            }
-            for name, own in spread.items()
-        },
+        "lens": asdict(rig.lens) | {"sigma": dict(zip(TERMS, map(float, lens), strict=True))},
     }
+    for name, own in (("standing", standing), ("mounted", mounted)):
+        pose = getattr(rig, name)[:3].tolist()
+        told[name] = {"pose": pose, "sigma_shift": own[:3].tolist(), "sigma_turn": own[3:].tolist()}
     document = tomlkit.document()
     document.add(tomlkit.comment("A camera, a board and one robot arm. SI units and px; sigma: standard deviations."))
     for name, value in told.items():

@@ -5,21 +5,25 @@ Each pixel is traced back to the drawing, without projected corners, so that ima
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, tcp_pose
-from rejoint.arms.camera.board import ON_TOOL, Board
-from rejoint.arms.camera.lens import Lens
-from rejoint.arms.camera.rig import Rig
 from rejoint.arms.rotations import inverse
-
-Picture = NDArray[np.uint8]
-"""(height, width) grey levels"""
+from rejoint.camera.board import ON_TOOL, Board
+from rejoint.camera.detector import Picture
+from rejoint.camera.lens import Lens
+from rejoint.camera.rig import Rig
+from rejoint.control.robot import Robot, part_of
+from rejoint.robots.emulated import EmulatedRobot
+from rejoint.system.errors import InputError
 
 BLACK, WHITE, WALL = 35.0, 215.0, 120.0
 """Grey levels of print, paper and background (chosen)"""
@@ -51,8 +55,6 @@ def drawn(board: Board) -> NDArray[np.float32]:
 
 def render(board: Board, lens: Lens, pose: Array, seed: int | tuple[int, ...], looks: Looks | None = None) -> Picture:
     """Image of a board at ``pose`` (4, 4) in the camera frame."""
-    import cv2
-
     looks = looks or Looks()
     rng = np.random.default_rng(seed)
     x, y = np.linspace(-1, 1, lens.width), np.linspace(-1, 1, lens.height)
@@ -69,12 +71,12 @@ def render(board: Board, lens: Lens, pose: Array, seed: int | tuple[int, ...], l
 def _paint(
     canvas: NDArray[np.float32], board: Board, lens: Lens, pose: Array, window: tuple[int, int, int, int]
 ) -> None:
-    import cv2
-
     x0, x1, y0, y1 = window
     size = (_FINE * (x1 - x0), _FINE * (y1 - y0))
-    ray = lens.rays(np.stack(np.meshgrid(np.arange(x0, x1), np.arange(y0, y1)), axis=-1))
-    ray = cv2.resize(ray, size, interpolation=cv2.INTER_LINEAR)
+    pixel = np.stack(np.meshgrid(np.arange(x0, x1), np.arange(y0, y1)), axis=-1)
+    ends = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 40, 1e-10)
+    ray = cv2.undistortPoints(pixel.reshape(-1, 1, 2).astype(float), lens.matrix, lens.distortion, criteria=ends)
+    ray = cv2.resize(ray.reshape(pixel.shape), size, interpolation=cv2.INTER_LINEAR)
     ray = np.concatenate([ray, np.ones((*ray.shape[:-1], 1))], axis=-1)
     mapping = np.linalg.inv(np.column_stack([pose[:3, 0], pose[:3, 1], pose[:3, 3]]))
     flat = ray @ mapping.T
@@ -160,3 +162,30 @@ def looking(place: Array, at: Array) -> Array:
     pose[:3, :3] = np.column_stack([right, np.cross(forwards, right), forwards])
     pose[:3, 3] = place
     return pose
+
+
+class EmulatedCamera:
+    """Rendered images; noise by seed and number."""
+
+    def __init__(self, scene: Scene, tool: Callable[[], Array], seed: int = 0) -> None:
+        """``tool`` returns the tool's pose (4, 4) in the base."""
+        self.scene, self._tool, self._seed = scene, tool, seed
+
+    def still(self, number: int) -> Picture:
+        """Render image ``number``."""
+        return self.scene.shows(self._tool(), (self._seed, number))
+
+
+def watching(board: Board, carried: str, seed: int) -> Callable[[Robot], AbstractContextManager[EmulatedCamera]]:
+    """Return the opener of a camera beside an emulated arm, or on its tool."""
+
+    def opened(robot: Robot) -> AbstractContextManager[EmulatedCamera]:
+        emulated = part_of(robot, EmulatedRobot)
+        if emulated is None:
+            raise InputError(
+                f"camera emulated: {robot.address} is not emulated in this process; give the number of a camera"
+            )
+        scene = beside(robot.arm, board=board) if carried == "board" else on_tool(robot.arm, board=board)
+        return nullcontext(EmulatedCamera(scene, lambda: emulated.plant.true_pose()[0], seed))
+
+    return opened

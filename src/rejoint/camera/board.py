@@ -5,20 +5,16 @@ from __future__ import annotations
 import tomllib
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import cv2
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
 
 from rejoint.arms import Array
 from rejoint.system.errors import FileError, InputError, first_line
-from rejoint.system.extras import require
 from rejoint.system.files import TOML_MOST, read_bounded, write_whole
-
-if TYPE_CHECKING:
-    import cv2
-    from PIL.Image import Image
 
 DICTIONARY = "DICT_4X4_50"
 """Markers of 4 x 4 cells"""
@@ -92,10 +88,7 @@ class Board:
         return np.asarray(self.opencv().generateImage((across, down), marginSize=0, borderBits=1), dtype=np.uint8)
 
     def opencv(self) -> cv2.aruco.CharucoBoard:
-        """OpenCV's board; MissingExtraError, InputError for unknown markers."""
-        require("a camera", "camera")
-        import cv2
-
+        """OpenCV's board; InputError for unknown markers."""
         number = getattr(cv2.aruco, self.dictionary, None) if self.dictionary.startswith("DICT_") else None
         if not isinstance(number, int):
             raise InputError(f"board: OpenCV knows no markers {self.dictionary!r}; the usual ones are {DICTIONARY}")
@@ -174,10 +167,8 @@ def write_pdf(path: Path, board: Board, page: str = "A4") -> None:
     write_whole(path, lambda temporary: picture.save(temporary, format="PDF", resolution=DOTS * 25.4))
 
 
-def page_of(board: Board, page: str = "A4") -> Image:
+def page_of(board: Board, page: str = "A4") -> Image.Image:
     """Draw the page, `DOTS` per millimetre."""
-    from PIL import Image, ImageDraw, ImageFont
-
     if page not in PAGES:
         raise InputError(f"board: no page is called {page!r}; known pages: {', '.join(PAGES)}")
     width, height = PAGES[page]
@@ -196,11 +187,8 @@ def page_of(board: Board, page: str = "A4") -> Image:
         down = 1.0 - across
         line(left, top, left + RULER * across, top + RULER * down)
         for i in range(11):
-            a, b, tick = (
-                left + RULER * i / 10 * across,
-                top + RULER * i / 10 * down,
-                _TICK if i % 10 == 0 else _TICK / 2,
-            )
+            way, tick = RULER * i / 10, _TICK if i % 10 == 0 else _TICK / 2
+            a, b = left + way * across, top + way * down
             line(a, b, a + tick * down, b + tick * across)
         at = (DOTS * (left + (RULER + 2) * across), DOTS * (top + (RULER + 2) * down))
         pen.text(at, f"{RULER:g} mm in {name}", fill=0, font=font)
