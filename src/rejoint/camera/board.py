@@ -156,7 +156,7 @@ DOTS = 24
 
 _BORDER = 8.0  # [mm] that printers leave white (chosen: most leave 3 to 6)
 _QUIET = 6.0  # [mm] white around the board, as markers need (chosen: two cells)
-_TICK = 4.0  # [mm] length of the ticks at the ends of a ruler, half of it between them (chosen)
+_TICK = 4.0  # [mm] length of the ticks of a ruler (chosen)
 _LINE = 0.2  # [mm] width of lines (chosen)
 _TEXT = 3.2  # [mm] size of letters (chosen)
 
@@ -186,13 +186,17 @@ def page_of(board: Board, page: str = "A4") -> Image.Image:
     ):
         down = 1.0 - across
         line(left, top, left + RULER * across, top + RULER * down)
-        for i in range(11):
-            way, tick = RULER * i / 10, _TICK if i % 10 == 0 else _TICK / 2
+        for way in np.linspace(0.0, RULER, 11):
             a, b = left + way * across, top + way * down
-            line(a, b, a + tick * down, b + tick * across)
+            line(a, b, a + _TICK * down, b + _TICK * across)
         at = (DOTS * (left + (RULER + 2) * across), DOTS * (top + (RULER + 2) * down))
         pen.text(at, f"{RULER:g} mm in {name}", fill=0, font=font)
-    pen.text((DOTS * x, DOTS * (height - _BORDER - _TEXT)), _caption(board), fill=0, font=font)
+    caption = (
+        f"ChArUco {board.columns} x {board.rows}, squares {1e3 * board.square:g} mm, "
+        f"markers {1e3 * board.marker:g} mm, {board.dictionary}. "
+        "Print at 100 %, then measure both rulers between their first and last tick."
+    )
+    pen.text((DOTS * x, DOTS * (height - _BORDER - _TEXT)), caption, fill=0, font=font)
     return sheet
 
 
@@ -209,11 +213,3 @@ def _place(board: Board, page: str) -> tuple[float, float]:
             "take fewer or smaller squares, or a larger page"
         )
     return round(DOTS * (_BORDER + left / 2)) / DOTS, round(DOTS * (_BORDER + over / 2)) / DOTS
-
-
-def _caption(board: Board) -> str:
-    return (
-        f"ChArUco {board.columns} x {board.rows}, squares {1e3 * board.square:g} mm, "
-        f"markers {1e3 * board.marker:g} mm, {board.dictionary}. "
-        "Print at 100 %, then measure both rulers between their first and last tick."
-    )

@@ -14,6 +14,7 @@ from rejoint.arms import Arm, Array
 from rejoint.arms.rotations import difference, inverse, moved
 from rejoint.camera.board import Board
 from rejoint.camera.lens import TERMS, Lens
+from rejoint.diagnosis.calibration.calibration import finite
 from rejoint.system.errors import ContractError, InputError
 from rejoint.system.tomltable import read_sealed, write_sealed
 
@@ -37,10 +38,6 @@ class Rig:
     def __post_init__(self) -> None:
         if self.carried not in MOUNTINGS:
             raise InputError(f"the tool carries {self.carried!r}, expected one of: {', '.join(MOUNTINGS)}")
-        for name in ("standing", "mounted"):
-            value = np.array(getattr(self, name), dtype=float)
-            value.setflags(write=False)
-            object.__setattr__(self, name, value)
 
     def tool(self, board: Array) -> Array:
         """Tool poses (..., 4, 4) in the base, for ``board`` (..., 4, 4) in the camera."""
@@ -109,9 +106,8 @@ def read_rig(path: Path, arm: Arm) -> Rig:
     def build(data: dict[str, Any]) -> Rig:
         if data["arm"] != arm.name:
             raise ContractError(f"camera of arm {data['arm']!r}, expected one of {arm.name!r}; calibrate this arm")
-        lens = {name: value for name, value in data["lens"].items() if name != "sigma"}
         return Rig(
-            lens=msgspec.convert(lens, Lens),
+            lens=msgspec.convert(data["lens"], Lens),
             board=msgspec.convert(data["board"], Board),
             carried=str(data["carried"]),
             standing=_pose(data["standing"]),
@@ -122,9 +118,4 @@ def read_rig(path: Path, arm: Arm) -> Rig:
 
 
 def _pose(table: dict[str, Any]) -> Array:
-    rows = np.array(table["pose"], dtype=float)
-    if rows.shape != (3, 4) or not np.isfinite(rows).all():
-        raise InputError(f"a pose of finite numbers of shape (3, 4) was expected, found {rows.shape}")
-    pose = np.eye(4)
-    pose[:3] = rows
-    return pose
+    return np.vstack([finite(table["pose"], (3, 4)), np.eye(4)[3]])

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rejoint.control.deployment import Deployed
     from rejoint.control.moving.drive import Followed
     from rejoint.control.servogains import GainsFound
-    from rejoint.diagnosis.calibration.preload import Preload
+    from rejoint.diagnosis.calibration.calibration import Preload
     from rejoint.diagnosis.diagnosis import Diagnosis
     from rejoint.pages.report.contents import BeforeAfter
     from rejoint.runs.stages.calibrate import Calibrated
@@ -106,7 +106,7 @@ def calibration(terminal: Terminal, found: Calibrated) -> None:
 
 
 def _say_wedge(terminal: Terminal, what: Preload) -> None:
-    from rejoint.diagnosis.calibration.preload import RISE, WEDGE
+    from rejoint.diagnosis.calibration.calibration import RISE, WEDGE
 
     if what.wedge_helps:
         slope = f"{np.degrees(WEDGE):g} degrees ({RISE:.1f} mm on 10 cm)"

@@ -86,40 +86,43 @@ def read_columns(path: Path, meanings: Mapping[str, Units | None], needed: Colle
     """
     require_file(path, SHEET_MOST, "give fewer rows")
     sheet = read_sheet(path)
+    known = {
+        _titled(name, ending).casefold(): (name, unit)
+        for name, units in meanings.items()
+        for ending, unit in (units or COUNT).items()
+    }
+    wanted = {name: _titled(name, next(iter(units or COUNT))) for name, units in meanings.items()}
     places: dict[str, tuple[int, float]] = {}
     for index, title in enumerate(sheet.titles):
-        found = _meaning(path, title, meanings)
-        if found is None:
+        stem, ending = split_unit(title, {*ANGLES, *LENGTHS})
+        plain = _titled(stem, ending or "").casefold()
+        if plain not in known:
+            _require_other(path, title, plain, wanted)
             continue
-        if found[0] in places:
-            other = sheet.titles[places[found[0]][0]]
-            raise FileError(path, f"columns {other} and {title} are both {found[0]}", "leave one of them out")
-        places[found[0]] = (index, found[1])
-    if missing := [_titled(name, meanings[name]) for name in needed if name not in places]:
-        wanted = ", ".join(_titled(name, meanings[name]) for name in needed)
-        raise FileError(path, f"columns {sheet.shown}; missing: {', '.join(missing)}", f"name them {wanted}")
+        name, unit = known[plain]
+        if name in places:
+            other = sheet.titles[places[name][0]]
+            raise FileError(path, f"columns {other} and {title} are both {name}", "leave one of them out")
+        places[name] = (index, unit)
+    if missing := [wanted[name] for name in needed if name not in places]:
+        named = ", ".join(wanted[name] for name in needed)
+        raise FileError(path, f"columns {sheet.shown}; missing: {', '.join(missing)}", f"name them {named}")
     return Columns(sheet=sheet, places=places)
 
 
-def _meaning(path: Path, title: str, meanings: Mapping[str, Units | None]) -> tuple[str, float] | None:
-    name, ending = split_unit(title, {*ANGLES, *LENGTHS})
-    plain = (name if ending is None else f"{name}_{ending}").casefold()
-    for name, units in meanings.items():
-        for ending, unit in (units or COUNT).items():
-            if plain == (f"{name}_{ending}" if ending else name).casefold():
-                return name, unit
-    first = {_ROOT.split(name.casefold())[0]: _titled(name, units) for name, units in list(meanings.items())[::-1]}
-    if _ROOT.split(plain)[0] not in first:
-        return None
-    wanted = next((_titled(name, units) for name, units in meanings.items() if plain == name.casefold()), "")
-    if wanted:
-        raise FileError(path, f"column {title} does not say its unit", f"name it {wanted}")
-    examples = ", ".join(list(first.values())[::-1])
+def _require_other(path: Path, title: str, plain: str, wanted: Mapping[str, str]) -> None:
+    """Raise FileError for a title that looks like one of ``wanted``."""
+    roots = {_ROOT.split(name.casefold())[0]: titled for name, titled in reversed(wanted.items())}
+    if _ROOT.split(plain)[0] not in roots:
+        return
+    for name, titled in wanted.items():
+        if plain == name.casefold():
+            raise FileError(path, f"column {title} does not say its unit", f"name it {titled}")
+    examples = ", ".join(reversed(roots.values()))
     raise FileError(path, f"column {title} is not known", f"name it as one of {examples}, or otherwise")
 
 
-def _titled(name: str, units: Units | None) -> str:
-    ending = next(iter(units or COUNT))
+def _titled(name: str, ending: str) -> str:
     return f"{name}_{ending}" if ending else name
 
 

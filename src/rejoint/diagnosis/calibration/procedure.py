@@ -6,7 +6,7 @@ import logging
 import time
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -20,7 +20,7 @@ from rejoint.control.guard import GuardLimits
 from rejoint.control.recording import Recording
 from rejoint.control.robot import Robot
 from rejoint.control.start import Stance, begin, move
-from rejoint.diagnosis.calibration.measurements import NOISE, ROWS, Measurements, MeasuringSession
+from rejoint.diagnosis.calibration.measurements import NOISE, Measurements, MeasuringSession
 from rejoint.diagnosis.calibration.postures import Suggestion
 from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.system.errors import FileError, InputError, NotReadyError
@@ -275,7 +275,17 @@ def measure(
         on_progress(number / total, f"measurement {number + 1} of {total}")
         found = _measured(drive, gauge, plan, number)
         if found is not None:
-            measured = _with_row(measured, *found, int(plan.posture[number]), gauge)
+            position, approach, point = found
+            row = Measurements(
+                position=position[None],
+                approach=approach[None],
+                point=point[None],
+                sigma=np.array([gauge.sigma]),
+                posture=plan.posture[number : number + 1],
+                frame=gauge.frame,
+                source=gauge.source,
+            )
+            measured = row if measured is None else measured.joined(row)
         if on_measured is not None and measured is not None:
             on_measured(measured, number + 1)
     on_progress(1.0, "measured")
@@ -283,24 +293,6 @@ def measure(
     if measured is None:
         raise InputError("calibration: nothing was measured; type x, y and z of the tool at each stop")
     return measured
-
-
-def _with_row(
-    before: Measurements | None, position: Array, approach: Array, point: Array, posture: int, gauge: Gauge
-) -> Measurements:
-    new = Measurements(
-        position=position[None],
-        approach=approach[None],
-        point=point[None],
-        sigma=np.array([gauge.sigma]),
-        posture=np.array([posture]),
-        frame=gauge.frame,
-        source=gauge.source,
-    )
-    if before is None:
-        return new
-    both: dict[str, Any] = {name: np.concatenate([getattr(before, name), getattr(new, name)]) for name in ROWS}
-    return replace(new, **both)
 
 
 class StandingDrive:
