@@ -15,11 +15,10 @@ from rejoint.arms import Arm, Array, collides, frames, heights, tcp_pose, tcp_po
 from rejoint.camera.board import Board
 from rejoint.camera.detector import Detector, Picture, Unusable
 from rejoint.camera.film import Film, Shot, positions, read_film, write_film
-from rejoint.camera.fit import USUAL, FilmProblem, first_lens, first_places, first_rig, with_poses
+from rejoint.camera.fit import FilmProblem, first_lens, first_places, first_rig
 from rejoint.camera.lens import TERMS
 from rejoint.camera.rig import Rig
 from rejoint.control.robot import Robot
-from rejoint.diagnosis.calibration.parameters import DisplacementLayout, belief
 from rejoint.diagnosis.calibration.postures import BEFORE, narrowed
 from rejoint.diagnosis.calibration.procedure import StandingDrive, log_resumed, same
 from rejoint.logs.runfolder.folder import RunFolder
@@ -51,23 +50,12 @@ def choose_postures(arm: Arm, rig: Rig, count: int, seed: int = 0, before: float
             f"the camera sees the board in {len(candidates)} of {_TRIES * _DRAWS} postures around the rest posture, "
             f"expected at least {count}; turn the camera to the tool, or the board to the camera"
         )
-    layout, views = DisplacementLayout(joints=arm.joints), len(candidates)
-    known = with_poses(belief(arm, layout, USUAL), np.eye(len(TERMS)))
-    problem = FilmProblem(
-        arm=arm,
-        layout=layout,
-        belief=known,
-        rig=rig,
-        sights=rig.sight(tcp_pose(arm, candidates)),
-        by_lens=np.zeros((views, 6, len(TERMS))),
-        spread=np.zeros((views, 6, 6)),
-        position=candidates,
-        posture=np.arange(views),
-    )
-    problem = replace(problem, sights=rig.sight(problem.reported(known.mean)))
-    slope = problem.whitener(known.mean) @ problem.residual(known.mean)[1][..., : -len(TERMS)]
-    variance = 1.0 / np.diag(known.precision)[: -len(TERMS)]
-    variance[layout.body :] = _LOOK**2
+    problem = FilmProblem.of(arm, rig, candidates, rig.sight(tcp_pose(arm, candidates)), np.eye(len(TERMS)))
+    mean = problem.belief.mean
+    problem = replace(problem, sights=rig.sight(problem.reported(mean)))
+    slope = problem.whitener(mean) @ problem.residual(mean)[1][..., : -len(TERMS)]
+    variance = 1.0 / np.diag(problem.belief.precision)[: -len(TERMS)]
+    variance[problem.layout.body :] = _LOOK**2
     spread = np.diag(variance)
     chosen: list[int] = []
     for _ in range(count):

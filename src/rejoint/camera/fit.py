@@ -176,6 +176,24 @@ class FilmProblem(Fittable):
     """(V,)"""
     huber: float = HUBER
 
+    @classmethod
+    def of(
+        cls, arm: Arm, rig: Rig, position: Array, sights: Array, lens: Array, prior: Belief | None = None
+    ) -> FilmProblem:
+        """Take views without errors of their own; ``lens`` (7, 7): precision; the prior is `USUAL` or another."""
+        layout, views = DisplacementLayout(joints=arm.joints), len(sights)
+        return cls(
+            arm=arm,
+            layout=layout,
+            belief=with_poses(belief(arm, layout, USUAL) if prior is None else prior, lens),
+            rig=rig,
+            sights=sights,
+            by_lens=np.zeros((views, 6, len(TERMS))),
+            spread=np.zeros((views, 6, 6)),
+            position=np.asarray(position, dtype=float),
+            posture=np.arange(views),
+        )
+
     @property
     def postures(self) -> NDArray[np.int64]:
         """(V,)."""
@@ -322,28 +340,21 @@ def bundle(
 
     ``size`` [px] of the pictures; ``carried`` of `MOUNTINGS`. InputError for too few views that fit.
     """
-    layout, count = DisplacementLayout(joints=arm.joints), len(views)
-    lens = first_lens(size, board, views)
+    count, lens = len(views), first_lens(size, board, views)
     placed = first_places(lens, board, views)
     sights = np.array([one.pose for one in placed])
     rig = first_rig(arm, lens, board, carried, position, sights)
     by_lens, told = _lens_ties(lens, board, views, sights)
-    problem = FilmProblem(
-        arm=arm,
-        layout=layout,
-        belief=with_poses(belief(arm, layout, USUAL) if prior is None else prior, told),
-        rig=rig,
-        sights=sights,
+    problem = replace(
+        FilmProblem.of(arm, rig, position, sights, told, prior),
         by_lens=by_lens,
         spread=rig.spread(sights, np.array([one.covariance for one in placed])),
-        position=np.asarray(position, dtype=float),
-        posture=np.arange(count),
     )
-    good, start, doubts = np.ones(count, bool), problem.belief.mean, [""] * count
+    good, start = np.ones(count, bool), problem.belief.mean
     for number in range(_ROUNDS):
         fitted = solve(problem.rows(good), start)
         before, fitting, start = problem.sights, good, fitted.vector
-        problem, rms, doubts = _judged(problem, fitted.vector, views, doubts)
+        problem, rms, doubts = _judged(problem, fitted.vector, views)
         good = np.array([not why for why in doubts])
         if number > 0 and (good == fitting).all() and np.allclose(problem.sights, before, atol=1e-6):
             break
@@ -372,13 +383,8 @@ def bundle(
     )
 
 
-def _judged(
-    problem: FilmProblem, vector: Array, views: Sequence[BoardView], doubts: list[str]
-) -> tuple[FilmProblem, Array, list[str]]:
-    """Choose each view's tilt by the fit; return also residuals (V,) [px], and why a view does not fit, or empty.
-
-    A view keeps the first of its ``doubts``.
-    """
+def _judged(problem: FilmProblem, vector: Array, views: Sequence[BoardView]) -> tuple[FilmProblem, Array, list[str]]:
+    """Choose each view's tilt by the fit; return also residuals (V,) [px], and why a view does not fit, or empty."""
     rig, told = problem.rig_of(vector), problem.reported(vector)
     placed = [
         place(problem.rig.lens, rig.board.corners[view.number], view.pixel, near)
@@ -389,22 +395,19 @@ def _judged(
     off = np.sqrt(((problem.whitener(vector) @ misfit[..., None])[..., 0] ** 2).mean(axis=-1))
     limit = max(CROOKED * float(np.median(rms)), FLAT)
     usual = ELSEWHERE * max(1.0, float(np.median(off)))
-    found = []
-    for v, before in enumerate(doubts):
-        why = ""
-        if rms[v] > limit:
-            why = before or (
-                f"its corners lie {rms[v]:.1f} px beside those of a flat board, the others "
-                f"{float(np.median(rms)):.2f} px: blurred, moved during the exposure, or the board is bent"
-            )
-        elif off[v] > usual:
-            shift, turn = np.linalg.norm(misfit[v].reshape(2, 3), axis=1)
-            why = before or (
-                f"shows the tool {1e3 * shift:.0f} mm and {np.degrees(turn):.0f} deg from where the joint positions "
-                "put it: not taken there, swapped with another one, or board or camera was shifted"
-            )
-        found.append(why)
-    return problem, rms, found
+    why = [""] * len(views)
+    for v in np.flatnonzero(off > usual).tolist():
+        shift, turn = np.linalg.norm(misfit[v].reshape(2, 3), axis=1)
+        why[v] = (
+            f"shows the tool {1e3 * shift:.0f} mm and {np.degrees(turn):.0f} deg from where the joint positions put "
+            "it: not taken there, swapped with another one, or board or camera was shifted"
+        )
+    for v in np.flatnonzero(rms > limit).tolist():
+        why[v] = (
+            f"its corners lie {rms[v]:.1f} px beside those of a flat board, the others {float(np.median(rms)):.2f} px: "
+            "blurred, moved during the exposure, or the board is bent"
+        )
+    return problem, rms, why
 
 
 MOST = 0.005
