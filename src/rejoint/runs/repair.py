@@ -61,8 +61,7 @@ from rejoint.system.shell import give_back
 if TYPE_CHECKING:
     from rejoint.arms import Arm
     from rejoint.control.policy import Policy
-    from rejoint.diagnosis.calibration.camera.filming import CameraGauge
-    from rejoint.diagnosis.calibration.procedure import Gauge
+    from rejoint.diagnosis.calibration.procedure import FilmingGauge, Gauge
     from rejoint.diagnosis.diagnosis import Diagnosis
     from rejoint.runs.stages.compare import HelperProcess
     from rejoint.training.presets import Preset
@@ -396,7 +395,7 @@ def _do_stages(
 ) -> None:
     found, emulated, targets = chain.run, is_batchable(robot), plan.targets
     no_gauge = plan.gauge == NO_GAUGE
-    meter = cast("Gauge | CameraGauge | None", None if no_gauge else plan.gauge)
+    meter = cast("Gauge | FilmingGauge | None", None if no_gauge else plan.gauge)
     chain.do("diagnose", lambda watch: diagnose(robot, run=found, quick=quick, settings=settings, observer=watch))
     chain.do("calibrate", lambda watch: calibrate(robot, run=found, gauge=meter, settings=settings, observer=watch))
     fresh = quick or (emulated if plan.fresh is None else plan.fresh)
