@@ -83,6 +83,11 @@ class Replay:
             raise InputError("replay: no windows; a run log needs at least three rows")
 
     @cached_property
+    def seconds(self) -> float:
+        """[s] of motion in all windows."""
+        return sum(float(self.times(i)[-1]) for i in range(len(self.windows)))
+
+    @cached_property
     def _gains(self) -> Array:
         return np.stack([gains(log) for log in self.logs])
 
