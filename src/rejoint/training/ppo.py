@@ -110,31 +110,20 @@ Rollout = dict[str, Tensor]
 """
 
 
-class Memory(RandomMemory):  # type: ignore[misc]
-    """skrl's memory, which copies whole rows into mini-batches, for speed."""
-
-    def sample_by_index(self, names: Sequence[str], *, indexes: Tensor, mini_batches: int = 1) -> list[list[Tensor]]:
-        """Rows ``indexes`` (m,) of each tensor in ``mini_batches`` parts."""
-        parts = indexes.tensor_split(mini_batches)
-        return [[self.tensors_view[name].index_select(0, part) for name in names] for part in parts]
-
-
 class Ppo(PPO):  # type: ignore[misc]
     """skrl's agent, which learns from given rollouts."""
 
     def __init__(self, actor: Actor, critic: Critic, settings: PpoSettings, *, agents: int) -> None:
         self.settings = settings
         super().__init__(
-            models={},  # for which it would make an optimiser
-            memory=Memory(memory_size=settings.rollout, num_envs=agents, device="cpu", replacement=False),
+            models={"policy": actor, "value": critic},
+            memory=RandomMemory(memory_size=settings.rollout, num_envs=agents, device="cpu", replacement=False),
             observation_space=actor.observation_space,
             state_space=critic.state_space,
             action_space=actor.action_space,
             device="cpu",
             cfg=_configuration(settings),
         )
-        self.policy, self.value, self.scheduler = actor, critic, None
-        self.models.update(policy=actor, value=critic)
         self.optimizer = torch.optim.Adam([*actor.parameters(), *critic.parameters()], fused=True)
         self.init()
         self.enable_training_mode(True)
