@@ -10,6 +10,7 @@ from motion_logs import ARM, PERIOD, STEP, TRUTH, record, wandering
 
 from rejoint.logs.exclusions import find_exclusions
 from rejoint.twin.fromlogs import FITTED, HEALTHY, LogSettings, fit_motions, identify_logs, independent
+from rejoint.twin.identify import IDENTIFIED
 from rejoint.twin.judgement import NO_TWIN
 from rejoint.twin.parameters import pack, vector_names
 from rejoint.twin.uncertainty import uncertainty
@@ -60,8 +61,8 @@ def distances():
             log = record(f"motion{k}", *wandering(1000 * seed + k, 12.0, centre), truth=truth, own=links)
             logs.append(disturbed(log, rng))
         problem, fit, _ = fit_motions(ARM, logs, find_exclusions(ARM, logs), SETTINGS)
-        knowledge = uncertainty(problem, fit, independent(problem))
-        sigma, known = np.sqrt(np.diag(knowledge.covariance)), knowledge.identified
+        sigma = np.sqrt(np.diag(uncertainty(problem, fit, independent(problem))))
+        known = (sigma < IDENTIFIED * problem.prior.sigma) & ~fit.at_bound & ~problem.frozen
         names = np.array(vector_names(ARM.joint_names))[known]
         found.append((names, ((fit.vector - pack(truth)) / sigma)[known], sigma[known]))
     return found

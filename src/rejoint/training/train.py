@@ -24,12 +24,11 @@ from rejoint.system.errors import FileError
 from rejoint.system.files import set_aside, unwritable, write_whole
 from rejoint.system.progress import Progress, no_progress
 from rejoint.system.shell import __version__
-from rejoint.training.export import export_policy
+from rejoint.training.export import WarmStart, export_policy, shelf_start
 from rejoint.training.learner import CurvePoint, Learner
 from rejoint.training.presets import PpoSettings, Preset, load_preset
 from rejoint.training.ranges import BroadRanges, PaperRanges, Ranges, identified_ranges
 from rejoint.training.task import ReachTask
-from rejoint.training.warmstart import WarmStart, shelf_start
 from rejoint.twin.parameters import nominal_parameters
 from rejoint.twin.twin import Twin
 

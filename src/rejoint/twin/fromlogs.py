@@ -46,7 +46,6 @@ from rejoint.twin.structure import (
     simplest,
 )
 from rejoint.twin.twin import HeldOut, TablePlane, Twin
-from rejoint.twin.uncertainty import uncertainty
 
 FITTED, HEALTHY = "fitted twin", "healthy twin"
 """Predictions besides `NO_TWIN`"""
@@ -150,7 +149,7 @@ def identify_logs(
         problem, found = settle(arm, every, excluded, structure, found.vector, settings)
     on_progress(0.9, "table and intervals")
     table = _fit_table(problem, found, excluded, height, settings, table)
-    twin = fitted_twin(problem, found, uncertainty(problem, found, independent(problem)), _held_out(judgement), table)
+    twin = fitted_twin(problem, found, independent(problem), _held_out(judgement), table)
     on_progress(1.0, "done")
     return replace(
         twin,

@@ -63,9 +63,7 @@ class PredictiveController:
         self._arm, self._holder = arm, holder
         self._planner, self._until = Planner(arm, twins, settings), hand_over or HandOver()
         self.contract = getattr(holder, "contract", None)  # of a policy: it is checked before anything moves
-        self._planning: Mask = np.zeros(0, dtype=bool)
-        self._wrong: Array = np.zeros(0)  # (B,) [m]
-        self._time: Array = np.zeros(0)
+        self._begin(0)
 
     @classmethod
     def of(cls, arm: Arm, twins: Sequence[Twin], holder: Holder) -> PredictiveController:
@@ -83,19 +81,20 @@ class PredictiveController:
         place = np.tile(arm.targets.lower, (count, 1))
         inputs = ControlInput(state=state, target=place, goal=rest, sent=rest, since_target=np.zeros(count))
         trial = Planner(arm, draw)
-        for cycle in range(2):  # in the first one the shadow does not move
-            now = replace(inputs, state=replace(state, time=np.full(count, 0.02 * cycle)))
-            if cycle == 0:
-                trial.reset(now, np.ones(count, dtype=bool))
-            trial.follow(now)
-            trial.command(now)
+        trial.reset(inputs, np.ones(count, dtype=bool))
+        for time in (0.0, 0.02):  # at first the shadow does not move
+            trial.follow(replace(inputs, state=replace(state, time=np.full(count, time))))
+        trial.command(inputs)
         return cls(arm, draw, holder)
+
+    def _begin(self, count: int) -> None:
+        self._planning: Mask = np.zeros(count, dtype=bool)
+        self._wrong, self._time = np.zeros((2, count))  # [m], [s]
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Plan for new targets of the arms in ``where`` (B,)."""
-        count = len(inputs.sent)
-        if len(self._planning) != count:
-            self._planning, self._wrong, self._time = np.zeros(count, dtype=bool), np.zeros(count), np.zeros(count)
+        if len(self._planning) != len(inputs.sent):
+            self._begin(len(inputs.sent))
         self._planner.reset(inputs, where)
         self._holder.reset(inputs, where)
         self._planning = self._planning | where

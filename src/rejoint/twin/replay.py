@@ -83,6 +83,11 @@ class Replay:
             raise InputError("replay: no windows; a run log needs at least three rows")
 
     @cached_property
+    def seconds(self) -> float:
+        """[s] of motion in all windows."""
+        return sum(float(self.times(i)[-1]) for i in range(len(self.windows)))
+
+    @cached_property
     def _gains(self) -> Array:
         return np.stack([gains(log) for log in self.logs])
 
@@ -262,16 +267,15 @@ def powered(logs: Sequence[RunLog]) -> list[RunLog]:
     """Cut logs at spans without torque; joints that never answer get their position as command."""
     found = []
     for log in map(answered, logs):
-        since, spans = log.time - log.time[0], spans_off(log)
-        on = ~np.any([(since >= first) & (since <= last) for first, last in spans], axis=0) if spans else since >= 0.0
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]]).astype(int)))
-        pieces = [log.rows(slice(a, b)) for a, b in edges.reshape(-1, 2).tolist() if b - a > 2]
+        spans, since = spans_off(log), log.time - log.time[0]
+        if not spans:
+            found.append(log)
+            continue
+        off = np.any([(since >= first) & (since <= last) for first, last in spans], axis=0)
         extra = {key: value for key, value in log.extra.items() if key != TORQUE_OFF}
-        found += (
-            [replace(piece, label=f"{log.label} ({i + 1})", extra=extra) for i, piece in enumerate(pieces)]
-            if spans
-            else [log]
-        )
+        edges = np.flatnonzero(np.diff(off, prepend=True, append=True)).reshape(-1, 2).tolist()
+        pieces = [log.rows(slice(a, b)) for a, b in edges if b - a > 2]
+        found += [replace(piece, label=f"{log.label} ({i + 1})", extra=extra) for i, piece in enumerate(pieces)]
     return found
 
 

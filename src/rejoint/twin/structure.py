@@ -145,27 +145,21 @@ def find_acceleration(make: Callable[[Structure], Problem], simple: Structure, s
             return simple
     else:
         return unlimited
-    around, factor = _by_delay(problem, y), 2.0
-    ratios = {best: _ratio(_lowest(problem, around), without)}
+    around = np.tile(y, (len(DELAYS), 1))
+    around[:, problem.layout.at("delay")] += np.array(DELAYS)[:, None]
+    around = np.clip(around, problem.prior.lower, problem.prior.upper)
+
+    def ratio_of(problem: Problem) -> float:
+        losses = loss(problem.residuals(around)).sum(axis=1)
+        return _ratio(losses[np.argmin(losses.sum(axis=1))], without)
+
+    ratios, factor = {best: ratio_of(problem)}, 2.0
     while factor > FINEST:
         factor = np.sqrt(factor)
         for a in (best / factor, best * factor):
-            ratios[a] = _ratio(_lowest(make(replace(simple, acceleration=a)), around), without)
+            ratios[a] = ratio_of(make(replace(simple, acceleration=a)))
         best = min(ratios, key=lambda a: ratios[a])
     return replace(simple, acceleration=float(best))
-
-
-def _by_delay(problem: Problem, x: Array) -> Array:
-    """Vectors (m, k) that differ from ``x`` in the delay."""
-    around = np.tile(x, (len(DELAYS), 1))
-    around[:, problem.layout.at("delay")] += np.array(DELAYS)[:, None]
-    return np.clip(around, problem.prior.lower, problem.prior.upper)
-
-
-def _lowest(problem: Problem, vectors: Array) -> Array:
-    """Least losses (n,) of the ``vectors`` (m, k)."""
-    losses = loss(problem.residuals(vectors)).sum(axis=1)
-    return np.asarray(losses[np.argmin(losses.sum(axis=1))])
 
 
 def find_structure(

@@ -11,7 +11,7 @@ Uncertain masses widen a joint's common scale ("consider" covariance, Schmidt 19
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,24 +33,9 @@ LEAST_SHARE = 0.01
 SCALE_STEP = float(np.log(SCALES[-2]))
 """Step of `SCALES`; measured: without it only 4 of 5 intervals agree"""
 
-IDENTIFIED = 0.5
-"""Sigma over the prior's of an identified parameter; chosen"""
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Uncertainty:
-    """Covariance of an estimate."""
-
-    covariance: Array
-    """(k, k) of the posterior"""
-    narrowing: Array
-    """(k,) sigma by the data over that of the prior"""
-    identified: NDArray[np.bool_]
-    """(k,)"""
-
-
-def uncertainty(problem: Problem, fit: Fit, clusters: NDArray[np.integer]) -> Uncertainty:
-    """Covariance from the scores of ``clusters`` (rows,) and the masses."""
+def uncertainty(problem: Problem, fit: Fit, clusters: NDArray[np.integer]) -> Array:
+    """Covariance (k, k) of an estimate from the scores of ``clusters`` (rows,) and the masses."""
     prior = problem.prior
     residual, jacobian = _central_differences(problem, fit.vector)
     covariance = jackknife(prior, *_by_cluster(problem, fit, residual, jacobian, clusters))
@@ -59,9 +44,7 @@ def uncertainty(problem: Problem, fit: Fit, clusters: NDArray[np.integer]) -> Un
     covariance = jackknife(prior, curvatures, scores) + _resolution(problem, fit.vector)
     covariance += _fed_forward(problem, fit.vector)
     covariance += mass_covariance(problem, fit, residual, jacobian, curvatures.sum(axis=0) + prior.precision)
-    narrowing = np.sqrt(np.diag(covariance)) / prior.sigma
-    identified = (narrowing < IDENTIFIED) & ~fit.at_bound & ~problem.frozen
-    return Uncertainty(covariance=0.5 * (covariance + covariance.T), narrowing=narrowing, identified=identified)
+    return np.asarray(0.5 * (covariance + covariance.T))
 
 
 def _resolution(problem: Problem, x: Array) -> Array:
