@@ -128,7 +128,11 @@ class Plant:
         self._bodies = self.qpos, self.qvel, self._applied
         self.servos["speed_limit"] = servo.ramp_speed(arm.max_speed)
         self.servos["temperature"] = self.joints["ambient"]
+        self._equip()
         self.reset(np.tile(arm.rest, (self.count, 1)))
+
+    def _equip(self) -> None:
+        """Add servos with a firmware of their own."""
 
     @property
     def time(self) -> Array:
@@ -351,21 +355,20 @@ class StsPlant(Plant):
     A profile's ``position_gain`` gives the stall torque at `RECORDED_P`, its ``offset`` a constant torque.
     """
 
-    def __init__(self, arm: Arm, wears: Sequence[Wear], *, seed: int, **options: Any) -> None:  # noqa: ANN401
-        super().__init__(arm, wears, seed=seed, **options)
-        shape, step, no_load = (len(wears), arm.joints), arm.encoder_step, self.joints["no_load_speed"]
+    def _equip(self) -> None:
+        arm, no_load = self.arm, self.joints["no_load_speed"]
+        shape = self.count, arm.joints
         self.settings = sts3215.as_sold(shape)
         stall = self.joints["position_gain"] / (sts3215.GAIN_PER_P * RECORDED_P)
         self.settings["stall"], self.settings["bias"] = stall, self.joints["position_gain"] * self.joints["offset"]
         if np.isfinite(arm.servo_acceleration):
-            self.settings["acceleration"] = arm.servo_acceleration / step
+            self.settings["acceleration"] = arm.servo_acceleration / arm.encoder_step
         measured = self.joints["damping_gain"] + self.joints["torque_limit"] / no_load
         self.settings["viscous"] = np.maximum(measured - stall / no_load, 0.0)
         self.status = np.zeros(shape, sts3215.STATUS)
         """(B, n) `sts3215.STATUS`"""
         self._errors, self._positions = np.zeros((2, *shape, sts3215.WINDOW), np.int64)
         self._firmware = self.settings, self.status, self._errors, self._positions
-        self.reset(np.tile(arm.rest, (self.count, 1)))
 
     def set_speed_limit(self, speed: Array | float) -> None:
         """Limit the reference's speed: (B,), (B, n) or a number, [rad/s], above 0."""
@@ -378,8 +381,6 @@ class StsPlant(Plant):
 
     def _held(self, position: Array, torque: Array) -> Array:
         """Command (B, n) [rad] for ``torque`` (B, n) [N m] at ``position``."""
-        if self._firmware is None:
-            return super()._held(position, torque)
         setting = self.settings
         output = sts3215.PWM_FULL * (torque - setting["bias"]) / setting["stall"]
         size = np.maximum(np.abs(output) - setting["startup"], 0.0) * 4 / np.maximum(setting["p"], 1)
@@ -389,8 +390,6 @@ class StsPlant(Plant):
     def _hold(self, ids: Ids, position: Array) -> None:
         """Set goal and reference to ``position`` (B, n) [rad]."""
         super()._hold(ids, position)
-        if self._firmware is None:
-            return
         goal, here = (
             np.rint(angle / self.arm.encoder_step).astype(np.int64) for angle in (position, self.servos["measured"])
         )
