@@ -17,8 +17,7 @@ import numpy as np
 from rejoint.arms import load_arm
 from rejoint.diagnosis.monitoring.charts import FEWEST
 from rejoint.diagnosis.monitoring.judge import PastCheck, outlook
-from rejoint.diagnosis.monitoring.measures import CheckMeasures, measure_check
-from rejoint.diagnosis.monitoring.routine import record_check
+from rejoint.diagnosis.monitoring.measures import CheckMeasures, measure_check, record_check
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.lab.plant.wear import load_wear
 

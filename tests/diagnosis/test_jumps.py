@@ -8,8 +8,7 @@ import pytest
 
 from rejoint.arms import load_arm
 from rejoint.diagnosis.monitoring.judge import PastCheck, outlook, say
-from rejoint.diagnosis.monitoring.measures import measure_check
-from rejoint.diagnosis.monitoring.routine import record_check
+from rejoint.diagnosis.monitoring.measures import measure_check, record_check
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.lab.plant.wear import load_wear
 
