@@ -21,6 +21,9 @@ from rejoint.diagnosis.monitoring.measures import CheckMeasures, measure_check
 from rejoint.diagnosis.monitoring.routine import record_check
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
+from rejoint.diagnosis.monitoring.measures import CheckMeasures, measure_check, record_check
+from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.plant.wear import load_wear
 
 ARMS = 100
 """Of each kind"""

@@ -12,6 +12,9 @@ from rejoint.diagnosis.monitoring.measures import measure_check
 from rejoint.diagnosis.monitoring.routine import record_check
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
+from rejoint.diagnosis.monitoring.measures import measure_check, record_check
+from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.plant.wear import load_wear
 
 ARM = load_arm("mycobot280")
 BEGIN = datetime(2027, 1, 1)

@@ -12,8 +12,7 @@ import pytest
 import rejoint
 from rejoint.arms import load_arm, tcp_position
 from rejoint.arms.workspace import is_safe
-from rejoint.diagnosis.monitoring.measures import measure_check
-from rejoint.diagnosis.monitoring.routine import CYCLES, POSES, plan_check, record_check
+from rejoint.diagnosis.monitoring.measures import CYCLES, POSES, measure_check, plan_check, record_check
 from rejoint.diagnosis.segments import attach_segments
 from rejoint.logs.history.index import find_rows
 from rejoint.logs.history.rows import SUMMARY, read_rows, write_rows

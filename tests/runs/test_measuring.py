@@ -7,7 +7,7 @@ import pytest
 
 import rejoint
 from rejoint.arms import mycobot280
-from rejoint.diagnosis.calibration.measurementfile import read_interrupted
+from rejoint.diagnosis.calibration.measurements import read_interrupted
 from rejoint.diagnosis.calibration.procedure import TouchGauge
 from rejoint.runs.run import Run
 from rejoint.system.errors import FileError, InputError, UnsavedError

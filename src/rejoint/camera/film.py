@@ -21,7 +21,7 @@ from rejoint.camera.board import Board, BoardView
 from rejoint.camera.detector import KINDS, Detector, Unusable, read_picture
 from rejoint.camera.rig import write_rig
 from rejoint.diagnosis.calibration.calibration import Calibration
-from rejoint.diagnosis.calibration.measurementfile import (
+from rejoint.diagnosis.calibration.measurements import (
     COUNT,
     joint_columns,
     read_columns,

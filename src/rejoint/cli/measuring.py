@@ -18,8 +18,7 @@ from rejoint.cli import show
 from rejoint.cli.console import ConsoleObserver, Terminal
 from rejoint.cli.options import Call, takes
 from rejoint.diagnosis.calibration.calibration import WEDGE
-from rejoint.diagnosis.calibration.measurementfile import read_measurements
-from rejoint.diagnosis.calibration.measurements import NOISE
+from rejoint.diagnosis.calibration.measurements import NOISE, read_measurements
 from rejoint.diagnosis.calibration.procedure import EmulatedGauge, Stop, TouchGauge, TrackerGauge
 from rejoint.robots import place_of
 from rejoint.runs.run import Run

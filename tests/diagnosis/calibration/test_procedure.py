@@ -5,8 +5,7 @@ import pytest
 
 import rejoint
 from rejoint.arms import mycobot280, tcp_position
-from rejoint.diagnosis.calibration.measurementfile import read_measurements
-from rejoint.diagnosis.calibration.measurements import Measurements
+from rejoint.diagnosis.calibration.measurements import Measurements, read_measurements
 from rejoint.diagnosis.calibration.postures import BEFORE, suggest
 from rejoint.diagnosis.calibration.procedure import SPEED, EmulatedGauge, measure, reversals
 from rejoint.runs.run import Run

@@ -20,7 +20,7 @@ from report_samples import (
 from madetwin import made_twin
 from rejoint.arms import load_arm
 from rejoint.diagnosis.calibration.calibration import write_calibration
-from rejoint.diagnosis.calibration.measurementfile import write_measurements
+from rejoint.diagnosis.calibration.measurements import write_measurements
 from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.diagnosis.healthy import load_healthy
 from rejoint.diagnosis.measurement import Measurement

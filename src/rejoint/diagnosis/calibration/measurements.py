@@ -1,19 +1,36 @@
-"""Measurements of the real tool at rest.
+"""Measurements of the real tool at rest, and their files: Parquet and CSV.
 
-Rows of one ``posture`` approach it from different sides, which shows play.
+Rows of one ``posture`` approach it from different sides, which shows play. Columns: ``position.JOINT``; optional
+``approach.JOINT``; ``x``, ``y``, ``z``, ``sigma`` of the tool; ``posture`` number. Parquet is in rad and m; in CSV each
+name ends with its unit (``position.joint1_deg``, ``X [mm]``). Empty cells and other columns are allowed.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import hashlib
+import json
+import re
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
 
+import msgspec
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from rejoint.arms import Arm, Array, tcp_position
 from rejoint.arms.rotations import pose_of
-from rejoint.system.errors import InputError
+from rejoint.arms.workspace import in_metres
+from rejoint.logs.runlog import AXES, read_parquet
+from rejoint.system.errors import FileError, InputError, first_line
+from rejoint.system.files import CHANGED, MEGABYTE, require_file, write_whole
+from rejoint.system.textfile import ANGLES, LENGTHS, Sheet, read_sheet, split_unit
 
 Numbers = NDArray[np.int64]
 
@@ -106,3 +123,248 @@ def align(arm: Arm, measurements: Measurements) -> Array:
         )
     rotation = Rotation.align_vectors(apart_told, apart_seen)[0].as_matrix()
     return pose_of(rotation, told.mean(axis=0) - rotation @ seen.mean(axis=0))
+
+
+SHEET_MOST = 4 * MEGABYTE
+"""Largest CSV file; chosen: ten thousand rows"""
+COUNT = {"": 1.0}
+
+_ROOT = re.compile(r"[^a-z0-9]")
+
+Units = Mapping[str, float]
+"""Suffixes of titles and their SI factor"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Columns:
+    """Known columns of a table."""
+
+    sheet: Sheet
+    places: Mapping[str, tuple[int, float]]
+
+    def __len__(self) -> int:
+        return len(self.sheet)
+
+    def line(self, row: int) -> int:
+        """Line of a row in the file."""
+        return int(self.sheet.lines[row])
+
+    def words(self, name: str) -> list[str]:
+        """Cells of a column."""
+        return self.sheet.words(self.places[name][0])
+
+    def numbers(self, name: str) -> Array:
+        """Column (rows,) in SI units, NaN for empty cells or no such column; FileError for text."""
+        if name not in self.places:
+            return np.full(len(self), np.nan)
+        column, unit = self.places[name]
+        values = self.sheet.numbers([column])[:, 0]
+        if np.isinf(values).any():
+            place = f"line {self.line(int(np.argmax(np.isinf(values))))}, column {self.sheet.titles[column]}"
+            raise FileError(self.sheet.path, f"{place}: an infinite number", "mend the cell")
+        return unit * values
+
+    def filled(self, name: str) -> Array:
+        """Column; FileError for empty cells."""
+        values = self.numbers(name)
+        if np.isnan(values).any():
+            row = int(np.argmax(np.isnan(values)))
+            title = self.sheet.titles[self.places[name][0]]
+            raise FileError(self.sheet.path, f"line {self.line(row)}, column {title} is empty", "mend that line")
+        return values
+
+
+def read_columns(path: Path, meanings: Mapping[str, Units | None], needed: Collection[str]) -> Columns:
+    """Read a table with columns ``meanings``: name to units, or None for words.
+
+    FileError for missing ``needed`` columns, duplicates, wrong units.
+    """
+    require_file(path, SHEET_MOST, "give fewer rows")
+    sheet = read_sheet(path)
+    known = {
+        _titled(name, ending).casefold(): (name, unit)
+        for name, units in meanings.items()
+        for ending, unit in (units or COUNT).items()
+    }
+    wanted = {name: _titled(name, next(iter(units or COUNT))) for name, units in meanings.items()}
+    places: dict[str, tuple[int, float]] = {}
+    for index, title in enumerate(sheet.titles):
+        stem, ending = split_unit(title, {*ANGLES, *LENGTHS})
+        plain = _titled(stem, ending or "").casefold()
+        if plain not in known:
+            _require_other(path, title, plain, wanted)
+            continue
+        name, unit = known[plain]
+        if name in places:
+            other = sheet.titles[places[name][0]]
+            raise FileError(path, f"columns {other} and {title} are both {name}", "leave one of them out")
+        places[name] = (index, unit)
+    if missing := [wanted[name] for name in needed if name not in places]:
+        named = ", ".join(wanted[name] for name in needed)
+        raise FileError(path, f"columns {sheet.shown}; missing: {', '.join(missing)}", f"name them {named}")
+    return Columns(sheet=sheet, places=places)
+
+
+def _require_other(path: Path, title: str, plain: str, wanted: Mapping[str, str]) -> None:
+    """Raise FileError for a title that looks like one of ``wanted``."""
+    roots = {_ROOT.split(name.casefold())[0]: titled for name, titled in reversed(wanted.items())}
+    if _ROOT.split(plain)[0] not in roots:
+        return
+    for name, titled in wanted.items():
+        if plain == name.casefold():
+            raise FileError(path, f"column {title} does not say its unit", f"name it {titled}")
+    examples = ", ".join(reversed(roots.values()))
+    raise FileError(path, f"column {title} is not known", f"name it as one of {examples}, or otherwise")
+
+
+def _titled(name: str, ending: str) -> str:
+    return f"{name}_{ending}" if ending else name
+
+
+T = TypeVar("T")
+
+FORMAT = 1
+_KEY = b"rejoint"
+_REMEDY = "measure again, or take another file"
+
+
+def write_measurements(path: Path, arm: Arm, measured: Measurements, session: MeasuringSession | None = None) -> None:
+    """Write measurements as Parquet; ``session``: progress."""
+    columns: dict[str, Array] = {"posture": measured.posture.astype(float), "sigma": measured.sigma}
+    for names, rows in zip(joint_columns(arm), (measured.position, measured.approach), strict=True):
+        columns |= dict(zip(names, rows.T, strict=True))
+    columns |= {axis: measured.point[:, i] for i, axis in enumerate(AXES)}
+    about = {
+        "frame": measured.frame,
+        "source": measured.source,
+        "session": None if session is None else asdict(session),
+    }
+    write_table(path, arm, "measurements", columns, about)
+
+
+def read_measurements(path: Path, arm: Arm, *, frame: str = "base", source: str = "tracker") -> Measurements:
+    """Read CSV, with ``frame`` and ``source``, or Parquet; FileError if unusable."""
+    if path.suffix.lower() != ".csv":
+        return read_table(path, arm, "measurements", partial(_measured, arm=arm))[0]
+    with readable(path, "measurements"):
+        return _from_csv(path, arm, frame, source)
+
+
+def read_interrupted(path: Path, arm: Arm) -> tuple[Measurements, MeasuringSession] | None:
+    """Read interrupted measurements and progress; None if complete."""
+    measured, session = read_table(path, arm, "measurements", partial(_measured, arm=arm))
+    return None if session is None else (measured, session)
+
+
+def _measured(
+    columns: dict[str, list[Any]], about: dict[str, Any], arm: Arm
+) -> tuple[Measurements, MeasuringSession | None]:
+    arrays = {name: np.array(values, dtype=float) for name, values in columns.items()}
+    session = msgspec.convert(about["session"], MeasuringSession | None)
+    return _assemble(arrays, arm, about["frame"], about["source"]), session
+
+
+def write_table(path: Path, arm: Arm, what: str, columns: Mapping[str, Any], about: Mapping[str, Any]) -> None:
+    """Write Parquet with header ``about`` and a digest."""
+    table = pa.table(dict(columns))
+    header = {"format": FORMAT, "what": what, "arm": arm.name, "joints": list(arm.joint_names), **about}
+    header["digest"] = _digest(table, header)
+    table = table.replace_schema_metadata({_KEY: json.dumps(header).encode()})
+    write_whole(path, lambda temporary: pq.write_table(table, temporary, write_page_checksum=True))
+
+
+def read_table(path: Path, arm: Arm, what: str, build: Callable[[dict[str, list[Any]], dict[str, Any]], T]) -> T:
+    """Build from a table's columns and header; FileError for another kind."""
+    with readable(path, what):
+        table = read_parquet(path, _REMEDY)
+        header = json.loads((table.schema.metadata or {}).get(_KEY, b"{}"))
+        if header.get("format") != FORMAT or header.get("what") != what:
+            raise FileError(path, f"no {what} of format {FORMAT}, but some other table", _REMEDY)
+        if header["arm"] != arm.name or tuple(header["joints"]) != arm.joint_names:
+            raise FileError(path, f"{what} of arm {header['arm']}, expected {arm.name}", "name the right arm")
+        if header.pop("digest") != _digest(table, header):
+            raise FileError(path, CHANGED, _REMEDY)
+        return build(table.to_pydict(), header)
+
+
+@contextmanager
+def readable(path: Path, what: str) -> Iterator[None]:
+    """Make errors from a file that is no ``what`` FileErrors."""
+    try:
+        yield
+    except FileNotFoundError as error:
+        raise FileError(path, "no such file", "check the path") from error
+    except (OSError, pa.ArrowException, KeyError, TypeError, ValueError, InputError, msgspec.MsgspecError) as error:
+        raise FileError(path, f"not readable {what} ({first_line(error)})", _REMEDY) from error
+
+
+def _digest(table: pa.Table, header: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps([header, table.to_pydict()], sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _assemble(columns: dict[str, Array], arm: Arm, frame: str, source: str) -> Measurements:
+    rows = len(columns["x"])
+    position, approach = (np.stack([columns[name] for name in names], axis=-1) for names in joint_columns(arm))
+    return Measurements(
+        position=position,
+        approach=approach,
+        point=np.stack([columns[axis] for axis in AXES], axis=-1),
+        sigma=columns.get("sigma", np.full(rows, NOISE)),
+        posture=np.asarray(columns.get("posture", np.arange(rows, dtype=float)), dtype=np.int64),
+        frame=frame,
+        source=source,
+    )
+
+
+BEYOND = np.radians(10.0)
+"""[rad] tolerated beyond joint limits; chosen"""
+
+
+def joint_columns(arm: Arm) -> tuple[list[str], list[str]]:
+    """Names of the columns of positions, and of positions before the last motion."""
+    position, approach = ([f"{group}.{name}" for name in arm.joint_names] for group in ("position", "approach"))
+    return position, approach
+
+
+def require_degrees(path: Path, position: Array) -> None:
+    """Raise FileError if positions (M, n) [rad] were given in radians, and taken for degrees."""
+    if len(position) > 1 and (np.abs(np.degrees(position)) <= np.pi).all():
+        raise FileError(path, "every joint position lies between -3.14 and 3.14", "give degrees, not radians")
+
+
+def _from_csv(path: Path, arm: Arm, frame: str, source: str) -> Measurements:
+    joints, came = joint_columns(arm)
+    meanings = dict.fromkeys(joints + came, ANGLES) | dict.fromkeys((*AXES, "sigma"), LENGTHS) | {"posture": COUNT}
+    found = read_columns(path, meanings, joints)
+    if not any(axis in found.places for axis in AXES):
+        raise FileError(path, f"columns {found.sheet.shown}; missing: x_mm, y_mm, z_mm", "give at least one of them")
+    if not len(found):
+        raise FileError(path, "no measurements below the header", "add one line for each")
+    columns = {name: found.numbers(name) for name in (*AXES, *came)}
+    columns |= {name: found.filled(name) for name in (*joints, "sigma", "posture") if name in found.places}
+    seen = np.isfinite([columns[axis] for axis in AXES]).any(axis=0)  # as an empty answer at the prompt leaves one out
+    lines = [found.line(row) for row in np.flatnonzero(seen).tolist()]
+    if not lines:
+        raise FileError(path, "no line has a coordinate of the tool", "measure at least one")
+    try:
+        measured = _assemble({name: values[seen] for name, values in columns.items()}, arm, frame, source)
+    except InputError as error:
+        raise FileError(path, str(error), _REMEDY) from error
+    _require_units(path, arm, measured, lines)
+    return measured
+
+
+def _require_units(path: Path, arm: Arm, measured: Measurements, lines: list[int]) -> None:
+    beyond = (measured.position < arm.lower - BEYOND) | (measured.position > arm.upper + BEYOND)
+    if beyond.any():
+        row, joint = (int(index) for index in np.argwhere(beyond)[0])
+        low, high = np.degrees(arm.lower[joint]), np.degrees(arm.upper[joint])
+        angle = np.degrees(measured.position[row, joint])
+        raise FileError(
+            path,
+            f"line {lines[row]}: {arm.joint_names[joint]} at {angle:.1f} deg, expected {low:.0f} to {high:.0f}",
+            "give what this arm's encoders said, in degrees",
+        )
+    require_degrees(path, measured.position)
+    if measured.frame == "base" and in_metres(measured.point):
+        raise FileError(path, "every coordinate of the tool is below 5", "give millimetres, not metres")

@@ -9,9 +9,8 @@ from datetime import datetime, timedelta
 import numpy as np
 
 from rejoint.arms import Array
-from rejoint.diagnosis.monitoring.charts import FEWEST, Chart, State, chart, find_jump
+from rejoint.diagnosis.monitoring.charts import FEWEST, Chart, State, chart, find_jump, remaining
 from rejoint.diagnosis.monitoring.measures import CheckMeasures
-from rejoint.diagnosis.monitoring.remaining import remaining
 from rejoint.system.shell import command
 
 ZERO_PER_DEGREE = np.radians(0.02)

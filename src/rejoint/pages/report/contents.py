@@ -19,8 +19,7 @@ from rejoint.control.contract import PolicyContract
 from rejoint.control.correction import NOT_KNOWN, TrueError
 from rejoint.control.policy import load_policy
 from rejoint.diagnosis.calibration.calibration import Calibration, read_calibration
-from rejoint.diagnosis.calibration.measurementfile import read_measurements
-from rejoint.diagnosis.calibration.measurements import Measurements
+from rejoint.diagnosis.calibration.measurements import Measurements, read_measurements
 from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.diagnosis.open_loop import modelled_errors
 from rejoint.logs.runfolder.effort import Effort

@@ -13,8 +13,13 @@ from rejoint.control.observer import Observer, pacing
 from rejoint.control.robot import Robot
 from rejoint.diagnosis.calibration.calibration import Calibration, Preload, preload, write_calibration
 from rejoint.diagnosis.calibration.fit import fit
-from rejoint.diagnosis.calibration.measurementfile import read_interrupted, read_measurements, write_measurements
-from rejoint.diagnosis.calibration.measurements import Measurements, MeasuringSession
+from rejoint.diagnosis.calibration.measurements import (
+    Measurements,
+    MeasuringSession,
+    read_interrupted,
+    read_measurements,
+    write_measurements,
+)
 from rejoint.diagnosis.calibration.postures import Suggestion, suggest
 from rejoint.diagnosis.calibration.procedure import (
     EmulatedGauge,

@@ -203,7 +203,7 @@ def _once(
 
 
 def _drive(robot: Robot, folder: Path, on_progress: Progress) -> tuple[RunLog, Array | None]:
-    from rejoint.diagnosis.monitoring.routine import LABEL, record_check
+    from rejoint.diagnosis.monitoring.measures import LABEL, record_check
 
     folder.mkdir(parents=True, exist_ok=True)
     require_space(folder)
