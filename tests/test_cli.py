@@ -113,6 +113,13 @@ def test_bad_input_is_one_line_and_exit_code_2(words, says, tmp_path, cli, monke
     assert says in cli(*(word.format(**places) for word in words), code=2).error
 
 
+@pytest.mark.parametrize("words", [("emulate",), ("research", "tune", "adaptive")])
+def test_without_the_lab_its_commands_say_so(words, cli, monkeypatch):
+    for name in ("rejoint_lab", "rejoint_lab.commands"):
+        monkeypatch.setitem(sys.modules, name, None)
+    assert "package rejoint_lab, which is not installed" in cli(*words, code=2).error
+
+
 def test_a_policy_for_another_arm_is_refused_before_anything_moves(tmp_path, cli):
     arm = mycobot280()
     folder = Run.create(tmp_path / "run", "emulated:worn", mycobot280(), 0).folder

@@ -8,6 +8,9 @@ import pytest
 from camera_scenes import ARM, WORN, taken
 
 from rejoint.arms import tcp_position
+from rejoint.arms import tcp_pose, tcp_position
+from rejoint.camera.board import ON_TABLE, ON_TOOL, BoardView
+from rejoint.camera.views import Unusable
 from rejoint.arms.rotations import inverse
 from rejoint.camera.board import ON_TABLE, ON_TOOL, BoardView
 from rejoint.camera.detector import Unusable
@@ -99,7 +102,7 @@ def test_pictures_of_a_folder_are_read_with_their_postures(tmp_path):
     t, film = taken(), film_of(3)
     write_postures(tmp_path / POSTURES, ARM, film)
     for k in range(3):
-        cv2.imwrite(str(tmp_path / f"view-0{k}.png"), t.scene.picture(t.links[k], k))
+        cv2.imwrite(str(tmp_path / f"view-0{k}.png"), t.scene.shows(tcp_pose(t.scene.arm, t.links[k]), k))
     found = read_folder(str(tmp_path), ARM, ON_TOOL)
     assert [shot.name for shot in found.shots] == [shot.name for shot in film.shots[:3]]
     for one, other in zip(found.usable, film.shots, strict=False):

@@ -56,12 +56,12 @@ def test_the_tool_is_found_in_one_picture_and_not_where_the_board_is_hidden():
     scene, links = taken().scene, taken().links
     tracker = ToolTracker(scene.rig)
     for i in (0, 7):
-        seen = tracker.see(scene.picture(links[i], i), time=5.0)
+        seen = tracker.see(scene.shows(tcp_pose(ARM, links[i]), i), time=5.0)
         truth = tcp_pose(ARM, links[i])[:3, 3]
         assert np.linalg.norm(seen.place - truth) < min(1e-3, 6 * seen.sigma)
         assert tracker.why == ""
         assert seen.time == 5.0
-    assert tracker.see(np.full_like(scene.picture(links[0], 0), 140)) is None
+    assert tracker.see(np.full_like(scene.shows(tcp_pose(ARM, links[0]), 0), 140)) is None
     assert tracker.why
     view = taken().views[0]
     bent = type(view)(name="bent", number=view.number, pixel=view.pixel + np.where(view.number % 2, 4.0, -4.0)[:, None])

@@ -101,9 +101,9 @@ def _module_of(command: str, name: str) -> ModuleType:
     try:
         return import_module(whole)
     except ModuleNotFoundError as error:
-        package = whole.partition(".")[0]
-        if error.name != package:
+        if not f"{whole}.".startswith(f"{error.name}."):
             raise
+        package = whole.partition(".")[0]
         raise InputError(f"rejoint {command} is a command of the package {package}, which is not installed") from error
 
 

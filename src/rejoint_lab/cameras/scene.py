@@ -116,10 +116,6 @@ class Scene:
     rig: Rig
     looks: Looks = field(default_factory=Looks)
 
-    def picture(self, links: Array, seed: int | tuple[int, ...], looks: Looks | None = None) -> Picture:
-        """Image with the links at ``links`` (n,) [rad]."""
-        return self.shows(tcp_pose(self.arm, links), seed, looks)
-
     def shows(self, tool: Array, seed: int | tuple[int, ...], looks: Looks | None = None) -> Picture:
         """Image with the tool at ``tool`` (4, 4) in the base."""
         return render(self.rig.board, self.rig.lens, self.rig.sight(tool), seed, looks or self.looks)

@@ -120,9 +120,6 @@ class FeetechAddress:
     gains: Gains = field(default_factory=dict)
     """by `rejoint.robots.feetech.gains.KNOBS`; empty: unchanged"""
 
-    def __str__(self) -> str:
-        return str(self.wire)
-
     @property
     def spot(self) -> str:
         """Equal for all its addresses."""
