@@ -106,13 +106,8 @@ def evaluate(
 ) -> object:
     """Try controllers on a hundred arms on which nothing was chosen, and on the same under harder conditions."""
     arm = _arm(call)
-    from rejoint.control.comparison.result import Protocol
     from rejoint_lab.research.evaluation.evaluate import evaluate as run
     from rejoint_lab.research.evaluation.evaluate import known_names
-    from rejoint_lab.research.evaluation.family import VARIANTS, ArmFamily, find_variant
-    from rejoint_lab.research.evaluation.trials import TrialSettings
-    from rejoint_lab.research.evaluation.evaluate import known_names
-    from rejoint_lab.research.evaluation.evaluate import evaluate as run
     from rejoint_lab.research.evaluation.family import VARIANTS, find_variant
 
     names = {"all": known_names(), "none": ()}.get(controllers, controller_names(controllers))
@@ -137,11 +132,7 @@ def identification(
 ) -> object:
     """Find what a twin of its own brings: diagnose, identify and train for each arm, and try it with and without."""
     arm = _arm(call)
-    from rejoint.control.comparison.result import Protocol
     from rejoint_lab.research.evaluation.evaluate import evaluate_identification
-    from rejoint_lab.research.evaluation.family import ArmFamily
-    from rejoint_lab.research.evaluation.trials import TrialSettings
-    from rejoint_lab.research.evaluation.identification import evaluate_identification
 
     settings = _settings(threads, arms=arms, targets=targets, crossings=crossings, seed=seed)
     with call.progress("identification") as update:

@@ -7,10 +7,7 @@ import numpy as np
 import pytest
 from camera_scenes import ARM, WORN, taken
 
-from rejoint.arms import tcp_position
 from rejoint.arms import tcp_pose, tcp_position
-from rejoint.camera.board import ON_TABLE, ON_TOOL, BoardView
-from rejoint.camera.views import Unusable
 from rejoint.arms.rotations import inverse
 from rejoint.camera.board import ON_TABLE, ON_TOOL, BoardView
 from rejoint.camera.detector import Unusable

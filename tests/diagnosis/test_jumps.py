@@ -8,10 +8,6 @@ import pytest
 
 from rejoint.arms import load_arm
 from rejoint.diagnosis.monitoring.judge import PastCheck, outlook, say
-from rejoint.diagnosis.monitoring.measures import measure_check
-from rejoint.diagnosis.monitoring.routine import record_check
-from rejoint_lab.emulated import EmulatedRobot
-from rejoint_lab.plant.wear import load_wear
 from rejoint.diagnosis.monitoring.measures import measure_check, record_check
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear

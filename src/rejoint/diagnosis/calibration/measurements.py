@@ -207,7 +207,7 @@ def read_columns(path: Path, meanings: Mapping[str, Units | None], needed: Colle
 
 def _require_other(path: Path, title: str, plain: str, wanted: Mapping[str, str]) -> None:
     """Raise FileError for a title that looks like one of ``wanted``."""
-    roots = {_ROOT.split(name.casefold())[0]: titled for name, titled in reversed(wanted.items())}
+    roots = {_ROOT.split(name.casefold())[0]: titled for name, titled in reversed(list(wanted.items()))}
     if _ROOT.split(plain)[0] not in roots:
         return
     for name, titled in wanted.items():
