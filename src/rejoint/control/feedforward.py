@@ -89,16 +89,16 @@ class FeedforwardController:
             self.reset_learned(inputs, np.ones(len(inputs.sent), dtype=bool))
         self._take(inputs, where)
         distance = np.linalg.norm(inputs.target - tcp_position(self._arm, inputs.state.position), axis=-1)
-        self._correction -= (where * self._far(distance))[:, None] * self.unneeded(self._correction)
+        self._correction -= (where * self._far(distance))[:, None] * self._unneeded()
 
     def on_the_way(self, inputs: ControlInput) -> Mask:
         """Arms (B,) with moving goals."""
         moved: Mask = np.logical_or.reduce(inputs.goal != self._goal, axis=-1)
         return moved
 
-    def unneeded(self, motion: Array) -> Array:
-        """Null-space part of a ``motion`` (B, n) [rad]: it does not move the tool."""
-        part: Array = (self._idle @ motion[..., None])[..., 0]
+    def _unneeded(self) -> Array:
+        """Null-space parts (B, n) [rad] of the corrections."""
+        part: Array = (self._idle @ self._correction[..., None])[..., 0]
         return part
 
     def _far(self, distance: Array) -> Array:
@@ -161,7 +161,7 @@ class FeedforwardController:
         gains, elapsed = self._gains, self._pace.tick(inputs.state.time)
         if np.count_nonzero(distance > gains.far[0]):
             forgotten = self._far(distance) * -np.expm1(-gains.forgetting * elapsed)
-            self._correction -= forgotten[:, None] * self.unneeded(self._correction)
+            self._correction -= forgotten[:, None] * self._unneeded()
         # Bounded by itself, not by the measured position: on the way the command leads by the whole distance.
         compiled.integrate(
             self._correction,
