@@ -24,9 +24,9 @@ from rejoint.control.classical import DefaultController
 from rejoint.control.comparison.compare import Settings, Trial, TrialRunner
 from rejoint.control.comparison.elimination import Elimination
 from rejoint.control.comparison.ledger import Ledger
-from rejoint.control.comparison.protocols import Driven, measure
+from rejoint.control.comparison.protocols import measure
 from rejoint.control.comparison.recommend import Recommendation, recommend
-from rejoint.control.comparison.result import Comparison
+from rejoint.control.comparison.result import Comparison, Driven
 from rejoint.control.robot import Robot
 from rejoint.control.targets import draw_targets
 from rejoint.robots import open_robot

@@ -26,7 +26,8 @@ import typer
 
 from rejoint.arms import load_arm, solve_position, tcp_position
 from rejoint.control.classical import DefaultController, IntegratorController
-from rejoint.control.comparison.protocols import Protocol, measure_holds
+from rejoint.control.comparison.protocols import metrics_of
+from rejoint.control.comparison.result import Protocol
 from rejoint.control.loop import Schedule, run
 from rejoint.logs import import_logs
 from rejoint.robots import place_of
@@ -170,7 +171,7 @@ def _settled(controller, targets, p, i):
     gains = {"p": p, "i": i}
     robot = EmulatedRobot(ARM, [load_wear("so101", ARM)], seed=0, period=(0.020, 0.020), gains=gains)
     recording = run(robot, controller, targets[None], Schedule(dwell=DWELL))
-    return 1e3 * measure_holds(ARM, recording, targets[None], Protocol(hold=DWELL))["settled"].mean()
+    return 1e3 * metrics_of(ARM, recording, targets[None], Protocol(hold=DWELL))["settled"].mean()
 
 
 def joints(address, run):

@@ -16,8 +16,8 @@ import numpy as np
 import rejoint
 from benchmarks.frame import cell
 from rejoint.arms import mycobot280
-from rejoint.arms.camera.board import ON_TABLE, ON_TOOL
-from rejoint.diagnosis.calibration.camera.filming import POSTURES, CameraGauge
+from rejoint.camera.board import ON_TABLE, ON_TOOL
+from rejoint.camera.filming import POSTURES, CameraGauge
 from rejoint.robots.cameras import simulated
 
 DWELL = 8.0

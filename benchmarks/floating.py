@@ -21,11 +21,11 @@ from rejoint.arms.displacement import FLOATING, direction
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.rotations import rotation_about
 from rejoint.control.catalogue import make_controller
+from rejoint.control.comparison.result import Protocol
 from rejoint.control.loop import Schedule, run
 from rejoint.control.targets import draw_targets
 from rejoint_lab.emulated import EmulatedRobot
-from rejoint_lab.research.evaluation.calibrating import HOLD, find_condition, open_condition
-from rejoint_lab.research.evaluation.family import FAMILY_SIZE, ArmFamily
+from rejoint_lab.research.evaluation.family import FAMILY_SIZE, WORN, ArmFamily, open_family
 
 
 def held(robot: EmulatedRobot, targets: Array) -> tuple[Array, Array]:
@@ -36,7 +36,7 @@ def held(robot: EmulatedRobot, targets: Array) -> tuple[Array, Array]:
             robot,
             make_controller("feedforward", robot.arm),
             targets[:, k : k + 1],
-            Schedule(dwell=HOLD, keep_going=True),
+            Schedule(dwell=Protocol().hold, keep_going=True),
         )
         read.append(robot.plant.encoder())
         beyond.append(robot.plant.link_position() - read[-1])
@@ -61,7 +61,7 @@ def main(arms: int = 40, targets: int = 20, family: int = 0, slope: float = 0.0)
     arm, drawn = mycobot280(), ArmFamily(arms=arms, targets=targets, seed=family)
     places = draw_targets(arm, sets=arms, count=targets, seed=FAMILY_SIZE * (family + 1) + 1)
     tilt = np.radians(slope)
-    robot = open_condition(arm, replace(find_condition("worn"), tilt=tilt), drawn, 1)
+    robot = open_family(arm, replace(WORN, tilt=tilt), drawn)
     read, beyond = held(robot, places)
     left, reached = by_chance(arm, read, beyond, tilt), tcp_position(arm, read)
     first = np.concatenate([left[..., :1], np.zeros_like(left[..., 1:])], axis=-1)

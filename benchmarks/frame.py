@@ -4,7 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.control.comparison.result import Protocol
+from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.system.statistics import paired_difference
+from rejoint_lab.research.evaluation.calibrating import inside
 
 Array = NDArray[np.float64]
 NARROW = int(np.argmin(Protocol().within))
@@ -22,10 +24,10 @@ def held_columns(found: dict[str, Array], arms: int) -> tuple[Array, Array]:
     return found["settled"].reshape(arms, -1), np.where(stay >= Protocol().hold, np.inf, stay)
 
 
-def corrected(name: str, tried) -> None:
+def corrected(name: str, tried: dict[str, Array], found: list[Calibration]) -> None:
     """Print a row about calibrated arms: true error [mm], targets inside the interval, calibrations used."""
-    inside = tried.inside[np.isfinite(tried.error)].mean()
-    print(f"{name:28} {cell(1e3 * tried.error)}   inside {inside:.0%}   used {tried.used.mean():.0%}", flush=True)
+    share, used = np.nanmean(inside(tried)), np.mean([one.used for one in found])
+    print(f"{name:28} {cell(1e3 * tried['settled_true'])}   inside {share:.0%}   used {used:.0%}", flush=True)
 
 
 def holds(name: str, settled: Array, stay: Array, against: tuple[Array, Array] | None) -> None:

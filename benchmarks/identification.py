@@ -25,15 +25,15 @@ from rejoint.arms import Arm, load_arm
 from rejoint.logs import import_logs
 from rejoint.logs.exclusions import find_exclusions, table_height
 from rejoint.logs.runlog import RunLog
-from rejoint.twin.batch import friction_solref, twin_spec
 from rejoint.twin.fit import SCALES, Problem, fit
-from rejoint.twin.fromlogs import FITTED, identify_logs
+from rejoint.twin.fromlogs import FITTED, LogSettings, identify_logs
 from rejoint.twin.judge import TIMESTEP, Candidate, Errors, judge
-from rejoint.twin.motionfit import HoldOut, LogSettings, free_windows, thin
 from rejoint.twin.motionfit import folds as fold_numbers
+from rejoint.twin.motionfit import free_windows, thin
 from rejoint.twin.parameters import TwinParameters, pack, unknown_prior, unpack, vector_names
 from rejoint.twin.replay import Replay
 from rejoint.twin.structure import LIMITS, rough_fit, simplest
+from rejoint.twin.table import friction_solref, twin_spec
 
 
 def read_logs(folder: Path, arm: Arm) -> list[RunLog]:
@@ -59,7 +59,7 @@ def folds(arm: Arm, logs: Sequence[RunLog]) -> None:
     for k in range(FOLDS):
         names = tuple(log.label for log, own in zip(logs, number, strict=True) if own == k)
         start = time.process_time()
-        found = identify_logs(arm, logs, LogSettings(threads=1, hold_out=HoldOut(names=names)))
+        found = identify_logs(arm, logs, LogSettings(threads=1, hold_out=names))
         seconds = time.process_time() - start
         print(f"\nfold {k}: {len(found.fitted)} motions fitted, the others judged in {seconds:.1f} s of one core")
         print(HEADER)

@@ -23,7 +23,8 @@ from rejoint.arms import Arm, Array, gravity_torque, mycobot280
 from rejoint.arms.inertia import loaded
 from rejoint.arms.posing import find_postures
 from rejoint.control.catalogue import shelf_controller
-from rejoint.control.comparison.protocols import Protocol, measure_holds
+from rejoint.control.comparison.protocols import metrics_of
+from rejoint.control.comparison.result import Protocol
 from rejoint.control.controller import Controller
 from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.loop import Schedule, run
@@ -39,7 +40,7 @@ from rejoint.session.payload import heavy, noticed_load
 from rejoint.twin.twin import Twin
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
-from rejoint_lab.research.evaluation.contestants import planned
+from rejoint_lab.research.evaluation.evaluate import planned
 from rejoint_lab.research.evaluation.family import FAMILY_SIZE
 from rejoint_lab.research.evaluation.trials import own_twin
 
@@ -113,7 +114,7 @@ def _hold(
     """Settled errors (K,) [m] and times (K,) [s] to stay within 2 mm, and the mass [kg] that seems to be untold."""
     robot, sent = _robot(arm, seed, true, told)
     recording = run(robot, make(robot.arm, twin), targets, Schedule(dwell=DWELL, sent=sent))
-    holds = measure_holds(arm, recording, targets, Protocol(hold=DWELL))
+    holds = metrics_of(arm, recording, targets, Protocol(hold=DWELL))
     seems = noticed_load(robot.arm, twin, recording.log(0, "hold"))[0]
     return holds["settled"][0], holds[Protocol().stay_names[NARROW]][0], seems
 

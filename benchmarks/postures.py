@@ -45,11 +45,11 @@ from rejoint.control.guard import GuardLimits, guard
 from rejoint.control.loop import run
 from rejoint.control.reference import TargetSequence
 from rejoint.control.robot import JointState
-from rejoint.twin.batch import twin_spec
+from rejoint.twin.table import twin_spec
 from rejoint.twin.twin import Twin
-from rejoint_lab.research.evaluation.contestants import classical
-from rejoint_lab.research.evaluation.evaluate import own_twins
+from rejoint_lab.research.evaluation.evaluate import classical
 from rejoint_lab.research.evaluation.family import NEARBY, ArmFamily, find_variant, open_family, targets_anywhere
+from rejoint_lab.research.evaluation.trials import own_twins
 
 ROUNDS, WAYS, PERIOD = 5, 100, 0.025
 """Sets of boxes per arm, ways of each set, and the control period [s]"""
@@ -79,7 +79,7 @@ def main() -> None:
         _ways("no boxes", [arm] * ROUNDS)
         _ways("three boxes", boxed)
         with TemporaryDirectory() as folder:
-            twins = own_twins(arm, FAMILY, Path(folder))
+            twins = own_twins(arm, FAMILY.wear_seeds, Path(folder), FAMILY.seed)
         _driven("no boxes", arm, twins)
         _driven("three boxes", boxed[0], twins)
 
@@ -223,7 +223,7 @@ def _driven(title: str, arm: Arm, twins: list[Twin]) -> None:
     variant, judge = find_variant("anywhere"), Judge(arm)
     targets, ways = targets_anywhere(arm, FAMILY, twins)
     plan_of = schedule("hold", Protocol(hold=3.0), keep_going=True)
-    controller = classical("feedforward").maker(twins)(arm)
+    controller = classical("feedforward").make(arm, twins)
     recording = run(open_family(arm, variant, FAMILY), controller, TargetSequence(arm, targets, ways=ways), plan_of)
     planned = [judge.nearest(_dense(way)) for row in ways for way in row]
     driven = []

@@ -21,10 +21,10 @@ from rejoint.control.robot import JointState
 from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.twin.predictive import PredictiveController
 from rejoint.twin.twin import Twin
-from rejoint_lab.research.evaluation.contestants import planned
+from rejoint_lab.research.evaluation.evaluate import planned
 from rejoint_lab.research.evaluation.family import ArmFamily, find_variant
 from rejoint_lab.research.evaluation.trials import TrialSettings, own_twin, try_controller
-from rejoint_lab.research.rivals.catalogue import make_rival
+from rejoint_lab.research.rivals.laws import make_rival
 
 TARGETS, STEPS = 3, 2000
 OTHER_MOTIONS = 1_000_000

@@ -18,19 +18,14 @@ import numpy as np
 from benchmarks.frame import corrected
 from rejoint.arms import mycobot280
 from rejoint.control.catalogue import make_controller
+from rejoint.control.comparison.result import Protocol
 from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.calibration.fit import fit
 from rejoint.diagnosis.calibration.postures import suggest
 from rejoint_lab.emulated import EmulatedRobot
-from rejoint_lab.research.evaluation.calibrating import (
-    CONDITIONS,
-    SIGMA,
-    FreshTargets,
-    measure,
-    open_condition,
-    try_found,
-)
-from rejoint_lab.research.evaluation.family import ArmFamily
+from rejoint_lab.research.evaluation.calibrating import SIGMA, measure
+from rejoint_lab.research.evaluation.family import WORN, ArmFamily, open_family
+from rejoint_lab.research.evaluation.trials import TrialArms, TrialSettings, try_on
 
 FIRST, TARGETS = 10, 4
 WORN_ON, BUMPED = 1.3, np.radians(2.0)
@@ -39,10 +34,8 @@ CHANGES = ("nothing", "worn on", "bumped")
 
 def changed(change: str, family: ArmFamily) -> EmulatedRobot:
     """Open all arms as they are after a change."""
-    condition = CONDITIONS[0]
-    if change == "bumped":
-        condition = replace(condition, tilt=BUMPED)
-    robot = open_condition(mycobot280(), condition, family, 1)
+    condition = replace(WORN, tilt=BUMPED) if change == "bumped" else WORN
+    robot = open_family(mycobot280(), condition, family)
     if change == "worn on":
         robot.plant.joints["play"] *= WORN_ON
         robot.plant.joints["link_stiffness"] /= WORN_ON
@@ -51,9 +44,13 @@ def changed(change: str, family: ArmFamily) -> EmulatedRobot:
 
 def main(arms: int = 20, points: str = "3", changes: str = ",".join(CHANGES)) -> None:
     """Print a table for each change; ``points`` of the second calibration."""
-    arm, family, counts = mycobot280(), ArmFamily(arms=arms, targets=TARGETS, seed=0), [*map(int, points.split(","))]
+    arm, family, counts = (
+        mycobot280(),
+        ArmFamily(arms=arms, targets=TARGETS, crossings=0),
+        [*map(int, points.split(","))],
+    )
     begun = measure(changed("nothing", family), suggest(arm, FIRST, visits=2, sigma=SIGMA), family.seed)
-    first = [fit(arm, begun.first(i, FIRST)) for i in range(arms)]
+    first, settings = begun.fitted(arm, FIRST), TrialSettings(family=family, protocol=Protocol())
     targets = draw_targets(arm, sets=arms, count=TARGETS, seed=11)
     for change in changes.split(","):
         measured = measure(changed(change, family), suggest(arm, max(counts), visits=1, sigma=SIGMA, seed=1), 1)
@@ -67,5 +64,10 @@ def main(arms: int = 20, points: str = "3", changes: str = ",".join(CHANGES)) ->
         print(f"{change}, {arms} arms")
         for name, calibrations in found.items():
             drive = partial(make_controller, "feedforward")
-            fresh = FreshTargets(name="target region", targets=targets)
-            corrected(name, try_found(changed(change, family), calibrations, drive, fresh, 0))
+            trial = TrialArms(
+                open=partial(changed, change, family),
+                targets=targets,
+                wear_seeds=family.wear_seeds,
+                calibrations=calibrations,
+            )
+            corrected(name, try_on(arm, trial, drive, settings), calibrations)

@@ -1,7 +1,6 @@
-"""Emulated SO-101 on the law of their servos, in virtual time: `python -m benchmarks so101 shelf|push|tuned`.
+"""Emulated SO-101 on the law of their servos, in virtual time: `python -m benchmarks so101 shelf|tuned`.
 
 `shelf`: the policy from the shelf against the classical controllers, on twenty arms that it never met, at two P.
-`push`: shares of the friction push and of its dither, under gains that a search found.
 `tuned`: what controllers gain from the gains of a search, with the twin of the gains before made as stiff as then.
 """
 
@@ -10,9 +9,9 @@ import numpy as np
 from rejoint.arms import load_arm
 from rejoint.control.catalogue import shelf_controller
 from rejoint.control.classical import DefaultController, IntegratorController
-from rejoint.control.comparison.protocols import measure_holds
+from rejoint.control.comparison.protocols import metrics_of
 from rejoint.control.comparison.result import Protocol
-from rejoint.control.feedforward import FeedforwardController, PushController, PushGains
+from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.servogains import search
 from rejoint.control.targets import draw_targets
@@ -50,7 +49,7 @@ def targets(count, each, seed):
 def held(arm, controller, points):
     """Settled error [mm] and tremble [mm], both (B, K), and time [s] (B, K) to come and stay within 2 mm."""
     recording = run(arm, controller, points, Schedule(dwell=PROTOCOL.hold, keep_going=True))
-    holds = measure_holds(ARM, recording, points, PROTOCOL)
+    holds = metrics_of(ARM, recording, points, PROTOCOL)
     return 1e3 * holds["settled"], 1e3 * holds["oscillation"], holds[PROTOCOL.stay_names[-1]]
 
 
@@ -85,36 +84,14 @@ def known():
         yield name, found, twin
 
 
-def push():
-    points, rows = targets(8, 24, 100), {}
-    for arm, (name, found, twin) in enumerate(known()):
-        believed = twin_under(twin, found.found, found.under).parameters
-        for share, dither in ((0, 0), (0.5, 0), (0, 0.3), (0.3, 0.3), (0.5, 0.3), (0.8, 0.3)):
-            gains = PushGains(push=share, dither=dither)
-            controller = PushController(ARM, believed.stiffness, believed.coulomb, gains)
-            seen = held(robot([name], [found.under], seed=50 + arm), controller, points[arm : arm + 1])
-            rows.setdefault((share, dither), []).append(seen)
-    table = {pair: [np.concatenate(one) for one in zip(*found, strict=True)] for pair, found in rows.items()}
-    for (share, dither), found in table.items():
-        tell(f"push {share}, dither {dither}", found, 4)
-        nearer = (found[0] - table[0, 0][0]).reshape(len(KINDS), -1)
-        error = nearer.std(axis=1) / np.sqrt(nearer.shape[1])
-        print(
-            "  settled beside none: "
-            + ", ".join(f"{d:+.3f} +- {e:.3f}" for d, e in zip(nearer.mean(1), error, strict=True))
-        )
-
-
 def tuned():
     points, rows = targets(8, 6, 3), {}
     for arm, (name, found, twin) in enumerate(known()):
         for under, gains in (("before", found.found), ("tuned", found.under)):
             believed = twin_under(twin, found.found, gains)
-            stiffness, friction = believed.parameters.stiffness, believed.parameters.coulomb
             for label, controller in {
                 "integrator": IntegratorController(ARM),
-                "feedforward": FeedforwardController(ARM, stiffness),
-                "push": PushController(ARM, stiffness, friction),
+                "feedforward": FeedforwardController(ARM, believed.parameters.stiffness),
                 "shelf": shelf_controller(ARM),
                 "predictive": PredictiveController.of(ARM, [believed], shelf_controller(ARM)),
             }.items():
@@ -126,5 +103,5 @@ def tuned():
 
 
 def main(study: str) -> None:
-    """Print one of the tables: shelf, push or tuned."""
-    {"shelf": shelf, "push": push, "tuned": tuned}[study]()
+    """Print one of the tables: shelf or tuned."""
+    {"shelf": shelf, "tuned": tuned}[study]()

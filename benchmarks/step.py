@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 
 from rejoint.arms import mycobot280
-from rejoint.twin.batch import TwinBatch
 from rejoint.twin.chain.batch import ChainBatch
 from rejoint.twin.friction import friction_terms
 from rejoint.twin.parameters import nominal_parameters
 from rejoint.twin.simulation import SUBSTEPS
+from rejoint.twin.table import TableBatch
 
 ROUNDS, CYCLES = 9, 8
 
@@ -19,10 +19,10 @@ def main(arms: int = 1024) -> None:
     arm, rng = mycobot280(), np.random.default_rng(0)
     twins = nominal_parameters(arm).repeat(arms)
     twins = replace(twins, stiffness=twins.stiffness * rng.uniform(0.5, 2.0, twins.stiffness_shape))
-    chain, judge = ChainBatch(arm, arms), TwinBatch(arm, arms)
+    chain, judge = ChainBatch(arm, arms), TableBatch(arm, twins)
     start = np.tile(arm.rest, (arms, 1))
+    chain.write(twins)
     for batch in (chain, judge):
-        batch.write(twins)
         batch.restart(start)
     goals = start[:, None] + rng.normal(0.0, 0.2, (CYCLES, arms, 1, arm.joints)).repeat(SUBSTEPS, axis=2)
     steady, speedy = friction_terms(twins, 1.0), friction_terms(twins, 1.5)

@@ -56,10 +56,11 @@ def excite(arm: Arm, truth: TwinParameters, rng: np.random.Generator) -> RunLog:
     plan = plan_excitation(arm, seed=0)
     times = np.arange(0.0, plan.time[-1], PERIOD)
     command = np.stack([np.interp(times, plan.time, column) for column in plan.position.T], axis=1)
-    reference = ServoReference(times, command, np.atleast_1d(truth.ramp_speed), command[0])
+    reference = ServoReference(times, command, np.atleast_1d(truth.ramp_speed))
     grid = np.arange(int(times[-1] / STEP) + 2) * STEP
     control = reference.sample(grid, np.atleast_1d(truth.delay))
-    simulation = Simulation(arm, 1, timestep=STEP)
+    simulation = Simulation(arm, 1)
+    simulation.twins.timestep[:] = STEP
     simulation.place(Draw.of(truth.repeat(1), STICTION), command[:1], command[:1])
     simulation.rollout(np.repeat(control[:, :1], 400, axis=1))
     path = np.vstack([simulation.twins.qpos.copy(), simulation.rollout(control)[0]])

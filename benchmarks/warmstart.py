@@ -22,8 +22,8 @@ from rejoint.control.policy import load_policy
 from rejoint.training.presets import DEFAULT, SCRATCH
 from rejoint.training.train import TrainingOptions, train
 from rejoint.twin.twin import Twin
+from rejoint_lab.research.evaluation.evaluate import copies_of
 from rejoint_lab.research.evaluation.family import ArmFamily
-from rejoint_lab.research.evaluation.identification import bench_of
 from rejoint_lab.research.evaluation.trials import TrialSettings, try_on
 
 PRESETS = {"shelf": DEFAULT, "random": SCRATCH}
@@ -45,8 +45,8 @@ def trained(twin: Twin, start: str, updates: int, seed: int, file: Path) -> floa
 def held(file: Path, wear_seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Settled errors [m] and times [s] to come and stay within 2 mm of all holds of one arm."""
     settings = TrialSettings(family=ArmFamily(arms=1, targets=TARGETS, crossings=0), protocol=Protocol())
-    bench = bench_of(ARM, wear_seed, settings)
-    return held_columns(try_on(ARM, bench, lambda arm: load_policy(file, arm), settings, lambda _: None), arms=1)
+    arms = copies_of(ARM, wear_seed, settings)
+    return held_columns(try_on(ARM, arms, lambda arm: load_policy(file, arm), settings), arms=1)
 
 
 def main(

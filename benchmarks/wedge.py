@@ -16,31 +16,25 @@ import numpy as np
 from benchmarks.frame import corrected
 from rejoint.arms import mycobot280
 from rejoint.control.catalogue import make_controller
+from rejoint.control.comparison.result import Protocol
 from rejoint.control.targets import draw_targets
-from rejoint.diagnosis.calibration.fit import fit
 from rejoint.diagnosis.calibration.postures import suggest
-from rejoint_lab.research.evaluation.calibrating import (
-    SIGMA,
-    FreshTargets,
-    find_condition,
-    measure,
-    open_condition,
-    try_found,
-)
-from rejoint_lab.research.evaluation.family import ArmFamily
+from rejoint_lab.research.evaluation.calibrating import SIGMA, measure
+from rejoint_lab.research.evaluation.family import WORN, ArmFamily, open_family
+from rejoint_lab.research.evaluation.trials import TrialArms, TrialSettings, try_on
 
 POINTS, TARGETS = 10, 4
 
 
 def main(arms: int = 30, family: int = 3, slopes: str = "0,0.5,1,2") -> None:
     """Print a row for each slope [deg]."""
-    arm, drawn = mycobot280(), ArmFamily(arms=arms, targets=TARGETS, seed=family)
+    arm, drawn = mycobot280(), ArmFamily(arms=arms, targets=TARGETS, crossings=0, seed=family)
     plan = suggest(arm, POINTS, visits=2, sigma=SIGMA)
     targets = draw_targets(arm, sets=arms, count=TARGETS, seed=90 + family)
     for slope in map(float, slopes.split(",")):
-        tilted = replace(find_condition("worn"), tilt=np.radians(slope))
-        measured = measure(open_condition(arm, tilted, drawn, 1), plan, family)
-        found = [fit(arm, measured.first(i, POINTS)) for i in range(arms)]
-        controller, fresh = partial(make_controller, "feedforward"), FreshTargets(name="target region", targets=targets)
-        tried = try_found(open_condition(arm, tilted, drawn, 1), found, controller, fresh, POINTS)
-        corrected(f"{slope:g} degrees", tried)
+        opened = partial(open_family, arm, replace(WORN, tilt=np.radians(slope)), drawn)
+        found = measure(opened(), plan, family).fitted(arm, POINTS)
+        fresh = TrialArms(open=opened, targets=targets, wear_seeds=drawn.wear_seeds, calibrations=found)
+        settings = TrialSettings(family=drawn, protocol=Protocol())
+        tried = try_on(arm, fresh, partial(make_controller, "feedforward"), settings)
+        corrected(f"{slope:g} degrees", tried, found)

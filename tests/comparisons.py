@@ -1,24 +1,21 @@
 """Comparisons with made-up results."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 
-from rejoint.control.comparison.protocols import Tally, comparison_of
-from rejoint.control.comparison.result import Protocol
+from rejoint.control.comparison.result import Protocol, collect, comparison_of, row_of
 
 
 def made_comparison(arm, columns, targets, protocol=None, robot="emulated:worn", **facts):
     """A comparison of controllers whose ``columns`` (S, R, K) of results are given by name."""
-    protocol, tallies = protocol or Protocol(), {}
+    protocol, parts = protocol or Protocol(), {}
     for name, values in columns.items():
         shape = np.shape(values["crossed"])
-        tallies[name] = Tally(shape, protocol)
-        tallies[name].columns |= {"held": np.ones(shape), **values}
-        tallies[name].cycles = 1000
-    found = comparison_of(SimpleNamespace(address=robot, arm=arm), 0, True, np.asarray(targets, dtype=float), tallies)
-    return replace(found, **facts)
+        parts[name] = collect((), shape, protocol) | {"held": np.ones(shape), **values}
+    rows = tuple(row_of(name, part, protocol) for name, part in parts.items())
+    told = {"robot": robot, "arm": arm.name, "seed": 0, "batched": True, "protocol": protocol, "rows": rows} | facts
+    return comparison_of(parts, np.asarray(targets, dtype=float), **told)
 
 
 def refilled(found, controller, **columns):

@@ -18,9 +18,8 @@ from rejoint.system.progress import part
 from rejoint_lab.family import SIMULATOR
 
 if TYPE_CHECKING:
-    from rejoint_lab.research.evaluation.contestants import Contestant
+    from rejoint_lab.research.evaluation.evaluate import Contestant
     from rejoint_lab.research.evaluation.summary import Evaluation
-    from rejoint_lab.research.evaluation.trials import TrialSettings
 
 SERVED = {"mycobot280": ("A myCobot 280", "worn"), "so101": ("An SO-101", "so101")}
 """How the arms that can be served are called, and their usual wear profile"""
@@ -106,13 +105,16 @@ def evaluate(
 ) -> object:
     """Try controllers on a hundred arms on which nothing was chosen, and on the same under harder conditions."""
     arm = _arm(call)
-    from rejoint_lab.research.evaluation.contestants import known_names
+    from rejoint.control.comparison.result import Protocol
     from rejoint_lab.research.evaluation.evaluate import evaluate as run
-    from rejoint_lab.research.evaluation.family import VARIANTS, find_variant
+    from rejoint_lab.research.evaluation.evaluate import known_names
+    from rejoint_lab.research.evaluation.family import VARIANTS, ArmFamily, find_variant
+    from rejoint_lab.research.evaluation.trials import TrialSettings
 
     names = {"all": known_names(), "none": ()}.get(controllers, controller_names(controllers))
     chosen = VARIANTS if variants == "all" else [find_variant(name) for name in controller_names(variants)]
-    settings = _settings(threads, arms=arms, targets=targets, crossings=crossings, seed=seed)
+    family = ArmFamily(arms=arms, targets=targets, crossings=crossings, seed=seed)
+    settings = TrialSettings(family=family, protocol=Protocol(), threads=threads)
     with call.progress("evaluate") as update:
         found = run(arm, _contestants(arm, names, policy, gains), chosen, settings, out.resolve(), update)
     return _show(call, found, out)
@@ -132,9 +134,13 @@ def identification(
 ) -> object:
     """Find what a twin of its own brings: diagnose, identify and train for each arm, and try it with and without."""
     arm = _arm(call)
-    from rejoint_lab.research.evaluation.identification import evaluate_identification
+    from rejoint.control.comparison.result import Protocol
+    from rejoint_lab.research.evaluation.evaluate import evaluate_identification
+    from rejoint_lab.research.evaluation.family import ArmFamily
+    from rejoint_lab.research.evaluation.trials import TrialSettings
 
-    settings = _settings(threads, arms=arms, targets=targets, crossings=crossings, seed=seed)
+    family = ArmFamily(arms=arms, targets=targets, crossings=crossings, seed=seed)
+    settings = TrialSettings(family=family, protocol=Protocol(), threads=threads)
     with call.progress("identification") as update:
         found = evaluate_identification(arm, policy or [], settings, out, iterations, update)
     return _show(call, found, out)
@@ -153,14 +159,18 @@ def calibrate(
 ) -> object:
     """Find what outside measurements bring: true errors of many arms before and after their calibration."""
     arm, is_file = _arm(call), Path(controller).suffix == ".onnx"
-    from rejoint_lab.research.evaluation.calibrating import CONDITIONS, evaluate_calibrations, find_condition, tables
-    from rejoint_lab.research.evaluation.family import ArmFamily
+    from rejoint.control.comparison.result import Protocol
+    from rejoint_lab.research.evaluation.calibrating import evaluate_calibrations, tables
+    from rejoint_lab.research.evaluation.family import CALIBRATED, ArmFamily, find_variant
+    from rejoint_lab.research.evaluation.trials import TrialSettings
 
     (one,) = _contestants(arm, [] if is_file else [controller], [Path(controller)] if is_file else [])
-    conditions = CONDITIONS if variants == "all" else [find_condition(name) for name in controller_names(variants)]
-    family = ArmFamily(arms=arms, targets=targets, seed=seed)
+    names = [] if variants == "all" else controller_names(variants)
+    conditions = [find_variant(name, CALIBRATED) for name in names] or CALIBRATED
+    family = ArmFamily(arms=arms, targets=targets, crossings=0, seed=seed)
+    settings = TrialSettings(family=family, protocol=Protocol(), threads=threads)
     with call.progress("calibrate") as update:
-        found = evaluate_calibrations(arm, conditions, one, family, out.resolve(), threads, update)
+        found = evaluate_calibrations(arm, conditions, one, settings, out.resolve(), update)
     return _keep(call, found, out / "calibrated.json", tables(found))
 
 
@@ -187,25 +197,24 @@ def tune(
     """Tune classical rivals by CMA-ES on the randomised twins that policies are trained on."""
     require("rejoint research tune", "train")
     from rejoint.training.ranges import BroadRanges
-    from rejoint_lab.research.rivals.catalogue import find_rival
-    from rejoint_lab.research.rivals.tuning import TuningSettings, tune_rival
+    from rejoint_lab.research.rivals.laws import find_rival
+    from rejoint_lab.research.rivals.tuning import TuningSettings
+    from rejoint_lab.research.rivals.tuning import tune as search
 
-    names, arm = list(dict.fromkeys(rivals)), load_arm(call.pick.arm or "mycobot280")
-    for name in names:
-        find_rival(name)
+    chosen, arm = {name: find_rival(name) for name in rivals}, load_arm(call.pick.arm or "mycobot280")
     ranges = BroadRanges(arm=arm)
     known = read_json(out, dict[str, dict[str, float]]) if out.exists() else {}
     how, tuned = TuningSettings(generations=generations, seed=seed), dict[str, dict[str, float]]()
     with call.progress("tune") as update:
-        for k, name in enumerate(names):
-            ahead = part(update, k / len(names), (k + 1) / len(names), f"{name}: ")
-            tuned[name] = tune_rival(arm, ranges, how, name, ahead)
+        for k, (name, rival) in enumerate(chosen.items()):
+            ahead = part(update, k / len(chosen), (k + 1) / len(chosen), f"{name}: ")
+            tuned[name] = search(arm, ranges, rival.intervals, rival.make, how, ahead)
     write_json(out, known | tuned)
     rows = [
         {"rival": name, "gain": gain, "value": value} for name, gains in tuned.items() for gain, value in gains.items()
     ]
     call.table("Tuned gains", list(rows[0]), [[*map(str, one.values())] for one in rows])
-    call.result(f"Next: rejoint research evaluate --controllers {','.join(names)} --gains {out}")
+    call.result(f"Next: rejoint research evaluate --controllers {','.join(chosen)} --gains {out}")
     return {"out": out, "gains": rows}
 
 
@@ -220,8 +229,7 @@ def reproduce(
 ) -> object:
     """Run the experiments of Park et al. 2024 and write a page with their numbers beside ours."""
     require("rejoint research reproduce", "train", "report")
-    from rejoint_lab.research.reproduction.bench import FULL, QUICK, Bench
-    from rejoint_lab.research.reproduction.campaign import choose, run_experiments, write_page
+    from rejoint_lab.research.reproduction.campaign import FULL, QUICK, Bench, choose, run_experiments, write_page
 
     chosen = choose(experiments or ())
     folder = run or Path("runs") / f"reproduction{'-quick' * quick}-seed{seed}"
@@ -246,18 +254,10 @@ def _arm(call: Call) -> Arm:
     return load_arm(call.pick.arm or "mycobot280")
 
 
-def _settings(threads: int, **family: int) -> TrialSettings:
-    from rejoint.control.comparison.result import Protocol
-    from rejoint_lab.research.evaluation.family import ArmFamily
-    from rejoint_lab.research.evaluation.trials import TrialSettings
-
-    return TrialSettings(family=ArmFamily(**family), protocol=Protocol(), threads=threads)
-
-
 def _contestants(
     arm: Arm, names: list[str] | tuple[str, ...], policies: list[Path] | None, gains: Path | None = None
 ) -> list[Contestant]:
-    from rejoint_lab.research.evaluation.contestants import classical, learned
+    from rejoint_lab.research.evaluation.evaluate import classical, learned
 
     tuned = {} if gains is None else read_json(gains, dict[str, dict[str, float]])
     found = [classical(name, tuned) for name in names] + [learned(path, arm) for path in policies or []]
@@ -278,7 +278,7 @@ def _keep(call: Call, found: object, file: Path, tables: Tables) -> object:
 
 
 def _show(call: Call, found: Evaluation, out: Path) -> object:
-    from rejoint_lab.research.evaluation.page import terminal_tables
+    from rejoint_lab.research.evaluation.summary import terminal_tables
 
     for table in terminal_tables(found):
         call.table(*table)

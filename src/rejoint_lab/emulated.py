@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.arms.camera.board import Board
 from rejoint.control.robot import JointState, Mask
 from rejoint.control.servogains import Rung, ServoGains
 from rejoint.robots.feetech.gains import FULL, GAINS, LIMIT, REGISTERS, RUNGS, Gains, duty_laws, for_all
 from rejoint.robots.servobus import Tuning, Values
 from rejoint.system.errors import InputError
 from rejoint_lab.cameras.emulated import EmulatedCamera, EmulatedEye
-from rejoint_lab.cameras.scene import beside, on_tool
 from rejoint_lab.plant.plant import Plant, StsPlant, Truth
 from rejoint_lab.plant.servo import Channel, Interval, has_these_servos, stream_keys
 from rejoint_lab.plant.wear import Wear
+
+if TYPE_CHECKING:
+    from rejoint.camera.board import Board
 
 
 class EmulatedServos:
@@ -159,6 +160,8 @@ class EmulatedRobot:
 
     def camera(self, board: Board, carried: str, seed: int) -> EmulatedCamera:
         """Camera beside the only arm, or on its tool."""
+        from rejoint_lab.cameras.scene import beside, on_tool
+
         scene = beside(self.arm, board=board) if carried == "board" else on_tool(self.arm, board=board)
         return EmulatedCamera(scene, lambda: self.plant.true_pose()[0], seed)
 

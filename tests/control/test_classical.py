@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rejoint.arms import gravity_torque, mycobot280, position_kinematics, solve_position, tcp_position
+from rejoint.arms import gravity_torque, mycobot280, position_kinematics, tcp_position
 from rejoint.control.catalogue import make_controller
-from rejoint.control.classical import IntegratorController, IntegratorGains, PidController, PidGains
+from rejoint.control.classical import IntegratorController, IntegratorGains
 from rejoint.control.feedforward import LOOSEN, FeedforwardController, FeedforwardGains
 from rejoint.control.goal import nearest_postures
 from rejoint.control.law import dls_step, null_space
@@ -49,36 +49,6 @@ def test_default_sends_the_goal_and_nothing_else():
     controller.reset(now, ALL)
     np.testing.assert_array_equal(controller.command(now), now.goal)
     np.testing.assert_array_equal(controller.command(inputs(REST + 0.2, sent=now.goal, time=5.0)), now.goal)
-
-
-@pytest.mark.parametrize("literal", [False, True])
-def test_pid_by_hand(literal):
-    """Two cycles of equation 27 worked out from its text: Kp .4, Ki .01, Kd .005, dt .02."""
-    controller = PidController(ARM, PidGains(integral_times_period=literal))
-    controller.reset(inputs(REST), ALL)
-    goal = solve_position(ARM, TARGETS[:, 0], REST).q
-    e0, e1 = goal - REST, goal - (REST + 0.01)
-    dt = 0.02 if literal else 1.0
-    first = controller.command(inputs(REST))
-    np.testing.assert_allclose(first, REST + 0.4 * e0 + 0.01 * e0 * dt, atol=1e-12)
-    second = controller.command(inputs(REST + 0.01))
-    expected = REST + 0.01 + 0.4 * e1 + 0.01 * (e0 + e1) * dt + 0.005 * (e1 - e0) / 0.02
-    np.testing.assert_allclose(second, expected, atol=1e-12)
-    assert controller.name == ("pid-literal" if literal else "pid-sum")
-
-
-def test_pid_forgets_its_integral_only_where_it_is_reset():
-    controller = PidController(ARM, PidGains(integral_times_period=False))
-    controller.reset(inputs(REST), ALL)
-    for _ in range(5):
-        controller.command(inputs(REST))
-    some = np.array([True, False, False])
-    controller.reset(inputs(REST), some)
-    fresh = PidController(ARM, PidGains(integral_times_period=False))
-    fresh.reset(inputs(REST), ALL)
-    ours, new = controller.command(inputs(REST)), fresh.command(inputs(REST))
-    np.testing.assert_allclose(ours[0], new[0], atol=1e-12)
-    assert np.abs(ours[1:] - new[1:]).max() > 1e-4
 
 
 def test_integrator_by_hand():
@@ -126,10 +96,6 @@ def test_default_misses_by_the_sag_and_integral_action_removes_it():
     assert (default > 0.01).all()
     for name in ("integrator", "feedforward"):
         assert (final_error(make_controller(name, ARM, stiffness=9.0)) < 5e-4).all(), name
-    sum_error = final_error(make_controller("pid-sum", ARM), dwell=12.0)
-    literal_error = final_error(make_controller("pid-literal", ARM), dwell=12.0)
-    assert (sum_error < 0.1 * default).all()
-    assert (literal_error > default).all()  # it commands less lead than the default does
 
 
 def test_exact_feedforward_leaves_nothing_to_integrate():

@@ -7,7 +7,7 @@ import pytest
 
 from rejoint.arms import Box, gravity_torque, mycobot280, plan, tcp_position
 from rejoint.control.feedforward import FeedforwardController
-from rejoint.control.goal import beginning_at, pace, waiting, with_ways
+from rejoint.control.goal import LEAD, beginning_at, pace, waiting, with_ways
 from rejoint.control.loop import Schedule, run
 from rejoint.control.reference import TargetSequence
 from rejoint.control.robot import JointState
@@ -22,7 +22,7 @@ ARM = mycobot280()
 POSTURES = np.radians([[100.0, 20.0, -70.0, -20.0, 10.0, 0.0], [-60.0, -30.0, -60.0, 10.0, -20.0, 0.0]])
 
 
-def test_goal_and_target_move_together_and_end_where_they_are_to_be():
+def test_a_goal_leads_its_target_by_the_lag_of_servos_and_both_end_where_they_are_to_be():
     ways = with_ways(ARM, POSTURES[:1], ARM.rest)
     aim = tcp_position(ARM, POSTURES[:1]) + 0.005
     reference, way = TargetSequence(ARM, aim[None], ways=[ways]), ways[0]
@@ -33,8 +33,9 @@ def test_goal_and_target_move_together_and_end_where_they_are_to_be():
     for share in (0.0, 0.3, 0.9):
         since = np.array([share * way.duration])
         now = reference.advance(state, since)
-        np.testing.assert_allclose(now.target, tcp_position(ARM, now.goal), atol=1e-4)
-        np.testing.assert_allclose(now.goal[0], way.at(float(since[0])) + share * (end[0] - way.goal), atol=1e-9)
+        place = way.at(float(since[0])) + share * (end[0] - way.goal)
+        np.testing.assert_allclose(now.target[0], tcp_position(ARM, place), atol=1e-4)
+        np.testing.assert_allclose(now.goal[0], place + LEAD * way.at(float(since[0]), 1), atol=1e-9)
         assert now.since[0] == 0.0
         assert not now.arrived[0]
     late = reference.advance(state, np.array([way.duration + 0.5]))

@@ -7,7 +7,7 @@ import pytest
 
 from rejoint.arms import gravity_torque, mycobot280
 from rejoint.control.classical import DefaultController
-from rejoint.control.comparison.protocols import STANDS_FOR, measure_crossings, schedule
+from rejoint.control.comparison.protocols import STANDS_FOR, metrics_of, schedule
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.loop import Schedule, Stillness, run
 from standin import StandIn, state_of
@@ -78,7 +78,7 @@ def test_every_arm_of_a_batch_stands_for_itself():
 def test_a_missed_target_counts_as_waited_for():
     plan = schedule("crossing", PROTOCOL, keep_going=True, wait=False)
     recording = run(Sagging([0.025] * 3), DefaultController(ARM), TARGETS, plan)
-    found = measure_crossings(ARM, recording, TARGETS, PROTOCOL)
+    found = metrics_of(ARM, recording, TARGETS, PROTOCOL, ("crossing",))
     assert (found["crossed"] == 0.0).any()
     for b, k in np.argwhere(found["crossed"] == 0.0):
         assert found["crossing_time"][b, k] == pytest.approx(PROTOCOL.dwell, abs=1e-5)

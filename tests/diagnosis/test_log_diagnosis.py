@@ -19,7 +19,7 @@ from rejoint.logs.exclusions import Exclusions, find_exclusions
 from rejoint.system.errors import InputError
 from rejoint.system.files import read_json, write_json
 from rejoint.system.statistics import Estimate
-from rejoint.twin.table import TablePlane
+from rejoint.twin.twin import TablePlane
 
 WEARS = {
     "healthy": HEALTHY,

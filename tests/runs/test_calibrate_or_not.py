@@ -9,7 +9,6 @@ import rejoint
 from hearing import Hears
 from rejoint.cli.console import Terminal
 from rejoint.cli.measuring import gauge_by_word
-from rejoint.control.catalogue import ON_REQUEST
 from rejoint.diagnosis.calibration.procedure import TouchGauge, TrackerGauge
 from rejoint.runs import repair as chain
 from rejoint.system.errors import InputError
@@ -52,10 +51,6 @@ def test_a_repair_calibrates_where_something_measures(tmp_path, monkeypatch, rob
         def __init__(self, *_, **options):
             done["compare"] = options
 
-        def without(self, names):
-            done["without"] = names
-            return self
-
         def begin_ahead(self):
             """Begin nothing."""
 
@@ -73,6 +68,5 @@ def test_a_repair_calibrates_where_something_measures(tmp_path, monkeypatch, rob
     assert ("calibrate" in done) is calibrated
     assert ("calibrate" in stages) is calibrated
     assert done["compare"]["settings"].calibration == corrected
-    assert done["without"] == ON_REQUEST  # no repair needs the paper's PIDs
     if calibrated:
         assert done["calibrate"]["gauge"] is gauge

@@ -11,15 +11,16 @@ import pytest
 
 import rejoint
 from rejoint.arms import Displacement, mycobot280, tcp_pose
-from rejoint.arms.camera.board import ON_TOOL
-from rejoint.arms.camera.rig import write_rig
+from rejoint.camera import filming
+from rejoint.camera.board import ON_TOOL
+from rejoint.camera.film import read_film, read_folder
+from rejoint.camera.filming import CameraGauge
+from rejoint.camera.rig import write_rig
+from rejoint.camera.tracker import LiveEye
 from rejoint.diagnosis.calibration.calibration import read_calibration
-from rejoint.diagnosis.calibration.camera import filming
-from rejoint.diagnosis.calibration.camera.film import read_film, read_folder
-from rejoint.diagnosis.calibration.camera.filming import CameraGauge
+from rejoint.diagnosis.calibration.procedure import StandingDrive
 from rejoint.runs.run import Run
-from rejoint.runs.stages.calibrate import film_of
-from rejoint.session.eyes import LiveEye, opened_eye
+from rejoint.session.eyes import opened_eye
 from rejoint.system.errors import InputError
 from rejoint_lab.cameras.emulated import EmulatedCamera
 from rejoint_lab.cameras.scene import beside
@@ -61,7 +62,7 @@ class Cut(EmulatedCamera):
 def film(robot, camera, run, **options):
     gauge = CameraGauge(camera=lambda _: nullcontext(camera), board=ON_TOOL)
     with rejoint.Session(robot, run=run) as session:
-        return film_of(session, session.robot, gauge, 1, 2, lambda *_: None, **options)
+        return gauge.film(StandingDrive(session.robot, session.limits), run.folder, 1, 2, lambda *_: None, **options)
 
 
 def test_an_interrupted_film_goes_on_to_the_same_end(tmp_path, monkeypatch):
@@ -79,7 +80,7 @@ def test_an_interrupted_film_goes_on_to_the_same_end(tmp_path, monkeypatch):
     assert camera.taken == [filming.SCOUTS + 2]
     assert [shot.number for shot in found.shots] == list(range(1, filming.SCOUTS + 3))
     for one, other in zip(found.shots, whole.shots, strict=True):
-        assert (one.name, one.posture, one.side) == (other.name, other.posture, other.side)
+        assert (one.name, one.posture) == (other.name, other.posture)
         np.testing.assert_allclose(one.position, other.position, atol=1e-12)  # means of more or fewer readings
         np.testing.assert_allclose(one.seen.pixel, other.seen.pixel, atol=1e-6)
     assert len(list(runs[1].folder.pictures.glob("*.jpg"))) == len(found)

@@ -165,9 +165,8 @@ def test_a_policy_is_trained_for_the_gains_that_a_search_found_on_a_twin_as_stif
 def test_what_a_run_made_for_tuned_gains_is_driven_under_them_and_not_under_those_before(tmp_path, monkeypatch):
     run, found = tuned_run(tmp_path / "run", monkeypatch)
     names = controllers._contenders(ARM, 0.02, run, run.twin, real=True, posed=False)
-    assert {"servo-gains+push", "servo-gains+policy", "servo-gains+predictive"} <= set(names)
-    assert "push" not in names
-    assert "servo-gains+push" not in controllers._contenders(ARM, 0.02, run, None, real=True, posed=False), (
+    assert {"servo-gains+policy", "servo-gains+predictive"} <= set(names)
+    assert "servo-gains+predictive" not in controllers._contenders(ARM, 0.02, run, None, real=True, posed=False), (
         "without a twin"
     )
     assert not {"policy", "predictive", "shelf"} & set(names), "on a real arm the own policy takes the shelf's place"

@@ -52,7 +52,7 @@ def test_a_calibration_that_shifts_a_tool_farther_than_any_wear(run):
         ({"preset": "defualt"}, "no preset is called 'defualt'"),
         ({"controllers": ["integrator", "polciy"]}, "no controller is called 'polciy'"),
         ({"controllers": ["mine.onnx"]}, "mine.onnx: no such file"),
-        ({"controllers": ["servo-gains+push"]}, "servo-gains\\+push needs servo gains that can be tuned"),
+        ({"controllers": ["servo-gains+policy"]}, "servo-gains\\+policy needs servo gains that can be tuned"),
         ({"controllers": ["policy"], "targets": POSES}, "policy brings the tool to its place and does not turn it"),
         ({"controllers": ["shelf"], "targets": POSES}, "shelf brings the tool to its place and does not turn it"),
     ],

@@ -8,9 +8,9 @@ from rejoint.arms import load_arm
 from rejoint.control.catalogue import shelf_path, shelf_policy
 from rejoint.control.contract import probe_observations
 from rejoint.control.policy import Policy
+from rejoint.training.export import network_weights
 from rejoint.training.presets import DEFAULT
 from rejoint.training.train import TrainingOptions, train
-from rejoint.training.warmstart import network_weights
 
 ARM = load_arm("mycobot280")
 FIRST = DEFAULT.warm.critic_first

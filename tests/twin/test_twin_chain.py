@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from rejoint.arms import mycobot280, so101
-from rejoint.twin.batch import TwinBatch
 from rejoint.twin.chain.batch import ChainBatch
 from rejoint.twin.chain.dynamics import GROUP, LANES, turn
 from rejoint.twin.parameters import nominal_parameters
+from rejoint.twin.table import TableBatch
 
 ARMS = {"mycobot280": mycobot280(), "so101": so101()}
 
@@ -33,11 +33,11 @@ def drawn(arm, count, rng, **changes):
 
 
 def both(arm, twins, position, velocity, timestep=0.005, gravity_scale=1.0):
-    pair = TwinBatch(arm, len(position)), ChainBatch(arm, len(position))
-    for batch in pair:
-        batch.write(twins, timestep=timestep, gravity_scale=gravity_scale)
+    judge, chain = TableBatch(arm, twins, (), timestep, 1, gravity_scale), ChainBatch(arm, len(position))
+    chain.write(twins, timestep=timestep, gravity_scale=gravity_scale)
+    for batch in (judge, chain):
         batch.restart(position, velocity)
-    return pair
+    return judge, chain
 
 
 @pytest.mark.parametrize("name", ARMS)
@@ -48,9 +48,8 @@ def test_a_step_without_friction_is_that_of_mujoco(name):
         arm, twins, position, velocity, timestep=rng.uniform(0.002, 0.009, 40), gravity_scale=rng.uniform(0.8, 1.2, 40)
     )
     for batch in (judge, chain):
-        batch.ctrl[:] = position + np.random.default_rng(2).normal(0.0, 0.3, position.shape)
-    for _ in range(20):
-        judge.step(), chain.step()
+        control = position + np.random.default_rng(2).normal(0.0, 0.3, position.shape)
+        batch.rollout(np.repeat(control[:, None], 20, axis=1))
     assert np.abs(chain.qvel - velocity).max() > 1.0
     assert_allclose(chain.qvel, judge.qvel, rtol=0.0, atol=1e-11)
     assert_allclose(chain.qpos, judge.qpos, rtol=0.0, atol=1e-12)
@@ -67,8 +66,7 @@ def test_joints_that_stick_and_slip_are_those_of_mujoco_where_its_own_law_is_exa
     stuck = 0
     for _ in range(30):
         for batch in (judge, chain):
-            batch.ctrl[:] = reference
-            batch.step()
+            batch.rollout(reference[:, None])
         stuck += np.count_nonzero(np.abs(chain.qvel) < 1e-6)
         assert_allclose(chain.qvel, judge.qvel, rtol=0.0, atol=1e-5)
     assert 50 < stuck < 30 * start.size / 2
@@ -103,19 +101,6 @@ def test_every_arm_moves_to_the_bit_as_it_does_alone(threads):
         alone.write(twins[i : i + 1])
         alone.restart(position[i : i + 1], velocity[i : i + 1])
         assert_array_equal(alone.rollout(control[i : i + 1], terms[:, i : i + 1])[0], path[i])
-
-
-def test_a_state_that_is_put_back_goes_on_to_the_bit():
-    arm, rng = ARMS["so101"], np.random.default_rng(5)
-    twins, position, velocity = drawn(arm, 7, rng)
-    control = position[:, None] + rng.normal(0.0, 0.1, (7, 20, arm.joints))
-    whole, resumed = ChainBatch(arm, 7), ChainBatch(arm, 7)
-    whole.write(twins)
-    whole.restart(position, velocity)
-    whole.rollout(control)
-    for name, value in resumed.state().items():
-        value[...] = whole.state()[name]
-    assert_array_equal(resumed.rollout(control[:, ::-1]), whole.rollout(control[:, ::-1]))
 
 
 @settings(max_examples=200)

@@ -4,19 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from motion_logs import ARM, PERIOD, STEP, TRUTH, pressing, record, wandering
+from motion_logs import ARM, PERIOD, STEP, TRUTH, pressing, record, surface, wandering
 
 from rejoint.arms import gravity_torque, tcp_position
 from rejoint.logs.runlog import RunLog
 from rejoint.twin.file import read_twin, write_twin
 from rejoint.twin.fit import Problem
-from rejoint.twin.fromlogs import FITTED, HEALTHY, REFITTED, identify_logs
+from rejoint.twin.fromlogs import FITTED, HEALTHY, REFITTED, LogSettings, identify_logs
 from rejoint.twin.judgement import NO_TWIN
-from rejoint.twin.motionfit import HoldOut, LogSettings, part, repeated
+from rejoint.twin.motionfit import part, repeated
 from rejoint.twin.parameters import pack, unknown_prior, vector_names
 from rejoint.twin.replay import Replay, cut
 from rejoint.twin.structure import EARLIER, find_acceleration, simplest
-from rejoint.twin.table import TablePlane
+from rejoint.twin.twin import TablePlane
 
 TABLE = TablePlane(height=-0.02, slope_x=0.02, slope_y=0.0, stiffness=3000.0, friction=0.2)
 QUICK = LogSettings(coarse_seconds=40.0, fit_seconds=96.0, contact_seconds=24.0, threads=1)
@@ -32,9 +32,7 @@ def logs():
 @pytest.fixture(scope="module")
 def found(logs):
     # The truth's own time step, so that nothing but the encoders stands between the two.
-    return identify_logs(
-        ARM, logs, replace(QUICK, timestep=STEP, hold_out=HoldOut(names=("motion3", "motion8", "press1")))
-    )
+    return identify_logs(ARM, logs, replace(QUICK, timestep=STEP, hold_out=("motion3", "motion8", "press1")))
 
 
 def test_held_out_motions_are_predicted(found):
@@ -44,22 +42,22 @@ def test_held_out_motions_are_predicted(found):
     assert mean[FITTED].free.tcp < 0.1 * min(mean[HEALTHY].free.tcp, mean[NO_TWIN].free.tcp)
     assert [m.motion for m in found.judgement.motions] == ["motion3", "motion8", "press1"]
     assert not set(found.fitted) & {m.motion for m in found.judgement.motions}
-    assert found.twin.held_out.twin.tcp == mean[FITTED].free.tcp
+    assert found.held_out.twin.tcp == mean[FITTED].free.tcp
 
 
 def test_once_judged_the_twin_is_fitted_to_all_motions(found, logs):
     """It says so, has seen more than the fit that was judged, and is not that one."""
-    assert REFITTED in found.twin.notes
+    assert REFITTED in found.notes
     fitted = sum(log.time[-1] - log.time[0] for log in logs if log.label in found.fitted)
-    few = replace(QUICK, coarse_seconds=8.0, fit_seconds=1e4, fast_seconds=8.0, stictions=(1.25,), table=False)
+    few = replace(QUICK, coarse_seconds=8.0, fit_seconds=1e4, fast_seconds=8.0, stictions=(1.25,))
     chosen = [log for log in logs if log.label in ("motion0", "motion1", "motion2", "motion3")]
-    held = identify_logs(ARM, chosen, replace(few, hold_out=HoldOut(names=("motion3",))))
-    assert held.twin.fit_seconds > 1.2 * 60.0 < fitted
-    assert REFITTED in held.twin.notes
+    held = identify_logs(ARM, chosen, replace(few, hold_out=("motion3",)))
+    assert held.fit_seconds > 1.2 * 60.0 < fitted
+    assert REFITTED in held.notes
 
 
 def test_the_intervals_hold_the_truth_at_the_rate_they_claim(found):
-    twin = found.twin
+    twin = found
     distance = np.abs(pack(TRUTH) - pack(twin.parameters)) / np.sqrt(np.diag(twin.covariance))
     known = twin.identified
     assert known.sum() >= 18
@@ -69,33 +67,33 @@ def test_the_intervals_hold_the_truth_at_the_rate_they_claim(found):
 
 
 def test_the_structure_is_that_of_the_truth(found):
-    assert found.twin.stiction == 1.25
-    assert found.twin.parameters.ramp_speed > 20.0
-    assert (found.twin.parameters.torque_limit > 2.0).all()
-    assert not found.twin.identified[vector_names(ARM.joint_names).index("ramp_speed")]
-    assert found.twin.parameters.delay == pytest.approx(float(TRUTH.delay), abs=0.004)
+    assert found.stiction == 1.25
+    assert found.parameters.ramp_speed > 20.0
+    assert (found.parameters.torque_limit > 2.0).all()
+    assert not found.identified[vector_names(ARM.joint_names).index("ramp_speed")]
+    assert found.parameters.delay == pytest.approx(float(TRUTH.delay), abs=0.004)
 
 
 def test_the_table_is_found_and_contacts_predicted(found, logs):
-    table = found.twin.table
+    table = found.table
     press = logs[-1]
     tip = tcp_position(ARM, press.position)
     low = tip[tip[:, 2] < np.quantile(tip[:, 2], 0.2)]
-    assert np.abs(table.surface(low) - TABLE.surface(low)).max() < 0.004
+    assert np.abs(surface(table, low) - surface(TABLE, low)).max() < 0.004
     contact = found.judgement.motions[-1].errors[FITTED].contact
     assert contact.tcp < 0.003
     assert contact.tcp < 0.2 * found.judgement.motions[-1].errors[NO_TWIN].contact.tcp
 
 
 def test_a_twin_with_a_table_survives_its_file(found, tmp_path):
-    write_twin(tmp_path / "twin.toml", found.twin)
+    write_twin(tmp_path / "twin.toml", found)
     back = read_twin(tmp_path / "twin.toml", ARM)
-    assert back.table == found.twin.table
-    assert back.stiction == found.twin.stiction
-    assert back.digest() == found.twin.digest()
+    assert back.table == found.table
+    assert back.stiction == found.stiction
+    assert back.digest() == found.digest()
     assert replace(back, table=None).digest() != back.digest()
     assert replace(back, stiction=2.0).digest() != back.digest()
-    assert back.acceleration == found.twin.acceleration == np.inf
+    assert back.acceleration == found.acceleration == np.inf
     limited = replace(back, acceleration=39.0)
     assert limited.digest() != back.digest()
     write_twin(tmp_path / "limited.toml", limited)
@@ -122,11 +120,9 @@ def test_what_is_known_of_the_servos_holds_where_the_logs_do_not_tell():
 
 
 def test_threads_do_not_change_what_is_found(logs):
-    few = LogSettings(
-        coarse_seconds=8.0, fit_seconds=8.0, fast_seconds=8.0, contact_seconds=8.0, hold_out=HoldOut(names=("press1",))
-    )
+    few = LogSettings(coarse_seconds=8.0, fit_seconds=8.0, fast_seconds=8.0, contact_seconds=8.0, hold_out=("press1",))
     chosen = [logs[i] for i in (0, 1, 10, 11)]
-    one, two = (identify_logs(ARM, chosen, replace(few, threads=threads)).twin for threads in (1, 2))
+    one, two = (identify_logs(ARM, chosen, replace(few, threads=threads)) for threads in (1, 2))
     assert one.digest() == two.digest()
     assert one.table == two.table
 
@@ -141,11 +137,11 @@ def test_gravity_fed_forward_is_no_stiffness_and_an_unpowered_joint_is_replayed_
         position[:, 4] = position[0, 4]
         logs.append(replace(fed, arm=stranger.name, command=command, position=position))
     found = identify_logs(stranger, logs, LogSettings(coarse_seconds=15.0, fit_seconds=30.0, fast_seconds=5.0))
-    told = dict(zip(found.twin.names, found.twin.identified, strict=True))
+    told = dict(zip(found.names, found.identified, strict=True))
     assert not any(known for name, known in told.items() if name.startswith(("stiffness", "damping", "coulomb")))
-    low, high = found.twin.interval
+    low, high = found.interval
     assert ((low.stiffness < TRUTH.stiffness) & (TRUTH.stiffness < high.stiffness))[:4].all()
-    assert (found.twin.parameters.compensation[1:3] > 0.0).all()
+    assert (found.parameters.compensation[1:3] > 0.0).all()
     assert HEALTHY not in found.judgement.mean
     assert found.judgement.mean[FITTED].free.tcp < 0.3 * found.judgement.mean[NO_TWIN].free.tcp
     assert found.judgement.mean[FITTED].free.joints[4] < 1e-3
@@ -157,13 +153,13 @@ def test_what_repeats_a_motion_that_is_held_out_is_not_fitted():
         time = np.arange(len(command)) * PERIOD
         return RunLog.of(time, command, command + 1e-3 * len(label), arm=ARM.name, label=label)
 
-    seen, unseen = part(ARM, [program("ten cycles", [0], 10)], HoldOut())
+    seen, unseen = part(ARM, [program("ten cycles", [0], 10)])
     assert np.concatenate(repeated(unseen, seen)).mean() < 0.2
     assert sum(map(len, seen)) > 0.5 * 10 * 600
     again, new = repeated([program("again", [0]), program("new", [1])], [program("ten cycles", [0], 10)])
     assert again.mean() > 0.9
     assert not new.any()
     motions = [program(f"{way} {k}", [k]) for k in range(4) for way in ("there", "once more")]
-    seen, unseen = part(ARM, motions, HoldOut())
+    seen, unseen = part(ARM, motions)
     assert {log.label[-1] for log in seen}.isdisjoint(log.label[-1] for log in unseen)
     assert seen

@@ -10,7 +10,7 @@ from rejoint.arms import tcp_position
 from rejoint.twin.judge import Candidate, judge, read_published
 from rejoint.twin.judgement import NO_TWIN
 from rejoint.twin.parameters import healthy_parameters
-from rejoint.twin.table import TablePlane
+from rejoint.twin.twin import TablePlane
 
 TABLE = TablePlane(height=-0.02, slope_x=0.0, slope_y=0.0, stiffness=3000.0, friction=0.2)
 

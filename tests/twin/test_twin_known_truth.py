@@ -9,9 +9,9 @@ import pytest
 from motion_logs import ARM, PERIOD, STEP, TRUTH, record, wandering
 
 from rejoint.logs.exclusions import find_exclusions
-from rejoint.twin.fromlogs import FITTED, HEALTHY, identify_logs
+from rejoint.twin.fromlogs import FITTED, HEALTHY, LogSettings, fit_motions, identify_logs, independent
+from rejoint.twin.identify import IDENTIFIED
 from rejoint.twin.judgement import NO_TWIN
-from rejoint.twin.motionfit import HoldOut, LogSettings, fit_motions, independent
 from rejoint.twin.parameters import pack, vector_names
 from rejoint.twin.uncertainty import uncertainty
 from rejoint_lab.plant.wear import load_wear
@@ -61,8 +61,8 @@ def distances():
             log = record(f"motion{k}", *wandering(1000 * seed + k, 12.0, centre), truth=truth, own=links)
             logs.append(disturbed(log, rng))
         problem, fit, _ = fit_motions(ARM, logs, find_exclusions(ARM, logs), SETTINGS)
-        knowledge = uncertainty(problem, fit, independent(problem))
-        sigma, known = np.sqrt(np.diag(knowledge.covariance)), knowledge.identified
+        sigma = np.sqrt(np.diag(uncertainty(problem, fit, independent(problem))))
+        known = (sigma < IDENTIFIED * problem.prior.sigma) & ~fit.at_bound & ~problem.frozen
         names = np.array(vector_names(ARM.joint_names))[known]
         found.append((names, ((fit.vector - pack(truth)) / sigma)[known], sigma[known]))
     return found
@@ -94,7 +94,7 @@ def test_a_plant_with_play_and_flex_is_predicted_on_motion_the_fit_has_not_seen(
     """The plant is richer than any twin, so its parameters have no truth here: prediction decides."""
     logs = record_motions([load_wear("so101", ARM)], 6, 18.0, seed=3)[0]
     settings = LogSettings(coarse_seconds=48.0, fit_seconds=80.0, threads=1, stictions=(1.0, 1.25))
-    found = identify_logs(ARM, logs, replace(settings, hold_out=HoldOut(names=("motion1", "motion4"))))
+    found = identify_logs(ARM, logs, replace(settings, hold_out=("motion1", "motion4")))
     mean = found.judgement.mean
     assert mean[FITTED].free.tcp < 0.25 * min(mean[HEALTHY].free.tcp, mean[NO_TWIN].free.tcp)
     assert mean[FITTED].free.tcp < 4e-3

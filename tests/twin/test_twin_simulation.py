@@ -7,7 +7,7 @@ import pytest
 
 from rejoint.arms import mycobot280
 from rejoint.twin.parameters import nominal_parameters
-from rejoint.twin.reference import Profile, ServoReference
+from rejoint.twin.reference import ServoReference
 from rejoint.twin.simulation import SUBSTEPS, Draw, Simulation
 
 ARM = mycobot280()
@@ -38,15 +38,16 @@ def test_a_closed_loop_and_the_replay_of_its_commands_are_the_same_motion(accele
         passed.append(driven.twins.qpos[0].copy())
     time, grid = PERIOD * np.arange(CYCLES), STEP * np.arange(CYCLES * SUBSTEPS) - 1e-9
     known = (
-        ServoReference(time, command, twin.ramp_speed[None], command[0])
+        ServoReference(time, command, twin.ramp_speed[None])
         if acceleration == np.inf
-        else Profile(time, command, acceleration)
+        else ServoReference(time, command, np.ones(1), acceleration)
     )
     # In closed loop a step's reference is where it ends, in a replay where it begins: that of the next one.
     reference = known.sample(grid + STEP, twin.delay[None])
     np.testing.assert_allclose(asked, reference[0, SUBSTEPS - 1 :: SUBSTEPS], atol=1e-7)
-    replayed = Simulation(ARM, 1, timestep=STEP)
+    replayed = Simulation(ARM, 1)
     replayed.place(draw, start, start)
+    replayed.twins.timestep[:] = STEP
     path = replayed.rollout(reference)[0, SUBSTEPS - 1 :: SUBSTEPS]
     np.testing.assert_allclose(passed, path, atol=1e-5)
     assert np.ptp(path, axis=0).max() > 0.3

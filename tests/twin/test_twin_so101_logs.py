@@ -10,9 +10,8 @@ from real_so101 import FOLDER, NO_RECORDINGS, recorded
 from rejoint.arms import so101
 from rejoint.logs import import_logs
 from rejoint.logs.exclusions import find_exclusions, table_height
-from rejoint.twin.fromlogs import FITTED, HEALTHY, identify_logs
+from rejoint.twin.fromlogs import FITTED, HEALTHY, LogSettings, identify_logs
 from rejoint.twin.judgement import NO_TWIN
-from rejoint.twin.motionfit import HoldOut, LogSettings
 
 ARM = so101()
 
@@ -52,7 +51,7 @@ def test_the_wrist_runs_into_a_stop(tmp_path):
 
 def test_motions_that_the_fit_never_saw_are_predicted(logs):
     settings = LogSettings(
-        hold_out=HoldOut(names=HELD_OUT),
+        hold_out=HELD_OUT,
         coarse_seconds=80.0,
         fit_seconds=160.0,
         contact_seconds=40.0,
@@ -67,5 +66,5 @@ def test_motions_that_the_fit_never_saw_are_predicted(logs):
     assert mean[FITTED].free.joint < np.radians(0.30)
     assert mean[FITTED].all.tcp < 4.5e-3
     assert mean[FITTED].free.tcp < 0.25 * mean[HEALTHY].free.tcp
-    assert found.twin.table is not None
-    assert np.ptp(np.log(found.twin.parameters.stiffness)) < 0.15  # five servos of one type at the same gains
+    assert found.table is not None
+    assert np.ptp(np.log(found.parameters.stiffness)) < 0.15  # five servos of one type at the same gains

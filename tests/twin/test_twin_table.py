@@ -2,17 +2,15 @@
 
 import numpy as np
 import pytest
-from motion_logs import ARM, TRUTH, pressing, record
+from motion_logs import ARM, TRUTH, pressing, record, surface
 
 from rejoint.arms import gravity_torque, tcp_position
 from rejoint.arms.kinematics import position_kinematics
 from rejoint.logs.exclusions import find_exclusions
-from rejoint.system.errors import InputError
-from rejoint.twin.batch import TwinBatch
 from rejoint.twin.motionfit import contact_windows
 from rejoint.twin.replay import Replay
-from rejoint.twin.table import TablePlane
-from rejoint.twin.tablefit import fit_table
+from rejoint.twin.table import TableBatch, fit_table
+from rejoint.twin.twin import TablePlane
 
 PUSH = np.array([0.0, 0.9, 0.2, 0.4, 0.0])
 
@@ -25,11 +23,9 @@ def smooth(**changes):
 
 @pytest.mark.parametrize("table", [smooth(), smooth(stiffness=8000.0), smooth(friction=0.0, height=-0.08)])
 def test_a_pressed_tip_gives_by_force_over_stiffness(table):
-    batch = TwinBatch(ARM, 1, 0.01, table=True)
     nearly_smooth = {f: getattr(TRUTH, f) for f in ("stiffness", "damping", "armature", "torque_limit", "delay")}
     parameters = type(TRUTH)(**nearly_smooth, coulomb=[1e-3] * 5, offset=[0.0] * 5, ramp_speed=40.0)
-    batch.write(parameters)
-    batch.put_tables([table])
+    batch = TableBatch(ARM, parameters.repeat(1), [table], 0.01)
     batch.restart((PUSH - [0, 0.4, 0, 0, 0])[None])
     batch.rollout(np.tile(PUSH, (1, 1500, 1)))
     q = batch.qpos[0]
@@ -37,23 +33,19 @@ def test_a_pressed_tip_gives_by_force_over_stiffness(table):
     force = np.linalg.lstsq(position_kinematics(ARM, q)[1].T, gravity_torque(ARM, q) - motor, rcond=None)[0]
     tip = tcp_position(ARM, q)
     assert force[2] > 3.0
-    assert table.surface(tip) - tip[2] == pytest.approx(force[2] / table.stiffness, rel=0.02)
+    assert surface(table, tip) - tip[2] == pytest.approx(force[2] / table.stiffness, rel=0.02)
     assert np.hypot(force[0], force[1]) <= table.friction * force[2] + 0.05
 
 
 def test_every_simulation_has_its_own_table():
-    batch = TwinBatch(ARM, 3, 0.01, table=True)
-    batch.write(TRUTH.repeat(3))
     tables = [smooth(height=-0.09), smooth(height=-0.06), smooth(height=-0.09, slope_x=0.2)]
-    batch.put_tables(tables)
+    batch = TableBatch(ARM, TRUTH.repeat(3), tables, 0.01)
     batch.restart(np.tile(PUSH - [0, 0.4, 0, 0, 0], (3, 1)))
     batch.rollout(np.tile(PUSH, (3, 600, 1)))
     tip = tcp_position(ARM, batch.qpos)
     for table, point in zip(tables, tip, strict=True):
-        assert -0.03 < point[2] - table.surface(point) < 0.0
+        assert -0.03 < point[2] - surface(table, point) < 0.0
     assert tip[1, 2] > tip[0, 2] + 0.015
-    with pytest.raises(InputError, match="2 tables, expected 3"):
-        batch.put_tables(tables[:2])
 
 
 def test_the_fit_finds_the_table():
@@ -63,5 +55,5 @@ def test_the_fit_finds_the_table():
     replay = Replay(ARM, logs, contact_windows(logs, rows, 8.0), 0.01, 1, 1.25)
     found = fit_table(replay, TRUTH, height=-0.03)
     points = tcp_position(ARM, np.concatenate([log.position[r.contact] for log, r in zip(logs, rows, strict=True)]))
-    assert np.abs(found.surface(points) - truth.surface(points)).max() < 0.002
+    assert np.abs(surface(found, points) - surface(truth, points)).max() < 0.002
     assert found.stiffness == pytest.approx(truth.stiffness, rel=0.3)

@@ -8,20 +8,18 @@ from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 import rejoint
 from rejoint.arms import Arm
-from rejoint.arms.camera.board import ON_TABLE, ON_TOOL, Board, read_board, write_board, write_pdf
 from rejoint.cli import show
 from rejoint.cli.console import ConsoleObserver, Terminal
 from rejoint.cli.options import Call, takes
-from rejoint.diagnosis.calibration.camera.film import Film, read_folder
-from rejoint.diagnosis.calibration.camera.filming import POSTURES, SCOUTS, CameraGauge
+from rejoint.diagnosis.calibration.calibration import WEDGE
 from rejoint.diagnosis.calibration.measurementfile import read_measurements
 from rejoint.diagnosis.calibration.measurements import NOISE
-from rejoint.diagnosis.calibration.preload import WEDGE
 from rejoint.diagnosis.calibration.procedure import EmulatedGauge, Stop, TouchGauge, TrackerGauge
 from rejoint.robots import place_of
 from rejoint.runs.run import Run
@@ -30,6 +28,11 @@ from rejoint.session.inputs import NO_GAUGE, GaugeLike
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
 from rejoint.system.shell import command
+
+if TYPE_CHECKING:
+    from rejoint.camera.board import Board
+    from rejoint.camera.film import Film
+    from rejoint.camera.filming import CameraGauge
 
 
 @takes("arm", "part", "live", "period", "seed", "dry_run")
@@ -67,9 +70,9 @@ def calibrate(
         )
         found = rejoint.calibrate(run=job, gauge=given, settings=settings)
     else:
-        visits, scouts = 2 - once, SCOUTS if kind == "camera" else 0
         gauge = gauge_by_word(call, robot, measure or "", job.seed, means)
-        count = count or (POSTURES if scouts else POINTS)
+        visits, scouts = 2 - once, getattr(gauge, "scouts", 0)
+        count = count or getattr(gauge, "postures", POINTS)
         total = scouts + count * visits
         call.say(
             f"{count} postures{', each from two sides' * (not once)}: {total} measurements, about "
@@ -143,6 +146,8 @@ class Means:
         """Return the board; InputError where none is described and there is no ``usual`` one."""
         path = self.board or (BOARD if BOARD.exists() else None)
         if path is not None:
+            from rejoint.camera.board import read_board
+
             return read_board(path)
         if usual is None:
             raise InputError(
@@ -153,12 +158,17 @@ class Means:
 
     def film_at(self, pattern: str, arm: Arm) -> Film:
         """Return the film of pictures that were taken elsewhere."""
+        from rejoint.camera.film import read_folder
+
         return read_folder(pattern, arm, self.pattern(), self.carried)
 
     def camera(self, robot: str, word: str, seed: int) -> CameraGauge:
         """Return the gauge for ``NUMBER`` or ``emulated``; InputError where it does not suit."""
         require("measuring with a camera", "camera")
-        from rejoint.robots.cameras import LiveCamera, simulated
+        from rejoint.camera.board import ON_TABLE, ON_TOOL
+        from rejoint.camera.filming import CameraGauge
+        from rejoint.camera.tracker import LiveCamera
+        from rejoint.robots.cameras import simulated
 
         if word == EMULATED:
             drawn = self.pattern(ON_TOOL if self.carried == "board" else ON_TABLE)
@@ -233,6 +243,8 @@ def board(
 ) -> object:
     """Write a ChArUco board as a PDF in true size, with rulers to check the print."""
     require("rejoint board", "camera")
+    from rejoint.camera.board import ON_TABLE, ON_TOOL, write_board, write_pdf
+
     kinds = {"tool": ON_TOOL, "table": ON_TABLE}
     if file.suffix.lower() != ".pdf":
         raise InputError(f"{file}: expected a file name that ends in .pdf")

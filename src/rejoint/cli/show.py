@@ -18,11 +18,11 @@ from rejoint.system.statistics import Spread
 _NAMED = 8  # pictures whose faults are printed line by line
 
 if TYPE_CHECKING:
+    from rejoint.camera.fit import Filmed
     from rejoint.control.deployment import Deployed
     from rejoint.control.moving.drive import Followed
     from rejoint.control.servogains import GainsFound
-    from rejoint.diagnosis.calibration.camera.fit import Filmed
-    from rejoint.diagnosis.calibration.preload import Preload
+    from rejoint.diagnosis.calibration.calibration import Preload
     from rejoint.diagnosis.diagnosis import Diagnosis
     from rejoint.pages.report.contents import BeforeAfter
     from rejoint.runs.stages.calibrate import Calibrated
@@ -106,7 +106,7 @@ def calibration(terminal: Terminal, found: Calibrated) -> None:
 
 
 def _say_wedge(terminal: Terminal, what: Preload) -> None:
-    from rejoint.diagnosis.calibration.preload import RISE, WEDGE
+    from rejoint.diagnosis.calibration.calibration import RISE, WEDGE
 
     if what.wedge_helps:
         slope = f"{np.degrees(WEDGE):g} degrees ({RISE:.1f} mm on 10 cm)"

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rejoint.arms import CATALOGUE, Arm, Array
-from rejoint.control.classical import DefaultController, IntegratorController, PidController, PidGains
+from rejoint.control.classical import DefaultController, IntegratorController
 from rejoint.control.contract import check_contract
 from rejoint.control.controller import Controller
-from rejoint.control.feedforward import FeedforwardController, PushController
+from rejoint.control.feedforward import FeedforwardController
 from rejoint.system.errors import ContractError, InputError
 
 if TYPE_CHECKING:
@@ -19,33 +19,24 @@ if TYPE_CHECKING:
 
 BASELINES: dict[str, Callable[[Arm], Controller]] = {
     "default": DefaultController,
-    "pid-sum": lambda arm: PidController(arm, PidGains(integral_times_period=False)),
-    "pid-literal": lambda arm: PidController(arm, PidGains(integral_times_period=True)),
     "integrator": IntegratorController,
     "feedforward": FeedforwardController,
 }
 """Without learning, the simplest first"""
 
-PUSH = PushController.name
 POLICY = "policy"
 SHELF = "shelf"
 PREDICTIVE = "predictive"
 """Planning on the arm's own twin"""
 
-CONTROLLERS = (*BASELINES, PUSH, SHELF, POLICY, PREDICTIVE)
+CONTROLLERS = (*BASELINES, SHELF, POLICY, PREDICTIVE)
 """The simplest first"""
-
-ON_REQUEST = ("pid-sum", "pid-literal")
-"""Baselines of the paper, on request only"""
 
 
 def contenders(*, real: bool, shelf: bool, policy: bool, twin: bool) -> tuple[str, ...]:
-    """Default contenders; a real arm gets the generic policy until it has its own.
-
-    The push takes part under tuned gains only (`servogains.UNDER`).
-    """
-    missing = {PUSH: True, SHELF: not shelf or (real and policy), POLICY: not policy, PREDICTIVE: not twin}
-    return tuple(name for name in CONTROLLERS if not missing.get(name) and not (real and name in ON_REQUEST))
+    """Default contenders; a real arm gets the generic policy until it has its own."""
+    missing = {SHELF: not shelf or (real and policy), POLICY: not policy, PREDICTIVE: not twin}
+    return tuple(name for name in CONTROLLERS if not missing.get(name))
 
 
 def make_controller(
@@ -53,12 +44,11 @@ def make_controller(
     arm: Arm,
     *,
     stiffness: Array | float | None = None,
-    friction: Array | float | None = None,
     policy: Path | None = None,
 ) -> Controller:
     """Build the controller ``name``; InputError.
 
-    ``stiffness`` (n,) [N m/rad] and ``friction`` (n,) [N m] serve feed-forward and push.
+    ``stiffness`` (n,) [N m/rad] serves the feed-forward.
     """
     if name == POLICY:
         if policy is None:
@@ -68,10 +58,6 @@ def make_controller(
         return load_policy(policy, arm)
     if name == PREDICTIVE:
         raise InputError("the controller 'predictive' needs the twin of the arm; fit one with: rejoint identify")
-    if name == PUSH:
-        if stiffness is None or friction is None:
-            raise InputError("the controller 'push' needs the twin of the arm; fit one with: rejoint identify")
-        return PushController(arm, stiffness, friction)
     if name == SHELF:
         return shelf_controller(arm)
     if name == "feedforward":

@@ -2,8 +2,8 @@
 
 The command is raised by the servo's sag: gravity torque over stiffness. The integrator corrects slow joints; its
 correction carries over to the next target. A stuck joint is pushed harder until its reading changes; then most of that
-push is removed. The push controller adds a push against friction and a dither. Sources of such laws: i2rt, pull request
-37; almond-bot/axol, pull request 317. Constants without a source are chosen.
+push is removed. Sources of such laws: i2rt, pull request 37; almond-bot/axol, pull request 317. Constants without a
+source are chosen.
 """
 
 from __future__ import annotations
@@ -89,16 +89,16 @@ class FeedforwardController:
             self.reset_learned(inputs, np.ones(len(inputs.sent), dtype=bool))
         self._take(inputs, where)
         distance = np.linalg.norm(inputs.target - tcp_position(self._arm, inputs.state.position), axis=-1)
-        self._correction -= (where * self._far(distance))[:, None] * self._unneeded()
+        self._correction -= (where * self._far(distance))[:, None] * self.unneeded(self._correction)
 
     def on_the_way(self, inputs: ControlInput) -> Mask:
         """Arms (B,) with moving goals."""
         moved: Mask = np.logical_or.reduce(inputs.goal != self._goal, axis=-1)
         return moved
 
-    def _unneeded(self) -> Array:
-        """Null-space parts (B, n) [rad] of the corrections."""
-        part: Array = (self._idle @ self._correction[..., None])[..., 0]
+    def unneeded(self, motion: Array) -> Array:
+        """Null-space part of a ``motion`` (B, n) [rad]: it does not move the tool."""
+        part: Array = (self._idle @ motion[..., None])[..., 0]
         return part
 
     def _far(self, distance: Array) -> Array:
@@ -161,7 +161,7 @@ class FeedforwardController:
         gains, elapsed = self._gains, self._pace.tick(inputs.state.time)
         if np.count_nonzero(distance > gains.far[0]):
             forgotten = self._far(distance) * -np.expm1(-gains.forgetting * elapsed)
-            self._correction -= forgotten[:, None] * self._unneeded()
+            self._correction -= forgotten[:, None] * self.unneeded(self._correction)
         # Bounded by itself, not by the measured position: on the way the command leads by the whole distance.
         compiled.integrate(
             self._correction,
@@ -206,70 +206,3 @@ class FeedforwardController:
             "came": self._came,
             "time": self._pace.last,
         }
-
-
-GOLDEN = np.pi * (3.0 - np.sqrt(5.0))
-"""[rad] dither phase between neighbouring joints"""
-
-
-@dataclass(frozen=True, kw_only=True)
-class PushGains:
-    """Settings of the push; chosen by `python -m benchmarks so101 push`."""
-
-    push: float = 0.3
-    """share of the dry friction (chosen: arms that stick most hunt at half of it)"""
-    dither: float = 0.3
-    """amplitude, likewise"""
-    frequency: float = 8.0
-    """[Hz] of the dither"""
-    moving: float = 0.05
-    """[rad/s] at which the push fades to 1/e"""
-    sign: float = 1.5
-    """[encoder steps] of missing motion over which the push changes sign"""
-    near: float = 3e-4
-    """[m] at which it fades to half"""
-    most: float = float(np.radians(5.0))
-    """[rad] largest friction that counts (chosen: an SO-101's elbow has 4.7 deg at P = 16)"""
-
-
-class PushController:
-    """Feed-forward with a push against friction."""
-
-    name = "push"
-    heeds_turn = True
-
-    def __init__(
-        self, arm: Arm, stiffness: Array | float, friction: Array | float, gains: PushGains | None = None
-    ) -> None:
-        """``stiffness`` [N m/rad] and dry ``friction`` [N m], (n,) or one."""
-        self._arm, self._gains = arm, gains or PushGains()
-        self._base = FeedforwardController(arm, stiffness, loosen=0.0)
-        lead = np.broadcast_to(np.asarray(friction, dtype=float) / stiffness, (arm.joints,))
-        if not (lead >= 0.0).all():
-            raise InputError(f"push: friction must not be negative, in N m, got {np.asarray(friction).tolist()}")
-        self._lead = np.minimum(lead, self._gains.most)
-        self._pace, self._last, self._speed = Pace(), np.zeros((0, arm.joints)), np.zeros((0, arm.joints))
-
-    def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Take new goals of ``where`` (B,)."""
-        self._base.reset(inputs, where)
-
-    def command(self, inputs: ControlInput) -> Array:
-        """See `Controller`."""
-        arm, gains, position = self._arm, self._gains, inputs.state.position
-        seen = dls_step(arm, position, inputs.target, inputs.turn)
-        push = gains.push * np.tanh(seen.step / (gains.sign * arm.encoder_step))
-        phase = 2.0 * np.pi * gains.frequency * inputs.state.time[:, None] + GOLDEN * np.arange(arm.joints)
-        standing = np.exp(-((self._speeds(inputs) / gains.moving) ** 2))
-        lead = self._lead * standing * fade(seen.error, gains.near) * (push + gains.dither * np.sin(phase))
-        return limit_position(arm, self._base.command(inputs) + lead)
-
-    def _speeds(self, inputs: ControlInput) -> Array:
-        """Joint speeds (B, n) [rad/s]."""
-        position, elapsed = inputs.state.position, self._pace.tick(inputs.state.time)[:, None]
-        if len(self._last) != len(position):
-            self._last, self._speed = position.copy(), np.zeros_like(position)
-        newest = np.where(elapsed > 0.0, (position - self._last) / np.maximum(elapsed, 1e-9), self._speed)
-        self._speed = SPEED_SMOOTHING * newest + (1.0 - SPEED_SMOOTHING) * self._speed
-        self._last = position.copy()
-        return self._speed

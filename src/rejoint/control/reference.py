@@ -18,7 +18,7 @@ from rejoint.arms.inverse import REST_GAIN
 from rejoint.arms.rotations import Orientation
 from rejoint.control.controller import ControlInput
 from rejoint.control.correction import Modelled
-from rejoint.control.goal import LAGS, PATIENCE, Ways, beginning_at, nearest_postures, waiting
+from rejoint.control.goal import LAGS, LEAD, PATIENCE, Ways, beginning_at, nearest_postures, waiting
 from rejoint.control.robot import JointState, Mask
 from rejoint.system.errors import InputError
 
@@ -138,6 +138,7 @@ class TargetSequence(Reference):
         self._place = self._aim = targets[:, 0]
         self._goal = self._sag = np.zeros((self.count, arm.joints))  # sag [rad]: off where the ways began, no lag
         self._turn: Orientation | None = None
+        self._pace = np.ones(self.count)  # at which the ways go on
         self._ways: list[JointTrajectory] = []
 
     def begin(self, where: Mask, index: Index, sent: Array, position: Array) -> None:
@@ -180,7 +181,7 @@ class TargetSequence(Reference):
         return changed
 
     def advance(self, state: JointState, since: Array, /) -> Setpoint:  # noqa: ARG002 - the clock tells
-        """See `Reference`. The correction of the aim grows along the way."""
+        """See `Reference`. The correction of the aim grows along the way; the goal leads it by `LEAD`."""
         goal, target, ways = self._goal, self._aim, self._ways
         if not ways:
             return Setpoint(goal, target, since, ARRIVED, self._turn, self._place, target)
@@ -188,10 +189,13 @@ class TargetSequence(Reference):
         moving = since < duration
         if moving.any():
             goal, target, rows = goal.copy(), target.copy(), np.flatnonzero(moving).tolist()
+            lead = np.zeros_like(goal)
             for b in rows:
-                way, share = ways[b], max(float(since[b]), 0.0) / duration[b]
-                goal[b] = way.at(float(since[b])) + share * (self._goal[b] - way.goal)
+                way, now = ways[b], max(float(since[b]), 0.0)
+                goal[b] = way.at(now) + now / duration[b] * (self._goal[b] - way.goal)
+                lead[b] = LEAD * self._pace[b] * way.at(now, 1)
             target[rows] += tcp_position(self._arm, goal[rows]) - tcp_position(self._arm, self._goal[rows])
+            goal += lead
         at_end = np.where(moving, 0.0, since - duration)
         return Setpoint(goal, target, at_end, ~moving, self._turn, self._place, self._aim)
 
@@ -201,4 +205,6 @@ class TargetSequence(Reference):
             return 0.0
         sag = np.clip([way.start for way in self._ways] - before, -LAGS[1], LAGS[1])
         self._sag = np.where((since <= 0.0)[:, None], sag, self._sag)
-        return waiting(self._arm, self._ways, since, position, self._sag)
+        left = waiting(self._arm, self._ways, since, position, self._sag)
+        self._pace = 1.0 - left
+        return left

@@ -147,6 +147,7 @@ class Commander:
             factor = np.where(unloaded_joints(self._arm), law.decayed(inputs.since_target, view.step), 1.0)
             step, extra = factor * step, factor * extra
         extra = np.where(self._base.on_the_way(inputs)[:, None], 0.0, extra)  # the law knows the way
+        extra = extra - self._base.unneeded(extra)  # joints that hold a tool wander with it: sticking, then jumping
         extra = extra + self._base.loosening(inputs, view.step, view.distance)
         wanted, margin = self._base.correct(inputs, step, extra, view.distance), law.envelope_margin
         return limit_position(self._arm, between(wanted, inputs.goal - margin, inputs.goal + margin))

@@ -15,7 +15,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 
 from rejoint.arms import Arm, Array, tcp_position
-from rejoint.control.catalogue import POLICY, PREDICTIVE, PUSH
+from rejoint.control.catalogue import POLICY, PREDICTIVE
 from rejoint.control.classical import DefaultController
 from rejoint.control.contract import PolicyContract
 from rejoint.control.controller import ControlInput, Controller, heeds_turn
@@ -169,10 +169,10 @@ def in_words(gains: ServoGains) -> str:
 
 GEARED = "servo-gains"
 """Tuned servo loops alone; ``servo-gains+NAME``: below a controller"""
-UNDER = ("integrator", "feedforward", PUSH, POLICY, PREDICTIVE)
+UNDER = ("integrator", "feedforward", POLICY, PREDICTIVE)
 """Controllers also run with tuned gains"""
 RIVALS = (GEARED, *(f"{GEARED}+{name}" for name in UNDER))
-GEARED_PUSH, GEARED_POLICY, GEARED_PREDICTIVE = (f"{GEARED}+{name}" for name in (PUSH, POLICY, PREDICTIVE))
+GEARED_POLICY, GEARED_PREDICTIVE = (f"{GEARED}+{name}" for name in (POLICY, PREDICTIVE))
 
 
 def inner_name(name: str) -> str:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rejoint.arms import Arm, Array, choose_postures, solve_position, tcp_position
 from rejoint.arms.rotations import (
@@ -22,6 +22,7 @@ from rejoint.arms.rotations import (
     between_directions,
     quaternion_of,
     rotation_of,
+    same_side,
     to_coords,
     to_pose,
     tool_axis,
@@ -97,11 +98,15 @@ class Pose:
 
 def placed(arm: Arm, poses: Sequence[Pose]) -> tuple[Array, Orientation | None]:
     """Places (K, 3) [m] and orientations (K,); None for points alone."""
-    axis = tool_axis(arm)
     places = np.array([np.asarray(pose.place_m, dtype=float) for pose in poses]).reshape(-1, 3)
+    return places, oriented(tool_axis(arm), poses)
+
+
+def oriented(axis: Array, poses: Sequence[Pose]) -> Orientation | None:
+    """Orientations (K,) of a tool along ``axis`` (3,), or None."""
     if not any(pose.turned for pose in poses):
-        return places, None
-    return places, Orientation(
+        return None
+    return Orientation(
         rotation=np.stack([pose.rotation(axis) for pose in poses]),
         axis=axis,
         whole=np.array([pose.direction is None for pose in poses]),
@@ -164,15 +169,9 @@ def _column(title: str) -> tuple[str, float]:
     return (name, units[unit or next(iter(units))]) if unit is None or unit in units else (title, 1.0)
 
 
-def turn_knot(pose: Pose) -> Array:
-    """Orientation as a unit direction (3,) or quaternion (4,)."""
-    if pose.direction is not None:
-        knot = np.asarray(pose.direction, dtype=float)
-    elif pose.quaternion is not None:
-        knot = np.asarray(pose.quaternion, dtype=float)
-    else:
-        knot = quaternion_of(pose.rotation(np.zeros(3)))  # angles need no axis
-    return knot / np.linalg.norm(knot)
+def knots_of(turn: Orientation) -> Array:
+    """Directions (K, 3), or quaternions (K, 4) without jumps of sign, of orientations (K,) of one kind."""
+    return same_side(quaternion_of(turn.rotation)) if turn.whole.all() else turn.rotation @ turn.axis
 
 
 def turned_as(knots: Array, axis: Array, weight: float) -> Orientation:
@@ -266,17 +265,6 @@ def beyond_reach(arm: Arm, targets: Array) -> Array:
         again = solve_position(arm, targets[missed, None], starts, rest_gain=0.0).error.min(axis=1)
         beyond[missed] = np.minimum.reduce([beyond[missed], apart.min(axis=1), again])
     return np.where(beyond > _REACHED, beyond, 0.0)
-
-
-def too_low(arm: Arm, places: Array) -> NDArray[np.bool_]:
-    """Which places (..., 3) [m] are below the guard's floor."""
-    low: NDArray[np.bool_] = places[..., 2] < arm.floor
-    return low
-
-
-def lowest(arm: Arm) -> str:
-    """Explain a place that is too low."""
-    return f"is lower than {1e3 * arm.floor:g} mm, where the guard keeps the tool from the ground"
 
 
 def unit_hint(places: Array) -> str:

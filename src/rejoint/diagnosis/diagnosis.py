@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from itertools import compress
 
 from rejoint.arms import Arm
 from rejoint.arms.workspace import length_size
@@ -11,7 +11,7 @@ from rejoint.control.recording import OnCycle
 from rejoint.control.robot import Robot
 from rejoint.diagnosis.excitation import FULL, DiagnosisLogs, Plan, record
 from rejoint.diagnosis.healthy import HealthyReference
-from rejoint.diagnosis.measurement import Measurement, measure
+from rejoint.diagnosis.measurement import JointMetrics, Measurement, measure
 from rejoint.diagnosis.open_loop import OpenLoop, open_loop_errors, settled_postures
 from rejoint.diagnosis.verdict import Finding, find
 from rejoint.system.errors import InputError
@@ -176,22 +176,32 @@ def _rings(ringing: Finding | None, findings: tuple[Finding, ...]) -> str:
 def _unseen(
     open_loop: OpenLoop, measurement: Measurement, healthy: HealthyReference | None, margin_mm: float
 ) -> tuple[str, ...]:
-    open_questions = {
-        "The stiffness of {} cannot be told from this log.": [r.stiffness_source == "none" for r in measurement.joints],
-        "{} moved too little for friction, lag and torque limit to show, as a joint does that sticks or is too weak.": [
-            r.lag_s is None for r in measurement.joints
-        ],
-        "The torque limit of {} was not reached.": [
-            r.torque_limit_nm is None and r.lag_s is not None for r in measurement.joints
-        ],
-    }
-    joints = [row.joint for row in measurement.joints]
-    named = {words: ", ".join(compress(joints, these)) for words, these in open_questions.items()}
     return (
         _hidden(open_loop, healthy, margin_mm),
         "Play inside the servo loop shows only where the load on a joint changes its side; a joint that always "
         "carries weight rests on one flank.",
-        *(words.format(which) for words, which in named.items() if which),
+        *untold(measurement, QUESTIONS),
+    )
+
+
+QUESTIONS: dict[str, Callable[[JointMetrics], bool]] = {
+    "The stiffness of {} cannot be told from this log.": lambda row: row.stiffness_source == "none",
+    "{} moved too little for friction, lag and torque limit to show, as a joint does that sticks or is too weak.": (
+        lambda row: row.lag_s is None
+    ),
+    "The torque limit of {} was not reached.": lambda row: row.torque_limit_nm is None and row.lag_s is not None,
+}
+"""What an excitation leaves open, and of which joints"""
+
+
+def untold(measurement: Measurement, questions: Mapping[str, Callable[[JointMetrics], bool]]) -> tuple[str, ...]:
+    """Sentences about what is not known, with the joints that they hold for."""
+    named = {words: [row.joint for row in measurement.joints if asks(row)] for words, asks in questions.items()}
+    whole = len(measurement.joints)
+    return tuple(
+        words.format("every joint" if len(joints) == whole else ", ".join(joints))
+        for words, joints in named.items()
+        if joints
     )
 
 

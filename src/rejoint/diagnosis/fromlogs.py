@@ -5,14 +5,14 @@ Stiffness needs a gravity load, friction motion in both directions.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from rejoint.arms import Arm, tcp_position
-from rejoint.diagnosis.diagnosis import Diagnosis, Evidence, causes, condition_of
+from rejoint.diagnosis.diagnosis import Diagnosis, Evidence, causes, condition_of, untold
 from rejoint.diagnosis.healthy import HealthyReference
-from rejoint.diagnosis.measurement import Measurement, measure_joint
+from rejoint.diagnosis.measurement import JointMetrics, Measurement, measure_joint
 from rejoint.diagnosis.metrics import COARSEST
 from rejoint.diagnosis.open_loop import Postures, joined, resting_postures
 from rejoint.diagnosis.regression import mean_of
@@ -73,13 +73,19 @@ def diagnose_logs(
     rest = rest if len(rest.position) else _everywhere(logs, excluded)
     findings = () if bare else find(arm, measurement, rest, healthy)
     known = _by_effort(measurement, data.effort_unit or "") if bare else _verdict(measurement, findings, healthy)
+    silent = {joint: log.label for log in logs for joint in unpowered_joints(log)}
     return Diagnosis(
         arm=arm.name,
         robot=source,
         condition=_condition(measurement, findings),
         verdict=f"{_rest(evidence, healthy)}{known} {_motions(evidence)}",
         findings=findings,
-        unseen=(*_unpowered(logs), *_unseen(measurement), *(f"{remark}." for remark in forced_remarks(logs))),
+        unseen=(
+            *(f"{joint} does not answer in {label}: without power, or stuck." for joint, label in silent.items()),
+            *untold(measurement, QUESTIONS),
+            *NEVER_TOLD,
+            *(f"{remark}." for remark in forced_remarks(logs)),
+        ),
         open_loop=None,
         measurement=measurement,
         healthy=healthy,
@@ -129,13 +135,9 @@ def _rest_error(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]
 
 
 def _everywhere(logs: Sequence[RunLog], excluded: Sequence[Exclusions]) -> Postures:
-    chosen = [
-        np.flatnonzero(rows.free)[:: max(int(rows.free.sum()) // 20, 1)] for rows in excluded
-    ]  # some twenty of each
-    return Postures(
-        position=np.concatenate([log.position[rows] for log, rows in zip(logs, chosen, strict=True)]),
-        command=np.concatenate([log.position[rows] for log, rows in zip(logs, chosen, strict=True)]),
-    )
+    chosen = [np.flatnonzero(rows.free)[:: max(int(rows.free.sum()) // 20, 1)] for rows in excluded]  # some twenty
+    position = np.concatenate([log.position[rows] for log, rows in zip(logs, chosen, strict=True)])
+    return Postures(position=position, command=position)
 
 
 def _rest(evidence: Evidence, healthy: HealthyReference | None) -> str:
@@ -195,33 +197,20 @@ def _by_effort(measurement: Measurement, unit: str) -> str:
     )
 
 
-def _unpowered(logs: Sequence[RunLog]) -> tuple[str, ...]:
-    silent = {joint: log.label for log in logs for joint in unpowered_joints(log)}
-    return tuple(f"{joint} does not answer in {label}: without power, or stuck." for joint, label in silent.items())
+QUESTIONS: dict[str, Callable[[JointMetrics], bool]] = {
+    "The stiffness of {}, and so the torque that friction takes, cannot be told: gravity does not load it enough in "
+    "these motions, or they disagree too much.": lambda row: row.stiffness_nm_per_rad is None,
+    "Lag and zero of {}, and friction by the following error, cannot be told: too little slow motion, in one direction "
+    "only, with readings too far apart or without commands.": lambda row: row.hysteresis_rad is None,
+    "Whether {} shoots over cannot be told: too few steps.": lambda row: row.overshoot is None,
+    "Noise and unrest of {} cannot be told: the arm hardly rests while no command moves.": (
+        lambda row: row.noise_rad is None
+    ),
+}
+"""What logs leave open, and of which joints"""
 
-
-def _unseen(measurement: Measurement) -> tuple[str, ...]:
-    lines = []
-    for missing, words in (
-        (
-            "stiffness_nm_per_rad",
-            "The stiffness of {}, and so the torque that friction takes, cannot be told: gravity "
-            "does not load it enough in these motions, or they disagree too much.",
-        ),
-        (
-            "hysteresis_rad",
-            "Lag and zero of {}, and friction by the following error, cannot be told: too little slow motion, in one "
-            "direction only, with readings too far apart or without commands.",
-        ),
-        ("overshoot", "Whether {} shoots over cannot be told: too few steps."),
-        ("noise_rad", "Noise and unrest of {} cannot be told: the arm hardly rests while no command moves."),
-    ):
-        joints = [row.joint for row in measurement.joints if getattr(row, missing) is None]
-        if joints:
-            lines.append(words.format("every joint" if len(joints) == len(measurement.joints) else ", ".join(joints)))
-    lines += [
-        "Lag here holds the delay of commands and answers: only steps recorded on one clock would tell them apart.",
-        "Logs of ordinary motion tell neither torque limits nor damping apart from lag; `rejoint diagnose ROBOT` does.",
-        "Play and flex behind the encoders, and so the true error of the tool, cannot be seen.",
-    ]
-    return tuple(lines)
+NEVER_TOLD = (
+    "Lag here holds the delay of commands and answers: only steps recorded on one clock would tell them apart.",
+    "Logs of ordinary motion tell neither torque limits nor damping apart from lag; `rejoint diagnose ROBOT` does.",
+    "Play and flex behind the encoders, and so the true error of the tool, cannot be seen.",
+)

@@ -11,12 +11,11 @@ arm.
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -185,19 +184,21 @@ def reference_from(arm: Arm, logs: Sequence[DiagnosisLogs], *, source: str, moto
         arm=arm.name,
         source=source,
         motors_kg_m2=inertia,
-        joints=tuple(_combine(arm, [m.joints[joint] for m, _ in found]) for joint in range(arm.joints)),
-        error_mm=_range([loop.error_mm.value for _, loop in found]),
-        hidden_mm=_range(hidden) if hidden else None,
+        joints=tuple(_ranges(arm, [m.joints[joint] for m, _ in found]) for joint in range(arm.joints)),
+        error_mm=_factor([loop.error_mm for _, loop in found]),
+        hidden_mm=_factor([Estimate(value, None, None) for value in hidden]) if hidden else None,
     )
 
 
-def _combine(arm: Arm, rows: list[JointMetrics]) -> JointMetrics:
-    def known(name: str) -> list[float]:
-        return [estimate.value for estimate in (getattr(row, name) for row in rows) if estimate is not None]
-
+def _ranges(arm: Arm, rows: Sequence[JointMetrics]) -> JointMetrics:
+    """Healthy ranges of a joint, from one arm known to be good or from several."""
+    allowed = {"overshoot": OVERSHOOT_ALLOWED, "hunting_rad": arm.encoder_step, "noise_rad": arm.encoder_step}
+    ranges: dict[str, Estimate] = {}
+    for name in (*POSITIVE, *allowed):
+        known = [found for row in rows if (found := getattr(row, name)) is not None]
+        if known:
+            ranges[name] = _factor(known) if name in POSITIVE else _margin(known, allowed[name])
     sources = [row.stiffness_source for row in rows]
-    ranges = {name: _range(values) for name in POSITIVE if (values := known(name))}
-    ranges |= {name: _range_about_zero(known(name), allowed) for name, allowed in _allowed(arm).items()}
     return JointMetrics(
         joint=rows[0].joint,
         stiffness_source=max(sorted(set(sources)), key=sources.count),  # a set has no order of its own
@@ -211,26 +212,38 @@ def _combine(arm: Arm, rows: list[JointMetrics]) -> JointMetrics:
     )
 
 
-def _allowed(arm: Arm) -> dict[str, float]:
-    return {"overshoot": OVERSHOOT_ALLOWED, "hunting_rad": arm.encoder_step, "noise_rad": arm.encoder_step}
-
-
 def _typical(values: Sequence[float | None]) -> float | None:
     known = [value for value in values if value is not None]
     return float(np.median(known)) if 3 * len(known) >= len(values) else None
 
 
-def _range(values: list[float]) -> Estimate:
-    logs = np.log(np.maximum(values, 1e-12))
-    mean, spread = float(logs.mean()), float(logs.std(ddof=1)) if len(logs) > 1 else 0.0
-    half = SIGMAS * spread + np.log1p(TOLERANCE)
-    return Estimate(float(np.exp(mean)), float(np.exp(mean - half)), float(np.exp(mean + half)))
+def _factor(found: Sequence[Estimate]) -> Estimate:
+    """Range of positive quantities: `SIGMAS` of their logarithms, or one interval, and `TOLERANCE`."""
+    value, low, high = _spread([_mapped(one, lambda x: float(np.log(max(x, 1e-12)))) for one in found])
+    half = float(np.log1p(TOLERANCE))
+    return Estimate(float(np.exp(value)), float(np.exp(low - half)), float(np.exp(high + half)))
 
 
-def _range_about_zero(values: list[float], allowed: float) -> Estimate:
-    mean, spread = float(np.mean(values)), float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
-    half = SIGMAS * spread + TOLERANCE * abs(mean) + allowed
-    return Estimate(mean, mean - half, mean + half)
+def _margin(found: Sequence[Estimate], allowed: float) -> Estimate:
+    """Range of quantities about zero: `SIGMAS`, or one interval, `TOLERANCE` and ``allowed``."""
+    value, low, high = _spread(found)
+    margin = TOLERANCE * abs(value) + allowed
+    return Estimate(value, low - margin, high + margin)
+
+
+def _mapped(found: Estimate, function: Callable[[float], float]) -> Estimate:
+    low, high = (None if end is None else function(end) for end in (found.low, found.high))
+    return Estimate(function(found.value), low, high)
+
+
+def _spread(found: Sequence[Estimate]) -> tuple[float, float, float]:
+    """Mean and ends of several values, or of the interval of one."""
+    if len(found) == 1:
+        value, low, high = found[0].value, found[0].low, found[0].high
+        return value, value if low is None else low, value if high is None else high
+    values = np.array([one.value for one in found])
+    mean, half = float(values.mean()), SIGMAS * float(values.std(ddof=1))
+    return mean, mean - half, mean + half
 
 
 POSITIVE = ("stiffness_nm_per_rad", "coulomb_nm", "damping_ratio", "hysteresis_rad", "lag_s")
@@ -251,33 +264,7 @@ def reference_by(arm: Arm, good: Diagnosis) -> HealthyReference:
         arm=arm.name,
         source=f"an arm known to be good ({good.robot})",
         motors_kg_m2=tuple(row.motor_inertia_kg_m2 for row in good.measurement.joints),
-        joints=tuple(_ranges(arm, row) for row in good.measurement.joints),
-        error_mm=_factor(error),
+        joints=tuple(_ranges(arm, [row]) for row in good.measurement.joints),
+        error_mm=_factor([error]),
         hidden_mm=None,
-    )
-
-
-def _ranges(arm: Arm, row: JointMetrics) -> JointMetrics:
-    changed: dict[str, Any] = {name: _factor(found) for name in POSITIVE if (found := getattr(row, name)) is not None}
-    for name, margin in _allowed(arm).items():
-        if (found := getattr(row, name)) is not None:
-            changed[name] = _margin(found, margin)
-    return dataclasses.replace(row, offset_rad=NO_OFFSET, **changed)
-
-
-def _factor(found: Estimate) -> Estimate:
-    low, high = _ends(found)
-    return Estimate(found.value, max(low, 0.0) / (1 + TOLERANCE), high * (1 + TOLERANCE))
-
-
-def _margin(found: Estimate, allowed: float) -> Estimate:
-    low, high = _ends(found)
-    margin = TOLERANCE * abs(found.value) + allowed
-    return Estimate(found.value, low - margin, high + margin)
-
-
-def _ends(found: Estimate) -> tuple[float, float]:
-    return (
-        found.value if found.low is None else found.low,
-        found.value if found.high is None else found.high,
     )

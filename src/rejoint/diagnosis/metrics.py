@@ -325,13 +325,13 @@ def arm_delay(data: ExcitationLog) -> float:
 def _lowest(cost: Array) -> float:
     """Delay [s] at the minimum of a parabola through the lowest cost (D,)."""
     i = int(np.argmin(cost))
-    if 0 < i < len(cost) - 1 and np.isfinite(cost[i - 1 : i + 2]).all():
-        before, here, after = cost[i - 1 : i + 2]
-        bend = before - 2 * here + after
-        return (
-            float(DELAYS[i] + (DELAYS[1] - DELAYS[0]) * 0.5 * (before - after) / bend) if bend > 0 else float(DELAYS[i])
-        )
-    return float(DELAYS[i])
+    around = np.pad(cost, 1, constant_values=np.inf)[i : i + 3]
+    if not np.isfinite(around).all():
+        return float(DELAYS[i])
+    before, here, after = around
+    bend = before - 2 * here + after
+    aside = 0.5 * (before - after) / bend if bend > 0.0 else 0.0
+    return float(DELAYS[i] + (DELAYS[1] - DELAYS[0]) * aside)
 
 
 def _onset_costs(data: ExcitationLog, joint: int, fits: Array) -> Array:

@@ -54,6 +54,12 @@ def fit_clustered(design: Array, response: Array, cluster: NDArray[np.intp]) -> 
     )
 
 
+def fit_believed(design: Array, response: Array, believed: Array) -> tuple[Array, Array]:
+    """Coefficients (p,) and their covariance (p, p), for unit noise and prior precision ``believed`` (p, p) about 0."""
+    spread = np.linalg.inv(design.T @ design + believed)
+    return np.asarray(spread @ (design.T @ response)), np.asarray(spread)
+
+
 def fit_trimmed(
     design: Array, response: Array, cluster: NDArray[np.intp], first: NDArray[np.bool_] | None = None
 ) -> LinearFit:

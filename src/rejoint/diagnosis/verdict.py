@@ -6,7 +6,7 @@ faults count.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -113,18 +113,15 @@ class _Case:
         swing = self.row.hunting_rad
         return swing is not None and (swing.low or 0.0) > QUIET_COUNTS * self.encoder_step
 
-    def finding(self, kind: str, quantity: str, measured: Estimate, tcp: float, sentence: str) -> Finding:
-        reference = getattr(self.healthy, quantity, None)
-        if not isinstance(reference, Estimate):
-            reference = None
+    def finding(self, kind: str, quantity: str, tcp: float, sentence: str, measured: Estimate | None = None) -> Finding:
         cost = f"{tcp * 1e3:.1f} mm at the tool." if tcp * 1e3 >= FELT_MM else "nothing that the tip of the tool feels."
         return Finding(
             joint=self.row.joint,
             kind=kind,
             severity="bad" if tcp * 1e3 >= self.bad_mm else "worn",
             quantity=quantity,
-            measured=measured,
-            healthy=reference,
+            measured=measured or getattr(self.row, quantity),
+            healthy=getattr(self.healthy, quantity, None),
             tcp_mm=tcp * 1e3,
             sentence=f"{self.row.joint} {sentence} {cost}",
         )
@@ -162,66 +159,64 @@ def find(
             common_lag=common,
             bad_mm=BAD_MM * length_size(arm),
         )
-        found += [finding for rule in RULES for finding in rule(case)]
+        found += [finding for rule in RULES if (finding := rule(case)) is not None]
     return tuple(sorted(found, key=lambda f: (f.severity != "bad", -f.tcp_mm)))
 
 
-def stuck(case: _Case) -> Iterator[Finding]:
+def stuck(case: _Case) -> Finding | None:
     """Report a joint that does not move when commanded, or is beyond measurement."""
     gain, far = case.row.sweep_gain, float(case.errors.max())
     if gain is not None:  # one that breaks loose on a long way may come near its targets, and stick elsewhere
         far = max(far, case.row.stuck_rad)
     if (gain is not None and gain > FOLLOWS) or far < STUCK_ERROR:
-        return
-    yield case.finding(
+        return None
+    return case.finding(
         "stuck",
         "following_error_rad",
-        mean_of(case.errors),
         float((case.levers * case.errors).mean()),
         f"does not follow: it stood up to {np.degrees(far):.0f} deg off where it was sent, so it has "
         "no power, is blocked or too weak to lift the arm, or its reading is another joint's or turned round; at its "
         "targets this costs",
+        mean_of(case.errors),
     )
 
 
-def weak_gain(case: _Case) -> Iterator[Finding]:
+def weak_gain(case: _Case) -> Finding | None:
     """Report a servo with too little torque per following error."""
     k = case.row.stiffness_nm_per_rad
     if k is None or not case.below("stiffness_nm_per_rad") or not case.moves:
-        return
+        return None
     friction = case.row.coulomb_nm.value if case.row.coulomb_nm is not None else 0.0
     weight = float((case.levers * case.loads).mean())
     tcp = (weight + case.lever * friction) / k.value
     sags = f"sags under the arm's own weight: it hangs {np.degrees(case.loads.mean() / k.value):.1f} deg low"
     effect = sags if weight > case.lever * friction else "stops short of where it is sent"
-    yield case.finding("weak_gain", "stiffness_nm_per_rad", k, tcp, f"is soft and {effect},")
+    return case.finding("weak_gain", "stiffness_nm_per_rad", tcp, f"is soft and {effect},")
 
 
-def friction(case: _Case) -> Iterator[Finding]:
+def friction(case: _Case) -> Finding | None:
     """Report a joint that is hard to move."""
     force = case.row.coulomb_nm
     if force is None or not case.beyond("coulomb_nm") or not case.moves or case.hunts:
-        return
+        return None
     half = max(case.row.hysteresis_rad.value, 0.0) / 2 if case.row.hysteresis_rad is not None else 0.0
-    yield case.finding(
+    return case.finding(
         "friction",
         "coulomb_nm",
-        force,
         case.lever * half,
         f"is stiff to turn: it stops up to {np.degrees(half):.2f} deg short on either side,",
     )
 
 
-def hysteresis(case: _Case) -> Iterator[Finding]:
+def hysteresis(case: _Case) -> Finding | None:
     """Report a joint that stops short for an unclear reason."""
     width = case.row.hysteresis_rad
     explained = case.below("stiffness_nm_per_rad") or case.beyond("coulomb_nm")
     if width is None or not case.beyond("hysteresis_rad") or explained or not case.moves or case.hunts:
-        return
-    yield case.finding(
+        return None
+    return case.finding(
         "hysteresis",
         "hysteresis_rad",
-        width,
         case.lever * width.value / 2,
         f"stops short: coming from below and from above it rests {np.degrees(width.value):.2f} deg apart"
         f"{_against(case, 'hysteresis_rad', '.2f', np.degrees(1.0))}; whether it is stiff to turn or soft, or both, "
@@ -229,59 +224,56 @@ def hysteresis(case: _Case) -> Iterator[Finding]:
     )
 
 
-def play_in_loop(case: _Case) -> Iterator[Finding]:
+def play_in_loop(case: _Case) -> Finding | None:
     """Report a joint that does not come to rest."""
     swing = case.row.hunting_rad
     if swing is None or not case.hunts or (case.healthy is not None and not case.beyond("hunting_rad")):
-        return
+        return None
     width = np.degrees(2 * 2**0.5 * swing.value)
-    yield case.finding(
+    return case.finding(
         "play_in_loop",
         "hunting_rad",
-        swing,
         case.lever * swing.value * 2**0.5,
         f"hunts: it swings to and fro over {width:.1f} deg while it should hold still, as a servo does "
         "that has play between motor and encoder,",
     )
 
 
-def torque_limit(case: _Case) -> Iterator[Finding]:
+def torque_limit(case: _Case) -> Finding | None:
     """Report a motor at its limit that does not follow."""
     limit, k, width = case.row.torque_limit_nm, case.row.stiffness_nm_per_rad, case.row.hysteresis_rad
     if limit is None or k is None:
-        return
+        return None
     explained = case.loads / k.value + (0.0 if width is None else max(width.value, 0.0) / 2)
     tcp = float((case.levers * np.maximum(case.errors - explained, 0.0)).mean())
     off = case.row.stuck_rad > STUCK_COUNTS * case.encoder_step
     stuck = f"; in some postures it stays {np.degrees(case.row.stuck_rad):.0f} deg off" if off else ""
-    yield case.finding(
+    return case.finding(
         "torque_limit",
         "torque_limit_nm",
-        limit,
         tcp,
         f"runs out of torque: it spent {case.row.saturated_share * 100:.0f} % of the excitation at its limit{stuck}; "
         "at its targets this costs",
     )
 
 
-def low_damping(case: _Case) -> Iterator[Finding]:
+def low_damping(case: _Case) -> Finding | None:
     """Report ringing after a move; at the torque limit, in every step."""
     ratio, overshoot = case.row.damping_ratio, case.row.overshoot
     if ratio is None or ratio.high is None or overshoot is None or not case.moves:
-        return
+        return None
     if ratio.high >= RINGING_RATIO if case.healthy is None else not case.below("damping_ratio"):
-        return
+        return None
     if ratio.high >= SWINGING_RATIO:
-        return
+        return None
     over = overshoot.value
     if over < OVERSHOOT_ALLOWED:  # friction stops it: nothing that an owner would see
-        return
+        return None
     if case.row.torque_limit_nm is not None and (overshoot.low is None or overshoot.low < OVERSHOOT_ALLOWED):
-        return
-    yield case.finding(
+        return None
+    return case.finding(
         "low_damping",
         "damping_ratio",
-        ratio,
         case.lever * over * 0.2,
         f"rings: its damping ratio is {ratio.value:.2f}{_interval(ratio)}"
         f"{_against(case, 'damping_ratio', '.2f')}; after a step of 0.2 rad it shoots "
@@ -289,7 +281,7 @@ def low_damping(case: _Case) -> Iterator[Finding]:
     )
 
 
-def lag(case: _Case) -> Iterator[Finding]:
+def lag(case: _Case) -> Finding | None:
     """Report a joint that is late, but not by a weak gain."""
     late, reference = case.row.lag_s, case.healthy.lag_s if case.healthy is not None else None
     if (
@@ -299,51 +291,48 @@ def lag(case: _Case) -> Iterator[Finding]:
         or reference.high is None
         or case.below("stiffness_nm_per_rad")
     ):
-        return
+        return None
     if late.low - case.common_lag <= reference.high:
-        return
+        return None
     tcp = case.lever * WORKING_SPEED * (late.value - case.common_lag - reference.value)
-    yield case.finding(
+    return case.finding(
         "lag",
         "lag_s",
-        late,
         tcp,
         f"follows late: {late.value * 1e3:.0f} ms behind its command{_against(case, 'lag_s', '.0f', 1e3)}; "
         f"in motion at {WORKING_SPEED} rad/s that is",
     )
 
 
-def offset(case: _Case) -> Iterator[Finding]:
+def offset(case: _Case) -> Finding | None:
     """Report the same offset everywhere, with or without load."""
     found, k, weight = case.row.offset_rad, case.row.stiffness_nm_per_rad, float(case.loads.mean())
     if found is None or not case.moves or (k is None and weight > UNLOADED):
-        return
+        return None
     if not surely_offset(found, doubt=0.0 if k is None else GRAVITY_DOUBT * weight / k.value):
-        return
-    yield case.finding(
+        return None
+    return case.finding(
         "offset",
         "offset_rad",
-        found,
         case.lever * abs(found.value),
         "has an offset: it rests beside its command by the same angle everywhere, also where nothing loads it,",
     )
 
 
-def noise(case: _Case) -> Iterator[Finding]:
+def noise(case: _Case) -> Finding | None:
     """Report readings that jump though the joint is stationary."""
     level = case.row.noise_rad
     if level is None or not case.beyond("noise_rad") or case.hunts:
-        return
-    yield case.finding(
+        return None
+    return case.finding(
         "noise",
         "noise_rad",
-        level,
         case.lever * level.value,
         f"has a restless encoder: readings scatter by {np.degrees(level.value):.2f} deg at rest,",
     )
 
 
-RULES: tuple[Callable[[_Case], Iterator[Finding]], ...] = (
+RULES: tuple[Callable[[_Case], Finding | None], ...] = (
     stuck,
     weak_gain,
     friction,

@@ -55,7 +55,6 @@ CONTROLLERS = {
     "pid-literal": RED,
     "integrator": GREEN,
     "feedforward": PURPLE,
-    "push": OLIVE,
     "shelf": INDIGO,
     "policy": BLUE,
     "predictive": TEAL,

@@ -85,15 +85,11 @@ def measured(value: Spread | Estimate | None, factor: float = MM, digits: int = 
 
 CONTROLLERS = {
     "default": "target sent once, as the arm does by itself",
-    "pid-sum": "joint PID of Park et al., integral as a plain sum",
-    "pid-literal": "joint PID of Park et al., integral as printed",
     "integrator": "moves the command until the measured error is gone",
     "feedforward": "raises the command against gravity, then integrates",
-    "push": "feedforward, with a push against friction and a little dither",
     "servo-gains": "target sent once, under better gains of the servos themselves",
     "servo-gains+integrator": "integrator, under better gains of the servos",
     "servo-gains+feedforward": "feedforward, under better gains of the servos",
-    "servo-gains+push": "push, under better gains of the servos",
     "servo-gains+policy": "policy, trained for better gains of the servos and driven under them",
     "servo-gains+predictive": "predictive, under better gains of the servos",
     "shelf": "learned in simulation for any worn arm of this build, comes with rejoint",

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Literal, TypeVar, cast, get_args
 import numpy as np
 
 from rejoint.arms import Arm
-from rejoint.control.catalogue import ON_REQUEST
 from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import Comparison
 from rejoint.control.observer import Observer, Observers, StageObserver, pacing
@@ -62,8 +61,7 @@ from rejoint.system.shell import give_back
 if TYPE_CHECKING:
     from rejoint.arms import Arm
     from rejoint.control.policy import Policy
-    from rejoint.diagnosis.calibration.camera.filming import CameraGauge
-    from rejoint.diagnosis.calibration.procedure import Gauge
+    from rejoint.diagnosis.calibration.procedure import FilmingGauge, Gauge
     from rejoint.diagnosis.diagnosis import Diagnosis
     from rejoint.runs.stages.compare import HelperProcess
     from rejoint.training.presets import Preset
@@ -289,7 +287,7 @@ class RepairPlan:
     preset: str | Preset = "default"
     """recipe, as for `train`"""
     controllers: Controllers = ()
-    """as for `compare`, by default without the paper's PIDs"""
+    """as for `compare`"""
     targets: Targets | None = None
     """as for `compare`"""
     trials: TrialPlan | None = None
@@ -397,7 +395,7 @@ def _do_stages(
 ) -> None:
     found, emulated, targets = chain.run, is_batchable(robot), plan.targets
     no_gauge = plan.gauge == NO_GAUGE
-    meter = cast("Gauge | CameraGauge | None", None if no_gauge else plan.gauge)
+    meter = cast("Gauge | FilmingGauge | None", None if no_gauge else plan.gauge)
     chain.do("diagnose", lambda watch: diagnose(robot, run=found, quick=quick, settings=settings, observer=watch))
     chain.do("calibrate", lambda watch: calibrate(robot, run=found, gauge=meter, settings=settings, observer=watch))
     fresh = quick or (emulated if plan.fresh is None else plan.fresh)
@@ -418,7 +416,7 @@ def _do_stages(
     compared = replace(settings, calibration=NO_GAUGE) if no_gauge else settings
 
     def job(watch: Observer) -> ComparisonJob:
-        wanted = comparison_job(
+        return comparison_job(
             robot,
             controllers,
             targets,
@@ -428,7 +426,6 @@ def _do_stages(
             settings=compared,
             observer=watch,
         )
-        return wanted if controllers else wanted.without(ON_REQUEST)
 
     ahead = job(Observer()).begin_ahead() if chain.does("train", "compare") and emulated and not controllers else None
     with nullcontext() if ahead is None else closing(ahead):

@@ -13,7 +13,6 @@ from rejoint.arms import Arm, Array
 from rejoint.control.catalogue import (
     POLICY,
     PREDICTIVE,
-    PUSH,
     SHELF,
     contenders,
     make_controller,
@@ -28,7 +27,6 @@ from rejoint.control.servogains import (
     GEARED,
     GEARED_POLICY,
     GEARED_PREDICTIVE,
-    GEARED_PUSH,
     RIVALS,
     Geared,
     in_words,
@@ -51,7 +49,7 @@ Controllers: TypeAlias = "Sequence[ControllerLike] | Mapping[str, ControllerLike
 
 Factory = Callable[[Arm], Controller]
 
-_OF_A_RUN = (POLICY, PREDICTIVE, PUSH, *RIVALS)
+_OF_A_RUN = (POLICY, PREDICTIVE, *RIVALS)
 """Names that need what a run found out"""
 
 
@@ -152,7 +150,6 @@ def _contenders(
     geared = own and trained_for_tuned(run)
     missing = {
         POLICY: geared,
-        GEARED_PUSH: twin is None,
         GEARED_POLICY: not geared,
         GEARED_PREDICTIVE: posed or twin is None,
     }
@@ -216,7 +213,7 @@ def _factory(given: ControllerLike, run: Run | None, twin: Twin | None, period: 
         return partial(_geared, given, run=run, twin=twin, period=period)
     if isinstance(given, str) and not given.endswith(".onnx"):
         file = run.folder.policy if run is not None and run.folder.policy.exists() else None
-        return lambda arm: make_controller(given, arm, policy=file, **_beliefs(twin))
+        return lambda arm: make_controller(given, arm, policy=file, stiffness=_stiffness(twin))
     if isinstance(given, Path | str):
         return as_policy(given).controller
     if hasattr(given, "controller"):
@@ -242,14 +239,12 @@ def _geared(name: str, arm: Arm, *, run: Run | None, twin: Twin | None, period: 
     if name == GEARED_PREDICTIVE and stiffer is not None:
         controller = _predictive(arm, stiffer, period)
     else:
-        controller = make_controller(inner, arm, policy=run.folder.policy, **_beliefs(stiffer))
+        controller = make_controller(inner, arm, policy=run.folder.policy, stiffness=_stiffness(stiffer))
     return Geared(controller, found.alone if name == GEARED else found.under)
 
 
-def _beliefs(twin: Twin | None) -> dict[str, Array]:
-    if twin is None:
-        return {}
-    return {"stiffness": twin.parameters.stiffness, "friction": twin.parameters.coulomb}
+def _stiffness(twin: Twin | None) -> Array | None:
+    return None if twin is None else twin.parameters.stiffness
 
 
 def _itself(controller: Controller, arm: Arm) -> Controller:  # noqa: ARG001 - it was made for its arm

@@ -3,27 +3,21 @@
 from __future__ import annotations
 
 import logging
-import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from types import TracebackType
-from typing import Protocol, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rejoint.arms import Displacement
-from rejoint.arms.camera.rig import Rig, read_rig
 from rejoint.control.controller import Controller
 from rejoint.control.correction import Modelled, TrueError
 from rejoint.control.deployment import Deployed, Visit
 from rejoint.control.robot import Robot
-from rejoint.control.seeing import Eye, Finishing, Seen, Sighting
-from rejoint.diagnosis.calibration.camera.ties import ToolTracker
+from rejoint.control.seeing import Eye, Finishing, Seen
 from rejoint.runs.run import Run
-from rejoint.system.errors import InputError, RejointError
+from rejoint.system.errors import InputError
 
 _LOGGER = logging.getLogger("rejoint")
 
@@ -43,25 +37,14 @@ def opened_eye(given: EyeLike | None, robot: Robot, run: Run | None, seed: int) 
     elif not isinstance(given, str):
         yield given if hasattr(given, "sighting") else given(robot)
     elif given.isdecimal():
-        from rejoint.robots.cameras import LiveCamera
+        if np.isfinite(robot.true_tcp()).all():
+            raise InputError(f"camera {given} cannot see {robot.address}; watch an emulated arm with --camera emulated")
+        from rejoint.camera.tracker import opened_camera
 
-        rig = _rig(given, robot, run)
-        size = (rig.lens.width, rig.lens.height)
-        with LiveCamera(int(given), size=size) as camera, LiveEye(camera, rig, name=f"camera {given}") as eye:
+        with opened_camera(int(given), None if run is None else run.folder.camera, robot.arm) as eye:
             yield eye
     else:
         raise InputError(f"no camera is called {given!r}; expected the number of a camera, or emulated")
-
-
-def _rig(number: str, robot: Robot, run: Run | None) -> Rig:
-    if np.isfinite(robot.true_tcp()).all():
-        raise InputError(f"camera {number} cannot see {robot.address}; watch an emulated arm with --camera emulated")
-    if run is None or not run.folder.camera.exists():
-        raise InputError(
-            f"camera {number}: it is not known where it stands; first "
-            f"`rejoint calibrate ROBOT RUN --measure camera={number}`"
-        )
-    return read_rig(run.folder.camera, robot.arm)
 
 
 def watched(robot: Robot, controller: Controller, model: Modelled | None, eye: Eye) -> tuple[Controller, Seen]:
@@ -95,75 +78,3 @@ def _measured(visit: Visit, seen: float | None) -> TrueError:
     if seen is None or visit.true_error.how == "known":
         return visit.true_error
     return TrueError(how="measured", value=seen)
-
-
-LATE = 0.05
-"""[s] from exposure to picture (chosen)"""
-FROZEN = 10
-"""Equal pictures after which a camera hangs (chosen)"""
-
-
-class PictureStream(Protocol):
-    """A camera that is open."""
-
-    def picture(self) -> tuple[NDArray[np.uint8], float]:
-        """Newest picture, and its time [s] by `time.monotonic`; InputError without."""
-
-
-class LiveEye:
-    """Looks at the pictures of an open camera in a thread of its own."""
-
-    def __init__(self, camera: PictureStream, rig: Rig, name: str = "camera") -> None:
-        self.name = name
-        self.why = ""
-        """why the last picture was unusable, or empty"""
-        self._camera, self._tracker, self._size = camera, ToolTracker(rig), (rig.lens.width, rig.lens.height)
-        self._newest: Sighting | None = None
-        self._seen, self._gone = 0, False
-        self._end = threading.Event()
-        self._thread = threading.Thread(target=self._watch, name=name, daemon=True)
-
-    def __enter__(self) -> LiveEye:
-        """Begin; InputError for pictures of another size than calibrated."""
-        height, width = self._camera.picture()[0].shape[:2]
-        if (width, height) != self._size:
-            raise InputError(
-                f"{self.name} gives pictures of {width} x {height} px, it was calibrated with {self._size[0]} x "
-                f"{self._size[1]}; take that camera, or calibrate with this one"
-            )
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """End; warn where nothing was seen, or the camera is gone."""
-        self._end.set()
-        self._thread.join()
-        if self.why and (self._seen == 0 or self._gone):
-            _LOGGER.warning("%s: %s; the arm was driven by its calibration alone from then on", self.name, self.why)
-
-    def sighting(self, now: float) -> Sighting | None:
-        """Newest detection on the robot's clock, ``now`` [s], or None."""
-        newest = self._newest
-        if newest is None:
-            return None
-        return Sighting(time=newest.time + (now - time.monotonic()), place=newest.place, sigma=newest.sigma)
-
-    def _watch(self) -> None:
-        last, alike = np.zeros(0, np.uint8), 0
-        while not self._end.is_set():
-            try:
-                picture, came = self._camera.picture()
-            except RejointError as error:
-                self.why, self._gone = str(error), True
-                return
-            last, alike = picture, alike + 1 if np.array_equal(picture, last) else 0
-            self._gone = alike >= FROZEN
-            if alike:  # no news: it would tell that the tool stays where it was, whatever the arm does
-                self.why = "gives the same picture for ever; plug it in again" if self._gone else self.why
-                continue
-            seen = self._tracker.see(picture, came - LATE)
-            self.why = self._tracker.why
-            if seen is not None:
-                self._newest, self._seen = seen, self._seen + 1

@@ -24,8 +24,7 @@ if TYPE_CHECKING:
     from rejoint.arms.rotations import Orientation
     from rejoint.control.policy import Policy
     from rejoint.diagnosis.calibration.calibration import Calibration
-    from rejoint.diagnosis.calibration.camera.filming import CameraGauge
-    from rejoint.diagnosis.calibration.procedure import Gauge
+    from rejoint.diagnosis.calibration.procedure import FilmingGauge, Gauge
     from rejoint.twin.twin import Twin
 
 ArmLike: TypeAlias = "Arm | str | Path"
@@ -41,7 +40,7 @@ TwinLike: TypeAlias = "Twin | Path | str"
 PolicyLike: TypeAlias = "Policy | Path | str"
 CalibrationLike: TypeAlias = "Calibration | Path | str"
 """A calibration, its file, or ``none`` for no correction"""
-GaugeLike: TypeAlias = "Gauge | CameraGauge | Literal['none']"
+GaugeLike: TypeAlias = "Gauge | FilmingGauge | Literal['none']"
 """What measures the tool, or ``none`` where nothing is to"""
 
 NO_GAUGE: Literal["none"] = "none"

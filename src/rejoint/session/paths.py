@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, TypeAlias, cast
 
@@ -279,7 +279,7 @@ def as_path(given: PathLike, arm: Arm, seed: int) -> Path:
     if isinstance(given, str) and is_standard(given):
         return standard_path(given, arm, seed)
     if isinstance(given, str | FilePath):
-        return read_path(FilePath(given))
+        return read_path(FilePath(given), arm)
     expected = "a Path, a file, or points (K, 4) of time [s] and x, y, z [m]"
     if isinstance(given, Iterator):
         raise InputError(
@@ -306,7 +306,7 @@ def followable(given: PathLike | Stream, arm: Arm, seed: int, duration: float | 
         return given
     if duration is not None:
         raise InputError("follow: a duration is of a stream; a path takes as long as its times say")
-    path = as_path(given, arm, seed).on(arm)
+    path = as_path(given, arm, seed)
     path.require_followable(arm)
     return path
 
@@ -335,15 +335,7 @@ def require_repeatable(path: PathLike | Stream, repeat: int, rate: float | None,
 def servos_of(twin: Twin) -> Servos:
     """Return what a tracker takes from the twin of one arm."""
     own = twin.parameters.repeat(1)
-    return Servos(
-        stiffness=own.stiffness,
-        damping=own.damping,
-        coulomb=own.coulomb,
-        armature=own.armature,
-        torque_limit=own.torque_limit,
-        offset=own.offset,
-        delay=own.delay,
-    )
+    return Servos(**{item.name: getattr(own, item.name) for item in fields(Servos)})
 
 
 def follower_of(given: ControllerLike, session: ArmSession, twin: Twin | None, *, posed: bool) -> Follower:

@@ -1,16 +1,19 @@
-"""Policy files from trained networks: ONNX with the contract in its metadata."""
+"""Policy files from trained networks, and networks from policy files: ONNX with the contract in its metadata."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import onnx
+import torch
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
-from torch import nn
+from torch import Tensor, nn
 
+from rejoint.arms import Arm
+from rejoint.control.catalogue import shelf_policy
 from rejoint.control.contract import (
     DIGEST_KEY,
     INPUT,
@@ -22,7 +25,9 @@ from rejoint.control.contract import (
     probe_observations,
 )
 from rejoint.control.runtime import ort
-from rejoint.system.files import write_whole
+from rejoint.system.errors import ContractError
+from rejoint.system.files import digest, write_whole
+from rejoint.training.presets import Preset
 
 _OPERATORS: dict[type[nn.Module], str] = {nn.Linear: "Gemm", nn.ELU: "Elu", nn.Tanh: "Tanh"}
 _OPSET = 17
@@ -38,8 +43,7 @@ def export_policy(path: Path, network: nn.Sequential, contract: PolicyContract) 
     answers = _run(model, probe_observations(contract.observation_size).astype(np.float32))
     complete = replace(contract, probe=tuple(tuple(float(value) for value in row) for row in answers))
     text = encode_contract(complete)
-    digest = content_digest(model.SerializeToString(), text)
-    helper.set_model_props(model, {METADATA_KEY: text, DIGEST_KEY: digest})
+    helper.set_model_props(model, {METADATA_KEY: text, DIGEST_KEY: content_digest(model.SerializeToString(), text)})
     data = model.SerializeToString()
     write_whole(path, lambda temporary: temporary.write_bytes(data))
     return complete
@@ -75,3 +79,52 @@ def policy_graph(network: nn.Sequential, observation_size: int, joints: int) -> 
 def _run(model: onnx.ModelProto, observations: NDArray[np.float32]) -> NDArray[np.float32]:
     session = ort.InferenceSession(model.SerializeToString(), providers=["CPUExecutionProvider"])
     return session.run((OUTPUT,), {INPUT: observations})[0]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WarmStart:
+    """Initial weights of a training on a twin: the actor of the arm's generic policy."""
+
+    vector: Tensor
+    """all weights, layer by layer"""
+    digest: str
+    """of the source file"""
+
+
+def shelf_start(arm: Arm, recipe: Preset) -> WarmStart | None:
+    """Return the generic network for trainings of ``arm`` by this ``recipe``; None where none suits.
+
+    Arm, observation and control periods must agree, and the law but for stiffness and slow backlash.
+    """
+    if recipe.warm is None:
+        return None
+    try:
+        policy = shelf_policy(arm)
+    except ContractError:
+        return None
+    weights = network_weights(policy.content)
+    shapes = [matrix.shape for matrix in weights[::2]]
+    sizes = (policy.contract.observation_size, *recipe.warm.actor_layers, arm.joints)
+    if not _same_task(policy.contract, recipe) or shapes != list(zip(sizes[1:], sizes[:-1], strict=True)):
+        return None
+    return begin_at(policy.content)
+
+
+def begin_at(content: bytes) -> WarmStart:
+    """Network of a policy file's ``content``, checked by `Policy.load`."""
+    weights = [torch.from_numpy(values.copy()).ravel() for values in network_weights(content)]
+    return WarmStart(vector=torch.cat(weights), digest=digest(content).decode())
+
+
+def network_weights(content: bytes) -> tuple[NDArray[np.float32], ...]:
+    """Matrix and bias of each layer of a policy file's ``content``, checked by `Policy.load`."""
+    graph = onnx.load_from_string(content).graph
+    known = {weight.name: numpy_helper.to_array(weight) for weight in graph.initializer}
+    return tuple(known[name] for node in graph.node if node.op_type == "Gemm" for name in node.input[1:])
+
+
+def _same_task(contract: PolicyContract, recipe: Preset) -> bool:
+    task, law = recipe.task, contract.law
+    own = replace(task.law, stiffness=law.stiffness, decay_start=law.decay_start)
+    periods = contract.min_period <= task.min_period and task.max_period <= contract.max_period
+    return contract.layout == task.layout and law == own and periods

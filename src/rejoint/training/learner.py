@@ -21,10 +21,10 @@ from rejoint.arms import Array
 from rejoint.control.robot import Mask
 from rejoint.system.errors import FileError, first_line
 from rejoint.system.files import MEGABYTE, digest, read_bounded, write_whole
-from rejoint.training.ppo import Actor, Adam, Critic, Ppo, Rollout, join
+from rejoint.training.export import WarmStart
+from rejoint.training.ppo import Actor, Critic, Ppo, Rollout, join
 from rejoint.training.presets import PpoSettings
 from rejoint.training.task import ReachTask
-from rejoint.training.warmstart import WarmStart, take_over
 
 
 class RolloutWorker:
@@ -61,7 +61,10 @@ class RolloutWorker:
             "exploration": self._exploration.get_state(),
             "observation": self._observation,
             "privileged": self._privileged,
-            "task": self.task.state(),
+            "task": {
+                name: torch.from_numpy(value) if isinstance(value, np.ndarray) else value
+                for name, value in self.task.state().items()
+            },
         }
 
     def load_state(self, state: dict[str, Any]) -> None:
@@ -102,7 +105,7 @@ SWITCH_INTERVAL = 1e-4
 LEARNING_THREADS = 1
 """Of torch; chosen: more are slower beside other programs"""
 
-_CHECKPOINT_FORMAT = 7
+_CHECKPOINT_FORMAT = 8
 
 _MAGIC = b"rejoint checkpoint "
 _RESTART = "delete it, or train with --fresh"
@@ -154,7 +157,7 @@ class Learner:
         self.ends_on_success = tasks[0].settings.ends_on_success
         self.actor = Actor(size, tasks[0].arm.joints, settings.actor_layers, settings.log_std)
         if start is not None:
-            take_over(self.actor.net, start)
+            torch.nn.utils.vector_to_parameters(start.vector, self.actor.net.parameters())
         self.critic = Critic(size, tasks[0].privileged_size, tasks[0].arm.joints, settings.critic_layers)
         self.workers = [RolloutWorker(task, seed=len(tasks) * seed + k) for k, task in enumerate(tasks)]
         self.ppo = Ppo(self.actor, self.critic, settings, agents=self.agents)
@@ -207,7 +210,7 @@ class Learner:
             "identity": identity,
             "modules": {name: module.state_dict() for name, module in self._modules().items()},
             "random": torch.get_rng_state(),
-            "workers": [_tensors(worker.state()) for worker in self.workers],
+            "workers": [worker.state() for worker in self.workers],
             "curve": [asdict(point) for point in self.curve],
         }
         write_whole(path, lambda temporary: _save(content, temporary))
@@ -240,7 +243,7 @@ class Learner:
             raise FileError(path, f"damaged checkpoint ({first_line(error)})", _RESTART) from error
         return True
 
-    def _modules(self) -> dict[str, torch.nn.Module | Adam]:
+    def _modules(self) -> dict[str, torch.nn.Module | torch.optim.Optimizer]:
         return {"actor": self.actor, "critic": self.critic, "optimizer": self.ppo.optimizer}
 
 
@@ -263,8 +266,3 @@ def _unsealed(path: Path) -> bytes:
     if head != _MAGIC + digest(data):
         raise FileError(path, "damaged checkpoint (it is not what was written)", _RESTART)
     return data
-
-
-def _tensors(state: dict[str, Any]) -> dict[str, Any]:
-    task = {name: torch.from_numpy(v) if isinstance(v, np.ndarray) else v for name, v in state["task"].items()}
-    return state | {"task": task}

@@ -6,8 +6,7 @@ Workers act at the same time, each with its own random numbers; their rollouts g
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Sequence
-from itertools import chain
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
@@ -17,8 +16,6 @@ from skrl.agents.torch.ppo import PPO, PPO_CFG
 from skrl.memories.torch import RandomMemory
 from skrl.models.torch import DeterministicMixin, Model
 from torch import Tensor, nn
-from torch.nn import Parameter
-from torch.optim.adam import adam
 
 from rejoint.training.presets import PpoSettings
 
@@ -105,54 +102,6 @@ def perceptron(sizes: Sequence[int]) -> nn.Sequential:
     return nn.Sequential(*layers[:-1])
 
 
-class Adam:
-    """Adam with the constants of its paper (Kingma and Ba, arXiv:1412.6980), for skrl.
-
-    torch's own class would load torch's compiler; it calls the same function.
-    """
-
-    def __init__(self, parameters: Iterable[Parameter]) -> None:
-        self._parameters = list(parameters)
-        self._moments = [(torch.zeros_like(p), torch.zeros_like(p), torch.zeros(())) for p in self._parameters]
-        self.learning_rate = 1e-3
-
-    def zero_grad(self) -> None:
-        """Clear all gradients."""
-        for parameter in self._parameters:
-            parameter.grad = None
-
-    @torch.no_grad()
-    def step(self) -> None:
-        """Update the parameters that have a gradient."""
-        both = zip(self._parameters, self._moments, strict=True)
-        moved = [(parameter, parameter.grad, *moments) for parameter, moments in both if parameter.grad is not None]
-        parameters, gradients, means, squares, steps = map(list, zip(*moved, strict=True))
-        adam(
-            parameters,
-            gradients,
-            means,
-            squares,
-            [],
-            steps,
-            fused=True,
-            amsgrad=False,
-            beta1=0.9,
-            beta2=0.999,
-            lr=self.learning_rate,
-            weight_decay=0.0,
-            eps=1e-8,
-            maximize=False,
-        )
-
-    def state_dict(self) -> dict[str, Any]:
-        """State for a checkpoint."""
-        return {"moments": self._moments}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore `state_dict`."""
-        self._moments = state["moments"]
-
-
 Rollout = dict[str, Tensor]
 """T control cycles of N agents by column, (T, N, ...).
 
@@ -161,32 +110,21 @@ Rollout = dict[str, Tensor]
 """
 
 
-class Memory(RandomMemory):  # type: ignore[misc]
-    """skrl's memory, which copies whole rows into mini-batches, for speed."""
-
-    def sample_by_index(self, names: Sequence[str], *, indexes: Tensor, mini_batches: int = 1) -> list[list[Tensor]]:
-        """Rows ``indexes`` (m,) of each tensor in ``mini_batches`` parts."""
-        parts = indexes.tensor_split(mini_batches)
-        return [[self.tensors_view[name].index_select(0, part) for name in names] for part in parts]
-
-
 class Ppo(PPO):  # type: ignore[misc]
     """skrl's agent, which learns from given rollouts."""
 
     def __init__(self, actor: Actor, critic: Critic, settings: PpoSettings, *, agents: int) -> None:
         self.settings = settings
         super().__init__(
-            models={},  # for which it would make an optimiser
-            memory=Memory(memory_size=settings.rollout, num_envs=agents, device="cpu", replacement=False),
+            models={"policy": actor, "value": critic},
+            memory=RandomMemory(memory_size=settings.rollout, num_envs=agents, device="cpu", replacement=False),
             observation_space=actor.observation_space,
             state_space=critic.state_space,
             action_space=actor.action_space,
             device="cpu",
             cfg=_configuration(settings),
         )
-        self.policy, self.value, self.scheduler = actor, critic, None
-        self.models.update(policy=actor, value=critic)
-        self.optimizer = Adam(chain(actor.parameters(), critic.parameters()))
+        self.optimizer = torch.optim.Adam([*actor.parameters(), *critic.parameters()], fused=True)
         self.init()
         self.enable_training_mode(True)
 
@@ -201,7 +139,7 @@ class Ppo(PPO):  # type: ignore[misc]
         self.memory.filled = True
         self._current_next_observations = rollout["observation"][-1]
         self._current_next_states = rollout["privileged"][-1]
-        self.optimizer.learning_rate = learning_rate
+        self.optimizer.param_groups[0]["lr"] = learning_rate
         self.enable_models_training_mode(True)
         self.update(timestep=iteration, timesteps=settings.iterations)
         self.enable_models_training_mode(False)

@@ -16,10 +16,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rejoint.arms import Arm, load_arm
+from rejoint.training.export import begin_at
 from rejoint.training.presets import DEFAULT, PpoSettings, Preset
 from rejoint.training.ranges import SLOW_BACKLASH, BroadRanges, MixedRanges, Ranges
 from rejoint.training.train import DECAY_START, TrainingOptions, TrainingResult, train
-from rejoint.training.warmstart import begin_at
 
 SO101_STIFFNESS = (12.0, 12.0, 12.0, 10.8, 10.8)
 """[N m/rad] of the law under the policy; chosen between worn servos and those of `_so101_ranges`"""

@@ -316,6 +316,9 @@ class ReachTask:
         postures, loads = comfortable_postures(self.arm), comfortable_loads(self.arm)
         drawn = self._rng.integers(0, len(postures), (len(lifts), DRAWN))
         goal, share = postures[drawn], np.linspace(0.0, 1.0, 9)[1:-1, None, None, None]
+        # Joints with several turns take the short way: long ones cross the floor.
+        near = goal - 2.0 * np.pi * np.round((goal - start[:, None]) / (2.0 * np.pi))
+        goal = np.where((near >= self._limits.lower) & (near <= self._limits.upper), near, goal)
         excess = np.maximum(np.abs(loads[drawn]) / lifts[:, None], 1.0).max(axis=-1)
         for end in (start[:, None], self.arm.rest):
             room = heights(self.arm, end + share * (goal - end))[..., 1:] - self._limits.floors

@@ -15,6 +15,8 @@ import pyarrow.parquet as pq
 from skrl.utils.tensorboard import SummaryWriter
 
 from rejoint.arms import Arm
+from rejoint.arms.inertia import bare
+from rejoint.arms.workspace import length_size
 from rejoint.control.contract import PolicyContract, arm_digest, law_digests
 from rejoint.control.observation import layout_slots
 from rejoint.logs.runfolder.folder import Outputs
@@ -22,12 +24,11 @@ from rejoint.system.errors import FileError
 from rejoint.system.files import set_aside, unwritable, write_whole
 from rejoint.system.progress import Progress, no_progress
 from rejoint.system.shell import __version__
-from rejoint.training.export import export_policy
+from rejoint.training.export import WarmStart, export_policy, shelf_start
 from rejoint.training.learner import CurvePoint, Learner
 from rejoint.training.presets import PpoSettings, Preset, load_preset
 from rejoint.training.ranges import BroadRanges, PaperRanges, Ranges, identified_ranges
 from rejoint.training.task import ReachTask
-from rejoint.training.warmstart import WarmStart, shelf_start
 from rejoint.twin.parameters import nominal_parameters
 from rejoint.twin.twin import Twin
 
@@ -36,6 +37,9 @@ WORKERS = 2
 
 DECAY_START = 0.7
 """[s] of the law where motors cross backlash slowly; chosen: such a joint swings once"""
+
+AUTHORITY = ("authority_floor", "authority_slope", "authority_limit")
+"""Fields of the law that bound an action"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,16 +184,23 @@ def make_learner(
 def know_stiffness(recipe: Preset, arm: Arm, twin: Twin | None) -> Preset:
     """Set the servos' stiffness in a law with gravity compensation: the twin's, else the prior's.
 
-    With possible backlash, the gains of unloaded joints also decay.
+    With possible backlash, the gains of unloaded joints also decay. An arm longer than a myCobot 280 swings slower, and
+    the same angle moves its tool farther: all gains decrease with its length, and it gets more time for each target.
     """
     law = recipe.task.law
     if law.anchor != "goal" or law.stiffness:
         return recipe
     stiffness = nominal_parameters(arm).stiffness if twin is None else twin.parameters.stiffness
-    law = replace(law, stiffness=tuple(np.round(stiffness, 6).tolist()))
+    size = max(length_size(bare(arm)), 1.0)
+    law = replace(
+        law,
+        stiffness=tuple(np.round(stiffness, 6).tolist()),
+        learning=replace(law.learning, rate=law.learning.rate / size),
+        **{name: getattr(law, name) / size for name in AUTHORITY},
+    )
     if twin is not None and BroadRanges(arm=arm).reaching(twin).backlash[1] > 0.0:
         law = replace(law, decay_start=DECAY_START)
-    return replace(recipe, task=replace(recipe.task, law=law))
+    return replace(recipe, task=replace(recipe.task, law=law, hold_steps=round(recipe.task.hold_steps * size**0.5)))
 
 
 def _identity(arm: Arm, twin: Twin | None, recipe: Preset, seed: int, start: WarmStart | None) -> dict[str, Any]:

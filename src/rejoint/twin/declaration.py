@@ -24,6 +24,9 @@ class Parameter:
     upper: float
     wide: Mapping[str, float | bool] = field(default_factory=dict)
     """for an unknown arm"""
+    healthy: float = 1.0
+    """of a servo without wear, over the median: chosen from the data sheet, as 35 N m/rad of an STS3215 under load
+    (SO-ARM100, issue 134)"""
     log: bool = True
     """estimated as its logarithm"""
     difference: float = 0.045

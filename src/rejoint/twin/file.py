@@ -17,8 +17,7 @@ from rejoint.arms import Arm, Array
 from rejoint.system.errors import InputError
 from rejoint.system.tomltable import read_sealed, write_sealed
 from rejoint.twin.parameters import PARAMETERS, STICTION, Layout, TwinParameters
-from rejoint.twin.table import TablePlane
-from rejoint.twin.twin import HeldOut, Twin
+from rejoint.twin.twin import HeldOut, TablePlane, Twin
 
 FORMAT = 1
 

@@ -95,11 +95,10 @@ class Problem:
         silent = [replay.logs[w.log].extra.get(UNPOWERED, "").split(",") for w in replay.windows]
         self.powered = ~np.array([np.isin(replay.arm.joint_names, names) for names in silent])[self.window]
         self.floor = replay.arm.encoder_step / np.sqrt(12.0)
-        seconds = sum(float(replay.times(i)[-1]) for i in range(len(lengths)))
-        self.memory = memory * (len(self.measured) - len(lengths)) / seconds  # rows
+        self.memory = memory * (len(self.measured) - len(lengths)) / replay.seconds  # rows
         self.layout = Layout(self.joints)
         self.owner = self.layout.owner
-        self.steps = stride * np.array([p.difference for p in PARAMETERS])[self.layout.kind]
+        self.steps = stride * self.layout.has("difference")
         self.group = prior.groups(self.joints)
         self._live = [index for index, p in enumerate(PARAMETERS) if p.fitted and p.name not in frozen]
         self.frozen = ~np.isin(self.layout.kind, self._live)
@@ -149,12 +148,12 @@ class Problem:
 
         Instead of the stiffness, torques and inertia move: only gravity and link inertia fix that scale.
         """
-        groups = self._groups()
-        moved = np.tile(vector, (len(groups), 1))
-        for row, group in enumerate(groups):
-            moved[row, group] += (signs * self.steps)[group]
+        moved = np.tile(vector, (len(PARAMETERS), 1))
+        steps = signs * self.steps
+        own = self.layout.kind == np.arange(len(PARAMETERS))[:, None]
+        moved += np.where(own, steps, 0.0)
         for row in self._scaled():
-            moved[STIFFNESS, groups[row]] += (signs * self.steps)[groups[STIFFNESS]]
+            moved[STIFFNESS, own[row]] += steps[own[STIFFNESS]]
         return np.clip(moved[self._live], self.prior.lower, self.prior.upper)
 
     def rescaled(self, vector: Array, factors: Sequence[float]) -> Array:
@@ -194,11 +193,9 @@ class Problem:
 
         ``base`` (rows, n) and ``moved`` (p, rows, n): residuals there and at `perturbations`.
         """
-        groups = self._groups()
-        slopes = np.zeros((len(groups), *base.shape))
+        slopes = np.zeros((len(PARAMETERS), *base.shape))
         for row, residual in zip(self._live, moved, strict=True):
-            steps = np.broadcast_to((signs * self.steps)[groups[row]], base.shape[1:])
-            slopes[row] = (residual - base) / steps
+            slopes[row] = (residual - base) / (signs * self.steps)[self.layout.kind == row]
         for row in self._scaled():
             slopes[STIFFNESS] -= slopes[row]
         return np.moveaxis(slopes, 0, -1)
@@ -228,9 +225,6 @@ class Problem:
     def _scaled(self) -> list[int]:
         return [i for i in self._live if i != STIFFNESS and PARAMETERS[i].per_joint and PARAMETERS[i].log]
 
-    def _groups(self) -> list[NDArray[np.integer]]:
-        return [np.flatnonzero(self.layout.kind == index) for index in range(len(PARAMETERS))]
-
 
 def fit(problem: Problem, start: Array, iterations: int, scales: Sequence[float] = ()) -> Fit:
     """Descend from ``start`` (k,) until a step gains almost nothing.
@@ -258,10 +252,9 @@ def fit(problem: Problem, start: Array, iterations: int, scales: Sequence[float]
         x, gained, residual = line_up(problem, np.vstack([x, trials]), residual[None], weights)
         converged = gained + rescaling < LEAST_GAIN
     weights = problem.weights(residual)
-    final = float(problem.costs(x[None], residual[None], weights)[2][0])
     return Fit(
         vector=x,
-        cost=final,
+        cost=float(problem.costs(x[None], residual[None], weights)[2][0]),
         iterations=iteration,
         converged=converged,
         at_bound=fixed & ~problem.frozen,

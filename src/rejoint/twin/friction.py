@@ -15,11 +15,12 @@ if TYPE_CHECKING:
 
 FRICTION = (
     Parameter(name="damping", unit="N m s/rad", meaning="viscous friction and derivative gain together",
-              nominal=0.25, sigma=0.8, lower=0.005, upper=20.0, wrist=0.6, by_load=True, by_time=1, scaled=True,
+              nominal=0.25, sigma=0.8, lower=0.005, upper=20.0, wrist=0.6, healthy=3.2, by_load=True, by_time=1,
+              scaled=True,
               # chosen: a servo that follows within 50 ms; damping over stiffness is that lag
               wide={"nominal": 0.8, "sigma": 0.9, "upper": 100.0, "wrist": 1.0, "alike": 0.2}),
     Parameter(name="coulomb", unit="N m", meaning="dry friction",
-              nominal=0.08, sigma=0.8, lower=0.002, upper=2.0, wrist=0.5, by_load=True, scaled=True,
+              nominal=0.08, sigma=0.8, healthy=0.6, lower=0.002, upper=2.0, wrist=0.5, by_load=True, scaled=True,
               # chosen: 0.03 to 1.5 N m within two sigma
               wide={"nominal": 0.2, "sigma": 1.0, "upper": 10.0, "wrist": 1.0}),
 )  # fmt: skip

@@ -1,44 +1,51 @@
 """Identification from logs of several motions of a little-known arm.
 
-Only free motion counts, whole motions are held out, priors are wide. After the judgement all motions are fitted, the
-table last.
+Only free motion counts, whole motions are held out, priors are wide. Part of the motion decides on the structure
+(`rejoint.twin.structure`). After the judgement all motions are fitted, the table last.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from rejoint.arms import Arm
+from rejoint.arms import Arm, Array
 from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
-from rejoint.twin.fit import Fit, Problem
+from rejoint.twin.fit import SCALES, Fit, Problem, fit
 from rejoint.twin.identify import fitted_twin
-from rejoint.twin.judge import Candidate, judge
+from rejoint.twin.judge import TIMESTEP, Candidate, judge
 from rejoint.twin.judgement import NO_TWIN, Judgement, PredictionError
 from rejoint.twin.motionfit import (
-    DEFAULT_LOG_SETTINGS,
     MOSTLY,
-    LogSettings,
+    SHORTEST_STRETCH,
     contact_windows,
-    fit_motions,
-    independent,
+    durations,
+    fastest,
+    free_windows,
+    merged,
     part,
     repeated,
-    settle,
     thin,
 )
-from rejoint.twin.parameters import healthy_parameters, is_hobby, unpack
-from rejoint.twin.replay import Replay, powered
-from rejoint.twin.table import TablePlane
-from rejoint.twin.tablefit import fit_table
-from rejoint.twin.twin import HeldOut, Twin
-from rejoint.twin.uncertainty import uncertainty
+from rejoint.twin.parameters import healthy_parameters, is_hobby, unknown_prior, unpack
+from rejoint.twin.replay import Replay, Window, powered
+from rejoint.twin.structure import (
+    STICTIONS,
+    Structure,
+    decide_compensation,
+    expressible,
+    find_acceleration,
+    find_structure,
+    rough_fit,
+    simplest,
+)
+from rejoint.twin.twin import HeldOut, TablePlane, Twin
 
 FITTED, HEALTHY = "fitted twin", "healthy twin"
 """Predictions besides `NO_TWIN`"""
@@ -55,16 +62,48 @@ REPEATED = "the motions held out repeat those that were fitted: errors on other 
 UNJUDGED = "no motion was held out: the errors are those on the motions that were fitted"
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class LogIdentification:
-    """Result of an identification from logs."""
+CLUSTERED = 8
+"""Motions from which intervals rest on them, not on windows; chosen"""
 
-    twin: Twin
-    """``held_out`` are the free-space means of ``judgement``"""
-    fitted: tuple[str, ...]
-    """motions in the fit"""
-    judgement: Judgement
-    """on held-out motions"""
+STRIDE = 2.5
+"""Finite-difference steps over those for an excitation; measured: smaller ones fit stick-slip"""
+REFINEMENT = 6
+"""Most steps of the final descent; chosen"""
+MEMORY = 1.0
+"""[s] of one observation beside the prior; chosen"""
+
+FREEDOM = 2.0
+"""Degrees of freedom of window errors; chosen"""
+
+SHORTEST = 10.0
+"""[s] least free motion; chosen"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogSettings:
+    """Settings of an identification from logs."""
+
+    hold_out: tuple[str, ...] | None = None
+    """labels of motions; empty: none; None: drawn"""
+    seed: int = 0
+    """of the drawn ones"""
+    window: float = 8.0
+    """[s] between restarts from the measured state; measured: 1 to 50 s are equal"""
+    coarse_seconds: float = 100.0
+    """[s] for the structure"""
+    fit_seconds: float = 400.0
+    """[s] for the final fit"""
+    fast_seconds: float = 40.0
+    """[s] of the fastest motion, which shows a limited acceleration"""
+    contact_seconds: float = 240.0
+    """[s] of contact for the table; measured: 80 s are a fifth worse"""
+    stictions: tuple[float, ...] = STICTIONS
+    """to try"""
+    timestep: float = TIMESTEP
+    threads: int = 2
+
+
+DEFAULT_LOG_SETTINGS = LogSettings()
 
 
 def identify_logs(
@@ -73,51 +112,128 @@ def identify_logs(
     settings: LogSettings = DEFAULT_LOG_SETTINGS,
     on_progress: Progress = no_progress,
     beside: Sequence[Candidate] = (),
-) -> LogIdentification:
+) -> Twin:
     """Fit a twin to logs; judge it, and the candidates ``beside`` it, on held-out motions.
 
-    The returned twin is fitted to all logs. InputError for another arm or too little motion.
+    The returned twin is fitted to all logs; ``held_out`` are the free-space means of its ``judgement``, for a fit to
+    the motions ``fitted``. InputError for another arm or too little motion.
     """
     for log in logs:
         log.require(arm.name, arm.joint_names)
     logs = powered(logs)
-    seen, unseen = part(arm, logs, settings.hold_out)
+    seen, unseen = part(arm, logs, settings.hold_out, settings.seed)
     every, fitted = sorted(logs, key=lambda log: log.label), tuple(log.label for log in seen)
-    height = settings.table_height if settings.table_height is not None else table_height(arm, seen)
+    height = table_height(arm, seen)
     excluded = find_exclusions(arm, seen, height)
     on_progress(0.0, "search")
     problem, found, structure = fit_motions(arm, seen, excluded, settings, on_progress)
     table = _fit_table(problem, found, excluded, height, settings)
     on_progress(0.7, "held-out motions")
-    candidates = [
-        Candidate(
-            name=FITTED,
-            parameters=unpack(found.vector, arm.joints),
-            stiction=structure.stiction,
-            table=table,
-            acceleration=structure.acceleration,
-        ),
-        *([Candidate(name=HEALTHY, parameters=healthy_parameters(arm), stiction=1.0)] if is_hobby(arm) else []),
-        *beside,
-    ]
-    judgement = judge(arm, candidates, unseen, table=height, timestep=settings.timestep, threads=settings.threads)
+    own = Candidate(
+        name=FITTED,
+        parameters=unpack(found.vector, arm.joints),
+        stiction=structure.stiction,
+        table=table,
+        acceleration=structure.acceleration,
+    )
+    healthy = [Candidate(name=HEALTHY, parameters=healthy_parameters(arm), stiction=1.0)] if is_hobby(arm) else []
+    judgement = judge(
+        arm, [own, *healthy, *beside], unseen, table=height, timestep=settings.timestep, threads=settings.threads
+    )
     on_progress(0.8, "all motions")
     note, missing = UNJUDGED, [*judgement.doubts, UNJUDGED]
-    if settings.hold_out.names != ():
+    if settings.hold_out != ():
         alike = bool(np.mean(np.concatenate(repeated(unseen, seen))) > MOSTLY)
         note, missing, seen = REFITTED, [*judgement.doubts, *[REPEATED] * alike], every
         excluded = find_exclusions(arm, every, height)
         problem, found = settle(arm, every, excluded, structure, found.vector, settings)
     on_progress(0.9, "table and intervals")
-    with ThreadPoolExecutor(settings.threads) as pool:  # side by side: neither needs the other
-        known = pool.submit(lambda: uncertainty(problem, found, independent(problem)))
-        on_table = pool.submit(_fit_table, problem, found, excluded, height, settings, table)
-        knowledge, table = known.result(), on_table.result()
-    twin = fitted_twin(problem, found, knowledge, _held_out(judgement), table)
-    notes = (*twin.notes, *_hard_to_follow(problem, found, seen), note)
+    table = _fit_table(problem, found, excluded, height, settings, table)
+    twin = fitted_twin(problem, found, independent(problem), _held_out(judgement), table)
     on_progress(1.0, "done")
-    judgement = replace(judgement, doubts=(*missing, *_unidentified(twin)))
-    return LogIdentification(twin=replace(twin, notes=notes), fitted=fitted, judgement=judgement)
+    return replace(
+        twin,
+        notes=(*twin.notes, *_hard_to_follow(problem, found, seen), note),
+        fitted=fitted,
+        judgement=replace(judgement, doubts=(*missing, *_unidentified(twin))),
+    )
+
+
+def fit_motions(
+    arm: Arm,
+    logs: Sequence[RunLog],
+    excluded: Sequence[Exclusions],
+    settings: LogSettings = DEFAULT_LOG_SETTINGS,
+    on_progress: Progress = no_progress,
+) -> tuple[Problem, Fit, Structure]:
+    """Find a twin's structure, and fit it; InputError for too little motion."""
+    windows = free_windows(logs, excluded, settings.window)
+    seconds = float(durations(windows, logs).sum())
+    if seconds < SHORTEST:
+        whole = sum(float(log.time[-1] - log.time[0]) for log in logs)
+        raise InputError(
+            f"identification: {seconds:.0f} s of free motion in stretches of {SHORTEST_STRETCH:g} s and more, of "
+            f"{whole:.0f} s in {len(logs)} log(s), expected at least {SHORTEST:.0f} s; record longer "
+            "motions, off table and stops"
+        )
+    belief = decide_compensation(unknown_prior(arm), arm, logs, excluded)
+
+    def problem(chosen: Sequence[Window], structure: Structure) -> Problem:
+        return _problem(arm, logs, chosen, structure, settings)
+
+    fast = fastest(windows, logs, settings.fast_seconds)
+    slow = thin(windows, logs, settings.coarse_seconds)
+    simple = simplest(belief, settings.stictions[0], arm.servo_acceleration)
+    x = rough_fit(problem(slow, simple))
+    on_progress(0.3, "structure")
+    expected, simple = simple, find_acceleration(lambda structure: problem(fast, structure), simple, x)
+    if np.isinf(simple.acceleration) != np.isinf(expected.acceleration):
+        x = rough_fit(problem(slow, simple))
+    usable = expressible(problem(merged(slow, fast), simple), x)
+    structure, x = find_structure(lambda structure: problem(usable, structure), belief, simple, settings.stictions, x)
+    on_progress(0.5, "fit")
+    return *settle(arm, logs, excluded, structure, x, settings), structure
+
+
+def settle(
+    arm: Arm,
+    logs: Sequence[RunLog],
+    excluded: Sequence[Exclusions],
+    structure: Structure,
+    start: Array,
+    settings: LogSettings,
+) -> tuple[Problem, Fit]:
+    """Fit windows from all logs, from ``start`` (k,)."""
+    windows = free_windows(logs, excluded, settings.window)
+    fast = fastest(windows, logs, settings.fast_seconds)
+    every = merged(thin(windows, logs, settings.fit_seconds), fast)
+    problem = _problem(arm, logs, every, structure, settings, stride=1.0)
+    return problem, fit(problem, start, REFINEMENT, SCALES)
+
+
+def _problem(
+    arm: Arm,
+    logs: Sequence[RunLog],
+    windows: Sequence[Window],
+    structure: Structure,
+    settings: LogSettings,
+    stride: float = STRIDE,
+) -> Problem:
+    timestep, threads = settings.timestep, settings.threads
+    replay = Replay(arm, logs, windows, timestep, threads, structure.stiction, structure.acceleration)
+    return Problem(replay, structure.prior, structure.frozen, stride, MEMORY, FREEDOM)
+
+
+def independent(problem: Problem) -> NDArray[np.integer]:
+    """(rows,) numbers of independent motions, or of windows where there are few."""
+    motion = _motions(problem)
+    return motion if motion.max() + 1 >= CLUSTERED else problem.window
+
+
+def _motions(problem: Problem) -> NDArray[np.integer]:
+    """(rows,) number of each row's motion."""
+    logs = np.array([w.log for w in problem.replay.windows])[problem.window]
+    return np.unique(logs, return_inverse=True)[1].ravel()
 
 
 def _fit_table(
@@ -128,18 +244,14 @@ def _fit_table(
     settings: LogSettings,
     start: TablePlane | None = None,
 ) -> TablePlane | None:
-    if height is None or not settings.table:
+    replay = problem.replay
+    windows = [] if height is None else contact_windows(replay.logs, excluded, settings.window)
+    if height is None or durations(windows, replay.logs).sum() < LEAST_CONTACT:
         return None
-    replay, parameters = problem.replay, unpack(found.vector, problem.joints)
-    windows = contact_windows(replay.logs, excluded, settings.window)
-    seconds = sum(float(replay.logs[w.log].time[w.last - 1] - replay.logs[w.log].time[w.first]) for w in windows)
-    if seconds < LEAST_CONTACT:
-        return None
-    chosen = thin(windows, replay.logs, settings.contact_seconds)
-    touching = Replay(
-        replay.arm, replay.logs, chosen, settings.timestep, settings.threads, replay.stiction, replay.acceleration
-    )
-    return fit_table(touching, parameters, height, start)
+    from rejoint.twin.table import fit_table  # late: free arms need no MuJoCo
+
+    touching = replace(replay, windows=thin(windows, replay.logs, settings.contact_seconds))
+    return fit_table(touching, unpack(found.vector, problem.joints), height, start)
 
 
 def _unidentified(twin: Twin) -> list[str]:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, gravity_torque
 from rejoint.logs.runlog import RunLog
@@ -16,7 +17,7 @@ from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
 from rejoint.twin.declaration import TIMESTEP
 from rejoint.twin.fit import Fit, Problem, fit, search
-from rejoint.twin.judgement import PredictionError, prediction_error
+from rejoint.twin.judgement import prediction_error
 from rejoint.twin.loads import prior_by_loads
 from rejoint.twin.parameters import (
     Layout,
@@ -27,12 +28,10 @@ from rejoint.twin.parameters import (
     pack,
     prior,
     unpack,
-    vector_names,
 )
 from rejoint.twin.replay import Replay, cut, divide, measured_velocity
-from rejoint.twin.table import TablePlane
-from rejoint.twin.twin import HeldOut, Twin
-from rejoint.twin.uncertainty import CLUSTER, Uncertainty, uncertainty
+from rejoint.twin.twin import HeldOut, TablePlane, Twin
+from rejoint.twin.uncertainty import CLUSTER, uncertainty
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +54,9 @@ class IdentifySettings:
 
 
 DEFAULT_SETTINGS = IdentifySettings()
+
+IDENTIFIED = 0.5
+"""Sigma over the prior's of an identified parameter; chosen"""
 
 STILL_SPEED = 0.03
 """[rad/s] of a still joint; chosen"""
@@ -94,35 +96,41 @@ def identify(
     on_progress(0.6, "refinement")
     found = fit(fine, x, settings.iterations)
     on_progress(0.9, "intervals")
-    knowledge = uncertainty(fine, found, fine.clusters(CLUSTER))
-    held_out = _held_out(arm, Replay(arm, logs, unseen, settings.timestep, settings.threads), found.vector)
-    twin = fitted_twin(fine, found, knowledge, held_out)
+    held_out = _held_out(replace(fine.replay, windows=unseen), found.vector)
+    twin = fitted_twin(fine, found, fine.clusters(CLUSTER), held_out)
     on_progress(1.0, "done")
     return twin
 
 
 def fitted_twin(
-    problem: Problem, found: Fit, knowledge: Uncertainty, held_out: HeldOut, table: TablePlane | None = None
+    problem: Problem, found: Fit, clusters: NDArray[np.integer], held_out: HeldOut, table: TablePlane | None = None
 ) -> Twin:
-    """Assemble a twin, bounded by the torques seen."""
-    replay, belief = problem.replay, problem.prior
+    """Assemble a twin with its intervals by ``clusters`` (rows,); the torques seen bound it."""
+    replay, belief, parameters = problem.replay, problem.prior, unpack(found.vector, problem.joints)
+    covariance = uncertainty(problem, found, clusters)
+    narrowing = np.sqrt(np.diag(covariance)) / belief.sigma
+    identified = (narrowing < IDENTIFIED) & ~found.at_bound & ~problem.frozen
+    held = largest_static_torque(replay.arm, replay.logs, parameters.coulomb)
+    limited = identified[problem.layout.at("torque_limit")]
+    shown = np.where(limited, held, np.maximum(held, largest_drive_torque(problem, parameters)))
+    lower = unpack(belief.lower, problem.joints)
+    raised = np.clip(shown, lower.torque_limit, 0.99 * parameters.torque_limit)
     twin = Twin(
         arm=replay.arm.name,
         joint_names=replay.arm.joint_names,
-        parameters=unpack(found.vector, problem.joints),
-        covariance=knowledge.covariance,
-        lower=belief.lower,
+        parameters=parameters,
+        covariance=covariance,
+        lower=pack(replace(lower, torque_limit=raised)),
         upper=belief.upper,
-        narrowing=knowledge.narrowing,
-        identified=knowledge.identified,
+        narrowing=narrowing,
+        identified=identified,
         held_out=held_out,
-        fit_seconds=sum(float(replay.times(i)[-1]) for i in range(len(replay.windows))),
+        fit_seconds=replay.seconds,
         stiction=replay.stiction,
         acceleration=replay.acceleration,
         table=table,
     )
-    notes = twin_notes(replay.arm, replay.logs, twin, found)
-    return replace(twin, lower=torque_bounds(problem, replay.logs, twin), notes=tuple(notes))
+    return replace(twin, notes=tuple(_notes(twin, found, held)))
 
 
 def _starts(arm: Arm, belief: Prior, count: int, rng: np.random.Generator) -> Array:
@@ -133,20 +141,12 @@ def _starts(arm: Arm, belief: Prior, count: int, rng: np.random.Generator) -> Ar
     return np.clip(starts, belief.lower, belief.upper)
 
 
-def _held_out(arm: Arm, replay: Replay, vector: Array) -> HeldOut:
-    measured = np.concatenate(replay.measured())
+def _held_out(replay: Replay, vector: Array) -> HeldOut:
+    arm, measured = replay.arm, np.concatenate(replay.measured())
     both = np.vstack([vector, *([pack(healthy_parameters(arm))] if is_hobby(arm) else [])])
-    twin, *healthy = np.concatenate(replay.predict(unpack(both, arm.joints)), axis=1)
-
-    def error(predicted: Array) -> PredictionError:
-        return prediction_error(arm, predicted, measured)
-
-    return HeldOut(
-        seconds=sum(float(replay.times(i)[-1]) for i in range(len(replay.windows))),
-        no_twin=error(np.concatenate(replay.commands())),
-        healthy_twin=error(healthy[0]) if healthy else None,
-        twin=error(twin),
-    )
+    predicted = [np.concatenate(replay.commands()), *np.concatenate(replay.predict(unpack(both, arm.joints)), axis=1)]
+    no_twin, twin, *healthy = (prediction_error(arm, positions, measured) for positions in predicted)
+    return HeldOut(seconds=replay.seconds, no_twin=no_twin, healthy_twin=healthy[0] if healthy else None, twin=twin)
 
 
 def largest_static_torque(arm: Arm, logs: Sequence[RunLog], coulomb: Array) -> Array:
@@ -165,19 +165,7 @@ def largest_drive_torque(problem: Problem, parameters: TwinParameters) -> Array:
     return np.quantile(np.abs(parameters.stiffness * lead), 0.995, axis=0)
 
 
-def torque_bounds(problem: Problem, logs: Sequence[RunLog], twin: Twin) -> Array:
-    """Raise lower bounds (k,) to the torque seen."""
-    arm, n = problem.replay.arm, problem.joints
-    limited = twin.identified[problem.layout.at("torque_limit")]
-    static = largest_static_torque(arm, logs, twin.parameters.coulomb)
-    shown = np.where(limited, static, np.maximum(static, largest_drive_torque(problem, twin.parameters)))
-    lower = unpack(twin.lower, n)
-    raised = np.clip(shown, lower.torque_limit, 0.99 * twin.parameters.torque_limit)
-    return pack(replace(lower, torque_limit=raised))
-
-
-def twin_notes(arm: Arm, logs: Sequence[RunLog], twin: Twin, found: Fit) -> list[str]:
-    """Return notes for the user."""
+def _notes(twin: Twin, found: Fit, held: Array) -> list[str]:
     notes, held_out = [], twin.held_out
     if twin.unknown_scale:
         notes.append(
@@ -186,7 +174,7 @@ def twin_notes(arm: Arm, logs: Sequence[RunLog], twin: Twin, found: Fit) -> list
         )
     if not found.converged:
         notes.append(f"the fit still improved after {found.iterations} steps; more iterations may help")
-    pressed = [name for name, at in zip(vector_names(arm.joint_names), found.at_bound, strict=True) if at]
+    pressed = [name for name, at in zip(twin.names, found.at_bound, strict=True) if at]
     if pressed:
         notes.append(f"held at a physical bound: {', '.join(pressed)}")
     rivals = [held_out.no_twin, *([held_out.healthy_twin] if held_out.healthy_twin else [])]
@@ -194,8 +182,8 @@ def twin_notes(arm: Arm, logs: Sequence[RunLog], twin: Twin, found: Fit) -> list
         notes.append(
             "on motion it has not seen the twin predicts worse than a healthy twin or none: do not train in it"
         )
-    weak = twin.parameters.torque_limit < 1.1 * largest_static_torque(arm, logs, twin.parameters.coulomb)
+    weak = twin.parameters.torque_limit < 1.1 * held
     if weak.any():
-        names = ", ".join(name for name, is_weak in zip(arm.joint_names, weak, strict=True) if is_weak)
+        names = ", ".join(name for name, is_weak in zip(twin.joint_names, weak, strict=True) if is_weak)
         notes.append(f"torque limit close to the gravity torque held in the log: {names}")
     return notes

@@ -9,11 +9,12 @@ value or one per joint; the rest is optional.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
+import msgspec
 import numpy as np
 
 from rejoint.arms import Arm, Array, tcp_position
@@ -21,7 +22,7 @@ from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
 from rejoint.logs.lag import PLAUSIBLE, find_lag
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.files import TOML_MOST, read_bounded
+from rejoint.system.tomltable import Number, Positive, Table, read_toml
 from rejoint.twin.judgement import (
     NO_TWIN,
     Errors,
@@ -32,10 +33,9 @@ from rejoint.twin.judgement import (
     prediction_error,
     smaller,
 )
-from rejoint.twin.parameters import PARAMETERS, STICTION, Parameter, TwinParameters, unknown_prior, unpack
+from rejoint.twin.parameters import PARAMETERS, STICTION, TwinParameters, unknown_prior, unpack
 from rejoint.twin.replay import Replay, Window
-from rejoint.twin.table import TablePlane
-from rejoint.twin.twin import Twin
+from rejoint.twin.twin import TablePlane, Twin
 
 TIMESTEP = 0.010
 """[s]; measured: as good as a quarter of it"""
@@ -110,14 +110,15 @@ def judge_paths(
         _motion(arm, log, excluded, {name: path[i] for name, path in paths.items()})
         for i, (log, excluded) in enumerate(zip(logs, rows, strict=True))
     )
-    worst = int(np.argmax([_tcp(motion.errors[names[1]]) for motion in found]))
+    first = [motion.errors[names[1]] for motion in found]
+    worst = int(np.argmax([0.0 if known is None else known.tcp for known in (e.free or e.all for e in first)]))
     return Judgement(
         arm=arm.name,
         joint_names=arm.joint_names,
         table_height=table,
         motions=found,
         mean={name: _mean([motion.errors[name] for motion in found]) for name in names},
-        doubts=tuple(doubts(arm, logs, rows, paths)),
+        doubts=tuple(_doubts(arm, logs, rows, found)),
         worst=_trace(arm, logs[worst], rows[worst], {name: path[worst] for name, path in paths.items()}),
     )
 
@@ -144,45 +145,33 @@ def _paths(arm: Arm, candidate: Candidate, logs: Sequence[RunLog], timestep: flo
 def _motion(arm: Arm, log: RunLog, rows: Exclusions, paths: dict[str, Array]) -> MotionErrors:
     period = float(log.time[-1] - log.time[0]) / max(len(log) - 1, 1)
     parts = {"free": rows.free, "contact": rows.contact & rows.readable, "all": rows.readable}
+
+    def errors(path: Array) -> Errors:
+        return Errors(
+            **{
+                part: prediction_error(arm, path[rows], log.position[rows]) if rows.any() else None
+                for part, rows in parts.items()
+            }
+        )
+
     return MotionErrors(
         motion=log.label,
         seconds=float(log.time[-1] - log.time[0]),
         contact_seconds=float(parts["contact"].sum()) * period,
         left_out_seconds=float((~rows.readable).sum()) * period,
-        errors={
-            name: Errors(
-                **{
-                    part: prediction_error(arm, path[rows], log.position[rows]) if rows.any() else None
-                    for part, rows in parts.items()
-                }
-            )
-            for name, path in paths.items()
-        },
+        errors={name: errors(path) for name, path in paths.items()},
     )
 
 
 def _mean(errors: Sequence[Errors]) -> Errors:
-    def mean(parts: list[PredictionError | None]) -> PredictionError | None:
-        known = [part for part in parts if part is not None]
+    def mean(part: str) -> PredictionError | None:
+        known = [one for e in errors if (one := getattr(e, part)) is not None]
         if not known:
             return None
-        joints = np.mean([part.joints for part in known], axis=0)
-        return PredictionError(
-            joint=float(np.mean([part.joint for part in known])),
-            joints=tuple(joints.tolist()),
-            tcp=float(np.mean([part.tcp for part in known])),
-        )
+        joints, joint, tcp = (np.mean([getattr(one, f) for one in known], axis=0) for f in ("joints", "joint", "tcp"))
+        return PredictionError(joint=float(joint), joints=tuple(joints.tolist()), tcp=float(tcp))
 
-    return Errors(
-        free=mean([e.free for e in errors]),
-        contact=mean([e.contact for e in errors]),
-        all=mean([e.all for e in errors]),
-    )
-
-
-def _tcp(errors: Errors) -> float:
-    known = errors.free or errors.all
-    return 0.0 if known is None else known.tcp
+    return Errors(free=mean("free"), contact=mean("contact"), all=mean("all"))
 
 
 def _trace(arm: Arm, log: RunLog, rows: Exclusions, paths: dict[str, Array]) -> Trace:
@@ -205,7 +194,7 @@ COARSEST = 0.1
 """[s] between readings up to which friction and lag show; chosen"""
 
 
-def doubts(arm: Arm, logs: Sequence[RunLog], rows: Sequence[Exclusions], paths: dict[str, list[Array]]) -> list[str]:
+def _doubts(arm: Arm, logs: Sequence[RunLog], rows: Sequence[Exclusions], motions: Sequence[MotionErrors]) -> list[str]:
     """Why no prediction is trusted; empty if one is."""
     found = []
     travel = max(float(np.ptp(log.position, axis=0).max()) for log in logs)
@@ -221,10 +210,15 @@ def doubts(arm: Arm, logs: Sequence[RunLog], rows: Sequence[Exclusions], paths: 
         found.append(
             f"the readings follow the commands by {lag:.2f} s, expected 0 to {PLAUSIBLE[1]:g} s: clocks differ"
         )
-    twins = [paths[name] for name in list(paths)[1:]]
-    delayed = [_delayed(log, lag) for log in logs]
-    for name, without in (("the command", next(iter(paths.values()))), (f"the command {lag:.2f} s later", delayed)):
-        if not any(_better(arm, logs, rows, twin, without) for twin in twins):
+    usable = [k for k, own in enumerate(rows) if own.free.any()]
+    late = [prediction_error(arm, _delayed(logs[k], lag)[rows[k].free], logs[k].position[rows[k].free]) for k in usable]
+    errors = {
+        name: np.array([own.tcp for k in usable if (own := motions[k].errors[name].free)]) for name in motions[0].errors
+    }
+    command, *twins = errors.values()
+    delayed = np.array([error.tcp for error in late])
+    for name, without in (("the command", command), (f"the command {lag:.2f} s later", delayed)):
+        if not any(smaller(twin, without) for twin in twins):
             found.append(f"no twin predicts measurably better than {name} does")
             break
     return found
@@ -237,58 +231,35 @@ def _delayed(log: RunLog, lag: float) -> Array:
     )
 
 
-def _better(
-    arm: Arm, logs: Sequence[RunLog], rows: Sequence[Exclusions], twin: Sequence[Array], without: Sequence[Array]
-) -> bool:
+Values = Positive | list[Positive]
+"""Of all joints, or of each"""
 
-    def error(log: RunLog, path: Array, own: Exclusions) -> float:
-        gap = tcp_position(arm, path[own.free]) - tcp_position(arm, log.position[own.free])
-        return float(np.sqrt(np.mean(np.sum(gap**2, axis=-1))))
 
-    known = [i for i, own in enumerate(rows) if own.free.any()]
-    ours, theirs = (np.array([error(logs[i], path[i], rows[i]) for i in known]) for path in (twin, without))
-    return smaller(ours, theirs)
+class PublishedSet(Table, kw_only=True):
+    """A file of published parameters."""
+
+    name: str = ""
+    source: str = ""
+    stiffness: Values
+    damping: Values
+    coulomb: Values
+    armature: Values
+    torque_limit: Values | None = None
+    offset: Number | list[Number] = 0.0
+    compensation: Number | list[Number] = 0.0
+    delay: Number = 0.0
+    ramp_speed: Positive | None = None
+    stiction: Annotated[float, msgspec.Meta(ge=1.0)] = 1.0
 
 
 def read_published(path: Path, arm: Arm) -> Candidate:
-    """Read a published parameter set; FileError if wrong."""
-    remedy, reached = "docs/published holds examples", unpack(unknown_prior(arm).upper, arm.joints)
-    try:
-        data = tomllib.loads(read_bounded(path, TOML_MOST, remedy).decode())
-    except FileNotFoundError as error:
-        raise FileError(path, "no such file", "check the path") from error
-    except (OSError, UnicodeDecodeError, RecursionError, tomllib.TOMLDecodeError) as error:
-        raise FileError(path, f"not a readable TOML file ({error})", remedy) from error
-    # Where the wide ranges end, a limit is out of reach.
-    known = {
-        "name": path.stem,
-        "source": "",
-        "stiction": 1.0,
-        "offset": 0.0,
-        "compensation": 0.0,
-        "delay": 0.0,
-        "torque_limit": reached.torque_limit[0],
-        "ramp_speed": float(reached.ramp_speed),
-    } | data
-    names = [p.name for p in PARAMETERS]
-    missing, unknown = sorted(set(names) - set(known)), sorted(set(known) - {*names, "name", "source", "stiction"})
-    if missing or unknown:
-        what = f"no {', '.join(missing)}" if missing else f"unknown {', '.join(unknown)}"
-        raise FileError(path, f"{what}; known: {', '.join(names)}", remedy)
-    values = {p.name: _value(path, known[p.name], p, arm.joints) for p in PARAMETERS}
-    stiction = float(_value(path, known["stiction"], PARAMETERS[-1], arm.joints))
-    if not stiction >= 1.0:
-        raise FileError(path, f"stiction is {stiction!r}, expected a number of at least 1", remedy)
-    return Candidate(name=str(known["name"]), parameters=TwinParameters(**values), stiction=stiction)
-
-
-def _value(path: Path, given: object, parameter: Parameter, joints: int) -> Array:
-    shape, named = ((joints,), f"a list of {joints}") if parameter.per_joint else ((), "a number")
-    try:
-        found = np.array(np.broadcast_to(np.asarray(given, dtype=float), shape))
-    except (TypeError, ValueError):
-        found = np.full(shape, np.nan)
-    if not np.isfinite(found).all() or (parameter.log and not (found > 0).all()):
-        above = " above zero" if parameter.log else ""
-        raise FileError(path, f"{parameter.name} is {given!r}, expected {named}{above}", "look at docs/published")
-    return found
+    """Read a published parameter set; FileError if wrong. A limit that is not given is out of reach."""
+    found = read_toml(path, PublishedSet, "docs/published holds examples")
+    reached, values = unpack(unknown_prior(arm).upper, arm.joints), {}
+    for p in PARAMETERS:
+        given, shape = getattr(found, p.name, None), (arm.joints,) if p.per_joint else ()
+        try:
+            values[p.name] = np.broadcast_to(getattr(reached, p.name) if given is None else given, shape)
+        except ValueError as error:
+            raise FileError(path, f"{p.name} is {given!r}, expected {shape}", "look at docs/published") from error
+    return Candidate(name=found.name or path.stem, parameters=TwinParameters(**values), stiction=found.stiction)

@@ -1,13 +1,12 @@
-"""Fit of a twin to the free motion of several logs: windows, held-out motions, structure, values.
+"""Windows of the free and of the touching motion in several logs, and the motions that are held out.
 
-Part of the motion decides on the structure (`rejoint.twin.structure`). Held-out motions are drawn among similar ones,
-by contact and commanded speed.
+Held-out motions are drawn among similar ones, by contact and commanded speed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -20,21 +19,8 @@ from rejoint.logs.consistency import refuse_copies
 from rejoint.logs.exclusions import Exclusions, find_exclusions, free_runs, table_height
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
-from rejoint.system.progress import Progress, no_progress
-from rejoint.twin.fit import SCALES, Fit, Problem, fit
-from rejoint.twin.judge import MOVED, TIMESTEP
-from rejoint.twin.parameters import unknown_prior
-from rejoint.twin.replay import Replay, Window
-from rejoint.twin.structure import (
-    STICTIONS,
-    Structure,
-    decide_compensation,
-    expressible,
-    find_acceleration,
-    find_structure,
-    rough_fit,
-    simplest,
-)
+from rejoint.twin.judge import MOVED
+from rejoint.twin.replay import Window
 
 SHORTEST_STRETCH = 2.0
 """[s] least free motion of a window; chosen"""
@@ -64,16 +50,20 @@ def contact_windows(logs: Sequence[RunLog], excluded: Sequence[Exclusions], leng
     return windows
 
 
+def durations(windows: Sequence[Window], logs: Sequence[RunLog]) -> Array:
+    """Lengths (w,) [s] of windows."""
+    return np.array([logs[w.log].time[w.last - 1] - logs[w.log].time[w.first] for w in windows])
+
+
 def thin(windows: Sequence[Window], logs: Sequence[RunLog], seconds: float) -> list[Window]:
     """Keep about ``seconds`` [s] of the windows, evenly spread."""
-    lengths = np.array([logs[w.log].time[w.last - 1] - logs[w.log].time[w.first] for w in windows])
+    lengths = durations(windows, logs)
     total = float(lengths.sum())
     if total <= seconds:
         return list(windows)
     # Taken whenever the time passed reaches the next multiple: long motions give more than short ones.
     passed = np.floor((np.cumsum(lengths) - 0.5 * lengths) * seconds / total / lengths.mean()).astype(int)
-    chosen = np.diff(passed, prepend=-1) > 0
-    return [w for w, wanted in zip(windows, chosen, strict=True) if wanted]
+    return [windows[i] for i in np.flatnonzero(np.diff(passed, prepend=-1) > 0).tolist()]
 
 
 def fastest(windows: Sequence[Window], logs: Sequence[RunLog], seconds: float) -> list[Window]:
@@ -90,23 +80,14 @@ def fastest(windows: Sequence[Window], logs: Sequence[RunLog], seconds: float) -
         change = (speed[2:] - speed[:-2]) / (time[2:-1] - time[:-3])[:, None]
         return float(np.sqrt(np.mean(np.where(lasting, change, 0.0) ** 2)))
 
-    order = sorted(range(len(windows)), key=lambda i: -acceleration(windows[i]))
-    lengths = np.array(
-        [logs[windows[i].log].time[windows[i].last - 1] - logs[windows[i].log].time[windows[i].first] for i in order]
-    )
-    return [windows[i] for i in sorted(order[: int(np.searchsorted(np.cumsum(lengths), seconds)) + 1])]
+    order = np.argsort([-acceleration(w) for w in windows], kind="stable")
+    passed = np.cumsum(durations(windows, logs)[order])
+    return [windows[i] for i in sorted(order[: np.searchsorted(passed, seconds) + 1].tolist())]
 
 
 def merged(one: Sequence[Window], other: Sequence[Window]) -> list[Window]:
     """Merge two selections of windows without duplicates."""
-    every = {(w.log, w.first, w.last): w for w in (*one, *other)}
-    return [every[key] for key in sorted(every)]
-
-
-def by_motion(windows: Sequence[Window]) -> NDArray[np.integer]:
-    """(rows,) motion number of each row of the windows."""
-    motions = np.repeat([w.log for w in windows], [w.last - w.first for w in windows])
-    return np.unique(motions, return_inverse=True)[1].ravel()
+    return sorted({*one, *other})
 
 
 def _pieces(index: int, log: RunLog, run: tuple[int, int], length: float) -> list[Window]:
@@ -118,6 +99,8 @@ def _pieces(index: int, log: RunLog, run: tuple[int, int], length: float) -> lis
 
 FEW_MOTIONS = 4
 """Motions from which whole ones are held out; chosen"""
+FOLDS = 4
+"""One of as many motions is held out; chosen"""
 KEPT_END = 0.25
 """Share of a motion held out, halved until `MOSTLY` is left; chosen"""
 GRID, STEPS = 0.2, 10
@@ -128,19 +111,10 @@ MOSTLY = 0.5
 """Share of a motion; chosen"""
 
 
-@dataclass(frozen=True, kw_only=True)
-class HoldOut:
-    """Which motions to hold out."""
-
-    names: tuple[str, ...] | None = None
-    """their labels; empty: none; None: drawn"""
-    every: int = 4
-    """one of as many is drawn"""
-    seed: int = 0
-
-
-def part(arm: Arm, logs: Sequence[RunLog], how: HoldOut) -> tuple[list[RunLog], list[RunLog]]:
-    """Split logs into those to fit and those to judge; of few motions the end of each.
+def part(
+    arm: Arm, logs: Sequence[RunLog], hold_out: Sequence[str] | None = None, seed: int = 0
+) -> tuple[list[RunLog], list[RunLog]]:
+    """Split logs into those to fit and those to judge, by label; drawn by default, of few motions the end of each.
 
     Motion that repeats held-out commands is not fitted, unless names are given or too little would be left. Without
     hold-out both are all logs. InputError for duplicate, missing or all labels.
@@ -150,20 +124,20 @@ def part(arm: Arm, logs: Sequence[RunLog], how: HoldOut) -> tuple[list[RunLog], 
     if len(set(names)) != len(names):
         raise InputError("identification: two motions have the same label; give each its own")
     refuse_copies(ordered, "identification")
-    if how.names is not None:
-        missing = sorted(set(how.names) - set(names))
-        if missing or len(how.names) >= len(names):
+    if hold_out is not None:
+        missing = sorted(set(hold_out) - set(names))
+        if missing or len(hold_out) >= len(names):
             raise InputError(
-                f"identification: motions to hold out {', '.join(missing or how.names)}; expected some, but not all, "
+                f"identification: motions to hold out {', '.join(missing or hold_out)}; expected some, but not all, "
                 f"of {', '.join(names)}"
             )
-        if not how.names:
+        if not hold_out:
             return ordered, ordered
-        kept = set(how.names)
+        kept = set(hold_out)
     elif len(ordered) < FEW_MOTIONS:
         return _ends(ordered)
     else:
-        fold = folds(arm, ordered, how.every, how.seed)
+        fold = folds(arm, ordered, FOLDS, seed)
         drawn = {name for name, number in zip(names, fold, strict=True) if number == 0}
         again = repeated(ordered, [log for log in ordered if log.label in drawn])
         kept = drawn | {name for name, same in zip(names, again, strict=True) if same.mean() > MOSTLY}
@@ -218,131 +192,3 @@ def folds(arm: Arm, logs: Sequence[RunLog], count: int, seed: int = 0) -> NDArra
         alike = order[start : start + count]
         found[alike] = rng.permutation(count)[: len(alike)]
     return found
-
-
-CLUSTERED = 8
-"""Motions from which intervals rest on them, not on windows; chosen"""
-
-STRIDE = 2.5
-"""Finite-difference steps over those for an excitation; measured: smaller ones fit stick-slip"""
-REFINEMENT = 6
-"""Most steps of the final descent; chosen"""
-MEMORY = 1.0
-"""[s] of one observation beside the prior; chosen"""
-
-FREEDOM = 2.0
-"""Degrees of freedom of window errors; chosen"""
-
-SHORTEST = 10.0
-"""[s] least free motion; chosen"""
-
-
-@dataclass(frozen=True, kw_only=True)
-class LogSettings:
-    """Settings of an identification from logs."""
-
-    hold_out: HoldOut = field(default_factory=HoldOut)
-    window: float = 8.0
-    """[s] between restarts from the measured state; measured: 1 to 50 s are equal"""
-    coarse_seconds: float = 100.0
-    """[s] for the structure"""
-    fit_seconds: float = 400.0
-    """[s] for the final fit"""
-    fast_seconds: float = 40.0
-    """[s] of the fastest motion, which shows a limited acceleration"""
-    contact_seconds: float = 240.0
-    """[s] of contact for the table; measured: 80 s are a fifth worse"""
-    table: bool = True
-    """whether to fit a table in contact"""
-    table_height: float | None = None
-    """[m] of the tip; None: found in the logs"""
-    stictions: tuple[float, ...] = STICTIONS
-    """to try"""
-    timestep: float = TIMESTEP
-    threads: int = 2
-
-
-DEFAULT_LOG_SETTINGS = LogSettings()
-
-
-def fit_motions(
-    arm: Arm,
-    logs: Sequence[RunLog],
-    excluded: Sequence[Exclusions],
-    settings: LogSettings = DEFAULT_LOG_SETTINGS,
-    on_progress: Progress = no_progress,
-) -> tuple[Problem, Fit, Structure]:
-    """Find a twin's structure, and fit it; InputError for too little motion."""
-    windows = free_windows(logs, excluded, settings.window)
-    seconds = sum(float(logs[w.log].time[w.last - 1] - logs[w.log].time[w.first]) for w in windows)
-    if seconds < SHORTEST:
-        whole = sum(float(log.time[-1] - log.time[0]) for log in logs)
-        raise InputError(
-            f"identification: {seconds:.0f} s of free motion in stretches of {SHORTEST_STRETCH:g} s and more, of "
-            f"{whole:.0f} s in {len(logs)} log(s), expected at least {SHORTEST:.0f} s; record longer "
-            "motions, off table and stops"
-        )
-    belief = decide_compensation(unknown_prior(arm), arm, logs, excluded)
-
-    def problem(chosen: Sequence[Window], structure: Structure, threads: int = settings.threads) -> Problem:
-        return _problem(arm, logs, chosen, structure, settings, threads)
-
-    fast = fastest(windows, logs, settings.fast_seconds)
-    slow = thin(windows, logs, settings.coarse_seconds)
-    simple = simplest(belief, settings.stictions[0], arm.servo_acceleration)
-    x = rough_fit(problem(slow, simple))
-    on_progress(0.3, "structure")
-    expected, simple = simple, find_acceleration(lambda structure: problem(fast, structure), simple, x)
-    if np.isinf(simple.acceleration) != np.isinf(expected.acceleration):
-        x = rough_fit(problem(slow, simple))
-    usable = expressible(problem(merged(slow, fast), simple), x)
-    found = find_structure(
-        lambda structure, threads: problem(usable, structure, threads),
-        belief,
-        simple,
-        settings.stictions,
-        x,
-        settings.threads,
-    )
-    on_progress(0.5, "fit")
-    return *settle(arm, logs, excluded, found.structure, found.vector, settings), found.structure
-
-
-def settle(
-    arm: Arm,
-    logs: Sequence[RunLog],
-    excluded: Sequence[Exclusions],
-    structure: Structure,
-    start: Array | None,
-    settings: LogSettings = DEFAULT_LOG_SETTINGS,
-) -> tuple[Problem, Fit]:
-    """Fit windows from all logs, from ``start`` (k,), default: searched."""
-    windows = free_windows(logs, excluded, settings.window)
-    if start is None:
-        slow = thin(windows, logs, settings.coarse_seconds)
-        start = rough_fit(_problem(arm, logs, slow, structure, settings, settings.threads))
-    fast = fastest(windows, logs, settings.fast_seconds)
-    every = merged(thin(windows, logs, settings.fit_seconds), fast)
-    problem = _problem(arm, logs, every, structure, settings, settings.threads, stride=1.0)
-    return problem, fit(problem, start, REFINEMENT, SCALES)
-
-
-def _problem(
-    arm: Arm,
-    logs: Sequence[RunLog],
-    windows: Sequence[Window],
-    structure: Structure,
-    settings: LogSettings,
-    threads: int,
-    stride: float = STRIDE,
-) -> Problem:
-    replay = Replay(
-        arm, logs, windows, settings.timestep, threads, structure.stiction, acceleration=structure.acceleration
-    )
-    return Problem(replay, structure.prior, structure.frozen, stride, MEMORY, FREEDOM)
-
-
-def independent(problem: Problem) -> NDArray[np.integer]:
-    """(rows,) numbers of independent motions or windows."""
-    windows = problem.replay.windows
-    return by_motion(windows) if len({w.log for w in windows}) >= CLUSTERED else problem.window

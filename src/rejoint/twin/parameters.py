@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,21 +79,16 @@ class TwinParameters:
         """Select twins along the first leading axis."""
         if not self.shape:
             raise InputError("twin: a single twin cannot be indexed")
-        return TwinParameters(**{field.name: getattr(self, field.name)[index] for field in fields(self)})
+        return TwinParameters(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
 
     def repeat(self, count: int) -> TwinParameters:
         """Repeat a single twin along a leading axis."""
-        return TwinParameters(
-            **{
-                f.name: np.broadcast_to(getattr(self, f.name), (count, *np.shape(getattr(self, f.name))))
-                for f in fields(self)
-            }
-        )
+        return TwinParameters(**{f.name: np.stack([getattr(self, f.name)] * count) for f in fields(self)})
 
 
 PARAMETERS: tuple[Parameter, ...] = (
     Parameter(name="stiffness", unit="N m/rad", meaning="servo torque per angle between command and joint",
-              nominal=7.0, sigma=0.7, lower=0.5, upper=200.0, wrist=0.8, by_load=True, scaled=True,
+              nominal=7.0, sigma=0.7, healthy=5.0, lower=0.5, upper=200.0, wrist=0.8, by_load=True, scaled=True,
               # chosen: geometric middle of worn (7) and healthy (35 N m/rad) hobby servos; stiffer within three sigma
               wide={"nominal": 16.0, "sigma": 0.9, "upper": 1000.0, "wrist": 1.0,
                     "alike": 0.05}),  # chosen: motors and voltages of one make differ by some percent
@@ -102,7 +98,7 @@ PARAMETERS: tuple[Parameter, ...] = (
               # measured: 0.01 to 0.03 kg m^2 for geared hobby servos
               wide={"nominal": 0.015, "sigma": 1.0, "lower": 5e-4, "upper": 1.0, "alike": 0.1}),
     Parameter(name="torque_limit", unit="N m", meaning="largest torque of the servo",
-              nominal=0.92, sigma=0.35, lower=0.05, upper=5.0, wrist=0.5, by_load=True,
+              nominal=0.92, sigma=0.35, healthy=2.2, lower=0.05, upper=5.0, wrist=0.5, by_load=True,
               # chosen: twice and more what the arm weighs, or no one would have recorded it moving
               wide={"nominal": 3.0, "sigma": 0.7, "upper": 50.0, "wrist": 1.0, "alike": 0.1}),
     Parameter(name="offset", unit="rad", meaning="unloaded joint position minus command",
@@ -162,20 +158,19 @@ class Layout:
         """(k,) joint; -1 for the whole arm."""
         return np.concatenate([np.arange(self.joints) if p.per_joint else np.array([-1]) for p in PARAMETERS])
 
+    def has(self, name: str) -> NDArray[Any]:
+        """(k,) values of a field of `Parameter`."""
+        return np.array([getattr(p, name) for p in PARAMETERS])[self.kind]
+
     @cached_property
     def is_log(self) -> NDArray[np.bool_]:
         """(k,) which are logarithms."""
-        return np.array([p.log for p in PARAMETERS])[self.kind]
-
-    @cached_property
-    def is_scaled(self) -> NDArray[np.bool_]:
-        """(k,) which share a joint's common scale of torques and inertia."""
-        return np.array([p.per_joint and p.log for p in PARAMETERS])[self.kind]
+        return self.has("log")
 
     @cached_property
     def is_fitted(self) -> NDArray[np.bool_]:
         """(k,) which a descent may change."""
-        return np.array([p.fitted for p in PARAMETERS])[self.kind]
+        return self.has("fitted")
 
     def fitted(self, values: Array) -> Array:
         """Vectors (m, k) of ``values`` (m, f), else 0."""
@@ -302,15 +297,6 @@ def nominal_parameters(arm: Arm) -> TwinParameters:
     return unpack(prior(arm).mean, arm.joints)
 
 
-HEALTHY_STIFFNESS_FACTOR = 5.0
-"""A healthy servo's stiffness over the prior's worn median: 35 N m/rad, from an STS3215 under load (SO-ARM100, issue
-134)"""
-HEALTHY_DAMPING_FACTOR = 3.2
-HEALTHY_TORQUE_FACTOR = 2.2
-HEALTHY_FRICTION_FACTOR = 0.6
-"""Other healthy values over the prior's medians; chosen from the servo's data sheet"""
-
-
 def is_hobby(arm: Arm) -> bool:
     """Whether the servos are hobby servos: those of the catalogue are."""
     return arm.name in CATALOGUE
@@ -319,16 +305,7 @@ def is_hobby(arm: Arm) -> bool:
 def healthy_parameters(arm: Arm) -> TwinParameters:
     """Twin of an arm of hobby servos without wear."""
     worn = nominal_parameters(arm)
-    return TwinParameters(
-        stiffness=HEALTHY_STIFFNESS_FACTOR * worn.stiffness,
-        damping=HEALTHY_DAMPING_FACTOR * worn.damping,
-        coulomb=HEALTHY_FRICTION_FACTOR * worn.coulomb,
-        armature=worn.armature,
-        torque_limit=HEALTHY_TORQUE_FACTOR * worn.torque_limit,
-        offset=worn.offset,
-        delay=worn.delay,
-        ramp_speed=worn.ramp_speed,
-    )
+    return TwinParameters(**{p.name: p.healthy * getattr(worn, p.name) for p in PARAMETERS})
 
 
 @lru_cache(maxsize=32)
@@ -339,14 +316,10 @@ def largest_gravity_torque(arm: Arm) -> float:
 
 
 def _wrist(arm: Arm) -> NDArray[np.bool_]:
-    inertia = np.zeros(arm.joints)
-    for i in range(arm.joints):
-        reach = 0.0  # upper bound of the distance from joint i: the chain stretched out
-        for j in range(i, arm.joints):
-            if j > i:
-                reach += float(np.linalg.norm(arm.offset[j, :3, 3]))
-            inertia[i] += arm.mass[j] * (reach + float(np.linalg.norm(arm.com[j]))) ** 2
-    return inertia < WRIST_INERTIA * inertia.max()
+    passed = np.cumsum(np.linalg.norm(arm.offset[:, :3, 3], axis=1))
+    reach = passed - passed[:, None] + np.linalg.norm(arm.com, axis=1)  # at most, with the chain stretched out
+    inertia = np.triu(arm.mass * reach**2).sum(axis=1)
+    return np.asarray(inertia < WRIST_INERTIA * inertia.max())
 
 
 UNKNOWN_PARAMETERS: tuple[Parameter, ...] = tuple(replace(p, **p.wide) for p in PARAMETERS)  # type: ignore[arg-type]

@@ -18,6 +18,8 @@ from rejoint.control.catalogue import PREDICTIVE
 from rejoint.control.controller import ControlInput, Controller
 from rejoint.control.law import Pace, limit_lead, limit_position
 from rejoint.control.robot import JointState, Mask
+from rejoint.twin.chain.batch import ChainBatch
+from rejoint.twin.friction import friction_terms
 from rejoint.twin.parameters import TwinParameters
 from rejoint.twin.simulation import Draw, Simulation
 from rejoint.twin.twin import Twin
@@ -61,9 +63,7 @@ class PredictiveController:
         self._arm, self._holder = arm, holder
         self._planner, self._until = Planner(arm, twins, settings), hand_over or HandOver()
         self.contract = getattr(holder, "contract", None)  # of a policy: it is checked before anything moves
-        self._planning: Mask = np.zeros(0, dtype=bool)
-        self._wrong: Array = np.zeros(0)  # (B,) [m]
-        self._time: Array = np.zeros(0)
+        self._begin(0)
 
     @classmethod
     def of(cls, arm: Arm, twins: Sequence[Twin], holder: Holder) -> PredictiveController:
@@ -81,19 +81,20 @@ class PredictiveController:
         place = np.tile(arm.targets.lower, (count, 1))
         inputs = ControlInput(state=state, target=place, goal=rest, sent=rest, since_target=np.zeros(count))
         trial = Planner(arm, draw)
-        for cycle in range(2):  # in the first one the shadow does not move
-            now = replace(inputs, state=replace(state, time=np.full(count, 0.02 * cycle)))
-            if cycle == 0:
-                trial.reset(now, np.ones(count, dtype=bool))
-            trial.follow(now)
-            trial.command(now)
+        trial.reset(inputs, np.ones(count, dtype=bool))
+        for time in (0.0, 0.02):  # at first the shadow does not move
+            trial.follow(replace(inputs, state=replace(state, time=np.full(count, time))))
+        trial.command(inputs)
         return cls(arm, draw, holder)
+
+    def _begin(self, count: int) -> None:
+        self._planning: Mask = np.zeros(count, dtype=bool)
+        self._wrong, self._time = np.zeros((2, count))  # [m], [s]
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Plan for new targets of the arms in ``where`` (B,)."""
-        count = len(inputs.sent)
-        if len(self._planning) != count:
-            self._planning, self._wrong, self._time = np.zeros(count, dtype=bool), np.zeros(count), np.zeros(count)
+        if len(self._planning) != len(inputs.sent):
+            self._begin(len(inputs.sent))
         self._planner.reset(inputs, where)
         self._holder.reset(inputs, where)
         self._planning = self._planning | where
@@ -224,9 +225,10 @@ class Planner:
         self.shadow = Simulation(self._arm, self._count, substeps=_SHADOW_STEPS)
         self.shadow.place(arms, start, inputs.sent)
         self.shadow.time = inputs.state.time.copy()
-        self._rollouts = Simulation(self._arm, self._count * settings.samples, timestep=settings.timestep)
-        each = np.repeat(np.arange(self._count), settings.samples)
-        self._rollouts.place(arms.rows(each), start[each], inputs.sent[each])
+        self._rollouts = ChainBatch(self._arm, self._count * settings.samples, timestep=settings.timestep)
+        samples = arms.rows(np.repeat(np.arange(self._count), settings.samples))
+        self._rollouts.write(samples.twin, gravity_scale=samples.gravity_scale)
+        self._friction = friction_terms(samples.twin, samples.stiction)
         self._jacobian = np.zeros((self._count, 3, n))
         self._goal, self._holding, self._offset = np.zeros((3, self._count, n))
         self._plan = np.zeros((self._count, 2, n))  # first command, and the one after `bend`
@@ -259,8 +261,8 @@ class Planner:
         each, now = np.repeat(np.arange(count), samples), self.shadow.twins
         control = self.shadow.reference.ahead(each, wanted.reshape(-1, steps, n), timestep)
         control += self._offset[each, None]
-        self._rollouts.twins.restart(now.qpos[each], now.qvel[each])
-        passed = self._rollouts.rollout(control).reshape(count, samples, steps, n)
+        self._rollouts.restart(now.qpos[each], now.qvel[each])
+        passed = self._rollouts.rollout(control, self._friction).reshape(count, samples, steps, n)
         return self._judge(inputs, candidates, passed)
 
     def _judge(self, inputs: ControlInput, candidates: Array, passed: Array) -> Array:

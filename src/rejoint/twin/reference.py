@@ -6,6 +6,7 @@ SO-101 (Feetech STS3215) limits its acceleration to at most 254 x 100 counts/s^2
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
+# ruff: noqa: ANN001, ANN201, ANN202 - compiled functions take their types from their arguments
 
 from __future__ import annotations
 
@@ -15,59 +16,110 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Array
 from rejoint.control.robot import Mask
-from rejoint.system.errors import InputError
 
 REACHED = 1e-12
 """[rad] rounding"""
 
 
+@njit(cache=True, nogil=True)
+def move(position, velocity, goal, reach, acceleration, elapsed):
+    """Position and velocity after ``elapsed`` [s] on the way to rest at ``goal``.
+
+    By at most ``reach`` [rad], or, with a finite ``acceleration`` [rad/s^2], as fast as that allows.
+    """
+    away = goal - position
+    if acceleration == np.inf:
+        return position + min(max(away, -reach), reach), velocity
+    direction = 1.0 if away >= 0.5 * velocity * abs(velocity) / acceleration else -1.0
+    away, start = direction * away, direction * velocity
+    peak = np.sqrt(max(acceleration * away + 0.5 * start**2, 0.0))
+    if (peak - start) / acceleration > elapsed:
+        travelled, speed = elapsed * (start + 0.5 * acceleration * elapsed), start + acceleration * elapsed
+    else:
+        left = max((2.0 * peak - start) / acceleration - elapsed, 0.0)
+        travelled, speed = away - 0.5 * acceleration * left**2, acceleration * left
+    return position + direction * travelled, direction * speed
+
+
 class ServoReference:
     """References of m twins for one record of commands."""
 
-    def __init__(self, time: Array, command: Array, ramp_speed: Array, start: Array) -> None:
-        """Take sending times (T,) [s], commands (T, n) [rad], speeds (m,) [rad/s], start (n,)."""
-        self.time = time
-        self.command = command
-        speeds, self.which = np.unique(np.asarray(ramp_speed), return_inverse=True)
-        self.ramp_speed = speeds[:, None]
-        # Reference at the sending of each command: what is left of each step is carried into the next.
-        self.at = np.repeat(np.concatenate([command[:1], command[:-1]])[:, None], len(speeds), axis=1)
-        self.at[0] = start
-        steps = speeds[0] * np.diff(time)  # the slowest decides what can be skipped
-        jumps = np.abs(np.diff(command[:-1], axis=0)).max(axis=1) > steps[1:]
-        ahead = np.append(np.flatnonzero(jumps) + 1, len(time) - 1)  # rows whose command is not reached in time
-        k = 0
-        while k < len(time) - 1:
-            self.at[k + 1] = approach(self.at[k], command[k], self.ramp_speed * (time[k + 1] - time[k]))
-            k += 1
-            if np.abs(self.at[k] - command[k - 1]).max() < REACHED:
-                k = int(ahead[min(int(np.searchsorted(ahead, k)), len(ahead) - 1)])
-        self._area: Array | None = None
+    def __init__(
+        self, time: Array, command: Array, speed: Array, acceleration: float = np.inf, start: Array | None = None
+    ) -> None:
+        """Take sending times (T,) [s], commands (T, n) [rad], speeds (m,) [rad/s] or a finite acceleration [rad/s^2].
+
+        ``start`` (n,) [rad]: the first reference, by default the first command.
+        """
+        self._time, self._command, self._acceleration = time, np.ascontiguousarray(command), acceleration
+        speeds, self._which = np.unique(speed if acceleration == np.inf else np.ones_like(speed), return_inverse=True)
+        self._speed = speeds[self._which]
+        first = self._command[0] if start is None else start
+        self._position, self._velocity = _states(time, self._command, speeds, acceleration, first)
 
     def sample(self, time: Array, delay: Array) -> Array:
         """Return references (m, s, n) [rad] at ``time`` (s,) [s] for delays (m,) [s]."""
-        late = time - np.asarray(delay)[:, None]
-        row = np.clip(np.searchsorted(self.time, late, side="right") - 1, 0, len(self.time) - 1)
-        elapsed = np.maximum(late - self.time[row], 0.0)
-        twin = self.which[:, None]
-        return approach(self.at[row, twin], self.command[row], (self.ramp_speed[self.which] * elapsed)[..., None])
+        late = time - delay[:, None]
+        limits = self._speed, self._acceleration
+        return _sample(
+            late, self._rows(late), self._which, self._time, self._command, self._position, self._velocity, limits
+        )
 
     def mean(self, time: Array, delay: Array, width: float) -> Array:
-        """Means of references over ``width`` [s] about each of the even times ``time`` (s,) [s].
+        """Means of references of limited speed over ``width`` [s] about each of the even times ``time`` (s,) [s].
 
         They remove the effect of commands in step with the grid.
         """
-        edges = np.append(time - 0.5 * width, time[-1] + 0.5 * width)
-        late = edges - np.asarray(delay)[:, None]
-        row = np.clip(np.searchsorted(self.time, late, side="right") - 1, 0, len(self.time) - 1)
-        if self._area is None:
-            lasts = np.diff(self.time)[:, None, None]
-            areas = _area(self.at[:-1], self.command[:-1, None], self.ramp_speed, lasts)
-            self._area = np.concatenate([np.zeros_like(self.at[:1]), np.cumsum(areas, axis=0)])
-        twin, speed = self.which[:, None], self.ramp_speed[self.which][..., None]
-        since = (late - self.time[row])[..., None]
-        area = self._area[row, twin] + _area(self.at[row, twin], self.command[row], speed, since)
-        return np.diff(area, axis=1) / width
+        late = np.append(time - 0.5 * width, time[-1] + 0.5 * width) - delay[:, None]
+        row, twin, speed = self._rows(late), self._which[:, None], self._speed[:, None, None]
+        position, command = self._position[:-1], self._command[:-1, None]
+        areas = _area(position, command, np.unique(self._speed)[:, None], np.diff(self._time)[:, None, None])
+        before = np.concatenate([np.zeros_like(self._position[:1]), np.cumsum(areas, axis=0)])
+        since = (late - self._time[row])[..., None]
+        area = before[row, twin] + _area(self._position[row, twin], self._command[row], speed, since)
+        return np.asarray(np.diff(area, axis=1) / width)
+
+    def _rows(self, late: Array) -> NDArray[np.integer]:
+        return np.clip(np.searchsorted(self._time, late, side="right") - 1, 0, len(self._time) - 1)
+
+
+@njit(cache=True, nogil=True)
+def _states(time, command, speed, acceleration, start):
+    """Position and velocity (T, u, n) when each command is sent, for speeds (u,)."""
+    rows, joints = command.shape
+    position, velocity = np.empty((rows, len(speed), joints)), np.zeros((rows, len(speed), joints))
+    position[0] = start
+    reached = False  # by all: then they are at the command, without rounding
+    for k in range(rows - 1):
+        elapsed, goal = time[k + 1] - time[k], command[k]
+        if reached and np.abs(goal - command[k - 1]).max() <= speed[0] * elapsed:
+            position[k + 1] = goal
+            continue
+        gap = 0.0
+        for i in range(len(speed)):
+            for j in range(joints):
+                now, v = move(position[k, i, j], velocity[k, i, j], goal[j], speed[i] * elapsed, acceleration, elapsed)
+                if acceleration < np.inf and command[k + 1, j] == goal[j]:
+                    now, v = goal[j], 0.0
+                position[k + 1, i, j], velocity[k + 1, i, j] = now, v
+                gap = max(gap, abs(now - goal[j]))
+        reached = acceleration == np.inf and gap < REACHED
+    return position, velocity
+
+
+@njit(cache=True, nogil=True)
+def _sample(late, row, which, time, command, position, velocity, limits):
+    speed, acceleration = limits
+    twins, instants = late.shape
+    path = np.empty((twins, instants, command.shape[1]))
+    for i in range(twins):
+        for s in range(instants):
+            k, u = row[i, s], which[i]
+            elapsed = max(late[i, s] - time[k], 0.0)
+            for j in range(command.shape[1]):
+                now, v = position[k, u, j], velocity[k, u, j]
+                path[i, s, j] = move(now, v, command[k, j], speed[i] * elapsed, acceleration, elapsed)[0]
+    return path
 
 
 def _area(reference: Array, goal: Array, speed: Array, elapsed: Array) -> Array:
@@ -76,11 +128,6 @@ def _area(reference: Array, goal: Array, speed: Array, elapsed: Array) -> Array:
     moving = np.clip(elapsed, 0.0, np.abs(gap) / speed)
     missing = np.abs(gap) * moving - 0.5 * speed * moving**2
     return np.where(elapsed < 0.0, reference, goal) * elapsed - np.sign(gap) * missing
-
-
-def approach(reference: Array, goal: Array, step: Array | float) -> Array:
-    """Move ``reference`` towards ``goal`` by at most ``step``."""
-    return reference + np.clip(goal - reference, -step, step)
 
 
 class LiveReference:
@@ -111,18 +158,9 @@ class LiveReference:
         position, velocity, speed = self.position[which], self.velocity[which], self._speed[which]
         return np.asarray(follow(position, velocity, goals, again, speed * step, self._acceleration[which], each)[0])
 
-    def state(self) -> dict[str, Array]:
-        """Live arrays for a checkpoint."""
-        return {
-            "position": self.position,
-            "velocity": self.velocity,
-            "speed": self._speed,
-            "acceleration": self._acceleration,
-        }
-
 
 @njit(cache=True, nogil=True, boundscheck=True)
-def follow(position, velocity, goals, again, reach, acceleration, step):  # noqa: ANN001, ANN201
+def follow(position, velocity, goals, again, reach, acceleration, step):
     """Move references (N, n) towards ``goals`` (N, s, n); return them after each step, and speeds.
 
     By ``reach`` (N,) [rad] per ``step`` (N,) [s], or a finite ``acceleration`` (N,).
@@ -133,69 +171,13 @@ def follow(position, velocity, goals, again, reach, acceleration, step):  # noqa
         for j in range(joints):
             now, v = position[i, j], velocity[i, j]
             for k in range(steps):
-                if acceleration[i] == np.inf:
-                    now += min(max(goals[i, k, j] - now, -reach[i]), reach[i])
-                elif again[i, k, j]:
+                if again[i, k, j] and acceleration[i] < np.inf:
                     now, v = goals[i, k, j], 0.0
                 else:
-                    now, v = _advance(now, v, goals[i, k, j], acceleration[i], step[i])
+                    now, v = move(now, v, goals[i, k, j], reach[i], acceleration[i], step[i])
                 path[i, k, j] = now
             speed[i, j] = v
     return path, speed
-
-
-class Profile:
-    """References with limited acceleration for one record of commands."""
-
-    def __init__(self, time: Array, command: Array, acceleration: float) -> None:
-        """Take sending times (T,) [s], commands (T, n) [rad] and the acceleration [rad/s^2]."""
-        self.time, self.command, self.acceleration = time, command, acceleration
-        self.position, self.velocity = _states(time, np.ascontiguousarray(command), acceleration)
-
-    def sample(self, time: Array, delay: Array) -> Array:
-        """As `ServoReference.sample`."""
-        delays, which = np.unique(np.asarray(delay), return_inverse=True)
-        late = time - delays[:, None]
-        row = np.clip(np.searchsorted(self.time, late, side="right") - 1, 0, len(self.time) - 1)
-        elapsed = np.maximum(late - self.time[row], 0.0)[..., None]
-        found, _ = advance(self.position[row], self.velocity[row], self.command[row], self.acceleration, elapsed)
-        return np.asarray(found[which])
-
-
-def advance(
-    position: Array, velocity: Array, goal: Array, acceleration: float, elapsed: Array | float
-) -> tuple[Array, Array]:
-    """Position and velocity after ``elapsed`` [s] of the fastest motion to rest at ``goal``; also compiled."""
-    away = goal - position
-    direction = np.where(away >= 0.5 * velocity * np.abs(velocity) / acceleration, 1.0, -1.0)
-    away, start = direction * away, direction * velocity
-    peak = np.sqrt(np.maximum(acceleration * away + 0.5 * start**2, 0.0))
-    rising, left = (peak - start) / acceleration - elapsed, (2.0 * peak - start) / acceleration - elapsed
-    left = np.maximum(left, 0.0)
-    up = rising > 0.0
-    travelled = np.where(up, elapsed * (start + 0.5 * acceleration * elapsed), away - 0.5 * acceleration * left**2)
-    speed = np.where(up, start + acceleration * elapsed, acceleration * left)
-    return position + direction * travelled, direction * speed
-
-
-_advance = njit(cache=True)(advance)
-
-
-@njit(cache=True)
-def _states(time: Array, command: Array, acceleration: float) -> tuple[Array, Array]:
-    """Position and velocity (T, n) at each command."""
-    position, velocity = np.empty_like(command), np.zeros_like(command)
-    position[0] = command[0]
-    for k in range(1, len(time)):
-        elapsed = time[k] - time[k - 1]
-        for j in range(command.shape[1]):
-            if command[k, j] == command[k - 1, j]:
-                position[k, j] = command[k, j]
-                continue
-            position[k, j], velocity[k, j] = _advance(
-                position[k - 1, j], velocity[k - 1, j], command[k - 1, j], acceleration, elapsed
-            )
-    return position, velocity
 
 
 DEPTH = 4
@@ -231,12 +213,10 @@ class Latency:
 
     def in_force(self, time: Array) -> Array:
         """Commands (N, s, n) [rad] at the servos at ``time`` (N, s) [s]."""
-        self._check(len(time))
         return _in_force(self._sent, self.command_delay, self._commands, time)
 
     def sent_again(self, time: Array) -> NDArray[np.bool_]:
         """Whether the commands (N, s, n) at ``time`` (N, s) [s] repeat the one before."""
-        self._check(len(time))
         same = np.zeros(self._commands.shape)
         same[:, :-1] = self._commands[:, :-1] == self._commands[:, 1:]
         return _in_force(self._sent, self.command_delay, same, time) > 0.0
@@ -250,27 +230,11 @@ class Latency:
 
     def read(self, time: Array) -> Array:
         """Positions (N, n) [rad] that arrive at ``time`` (N,) [s], interpolated."""
-        self._check(len(time))
         return _read(self._times, self._positions, time, self.readback_delay)
-
-    def _check(self, count: int) -> None:
-        if count != len(self._sent):
-            raise InputError(f"latency: times of {count} arms, expected {len(self._sent)}")
-
-    def state(self) -> dict[str, Array]:
-        """Live arrays for a checkpoint."""
-        return {
-            "command_delay": self.command_delay,
-            "readback_delay": self.readback_delay,
-            "commands": self._commands,
-            "sent": self._sent,
-            "positions": self._positions,
-            "times": self._times,
-        }
 
 
 @njit(cache=True, nogil=True, boundscheck=True)
-def _in_force(sent, delay, commands, time):  # noqa: ANN001, ANN202
+def _in_force(sent, delay, commands, time):
     agents, instants = time.shape
     joints = commands.shape[2]
     known = np.empty((agents, instants, joints))
@@ -285,7 +249,7 @@ def _in_force(sent, delay, commands, time):  # noqa: ANN001, ANN202
 
 
 @njit(cache=True, nogil=True, boundscheck=True)
-def _read(times, positions, time, delay):  # noqa: ANN001, ANN202
+def _read(times, positions, time, delay):
     agents, instants, joints = positions.shape
     seen = np.empty((agents, joints))
     for i in range(agents):

@@ -10,7 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,17 +20,21 @@ from rejoint.arms import Arm, Array, gravity_torque
 from rejoint.logs.exclusions import answered
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
+from rejoint.twin.chain.batch import ChainBatch
 from rejoint.twin.declaration import TIMESTEP
+from rejoint.twin.friction import friction_terms
 from rejoint.twin.parameters import STICTION, TwinParameters
-from rejoint.twin.reference import Profile, ServoReference
-from rejoint.twin.simulation import Draw, Simulation
-from rejoint.twin.table import TablePlane
+from rejoint.twin.reference import ServoReference
+
+if TYPE_CHECKING:
+    from rejoint.twin.table import TableBatch
+    from rejoint.twin.twin import TablePlane
 
 IN_STEP = 0.2
 """Regularity of command times, 0 to 1, that shifts the delay; chosen"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, order=True)
 class Window:
     """Rows ``first`` to ``last`` (exclusive) of one log."""
 
@@ -58,37 +64,55 @@ def divide(windows: Sequence[Window], rows: int) -> list[Window]:
     return pieces
 
 
+@dataclass(frozen=True, eq=False)
 class Replay:
     """Replays windows of logs for many twins at once."""
 
-    def __init__(
-        self,
-        arm: Arm,
-        logs: Sequence[RunLog],
-        windows: Sequence[Window],
-        timestep: float = TIMESTEP,
-        threads: int = 1,
-        stiction: float = STICTION,
-        acceleration: float = np.inf,
-    ) -> None:
-        for log in logs:
-            log.require(arm.name, arm.joint_names)
-        if not windows:
+    arm: Arm
+    logs: Sequence[RunLog]
+    windows: Sequence[Window]
+    timestep: float = TIMESTEP
+    threads: int = 1
+    stiction: float = STICTION
+    acceleration: float = np.inf
+
+    def __post_init__(self) -> None:
+        for log in self.logs:
+            log.require(self.arm.name, self.arm.joint_names)
+        if not self.windows:
             raise InputError("replay: no windows; a run log needs at least three rows")
-        self.arm, self.logs, self.windows = arm, list(logs), list(windows)
-        self.timestep, self.threads, self.stiction, self.acceleration = timestep, threads, stiction, acceleration
-        self._profiles: dict[int, Profile] = {}
-        self._gains = np.stack([gains(log) for log in self.logs])
-        self._velocity = [measured_velocity(log) for log in self.logs]
-        self._even = {i for i, log in enumerate(self.logs) if _in_step(log.time, timestep) > IN_STEP}
-        spans = [self._log(w).time[w.last - 1] - self._log(w).time[w.first] for w in self.windows]
-        self.steps = int(np.ceil(max(spans) / timestep)) + 1
-        self._simulations: dict[tuple[int, bool], Simulation] = {}
+
+    @cached_property
+    def seconds(self) -> float:
+        """[s] of motion in all windows."""
+        return sum(float(self.times(i)[-1]) for i in range(len(self.windows)))
+
+    @cached_property
+    def _gains(self) -> Array:
+        return np.stack([gains(log) for log in self.logs])
+
+    @cached_property
+    def _velocity(self) -> list[Array]:
+        return [measured_velocity(log) for log in self.logs]
+
+    @cached_property
+    def _even(self) -> set[int]:
+        """Logs with commands in step with the simulation."""
+        return {i for i, log in enumerate(self.logs) if _in_step(log.time, self.timestep) > IN_STEP}
+
+    @cached_property
+    def _grid(self) -> Array:
+        """Times (steps,) [s] of the simulation steps."""
+        longest = max(self.times(i)[-1] for i in range(len(self.windows)))
+        return np.asarray(np.arange(int(np.ceil(longest / self.timestep)) + 1) * self.timestep, dtype=np.float64)
+
+    @cached_property
+    def _batches(self) -> dict[int, ChainBatch]:
+        return {}
 
     def predict(self, parameters: TwinParameters, tables: Sequence[TablePlane] = ()) -> list[Array]:
         """Positions (m, rows, n) [rad] of twins (m,) in each window, with m ``tables``."""
         m, count = parameters.shape[0], len(self.windows)
-        simulation = self._simulation(m * count, table=bool(tables))
         which = np.tile(np.arange(m), count)  # simulation = window * m + twin
         start = np.repeat(np.stack([self._log(w).position[w.first] for w in self.windows]), m, axis=0)
         velocity = np.repeat(np.stack([self._velocity[w.log][w.first] for w in self.windows]), m, axis=0)
@@ -96,11 +120,19 @@ class Replay:
         arms = replace(
             arms, stiffness=arms.stiffness * np.repeat(self._gains[[w.log for w in self.windows]], m, axis=0)
         )
-        simulation.place(Draw.of(arms, self.stiction), start, start)
-        simulation.twins.qvel[:] = velocity
+        twins: ChainBatch | TableBatch
         if tables:
-            simulation.put_tables([tables[i] for i in which])
-        path = np.concatenate([start[:, None], simulation.rollout(self._control(parameters))], axis=1)
+            from rejoint.twin.table import TableBatch  # late: free arms need no MuJoCo
+
+            twins = TableBatch(self.arm, arms, [tables[i] for i in which], self.timestep, self.threads)
+        else:
+            if m * count not in self._batches:
+                self._batches[m * count] = ChainBatch(self.arm, m * count, self.timestep, self.threads)
+            twins = self._batches[m * count]
+            twins.write(arms)
+        twins.restart(start, velocity)
+        passed = twins.rollout(self._control(parameters), friction_terms(arms, self.stiction))
+        path = np.concatenate([start[:, None], passed], axis=1)
         return [
             _interpolate(path[i * m : (i + 1) * m], self.timestep, self._log(w).time[w.first : w.last])
             for i, w in enumerate(self.windows)
@@ -133,48 +165,37 @@ class Replay:
     def _log(self, window: Window) -> RunLog:
         return self.logs[window.log]
 
-    def _simulation(self, count: int, *, table: bool) -> Simulation:
-        if (count, table) not in self._simulations:
-            self._simulations[count, table] = Simulation(
-                self.arm, count, timestep=self.timestep, threads=self.threads, table=table
-            )
-        return self._simulations[count, table]
-
     def _control(self, parameters: TwinParameters) -> Array:
         """Return references (windows * m, steps, n) at the start of each simulation step.
 
         For commands in step with it, means over the step: else the delay would depend on it.
         """
-        references = self._references(parameters)
-        grid = np.asarray(np.arange(self.steps) * self.timestep, dtype=np.float64)
+        references, grid = self._references(parameters), self._grid
         parts = []
         for w in self.windows:
             reference, times = references[w.log], self._log(w).time[w.first] + grid
-            if w.log in self._even and isinstance(reference, ServoReference):
+            if w.log in self._even and self.acceleration == np.inf:
                 parts.append(reference.mean(times, parameters.delay, self.timestep))
             else:
                 parts.append(reference.sample(times, parameters.delay))
         control = np.concatenate(parts)
         if parameters.compensation.any():
-            torque = np.stack([self._gravity(w, grid) for w in self.windows])[:, None]  # (windows, 1, steps, n)
+            torque = np.stack([self._gravity(w) for w in self.windows])[:, None]  # (windows, 1, steps, n)
             share = (parameters.compensation / parameters.stiffness)[:, None]
             control += (share * torque).reshape(control.shape)
         return control
 
-    def _gravity(self, window: Window, grid: Array) -> Array:
+    def _gravity(self, window: Window) -> Array:
         """Gravity torques (steps, n) [N m] at the commands of a window."""
         log = self._log(window)
-        time, columns = log.time[window.first] + grid, log.command.T
+        time, columns = log.time[window.first] + self._grid, log.command.T
         return gravity_torque(self.arm, np.stack([np.interp(time, log.time, column) for column in columns], axis=1))
 
-    def _references(self, parameters: TwinParameters) -> Mapping[int, ServoReference | Profile]:
+    def _references(self, parameters: TwinParameters) -> dict[int, ServoReference]:
         shown = {w.log: self.logs[w.log] for w in self.windows}
-        if self.acceleration < np.inf:
-            if not self._profiles:
-                self._profiles = {i: Profile(log.time, log.command, self.acceleration) for i, log in shown.items()}
-            return self._profiles
         return {
-            i: ServoReference(log.time, log.command, parameters.ramp_speed, log.command[0]) for i, log in shown.items()
+            i: ServoReference(log.time, log.command, parameters.ramp_speed, self.acceleration)
+            for i, log in shown.items()
         }
 
 
@@ -246,16 +267,15 @@ def powered(logs: Sequence[RunLog]) -> list[RunLog]:
     """Cut logs at spans without torque; joints that never answer get their position as command."""
     found = []
     for log in map(answered, logs):
-        since, spans = log.time - log.time[0], spans_off(log)
-        on = ~np.any([(since >= first) & (since <= last) for first, last in spans], axis=0) if spans else since >= 0.0
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]]).astype(int)))
-        pieces = [log.rows(slice(a, b)) for a, b in edges.reshape(-1, 2).tolist() if b - a > 2]
+        spans, since = spans_off(log), log.time - log.time[0]
+        if not spans:
+            found.append(log)
+            continue
+        off = np.any([(since >= first) & (since <= last) for first, last in spans], axis=0)
         extra = {key: value for key, value in log.extra.items() if key != TORQUE_OFF}
-        found += (
-            [replace(piece, label=f"{log.label} ({i + 1})", extra=extra) for i, piece in enumerate(pieces)]
-            if spans
-            else [log]
-        )
+        edges = np.flatnonzero(np.diff(off, prepend=True, append=True)).reshape(-1, 2).tolist()
+        pieces = [log.rows(slice(a, b)) for a, b in edges if b - a > 2]
+        found += [replace(piece, label=f"{log.label} ({i + 1})", extra=extra) for i, piece in enumerate(pieces)]
     return found
 
 

@@ -1,4 +1,4 @@
-"""The simulation behind training, tuning, replay and predictive control.
+"""The simulation behind training, tuning and predictive control.
 
 It adds late and limited commands (`rejoint.twin.reference`), backlash, friction by speed and delayed readings. Each arm
 has its own clock.
@@ -6,29 +6,17 @@ has its own clock.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Union
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, gravity_torque, tcp_position
 from rejoint.control.robot import JointState, Mask
-from rejoint.system.errors import InputError
-from rejoint.twin.backlash import Backlash
 from rejoint.twin.chain.batch import ChainBatch
-from rejoint.twin.declaration import TIMESTEP
-from rejoint.twin.friction import DRY, dry_friction, friction_terms, is_steady
+from rejoint.twin.friction import DRY, friction_terms
 from rejoint.twin.parameters import TwinParameters
 from rejoint.twin.reference import Latency, LiveReference
-
-if TYPE_CHECKING:
-    from rejoint.twin.batch import TwinBatch
-    from rejoint.twin.table import TablePlane
-
-Twins = Union["ChainBatch", "TwinBatch"]
-"""Free arms, or arms that may touch a table"""
 
 SUBSTEPS = 6
 """Physics steps per control cycle: 3 to 9 ms each"""
@@ -81,23 +69,12 @@ class Draw:
 class Simulation:
     """``count`` arms of one build, with live ``twins`` and ``time``."""
 
-    def __init__(
-        self,
-        arm: Arm,
-        count: int,
-        *,
-        timestep: float = TIMESTEP,
-        threads: int = 1,
-        table: bool = False,
-        substeps: int = SUBSTEPS,
-    ) -> None:
+    def __init__(self, arm: Arm, count: int, *, threads: int = 1, substeps: int = SUBSTEPS) -> None:
         n = arm.joints
         self.arm, self.substeps = arm, substeps
-        make = _on_table if table else ChainBatch
-        self.twins: Twins = make(arm, count, timestep, threads)
+        self.twins = ChainBatch(arm, count, threads=threads)
         self.latency = Latency(count, n, substeps)
         self.reference = LiveReference(count, n)
-        self.backlash = Backlash(arm, count)
         self.time = np.zeros(count)
         """(N,) [s]"""
         self.measured = np.zeros((count, n))
@@ -115,17 +92,11 @@ class Simulation:
         self.latency.command_delay[where], self.latency.readback_delay[where] = draw.command_delay, draw.readback_delay
         self.latency.clear(where, command, position)
         self.reference.restart(where, command, speed=draw.twin.ramp_speed, acceleration=draw.acceleration)
-        self.backlash.renew(draw.twin, draw.backlash, draw.grease, where)
+        self.twins.loosen(draw.backlash, draw.grease, where)
         self._friction[:, where] = friction_terms(draw.twin, draw.stiction)
         self._feed[where] = draw.twin.compensation / draw.twin.stiffness
         self.time[where] = 0.0
         self.measured[where] = self._quantised(position)
-
-    def put_tables(self, tables: Sequence[TablePlane]) -> None:
-        """Set the tables of a simulation with ``table``, after `place`."""
-        if isinstance(self.twins, ChainBatch):
-            raise InputError("simulation: made without a table, and cannot be put on one")
-        self.twins.put_tables(tables)
 
     def send(self, command: Array) -> None:
         """Send ``command`` (N, n) [rad]."""
@@ -134,7 +105,7 @@ class Simulation:
     def advance(self, period: Array, offset: Array | None = None) -> None:
         """Advance by ``period`` (N,) [s] and read; ``offset`` (N, n) [rad] shifts references."""
         step = period / self.substeps
-        self.twins.set_timestep(step)
+        self.twins.timestep[:] = step
         starts = self.time[:, None] + step[:, None] * np.arange(self.substeps)
         references = self.reference.follow(self.latency, starts, step)
         if self._feed.any():
@@ -146,42 +117,25 @@ class Simulation:
 
     def rollout(self, reference: Array) -> Array:
         """Advance by ``reference`` (N, steps, n) [rad]; return such positions."""
-        if not self.backlash.present and isinstance(self.twins, ChainBatch):
-            return self.twins.rollout(reference, self._friction)
-        if is_steady(self._friction) and not self.backlash.present:
-            return self.twins.rollout(reference)
-        positions = np.empty_like(reference)
-        for k in range(reference.shape[1]):
-            self.twins.ctrl[:] = reference[:, k]
-            friction = dry_friction(self._friction, self.twins.qvel)
-            self.backlash.part(self.twins, self._friction, friction)
-            self.twins.set_friction(friction)
-            self.twins.step()
-            positions[:, k] = self.twins.qpos
-        return positions
+        return self.twins.rollout(reference, self._friction)
 
     def state(self) -> dict[str, Array]:
-        """Live arrays for a checkpoint; not with tables."""
-        twins = self.twins.state() if isinstance(self.twins, ChainBatch) else {}
+        """Live arrays for a checkpoint."""
+        parts = {
+            "simulation": self,
+            "latency": self.latency,
+            "reference": self.reference,
+            "twins": self.twins,
+        }
         return {
-            "time": self.time,
-            "measured": self.measured,
-            "friction": self._friction,
-            "feed": self._feed,
-            **{f"latency.{name}": value for name, value in self.latency.state().items()},
-            **{f"reference.{name}": value for name, value in self.reference.state().items()},
-            **{f"backlash.{name}": value for name, value in self.backlash.state().items()},
-            **{f"twins.{name}": value for name, value in twins.items()},
+            f"{part}.{name}": value
+            for part, owner in parts.items()
+            for name, value in vars(owner).items()
+            if isinstance(value, np.ndarray) and value.flags.writeable
         }
 
     def _quantised(self, position: Array) -> Array:
         return np.round(position / self.arm.encoder_step) * self.arm.encoder_step
-
-
-def _on_table(arm: Arm, count: int, timestep: float, threads: int) -> TwinBatch:
-    from rejoint.twin.batch import TwinBatch  # late: free arms need no MuJoCo
-
-    return TwinBatch(arm, count, timestep, threads, table=True)
 
 
 class TwinRobot:

@@ -6,7 +6,6 @@ Neither has a gradient, so fits to the same windows are compared; complex struct
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -75,15 +74,6 @@ class Structure:
     """static over kinetic friction"""
     acceleration: float = np.inf
     """[rad/s^2] of the reference, while commands change"""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Found:
-    """The selected structure and its optimum."""
-
-    structure: Structure
-    vector: Array
-    """(k,)"""
 
 
 def decide_compensation(belief: Prior, arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]) -> Prior:
@@ -155,42 +145,35 @@ def find_acceleration(make: Callable[[Structure], Problem], simple: Structure, s
             return simple
     else:
         return unlimited
-    around, factor = _by_delay(problem, y), 2.0
-    ratios = {best: _ratio(_lowest(problem, around), without)}
+    around = np.tile(y, (len(DELAYS), 1))
+    around[:, problem.layout.at("delay")] += np.array(DELAYS)[:, None]
+    around = np.clip(around, problem.prior.lower, problem.prior.upper)
+
+    def ratio_of(problem: Problem) -> float:
+        losses = loss(problem.residuals(around)).sum(axis=1)
+        return _ratio(losses[np.argmin(losses.sum(axis=1))], without)
+
+    ratios, factor = {best: ratio_of(problem)}, 2.0
     while factor > FINEST:
         factor = np.sqrt(factor)
         for a in (best / factor, best * factor):
-            ratios[a] = _ratio(_lowest(make(replace(simple, acceleration=a)), around), without)
+            ratios[a] = ratio_of(make(replace(simple, acceleration=a)))
         best = min(ratios, key=lambda a: ratios[a])
     return replace(simple, acceleration=float(best))
 
 
-def _by_delay(problem: Problem, x: Array) -> Array:
-    """Vectors (m, k) that differ from ``x`` in the delay."""
-    around = np.tile(x, (len(DELAYS), 1))
-    around[:, problem.layout.at("delay")] += np.array(DELAYS)[:, None]
-    return np.clip(around, problem.prior.lower, problem.prior.upper)
-
-
-def _lowest(problem: Problem, vectors: Array) -> Array:
-    """Least losses (n,) of the ``vectors`` (m, k)."""
-    losses = loss(problem.residuals(vectors)).sum(axis=1)
-    return np.asarray(losses[np.argmin(losses.sum(axis=1))])
-
-
 def find_structure(
-    make: Callable[[Structure, int], Problem],
+    make: Callable[[Structure], Problem],
     belief: Prior,
     structure: Structure,
     stictions: Sequence[float],
     start: Array,
-    threads: int = 1,
-) -> Found:
-    """Compare structures on the same windows, from a simple one and its ``start`` (k,).
+) -> tuple[Structure, Array]:
+    """Compare structures on the same windows, from a simple one and its ``start`` (k,); returns the best's optimum too.
 
-    ``make`` turns a structure and a thread count into a problem.
+    ``make`` turns a structure into a problem.
     """
-    problem = make(structure, threads)
+    problem = make(structure)
     x = fit(problem, start, FURTHER, SCALES).vector
     best = _losses(problem, x)
     for limit in LIMITS:
@@ -198,40 +181,25 @@ def find_structure(
         # A reference has one limit: either its speed or its acceleration.
         acceleration = np.inf if limit == "ramp_speed" else structure.acceleration
         freed = replace(structure, prior=_without_limits(belief, frozen), frozen=frozen, acceleration=acceleration)
-        y, losses = _with_limit(make(freed, threads), x, limit)
+        y, losses = _with_limit(make(freed), x, limit)
         if _ratio(losses, best) < 1.0 - LIMIT_GAIN:
             structure, x, best = freed, y, losses
-
-    def climb(ladder: Sequence[float]) -> Found:
-        return _climb(lambda stickier: make(stickier, 1), structure, x, best, ladder)
-
-    # Upwards and downwards side by side; down counts only where up does not help.
-    with ThreadPoolExecutor(threads) as pool:
-        found = list(pool.map(climb, _ladders(stictions)))
-    return next((one for one in found if one.structure is not structure), found[0])
-
-
-def _climb(
-    make: Callable[[Structure], Problem], structure: Structure, x: Array, best: Array, ladder: Sequence[float]
-) -> Found:
-    """Try the stictions of a ladder while they pay, from optimum ``x`` (k,), losses (n,)."""
-    for stiction in ladder:
-        stickier = replace(structure, stiction=stiction)
-        problem = make(stickier)
-        # A joint that sticks more at rest has less friction in motion for the same hysteresis.
-        guess = x.copy()
-        guess[problem.layout.at("coulomb")] -= np.log(stiction / structure.stiction)
-        y = fit(problem, guess, FURTHER, SCALES).vector
-        losses = _losses(problem, y)
-        if _ratio(losses, best) >= 1.0 - STICTION_GAIN:
-            break
-        structure, x, best = stickier, y, losses
-    return Found(structure=structure, vector=x)
-
-
-def _ladders(stictions: Sequence[float]) -> tuple[list[float], list[float]]:
     first, others = stictions[0], sorted(stictions[1:])
-    return [s for s in others if s > first], [s for s in reversed(others) if s < first]
+    for ladder in ([s for s in others if s > first], [s for s in reversed(others) if s < first]):
+        for stiction in ladder:
+            stickier = replace(structure, stiction=stiction)
+            problem = make(stickier)
+            # A joint that sticks more at rest has less friction in motion for the same hysteresis.
+            guess = x.copy()
+            guess[problem.layout.at("coulomb")] -= np.log(stiction / structure.stiction)
+            y = fit(problem, guess, FURTHER, SCALES).vector
+            losses = _losses(problem, y)
+            if _ratio(losses, best) >= 1.0 - STICTION_GAIN:
+                break
+            structure, x, best = stickier, y, losses
+        if structure.stiction != first:  # downwards counts only where upwards does not help
+            break
+    return structure, x
 
 
 def _with_limit(problem: Problem, x: Array, limit: str) -> tuple[Array, Array]:

@@ -1,33 +1,254 @@
-"""The table under an arm, as a plane."""
+"""An arm whose tip may touch a table: the plane, its fit to motion in contact, and its simulation by MuJoCo.
+
+MuJoCo is also the reference for `rejoint.twin.chain`. Per joint: torque = clip(stiffness (command + offset - q),
++-limit) - damping qdot - dry friction, without contacts of links and joint stops. Friction constraints are nearly rigid
+(MuJoCo's default creeps 1 deg/s, measured). The Jacobian is dense: the sparse Cholesky of MuJoCo 4.0.0 has a fault. The
+solver is projected Gauss-Seidel: Newton's method stops too early (measured).
+
+Only the TCP touches the table, with a soft sphere.
+"""
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from collections.abc import Sequence
 
+import mujoco
 import numpy as np
+from mujoco.batch import Batch
+from scipy.optimize import least_squares
 
-from rejoint.arms import Array
-from rejoint.system.errors import InputError
+from rejoint.arms import Arm, Array
+from rejoint.arms.kinematics import GRAVITY
+from rejoint.twin.declaration import TIMESTEP
+from rejoint.twin.fit import HUBER
+from rejoint.twin.friction import dry_friction, friction_fields, is_steady
+from rejoint.twin.parameters import TwinParameters
+from rejoint.twin.replay import Replay
+from rejoint.twin.twin import TablePlane
+
+FRICTION_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
+"""solimp of the friction constraints: nearly rigid"""
+FRICTION_SOFTNESS = 0.01
+"""Factor on ``dof_invweight0`` for friction; chosen"""
+
+RADIUS = 0.005
+"""[m] of the sphere; chosen"""
+
+IMPEDANCE = 0.9
+"""solimp of the contact: constant"""
+
+PLANE, TIP, TCP_SITE = "table", "tip", "tcp"
+"""Names in the model"""
 
 
-@dataclass(frozen=True, kw_only=True)
-class TablePlane:
-    """A plane under the tip."""
+class TableBatch:
+    """Simulations of one arm by MuJoCo in lockstep; ``qpos`` and ``qvel`` (m, n) are their state."""
 
-    height: float
-    """[m] of the TCP in contact, below the base's origin"""
-    slope_x: float
-    """along the base's x"""
-    slope_y: float
-    stiffness: float
-    """[N/m] of tip, links and table together, vertical"""
-    friction: float
-    """Coulomb coefficient of the tip"""
+    def __init__(
+        self,
+        arm: Arm,
+        twins: TwinParameters,
+        tables: Sequence[TablePlane] = (),
+        timestep: float | Array = TIMESTEP,
+        threads: int = 1,
+        gravity_scale: float | Array = 1.0,
+    ) -> None:
+        """Take the parameters (m,), m tables or none, time steps [s] and gravity's scale, numbers or (m,)."""
+        count = twins.shape[0]
+        steps = np.broadcast_to(timestep, twins.shape).astype(float)
+        self._batch = Batch(twin_spec(arm, table=bool(tables)).compile(), nsim=count, nthread=threads)
+        self.qpos: Array = self._batch.bind("qpos")
+        self.qvel: Array = self._batch.bind("qvel")
+        self._ctrl: Array = self._batch.bind("ctrl")
+        gain, bias = (
+            np.zeros((*twins.stiffness_shape, mujoco.mjNGAIN)),
+            np.zeros((*twins.stiffness_shape, mujoco.mjNBIAS)),
+        )
+        gain[..., 0] = twins.stiffness
+        bias[..., 0], bias[..., 1] = twins.stiffness * twins.offset, -twins.stiffness
+        values = {
+            "actuator_gainprm": gain,
+            "actuator_biasprm": bias,
+            "actuator_forcerange": np.stack([-twins.torque_limit, twins.torque_limit], axis=-1),
+            **dict(friction_fields(twins)),
+            "dof_armature": twins.armature,
+            "dof_solref": friction_solref(steps)[:, None],
+            "opt.timestep": steps,
+            "opt.gravity": np.broadcast_to(gravity_scale, twins.shape)[:, None] * GRAVITY,
+        }
+        for name, value in values.items():
+            self._batch.expand(name)[:] = value
+        self._batch.set_const(np.arange(count, dtype=np.int32))
+        self._batch.expand("dof_invweight0")[:] *= FRICTION_SOFTNESS
+        for i, table in enumerate(tables):
+            self._put(i, table, steps[i])
 
-    def __post_init__(self) -> None:
-        if not np.isfinite(astuple(self)).all() or self.stiffness <= 0 or self.friction < 0:
-            raise InputError(f"table: needs finite values, a stiffness above 0 and no negative friction, got {self}")
+    def _put(self, i: int, table: TablePlane, timestep: float) -> None:
+        """Set one simulation's table; stiffness = k d / (1 - d) / inverse mass of the tip."""
+        tip, d = self._batch.model.geom(TIP), IMPEDANCE
+        inverse_mass = self._batch.expand("body_invweight0")[i, tip.bodyid[0], 0]
+        k = np.minimum(table.stiffness * (1 - d) / d * inverse_mass, (2 * timestep * d) ** -2.0)
+        self._batch.bind("mocap_pos")[i, 0], self._batch.bind("mocap_quat")[i, 0] = table_pose(table)
+        self._batch.expand("geom_solref")[i, tip.id] = -k * d, -2 * np.sqrt(k) * d
+        self._batch.expand("geom_friction")[i, tip.id] = table.friction, 0.0, 0.0
 
-    def surface(self, points: Array) -> Array:
-        """Height (...) [m] under points (..., 3) [m]."""
-        return self.height + self.slope_x * points[..., 0] + self.slope_y * points[..., 1]
+    def restart(self, position: Array, velocity: Array | float = 0.0) -> None:
+        """Restart at ``position`` (m, n) [rad] with ``velocity`` [rad/s], without warm start."""
+        self._batch.bind("qacc_warmstart")[:] = 0.0
+        self._batch.bind("time")[:] = 0.0
+        self.qpos[:], self.qvel[:], self._ctrl[:] = position, velocity, position
+
+    def rollout(self, control: Array, terms: Array | None = None) -> Array:
+        """Advance by ``control`` (m, steps, n) [rad]; return such positions.
+
+        ``terms`` (t, m, n): friction by speed (`rejoint.twin.friction.friction_terms`).
+        """
+        if terms is None or is_steady(terms):
+            return self._batch.rollout(control.shape[1], control, record=("qpos",))["qpos"]
+        path = np.empty_like(control)
+        for k in range(control.shape[1]):
+            self._ctrl[:] = control[:, k]
+            self._batch.expand("dof_frictionloss")[:] = dry_friction(terms, self.qvel)
+            self._batch.step(None, nstep=1)
+            path[:, k] = self.qpos
+        return path
+
+    def model(self, index: int) -> mujoco.MjModel:
+        """Copy of one simulation's model."""
+        return self._batch.get_model(index)
+
+
+def friction_solref(timestep: Array) -> Array:
+    """Solref (..., 2) of friction for a time step (...) [s]."""
+    return np.stack([2.0 * timestep, np.ones_like(timestep)], axis=-1)
+
+
+def twin_spec(arm: Arm, *, table: bool = False) -> mujoco.MjSpec:
+    """Describe the model of an arm without twin."""
+    spec = mujoco.MjSpec()
+    spec.modelname = arm.name
+    option = spec.option
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    option.solver = mujoco.mjtSolver.mjSOL_PGS
+    for name in ("CONTACT", "LIMIT", "EQUALITY", "SENSOR", "SPRING", "ISLAND"):
+        if name != "CONTACT" or not table:
+            option.disableflags |= getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}")
+    body = spec.worldbody
+    for i, name in enumerate(arm.joint_names):
+        body = body.add_body(name=f"link{i + 1}", pos=arm.offset[i, :3, 3], quat=_quaternion(arm.offset[i, :3, :3]))
+        body.explicitinertial = True
+        body.mass, body.ipos = arm.mass[i], arm.com[i]
+        inertia = arm.inertia[i]
+        body.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        # A value above zero, so that MuJoCo reserves the friction constraints; the writer sets the real one.
+        body.add_joint(name=name, axis=arm.axis[i], frictionloss=1.0, solimp_friction=FRICTION_IMPEDANCE)
+        servo = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        servo.set_to_position(kp=1.0)
+        servo.forcelimited, servo.forcerange = True, (-1.0, 1.0)
+    if table:
+        _add_table(spec, body, arm.tip[:3, 3])
+    body.add_site(name=TCP_SITE, pos=arm.tip[:3, 3], quat=_quaternion(arm.tip[:3, :3]))
+    return spec
+
+
+def _quaternion(rotation: Array) -> Array:
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation).ravel())
+    return quaternion
+
+
+def _add_table(spec: mujoco.MjSpec, tip: mujoco.MjsBody, position: Array) -> None:
+    """Add the plane and, at ``position`` (3,) [m] on ``tip``, the sphere."""
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC  # a pyramid would stiffen as friction vanishes
+    sphere, plane = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_PLANE
+    # A mocap body: its pose is part of the state, and so free in every simulation of a batch.
+    body = spec.worldbody.add_body(name=PLANE, mocap=True)
+    body.add_geom(name=PLANE, type=plane, size=(0.0, 0.0, 1.0), contype=1, conaffinity=0)
+    # Its own priority: friction and softness are the sphere's alone, not mixed with the plane's.
+    tip.add_geom(
+        name=TIP,
+        type=sphere,
+        size=(RADIUS, 0.0, 0.0),
+        pos=position,
+        contype=0,
+        conaffinity=1,
+        condim=3,
+        priority=1,
+        mass=0.0,
+        solimp=(IMPEDANCE, IMPEDANCE, 0.001, 0.5, 2.0),
+    )
+
+
+def table_pose(table: TablePlane) -> tuple[Array, Array]:
+    """Position (3,) [m] and quaternion (4,) of the plane."""
+    normal = np.array([-table.slope_x, -table.slope_y, 1.0]) / np.sqrt(1 + table.slope_x**2 + table.slope_y**2)
+    turn = np.zeros(4)
+    mujoco.mju_quatZ2Vec(turn, normal)
+    return np.array([0.0, 0.0, table.height]) - RADIUS * normal, turn
+
+
+# height [m], slopes, log stiffness [N/m], log friction
+_SIGMA = np.array([0.02, 0.05, 0.05, 1.0, 0.7])
+"""Prior sigma; chosen: level within 3 degrees, stiffness within a factor of e"""
+_STEP = np.array([0.001, 0.01, 0.01, 0.2, 0.2])
+"""Finite-difference steps (chosen)"""
+_LOWER = np.array([-np.inf, -0.3, -0.3, np.log(100.0), np.log(0.05)])
+_UPPER = np.array([np.inf, 0.3, 0.3, np.log(1e5), np.log(1.5)])
+
+STIFFNESS, FRICTION = 1000.0, 0.3
+"""Start of a fit [N/m], [1]; chosen: a hand-sized arm"""
+
+NOISE, ROWS = np.radians(0.5), 50
+"""[rad] error in contact, and rows of one observation; chosen"""
+
+
+def fit_table(
+    replay: Replay, parameters: TwinParameters, height: float, start: TablePlane | None = None, evaluations: int = 12
+) -> TablePlane:
+    """Fit the table, from ``start`` or level at ``height`` [m]."""
+    measured, weight = np.concatenate(replay.measured()), 1.0 / (NOISE * ROWS**0.5)
+    mean = np.array([height, 0.0, 0.0, np.log(STIFFNESS), np.log(FRICTION)])
+
+    def misfit(vectors: Array) -> Array:
+        paths = replay.predict(parameters.repeat(len(vectors)), [_plane(v) for v in vectors])
+        return weight * (np.concatenate(paths, axis=1) - measured).reshape(len(vectors), -1)
+
+    def residual(x: Array) -> Array:
+        return np.append(misfit(x[None])[0], (x - mean) / _SIGMA)
+
+    def jacobian(x: Array) -> Array:
+        steps = np.where(x + _STEP > _UPPER, -_STEP, _STEP)
+        base, *moved = misfit(np.vstack([x, x + np.diag(steps)]))
+        return np.vstack([((np.array(moved) - base) / steps[:, None]).T, np.diag(1.0 / _SIGMA)])
+
+    def loss(z: Array) -> Array:
+        """Pseudo-Huber with derivatives, square for the prior."""
+        motion = np.arange(len(z)) < len(z) - len(mean)
+        root = np.sqrt(1.0 + z)
+        return np.where(motion, [2.0 * (root - 1.0), 1.0 / root, -0.5 / root**3], [z, np.ones_like(z), 0.0 * z])
+
+    first = mean if start is None else _vector(start)
+    found = least_squares(
+        residual,
+        np.clip(first, _LOWER + 1e-9, _UPPER - 1e-9),
+        jacobian,
+        bounds=(_LOWER, _UPPER),
+        x_scale=_SIGMA,
+        loss=loss,
+        f_scale=weight * HUBER,
+        max_nfev=evaluations,
+        ftol=1e-3,
+        xtol=1e-3,
+    )
+    return _plane(found.x)
+
+
+def _vector(table: TablePlane) -> Array:
+    return np.array([table.height, table.slope_x, table.slope_y, np.log(table.stiffness), np.log(table.friction)])
+
+
+def _plane(vector: Array) -> TablePlane:
+    height, slope_x, slope_y = (float(value) for value in vector[:3])
+    stiffness, friction = (float(value) for value in np.exp(vector[3:]))
+    return TablePlane(height=height, slope_x=slope_x, slope_y=slope_y, stiffness=stiffness, friction=friction)

@@ -23,7 +23,6 @@ from rejoint.twin.parameters import (
     unpack,
     vector_names,
 )
-from rejoint.twin.table import TablePlane
 
 LEAST_SPREAD = 0.05
 """Extra sigma of the logarithms of drawn twins; chosen"""
@@ -43,6 +42,25 @@ class HeldOut:
     twin: PredictionError
     healthy_twin: PredictionError | None = None
     """None where the arm's servos are unknown"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TablePlane:
+    """A plane under the tip."""
+
+    height: float
+    """[m] of the TCP in contact, below the base's origin"""
+    slope_x: float
+    """along the base's x"""
+    slope_y: float
+    stiffness: float
+    """[N/m] of tip, links and table together, vertical"""
+    friction: float
+    """Coulomb coefficient of the tip"""
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(astuple(self)).all() or self.stiffness <= 0 or self.friction < 0:
+            raise InputError(f"table: needs finite values, a stiffness above 0 and no negative friction, got {self}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

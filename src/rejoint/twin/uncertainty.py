@@ -11,7 +11,7 @@ Uncertain masses widen a joint's common scale ("consider" covariance, Schmidt 19
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,6 @@ from rejoint.arms import Arm, Array
 from rejoint.system.statistics import NORMAL95, student95
 from rejoint.twin.fit import SCALES, STIFFNESS, Fit, Problem, influence, loss
 from rejoint.twin.parameters import Prior, number, unpack
-from rejoint.twin.replay import Replay
 
 CLUSTER = 3.0
 """[s]; chosen: longer than stick-slip and the slowest oscillation"""
@@ -34,24 +33,9 @@ LEAST_SHARE = 0.01
 SCALE_STEP = float(np.log(SCALES[-2]))
 """Step of `SCALES`; measured: without it only 4 of 5 intervals agree"""
 
-IDENTIFIED = 0.5
-"""Sigma over the prior's of an identified parameter; chosen"""
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Uncertainty:
-    """Covariance of an estimate."""
-
-    covariance: Array
-    """(k, k) of the posterior"""
-    narrowing: Array
-    """(k,) sigma by the data over that of the prior"""
-    identified: NDArray[np.bool_]
-    """(k,)"""
-
-
-def uncertainty(problem: Problem, fit: Fit, clusters: NDArray[np.integer]) -> Uncertainty:
-    """Covariance from the scores of ``clusters`` (rows,) and the masses."""
+def uncertainty(problem: Problem, fit: Fit, clusters: NDArray[np.integer]) -> Array:
+    """Covariance (k, k) of an estimate from the scores of ``clusters`` (rows,) and the masses."""
     prior = problem.prior
     residual, jacobian = _central_differences(problem, fit.vector)
     covariance = jackknife(prior, *_by_cluster(problem, fit, residual, jacobian, clusters))
@@ -60,9 +44,7 @@ def uncertainty(problem: Problem, fit: Fit, clusters: NDArray[np.integer]) -> Un
     covariance = jackknife(prior, curvatures, scores) + _resolution(problem, fit.vector)
     covariance += _fed_forward(problem, fit.vector)
     covariance += mass_covariance(problem, fit, residual, jacobian, curvatures.sum(axis=0) + prior.precision)
-    narrowing = np.sqrt(np.diag(covariance)) / prior.sigma
-    identified = (narrowing < IDENTIFIED) & ~fit.at_bound & ~problem.frozen
-    return Uncertainty(covariance=0.5 * (covariance + covariance.T), narrowing=narrowing, identified=identified)
+    return np.asarray(0.5 * (covariance + covariance.T))
 
 
 def _resolution(problem: Problem, x: Array) -> Array:
@@ -76,7 +58,7 @@ def _fed_forward(problem: Problem, x: Array) -> Array:
     """Covariance (k, k) of each joint's common scale: the gravity's, or the prior's where the sag does not tell it."""
     at, owner, sigma = problem.layout.at, problem.owner, problem.prior.sigma
     scale = np.where(x[at("compensation")] > 0.0, sigma[at("stiffness")], sigma[at("compensation")])
-    step = np.where(problem.layout.is_scaled, scale[owner], 0.0)
+    step = np.where(problem.layout.is_log & (owner >= 0), scale[owner], 0.0)
     return np.outer(step, step) * (owner[:, None] == owner)
 
 
@@ -182,9 +164,7 @@ def mass_covariance(problem: Problem, fit: Fit, residual: Array, jacobian: Array
     """
     moved, replay = [], problem.replay
     for arm, sigma in _other_arms(replay.arm):
-        other = Replay(
-            arm, replay.logs, replay.windows, replay.timestep, replay.threads, replay.stiction, replay.acceleration
-        )
+        other = replace(replay, arm=arm)
         path = np.concatenate(other.predict(unpack(fit.vector[None], problem.joints)), axis=1)[0]
         change = (path - problem.measured - residual) * (sigma / STEP)
         pull = np.zeros(len(fit.vector))

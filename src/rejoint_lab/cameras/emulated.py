@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,7 +13,10 @@ from rejoint.arms import Array
 from rejoint.control.robot import Robot
 from rejoint.control.seeing import Sighting
 from rejoint.system.errors import InputError
-from rejoint_lab.cameras.scene import Picture, Scene
+
+if TYPE_CHECKING:
+    from rejoint.camera.detector import Picture
+    from rejoint_lab.cameras.scene import Scene
 
 
 class EmulatedCamera:

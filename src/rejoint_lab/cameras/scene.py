@@ -9,17 +9,16 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, tcp_pose
-from rejoint.arms.camera.board import ON_TOOL, Board
-from rejoint.arms.camera.lens import Lens
-from rejoint.arms.camera.rig import Rig
 from rejoint.arms.rotations import inverse
-
-Picture = NDArray[np.uint8]
-"""(height, width) grey levels"""
+from rejoint.camera.board import ON_TOOL, Board
+from rejoint.camera.detector import Picture
+from rejoint.camera.lens import Lens
+from rejoint.camera.rig import Rig
 
 BLACK, WHITE, WALL = 35.0, 215.0, 120.0
 """Grey levels of print, paper and background (chosen)"""
@@ -27,7 +26,7 @@ BLACK, WHITE, WALL = 35.0, 215.0, 120.0
 _FINE = 3  # rays across a pixel (chosen)
 _DOT = 0.25e-3  # [m] of the drawing's dots (chosen: a tenth of a cell; edges of cells are on them)
 _QUIET = 5e-3  # [m] white paper around the board (chosen)
-_MARGIN = 40  # [px] around the corners: the lens bends the edges between them (chosen)
+_MARGIN = 8  # [px] around the board that are rendered with it
 
 
 class Looks(NamedTuple):
@@ -51,8 +50,6 @@ def drawn(board: Board) -> NDArray[np.float32]:
 
 def render(board: Board, lens: Lens, pose: Array, seed: int | tuple[int, ...], looks: Looks | None = None) -> Picture:
     """Image of a board at ``pose`` (4, 4) in the camera frame."""
-    import cv2
-
     looks = looks or Looks()
     rng = np.random.default_rng(seed)
     x, y = np.linspace(-1, 1, lens.width), np.linspace(-1, 1, lens.height)
@@ -69,12 +66,12 @@ def render(board: Board, lens: Lens, pose: Array, seed: int | tuple[int, ...], l
 def _paint(
     canvas: NDArray[np.float32], board: Board, lens: Lens, pose: Array, window: tuple[int, int, int, int]
 ) -> None:
-    import cv2
-
     x0, x1, y0, y1 = window
     size = (_FINE * (x1 - x0), _FINE * (y1 - y0))
-    ray = lens.rays(np.stack(np.meshgrid(np.arange(x0, x1), np.arange(y0, y1)), axis=-1))
-    ray = cv2.resize(ray, size, interpolation=cv2.INTER_LINEAR)
+    pixel = np.stack(np.meshgrid(np.arange(x0, x1), np.arange(y0, y1)), axis=-1)
+    ends = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 40, 1e-10)
+    ray = cv2.undistortPoints(pixel.reshape(-1, 1, 2).astype(float), lens.matrix, lens.distortion, criteria=ends)
+    ray = cv2.resize(ray.reshape(pixel.shape), size, interpolation=cv2.INTER_LINEAR)
     ray = np.concatenate([ray, np.ones((*ray.shape[:-1], 1))], axis=-1)
     mapping = np.linalg.inv(np.column_stack([pose[:3, 0], pose[:3, 1], pose[:3, 3]]))
     flat = ray @ mapping.T
@@ -92,15 +89,14 @@ def _paint(
 
 
 def _window(board: Board, lens: Lens, pose: Array) -> tuple[int, int, int, int] | None:
-    """Return the pixels (x from, to, y from, to) that may show the board; None: it is out of sight."""
     outline = board.outline + np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * _QUIET
     points = outline @ pose[:3, :3].T + pose[:3, 3]
     if (points[:, 2] < 0.05).any():
         return None
-    pixel, size = lens.project(points), np.array([lens.width, lens.height])
-    low, high = (
-        np.clip(end, 0, size).astype(int) for end in (pixel.min(axis=0) - _MARGIN, pixel.max(axis=0) + _MARGIN)
-    )
+    edge = np.linspace(0, 1, 9)[:, None, None]
+    pixel = lens.project((points * (1 - edge) + np.roll(points, 1, axis=0) * edge).reshape(-1, 3))
+    low = np.maximum(np.floor(pixel.min(axis=0)).astype(int) - _MARGIN, 0)
+    high = np.minimum(np.ceil(pixel.max(axis=0)).astype(int) + _MARGIN, [lens.width, lens.height])
     return None if (low >= high).any() else (int(low[0]), int(high[0]), int(low[1]), int(high[1]))
 
 

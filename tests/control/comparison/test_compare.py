@@ -8,7 +8,7 @@ from rejoint.arms import gravity_torque, mycobot280, tcp_position
 from rejoint.control.catalogue import make_controller
 from rejoint.control.classical import IntegratorController
 from rejoint.control.comparison.compare import Settings, TrialRunner
-from rejoint.control.comparison.protocols import encoder_tcp, measure_crossings, measure_holds, schedule
+from rejoint.control.comparison.protocols import encoder_tcp, metrics_of, schedule
 from rejoint.control.comparison.recommend import difference, recommend
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.loop import run
@@ -184,11 +184,11 @@ def test_protocols_on_one_recording():
         for kind in ("crossing", "hold")
     )
     assert np.isnan(encoder_tcp(ARM, rec)).all(axis=-1).tolist() == (~rec.active).tolist()
-    found = measure_crossings(ARM, rec, targets, PROTOCOL)
+    found = metrics_of(ARM, rec, targets, PROTOCOL, ("crossing",))
     for b in range(2):
         rows = np.flatnonzero(rec.active[:, b])
         assert found["crossing_time"][b].sum() == pytest.approx(rec.time[rows[-1], b] - rec.time[rows[0], b])
-    holds = measure_holds(ARM, held, targets, PROTOCOL)
+    holds = metrics_of(ARM, held, targets, PROTOCOL)
     stays = [holds[name] for name in PROTOCOL.stay_names]
     assert (np.diff(stays, axis=0) >= 0).all()  # the narrower, the later
 

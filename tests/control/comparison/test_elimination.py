@@ -213,7 +213,7 @@ def in_blocks(controllers, targets=TWENTY, *, measured=(), ledger=None, on_trial
 
 
 def results(rng, factor, count=10):
-    return {"settled": factor * 1e-3 * np.exp(0.3 * rng.normal(size=count)), "crossed": np.ones(count)}
+    return factor * 1e-3 * np.exp(0.3 * rng.normal(size=count))
 
 
 def test_equal_controllers_hardly_ever_leave_and_a_factor_of_three_is_found():

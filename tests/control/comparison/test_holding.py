@@ -5,9 +5,9 @@ import pytest
 
 from rejoint.arms import mycobot280
 from rejoint.control.classical import DefaultController
-from rejoint.control.comparison.holding import Holding, found_errors, vary_directions
+from rejoint.control.comparison.compare import Settings, TrialRunner, vary_directions
 from rejoint.control.comparison.protocols import INSET, RISING_AHEAD, RISING_LEFT, iso_poses
-from rejoint.control.comparison.result import Protocol
+from rejoint.control.comparison.result import Protocol, TargetErrors
 from standin import StandIn
 
 ARM = mycobot280()
@@ -35,8 +35,9 @@ class Dragging(StandIn):
         return self.tcp() - BEHIND * self.way
 
 
-def holding(**more):
-    return Holding(**{"open_robot": Dragging, "batched": True, "seed": 0} | more)
+def holding(*, batched=True, **more):
+    settings = Settings(batched=batched, repetitions=2, protocol=SHORT)
+    return TrialRunner(Dragging, {"default": DefaultController}, np.zeros((1, 1, 3)), settings, **more)
 
 
 @pytest.mark.parametrize(("plane", "across"), [(RISING_AHEAD, 0), (RISING_LEFT, 1)])
@@ -49,7 +50,7 @@ def test_the_poses_are_the_centre_and_four_near_the_corners_of_a_diagonal_plane(
 
 
 def test_a_tool_that_drags_behind_varies_with_the_direction_and_its_encoders_do_not():
-    found = vary_directions(holding(), "default", DefaultController, ARM, 2, SHORT)
+    found = vary_directions(holding(), "default", ARM)
     assert (found.poses, found.cycles) == (5, 2)
     assert found.encoders.mean.value < 2e-4
     assert found.tool.mean.value == pytest.approx(np.sqrt(2.0) * BEHIND, rel=0.1), "directions at right angles"
@@ -57,8 +58,8 @@ def test_a_tool_that_drags_behind_varies_with_the_direction_and_its_encoders_do_
 
 def test_cycles_on_one_arm_are_driven_one_after_the_other():
     targets = ARM.targets.sample(np.random.default_rng(0), (3, 2))
-    side_by_side = holding().hold(DefaultController, targets, SHORT)
-    in_turn = Holding(open_robot=Dragging, batched=False, seed=0).hold(DefaultController, targets, SHORT)
+    side_by_side = holding().hold(DefaultController, targets)
+    in_turn = holding(batched=False).hold(DefaultController, targets)
     np.testing.assert_allclose(in_turn["settled"], side_by_side["settled"], atol=1e-6)
     np.testing.assert_allclose(in_turn["settled_true"], side_by_side["settled_true"], atol=1e-4)
 
@@ -76,8 +77,8 @@ class Beside:
 def test_the_arm_as_it_was_found_is_not_aimed():
     targets = ARM.targets.sample(np.random.default_rng(1), (2,))
     how = holding(correction=lambda _: Beside())
-    aimed = how.hold(DefaultController, targets[None], SHORT)["settled_true"][0]
-    found = found_errors(how, DefaultController, targets, SHORT)
+    aimed = how.hold(DefaultController, targets[None])["settled_true"][0]
+    found = TargetErrors.of(how.hold(DefaultController, targets[None], corrected=False))
     assert [error.how for error in found.true] == ["known", "known"]
     np.testing.assert_allclose([error.value for error in found.true], BEHIND, rtol=0.1)
     assert (aimed > 0.007).all()

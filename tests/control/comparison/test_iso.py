@@ -3,12 +3,8 @@
 import numpy as np
 import pytest
 
-from rejoint.control.comparison.protocols import (
-    direction_variation,
-    position_accuracy,
-    position_repeatability,
-    reversal,
-)
+from rejoint.control.comparison.protocols import direction_variation, reversal
+from rejoint.control.comparison.result import position_accuracy, position_repeatability
 
 CROSS = np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
 

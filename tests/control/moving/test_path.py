@@ -1,7 +1,5 @@
 """Laws of paths: they go through their points smoothly, and what an arm cannot do is refused before it moves."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -10,7 +8,6 @@ from rejoint.arms.posing import missed_pose
 from rejoint.control.moving.posture import PathPostures
 from rejoint.control.moving.reference import (
     Path,
-    path_of,
     read_path,
     standard_path,
 )
@@ -31,17 +28,13 @@ def test_a_path_goes_through_its_points_from_time_zero_and_stands_still_outside(
     assert path.time[0] == 0.0
     assert np.allclose(path.at(path.time), path.place, atol=1e-12)
     assert np.allclose(path.at([-1.0, path.duration + 1.0]), path.place[[0, -1]], atol=1e-15)
-    assert not path.velocity(np.array([-1.0, path.duration + 1.0])).any()
 
 
-def test_velocity_and_acceleration_are_derivatives_and_continuous():
-    path, h = bent(), 1e-5
-    time = np.linspace(0.01, path.duration - 0.01, 97)
-    assert np.allclose(path.velocity(time), (path.at(time + h) - path.at(time - h)) / (2 * h), atol=1e-6)
-    slope = (path.velocity(time + h) - path.velocity(time - h)) / (2 * h)
-    assert np.allclose(path.acceleration(time), slope, atol=1e-3)
-    knots, tiny = path.time[1:-1], 1e-9
-    assert np.allclose(path.acceleration(knots - tiny), path.acceleration(knots + tiny), atol=1e-4)
+def test_a_path_is_smooth_through_its_points():
+    path, h = bent(), 1e-6
+    knots = path.time[1:-1]
+    before, after = (path.at(knots) - path.at(knots - h)) / h, (path.at(knots + h) - path.at(knots)) / h
+    assert np.allclose(before, after, atol=1e-4)
 
 
 def test_a_parabola_is_reproduced_exactly():
@@ -99,19 +92,17 @@ def test_postures_reach_their_places_and_depend_on_nothing_else():
     assert np.abs(there - back).max() < 1e-3
 
 
-def test_a_path_turns_the_tool_smoothly_through_what_is_given_whatever_the_signs_of_quaternions(tmp_path):
+def test_a_path_turns_the_tool_smoothly_through_what_is_given(tmp_path):
     time = np.linspace(0.0, 4.0, 9)
     place = np.array([0.18, 0.0, 0.2]) + 0.02 * np.sin(time)[:, None] * np.array([0.0, 1.0, 0.5])
     angles = [[180.0 - 8.0 * np.sin(t), 5.0 * np.sin(2 * t), -90.0 + 6.0 * t] for t in time]
     file = tmp_path / "poses.csv"
     lines = [",".join(map(str, [t, *1e3 * p, *a])) for t, p, a in zip(time, place, angles, strict=True)]
     file.write_text("\n".join(["time,x,y,z,rx,ry,rz", *lines]))
-    path = read_path(file).on(ARM)
+    path = read_path(file, ARM)
     wanted = placed(ARM, [Pose(place_m=p, angles_rad=np.radians(a)) for p, a in zip(place, angles, strict=True)])[1]
     assert wanted.angle(path.turn_at(time).rotation).max() < 1e-6
-    flipped = replace(path, quaternion=path.quaternion * np.where(np.arange(9) % 2, -1.0, 1.0)[:, None])
     fine = np.linspace(0.0, 4.0, 400)
-    np.testing.assert_allclose(flipped.turn_at(fine).rotation, path.turn_at(fine).rotation, atol=1e-12)
     ways = path.turn_at(fine[1:]).angle(path.turn_at(fine[:-1]).rotation) / np.diff(fine)
     assert ways.max() < np.radians(30.0)
     path.require_followable(ARM)
@@ -119,5 +110,5 @@ def test_a_path_turns_the_tool_smoothly_through_what_is_given_whatever_the_signs
     found = postures.along(path.at(fine)[:, None], path.turn_at(fine)[:, None])[:, 0]
     off, angle = missed_pose(ARM, found, path.at(fine), path.turn_at(fine))
     assert (off.max(), angle.max()) < (1e-4, np.radians(0.1))
-    back = path_of(path.time, path.place, path.turn_at(path.time), "back")
+    back = Path(time=path.time, place=path.place, turn=path.turn_at(path.time))
     np.testing.assert_allclose(back.turn_at(fine).rotation, path.turn_at(fine).rotation, atol=1e-9)

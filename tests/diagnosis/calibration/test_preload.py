@@ -11,9 +11,8 @@ from rejoint.arms.rotations import rotation_about
 from rejoint.control.catalogue import make_controller
 from rejoint.control.loop import Schedule, run
 from rejoint.control.targets import draw_targets
-from rejoint.diagnosis.calibration.calibration import Calibration
+from rejoint.diagnosis.calibration.calibration import WEDGE, Calibration, preload
 from rejoint.diagnosis.calibration.parameters import DisplacementLayout
-from rejoint.diagnosis.calibration.preload import WEDGE, preload
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
 

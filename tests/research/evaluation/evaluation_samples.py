@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from rejoint.control.comparison.protocols import Columns
-from rejoint.control.comparison.result import METRICS, Protocol
+from rejoint.control.comparison.result import METRICS, MODELLED, Columns, Protocol
 
 
 def outcome(
@@ -13,6 +12,7 @@ def outcome(
     shape = settled_mm.shape
     names = (*METRICS, "x", "y", "z", "tripped")
     found = {name: np.zeros(shape) for name in names if not name.startswith(("away", "modelled"))}
+    found |= {name: np.full(shape, np.nan) for name in MODELLED}
     found |= {name: np.ones(shape) if stay is None else stay for name in Protocol().stay_names}
     found |= {"held": np.ones(shape), "crossed": np.ones(shape), "crossing_time": np.full(shape, cycle / shape[1])}
     found |= {"settled": settled_mm / 1e3, "settled_true": settled_mm / 1e3 + 0.007}

@@ -7,8 +7,7 @@ from evaluation_samples import outcome
 from rejoint.arms import mycobot280
 from rejoint.control.classical import IntegratorController
 from rejoint.control.comparison.result import Protocol
-from rejoint_lab.research.evaluation.contestants import Contestant
-from rejoint_lab.research.evaluation.evaluate import evaluate, outcome_path
+from rejoint_lab.research.evaluation.evaluate import Contestant, evaluate, outcome_path
 from rejoint_lab.research.evaluation.family import (
     ArmFamily,
     family_payloads,
@@ -16,8 +15,7 @@ from rejoint_lab.research.evaluation.family import (
     family_wears,
     find_variant,
 )
-from rejoint_lab.research.evaluation.page import terminal_tables
-from rejoint_lab.research.evaluation.summary import summarise
+from rejoint_lab.research.evaluation.summary import pool, summarise, terminal_tables
 from rejoint_lab.research.evaluation.trials import TrialSettings, keep
 
 ARM = mycobot280()
@@ -42,13 +40,10 @@ def test_families_share_no_arm():
 
 
 def test_the_best_rival_is_the_soonest_and_not_a_policy():
-    contestants = [
-        Contestant(name=name, group=group, make=IntegratorController, identity=name, learned=learned)
-        for name, group, learned in (("slow", "slow", False), ("fast", "fast", False), ("p #0", "p", True))
-    ]
+    groups = {"slow": "slow", "fast": "fast", "p #0": "p"}
     stays = {"slow": 2.0, "fast": 1.5, "p #0": 1.0}
     outcomes = {("worn", n): outcome(np.full((3, 2), 0.3), np.full((3, 2), s)) for n, s in stays.items()}
-    result = summarise(ARM, SETTINGS, contestants, {"worn": "worn arms"}, outcomes)
+    result = summarise("an arm", SETTINGS, {"worn": "worn arms"}, pool(groups, outcomes), {"p"})
     assert result.best == {"worn": "fast"}
     assert {pair.rival for pair in result.pairs} == {"slow", "fast"}
     assert result.on("worn")[2].seeds == 1
@@ -79,7 +74,7 @@ def test_outcomes_survive_the_disk(tmp_path):
 def test_the_same_command_takes_over_what_is_done(tmp_path):
     made = []
 
-    def make(arm):
+    def make(arm, _twins):
         made.append(arm)
         return IntegratorController(arm)
 

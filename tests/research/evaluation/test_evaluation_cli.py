@@ -17,7 +17,7 @@ def test_a_family_is_evaluated_and_resumed(cli, tmp_path):
 
 
 def test_targets_anywhere_are_held_by_controllers_that_know_each_arm_by_its_twin(cli, tmp_path, monkeypatch):
-    monkeypatch.setattr("rejoint_lab.research.evaluation.evaluate.own_twin", lambda *_: a_twin())
+    monkeypatch.setattr("rejoint_lab.research.evaluation.trials.own_twin", lambda *_: a_twin())
     held = "--variants", "anywhere", "--controllers", "feedforward,predictive", "--crossings", "0", "--seed", "1"
     rows = rows_of(cli, "evaluate", tmp_path, "--arms", "2", "--targets", "1", *held)
     assert [row["controller"] for row in rows] == ["feedforward", "predictive"]
@@ -26,8 +26,8 @@ def test_targets_anywhere_are_held_by_controllers_that_know_each_arm_by_its_twin
 
 
 def test_calibrations_are_tried_in_the_target_region_and_anywhere(cli, tmp_path, monkeypatch):
-    monkeypatch.setattr("rejoint_lab.research.evaluation.evaluate.own_twin", lambda *_: a_twin())
+    monkeypatch.setattr("rejoint_lab.research.evaluation.trials.own_twin", lambda *_: a_twin())
     rows = rows_of(cli, "calibrate", tmp_path, "--arms", "1", "--targets", "2", "--variants", "worn")
-    error = {(row["where"], row["points"]): row["error"]["value"] for row in rows}
+    error = {(row["where"], row["points"]): row["settled_true"]["mean"]["value"] for row in rows}
     for where in ("target region", "anywhere"):
         assert error[where, 20] < 0.5 * error[where, 0]

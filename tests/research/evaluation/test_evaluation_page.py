@@ -7,12 +7,10 @@ from markupsafe import Markup
 
 from readpage import Page
 from rejoint.arms import mycobot280
-from rejoint.control.classical import IntegratorController
 from rejoint.control.comparison.result import Protocol
 from rejoint.system.files import read_json
-from rejoint_lab.research.evaluation import page
-from rejoint_lab.research.evaluation.contestants import Contestant
-from rejoint_lab.research.evaluation.evaluate import conclude
+from rejoint_lab.research.evaluation import summary
+from rejoint_lab.research.evaluation.evaluate import Contestant, conclude
 from rejoint_lab.research.evaluation.family import ArmFamily
 from rejoint_lab.research.evaluation.summary import Evaluation, pool, summarise
 from rejoint_lab.research.evaluation.trials import TrialSettings
@@ -22,8 +20,7 @@ SETTINGS = TrialSettings(family=ArmFamily(arms=8, targets=3), protocol=Protocol(
 MEANINGS = {"worn": "worn arms", "payload": "worn arms with a load"}
 NAMES = (("slow", "slow"), ("fast", "fast"), ("p #0", "p"), ("p #1", "p"))
 CONTESTANTS = [
-    Contestant(name=name, group=group, make=IntegratorController, identity=name, learned=group == "p")
-    for name, group in NAMES
+    Contestant(name=name, group=group, make=None, identity=name, learned=group == "p") for name, group in NAMES
 ]
 
 
@@ -42,13 +39,13 @@ def outcomes():
 
 @pytest.fixture(scope="module")
 def evaluation(outcomes):
-    return summarise(ARM, SETTINGS, CONTESTANTS, MEANINGS, outcomes)
+    return summarise(ARM.name, SETTINGS, MEANINGS, pool(dict(NAMES), outcomes), {"p"})
 
 
 @pytest.fixture
 def show(outcomes, tmp_path, monkeypatch):
     """Makes the page of an evaluation; figures are kept in ``show.figures`` instead of being drawn."""
-    pooled = pool(CONTESTANTS, MEANINGS, outcomes)
+    pooled = pool(dict(NAMES), outcomes)
 
     def keep(figure, key, alt):
         make.figures[key] = figure
@@ -56,10 +53,10 @@ def show(outcomes, tmp_path, monkeypatch):
 
     def make(evaluation):
         make.figures = {}
-        page.write_page(tmp_path / "evaluation.html", evaluation, pooled)
+        summary.write_page(tmp_path / "evaluation.html", evaluation, pooled)
         return Page(tmp_path / "evaluation.html")
 
-    monkeypatch.setattr(page, "inline_svg", keep)
+    monkeypatch.setattr(summary, "inline_svg", keep)
     return make
 
 

@@ -10,10 +10,16 @@ from PIL import Image
 from rejoint.arms import mycobot280
 from rejoint.control.policy import load_policy
 from rejoint.system.errors import InputError
-from rejoint_lab.research.reproduction.bench import QUICK, Bench
-from rejoint_lab.research.reproduction.campaign import EXPERIMENTS, choose, run_experiments, write_page
+from rejoint_lab.research.reproduction.campaign import (
+    EXPERIMENTS,
+    QUICK,
+    WORN,
+    Bench,
+    choose,
+    run_experiments,
+    write_page,
+)
 from rejoint_lab.research.reproduction.episodes import play, ranges_of
-from rejoint_lab.research.reproduction.trainings import WORN
 
 ARM = mycobot280()
 

@@ -5,10 +5,17 @@ import pytest
 
 from rejoint.arms import mycobot280
 from rejoint.system.errors import InputError, RejointError
-from rejoint_lab.research.reproduction import gains
-from rejoint_lab.research.reproduction.bench import QUICK, Bench, Experiment, Printed
-from rejoint_lab.research.reproduction.campaign import EXPERIMENTS, choose
-from rejoint_lab.research.reproduction.trainings import WORN, finish_trainings
+from rejoint_lab.research.reproduction import models
+from rejoint_lab.research.reproduction.campaign import (
+    EXPERIMENTS,
+    QUICK,
+    WORN,
+    Bench,
+    Experiment,
+    Printed,
+    choose,
+    finish_trainings,
+)
 
 ARM = mycobot280()
 
@@ -29,14 +36,14 @@ def test_experiments_are_chosen_by_any_of_their_names_in_the_paper_s_order():
 
 
 def test_overshoot_and_error_of_a_known_path():
-    steps = round(gains.DWELL / gains.STEP)
-    time = np.arange(steps) * gains.STEP
+    steps = round(models.DWELL / models.STEP)
+    time = np.arange(steps) * models.STEP
     ringing = 1.0 - np.exp(-8.0 * time) * np.cos(2 * np.pi * 2.0 * time)
     path = np.zeros((2 * steps, 3))
     path[:steps, 0], path[steps:, 0] = 0.2 * ringing, 0.2
     path[steps:, 1] = 0.1 * ringing
     targets = np.array([[0.203, 0.0, 0.0], [0.2, 0.103, 0.0]])
-    error, overshoot = gains.judge(path, targets)
+    error, overshoot = models.judge(path, targets)
     assert error == pytest.approx(3.0, abs=0.01)
     assert overshoot == pytest.approx(100 * (ringing.max() - 1.0), abs=0.1)
 

@@ -6,9 +6,13 @@ from rejoint.control.classical import IntegratorController
 from rejoint.control.goal import nearest_postures
 from rejoint.system.errors import InputError
 from rejoint.training.ranges import BroadRanges
-from rejoint_lab.research.rivals.adaptive import AdaptiveController, AdaptiveGains
-from rejoint_lab.research.rivals.catalogue import make_rival
-from rejoint_lab.research.rivals.scheduled import ScheduledController, ScheduledGains
+from rejoint_lab.research.rivals.laws import (
+    AdaptiveController,
+    AdaptiveGains,
+    ScheduledController,
+    ScheduledGains,
+    make_rival,
+)
 from rejoint_lab.research.rivals.tuning import TuningSettings, tune
 from standin import inputs_of, state_of
 

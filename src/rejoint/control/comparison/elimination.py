@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rejoint.arms import Array
-from rejoint.control.comparison.protocols import Columns
 from rejoint.control.comparison.result import WAS_WORSE
 from rejoint.control.controller import ControlInput, Controller
 from rejoint.control.guard import Reason
@@ -47,11 +46,11 @@ def missed_in_a_row(crossed: Array) -> bool:
     return bool((misses == MISSES).any())
 
 
-def worse(results: Mapping[str, Columns], rules: Elimination, tests: int) -> dict[str, str]:
-    """Significantly worse controllers with reasons; columns (N,)."""
+def worse(settled: Mapping[str, Array], rules: Elimination, tests: int) -> dict[str, str]:
+    """Significantly worse controllers with reasons, by settled errors (N,) [m]."""
     from scipy import stats  # here, since it takes a second to load
 
-    logs = {name: np.log(np.maximum(columns["settled"], rules.nearest)) for name, columns in results.items()}
+    logs = {name: np.log(np.maximum(errors, rules.nearest)) for name, errors in settled.items()}
     together = np.isfinite(list(logs.values())).all(axis=0)
     if together.sum() < 2:
         return {}

@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from rejoint.control.comparison.protocols import Driven, Key
-from rejoint.control.comparison.result import Ended
+from rejoint.control.comparison.result import Driven, Ended, Key
 from rejoint.system.errors import FileError
 from rejoint.system.files import MEGABYTE, read_bounded, set_aside, unwritable
 

@@ -7,7 +7,7 @@ ones. A 95 % interval that contains zero is a tie. Eliminated controllers are ou
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,18 +34,34 @@ class Recommendation:
     """less simple controllers"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _Criterion:
     name: str
-    results: Callable[[str], Array]
-    """(N,) per target; smaller is better"""
+    results: dict[str, Array]
+    """(N,) per target by controller; smaller is better"""
+    unit: str
+    """format of a value"""
+    factor: float = 1.0
+    """to that unit"""
     missing: float
     """value of a missing result"""
-    show: Callable[[float], str]
-    plain: float
+    plain: float = np.inf
     """significant difference without an interval"""
     matters: float = 0.0
     """smallest relevant difference"""
+
+    def filled(self, name: str) -> Array:
+        """Results, a value for missing ones too."""
+        return np.where(np.isfinite(self.results[name]), self.results[name], self.missing)
+
+    def mean(self, row: ControllerRow) -> float:
+        """Over all targets."""
+        return float(self.filled(row.controller).mean())
+
+    def show(self, row: ControllerRow, missing: str) -> str:
+        """Print the mean."""
+        mean = self.mean(row)
+        return self.unit.format(self.factor * mean) if np.isfinite(mean) else missing
 
 
 def recommend(comparison: Comparison) -> Recommendation:
@@ -56,7 +72,7 @@ def recommend(comparison: Comparison) -> Recommendation:
         ["Every controller was stopped; this one got farthest."] if len(decided) == len(comparison.rows) else []
     )
     for criterion in _criteria(comparison):
-        best = min(left, key=lambda row: (_mean(criterion, row), _by_complexity(row)))
+        best = min(left, key=lambda row: (criterion.mean(row), _by_complexity(row)))
         tied = [row for row in left if _tie(criterion, best, row, comparison.shape)]
         decided += [_beaten(criterion, best, row) for row in left if row not in tied]
         left = tied
@@ -74,76 +90,54 @@ def difference(comparison: Comparison, first: str, second: str, name: str = "set
     return paired_difference(a, b, cluster(comparison.shape)[1])
 
 
-def _criteria(comparison: Comparison) -> tuple[_Criterion, ...]:
+def _criteria(comparison: Comparison) -> Iterator[_Criterion]:
     protocol = comparison.protocol
     narrow, *wider = map(int, np.argsort(protocol.within))
-    return (
-        _Criterion(
-            name="of the targets missed",
-            results=lambda name: 1.0 - comparison.array("crossed", name).ravel(),
-            missing=1.0,
-            show=lambda share: f"{100 * share:.0f} %",
-            plain=0.0,
-        ),
-        _Criterion(
-            name="settled error",
-            results=lambda name: comparison.array("settled", name).ravel(),
-            missing=np.inf,
-            show=lambda metres: f"{1e3 * metres:.2f} mm",
-            plain=protocol.within[narrow],
-        ),
-        *_turned(comparison),
-        _stays(comparison, narrow, matters=0.0),
-        *(_stays(comparison, within, matters=SOONER) for within in wider),
+
+    def results(metric: str) -> dict[str, Array]:
+        return {name: comparison.array(metric, name).ravel() for name in comparison.controllers}
+
+    missed = {name: 1.0 - crossed for name, crossed in results("crossed").items()}
+    yield _Criterion(
+        name="of the targets missed", results=missed, unit="{:.0f} %", factor=100.0, missing=1.0, plain=0.0
     )
-
-
-def _stays(comparison: Comparison, within: int, matters: float) -> _Criterion:
-    protocol = comparison.protocol
-    return _Criterion(
-        name=f"to stay within {1e3 * protocol.within[within]:g} mm",
-        results=lambda name: comparison.array(protocol.stay_names[within], name).ravel(),
-        missing=protocol.hold,
-        show=lambda seconds: f"{seconds:.2f} s",
-        plain=np.inf,
-        matters=matters,
+    yield _Criterion(
+        name="settled error",
+        results=results("settled"),
+        unit="{:.2f} mm",
+        factor=1e3,
+        missing=np.inf,
+        plain=protocol.within[narrow],
     )
-
-
-def _turned(comparison: Comparison) -> tuple[_Criterion, ...]:
-    if not comparison.orientations:
-        return ()
-    asked = np.array([word != "" for words in comparison.orientations for word in words])
-    sets, repetitions, count = comparison.shape
-    rows = np.broadcast_to(asked.reshape(sets, 1, count), (sets, repetitions, count))
-
-    def results(name: str) -> Array:
-        return np.where(rows, comparison.array("turned", name), 0.0).ravel()
-
-    return (
-        _Criterion(
+    if comparison.orientations:
+        asked = np.array(comparison.orientations)[:, None] != ""
+        rows = np.broadcast_to(asked, comparison.shape).ravel()
+        yield _Criterion(
             name="of orientation",
-            results=results,
+            results={name: np.where(rows, turned, 0.0) for name, turned in results("turned").items()},
+            unit="{:.2f} deg",
+            factor=float(np.degrees(1.0)),
             missing=np.inf,
-            show=lambda angle: f"{np.degrees(angle):.2f} deg",
             plain=float(np.radians(1.0)),
-        ),
-    )
-
-
-def _mean(criterion: _Criterion, row: ControllerRow) -> float:
-    results = criterion.results(row.controller)
-    return float(np.where(np.isfinite(results), results, criterion.missing).mean())
+        )
+    for within in (narrow, *wider):
+        yield _Criterion(
+            name=f"to stay within {1e3 * protocol.within[within]:g} mm",
+            results=results(protocol.stay_names[within]),
+            unit="{:.2f} s",
+            missing=protocol.hold,
+            matters=0.0 if within == narrow else SOONER,
+        )
 
 
 def _tie(criterion: _Criterion, best: ControllerRow, row: ControllerRow, shape: tuple[int, int, int]) -> bool:
-    ours, theirs = criterion.results(best.controller), criterion.results(row.controller)
+    ours, theirs = criterion.results[best.controller], criterion.results[row.controller]
     if not np.isfinite(criterion.missing):
         lost = int(np.isnan(theirs).sum()) - int(np.isnan(ours).sum())
         if lost:  # holds that the guard cut short: no number stands for them
             return lost < 0
     else:
-        ours, theirs = (np.where(np.isfinite(part), part, criterion.missing) for part in (ours, theirs))
+        ours, theirs = criterion.filled(best.controller), criterion.filled(row.controller)
     estimate = paired_difference(theirs, ours, cluster(shape)[1])
     if estimate is not None and estimate.low is None:
         return estimate.value <= criterion.plain
@@ -151,11 +145,10 @@ def _tie(criterion: _Criterion, best: ControllerRow, row: ControllerRow, shape: 
 
 
 def _beaten(criterion: _Criterion, best: ControllerRow, row: ControllerRow) -> str:
-    worse, better = _mean(criterion, row), _mean(criterion, best)
     short = f"{row.controller}: holds cut short, so that no {criterion.name} is known."
-    if np.isfinite(worse):
-        against = criterion.show(better) if np.isfinite(better) else "fewer holds"
-        short = f"{row.controller}: {criterion.show(worse)} {criterion.name}, against {against} of {best.controller}."
+    if np.isfinite(criterion.mean(row)):
+        against = criterion.show(best, "fewer holds")
+        short = f"{row.controller}: {criterion.show(row, '')} {criterion.name}, against {against} of {best.controller}."
     return f"{short} {failure(row)}" if row.failures else short
 
 
@@ -166,19 +159,16 @@ def _tied(chosen: ControllerRow, others: list[ControllerRow], comparison: Compar
     few = "too few trials to tell them apart" if _uncertain(comparison) else "no measurable difference"
     lines, better = [f"A tie of {names}: {few}. {name} is recommended because it is simpler."], []
     for criterion in _criteria(comparison):
-        best = min(others, key=lambda row: _mean(criterion, row))
-        ours, theirs = _mean(criterion, chosen), _mean(criterion, best)
-        if theirs < ours and criterion.show(theirs) != criterion.show(ours):
-            against = criterion.show(ours) if np.isfinite(ours) else "holds cut short"
-            better.append(
-                f"{best.controller} {criterion.show(theirs)} {criterion.name}, against {against} "
-                f"({_needed(criterion, chosen, best, comparison)} would decide)"
-            )
+        best = min(others, key=criterion.mean)
+        ours, theirs = criterion.show(chosen, "holds cut short"), criterion.show(best, "")
+        if criterion.mean(best) < criterion.mean(chosen) and theirs != ours:
+            needed = _needed(criterion, chosen, best, comparison)
+            better.append(f"{best.controller} {theirs} {criterion.name}, against {ours} ({needed} would decide)")
     return [*lines, f"Better in the mean, which may be chance: {'; '.join(better)}."] if better else lines
 
 
 def _needed(criterion: _Criterion, chosen: ControllerRow, better: ControllerRow, comparison: Comparison) -> str:
-    ours, theirs = criterion.results(chosen.controller), criterion.results(better.controller)
+    ours, theirs = criterion.results[chosen.controller], criterion.results[better.controller]
     found = paired_difference(ours, theirs, cluster(comparison.shape)[1])
     if found is None or found.low is None or found.value <= 0.0:
         return "more target sets or repetitions"
@@ -223,15 +213,11 @@ def _geared(row: ControllerRow) -> tuple[str, ...]:
     )
 
 
-def complexity(controller: str) -> tuple[float, str]:
-    """Rank: the simplest first, unknown ones last."""
-    name = inner_name(controller)
-    known = CONTROLLERS.index(name) if name in CONTROLLERS else len(CONTROLLERS)
-    return known + 0.5 * (name != controller), controller
-
-
 def _by_complexity(row: ControllerRow) -> tuple[float, str]:
-    return complexity(row.controller)
+    """Rank: the simplest first, unknown ones last."""
+    name = inner_name(row.controller)
+    known = CONTROLLERS.index(name) if name in CONTROLLERS else len(CONTROLLERS)
+    return known + 0.5 * (name != row.controller), row.controller
 
 
 def _listed(names: list[str]) -> str:
@@ -255,13 +241,11 @@ def failure(row: ControllerRow) -> str:
     if row.out:
         return f"{name} {row.out}: what was left of its trials was not driven, and counts neither for nor against it."
     if row.failures:
-        return f"{name}: {row.failures} run{'s' * (row.failures > 1)} ended early, because {_why(row)}."
+        reasons = dict.fromkeys(
+            MEANINGS.get(why, why) for why, _ in Counter(end.why for end in row.ended).most_common()
+        )
+        return f"{name}: {row.failures} run{'s' * (row.failures > 1)} ended early, because {', or '.join(reasons)}."
     if row.reached == 0.0:
         off = "" if row.settled is None else f"; it comes to rest {1e3 * row.settled.mean.value:.1f} mm off"
         return f"{name} reached none of its targets in time{off}."
     return ""
-
-
-def _why(row: ControllerRow) -> str:
-    names = [name for name, _ in Counter(end.why for end in row.ended).most_common()]
-    return ", or ".join(MEANINGS.get(name, name) for name in names)

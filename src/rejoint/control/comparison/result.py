@@ -5,26 +5,31 @@ Metres, seconds, shares from 0 to 1; None: unknown.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
 
 import numpy as np
 import pyarrow as pa
 
 from rejoint.arms import Array
-from rejoint.control.correction import NOT_KNOWN, TrueError
+from rejoint.control.correction import NOT_KNOWN, TrueError, mean_modelled
 from rejoint.system.errors import InputError
-from rejoint.system.statistics import Estimate, Spread
+from rejoint.system.statistics import Estimate, Labels, Spread, cluster, clustered_share, spread
 
 Values = tuple[float | None, ...]
 
 WAS_WORSE = "was worse than "
 
-METRICS = {
+MODELLED = ("modelled", "modelled_low", "modelled_high")
+CROSSING = {
     "crossed": "1 where the threshold was crossed in time, else 0",
     "crossing_error": "[m] encoder error at the crossing or the time-out",
     "crossing_true": "[m] true error at that moment",
     "crossing_time": "[s] until then",
+}
+HOLDING = {
     "held": "1 where the target was held",
     "settled": "[m] encoder error, mean of the last part of the hold; None where the guard ended it before",
     "settled_true": "[m] true error over the same time",
@@ -32,23 +37,23 @@ METRICS = {
     "turned": "[rad] orientation error by the encoders over the same time; None where no orientation is asked for",
     **{f"away_{axis}": "[m] mean place of the tool by the encoders less the corrected target" for axis in "xyz"},
     **{f"away_true_{axis}": "[m] mean place of the tool itself less the target" for axis in "xyz"},
-    "modelled": "[m] true error by a calibration, where it is not known",
-    "modelled_low": "[m] lower end of its 95 % interval",
-    "modelled_high": "[m] upper end",
+    **dict(
+        zip(
+            MODELLED,
+            ("[m] true error by a calibration", "[m] lower end of its 95 % interval", "[m] upper"),
+            strict=True,
+        )
+    ),
 }
+METRICS = CROSSING | HOLDING
 """Columns, besides `Protocol.stay_names` [s] (the hold's length: never)"""
 
+Columns = dict[str, Array]
+"""Metrics by name, all of one shape, such as (B, K); NaN: none"""
 
-@dataclass(frozen=True, kw_only=True)
-class Stay:
-    """Time within a distance."""
 
-    within: float
-    """[m]"""
-    share: Estimate
-    """of the holds"""
-    median: float | None
-    """[s] over all holds; None: in fewer than half"""
+Kind = Literal["crossing", "hold"]
+KINDS: tuple[Kind, ...] = ("crossing", "hold")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,6 +68,51 @@ class Ended:
     """index"""
     why: str
     """see `reason_names`"""
+
+
+Place = tuple[int, int]
+Places = tuple[Place, ...]
+Key = tuple[str, Kind, Places, int]
+"""Controller, protocol, trials, first target"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Driven:
+    """A trial, or those of a batch."""
+
+    controller: str
+    kind: Kind
+    places: Places
+    columns: Columns
+    """(B, K)"""
+    cycles: int
+    reasons: dict[str, int]
+    ended: tuple[Ended, ...]
+    failed: bool = False
+    first: int = 0
+    """index"""
+
+    @property
+    def key(self) -> Key:
+        """Identity."""
+        return self.controller, self.kind, self.places, self.first
+
+    @property
+    def targets(self) -> int:
+        """Number."""
+        return int(next(iter(self.columns.values())).shape[1])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stay:
+    """Time within a distance."""
+
+    within: float
+    """[m]"""
+    share: Estimate
+    """of the holds"""
+    median: float | None
+    """[s] over all holds; None: in fewer than half"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,12 +212,27 @@ class Protocol:
 
 @dataclass(frozen=True, kw_only=True)
 class TargetErrors:
-    """Errors at targets."""
+    """Mean errors at targets."""
 
     encoders: Values
     """[m] from the corrected target"""
     true: tuple[TrueError, ...]
     """of the tool"""
+
+    @classmethod
+    def of(cls, found: Columns) -> TargetErrors:
+        """Means of columns (R, K) over the repetitions."""
+        known = [_mean(values) for values in found["settled_true"].T]
+        modelled = [
+            mean_modelled(np.array(values)) for values in zip(*(found[name].T for name in MODELLED), strict=True)
+        ]
+        return cls(
+            encoders=tuple(_mean(values) for values in found["settled"].T),
+            true=tuple(
+                other if value is None else TrueError(how="known", value=value)
+                for value, other in zip(known, modelled, strict=True)
+            ),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -260,3 +325,101 @@ class Comparison:
         if controller not in self.controllers:
             raise InputError(f"no controller {controller!r} in this comparison; it has {self.controllers}")
         return self.controllers.index(controller)
+
+
+def summarise(controller: str, found: Columns, labels: Labels, protocol: Protocol) -> ControllerRow:
+    """Statistics of results (S, R, K) with 95 % intervals over the clusters ``labels``, flat."""
+    crossed, held = found["crossed"].ravel(), found["held"].ravel() == 1.0
+    stays = []
+    for within, name in zip(protocol.within, protocol.stay_names, strict=True) if held.any() else ():
+        time = found[name].ravel()[held]
+        stayed = time < protocol.hold  # not where a hold was cut short
+        median = float(np.median(np.where(stayed, time, np.inf)))
+        share = clustered_share(stayed.astype(float), labels[held])
+        stays.append(Stay(within=within, share=share, median=median if np.isfinite(median) else None))
+    names = ("crossing_error", "crossing_true", "settled", "settled_true", "oscillation", "turned")
+    spreads: dict[str, Any] = {name: spread(found[name].ravel(), labels) for name in names}
+    modelled = mean_modelled(np.array([found[name] for name in MODELLED]))
+    sets = labels.reshape(found["crossed"].shape)[..., 0].ravel()
+    return ControllerRow(
+        controller=controller,
+        success=clustered_share(crossed, labels) if np.isfinite(crossed).any() else None,
+        **spreads,
+        cycle_time=spread(cycle_times(found).ravel(), sets),
+        settled_modelled=None if modelled.value is None else modelled,
+        stays=tuple(stays),
+        held=int(np.isfinite(found["settled"]).sum()),
+    )
+
+
+def cycle_times(found: Columns) -> Array:
+    """Time (S, R) [s] for all targets, extrapolated from those driven; NaN where a trip ended the trial."""
+    driven = np.isfinite(found["crossed"])
+    time = np.where(driven, found["crossing_time"], 0.0).sum(axis=-1)
+    return np.asarray(driven.shape[-1] * time / np.where(driven.any(axis=-1), driven.sum(axis=-1), np.nan))
+
+
+def collect(driven: Iterable[Driven], shape: tuple[int, int, int], protocol: Protocol) -> Columns:
+    """All columns (S, R, K) of one controller's trials."""
+    columns = {name: np.full(shape, np.nan) for name in (*METRICS, *protocol.stay_names)}
+    for one in driven:
+        sets, repetitions = np.array(one.places).T
+        at = sets[:, None], repetitions[:, None], np.arange(one.first, one.first + one.targets)[None]
+        for name, values in one.columns.items():
+            columns[name][at] = values
+    return columns
+
+
+def row_of(controller: str, found: Columns, protocol: Protocol, driven: Sequence[Driven] = ()) -> ControllerRow:
+    """Statistics of results (S, R, K), and what the guard did while they were ``driven``."""
+    cycles, reasons = sum(one.cycles for one in driven), Counter[str]()
+    for one in driven:
+        reasons.update(one.reasons)
+    poses: dict[str, Any] = {}
+    for whose in ("", "_true"):
+        away = np.stack([found[f"away{whose}_{axis}"] for axis in "xyz"], axis=-1)
+        places = np.moveaxis(away, 1, 2)  # (S, K, R, 3)
+        each = np.arange(places.shape[0] * places.shape[1])
+        poses[f"accuracy{whose}"] = spread(position_accuracy(places, np.zeros(3)).ravel(), each)
+        poses[f"repeatability{whose}"] = spread(position_repeatability(places).ravel(), each)
+    return replace(
+        summarise(controller, found, cluster(found["crossed"].shape)[1], protocol),
+        **poses,
+        guard={name: count / cycles for name, count in reasons.most_common()},
+        ended=tuple(end for one in driven for end in one.ended),
+    )
+
+
+def position_accuracy(places: Array, target: Array) -> Array:
+    """AP (...) [m]: from the mean of ``places`` (..., R, 3) to ``target`` (..., 3)."""
+    return np.asarray(np.linalg.norm(places.mean(axis=-2) - target, axis=-1))
+
+
+def position_repeatability(places: Array) -> Array:
+    """RP (...) [m] of ``places`` (..., R, 3): mean distance from their mean, plus 3 sigma; NaN for R < 2."""
+    if places.shape[-2] < 2:
+        return np.full(places.shape[:-2], np.nan)
+    distance = np.linalg.norm(places - places.mean(axis=-2, keepdims=True), axis=-1)
+    return np.asarray(distance.mean(axis=-1) + 3.0 * distance.std(axis=-1, ddof=1))
+
+
+def comparison_of(parts: Mapping[str, Columns], targets: Array, **facts: Any) -> Comparison:  # noqa: ANN401
+    """Put controllers' results (S, R, K) together; ``targets`` (S, K, 3) [m], ``facts``: the other fields."""
+    shape = next(iter(parts.values()))["crossed"].shape
+    together = {name: np.stack([one[name] for one in parts.values()]) for name in next(iter(parts.values()))}
+    return Comparison(
+        repetitions=shape[1],
+        targets=tuple(tuple((float(x), float(y), float(z)) for x, y, z in points) for points in targets),
+        clusters=cluster(shape)[0],
+        results={name: _values(array) for name, array in together.items() if np.isfinite(array).any()},
+        **facts,
+    )
+
+
+def _values(array: Array) -> Values:
+    return tuple(float(value) if np.isfinite(value) else None for value in array.ravel())
+
+
+def _mean(values: Array) -> float | None:
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if len(known) else None

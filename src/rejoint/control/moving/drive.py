@@ -14,7 +14,7 @@ from rejoint.arms import Arm, Array, tcp_position
 from rejoint.arms.rotations import REACHED_TURN, Orientation
 from rejoint.control.correction import NOT_KNOWN, Modelled, ToolModel, TrueError, checked, modelled
 from rejoint.control.moving.posture import PathPostures
-from rejoint.control.moving.reference import LEAD_IN, Ahead, Corrected, Path, Stream, interpolated, path_of
+from rejoint.control.moving.reference import LEAD_IN, Ahead, Corrected, Path, Stream, interpolated
 from rejoint.control.recording import Recording
 from rejoint.logs.runlog import RunLog
 
@@ -72,7 +72,7 @@ def corrected_path(arm: Arm, path: Path, correction: Modelled, home: Array | Non
         aims = checked(places, places - correction.shift(way, came))
         turns = None if wanted is None else correction.untwisted(wanted, way, came)
         postures.last = way[:1]
-    return path_of(time, aims, turns, path.name)
+    return Path(time=time, place=aims, turn=turns, name=path.name)
 
 
 def corrector(
@@ -202,7 +202,7 @@ class Repetition:
         shift = self._shift()
         size = np.linalg.norm(shift, axis=-1, keepdims=True)
         place = place + shift * np.minimum(1.0, MOST / np.maximum(size, MOST))
-        return path_of(self._time, place, self._path.turn_at(self._time), self._path.name)
+        return Path(time=self._time, place=place, turn=self._path.turn_at(self._time), name=self._path.name)
 
     def _shift(self) -> Array:
         """Shift (K, 3) [m] of the path."""

@@ -14,7 +14,6 @@ from rejoint.arms import Arm, Array, collides, frames, gravity_torque, position_
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.posing import find_postures
 from rejoint.arms.rotations import Orientation, task
-from rejoint.system.errors import InputError
 
 SPARED = 20.0
 """of the lightest joints over the heaviest (measured)"""
@@ -135,14 +134,6 @@ class Servos:
     """(B, n) [rad] unloaded joint minus command"""
     delay: Array
     """(B,) [s] command to first effect"""
-
-    def __post_init__(self) -> None:
-        shape = np.shape(self.stiffness)
-        joints = (self.damping, self.coulomb, self.armature, self.torque_limit, self.offset)
-        if len(shape) != 2 or any(np.shape(one) != shape for one in joints) or np.shape(self.delay) != shape[:1]:
-            raise InputError(f"servos: stiffness has shape {shape}, expected (arms, joints), and all others as many")
-        if not ((self.stiffness > 0.0).all() and (self.torque_limit > 0.0).all()):
-            raise InputError("servos: stiffness and torque limits must be positive")
 
     def most(self) -> Array:
         """Largest useful following errors (B, n) [rad]."""

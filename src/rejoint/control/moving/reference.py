@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path as FilePath
 from threading import Lock
 from typing import Protocol
@@ -18,7 +18,7 @@ from scipy.interpolate import CubicSpline
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.posing import NEAR, TURNED, missed_pose
-from rejoint.arms.rotations import WEIGHT, Orientation, quaternion_of, same_side, stacked, tool_axis
+from rejoint.arms.rotations import Orientation, same_side, stacked
 from rejoint.arms.workspace import length_size
 from rejoint.control.moving.posture import PathPostures
 from rejoint.control.reference import Index, Reference, Setpoint
@@ -29,10 +29,10 @@ from rejoint.control.targets import (
     beyond_reach,
     in_mm,
     in_words,
-    lowest,
+    knots_of,
+    oriented,
+    placed,
     read_poses,
-    too_low,
-    turn_knot,
     turned_as,
     unit_hint,
 )
@@ -63,16 +63,9 @@ class Path:
     place: Array
     """(T, 3) [m]"""
     name: str = "path"
-    direction: Array | None = None
-    """(T, 3) in the base frame; None: any"""
-    quaternion: Array | None = None
-    """(T, 4) w, x, y, z, instead"""
-    weight: float = WEIGHT
-    """[m/rad] of the orientation"""
-    axis: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]), repr=False)
-    """(3,) tool axis in the tool frame; `on` sets it"""
-    _places: CubicSpline = field(init=False, repr=False)
-    _turn: CubicSpline | None = field(init=False, repr=False, default=None)  # of directions (3,) or quaternions (4,)
+    turn: Orientation | None = None
+    """(T,) of one kind and one weight; None: any"""
+    _values: CubicSpline = field(init=False, repr=False)  # of places, then of directions (3,) or quaternions (4,)
 
     def __post_init__(self) -> None:
         time = as_floats("path", self.time, "times (T,) in seconds").copy()
@@ -89,50 +82,14 @@ class Path:
         for name, value in (("time", time), ("place", place)):
             value.setflags(write=False)
             object.__setattr__(self, name, value)
-        turn = self._knots()
-        object.__setattr__(self, "_places", _spline(time, place))
-        object.__setattr__(self, "_turn", None if turn is None else _spline(time, turn))
-
-    def _knots(self) -> Array | None:
-        if self.direction is not None and self.quaternion is not None:
-            raise InputError("path: direction and quaternion are given, expected one of them")
-        given, size = (self.quaternion, 4) if self.direction is None else (self.direction, 3)
-        if given is None:
-            return None
-        turn = as_floats("path", given, f"orientations ({len(self.time)}, {size})")
-        if turn.shape != (len(self.time), size) or not (np.linalg.norm(turn, axis=-1) > 0.0).all():
-            raise InputError(
-                f"path: orientations of shape {turn.shape}, expected ({len(self.time)}, {size}), none zero"
-            )
-        turn = turn / np.linalg.norm(turn, axis=-1, keepdims=True)
-        turn = turn if size == 3 else same_side(turn)
-        if ((turn[1:] * turn[:-1]).sum(axis=-1) < _OPPOSITE).any():
+        knots = [] if self.turn is None else [knots_of(self.turn)]
+        if knots and ((knots[0][1:] * knots[0][:-1]).sum(axis=-1) < _OPPOSITE).any():
             raise InputError("path: the tool would turn round between two points; give points between them")
-        return turn
-
-    @property
-    def turned(self) -> bool:
-        """Whether it has orientations."""
-        return self._turn is not None
-
-    def on(self, arm: Arm) -> Path:
-        """Path for the tool of ``arm``."""
-        return replace(self, axis=tool_axis(arm)) if self.turned else self
+        object.__setattr__(self, "_values", _spline(time, np.concatenate([place, *knots], axis=-1)))
 
     def turn_at(self, time: Array | float) -> Orientation | None:
         """Orientations (...) at ``time`` (...) [s]; None: any."""
-        if self._turn is None:
-            return None
-        return turned_as(self._turn(np.clip(time, 0.0, self.duration)), self.axis, self.weight)
-
-    def pose_at(self, time: float) -> Pose:
-        """Pose at ``time`` [s]."""
-        place = self.at(time)
-        if self._turn is None:
-            return Pose(place_m=place)
-        knot = self._turn(np.clip(time, 0.0, self.duration))
-        kind = "quaternion" if self.direction is None else "direction"
-        return Pose(place_m=place, weight_m=self.weight, **{kind: knot})
+        return self.turn and turned_as(self._at(time)[..., 3:], self.turn.axis, float(self.turn.weight[0]))
 
     @property
     def duration(self) -> float:
@@ -141,20 +98,10 @@ class Path:
 
     def at(self, time: Array | float) -> Array:
         """Places (..., 3) [m] at ``time`` (...) [s]; constant outside."""
-        return np.asarray(self._places(np.clip(time, 0.0, self.duration)))
+        return self._at(time)[..., :3]
 
-    def velocity(self, time: Array | float) -> Array:
-        """(..., 3) [m/s] at ``time`` (...) [s]."""
-        return self._derivative(time, 1)
-
-    def acceleration(self, time: Array | float) -> Array:
-        """(..., 3) [m/s^2] at ``time`` (...) [s]."""
-        return self._derivative(time, 2)
-
-    def _derivative(self, time: Array | float, order: int) -> Array:
-        time = np.asarray(time)
-        moving = (time >= 0.0) & (time <= self.duration)
-        return np.asarray(moving[..., None] * self._places(np.clip(time, 0.0, self.duration), order))
+    def _at(self, time: Array | float) -> Array:
+        return np.asarray(self._values(np.clip(time, 0.0, self.duration)))
 
     def require_followable(self, arm: Arm) -> None:
         """Raise InputError unless ``arm`` can follow."""
@@ -172,9 +119,12 @@ class Path:
                 f"path: at {times[k]:.2f} s {in_mm(places[k])} is out of reach, {1e3 * beyond[k]:.0f} mm too far;"
                 f"{unit_hint(self.place)} give places that the tool can reach"
             )
-        if too_low(arm, places).any():
-            k = int(places[:, 2].argmin())
-            raise InputError(f"path: at {times[k]:.2f} s {in_mm(places[k])} {lowest(arm)}; lead it higher")
+        k = int(places[:, 2].argmin())
+        if places[k, 2] < arm.floor:
+            raise InputError(
+                f"path: at {times[k]:.2f} s {in_mm(places[k])} is lower than {1e3 * arm.floor:g} mm, where the guard "
+                "keeps the tool from the ground; lead it higher"
+            )
         turns = self.turn_at(times)
         begin = PathPostures(arm, places[:1], turns and turns[:1])
         postures = begin.along(places[:, None], turns and turns[:, None])[:, 0]
@@ -202,22 +152,6 @@ def _require_turned(arm: Arm, times: Array, places: Array, turns: Orientation, p
         )
 
 
-def path_of(time: Array, place: Array, turn: Orientation | None, name: str) -> Path:
-    """Path of ``place`` (T, 3) [m] at ``time`` (T,) [s] with orientations (T,) of one kind."""
-    if turn is None:
-        return Path(time=time, place=place, name=name)
-    whole = bool(turn.whole[0])
-    return Path(
-        time=time,
-        place=place,
-        name=name,
-        weight=float(turn.weight[0]),
-        axis=turn.axis,
-        direction=None if whole else turn.rotation @ turn.axis,
-        quaternion=quaternion_of(turn.rotation) if whole else None,
-    )
-
-
 def _spline(time: Array, values: Array) -> CubicSpline:
     """Cubic spline of ``values`` (T, k) with parabolic ends."""
     chord, h = np.diff(values, axis=0) / np.diff(time)[:, None], np.diff(time)
@@ -228,8 +162,8 @@ def _spline(time: Array, values: Array) -> CubicSpline:
     return CubicSpline(time, values, bc_type=((1, ends[0]), (1, ends[1])))
 
 
-def read_path(file: FilePath) -> Path:
-    """Read a CSV file ``time,x,y,z`` [s, mm], perhaps with orientations; FileError."""
+def read_path(file: FilePath, arm: Arm) -> Path:
+    """Read a CSV file ``time,x,y,z`` [s, mm], perhaps with orientations, for the tool of ``arm``; FileError."""
     if not file.exists():
         remedy = "standard are circle-8s, random-0.2hz and the like"
         raise FileError(file, "no such file, and no standard path", remedy)
@@ -237,29 +171,13 @@ def read_path(file: FilePath) -> Path:
     if len(poses) < 2:
         found = "one point" if poses else "no point"
         raise FileError(file, f"{found} below the header, at least two were expected", "add lines")
+    places, turn = placed(arm, poses)
     try:
-        return _through(time, poses, file.stem)
+        if turn is not None and np.ptp(turn.weight) > 0.0:
+            raise InputError("path: orientations, of one weight, are on every line or on none")
+        return Path(time=time, place=places, name=file.stem, turn=turn)
     except InputError as error:
         raise FileError(file, str(error), "give at least two lines of increasing time") from error
-
-
-def _through(time: Array, poses: Sequence[Pose], name: str) -> Path:
-    place = np.array([pose.place_m for pose in poses]).reshape(-1, 3)
-    turned = {pose.turned for pose in poses}
-    if len(turned) > 1 or len({pose.weight_m for pose in poses}) > 1:
-        raise InputError("path: orientations, of one weight, are on every line or on none")
-    if turned != {True}:
-        return Path(time=time, place=place, name=name)
-    whole = poses[0].direction is None
-    rotations = [pose.rotation(np.array([0.0, 0.0, 1.0])) for pose in poses] if whole else []  # they need no axis
-    return Path(
-        time=time,
-        place=place,
-        name=name,
-        weight=poses[0].weight_m,
-        direction=None if whole else np.array([pose.direction for pose in poses]),
-        quaternion=np.array([quaternion_of(one) for one in rotations]) if whole else None,
-    )
 
 
 STANDARD = ("circle-20s", "circle-8s", "circle-4s", "random-0.2hz", "random-0.5hz")
@@ -408,7 +326,8 @@ class Stream:
         place = as_place("stream", target if pose is None else pose.place_m)
         if not np.isfinite(time):
             raise InputError(f"stream: a target came at {time} s, expected a finite time")
-        knot = None if pose is None or not pose.turned else turn_knot(pose)
+        turn = None if pose is None else oriented(self.axis, [pose])
+        knot = None if turn is None else knots_of(turn)[0]
         with self._lock:
             if self.time and time < self.time[-1]:
                 raise InputError(f"stream: a target of {time:g} s came after one of {self.time[-1]:g} s")
@@ -417,9 +336,9 @@ class Stream:
                 del self.time[-1], self.targets[-1], self._knots[-1:]
             self.time.append(time)
             self.targets.append(place)
-            if pose is not None and knot is not None:
+            if turn is not None and knot is not None:
                 self._knots.append(same_side(np.stack([*self._knots[-1:], knot]))[-1] if len(knot) == 4 else knot)
-                self._weight = pose.weight_m
+                self._weight = float(turn.weight[0])
 
     @property
     def followed(self) -> bool:
@@ -528,10 +447,10 @@ class PathReference(Reference):
 def played(path: Path, rate: float) -> Stream:
     """Play a path as a stream of ``rate`` [Hz], after a rest; InputError."""
     require_rate(rate)
-    stream = Stream(axis=path.axis)
-    stream.put(path.pose_at(0.0), 0.0)
-    for time in np.arange(LEAD_IN, LEAD_IN + path.duration + 1.0 / rate, 1.0 / rate):
-        stream.put(path.pose_at(time - LEAD_IN), float(time))
+    times = np.concatenate([[0.0], np.arange(LEAD_IN, LEAD_IN + path.duration + 1.0 / rate, 1.0 / rate)])
+    stream, turn = Stream(time=times.tolist(), targets=list(path.at(times - LEAD_IN))), path.turn_at(times - LEAD_IN)
+    if turn is not None:
+        stream.axis, stream._knots, stream._weight = turn.axis, list(knots_of(turn)), float(turn.weight[0])
     return stream
 
 

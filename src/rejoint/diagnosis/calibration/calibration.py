@@ -1,16 +1,18 @@
-"""A calibration: displacement, uncertainty and file."""
+"""A calibration: displacement, uncertainty, what a wedge below the base would bring, and file."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tomlkit
 
-from rejoint.arms import Arm, Array, Displacement, tcp_position
+from rejoint.arms import Arm, Array, Displacement, position_kinematics, tcp_position
+from rejoint.arms.displacement import FLOATING
 from rejoint.arms.inertia import bare
+from rejoint.arms.rotations import rotation_about
 from rejoint.control.contract import law_digests
 from rejoint.control.correction import Modelled
 from rejoint.diagnosis.calibration.parameters import (
@@ -65,12 +67,6 @@ class Calibration:
     """rows, from 0, that do not fit"""
     left_out: Array = field(default_factory=lambda: np.zeros((0, 2)))
     """(M, 2) [m] errors ``before`` and ``after``"""
-
-    def __post_init__(self) -> None:
-        for name in ("covariance", "frame", "left_out"):
-            value = np.array(getattr(self, name), dtype=float)
-            value.setflags(write=False)
-            object.__setattr__(self, name, value)
 
     @property
     def missed(self) -> Array:
@@ -165,6 +161,60 @@ def check_arm(name: str, digests: dict[str, str], arm: Arm) -> None:
     raise ContractError(f"calibration of arm {name!r}, expected one of {arm.name!r}{differs}; calibrate this arm")
 
 
+WEDGE = np.radians(2.0)
+"""[rad] slope of the wedge; chosen, see `python -m benchmarks wedge`"""
+RISE = 100.0 * float(np.tan(WEDGE))
+"""[mm] rise on 10 cm"""
+WORTH = 0.8
+"""Share of random error that a useful wedge leaves; chosen"""
+_SIDES = {"-x": (0.0, 1.0), "+x": (0.0, -1.0), "-y": (-1.0, 0.0), "+y": (1.0, 0.0)}
+"""Raised side of the base, and the axis (x, y) of that turn"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Preload:
+    """Benefit of a wedge."""
+
+    joints: tuple[str, ...]
+    """that float at half of the postures or more"""
+    chance: float
+    """[m] rms tool error by floating joints"""
+    wedge: float
+    """[m] the same on a wedge"""
+    side: str
+    """to raise, such as ``+y``"""
+
+    @property
+    def wedge_helps(self) -> bool:
+        """Whether the wedge is worth it."""
+        return bool(self.joints) and self.wedge <= WORTH * self.chance
+
+
+def preload(found: Calibration, position: Array) -> Preload:
+    """Compute the benefit of a wedge at ``position`` (M, n) [rad]."""
+    arm, own = found.arm, found.displacement
+    sides = {side: _chance(arm, _tilted(own, axis), position) for side, axis in _SIDES.items()}
+    best = min(sides, key=lambda side: sides[side])
+    return Preload(joints=_floating(found, position), chance=_chance(arm, own, position), wedge=sides[best], side=best)
+
+
+def _floating(found: Calibration, position: Array) -> tuple[str, ...]:
+    torque = found.displacement.torque(found.arm, position)
+    lever = np.linalg.norm(position_kinematics(found.arm, position)[1], axis=-2).mean(axis=0)
+    often = (np.abs(torque) < FLOATING).mean(axis=0) >= 0.5
+    felt = 0.5 * found.displacement.play * lever > found.floor / 2
+    return tuple(name for name, floats in zip(found.arm.joint_names, often & felt, strict=True) if floats)
+
+
+def _chance(arm: Arm, displacement: Displacement, position: Array) -> float:
+    return float(np.sqrt(np.trace(scatter(arm, displacement, position), axis1=-2, axis2=-1).mean()))
+
+
+def _tilted(displacement: Displacement, axis: tuple[float, float]) -> Displacement:
+    turn = rotation_about(np.array([*axis, 0.0]), -WEDGE)
+    return replace(displacement, gravity=turn @ displacement.gravity)
+
+
 FORMAT = 1
 
 _PARTS = ("offset", "compliance", "play", "mass")
@@ -222,19 +272,19 @@ def _document(calibration: Calibration) -> tomlkit.TOMLDocument:
 def _calibration(data: dict[str, Any], arm: Arm) -> Calibration:
     values, layout = data["displacement"], DisplacementLayout(joints=arm.joints)
     displacement = Displacement(
-        **{name: _numbers(values[name], (arm.joints,)) for name in _PARTS},
-        gravity=_numbers(values["gravity"], (3,)),
-        twist=_numbers(values["twist"], (arm.joints + 1, 6)),
+        **{name: finite(values[name], (arm.joints,)) for name in _PARTS},
+        gravity=finite(values["gravity"], (3,)),
+        twist=finite(values["twist"], (arm.joints + 1, 6)),
     )
     rows = data["covariance"]["lower_triangle"]
     if len(rows) != layout.body:
         raise InputError(f"covariance of {len(rows)} parameters, expected {layout.body}")
     covariance = np.zeros((layout.body, layout.body))
     for i, row in enumerate(rows):
-        covariance[i, : i + 1] = covariance[: i + 1, i] = _numbers(row, (i + 1,))
+        covariance[i, : i + 1] = covariance[: i + 1, i] = finite(row, (i + 1,))
     np.linalg.cholesky(covariance)
     frame = np.eye(4)
-    frame[:3] = _numbers(data["frame"]["pose"], (3, 4))
+    frame[:3] = finite(data["frame"]["pose"], (3, 4))
     return Calibration(
         arm=arm,
         displacement=displacement,
@@ -243,11 +293,12 @@ def _calibration(data: dict[str, Any], arm: Arm) -> Calibration:
         frame_name=str(data["frame"]["name"]),
         **{name: kind(data[name]) for name, kind in _PLAIN.items()},
         suspects=tuple(int(row) for row in data["suspects"]),
-        left_out=_numbers(data["left_out"], (len(data["left_out"]), 2)),
+        left_out=finite(data["left_out"], (len(data["left_out"]), 2)),
     )
 
 
-def _numbers(value: object, shape: tuple[int, ...]) -> Array:
+def finite(value: object, shape: tuple[int, ...]) -> Array:
+    """Read finite numbers of a shape from a file; InputError."""
     array = np.array(value, dtype=float)
     array = array if array.size else array.reshape(shape)  # an empty list tells no columns
     if array.shape != shape or not np.isfinite(array).all():

@@ -86,40 +86,43 @@ def read_columns(path: Path, meanings: Mapping[str, Units | None], needed: Colle
     """
     require_file(path, SHEET_MOST, "give fewer rows")
     sheet = read_sheet(path)
+    known = {
+        _titled(name, ending).casefold(): (name, unit)
+        for name, units in meanings.items()
+        for ending, unit in (units or COUNT).items()
+    }
+    wanted = {name: _titled(name, next(iter(units or COUNT))) for name, units in meanings.items()}
     places: dict[str, tuple[int, float]] = {}
     for index, title in enumerate(sheet.titles):
-        found = _meaning(path, title, meanings)
-        if found is None:
+        stem, ending = split_unit(title, {*ANGLES, *LENGTHS})
+        plain = _titled(stem, ending or "").casefold()
+        if plain not in known:
+            _require_other(path, title, plain, wanted)
             continue
-        if found[0] in places:
-            other = sheet.titles[places[found[0]][0]]
-            raise FileError(path, f"columns {other} and {title} are both {found[0]}", "leave one of them out")
-        places[found[0]] = (index, found[1])
-    if missing := [_titled(name, meanings[name]) for name in needed if name not in places]:
-        wanted = ", ".join(_titled(name, meanings[name]) for name in needed)
-        raise FileError(path, f"columns {sheet.shown}; missing: {', '.join(missing)}", f"name them {wanted}")
+        name, unit = known[plain]
+        if name in places:
+            other = sheet.titles[places[name][0]]
+            raise FileError(path, f"columns {other} and {title} are both {name}", "leave one of them out")
+        places[name] = (index, unit)
+    if missing := [wanted[name] for name in needed if name not in places]:
+        named = ", ".join(wanted[name] for name in needed)
+        raise FileError(path, f"columns {sheet.shown}; missing: {', '.join(missing)}", f"name them {named}")
     return Columns(sheet=sheet, places=places)
 
 
-def _meaning(path: Path, title: str, meanings: Mapping[str, Units | None]) -> tuple[str, float] | None:
-    name, ending = split_unit(title, {*ANGLES, *LENGTHS})
-    plain = (name if ending is None else f"{name}_{ending}").casefold()
-    for name, units in meanings.items():
-        for ending, unit in (units or COUNT).items():
-            if plain == (f"{name}_{ending}" if ending else name).casefold():
-                return name, unit
-    first = {_ROOT.split(name.casefold())[0]: _titled(name, units) for name, units in list(meanings.items())[::-1]}
-    if _ROOT.split(plain)[0] not in first:
-        return None
-    wanted = next((_titled(name, units) for name, units in meanings.items() if plain == name.casefold()), "")
-    if wanted:
-        raise FileError(path, f"column {title} does not say its unit", f"name it {wanted}")
-    examples = ", ".join(list(first.values())[::-1])
+def _require_other(path: Path, title: str, plain: str, wanted: Mapping[str, str]) -> None:
+    """Raise FileError for a title that looks like one of ``wanted``."""
+    roots = {_ROOT.split(name.casefold())[0]: titled for name, titled in reversed(wanted.items())}
+    if _ROOT.split(plain)[0] not in roots:
+        return
+    for name, titled in wanted.items():
+        if plain == name.casefold():
+            raise FileError(path, f"column {title} does not say its unit", f"name it {titled}")
+    examples = ", ".join(reversed(roots.values()))
     raise FileError(path, f"column {title} is not known", f"name it as one of {examples}, or otherwise")
 
 
-def _titled(name: str, units: Units | None) -> str:
-    ending = next(iter(units or COUNT))
+def _titled(name: str, ending: str) -> str:
     return f"{name}_{ending}" if ending else name
 
 
@@ -133,8 +136,8 @@ _REMEDY = "measure again, or take another file"
 def write_measurements(path: Path, arm: Arm, measured: Measurements, session: MeasuringSession | None = None) -> None:
     """Write measurements as Parquet; ``session``: progress."""
     columns: dict[str, Array] = {"posture": measured.posture.astype(float), "sigma": measured.sigma}
-    for group in ("position", "approach"):
-        columns |= {f"{group}.{name}": getattr(measured, group)[:, i] for i, name in enumerate(arm.joint_names)}
+    for names, rows in zip(joint_columns(arm), (measured.position, measured.approach), strict=True):
+        columns |= dict(zip(names, rows.T, strict=True))
     columns |= {axis: measured.point[:, i] for i, axis in enumerate(AXES)}
     about = {
         "frame": measured.frame,
@@ -206,13 +209,10 @@ def _digest(table: pa.Table, header: Mapping[str, Any]) -> str:
 
 def _assemble(columns: dict[str, Array], arm: Arm, frame: str, source: str) -> Measurements:
     rows = len(columns["x"])
-
-    def group(prefix: str) -> Array:
-        return np.stack([columns[f"{prefix}.{name}"] for name in arm.joint_names], axis=-1)
-
+    position, approach = (np.stack([columns[name] for name in names], axis=-1) for names in joint_columns(arm))
     return Measurements(
-        position=group("position"),
-        approach=group("approach"),
+        position=position,
+        approach=approach,
         point=np.stack([columns[axis] for axis in AXES], axis=-1),
         sigma=columns.get("sigma", np.full(rows, NOISE)),
         posture=np.asarray(columns.get("posture", np.arange(rows, dtype=float)), dtype=np.int64),
@@ -225,9 +225,20 @@ BEYOND = np.radians(10.0)
 """[rad] tolerated beyond joint limits; chosen"""
 
 
+def joint_columns(arm: Arm) -> tuple[list[str], list[str]]:
+    """Names of the columns of positions, and of positions before the last motion."""
+    position, approach = ([f"{group}.{name}" for name in arm.joint_names] for group in ("position", "approach"))
+    return position, approach
+
+
+def require_degrees(path: Path, position: Array) -> None:
+    """Raise FileError if positions (M, n) [rad] were given in radians, and taken for degrees."""
+    if len(position) > 1 and (np.abs(np.degrees(position)) <= np.pi).all():
+        raise FileError(path, "every joint position lies between -3.14 and 3.14", "give degrees, not radians")
+
+
 def _from_csv(path: Path, arm: Arm, frame: str, source: str) -> Measurements:
-    joints = [f"position.{name}" for name in arm.joint_names]
-    came = [f"approach.{name}" for name in arm.joint_names]
+    joints, came = joint_columns(arm)
     meanings = dict.fromkeys(joints + came, ANGLES) | dict.fromkeys((*AXES, "sigma"), LENGTHS) | {"posture": COUNT}
     found = read_columns(path, meanings, joints)
     if not any(axis in found.places for axis in AXES):
@@ -259,7 +270,6 @@ def _require_units(path: Path, arm: Arm, measured: Measurements, lines: list[int
             f"line {lines[row]}: {arm.joint_names[joint]} at {angle:.1f} deg, expected {low:.0f} to {high:.0f}",
             "give what this arm's encoders said, in degrees",
         )
-    if len(measured) > 1 and (np.abs(np.degrees(measured.position)) <= np.pi).all():
-        raise FileError(path, "every joint position lies between -3.14 and 3.14", "give degrees, not radians")
+    require_degrees(path, measured.position)
     if measured.frame == "base" and in_metres(measured.point):
         raise FileError(path, "every coordinate of the tool is below 5", "give millimetres, not metres")

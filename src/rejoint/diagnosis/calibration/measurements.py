@@ -45,13 +45,9 @@ class Measurements:
     """``touch``, ``camera`` or ``tracker``"""
 
     def __post_init__(self) -> None:
-        numbers = np.array(self.posture, dtype=np.int64)
-        numbers.setflags(write=False)
-        object.__setattr__(self, "posture", numbers)
-        for name in ("position", "approach", "point", "sigma"):
-            value = np.array(getattr(self, name), dtype=float)
-            value.setflags(write=False)
-            object.__setattr__(self, name, value)
+        for name in ROWS:
+            kind = np.int64 if name == "posture" else np.float64
+            object.__setattr__(self, name, np.array(getattr(self, name), dtype=kind))
         rows, joints = self.position.shape
         shapes = {"approach": (rows, joints), "point": (rows, 3), "sigma": (rows,), "posture": (rows,)}
         for name, shape in shapes.items():
@@ -64,6 +60,11 @@ class Measurements:
 
     def __len__(self) -> int:
         return len(self.sigma)
+
+    def joined(self, more: Measurements) -> Measurements:
+        """Add rows."""
+        both = {name: np.concatenate([getattr(self, name), getattr(more, name)]) for name in ROWS}
+        return replace(self, **both)
 
     def rows(self, where: NDArray[np.bool_] | NDArray[np.intp]) -> Measurements:
         """Return some rows."""

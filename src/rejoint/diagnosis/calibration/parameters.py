@@ -16,7 +16,7 @@ from scipy.special import ndtri
 from rejoint.arms import Arm, Array, Displacement, frames, position_kinematics
 from rejoint.arms.displacement import FLOATING
 from rejoint.arms.kinematics import GRAVITY
-from rejoint.arms.rotations import rotation_about
+from rejoint.arms.rotations import between_directions, turned
 from rejoint.arms.workspace import length_size, torque_size
 
 OFFSET = np.radians(0.6)
@@ -33,16 +33,6 @@ SHIFT, TURN = 1e-3, np.radians(0.3)
 """[m] over a myCobot 280's reach, and [rad]: sigma of each link's description; chosen"""
 PLACE, ORIENTATION = 1.0, 3.0
 """[m] and [rad] sigma of a measuring frame around its first estimate"""
-
-MOST = {
-    "offset": np.radians(6.0),
-    "compliance": 0.3,
-    "play": np.radians(8.0),
-    "tilt": np.radians(20.0),
-    "mass": 0.5,
-}
-"""Bounds, in the units above; chosen"""
-
 
 KINDS = ("offset", "compliance", "play", "mass", "tilt", "twist")
 """Parameters of an arm, in order"""
@@ -110,45 +100,34 @@ class PriorCase:
 
 
 def belief(arm: Arm, layout: DisplacementLayout, case: PriorCase) -> Belief:
-    """Prior of an arm in a case."""
-    mean, sigma, lower, upper = np.multiply.outer([0.0, 1.0, -np.inf, np.inf], np.ones(layout.size))
+    """Prior of an arm in a case: mean, sigma and bounds of each kind; bounds are chosen."""
+    mean, sigma, lower, upper = np.zeros((4, layout.size))
     stiff = torque_size(arm)
     soft, each = case.compliance / stiff, np.array([SHIFT * length_size(arm)] * 3 + [TURN] * 3)
-    told: dict[str, tuple[float, float | Array]] = {
-        "offset": (0.0, OFFSET),
-        "compliance": (soft, soft),
-        "play": (case.play, case.play_sigma),
-        "mass": (0.0, MASS),
-        "tilt": (0.0, case.tilt),
-        "twist": (0.0, np.tile(max(case.twist, 1e-3) * each, arm.joints + 1)),
-        "frame": (0.0, np.array([PLACE] * 3 + [ORIENTATION] * 3)[: 6 * layout.frame]),
+    wide, links = np.inf, np.inf if case.twist else 0.0
+    told: dict[str, tuple[float, float | Array, float, float]] = {
+        "offset": (0.0, OFFSET, -np.radians(6.0), np.radians(6.0)),
+        "compliance": (soft, soft, 0.0, 0.3 / stiff),
+        "play": (case.play, case.play_sigma, 0.0, np.radians(8.0)),
+        "mass": (0.0, MASS, -0.5, 0.5),
+        "tilt": (0.0, case.tilt, -np.radians(20.0), np.radians(20.0)),
+        "twist": (0.0, np.tile(max(case.twist, 1e-3) * each, arm.joints + 1), -links, links),
+        "frame": (0.0, np.array([PLACE] * 3 + [ORIENTATION] * 3)[: 6 * layout.frame], -wide, wide),
     }
-    for name, (middle, width) in told.items():
-        mean[layout.at(name)], sigma[layout.at(name)] = middle, width
-    for name, most in MOST.items():
-        bound = most / stiff if name == "compliance" else most
-        upper[layout.at(name)] = bound
-        lower[layout.at(name)] = 0.0 if name in ("compliance", "play") else -bound
-    if case.twist == 0.0:
-        lower[layout.at("twist")] = upper[layout.at("twist")] = 0.0
+    for name, row in told.items():
+        for column, value in zip((mean, sigma, lower, upper), row, strict=True):
+            column[layout.at(name)] = value
     return Belief(mean=mean, precision=np.diag(sigma**-2.0), lower=lower, upper=upper)
 
 
 def tilt_of(gravity: Array) -> Array:
     """Rotation (2,) [rad] about the base's x and y axes from `GRAVITY` to ``gravity`` (3,)."""
-    down = gravity / np.linalg.norm(gravity)
-    axis = np.cross(GRAVITY / np.linalg.norm(GRAVITY), down)
-    sine = float(np.linalg.norm(axis))
-    angle = float(np.arctan2(sine, -down[2]))
-    return np.asarray(axis[:2] / sine * angle) if sine > 0.0 else np.zeros(2)
+    return between_directions(GRAVITY / np.linalg.norm(GRAVITY), gravity / np.linalg.norm(gravity))[:2]
 
 
 def gravity_of(tilt: Array) -> Array:
     """Gravity (3,) [m/s^2] in a base tilted by ``tilt`` (2,) [rad]."""
-    angle = float(np.hypot(*tilt))
-    if angle == 0.0:
-        return GRAVITY.copy()
-    return rotation_about(np.array([tilt[0], tilt[1], 0.0]) / angle, angle) @ GRAVITY
+    return turned(np.append(tilt, 0.0)) @ GRAVITY
 
 
 def displacement_of(layout: DisplacementLayout, vector: Array) -> Displacement:
@@ -165,12 +144,10 @@ def displacement_of(layout: DisplacementLayout, vector: Array) -> Displacement:
 
 def vector_of(layout: DisplacementLayout, displacement: Displacement) -> Array:
     """Turn a displacement into the vector, with zero pose."""
-    vector = np.zeros(layout.size)
-    for name in ("offset", "compliance", "play"):
-        vector[layout.at(name)] = getattr(displacement, name)
-    vector[layout.at("mass")] = displacement.mass - 1.0
-    vector[layout.at("tilt")] = tilt_of(displacement.gravity)
-    vector[layout.at("twist")] = displacement.twist.ravel()
+    own, vector = displacement, np.zeros(layout.size)
+    parts = (own.offset, own.compliance, own.play, own.mass - 1.0, tilt_of(own.gravity), own.twist.ravel())
+    for name, part in zip(KINDS, parts, strict=True):
+        vector[layout.at(name)] = part
     return vector
 
 

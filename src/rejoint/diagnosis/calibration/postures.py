@@ -40,8 +40,6 @@ MARGIN = 0.05
 """Part of a joint's range kept from each limit; chosen"""
 CLEARANCE = 0.03
 """[m] above the floor at a myCobot 280's reach; chosen: worn arms sag"""
-ENOUGH = 1.1
-"""Relative error that fewer points may have; chosen"""
 WITHIN = 100
 """Candidates in the region of targets; chosen"""
 LINKS = 0.3
@@ -60,13 +58,6 @@ class Suggestion:
     """(K, n) [rad] start of each approach"""
     posture: NDArray[np.int64]
     """(K,) visits of one posture share a number"""
-    expected: Array
-    """(K + 1,) [m] rms true error after so many"""
-
-    @property
-    def fewest(self) -> int:
-        """Number that suffices."""
-        return int(np.argmax(self.expected <= ENOUGH * self.expected[-1]))
 
     @property
     def digest(self) -> str:
@@ -99,21 +90,18 @@ def suggest(
     slopes, noises = _seen(arm, known, postures, sigma)
     covariance: Array = np.asarray(np.linalg.inv(known.precision), dtype=float)
     places = [np.random.default_rng(0).permutation(one)[:_PLACES] for one in _candidates(arm, seed + 1)]
-    region = _seen(arm, known, np.concatenate(places), 0.0)
-    weight = np.einsum("pik,pil->kl", region[0], region[0])
+    region = _seen(arm, known, np.concatenate(places), 0.0)[0]
+    weight = np.einsum("pik,pil->kl", region, region)
     chosen: list[int] = []
-    expected = [_expected(region, covariance)]
     while len(chosen) < count:
         again = len(chosen) % visits > 0
         best = chosen[-1] if again else _most_telling(slopes, noises, covariance, weight, chosen)
         covariance = narrowed(covariance, slopes[best], noises[best])
         chosen.append(best)
-        expected.append(_expected(region, covariance))
     came = np.where(np.arange(count) % 2, -1.0, 1.0)[:, None]
     return Suggestion(
         postures=postures[chosen],
         approach=postures[chosen] - BEFORE * came,
-        expected=np.array(expected),
         posture=np.unique(chosen, return_inverse=True)[1],
     )
 
@@ -178,9 +166,3 @@ def narrowed(covariance: Array, slope: Array, noise: Array) -> Array:
     """Return the ``covariance`` (k, k) after a measurement with derivative (d, k)."""
     told = covariance @ slope.T
     return covariance - told @ np.linalg.solve(slope @ told + noise, told.T)
-
-
-def _expected(region: tuple[Array, Array], covariance: Array) -> float:
-    slope, noise = region
-    total = slope @ covariance @ np.swapaxes(slope, -1, -2) + noise
-    return float(np.sqrt(np.trace(total, axis1=1, axis2=2).mean()))

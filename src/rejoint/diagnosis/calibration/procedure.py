@@ -6,9 +6,10 @@ import logging
 import time
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -19,8 +20,9 @@ from rejoint.control.guard import GuardLimits
 from rejoint.control.recording import Recording
 from rejoint.control.robot import Robot
 from rejoint.control.start import Stance, begin, move
-from rejoint.diagnosis.calibration.measurements import NOISE, ROWS, Measurements, MeasuringSession
+from rejoint.diagnosis.calibration.measurements import NOISE, Measurements, MeasuringSession
 from rejoint.diagnosis.calibration.postures import Suggestion
+from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.system.errors import FileError, InputError, NotReadyError
 from rejoint.system.files import MEGABYTE, require_file
 from rejoint.system.progress import Progress, no_progress
@@ -63,6 +65,26 @@ class Gauge(Protocol):
 
     def measure(self, robot: Robot, stop: Stop) -> Array:
         """Tool (3,) [m]; NaN where a coordinate was not measured."""
+
+
+@runtime_checkable
+class FilmingGauge(Protocol):
+    """A device that takes pictures of a stationary arm, as `rejoint.camera` does."""
+
+    postures: int
+    """that it takes if nobody says how many"""
+
+    def film(
+        self,
+        drive: StandingDrive,
+        folder: RunFolder | None,
+        count: int,
+        visits: int,
+        on_progress: Progress,
+        *,
+        fresh: bool = False,
+    ) -> Any:  # noqa: ANN401 - what that room alone can fit
+        """Take pictures in ``count`` postures from ``visits`` sides each; a run ``folder`` keeps them."""
 
 
 @dataclass(kw_only=True)
@@ -213,6 +235,22 @@ OnMeasured = Callable[[Measurements, int], object]
 """Receives all measurements and the number done"""
 
 
+def same(*, fresh: bool) -> str:
+    """Name the command that resumes a session."""
+    return "the same command without --fresh" if fresh else "the same command"
+
+
+def log_resumed(file: Path, done: str) -> None:
+    """Log that a session resumes, and how to restart it."""
+    written = datetime.fromtimestamp(file.stat().st_mtime)
+    logging.getLogger("rejoint").warning(
+        "Going on with what was interrupted at %s: %s (%s). Where arm or gauge were moved since, begin again: --fresh.",
+        f"{written:%Y-%m-%d %H:%M}",
+        done,
+        file,
+    )
+
+
 def measure(
     robot: Robot,
     gauge: Gauge,
@@ -237,7 +275,17 @@ def measure(
         on_progress(number / total, f"measurement {number + 1} of {total}")
         found = _measured(drive, gauge, plan, number)
         if found is not None:
-            measured = _with_row(measured, *found, int(plan.posture[number]), gauge)
+            position, approach, point = found
+            row = Measurements(
+                position=position[None],
+                approach=approach[None],
+                point=point[None],
+                sigma=np.array([gauge.sigma]),
+                posture=plan.posture[number : number + 1],
+                frame=gauge.frame,
+                source=gauge.source,
+            )
+            measured = row if measured is None else measured.joined(row)
         if on_measured is not None and measured is not None:
             on_measured(measured, number + 1)
     on_progress(1.0, "measured")
@@ -247,31 +295,12 @@ def measure(
     return measured
 
 
-def _with_row(
-    before: Measurements | None, position: Array, approach: Array, point: Array, posture: int, gauge: Gauge
-) -> Measurements:
-    new = Measurements(
-        position=position[None],
-        approach=approach[None],
-        point=point[None],
-        sigma=np.array([gauge.sigma]),
-        posture=np.array([posture]),
-        frame=gauge.frame,
-        source=gauge.source,
-    )
-    if before is None:
-        return new
-    both: dict[str, Any] = {name: np.concatenate([getattr(before, name), getattr(new, name)]) for name in ROWS}
-    return replace(new, **both)
-
-
 class StandingDrive:
-    """Moves one arm to postures, slowly and guarded."""
+    """Moves one arm to postures, slowly and guarded; it begins with the first."""
 
     def __init__(self, robot: Robot, limits: GuardLimits | None = None, stance: Stance | None = None) -> None:
-        self.robot, self._limits = robot, limits or GuardLimits.of(robot.arm)
-        with noted():
-            self._sent = begin(robot, self._limits, stance).command[-1]
+        self.robot, self._limits, self._stance = robot, limits or GuardLimits.of(robot.arm), stance
+        self._sent: Array | None = None
 
     def stand(self, posture: Array, before: Array) -> tuple[Array, Array]:
         """Go to ``before`` (n,) [rad], then ``posture`` (n,); return both readings."""
@@ -279,11 +308,15 @@ class StandingDrive:
         return _reading(self._go(posture, settle=SETTLE)), came.position[-1, 0]
 
     def rest(self) -> None:
-        """Go back to rest."""
-        self._go(self.robot.arm.rest, settle=0.0)
+        """Go back to rest, if the arm has moved."""
+        if self._sent is not None:
+            self._go(self.robot.arm.rest, settle=0.0)
 
     def _go(self, posture: Array, settle: float) -> Recording:
         """Go around obstacles; return the last recording."""
+        if self._sent is None:
+            with noted():
+                self._sent = begin(self.robot, self._limits, self._stance).command[-1]
         arm, start = self.robot.arm, self._sent[0]
         try:
             ways = [plan(arm, start, posture)]

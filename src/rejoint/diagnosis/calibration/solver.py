@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from rejoint.arms import Arm, Array, Displacement
-from rejoint.arms.rotations import rotation_about
+from rejoint.arms.rotations import cross_matrix, moved
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.parameters import (
     Belief,
@@ -135,12 +135,7 @@ class CalibrationProblem(Fittable):
         """Pose (4, 4) of the measuring frame in the base."""
         if not self.layout.frame:
             return self.frame
-        small = vector[self.layout.at("frame")]
-        pose, angle = self.frame.copy(), float(np.linalg.norm(small[3:]))
-        if angle > 0.0:
-            pose[:3, :3] = rotation_about(small[3:] / angle, angle) @ pose[:3, :3]
-        pose[:3, 3] += small[:3]
-        return pose
+        return moved(self.frame, vector[self.layout.at("frame")])
 
     def residual(self, vector: Array) -> tuple[Array, Array]:
         """Predicted less measured (M, 3) [m], zero where not measured; derivative (M, 3, k)."""
@@ -149,24 +144,18 @@ class CalibrationProblem(Fittable):
         pose, derivative = self.pose(vector), np.zeros((*tool.shape, self.layout.size))
         derivative[..., : self.layout.body] = own
         if self.layout.frame:
-            away, place = tool - pose[:3, 3], self.layout.at("frame").start
-            derivative[..., place : place + 3] = -np.eye(3)
-            derivative[..., place + 3 :] = np.swapaxes(np.cross(np.eye(3), away[:, None]), 1, 2) * -1.0
-        known = np.isfinite(self.measurements.point)
-        seen = (tool - pose[:3, 3]) @ pose[:3, :3]
-        residual = np.where(known, seen - self.measurements.point, 0.0)
-        turned = np.einsum("ij,mjk->mik", pose[:3, :3].T, derivative)
-        return residual, np.where(known[..., None], turned, 0.0)
+            small = derivative[..., self.layout.at("frame")]
+            small[..., :3] = -np.eye(3)
+            small[..., 3:] = np.reshape([cross_matrix(away) for away in tool - pose[:3, 3]], (-1, 3, 3))
+        residual = np.where(self.known, (tool - pose[:3, 3]) @ pose[:3, :3] - m.point, 0.0)
+        return residual, np.where(self.known[..., None], pose[:3, :3].T @ derivative, 0.0)
 
     def noise(self, vector: Array) -> Array:
         """Covariance (M, 3, 3) [m^2] of a residual."""
-        rotation = self.pose(vector)[:3, :3]
-        spread = scatter(self.arm, displacement_of(self.layout, vector), self.measurements.position)
-        spread = rotation.T @ spread @ rotation
-        floor = floor_of(self.arm)
-        spread = spread + (self.measurements.sigma**2 + floor**2)[:, None, None] * np.eye(3)
-        known = np.isfinite(self.measurements.point)
-        both = known[:, :, None] & known[:, None, :]
+        rotation, m = self.pose(vector)[:3, :3], self.measurements
+        spread = rotation.T @ scatter(self.arm, self.displacement(vector), m.position) @ rotation
+        spread = spread + (m.sigma**2 + floor_of(self.arm) ** 2)[:, None, None] * np.eye(3)
+        both = self.known[:, :, None] & self.known[:, None, :]
         return np.where(both, spread, np.eye(3) * spread)
 
 

@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 
 from rejoint.arms import Array
+from rejoint.diagnosis.regression import fit_believed
 
 FEWEST = 5
 """Checks that a baseline needs; shared facts on monitoring: 5 to 8"""
@@ -117,9 +118,9 @@ def _slope(value: Array, warm: Array, variance: float, per_degree: float) -> tup
         return 0.0, 0.0
     order = np.arange(len(value), dtype=float)
     design = np.stack([np.ones(len(value)), order - order.mean(), warm - warm.mean()], axis=1)
-    precision = design.T @ design / variance + np.diag([0.0, 0.0, per_degree**-2])
-    spread = np.linalg.inv(precision)
-    return float((spread @ (design.T @ value))[2] / variance), float(spread[2, 2])
+    sigma = variance**0.5
+    best, spread = fit_believed(design / sigma, value / sigma, np.diag([0.0, 0.0, per_degree**-2]))
+    return float(best[2]), float(spread[2, 2])
 
 
 SURE = 5.0
@@ -134,20 +135,10 @@ UNTOLD = 10.0
 """[K] difference where no temperature is known; chosen"""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Jump:
-    """A joint's zero that moved between two checks."""
-
-    at: int
-    """index of the first check after it"""
-    way: float
-    """change, in the unit of the deviations"""
-
-
 def find_jump(
     deviation: Array, others: Sequence[Array], temperature: Array, *, scatter: float, per_degree: float
-) -> Jump | None:
-    """Find where the zero of a joint last jumped, if it has.
+) -> tuple[int, float] | None:
+    """Find the first check after the last jump of a joint's zero, if any, and its way [mm].
 
     ``deviation`` (T,) [mm] at ``temperature`` (T,) [deg C]; ``others`` (T,) [mm] also change by wear; ``scatter`` and
     ``per_degree`` as in `chart`.
@@ -162,5 +153,5 @@ def find_jump(
         was = float(np.median(deviation[max(at - BEFORE, 0) : at]))
         stayed = (float(deviation[-1]) - was) / way >= STAYED
         if alone and stayed:
-            return Jump(at=at, way=way)
+            return at, way
     return None

@@ -218,14 +218,10 @@ def _moved(visits: Sequence[PastCheck]) -> tuple[MovedZero, ...]:
             per_degree=ZERO_PER_DEGREE * row.lever_mm,
         )
         if jump is not None:
-            found.append(
-                MovedZero(
-                    joint=row.joint,
-                    degrees=float(np.degrees(jump.way / row.lever_mm)),
-                    after=visits[jump.at - 1].time,
-                    before=visits[jump.at].time,
-                )
-            )
+            at, way = jump
+            degrees = float(np.degrees(way / row.lever_mm))
+            after, before = visits[at - 1].time, visits[at].time
+            found.append(MovedZero(joint=row.joint, degrees=degrees, after=after, before=before))
     return tuple(sorted(found, key=lambda one: -abs(one.degrees)))
 
 

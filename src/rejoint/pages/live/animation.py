@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -27,72 +27,71 @@ if TYPE_CHECKING:
 
 SLOTS = 512
 """(chosen: ten seconds at the shortest usual period)"""
-_Slot = tuple[int, int, Cycle, JointState, Array]
-
-Records: TypeAlias = "np.recarray[Any, Any]"
-"""K cycles of one arm, the oldest first; fields of `_kind`"""
 
 
-def _kind(joints: int) -> np.dtype[np.void]:
-    """Fields of a record: [s], [m], [rad], share of torque, [deg C]; NaN: unknown."""
-    numbers = [(name, "f8") for name in ("time", "run", "index", "reasons", "arm")]
-    points = [(name, "f8", (3,)) for name in ("target", "aim", "true_tcp")]
-    # `wanted` is the command of the controller, before the guard
-    each = [(name, "f8", (joints,)) for name in ("position", "command", "wanted", "load", "temperature")]
-    return np.dtype([*numbers, *points, *each])
+class Seen(NamedTuple):
+    """One cycle of an arm; NaN: unknown."""
+
+    run: int
+    arm: int
+    """index"""
+    wanted: Array
+    """(n,) [rad] command of the controller, before the guard"""
+    temperature: Array
+    """(n,) [deg C]"""
+    time: float
+    """[s]"""
+    target_index: int
+    reasons: int
+    """flags of the guard"""
+    target: Array
+    """(3,) [m]"""
+    aim: Array
+    true_tcp: Array
+    position: Array
+    """(n,) [rad]"""
+    command: Array
+    load: Array
+    """(n,) share of torque"""
+
+    @classmethod
+    def of(cls, run: int, cycle: Cycle, state: JointState, wanted: Array) -> Seen:
+        """Newest arm of a cycle."""
+        b = int(cycle.active.argmax())
+        heat = np.full(wanted.shape[1], np.nan) if state.temperature is None else state.temperature[b]
+        return cls(run, b, wanted[b], heat, *(getattr(cycle, name)[b] for name in cls._fields[4:]))
 
 
-def lately(records: Records, seconds: float) -> Records:
-    """Return records of the newest run and arm in the last ``seconds``."""
-    if not len(records):
-        return records
-    last = records[-1]
-    return records[(records.run == last.run) & (records.arm == last.arm) & (records.time > last.time - seconds)]
+def lately(seen: Sequence[Seen], seconds: float) -> list[Seen]:
+    """Return what was seen of the newest run and arm in the last ``seconds``."""
+    if not seen:
+        return []
+    now = seen[-1]
+    return [one for one in seen if one[:2] == now[:2] and one.time > now.time - seconds]
 
 
 class Ring:
-    """Newest cycles of an arm."""
+    """Newest cycles of an arm: one thread writes, another one reads."""
 
-    def __init__(self, joints: int, slots: int = SLOTS) -> None:
-        self._slots: list[_Slot | None] = [None] * slots
-        self._kind, self._size = _kind(joints), slots
+    def __init__(self, slots: int = SLOTS) -> None:
+        self._slots: list[tuple[int, tuple[int, Cycle, JointState, Array]] | None] = [None] * slots
         self.count = 0
-        """of written records"""
+        """of written cycles"""
 
     def write(self, run: int, cycle: Cycle, state: JointState, wanted: Array) -> None:
-        """Write a record."""
+        """Write a cycle."""
         count = self.count
-        self._slots[count % self._size] = count, run, cycle, state, wanted
+        self._slots[count % len(self._slots)] = count, (run, cycle, state, wanted)
         self.count = count + 1
 
-    def since(self, count: int) -> tuple[Records, int]:
-        """Return records after the first ``count``, as far as kept, and the new count."""
-        end, rows = self.count, []
-        for number in range(max(count, end - self._size, 0), end):
-            slot = self._slots[number % self._size]
-            if slot is not None and slot[0] == number:
-                rows.append(_row(*slot[1:]))
-        return np.array(rows, dtype=self._kind).view(np.recarray), end
-
-
-def _row(run: int, cycle: Cycle, state: JointState, wanted: Array) -> tuple[Any, ...]:
-    b = int(cycle.active.argmax())
-    heat = np.full(wanted.shape[1], np.nan) if state.temperature is None else state.temperature[b]
-    return (
-        cycle.time[b],
-        run,
-        cycle.target_index[b],
-        cycle.reasons[b],
-        b,
-        cycle.target[b],
-        cycle.aim[b],
-        cycle.true_tcp[b],
-        cycle.position[b],
-        cycle.command[b],
-        wanted[b],
-        cycle.load[b],
-        heat,
-    )
+    def since(self, count: int) -> tuple[list[Seen], int]:
+        """Return cycles after the first ``count``, as far as kept, the oldest first, and the new count."""
+        end, found = self.count, []
+        for number in range(max(count, end - len(self._slots), 0), end):
+            slot = self._slots[number % len(self._slots)]
+            if slot is not None and slot[0] == number:  # not yet written over
+                found.append(Seen.of(*slot[1]))
+        return found, end
 
 
 LONGEST = 0.5
@@ -105,21 +104,20 @@ class Ghost:
     def __init__(self, arm: Arm, twin: Twin) -> None:
         self._draw = Draw.of(twin.parameters.repeat(1), twin.stiction, twin.acceleration)
         self._simulation = Simulation(arm, 1)
-        self._now: tuple[float, float, float] | None = None  # run, arm, time [s] of the record that was followed last
+        self._last: Seen | None = None
 
-    def follow(self, records: Records) -> Array:
-        """Positions (K, n) [rad] of the twin at the records' times."""
-        predicted = np.empty_like(records.position)
-        for k in range(len(records)):
-            run, arm, now = float(records.run[k]), float(records.arm[k]), float(records.time[k])
-            passed = np.nan if self._now is None or self._now[:2] != (run, arm) else now - self._now[2]
+    def follow(self, seen: Sequence[Seen]) -> Array | None:
+        """Position (n,) [rad] of the twin at the last cycle; None: none was seen."""
+        for now in seen:
+            last = self._last
+            passed = np.nan if last is None or last[:2] != now[:2] else now.time - last.time
             if 0.0 < passed <= LONGEST:
                 self._simulation.advance(np.array([passed]))
             elif passed != 0.0:
-                self._simulation.place(self._draw, records.position[k, None], records.command[k, None])
-            self._simulation.send(records.command[k, None])
-            predicted[k], self._now = self._simulation.measured[0], (run, arm, now)
-        return predicted
+                self._simulation.place(self._draw, now.position[None], now.command[None])
+            self._simulation.send(now.command[None])
+            self._last = now
+        return self._simulation.measured[0] if seen else None
 
 
 if TYPE_CHECKING:
@@ -169,23 +167,20 @@ _WORDS = {
 }
 
 
-def guard_words(records: Records, limits: GuardLimits) -> tuple[str, ...]:
+def guard_words(seen: Sequence[Seen], limits: GuardLimits) -> tuple[str, ...]:
     """Actions of the guard in the last `KEPT` seconds, trips first."""
-    recent = lately(records, KEPT)
-    flags, said = recent.reasons.astype(np.int64), []
+    recent, said = lately(seen, KEPT)[::-1], []
     for reason in sorted(Reason, key=lambda one: one not in TRIPS):
-        met = np.flatnonzero(flags & reason.value)
-        if not len(met):
+        met = next((one for one in recent if int(one.reasons) & reason.value), None)
+        if met is None:
             continue
         if reason in _LIMITS:
-            changed = np.abs(recent.wanted[met[-1]] - recent.command[met[-1]])
-            said.append(
-                f"{_LIMITS[reason]}: the command of {limits.arm.joint_names[int(np.argmax(changed))]} is limited"
-            )
+            joint = limits.arm.joint_names[int(np.argmax(np.abs(met.wanted - met.command)))]
+            said.append(f"{_LIMITS[reason]}: the command of {joint} is limited")
         elif reason in (Reason.FLOOR, Reason.COLLISION):
-            said.append(_touching(reason, recent.wanted[met[-1]], limits))
+            said.append(_touching(reason, met.wanted, limits))
         elif reason is Reason.TEMPERATURE:
-            said.append(say_hot(limits.arm.joint_names, recent.temperature[met[-1]], limits.max_temperature))
+            said.append(say_hot(limits.arm.joint_names, met.temperature, limits.max_temperature))
         else:
             said.append(_WORDS[reason])
     return tuple(said)
@@ -285,7 +280,7 @@ class Animation:
             self._target.clear()
         if not same or before is None or before.within != subject.within:
             self._page.show(subject.arm, within=subject.within, paced=subject.paced)
-            now = self._recent.position[-1] if len(self._recent) else subject.arm.rest
+            now = self._recent[-1].position if self._recent else subject.arm.rest
             self._page.pose(now, now)
 
     def draw(self, subject: Subject, begun: Begun, doing: Doing, stopped: str) -> None:
@@ -293,18 +288,18 @@ class Animation:
         if subject is not self._subject:
             self._turn_to(subject)
         fresh, self._read = subject.ring.since(self._read)
-        ghost = fresh.command if subject.ghost is None else subject.ghost.follow(fresh)
-        for tool, aim in zip(tcp_position(subject.arm, fresh.position), fresh.aim, strict=True):
-            _extend(self._tool, tool)
-            _extend(self._target, aim)
-        self._recent = lately(np.concatenate([self._recent, fresh]).view(np.recarray), KEPT)
+        ghost = None if subject.ghost is None else subject.ghost.follow(fresh)
+        for one in fresh:
+            _extend(self._tool, tcp_position(subject.arm, one.position))
+            _extend(self._target, one.aim)
+        self._recent = lately([*self._recent, *fresh], KEPT)
         with self._page.atomic():
-            if len(fresh):
+            if fresh:
                 now = fresh[-1]
                 known = np.isfinite(now.target).all()
                 true = now.aim + now.true_tcp - now.target if known else now.true_tcp
-                self._page.pose(now.position, ghost[-1])
-                self._page.aim(now.aim, true, "target" if self._moves else f"target {int(now.index) + 1}")
+                self._page.pose(now.position, now.command if ghost is None else ghost)
+                self._page.aim(now.aim, true, "target" if self._moves else f"target {int(now.target_index) + 1}")
             if self._count % SLOWER == 0:
                 self._write(subject, begun, doing, stopped)
         self._count += 1
@@ -319,18 +314,18 @@ class Animation:
         words = () if begun.limits is None else guard_words(recent, begun.limits)
         controller = "" if begun.controller == Playback.name else begun.controller
         error = true = np.nan
-        if len(recent):
+        if recent:
             now = recent[-1]
             error = float(np.linalg.norm(now.aim - tcp_position(subject.arm, now.position)))
             true = float(np.linalg.norm(now.target - now.true_tcp))
-            robot += f", arm {int(now.arm) + 1} of {subject.count} side by side" if subject.count > 1 else ""
+            robot += f", arm {now.arm + 1} of {subject.count} side by side" if subject.count > 1 else ""
         self._page.trail(_points(self._tool), _points(self._target if self._moves else ()))
         self._page.tell(
             doing.share,
             head=write.head(robot, controller, doing, doing.left),
             error=write.error(error, true, subject.within),
             guard=write.guard(words, stopped),
-            joints=write.joints(subject.arm.joint_names, recent[-1], HOT) if len(recent) else "",
+            joints=write.joints(subject.arm.joint_names, recent[-1], HOT) if recent else "",
             legend=write.legend(_legend(subject, recent)),
         )
 
@@ -349,8 +344,8 @@ def _points(trail: Collection[Array]) -> Array:
     return np.array(trail).reshape(-1, 3)
 
 
-def _legend(subject: Subject, recent: Records) -> list[tuple[str, str]]:
-    last = recent[-1] if len(recent) else None
+def _legend(subject: Subject, recent: Sequence[Seen]) -> list[tuple[str, str]]:
+    last = recent[-1] if recent else None
     entries = {
         "the arm": LINKS[1],
         "where it is sent" if subject.ghost is None else "its twin's prediction": GHOST,

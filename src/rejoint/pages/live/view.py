@@ -114,7 +114,7 @@ class LiveView(Observer):
             arm=robot.arm,
             address=robot.address,
             count=robot.count,
-            ring=Ring(robot.arm.joints),
+            ring=Ring(),
             ghost=None if twin is None else Ghost(robot.arm, cast("Twin", twin)),
             within=Protocol.threshold if within is None else within,
             paced=slowed,

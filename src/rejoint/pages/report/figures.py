@@ -16,12 +16,11 @@ from markupsafe import Markup, escape
 from matplotlib.axes import Axes
 from matplotlib.container import Container
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 from matplotlib.ticker import LogLocator, MaxNLocator, MultipleLocator, NullFormatter
 from numpy.typing import NDArray
-from scipy.interpolate import interp1d
 
 from rejoint.arms import Arm, Array, tcp_position
-from rejoint.control.comparison.result import Comparison
 from rejoint.control.moving.drive import Followed
 from rejoint.control.moving.reference import LEAD_IN
 from rejoint.control.servogains import own_policy
@@ -60,11 +59,10 @@ def visits(arm: Arm, log: RunLog) -> Iterator[tuple[Array, Array]]:
 
 def spread_over_time(found: Sequence[tuple[Array, Array]], time: Array) -> Array:
     """Median, 10th and 90th percentile (3, K) [m] of `visits` at ``time`` (K,); NaN once half have ended."""
-    result, errors = np.full((3, len(time)), np.nan), []
+    result, errors, now = np.full((3, len(time)), np.nan), [], time + 1e-9
     for at, error in found:
-        at, error = np.append(at, at[-1] + np.diff(at).max(initial=0.0) + 1e-8), np.append(error, error[-1])
-        last = interp1d(at, error, kind="previous", bounds_error=False)
-        errors.append(last(time + 1e-9))
+        last = error[np.searchsorted(at, now, side="right") - 1]
+        errors.append(np.where(now <= at[-1] + np.diff(at).max(initial=0.0) + 1e-8, last, np.nan))
     enough = np.isfinite(errors).mean(axis=0) >= 0.5
     result[:, enough] = np.nanpercentile(np.stack(errors)[:, enough], [50, 10, 90], axis=0)
     return result
@@ -164,6 +162,20 @@ class Series:
     high: Array | None = None
     """(K,) upper end"""
 
+    @classmethod
+    def over(cls, label: str, look: Look, values: Array) -> Series:
+        """Means of ``values`` (R, K), with the smallest and the largest."""
+        known = np.isfinite(values).any(axis=0)
+        mean, low, high = found = np.full((3, values.shape[1]), np.nan)
+        found[:, known] = [over(values[:, known], axis=0) for over in (np.nanmean, np.nanmin, np.nanmax)]
+        return cls(label=label, look=look, value=mean, low=low, high=high)
+
+    @classmethod
+    def of(cls, label: str, look: Look, one: Estimate) -> Series:
+        """Estimate (1,) with its ends, if any."""
+        value, low, high = np.array([[one.value], [one.low], [one.high]], dtype=float)
+        return cls(label=label, look=look, value=value, **({} if one.low is None else {"low": low, "high": high}))
+
     @property
     def whiskers(self) -> Array | None:
         """Error bar lengths (2, K), or None."""
@@ -253,30 +265,35 @@ def intervals(rows: Sequence[Series], xlabel: str) -> Figure:
     return figure
 
 
+def curves(
+    panels: Mapping[str, Sequence[Series]], across: Array, xlabel: str, size: tuple[float, float], *, rows: bool = False
+) -> Figure:
+    """Draw lines over ``across`` (K,), a panel for each title; ``rows``: one below the other."""
+    figure, grid = canvas(size, *((len(panels), 1) if rows else (1, len(panels))), sharex=True)
+    for axes, (title, series) in zip(grid.flat, panels.items(), strict=True):
+        for one in series:
+            one.line(axes, across)
+        axes.set_title(title, **TITLE)
+        axes.set_xlim(across[0], across[-1])
+        if rows:
+            axes.yaxis.set_major_locator(MaxNLocator(4))
+    for axes in grid[-1]:
+        axes.set_xlabel(xlabel)
+    if any(one.label for one in series):
+        legend(figure, grid[0, 0])
+    return figure
+
+
 def error_over_time(time: Array, series: Sequence[Series]) -> Figure:
     """Draw encoder errors [mm] over ``time`` (K,) [s], log axis, with spread."""
-    figure, ((axes,),) = canvas((WIDE, 3.8))
-    for one in series:
-        one.line(axes, time)
-    axes.set(yscale="log", xlabel="time since the target was set [s]", ylabel="encoder error [mm]")
-    axes.set_xlim(time[0], time[-1])
+    figure = curves({"": series}, time, "time since the target was set [s]", (WIDE, 3.8))
+    (axes,) = figure.axes
+    axes.set(yscale="log", ylabel="encoder error [mm]")
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.yaxis.set_major_formatter("{x:g}")
     axes.yaxis.set_minor_formatter(NullFormatter())
     for level in (10.0, 5.0, 2.0):
         axes.axhline(level, color=INK, linewidth=0.6, alpha=0.5, linestyle=_DASHED)
-    legend(figure, axes)
-    return figure
-
-
-def training_curves(steps: Array, curves: dict[str, Array], look: Look) -> Figure:
-    """Draw named curves (K,) over ``steps`` (K,), one panel each."""
-    figure, grid = canvas((WIDE, 0.5 + 1.35 * len(curves)), len(curves), sharex=True)
-    for axes, (name, values) in zip(grid[:, 0], curves.items(), strict=True):
-        axes.plot(steps / 1e6, values, color=look.colour, linewidth=1.5)
-        axes.yaxis.set_major_locator(MaxNLocator(4))
-        axes.set_title(name, **TITLE)
-    axes.set(xlabel="environment steps [million]", xlim=(steps[0] / 1e6, steps[-1] / 1e6))
     return figure
 
 
@@ -285,9 +302,10 @@ def in_view(points: Array, view: str) -> Array:
     return np.moveaxis(1e3 * points[..., VIEWS[view]], -1, 0)
 
 
-def name_view(axes: Axes, view: str) -> None:
-    """Label the axes of a view."""
+def name_view(axes: Axes, view: str, title: str = "") -> None:
+    """Label a view and its axes."""
     across, up = VIEWS[view]
+    axes.set_title(title, **TITLE)
     axes.set(xlabel=f"{'xyz'[across]} [mm]", ylabel=f"{'xyz'[up]} [mm]", aspect="equal")
     if across == 1:
         axes.invert_xaxis()
@@ -315,10 +333,8 @@ class Ways:
             points = in_view(path[np.isfinite(path).all(axis=-1)], view)
             axes.plot(*points, color=colour, linewidth=0.8 if thin else 1.1, alpha=0.75 if thin else 1.0)
             axes.plot(*points[:, :1], "s", markersize=4, color=colour)
-        turn = np.linspace(0, 2 * np.pi, 61)
-        circle = 1e3 * self.radius * np.stack([np.cos(turn), np.sin(turn)])
         for i, target in enumerate(in_view(self.targets, view).T, start=1):
-            axes.plot(*(target[:, None] + circle), color=INK, linewidth=0.7, alpha=0.7)
+            axes.add_patch(Circle(target, 1e3 * self.radius, fill=False, edgecolor=INK, linewidth=0.7, alpha=0.7))
             axes.plot(*target, "+", markersize=4, color=INK, markeredgewidth=0.8)
             if self.numbered:
                 how: dict[str, Any] = {"textcoords": "offset points", "fontsize": FONT - 1.5, "color": INK}
@@ -341,13 +357,11 @@ def ways(panels: Sequence[Ways], limits: Array, views: Sequence[str] = ("from ab
     for (row, column), axes in np.ndenumerate(grid):
         panels[column].draw(axes, views[row])
         axes.set(xlim=(low[row, 0], high[row, 0]), ylim=(low[row, 1], high[row, 1]))
-        name_view(axes, views[row])
-        axes.xaxis.set_major_locator(MultipleLocator(50))
-        axes.yaxis.set_major_locator(MultipleLocator(50))
+        name_view(axes, views[row], "" if row else panels[column].title)
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_locator(MultipleLocator(50))
         if column:
             axes.set_ylabel("")
-        if not row:
-            axes.set_title(panels[column].title, **TITLE)
     return figure
 
 
@@ -360,17 +374,10 @@ _BARS = 3  # controllers in the bar chart: more cannot be told apart at ten targ
 WHERE = {"free": "in free space", "contact": "on the table"}
 
 
-def series_of(label: str, look: Look, one: Estimate) -> Series:
-    """Estimate (1,) with its ends, if any."""
-    value, low, high = np.array([[one.value], [one.low], [one.high]], dtype=float)
-    ends = {} if one.low is None else {"low": low, "high": high}
-    return Series(label=label, look=look, value=value, **ends)
-
-
 def healthy_error(diagnosis: Diagnosis | None) -> Series | None:
     """Mean and range [mm] of healthy arms' open-loop errors."""
     healthy = None if diagnosis is None else diagnosis.healthy
-    return None if healthy is None else series_of("healthy arm, mean and range", palette.GREEN, healthy.error_mm)
+    return None if healthy is None else Series.of("healthy arm, mean and range", palette.GREEN, healthy.error_mm)
 
 
 class Pictures:
@@ -386,7 +393,11 @@ class Pictures:
         known = comparison.controllers
         wanted = dict.fromkeys(("default", best, own_policy(known), *known))
         names = [name for name in wanted if name in known][:_BARS]
-        series = [_bars(comparison, name) for name in known if name in names]
+        series = [
+            Series.over(short(name), look_of(name), MM * comparison.array("settled", name)[0])
+            for name in known
+            if name in names
+        ]
         words = "; ".join(
             f"{one.label}: {number(np.nanmin(one.value), 2)} to {number(np.nanmax(one.value), 2)} mm"
             for one in series
@@ -455,15 +466,17 @@ class Pictures:
             caption="Where the arm comes to rest when it is told once where to go.",
         )
 
-    def training(self, curves: Curves) -> Picture:
+    def training(self, found: Curves) -> Picture:
         """Draw training curves."""
         drawn = {
-            "reward per control cycle": curves.reward,
-            "success rate [%]": 100 * curves.success_rate,
-            "median error at the end of a target [mm]": curves.error_mm,
+            "reward per control cycle": found.reward,
+            "success rate [%]": 100 * found.success_rate,
+            "median error at the end of a target [mm]": found.error_mm,
         }
-        words = f"Reward, success rate and error over {cycles(curves.step[-1])}; at the end: {curves.outcome}."
-        return self.show("training", training_curves(curves.step, drawn, palette.BLUE), alt=words)
+        panels = {name: [Series(label="", look=palette.BLUE, value=values)] for name, values in drawn.items()}
+        figure = curves(panels, found.step / 1e6, "environment steps [million]", (WIDE, 4.55), rows=True)
+        words = f"Reward, success rate and error over {cycles(found.step[-1])}; at the end: {found.outcome}."
+        return self.show("training", figure, alt=words)
 
     def predictions(self, judgement: Judgement) -> Iterator[Picture]:
         """Draw the mean error of every prediction, free and in contact."""
@@ -474,7 +487,7 @@ class Pictures:
             if not found:
                 continue
             words = ", ".join(f"{name} {number(mean.value, 3)}" for name, mean in found.items())
-            series = [series_of(name, looks[name], mean) for name, mean in found.items()]
+            series = [Series.of(name, looks[name], mean) for name, mean in found.items()]
             yield self.show(
                 f"prediction-{kind}",
                 intervals(series, f"error of the tool {where} [mm]"),
@@ -482,14 +495,6 @@ class Pictures:
                 caption=f"Open loop from the first measured posture, {where}: mean over the motions, each counting "
                 "the same, with its 95 % interval over motions.",
             )
-
-
-def _bars(comparison: Comparison, name: str) -> Series:
-    values = comparison.array("settled", name)[0] * MM  # (R, K)
-    known = np.isfinite(values).any(axis=0)
-    mean, low, high = found = np.full((3, values.shape[1]), np.nan)
-    found[:, known] = [over(values[:, known], axis=0) for over in (np.nanmean, np.nanmin, np.nanmax)]
-    return Series(label=short(name), look=look_of(name), value=mean, low=low, high=high)
 
 
 def in_base(found: Calibration, measured: Measurements) -> Array:
@@ -515,8 +520,7 @@ def arrows(seen: Array, tool: Array, wrong: NDArray[np.bool_]) -> tuple[Figure, 
                 axes.quiver(*start, *away, color=look.colour, **how)
         axes.margins(0.12)
         axes.set(adjustable="datalim")
-        axes.set_title(view, **TITLE)
-        name_view(axes, view)
+        name_view(axes, view, view)
     legend(figure, grid[0, 0])
     figure.supxlabel(f"arrows {said}", fontsize=FONT, color=INK)
     return figure, said
@@ -533,8 +537,7 @@ def draw_followed(folder: RunFolder, arm: Arm, done: Followed) -> Path:
         axes.plot(*in_view(aims(logs[-1]), view), color=INK, linewidth=2.2, alpha=0.35)
         for _, log, look in chosen:
             axes.plot(*in_view(tcp_position(arm, log.position), view), color=look.colour, linewidth=1.0)
-        axes.set_title(view, **TITLE)
-        name_view(axes, view)
+        name_view(axes, view, view)
     for label, log, look in chosen:
         error = np.linalg.norm(aims(log) - tcp_position(arm, log.position), axis=-1)
         time = log.time - log.time[0] - LEAD_IN

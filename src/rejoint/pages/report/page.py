@@ -11,10 +11,9 @@ from rejoint.arms.workspace import reach
 from rejoint.control.classical import DefaultController
 from rejoint.control.comparison import protocols
 from rejoint.control.comparison import recommend as advising
-from rejoint.control.comparison.holding import errors_of
-from rejoint.control.comparison.result import Comparison, TargetErrors
+from rejoint.control.comparison.result import MODELLED, Comparison, TargetErrors
 from rejoint.control.servogains import own_policy
-from rejoint.diagnosis.calibration import fit, preload
+from rejoint.diagnosis.calibration import calibration, fit
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.procedure import reversals
 from rejoint.diagnosis.diagnosis import Diagnosis, ringing_most
@@ -99,9 +98,8 @@ def mean_error(diagnosis: Diagnosis) -> Estimate | None:
 
 def target_errors(comparison: Comparison, controller: str) -> TargetErrors:
     """Errors of a controller at the first set's targets, means over repetitions."""
-    return errors_of(
-        {name: comparison.array(name, controller)[0] for name in ("settled", "settled_true", *protocols.MODELLED)}
-    )
+    names = ("settled", "settled_true", *MODELLED)
+    return TargetErrors.of({name: comparison.array(name, controller)[0] for name in names})
 
 
 def errors_as_found(comparison: Comparison) -> TargetErrors | None:
@@ -123,7 +121,7 @@ def unidentified(twin: Twin, parameter: Parameter) -> list[str]:
 
 
 _FUNCTIONS = (mean_error, target_errors, errors_as_found, tilt, unidentified, above_zero, colour_number, cost, in_base)
-_MODULES = (advising, fit, parameters, preload, protocols, tables)
+_MODULES = (advising, calibration, fit, parameters, protocols, tables)
 _NAMES = {one.__name__.rpartition(".")[2]: one for one in (*_FUNCTIONS, *_MODULES, own_policy, reversals, ringing_most)}
 """What the templates of the report call"""
 

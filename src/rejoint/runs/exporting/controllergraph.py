@@ -143,6 +143,11 @@ def _dls(transpose: Tensor, error: Tensor, damping: Tensor) -> Tensor:
     return transpose @ ((error @ cofactors) / torch.sum(gram[0] * cofactors[0]))
 
 
+def _unneeded(transpose: Tensor, motion: Tensor) -> Tensor:
+    """Part of a ``motion`` (n,) that does not move the tool."""
+    return motion - _dls(transpose, motion @ transpose, torch.full((), PROJECTION_DAMPING, dtype=torch.float64))
+
+
 @_scripted
 def _clip_norm(step: Tensor, limit: float) -> Tensor:
     """Step (n,), its largest entry scaled to ``limit``."""
@@ -201,9 +206,8 @@ class _CycleGraph(nn.Module):
         rounds = torch.where(fresh, ROUNDS, 0).squeeze(0)
         found = _search(arm, target, sent, rounds, (TOLERANCE, DAMPING, REST_GAIN, MOST_STEP))
         goal = torch.where(fresh, found, old["goal"])
-        axes, origins, centres, _, transpose = _pose(arm, goal)
-        ridge = torch.full((), PROJECTION_DAMPING, dtype=torch.float64)
-        idle = old["correction"] - _dls(transpose, old["correction"] @ transpose, ridge)
+        axes, origins, centres, _, at_goal = _pose(arm, goal)
+        idle = _unneeded(at_goal, old["correction"])
         moment = self.hanging @ (centres * self.mass) - origins * (self.hanging @ self.mass)
         raised = goal + (torch.linalg.cross(axes, moment) @ self.gravity) / self.stiffness
 
@@ -218,7 +222,7 @@ class _CycleGraph(nn.Module):
         gains, span = law.learning, elapsed.clamp(max=PACE_LONGEST)
         way = position - torch.where(begun, old["position"], position)
         loosened, sticking = self._loosen(step, distance, span, way, fresh, old)
-        extra = extra + loosened
+        extra = extra - _unneeded(at_goal, extra) + loosened
         if self.design.network is None:
             short = torch.where(begun, old["asked"], position) - sent
             held = short.abs() > HELD_BACK

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
@@ -10,21 +9,23 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from rejoint.arms import Arm
-from rejoint.arms.camera.rig import write_rig
 from rejoint.control.observer import Observer, pacing
 from rejoint.control.robot import Robot
-from rejoint.diagnosis.calibration.calibration import Calibration, write_calibration
-from rejoint.diagnosis.calibration.camera.film import POSTURES as POSTURES_FILE
-from rejoint.diagnosis.calibration.camera.film import Film, read_film, write_film, write_postures
-from rejoint.diagnosis.calibration.camera.filming import POSTURES, CameraGauge, FilmDrive, UnseenBoardError
-from rejoint.diagnosis.calibration.camera.fit import Filmed, fit_film
+from rejoint.diagnosis.calibration.calibration import Calibration, Preload, preload, write_calibration
 from rejoint.diagnosis.calibration.fit import fit
 from rejoint.diagnosis.calibration.measurementfile import read_interrupted, read_measurements, write_measurements
 from rejoint.diagnosis.calibration.measurements import Measurements, MeasuringSession
 from rejoint.diagnosis.calibration.postures import Suggestion, suggest
-from rejoint.diagnosis.calibration.preload import Preload, preload
-from rejoint.diagnosis.calibration.procedure import EmulatedGauge, Gauge, measure, reversals
-from rejoint.robots.cameras import Picture
+from rejoint.diagnosis.calibration.procedure import (
+    EmulatedGauge,
+    FilmingGauge,
+    Gauge,
+    StandingDrive,
+    log_resumed,
+    measure,
+    reversals,
+    same,
+)
 from rejoint.runs.run import Run
 from rejoint.session.context import stance_of
 from rejoint.session.inputs import ArmLike, RobotLike, RunLike, as_calibration
@@ -32,17 +33,14 @@ from rejoint.session.recorder import kept_if_stopped
 from rejoint.session.session import ArmSession
 from rejoint.session.settings import Settings
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.files import saving, set_aside, write_whole
+from rejoint.system.files import saving, set_aside
 from rejoint.system.progress import Progress, part
 from rejoint.system.shell import command
 from rejoint.system.stopping import noted
 
 if TYPE_CHECKING:
-    from rejoint.arms import Arm
-    from rejoint.diagnosis.calibration.camera.fit import Filmed
-
-
-_LOGGER = logging.getLogger("rejoint")
+    from rejoint.camera.film import Film
+    from rejoint.camera.fit import Filmed
 
 
 def measured_of(
@@ -118,114 +116,6 @@ def _kept(run: Run, robot: str, gauge: Gauge, *, fresh: bool) -> str:
     return f"What was measured until then is kept ({file}); {same(fresh=fresh)} goes on there, and this fits it: {fits}"
 
 
-def same(*, fresh: bool) -> str:
-    """Name the command that resumes a session."""
-    return "the same command without --fresh" if fresh else "the same command"
-
-
-def log_resumed(file: Path, done: str) -> None:
-    """Log that a session resumes, and how to restart it."""
-    written = datetime.fromtimestamp(file.stat().st_mtime)
-    _LOGGER.warning(
-        "Going on with what was interrupted at %s: %s (%s). Where arm or gauge were moved since, begin again: --fresh.",
-        f"{written:%Y-%m-%d %H:%M}",
-        done,
-        file,
-    )
-
-
-QUALITY = 92
-"""JPEG quality of stored pictures; chosen"""
-
-
-def film_of(
-    session: ArmSession,
-    robot: Robot,
-    gauge: CameraGauge,
-    count: int,
-    visits: int,
-    on_progress: Progress,
-    *,
-    fresh: bool = False,
-) -> Film:
-    """Take a session's image sequence; resume unless ``fresh``."""
-    arm, run = robot.arm, session.run
-    begun = None if run is None else begun_film(run, gauge, fresh=fresh)
-    film = begun or Film(board=gauge.board, carried=gauge.carried, fresh=fresh)
-    if begun is None:
-        _set_aside(run)
-    elif run is not None:
-        log_resumed(run.folder.views, f"{len(film)} pictures are there")
-
-    def keep(film: Film, name: str, picture: Picture) -> None:
-        if run is not None:
-            write_picture(run.folder.pictures / name, picture)
-            write_film(run.folder.views, arm, film)
-
-    with gauge.camera(robot) as camera:
-        drive = FilmDrive(
-            robot=robot,
-            camera=camera,
-            film=film,
-            limits=session.limits,
-            stance=stance_of(session.twin_now, run),
-            on_shot=keep,
-            on_progress=on_progress,
-        )
-        try:
-            return drive.take(count, visits)
-        except UnseenBoardError:  # camera or board will be moved, so nothing of this belongs to what comes
-            _set_aside(run)
-            raise
-        except BaseException as error:
-            if run is not None and run.folder.views.exists():
-                file, goes_on = run.folder.views, same(fresh=film.fresh)
-                error.add_note(f"What was seen until then is kept ({file}); {goes_on} goes on there")
-            raise
-
-
-def _set_aside(run: Run | None) -> None:
-    if run is not None:
-        set_aside(run.folder.views)
-        set_aside(run.folder.pictures)
-
-
-def begun_film(run: Run, gauge: CameraGauge, *, fresh: bool) -> Film | None:
-    """Interrupted image sequence of a run, if any."""
-    if fresh or not run.folder.views.exists():
-        return None
-    film, ended = read_film(run.folder.views, run.arm)
-    if ended:
-        return None
-    if film.board != gauge.board or film.carried != gauge.carried:
-        raise InputError(
-            f"{run.folder.views}: an interrupted session with another board, or with the board elsewhere; give "
-            "the same again, or begin again with --fresh"
-        )
-    return film.again()
-
-
-def write_picture(path: Path, picture: Picture) -> None:
-    """Write a picture as JPEG; FileError if that fails."""
-    import cv2
-
-    good, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
-    if not good:
-        raise FileError(path, "this picture cannot be written as JPEG", "take another camera")
-    write_whole(path, lambda temporary: temporary.write_bytes(data.tobytes()))
-
-
-def write_filmed(run: Run, arm: Arm, film: Film, found: Filmed, *, taken: bool) -> None:
-    """Write image sequence, postures (if ``taken``), and camera setup."""
-    if taken:
-        write_postures(run.folder.pictures / POSTURES_FILE, arm, film)
-    else:
-        set_aside(run.folder.views)
-    write_film(run.folder.views, arm, film, ended=True)
-    set_aside(run.folder.camera)
-    write_rig(run.folder.camera, arm, found.rig, found.rig_sigma, found.calibration.date)
-
-
 POINTS = 10
 """Default number of postures (docs/true-accuracy.md)"""
 
@@ -262,7 +152,7 @@ def calibrate(
     robot: RobotLike | None = None,
     *,
     run: RunLike | None = None,
-    gauge: Gauge | CameraGauge | Measurements | Film | Path | str | None = None,
+    gauge: Gauge | FilmingGauge | Measurements | Film | Path | str | None = None,
     count: int | None = None,
     visits: int = 2,
     arm: ArmLike | None = None,
@@ -336,9 +226,11 @@ def calibrate(
             share = part(update, 0.0, 0.95)
             with session.metered("calibrate") as driven, kept_if_stopped(about, "calibrate"):
                 session.run = about = about and about.begin()
-                if isinstance(by, CameraGauge):
-                    measured = film_of(session, driven, by, count or POSTURES, visits, share, fresh=fresh)
-                    prior = None if measured.fresh else prior
+                if isinstance(by, FilmingGauge):
+                    drive = StandingDrive(driven, session.limits, stance_of(session.twin_now, about))
+                    folder = None if about is None else about.folder
+                    film: Film = by.film(drive, folder, count or by.postures, visits, share, fresh=fresh)
+                    measured, prior = film, None if film.fresh else prior
                 else:
                     measured, prior = measured_of(
                         session, driven, by, prior, count or POINTS, visits, share, fresh=fresh
@@ -353,20 +245,21 @@ def calibrate(
 
 
 def _measured_before(given: object) -> Measurements | Film | Path | str | None:
-    return given if isinstance(given, Measurements | Film | Path | str) else None
+    known = isinstance(given, Measurements | Path | str) or hasattr(given, "shots")
+    return cast("Measurements | Film | Path | str", given) if known else None
 
 
 def _fitted(arm: Arm, measured: Measurements | Film, prior: Calibration | None, *, taken: bool) -> Calibrated:
     date = f"{datetime.now().astimezone():%Y-%m-%dT%H:%M:%S%z}"
     filmed = None
     try:
-        if isinstance(measured, Film):
-            filmed = fit_film(arm, measured, prior=prior, date=date)
-            found, measured = filmed.calibration, filmed.measurements
-        else:
+        if isinstance(measured, Measurements):
             found = fit(arm, measured, prior=prior, date=date)
+        else:
+            filmed = measured.fit(arm, prior, date)
+            found, measured = filmed.calibration, filmed.measurements
     except InputError as error:
-        if taken or isinstance(measured, Film):
+        if taken or not isinstance(measured, Measurements):
             error.add_note("What was measured is kept; --fresh measures again.")
         raise
     return Calibrated(
@@ -379,5 +272,5 @@ def _write(run: Run, measured: Measurements | Film, result: Calibrated, *, taken
     set_aside(run.folder.calibration)
     write_calibration(run.folder.calibration, result.calibration)
     write_measurements(run.folder.measurements, run.arm, result.measurements)  # from then on nothing goes on from them
-    if isinstance(measured, Film) and result.filmed is not None:
-        write_filmed(run, run.arm, measured, result.filmed, taken=taken)
+    if result.filmed is not None:
+        cast("Film", measured).write(run.folder, run.arm, result.filmed, taken=taken)

@@ -8,11 +8,10 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from itertools import product
 from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
@@ -25,14 +24,13 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.arms.inertia import LoadedArm
 from rejoint.control.classical import DefaultController
-from rejoint.control.comparison.compare import Helper, Result, Task, Trial, TrialRunner
+from rejoint.control.comparison.compare import Helper, OpenRobot, Result, Task, Trial, TrialRunner, vary_directions
 from rejoint.control.comparison.compare import Settings as TrialSettings
 from rejoint.control.comparison.elimination import Elimination
-from rejoint.control.comparison.holding import Holding, errors_of, found_errors, vary_directions
 from rejoint.control.comparison.ledger import Ledger
-from rejoint.control.comparison.protocols import KINDS, Driven, Places, measure
+from rejoint.control.comparison.protocols import measure
 from rejoint.control.comparison.recommend import Recommendation, recommend
-from rejoint.control.comparison.result import Comparison, Protocol, TargetErrors
+from rejoint.control.comparison.result import KINDS, Comparison, Driven, Places, Protocol, TargetErrors
 from rejoint.control.correction import ToolModel
 from rejoint.control.observer import Observer, pacing
 from rejoint.control.recording import Recording
@@ -89,10 +87,6 @@ class OpenLoopTrials:
     log: RunLog
     """as of a hold trial"""
 
-    def errors(self) -> TargetErrors:
-        """Errors of the arm before repair."""
-        return errors_of(self.driven.columns)
-
 
 def open_loop(run: Run, robot: str, protocol: Protocol, model: ToolModel | None = None) -> OpenLoopTrials | None:
     """Trials of a run's diagnosis; None for another robot or protocol."""
@@ -119,25 +113,27 @@ def _recording(log: RunLog) -> tuple[Recording, Array]:
     index = np.concatenate([[0], np.cumsum((target[1:] != target[:-1]).any(axis=1))])
     first = np.searchsorted(index, np.arange(index[-1] + 1))
     begun = time[np.maximum(first - 1, 0)]  # a target comes into force after the last row of the one before
-    count = len(rows)
+    columns = {
+        "time": time,
+        "position": log.position[rows],
+        "command": log.command[rows],
+        "target": target,
+        "aim": target.copy(),
+        "target_index": index.astype(np.intp),
+        "since_target": time - begun[index],
+        "true_tcp": log.true_tcp[rows],
+        "active": np.ones(len(rows), dtype=bool),
+        "reasons": np.zeros(len(rows), dtype=np.uint16),
+        "load": np.full_like(log.position[rows], np.nan),
+        "turned": np.full(len(rows), np.nan),
+    }
     return Recording(
         arm=log.arm,
         joint_names=log.joint_names,
         robot=log.robot,
         controller=DEFAULT,
-        time=time[:, None],
-        position=log.position[rows][:, None],
-        command=log.command[rows][:, None],
-        target=target[:, None],
-        aim=target[:, None].copy(),
-        target_index=index[:, None].astype(np.intp),
-        since_target=(time - begun[index])[:, None],
-        true_tcp=log.true_tcp[rows][:, None],
-        active=np.ones((count, 1), dtype=bool),
-        reasons=np.zeros((count, 1), dtype=np.uint16),
-        load=np.full((count, 1, log.position.shape[1]), np.nan),
-        turned=np.full((count, 1), np.nan),
         tripped=np.zeros(1, dtype=np.uint16),
+        **{name: values[:, None] for name, values in columns.items()},
     ), target[first]
 
 
@@ -188,21 +184,25 @@ class ComparisonJob:
         """Target sets and repetitions."""
         return tuple(product(range(len(self.targets)), range(self.settings.repetitions)))
 
-    @cached_property
-    def _how(self) -> dict[str, Any]:
-        """What each motion is given."""
-        return {
-            "stance": stance_of(self.twin, self.run),
-            "limits": guard_limits(self.run, self.arm, address_of(self.robot)),
-            "correction": self.correct,
-            "model": self.model,
-        }
+    def runner(self, factories: Mapping[str, Factory], opened: OpenRobot | None = None, **hooks: Any) -> TrialRunner:  # noqa: ANN401
+        """Runner of the trials of some controllers; ``hooks`` are further fields of it."""
+        return TrialRunner(
+            opened or self._open,
+            factories,
+            self.targets,
+            self.settings,
+            turns=self.turns,
+            stance=stance_of(self.twin, self.run),
+            limits=guard_limits(self.run, self.arm, address_of(self.robot)),
+            correction=self.correct,
+            model=self.model,
+            **hooks,
+        )
 
-    def runner(self, name: str) -> TrialRunner:
-        """Runner of a controller's trials, in another process."""
+    def runner_of(self, name: str) -> TrialRunner:
+        """Runner of a named controller's trials, in another process."""
         posed, period = self.turns is not None, period_of(self.robot, self.period)
-        factories = make_factories([name], self.arm, period, run=self.run, twin=self.twin, posed=posed)
-        return TrialRunner(self._open, factories, self.targets, self.settings, turns=self.turns, **self._how)
+        return self.runner(make_factories([name], self.arm, period, run=self.run, twin=self.twin, posed=posed))
 
     def drive(self, on_progress: Progress, helper: HelperProcess | None = None) -> Compared:
         """Compare; in a run, resume and write. The caller closes ``helper``."""
@@ -251,21 +251,17 @@ class ComparisonJob:
             def watched(count: int, seed: int) -> Robot:
                 return meter.watch(self._open(count, seed))
 
-            result = TrialRunner(
-                watched,
+            runner = self.runner(
                 self.factories,
-                self.targets,
-                self.settings,
+                watched,
                 on_progress=on_progress,
                 on_trial=keep,
                 ledger=ledger,
                 measured=() if before is None else (before.driven,),
                 source=SOURCE,
-                turns=self.turns,
                 helper=helper,
-                **self._how,
-            ).compare()
-            result = self._beside(result, before, self._open if self.settings.batched else watched)
+            )
+            result = self._beside(runner, runner.compare(), before)
         if before is not None and self.run is not None:
             logs[before.log.label] = before.log
             write_log(self.run.folder.log(before.log.label), before.log)
@@ -273,28 +269,21 @@ class ComparisonJob:
         result = replace(result, targets_file=self.file, period=self.period, calibration=by)
         return Compared(comparison=result, recommendation=recommend(result), logs=logs)
 
-    def _beside(
-        self, result: Comparison, before: OpenLoopTrials | None, opened: Callable[[int, int], Robot]
-    ) -> Comparison:
-        how = Holding(open_robot=opened, batched=self.settings.batched, seed=self.settings.seed, **self._how)
-        protocol, own = self.settings.protocol, self.factories.get(DEFAULT)
+    def _beside(self, runner: TrialRunner, result: Comparison, before: OpenLoopTrials | None) -> Comparison:
+        own = self.factories.get(DEFAULT)
         try:
             if self.correct is not None and before is not None:
-                result = replace(result, as_found=before.errors())
+                result = replace(result, as_found=TargetErrors.of(before.driven.columns))
             elif self.correct is not None and own is not None and self.turns is None:
-                result = replace(result, as_found=found_errors(how, own, self.targets[0], protocol))
+                found = runner.hold(own, self.targets[:1], corrected=False)
+                result = replace(result, as_found=TargetErrors.of(found))
             if self.directions:
-                best = recommend(result).controller
-                found = vary_directions(how, best, self.factories[best], self.arm, self.settings.repetitions, protocol)
-                result = replace(result, directions=found)
+                varied = vary_directions(runner, recommend(result).controller, self.arm)
+                result = replace(result, directions=varied)
         except GuardTripError as error:  # neither is worth a comparison that is decided
             told = f"What is driven beside a comparison was ended early, and the rest of it left out: {error}."
             result = replace(result, left_out=(*result.left_out, told))
         return result
-
-    def without(self, names: Collection[str]) -> ComparisonJob:
-        """Job without some controllers."""
-        return replace(self, factories={name: make for name, make in self.factories.items() if name not in names})
 
     def begin_ahead(self) -> HelperProcess | None:
         """Start a second process, if a core is free."""
@@ -387,11 +376,10 @@ def compare(
     robot
         robot or its address
     controllers
-        names of baselines (``default``, ``pid-sum``, ``pid-literal``, ``integrator``, ``feedforward``), ``push``,
-        ``shelf``, ``predictive``, policies, their files, or your own controllers; a mapping names them. Default:
-        baselines (a real arm: without the PIDs), ``shelf`` where it suits (a real arm: only without a policy), the
-        run's policy, and with a twin ``predictive``; after a search for servo gains these two under the gains found,
-        ``servo-gains`` and ``servo-gains+push``
+        names of baselines (``default``, ``integrator``, ``feedforward``), ``shelf``, ``predictive``, policies, their
+        files, or your own controllers; a mapping names them. Default: baselines, ``shelf`` where it suits (a real arm:
+        only without a policy), the run's policy, and with a twin ``predictive``; after a search for servo gains these
+        two under the gains found, and ``servo-gains``
     targets
         (K, 3) or (S, K, 3) [m], `Pose` objects, or a CSV file in mm (``x,y,z``, and orientations for baselines);
         default: drawn, ten in a set; on one arm first those of the diagnosis
@@ -562,7 +550,7 @@ def main(line: int) -> None:
     job: ComparisonJob = tasks.get()
     while True:
         (name, kind), places = tasks.get()
-        runner = job.runner(name)
+        runner = job.runner_of(name)
         driven, recording = runner.drive_batch(runner.open_batch(places), name, kind, places)
         asked.send((driven, recording.of(slice(1))))
         give_back()

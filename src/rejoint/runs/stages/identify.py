@@ -134,15 +134,13 @@ def _from_any_motion(
     *,
     quick: bool,
 ) -> Twin:
-    from rejoint.twin.fromlogs import identify_logs
-    from rejoint.twin.motionfit import HoldOut, LogSettings
+    from rejoint.twin.fromlogs import LogSettings, identify_logs
 
-    settings = LogSettings(hold_out=HoldOut(names=None if plan.hold_out is None else tuple(plan.hold_out), seed=seed))
+    settings = LogSettings(hold_out=None if plan.hold_out is None else tuple(plan.hold_out), seed=seed)
     if quick:
         settings = replace(settings, coarse_seconds=20.0, fit_seconds=20.0, fast_seconds=5.0, contact_seconds=20.0)
-    found = identify_logs(arm, logs, settings, on_progress, plan.beside)
-    notes = (*found.twin.notes, *forced_remarks(logs))
-    return replace(found.twin, judgement=found.judgement, fitted=found.fitted, notes=notes)
+    twin = identify_logs(arm, logs, settings, on_progress, plan.beside)
+    return replace(twin, notes=(*twin.notes, *forced_remarks(logs)))
 
 
 def _excitation(run: Run) -> RunLog:

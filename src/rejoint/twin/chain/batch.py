@@ -1,4 +1,4 @@
-"""Many twins of one free arm in lockstep, by the compiled step; the interface of `rejoint.twin.batch.TwinBatch`."""
+"""Many twins of one free arm in lockstep, by the compiled step."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array
+from rejoint.arms import Arm, Array, link_inertia
 from rejoint.arms.kinematics import GRAVITY
+from rejoint.arms.workspace import unloaded_joints
 from rejoint.system.errors import InputError
 from rejoint.twin.chain.dynamics import CARRIED, GROUP, INERTIA, LINK, MASS, MOMENT, PLACE, ROTATION
-from rejoint.twin.chain.loop import advance
-from rejoint.twin.chain.step import workspace
+from rejoint.twin.chain.step import advance, workspace
 from rejoint.twin.declaration import TIMESTEP
 from rejoint.twin.friction import dry_friction, is_steady
 from rejoint.twin.parameters import TwinParameters, nominal_parameters
@@ -25,19 +25,21 @@ ROWS = ("stiffness", "offset", "torque_limit", "damping", "armature", "coulomb")
 
 
 class ChainBatch:
-    """``nsim`` simulations of one arm; ``qpos``, ``qvel``, ``ctrl`` (nsim, n) are live."""
+    """``nsim`` simulations of one arm; ``qpos`` and ``qvel`` (nsim, n) are live."""
 
     def __init__(self, arm: Arm, nsim: int, timestep: float = TIMESTEP, threads: int = 1) -> None:
         if nsim < 1 or threads < 1:
             raise InputError(f"twin batch: {nsim} simulations on {threads} threads, expected at least one of each")
         self.arm, self.nsim = arm, nsim
         shape = (nsim, arm.joints)
-        self.qpos, self.qvel, self.ctrl = np.zeros((3, *shape))
+        self.qpos, self.qvel = np.zeros((2, *shape))
         self.timestep = np.full(nsim, float(timestep))
         """(nsim,) [s]"""
         self._links = chain_links(arm)
         self._impulse, self._parameters = np.zeros(shape), np.zeros((len(ROWS), *shape))
-        self._gravity = np.zeros((nsim, 3))
+        self._gravity, self._carried = np.zeros((nsim, 3)), np.zeros(arm.joints)
+        self._gear = np.zeros((5, *shape))
+        """half of the backlash, place of the motor, its speed, flank, and grease, see `rejoint.twin.backlash.cross`"""
         groups = -(-nsim // GROUP)
         bounds = np.linspace(0, groups, min(threads, groups) + 1).astype(int) * GROUP
         self._parts = [(first, min(last, nsim), workspace(arm.joints)) for first, last in pairwise(bounds)]
@@ -52,7 +54,10 @@ class ChainBatch:
         timestep: float | Array | None = None,
         gravity_scale: float | Array = 1.0,
     ) -> None:
-        """Set parameters, as `rejoint.twin.batch.TwinBatch.write` does."""
+        """Set parameters of the simulations ``ids`` (indices or mask; default: all), not their state.
+
+        ``parameters``: (m,) or none; ``timestep`` [s] and ``gravity_scale``: a number or (m,).
+        """
         chosen = np.arange(self.nsim)[slice(None) if ids is None else ids]
         if parameters.shape == ():
             parameters = parameters.repeat(len(chosen))
@@ -65,21 +70,18 @@ class ChainBatch:
             row[chosen] = getattr(parameters, name)
         self._gravity[chosen] = np.broadcast_to(gravity_scale, len(chosen))[:, None] * GRAVITY
 
-    def set_timestep(self, timestep: float | Array) -> None:
-        """As `rejoint.twin.batch.TwinBatch.set_timestep`."""
-        self.timestep[:] = timestep
+    def loosen(self, backlash: Array, grease: Array, ids: Ids = None) -> None:
+        """Put motors in the middle of the ``backlash`` (m, n) [rad], in joints that no load presses to a flank.
 
-    def set_friction(self, friction: Array) -> None:
-        """As `rejoint.twin.batch.TwinBatch.set_friction`."""
-        self.row("coulomb")[:] = friction
-
-    def set_motors(self, *, armature: Array, damping: Array) -> None:
-        """As `rejoint.twin.batch.TwinBatch.set_motors`."""
-        self.row("armature")[:], self.row("damping")[:] = armature, damping
-
-    def step(self) -> None:
-        """Advance by one time step."""
-        self.rollout(self.ctrl[:, None])
+        ``grease`` (m,): damping of a joint in the backlash relative to its motor's.
+        """
+        chosen = slice(None) if ids is None else ids
+        half = np.zeros_like(backlash)
+        if backlash.any():
+            half = 0.5 * backlash * unloaded_joints(self.arm)
+            self._carried[:] = link_inertia(self.arm, self.arm.rest)
+        still, flank = np.zeros_like(half), np.where(half > 0.0, 0.0, 1.0)
+        self._gear[:, chosen] = np.stack([half, still, still, flank, still + grease[:, None]])
 
     def rollout(self, control: Array, terms: Array | None = None) -> Array:
         """Advance by ``control`` (nsim, steps, n) [rad]; return such positions.
@@ -89,39 +91,24 @@ class ChainBatch:
         path = np.empty_like(control)
         control = np.ascontiguousarray(control)
         steady = terms is None or is_steady(terms)
-        still = self.row("coulomb") if terms is None else dry_friction(terms, np.zeros_like(self.qvel))
+        still = (
+            self._parameters[ROWS.index("coulomb")] if terms is None else dry_friction(terms, np.zeros_like(self.qvel))
+        )
         given = np.ascontiguousarray(still[None] if steady else terms)
         motors, state = (self._parameters, given, steady), (self.qpos, self.qvel, self._impulse)
-        arrays = (self._links, motors, self._gravity, self.timestep, control, state, path)
+        gears = (self._gear, self._carried, bool(self._gear[0].any()))
+        arrays = (self._links, motors, gears, self._gravity, self.timestep, control, state, path)
         if self._pool is None:
             advance(*arrays, self._parts[0])
         else:
             list(self._pool.map(lambda part: advance(*arrays, part), self._parts))
-        self.ctrl[:] = control[:, -1]
         return path
 
     def restart(self, position: Array, velocity: Array | float = 0.0, ids: Ids = None) -> None:
-        """As `rejoint.twin.batch.TwinBatch.restart`, without friction impulses."""
+        """Restart at ``position`` (m, n) [rad] with ``velocity`` [rad/s], without friction impulses."""
         chosen = np.arange(self.nsim)[slice(None) if ids is None else ids]
-        self.qpos[chosen] = self.ctrl[chosen] = position
+        self.qpos[chosen] = position
         self.qvel[chosen], self._impulse[chosen] = velocity, 0.0
-
-    def state(self) -> dict[str, Array]:
-        """Live arrays for a checkpoint."""
-        return {
-            "qpos": self.qpos,
-            "qvel": self.qvel,
-            "ctrl": self.ctrl,
-            "timestep": self.timestep,
-            "impulse": self._impulse,
-            "parameters": self._parameters,
-            "gravity": self._gravity,
-        }
-
-    def row(self, name: str) -> Array:
-        """Live (nsim, n) values of one of `ROWS`."""
-        row: Array = self._parameters[ROWS.index(name)]
-        return row
 
 
 def chain_links(arm: Arm) -> Array:

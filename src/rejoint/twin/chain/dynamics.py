@@ -2,7 +2,7 @@
 
 Bias forces by recursive Newton-Euler, inertia by composite bodies (Featherstone 2008, chapters 5 and 6), in link frames
 whose z axis is the joint. To vectorize, loops over the arms need arrays without overlap (`NoAlias`), one row per
-quantity of a joint, no calls, and an unknown number of lanes.
+quantity of a joint, no calls but of `INLINE` functions, and an unknown number of lanes.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
@@ -40,10 +40,53 @@ class NoAlias(Compiler):  # type: ignore[misc]
 
 
 OPTIONS = {"nogil": True, "cache": True, "pipeline_class": NoAlias, "error_model": "numpy"}
+INLINE = {"inline": "always", "error_model": "numpy"}
 
+SINE = (
+    1.58969099521155010221e-10,
+    -2.50507602534068634195e-08,
+    2.75573137070700676789e-06,
+    -1.98412698298579493134e-04,
+    8.33333333332248946124e-03,
+    -1.66666666666666324348e-01,
+)
+COSINE = (
+    -1.13596475577881948265e-11,
+    2.08757232129817482790e-09,
+    -2.75573143513906633035e-07,
+    2.48015872894767294178e-05,
+    -1.38888888888741095749e-03,
+    4.16666666666666019037e-02,
+)
+"""Coefficients of the polynomials in x^2, the highest first (fdlibm)"""
 _PI_2A, _PI_2B = 1.5707963267341256, 6.077100506506192e-11
 _TWO_OVER_PI = 0.6366197723675814
 _ROUND = 6755399441055744.0  # 1.5 * 2^52: adding it rounds to whole numbers
+
+
+@njit(**INLINE)
+def _cross(ax, ay, az, bx, by, bz):
+    return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+
+
+@njit(**INLINE)
+def _turned(here, l, x, y, z):
+    """Turn a vector of the frame ``here`` to the one before."""
+    return (
+        here[R0 + l] * x + here[R1 + l] * y + here[R2 + l] * z,
+        here[R3 + l] * x + here[R4 + l] * y + here[R5 + l] * z,
+        here[R6 + l] * x + here[R7 + l] * y + here[R8 + l] * z,
+    )
+
+
+@njit(**INLINE)
+def _back(here, l, x, y, z):
+    """Turn a vector of the frame before to ``here``."""
+    return (
+        here[R0 + l] * x + here[R3 + l] * y + here[R6 + l] * z,
+        here[R1 + l] * x + here[R4 + l] * y + here[R7 + l] * z,
+        here[R2 + l] * x + here[R5 + l] * y + here[R8 + l] * z,
+    )
 
 
 @njit(**OPTIONS)
@@ -53,41 +96,11 @@ def turn(lanes, q, sine, cosine):
         quarter = (q[l] * _TWO_OVER_PI + _ROUND) - _ROUND
         x = (q[l] - quarter * _PI_2A) - quarter * _PI_2B
         s = x * x
-        sin = x + x * s * (
-            -1.66666666666666324348e-01
-            + s
-            * (
-                8.33333333332248946124e-03
-                + s
-                * (
-                    -1.98412698298579493134e-04
-                    + s
-                    * (2.75573137070700676789e-06 + s * (-2.50507602534068634195e-08 + s * 1.58969099521155010221e-10))
-                )
-            )
-        )
-        cos = (
-            1.0
-            - 0.5 * s
-            + s
-            * s
-            * (
-                4.16666666666666019037e-02
-                + s
-                * (
-                    -1.38888888888741095749e-03
-                    + s
-                    * (
-                        2.48015872894767294178e-05
-                        + s
-                        * (
-                            -2.75573143513906633035e-07
-                            + s * (2.08757232129817482790e-09 + s * -1.13596475577881948265e-11)
-                        )
-                    )
-                )
-            )
-        )
+        sin, cos = SINE[0], COSINE[0]
+        for k in range(1, 6):
+            sin, cos = SINE[k] + s * sin, COSINE[k] + s * cos
+        sin = x + x * s * sin
+        cos = 1.0 - 0.5 * s + s * s * cos
         half = quarter * 0.5
         odd = abs(half - ((half + _ROUND) - _ROUND)) > 0.25  # swap
         fourth = quarter * 0.25 - 0.125
@@ -110,31 +123,26 @@ def forward(lanes, link, before, here, speed, sine, cosine):
     for l in range(lanes):
         s, c, v = sine[l], cosine[l], speed[l]
         # Rotation from here to before: that of the frame, then about z.
-        a00, a01 = r0 * c + r1 * s, r1 * c - r0 * s
-        a10, a11 = r3 * c + r4 * s, r4 * c - r3 * s
-        a20, a21 = r6 * c + r7 * s, r7 * c - r6 * s
-        here[R0 + l], here[R1 + l], here[R2 + l] = a00, a01, r2
-        here[R3 + l], here[R4 + l], here[R5 + l] = a10, a11, r5
-        here[R6 + l], here[R7 + l], here[R8 + l] = a20, a21, r8
+        here[R0 + l], here[R1 + l], here[R2 + l] = r0 * c + r1 * s, r1 * c - r0 * s, r2
+        here[R3 + l], here[R4 + l], here[R5 + l] = r3 * c + r4 * s, r4 * c - r3 * s, r5
+        here[R6 + l], here[R7 + l], here[R8 + l] = r6 * c + r7 * s, r7 * c - r6 * s, r8
         wx, wy, wz = before[WX + l], before[WY + l], before[WZ + l]
         ax, ay, az = before[AX + l], before[AY + l], before[AZ + l]
         lx, ly, lz = before[LX + l], before[LY + l], before[LZ + l]
         # Acceleration of the joint's place, seen before: linear + angular x p + w x (w x p).
-        cx, cy, cz = wy * pz - wz * py, wz * px - wx * pz, wx * py - wy * px
+        cx, cy, cz = _cross(wx, wy, wz, px, py, pz)
         lx += ay * pz - az * py + wy * cz - wz * cy
         ly += az * px - ax * pz + wz * cx - wx * cz
         lz += ax * py - ay * px + wx * cy - wy * cx
-        ux, uy, uz = a00 * wx + a10 * wy + a20 * wz, a01 * wx + a11 * wy + a21 * wz, r2 * wx + r5 * wy + r8 * wz
-        bx = a00 * ax + a10 * ay + a20 * az + uy * v
-        by = a01 * ax + a11 * ay + a21 * az - ux * v
-        bz = r2 * ax + r5 * ay + r8 * az
-        dx, dy, dz = a00 * lx + a10 * ly + a20 * lz, a01 * lx + a11 * ly + a21 * lz, r2 * lx + r5 * ly + r8 * lz
-        uz += v
+        ux, uy, uz = _back(here, l, wx, wy, wz)
+        bx, by, bz = _back(here, l, ax, ay, az)
+        dx, dy, dz = _back(here, l, lx, ly, lz)
+        bx, by, uz = bx + uy * v, by - ux * v, uz + v
         here[WX + l], here[WY + l], here[WZ + l] = ux, uy, uz
         here[AX + l], here[AY + l], here[AZ + l] = bx, by, bz
         here[LX + l], here[LY + l], here[LZ + l] = dx, dy, dz
         # Force: mass * place + angular x first moment + w x (w x first moment); moment about the joint.
-        ex, ey, ez = uy * hz - uz * hy, uz * hx - ux * hz, ux * hy - uy * hx
+        ex, ey, ez = _cross(ux, uy, uz, hx, hy, hz)
         here[FX + l] = mass * dx + by * hz - bz * hy + uy * ez - uz * ey
         here[FY + l] = mass * dy + bz * hx - bx * hz + uz * ex - ux * ez
         here[FZ + l] = mass * dz + bx * hy - by * hx + ux * ey - uy * ex
@@ -155,26 +163,24 @@ def backward(lanes, link, before, here):
         r0, r1, r2 = here[R0 + l], here[R1 + l], here[R2 + l]
         r3, r4, r5 = here[R3 + l], here[R4 + l], here[R5 + l]
         r6, r7, r8 = here[R6 + l], here[R7 + l], here[R8 + l]
-        x, y, z = here[FX + l], here[FY + l], here[FZ + l]
-        fx, fy, fz = r0 * x + r1 * y + r2 * z, r3 * x + r4 * y + r5 * z, r6 * x + r7 * y + r8 * z
-        x, y, z = here[NX + l], here[NY + l], here[NZ + l]
+        fx, fy, fz = _turned(here, l, here[FX + l], here[FY + l], here[FZ + l])
+        x, y, z = _turned(here, l, here[NX + l], here[NY + l], here[NZ + l])
         before[FX + l] += fx
         before[FY + l] += fy
         before[FZ + l] += fz
-        before[NX + l] += r0 * x + r1 * y + r2 * z + py * fz - pz * fy
-        before[NY + l] += r3 * x + r4 * y + r5 * z + pz * fx - px * fz
-        before[NZ + l] += r6 * x + r7 * y + r8 * z + px * fy - py * fx
-        x, y, z = here[HX + l], here[HY + l], here[HZ + l]
-        hx, hy, hz = r0 * x + r1 * y + r2 * z, r3 * x + r4 * y + r5 * z, r6 * x + r7 * y + r8 * z
+        before[NX + l] += x + py * fz - pz * fy
+        before[NY + l] += y + pz * fx - px * fz
+        before[NZ + l] += z + px * fy - py * fx
+        hx, hy, hz = _turned(here, l, here[HX + l], here[HY + l], here[HZ + l])
         before[HX + l] += hx + mass * px
         before[HY + l] += hy + mass * py
         before[HZ + l] += hz + mass * pz
         ixx, iyy, izz = here[IXX + l], here[IYY + l], here[IZZ + l]
         ixy, ixz, iyz = here[IXY + l], here[IXZ + l], here[IYZ + l]
         # R I R', then the parallel axis: for p and the first moment h of what is moved.
-        a0, a1, a2 = r0 * ixx + r1 * ixy + r2 * ixz, r0 * ixy + r1 * iyy + r2 * iyz, r0 * ixz + r1 * iyz + r2 * izz
-        b0, b1, b2 = r3 * ixx + r4 * ixy + r5 * ixz, r3 * ixy + r4 * iyy + r5 * iyz, r3 * ixz + r4 * iyz + r5 * izz
-        c0, c1, c2 = r6 * ixx + r7 * ixy + r8 * ixz, r6 * ixy + r7 * iyy + r8 * iyz, r6 * ixz + r7 * iyz + r8 * izz
+        a0, b0, c0 = _turned(here, l, ixx, ixy, ixz)
+        a1, b1, c1 = _turned(here, l, ixy, iyy, iyz)
+        a2, b2, c2 = _turned(here, l, ixz, iyz, izz)
         gx, gy, gz = hx + 0.5 * mass * px, hy + 0.5 * mass * py, hz + 0.5 * mass * pz
         before[IXX + l] += a0 * r0 + a1 * r1 + a2 * r2 + 2.0 * (py * gy + pz * gz)
         before[IYY + l] += b0 * r3 + b1 * r4 + b2 * r5 + 2.0 * (px * gx + pz * gz)
@@ -200,18 +206,12 @@ def coupling(lanes, links, j, kept, reach, inertia):
 def _carry(lanes, link, here, reach, moment):
     px, py, pz = link[PLACE], link[PLACE + 1], link[PLACE + 2]
     for l in range(lanes):
-        r0, r1, r2 = here[R0 + l], here[R1 + l], here[R2 + l]
-        r3, r4, r5 = here[R3 + l], here[R4 + l], here[R5 + l]
-        r6, r7, r8 = here[R6 + l], here[R7 + l], here[R8 + l]
-        x, y, z = reach[_X + l], reach[_Y + l], reach[_Z + l]
-        fx, fy, fz = r0 * x + r1 * y + r2 * z, r3 * x + r4 * y + r5 * z, r6 * x + r7 * y + r8 * z
-        x, y, z = reach[_U + l], reach[_V + l], reach[_T + l]
+        fx, fy, fz = _turned(here, l, reach[_X + l], reach[_Y + l], reach[_Z + l])
+        x, y, z = _turned(here, l, reach[_U + l], reach[_V + l], reach[_T + l])
         reach[_X + l], reach[_Y + l], reach[_Z + l] = fx, fy, fz
-        reach[_U + l] = r0 * x + r1 * y + r2 * z + py * fz - pz * fy
-        reach[_V + l] = r3 * x + r4 * y + r5 * z + pz * fx - px * fz
-        nz = r6 * x + r7 * y + r8 * z + px * fy - py * fx
-        reach[_T + l] = nz
-        moment[l] = nz
+        reach[_U + l] = x + py * fz - pz * fy
+        reach[_V + l] = y + pz * fx - px * fz
+        reach[_T + l] = moment[l] = z + px * fy - py * fx
 
 
 @njit(**OPTIONS)

@@ -1,17 +1,25 @@
-"""One compiled time step of free serial arms with position servos.
+"""Compiled time steps of free serial arms with position servos.
 
-The physics of `rejoint.twin.batch`; dry friction is an impulse per joint by projected Gauss-Seidel.
+The physics of `rejoint.twin.table`; dry friction is an impulse per joint by projected Gauss-Seidel.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
 # ruff: noqa: ANN001, ANN201, ANN202, E741 - compiled functions take their types from their arguments; l is a lane
 from __future__ import annotations
 
+import zlib
+from pathlib import Path
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from rejoint.twin import backlash, friction
+from rejoint.twin.backlash import cross
+from rejoint.twin.chain import dynamics
 from rejoint.twin.chain.dynamics import (
+    ACCELERATION,
+    GROUP,
     KEPT_ROW,
     LANES,
     OPTIONS,
@@ -105,3 +113,89 @@ def workspace(joints: int) -> tuple[NDArray[np.float64], ...]:
     square, row = (joints, joints, LANES), (joints, LANES)
     shapes = ((joints + 1, KEPT_ROW), square, square, square, REACH_ROW, row, row, LANES, LANES, LANES)
     return tuple(np.zeros(shape) for shape in shapes)
+
+
+_dry_friction = njit(inline="always")(friction.dry_friction)
+
+
+def _compiled(sources):
+    """Compile the loop over blocks of arms and steps; cached until this file or its ``sources`` change."""
+
+    @njit(**OPTIONS)
+    def advance(links, motors, gears, gravity, timestep, control, state, path, part):
+        """Advance the arms of a ``part``; copies of the last arm fill the last group."""
+        (parameters, terms, steady), (qpos, qvel, impulse), (first, last, work) = motors, state, part
+        gear, carried, geared = gears
+        joints = len(links)
+        h = np.empty(LANES)
+        servo = np.empty((len(parameters), joints, LANES))
+        dry = np.empty((len(terms), joints, LANES))
+        reference, position = np.empty((joints, LANES)), np.empty((joints, LANES))
+        speed, push = np.empty((joints, LANES)), np.empty((joints, LANES))
+        for begin in range(first, last, LANES):
+            count = min(LANES, last - begin)
+            lanes = -(-count // GROUP) * GROUP
+            for lane in range(lanes):
+                i = min(begin + lane, last - 1)
+                h[lane] = timestep[i]
+                for axis in range(3):
+                    work[0][0, ACCELERATION + LANES * axis + lane] = -gravity[i, axis]
+                for j in range(joints):
+                    for k in range(len(parameters)):
+                        servo[k, j, lane] = parameters[k, i, j]
+                    for k in range(len(terms)):
+                        dry[k, j, lane] = terms[k, i, j]
+                    if steady:
+                        servo[FRICTION, j, lane] = dry[0, j, lane]
+                    position[j, lane], speed[j, lane], push[j, lane] = qpos[i, j], qvel[i, j], impulse[i, j]
+            for k in range(control.shape[1]):
+                for lane in range(lanes):
+                    i = min(begin + lane, last - 1)
+                    for j in range(joints):
+                        reference[j, lane] = control[i, k, j]
+                        if not steady:
+                            servo[FRICTION, j, lane] = _dry_friction(dry[:, j, lane], speed[j, lane])
+                if geared:
+                    for lane in range(count):
+                        for j in range(joints):
+                            i = begin + lane
+                            half, place, v, flank, grease = gear[:, i, j]
+                            if half == 0.0:
+                                continue
+                            turned = speed[j, lane] if flank != 0.0 else v
+                            friction = dry[0, j, lane] if steady else _dry_friction(dry[:, j, lane], turned)
+                            motor = parameters[:, i, j]
+                            place, v, flank, free, speed[j, lane] = cross(
+                                (half, place, v, flank, carried[j]),
+                                (motor[STIFFNESS], motor[LIMIT], motor[DAMPING], motor[ARMATURE]),
+                                reference[j, lane] + motor[OFFSET] - position[j, lane],
+                                speed[j, lane],
+                                friction,
+                                h[lane],
+                            )
+                            gear[1, i, j], gear[2, i, j], gear[3, i, j] = place, v, flank
+                            if free:
+                                reference[j, lane] = position[j, lane] - motor[OFFSET]
+                            alone = flank == 0.0  # the joint, without its motor
+                            servo[ARMATURE, j, lane] = 0.0 if alone else motor[ARMATURE]
+                            servo[DAMPING, j, lane] = motor[DAMPING] * (grease if alone else 1.0)
+                            if alone:
+                                servo[FRICTION, j, lane] = 0.0
+                            elif steady:
+                                servo[FRICTION, j, lane] = friction
+                step_block(lanes, links, h, servo, reference, (position, speed, push), work)
+                for lane in range(count):
+                    for j in range(joints):
+                        path[begin + lane, k, j] = position[j, lane]
+            for lane in range(count):
+                for j in range(joints):
+                    qpos[begin + lane, j], qvel[begin + lane, j] = position[j, lane], speed[j, lane]
+                    impulse[begin + lane, j] = push[j, lane]
+        return sources
+
+    return advance
+
+
+advance = _compiled(
+    zlib.crc32(b"".join(Path(str(part.__file__)).read_bytes() for part in (friction, backlash, dynamics)))
+)

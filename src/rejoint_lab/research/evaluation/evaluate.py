@@ -1,22 +1,128 @@
-"""Run every contestant on every variant, keep what is done, and sum it up."""
+"""Controllers that take part in an evaluation, their trials on many arms, and what is concluded from them."""
 
 from __future__ import annotations
 
+import hashlib
 import re
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 from rejoint.arms import Arm
+from rejoint.control.catalogue import (
+    BASELINES,
+    PREDICTIVE,
+    SHELF,
+    make_controller,
+    shelf_arms,
+    shelf_controller,
+    shelf_path,
+)
+from rejoint.control.comparison.result import Columns
+from rejoint.control.controller import Controller
+from rejoint.control.feedforward import FeedforwardController
+from rejoint.control.policy import load_policy
+from rejoint.control.targets import draw_targets
 from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.system.errors import InputError
 from rejoint.system.files import write_json
-from rejoint.system.progress import Progress
+from rejoint.system.progress import Progress, part
+from rejoint.twin.predictive import PredictiveController
 from rejoint.twin.twin import Twin
-from rejoint_lab.research.evaluation.contestants import Contestant, check_names
-from rejoint_lab.research.evaluation.family import ArmFamily, Variant
-from rejoint_lab.research.evaluation.page import write_page
-from rejoint_lab.research.evaluation.summary import Evaluation, Outcomes, pool, summarise
-from rejoint_lab.research.evaluation.trials import TrialSettings, keep, own_twin, try_controller
+from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.plant.wear import load_wear
+from rejoint_lab.research.evaluation.family import Variant
+from rejoint_lab.research.evaluation.summary import Evaluation, Outcomes, pool, summarise, write_page
+from rejoint_lab.research.evaluation.trials import (
+    TrialArms,
+    TrialSettings,
+    keep,
+    own_twin,
+    own_twins,
+    try_controller,
+    try_on,
+)
+from rejoint_lab.research.rivals.laws import RIVALS, make_rival
+from rejoint_lab.research.rivals.pid import PIDS
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Contestant:
+    """One controller of an evaluation."""
+
+    name: str
+    """unique, such as ``policy default #0``"""
+    group: str
+    """what tables put together: the name without the training seed"""
+    make: Callable[[Arm, Sequence[Twin]], Controller]
+    """from the twins of the arms, if they have any"""
+    identity: str
+    """changes with everything that the behaviour depends on, except the software"""
+    learned: bool = False
+
+    def on(self, twins: Sequence[Twin]) -> Callable[[Arm], Controller]:
+        """Return what makes it for arms with these twins."""
+        return lambda arm: self.make(arm, twins)
+
+
+def known_names() -> tuple[str, ...]:
+    """Names that need neither file nor twins."""
+    return (*BASELINES, *PIDS, *RIVALS, SHELF)
+
+
+def classical(name: str, gains: Mapping[str, Mapping[str, float]] | None = None) -> Contestant:
+    """Baseline or rival by name; ``gains`` replace its own; InputError names the alternatives."""
+    identity, learns, on_twins = name, name == SHELF, {FeedforwardController.name: _raised, PREDICTIVE: planned}
+    made: Callable[[Arm], Controller] = PIDS.get(name) or partial(make_controller, name)
+    if learns:
+        made, identity = shelf_controller, _digest(b"".join(shelf_path(arm).read_bytes() for arm in shelf_arms()))
+    elif name in RIVALS:
+        own = dict((gains or {}).get(name, RIVALS[name].gains))
+        made, identity = partial(make_rival, name, gains=own), f"{name} {sorted(own.items())}"
+    elif name not in (*BASELINES, *PIDS, PREDICTIVE):
+        raise InputError(f"no controller is called {name!r}; known: {', '.join(known_names())}, and --policy FILE")
+
+    def make(arm: Arm, twins: Sequence[Twin]) -> Controller:
+        return on_twins[name](arm, twins) if twins and name in on_twins else made(arm)
+
+    return Contestant(name=name, group=name, make=make, identity=identity, learned=learns)
+
+
+def planned(arm: Arm, twins: Sequence[Twin]) -> Controller:
+    """Predictive control on the arms' own twins, with the generic policy or, without one, the feed-forward."""
+    holder = shelf_controller(arm) if arm.name in shelf_arms() else _raised(arm, twins)
+    return PredictiveController.of(arm, twins, holder)
+
+
+def _raised(arm: Arm, twins: Sequence[Twin]) -> FeedforwardController:
+    """Feed-forward with the stiffness of the arms' own twins."""
+    return FeedforwardController(arm, np.stack([twin.parameters.stiffness for twin in twins]))
+
+
+def learned(path: Path, arm: Arm) -> Contestant:
+    """Policy from a file; FileError or ContractError for a wrong one."""
+    contract = load_policy(path, arm).contract
+    group = f"policy {contract.preset}" + (" on its twin" if contract.twin_digest else "")
+    return Contestant(
+        name=f"{group} #{contract.seed}",
+        group=group,
+        make=lambda arm, _: load_policy(path, arm),
+        identity=_digest(path.read_bytes()),
+        learned=True,
+    )
+
+
+def on_twin(one: Contestant, twin: Twin, name: str | None = None) -> Contestant:
+    """Return a contestant for an arm that has this ``twin``, called so."""
+    name = f"{name or one.name} on its twin"
+    return replace(one, name=name, group=name, make=lambda arm, _: one.make(arm, [twin]))
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:16]
 
 
 def evaluate(
@@ -29,19 +135,19 @@ def evaluate(
 ) -> Evaluation:
     """Evaluate and write ``evaluation.json`` and ``.html`` into ``folder``, outcomes as Parquet below ``outcomes/``.
 
-    An outcome of the same contestant, arms and settings is taken over.
+    An outcome of the same contestant, arms and settings is taken over. InputError for two contestants of one name.
     """
-    check_names(contestants)
+    names = [one.name for one in contestants]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise InputError(f"these take part twice: {', '.join(twice)}; policies need different training seeds")
     family, outcomes = settings.family, {}
     cells = [(variant, one) for variant in variants for one in contestants]
-    each = family.arms * (family.targets + family.crossings)
     for number, (variant, one) in enumerate(cells):
-
-        def report(done: int, before: int = number * each, text: str = f"{variant.name}: {one.name}") -> None:
-            on_progress((before + done) / (len(cells) * each), text)
-
-        report(0)
-        twins = own_twins(arm, family, folder) if variant.anywhere else []
+        cell = part(on_progress, number / len(cells), (number + 1) / len(cells))
+        text, each = f"{variant.name}: {one.name}", family.arms * (family.targets + family.crossings)
+        cell(0.0, text)
+        twins = own_twins(arm, family.wear_seeds, folder, family.seed) if variant.anywhere else []
         identity = {
             "arm": arm.name,
             "variant": asdict(variant),
@@ -49,18 +155,14 @@ def evaluate(
             "family": asdict(family),
             "protocol": asdict(settings.protocol),
         }
-        outcomes[variant.name, one.name] = keep(
-            outcome_path(folder, variant.name, one.name),
-            identity,
-            lambda: try_controller(arm, variant, one.maker(twins), settings, report, twins),  # noqa: B023 - at once
-        )
+
+        def report(done: int, cell: Progress = cell, each: int = each, text: str = text) -> None:
+            cell(done / each, text)
+
+        path = outcome_path(folder, variant.name, one.name)
+        drive = partial(try_controller, arm, variant, one.on(twins), settings, report, twins)
+        outcomes[variant.name, one.name] = keep(path, identity, drive)
     return conclude(arm, settings, contestants, {v.name: v.meaning for v in variants}, outcomes, folder)
-
-
-def own_twins(arm: Arm, family: ArmFamily, folder: Path) -> list[Twin]:
-    """Return a twin of each arm of a family, fitted to an excitation of its own."""
-    seeds = map(family.wear_seed, range(family.arms))  # one plan of excitation: a few are not safe and are refused
-    return [own_twin(arm, seed, RunFolder(folder / "arms" / str(seed)), family.seed) for seed in seeds]
 
 
 def conclude(
@@ -72,9 +174,11 @@ def conclude(
     folder: Path,
 ) -> Evaluation:
     """Sum up and write ``evaluation.json`` and ``evaluation.html``."""
-    result = summarise(arm, settings, contestants, meanings, outcomes)
+    pooled = pool({one.name: one.group for one in contestants}, outcomes)
+    learned = {one.group for one in contestants if one.learned}
+    result = summarise(arm.name, settings, meanings, pooled, learned)
     write_json(folder / "evaluation.json", result)
-    write_page(folder / "evaluation.html", result, pool(contestants, meanings, outcomes))
+    write_page(folder / "evaluation.html", result, pooled)
     return result
 
 
@@ -82,3 +186,66 @@ def outcome_path(folder: Path, where: str, controller: str) -> Path:
     """Where the trials of a controller on some arms are kept."""
     name = re.sub(r"[^\w.-]+", "-", controller)
     return folder / "outcomes" / f"{where}--{name}.parquet"
+
+
+# --- what identification brings ---------------------------------------------------------------
+
+IDENTIFIED = "identified"
+"""Name of the variant"""
+COPIES = 8
+"""Trials of one arm side by side (chosen)"""
+
+
+def evaluate_identification(
+    arm: Arm,
+    policies: Sequence[Path],
+    settings: TrialSettings,
+    folder: Path,
+    iterations: int | None,
+    on_progress: Progress,
+) -> Evaluation:
+    """Compare controllers with and without each arm's own twin; ``policies`` are generic."""
+    seeds, found = settings.family.wear_seeds, dict[str, list[Columns]]()
+    contestants: list[Contestant] = []
+    for i, seed in enumerate(seeds):
+        ahead = part(on_progress, i / len(seeds), (i + 1) / len(seeds), f"arm {seed}: ")
+        contestants = _contestants(arm, seed, RunFolder(folder / "arms" / str(seed)), policies, iterations, ahead)
+        for one in contestants:
+            ahead(0.9, one.name)
+            outcome = try_on(arm, copies_of(arm, seed, settings), one.on(()), settings)
+            found.setdefault(one.name, []).append(outcome)
+    outcomes = {
+        (IDENTIFIED, name): {key: np.concatenate([one[key] for one in parts]) for key in parts[0]}
+        for name, parts in found.items()
+    }
+    return conclude(
+        arm, settings, contestants, {IDENTIFIED: "worn arms, each with a twin of its own"}, outcomes, folder
+    )
+
+
+def _contestants(
+    arm: Arm, seed: int, folder: RunFolder, policies: Sequence[Path], iterations: int | None, on_progress: Progress
+) -> list[Contestant]:
+    """Return controllers without the twin of ``worn?seed=``, and with it, identified and trained for in ``folder``."""
+    from rejoint.training.train import TrainingOptions, train  # torch is slow to import, and may not be needed
+
+    twin = own_twin(arm, seed, folder, seed, part(on_progress, 0.0, 0.4))
+    if not folder.policy.exists():
+        options = TrainingOptions(iterations=iterations, resume=True)
+        train(arm, twin, out=folder.path, options=options, on_progress=part(on_progress, 0.4, 0.8))
+    return [
+        *map(classical, ("feedforward", "tuned-feedforward")),
+        *(on_twin(classical(name), twin) for name in ("feedforward", "predictive")),
+        *(learned(path, arm) for path in policies),
+        on_twin(learned(folder.policy, arm), twin, "policy"),
+    ]
+
+
+def copies_of(arm: Arm, wear_seed: int, settings: TrialSettings) -> TrialArms:
+    """Return copies of the arm ``worn?seed=``, each with other noise and targets."""
+    family, wear = settings.family, load_wear(f"worn?seed={wear_seed}", arm)
+    return TrialArms(
+        open=lambda: EmulatedRobot(arm, [wear] * COPIES, seed=wear_seed, threads=settings.threads),
+        targets=draw_targets(arm, sets=COPIES, count=max(family.targets, family.crossings), seed=wear_seed),
+        wear_seeds=[wear_seed] * COPIES,
+    )

@@ -7,12 +7,14 @@ and gains are chosen on others.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, JointTrajectory, choose_postures, gravity_torque, tcp_position
+from rejoint.arms import Arm, Array, Displacement, JointTrajectory, choose_postures, gravity_torque, tcp_position
+from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.postures import comfortable_postures
+from rejoint.arms.rotations import rotation_about
 from rejoint.arms.workspace import length_size
 from rejoint.control.goal import Ways, with_ways
 from rejoint.control.targets import draw_targets
@@ -49,16 +51,29 @@ class Variant:
     """whether targets are drawn wherever an arm can reach and hold, instead of its target region"""
     payload: float = 0.0
     """[kg] heaviest load at the tool; each arm's own is uniform up to it, and unknown"""
+    tilt: float = 0.0
+    """[rad] by which the base stands askew, to the side"""
+    mass: float = 0.0
+    """share by which the mass of each link is off, up or down"""
+    shift: float = 0.0
+    """[m] standard deviation of each coordinate of the errors of the links"""
+    turn: float = 0.0
+    """[rad] the same of the angles"""
 
 
+WORN = Variant(name="worn", meaning="worn arms")
+HEALTHY = Variant(name="healthy", meaning="healthy arms", profile="healthy")
+PLAY_IN_LOOP = Variant(
+    name="play-in-loop", meaning="worn arms whose encoders sit behind the gears' play", profile="play-in-loop"
+)
 VARIANTS = (
-    Variant(name="worn", meaning="worn arms"),
-    Variant(name="play-in-loop", meaning="worn arms whose encoders sit behind the gears' play", profile="play-in-loop"),
+    WORN,
+    PLAY_IN_LOOP,
     Variant(name="long-latency", meaning="worn arms, commands arrive after 30 to 50 ms", latency=(0.030, 0.050)),
     Variant(name="slow-wire", meaning="worn arms at a control period of 45 to 55 ms", period=(0.045, 0.055)),
     Variant(name="any-wire", meaning="worn arms, every control cycle takes 20 to 50 ms", period=(0.020, 0.050)),
     Variant(name="payload", meaning="worn arms with up to 250 g at the tool", payload=0.250),
-    Variant(name="healthy", meaning="healthy arms", profile="healthy"),
+    HEALTHY,
     Variant(
         name="anywhere",
         meaning="worn arms with a twin each, targets wherever they reach and hold the arm with 90 % of the torque",
@@ -66,6 +81,22 @@ VARIANTS = (
     ),
 )
 """The conditions; latency, period and load are those that hobby arms of this size meet (chosen)"""
+
+CALIBRATED = (
+    WORN,
+    Variant(name="askew", meaning="worn arms on a base tilted by 8 degrees", tilt=np.radians(8.0)),
+    Variant(name="wedge", meaning="worn arms on a base raised by 2 degrees on one side", tilt=np.radians(2.0)),
+    Variant(
+        name="misdescribed",
+        meaning="worn arms, masses 15 % off, links off by 1 mm and 0.3 deg",
+        mass=0.15,
+        shift=1e-3,
+        turn=np.radians(0.3),
+    ),
+    HEALTHY,
+    PLAY_IN_LOOP,
+)
+"""The conditions of calibrations"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,24 +122,37 @@ class ArmFamily:
         """Seed of arm ``index``."""
         return FAMILY_SIZE * (self.seed + 1) + index
 
+    @property
+    def wear_seeds(self) -> list[int]:
+        """Seeds of all arms."""
+        return list(map(self.wear_seed, range(self.arms)))
 
-def find_variant(name: str) -> Variant:
+
+def find_variant(name: str, among: Sequence[Variant] = VARIANTS) -> Variant:
     """Look up a variant; InputError names the alternatives."""
-    for variant in VARIANTS:
+    for variant in among:
         if variant.name == name:
             return variant
-    raise InputError(f"no variant is called {name!r}; known variants: {', '.join(v.name for v in VARIANTS)}")
+    raise InputError(f"no variant is called {name!r}; known variants: {', '.join(v.name for v in among)}")
 
 
 def family_wears(arm: Arm, variant: Variant, family: ArmFamily) -> list[Wear]:
     """Draw the arms."""
-    return [load_wear(f"{variant.profile}?seed={family.wear_seed(i)}", arm) for i in range(family.arms)]
+    return [load_wear(f"{variant.profile}?seed={seed}", arm) for seed in family.wear_seeds]
 
 
 def family_payloads(variant: Variant, family: ArmFamily) -> Array:
     """Draw the loads (A,) [kg] at the tools."""
-    streams = [np.random.default_rng([family.wear_seed(i), 1]) for i in range(family.arms)]
-    return variant.payload * np.array([stream.random() for stream in streams])
+    return variant.payload * np.array([np.random.default_rng([seed, 1]).random() for seed in family.wear_seeds])
+
+
+def misdescribed(arm: Arm, variant: Variant, seed: int) -> Arm:
+    """Draw an arm that differs from its description ``arm``."""
+    rng = np.random.default_rng([seed, 2])
+    twist = rng.normal(0.0, [variant.shift] * 3 + [variant.turn] * 3, (arm.joints + 1, 6))
+    moved = replace(Displacement.none(arm), twist=twist).moved(arm)
+    factor = 1.0 + variant.mass * rng.choice([-1.0, 1.0], arm.joints)
+    return replace(moved, mass=arm.mass * factor, inertia=arm.inertia * factor[:, None, None])
 
 
 def family_targets(arm: Arm, family: ArmFamily, count: int) -> Array:
@@ -141,6 +185,7 @@ def targets_anywhere(arm: Arm, family: ArmFamily, twins: Sequence[Twin]) -> tupl
 
 def open_family(arm: Arm, variant: Variant, family: ArmFamily, threads: int = 1) -> EmulatedRobot:
     """All arms as one batch, at rest."""
+    described = not (variant.mass or variant.shift or variant.turn)
     return EmulatedRobot(
         arm,
         family_wears(arm, variant, family),
@@ -150,4 +195,6 @@ def open_family(arm: Arm, variant: Variant, family: ArmFamily, threads: int = 1)
         command_latency=variant.latency,
         threads=threads,
         payload=family_payloads(variant, family),
+        bodies=None if described else [misdescribed(arm, variant, seed) for seed in family.wear_seeds],
+        gravity=rotation_about(np.array([1.0, 0.0, 0.0]), variant.tilt) @ GRAVITY,
     )

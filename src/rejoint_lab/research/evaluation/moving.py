@@ -11,7 +11,7 @@ import numpy as np
 
 from rejoint.arms import Arm
 from rejoint.control.classical import DefaultController
-from rejoint.control.comparison.protocols import Columns
+from rejoint.control.comparison.result import Columns
 from rejoint.control.loop import Schedule, run
 from rejoint.control.moving.drive import Along, Repetition, judge, missed
 from rejoint.control.moving.posture import PathPostures, Servos, home_of
@@ -27,13 +27,13 @@ from rejoint.control.moving.reference import (
 )
 from rejoint.control.moving.tracker import Tracker
 from rejoint.control.recording import Recording
-from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.system.progress import Progress, part
+from rejoint.system.statistics import Spread, spread
 from rejoint.twin.twin import Twin
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import Wear, load_wear
 from rejoint_lab.research.evaluation.family import ArmFamily
-from rejoint_lab.research.evaluation.trials import keep, own_twin
+from rejoint_lab.research.evaluation.trials import keep, own_twins
 
 RATE = 30.0
 """[Hz] of a path's setpoints where it is not known ahead"""
@@ -51,13 +51,10 @@ class MovingRow:
 
     case: str
     path: str
-    arms: int
-    mean: float
+    error: Spread
     """[m] after the best single lag for online paths"""
     middle: float
     """[m] median"""
-    high: float
-    """[m] 95th percentile"""
     largest: float
     """[m] largest error of any arm at any time"""
     lag: float
@@ -69,22 +66,14 @@ def evaluate_moving(arm: Arm, family: ArmFamily, out: FilePath, threads: int, on
     """Let every arm follow the standard paths in all cases; resumes in ``out``."""
     parts = []
     for first in range(0, family.arms, BLOCK):
-        seeds = [family.wear_seed(i) for i in range(first, min(first + BLOCK, family.arms))]
-        ahead = part(on_progress, first / family.arms, min(first + BLOCK, family.arms) / family.arms)
-        twins = partial(_twins, arm, seeds, family.seed, out, part(ahead, 0.0, 0.5))
+        seeds = family.wear_seeds[first : first + BLOCK]
+        ahead = part(on_progress, first / family.arms, (first + len(seeds)) / family.arms)
+        twins = partial(own_twins, arm, seeds, out, family.seed, part(ahead, 0.0, 0.5))
         identity = {"arm": arm.name, "seeds": seeds, "cases": CASES}
         file = out / "moving" / f"{seeds[0]}-{seeds[-1]}.parquet"
         parts.append(keep(file, identity, partial(_follow, arm, seeds, twins, threads, part(ahead, 0.5, 1.0))))
     found = {name: np.concatenate([one[name] for one in parts]) for name in parts[0]}
     return [_row(case, path, found) for case in CASES for path in STANDARD]
-
-
-def _twins(arm: Arm, seeds: Sequence[int], family: int, out: FilePath, on_progress: Progress) -> list[Twin]:
-    ends = np.linspace(0.0, 1.0, len(seeds) + 1)
-    return [  # the same plan of excitation for all of them: a few are not safe and are refused
-        own_twin(arm, seed, RunFolder(out / "arms" / str(seed)), family, part(on_progress, *ends[i : i + 2]))
-        for i, seed in enumerate(seeds)
-    ]
 
 
 def _follow(
@@ -132,13 +121,13 @@ def _row(case: str, path: str, found: Columns) -> MovingRow:
     own = {name: values[STANDARD.index(path) :: len(STANDARD), CASES.index(case)] for name, values in found.items()}
     after = "_after" * (case == STREAM)
     rms = own[f"rms{after}"]
+    error = spread(rms, np.arange(len(rms)))
+    assert error is not None  # noqa: S101 - every arm has an error along the way
     return MovingRow(
         case=case,
         path=path,
-        arms=len(rms),
-        mean=float(rms.mean()),
+        error=error,
         middle=float(np.median(rms)),
-        high=float(np.percentile(rms, 95)),
         largest=float(own[f"largest{after}"].max()),
         lag=float(np.median(own["lag"])),
         stopped=int(own["stopped"].sum()),
@@ -148,10 +137,11 @@ def _row(case: str, path: str, found: Columns) -> MovingRow:
 def moving_table(rows: Sequence[MovingRow]) -> tuple[str, list[str], list[list[str]]]:
     """Title, headers and rows: mean (95th percentile) over the arms in mm."""
     title = (
-        f"{rows[0].arms} arms: root mean square encoder error along the way in mm, mean over the arms (95th "
+        f"{rows[0].error.count} arms: root mean square encoder error along the way in mm, mean over the arms (95th "
         "percentile); as it goes: after the best single lag"
     )
     cells = [
-        [case, *(f"{1e3 * row.mean:.2f} ({1e3 * row.high:.2f})" for row in rows if row.case == case)] for case in CASES
+        [case, *(f"{1e3 * row.error.mean.value:.2f} ({1e3 * row.error.p95:.2f})" for row in rows if row.case == case)]
+        for case in CASES
     ]
     return title, ["case", *STANDARD], cells

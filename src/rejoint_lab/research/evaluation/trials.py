@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +13,17 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from rejoint.arms import Arm, Array
-from rejoint.control.comparison.compare import PROGRESS_CYCLES
-from rejoint.control.comparison.protocols import KINDS, Columns, measure, schedule
-from rejoint.control.comparison.result import METRICS, Protocol
-from rejoint.control.controller import Controller
+from rejoint.arms import Arm, Array, Displacement
+from rejoint.control.comparison.compare import count_targets
+from rejoint.control.comparison.protocols import metrics_of, schedule
+from rejoint.control.comparison.result import METRICS, MODELLED, Columns, Kind, Protocol
+from rejoint.control.controller import ControlInput, Controller
+from rejoint.control.correction import Modelled
 from rejoint.control.goal import Ways
 from rejoint.control.loop import run
-from rejoint.control.recording import Cycle
 from rejoint.control.reference import TargetSequence
-from rejoint.control.robot import Robot
+from rejoint.control.robot import Mask, Robot
+from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.logs.runlog import read_parquet
 from rejoint.system.errors import FileError
@@ -34,8 +36,6 @@ from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
 from rejoint_lab.research.evaluation.family import ArmFamily, Variant, family_targets, open_family, targets_anywhere
 
-OnTargets = Callable[[int], object]
-"""Called now and then with the number of targets that are done."""
 _IDENTITY = b"rejoint.research.evaluation"
 
 
@@ -52,6 +52,17 @@ def own_twin(arm: Arm, wear_seed: int, folder: RunFolder, seed: int, on_progress
         _, logs = diagnose(robot, None, seed=seed, on_progress=part(on_progress, 0.0, 0.5))
         write_twin(folder.twin, identify(arm, [logs.excitation], on_progress=part(on_progress, 0.5, 1.0)))
     return read_twin(folder.twin, arm)
+
+
+def own_twins(
+    arm: Arm, seeds: Sequence[int], folder: Path, seed: int, on_progress: Progress = no_progress
+) -> list[Twin]:
+    """Return a twin of each worn arm, fitted to an excitation of its own, kept in ``folder``."""
+    ends = np.linspace(0.0, 1.0, len(seeds) + 1)
+    return [  # one plan of excitation, of ``seed``: a few are not safe and are refused
+        own_twin(arm, one, RunFolder(folder / "arms" / str(one)), seed, part(on_progress, *ends[i : i + 2]))
+        for i, one in enumerate(seeds)
+    ]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,8 +84,14 @@ class TrialArms:
     """(A, max(K, C), 3) [m]"""
     ways: Ways | None = None
     """of the first K targets; None for the nearest postures"""
-    wear_seed: Array
+    wear_seeds: Sequence[int]
     """(A,)"""
+    calibrations: Sequence[Calibration] = ()
+    """of each arm, where they are used: they correct the targets and model the true errors"""
+
+
+def nothing(done: int) -> None:
+    """Ignore the number of targets that are done."""
 
 
 def try_controller(
@@ -82,7 +99,7 @@ def try_controller(
     variant: Variant,
     controller: Callable[[Arm], Controller],
     settings: TrialSettings,
-    on_targets: OnTargets,
+    on_targets: Callable[[int], object] = nothing,
     twins: Sequence[Twin] = (),
 ) -> Columns:
     """Try a controller on all arms of a variant; ``twins`` choose postures of targets anywhere."""
@@ -90,49 +107,72 @@ def try_controller(
     targets = family_targets(arm, family, max(family.targets, family.crossings))
     if variant.anywhere:
         targets[:, : family.targets], ways = targets_anywhere(arm, family, twins)
-    bench = TrialArms(
-        open=lambda: open_family(arm, variant, family, settings.threads),
-        targets=targets,
-        ways=ways,
-        wear_seed=np.array([family.wear_seed(i) for i in range(family.arms)], dtype=float),
-    )
-    return try_on(arm, bench, controller, settings, on_targets)
+    opened = partial(open_family, arm, variant, family, settings.threads)
+    arms = TrialArms(open=opened, targets=targets, ways=ways, wear_seeds=family.wear_seeds)
+    return try_on(arm, arms, controller, settings, on_targets)
 
 
 def try_on(
-    arm: Arm, bench: TrialArms, controller: Callable[[Arm], Controller], settings: TrialSettings, on_targets: OnTargets
+    arm: Arm,
+    arms: TrialArms,
+    controller: Callable[[Arm], Controller],
+    settings: TrialSettings,
+    on_targets: Callable[[int], object] = nothing,
 ) -> Columns:
     """Hold every arm at its targets, then run the crossing protocol; returns results (A, max(K, C)).
 
     Beside `METRICS`: seed of the ``arm``, number and place (``x``, ``y``, ``z``) of the ``target``, and the flags with
-    which the guard ``tripped``.
+    which the guard ``tripped``. ``on_targets`` receives the number of targets that are done now and then.
     """
-    family, protocol, cycles = settings.family, settings.protocol, 0
-    shape = bench.targets.shape[:2]
-
-    def watch(cycle: Cycle) -> None:
-        nonlocal cycles
-        cycles += 1
-        if cycles % PROGRESS_CYCLES == 0:
-            on_targets(int(cycle.target_index.sum()))
-
+    family, protocol, shape = settings.family, settings.protocol, arms.targets.shape[:2]
     found: Columns = {name: np.full(shape, np.nan) for name in (*METRICS, *protocol.stay_names, "tripped")}
-    found |= dict(zip("xyz", np.moveaxis(bench.targets, -1, 0), strict=True))
-    found["arm"] = np.broadcast_to(bench.wear_seed[:, None], shape)
+    found |= dict(zip("xyz", np.moveaxis(arms.targets, -1, 0), strict=True))
+    found["arm"] = np.repeat(np.array(arms.wear_seeds, dtype=float)[:, None], shape[1], axis=1)
     found["target"] = np.broadcast_to(np.arange(shape[1], dtype=float), shape)
-    for kind in reversed(KINDS):
-        count = family.targets if kind == "hold" else family.crossings
+    correction = OwnCorrections(arms.calibrations) if arms.calibrations else None
+    counts: dict[Kind, int] = {"hold": family.targets, "crossing": family.crossings}
+    for kind, count in counts.items():
         if not count:
             continue
-        points, ways = bench.targets[:, :count], bench.ways if kind == "hold" else None
-        plan, sequence = schedule(kind, protocol, keep_going=True), TargetSequence(arm, points, ways=ways)
-        recording = run(bench.open(), controller(arm), sequence, plan, on_cycle=watch)
-        places = tuple((b, 0) for b in range(len(points)))
-        for name, values in measure(arm, recording, points, protocol, ("", kind, places, 0)).columns.items():
-            found[name][:, :count] = values
+        points, ways = arms.targets[:, :count], arms.ways if kind == "hold" else None
+        sequence = TargetSequence(arm, points, ways=ways, correction=correction)
+        plan = schedule(kind, protocol, keep_going=True)
+        recording = run(arms.open(), controller(arm), sequence, plan, on_cycle=count_targets(on_targets))
+        columns = metrics_of(arm, recording, points, protocol, (kind,))
         if kind == "hold":
             found["tripped"][:, :count] = recording.tripped[:, None]
+            for b, model in enumerate(arms.calibrations):
+                one = recording.of(slice(b, b + 1))
+                blind = replace(one, true_tcp=np.full_like(one.true_tcp, np.nan))  # what a calibration would say
+                modelled = metrics_of(arm, blind, points[b : b + 1], protocol, model=model)
+                for name in MODELLED:
+                    columns[name][b] = modelled[name][0]
+        for name, values in columns.items():
+            found[name][:, :count] = values
     return found
+
+
+class OwnCorrections(Modelled):
+    """Corrects the targets of each arm by its own calibration."""
+
+    def __init__(self, found: Sequence[Calibration]) -> None:
+        self._each = [Modelled(one.arm, one.displacement if one.used else Displacement.none(one.arm)) for one in found]
+
+    def aim(self, target: Array, start: Array, where: Mask, near: Array | None = None) -> Array:
+        """Corrected targets (B, 3) [m]."""
+        rows = (target, start, where) if near is None else (target, start, where, near)
+        return np.concatenate(
+            [one.aim(*own) for one, *own in zip(self._each, *(row[:, None] for row in rows), strict=True)]
+        )
+
+    def again(self, target: Array, inputs: ControlInput) -> Array | None:
+        """Correct settled arms once more."""
+        fresh, state = inputs.target.copy(), inputs.state
+        for i, one in enumerate(self._each):
+            own = replace(state, time=state.time[i : i + 1], position=state.position[i : i + 1])
+            found = one.again(target[i : i + 1], replace(inputs, state=own, target=inputs.target[i : i + 1]))
+            fresh[i] = fresh[i] if found is None else found[0]
+        return None if (fresh == inputs.target).all() else fresh
 
 
 def keep(path: Path, identity: Mapping[str, Any], find: Callable[[], Columns]) -> Columns:

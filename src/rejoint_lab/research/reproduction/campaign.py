@@ -1,25 +1,281 @@
-"""All experiments: run, resumed, and written as a page."""
+"""The experiments: settings, folder, trainings, results, and the page that is written of them.
+
+Trainings: ``worn-0`` is Table 3's training on the paper's P and D, ``healthy-0`` on a normal arm's; the number adds to
+the seed. ``limit-5`` takes the printed largest action, ``noise-5`` also the joint noise, ``literal`` also the last
+action.
+"""
 
 from __future__ import annotations
 
+import io
+import multiprocessing
+import signal
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from importlib import import_module
 from pathlib import Path
+from string import Formatter
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from msgspec.structs import replace
+import msgspec
+import numpy as np
 
+from rejoint.arms import Arm, Array
+from rejoint.control.comparison.result import Protocol
+from rejoint.control.targets import draw_targets
+from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.pages.html import write_page as fill
-from rejoint.system.errors import InputError
-from rejoint.system.files import read_json, write_json
+from rejoint.system.errors import InputError, RejointError
+from rejoint.system.files import read_json, write_json, write_whole
+from rejoint.system.progress import Progress, no_progress
 from rejoint.system.shell import __version__
 from rejoint.system.tomltable import read_toml
-from rejoint.training.presets import PAPER
-from rejoint_lab.research.reproduction.bench import Bench, Experiment, Finished
-from rejoint_lab.research.reproduction.trainings import finish_trainings
+from rejoint.training.presets import PAPER, Preset
+from rejoint.training.train import TrainingOptions, train
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+DPI, COLOURS = 120, 64
+"""of a figure; chosen"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scale:
+    """Size of the experiments."""
+
+    sets: int = 5
+    """the paper has one"""
+    repetitions: int = 6
+    """n of the paper's Table 4"""
+    targets: int = 10
+    """Park et al. 2024, section IV-A"""
+    protocol: Protocol = field(default_factory=Protocol)
+    """20 s per target, 10 mm"""
+    agents: int = 512
+    """Table 3"""
+    updates: int | None = None
+    """None: Table 3's 5000 time steps"""
+    snapshot_every: int = 5
+    """updates between policies of Fig. 12; chosen"""
+    judged: int = 96
+    """arms per such policy; chosen"""
+
+
+FULL = Scale()
+QUICK = Scale(
+    sets=1,
+    repetitions=2,
+    targets=3,
+    protocol=Protocol(dwell=2.0, hold=2.0),
+    agents=16,
+    updates=2,
+    snapshot_every=2,
+    judged=8,
+)
+"""Enough to try every step"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bench:
+    """Folder and settings of all experiments."""
+
+    folder: Path
+    arm: Arm
+    seed: int
+    scale: Scale = FULL
+    threads: int = 2
+    """of simulations, and parallel trainings"""
+    on_progress: Progress = no_progress
+
+    @property
+    def quick(self) -> bool:
+        """Whether it is too small for a result."""
+        return self.scale != FULL
+
+    @cached_property
+    def targets(self) -> Array:
+        """(S, K, 3) [m] of all sets."""
+        return draw_targets(self.arm, sets=self.scale.sets, count=self.scale.targets, seed=self.seed)
+
+    def training(self, name: str) -> RunFolder:
+        """Folder of a training (`recipe`)."""
+        return RunFolder(self.folder / "trainings" / name)
+
+    def draw(self, figure: Figure, key: str) -> None:
+        """Save a figure of the page as a small PNG."""
+        from PIL import Image
+
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format="png", dpi=DPI, facecolor="white", metadata={"Software": None})
+        small = Image.open(buffer).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
+        path = self.folder / "figures" / f"{key}.png"
+        write_whole(path, lambda temporary: small.save(temporary, format="png", optimize=True))
+
+
+class Printed(NamedTuple):
+    """A number with its spread, as it is printed."""
+
+    value: float
+    text: str
+
+    def __str__(self) -> str:
+        return self.text
+
+
+class Number(NamedTuple):
+    """One number of the paper beside ours."""
+
+    what: str
+    ours: str
+    """as printed, with unit and spread"""
+    paper: str = ""
+    """likewise; empty where the paper has none"""
+    value: float | None = None
+    """ours in that unit"""
+
+
+class Grid(NamedTuple):
+    """A further table of the page."""
+
+    title: str
+    headers: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finished:
+    """What an experiment found."""
+
+    experiment: str
+    software: str
+    text: tuple[str, ...]
+    """paragraphs"""
+    numbers: tuple[Number, ...]
+    grids: tuple[Grid, ...]
+
+
+Found = dict[str, Any]
+"""Values by name: numbers, text or `Printed`; ``grids`` are further tables"""
+
+
+class Experiment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """An experiment of the paper; text and numbers are formats of what is measured."""
+
+    name: str = ""
+    """on the command line"""
+    also: str = ""
+    """a second name"""
+    title: str
+    measure: str
+    """module and function in this package"""
+    trainings: tuple[str, ...] = ()
+    text: tuple[str, ...]
+    numbers: tuple[tuple[str, ...], ...]
+    """what, ours, perhaps the paper's"""
+    readings: tuple[str, ...]
+    """how we read open points"""
+    figure: str = ""
+    """its file is FIGURE.png"""
+    alt: str = ""
+    caption: str = ""
+
+    def run(self, bench: Bench) -> Found:
+        """Measure."""
+        module, _, name = self.measure.partition(".")
+        found: Found = getattr(import_module(f"rejoint_lab.research.reproduction.{module}"), name)(bench)
+        return found
+
+    def finish(self, found: Found, software: str) -> Finished:
+        """Put what was ``found`` into words."""
+
+        def number(what: str, ours: str, paper: str = "") -> Number:
+            value = found[next(name for _, name, _, _ in Formatter().parse(ours) if name)]
+            value = value.value if isinstance(value, Printed) else value
+            return Number(what, ours.format_map(found), paper, None if isinstance(value, str) else float(value))
+
+        return Finished(
+            experiment=self.name,
+            software=software,
+            text=tuple(paragraph.format_map(found) for paragraph in self.text),
+            numbers=tuple(number(*row) for row in self.numbers),
+            grids=tuple(found.get("grids", ())),
+        )
+
+
+SEEDS = 3
+"""Trainings of each kind; chosen"""
+WORN = tuple(f"worn-{i}" for i in range(SEEDS))
+HEALTHY = tuple(f"healthy-{i}" for i in range(SEEDS))
+LITERALLY = ("limit-5", "noise-5", "literal")
+
+LITERAL = float(np.radians(5.0))
+"""[rad] sigma of equation 19, and joint change per frame; Park et al. 2024, section IV-D"""
+
+
+def recipe(name: str) -> tuple[Preset, int]:
+    """Preset and seed increment of a training."""
+    kind, _, number = name.rpartition("-")
+    if kind == "worn":
+        return PAPER, int(number)
+    if kind == "healthy":
+        return replace(PAPER, name="paper-healthy", ranges="paper-healthy"), int(number)
+    law = replace(PAPER.task.law, authority_floor=LITERAL, authority_limit=LITERAL)
+    layout = "equation-16-action" if name == "literal" else PAPER.task.layout
+    noise = PAPER.joint_noise if name == "limit-5" else LITERAL
+    task = replace(PAPER.task, law=law, layout=layout)
+    return replace(PAPER, name=f"paper-{name}", task=task, joint_noise=noise), 0
+
+
+def finish_trainings(bench: Bench, names: Sequence[str]) -> None:
+    """Run unfinished trainings in ``bench.threads`` processes."""
+    missing = [name for name in names if not bench.training(name).policy.exists()]
+    if not missing:
+        return
+    quiet, count = replace(bench, on_progress=no_progress), len(missing)  # a callback cannot go to another process
+    context = multiprocessing.get_context("spawn")  # a fork would copy the state of torch and MuJoCo
+    with ProcessPoolExecutor(min(bench.threads, count), mp_context=context, initializer=_begin_worker) as pool:
+        waiting = [pool.submit(_train, quiet, name) for name in missing]
+        try:
+            for number, future in enumerate(as_completed(waiting), start=1):
+                if problem := future.result():
+                    raise RejointError(problem)
+                bench.on_progress(number / count, f"{number} of {count} trainings")
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for worker in multiprocessing.active_children():  # their checkpoints are at most a few updates old
+                worker.terminate()
+            raise
+
+
+def _begin_worker() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that started this one
+
+
+def _train(bench: Bench, name: str) -> str:
+    """Train, and return the problem; errors with fields cannot go to another process."""
+    preset, offset = recipe(name)
+    options = TrainingOptions(
+        preset=preset,
+        seed=bench.seed + offset,
+        agents=bench.scale.agents,
+        threads=1,
+        iterations=bench.scale.updates,
+        snapshot_every=bench.scale.snapshot_every,
+        resume=True,
+    )
+    try:
+        train(bench.arm, None, out=bench.training(name).path, options=options)
+    except RejointError as error:
+        return str(error)
+    return ""
+
 
 PAGE = "reproduction.md"
 EXPERIMENTS = tuple(
-    replace(one, name=name)
+    msgspec.structs.replace(one, name=name)
     for name, one in read_toml(
         Path(__file__).with_name("experiments.toml"), dict[str, Experiment], "install rejoint again"
     ).items()
@@ -35,23 +291,13 @@ def choose(names: Sequence[str]) -> tuple[Experiment, ...]:
     return tuple(one for one in EXPERIMENTS if not names or {one.name, one.also} & set(names))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Claim:
-    """Settings that all results in a folder share."""
-
-    seed: int
-    quick: bool
-
-
 def run_experiments(
     bench: Bench, experiments: Sequence[Experiment], on_experiment: Callable[[Experiment], object]
 ) -> list[Finished]:
     """Run experiments, called to ``on_experiment``, on what is kept of trainings and trials, and what is missing."""
-    wanted, path = Claim(seed=bench.seed, quick=bench.quick), bench.folder / "reproduction.json"
-    if path.exists() and (there := read_json(path, Claim)) != wanted:
-        raise InputError(
-            f"{bench.folder} is a reproduction of {asdict(there)}, not of {asdict(wanted)}; give another --run"
-        )
+    wanted, path = {"seed": bench.seed, "quick": bench.quick}, bench.folder / "reproduction.json"
+    if path.exists() and (there := read_json(path, dict[str, int | bool])) != wanted:
+        raise InputError(f"{bench.folder} is a reproduction of {there}, not of {wanted}; give another --run")
     write_json(path, wanted)
     finish_trainings(bench, list(dict.fromkeys(name for one in experiments for name in one.trainings)))
     found = []

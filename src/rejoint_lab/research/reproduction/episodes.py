@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pyarrow.parquet as pq
-from matplotlib.figure import Figure
 
 from rejoint.arms import Array
-from rejoint.control.comparison.protocols import Columns
+from rejoint.control.comparison.result import Columns
 from rejoint.control.observation import POINT_SCALE, Observation, layout_slots
 from rejoint.control.policy import PolicyController, load_policy
 from rejoint.pages.html import BLUE, ORANGE, RED
-from rejoint.pages.report.figures import TITLE, WIDE, Series, Ways, canvas, legend, ways
+from rejoint.pages.report.figures import WIDE, Series, Ways, curves, ways
 from rejoint.system.errors import FileError
 from rejoint.training.presets import PAPER
 from rejoint.training.ranges import PaperRanges, Ranges
 from rejoint.training.task import ReachTask
 from rejoint_lab.research.evaluation.trials import keep
-from rejoint_lab.research.reproduction.bench import Bench, Found, Printed
-from rejoint_lab.research.reproduction.trainings import HEALTHY, WORN
+from rejoint_lab.research.reproduction.campaign import HEALTHY, WORN, Bench, Found, Printed
 
 DRAWN = 12
 """paths on Fig. 11; chosen"""
@@ -122,20 +120,24 @@ def measure_course(bench: Bench) -> Found:
         bench.on_progress(done / len(jobs), f"policies of {name} on {arms} arms")
         courses[label].append(course(bench, name, arms))
     cycles = PAPER.ppo.rollout * courses[label][0]["updates"]
-    curves = {(label, key): np.array([one[key] for one in some]) for label, some in courses.items() for key in MEASURES}
-    ends = {at: values[:, -LAST:].mean(axis=1) for at, values in curves.items()}
+    found = {(label, key): np.array([one[key] for one in some]) for label, some in courses.items() for key in MEASURES}
+    ends = {at: values[:, -LAST:].mean(axis=1) for at, values in found.items()}
     own, other, home = CONDITIONS
-    rewards = curves[other, "reward"].mean(axis=0)
-    below = np.flatnonzero(curves[own, "reward"].mean(axis=0) <= CONVERGED)
+    rewards = found[other, "reward"].mean(axis=0)
+    below = np.flatnonzero(found[own, "reward"].mean(axis=0) <= CONVERGED)
     first = int(below[-1]) + 1 if len(below) else 0
     better = ends[own, "reward"].min() > ends[other, "reward"].max()
-    found: Found = {
+    told: Found = {
         f"{label}_{key}": _range(factor * ends[name, key])
         for label, name in (("own", own), ("other", other), ("home", home))
         for key, factor in zip(MEASURES, (1.0, 1.0, 100.0, 100.0), strict=True)
     }
-    bench.draw(over_training(cycles, curves), "fig-12")
-    return found | {
+    panels = {
+        f"{name} per episode": [Series.over(one, look, found[one, key]) for one, (_, _, look) in CONDITIONS.items()]
+        for key, name in (("reward", "reward"), ("steps", "time steps"))
+    }
+    bench.draw(curves(panels, cycles, "time steps of each agent", (WIDE, 3.5)), "fig-12")
+    return told | {
         "converged": f"{cycles[first]:.0f}" if first < len(cycles) else "never",
         "highest": cycles[np.argmax(rewards)],
         "apart": "yes" if better and ends[own, "steps"].max() < ends[other, "steps"].min() else "no",
@@ -167,19 +169,3 @@ def course(bench: Bench, name: str, arms: str) -> Columns:
     count = bench.scale.judged
     identity = {"training": name, "arms": arms, "count": count, "seed": bench.seed}
     return keep(folder.path / f"course-{arms}.parquet", identity, judge)
-
-
-def over_training(steps: Array, curves: dict[tuple[str, str], Array]) -> Figure:
-    """Draw reward and steps (seeds, K) over ``steps`` (K,), with bands over the seeds."""
-    figure, grid = canvas((WIDE, 3.5), 1, 2)
-    for axes, (key, name) in zip(
-        grid[0], (("reward", "reward per episode"), ("steps", "time steps per episode")), strict=True
-    ):
-        for label, (_, _, look) in CONDITIONS.items():
-            values = curves[label, key]
-            low, mean, high = values.min(axis=0), values.mean(axis=0), values.max(axis=0)
-            Series(label=label, look=look, value=mean, low=low, high=high).line(axes, steps)
-        axes.set(xlabel="time steps of each agent", xlim=(steps[0], steps[-1]))
-        axes.set_title(name, **TITLE)
-    legend(figure, grid[0, 0])
-    return figure

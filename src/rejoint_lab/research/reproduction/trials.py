@@ -9,8 +9,8 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, tcp_position
 from rejoint.control.catalogue import make_controller
-from rejoint.control.comparison.protocols import Columns, schedule
-from rejoint.control.comparison.result import Protocol
+from rejoint.control.comparison.protocols import schedule
+from rejoint.control.comparison.result import Columns, Protocol
 from rejoint.control.controller import Controller
 from rejoint.control.loop import run
 from rejoint.control.observation import layout_size
@@ -27,8 +27,8 @@ from rejoint.training.presets import PAPER
 from rejoint_lab.research.evaluation.family import ArmFamily
 from rejoint_lab.research.evaluation.summary import VariantRow, make_row
 from rejoint_lab.research.evaluation.trials import TrialArms, TrialSettings, keep, try_on
-from rejoint_lab.research.reproduction.bench import Bench, Found, Grid, Printed
-from rejoint_lab.research.reproduction.trainings import LITERALLY, WORN, recipe
+from rejoint_lab.research.reproduction.campaign import LITERALLY, WORN, Bench, Found, Grid, Printed, recipe
+from rejoint_lab.research.rivals.pid import PIDS
 
 DWELL = 5.0
 """[s] per target of Fig. 9; chosen"""
@@ -52,7 +52,7 @@ def try_arm(bench: Bench, name: str, protocol: Protocol, profile: str = "worn", 
     repetitions = 1 if only == "hold" else scale.repetitions
     targets = np.repeat(bench.targets, repetitions, axis=0)
     labels = np.arange(len(targets)) // (repetitions if scale.sets >= FEWEST_CLUSTERS else 1)
-    arms = TrialArms(open=partial(_open, bench, profile, len(targets)), targets=targets, wear_seed=labels.astype(float))
+    arms = TrialArms(open=partial(_open, bench, profile, len(targets)), targets=targets, wear_seeds=labels.tolist())
     settings = TrialSettings(
         family=ArmFamily(arms=len(targets), targets=holds, crossings=crossings),
         protocol=protocol,
@@ -60,12 +60,12 @@ def try_arm(bench: Bench, name: str, protocol: Protocol, profile: str = "worn", 
     )
     identity = {"seed": bench.seed, "settings": str(settings), "profile": profile}
     path = bench.folder / "outcomes" / f"{profile}--{name}{only and f'--{only}'}.parquet"
-    return keep(path, identity, lambda: try_on(bench.arm, arms, _maker(bench, name), settings, lambda done: None))  # noqa: ARG005
+    return keep(path, identity, lambda: try_on(bench.arm, arms, _maker(bench, name), settings))
 
 
 def _maker(bench: Bench, name: str) -> Callable[[Arm], Controller]:
     if name in NAMES:
-        return partial(make_controller, name)
+        return PIDS.get(name) or partial(make_controller, name)
     return partial(load_policy, bench.training(name).policy)
 
 

@@ -6,25 +6,20 @@ the settled error.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from cmaes import CMA  # type: ignore[import-untyped,unused-ignore]
 
 from rejoint.arms import Arm, Array
-from rejoint.control.comparison.protocols import Columns, measure_holds, schedule
-from rejoint.control.comparison.result import Protocol
-from rejoint.control.controller import Controller
+from rejoint.control.comparison.protocols import metrics_of, schedule
+from rejoint.control.comparison.result import Columns, Protocol
 from rejoint.control.loop import run
 from rejoint.system.progress import Progress
 from rejoint.training.ranges import Ranges
 from rejoint.twin.simulation import TwinRobot
-from rejoint_lab.research.rivals.catalogue import find_rival
-
-Interval = tuple[float, float]
-MakeController = Callable[[Arm, Mapping[str, Array]], Controller]
-"""The controller of B arms from gains by name, each (B, 1)"""
+from rejoint_lab.research.rivals.laws import Interval, MakeController
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,14 +73,6 @@ def tune(
     return {name: float(value) for name, value in gains(np.clip(search.mean, 0.0, 1.0)).items()}
 
 
-def tune_rival(
-    arm: Arm, ranges: Ranges, settings: TuningSettings, name: str, on_progress: Progress
-) -> dict[str, float]:
-    """Search the gains of a rival, as `tune`."""
-    rival = find_rival(name)
-    return tune(arm, ranges, rival.intervals, rival.make, settings, on_progress)
-
-
 def candidate_costs(
     arm: Arm, ranges: Ranges, gains: Mapping[str, Array], make: MakeController, settings: TuningSettings, draw_seed: int
 ) -> Array:
@@ -98,7 +85,7 @@ def candidate_costs(
     each = {name: np.repeat(value, settings.arms)[:, None] for name, value in gains.items()}
     protocol = Protocol(hold=settings.hold, within=(0.002,))
     recording = run(robot, make(arm, each), targets, schedule("hold", protocol, keep_going=True))
-    return cost(measure_holds(arm, recording, targets, protocol), settings).reshape(count, -1).mean(axis=1)
+    return cost(metrics_of(arm, recording, targets, protocol), settings).reshape(count, -1).mean(axis=1)
 
 
 def cost(holds: Columns, settings: TuningSettings) -> Array:

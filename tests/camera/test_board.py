@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from rejoint.arms.camera.board import DOTS, ON_TABLE, ON_TOOL, PAGES, page_of, read_board, write_pdf
+from rejoint.camera.board import DOTS, ON_TABLE, ON_TOOL, PAGES, page_of, read_board, write_pdf
 
 
 @pytest.mark.parametrize(("board", "page"), [(ON_TOOL, "A4"), (ON_TABLE, "A4"), (ON_TABLE, "letter")])

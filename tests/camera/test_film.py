@@ -8,10 +8,10 @@ import pytest
 from camera_scenes import ARM, WORN, taken
 
 from rejoint.arms import tcp_pose, tcp_position
-from rejoint.arms.camera.board import ON_TABLE, ON_TOOL, BoardView
-from rejoint.arms.camera.views import Unusable
 from rejoint.arms.rotations import inverse
-from rejoint.diagnosis.calibration.camera.film import (
+from rejoint.camera.board import ON_TABLE, ON_TOOL, BoardView
+from rejoint.camera.detector import Unusable
+from rejoint.camera.film import (
     POSTURES,
     Film,
     Shot,
@@ -20,8 +20,8 @@ from rejoint.diagnosis.calibration.camera.film import (
     write_film,
     write_postures,
 )
-from rejoint.diagnosis.calibration.camera.filming import believed_rig
-from rejoint.diagnosis.calibration.camera.fit import fit_film
+from rejoint.camera.filming import believed_rig
+from rejoint.camera.fit import fit_film
 from rejoint.system.errors import FileError, InputError
 from rejoint_lab.cameras.scene import LENS
 
@@ -42,7 +42,6 @@ def film_of(count, carried="board", seed=0):
             position=position,
             approach=np.full(ARM.joints, np.nan),
             posture=k,
-            side=0,
             seen=BoardView(name=view.name, number=seen.number, pixel=seen.pixel),
         )
         film = film.with_shot(shot, SIZE)
@@ -100,7 +99,7 @@ def test_pictures_of_a_folder_are_read_with_their_postures(tmp_path):
     t, film = taken(), film_of(3)
     write_postures(tmp_path / POSTURES, ARM, film)
     for k in range(3):
-        cv2.imwrite(str(tmp_path / f"view-0{k}.png"), t.scene.shows(tcp_pose(t.scene.arm, t.links[k]), k))
+        cv2.imwrite(str(tmp_path / f"view-0{k}.png"), t.scene.shows(tcp_pose(ARM, t.links[k]), k))
     found = read_folder(str(tmp_path), ARM, ON_TOOL)
     assert [shot.name for shot in found.shots] == [shot.name for shot in film.shots[:3]]
     for one, other in zip(found.usable, film.shots, strict=False):

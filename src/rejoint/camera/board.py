@@ -5,20 +5,16 @@ from __future__ import annotations
 import tomllib
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import cv2
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
 
 from rejoint.arms import Array
 from rejoint.system.errors import FileError, InputError, first_line
-from rejoint.system.extras import require
 from rejoint.system.files import TOML_MOST, read_bounded, write_whole
-
-if TYPE_CHECKING:
-    import cv2
-    from PIL.Image import Image
 
 DICTIONARY = "DICT_4X4_50"
 """Markers of 4 x 4 cells"""
@@ -92,10 +88,7 @@ class Board:
         return np.asarray(self.opencv().generateImage((across, down), marginSize=0, borderBits=1), dtype=np.uint8)
 
     def opencv(self) -> cv2.aruco.CharucoBoard:
-        """OpenCV's board; MissingExtraError, InputError for unknown markers."""
-        require("a camera", "camera")
-        import cv2
-
+        """OpenCV's board; InputError for unknown markers."""
         number = getattr(cv2.aruco, self.dictionary, None) if self.dictionary.startswith("DICT_") else None
         if not isinstance(number, int):
             raise InputError(f"board: OpenCV knows no markers {self.dictionary!r}; the usual ones are {DICTIONARY}")
@@ -163,7 +156,7 @@ DOTS = 24
 
 _BORDER = 8.0  # [mm] that printers leave white (chosen: most leave 3 to 6)
 _QUIET = 6.0  # [mm] white around the board, as markers need (chosen: two cells)
-_TICK = 4.0  # [mm] length of the ticks at the ends of a ruler, half of it between them (chosen)
+_TICK = 4.0  # [mm] length of the ticks of a ruler (chosen)
 _LINE = 0.2  # [mm] width of lines (chosen)
 _TEXT = 3.2  # [mm] size of letters (chosen)
 
@@ -174,10 +167,8 @@ def write_pdf(path: Path, board: Board, page: str = "A4") -> None:
     write_whole(path, lambda temporary: picture.save(temporary, format="PDF", resolution=DOTS * 25.4))
 
 
-def page_of(board: Board, page: str = "A4") -> Image:
+def page_of(board: Board, page: str = "A4") -> Image.Image:
     """Draw the page, `DOTS` per millimetre."""
-    from PIL import Image, ImageDraw, ImageFont
-
     if page not in PAGES:
         raise InputError(f"board: no page is called {page!r}; known pages: {', '.join(PAGES)}")
     width, height = PAGES[page]
@@ -195,16 +186,17 @@ def page_of(board: Board, page: str = "A4") -> Image:
     ):
         down = 1.0 - across
         line(left, top, left + RULER * across, top + RULER * down)
-        for i in range(11):
-            a, b, tick = (
-                left + RULER * i / 10 * across,
-                top + RULER * i / 10 * down,
-                _TICK if i % 10 == 0 else _TICK / 2,
-            )
-            line(a, b, a + tick * down, b + tick * across)
+        for way in np.linspace(0.0, RULER, 11):
+            a, b = left + way * across, top + way * down
+            line(a, b, a + _TICK * down, b + _TICK * across)
         at = (DOTS * (left + (RULER + 2) * across), DOTS * (top + (RULER + 2) * down))
         pen.text(at, f"{RULER:g} mm in {name}", fill=0, font=font)
-    pen.text((DOTS * x, DOTS * (height - _BORDER - _TEXT)), _caption(board), fill=0, font=font)
+    caption = (
+        f"ChArUco {board.columns} x {board.rows}, squares {1e3 * board.square:g} mm, "
+        f"markers {1e3 * board.marker:g} mm, {board.dictionary}. "
+        "Print at 100 %, then measure both rulers between their first and last tick."
+    )
+    pen.text((DOTS * x, DOTS * (height - _BORDER - _TEXT)), caption, fill=0, font=font)
     return sheet
 
 
@@ -221,11 +213,3 @@ def _place(board: Board, page: str) -> tuple[float, float]:
             "take fewer or smaller squares, or a larger page"
         )
     return round(DOTS * (_BORDER + left / 2)) / DOTS, round(DOTS * (_BORDER + over / 2)) / DOTS
-
-
-def _caption(board: Board) -> str:
-    return (
-        f"ChArUco {board.columns} x {board.rows}, squares {1e3 * board.square:g} mm, "
-        f"markers {1e3 * board.marker:g} mm, {board.dictionary}. "
-        "Print at 100 %, then measure both rulers between their first and last tick."
-    )

@@ -5,8 +5,8 @@ import pytest
 from camera_scenes import ARM, WORN, taken
 
 from rejoint.arms import tcp_pose, tcp_position
-from rejoint.arms.camera.board import BoardView
-from rejoint.diagnosis.calibration.camera.bundle import bundle
+from rejoint.camera.board import BoardView
+from rejoint.camera.fit import bundle
 from rejoint_lab.cameras.scene import LENS
 
 SIZE = (LENS.width, LENS.height)
@@ -68,7 +68,7 @@ def test_one_picture_tells_where_the_tool_is(found):
 
 
 def _seen(found, pixel):
-    from rejoint.arms.camera.lens import place
+    from rejoint.camera.lens import place
 
     return found.rig.tool(place(found.rig.lens, found.rig.board.corners, pixel).pose[None])[0, :3, 3]
 

@@ -6,8 +6,8 @@ from functools import lru_cache
 import numpy as np
 
 from rejoint.arms import Displacement, mycobot280, tcp_pose
-from rejoint.arms.camera.board import ON_TABLE, BoardView
-from rejoint.diagnosis.calibration.camera.filming import choose_postures
+from rejoint.camera.board import ON_TABLE, BoardView
+from rejoint.camera.filming import choose_postures
 from rejoint_lab.cameras.scene import beside, on_tool
 
 ARM = mycobot280()

@@ -10,14 +10,16 @@ import msgspec
 import numpy as np
 import tomlkit
 
-from rejoint.arms.arm import Arm, Array
-from rejoint.arms.camera.board import Board
-from rejoint.arms.camera.lens import TERMS, Lens
-from rejoint.arms.rotations import inverse
+from rejoint.arms import Arm, Array
+from rejoint.arms.rotations import difference, inverse, moved
+from rejoint.camera.board import Board
+from rejoint.camera.lens import TERMS, Lens
+from rejoint.diagnosis.calibration.calibration import finite
 from rejoint.system.errors import ContractError, InputError
 from rejoint.system.tomltable import read_sealed, write_sealed
 
 MOUNTINGS = ("board", "camera")
+_STEP = 1e-6  # [m] and [rad] of numerical derivatives
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,14 +38,18 @@ class Rig:
     def __post_init__(self) -> None:
         if self.carried not in MOUNTINGS:
             raise InputError(f"the tool carries {self.carried!r}, expected one of: {', '.join(MOUNTINGS)}")
-        for name in ("standing", "mounted"):
-            value = np.array(getattr(self, name), dtype=float)
-            value.setflags(write=False)
-            object.__setattr__(self, name, value)
 
     def tool(self, board: Array) -> Array:
         """Tool poses (..., 4, 4) in the base, for ``board`` (..., 4, 4) in the camera."""
-        return tool_of(self.carried, self.standing, self.mounted, board)
+        between = board if self.carried == "board" else inverse(board)
+        return np.asarray(self.standing @ between @ inverse(self.mounted))
+
+    def spread(self, board: Array, covariance: Array) -> Array:
+        """Covariance (V, 6, 6) of the tool's pose, base axes, from that of ``board`` (V, 4, 4), camera axes."""
+        base = self.tool(board)
+        rows = [difference(self.tool(moved(board, _STEP * row)), base) / _STEP for row in np.eye(6)]
+        slope = np.stack(rows, axis=-1)
+        return np.asarray(slope @ covariance @ np.swapaxes(slope, -1, -2))
 
     def sight(self, tool: Array) -> Array:
         """Board poses (..., 4, 4) in the camera, for ``tool`` (..., 4, 4)."""
@@ -64,10 +70,9 @@ class Rig:
         return np.asarray(ahead & (facing > np.cos(steepest)) & self.lens.shows(pixel, margin).all(axis=-1))
 
 
-def tool_of(carried: str, standing: Array, mounted: Array, board: Array) -> Array:
-    """Tool poses (..., 4, 4), see `Rig.tool`."""
-    between = board if carried == "board" else inverse(board)
-    return np.asarray(standing @ between @ inverse(mounted))
+def point_sigma(spread: Array) -> Array:
+    """Sigma (...) [m] of a coordinate, for covariances (..., 6, 6) of poses."""
+    return np.asarray(np.sqrt(np.trace(spread[..., :3, :3], axis1=-2, axis2=-1) / 3.0))
 
 
 FORMAT = 1
@@ -76,24 +81,18 @@ FORMAT = 1
 
 def write_rig(path: Path, arm: Arm, rig: Rig, sigma: Array, date: str = "") -> None:
     """Write a rig; ``sigma`` (19,): deviations of `TERMS`, `Rig.standing` and `Rig.mounted`."""
-    n = len(TERMS)
-    spread = dict(zip(("standing", "mounted"), (sigma[n : n + 6], sigma[n + 6 :]), strict=True))
+    lens, standing, mounted = np.split(sigma, [len(TERMS), len(TERMS) + 6])
     told = {
         "format": FORMAT,
         "arm": arm.name,
         "date": date,
         "carried": rig.carried,
         "board": asdict(rig.board),
-        "lens": asdict(rig.lens) | {"sigma": dict(zip(TERMS, map(float, sigma[:n]), strict=True))},
-        **{
-            name: {
-                "pose": getattr(rig, name)[:3].tolist(),
-                "sigma_shift": own[:3].tolist(),
-                "sigma_turn": own[3:].tolist(),
-            }
-            for name, own in spread.items()
-        },
+        "lens": asdict(rig.lens) | {"sigma": dict(zip(TERMS, map(float, lens), strict=True))},
     }
+    for name, own in (("standing", standing), ("mounted", mounted)):
+        pose = getattr(rig, name)[:3].tolist()
+        told[name] = {"pose": pose, "sigma_shift": own[:3].tolist(), "sigma_turn": own[3:].tolist()}
     document = tomlkit.document()
     document.add(tomlkit.comment("A camera, a board and one robot arm. SI units and px; sigma: standard deviations."))
     for name, value in told.items():
@@ -107,9 +106,8 @@ def read_rig(path: Path, arm: Arm) -> Rig:
     def build(data: dict[str, Any]) -> Rig:
         if data["arm"] != arm.name:
             raise ContractError(f"camera of arm {data['arm']!r}, expected one of {arm.name!r}; calibrate this arm")
-        lens = {name: value for name, value in data["lens"].items() if name != "sigma"}
         return Rig(
-            lens=msgspec.convert(lens, Lens),
+            lens=msgspec.convert(data["lens"], Lens),
             board=msgspec.convert(data["board"], Board),
             carried=str(data["carried"]),
             standing=_pose(data["standing"]),
@@ -120,9 +118,4 @@ def read_rig(path: Path, arm: Arm) -> Rig:
 
 
 def _pose(table: dict[str, Any]) -> Array:
-    rows = np.array(table["pose"], dtype=float)
-    if rows.shape != (3, 4) or not np.isfinite(rows).all():
-        raise InputError(f"a pose of finite numbers of shape (3, 4) was expected, found {rows.shape}")
-    pose = np.eye(4)
-    pose[:3] = rows
-    return pose
+    return np.vstack([finite(table["pose"], (3, 4)), np.eye(4)[3]])

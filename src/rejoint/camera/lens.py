@@ -1,22 +1,23 @@
-"""A lens with Brown's distortion as in OpenCV, and the pose of a board.
-
-A flat board far away looks alike in two tilts (Schweighofer and Pinz, 2006): both are tried.
-"""
+"""A lens with Brown's distortion as in OpenCV, and the pose of a board before it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from rejoint.arms import Array
-from rejoint.arms.rotations import turned
+from rejoint.arms.rotations import pose_of, rotation_error, turned
 from rejoint.system.errors import InputError
-from rejoint.system.extras import require
 
 TERMS = ("f", "cx", "cy", "k1", "k2", "p1", "p2")
 """Names in `Lens.numbers`"""
+CORNER = 0.15
+"""[px] deviation of a coordinate in a sharp image"""
+FLAT = 0.6
+"""[px] rms residual that a view of a flat board may have in any case; chosen"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,45 +72,24 @@ class Lens:
 
     def project(self, point: Array) -> Array:
         """Pixels (..., 2) of points (..., 3) [m] in the camera frame."""
-        return self.slopes(np.reshape(point, (-1, 3)), np.zeros(3))[0].reshape(*np.shape(point)[:-1], 2)
+        flat = np.reshape(point, (-1, 3))
+        return self.slopes(flat, np.eye(4))[0].reshape(*np.shape(point)[:-1], 2) if len(flat) else np.zeros((0, 2))
 
-    def slopes(self, lever: Array, place: Array) -> tuple[Array, Array, Array]:
-        """Pixels (K, 2) of points at ``lever`` (K, 3) from ``place`` (3,) [m], camera axes.
+    def slopes(self, corners: Array, pose: Array) -> tuple[Array, Array, Array]:
+        """Pixels (K, 2) of ``corners`` (K, 3) [m] of a board at ``pose`` (4, 4) in the camera frame.
 
-        Also derivatives by shift [m] and turn [rad], (K, 2, 6), and by `TERMS`, (K, 2, 7).
+        Also derivatives by shift [m] and turn [rad] on the spot in camera axes, (2 K, 6), and by `TERMS`, (2 K, 7).
         """
-        require("a camera", "camera")
-        import cv2
-
-        if not len(lever):
-            return np.zeros((0, 2)), np.zeros((0, 2, 6)), np.zeros((0, 2, 7))
-        points = np.array(lever, dtype=float)
+        points, place = corners @ pose[:3, :3].T, pose[:3, 3]
         points[:, 2] = np.maximum(points[:, 2], 1e-3 - place[2])  # behind the camera nothing is seen
         pixel, slope = cv2.projectPoints(points, np.zeros(3), place, self.matrix, self.distortion)
-        slope = slope.reshape(-1, 2, slope.shape[1])
-        by_terms = np.concatenate([slope[..., 6:7] + slope[..., 7:8], slope[..., 8:14]], axis=-1)
-        return pixel[:, 0], np.concatenate([slope[..., 3:6], slope[..., :3]], axis=-1), by_terms
-
-    def rays(self, pixel: Array) -> Array:
-        """Points (..., 2) at distance 1 on the optical axis, of ``pixel`` (..., 2)."""
-        require("a camera", "camera")
-        import cv2
-
-        ends = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 40, 1e-10)
-        flat = np.reshape(pixel, (-1, 1, 2)).astype(float)
-        return cv2.undistortPoints(flat, self.matrix, self.distortion, criteria=ends).reshape(np.shape(pixel))
+        by_pose = np.concatenate([slope[:, 3:6], slope[:, :3]], axis=1)
+        return pixel[:, 0], by_pose, np.concatenate([slope[:, 6:7] + slope[:, 7:8], slope[:, 8:14]], axis=1)
 
     def shows(self, pixel: Array, margin: float = 0.0) -> Array:
         """Which pixels (..., 2) are ``margin`` [px] inside the image."""
         size = np.array([self.width, self.height]) - 1.0
         return np.asarray(((pixel >= margin) & (pixel <= size - margin)).all(axis=-1))
-
-
-CORNER = 0.15
-"""[px] deviation of a coordinate in a sharp image"""
-
-FEWEST = 8
-"""Corners for a pose (chosen)"""
 
 
 class Placed(NamedTuple):
@@ -123,37 +103,29 @@ class Placed(NamedTuple):
     """[px] residual per coordinate"""
 
 
-def place(lens: Lens, corners: Array, pixel: Array, start: Array | None = None) -> Placed:
-    """Pose of a board with ``corners`` (K, 3) [m] at ``pixel`` (K, 2), from ``start`` (4, 4) or both tilts.
+def place(lens: Lens, corners: Array, pixel: Array, near: Array | None = None) -> Placed:
+    """Pose of a board with ``corners`` (K, 3) [m], not on a line, at ``pixel`` (K, 2).
 
-    InputError for few corners, or corners on a line.
+    A flat board far away looks alike in two tilts (Schweighofer and Pinz, 2006). Both are tried. Of those that fit, the
+    nearest to ``near`` (4, 4) wins; without it the best.
     """
-    require("a camera", "camera")
-    import cv2
-
-    if len(corners) < FEWEST:
-        raise InputError(f"{len(corners)} corners of the board, expected at least {FEWEST}")
-    if np.linalg.matrix_rank(corners - corners[0], tol=1e-6) < 2:
-        raise InputError("the corners of the board that are seen lie on one line, which leaves its pose open")
     seen = (np.asarray(corners), np.asarray(pixel), lens.matrix, lens.distortion)
-    if start is None:
-        _, turns, shifts, _ = cv2.solvePnPGeneric(*seen, flags=cv2.SOLVEPNP_IPPE)
-    else:
-        turns, shifts = [cv2.Rodrigues(start[:3, :3])[0]], [start[:3, 3:].copy()]
-    return min(
-        (
-            _placed(lens, corners, pixel, *cv2.solvePnPRefineLM(*seen, turn, shift))
-            for turn, shift in zip(turns, shifts, strict=True)
-        ),
-        key=lambda one: one.rms,
-    )
+    _, turns, shifts, _ = cv2.solvePnPGeneric(*seen, flags=cv2.SOLVEPNP_IPPE)
+    starts = list(zip(turns, shifts, strict=True))
+    if near is not None:
+        starts.append((cv2.Rodrigues(near[:3, :3])[0], near[:3, 3:].copy()))
+    found = [_placed(lens, corners, pixel, *cv2.solvePnPRefineLM(*seen, *start)) for start in starts]
+    best = min(found, key=lambda one: one.rms)
+    if near is None:
+        return best
+    fitting = [one for one in found if one.rms <= max(best.rms, FLAT)]
+    return min(fitting, key=lambda one: float(np.linalg.norm(rotation_error(one.pose[:3, :3], near[:3, :3]))))
 
 
 def _placed(lens: Lens, corners: Array, pixel: Array, turn: Array, shift: Array) -> Placed:
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = turned(turn[:, 0]), shift[:, 0]
-    told, slope, _ = lens.slopes(corners @ pose[:3, :3].T, pose[:3, 3])
-    residual, slope = (told - pixel).ravel(), slope.reshape(-1, 6)
+    pose = pose_of(turned(turn[:, 0]), shift[:, 0])
+    told, slope, _ = lens.slopes(corners, pose)
+    residual = (told - pixel).ravel()
     spread = CORNER**2 * np.linalg.inv(slope.T @ slope + 1e-12 * np.eye(6))
     rms = float(np.sqrt(residual @ residual / max(len(residual) - 6, 1)))
     return Placed(pose=pose, covariance=np.asarray(spread), rms=rms)

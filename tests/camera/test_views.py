@@ -6,11 +6,11 @@ import pytest
 from camera_scenes import ARM, taken
 
 from rejoint.arms import tcp_pose
-from rejoint.arms.camera.board import ON_TOOL
-from rejoint.arms.camera.views import Detector
 from rejoint.arms.rotations import turned
-from rejoint.diagnosis.calibration.camera.ties import ToolTracker
-from rejoint.robots import cameras
+from rejoint.camera import tracker
+from rejoint.camera.board import ON_TOOL
+from rejoint.camera.detector import Detector
+from rejoint.camera.tracker import ToolTracker
 from rejoint.system.errors import InputError
 from rejoint_lab.cameras.scene import LENS, Looks, render
 
@@ -92,8 +92,8 @@ class Device:
 def test_a_live_camera_keeps_its_settings_and_is_given_back(monkeypatch):
     device = Device(500_000)
     monkeypatch.setattr(cv2, "VideoCapture", lambda _: device)
-    monkeypatch.setattr(cameras, "PAUSE", 0.01)
-    with cameras.LiveCamera(0, exposure=80.0) as camera:
+    monkeypatch.setattr(tracker, "PAUSE", 0.01)
+    with tracker.LiveCamera(0, exposure=80.0) as camera:
         picture = camera.still()
         device.frames = 0
         with pytest.raises(InputError, match="gives no pictures any more"):

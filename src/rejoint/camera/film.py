@@ -1,0 +1,242 @@
+"""An image sequence: pictures of a board in many postures of one arm, with encoder readings.
+
+Columns of ``views.parquet``: ``picture``, ``number``, ``posture``; ``position.JOINT`` and ``approach.JOINT`` [rad]; the
+lists ``corner``, ``x`` and ``y`` [px]; ``why`` it is unusable. Those of ``postures.csv`` beside pictures: ``picture``,
+``position.JOINT_deg``; optional ``approach.JOINT_deg``, ``posture``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pc
+
+from rejoint.arms import Arm, Array
+from rejoint.camera.board import Board, BoardView
+from rejoint.camera.detector import KINDS, Detector, Unusable, read_picture
+from rejoint.camera.rig import write_rig
+from rejoint.diagnosis.calibration.calibration import Calibration
+from rejoint.diagnosis.calibration.measurementfile import (
+    COUNT,
+    joint_columns,
+    read_columns,
+    read_table,
+    readable,
+    require_degrees,
+    write_table,
+)
+from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.system.errors import FileError, InputError
+from rejoint.system.files import set_aside, write_whole
+from rejoint.system.textfile import ANGLES
+
+if TYPE_CHECKING:
+    from rejoint.camera.fit import Filmed
+
+POSTURES = "postures.csv"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Shot:
+    """One picture and its posture."""
+
+    number: int
+    """in the plan, from 1"""
+    position: Array
+    """(n,) [rad] by encoders"""
+    approach: Array
+    """(n,) [rad] before the last motion; NaN where unknown"""
+    posture: int
+    """shots of the same number visit one posture from different sides"""
+    seen: BoardView | Unusable
+
+    @property
+    def name(self) -> str:
+        """Name of the picture."""
+        return self.seen.name
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Film:
+    """Pictures by one camera of one board in a fixed setup."""
+
+    board: Board
+    carried: str
+    """by the tool, one of `rejoint.camera.rig.MOUNTINGS`"""
+    size: tuple[int, int] | None = None
+    """[px] width and height"""
+    shots: tuple[Shot, ...] = ()
+    """by number"""
+    fresh: bool = False
+    """ignore earlier calibrations"""
+
+    def __len__(self) -> int:
+        return len(self.shots)
+
+    def with_shot(self, shot: Shot, size: tuple[int, int]) -> Film:
+        """Add a picture; InputError for another ``size``."""
+        if self.size is not None and size != self.size:
+            raise InputError(
+                f"picture {shot.name} has {size[0]} x {size[1]} px, those before it {self.size[0]} x {self.size[1]}; "
+                "take all of them with one camera and one setting"
+            )
+        return replace(self, size=size, shots=tuple(sorted((*self.shots, shot), key=lambda one: one.number)))
+
+    @property
+    def usable(self) -> tuple[Shot, ...]:
+        """Shots that show the board well."""
+        return tuple(shot for shot in self.shots if isinstance(shot.seen, BoardView))
+
+    @property
+    def unusable(self) -> tuple[Unusable, ...]:
+        """The other shots, and why."""
+        return tuple(shot.seen for shot in self.shots if isinstance(shot.seen, Unusable))
+
+    @property
+    def views(self) -> tuple[BoardView, ...]:
+        """Views of the usable shots."""
+        return tuple(shot.seen for shot in self.shots if isinstance(shot.seen, BoardView))
+
+    def fit(self, arm: Arm, prior: Calibration | None = None, date: str = "") -> Filmed:
+        """Fit lens, camera, board and displacement; see `rejoint.camera.fit.fit_film`."""
+        from rejoint.camera.fit import fit_film
+
+        return fit_film(arm, self, prior=prior, date=date)
+
+    def write(self, folder: RunFolder, arm: Arm, found: Filmed, *, taken: bool) -> None:
+        """Write image sequence, postures (if ``taken``), and camera setup to a run."""
+        if taken:
+            write_postures(folder.pictures / POSTURES, arm, self)
+        else:
+            set_aside(folder.views)
+        write_film(folder.views, arm, self, ended=True)
+        set_aside(folder.camera)
+        write_rig(folder.camera, arm, found.rig, found.rig_sigma, found.calibration.date)
+
+
+def positions(shots: tuple[Shot, ...], arm: Arm) -> tuple[Array, Array]:
+    """Positions and approaches (V, n) [rad] of shots."""
+    shape = (-1, arm.joints)
+    position, approach = ([getattr(shot, name) for shot in shots] for name in ("position", "approach"))
+    return np.array(position).reshape(shape), np.array(approach).reshape(shape)
+
+
+def write_film(path: Path, arm: Arm, film: Film, *, ended: bool = False) -> None:
+    """Write pictures, atomically; ``ended``: they are complete."""
+    about = {"board": asdict(film.board), "ended": ended}
+    about |= {name: getattr(film, name) for name in ("carried", "size", "fresh")}
+    views = [shot.seen if isinstance(shot.seen, BoardView) else None for shot in film.shots]
+    columns = _columns(arm, film) | {
+        "number": [shot.number for shot in film.shots],
+        "corner": [[] if view is None else view.number.tolist() for view in views],
+        "why": [shot.seen.why if isinstance(shot.seen, Unusable) else "" for shot in film.shots],
+    }
+    for i, axis in enumerate("xy"):
+        columns[axis] = [[] if view is None else view.pixel[:, i].tolist() for view in views]
+    write_table(path, arm, "views", columns, about)
+
+
+def read_film(path: Path, arm: Arm) -> tuple[Film, bool]:
+    """Read pictures and whether they are complete; FileError if unusable."""
+
+    def shot(row: dict[str, Any]) -> Shot:
+        pixel = np.array([row["x"], row["y"]], dtype=float).T.reshape(-1, 2)
+        number = np.array(row["corner"], dtype=np.int64)
+        why, name = row["why"], row["picture"]
+        position, approach = (np.array([row[one] for one in names]) for names in joint_columns(arm))
+        return Shot(
+            number=row["number"],
+            position=position,
+            approach=approach,
+            posture=row["posture"],
+            seen=Unusable(name, why) if why else BoardView(name=name, number=number, pixel=pixel),
+        )
+
+    def build(columns: dict[str, list[Any]], about: dict[str, Any]) -> tuple[Film, bool]:
+        rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+        film = Film(
+            board=msgspec.convert(about["board"], Board),
+            carried=about["carried"],
+            size=msgspec.convert(about["size"], tuple[int, int] | None),
+            shots=tuple(shot(row) for row in rows),
+            fresh=about["fresh"],
+        )
+        return film, bool(about["ended"])
+
+    return read_table(path, arm, "views", build)
+
+
+def _columns(arm: Arm, film: Film, unit: float = 1.0, ending: str = "") -> dict[str, list[Any]]:
+    """Columns that both files have, angles divided by ``unit`` [rad]."""
+    columns: dict[str, list[Any]] = {
+        "picture": [shot.name for shot in film.shots],
+        "posture": [shot.posture for shot in film.shots],
+    }
+    for names, rows in zip(joint_columns(arm), positions(film.shots, arm), strict=True):
+        columns |= {f"{name}{ending}": (row / unit).tolist() for name, row in zip(names, rows.T, strict=True)}
+    return columns
+
+
+def write_postures(path: Path, arm: Arm, film: Film) -> None:
+    """Write ``postures.csv``."""
+    columns = _columns(arm, film, np.radians(1.0), "_deg")
+    table = pa.table({name: pa.array(values, from_pandas=True) for name, values in columns.items()})
+    write_whole(path, lambda temporary: pc.write_csv(table, temporary))
+
+
+def read_folder(pattern: str, arm: Arm, board: Board, carried: str = "board") -> Film:
+    """Find ``board`` in the pictures of a folder, or of a pattern such as ``pictures/*.jpg``.
+
+    FileError without pictures or `POSTURES`, InputError for several sizes.
+    """
+    folder = Path(pattern)
+    there = folder.iterdir() if folder.is_dir() else folder.parent.glob(folder.name)
+    paths = sorted(path for path in there if path.suffix.lower() in KINDS)
+    if not paths:
+        remedy = f"give a folder or a pattern of pictures ({', '.join(KINDS)})"
+        raise FileError(folder, "holds no pictures" if folder.is_dir() else "no such pictures", remedy)
+    shots = _postures(paths[0].parent / POSTURES, arm, [path.name for path in paths])
+    detector, film = Detector(board), Film(board=board, carried=carried)
+    for path, shot in zip(paths, shots, strict=True):
+        picture, size = read_picture(path), film.size or (0, 0)
+        seen: BoardView | Unusable = Unusable(path.name, "is no picture that OpenCV can read")
+        if picture is not None:
+            seen, size = detector.find(path.name, picture), (picture.shape[1], picture.shape[0])
+        film = film.with_shot(replace(shot, seen=seen), size)
+    return film
+
+
+def _postures(path: Path, arm: Arm, pictures: list[str]) -> list[Shot]:
+    """Read shots of ``pictures``, which nobody has looked at."""
+    joints, came = joint_columns(arm)
+    remedy = "write one line for each picture"
+    meanings = {"picture": None, **dict.fromkeys(joints + came, ANGLES), "posture": COUNT}
+    if not path.exists():
+        raise FileError(path, "no such file: the joint positions of each picture are missing", remedy)
+    with readable(path, "postures"):
+        found = read_columns(path, meanings, ["picture", *joints])
+        position = np.array([found.filled(name) for name in joints]).T
+        require_degrees(path, position)
+        approach, place = np.array([found.numbers(name) for name in came]).T, found.numbers("posture")
+    rows: dict[str, int] = {}
+    for row, name in enumerate(Path(word).name for word in found.words("picture")):
+        if name in rows and not np.array_equal(position[rows[name]], position[row]):
+            raise FileError(path, f"line {found.line(row)}: other joint positions for {name}", "leave one line out")
+        rows[name] = row
+    if without := [name for name in pictures if name not in rows]:
+        raise FileError(path, f"no joint positions for {', '.join(without[:3])} ({len(without)} pictures)", remedy)
+    return [
+        Shot(
+            number=number,
+            position=position[row],
+            approach=approach[row],
+            posture=int(place[row]) if np.isfinite(place[row]) else number,
+            seen=Unusable(name, ""),
+        )
+        for number, (name, row) in enumerate(((name, rows[name]) for name in pictures), start=1)
+    ]

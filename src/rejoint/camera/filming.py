@@ -1,0 +1,256 @@
+"""Taking an image sequence: the first pictures locate the camera, which decides the other postures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
+
+import cv2
+import numpy as np
+
+from rejoint.arms import Arm, Array, collides, frames, heights, tcp_pose, tcp_position
+from rejoint.camera.board import Board
+from rejoint.camera.detector import Detector, Picture, Unusable
+from rejoint.camera.film import Film, Shot, positions, read_film, write_film
+from rejoint.camera.fit import FilmProblem, first_lens, first_places, first_rig
+from rejoint.camera.lens import TERMS
+from rejoint.camera.rig import Rig
+from rejoint.control.robot import Robot
+from rejoint.diagnosis.calibration.postures import BEFORE, narrowed
+from rejoint.diagnosis.calibration.procedure import StandingDrive, log_resumed, same
+from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.system.errors import FileError, InputError
+from rejoint.system.files import set_aside, write_whole
+from rejoint.system.progress import Progress
+from rejoint.system.stopping import check
+
+CANDIDATES = 240
+"""Postures to choose from; chosen"""
+SPREAD = np.radians(40.0)
+"""[rad] of joints about rest; chosen"""
+SCOUTING = {"board": np.radians(20.0), "camera": np.radians(12.0)}
+"""[rad] the same before the camera is located; chosen"""
+_DRAWS, _TRIES = 4000, 25  # at a time, and how often
+_ROOM = np.radians(5.0)  # from the joint limits
+_AROUND = 0.04  # [m] around the region of targets in which the tool stays (chosen)
+_LOOK = 1.0  # [m] and [rad] of camera and board around where they are believed to be
+
+
+def choose_postures(arm: Arm, rig: Rig, count: int, seed: int = 0, before: float = 0.0) -> Array:
+    """Choose ``count`` postures (count, n) [rad] in which ``rig`` shows the board, approached from ``before`` [rad].
+
+    D-optimal: the poses of camera and board count too. InputError for too few views.
+    """
+    candidates = seen_postures(arm, rig, max(CANDIDATES, 2 * count), seed, before=before)
+    if len(candidates) < count:
+        raise InputError(
+            f"the camera sees the board in {len(candidates)} of {_TRIES * _DRAWS} postures around the rest posture, "
+            f"expected at least {count}; turn the camera to the tool, or the board to the camera"
+        )
+    problem = FilmProblem.of(arm, rig, candidates, rig.sight(tcp_pose(arm, candidates)), np.eye(len(TERMS)))
+    mean = problem.belief.mean
+    problem = replace(problem, sights=rig.sight(problem.reported(mean)))
+    slope = problem.whitener(mean) @ problem.residual(mean)[1][..., : -len(TERMS)]
+    variance = 1.0 / np.diag(problem.belief.precision)[: -len(TERMS)]
+    variance[problem.layout.body :] = _LOOK**2
+    spread = np.diag(variance)
+    chosen: list[int] = []
+    for _ in range(count):
+        gain = np.linalg.slogdet(np.eye(6) + slope @ spread @ np.swapaxes(slope, -1, -2))[1]
+        gain[chosen] = -np.inf
+        chosen.append(int(np.argmax(gain)))
+        spread = narrowed(spread, slope[chosen[-1]], np.eye(6))
+    return candidates[chosen]
+
+
+def scouting_postures(arm: Arm, carried: str, count: int, before: float) -> Array:
+    """Choose postures (count, n) [rad] about rest, far apart."""
+    drawn = seen_postures(arm, None, CANDIDATES, 0, spread=SCOUTING[carried], before=before)
+    if len(drawn) < count:
+        raise InputError(
+            f"arm {arm.name}: {len(drawn)} postures about the rest posture are free of floor, limits and collisions, "
+            f"expected at least {count}; give the arm another rest posture"
+        )
+    chosen = [arm.rest]
+    while len(chosen) < count:
+        apart = np.linalg.norm(drawn[:, None] - np.array(chosen), axis=-1).min(axis=1)
+        chosen.append(drawn[int(np.argmax(apart))])
+    return np.array(chosen)
+
+
+def seen_postures(
+    arm: Arm, rig: Rig | None, count: int, seed: int, *, spread: float = SPREAD, before: float = 0.0
+) -> Array:
+    """Draw up to ``count`` free postures (C, n) [rad] about rest that a ``rig`` shows."""
+    rng, room = np.random.default_rng(seed), _ROOM + before
+    low, high = np.maximum(arm.lower + room, arm.rest - spread), np.minimum(arm.upper - room, arm.rest + spread)
+    found = np.zeros((0, arm.joints))
+    for _ in range(_TRIES):
+        if len(found) >= count:
+            break
+        drawn = rng.uniform(low, high, (_DRAWS, arm.joints))
+        tool = tcp_position(arm, drawn)
+        drawn = drawn[((tool > arm.targets.lower - _AROUND) & (tool < arm.targets.upper + _AROUND)).all(axis=-1)]
+        drawn = drawn[heights(arm, drawn)[:, 1:].min(axis=-1) > arm.floor]
+        drawn = drawn if rig is None else drawn[rig.shows(tcp_pose(arm, drawn))]
+        for away in (0.0, before, -before) if before else (0.0,):
+            drawn = drawn[heights(arm, drawn - away)[:, 1:].min(axis=-1) > arm.floor]
+            drawn = drawn[~collides(arm, frames(arm, drawn - away))]
+        found = np.concatenate([found, drawn])
+    return found[:count]
+
+
+SCOUTS = 12
+"""Pictures about the rest posture; chosen"""
+FEWEST_SCOUTS = 6
+"""Those that must show the board; chosen: three locate the camera"""
+POSTURES = 14
+"""Postures chosen then, each from two sides; chosen"""
+QUALITY = 92
+"""JPEG quality of stored pictures; chosen"""
+
+
+class StillCamera(Protocol):
+    """A camera beside a stationary arm."""
+
+    def still(self, number: int) -> Picture:
+        """Take picture ``number``, grey (height, width); InputError without an answer."""
+
+
+class UnseenBoardError(InputError):
+    """The board is not visible; move camera or board."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CameraGauge:
+    """A camera as measuring device."""
+
+    camera: Callable[[Robot], AbstractContextManager[StillCamera]]
+    board: Board
+    carried: str = "board"
+    """by the tool: ``board`` or ``camera``"""
+    postures: int = POSTURES
+    """after those about rest"""
+    scouts: int = SCOUTS
+    """pictures about rest"""
+
+    def film(
+        self,
+        drive: StandingDrive,
+        folder: RunFolder | None,
+        count: int,
+        visits: int,
+        on_progress: Progress,
+        *,
+        fresh: bool = False,
+    ) -> Film:
+        """Take the pictures about rest, then ``count`` postures from ``visits`` sides each.
+
+        A run ``folder`` keeps each of them; resumes what was interrupted there unless ``fresh``. InputError if the
+        board is hardly visible; errors of `rejoint.control.loop.run`.
+        """
+        film = self._begun(drive.robot.arm, folder, fresh=fresh)
+        total = SCOUTS + count * visits
+        try:
+            with self.camera(drive.robot) as camera:
+                shooting = _Shooting(drive, camera, film, folder, on_progress, total)
+                return shooting.take(count, visits)
+        except UnseenBoardError:  # camera or board will be moved, so nothing of this belongs to what comes
+            _set_aside(folder)
+            raise
+        except BaseException as error:
+            if folder is not None and folder.views.exists():
+                goes_on = f"{same(fresh=film.fresh)} goes on there"
+                error.add_note(f"What was seen until then is kept ({folder.views}); {goes_on}")
+            raise
+
+    def _begun(self, arm: Arm, folder: RunFolder | None, *, fresh: bool) -> Film:
+        """Interrupted image sequence of a run without unusable shots, or a new one."""
+        if folder is not None and folder.views.exists() and not fresh:
+            film, ended = read_film(folder.views, arm)
+            if not ended and (film.board != self.board or film.carried != self.carried):
+                raise InputError(
+                    f"{folder.views}: an interrupted session with another board, or with the board elsewhere; give "
+                    "the same again, or begin again with --fresh"
+                )
+            if not ended:
+                log_resumed(folder.views, f"{len(film.usable)} pictures are there")
+                return replace(film, shots=film.usable)
+        _set_aside(folder)
+        return Film(board=self.board, carried=self.carried, fresh=fresh)
+
+
+def _set_aside(folder: RunFolder | None) -> None:
+    if folder is not None:
+        set_aside(folder.views)
+        set_aside(folder.pictures)
+
+
+@dataclass(eq=False)
+class _Shooting:
+    """Takes or resumes the image sequence of one arm."""
+
+    drive: StandingDrive
+    camera: StillCamera
+    film: Film
+    folder: RunFolder | None
+    on_progress: Progress
+    total: int
+
+    def __post_init__(self) -> None:
+        self._detector = Detector(self.film.board)
+
+    def take(self, count: int, visits: int) -> Film:
+        arm = self.drive.robot.arm
+        for number, posture in enumerate(scouting_postures(arm, self.film.carried, SCOUTS, BEFORE), start=1):
+            self._shoot(number, posture, number - 1)
+        scouted = replace(self.film, shots=tuple(shot for shot in self.film.shots if shot.number <= SCOUTS))
+        chosen = np.repeat(choose_postures(arm, believed_rig(arm, scouted), count, before=BEFORE), visits, axis=0)
+        for row, posture in enumerate(chosen):
+            self._shoot(SCOUTS + 1 + row, posture, SCOUTS + row // visits)
+        self.drive.rest()
+        return self.film
+
+    def _shoot(self, number: int, posture: Array, place: int) -> None:
+        if any(shot.number == number for shot in self.film.shots):
+            return
+        self.on_progress((number - 1) / self.total, f"picture {number} of {self.total}")
+        position, approach = self.drive.stand(posture, posture - BEFORE * (1 if number % 2 else -1))
+        picture = self.camera.still(number)
+        check()
+        seen = self._detector.find(f"view-{number:03}.jpg", picture)
+        shot = Shot(number=number, position=position, approach=approach, posture=place, seen=seen)
+        self.film = self.film.with_shot(shot, (picture.shape[1], picture.shape[0]))
+        if self.folder is not None:
+            write_picture(self.folder.pictures / seen.name, picture)
+            write_film(self.folder.views, self.drive.robot.arm, self.film)
+        if number == 1 and isinstance(seen, Unusable):
+            raise UnseenBoardError(
+                f"camera: in the rest posture, where the arm stands now, {seen.why}; let the camera see all of "
+                "the board there, and begin again"
+            )
+
+
+def believed_rig(arm: Arm, scouted: Film) -> Rig:
+    """Locate camera and board by pictures about rest; InputError on failure."""
+    shots = scouted.usable
+    if len(shots) < FEWEST_SCOUTS or scouted.size is None:
+        raise UnseenBoardError(
+            f"camera: the board is seen well in {len(shots)} of the {len(scouted)} pictures about the rest posture, "
+            f"expected at least {FEWEST_SCOUTS}; turn camera and board to each other, hold the camera "
+            "still, focus it, add light, or put it farther away"
+        )
+    lens = first_lens(scouted.size, scouted.board, scouted.views)
+    sights = np.array([one.pose for one in first_places(lens, scouted.board, scouted.views)])
+    return first_rig(arm, lens, scouted.board, scouted.carried, positions(shots, arm)[0], sights)
+
+
+def write_picture(path: Path, picture: Picture) -> None:
+    """Write a picture as JPEG; FileError if that fails."""
+    good, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    if not good:
+        raise FileError(path, "this picture cannot be written as JPEG", "take another camera")
+    write_whole(path, lambda temporary: temporary.write_bytes(data.tobytes()))

@@ -1,0 +1,200 @@
+"""A camera of this computer: still pictures, and where it sees the tool while the arm moves."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol
+
+import cv2
+import numpy as np
+
+from rejoint.arms import Arm
+from rejoint.camera.board import BoardView
+from rejoint.camera.detector import Detector, Picture, Unusable
+from rejoint.camera.lens import place
+from rejoint.camera.rig import Rig, point_sigma, read_rig
+from rejoint.control.seeing import Sighting
+from rejoint.system.errors import InputError, RejointError
+
+SIZE = (1920, 1080)
+"""[px] wanted width and height"""
+PAUSE = 0.4
+"""[s] at rest before an image (chosen)"""
+FRAMES = 5
+"""Averaged images (chosen: halves noise and flicker)"""
+
+_MANUAL = 1.0  # what Video4Linux calls an exposure by hand
+_TRIES = 30  # frames that may fail before the camera counts as gone: a second
+
+
+class LiveCamera:
+    """A camera by its number, as a context manager; its settings stay."""
+
+    def __init__(self, number: int = 0, size: tuple[int, int] = SIZE, exposure: float | None = None) -> None:
+        self.number, self.size, self.exposure = number, size, exposure
+        self._device: cv2.VideoCapture | None = None
+
+    def __enter__(self) -> LiveCamera:
+        """Open the camera; InputError."""
+        device = cv2.VideoCapture(self.number)
+        if not device.isOpened():
+            device.release()
+            raise InputError(f"no camera answers as number {self.number}; plug it in, or give another number")
+        wanted: dict[str, float] = {
+            "FOURCC": cv2.VideoWriter.fourcc(*"MJPG"),
+            "FRAME_WIDTH": self.size[0],
+            "FRAME_HEIGHT": self.size[1],
+            "AUTOFOCUS": 0,
+            "AUTO_WB": 0,
+        }
+        if self.exposure is not None:
+            wanted |= {"AUTO_EXPOSURE": _MANUAL, "EXPOSURE": self.exposure}
+        for name, value in wanted.items():
+            device.set(getattr(cv2, f"CAP_PROP_{name}"), value)
+        self._device = device
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Release the camera."""
+        if self._device is not None:
+            self._device.release()
+            self._device = None
+
+    def picture(self) -> tuple[Picture, float]:
+        """Newest grey image and its time [s] of `time.monotonic`; InputError."""
+        if self._device is None:
+            raise InputError("the camera is not open; use it in a with statement")
+        for _ in range(_TRIES):
+            good, frame = self._device.read()
+            if good:
+                return np.asarray(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), np.uint8), time.monotonic()
+        raise InputError(f"camera {self.number} gives no pictures any more; check its cable")
+
+    def still(self, number: int = 0) -> Picture:  # noqa: ARG002 - every picture is another one
+        """Mean of a few images after a rest."""
+        until = time.monotonic() + PAUSE
+        while self.picture()[1] < until:
+            pass
+        frames = np.array([self.picture()[0] for _ in range(FRAMES)], dtype=np.float32)
+        return np.rint(frames.mean(axis=0)).astype(np.uint8)
+
+
+CROOKED = 1.0
+"""[px] corner residual of an untrusted picture; chosen"""
+
+
+class ToolTracker:
+    """Locates the tool in pictures, without encoders."""
+
+    def __init__(self, rig: Rig) -> None:
+        self.rig = rig
+        self.why = ""
+        """why the last picture was unusable, or empty"""
+        self._detector = Detector(rig.board)
+
+    def see(self, picture: Picture, time: float = 0.0) -> Sighting | None:
+        """Locate the tool in a grey or BGR picture; None without a good view."""
+        found = self._detector.find("picture", picture)
+        self.why = found.why if isinstance(found, Unusable) else ""
+        return None if isinstance(found, Unusable) else self.sighting(found, time)
+
+    def sighting(self, view: BoardView, time: float = 0.0) -> Sighting | None:
+        """Return the same for a ``view`` with known corners."""
+        placed = place(self.rig.lens, self.rig.board.corners[view.number], view.pixel)
+        if placed.rms > CROOKED:
+            self.why = f"its corners lie {placed.rms:.1f} px beside those of a flat board"
+            return None
+        sights = placed.pose[None]
+        sigma = float(point_sigma(self.rig.spread(sights, placed.covariance[None]))[0])
+        return Sighting(place=self.rig.tool(sights)[0, :3, 3], sigma=sigma, time=time)
+
+
+LATE = 0.05
+"""[s] from exposure to picture (chosen)"""
+FROZEN = 10
+"""Equal pictures after which a camera hangs (chosen)"""
+
+
+class PictureStream(Protocol):
+    """A camera that is open."""
+
+    def picture(self) -> tuple[Picture, float]:
+        """Newest picture, and its time [s] by `time.monotonic`; InputError without."""
+
+
+class LiveEye:
+    """Looks at the pictures of an open camera in a thread of its own."""
+
+    def __init__(self, camera: PictureStream, rig: Rig, name: str = "camera") -> None:
+        self.name = name
+        self.why = ""
+        """why the last picture was unusable, or empty"""
+        self._camera, self._tracker, self._size = camera, ToolTracker(rig), (rig.lens.width, rig.lens.height)
+        self._newest: Sighting | None = None
+        self._gone = False
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._watch, name=name, daemon=True)
+
+    def __enter__(self) -> LiveEye:
+        """Begin; InputError for pictures of another size than calibrated."""
+        height, width = self._camera.picture()[0].shape[:2]
+        if (width, height) != self._size:
+            raise InputError(
+                f"{self.name} gives pictures of {width} x {height} px, it was calibrated with {self._size[0]} x "
+                f"{self._size[1]}; take that camera, or calibrate with this one"
+            )
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """End; warn where nothing was seen, or the camera is gone."""
+        self._end.set()
+        self._thread.join()
+        if self.why and (self._newest is None or self._gone):
+            told = "%s: %s; the arm was driven by its calibration alone from then on"
+            logging.getLogger("rejoint").warning(told, self.name, self.why)
+
+    def sighting(self, now: float) -> Sighting | None:
+        """Newest detection on the robot's clock, ``now`` [s], or None."""
+        newest = self._newest
+        if newest is None:
+            return None
+        return Sighting(time=newest.time + (now - time.monotonic()), place=newest.place, sigma=newest.sigma)
+
+    def _watch(self) -> None:
+        last, alike = np.zeros(0, np.uint8), 0
+        while not self._end.is_set():
+            try:
+                picture, came = self._camera.picture()
+            except RejointError as error:
+                self.why, self._gone = str(error), True
+                return
+            last, alike = picture, alike + 1 if np.array_equal(picture, last) else 0
+            self._gone = alike >= FROZEN
+            if alike:  # no news: it would tell that the tool stays where it was, whatever the arm does
+                self.why = "gives the same picture for ever; plug it in again" if self._gone else self.why
+                continue
+            self._newest = self._tracker.see(picture, came - LATE) or self._newest
+            self.why = self._tracker.why
+
+
+@contextmanager
+def opened_camera(number: int, rig: Path | None, arm: Arm) -> Iterator[LiveEye]:
+    """Watch an arm's tool with a camera whose place is in the file ``rig``; InputError without one."""
+    name = f"camera {number}"
+    if rig is None or not rig.exists():
+        raise InputError(
+            f"{name}: it is not known where it stands; first `rejoint calibrate ROBOT RUN --measure camera={number}`"
+        )
+    found = read_rig(rig, arm)
+    size = (found.lens.width, found.lens.height)
+    with LiveCamera(number, size=size) as camera, LiveEye(camera, found, name=name) as eye:
+        yield eye

@@ -1,1 +1,0 @@
-"""A camera and a ChArUco board: bundle adjustment, camera setup, tool in single pictures."""

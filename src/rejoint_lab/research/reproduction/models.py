@@ -1,0 +1,146 @@
+"""Table 1: the paper's and the vendor's DH tables are equal. Fig. 10: three pairs of P and D in the twin."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from rejoint.arms import Arm, Array, mycobot280, solve_position, tcp_pose, tcp_position
+from rejoint.arms.arm import DhRow, dh_chain
+from rejoint.arms.catalogue import DH_TABLE, PAPER_ANGLE_SHIFT, PAPER_DH_TABLE
+from rejoint.control.law import dls_step
+from rejoint.pages.html import BLUE, ORANGE, RED
+from rejoint.pages.report.figures import Ways, bounds, ways
+from rejoint.training.ranges import PaperRanges
+from rejoint.twin.chain.batch import ChainBatch
+from rejoint_lab.research.reproduction.campaign import Bench, Found, Grid
+
+POSTURES = 1000
+EDGE = 9
+"""points per edge of the target box"""
+CLOSE = 1e-3
+"""[m] convergence of damped least squares"""
+
+
+def measure_kinematics(bench: Bench) -> Found:
+    """Compare both tables."""
+    vendor, paper = mycobot280(), paper_arm(PAPER_DH_TABLE)
+    rows = list(PAPER_DH_TABLE)
+    for i in (0, 4):
+        rows[i] = replace(rows[i], d=DH_TABLE[i].d)
+    postures = np.random.default_rng(bench.seed).uniform(vendor.lower, vendor.upper, (POSTURES, vendor.joints))
+    apart, equal = (
+        1e3 * np.linalg.norm(_flanges(other, postures + PAPER_ANGLE_SHIFT) - _flanges(vendor, postures), axis=1).max()
+        for other in (paper, paper_arm(tuple(rows)))
+    )
+    axes = np.linspace(paper.targets.lower, paper.targets.upper, EDGE).T
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    names = ("offset °", "d mm", "a mm", "α °")
+    headers = ("joint", *(f"{whose}: {name}" for whose in ("paper", "vendor") for name in names))
+    tables = zip(PAPER_DH_TABLE, DH_TABLE, strict=True)
+    cells = tuple((str(i), *_cells(paper), *_cells(vendor)) for i, (paper, vendor) in enumerate(tables, start=1))
+    return {
+        "apart": apart,
+        "equal": equal,
+        "postures": POSTURES,
+        "shift": ", ".join(f"{angle:.0f}" for angle in np.degrees(PAPER_ANGLE_SHIFT)),
+        "reached": 100 * solve_position(paper, points, paper.rest, tolerance=1e-4).converged.mean(),
+        "steps": _steps_to(vendor, bench.seed),
+        "encoder": np.degrees(vendor.encoder_step),
+        "grids": [Grid("Both tables", headers, cells)],
+    }
+
+
+def paper_arm(rows: tuple[DhRow, ...]) -> Arm:
+    """Build the myCobot 280 from a table of the paper."""
+    vendor, (offset, axis, tip) = mycobot280(), dh_chain(rows)
+    shifted = {name: getattr(vendor, name) + PAPER_ANGLE_SHIFT for name in ("lower", "upper", "rest")}
+    return replace(vendor, offset=offset, axis=axis, tip=tip, **shifted)
+
+
+def _flanges(arm: Arm, postures: Array) -> Array:
+    return tcp_pose(arm, postures)[:, :3, 3]
+
+
+def _steps_to(arm: Arm, seed: int) -> float:
+    targets = arm.targets.sample(np.random.default_rng(seed), (200,))
+    q, needed = np.tile(arm.rest, (200, 1)), np.zeros(200)
+    for _ in range(200):
+        step = dls_step(arm, q, targets)
+        far = np.linalg.norm(step.error, axis=-1) > CLOSE
+        needed += far
+        q = np.where(far[:, None], q + step.step, q)
+    return float(np.median(needed))
+
+
+def _cells(row: DhRow) -> tuple[str, ...]:
+    return f"{np.degrees(row.offset):g}", f"{1e3 * row.d:.5g}", f"{1e3 * row.a:.5g}", f"{np.degrees(row.alpha):g}"
+
+
+PAIRS = ((1e4, 1e3), (1e3, 50.0), (200.0, 10.0))
+"""Park et al. 2024, section IV-C"""
+STEP = 1.0 / 240.0
+"""[s] time step"""
+DWELL = 2.0
+"""[s] per target; chosen"""
+WINDOW = 0.25
+"""[s] at the end of a target; chosen"""
+BOUNDLESS = 1e6
+"""[N m] no torque limit, as in equation 12"""
+VISITS = 6
+"""targets on the figure; chosen"""
+
+
+def measure_gains(bench: Bench) -> Found:
+    """Move twins to the same targets, in both units."""
+    targets = bench.targets[0, :VISITS]
+    ours, literal = PaperRanges(arm=bench.arm), PaperRanges(arm=bench.arm, stiffness_unit=1.0, damping_unit=1.0)
+    paths, printed = (trace(bench, ranges, targets) for ranges in (ours, literal))
+    panels = [
+        Ways(title=f"P = {p:g}, D = {d:g}", look=look, paths=[path], targets=targets)
+        for (p, d), look, path in zip(PAIRS, (BLUE, ORANGE, RED), paths, strict=True)
+    ]
+    bench.draw(ways(panels, bounds(list(paths), 0.015), views=("from above",)), "fig-10")
+    shown = [
+        [f"{e:.2g} mm, {o:.0f} %" for e, o in (judge(path, targets) for path in some)] for some in (paths, printed)
+    ]
+    rows = tuple((f"{p:g}", f"{d:g}", *cells) for (p, d), *cells in zip(PAIRS, *shown, strict=True))
+    headers = ("P", "D", "rescaled: error, overshoot", "P in N m/rad: error, overshoot")
+    return {
+        **dict(zip(("stiff", "soft", "softest"), shown[0], strict=True)),
+        "count": len(targets),
+        "dwell": DWELL,
+        "window": WINDOW,
+        "literal": judge(printed[2], targets)[0],
+        "p": ours.stiffness_unit,
+        "d": ours.damping_unit,
+        "grids": [Grid("Both readings of the units", headers, rows)],
+    }
+
+
+def trace(bench: Bench, ranges: PaperRanges, targets: Array) -> Array:
+    """Move twins to ``targets`` (K, 3) [m]; returns paths (3, T, 3) [m]."""
+    arm = bench.arm
+    twins, free = ChainBatch(arm, len(PAIRS), timestep=STEP), ranges.twins(*np.array(PAIRS).T[..., None])
+    twins.write(replace(free, torque_limit=np.full_like(free.stiffness, BOUNDLESS)))
+    twins.restart(np.tile(arm.rest, (len(PAIRS), 1)))
+    steps, goal, paths = round(DWELL / STEP), arm.rest, []
+    for target in targets:
+        goal = solve_position(arm, target, goal).q
+        paths.append(tcp_position(arm, twins.rollout(np.broadcast_to(goal, (len(PAIRS), steps, arm.joints)))))
+    return np.concatenate(paths, axis=1)
+
+
+def judge(path: Array, targets: Array) -> tuple[float, float]:
+    """Mean error [mm] and overshoot [%] of a path (T, 3) [m]."""
+    last, errors, overshoots = round(WINDOW / STEP), [], []
+    start = path[0]
+    for part, target in zip(np.split(path, len(targets)), targets, strict=True):
+        end = part[-last:].mean(axis=0)
+        errors.append(1e3 * np.linalg.norm(part[-last:] - target, axis=-1).mean())
+        way = end - start
+        along = (part - start) @ way / (way @ way)
+        overshoots.append(100.0 * max(float(along.max()) - 1.0, 0.0))
+        start = end
+    return float(np.mean(errors)), float(np.mean(overshoots))
