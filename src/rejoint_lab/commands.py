@@ -20,7 +20,6 @@ from rejoint_lab.family import SIMULATOR
 if TYPE_CHECKING:
     from rejoint_lab.research.evaluation.evaluate import Contestant
     from rejoint_lab.research.evaluation.summary import Evaluation
-    from rejoint_lab.research.evaluation.trials import TrialSettings
 
 SERVED = {"mycobot280": ("A myCobot 280", "worn"), "so101": ("An SO-101", "so101")}
 """How the arms that can be served are called, and their usual wear profile"""
@@ -109,10 +108,16 @@ def evaluate(
     from rejoint_lab.research.evaluation.evaluate import evaluate as run
     from rejoint_lab.research.evaluation.evaluate import known_names
     from rejoint_lab.research.evaluation.family import VARIANTS, find_variant
+    from rejoint.control.comparison.result import Protocol
+    from rejoint_lab.research.evaluation.evaluate import evaluate as run
+    from rejoint_lab.research.evaluation.evaluate import known_names
+    from rejoint_lab.research.evaluation.family import VARIANTS, ArmFamily, find_variant
+    from rejoint_lab.research.evaluation.trials import TrialSettings
 
     names = {"all": known_names(), "none": ()}.get(controllers, controller_names(controllers))
     chosen = VARIANTS if variants == "all" else [find_variant(name) for name in controller_names(variants)]
-    settings = _settings(threads, arms=arms, targets=targets, crossings=crossings, seed=seed)
+    family = ArmFamily(arms=arms, targets=targets, crossings=crossings, seed=seed)
+    settings = TrialSettings(family=family, protocol=Protocol(), threads=threads)
     with call.progress("evaluate") as update:
         found = run(arm, _contestants(arm, names, policy, gains), chosen, settings, out.resolve(), update)
     return _show(call, found, out)
@@ -133,8 +138,13 @@ def identification(
     """Find what a twin of its own brings: diagnose, identify and train for each arm, and try it with and without."""
     arm = _arm(call)
     from rejoint_lab.research.evaluation.evaluate import evaluate_identification
+    from rejoint.control.comparison.result import Protocol
+    from rejoint_lab.research.evaluation.evaluate import evaluate_identification
+    from rejoint_lab.research.evaluation.family import ArmFamily
+    from rejoint_lab.research.evaluation.trials import TrialSettings
 
-    settings = _settings(threads, arms=arms, targets=targets, crossings=crossings, seed=seed)
+    family = ArmFamily(arms=arms, targets=targets, crossings=crossings, seed=seed)
+    settings = TrialSettings(family=family, protocol=Protocol(), threads=threads)
     with call.progress("identification") as update:
         found = evaluate_identification(arm, policy or [], settings, out, iterations, update)
     return _show(call, found, out)
@@ -246,14 +256,6 @@ def reproduce(
 def _arm(call: Call) -> Arm:
     require("rejoint research", "train", "report")
     return load_arm(call.pick.arm or "mycobot280")
-
-
-def _settings(threads: int, **family: int) -> TrialSettings:
-    from rejoint.control.comparison.result import Protocol
-    from rejoint_lab.research.evaluation.family import ArmFamily
-    from rejoint_lab.research.evaluation.trials import TrialSettings
-
-    return TrialSettings(family=ArmFamily(**family), protocol=Protocol(), threads=threads)
 
 
 def _contestants(

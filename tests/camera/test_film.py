@@ -99,7 +99,7 @@ def test_pictures_of_a_folder_are_read_with_their_postures(tmp_path):
     t, film = taken(), film_of(3)
     write_postures(tmp_path / POSTURES, ARM, film)
     for k in range(3):
-        cv2.imwrite(str(tmp_path / f"view-0{k}.png"), t.scene.shows(tcp_pose(t.scene.arm, t.links[k]), k))
+        cv2.imwrite(str(tmp_path / f"view-0{k}.png"), t.scene.shows(tcp_pose(ARM, t.links[k]), k))
     found = read_folder(str(tmp_path), ARM, ON_TOOL)
     assert [shot.name for shot in found.shots] == [shot.name for shot in film.shots[:3]]
     for one, other in zip(found.usable, film.shots, strict=False):
