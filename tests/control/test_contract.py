@@ -24,7 +24,7 @@ STIFFNESS = (7.0,) * 6
 LAWS = {
     "ours": ("residual", dataclasses.replace(DEFAULT.task.law, stiffness=STIFFNESS)),
     "ours, patient": ("residual", dataclasses.replace(DEFAULT.task.law, stiffness=STIFFNESS, decay_start=0.05)),
-    "sent": ("residual", CommandLaw()),
+    "measured": ("residual", CommandLaw()),
     "paper": (PAPER.task.layout, PAPER.task.law),
 }
 

@@ -82,7 +82,7 @@ def test_an_aim_of_another_posture_is_mended_when_the_arm_has_settled():
     modelled = Modelled(ARM, displacement)
     far = np.tile(ARM.rest + 0.4, (3, 1))
     target = TARGETS[:, 0]
-    aim = modelled.aim(target, far, EVERY)
+    aim = modelled.aim(target, far, EVERY)[0]
     settled = solve_position(ARM, aim, np.tile(ARM.rest, (3, 1))).q  # where another law brought the arm
     off = np.linalg.norm(displacement.tool(ARM, settled) - target, axis=-1)
     found = None

@@ -136,13 +136,6 @@ def test_where_no_way_is_clear_a_joint_goes_round_the_other_side():
     np.testing.assert_allclose([way.goal for way in ways], [right - turn, left], atol=1e-9)
 
 
-def test_every_target_needs_its_way():
-    one = with_ways(ARM, POSTURES, ARM.rest)
-    for ways in ([one], [one[:1]], [one, one]):
-        with pytest.raises(InputError):
-            TargetSequence(ARM, np.zeros((2, 1, 3)), ways=ways)
-
-
 def test_targets_anywhere_are_reached_and_held_by_their_postures():
     family, twins = ArmFamily(arms=2, targets=2, seed=3), [a_twin(), a_twin()]
     targets, ways = targets_anywhere(ARM, family, twins)

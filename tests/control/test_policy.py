@@ -75,7 +75,7 @@ def test_commands_are_observation_network_and_law(policy):
     for got in commands[:-1]:
         action = network(observer.observe(now))
         observer.acted(action)
-        expected = law.command(ARM, observer.view, now.state.position, now.sent, action)
+        expected = law.command(ARM, observer.view, now.state.position, action)
         np.testing.assert_allclose(got, expected, atol=1e-7)
         now = feed.send(got)
 
@@ -97,8 +97,6 @@ def test_a_network_of_another_size_or_without_a_contract_is_refused(tmp_path):
     [
         ({"arm": "so101"}, "arm is so101, expected mycobot280"),
         ({"joint_names": ("joint2", "joint1", *ARM.joint_names[2:])}, "joint order"),
-        ({"units": {"position": "deg"}}, "units"),
-        ({"history": 3}, "history"),
         ({"observation": layout_slots("equation-16", 6)}, "observation layout"),
         ({"lower": tuple((ARM.lower - 0.1).tolist())}, "lower joint limits"),
         ({"upper": tuple(ARM.upper[:5].tolist())}, "upper joint limits"),

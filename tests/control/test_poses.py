@@ -99,7 +99,7 @@ def test_a_calibration_turns_the_aim_back_by_what_lies_behind_the_encoders():
     correction = Modelled(ARM, known)
     points, turns = placed(ARM, POSES[:2])
     start = np.broadcast_to(ARM.rest, (2, 6))
-    aims, aimed = correction.aim_pose(points, turns, start, np.ones(2, dtype=bool))
+    aims, aimed = correction.aim(points, start, np.ones(2, dtype=bool), turn=turns)
     assert (aimed.angle(turns.rotation) > np.radians(0.3)).all()
     from rejoint.arms.posing import find_postures
 

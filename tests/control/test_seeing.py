@@ -33,7 +33,7 @@ def standing(shifts, sigma=np.nan):
     """Return what an arm that stands makes of sightings ``shifts`` (K, 3) [m] beside its encoders: (K, 3) [m]."""
     eye, place, found = Told(), tcp_position(ARM, POSTURE), []
     seen = Seen(ARM, Displacement.none(ARM), eye=eye)
-    aim = seen.aim(place[None], POSTURE[None], START)
+    aim = seen.aim(place[None], POSTURE[None], START)[0]
     for k, shift in enumerate(shifts):
         now = k * PERIOD
         eye.one = Sighting(time=now, place=place + shift, sigma=sigma)

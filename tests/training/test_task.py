@@ -38,7 +38,7 @@ class Scripted(PolicyController):
         return np.clip(next(self.actions), -1.0, 1.0)
 
 
-@pytest.mark.parametrize("law", [GOAL, CommandLaw()], ids=["goal", "sent"])
+@pytest.mark.parametrize("law", [GOAL, CommandLaw()], ids=["goal", "measured"])
 def test_training_and_deployment_see_and_command_the_same_bit_for_bit(law):
     rng = np.random.default_rng(2)
     actions = rng.normal(0.0, 0.8, (25, 6, 6)).astype(np.float32).astype(float)

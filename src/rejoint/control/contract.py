@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import msgspec
@@ -27,8 +27,6 @@ METADATA_KEY, DIGEST_KEY = "rejoint.contract", "rejoint.digest"
 
 INPUT, OUTPUT = "observation", "action"
 """(B, size) and (B, n), float32"""
-
-UNITS = {"position": "rad", "command": "rad", "length": "m", "time": "s", "action": "1"}
 
 PROBE_TOLERANCE = 1e-4
 """Largest difference of probe answers (chosen: ten times float32 rounding)"""
@@ -72,11 +70,8 @@ class PolicyContract:
     preset: str
     seed: int
     software: str
-    history: int = 0
-    """past observations in the input"""
     servo_gains: dict[str, tuple[int, ...]] | None = None
     """of the servos in training; None: any"""
-    units: dict[str, str] = field(default_factory=lambda: dict(UNITS))
     format: int = FORMAT
 
     @property
@@ -107,17 +102,9 @@ def law_digests(arm: Arm) -> dict[str, str]:
 
 def fields_read(law: CommandLaw, layout: Layout) -> tuple[str, ...]:
     """Fields of `law_digests` in this law."""
-    goals = law.anchor == "goal"
-    names = {
-        "offset": True,
-        "axis": True,
-        "tip": True,
-        "mass": goals,
-        "com": goals,
-        "rest": goals or layout != "residual",
-        "targets": goals,
-    }
-    return tuple(name for name, read in names.items() if read)
+    if law.anchor == "goal":
+        return ("offset", "axis", "tip", "mass", "com", "rest", "targets")
+    return ("offset", "axis", "tip", *(["rest"] if layout != "residual" else []))
 
 
 def arm_digest(arm: Arm) -> str:
@@ -168,8 +155,6 @@ def check_contract(contract: PolicyContract, arm: Arm) -> None:
     expected: tuple[tuple[str, object, object], ...] = (
         ("arm", contract.arm, arm.name),
         ("joint order", contract.joint_names, arm.joint_names),
-        ("units", contract.units, UNITS),
-        ("observation history", contract.history, 0),
         ("observation layout", _parts(contract.observation), _parts(layout_slots(contract.layout, arm.joints))),
     )
     for what, found, wanted in expected:

@@ -132,50 +132,42 @@ class Modelled:
         links = self.displacement.joints(self.arm, position, approach)
         return tcp_position(self._moved, links) - tcp_position(self.arm, position)
 
-    def aim(self, target: Array, start: Array, where: Mask, near: Array | None = None) -> Array:
-        """Corrected targets (B, 3) [m], at postures near ``near`` (B, n) [rad], else found from ``start``."""
-        return self._aim(target, None, (start, near), where)
-
-    def aim_pose(
-        self, target: Array, turn: Orientation, start: Array, where: Mask, near: Array | None = None
-    ) -> tuple[Array, Orientation]:
-        """Corrected targets and orientations."""
-        if len(self._turned) != len(where):
-            self._turned = turn.rotation.copy()
-        aims = self._aim(target, turn, (start, near), where)
-        return aims, replace(turn, rotation=self._turned.copy())
-
     def untwisted(self, turn: Orientation, position: Array, approach: Array | None = None) -> Orientation:
         """Return encoder orientations (...) of tools turned as in ``turn``."""
         links = self.displacement.joints(self.arm, position, approach)
         seen, own = frames(self.arm, position).tcp_rotation, frames(self._moved, links).tcp_rotation
         return replace(turn, rotation=seen @ np.swapaxes(own, -1, -2) @ turn.rotation)
 
-    def _aim(self, target: Array, turn: Orientation | None, postures: tuple[Array, Array | None], where: Mask) -> Array:
-        start, near = postures
-        rest_gain = REST_GAIN if near is None else 0.0
+    def aim(
+        self, target: Array, start: Array, where: Mask, near: Array | None = None, turn: Orientation | None = None
+    ) -> tuple[Array, Orientation | None]:
+        """Corrected targets (B, 3) [m] and orientations (B,), at postures near ``near`` (B, n) [rad].
+
+        None: at postures found from ``start`` (B, n) [rad].
+        """
         if len(self._since) != len(where):
             self._came = self._posture = start.copy()
             self._since = np.full(len(where), -np.inf)
             self._done = np.zeros(len(where), dtype=bool)
+        if turn is not None and len(self._turned) != len(where):
+            self._turned = turn.rotation.copy()
         self._done, self._since = self._done & ~where, np.where(where, np.nan, self._since)
         self._came = np.where(where[:, None], start, self._came)
         aims = np.array(target, dtype=float)
         aimed = where & np.isfinite(target).all(axis=-1)
-        if not aimed.any():
-            return aims
-        goal, posture = target[aimed], (start if near is None else near)[aimed]
-        place = goal.copy()
-        wanted = own = None if turn is None else turn[aimed]
-        for _ in range(ROUNDS):
-            posture = find_postures(self.arm, place, posture, own, rest_gain=rest_gain)
-            place = goal - self.shift(posture, start[aimed])
-            if wanted is not None:
-                own = self.untwisted(wanted, posture, start[aimed])
-        if own is not None:
-            self._turned[aimed] = own.rotation
-        aims[aimed] = checked(goal, place)
-        return aims
+        if aimed.any():
+            goal, rest_gain = target[aimed], REST_GAIN if near is None else 0.0
+            place, posture = goal.copy(), (start if near is None else near)[aimed]
+            wanted = own = None if turn is None else turn[aimed]
+            for _ in range(ROUNDS):
+                posture = find_postures(self.arm, place, posture, own, rest_gain=rest_gain)
+                place = goal - self.shift(posture, start[aimed])
+                if wanted is not None:
+                    own = self.untwisted(wanted, posture, start[aimed])
+            if own is not None:
+                self._turned[aimed] = own.rotation
+            aims[aimed] = checked(goal, place)
+        return aims, None if turn is None else replace(turn, rotation=self._turned.copy())
 
     def again(self, target: Array, inputs: ControlInput) -> Array | None:
         """Correct once more at the settled posture."""

@@ -99,60 +99,56 @@ def judge(
     """Judge each target; ``ended``: final error."""
     rows = np.flatnonzero(recording.active[:, 0])
     error = np.linalg.norm(recording.aim[:, 0] - tcp_position(arm, recording.position[:, 0]), axis=-1)
-    gap = recording.gaps()
-    visits = []
+    gap, index, visits = recording.gaps(), recording.target_index[:, 0], []
     for k, target in enumerate(job.targets):
-        own = rows[recording.target_index[rows, 0] == k]
-        last = ended is not None and k == int(recording.target_index[rows[-1], 0])
-        visit = _visit(target, job, own, recording, error, gap, model, ended=last)
-        visits.append(visit if job.turns is None else _posed(visit, job.turns[k], own, recording))
-    lengths = tuple(float(value) for value in gap[gap > 0.0])
+        own, last = rows[index[rows] == k], ended is not None and k == index[rows[-1]]
+        visit = Visit(
+            target=tuple(target.tolist()),
+            error=None,
+            true_error=NOT_KNOWN,
+            reached=False,
+            remark="not tried",
+            orientation="" if job.turns is None else in_words(job.turns[k]),
+        )
+        visits.append(_ended(visit, job, own, recording, error, gap, model, last) if len(own) else visit)
     period = recording.usual_period()
-    usual = period if np.isfinite(period) else None
-    return Deployed(controller=job.controller, visits=tuple(visits), period=usual, gaps=lengths)
+    return Deployed(
+        controller=job.controller,
+        visits=tuple(visits),
+        period=period if np.isfinite(period) else None,
+        gaps=tuple(gap[gap > 0.0].tolist()),
+    )
 
 
-def _visit(
-    target: Array,
+def _ended(
+    visit: Visit,
     job: Deployment,
     rows: Rows,
     recording: Recording,
     error: Array,
     gap: Array,
     model: ToolModel | None,
-    *,
-    ended: bool,
+    early: bool,
 ) -> Visit:
-    x, y, z = (float(value) for value in target)
-    if not len(rows):
-        return Visit(target=(x, y, z), error=None, true_error=NOT_KNOWN, reached=False, remark="not tried")
-    end = float(error[rows[-1]])
-    reached = end < job.within and not ended
-    remarks = ["ended early"] if ended else []
-    if not reached and not ended:
-        remarks.append(f"still {1e3 * end:.0f} mm off after {job.dwell:g} s{_held_back(recording.reasons[rows, 0])}")
-    paused = float(gap[rows].max(initial=0.0))
-    if paused > 0.0:
-        remarks.append(f"no answers for {paused:.1f} s")
-    return Visit(
-        target=(x, y, z),
+    """Visit as it was in the last of its ``rows``."""
+    row = int(rows[-1])
+    end, turned, paused = float(error[row]), float(recording.turned[row, 0]), float(gap[rows].max())
+    askew = job.turns is not None and turned > REACHED_TURN
+    remarks = {
+        "ended early": early,
+        f"still {1e3 * end:.0f} mm off after {job.dwell:g} s{_held_back(recording.reasons[rows, 0])}": not early
+        and not end < job.within,
+        f"no answers for {paused:.1f} s": paused > 0.0,
+        f"still turned {np.degrees(turned):.0f} deg off": askew,
+    }
+    return replace(
+        visit,
         error=end,
-        true_error=_true_error(recording, int(rows[-1]), target, model),
-        reached=reached,
-        remark="; ".join(remarks),
+        true_error=_true_error(recording, row, np.array(visit.target), model),
+        reached=end < job.within and not early and not askew,
+        remark="; ".join(remark for remark, said in remarks.items() if said),
+        turned=None if job.turns is None or np.isnan(turned) else turned,
     )
-
-
-def _posed(visit: Visit, turn: Orientation, rows: Rows, recording: Recording) -> Visit:
-    visit = replace(visit, orientation=in_words(turn))
-    turned = float(recording.turned[rows[-1], 0]) if len(rows) else float("nan")
-    if not np.isfinite(turned):
-        return visit
-    visit = replace(visit, turned=turned)
-    if turned <= REACHED_TURN:
-        return visit
-    askew = f"still turned {np.degrees(turned):.0f} deg off"
-    return replace(visit, reached=False, remark="; ".join(filter(None, (visit.remark, askew))))
 
 
 def _true_error(recording: Recording, row: int, target: Array, model: ToolModel | None) -> TrueError:
@@ -166,6 +162,6 @@ def _held_back(reasons: Reasons) -> str:
     often = [
         reason_names(reason)[0]
         for reason in Reason
-        if reason != Reason.GAP and np.mean((reasons & np.uint16(reason.value)) != 0) > _OFTEN
+        if reason != Reason.GAP and np.mean((reasons & reason) != 0) > _OFTEN
     ]
     return f", held back by its limits of {' and '.join(often)}" if often else ""

@@ -194,15 +194,5 @@ class FeedforwardController:
 
     def memory(self) -> dict[str, Array]:
         """State by name; live arrays."""
-        return {
-            "goal": self._goal,
-            "raised": self._raised,
-            "idle": self._idle,
-            "correction": self._correction,
-            "speed": self._speed,
-            "position": self._position,
-            "pushed": self._pushed,
-            "eager": self._eager,
-            "came": self._came,
-            "time": self._pace.last,
-        }
+        names = ("goal", "raised", "idle", "correction", "speed", "position", "pushed", "eager", "came")
+        return {name: getattr(self, f"_{name}") for name in names} | {"time": self._pace.last}

@@ -99,38 +99,26 @@ def run(
     limits = GuardLimits.of(robot.arm) if limits is None else limits
     to = reference if isinstance(reference, Reference) else TargetSequence(limits.arm, reference)
     warm_up(limits)
-    with noted():
-        return _cycles(
-            lambda: RunState(
-                robot=robot,
-                controller=controller,
-                reference=to,
-                schedule=schedule,
-                limits=limits,
-                on_cycle=on_cycle,
-            ),
-            robot,
-        )
-
-
-def _cycles(begin: Callable[[], RunState], robot: Robot) -> Recording:
     run_state: RunState | None = None
-    try:
-        check()
-        run_state = begin()
-        run_state.controller.reset(run_state.inputs, np.ones(robot.count, dtype=bool))
-        while run_state.cycle():
+    with noted():
+        try:
             check()
-        if run_state.tripped.any():
-            robot.stop()
-    except BaseException as error:
-        held = _hold(robot, limp=isinstance(error, PowerLostError))
-        if run_state is not None:
-            attach(error, run_state.recorder.recording(run_state.tripped))
-        if robot.count == 1:
-            error.add_note(held)
-        raise
-    return run_state.recorder.recording(run_state.tripped)
+            run_state = RunState(
+                robot=robot, controller=controller, reference=to, schedule=schedule, limits=limits, on_cycle=on_cycle
+            )
+            controller.reset(run_state.inputs, np.ones(robot.count, dtype=bool))
+            while run_state.cycle():
+                check()
+            if run_state.tripped.any():
+                robot.stop()
+        except BaseException as error:
+            held = _hold(robot, limp=isinstance(error, PowerLostError))
+            if run_state is not None:
+                attach(error, run_state.recorder.recording(run_state.tripped))
+            if robot.count == 1:
+                error.add_note(held)
+            raise
+        return run_state.recorder.recording(run_state.tripped)
 
 
 def _hold(robot: Robot, *, limp: bool = False) -> str:
@@ -378,19 +366,19 @@ class RunState:
         last, period = self.speed / ease[:, None], ease * self.period
         moving = (inputs.since_target == 0.0) & self.reference.planned
         guarded = guard_along(self.limits, inputs.goal, moving, wanted, self.sent, last, self.state, period)
-        command, reasons = guarded.command, guarded.reasons + self.gap * np.uint16(Reason.GAP.value)
+        command, reasons = guarded.command, guarded.reasons + self.gap * np.uint16(Reason.GAP)
         if self.unbelieved is not None:
             lost: Mask = np.logical_or.reduce(self.unbelieved, axis=-1)
             command = np.where(lost[:, None], self.sent, command)
-            reasons = reasons | lost * np.uint16(Reason.NOT_FOLLOWING.value)
+            reasons = reasons | lost * np.uint16(Reason.NOT_FOLLOWING)
         command = np.where(active[:, None], command, self.sent)
         return Guarded(command, reasons * active, ease[:, None] * guarded.speed)
 
     def _stop_tripped(self, reasons: Reasons) -> bool:
-        trips = reasons & np.uint16(TRIPS.value)
+        trips = reasons & np.uint16(TRIPS)
         if not trips.any():
             return False
-        alive = self._release(trips) & (trips == np.uint16(Reason.NOT_FOLLOWING.value))
+        alive = self._release(trips) & (trips == Reason.NOT_FOLLOWING)
         trips = trips * ~alive
         self.tripped = self.tripped | trips
         if trips.any() and not self.schedule.keep_going:
@@ -408,7 +396,7 @@ class RunState:
         """Pull flagged joints back; returns the arms (B,) that moved."""
         if self.unbelieved is None:
             return np.zeros(len(trips), dtype=bool)
-        where = self.active & ((trips & np.uint16(Reason.NOT_FOLLOWING)) != 0)
+        where = self.active & ((trips & Reason.NOT_FOLLOWING) != 0)
         joints = self.unbelieved & where[:, None]
         held, back = (ask(joints, self.sent) for ask in (self.following.balance, self.following.pulled))
         sent, speed, stood = self.sent, np.zeros_like(self.sent), self.state.position
@@ -470,7 +458,7 @@ def say_hot(names: tuple[str, ...], temperature: Array, limit: float) -> str:
 _FREE = "free the arm and clear the fault"
 
 
-def say_faulty(names: tuple[str, ...], fault: NDArray[np.bool_], trouble: tuple[str, ...] | None = None) -> str:
+def say_faulty(names: tuple[str, ...], fault: Mask, trouble: tuple[str, ...] | None = None) -> str:
     """Name the joints with a servo ``fault`` (n,), and what they report."""
     faulty = ", ".join(np.array(names)[fault])
     found = list(dict.fromkeys(filter(None, trouble or ())))

@@ -87,7 +87,7 @@ class Recording:
     target_index: NDArray[np.intp]
     since_target: Array
     true_tcp: Array
-    active: NDArray[np.bool_]
+    active: Mask
     reasons: Reasons
     load: Array
     turned: Array
@@ -119,7 +119,7 @@ class Recording:
         """Gap lengths (T,) [s], else 0."""
         rows = np.flatnonzero(self.active[:, b])
         elapsed = np.diff(self.time[rows, b], prepend=self.time[rows[:1], b])
-        marked = (self.reasons[rows, b] & np.uint16(Reason.GAP.value)) != 0
+        marked = (self.reasons[rows, b] & Reason.GAP) != 0
         gaps = np.zeros(len(self.time))
         gaps[rows] = np.where(marked & (elapsed > GAP), elapsed, 0.0)  # it also goes on so after a joint was led back
         return gaps

@@ -131,8 +131,6 @@ class TargetSequence(Reference):
         if targets.ndim != 3 or targets.shape[1] == 0 or targets.shape[2] != 3:
             raise InputError(f"targets have shape {targets.shape}, expected (arms, K, 3) with K > 0")
         self.count, self.legs = targets.shape[:2]
-        if ways is not None and [len(row) for row in ways] != [self.legs] * self.count:
-            raise InputError("ways to targets: expected one for each target")
         self.planned = ways is not None
         self._arm, self._targets, self._turns, self._correction, self._rows = arm, targets, turns, correction, ways
         self._place = self._aim = targets[:, 0]
@@ -153,12 +151,9 @@ class TargetSequence(Reference):
                 self._ways[b] = beginning_at(self._arm, self._rows[b][index[b]], position[b])
             planned = np.array([way.goal for way in self._ways])
             self.patience = PATIENCE[0] + np.array([PATIENCE[1] * way.duration for way in self._ways])
-        if correction is None:
-            aim = target
-        elif self._turn is None:
-            aim = correction.aim(target, sent, where, planned)
-        else:
-            aim, self._turn = correction.aim_pose(target, self._turn, sent, where, planned)
+        aim = target
+        if correction is not None:
+            aim, self._turn = correction.aim(target, sent, where, planned, self._turn)
         self._aim_at(aim, sent if planned is None else planned, where)
 
     def _aim_at(self, aim: Array, near: Array, where: Mask) -> None:

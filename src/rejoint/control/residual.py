@@ -3,8 +3,7 @@
 Park et al. 2024, equation 17: next command = position + damped least-squares step + action. The ``anchor`` is what the
 action is added to:
 
-* ``measured``: the measured position.
-* ``sent``: the last command; the law integrates.
+* ``measured``: the measured position, as printed.
 * ``goal``: the command of the feed-forward controller (residual policy learning: Silver et al. 2018, arXiv:1812.06298;
   Johannink et al. 2019, arXiv:1812.03201). On a trajectory that controller acts alone.
 """
@@ -33,7 +32,7 @@ compiled = Late("rejoint.control.compiled")
 class CommandLaw:
     """Constants of the law, part of a contract."""
 
-    anchor: Literal["goal", "sent", "measured"] = "sent"
+    anchor: Literal["goal", "measured"] = "measured"
     stiffness: tuple[float, ...] = ()
     """[N m/rad] in training (anchor ``goal``)"""
     learning: FeedforwardGains = field(default_factory=FeedforwardGains)
@@ -51,11 +50,6 @@ class CommandLaw:
     """[rad] largest authority"""
     lead_limit: float = float(np.radians(20.0))
     """[rad] largest following error (anti-windup)"""
-    rest_gain: float = 0.05
-    """null-space share per cycle towards the goal posture (chosen: less lets the wrist drift)"""
-    rest_distance: float = 0.01
-    """[m] TCP distance at which it fades"""
-
     load_penalty: float = 0.0
     """near the target the most loaded joint moves by 1 + this times less: load causes stick-slip (anchor ``goal``)"""
     load_penalty_distance: float = 0.003
@@ -82,17 +76,10 @@ class CommandLaw:
         largest = np.abs(step).max(axis=-1, keepdims=True)
         return late + (1.0 - late) * np.minimum(largest / self.decay_step, 1.0) ** 2
 
-    def command(self, arm: Arm, view: View, position: Array, sent: Array, action: Array) -> Array:
-        """Commands (B, n) [rad] of the anchors ``sent`` and ``measured``.
-
-        ``position`` and last command ``sent`` (B, n) [rad]; ``action`` (B, n) in [-1, 1].
-        """
-        anchor = sent if self.anchor == "sent" else position
-        wanted = anchor + self.step_gain * clip_norm(view.step, self.step_limit)
+    def command(self, arm: Arm, view: View, position: Array, action: Array) -> Array:
+        """Commands (B, n) [rad] of the anchor ``measured``: ``position`` (B, n) [rad], ``action`` (B, n) in [-1, 1]."""
+        wanted = position + self.step_gain * clip_norm(view.step, self.step_limit)
         wanted = wanted + self.authority(view.step) * np.clip(action, -1.0, 1.0)
-        if self.rest_gain:
-            pull = self.rest_gain * np.minimum(view.distance / self.rest_distance, 1.0)
-            wanted = wanted + pull[:, None] * clip_norm(view.homing, self.step_limit)
         return limit_position(arm, limit_lead(wanted, position, self.lead_limit))
 
 
@@ -124,14 +111,14 @@ class Commander:
 
     def take_over(self, inputs: ControlInput, where: Mask) -> None:
         """Continue from another controller's command, where ``where`` (B,)."""
-        if self._base is not None:  # other anchors start from the last command or the measured position anyway
+        if self._base is not None:  # the other anchor starts from the measured position anyway
             self._base.take_over(inputs, where)
 
     def command(self, inputs: ControlInput, view: View, action: Array) -> Array:
         """Commands (B, n) [rad] for actions (B, n) in [-1, 1]."""
         law = self.law
         if self._base is None:
-            return law.command(self._arm, view, inputs.state.position, inputs.sent, action)
+            return law.command(self._arm, view, inputs.state.position, action)
         step, extra = out = np.empty((2, *view.step.shape))
         compiled.weigh(
             out,

@@ -26,7 +26,7 @@ class JointState:
     """(B,) [s] since the last fresh answer"""
     temperature: Array | None = None
     """(B, n) [deg C]"""
-    fault: NDArray[np.bool_] | None = None
+    fault: Mask | None = None
     """(B, n)"""
     trouble: tuple[str, ...] | None = None
     """(n,) servo faults in words"""

@@ -15,6 +15,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, clip_norm, position_kinematics, tcp_position
 from rejoint.arms.displacement import FLOATING
+from rejoint.arms.rotations import Orientation
 from rejoint.control.controller import ControlInput, Controller
 from rejoint.control.correction import MOST, Modelled
 from rejoint.control.law import limit_lead, limit_position
@@ -85,11 +86,13 @@ class Seen(Modelled):
     _believed: float = field(default=-np.inf, init=False)  # [s] of the newest that was believed
     _told: deque[tuple[float, Array]] = field(default_factory=lambda: deque(maxlen=HISTORY), init=False)
 
-    def aim(self, target: Array, start: Array, where: Mask, near: Array | None = None) -> Array:
-        """Corrected targets (1, 3) [m] of the model."""
+    def aim(
+        self, target: Array, start: Array, where: Mask, near: Array | None = None, turn: Orientation | None = None
+    ) -> tuple[Array, Orientation | None]:
+        """Corrected targets (1, 3) [m] of the model, and orientations."""
         self._target, self._extra, self._count = target[0].copy(), np.zeros(3), 0
         self.visits.append((0, None))
-        return super().aim(target, start, where, near)
+        return super().aim(target, start, where, near, turn)
 
     def again(self, target: Array, inputs: ControlInput) -> Array | None:
         """Correct by the newest detection."""

@@ -81,13 +81,10 @@ def under_gains(robot: Robot, controller: object) -> Iterator[None]:
     """Drive under the ``controller``'s gains, then restore the others; ContractError, InputError."""
     require_gains(robot, controller)
     wanted: ServoGains | None = getattr(controller, "servo_gains", None)
-    if wanted is None:
+    if wanted is None or not differing(wanted, tunable(robot)[1]):
         yield
         return
     servos, before = tunable(robot)
-    if not differing(wanted, before):
-        yield
-        return
     with put_back(servos, before):
         servos.tune(wanted)
         yield
@@ -283,20 +280,23 @@ def search(
         found=found,
         under=under,
         alone=alone,
-        before=_round(first),
-        with_under=_round(middle),
-        with_alone=_round(end),
+        before=first.round,
+        with_under=middle.round,
+        with_alone=end.round,
         rounds=climb.rounds,
     )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Shown:
+class _Shown(NamedTuple):
     error: Array
     unrest: Array
     tool: float
     bad: Mask
     """(n,)"""
+
+    @property
+    def round(self) -> Round:
+        return Round(error=tuple(self.error.tolist()), unrest=tuple(self.unrest.tolist()), tool=self.tool)
 
 
 @dataclass(eq=False)
@@ -334,17 +334,14 @@ class _Climb:
                 self.gains = old
                 self.servos.tune(old)
                 continue
-            nearer, loud = self._compare(seen, first)
-            taken = trying & nearer & ~loud
+            step = self.robot.arm.encoder_step
+            loud = seen.unrest > np.maximum(LOUDER * first.unrest, QUIET * step)
+            taken = trying & ~loud & (seen.error < self.best.error - GAIN * step)
             done |= trying & (loud | (missed & ~taken))  # one value that does not help may be friction
             missed = trying & ~taken
             self.gains = _with(old, rung, value, taken)
             self.servos.tune(self.gains)
-            self.best = replace(
-                self.best,
-                error=np.where(taken, seen.error, self.best.error),
-                unrest=np.where(taken, seen.unrest, self.best.unrest),
-            )
+            self.best = self.best._replace(error=np.where(taken, seen.error, self.best.error))
 
     def confirm(self, last: Values, before: _Shown) -> tuple[Values, _Shown]:
         if self.gains == last:
@@ -355,12 +352,6 @@ class _Climb:
             self.servos.tune(last)
         self.best = seen
         return dict(self.gains), seen
-
-    def _compare(self, seen: _Shown, first: _Shown) -> tuple[Mask, Mask]:
-        """Joints (n,) with the least error, and those less quiet than first."""
-        step = self.robot.arm.encoder_step
-        nearer: Mask = seen.error < self.best.error - GAIN * step
-        return nearer, seen.unrest > np.maximum(LOUDER * first.unrest, QUIET * step)
 
     def drive(self, targets: Array) -> _Shown:
         watch = _RoundWatch(self.robot.arm)
@@ -375,19 +366,17 @@ class _Climb:
         self.rounds += 1
         self.sent = recording.command[-1]
         arm, index, since = self.robot.arm, recording.target_index[:, 0], recording.since_target[:, 0]
-        error, unrest, tool = [], [], []
-        for k, target in enumerate(targets):
-            rows = (index == k) & (since > DWELL - LOOKED)
-            if watch.joints.any() or not rows.any():
-                nothing = np.full(arm.joints, np.inf)
-                return _Shown(error=nothing, unrest=nothing, tool=np.inf, bad=watch.joints)
-            here = recording.position[rows, 0]
-            error.append(np.abs(recording.command[rows, 0] - here).mean(axis=0))
-            unrest.append(here.std(axis=0))
-            tool.append(np.linalg.norm(tcp_position(arm, here) - target, axis=-1).mean())
-        return _Shown(
-            error=np.mean(error, axis=0), unrest=np.mean(unrest, axis=0), tool=float(np.mean(tool)), bad=watch.joints
-        )
+        places = [(target, (index == k) & (since > DWELL - LOOKED)) for k, target in enumerate(targets)]
+        if watch.joints.any() or not all(rows.any() for _, rows in places):
+            nothing = np.full(arm.joints, np.inf)
+            return _Shown(nothing, nothing, np.inf, watch.joints)
+        found = []
+        for target, rows in places:
+            here, away = recording.position[rows, 0], recording.command[rows, 0] - recording.position[rows, 0]
+            tool = np.linalg.norm(tcp_position(arm, here) - target, axis=-1).mean()
+            found.append((np.abs(away).mean(axis=0), here.std(axis=0), tool))
+        error, unrest, tools = (np.mean(part, axis=0) for part in zip(*found, strict=True))
+        return _Shown(error, unrest, float(tools), watch.joints)
 
 
 class _RoundWatch:
@@ -425,7 +414,3 @@ def _with(gains: Values, rung: Rung, value: int, joints: Mask) -> Values:
         name: tuple(set_to[name] if name in set_to and take else old for old, take in zip(values, joints, strict=True))
         for name, values in gains.items()
     }
-
-
-def _round(seen: _Shown) -> Round:
-    return Round(error=tuple(seen.error.tolist()), unrest=tuple(seen.unrest.tolist()), tool=seen.tool)

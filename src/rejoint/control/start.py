@@ -97,7 +97,7 @@ class _FirstWay:
     def __call__(self, cycle: Cycle) -> None:
         if self._on_cycle is not None:
             self._on_cycle(cycle)
-        gap = ((cycle.reasons & np.uint16(Reason.GAP.value)) != 0)[:, None]  # others may have moved it
+        gap = ((cycle.reasons & Reason.GAP) != 0)[:, None]  # others may have moved it
         self._low = np.where(gap, cycle.position, self._low)
         self._high = np.where(gap, cycle.position, self._high)
         weight = gravity_torque(self._arm, cycle.position)

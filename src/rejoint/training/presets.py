@@ -107,7 +107,6 @@ PAPER = Preset(
             authority_floor=float(np.radians(10.0)),  # chosen: with the paper's 5 fewer targets are learned
             authority_slope=0.0,
             authority_limit=float(np.radians(10.0)),
-            rest_gain=0.0,
             envelope_margin=float(np.radians(360.0)),
         ),
         reward="equation-25",

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import solve_discrete_are
 
 from rejoint.arms import Arm, Array, dls, link_inertia, position_kinematics
 from rejoint.control.controller import ControlInput
@@ -19,7 +20,6 @@ from rejoint.control.robot import Mask
 
 _PARTS = 5  # steps in which a control period, or a delay, is passed (chosen: 5 ms each)
 _KEPT = 12  # commands that are remembered (chosen: more than arrive late at the shortest period)
-_ROUNDS = 300  # of the filter's equations until they stand still
 _LEAST_INERTIA = 2e-3  # [kg m^2] believed of a joint (chosen: the least of the twins)
 
 
@@ -87,12 +87,11 @@ def _filter_gain(mass: Array, servos: Servos, noise: float, period: float) -> Ar
     one[..., 2, 2] = 1.0
     cycle = np.linalg.matrix_power(one, _PARTS)
     unknown = np.diag([1e-9, SHOCKS * period, DRIFT * period])
-    spread = np.broadcast_to(1e-3 * np.eye(3), cycle.shape)
+    seen = np.array([[1.0], [0.0], [0.0]])
     gain = np.zeros((*mass.shape, 3))
-    for _ in range(_ROUNDS):
-        spread = cycle @ spread @ np.swapaxes(cycle, -1, -2) + unknown
-        gain = spread[..., 0] / (spread[..., :1, 0] + noise)
-        spread = spread - gain[..., None] * spread[..., :1, :]
+    for index in np.ndindex(mass.shape):
+        spread = solve_discrete_are(cycle[index].T, seen, unknown, [[noise]])
+        gain[index] = spread[:, 0] / (spread[0, 0] + noise)
     return gain
 
 

@@ -141,7 +141,7 @@ class Calibration:
             return target
         flat = target.reshape(-1, 3)
         came = np.broadcast_to(start, (*target.shape[:-1], self.arm.joints)).reshape(-1, self.arm.joints)
-        aims = Modelled(self.arm, self.displacement).aim(flat, came, np.ones(len(flat), dtype=bool))
+        aims, _ = Modelled(self.arm, self.displacement).aim(flat, came, np.ones(len(flat), dtype=bool))
         return aims.reshape(target.shape)
 
 
