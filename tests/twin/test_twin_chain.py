@@ -34,7 +34,8 @@ def drawn(arm, count, rng, **changes):
 
 def both(arm, twins, position, velocity, timestep=0.005, gravity_scale=1.0):
     judge, chain = TableBatch(arm, twins, (), timestep, 1, gravity_scale), ChainBatch(arm, len(position))
-    chain.write(twins, timestep=timestep, gravity_scale=gravity_scale)
+    chain.write(twins, gravity_scale=gravity_scale)
+    chain.timestep[:] = timestep
     for batch in (judge, chain):
         batch.restart(position, velocity)
     return judge, chain

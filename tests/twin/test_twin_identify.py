@@ -7,7 +7,8 @@ from rejoint.twin.fit import Problem, correlation_time, fit
 from rejoint.twin.identify import IdentifySettings, identify
 from rejoint.twin.judgement import prediction_error
 from rejoint.twin.parameters import Layout, pack, prior
-from rejoint.twin.replay import Replay, cut, predict
+from rejoint.twin.replay import Replay, cut
+from twinmodel import predict
 
 QUICK = IdentifySettings(starts=16, iterations=10, threads=1)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from motion_logs import ARM, PERIOD, TRUTH, as_log, wandering
 
-from rejoint.twin.replay import predict
+from twinmodel import predict
 
 
 @pytest.mark.parametrize("jitter", [0.0, 0.004])

@@ -46,11 +46,6 @@ class PpoSettings:
     actor_layers: tuple[int, ...] = (128, 64)
     critic_layers: tuple[int, ...] = (128, 64)
 
-    @property
-    def transitions(self) -> int:
-        """Control cycles of all agents."""
-        return self.agents * self.rollout * self.iterations
-
 
 @dataclass(frozen=True, kw_only=True)
 class Preset:

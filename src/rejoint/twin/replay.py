@@ -199,12 +199,6 @@ class Replay:
         }
 
 
-def predict(arm: Arm, parameters: TwinParameters, log: RunLog, timestep: float = TIMESTEP) -> Array:
-    """Open-loop positions (T, n) [rad] from the first measured state."""
-    whole = Window(log=0, first=0, last=len(log))
-    return Replay(arm, [log], [whole], timestep).predict(parameters.repeat(1))[0][0]
-
-
 def _in_step(time: Array, timestep: float) -> float:
     """Regularity, 0 to 1, of times (T,) [s] on a grid."""
     return float(np.abs(np.exp(2j * np.pi * time / timestep).mean()))

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array, link_inertia
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.workspace import unloaded_joints
-from rejoint.system.errors import InputError
 from rejoint.twin.chain.dynamics import CARRIED, GROUP, INERTIA, LINK, MASS, MOMENT, PLACE, ROTATION
 from rejoint.twin.chain.step import advance, workspace
 from rejoint.twin.declaration import TIMESTEP
@@ -28,8 +27,6 @@ class ChainBatch:
     """``nsim`` simulations of one arm; ``qpos`` and ``qvel`` (nsim, n) are live."""
 
     def __init__(self, arm: Arm, nsim: int, timestep: float = TIMESTEP, threads: int = 1) -> None:
-        if nsim < 1 or threads < 1:
-            raise InputError(f"twin batch: {nsim} simulations on {threads} threads, expected at least one of each")
         self.arm, self.nsim = arm, nsim
         shape = (nsim, arm.joints)
         self.qpos, self.qvel = np.zeros((2, *shape))
@@ -44,31 +41,17 @@ class ChainBatch:
         bounds = np.linspace(0, groups, min(threads, groups) + 1).astype(int) * GROUP
         self._parts = [(first, min(last, nsim), workspace(arm.joints)) for first, last in pairwise(bounds)]
         self._pool = ThreadPoolExecutor(len(self._parts)) if len(self._parts) > 1 else None
-        self.write(nominal_parameters(arm).repeat(nsim))
+        self.write(nominal_parameters(arm))
 
-    def write(
-        self,
-        parameters: TwinParameters,
-        ids: Ids = None,
-        *,
-        timestep: float | Array | None = None,
-        gravity_scale: float | Array = 1.0,
-    ) -> None:
-        """Set parameters of the simulations ``ids`` (indices or mask; default: all), not their state.
+    def write(self, parameters: TwinParameters, ids: Ids = None, *, gravity_scale: float | Array = 1.0) -> None:
+        """Set parameters (m,) of the simulations ``ids`` (indices or mask; default: all), not their state.
 
-        ``parameters``: (m,) or none; ``timestep`` [s] and ``gravity_scale``: a number or (m,).
+        ``gravity_scale``: a number or (m,).
         """
-        chosen = np.arange(self.nsim)[slice(None) if ids is None else ids]
-        if parameters.shape == ():
-            parameters = parameters.repeat(len(chosen))
-        expected = (len(chosen), self.arm.joints)
-        if parameters.stiffness_shape != expected:
-            raise InputError(f"twin batch: parameters of shape {parameters.stiffness_shape}, expected {expected}")
-        if timestep is not None:
-            self.timestep[chosen] = timestep
+        chosen = slice(None) if ids is None else ids
         for row, name in zip(self._parameters, ROWS, strict=True):
             row[chosen] = getattr(parameters, name)
-        self._gravity[chosen] = np.broadcast_to(gravity_scale, len(chosen))[:, None] * GRAVITY
+        self._gravity[chosen] = np.multiply.outer(gravity_scale, GRAVITY)
 
     def loosen(self, backlash: Array, grease: Array, ids: Ids = None) -> None:
         """Put motors in the middle of the ``backlash`` (m, n) [rad], in joints that no load presses to a flank.
@@ -106,7 +89,7 @@ class ChainBatch:
 
     def restart(self, position: Array, velocity: Array | float = 0.0, ids: Ids = None) -> None:
         """Restart at ``position`` (m, n) [rad] with ``velocity`` [rad/s], without friction impulses."""
-        chosen = np.arange(self.nsim)[slice(None) if ids is None else ids]
+        chosen = slice(None) if ids is None else ids
         self.qpos[chosen] = position
         self.qvel[chosen], self._impulse[chosen] = velocity, 0.0
 
