@@ -38,9 +38,6 @@ WORKERS = 2
 DECAY_START = 0.7
 """[s] of the law where motors cross backlash slowly; chosen: such a joint swings once"""
 
-AUTHORITY = ("authority_floor", "authority_slope", "authority_limit")
-"""Fields of the law that bound an action"""
-
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingOptions:
@@ -196,7 +193,9 @@ def know_stiffness(recipe: Preset, arm: Arm, twin: Twin | None) -> Preset:
         law,
         stiffness=tuple(np.round(stiffness, 6).tolist()),
         learning=replace(law.learning, rate=law.learning.rate / size),
-        **{name: getattr(law, name) / size for name in AUTHORITY},
+        authority_floor=law.authority_floor / size,
+        authority_slope=law.authority_slope / size,
+        authority_limit=law.authority_limit / size,
     )
     if twin is not None and BroadRanges(arm=arm).reaching(twin).backlash[1] > 0.0:
         law = replace(law, decay_start=DECAY_START)
