@@ -14,7 +14,7 @@ from rejoint.control.comparison import recommend as advising
 from rejoint.control.comparison.holding import errors_of
 from rejoint.control.comparison.result import Comparison, TargetErrors
 from rejoint.control.servogains import own_policy
-from rejoint.diagnosis.calibration import fit, preload
+from rejoint.diagnosis.calibration import calibration, fit
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.procedure import reversals
 from rejoint.diagnosis.diagnosis import Diagnosis, ringing_most
@@ -123,7 +123,7 @@ def unidentified(twin: Twin, parameter: Parameter) -> list[str]:
 
 
 _FUNCTIONS = (mean_error, target_errors, errors_as_found, tilt, unidentified, above_zero, colour_number, cost, in_base)
-_MODULES = (advising, fit, parameters, preload, protocols, tables)
+_MODULES = (advising, calibration, fit, parameters, protocols, tables)
 _NAMES = {one.__name__.rpartition(".")[2]: one for one in (*_FUNCTIONS, *_MODULES, own_policy, reversals, ringing_most)}
 """What the templates of the report call"""
 
