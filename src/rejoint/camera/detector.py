@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -65,7 +65,7 @@ class Detector:
         self._shown = True
         return BoardView(name=name, number=number, pixel=np.reshape(corners, (-1, 2)).astype(float))
 
-    def _doubts(self, grey: Picture, markers: tuple[Array, ...], count: int) -> Iterator[str]:
+    def _doubts(self, grey: Picture, markers: Sequence[Array], count: int) -> Iterator[str]:
         if not count and not self._shown:
             yield self._unlike(grey)
         around = [np.reshape(one, (-1, 2)) for one in markers] or [np.array([[0.0, 0.0], grey.shape[::-1]])]

@@ -80,7 +80,7 @@ class Measurements:
 
     def joined(self, more: Measurements) -> Measurements:
         """Add rows."""
-        both = {name: np.concatenate([getattr(self, name), getattr(more, name)]) for name in ROWS}
+        both: dict[str, Any] = {name: np.concatenate([getattr(self, name), getattr(more, name)]) for name in ROWS}
         return replace(self, **both)
 
     def rows(self, where: NDArray[np.bool_] | NDArray[np.intp]) -> Measurements:
@@ -205,7 +205,7 @@ def read_columns(path: Path, meanings: Mapping[str, Units | None], needed: Colle
     return Columns(sheet=sheet, places=places)
 
 
-def _require_other(path: Path, title: str, plain: str, wanted: Mapping[str, str]) -> None:
+def _require_other(path: Path, title: str, plain: str, wanted: dict[str, str]) -> None:
     """Raise FileError for a title that looks like one of ``wanted``."""
     roots = {_ROOT.split(name.casefold())[0]: titled for name, titled in reversed(list(wanted.items()))}
     if _ROOT.split(plain)[0] not in roots:
