@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, collides, frames, heights, tcp_pose, tcp_position
+from rejoint.arms import Arm, Array, collides, heights, tcp_pose, tcp_position
 from rejoint.arms.camera.board import Board
 from rejoint.arms.camera.lens import TERMS
 from rejoint.arms.camera.rig import Rig
@@ -110,7 +110,7 @@ def seen_postures(
         drawn = drawn if rig is None else drawn[rig.shows(tcp_pose(arm, drawn))]
         for away in (0.0, before, -before) if before else (0.0,):
             drawn = drawn[(heights(arm, drawn - away)[:, 1:].min(axis=-1) > arm.floor)]
-            drawn = drawn[~collides(arm, frames(arm, drawn - away))]
+            drawn = drawn[~collides(arm, drawn - away)]
         found.append(drawn)
         enough += len(drawn)
         if enough >= count:
