@@ -21,7 +21,8 @@ from rejoint.arms.kinematics import frames, position_kinematics
 
 def turned(vector: Array) -> Array:
     """Rotations (..., 3, 3) by rotation vectors (..., 3) [rad]."""
-    return np.asarray(Rotation.from_rotvec(np.reshape(vector, (-1, 3))).as_matrix().reshape(*np.shape(vector), 3))
+    flat = np.array(vector, dtype=float).reshape(-1, 3)  # a copy: scipy takes no read-only array
+    return np.asarray(Rotation.from_rotvec(flat).as_matrix().reshape(*np.shape(vector), 3))
 
 
 def rotation_about(axis: Array, angle: float) -> Array:
@@ -197,4 +198,4 @@ def to_coords(pose: Array) -> Array:
 
 def to_pose(coords: Array) -> Array:
     """Inverse of `to_coords`."""
-    return pose_of(Rotation.from_euler("xyz", coords[3:]).as_matrix(), coords[:3])
+    return pose_of(Rotation.from_euler("xyz", np.array(coords[3:])).as_matrix(), coords[:3])

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
-from itertools import product
+from itertools import permutations, product
 from typing import NamedTuple
 
 import numpy as np
@@ -179,17 +179,21 @@ def _good(survey: _Survey, rest: Array, points: Array, iterations: int = 60) -> 
 
 
 def _largest_box(survey: _Survey, rest: Array) -> Box | None:
-    """Grow a box of good targets around the resting TCP, face by face."""
+    """Grow boxes of good targets around the resting TCP, axis by axis; the largest one."""
     centre, step = tcp_position(survey.arm, rest), EDGES * survey.reach / STEPS
     ticks = np.arange(-STEPS, STEPS + 1)
     grid = np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), axis=-1)
-    good, span = _good(survey, rest, centre + grid * step), np.full((2, 3), STEPS)
-    for side, axis in [*product((0, 1), range(3))] * STEPS:
-        bigger = span.copy()
-        bigger[side, axis] += 2 * side - 1
-        inside = tuple(slice(first, last + 1) for first, last in bigger.T)
-        if (np.ptp(bigger, axis=0) <= STEPS).all() and good[inside].all():
-            span = bigger
+    good, spans = _good(survey, rest, centre + grid * step), []
+    for order in permutations(range(3)):
+        span = np.full((2, 3), STEPS)
+        for axis, _, side in product(order, range(STEPS), (0, 1)):
+            bigger = span.copy()
+            bigger[side, axis] += 2 * side - 1
+            inside = tuple(slice(first, last + 1) for first, last in bigger.T)
+            if (np.ptp(bigger, axis=0) <= STEPS).all() and good[inside].all():
+                span = bigger
+        spans.append(span)
+    span = max(spans, key=lambda one: int(np.ptp(one, axis=0).prod()))
     lower, upper = centre + (span - STEPS) * step
     for _ in range(10):
         lower, upper = np.ceil(lower * 1e3) / 1e3, np.floor(upper * 1e3) / 1e3
