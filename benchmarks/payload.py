@@ -21,7 +21,7 @@ import numpy as np
 from benchmarks.frame import NARROW
 from rejoint.arms import Arm, Array, gravity_torque, mycobot280
 from rejoint.arms.inertia import loaded
-from rejoint.arms.posing import find_postures
+from rejoint.arms.postures import find_postures
 from rejoint.control.catalogue import shelf_controller
 from rejoint.control.comparison.protocols import metrics_of
 from rejoint.control.comparison.result import Protocol

@@ -105,9 +105,6 @@ def evaluate(
 ) -> object:
     """Try controllers on a hundred arms on which nothing was chosen, and on the same under harder conditions."""
     arm = _arm(call)
-    from rejoint_lab.research.evaluation.evaluate import evaluate as run
-    from rejoint_lab.research.evaluation.evaluate import known_names
-    from rejoint_lab.research.evaluation.family import VARIANTS, find_variant
     from rejoint.control.comparison.result import Protocol
     from rejoint_lab.research.evaluation.evaluate import evaluate as run
     from rejoint_lab.research.evaluation.evaluate import known_names
@@ -137,7 +134,6 @@ def identification(
 ) -> object:
     """Find what a twin of its own brings: diagnose, identify and train for each arm, and try it with and without."""
     arm = _arm(call)
-    from rejoint_lab.research.evaluation.evaluate import evaluate_identification
     from rejoint.control.comparison.result import Protocol
     from rejoint_lab.research.evaluation.evaluate import evaluate_identification
     from rejoint_lab.research.evaluation.family import ArmFamily

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from rejoint.arms import Displacement, load_arm, tcp_pose
-from rejoint.arms.loading import at_targets, roll_pitch_yaw, unit_arm, urdf_text, write_urdf
-from rejoint.arms.rotations import rotation_about
+from rejoint.arms.loading import at_targets, unit_arm, urdf_text, write_urdf
+from rejoint.arms.rotations import roll_pitch_yaw, rotation_about
 
 
 def displaced(arm, seed=0):

@@ -4,7 +4,7 @@ import numpy as np
 
 from rejoint.arms import dls, mycobot280, position_kinematics, solve_position, tcp_position
 from rejoint.arms.kinematics import tcp_pose
-from rejoint.arms.rotations import rotation_error
+from rejoint.arms.rotations import Orientation, rotation_error, tool_axis
 
 ARM = mycobot280()
 
@@ -29,7 +29,8 @@ def test_full_pose_finds_the_pose_of_a_nearby_posture() -> None:
     rng = np.random.default_rng(3)
     wanted = ARM.rest + rng.uniform(-0.4, 0.4, (50, 6))
     pose = tcp_pose(ARM, wanted)
-    solution = solve_position(ARM, pose[:, :3, 3], ARM.rest, rotation=pose[:, :3, :3])
+    turn = Orientation(rotation=pose[:, :3, :3], whole=np.ones(50, bool), weight=np.ones(50), axis=tool_axis(ARM))
+    solution = solve_position(ARM, pose[:, :3, 3], ARM.rest, turn=turn)
     assert solution.converged.mean() > 0.95
     found = tcp_pose(ARM, solution.q[solution.converged])
     np.testing.assert_allclose(found, pose[solution.converged], atol=3e-5)

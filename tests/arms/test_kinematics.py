@@ -20,8 +20,8 @@ from rejoint.arms import (
     tcp_position,
 )
 from rejoint.arms.arm import dh_chain
-from rejoint.arms.catalogue import DH_TABLE, PAPER_ANGLE_SHIFT, PAPER_DH_TABLE
 from rejoint.twin.parameters import nominal_parameters
+from rejoint_lab.research.reproduction.models import DH_TABLE, PAPER_ANGLE_SHIFT, PAPER_DH_TABLE
 from twinmodel import twin_model
 
 ARM = mycobot280()

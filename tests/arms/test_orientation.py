@@ -7,7 +7,9 @@ import pytest
 
 from rejoint.arms import Arm, collides, frames, mycobot280, position_kinematics, so101, solve_position
 from rejoint.arms.inertia import loaded
-from rejoint.arms.posing import NEAR, TURNED, find_postures, missed_pose, solve_pose
+from rejoint.arms.inverse import goals_of
+from rejoint.arms.kinematics import chain_of
+from rejoint.arms.postures import NEAR, TURNED, find_postures, missed_pose
 from rejoint.arms.rotations import (
     WEIGHT,
     Orientation,
@@ -35,7 +37,7 @@ def shown(arm: Arm, q: np.ndarray, whole: bool) -> Orientation:
 
 def postures(arm: Arm, count: int, seed: int) -> np.ndarray:
     drawn = np.random.default_rng(seed).uniform(arm.lower, arm.upper, (20 * count, arm.joints))
-    return drawn[~collides(arm, frames(arm, drawn))][:count]
+    return drawn[~collides(arm, drawn)][:count]
 
 
 def test_the_tool_points_where_it_stands_off_the_arm():
@@ -52,7 +54,7 @@ def test_where_a_pose_is_reached_both_errors_are_zero(arm, whole):
     off, angle = missed_pose(arm, q, place, turn)
     assert off.max() == 0.0
     assert angle.max() < 1e-7
-    found = solve_pose(arm, place, q + np.random.default_rng(2).uniform(-0.1, 0.1, q.shape), turn)
+    found = solve_position(arm, place, q + np.random.default_rng(2).uniform(-0.1, 0.1, q.shape), turn=turn).q
     off, angle = missed_pose(arm, found, place, turn)
     assert (np.median(off), np.median(angle)) < (1e-4, 1e-3)
 
@@ -66,6 +68,19 @@ def test_rows_are_the_derivatives_of_the_error(arm, whole):
         step = h * np.eye(arm.joints)[j]
         slope = (task(arm, q + step, place, turn)[0] - task(arm, q - step, place, turn)[0]) / (2 * h)
         np.testing.assert_allclose(slope, -jacobian[..., j], atol=1e-7)
+
+
+@pytest.mark.parametrize(("arm", "whole"), KINDS)
+def test_compiled_errors_are_those_of_the_controllers(arm, whole):
+    from rejoint.arms.compiled import task as compiled_task
+
+    q, start = postures(arm, 10, 3), postures(arm, 10, 4)
+    turn, place = shown(arm, q, whole), frames(arm, q).tcp_position
+    error, jacobian = task(arm, start, place, turn)
+    for k, goal in enumerate(goals_of(place, turn)):
+        one, other = compiled_task(chain_of(arm), goal, start[k])
+        np.testing.assert_allclose(one, error[k], atol=1e-12)
+        np.testing.assert_allclose(other, jacobian[k], atol=1e-12)
 
 
 @pytest.mark.parametrize("whole", [True, False])
@@ -112,7 +127,7 @@ def test_poses_that_an_arm_shows_are_found_from_rest_within_its_limits(arm, whol
     off, angle = missed_pose(arm, found, place, turn)
     assert ((off < NEAR) & (angle < TURNED)).sum() >= 24
     assert ((found >= arm.lower) & (found <= arm.upper)).all()
-    assert collides(arm, frames(arm, found)).sum() <= 1
+    assert collides(arm, found).sum() <= 1
 
 
 def test_without_an_orientation_postures_are_those_of_points_to_the_bit():

@@ -178,7 +178,7 @@ def clearances(limits: GuardLimits, q: np.ndarray) -> np.ndarray:
     height = ends[:, 2:, 2] - np.append(np.full(arm.joints - 1, limits.joint_floor), limits.tcp_floor)
     i, j = shape.pairs.T
     gap = segments_apart(ends[:, i], ends[:, i + 1], ends[:, j], ends[:, j + 1]) - 2.0 * shape.radius
-    ground = ends[:, shape.grounded, 2] - min(0.0, arm.floor) - shape.radius
+    ground = ends[:, shape.places, 2] - min(0.0, arm.floor) - shape.radius
     return np.concatenate([height, gap, ground], axis=-1)
 
 

@@ -14,8 +14,6 @@ from rejoint.diagnosis.excitation import SHORT, record
 from rejoint.logs.runlog import RunLog
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
-from rejoint_lab.emulated import EmulatedRobot
-from rejoint_lab.plant.wear import load_wear
 from standin import state_of
 
 ARM = mycobot280()

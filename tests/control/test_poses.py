@@ -8,7 +8,7 @@ import pytest
 import rejoint
 from hearing import Hears
 from rejoint.arms import Displacement, frames, mycobot280, so101
-from rejoint.arms.posing import missed_pose
+from rejoint.arms.postures import missed_pose
 from rejoint.arms.rotations import quaternion_of, rotation_of, tool_axis
 from rejoint.control.correction import Modelled
 from rejoint.control.deployment import Deployment
@@ -101,7 +101,7 @@ def test_a_calibration_turns_the_aim_back_by_what_lies_behind_the_encoders():
     start = np.broadcast_to(ARM.rest, (2, 6))
     aims, aimed = correction.aim(points, start, np.ones(2, dtype=bool), turn=turns)
     assert (aimed.angle(turns.rotation) > np.radians(0.3)).all()
-    from rejoint.arms.posing import find_postures
+    from rejoint.arms.postures import find_postures
 
     posture = find_postures(ARM, aims, start, aimed)
     really = frames(known.moved(ARM), known.joints(ARM, posture, start))

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rejoint.system.errors import InputError
 
@@ -34,6 +35,11 @@ class Box:
     def sample(self, rng: np.random.Generator, shape: tuple[int, ...] = ()) -> Array:
         """Draw points uniformly, ``(*shape, 3)`` [m]."""
         return rng.uniform(self.lower, self.upper, (*shape, 3))
+
+    def grid(self, per_edge: int) -> Array:
+        """Points (per_edge^3, 3) [m] of a grid."""
+        axes = np.linspace(self.lower, self.upper, per_edge).T
+        return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
     def contains(self, points: Array) -> NDArray[np.bool_]:
         """Which points (..., 3) [m] are inside."""
@@ -118,23 +124,19 @@ class Arm:
 def differing(one: Arm, other: Arm) -> tuple[str, ...]:
     """Fields that differ beyond rounding, without `Arm.keep_out`."""
     found = []
-    for entry in fields(Arm):
-        if entry.name == "keep_out":
-            continue
-        first, second = (_plain(getattr(arm, entry.name)) for arm in (one, other))
-        if isinstance(first, np.ndarray) and isinstance(second, np.ndarray):
-            same = first.shape == second.shape and np.allclose(first, second, rtol=1e-6, atol=1e-12)
-        else:
+    for name in Arm.__dataclass_fields__:
+        first, second = (_plain(getattr(arm, name)) for arm in (one, other))
+        if isinstance(first, str | tuple):
             same = first == second
-        if not same:
-            found.append(entry.name)
+        else:
+            same = np.shape(first) == np.shape(second) and np.allclose(first, second, rtol=1e-6, atol=1e-12)
+        if name != "keep_out" and not same:
+            found.append(name)
     return tuple(found)
 
 
-def _plain(value: object) -> object:
-    if isinstance(value, Box):
-        return np.stack([value.lower, value.upper])
-    return value if isinstance(value, str | tuple) else np.asarray(value, dtype=float)
+def _plain(value: Any) -> Any:  # noqa: ANN401
+    return np.stack([value.lower, value.upper]) if isinstance(value, Box) else value
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,25 +157,22 @@ def dh_chain(rows: Sequence[DhRow]) -> tuple[Array, Array, Array]:
     """``offset`` (n, 4, 4), ``axis`` (n, 3) and ``tip`` (4, 4) of a DH table."""
     offsets, before = [], np.eye(4)
     for row in rows:
-        offsets.append(before @ _rotation_z(row.offset))
-        before = _after_joint(row)
+        c, s = np.cos(row.offset), np.sin(row.offset)
+        offsets.append(before @ np.array([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]]))
+        c, s = np.cos(row.alpha), np.sin(row.alpha)
+        before = np.array([[1, 0, 0, row.a], [0, c, -s, 0], [0, s, c, row.d], [0, 0, 0, 1.0]])
     return np.array(offsets), np.tile([0.0, 0.0, 1.0], (len(rows), 1)), before
 
 
-def _after_joint(row: DhRow) -> Array:
-    c, s = np.cos(row.alpha), np.sin(row.alpha)
-    return np.array([[1, 0, 0, row.a], [0, c, -s, 0], [0, s, c, row.d], [0, 0, 0, 1.0]])
-
-
-def _rotation_z(angle: float) -> Array:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
+def frozen(array: ArrayLike) -> NDArray[Any]:
+    """Contiguous read-only copy, as compiled loops need."""
+    result = np.array(array, order="C")
+    result.setflags(write=False)
+    return result
 
 
 def _freeze(instance: object) -> None:
     for field in fields(instance):  # type: ignore[arg-type]
         value = getattr(instance, field.name)
         if isinstance(value, np.ndarray | list):
-            copy = np.array(value, dtype=float)
-            copy.setflags(write=False)
-            object.__setattr__(instance, field.name, copy)
+            object.__setattr__(instance, field.name, frozen(np.asarray(value, dtype=float)))

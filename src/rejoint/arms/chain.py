@@ -11,7 +11,7 @@ import numpy as np
 
 from rejoint.arms.arm import Array
 from rejoint.arms.draft import Draft
-from rejoint.arms.inertia import SpatialInertia, combined
+from rejoint.arms.inertia import NOTHING, SpatialInertia, combined
 from rejoint.arms.rotations import inverse, pose_of, rotation_about
 from rejoint.system.errors import InputError
 
@@ -24,8 +24,8 @@ def cut(tree: Tree, base: str | None, tip: str | None) -> Draft:
     neither driven nor held.
     """
     notes = list(tree.notes)
-    start = None if base is None else body_called(tree, base)
-    end, pose = longest(tree, start, notes) if tip is None else tip_called(tree, tip)
+    start = None if base is None else body_called(tree, base, "body")
+    end = longest(tree, start, notes) if tip is None else body_called(tree, tip, "body or site")
     if start is None:
         start = root_of(tree, end, notes)
     path = tree.path(end)
@@ -40,7 +40,7 @@ def cut(tree: Tree, base: str | None, tip: str | None) -> Draft:
             f"base: {tree.bodies[start].name} is tilted by {tilt:.0f} deg in the file; gravity, floor and targets are "
             "taken as if it stood upright, which is right only where the arm itself does"
         )
-    return _draft(tree, joints, frame, pose, notes)
+    return _draft(tree, joints, frame, tree.bodies[end].pose, notes)
 
 
 def _draft(tree: Tree, joints: list[Joint], frame: Array, tip: Array, notes: list[str]) -> Draft:
@@ -133,23 +133,12 @@ _ACROSS = 1e-6
 """Largest product of orthogonal unit vectors (rounding)"""
 
 
-def body_called(tree: Tree, name: str) -> int:
-    """Index of a body; InputError."""
+def body_called(tree: Tree, name: str, kind: str) -> int:
+    """Index of a body or site; InputError."""
     names = [body.name for body in tree.bodies]
     if name not in names:
-        raise InputError(unknown(name, "body", names))
+        raise InputError(unknown(name, kind, names))
     return names.index(name)
-
-
-def tip_called(tree: Tree, name: str) -> tuple[int, Array]:
-    """Body of a tip (body or site), and its pose (4, 4) in the world."""
-    names = [body.name for body in tree.bodies]
-    if name in names:
-        return names.index(name), tree.bodies[names.index(name)].pose
-    for site in tree.sites:
-        if site.name == name:
-            return site.body, site.pose
-    raise InputError(unknown(name, "body or site", names + [site.name for site in tree.sites]))
 
 
 def root_of(tree: Tree, end: int, notes: list[str]) -> int:
@@ -167,8 +156,8 @@ def root_of(tree: Tree, end: int, notes: list[str]) -> int:
     return root
 
 
-def longest(tree: Tree, start: int | None, notes: list[str]) -> tuple[int, Array]:
-    """Last link of the longest chain of hinges below ``start`` (None: anywhere), without gripper, and its pose."""
+def longest(tree: Tree, start: int | None, notes: list[str]) -> int:
+    """Last link of the longest chain of hinges below ``start`` (None: anywhere), without gripper."""
     hinges, slid = _chains(tree, start)
     parents = {tree.bodies[index].parent for index in hinges if index not in (start, WORLD) and not slid[index]}
     leaves = [index for index in hinges if index not in parents and not slid[index]]
@@ -186,7 +175,7 @@ def longest(tree: Tree, start: int | None, notes: list[str]) -> tuple[int, Array
         )
     end = _frame(tree, ends)
     others = [tree.bodies[index].name for index in ends if index != end]
-    others += [site.name for site in tree.sites if site.body in (end, *ends)]
+    others += [body.name for body in tree.bodies if body.site and body.parent in (end, *ends)]
     more = f" (beside it are {', '.join(others)}, which can be named instead)" if others else ""
     notes.append(f"tip: none given; {tree.bodies[end].name} taken, the end of the longest chain{more}")
     beyond = [
@@ -194,7 +183,7 @@ def longest(tree: Tree, start: int | None, notes: list[str]) -> tuple[int, Array
     ]
     if beyond:
         notes.append(f"tip: {', '.join(beyond)} behind it taken for a gripper's and held; name a tip to drive it")
-    return end, tree.bodies[end].pose
+    return end
 
 
 def unknown(name: str, kind: str, names: Sequence[str]) -> str:
@@ -209,22 +198,25 @@ def _chains(tree: Tree, start: int | None) -> tuple[dict[int, int], dict[int, bo
     hinges: dict[int, int] = {}
     slid: dict[int, bool] = {}
     for index, body in enumerate(tree.bodies):
+        if body.site:
+            continue
         if index in (WORLD, start):
             if start is None or index == start:
                 hinges[index], slid[index] = 0, False
             continue
         own = tree.joints_of([index])
         floating = start is None and body.parent == WORLD and [joint.kind for joint in own] == ["free"]
-        if body.parent in hinges and (floating or all(map(_passable, own))):
+        if body.parent in hinges and (floating or all(_passable(tree, joint) for joint in own)):
             hinges[index] = hinges[body.parent] + sum(joint.kind == "hinge" for joint in own)
             slid[index] = own[-1].kind == "slide" if own else slid[body.parent]
     return hinges, slid
 
 
-def _passable(joint: Joint) -> bool:
-    if joint.kind == "held":
-        return True
-    return joint.kind in ("hinge", "slide") and not joint.drives and not _GRIPPER.search(joint.name)
+def _passable(tree: Tree, joint: Joint) -> bool:
+    """Whether a chain goes on behind a joint: not behind those of grippers, which lead joints of other branches."""
+    leads = any(other.follows == joint.name and joint.body not in tree.path(other.body) for other in tree.joints)
+    gripper = leads or _GRIPPER.search(joint.name)
+    return joint.kind == "held" or (joint.kind in ("hinge", "slide") and not gripper)
 
 
 def _carrier(tree: Tree, end: int) -> int:
@@ -256,14 +248,16 @@ WORLD = 0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Body:
-    """A rigid body."""
+    """A rigid body, or a named frame of one."""
 
     name: str
     parent: int
     pose: Array
     """(4, 4) in the world"""
-    content: SpatialInertia
+    content: SpatialInertia = NOTHING
     """in the body frame"""
+    site: bool = False
+    """a named frame without mass"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -287,29 +281,16 @@ class Joint:
     """[rad/s], NaN: none"""
     follows: str = ""
     """leading joint, or empty"""
-    drives: bool = False
-    """leads joints of other branches, such as fingers"""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Site:
-    """A named frame."""
-
-    name: str
-    body: int
-    pose: Array
-    """(4, 4) in the world"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tree:
-    """Bodies; body 0 is the world, parents first."""
+    """Bodies; body 0 is the world, parents first, sites last."""
 
     name: str
     bodies: tuple[Body, ...]
     joints: tuple[Joint, ...]
     """in order per body"""
-    sites: tuple[Site, ...] = ()
     notes: tuple[str, ...] = ()
 
     def path(self, body: int) -> list[int]:

@@ -6,17 +6,16 @@ Ericson 2005, "Real-Time Collision Detection", section 5.1.9.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms.arm import Arm, Array
-from rejoint.arms.catalogue import mycobot280
+from rejoint.arms.arm import Arm, Array, frozen
 from rejoint.arms.inertia import LINK_RADIUS_RATIO
-from rejoint.arms.kinematics import Frames, all_poses, frames
-from rejoint.arms.workspace import posture_grid, reach, rising_frames
+from rejoint.arms.kinematics import all_poses, frames, heights
+from rejoint.arms.workspace import length_size, posture_grid, reach, rising_frames
 from rejoint.system.shell import Late
 
 compiled = Late("rejoint.arms.compiled")
@@ -35,16 +34,15 @@ GRID = 3
 """Free targets per edge (chosen)"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class CollisionShape:
-    """Capsules; link 0 is the base."""
+class CollisionShape(NamedTuple):
+    """Capsules; link 0 is the base, ends are base to TCP."""
 
     radius: float
     """[m]"""
-    pairs: NDArray[np.intp]
+    pairs: NDArray[np.int64]
     """(P, 2) links that can touch"""
-    grounded: NDArray[np.bool_]
-    """(n + 2,) ends, base to TCP, that can touch the ground"""
+    places: NDArray[np.int64]
+    """(G,) ends that can touch the ground"""
     ground: float
     """[m]"""
     moving: NDArray[np.int64]
@@ -52,52 +50,33 @@ class CollisionShape:
     boxes: Array
     """(K, 6) [m] lower and upper corners"""
 
-    @cached_property
-    def places(self) -> NDArray[np.int64]:
-        """(G,) ends that can touch the ground."""
-        return np.flatnonzero(self.grounded).astype(np.int64)
-
 
 @lru_cache(maxsize=32)
 def collision_shape(arm: Arm) -> CollisionShape:
     """Capsules and their pairs."""
-    f = frames(arm, _work(arm))
-    first, links = _ends(f)[0], arm.joints + 1
+    solution, links = posture_grid(arm, GRID), arm.joints + 1
+    free = np.concatenate([arm.rest[None], solution.q[solution.converged]])  # rest and targets: without contacts
     radius, ground = LINK_RADIUS_RATIO * reach(arm), min(GROUND, arm.floor)
-    apart = np.array([(i, j) for i in range(links) for j in range(i + 2, links)], dtype=np.intp).reshape(-1, 2)
-    shape = CollisionShape(
-        radius=radius,
-        pairs=apart,
-        grounded=first[:, 2] > ground + radius,
-        ground=ground,
-        moving=_moving(arm),
-        boxes=np.array([[*box.lower, *box.upper] for box in arm.keep_out]).reshape(-1, 6),
-    )
-    return replace(shape, pairs=apart[(_gaps(shape, f)[:, : len(apart)] > 0.0).all(axis=0)])
+    high = np.append(0.0, heights(arm, arm.rest)) > ground + radius
+    apart = np.array([(i, j) for i in range(links) for j in range(i + 2, links)], dtype=np.int64).reshape(-1, 2)
+    boxes = np.array([[*box.lower, *box.upper] for box in arm.keep_out]).reshape(-1, 6)
+    shape = CollisionShape(radius, frozen(apart), frozen(np.flatnonzero(high)), ground, _moving(arm), frozen(boxes))
+    touching = (_clearances(arm, shape, free, np.zeros(0))[:, : len(apart)] <= 0.0).any(axis=0)
+    return shape._replace(pairs=frozen(apart[~touching]))
 
 
-def collides(arm: Arm, f: Frames) -> NDArray[np.bool_]:
-    """Which postures of the frames ``f`` (...) have a contact."""
-    return np.asarray((_gaps(collision_shape(arm), f) < 0.0).any(axis=-1).reshape(f.tcp_position.shape[:-1]))
+def collides(arm: Arm, q: Array) -> NDArray[np.bool_]:
+    """Which postures (..., n) [rad] have a contact."""
+    return np.asarray((clearances(arm, q, np.zeros(0)) < 0.0).any(axis=-1))
 
 
-def _gaps(shape: CollisionShape, f: Frames) -> Array:
-    """Distances (B, P + G + L K) [m] at B postures."""
-    points = _ends(f)[..., 1:, :]
-    points = points.reshape(-1, *points.shape[-2:])
-    poses = np.empty((points.shape[1], 3, 4, len(points)))
-    poses[:, :, 3] = points.transpose(1, 2, 0)
-    return _fill(shape, poses, np.zeros(0))
-
-
-def _fill(shape: CollisionShape, poses: Array, floors: Array) -> Array:
-    """Clearances (B, len(floors) + P + G + L K) [m] at ``poses`` (n + 1, 3, 4, B)."""
+def _clearances(arm: Arm, shape: CollisionShape, q: Array, floors: Array) -> Array:
+    """Fill in `clearances` of a shape."""
+    poses = all_poses(arm, q)
     counted = len(floors) + len(shape.pairs) + len(shape.places) + len(shape.moving) * len(shape.boxes)
     clear = np.empty((poses.shape[-1], counted))
-    compiled.fill_clearances(
-        poses, floors, shape.pairs, shape.places, shape.radius, shape.ground, shape.moving, shape.boxes, clear
-    )
-    return clear
+    compiled.fill_clearances(poses, floors, shape, clear)
+    return clear.reshape(*q.shape[:-1], counted)
 
 
 @lru_cache(maxsize=32)
@@ -110,10 +89,8 @@ def usual_distances(arm: Arm) -> Array:
 @lru_cache(maxsize=32)
 def guarded_floors(arm: Arm) -> Array:
     """Lowest heights (n,) [m] of the joint frames but the first, and TCP; -inf: hardly rises."""
-    joint_floor = arm.floor + JOINT_CLEARANCE * reach(arm) / reach(mycobot280())
-    floors = np.append(np.where(rising_frames(arm, joint_floor)[1:], joint_floor, -np.inf), arm.floor)
-    floors.setflags(write=False)
-    return floors
+    joint_floor = arm.floor + JOINT_CLEARANCE * length_size(arm)
+    return frozen(np.append(np.where(rising_frames(arm, joint_floor)[1:], joint_floor, -np.inf), arm.floor))
 
 
 def clearances(arm: Arm, q: Array, floors: Array) -> Array:
@@ -121,8 +98,7 @@ def clearances(arm: Arm, q: Array, floors: Array) -> Array:
 
     Heights: joint frames but the first, and TCP. Distances: links, ends and ground, links and boxes; negative: contact.
     """
-    clear = _fill(collision_shape(arm), all_poses(arm, q, slice(0, 3)), floors)
-    return clear.reshape(*q.shape[:-1], clear.shape[-1])
+    return _clearances(arm, collision_shape(arm), q, floors)
 
 
 def contact(arm: Arm, item: int) -> tuple[str, str]:
@@ -146,17 +122,6 @@ def contact(arm: Arm, item: int) -> tuple[str, str]:
 def _moving(arm: Arm) -> NDArray[np.int64]:
     """Links (L,) with a moving end."""
     postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (16, arm.joints))
-    still = np.ptp(_ends(frames(arm, postures)), axis=0).max(axis=-1) < _STILL
-    return np.flatnonzero(~(still[:-1] & still[1:])).astype(np.int64)
-
-
-def _work(arm: Arm) -> Array:
-    """Postures (m, n) [rad] without contacts: rest, targets."""
-    solution = posture_grid(arm, GRID)
-    return np.concatenate([arm.rest[None], solution.q[solution.converged]])
-
-
-def _ends(f: Frames) -> Array:
-    """Capsule ends (..., n + 2, 3) [m]."""
-    base = np.zeros((*f.tcp_position.shape[:-1], 1, 3))
-    return np.concatenate([base, f.position, f.tcp_position[..., None, :]], axis=-2)
+    f = frames(arm, postures)
+    still = np.ptp(np.concatenate([f.position, f.tcp_position[:, None]], axis=1), axis=0).max(axis=-1) < _STILL
+    return frozen(np.flatnonzero(~(np.append(True, still[:-1]) & still)))

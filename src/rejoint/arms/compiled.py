@@ -1,4 +1,8 @@
-"""Compiled forward kinematics and distances."""
+"""Compiled kinematics, inverse kinematics and distances.
+
+A goal is 17 numbers: place (3) [m], rotation (9), tool axis (3), weight [m/rad], and what of the orientation counts: 0
+nothing, 1 the axis, 2 all.
+"""
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
 from __future__ import annotations
@@ -6,39 +10,46 @@ from __future__ import annotations
 import numpy as np
 from numba import float64, int64, njit, types, void
 
+from rejoint.arms.collision import CollisionShape
+from rejoint.arms.inverse import DAMPING, MOST_STEP
+from rejoint.arms.kinematics import Chain
+
 IN1, IN2, IN3, IN4 = (types.Array(float64, dimensions, "C", readonly=True) for dimensions in (1, 2, 3, 4))
 ROWS1, ROWS2 = (types.Array(int64, dimensions, "C", readonly=True) for dimensions in (1, 2))
-OUT2, OUT3, OUT4 = float64[:, ::1], float64[:, :, ::1], float64[:, :, :, ::1]
+OUT1, OUT2, OUT3, OUT4 = float64[::1], float64[:, ::1], float64[:, :, ::1], float64[:, :, :, ::1]
+CHAIN = types.NamedTuple((IN3, IN2, IN2, IN2, IN1, IN1, IN2), Chain)
+SHAPE = types.NamedTuple((float64, ROWS2, ROWS1, float64, ROWS1, IN2), CollisionShape)
+OPTIONS = {"cache": True, "nogil": True}
 
 POINT = 1e-15
 """[m^2] squared length of a point (chosen)"""
+HALVINGS = 20
+"""of a link, to find its point nearest to a box (chosen)"""
 
 
-@njit(OUT3(IN3, IN2, IN2), cache=True, nogil=True, fastmath={"contract"})
-def _steps(terms, sine, cosine):  # noqa: ANN001, ANN202
-    """Joint frames (n, 16, B), each in its parent."""
+@njit(OUT3(IN3, IN2, IN2, IN2), **OPTIONS, fastmath={"contract"})
+def _steps(terms, tip, sine, cosine):  # noqa: ANN001, ANN202
+    """Frames (n + 1, 16, B) of joints and TCP, each in the one before."""
     joints, postures = sine.shape
-    steps = np.empty((joints, 16, postures))
-    for i in range(joints):
-        for e in range(16):
+    steps = np.empty((joints + 1, 16, postures))
+    for e in range(16):
+        for i in range(joints):
             for b in range(postures):
                 steps[i, e, b] = terms[i, e, 2] * cosine[i, b] + (terms[i, e, 1] * sine[i, b] + terms[i, e, 0])
+        steps[joints, e] = tip[e // 4, e % 4]
     return steps
 
 
-@njit(void(IN3, IN2, IN2, IN2, int64, OUT4), cache=True, nogil=True)
-def fill_poses(terms, tip, sine, cosine, first, poses):  # noqa: ANN001, ANN201
-    """Fill ``poses`` (n + 1, r, 4, B): r rows from ``first`` of the frames of joints and TCP.
+@njit(void(IN3, IN2, IN2, IN2, OUT4), **OPTIONS)
+def fill_poses(terms, tip, sine, cosine, poses):  # noqa: ANN001, ANN201
+    """Fill ``poses`` (n + 1, r, 4, B): the first r rows of the frames of joints and TCP.
 
     ``terms`` (n, 16, 3), ``tip`` (4, 4), ``sine`` and ``cosine`` (n, B).
     """
-    steps = _steps(terms, sine, cosine)
-    joints, rows, postures = len(steps), poses.shape[1], poses.shape[3]
-    for r in range(rows):
-        for k in range(4):
-            for b in range(postures):
-                poses[0, r, k, b] = steps[0, 4 * (first + r) + k, b]
-    for i in range(1, joints):
+    steps = _steps(terms, tip, sine, cosine)
+    _, rows, _, postures = poses.shape
+    poses[0] = steps[0, : 4 * rows].copy().reshape(rows, 4, postures)
+    for i in range(1, len(steps)):
         for r in range(rows):
             for k in range(4):
                 for b in range(postures):
@@ -46,16 +57,9 @@ def fill_poses(terms, tip, sine, cosine, first, poses):  # noqa: ANN001, ANN201
                     for j in range(1, 4):
                         value += poses[i - 1, r, j, b] * steps[i, 4 * j + k, b]
                     poses[i, r, k, b] = value
-    for r in range(rows):
-        for k in range(4):
-            for b in range(postures):
-                value = poses[joints - 1, r, 0, b] * tip[0, k]
-                for j in range(1, 4):
-                    value += poses[joints - 1, r, j, b] * tip[j, k]
-                poses[joints, r, k, b] = value
 
 
-@njit(void(IN2, IN4, OUT3), cache=True, nogil=True)
+@njit(void(IN2, IN4, OUT3), **OPTIONS)
 def fill_columns(axes, poses, columns):  # noqa: ANN001, ANN201
     """Fill ``columns`` (3, n, B) with TCP motions per radian; ``axes`` (n, 3)."""
     _, joints, postures = columns.shape
@@ -71,7 +75,165 @@ def fill_columns(axes, poses, columns):  # noqa: ANN001, ANN201
                 columns[r, i, b] = axis[after] * lever[last] - axis[last] * lever[after]
 
 
-@njit(float64(IN2, int64, int64), cache=True, nogil=True)
+@njit(OUT3(CHAIN, IN1), **OPTIONS)
+def place(chain, q):  # noqa: ANN001, ANN201
+    """Frames (n + 1, 3, 4) of joints and TCP at one posture (n,)."""
+    poses = np.empty((len(q) + 1, 3, 4, 1))
+    fill_poses(chain.terms, chain.tip, np.sin(q).reshape(-1, 1), np.cos(q).reshape(-1, 1), poses)
+    return poses.reshape(len(q) + 1, 3, 4)
+
+
+@njit(**OPTIONS)
+def dot(row, vector):  # noqa: ANN001, ANN201
+    """Scalar product with the beginning of a ``row``."""
+    total = 0.0
+    for i in range(len(vector)):
+        total += row[i] * vector[i]
+    return total
+
+
+@njit(**OPTIONS)
+def _times(matrix, vector):  # noqa: ANN001, ANN202
+    """Product (r,) of the first columns of a matrix (r, c) and a ``vector``."""
+    out = np.empty(len(matrix))
+    for r in range(len(matrix)):
+        out[r] = dot(matrix[r], vector)
+    return out
+
+
+@njit(**OPTIONS)
+def largest(vector):  # noqa: ANN001, ANN201
+    """Largest absolute element."""
+    found = 0.0
+    for i in range(len(vector)):
+        found = max(found, abs(vector[i]))
+    return found
+
+
+@njit(**OPTIONS)
+def _clip(q, limits):  # noqa: ANN001, ANN202
+    for i in range(len(q)):
+        q[i] = min(max(q[i], limits[0, i]), limits[1, i])
+
+
+@njit(**OPTIONS)
+def _cross(a, b):  # noqa: ANN001, ANN202
+    out = np.empty(3)
+    for r in range(3):
+        out[r] = a[r - 2] * b[r - 1] - a[r - 1] * b[r - 2]
+    return out
+
+
+@njit(OUT1(IN1, IN2), **OPTIONS)
+def _missing_turn(goal, frame):  # noqa: ANN001, ANN202
+    """Rotation vector (3,) [rad] from a ``frame`` (3, 4) to the orientation of a ``goal``."""
+    wanted = goal[3:12].reshape(3, 3)
+    if goal[16] == 2.0:
+        relative = np.empty((3, 3))
+        for r in range(3):
+            relative[r] = _times(frame, wanted[r])
+        cosine = 0.5 * (relative[0, 0] + relative[1, 1] + relative[2, 2] - 1.0)
+        vector = np.empty(3)
+        for r in range(3):
+            vector[r] = 0.5 * (relative[r - 1, r - 2] - relative[r - 2, r - 1])
+        most = 0
+        for r in range(1, 3):
+            most = r if relative[r, r] > relative[most, most] else most
+        half = relative[most].copy()
+        half[most] += 1.0
+    else:
+        now, own = _times(frame, goal[12:15]), _times(wanted, goal[12:15])
+        vector, cosine = _cross(now, own), dot(now, own)
+        half = _cross(now, np.eye(3)[0 if abs(now[0]) < 0.7 else 1])
+    sine = np.sqrt(dot(vector, vector))
+    if sine > 1e-9:
+        return vector * (np.arctan2(sine, cosine) / sine)
+    return half * (np.pi / np.sqrt(dot(half, half))) if cosine < 0.0 else vector
+
+
+@njit(types.Tuple((OUT1, OUT2))(CHAIN, IN1, IN1), **OPTIONS)
+def task(chain, goal, q):  # noqa: ANN001, ANN201
+    """Error (k,) [m] from a ``goal`` at ``q`` (n,), and minus its derivatives (k, n); k is 3, or 6 with orientation."""
+    joints, rows = len(q), 3 if goal[16] == 0.0 else 6
+    poses, columns = place(chain, q), np.empty((3, joints, 1))
+    error, jacobian = np.empty(rows), np.empty((rows, joints))
+    fill_columns(chain.axes, poses.reshape(joints + 1, 3, 4, 1), columns)
+    for r in range(3):
+        error[r] = goal[r] - poses[joints, r, 3]
+        for i in range(joints):
+            jacobian[r, i] = columns[r, i, 0]
+    if rows == 6:
+        error[3:] = goal[15] * _missing_turn(goal, poses[joints])
+        own = _times(goal[3:12].reshape(3, 3), goal[12:15])
+        for i in range(joints):
+            axis = _times(poses[i], chain.axes[i])
+            if goal[16] == 1.0:
+                axis -= dot(axis, own) * own
+            jacobian[3:, i] = goal[15] * axis
+    return error, jacobian
+
+
+@njit(OUT1(IN2, IN1, float64), **OPTIONS)
+def damped(jacobian, error, damping):  # noqa: ANN001, ANN201
+    """Step (n,) J' (J J' + damping^2 I)^-1 e, by Gauss's elimination; compiles faster than `numpy.linalg`."""
+    rows, joints = jacobian.shape
+    gram, work, step = np.empty((rows, rows)), error.copy(), np.zeros(joints)
+    for r in range(rows):
+        for k in range(rows):
+            gram[r, k] = dot(jacobian[r], jacobian[k])
+        gram[r, r] += damping * damping
+    for r in range(rows):
+        for k in range(r + 1, rows):
+            factor = gram[k, r] / gram[r, r]
+            for c in range(r + 1, rows):
+                gram[k, c] -= factor * gram[r, c]
+            work[k] -= factor * work[r]
+    for r in range(rows - 1, -1, -1):
+        work[r] /= gram[r, r]
+        for k in range(r):
+            work[k] -= gram[k, r] * work[r]
+        for i in range(joints):
+            step[i] += work[r] * jacobian[r, i]
+    return step
+
+
+@njit(OUT1(IN2, IN1), **OPTIONS)
+def in_null_space(jacobian, motion):  # noqa: ANN001, ANN201
+    """Share (n,) of a ``motion`` (n,) that moves no goal."""
+    return motion - damped(jacobian, _times(jacobian, motion), 1e-6 if len(jacobian) == 3 else 1e-4)
+
+
+@njit(float64(CHAIN, IN1, OUT1, IN2, float64, int64, float64), **OPTIONS)
+def solve(chain, goal, q, limits, pull, rounds, tolerance):  # noqa: ANN001, ANN201
+    """Move ``q`` (n,) within ``limits`` (2, n) to the ``goal``; returns the largest error [m].
+
+    The damping shrinks with the error (quadratic convergence). ``pull``: to rest per step, in the null space.
+    """
+    _clip(q, limits)
+    missed = np.inf
+    for k in range(rounds + 1):
+        error, jacobian = task(chain, goal, q)
+        missed = largest(error)
+        if not missed >= tolerance or k == rounds:
+            break
+        step = damped(jacobian, error, min(DAMPING, np.sqrt(dot(error, error)) + 1e-4))
+        if pull > 0.0:
+            step += in_null_space(jacobian, pull * (chain.rest - q))
+        scale = MOST_STEP / max(MOST_STEP, largest(step))
+        for i in range(len(q)):
+            q[i] += scale * step[i]
+        _clip(q, limits)
+    return missed
+
+
+@njit(void(CHAIN, IN2, OUT2, float64, int64, float64, OUT1), **OPTIONS)
+def solve_all(chain, goals, q, pull, rounds, tolerance, missed):  # noqa: ANN001, ANN201
+    """`solve` for ``goals`` (B, 17), from ``q`` (B, n); fills ``missed`` (B,)."""
+    for b in range(len(q)):
+        missed[b] = solve(chain, goals[b], q[b], chain.limits, pull, rounds, tolerance)
+
+
+@njit(float64(IN2, int64, int64), **OPTIONS)
 def _axis_distance(ends, i, j):  # noqa: ANN001, ANN202
     """Distance between the axes of links i and j; ``ends`` (n + 2, 3)."""
     a = e = b = c = f = 0.0
@@ -92,50 +254,32 @@ def _axis_distance(ends, i, j):  # noqa: ANN001, ANN202
     return np.sqrt(square)
 
 
-@njit(float64(IN2, int64, IN1, float64), cache=True, nogil=True)
-def _box_slope(ends, link, box, t):  # noqa: ANN001, ANN202
-    """Half the derivative, by ``t``, of the squared distance between box (6,) and link."""
-    slope = 0.0
-    for r in range(3):
-        along = ends[link + 1, r] - ends[link, r]
-        place = ends[link, r] + t * along
-        slope += along * (max(place - box[3 + r], 0.0) - max(box[r] - place, 0.0))
-    return slope
-
-
-@njit(float64(IN2, int64, IN1), cache=True, nogil=True)
-def box_distance(ends, link, box):  # noqa: ANN001, ANN201
-    """Distance [m] between the axis of ``link`` and a ``box`` (6,); ``ends`` (n + 2, 3)."""
-    low, high = 0.0, 1.0
-    for side in range(6):
-        r = side % 3
-        along = ends[link + 1, r] - ends[link, r]
-        if abs(along) < POINT:
-            continue
-        t = (box[side] - ends[link, r]) / along
-        if low < t < high:
-            if _box_slope(ends, link, box, t) < 0.0:
-                low = t
-            else:
-                high = t
-    first, last = _box_slope(ends, link, box, low), _box_slope(ends, link, box, high)
-    t = low if first >= 0.0 else high if last <= 0.0 else low + (high - low) * first / (first - last)
-    square = 0.0
-    for r in range(3):
-        place = ends[link, r] + t * (ends[link + 1, r] - ends[link, r])
-        gap = max(place - box[3 + r], 0.0) + max(box[r] - place, 0.0)
-        square += gap * gap
+@njit(float64(IN2, int64, IN1), **OPTIONS)
+def _box_distance(ends, link, box):  # noqa: ANN001, ANN202
+    """Distance [m] between the axis of ``link`` and a ``box`` (6,); ``ends`` (n + 2, 3). Halves the convex function."""
+    low, high, square = 0.0, 1.0, 0.0
+    for k in range(HALVINGS + 2):
+        t = 0.0 if k == 0 else 1.0 if k == 1 else 0.5 * (low + high)
+        slope = square = 0.0
+        for r in range(3):
+            along = ends[link + 1, r] - ends[link, r]
+            place = ends[link, r] + t * along
+            gap = max(place - box[3 + r], 0.0) - max(box[r] - place, 0.0)
+            slope, square = slope + along * gap, square + gap * gap
+        if slope < 0.0:
+            low = t
+        else:
+            high = t
+        if high == 0.0 or low == 1.0:
+            break
     return np.sqrt(square)
 
 
-@njit(void(IN4, IN1, ROWS2, ROWS1, float64, float64, ROWS1, IN2, OUT2), cache=True, nogil=True)
-def fill_clearances(poses, floors, pairs, grounded, radius, ground, links, boxes, out):  # noqa: ANN001, ANN201
-    """Fill ``out`` (B, n + P + G + L K) [m] as `collision.clearances`.
-
-    ``poses`` (n + 1, 3, 4, B), ``floors`` (n,), ``pairs`` (P, 2), ``grounded`` (G,), ``links`` (L,), ``boxes`` (K, 6).
-    """
-    joints, first = poses.shape[0], len(floors) + len(pairs)
-    boxed = first + len(grounded)
+@njit(void(IN4, IN1, SHAPE, OUT2), **OPTIONS)
+def fill_clearances(poses, floors, shape, out):  # noqa: ANN001, ANN201
+    """Fill ``out`` (B, n + P + G + L K) [m] as `collision.clearances`; ``poses`` (n + 1, 3, 4, B), ``floors`` (n,)."""
+    joints, first = poses.shape[0], len(floors) + len(shape.pairs)
+    boxed, links = first + len(shape.places), len(shape.moving)
     ends = np.zeros((joints + 1, 3))
     for b in range(len(out)):
         for i in range(joints):
@@ -143,10 +287,11 @@ def fill_clearances(poses, floors, pairs, grounded, radius, ground, links, boxes
                 ends[i + 1, r] = poses[i, r, 3, b]
         for k in range(len(floors)):
             out[b, k] = ends[k + 2, 2] - floors[k]
-        for k in range(len(pairs)):
-            out[b, len(floors) + k] = _axis_distance(ends, pairs[k, 0], pairs[k, 1]) - 2.0 * radius
-        for k in range(len(grounded)):
-            out[b, first + k] = ends[grounded[k], 2] - ground - radius
-        for k in range(len(boxes)):
-            for j in range(len(links)):
-                out[b, boxed + k * len(links) + j] = box_distance(ends, links[j], boxes[k]) - radius
+        for k in range(len(shape.pairs)):
+            apart = _axis_distance(ends, shape.pairs[k, 0], shape.pairs[k, 1])
+            out[b, len(floors) + k] = apart - 2.0 * shape.radius
+        for k in range(len(shape.places)):
+            out[b, first + k] = ends[shape.places[k], 2] - shape.ground - shape.radius
+        for k in range(len(shape.boxes)):
+            for j in range(links):
+                out[b, boxed + k * links + j] = _box_distance(ends, shape.moving[j], shape.boxes[k]) - shape.radius

@@ -12,7 +12,7 @@ import numpy as np
 
 from rejoint.arms.arm import Arm, Array, _freeze
 from rejoint.arms.kinematics import GRAVITY, gravity_torque, tcp_pose, tcp_position
-from rejoint.arms.rotations import rotation_about
+from rejoint.arms.rotations import moved
 
 FLOATING = 0.001
 """[N m] of a floating joint (chosen)"""
@@ -75,14 +75,7 @@ class Displacement:
         """Arm with `twist` in its links."""
         if not self.twist.any():
             return arm
-        fixed = np.concatenate([arm.offset, arm.tip[None]])
-        error = np.tile(np.eye(4), (len(fixed), 1, 1))
-        error[:, :3, 3] = self.twist[:, :3]
-        for pose, vector in zip(error, self.twist[:, 3:], strict=True):
-            angle = float(np.linalg.norm(vector))
-            if angle > 0.0:
-                pose[:3, :3] = rotation_about(vector / angle, angle)
-        fixed = error @ fixed
+        fixed = moved(np.eye(4), self.twist) @ np.concatenate([arm.offset, arm.tip[None]])
         return replace(arm, offset=fixed[:-1], tip=fixed[-1])
 
     def tool(self, arm: Arm, position: Array, approach: Array | None = None) -> Array:

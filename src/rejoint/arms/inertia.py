@@ -6,7 +6,7 @@ A solid cylinder along the link replaces impossible values, with a note.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -220,29 +220,26 @@ def bare(arm: Arm) -> Arm:
 
 def loaded(arm: Arm, payload: Payload | float | None = None, tool: ArrayLike | None = None) -> Arm:
     """Add a payload (a number: kg at the TCP) and a ``tool`` (3,) [m] in the TCP frame; InputError."""
-    carried = payload if payload is None or isinstance(payload, Payload) else Payload(mass=_mass(payload))
-    if (carried is None or carried.mass == 0.0) and tool is None:
+    carried = payload if isinstance(payload, Payload) else Payload(mass=_mass(0.0 if payload is None else payload))
+    if carried.mass == 0.0 and tool is None:
         return arm
-    carried = carried or Payload(mass=0.0)
     whole = float(arm.mass.sum())
     if not 0.0 <= carried.mass <= whole:
         raise InputError(f"payload: {carried.mass:g} kg, expected 0 to the {whole:.2g} kg of the arm itself")
     com = _lengths("payload: the centre of mass", carried.com)
     tip = arm.tip.copy()
-    if tool is not None:
-        tip[:3, 3] += tip[:3, :3] @ _lengths("tool", tool)
+    tip[:3, 3] += tip[:3, :3] @ _lengths("tool", np.zeros(3) if tool is None else tool)
     link = SpatialInertia(mass=float(arm.mass[-1]), com=arm.com[-1], inertia=arm.inertia[-1])
     place = arm.tip[:3, 3] + arm.tip[:3, :3] @ com
     joined = combined([link, SpatialInertia(mass=carried.mass, com=place, inertia=np.zeros((3, 3)))])
     fields = {name: getattr(arm, name) for name in Arm.__dataclass_fields__}
-    found = LoadedArm(**fields, bare=bare(arm))
-    return replace(
-        found,
-        tip=tip,
-        mass=np.append(arm.mass[:-1], joined.mass),
-        com=np.vstack([arm.com[:-1], joined.com]),
-        inertia=np.concatenate([arm.inertia[:-1], joined.inertia[None]]),
-    )
+    fields |= {
+        "tip": tip,
+        "mass": np.append(arm.mass[:-1], joined.mass),
+        "com": np.vstack([arm.com[:-1], joined.com]),
+        "inertia": np.concatenate([arm.inertia[:-1], joined.inertia[None]]),
+    }
+    return LoadedArm(**fields, bare=bare(arm))
 
 
 def _mass(given: ArrayLike) -> float:
@@ -254,9 +251,6 @@ def _mass(given: ArrayLike) -> float:
 
 def _lengths(what: str, given: ArrayLike) -> Array:
     lengths = as_floats(what, given, f"x, y, z of at most {LONGEST_TOOL:g} m")
-    if (
-        lengths.shape != (3,)
-        or not np.abs(lengths).max(initial=np.inf if lengths.shape != (3,) else 0.0) <= LONGEST_TOOL
-    ):
+    if lengths.shape != (3,) or not np.abs(lengths).max() <= LONGEST_TOOL:
         raise InputError(f"{what}: expected x, y, z of at most {LONGEST_TOOL:g} m, got {given!r}")
     return lengths

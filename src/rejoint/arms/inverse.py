@@ -8,8 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms.arm import Arm, Array
-from rejoint.arms.kinematics import frames, position_kinematics
-from rejoint.arms.rotations import rotation_error
+from rejoint.arms.kinematics import chain_of, tcp_position
+from rejoint.arms.rotations import Orientation
+from rejoint.system.shell import Late
+
+compiled = Late("rejoint.arms.compiled")
 
 DAMPING = 0.05
 """[m] lambda (Park et al. 2024, section III-C)"""
@@ -49,41 +52,36 @@ def clip_norm(step: Array, limit: float | Array) -> Array:
     return step * np.minimum(1.0, limit / np.maximum(largest, 1e-12))
 
 
+def goals_of(places: Array, turn: Orientation | None) -> Array:
+    """Goals (..., 17), see `rejoint.arms.compiled`, of ``places`` (..., 3) [m] and orientations (...)."""
+    goals = np.zeros((*places.shape[:-1], 17))
+    goals[..., :3] = places
+    if turn is not None:
+        goals[..., 3:12] = turn.rotation.reshape(*turn.rotation.shape[:-2], 9)
+        goals[..., 12:15], goals[..., 15] = turn.axis, turn.weight
+        goals[..., 16] = turn.counts * np.where(turn.whole, 2.0, 1.0)
+    return goals
+
+
 def solve_position(
     arm: Arm,
     target: Array,
     start: Array,
     *,
-    rotation: Array | None = None,
+    turn: Orientation | None = None,
     tolerance: float = TOLERANCE,
     iterations: int = ROUNDS,
     rest_gain: float = REST_GAIN,
 ) -> Solution:
     """Search joint positions of the TCP at ``target`` (..., 3) [m], from ``start`` (..., n) [rad].
 
-    ``rotation`` (..., 3, 3): wanted orientation; without it, the null space pulls to rest. ``tolerance`` [m], [rad].
-    The damping shrinks with the error (quadratic convergence).
+    ``turn`` (...): wanted orientation. The null space pulls to rest. ``tolerance`` [m], weighted radians. Without a
+    solution the search ends at the least weighted sum of squares nearby, within the limits.
     """
     shape = np.broadcast_shapes(target.shape[:-1], start.shape[:-1])
-    q = np.clip(np.broadcast_to(start, (*shape, arm.joints)), arm.lower, arm.upper)
-    for iteration in range(iterations + 1):
-        tcp, j = position_kinematics(arm, q)
-        e = target - tcp
-        if rotation is not None:
-            f = frames(arm, q)
-            turn = rotation_error(f.tcp_rotation, rotation)
-            j, e = np.concatenate([j, np.swapaxes(f.axis, -1, -2)], axis=-2), np.concatenate([e, turn], axis=-1)
-        converged = np.abs(e).max(axis=-1) < tolerance
-        if converged.all() or iteration == iterations:
-            break
-        damping = np.minimum(DAMPING, np.sqrt((e**2).sum(axis=-1)) + 1e-4)
-        if rotation is None:
-            pull = rest_gain * (arm.rest - q)
-            drift = (j @ pull[..., None])[..., 0]
-            towards, back = dls(j, np.stack([e, drift]), np.stack([damping, np.full_like(damping, 1e-6)]))
-            step = towards + pull - back
-        else:
-            step = dls(j, e, damping)
-        step = np.where(converged[..., None], 0.0, clip_norm(step, MOST_STEP))
-        q = np.minimum(np.maximum(q + step, arm.lower), arm.upper)
-    return Solution(q=q, error=np.linalg.norm(e[..., :3], axis=-1), converged=converged)
+    q = np.array(np.broadcast_to(start, (*shape, arm.joints)), dtype=float, order="C").reshape(-1, arm.joints)
+    goals, missed = goals_of(np.broadcast_to(target, (*shape, 3)), turn).reshape(-1, 17), np.empty(len(q))
+    compiled.solve_all(chain_of(arm), goals, q, rest_gain, iterations, tolerance, missed)
+    q = q.reshape(*shape, arm.joints)
+    error = np.linalg.norm(target - tcp_position(arm, q), axis=-1)
+    return Solution(q=q, error=error, converged=(missed < tolerance).reshape(shape) & np.isfinite(error))

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rejoint.arms.arm import Arm, Array
+from rejoint.arms.arm import Arm, Array, frozen
 from rejoint.system.shell import Late
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
@@ -34,36 +34,50 @@ compiled = Late("rejoint.arms.compiled")
 _CYCLE = np.array([1, 2, 0, 1])  # coordinates in the order of a vector product: each with the one before it
 
 
+class Chain(NamedTuple):
+    """A kinematic chain in compiled loops; see `Arm`."""
+
+    terms: Array
+    """(n, 16, 3) as `joint_terms`"""
+    tip: Array
+    axes: Array
+    limits: Array
+    """(2, n) [rad]"""
+    rest: Array
+    mass: Array
+    com: Array
+
+
 @lru_cache(maxsize=32)
+def chain_of(arm: Arm) -> Chain:
+    """Return the chain of an arm."""
+    limits = np.stack([arm.lower, arm.upper])
+    return Chain(*map(frozen, (joint_terms(arm), arm.tip, arm.axis, limits, arm.rest, arm.mass, arm.com)))
+
+
 def joint_terms(arm: Arm) -> Array:
     """Constants (n, 16, 3) A, B, C: a frame in its parent is A + B sin q + C cos q."""
-    cross = np.zeros((arm.joints, 3, 3))
-    x, y, z = arm.axis.T
-    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -z, y, -x
-    cross[:, 1, 0], cross[:, 2, 0], cross[:, 2, 1] = z, -y, x
-    square = cross @ cross  # Rodrigues: R = I + sin q K + (1 - cos q) K^2
+    along = arm.axis[:, :, None] * arm.axis[:, None, :]
+    cross = np.swapaxes(np.cross(arm.axis[:, None], np.eye(3)), 1, 2)
     terms = np.zeros((arm.joints, 4, 4, 3))
-    for i, rotation in enumerate((np.eye(3) + square, cross, -square)):
+    for i, rotation in enumerate((along, cross, np.eye(3) - along)):  # Rodrigues
         terms[:, :3, :3, i] = arm.offset[:, :3, :3] @ rotation
     terms[..., 3, 0] = arm.offset[:, :, 3]
     return terms.reshape(arm.joints, 16, 3)
 
 
-def all_poses(arm: Arm, q: Array, rows: slice) -> Array:
-    """``rows`` of the frames of joints and TCP, (n + 1, r, 4, B), at ``q`` (..., n)."""
-    angles = q.reshape(-1, arm.joints).T
-    waves = np.empty((2, *angles.shape))
-    np.sin(angles, out=waves[0])
-    np.cos(angles, out=waves[1])
-    poses = np.empty((arm.joints + 1, rows.stop - rows.start, 4, angles.shape[1]))
-    compiled.fill_poses(joint_terms(arm), arm.tip, waves[0], waves[1], rows.start, poses)
+def all_poses(arm: Arm, q: Array, rows: int = 3) -> Array:
+    """First ``rows`` of the frames of joints and TCP, (n + 1, r, 4, B), at ``q`` (..., n)."""
+    angles = np.ascontiguousarray(q.reshape(-1, arm.joints).T)
+    poses, chain = np.empty((arm.joints + 1, rows, 4, angles.shape[1])), chain_of(arm)
+    compiled.fill_poses(chain.terms, chain.tip, np.sin(angles), np.cos(angles), poses)
     return poses
 
 
 def frames(arm: Arm, q: Array) -> Frames:
     """All frames at ``q`` (..., n) [rad]."""
     n, lead = arm.joints, q.shape[:-1]
-    poses = all_poses(arm, q, slice(0, 3))
+    poses = all_poses(arm, q)
     axes = (arm.axis[:, None, None] @ poses[:n, :, :3])[:, :, 0]
     joints = poses[:n].transpose(3, 0, 1, 2).reshape(*lead, n, 3, 4)
     tcp = poses[n].transpose(2, 0, 1).reshape(*lead, 3, 4)
@@ -73,28 +87,26 @@ def frames(arm: Arm, q: Array) -> Frames:
 
 def heights(arm: Arm, q: Array) -> Array:
     """Heights (..., n + 1) [m] of joint frames and TCP at ``q`` (..., n) [rad]."""
-    return all_poses(arm, q, slice(2, 3))[:, 0, 3].T.reshape(*q.shape[:-1], arm.joints + 1)
+    return all_poses(arm, q)[:, 2, 3].T.reshape(*q.shape[:-1], arm.joints + 1)
 
 
 def tcp_position(arm: Arm, q: Array) -> Array:
     """TCP positions (..., 3) [m] at ``q`` (..., n) [rad]."""
-    return all_poses(arm, q, slice(0, 3))[arm.joints, :, 3].T.reshape(*q.shape[:-1], 3)
+    return all_poses(arm, q)[arm.joints, :, 3].T.reshape(*q.shape[:-1], 3)
 
 
 def tcp_pose(arm: Arm, q: Array) -> Array:
     """TCP poses (..., 4, 4) at ``q`` (..., n) [rad]."""
-    f = frames(arm, q)
-    pose = np.zeros((*q.shape[:-1], 4, 4))
-    pose[..., :3, :3], pose[..., :3, 3], pose[..., 3, 3] = f.tcp_rotation, f.tcp_position, 1.0
-    return pose
+    poses = all_poses(arm, q, 4)[arm.joints]
+    return poses.transpose(2, 0, 1).reshape(*q.shape[:-1], 4, 4)
 
 
 def position_kinematics(arm: Arm, q: Array) -> tuple[Array, Array]:
     """TCP (..., 3) [m] and its derivatives (..., 3, n) [m/rad] at ``q`` (..., n) [rad]."""
     n, lead = arm.joints, q.shape[:-1]
-    poses = all_poses(arm, q, slice(0, 3))
+    poses = all_poses(arm, q)
     columns = np.empty((3, n, poses.shape[-1]))
-    compiled.fill_columns(arm.axis, poses, columns)
+    compiled.fill_columns(chain_of(arm).axes, poses, columns)
     return poses[n, :, 3].T.reshape(*lead, 3), columns.transpose(2, 0, 1).reshape(*lead, 3, n)
 
 

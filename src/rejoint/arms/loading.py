@@ -24,7 +24,7 @@ from rejoint.arms.displacement import Displacement
 from rejoint.arms.draft import Draft, Loaded, finish
 from rejoint.arms.inertia import NOTHING, SpatialInertia, inertia_matrix, inertia_values
 from rejoint.arms.modelfile import read_tree, xacro_error
-from rejoint.arms.rotations import pose_of, quaternion_of, rotation_about, rotation_of
+from rejoint.arms.rotations import pose_of, quaternion_of, roll_pitch_yaw, rotation_about, rotation_of
 from rejoint.arms.workspace import posture_grid
 from rejoint.system.errors import InputError
 from rejoint.system.files import write_whole
@@ -241,47 +241,36 @@ def urdf_text(arm: Arm, note: str = "") -> str:
     root = ET.Element("robot", name=arm.name)
     if note:
         root.append(ET.Comment(f" {note.replace('--', '-')} "))
-    ET.SubElement(root, "link", name=BASE)
-    for i, name in enumerate(arm.joint_names):
-        _urdf_link(root, arm, i)
-        joint = _urdf_joint(root, name, "revolute", BASE if i == 0 else f"link{i}", f"link{i + 1}", arm.offset[i])
-        ET.SubElement(joint, "axis", xyz=_numbers(arm.axis[i]))
-        limit = {"lower": arm.lower[i], "upper": arm.upper[i], "velocity": arm.max_speed[i]}
-        ET.SubElement(joint, "limit", {key: repr(float(value)) for key, value in limit.items()}, effort=EFFORT)
-    ET.SubElement(root, "link", name=TOOL)
-    _urdf_joint(root, f"{TOOL}_joint", "fixed", f"link{arm.joints}", TOOL, arm.tip)
+    links = [BASE, *(f"link{i + 1}" for i in range(arm.joints)), TOOL]
+    _add(root, "link", name=BASE)
+    for i, pose in enumerate([*arm.offset, arm.tip]):
+        turns = i < arm.joints
+        link = _add(root, "link", name=links[i + 1])
+        if turns and arm.mass[i] > 0.0:
+            inertial = _add(link, "inertial")
+            _add(inertial, "origin", xyz=arm.com[i], rpy=np.zeros(3))
+            _add(inertial, "mass", value=arm.mass[i])
+            moments = dict(zip(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), inertia_values(arm.inertia[i]), strict=True))
+            _add(inertial, "inertia", **moments)
+        name, kind = (arm.joint_names[i], "revolute") if turns else (f"{TOOL}_joint", "fixed")
+        joint = _add(root, "joint", name=name, type=kind)
+        _add(joint, "parent", link=links[i])
+        _add(joint, "child", link=links[i + 1])
+        _add(joint, "origin", xyz=pose[:3, 3], rpy=roll_pitch_yaw(pose[:3, :3]))
+        if turns:
+            _add(joint, "axis", xyz=arm.axis[i])
+            _add(joint, "limit", lower=arm.lower[i], upper=arm.upper[i], velocity=arm.max_speed[i], effort=EFFORT)
     ET.indent(root)
     return f'<?xml version="1.0"?>\n{ET.tostring(root, encoding="unicode")}\n'
 
 
-def _urdf_link(root: ET.Element, arm: Arm, i: int) -> None:
-    link = ET.SubElement(root, "link", name=f"link{i + 1}")
-    if not arm.mass[i] > 0.0:
-        return
-    inertial, inertia = ET.SubElement(link, "inertial"), arm.inertia[i]
-    ET.SubElement(inertial, "origin", xyz=_numbers(arm.com[i]), rpy="0 0 0")
-    ET.SubElement(inertial, "mass", value=repr(float(arm.mass[i])))
-    places = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
-    ET.SubElement(inertial, "inertia", {key: repr(float(inertia[place])) for key, place in places.items()})
-
-
-def _urdf_joint(root: ET.Element, name: str, kind: str, parent: str, child: str, pose: Array) -> ET.Element:
-    joint = ET.SubElement(root, "joint", name=name, type=kind)
-    ET.SubElement(joint, "parent", link=parent)
-    ET.SubElement(joint, "child", link=child)
-    ET.SubElement(joint, "origin", xyz=_numbers(pose[:3, 3]), rpy=_numbers(roll_pitch_yaw(pose[:3, :3])))
-    return joint
-
-
-def roll_pitch_yaw(rotation: Array) -> Array:
-    """Angles (3,) [rad] about fixed x, y, z, as in URDF."""
-    yaw = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
-    rest = rotation_about(np.array([0.0, 0.0, 1.0]), -yaw) @ rotation
-    return np.array([np.arctan2(-rest[1, 2], rest[1, 1]), np.arctan2(-rest[2, 0], rest[0, 0]), yaw])
-
-
-def _numbers(values: Array) -> str:
-    return " ".join(repr(float(value)) for value in values)
+def _add(parent: ET.Element, tag: str, **attributes: str | Array) -> ET.Element:
+    """Add an element; arrays become numbers between spaces."""
+    texts = {
+        name: value if isinstance(value, str) else " ".join(repr(float(one)) for one in np.atleast_1d(value))
+        for name, value in attributes.items()
+    }
+    return ET.SubElement(parent, tag, texts)
 
 
 CATALOGUE: dict[str, Callable[[], Arm]] = {"mycobot280": mycobot280, "so101": so101}

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from rejoint.arms.arm import Array
-from rejoint.arms.chain import Body, Joint, Site, Tree, unknown
+from rejoint.arms.chain import Body, Joint, Tree, unknown
 from rejoint.arms.inertia import NOTHING, SpatialInertia, ball, ball_radius, inertia_matrix, usable
 from rejoint.arms.rotations import pose_of, rotation_of
 from rejoint.system.errors import FileError, InputError
@@ -53,15 +53,13 @@ def read_tree(path: Path, hold: Mapping[str, float] | None = None) -> Tree:
                 path, f"MuJoCo cannot use it: {' '.join(str(error).split())}", "correct the file"
             ) from error
     bodies, data = _bodies(mujoco, model, contents, hold)
-    drives = _drives(model, coupled)
     speeds = urdf_speeds(root) if urdf else {}
-    joints = tuple(_joint(model, data, j, speeds, coupled, drives) for j in range(model.njnt))
+    joints = tuple(_joint(model, data, j, speeds, coupled) for j in range(model.njnt))
     notes += [f"joint {joint.name}: held at {_place(joint)}, as given" for joint in joints if joint.name in hold]
     return Tree(
         name=root.get("name") or root.get("model") or path.stem,
-        bodies=bodies,
+        bodies=bodies + _sites(model, data),
         joints=tuple(replace(joint, kind="held") if joint.name in hold else joint for joint in joints),
-        sites=_sites(model, data),
         notes=tuple(notes),
     )
 
@@ -158,18 +156,6 @@ def _coupled(mujoco: ModuleType, spec: Any) -> dict[str, str]:  # noqa: ANN401
     return {equality.name1: equality.name2 for equality in spec.equalities if equality.type == mujoco.mjtEq.mjEQ_JOINT}
 
 
-def _drives(model: Any, coupled: dict[str, str]) -> set[str]:  # noqa: ANN401
-    body = {model.joint(j).name: int(model.jnt_bodyid[j]) for j in range(model.njnt)}
-
-    def hangs_below(lower: int, upper: int) -> bool:
-        while lower != 0 and lower != upper:
-            lower = int(model.body_parentid[lower])
-        return lower == upper
-
-    pairs = [(follower, leader) for follower, leader in coupled.items() if leader in body and follower in body]
-    return {leader for follower, leader in pairs if not hangs_below(body[follower], body[leader])}
-
-
 def _bodies(
     mujoco: ModuleType,
     model: Any,  # noqa: ANN401
@@ -218,16 +204,12 @@ def _place(joint: Joint) -> str:
     return f"{1e3 * joint.position:g} mm" if joint.kind == "slide" else f"{np.degrees(joint.position):.4g} deg"
 
 
-def _sites(model: Any, data: Any) -> tuple[Site, ...]:  # noqa: ANN401
-    return tuple(
-        Site(
-            name=model.site(s).name,
-            body=int(model.site_bodyid[s]),
-            pose=pose_of(data.site_xmat[s].reshape(3, 3), data.site_xpos[s]),
-        )
-        for s in range(model.nsite)
-        if model.site(s).name
-    )
+def _sites(model: Any, data: Any) -> tuple[Body, ...]:  # noqa: ANN401
+    found = []
+    for s in range(model.nsite):
+        pose = pose_of(data.site_xmat[s].reshape(3, 3), data.site_xpos[s])
+        found.append(Body(name=model.site(s).name, parent=int(model.site_bodyid[s]), pose=pose, site=True))
+    return tuple(site for site in found if site.name)
 
 
 def _joint(
@@ -236,7 +218,6 @@ def _joint(
     j: int,
     speeds: dict[str, float],
     coupled: dict[str, str],
-    drives: set[str],
 ) -> Joint:
     name, kind = model.joint(j).name or f"joint{j + 1}", _KINDS[int(model.jnt_type[j])]
     limited = bool(model.jnt_limited[j])
@@ -251,7 +232,6 @@ def _joint(
         upper=float(model.jnt_range[j, 1]) if limited else np.nan,
         speed=speeds.get(name, np.nan),
         follows=coupled.get(name, ""),
-        drives=name in drives,
     )
 
 

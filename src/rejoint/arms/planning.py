@@ -9,14 +9,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from math import factorial
 
 import numpy as np
 
-from rejoint.arms.arm import Arm, Array
+from rejoint.arms.arm import Arm, Array, frozen
 from rejoint.arms.collision import clearances, collision_shape, contact
 from rejoint.arms.inertia import link_ends
 from rejoint.arms.kinematics import gravity_torque, tcp_position
-from rejoint.arms.postures import Motors, body_of, frozen, pool_of
+from rejoint.arms.postures import Motors, body_of, pool_of
 from rejoint.arms.workspace import length_size
 from rejoint.system.errors import InputError
 from rejoint.system.shell import Late
@@ -30,7 +31,7 @@ CLEARANCE = 0.010
 STEP, LOW = 0.004, 0.001
 """[m] of a myCobot 280: motion between checks; margin above floors (chosen)"""
 _SPEED = 0.999  # of the limit, so that rounding takes no command beyond what the guard allows
-_DRAWN, _CORNERS, _SHORTCUTS = 4000, 200, 80
+_DRAWN, _SHORTCUTS = 4000, 80
 LIGHTER, LONGER = 0.95, 0.05
 """Share of the load that makes another trajectory better, and weight of a radian (chosen)"""
 _OTHERS, _PARTS = 200, 8
@@ -63,12 +64,17 @@ class JointTrajectory:
     def at(self, time: Array | float, derivative: int = 0) -> Array:
         """Positions (..., n) [rad] at ``time`` (...) [s], clamped; or a derivative, up to the third."""
         moment = np.asarray(time, dtype=float)
-        result = np.empty((moment.size, len(self.goal)))
-        flat = np.ascontiguousarray(moment).reshape(-1)
-        rrt.follow(self.start, self.moves, self.begins, self.profiles, flat, derivative, result)
+        result = np.zeros((*moment.shape, len(self.goal)))
+        for move, begin, (knots, *states) in zip(self.moves, self.begins, self.profiles, strict=True):
+            past = np.clip(moment - begin, 0.0, knots[-1])
+            k = np.searchsorted(knots[:-1], past, side="right") - 1
+            terms = enumerate(states[derivative:])
+            value = sum(state[k] * (past - knots[k]) ** order / factorial(order) for order, state in terms)
+            moves = (derivative == 0) | ((moment >= begin) & (moment <= begin + knots[-1]))
+            result += np.where(moves, value, 0.0)[..., None] * move
         if derivative == 0:
-            result[flat >= self.duration] = self.goal
-        return result.reshape(*moment.shape, len(self.goal))
+            result = np.where(moment[..., None] >= self.duration, self.goal, self.start + result)
+        return result
 
 
 def plan(
@@ -159,7 +165,7 @@ class _Field:
         """Field of a trajectory; PlanningError where its goal has a contact."""
         body, least = body_of(arm), np.full(len(clearances(arm, start, np.zeros(arm.joints))), clearance)
         least[: arm.joints] = LOW * length_size(arm)
-        least[arm.joints : arm.joints + len(body.pairs)] *= 2.0
+        least[arm.joints : arm.joints + len(body.shape.pairs)] *= 2.0
         always = np.append(np.zeros(arm.joints, dtype=bool), np.isneginf(body.least))
         ends = np.stack([clearances(arm, q, body.floors) for q in (start, goal)])
         field = cls(
@@ -175,11 +181,9 @@ class _Field:
 
     def passes(self, start: Array, goal: Array, *, leaving: bool = False) -> tuple[float, int]:
         """Clear share (0 to 1) of a straight piece, and the distance that ends it."""
-        worst = np.zeros(2)
-        share = rrt.passable(
-            body_of(self.arm), frozen(start), frozen(goal), self.levers, self.least, self.step, leaving, worst
-        )
-        return share, int(worst[0])
+        body = body_of(self.arm)
+        share, item = rrt.passable(body, start, goal, self.levers, self.least, self.step, leaving)
+        return share, item
 
     def blocked(self, item: int, q: Array) -> str:
         """Name the obstacle at ``q`` (n,)."""
@@ -202,11 +206,10 @@ class _Field:
         spread = rng.uniform(0.2, 1.5, (_DRAWN, 1)) * rng.standard_normal(drawn.shape)
         drawn[near] = (begin + rng.random((_DRAWN, 1)) * (goal - begin) + spread)[near]
         drawn = np.clip(drawn, body.inner[0], body.inner[1])
-        way = np.empty((_CORNERS, self.arm.joints))
-        count = rrt.connect(body, frozen(begin), frozen(goal), frozen(drawn), self.levers, self.least, self.step, way)
-        if not count:
+        way = rrt.connect(body, begin, goal, drawn, self.levers, self.least, self.step)
+        if not len(way):
             return None
-        corners = self._shortened(way[:count], rng)
+        corners = self._shortened(way, rng)
         return corners if begin is start else np.vstack([start, corners])
 
     def lightest(self, way: Array, motors: Motors, seed: int) -> Array:
@@ -300,26 +303,22 @@ def _timed(field: _Field, way: Array, limits: Array) -> JointTrajectory:
     moves = np.diff(way, axis=0)
     moves = moves[np.abs(moves).max(axis=-1) > 1e-12]
     profiles = np.array([_profile(move, limits) for move in moves]).reshape(len(moves), 5, 8)
-    lengths = profiles[:, 0, -1]
+    ramps = profiles[:, 0, 3]  # to full speed, and from it
     overlaps = np.zeros(max(len(moves) - 1, 0))
     for k in range(len(overlaps)):
-        most = 0.5 * min(lengths[k], lengths[k + 1], 2.0 * _braking(profiles[k]), 2.0 * _gaining(profiles[k + 1]))
-        for share in _OVERLAPS:
-            corner = _assembled(way[k], moves[k : k + 2], profiles[k : k + 2], np.array([share * most]))
+        for overlap in np.multiply(_OVERLAPS, min(ramps[k], ramps[k + 1])):
+            corner = _assembled(way[k : k + 3], moves[k : k + 2], profiles[k : k + 2], np.array([overlap]))
             if _corner_holds(field, corner, limits):
-                overlaps[k] = share * most
+                overlaps[k] = overlap
                 break
-    return _assembled(way[0], moves, profiles, overlaps, goal=way[-1])
+    return _assembled(way, moves, profiles, overlaps)
 
 
-def _assembled(
-    start: Array, moves: Array, profiles: Array, overlaps: Array, goal: Array | None = None
-) -> JointTrajectory:
+def _assembled(way: Array, moves: Array, profiles: Array, overlaps: Array) -> JointTrajectory:
     lengths = profiles[:, 0, -1]
     begins = np.concatenate([[0.0], np.cumsum(lengths[:-1] - overlaps)])[: len(moves)]
-    duration = float(begins[-1] + lengths[-1]) if len(moves) else 0.0
-    end = start + moves.sum(axis=0) if goal is None else goal
-    return JointTrajectory(duration=duration, start=start, goal=end, moves=moves, begins=begins, profiles=profiles)
+    duration = float((begins + lengths).max(initial=0.0))
+    return JointTrajectory(duration=duration, start=way[0], goal=way[-1], moves=moves, begins=begins, profiles=profiles)
 
 
 def _corner_holds(field: _Field, corner: JointTrajectory, limits: Array) -> bool:
@@ -358,14 +357,6 @@ def _profile(move: Array, limits: Array) -> Array:
             a + time * j,
         )
     return knots
-
-
-def _braking(profile: Array) -> float:
-    return float(profile[0, -1] - profile[0, profile[2] >= profile[2].max() - 1e-9][-1])
-
-
-def _gaining(profile: Array) -> float:
-    return float(profile[0, profile[2] >= profile[2].max() - 1e-9][0])
 
 
 def _checked(arm: Arm, what: str, q: Array) -> Array:

@@ -7,17 +7,18 @@ search moves stored postures to the target by damped least squares, and lowers t
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms.arm import Arm, Array
-from rejoint.arms.collision import clearances, collision_shape, contact, guarded_floors, usual_distances
-from rejoint.arms.kinematics import gravity_torque, joint_terms, tcp_position
-from rejoint.arms.rotations import Orientation, tool_axis
+from rejoint.arms.arm import Arm, Array, frozen
+from rejoint.arms.collision import clearances, collides, collision_shape, contact, guarded_floors, usual_distances
+from rejoint.arms.inverse import REST_GAIN, ROUNDS, goals_of, solve_position
+from rejoint.arms.kinematics import chain_of, frames, gravity_torque, tcp_position
+from rejoint.arms.rotations import Orientation
 from rejoint.arms.workspace import length_size
 from rejoint.system.errors import InputError
 from rejoint.system.shell import Late
@@ -31,10 +32,14 @@ CLEARANCE, SPACIOUS = 0.006, 0.015
 of a myCobot 280 (chosen)"""
 POOL, DRAWN = 8000, 40000
 """Stored and drawn postures (chosen: 18 mm apart for a myCobot 280)"""
-EFFORT = (40, 4, 10)
-"""Moved and improved stored postures, and steps (chosen)"""
-THOROUGH = (500, 24, 25)
+Effort = tuple[int, int, int]
+"""Moved and improved stored postures, and steps"""
+EFFORT: Effort = (40, 4, 10)
+"""(chosen)"""
+THOROUGH: Effort = (500, 24, 25)
 """The same before a target is refused (chosen)"""
+STORED_NEAR = 0.05
+"""[m] of a myCobot 280 that counts as much as a cost of one, between stored posture and goal (chosen)"""
 NEIGHBOUR, SWITCH = 0.06, 3.0
 """[m] of a myCobot 280 between neighbours, and cost for another branch (chosen)"""
 COMFORTABLE = 0.1
@@ -44,6 +49,8 @@ UNLOADED = 0.03
 SURE = 0.95
 """Share of torque limits at the nearest possible place (chosen)"""
 _BISECTIONS, _TRIED = 7, 4
+NEAR, TURNED = 1e-3, float(np.radians(0.5))
+"""[m], [rad] largest misses of a reachable pose (chosen)"""
 
 
 class Motors(NamedTuple):
@@ -65,17 +72,6 @@ class Goals:
     """(K,) reasons in one line; empty: possible"""
     nearest: Array
     """(K, 3) [m] nearest possible places"""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Demand:
-    """A search without its target."""
-
-    arm: Arm
-    scale: Array
-    """(n,) [N m] torque that counts as one"""
-    most: Array
-    """(n,) [N m] largest"""
 
 
 def choose_postures(
@@ -118,21 +114,44 @@ def choose_postures(
         for wrong shapes, numbers that are not finite, or boxes that leave no posture
     """
     places, starts = np.asarray(targets, dtype=float), np.asarray(start, dtype=float)
-    _check(arm, places, starts, turn, motors)
-    starts = np.broadcast_to(starts, (len(places), arm.joints))
-    demand = _demand(arm, motors)
-    q, nearest, refusals = np.empty(starts.shape), places.copy(), [""] * len(places)
-    for k in range(len(places)):
-        begin = q[k - 1] if chained and k else starts[k]
-        goal = _goal(arm, places[k], turn, k)
-        near = chained and k > 0 and _neighbours(arm, goal, _goal(arm, places[k - 1], turn, k - 1))
-        found = None if places[k, 2] < arm.floor else _choose(demand, goal, begin, near)
-        if found is None:
-            refusals[k], found, nearest[k] = (
-                _refuse(demand, goal, begin) if thorough else ("not found at once", begin, tcp_position(arm, begin))
-            )
+    _check(arm, places, starts)
+    goals, load = goals_of(places, turn), _load_of(arm, motors)
+    q = np.array(np.broadcast_to(starts, (len(places), arm.joints)), order="C")
+    nearest, refusals = places.copy(), [""] * len(places)
+    for k, goal in enumerate(goals):
+        begin = q[k - 1] if chained and k else q[k]
+        near = chained and k > 0 and _neighbours(arm, goal, goals[k - 1])
+        found = None if goal[2] < arm.floor else _choose(arm, load, goal, begin, near)
+        if found is None and not thorough:
+            refusals[k], found, nearest[k] = "not found at once", begin, tcp_position(arm, begin)
+        elif found is None:
+            refusals[k], found, nearest[k] = _refuse(arm, load, goal, begin)
         q[k] = found
     return Goals(q=q, refusals=tuple(refusals), nearest=nearest)
+
+
+def find_postures(
+    arm: Arm, target: Array, start: Array, turn: Orientation | None, *, rest_gain: float = REST_GAIN
+) -> Array:
+    """Postures (B, n) [rad] of poses, found from ``start`` (B, n); ``target`` (B, 3) [m].
+
+    `choose_postures` helps where that ends off the pose or in a contact. A ``rest_gain`` of 0 keeps postures near
+    ``start``; else they drift to rest.
+    """
+    if turn is None:
+        return solve_position(arm, target, start, rest_gain=rest_gain).q
+    found = solve_position(arm, target, start, turn=turn, iterations=ROUNDS // 2, rest_gain=rest_gain).q
+    off, angle = missed_pose(arm, found, target, turn)
+    for b in np.flatnonzero((off >= NEAR) | (angle > TURNED) | collides(arm, found)):
+        goals = choose_postures(arm, target[b : b + 1], start[b], turn=turn[np.array([b])])
+        found[b] = found[b] if goals.refusals[0] else goals.q[0]
+    return found
+
+
+def missed_pose(arm: Arm, posture: Array, target: Array, turn: Orientation) -> tuple[Array, Array]:
+    """Errors (...) [m] and (...) [rad] of postures (..., n) from their poses; NaN: any angle."""
+    f = frames(arm, posture)
+    return np.linalg.norm(target - f.tcp_position, axis=-1), turn.angle(f.tcp_rotation)
 
 
 def comfortable_postures(arm: Arm) -> Array:
@@ -141,74 +160,86 @@ def comfortable_postures(arm: Arm) -> Array:
     return frozen(pool.posture[pool.bare <= max(COMFORTABLE, float(np.median(pool.bare)))])
 
 
-def _choose(demand: _Demand, goal: Array, start: Array, near: bool) -> Array | None:
-    """Posture (n,) of one goal (17,), or None."""
-    arm, body = demand.arm, body_of(demand.arm)
-    stayed = np.empty(arm.joints)
-    begin = frozen(start)
-    cost = redundancy.stay(body, goal, begin, demand.scale, demand.most, near, stayed)
+def _choose(arm: Arm, load: Array, goal: Array, start: Array, near: bool) -> Array | None:
+    """Posture (n,) of one goal (17,), or None; ``load`` as in `rejoint.arms.redundancy`."""
+    cost, stayed = redundancy.stay(body_of(arm), goal, start, load, near)
     if cost == 0.0 or (near and cost < SWITCH):
-        return stayed
-    found, other, _ = _search(demand, goal, begin, EFFORT)
-    if other >= redundancy.FAR and cost >= redundancy.FAR:
+        return np.asarray(stayed)
+    other, found, _ = _search(arm, load, goal, start, EFFORT)
+    if min(cost, other) >= redundancy.FAR:
         return None
     return stayed if cost <= other + float(near) else found
 
 
-def _search(demand: _Demand, goal: Array, start: Array, effort: tuple[int, int, int]) -> tuple[Array, float, Array]:
-    """Best posture (n,) of a goal, its cost, and the posture (n,) nearest to the goal."""
-    arm = demand.arm
-    found, nearest = np.empty(arm.joints), np.empty(arm.joints + 1)
-    size = 0.05 * length_size(arm)
-    cost = redundancy.search(
-        body_of(arm), pool_of(arm), goal, start, demand.scale, demand.most, size, *effort, found, nearest
-    )
-    return found, cost, nearest[:-1]
+def _search(arm: Arm, load: Array, goal: Array, start: Array, effort: Effort) -> tuple[float, Array, Array]:
+    """Cost and best posture (n,) of a goal, and the posture (n,) nearest to the goal."""
+    drawn = pool_of(arm).posture[_promising(arm, load, goal, start, effort[0])]
+    cost, found, nearest = redundancy.search(body_of(arm), drawn, goal, start, load, *effort[1:])
+    return cost, found, nearest
 
 
-def _refuse(demand: _Demand, goal: Array, start: Array) -> tuple[str, Array, Array]:
+def _promising(arm: Arm, load: Array, goal: Array, start: Array, count: int) -> NDArray[np.intp]:
+    """Rows (count,) of the pool near the goal and of low cost, the best first."""
+    pool = pool_of(arm)
+    away = np.linalg.norm(pool.place - goal[:3], axis=-1) / (STORED_NEAR * length_size(arm))
+    if goal[16] > 0.0:
+        rotation = goal[3:12].reshape(3, 3)
+        if goal[16] == 2.0:
+            cosine = 0.5 * (np.einsum("krj,rj->k", pool.rotation, rotation) - 1.0)
+        else:
+            cosine = pool.rotation @ goal[12:15] @ (rotation @ goal[12:15])
+        away += 2.0 * np.arccos(np.clip(cosine, -1.0, 1.0))
+
+    def worth(rows: NDArray[np.intp]) -> Array:
+        travel = (((pool.posture[rows] - start) / np.pi) ** 4).sum(axis=-1) ** 0.25
+        heavy = np.minimum((np.abs(pool.torque[rows]) / load[0] / redundancy.LOAD) ** 4, 20.0).sum(axis=-1)
+        return np.asarray(away[rows] + 0.3 * (pool.bare[rows] + redundancy.TRAVEL * travel) + 0.15 * heavy)
+
+    count = min(count, len(away))
+    nearest = np.argpartition(away, count - 1)[:count]
+    rows = np.flatnonzero(away <= worth(nearest).max())  # others are worth less than all of the nearest
+    return rows[np.argsort(worth(rows), kind="stable")[:count]]
+
+
+def _refuse(arm: Arm, load: Array, goal: Array, start: Array) -> tuple[str, Array, Array]:
     """Search thoroughly: the refusal or empty, and the nearest possible posture (n,) and place (3,)."""
-    arm = demand.arm
-    begin = frozen(start)
     if goal[2] < arm.floor:
         lifted = np.array(goal)
         lifted[2] = arm.floor
         why = f"below the floor: {1e3 * goal[2]:.0f} mm high, the tool stays above {1e3 * arm.floor:.0f} mm"
-        lifted.setflags(write=False)
-        found = _choose(demand, lifted, start, False)
-        return (why, found, lifted[:3]) if found is not None else (why, *_nearby(demand, goal, begin))
-    found, cost, closest = _search(demand, goal, begin, THOROUGH)
+        found = _choose(arm, load, lifted, start, False)
+        return (why, *_nearby(arm, load, goal, start)) if found is None else (why, found, lifted[:3])
+    cost, found, closest = _search(arm, load, goal, start, THOROUGH)
     if cost < redundancy.FAR:
         return "", found, goal[:3]
-    return _why(demand, goal, begin, found, cost, closest), *_nearby(demand, goal, begin)
+    return _why(arm, load, goal, start, found if cost < np.inf else None, closest), *_nearby(arm, load, goal, start)
 
 
-def _why(demand: _Demand, goal: Array, start: Array, found: Array, cost: float, closest: Array) -> str:
-    arm = demand.arm
-    if cost == np.inf:
-        if goal[16] > 0.0:
-            place = frozen(np.append(goal[:16], 0.0))
-            found, cost, closest = _search(demand, place, start, THOROUGH)
-            if cost < redundancy.FAR:
-                return "the orientation cannot be reached there; the place alone can"
-        if cost == np.inf:
-            away = float(np.linalg.norm(goal[:3] - tcp_position(arm, closest)))
-            return f"out of reach by {1e3 * away:.1f} mm"
-    distances = clearances(arm, found, body_of(arm).floors)
-    touching = distances[arm.joints :] < body_of(arm).least
-    if touching.any():
-        light, cost, _ = _search(_demand(arm, None), goal, start, THOROUGH)
+def _why(arm: Arm, load: Array, goal: Array, start: Array, found: Array | None, closest: Array) -> str:
+    """Reason why a goal is refused; ``found`` (n,): its best posture, ``closest`` (n,): one beside it."""
+    if found is None and goal[16] > 0.0:
+        cost, place, closest = _search(arm, load, np.append(goal[:16], 0.0), start, THOROUGH)
         if cost < redundancy.FAR:
-            found, touching[:] = light, False
+            return "the orientation cannot be reached there; the place alone can"
+        found = place if cost < np.inf else None
+    if found is None:
+        away = float(np.linalg.norm(goal[:3] - tcp_position(arm, closest)))
+        return f"out of reach by {1e3 * away:.1f} mm"
+    body = body_of(arm)
+    distances = clearances(arm, found, body.floors)
+    touching = distances[arm.joints :] < body.least
     if touching.any():
-        what, other = contact(arm, int(np.argmin(distances[arm.joints :] - np.maximum(body_of(arm).least, -1e3))))
-        return f"in collision: {what} would touch {other}"
-    joint, why = too_heavy(arm, found, demand.most)
+        cost, light, _ = _search(arm, _load_of(arm, None), goal, start, THOROUGH)
+        if cost >= redundancy.FAR:
+            what, other = contact(arm, int(np.argmin(distances[arm.joints :] - np.maximum(body.least, -1e3))))
+            return f"in collision: {what} would touch {other}"
+        found = light
+    joint, why = too_heavy(arm, found, load[1])
     if joint is not None:
         return f"too heavy: {why}"
     low = int(np.argmin(distances[: arm.joints]))
     name = "the tool" if low == arm.joints - 1 else arm.joint_names[low + 1]
-    return f"below the floor: {name} would be lower than {1e3 * body_of(arm).floors[low]:.0f} mm"
+    return f"below the floor: {name} would be lower than {1e3 * body.floors[low]:.0f} mm"
 
 
 def too_heavy(arm: Arm, q: Array, limit: Array) -> tuple[int | None, str]:
@@ -222,83 +253,52 @@ def too_heavy(arm: Arm, q: Array, limit: Array) -> tuple[int | None, str]:
     return j, why
 
 
-def _nearby(demand: _Demand, goal: Array, start: Array) -> tuple[Array, Array]:
+def _nearby(arm: Arm, load: Array, goal: Array, start: Array) -> tuple[Array, Array]:
     """Posture (n,) and place (3,) [m] nearest to the goal, by bisection from stored postures."""
-    demand, pool = replace(demand, most=frozen(SURE * demand.most)), pool_of(demand.arm)
-    light = (np.abs(pool.torque) <= demand.most).all(axis=-1)
-    away = np.where(light, np.linalg.norm(pool.place[:, :3] - goal[:3], axis=-1), np.inf)
-    best, least = (np.array(start), tcp_position(demand.arm, start)), np.inf
+    load, pool = np.stack([load[0], SURE * load[1]]), pool_of(arm)
+    away = np.linalg.norm(pool.place - goal[:3], axis=-1)
+    away[(np.abs(pool.torque) > load[1]).any(axis=-1)] = np.inf
+    best, least = start, np.inf
     for k in np.argsort(away)[:_TRIED]:
-        works, place = pool.posture[k], pool.place[k, :3]
-        low, high = 0.0, 1.0
+        works, low, high, share = pool.posture[k], 0.0, 1.0, 0.0
         for _ in range(_BISECTIONS + 1):
-            share = low if goal[16] > 0.0 and low == 0.0 and high == 1.0 else 0.5 * (low + high)
-            trial = frozen(np.append(place + share * (goal[:3] - place), goal[3:]))
-            found = None if trial[2] < demand.arm.floor else _choose(demand, trial, works, False)
-            if found is None:
-                high = share
-                if share == 0.0:
-                    break
-            else:
+            trial = goal.copy()
+            trial[:3] = pool.place[k] + share * (goal[:3] - pool.place[k])
+            found = None if trial[2] < arm.floor else _choose(arm, load, trial, works, False)
+            if found is not None:
                 low, works = share, found
-                if share == 0.0:
-                    high = 0.999
-        reached = tcp_position(demand.arm, works)
-        missed = float(np.linalg.norm(reached - goal[:3]))
+            elif share == 0.0:
+                break
+            else:
+                high = share
+            share = 0.5 * (low + high)
+        missed = float(np.linalg.norm(tcp_position(arm, works) - goal[:3]))
         if missed < least:
-            best, least = (np.array(works), reached), missed
-    return best
+            best, least = works, missed
+    return np.array(best), tcp_position(arm, best)
 
 
 def _neighbours(arm: Arm, goal: Array, other: Array) -> bool:
     """Whether two goals (17,) should share a branch."""
-    apart = np.linalg.norm(goal[:3] - other[:3])
-    turned = np.linalg.norm(goal[3:12] - other[3:12]) if goal[16] > 0.0 else 0.0
+    apart, turned = np.linalg.norm(goal[:3] - other[:3]), np.linalg.norm(goal[3:12] - other[3:12])
     return bool(apart < NEIGHBOUR * length_size(arm) and turned < 0.5)
 
 
-def _goal(arm: Arm, place: Array, turn: Orientation | None, k: int) -> Array:
-    """Goal (17,), see `rejoint.arms.redundancy`."""
-    goal = np.zeros(17)
-    goal[:3], goal[3:12], goal[12:15] = place, np.eye(3).ravel(), tool_axis(arm)
-    if turn is not None and turn.weight[k] > 0.0:
-        goal[3:12], goal[12:15], goal[15] = turn.rotation[k].ravel(), turn.axis, turn.weight[k]
-        goal[16] = 2.0 if turn.whole[k] else 1.0
-    return frozen(goal)
-
-
-def _demand(arm: Arm, motors: Motors | None) -> _Demand:
+def _load_of(arm: Arm, motors: Motors | None) -> Array:
+    """Torque (2, n) [N m] that counts as one, and the largest."""
     if motors is not None:
-        return _Demand(arm=arm, scale=frozen(motors.usable / redundancy.LOAD), most=frozen(motors.limit))
+        return np.stack([motors.usable / redundancy.LOAD, motors.limit])
     torque = np.abs(pool_of(arm).torque).max(axis=0, initial=1e-9)
-    scale = np.maximum(torque, UNLOADED * torque.max())
-    return _Demand(arm=arm, scale=frozen(scale), most=frozen(np.full(arm.joints, np.inf)))
+    return np.stack([np.maximum(torque, UNLOADED * torque.max()), np.full(arm.joints, np.inf)])
 
 
 @lru_cache(maxsize=32)
-def body_of(arm: Arm) -> Any:  # noqa: ANN401 - `redundancy.ArmTables`, imported when it is first used
+def body_of(arm: Arm) -> Any:  # noqa: ANN401 - `redundancy.Body`, imported when it is first used
     """Return data of an arm for compiled loops."""
-    shape = collision_shape(arm)
-    sizes = np.array([shape.radius, shape.ground, SPACIOUS * length_size(arm)])
-    ranges = np.minimum(MARGIN, 0.25 * (arm.upper - arm.lower))
-    return redundancy.ArmTables(
-        terms=frozen(joint_terms(arm)),
-        tip=frozen(arm.tip),
-        axes=frozen(arm.axis),
-        lower=arm.lower,
-        upper=arm.upper,
-        inner=frozen(np.stack([arm.lower + ranges, arm.upper - ranges])),
-        rest=arm.rest,
-        mass=arm.mass,
-        com=frozen(arm.com),
-        floors=frozen(guarded_floors(arm)),
-        pairs=frozen(shape.pairs),
-        places=frozen(shape.places),
-        moving=frozen(shape.moving),
-        boxes=frozen(shape.boxes),
-        sizes=frozen(sizes),
-        least=frozen(_least(arm)),
-    )
+    margin = np.minimum(MARGIN, 0.25 * (arm.upper - arm.lower))
+    inner = frozen(np.stack([arm.lower + margin, arm.upper - margin]))
+    floors, least, spacious = guarded_floors(arm), frozen(_least(arm)), SPACIOUS * length_size(arm)
+    return redundancy.Body(chain_of(arm), collision_shape(arm), inner, floors, least, spacious)
 
 
 def _least(arm: Arm) -> Array:
@@ -313,33 +313,40 @@ def _least(arm: Arm) -> Array:
     return least
 
 
+class Pool(NamedTuple):
+    """Stored postures without contacts."""
+
+    posture: Array
+    """(N, n) [rad]"""
+    place: Array
+    """(N, 3) [m] TCP"""
+    rotation: Array
+    """(N, 3, 3)"""
+    torque: Array
+    """(N, n) [N m] against gravity"""
+    bare: Array
+    """(N,) cost without torque and travel"""
+
+
 @lru_cache(maxsize=32)
-def pool_of(arm: Arm) -> Any:  # noqa: ANN401 - `redundancy.Pool`, likewise
+def pool_of(arm: Arm) -> Pool:
     """Return stored postures without contacts; InputError: none."""
     rng, body = np.random.default_rng(0), body_of(arm)
-    drawn = frozen(np.vstack([arm.rest, rng.uniform(body.inner[0], body.inner[1], (DRAWN, arm.joints))]))
-    place, torque, bare = np.empty((len(drawn), 12)), np.empty(drawn.shape), np.empty(len(drawn))
-    redundancy.survey(body, drawn, place, torque, bare)
+    drawn = np.vstack([arm.rest, rng.uniform(body.inner[0], body.inner[1], (DRAWN, arm.joints))])
+    bare = np.empty(len(drawn))
+    redundancy.judge_all(body, drawn, np.full((2, arm.joints), np.inf), bare)
     free = np.flatnonzero(bare < redundancy.FAR)[:POOL]
     if not len(free):
         cause = "its keep_out boxes leave it no posture" if arm.keep_out else "it touches itself or the ground always"
         raise InputError(f"arm {arm.name}: {cause}, of {DRAWN} that were tried; correct its file")
-    return redundancy.Pool(*(frozen(array[free]) for array in (drawn, place, torque, bare)))
+    posture = drawn[free]
+    f = frames(arm, posture)
+    parts = (posture, f.tcp_position, f.tcp_rotation, gravity_torque(arm, posture), bare[free])
+    return Pool(*map(frozen, parts))
 
 
-def _check(arm: Arm, places: Array, starts: Array, turn: Orientation | None, motors: Motors | None) -> None:
+def _check(arm: Arm, places: Array, starts: Array) -> None:
     if places.ndim != 2 or places.shape[1] != 3 or not np.isfinite(places).all():
         raise InputError(f"targets: expected K places of three finite numbers [m], got shape {places.shape}")
     if starts.shape not in ((arm.joints,), (len(places), arm.joints)) or not np.isfinite(starts).all():
         raise InputError(f"start: expected {arm.joints} finite joint positions [rad], or {len(places)} times as many")
-    if turn is not None and turn.weight.shape != (len(places),):
-        raise InputError(f"turn: expected {len(places)} orientations, got {turn.weight.shape}")
-    if motors is not None and (np.shape(motors) != (2, arm.joints) or not (np.array(motors) > 0.0).all()):
-        raise InputError(f"motors: expected {arm.joints} positive torques [N m] each, got {motors}")
-
-
-def frozen(array: NDArray[Any]) -> NDArray[Any]:
-    """Contiguous read-only array, as compiled loops need."""
-    result = np.array(array, order="C")
-    result.setflags(write=False)
-    return result

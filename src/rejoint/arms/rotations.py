@@ -19,15 +19,10 @@ from rejoint.arms.inertia import bare
 from rejoint.arms.kinematics import frames, position_kinematics
 
 
-def cross_matrix(vector: Array) -> Array:
-    """Matrix (3, 3) of the cross product with ``vector`` (3,)."""
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
 def turned(vector: Array) -> Array:
     """Rotations (..., 3, 3) by rotation vectors (..., 3) [rad]."""
-    return np.asarray(Rotation.from_rotvec(np.reshape(vector, (-1, 3))).as_matrix().reshape(*np.shape(vector), 3))
+    flat = np.array(vector, dtype=float).reshape(-1, 3)  # a copy: scipy takes no read-only array
+    return np.asarray(Rotation.from_rotvec(flat).as_matrix().reshape(*np.shape(vector), 3))
 
 
 def rotation_about(axis: Array, angle: float) -> Array:
@@ -189,26 +184,18 @@ def task(arm: Arm, q: Array, target: Array, turn: Orientation | None) -> tuple[A
     return error, np.concatenate([jacobian, weight[..., None] * turn.rows(f.axis)], axis=-2)
 
 
+def roll_pitch_yaw(rotation: Array) -> Array:
+    """Angles (3,) rx, ry, rz [rad] of a rotation R = Rz Ry Rx, as in URDF; rx is 0 at ry = +-90 deg."""
+    rx = np.arctan2(rotation[2, 1], rotation[2, 2]) if np.hypot(*rotation[2, 1:]) > 1e-9 else 0.0
+    rest = rotation @ turned(np.array([-rx, 0.0, 0.0]))
+    return np.array([rx, np.arctan2(-rest[2, 0], rest[2, 2]), np.arctan2(-rest[0, 1], rest[1, 1])])
+
+
 def to_coords(pose: Array) -> Array:
-    """Position [m] and rx, ry, rz [rad] (R = Rz Ry Rx) of a pose, (6,); rx is 0 at ry = +-90 deg."""
-    r = pose[:3, :3]
-    cosine = np.hypot(r[0, 0], r[1, 0])
-    ry = np.arctan2(-r[2, 0], cosine)
-    if cosine > 1e-9:
-        rx, rz = np.arctan2(r[2, 1], r[2, 2]), np.arctan2(r[1, 0], r[0, 0])
-    else:
-        rx, rz = 0.0, np.arctan2(-r[0, 1], r[1, 1])
-    return np.array([*pose[:3, 3], rx, ry, rz])
+    """Position [m] and `roll_pitch_yaw` [rad] of a pose, (6,)."""
+    return np.concatenate([pose[:3, 3], roll_pitch_yaw(pose[:3, :3])])
 
 
 def to_pose(coords: Array) -> Array:
     """Inverse of `to_coords`."""
-    (sx, sy, sz), (cx, cy, cz) = np.sin(coords[3:]), np.cos(coords[3:])
-    pose = np.eye(4)
-    pose[:3, :3] = [
-        [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],
-        [sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx],
-        [-sy, cy * sx, cy * cx],
-    ]
-    pose[:3, 3] = coords[:3]
-    return pose
+    return pose_of(Rotation.from_euler("xyz", np.array(coords[3:])).as_matrix(), coords[:3])

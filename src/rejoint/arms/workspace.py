@@ -8,10 +8,10 @@ margins, at most 0.2 x 0.4 x 0.2 of the reach (Park et al. 2024, section IV-A). 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
-from itertools import product
+from itertools import permutations, product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,8 +55,8 @@ _FLAT = 1e-6
 
 _CANDIDATES, _SPREAD = 8, 16
 """start postures and their distance in rank"""
-_CLIMB = 200
-"""steps"""
+_CLIMB = 60
+"""steps (chosen)"""
 
 
 def reach(arm: Arm) -> float:
@@ -81,8 +81,8 @@ def on_a_surface(arm: Arm, seed: int = 0) -> bool:
 
 
 def derive_targets(arm: Arm, seed: int = 0) -> Box:
-    """Target region around the resting TCP; InputError."""
-    found = _largest_box(_survey(arm, seed))
+    """Target region around the resting TCP; NoPostureError."""
+    found = _largest_box(_survey(arm, seed), arm.rest)
     if found is None:
         raise NoPostureError(
             f"arm {arm.name}: no region of reachable targets around the rest posture was found; "
@@ -91,31 +91,11 @@ def derive_targets(arm: Arm, seed: int = 0) -> Box:
     return found
 
 
-def workspaces(
-    arm: Arm, seed: int = 0, *, apart: float = 0.0, margin: float = 0.0
-) -> Iterator[tuple[Array, Box, bool]]:
-    """Rest postures (n,) [rad], targets, and whether those are wide, the best first.
-
-    Postures keep ``apart`` (of the reach) more from the floor and ``margin`` [rad] from limits. InputError: none.
-    """
-    survey = replace(_survey(arm, seed), apart=apart, margin=margin)
-    if survey.manipulability < _FLAT * survey.reach**3:
-        raise InputError(
-            f"arm {arm.name}: its {arm.joints} joints move the TCP on a line or a surface only, and targets are points "
-            "in space; choose a base and a tip with at least three joints between them that do not all lie in parallel"
-        )
-    for rest in _rest_candidates(survey, seed):
-        box = _largest_box(replace(survey, arm=replace(arm, rest=rest), apart=0.0))
-        if box is not None:
-            yield rest, box, bool((box.upper - box.lower >= 0.5 * EDGES * survey.reach).all())
-
-
 class NoPostureError(InputError):
     """No rest posture with targets was found."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Survey:
+class _Survey(NamedTuple):
     """Samples of the joint space."""
 
     arm: Arm
@@ -129,14 +109,10 @@ class _Survey:
     manipulability: float
     torque: float
     """[N m] largest of the samples"""
-    apart: float = 0.0
-    """extra distance from the floor, over the reach"""
-    margin: float = 0.0
-    """[rad] from the joint limits"""
 
-    def clear(self, f: Frames) -> NDArray[np.bool_]:
-        """Whether rising joint frames and TCP are a link radius above the floor (...)."""
-        height = self.arm.floor + (LINK_RADIUS_RATIO + self.apart) * self.reach
+    def clear(self, f: Frames, apart: float = 0.0) -> NDArray[np.bool_]:
+        """Whether rising frames and TCP are a link radius, and ``apart`` of the reach, above the floor (...)."""
+        height = self.arm.floor + (LINK_RADIUS_RATIO + apart) * self.reach
         frames_clear = (f.position[..., rising_frames(self.arm, height), 2] > height).all(axis=-1)
         return frames_clear & (f.tcp_position[..., 2] > height)
 
@@ -145,15 +121,8 @@ def _survey(arm: Arm, seed: int) -> _Survey:
     low, high = np.maximum(arm.lower, -np.pi), np.minimum(arm.upper, np.pi)
     low, high = np.where(low < high, low, arm.lower), np.where(low < high, high, arm.upper)
     postures = np.random.default_rng(seed).uniform(low, high, (SAMPLES, arm.joints))
-    return _Survey(
-        arm=arm,
-        reach=reach(arm),
-        low=low,
-        high=high,
-        postures=postures,
-        manipulability=float(_manipulability(arm, postures).max()),
-        torque=float(np.abs(gravity_torque(arm, postures)).max()),
-    )
+    torque = float(np.abs(gravity_torque(arm, postures)).max())
+    return _Survey(arm, reach(arm), low, high, postures, float(_manipulability(arm, postures).max()), torque)
 
 
 def _manipulability(arm: Arm, q: Array) -> Array:
@@ -161,76 +130,46 @@ def _manipulability(arm: Arm, q: Array) -> Array:
     return np.sqrt(np.maximum(np.linalg.det(j @ np.swapaxes(j, -1, -2)), 0.0))
 
 
-def _score(survey: _Survey, q: Array) -> Array:
-    """Scores of postures (..., n); minus infinity: unusable."""
+def _score(survey: _Survey, q: Array, apart: float, margin: float) -> Array:
+    """Scores of postures (..., n); minus infinity: unusable. See `_SEARCHES`."""
     arm, f = survey.arm, frames(survey.arm, q)
     tcp = f.tcp_position
     middle, half = (survey.high + survey.low) / 2, (survey.high - survey.low) / 2
     elbow = f.position[..., 2].max(axis=-1) - tcp[..., 2]
     distance = np.hypot(tcp[..., 0], tcp[..., 1])
-    load = np.abs(gravity_torque(arm, q)).max(axis=-1)
     score = (
         _manipulability(arm, q) / max(survey.manipulability, 1e-12)
-        + 1.0
         - (((q - middle) / half) ** 2).mean(axis=-1)
         + np.clip(elbow / (0.15 * survey.reach), 0.0, 1.0)
         + tcp[..., 0] / np.maximum(distance, 1e-9)
-        + 1.0
-        - load / max(survey.torque, 1e-12)
+        - np.abs(gravity_torque(arm, q)).max(axis=-1) / max(survey.torque, 1e-12)
     )
     ahead = (tcp[..., 0] > 0) & (distance > 2 * AXIS_CLEARANCE * survey.reach)
-    most = np.minimum((1 - 2 * REST_MARGIN) * half, np.maximum(half - survey.margin, 2 * LIMIT_MARGIN * half))
+    most = np.minimum((1 - 2 * REST_MARGIN) * half, np.maximum(half - margin, 2 * LIMIT_MARGIN * half))
     inside = (np.abs(q - middle) <= most).all(axis=-1)
-    high = tcp[..., 2] > arm.floor + (REST_HEIGHT + 2 * survey.apart) * survey.reach
-    return np.where(survey.clear(f) & ahead & inside & high, score, -np.inf)
+    high = tcp[..., 2] > arm.floor + (REST_HEIGHT + 2 * apart) * survey.reach
+    return np.where(survey.clear(f, apart) & ahead & inside & high, score, -np.inf)
 
 
-def _rest_candidates(survey: _Survey, seed: int) -> list[Array]:
-    """Best postures (n,) [rad] in whole degrees, by random local search."""
-    scores = _score(survey, survey.postures)
-    order = np.argsort(-scores, kind="stable")[: _CANDIDATES * _SPREAD : _SPREAD]
-    best, value = survey.postures[order], scores[order]
-    rng = np.random.default_rng(seed + 1)
-    for width in np.geomspace(0.2, 0.005, 40):
-        trial = best + width * (survey.high - survey.low) * rng.normal(size=(16, *best.shape))
-        trial = np.clip(trial, survey.low, survey.high)
-        found = _score(survey, trial)
-        choice, every = found.argmax(axis=0), np.arange(len(best))
-        better = found[choice, every] > value
-        best = np.where(better[:, None], trial[choice, every], best)
-        value = np.where(better, found[choice, every], value)
-    rounded = np.unique([_whole_degrees(survey, posture) for posture in best], axis=0)
-    value = _score(survey, rounded)
-    ranked = [rounded[i] for i in np.argsort(-value, kind="stable") if np.isfinite(value[i])]
-    if not ranked:
-        raise NoPostureError(
-            f"arm {survey.arm.name}: no posture has the TCP in front (x > 0), every joint frame above the floor "
-            "and room in every joint; give rest_deg in the arm's TOML file"
-        )
-    return ranked
+def _rest_candidates(survey: _Survey, seed: int, apart: float, margin: float) -> Array:
+    """Postures (c, n) [rad] in whole degrees, the best first, by random local search."""
+    scores = _score(survey, survey.postures, apart, margin)
+    best = np.degrees(survey.postures[np.argsort(-scores, kind="stable")[: _CANDIDATES * _SPREAD : _SPREAD]])
+    rng, low, high = np.random.default_rng(seed + 1), np.degrees(survey.low), np.degrees(survey.high)
+    for width in np.geomspace(0.2, 0.003, _CLIMB):
+        moves = width * (high - low) * rng.normal(size=(16, *best.shape)) * (rng.random((16, *best.shape)) < 0.5)
+        moves[0] = 0.0
+        trial = np.clip(np.rint(best + moves), np.ceil(low), np.floor(high))
+        choice = _score(survey, np.radians(trial), apart, margin).argmax(axis=0)
+        best = trial[choice, np.arange(len(best))]
+    found = np.radians(np.unique(best + 0.0, axis=0))
+    value = _score(survey, found, apart, margin)
+    return found[np.argsort(-value, kind="stable")][: np.isfinite(value).sum()]
 
 
-def _whole_degrees(survey: _Survey, posture: Array) -> Array:
-    """Climb from ``posture`` (n,) [rad] in whole degrees."""
-    low, high = np.ceil(np.degrees(survey.low)), np.floor(np.degrees(survey.high))
-    here = np.clip(np.rint(np.degrees(posture)), low, high) + 0.0
-    unit = np.eye(len(here))
-    ways = np.concatenate([unit, *(unit + np.roll(unit, k, axis=1) for k in range(1, len(here)))])
-    ways = np.concatenate([ways, *(unit - np.roll(unit, k, axis=1) for k in range(1, len(here)))])
-    moves = np.concatenate([size * ways for size in (-20.0, -5.0, -1.0, 1.0, 5.0, 20.0)])
-    value = _score(survey, np.radians(here))
-    for _ in range(_CLIMB):
-        neighbours = np.clip(here + moves, low, high)
-        scores = _score(survey, np.radians(neighbours))
-        if not scores.max() > value + 1e-9:
-            break
-        here, value = neighbours[scores.argmax()], scores.max()
-    return np.radians(here)
-
-
-def _good(survey: _Survey, points: Array, iterations: int = 60) -> NDArray[np.bool_]:
-    arm = survey.arm
-    solution = solve_position(arm, points, arm.rest, tolerance=1e-4 * survey.reach, iterations=iterations)
+def _good(survey: _Survey, rest: Array, points: Array, iterations: int = 60) -> NDArray[np.bool_]:
+    arm = replace(survey.arm, rest=rest)
+    solution = solve_position(arm, points, rest, tolerance=1e-4 * survey.reach, iterations=iterations)
     margin = LIMIT_MARGIN * (arm.upper - arm.lower)
     inside = ((solution.q > arm.lower + margin) & (solution.q < arm.upper - margin)).all(axis=-1)
     load = np.abs(gravity_torque(arm, solution.q)).max(axis=-1)
@@ -239,47 +178,32 @@ def _good(survey: _Survey, points: Array, iterations: int = 60) -> NDArray[np.bo
     return solution.converged & inside & clear & away & (load <= TORQUE_SHARE * survey.torque)
 
 
-def _largest_box(survey: _Survey) -> Box | None:
-    centre = frames(survey.arm, survey.arm.rest).tcp_position
-    step = EDGES * survey.reach / STEPS
+def _largest_box(survey: _Survey, rest: Array) -> Box | None:
+    """Grow boxes of good targets around the resting TCP, axis by axis; the largest one."""
+    centre, step = tcp_position(survey.arm, rest), EDGES * survey.reach / STEPS
     ticks = np.arange(-STEPS, STEPS + 1)
     grid = np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), axis=-1)
-    span = _largest_span(_good(survey, centre + grid * step))
-    if span is None:
-        return None
-    lower, upper = centre + (span[0] - STEPS) * step, centre + (span[1] - STEPS) * step
+    good, spans = _good(survey, rest, centre + grid * step), []
+    for order in permutations(range(3)):
+        span = np.full((2, 3), STEPS)
+        for axis, _, side in product(order, range(STEPS), (0, 1)):
+            bigger = span.copy()
+            bigger[side, axis] += 2 * side - 1
+            inside = tuple(slice(first, last + 1) for first, last in bigger.T)
+            if (np.ptp(bigger, axis=0) <= STEPS).all() and good[inside].all():
+                span = bigger
+        spans.append(span)
+    span = max(spans, key=lambda one: int(np.ptp(one, axis=0).prod()))
+    lower, upper = centre + (span - STEPS) * step
     for _ in range(10):
         lower, upper = np.ceil(lower * 1e3) / 1e3, np.floor(upper * 1e3) / 1e3
-        points = np.stack(np.meshgrid(*np.linspace(lower, upper, 8).T, indexing="ij"), axis=-1)
         if (upper - lower).min() <= 0:
             return None
-        if _good(survey, points, 200).all():
-            return Box(lower=lower, upper=upper)
+        box = Box(lower=lower, upper=upper)
+        if _good(survey, rest, box.grid(8), 200).all():
+            return box
         lower, upper = lower + 0.06 * (centre - lower), upper + 0.06 * (centre - upper)
     return None
-
-
-def _largest_span(good: NDArray[np.bool_]) -> tuple[NDArray[np.int_], NDArray[np.int_]] | None:
-    """First and last index (3,) of the largest good box around the middle of a (2S+1)^3 grid."""
-    total = np.zeros(tuple(np.array(good.shape) + 1), dtype=int)
-    total[1:, 1:, 1:] = good.cumsum(0).cumsum(1).cumsum(2)
-    intervals = [(i, j) for i in range(STEPS + 1) for j in range(STEPS, 2 * STEPS + 1) if 1 <= j - i <= STEPS]
-    best, span = (0, 0), None
-    for a, b, c in product(intervals, repeat=3):
-        edges = (a[1] - a[0]) * (b[1] - b[0]) * (c[1] - c[0])
-        skew = sum((i + j - 2 * STEPS) ** 2 for i, j in (a, b, c))
-        if (edges, -skew) <= best:
-            continue
-        volume = (a[1] - a[0] + 1) * (b[1] - b[0] + 1) * (c[1] - c[0] + 1)
-        if _count(total, a, b, c) == volume:
-            best, span = (edges, -skew), (np.array([a[0], b[0], c[0]]), np.array([a[1], b[1], c[1]]))
-    return span
-
-
-def _count(total: NDArray[np.int_], a: tuple[int, int], b: tuple[int, int], c: tuple[int, int]) -> int:
-    corners = product((0, 1), repeat=3)
-    ends = ((a[0], a[1] + 1), (b[0], b[1] + 1), (c[0], c[1] + 1))
-    return int(sum((-1) ** (3 - i - j - k) * total[ends[0][i], ends[1][j], ends[2][k]] for i, j, k in corners))
 
 
 UNLOADED = 0.03
@@ -310,9 +234,7 @@ def heaviest_load(arm: Arm, per_edge: int = 2) -> Array:
 
 def posture_grid(arm: Arm, per_edge: int) -> Solution:
     """Postures (per_edge^3, n) [rad] of a grid of targets."""
-    axes = [np.linspace(low, high, per_edge) for low, high in zip(arm.targets.lower, arm.targets.upper, strict=True)]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    return solve_position(arm, grid, arm.rest)
+    return solve_position(arm, arm.targets.grid(per_edge), arm.rest)
 
 
 @lru_cache(maxsize=32)
@@ -457,38 +379,29 @@ def postures_to_hold(
 
 
 def derive_workspace(arm: Arm, seed: int = 0) -> tuple[Array, Box]:
-    """Rest posture (n,) [rad] and targets with room for an excitation; InputError."""
+    """Rest posture (n,) [rad] and targets with room for an excitation; NoPostureError."""
+    survey, why = _survey(arm, seed), ""
     best: tuple[float, Array, Box] | None = None
-    why = ""
-    for rest, box, wide in _tried(arm, seed):
-        trial = replace(arm, rest=rest, targets=box)
-        share, spread = room(trial, seed)
-        if wide and share >= _LEAST and spread == 1.0:
-            return rest, box
-        why = why or unsafe(trial, rest) or "most postures around it are not safe"
-        if min(share, spread) >= _LEAST:
-            value = share * spread * float((box.upper - box.lower).prod())
-            best = (value, rest, box) if best is None or value > best[0] else best
+    for apart, margin in _SEARCHES:
+        for rest in _rest_candidates(survey, seed, apart, margin):
+            box = _largest_box(survey, rest)
+            if box is None:
+                continue
+            trial, edges = replace(arm, rest=rest, targets=box), box.upper - box.lower
+            share, spread = room(trial, seed)
+            if (edges >= 0.5 * EDGES * survey.reach).all() and share >= _LEAST and spread == 1.0:
+                return rest, box
+            why = why or unsafe(trial, rest) or "most postures around it are not safe"
+            value = share * spread * float(edges.prod())
+            if min(share, spread) >= _LEAST and (best is None or value > best[0]):
+                best = value, rest, box
     if best is None:
         lack = f"has room for an excitation (of the best one: {why})" if why else "has a region of reachable targets"
         raise NoPostureError(
-            f"arm {arm.name}: no posture with the TCP in front of the base (x > 0) {lack}; give rest_deg in the arm's "
-            "TOML file"
+            f"arm {arm.name}: no posture with the TCP in front of the base (x > 0), every joint frame above the floor "
+            f"and room in every joint {lack}; give rest_deg in the arm's TOML file"
         )
-    return best[1], best[2]
-
-
-def _tried(arm: Arm, seed: int) -> Iterator[tuple[Array, Box, bool]]:
-    found, refused = False, None
-    for apart, margin in _SEARCHES:
-        try:
-            for candidate in workspaces(arm, seed, apart=apart, margin=margin):
-                found = True
-                yield candidate
-        except NoPostureError as error:
-            refused = refused or error
-    if refused is not None and not found:
-        raise refused
+    return best[1:]
 
 
 def _most_load(arm: Arm) -> Array:

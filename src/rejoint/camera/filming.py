@@ -11,7 +11,7 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from rejoint.arms import Arm, Array, collides, frames, heights, tcp_pose, tcp_position
+from rejoint.arms import Arm, Array, collides, heights, tcp_pose, tcp_position
 from rejoint.camera.board import Board
 from rejoint.camera.detector import Detector, Picture, Unusable
 from rejoint.camera.film import Film, Shot, positions, read_film, write_film
@@ -98,7 +98,7 @@ def seen_postures(
         drawn = drawn if rig is None else drawn[rig.shows(tcp_pose(arm, drawn))]
         for away in (0.0, before, -before) if before else (0.0,):
             drawn = drawn[heights(arm, drawn - away)[:, 1:].min(axis=-1) > arm.floor]
-            drawn = drawn[~collides(arm, frames(arm, drawn - away))]
+            drawn = drawn[~collides(arm, drawn - away)]
         found = np.concatenate([found, drawn])
     return found[:count]
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, Displacement, clip_norm, dls, frames, position_kinematics, tcp_position
 from rejoint.arms.inverse import REST_GAIN
-from rejoint.arms.posing import find_postures
+from rejoint.arms.postures import find_postures
 from rejoint.arms.rotations import Orientation
 from rejoint.control.controller import ControlInput
 from rejoint.control.robot import Mask

@@ -17,7 +17,7 @@ from rejoint.arms import Arm, Array, JointTrajectory, Motors, clearances, plan
 from rejoint.arms.collision import usual_distances
 from rejoint.arms.inverse import REST_GAIN
 from rejoint.arms.planning import PlanningError
-from rejoint.arms.posing import find_postures
+from rejoint.arms.postures import find_postures
 from rejoint.arms.rotations import Orientation
 from rejoint.arms.workspace import length_size
 

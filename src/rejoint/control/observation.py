@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, collides, frames, position_kinematics
+from rejoint.arms import Arm, Array, collides, position_kinematics
 from rejoint.arms.inverse import DAMPING
 from rejoint.control.controller import ControlInput
 from rejoint.control.law import plain
@@ -275,5 +275,5 @@ def _equation_16(out: Observation, reading: ObservationInput, change: Array, arm
     out[:, m : m + 3] = POINT_SCALE * reading.target
     out[:, m + 3 : m + 6] = POINT_SCALE * view.tcp
     columns[m + 6] = POINT_SCALE * view.distance
-    columns[m + 7] = collides(arm, frames(arm, reading.position))
+    columns[m + 7] = collides(arm, reading.position)
     columns[m + 8] = view.distance < SUCCESS_DISTANCE

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array, Motors, clearance, gravity_torque, position_kinematics
 from rejoint.arms.inertia import LoadedArm, Payload, loaded
 from rejoint.arms.kinematics import GRAVITY
-from rejoint.arms.posing import find_postures
+from rejoint.arms.postures import find_postures
 from rejoint.arms.rotations import Orientation
 from rejoint.control.moving.posture import joint_weights
 from rejoint.logs.runlog import RunLog

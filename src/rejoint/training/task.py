@@ -17,7 +17,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, collides, frames, gravity_torque, heights, solve_position, tcp_position
+from rejoint.arms import Arm, Array, collides, gravity_torque, heights, solve_position, tcp_position
 from rejoint.arms.postures import comfortable_postures
 from rejoint.control.controller import ControlInput
 from rejoint.control.guard import GuardLimits, guard
@@ -270,7 +270,7 @@ class ReachTask:
     def _collided(self) -> Mask:
         if not self.settings.collisions:
             return np.zeros(self.agents, dtype=bool)
-        return collides(self.arm, frames(self.arm, self.simulation.twins.qpos))
+        return collides(self.arm, self.simulation.twins.qpos)
 
     def _renew(
         self, ended: Mask, collided: Mask, final: Observation, final_privileged: Observation

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rejoint.arms import collides, frames, gravity_torque, load_arm, tcp_position
+from rejoint.arms import collides, gravity_torque, load_arm, tcp_position
 from rejoint.control.moving.posture import PathPostures, Servos, home_of
 
 
@@ -58,7 +58,7 @@ def test_no_arm_folds_into_itself_or_the_ground():
     places = arm.targets.sample(np.random.default_rng(0), (32,))
 
     def touches(home):
-        return collides(tooled, frames(tooled, PathPostures(tooled, places, home=home).last)).any()
+        return collides(tooled, PathPostures(tooled, places, home=home).last).any()
 
     wrist = np.radians([0.0, 0.0, 0.0, 60.0, 0.0, 0.0])
     assert not touches(tooled.rest)

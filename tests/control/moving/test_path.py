@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280, tcp_position
-from rejoint.arms.posing import missed_pose
+from rejoint.arms.postures import missed_pose
 from rejoint.control.moving.posture import PathPostures
 from rejoint.control.moving.reference import (
     Path,

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, solve_position, tcp_pose
-from rejoint.arms.rotations import rotation_about, rotation_vector
+from rejoint.arms.rotations import Orientation, difference, moved, tool_axis
 
 Mask = NDArray[np.bool_]
 
@@ -34,9 +34,8 @@ def at_angles(here: Array, angles: Array) -> bool:
 
 def at_place(here: Array, pose: Array) -> bool:
     """Whether ``here`` (4, 4) is within 3 mm and a degree of ``pose``."""
-    cosine = (np.trace(pose[:3, :3] @ here[:3, :3].T) - 1.0) / 2.0
-    near = np.linalg.norm(pose[:3, 3] - here[:3, 3]) < ARRIVED_LENGTH
-    return bool(near and cosine > np.cos(ARRIVED_ANGLE))
+    shift, turn = np.linalg.norm(difference(here, pose).reshape(2, 3), axis=1)
+    return bool(shift < ARRIVED_LENGTH and turn < ARRIVED_ANGLE)
 
 
 class Sensed(NamedTuple):
@@ -262,16 +261,12 @@ def solve_pose(arm: Arm, pose: Array, start: Array) -> Array | None:
 def line_path(arm: Arm, start: Array, pose: Array, speed: float) -> tuple[TimedPath, bool]:
     """Straight tool line from ``start`` as far as possible, and whether it arrives."""
     here = tcp_pose(arm, start)
-    turn = rotation_vector(pose[:3, :3] @ here[:3, :3].T)
-    length, angle = float(np.linalg.norm(pose[:3, 3] - here[:3, 3])), float(np.linalg.norm(turn))
-    axis = turn / max(angle, 1e-12)  # without a turn it is zero, and so is the rotation about it
+    change = difference(pose, here)
+    length, angle = np.linalg.norm(change.reshape(2, 3), axis=1)
     count = max(1, int(np.ceil(max(length / _STEP, angle / _TURN_STEP))))
     slowest = max(length / CARTESIAN_SPEED, angle / TURN_SPEED) / count
     points, times = [start], [0.0]
-    for i in range(1, count + 1):
-        via = np.eye(4)
-        via[:3, :3] = rotation_about(axis, angle * i / count) @ here[:3, :3]
-        via[:3, 3] = here[:3, 3] + (pose[:3, 3] - here[:3, 3]) * i / count
+    for via in moved(here, np.arange(1, count + 1)[:, None] / count * change):
         point = _solve(arm, via, points[-1][None], 40)
         if point is None or np.abs(point - points[-1]).max() > _MAX_JUMP:
             break
@@ -281,7 +276,10 @@ def line_path(arm: Arm, start: Array, pose: Array, speed: float) -> tuple[TimedP
 
 
 def _solve(arm: Arm, pose: Array, starts: Array, iterations: int, near: Array | None = None) -> Array | None:
-    found = solve_position(arm, pose[:3, 3], starts, rotation=pose[:3, :3], tolerance=_TOLERANCE, iterations=iterations)
+    turn = Orientation(rotation=pose[:3, :3], whole=np.array(True), weight=np.array(1.0), axis=tool_axis(arm))
+    found = solve_position(
+        arm, pose[:3, 3], starts, turn=turn, tolerance=_TOLERANCE, iterations=iterations, rest_gain=0.0
+    )
     if not found.converged.any():
         return None
     good: Array = found.q[found.converged]

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rejoint.arms import Array, tcp_pose
-from rejoint.arms.rotations import to_coords, to_pose
+from rejoint.arms.rotations import moved, to_coords, to_pose
 from rejoint.arms.wire.mover import FULL_SPEED, Mover, solve_pose
 from rejoint.arms.wire.values import (
     LIMIT_SCALE,
@@ -92,15 +92,9 @@ def _move_tool(computer: Mover, pose: Array, rate: float, mode: int = 0) -> bool
 def _jog_axis(computer: Mover, axis: int, forwards: int, rate: float) -> bool:
     if not 0 <= axis < 6:
         return False
-    sign = 1.0 if forwards else -1.0
-    pose = tcp_pose(computer.arm, computer.planned_angles)
-    if axis < 3:
-        pose[axis, 3] += sign * _JOG_LENGTH
-    else:
-        turn = np.zeros(6)
-        turn[axis] = sign * _JOG_TURN
-        pose[:3, :3] = to_pose(turn)[:3, :3] @ pose[:3, :3]
-    return computer.jog_tool(pose, rate)
+    change = np.zeros(6)
+    change[axis] = (1.0 if forwards else -1.0) * (_JOG_LENGTH if axis < 3 else _JOG_TURN)
+    return computer.jog_tool(moved(tcp_pose(computer.arm, computer.planned_angles), change), rate)
 
 
 def _drag(computer: Mover, angles: Array, speeds: bytes) -> bool:

@@ -12,7 +12,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, collides, frames, gravity_torque, position_kinematics
 from rejoint.arms.kinematics import GRAVITY
-from rejoint.arms.posing import find_postures
+from rejoint.arms.postures import find_postures
 from rejoint.arms.rotations import Orientation, task
 
 SPARED = 20.0
@@ -98,7 +98,7 @@ def home_of(arm: Arm, servos: Servos) -> Array:
         return np.asarray((load / room)[:, ~light].max(axis=-1))
 
     at_rest = PathPostures(arm, places).last
-    least, touching = share(at_rest), collides(arm, frames(arm, at_rest))
+    least, touching = share(at_rest), collides(arm, at_rest)
     homes = np.broadcast_to(arm.rest, room.shape).copy()
     weak = least > 1.0
     for joint in np.flatnonzero(light) if weak.any() else ():
@@ -106,7 +106,7 @@ def home_of(arm: Arm, servos: Servos) -> Array:
             home = arm.rest + fold * np.eye(arm.joints)[joint]
             postures = PathPostures(arm, places, home=home).last
             within = ((home > arm.lower) & (home < arm.upper)).all()
-            if within and not (collides(arm, frames(arm, postures)) & ~touching).any():
+            if within and not (collides(arm, postures) & ~touching).any():
                 better = weak & (share(postures) < least)
                 homes[better], least = home, np.where(better, share(postures), least)
     return homes

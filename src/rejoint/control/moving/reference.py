@@ -17,7 +17,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from rejoint.arms import Arm, Array
-from rejoint.arms.posing import NEAR, TURNED, missed_pose
+from rejoint.arms.postures import NEAR, TURNED, missed_pose
 from rejoint.arms.rotations import Orientation, same_side, stacked
 from rejoint.arms.workspace import length_size
 from rejoint.control.moving.posture import PathPostures

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, collides, frames, gravity_torque, heights, solve_position
+from rejoint.arms import Arm, Array, collides, gravity_torque, heights, solve_position
 from rejoint.arms.displacement import FLOATING
 from rejoint.arms.postures import comfortable_postures
 from rejoint.arms.workspace import length_size, rising_frames
@@ -137,7 +137,7 @@ def _free(arm: Arm, q: Array) -> NDArray[np.bool_]:
     inside = ((q > arm.lower + room) & (q < arm.upper - room)).all(axis=1)
     moving = np.append(rising_frames(arm), True)
     above = (heights(arm, q)[:, moving] > arm.floor + CLEARANCE * length_size(arm)).all(axis=1)
-    return np.asarray(inside & above & ~collides(arm, frames(arm, q)))
+    return np.asarray(inside & above & ~collides(arm, q))
 
 
 def _seen(arm: Arm, known: Belief, postures: Array, sigma: float) -> tuple[Array, Array]:

@@ -158,12 +158,13 @@ class OwnCorrections(Modelled):
     def __init__(self, found: Sequence[Calibration]) -> None:
         self._each = [Modelled(one.arm, one.displacement if one.used else Displacement.none(one.arm)) for one in found]
 
-    def aim(self, target: Array, start: Array, where: Mask, near: Array | None = None) -> Array:
-        """Corrected targets (B, 3) [m]."""
+    def aim(
+        self, target: Array, start: Array, where: Mask, near: Array | None = None, turn: Orientation | None = None
+    ) -> tuple[Array, Orientation | None]:
+        """Corrected targets (B, 3) [m]; points have no orientation."""
         rows = (target, start, where) if near is None else (target, start, where, near)
-        return np.concatenate(
-            [one.aim(*own) for one, *own in zip(self._each, *(row[:, None] for row in rows), strict=True)]
-        )
+        each = zip(self._each, *(row[:, None] for row in rows), strict=True)
+        return np.concatenate([one.aim(*own)[0] for one, *own in each]), turn
 
     def again(self, target: Array, inputs: ControlInput) -> Array | None:
         """Correct settled arms once more."""

@@ -8,7 +8,6 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, mycobot280, solve_position, tcp_pose, tcp_position
 from rejoint.arms.arm import DhRow, dh_chain
-from rejoint.arms.catalogue import DH_TABLE, PAPER_ANGLE_SHIFT, PAPER_DH_TABLE
 from rejoint.control.law import dls_step
 from rejoint.pages.html import BLUE, ORANGE, RED
 from rejoint.pages.report.figures import Ways, bounds, ways
@@ -22,6 +21,28 @@ EDGE = 9
 CLOSE = 1e-3
 """[m] convergence of damped least squares"""
 
+DH_TABLE = (
+    DhRow(d=0.13122, a=0.0, alpha=np.pi / 2),
+    DhRow(d=0.0, a=-0.1104, alpha=0.0, offset=-np.pi / 2),
+    DhRow(d=0.0, a=-0.096, alpha=0.0),
+    DhRow(d=0.0634, a=0.0, alpha=np.pi / 2, offset=-np.pi / 2),
+    DhRow(d=0.07505, a=0.0, alpha=-np.pi / 2, offset=np.pi / 2),
+    DhRow(d=0.0456, a=0.0, alpha=0.0),
+)
+
+PAPER_DH_TABLE = (
+    DhRow(d=0.1312, a=0.0, alpha=-np.pi / 2),
+    DhRow(d=0.0, a=0.1104, alpha=0.0),
+    DhRow(d=0.0, a=0.096, alpha=0.0),
+    DhRow(d=0.0634, a=0.0, alpha=np.pi / 2),
+    DhRow(d=0.0741, a=0.0, alpha=-np.pi / 2),
+    DhRow(d=0.0456, a=0.0, alpha=0.0),
+)
+"""Table 1 of Park et al. 2024"""
+
+PAPER_ANGLE_SHIFT = np.radians([180.0, -90.0, 0.0, 90.0, 90.0, 0.0])
+"""Angles of the paper minus the vendor's"""
+
 
 def measure_kinematics(bench: Bench) -> Found:
     """Compare both tables."""
@@ -34,8 +55,7 @@ def measure_kinematics(bench: Bench) -> Found:
         1e3 * np.linalg.norm(_flanges(other, postures + PAPER_ANGLE_SHIFT) - _flanges(vendor, postures), axis=1).max()
         for other in (paper, paper_arm(tuple(rows)))
     )
-    axes = np.linspace(paper.targets.lower, paper.targets.upper, EDGE).T
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    points = paper.targets.grid(EDGE)
     names = ("offset °", "d mm", "a mm", "α °")
     headers = ("joint", *(f"{whose}: {name}" for whose in ("paper", "vendor") for name in names))
     tables = zip(PAPER_DH_TABLE, DH_TABLE, strict=True)
