@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from rejoint.arms import Arm, Array, Displacement
-from rejoint.arms.rotations import cross_matrix, moved
+from rejoint.arms.rotations import moved
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.parameters import (
     Belief,
@@ -146,7 +146,7 @@ class CalibrationProblem(Fittable):
         if self.layout.frame:
             small = derivative[..., self.layout.at("frame")]
             small[..., :3] = -np.eye(3)
-            small[..., 3:] = np.reshape([cross_matrix(away) for away in tool - pose[:3, 3]], (-1, 3, 3))
+            small[..., 3:] = np.cross((tool - pose[:3, 3])[:, None], np.eye(3)).swapaxes(-1, -2)
         residual = np.where(self.known, (tool - pose[:3, 3]) @ pose[:3, :3] - m.point, 0.0)
         return residual, np.where(self.known[..., None], pose[:3, :3].T @ derivative, 0.0)
 

@@ -14,6 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from rejoint.arms import Arm, Array, Displacement
+from rejoint.arms.rotations import Orientation
 from rejoint.control.comparison.compare import count_targets
 from rejoint.control.comparison.protocols import metrics_of, schedule
 from rejoint.control.comparison.result import METRICS, MODELLED, Columns, Kind, Protocol
