@@ -33,14 +33,14 @@ from rejoint.control.moving.reference import LEAD_IN, Ahead, PathReference, stan
 from rejoint.control.moving.tracker import Tracker
 from rejoint.control.start import begin, move
 from rejoint.control.targets import draw_targets
-from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.logs.runfolder import RunFolder
 from rejoint.research.evaluation.contestants import planned
 from rejoint.research.evaluation.family import FAMILY_SIZE
 from rejoint.research.evaluation.trials import own_twin
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.lab.plant.wear import load_wear
-from rejoint.session.paths import servos_of
-from rejoint.session.payload import heavy, noticed_load
+from rejoint.session.context import heavy, noticed_load
+from rejoint.session.motions import servos_of
 from rejoint.twin.twin import Twin
 
 LOAD = 0.1  # [kg]

@@ -18,7 +18,7 @@ from rejoint.control.controller import ControlInput
 from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.goal import nearest_postures
 from rejoint.control.robot import JointState
-from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.logs.runfolder import RunFolder
 from rejoint.research.evaluation.contestants import planned
 from rejoint.research.evaluation.family import ArmFamily, find_variant
 from rejoint.research.evaluation.trials import TrialSettings, own_twin, try_controller

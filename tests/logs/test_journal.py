@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from rejoint.logs import journal as module
 from rejoint.logs.journal import CUT_SHORT, Journal, read_journal, recover
-from rejoint.logs.runfolder.folder import RunFolder, locked
+from rejoint.logs.runfolder import RunFolder, locked
 from rejoint.logs.runlog import RunLog, read_log
 from rejoint.system.errors import FileError
 

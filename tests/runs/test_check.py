@@ -15,8 +15,7 @@ from rejoint.arms.workspace import is_safe
 from rejoint.diagnosis.monitoring.measures import measure_check
 from rejoint.diagnosis.monitoring.routine import CYCLES, POSES, plan_check, record_check
 from rejoint.diagnosis.segments import attach_segments
-from rejoint.logs.history.index import find_rows
-from rejoint.logs.history.rows import SUMMARY, read_rows, write_rows
+from rejoint.logs.history import SUMMARY, find_rows, read_rows, write_rows
 from rejoint.logs.journal import Journal
 from rejoint.logs.runlog import RunLog
 from rejoint.robots.emulated import EmulatedRobot

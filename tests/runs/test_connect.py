@@ -20,7 +20,7 @@ from rejoint.control.robot import JointState
 from rejoint.control.unloading import PlannedWay, UnloadedWay, Unloading
 from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.runs.run import Run
-from rejoint.session.motions import GoalStream
+from rejoint.session.driver import GoalStream
 from rejoint.twin.parameters import nominal_parameters, prior
 from rejoint.twin.twin import HeldOut, PredictionError, Twin
 

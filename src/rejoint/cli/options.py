@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import math
 import re
 from collections.abc import Callable, Mapping
@@ -19,22 +18,12 @@ from rejoint.arms.inertia import Payload as LoadedWith
 from rejoint.arms.loading import read_arm, write_unfinished
 from rejoint.cli import TEXTS, section
 from rejoint.cli.console import Terminal
-from rejoint.logs.runfolder.folder import LOGS, RunFolder
+from rejoint.logs.runfolder import LOGS, RunFolder
 from rejoint.robots import DEFAULT_ARM, place_of
 from rejoint.runs.run import Run as OpenRun
 from rejoint.runs.run import newest_or_new
-from rejoint.session.settings import Settings
+from rejoint.session.inputs import Settings
 from rejoint.system.errors import InputError
-
-
-def meaning(field: str) -> str:
-    """Return what a field of `Settings` means, as its documentation says it: without the unit and what is Python's."""
-    source = inspect.getsource(Settings)
-    found = re.search(
-        rf'^    {field}: [^\n]*\n    """(?:\[\S+\] )?(.*?)(?:\. In\s+Python .*?)?"""', source, re.M | re.S
-    )
-    assert found is not None, field  # noqa: S101 - a test asks for each
-    return found[1][:1].upper() + re.sub(r"\s+", " ", found[1][1:])
 
 
 class ArmPick(NamedTuple):
@@ -165,24 +154,14 @@ def point_of(x: float, y: float, z: float, option: str = "goto") -> tuple[float,
 
 
 class SharedOption(NamedTuple):
-    """An option that becomes a field of `Settings`, whose documentation is its help."""
+    """An option that becomes a field of `Settings`; its help is in the section ``shared`` of `TEXTS`."""
 
     kind: object = str | None
     """type of the command's parameter"""
     read: Callable[[Any], object] = lambda given: given
     """makes the field of what the user wrote"""
-    form: str = ""
-    """unit, and how it is written"""
     field: str = ""
     """of `Settings`, where it is not called like the option"""
-    limits: Mapping[str, float] = {}
-
-    def parameter(self, name: str) -> Parameter:
-        """Return a command's parameter called ``name``."""
-        field = self.field or name
-        what, default, usual = meaning(field).partition("; by default")
-        text = f"{what}{self.form and f', {self.form}'}{default}{usual}."
-        return keyword(name, self.kind, {"help": text, **self.limits}, getattr(Settings, field))
 
 
 def keyword(name: str, kind: object, entry: str | Mapping[str, Any], default: object = None) -> Parameter:
@@ -197,19 +176,21 @@ def keyword(name: str, kind: object, entry: str | Mapping[str, Any], default: ob
 
 SHARED = {
     "controller": SharedOption(),
-    "dwell": SharedOption(float, form="in seconds", limits={"min": 0.1}),
-    "within": SharedOption(
-        float | None, lambda mm: None if mm is None else 1e-3 * mm, "in mm", limits={"min": 0.01, "max": 100.0}
-    ),
+    "dwell": SharedOption(float),
+    "within": SharedOption(float | None, lambda mm: None if mm is None else 1e-3 * mm),
     "calibration": SharedOption(),
-    "payload": SharedOption(str | None, payload_of, "in kg: 0.15, or 0.15@x,y,z with its centre in mm from there"),
-    "tool": SharedOption(str | None, tool_of, "in mm: x,y,z"),
+    "payload": SharedOption(str | None, payload_of),
+    "tool": SharedOption(str | None, tool_of),
     "camera": SharedOption(field="eye"),
-    "period": SharedOption(str | None, period_seconds, "in ms, such as 50 or 20-30"),
-    "seed": SharedOption(int | None, limits={"min": 0}),
+    "period": SharedOption(str | None, period_seconds),
+    "seed": SharedOption(int | None),
     "dry_run": SharedOption(bool),
 }
 """Options of several commands that become fields of `Settings`"""
+
+
+def _default(name: str) -> object:
+    return getattr(Settings, SHARED[name].field or name)
 
 
 def takes(*names: str) -> Callable[[Callable[..., object]], Callable[..., None]]:
@@ -221,7 +202,7 @@ def takes(*names: str) -> Callable[[Callable[..., object]], Callable[..., None]]
     shared, known = [name for name in names if name in SHARED], TEXTS["all"]
     options = [
         *(keyword(name, str | None, known[name]) for name in arm),
-        *(SHARED[name].parameter(name) for name in shared),
+        *(keyword(name, SHARED[name].kind, TEXTS["shared"][name], _default(name)) for name in shared),
         *(keyword(name, str | None, known[name]) for name in ("live",) if name in names),
         keyword("json", bool, known["json"], default=False),
     ]
@@ -240,7 +221,7 @@ def takes(*names: str) -> Callable[[Callable[..., object]], Callable[..., None]]
             result = found if isinstance(found, Result) else Result(found)
             if result.value is not None:
                 call.finish(result.value)
-            if result.code:
+            if result.code and not call.settings.dry_run:
                 raise typer.Exit(result.code)
 
         *_, module = command.__module__.split(".")

@@ -14,10 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm
+from rejoint.logs.columns import RecordedMotion, Track
 from rejoint.logs.exclusions import correlations
+from rejoint.logs.joints import ImportOptions
 from rejoint.logs.lag import PLAUSIBLE, SEARCHED, SHORTEST, find_lag
-from rejoint.logs.runlog import Array, RunLog
-from rejoint.logs.track import RecordedMotion, Track
+from rejoint.logs.runlog import TWO_TURNS, Array, RunLog
+from rejoint.logs.units import FEWEST_STEPS, FEWEST_VALUES, OFF, ON, on_grid, turn_bits, unit_by_steps
 from rejoint.system.errors import FileError, InputError
 
 FORCED = "forced"
@@ -132,21 +134,15 @@ def clean(track: Track, found: LogFindings) -> Track:
             "cut the file where the clock was set, or in a bag take the times of recording (--stamp log)",
         )
     fresh = np.concatenate([[True], steps > 0])[: len(track)]
-    if fresh.sum() < 2:
-        raise FileError(
-            track.path,
-            f"{what}: {fresh.sum()} sample(s), a log needs at least 2 with stamps of their own",
-            _TIME_REMEDY,
-        )
-    steps, lost = steps[fresh[1:]], int((~fresh).sum())
+    lost = int((~fresh).sum())
+    if len(track) - lost < 2:
+        said = f"{what}: {len(track) - lost} sample(s), a log needs at least 2 with stamps of their own"
+        raise FileError(track.path, said, _TIME_REMEDY)
+    steps = steps[fresh[1:]]
     period = float(np.median(steps))
     if lost > LOST * len(track):
-        found.doubt(
-            track,
-            f"{what}: the clock counts in steps of {period:.3g} s, and {lost} of {len(track)} samples have the stamp "
-            "of the one before and are lost",
-            "record finer stamps",
-        )
+        said = f"{what}: {lost} of {len(track)} samples have the stamp of the one before and are lost"
+        found.doubt(track, said, "record finer stamps")
     if lost:
         first = track.where(int(np.argmin(fresh)))
         found.notes.append(f"{what}: {lost} samples with a doubled stamp left out, first at {first}")
@@ -155,23 +151,88 @@ def clean(track: Track, found: LogFindings) -> Track:
     if period * RATES[1] < 1.0 or (period * RATES[0] > 1.0 and not sparse):
         expected = f"expected {RATES[0]:g} to {RATES[1]:g} Hz"
         raise FileError(track.path, f"{what}: one sample in {period:.3g} s, {expected}", _TIME_REMEDY)
-    if sparse:
-        return track
-    if period * 0.99 * SLOWEST > 1.0:
-        found.doubt(
-            track,
-            f"{what}: {1 / period:.2g} samples in a second, expected at least {SLOWEST:g}: too few to show friction "
-            "or lag",
-            "record faster",
-        )
+    if period * 0.99 * SLOWEST > 1.0 and not sparse:
+        said = f"{what}: {1 / period:.2g} samples in a second, expected at least {SLOWEST:g}"
+        found.doubt(track, f"{said}: too few to show friction or lag", "record faster")
     gaps = int((steps > GAP_PERIODS * period).sum())
-    if gaps:
+    if gaps and not sparse:
         worst = int(np.argmax(steps))
         found.notes.append(
             f"{what}: {gaps} gap(s) longer than {GAP_PERIODS:g} periods of {period:.3g} s, "
             f"the longest {steps[worst]:.3g} s before {track.where(worst + 1)}"
         )
     return track
+
+
+GEAR_REMEDY = "give gear, sign and zero of each joint: --map JOINT=THEIRS/RATIO+OFFSET"
+_MISREAD = {
+    "degrees were read as radians": 180.0 / np.pi,
+    "radians were read as degrees": np.pi / 180.0,
+    "turns were read as radians": 0.5 / np.pi,
+    "turns were read as degrees": np.pi / 180.0 * 0.5 / np.pi,
+}
+"""Factor of an encoder's step"""
+
+
+def check_units(motion: RecordedMotion, arm: Arm, options: ImportOptions, found: LogFindings) -> None:
+    """Check the declared unit of angles."""
+    state, unit = motion.state, motion.angle_unit
+    extent = float(np.rad2deg(np.abs(state.value).max()))
+    gear = max(float((np.ptp(state.value, axis=0) / (arm.upper - arm.lower)).max()), 1.0)
+    motors = f"angles of the motors, before a gear of {gear:.2g} or more"
+    if unit == "deg" and (bits := turn_bits(np.rad2deg(state.value))):
+        said = f"state: the values come in steps of 2 pi / {2**bits}: they are radians, not degrees"
+        found.doubt(state, f"{said}; up to {extent:.4g} rad are angles of the motors, before their gear", GEAR_REMEDY)
+    for track in motion.tracks:
+        far = np.abs(track.value)
+        if (far <= TWO_TURNS).all():
+            continue
+        row, joint = np.unravel_index(int(np.argmax(far)), far.shape)
+        bits = turn_bits(track.value) if unit == "rad" else None
+        cause = f"degrees, or {motors}" if bits is None else f"{motors}, for they come in steps of 2 pi / {2**bits}"
+        raise FileError(
+            track.path,
+            f"{track.what}, {track.where(int(row))}: {track.columns[joint]} is {track.value[row, joint]:.4g} rad, "
+            f"beyond two turns; the values are {cause if unit == 'rad' else 'in another unit'}",
+            f"set --angle-unit, correct the column's name, or {GEAR_REMEDY}" if bits is None else GEAR_REMEDY,
+        )
+    if unit == "deg" and extent <= 2 * np.pi:
+        found.doubt(
+            state,
+            f"state: no angle is beyond {extent:.3g} deg; the values are surely radians",
+            "set --angle-unit rad, or correct the column's name where that says a unit",
+        )
+    # no other program normalises, and other encoders have other steps
+    lerobot = motion.extra.get("format") == "lerobot"
+    if options.angle_unit in ("deg", "normalised") and (lerobot or options.calibration is not None):
+        _check_declared(motion, options.angle_unit, found, lerobot=lerobot)
+    if motion.half is None:  # else its steps are those of the calibration
+        _check_steps(state, arm, found)
+
+
+def _check_declared(motion: RecordedMotion, declared: str, found: LogFindings, *, lerobot: bool) -> None:
+    state = motion.state
+    raw = np.rad2deg(state.value) if motion.half is None else state.value / motion.half * 100.0
+    kind, why = unit_by_steps(raw)
+    if kind is None and lerobot and np.abs(raw).max() <= 101.0:
+        found.notes.append("nothing in the file tells degrees from normalised values: compare with what the arm did")
+    if kind not in (None, declared):
+        said = {"deg": "degrees", "normalised": "normalised values (-100 to 100)"}[str(kind)]
+        remedy = f"set --angle-unit {kind}" + " with --calibration" * (kind == "normalised")
+        found.doubt(state, f"the states are {said}, but --angle-unit says {declared}: {why}", remedy)
+
+
+def _check_steps(state: Track, arm: Arm, found: LogFindings) -> None:
+    for title, column in zip(state.columns, state.value.T, strict=True):
+        values = np.unique(np.round(column, 9))
+        if len(values) < FEWEST_VALUES or on_grid(values, arm.encoder_step) > OFF:
+            continue
+        # Readings whose zero was moved are on no grid of one zero, yet on any much finer one: it must be used as well.
+        for misread, factor in _MISREAD.items():
+            step = arm.encoder_step * factor
+            if on_grid(values, step) > ON and np.percentile(np.diff(values), 10) < FEWEST_STEPS * step:
+                said = f"the states of {title} come in steps of {step:.3g} rad, where the encoders of this arm have "
+                found.doubt(state, f"{said}{arm.encoder_step:.3g}: as if {misread}", "declare their unit")
 
 
 SPIKE = 0.05

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from rejoint.control.comparison.recommend import recommend
 from rejoint.diagnosis.monitoring.judge import Outlook, PastCheck, cause_of
 from rejoint.diagnosis.monitoring.measures import CheckMeasures, JointCheck
-from rejoint.logs.history.rows import SUMMARY, HistoryRow, name_of, read_rows, setup_of, utc_now, write_rows
+from rejoint.logs.history import SUMMARY, HistoryRow, name_of, read_rows, setup_of, utc_now, write_rows
 from rejoint.pages.html import write_page
 from rejoint.runs.run import Run, is_finished
 from rejoint.system.errors import FileError

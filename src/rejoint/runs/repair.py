@@ -20,8 +20,7 @@ from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import Comparison
 from rejoint.control.observer import Observer, Observers, StageObserver, pacing
 from rejoint.control.targets import draw_targets
-from rejoint.logs.runfolder.effort import StageCost, add
-from rejoint.logs.runfolder.folder import Kept, RunFolder
+from rejoint.logs.runfolder import Kept, RunFolder, StageCost, add
 from rejoint.logs.runlog import RunLog, read_log
 from rejoint.robots import place_of
 from rejoint.runs.history import summarise
@@ -33,6 +32,7 @@ from rejoint.runs.stages.gains import gains
 from rejoint.runs.stages.identify import identify
 from rejoint.runs.stages.report import report
 from rejoint.runs.stages.train import train
+from rejoint.session.context import equipped
 from rejoint.session.controllers import Controllers, any_geared, listed, require_possible
 from rejoint.session.inputs import (
     FIRST_ROBOT,
@@ -42,16 +42,17 @@ from rejoint.session.inputs import (
     Period,
     RobotLike,
     RunLike,
+    Settings,
     Targets,
     address_of,
     arm_of,
     as_targets,
     is_batchable,
+    laden,
     period_of,
     run_about,
+    settled,
 )
-from rejoint.session.payload import equipped
-from rejoint.session.settings import Settings, laden, settled
 from rejoint.system.errors import FileError
 from rejoint.system.extras import require
 from rejoint.system.files import read_json, write_json, write_whole

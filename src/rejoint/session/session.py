@@ -24,11 +24,9 @@ from rejoint.control.robot import JointState
 from rejoint.control.targets import Pose, in_mm, placed
 from rejoint.control.unloading import OFF, PlannedWay, UnloadedWay, Unloading
 from rejoint.runs.run import Run, exclusive
-from rejoint.session.context import guard_limits
-from rejoint.session.driver import ArmDriver
+from rejoint.session.context import believed_motors, guard_limits
+from rejoint.session.driver import ArmDriver, ArmMotion, GoalCheck, GoalStream
 from rejoint.session.inputs import is_virtual
-from rejoint.session.motions import ArmMotion, GoalCheck, GoalStream
-from rejoint.session.payload import believed_motors
 from rejoint.session.recorder import RunRecorder, StateRecord
 from rejoint.system.errors import InputError, NotReachedError, NotReadyError
 from rejoint.system.numbers import as_floats, as_place, as_seconds, as_within
@@ -41,7 +39,7 @@ if TYPE_CHECKING:
     from rejoint.control.moving.reference import Stream
     from rejoint.logs.runlog import RunLog
     from rejoint.session.inputs import Targets
-    from rejoint.session.paths import PathLike
+    from rejoint.session.motions import PathLike
 
 WITHIN, WITHIN_TURN = 0.002, float(np.radians(1.0))
 """[m] and [rad] within which poses are reached (chosen)"""
@@ -300,10 +298,10 @@ class ArmSession(ArmDriver):
         A `Stream` needs ``duration_s`` and a first target. NotReachedError after `stop`. InputError for a path out of
         reach or too fast, or without a twin.
         """
-        from rejoint.session.paths import PathDrive
+        from rejoint.session.motions import PathDrive
 
         self._require_free()
-        drive = PathDrive.of(self, path, repeat=repeat, rate=rate_hz, duration=duration_s, within=within_m)
+        drive = PathDrive(self, path, repeat=repeat, rate=rate_hz, duration=duration_s, within=within_m)
         self.followed = None
         self._start(ArmMotion("the end of its path", drive.work), wait=wait)
         if wait and self.followed is None:
@@ -312,10 +310,10 @@ class ArmSession(ArmDriver):
 
     def deploy(self, targets: Targets | None = None) -> Deployed:
         """Drive to targets in turn; see `rejoint.deploy`."""
-        from rejoint.session.deploying import TargetDrive
+        from rejoint.session.motions import TargetDrive
 
         self._require_free()
-        drive = TargetDrive.of(self, targets)
+        drive = TargetDrive(self, targets)
         motion = ArmMotion("its targets", lambda _: drive.work())
         self._start(motion, wait=True)
         done: Deployed = motion.result  # type: ignore[assignment]

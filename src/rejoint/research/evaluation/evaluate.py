@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from rejoint.arms import Arm
-from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.logs.runfolder import RunFolder
 from rejoint.research.evaluation.contestants import Contestant, check_names
 from rejoint.research.evaluation.family import ArmFamily, Variant
 from rejoint.research.evaluation.page import write_page

@@ -18,7 +18,7 @@ from rejoint.control.goal import Ways, with_ways
 from rejoint.control.targets import draw_targets
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.lab.plant.wear import Wear, load_wear
-from rejoint.session.payload import believed_motors
+from rejoint.session.context import believed_motors
 from rejoint.system.errors import InputError
 from rejoint.twin.twin import Twin
 

@@ -10,7 +10,7 @@ import numpy as np
 from rejoint.arms import Arm
 from rejoint.control.comparison.protocols import Columns
 from rejoint.control.targets import draw_targets
-from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.logs.runfolder import RunFolder
 from rejoint.research.evaluation.contestants import Contestant, classical, learned, on_twin
 from rejoint.research.evaluation.evaluate import conclude
 from rejoint.research.evaluation.family import find_variant

@@ -27,7 +27,7 @@ from rejoint.control.moving.reference import (
 )
 from rejoint.control.moving.tracker import Tracker
 from rejoint.control.recording import Recording
-from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.logs.runfolder import RunFolder
 from rejoint.research.evaluation.family import ArmFamily
 from rejoint.research.evaluation.trials import keep, own_twin
 from rejoint.robots.emulated import EmulatedRobot

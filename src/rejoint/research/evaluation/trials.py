@@ -22,7 +22,7 @@ from rejoint.control.loop import run
 from rejoint.control.recording import Cycle
 from rejoint.control.reference import TargetSequence
 from rejoint.control.robot import Robot
-from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.logs.runfolder import RunFolder
 from rejoint.logs.runlog import read_parquet
 from rejoint.research.evaluation.family import ArmFamily, Variant, family_targets, open_family, targets_anywhere
 from rejoint.robots.emulated import EmulatedRobot

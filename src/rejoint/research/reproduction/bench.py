@@ -15,7 +15,7 @@ import msgspec
 from rejoint.arms import Arm, Array
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.targets import draw_targets
-from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.logs.runfolder import RunFolder
 from rejoint.system.files import write_whole
 from rejoint.system.progress import Progress, no_progress
 

@@ -33,8 +33,7 @@ from scservo_sdk import (
 )
 
 from rejoint.arms import Arm, Array
-from rejoint.logs.homing import read_homing
-from rejoint.logs.joints import COUNTS_PER_TURN, match_joints
+from rejoint.logs.joints import COUNTS_PER_TURN, match_joints, read_homing
 from rejoint.robots.bus import Reading
 from rejoint.robots.family import SerialAddress, TcpAddress
 from rejoint.robots.feetech.gains import DutyLaw

@@ -10,21 +10,10 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Literal, Protocol, TypeAlias
 
-from rejoint.logs.history.index import CHECKS
-from rejoint.logs.history.rows import utc_now
-from rejoint.logs.runfolder.folder import RunFolder, locked
+from rejoint.logs.history import CHECKS, utc_now
+from rejoint.logs.runfolder import RunFolder, locked
 from rejoint.pages import html
-from rejoint.runs.fleet.campaign import (
-    Campaign,
-    Lost,
-    RepairOptions,
-    Step,
-    Verb,
-    Work,
-    WorkOutcome,
-    needs_repair,
-    state_folder,
-)
+from rejoint.runs.fleet.campaign import Campaign, Rules, Step, Verb, Work, WorkOutcome, needs_repair, state_folder
 from rejoint.runs.fleet.file import Fleet, FleetArm
 from rejoint.runs.history import what_to_do
 from rejoint.system.errors import RejointError
@@ -33,7 +22,6 @@ from rejoint.system.files import saving, write_text
 from rejoint.system.shell import command
 from rejoint.system.stopping import check, noted, pause, shielded
 
-Kind: TypeAlias = Literal["begun", "done", "failed", "lost"]
 End: TypeAlias = Literal["done", "failed", "left"]
 
 LOOK = 0.5
@@ -54,37 +42,11 @@ class Executor(Protocol):
     def begin(self, work: Work) -> None:
         """Start a task and return at once."""
 
-    def wait(self, timeout: float) -> Sequence[tuple[Work, WorkOutcome | Lost]]:
+    def wait(self, timeout: float) -> Sequence[tuple[Work, WorkOutcome]]:
         """Return ended tasks within ``timeout`` [s]."""
 
     def hold(self, work: Work) -> None:
         """Ask an arm to hold and its task to end."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Rules:
-    """Rules for all arms of one call."""
-
-    somebody: bool = False
-    """whether a person is present"""
-    stay: bool = False
-    """whether to wait for later hours"""
-    at_once: int = 1_000_000
-    """most real arms that move at once"""
-    fresh: bool = False
-    """whether to restart an interrupted call"""
-    now: Callable[[], datetime] = datetime.now
-
-
-@dataclass(frozen=True, kw_only=True)
-class Event:
-    """An event of an arm."""
-
-    arm: FleetArm
-    step: Step
-    kind: Kind
-    text: str = ""
-    seconds: float = 0.0
 
 
 @dataclass(kw_only=True, eq=False)
@@ -108,29 +70,25 @@ class Standing:
     """whether a hold was asked for"""
 
 
+@dataclass(kw_only=True, eq=False)
 class _Lead:
-    def __init__(
-        self,
-        arms: Sequence[FleetArm],
-        campaign: Campaign,
-        executor: Executor,
-        rules: Rules,
-        tell: Callable[[Event], object],
-    ) -> None:
-        self.standings = [Standing(arm=arm) for arm in arms]
-        self._campaign, self._executor, self._rules, self._tell = campaign, executor, rules, tell
+    campaign: Campaign
+    executor: Executor
+    tell: Callable[[str], object]
+    standings: list[Standing]
 
     def lead(self) -> None:
         """Run until nothing is left for this call."""
+        rules = self.campaign.rules
         while True:
             check()
             waiting = self._begin()
             if any(one.running for one in self.standings):
                 for one in self.standings:
-                    if not one.arm.hours.is_open(self._rules.now()):
+                    if not one.arm.hours.is_open(rules.now()):
                         self._hold(one)
                 self._wait()
-            elif waiting and self._rules.stay:
+            elif waiting:
                 pause(IDLE)
             else:
                 return
@@ -146,81 +104,79 @@ class _Lead:
     def _hold(self, one: Standing, *, again: bool = False) -> None:
         if one.running is not None and one.running.held and (again or not one.held):
             one.held = True
-            self._executor.hold(one.running)
+            self.executor.hold(one.running)
 
     def _wait(self) -> None:
-        for work, ended in self._executor.wait(LOOK):
+        for work, outcome in self.executor.wait(LOOK):
             one = next(one for one in self.standings if one.running is work)
             one.running = one.left = None
-            kind, took = self._end(one, work.step, ended)
-            self._tell(Event(arm=one.arm, step=work.step, kind=kind, text=one.why, seconds=took))
+            self._end(one, work, outcome)
+            kind = "lost" if outcome.lost else "failed" if one.end else f"done in {outcome.seconds:.0f} s"
+            self.tell(f"{one.arm.name}: {work.step} {kind}{one.why and f': {one.why}'}")
 
     def _begin(self) -> bool:
-        now, waiting = self._rules.now(), False
+        """Begin what may begin; returns whether an arm waits for its hours."""
+        rules, waiting = self.campaign.rules, False
+        now = rules.now()
         idle = [one for one in self.standings if one.end is None and one.running is None]
         for one in sorted(idle, key=lambda one: one.arm.hours.closes(now) or datetime.max):  # else in their order
             if one.left is None:
-                one.left = self._campaign.left(one.arm)
+                one.left = self.campaign.left(one.arm)
             if not one.left:
                 one.end = "done"
                 continue
-            work = self._campaign.work(one.arm, one.left[0])
+            work = self.campaign.work(one.arm, one.left[0])
             if work.moves:
-                refusal, opens = refused(work, self._rules), opening(one.arm, now)
+                refusal, opens = refused(work, rules), opening(one.arm, now)
                 if refusal or opens != now:
                     one.why = refusal or _begins(opens)
-                    later = not refusal and opens is not None and self._rules.stay
+                    later = not refusal and opens is not None and rules.stay
                     one.end, waiting = None if later else "left", waiting or later
                     continue
                 if not self._has_room(work):
                     continue
             one.running, one.why = work, ""
-            self._tell(Event(arm=one.arm, step=work.step, kind="begun"))
-            self._executor.begin(work)
+            self.tell(f"{one.arm.name}: {work.step} begun")
+            self.executor.begin(work)
         return waiting
 
     def _has_room(self, work: Work) -> bool:
         moving = [one.running for one in self.standings if one.running is not None and one.running.moves]
         if work.arm.bench and any(other.arm.bench == work.arm.bench for other in moving):
             return False
-        return not work.held or sum(other.held for other in moving) < self._rules.at_once
+        return not work.held or sum(other.held for other in moving) < self.campaign.rules.at_once
 
-    def _end(self, one: Standing, step: Step, ended: WorkOutcome | Lost) -> tuple[Kind, float]:
-        """Note how a step of an arm ended; returns the kind of the event, and [s]."""
-        if isinstance(ended, Lost):
-            one.lost += 1
-            one.why = ended.why
-            if self._campaign.work(one.arm, step).held:
+    def _end(self, one: Standing, work: Work, outcome: WorkOutcome) -> None:
+        """Note how a step of an arm ended."""
+        step, problem = work.step, outcome.problem
+        if outcome.lost:
+            one.lost, one.why = one.lost + 1, problem
+            if work.held:
                 one.end = "failed"
-                one.why = f"what held it was lost during {step} ({ended.why}): look at the arm, then go on"
+                one.why = f"what held it was lost during {step} ({problem}): look at the arm, then go on"
             elif one.lost >= TRIES:
-                one.end, one.why = "failed", f"{step} was lost {TRIES} times ({ended.why})"
-            return "lost", 0.0
-        if one.held and ended.problem:
-            one.end, one.why = "left", f"held during {step}; {_begins(opening(one.arm, self._rules.now()))}"
-        elif ended.problem:
-            one.end, one.why, one.outcome = "failed", f"{step}: {ended.problem}", ended
-        elif step in self._campaign.left(one.arm)[:1]:
-            folder = self._campaign.work(one.arm, step).folder
+                one.end, one.why = "failed", f"{step} was lost {TRIES} times ({problem})"
+        elif one.held and problem:
+            one.end = "left"
+            one.why = f"held during {step}; {_begins(opening(one.arm, self.campaign.rules.now()))}"
+        elif problem:
+            one.end, one.why, one.outcome = "failed", f"{step}: {problem}", outcome
+        elif step in self.campaign.left(one.arm)[:1]:
             one.end = "failed"
-            one.why = f"{step} ended, but left no file in {folder}: can all computers reach that folder?"
+            one.why = f"{step} ended, but left no file in {work.folder}: can all computers reach that folder?"
         else:
-            one.steps.append((step, ended.seconds))
-        return "done" if one.end is None else "failed", ended.seconds
+            one.steps.append((step, outcome.seconds))
 
 
 def drive(
-    arms: Sequence[FleetArm],
-    campaign: Campaign,
-    executor: Executor,
-    rules: Rules,
-    tell: Callable[[Event], object] = lambda _: None,
+    arms: Sequence[FleetArm], campaign: Campaign, executor: Executor, tell: Callable[[str], object]
 ) -> list[Standing]:
     """Do all remaining steps; Ctrl-C and SIGTERM first bring moving arms to a hold.
 
     Arms whose hours end first come first. Returns their states, in the order of ``arms``.
     """
-    lead = _Lead(arms, campaign, executor, rules, tell)
+    standings = [Standing(arm=arm) for arm in arms]
+    lead = _Lead(campaign=campaign, executor=executor, tell=tell, standings=standings)
     with noted():
         try:
             lead.lead()
@@ -228,7 +184,7 @@ def drive(
             with shielded():
                 lead.hold_all()
             raise
-    return lead.standings
+    return standings
 
 
 def refused(work: Work, rules: Rules) -> str:
@@ -342,7 +298,7 @@ def _row(campaign: Campaign, one: Standing) -> FleetRow:
         code=code if code in _ORDER else ROBOT,  # held, since the call had ended
     )
     if end == "done" and RunFolder(run).info.exists():  # else the check said that there is no need
-        return _repaired(row, quick=campaign.options.quick)
+        return _repaired(row, quick=campaign.rules.quick)
     check = campaign.check_of(arm) if end == "done" else None
     if check is None:
         return row
@@ -393,22 +349,23 @@ def run_fleet(
     rules: Rules,
     *,
     only: tuple[str, ...] = (),
-    options: RepairOptions | None = None,
-    tell: Callable[[Event], object] = lambda _: None,
-    begins: Callable[[Campaign], object] = lambda _: None,
+    tell: Callable[[str], object] = lambda _: None,
 ) -> FleetResult:
     """Check or repair the arms of a fleet (``only``: their names), and write the page.
 
-    ``executor`` makes what does the work; ``tell`` receives events, ``begins`` the campaign. FileError or UnsavedError
-    if the folder is in use or not writable; InputError for an unknown arm or cluster.
+    ``executor`` makes what does the work; ``tell`` receives a line for each event. FileError or UnsavedError if the
+    folder is in use or not writable; InputError for an unknown arm or cluster.
     """
     require(f"rejoint fleet {verb}", "report")
     arms, begun, place = fleet.only(only), time.monotonic(), state_folder(fleet)
     with locked(RunFolder(place)):
-        campaign = Campaign.open(fleet, verb, options, only=only, fresh=rules.fresh)
-        begins(campaign)
+        campaign = Campaign.open(fleet, verb, rules, only)
+        start, since = "Starting the", ""
+        if campaign.resumed:
+            start, since = "Going on with the", f", begun {campaign.info.begun:%Y-%m-%d %H:%M} UTC"
+        tell(f"{start} {verb} of {len(campaign.info.runs)} arms in {fleet.folder}{since}")
         with executor(arms) as ready:
-            standings = drive(arms, campaign, ready, rules, tell)
+            standings = drive(arms, campaign, ready, tell)
         result = FleetResult(
             verb=verb,
             rows=rows_of(campaign, standings),

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import time
 import traceback
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
-from rejoint.logs.history.index import CHECKS
-from rejoint.logs.history.rows import SUMMARY, HistoryRow, read_rows, utc_now
-from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.logs.history import CHECKS, SUMMARY, HistoryRow, read_rows, utc_now
+from rejoint.logs.runfolder import RunFolder
 from rejoint.runs.fleet.file import Fleet, FleetArm
 from rejoint.runs.repair import MOVING, RepairPlan, StageName, repair, stages_of
 from rejoint.runs.run import is_finished, is_of_another, newest_or_new_in
-from rejoint.session.inputs import arm_of
-from rejoint.session.settings import Settings
+from rejoint.session.inputs import Settings, arm_of
 from rejoint.system.errors import FileError, RejointError, first_line
 from rejoint.system.extras import explain
 from rejoint.system.files import read_json, write_json
@@ -27,14 +26,23 @@ Step: TypeAlias = Literal["check"] | StageName
 
 
 @dataclass(frozen=True, kw_only=True)
-class RepairOptions:
-    """Options of each repair, as in `rejoint.repair`."""
+class Rules:
+    """Rules for all arms of one call, and options of each repair as in `rejoint.repair`."""
 
+    somebody: bool = False
+    """whether a person is present"""
+    stay: bool = False
+    """whether to wait for later hours"""
+    at_once: int = 1_000_000
+    """most real arms that move at once"""
+    fresh: bool = False
+    """whether to restart an interrupted call"""
+    needed: bool = False
+    """whether to check first, and repair only if needed"""
     plan: RepairPlan = field(default_factory=RepairPlan)
     seed: int | None = None
     quick: bool = False
-    needed: bool = False
-    """whether to check first, and repair only if needed"""
+    now: Callable[[], datetime] = datetime.now
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +53,8 @@ class Work:
     step: Step
     folder: Path
     """of all runs and checks, or the run"""
-    options: RepairOptions = field(default_factory=RepairOptions)
+    options: Mapping[str, Any] = field(default_factory=dict)
+    """of `repair`"""
 
     @property
     def moves(self) -> bool:
@@ -62,20 +71,15 @@ class Work:
 class WorkOutcome:
     """End of a task; its findings are in files."""
 
-    seconds: float
+    seconds: float = 0.0
     problem: str = ""
     """error in one line, or empty"""
     code: int = 0
     """exit code of that error"""
     trace: str = ""
     """of an unexpected error"""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Lost:
-    """A task whose process or node died."""
-
-    why: str
+    lost: bool = False
+    """whether its process or node died"""
 
 
 def do_work(work: Work) -> WorkOutcome:
@@ -96,21 +100,13 @@ def do_work(work: Work) -> WorkOutcome:
 
 
 def _do(work: Work) -> None:
-    arm, options = work.arm, work.options
+    arm = work.arm
     if work.step == "check":
         from rejoint.runs.stages.check import check
 
         check(arm.address, history=work.folder, name=arm.name, arm=arm.description, tolerance_mm=arm.tolerance_mm)
-        return
-    repair(
-        arm.address,
-        run=work.folder,
-        arm=arm.description,
-        quick=options.quick,
-        only=work.step,
-        settings=Settings(seed=options.seed),
-        plan=options.plan,
-    )
+    else:
+        repair(arm.address, run=work.folder, arm=arm.description, only=work.step, **work.options)
 
 
 Verb: TypeAlias = Literal["check", "repair"]
@@ -136,32 +132,24 @@ class Campaign:
 
     fleet: Fleet
     verb: Verb
-    options: RepairOptions
+    rules: Rules
     info: CampaignInfo
     resumed: bool
     """whether an earlier call began it"""
 
     @classmethod
-    def open(
-        cls,
-        fleet: Fleet,
-        verb: Verb,
-        options: RepairOptions | None = None,
-        *,
-        only: tuple[str, ...] = (),
-        fresh: bool = False,
-    ) -> Campaign:
+    def open(cls, fleet: Fleet, verb: Verb, rules: Rules, only: tuple[str, ...] = ()) -> Campaign:
         """Resume or begin a call, with its folder locked (`state_folder`)."""
         path, now, arms = state_file(fleet, verb), utc_now(), fleet.only(only)
         before = info = CampaignInfo(begun=now, runs={})
-        if path.exists() and not fresh:
+        if path.exists() and not rules.fresh:
             last = read_json(path, CampaignInfo)
             # What was begun in the future was so by a wrong clock: no check of now would count for it.
             info = last if not last.finished and timedelta(0) <= now - last.begun < STALE[verb] else info
         runs = {arm.name: _run_of(fleet, arm, info.runs.get(arm.name)) if verb == "repair" else "" for arm in arms}
         resumed, info = info is not before, replace(info, runs=info.runs | runs)
         write_json(path, info)
-        return cls(fleet=fleet, verb=verb, options=options or RepairOptions(), info=info, resumed=resumed)
+        return cls(fleet=fleet, verb=verb, rules=rules, info=info, resumed=resumed)
 
     def run(self, arm: FleetArm) -> Path:
         """Run folder of an arm under repair."""
@@ -171,8 +159,8 @@ class Campaign:
         """Name the remaining steps of an arm."""
         if self.verb == "check":
             return ("check",) if self.check_of(arm) is None else ()
-        files, options = RunFolder(self.run(arm)), self.options
-        if options.needed and not files.info.exists():  # an interrupted repair is gone on with in any case
+        files, rules = RunFolder(self.run(arm)), self.rules
+        if rules.needed and not files.info.exists():  # an interrupted repair is gone on with in any case
             seen = self.check_of(arm)
             if seen is None:
                 return ("check",)
@@ -181,13 +169,16 @@ class Campaign:
         if files.finished.exists():
             return ()
         built = arm_of(arm.address, arm.description)
-        stages = stages_of(arm.address, built, files, controllers=options.plan.controllers, quick=options.quick)
+        stages = stages_of(arm.address, built, files, controllers=rules.plan.controllers, quick=rules.quick)
         return tuple(name for name, file in stages.items() if name == "report" or not file.exists())
 
     def work(self, arm: FleetArm, step: Step) -> Work:
         """Task of a step."""
-        folder = self.fleet.folder if step == "check" else self.run(arm)
-        return Work(arm=arm, step=step, folder=folder, options=self.options)
+        if step == "check":
+            return Work(arm=arm, step=step, folder=self.fleet.folder)
+        rules = self.rules
+        options = {"quick": rules.quick, "plan": rules.plan, "settings": Settings(seed=rules.seed)}
+        return Work(arm=arm, step=step, folder=self.run(arm), options=options)
 
     @property
     def through(self) -> bool:

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from rejoint.runs.fleet.campaign import Lost, Work, WorkOutcome, do_work
+from rejoint.runs.fleet.campaign import Work, WorkOutcome, do_work
 from rejoint.runs.fleet.file import FleetArm
 from rejoint.system.errors import InputError, first_line
 from rejoint.system.extras import require
@@ -99,7 +99,7 @@ class RayExecutor:
         require("rejoint fleet", "fleet")
         real = [arm for arm in arms if not arm.virtual]
         self._training_cpus, self._running = training_cpus, {}  # type: float, dict[Any, tuple[Work, Any]]
-        self._refused: list[tuple[Work, WorkOutcome | Lost]] = []
+        self._refused: list[tuple[Work, WorkOutcome]] = []
         self._ray = _begun(address, cpus, {arm.resource: 1.0 for arm in real})
         try:
             self.cpus = int(self._ray.cluster_resources().get("CPU", 0))
@@ -122,7 +122,7 @@ class RayExecutor:
         holder = self._holder(work.arm.resource)
         if holder is None:
             problem = "another call on this cluster moves this arm; wait until it is done"
-            self._refused.append((work, WorkOutcome(seconds=0.0, problem=problem, code=2)))
+            self._refused.append((work, WorkOutcome(problem=problem, code=2)))
             return
         self._running[holder.do.remote(work, self._holds)] = work, holder
 
@@ -137,7 +137,7 @@ class RayExecutor:
                     return None
                 pause(0.1)
 
-    def wait(self, timeout: float) -> list[tuple[Work, WorkOutcome | Lost]]:
+    def wait(self, timeout: float) -> list[tuple[Work, WorkOutcome]]:
         """Return ended tasks within ``timeout`` [s]."""
         refused, self._refused = self._refused, []
         references = list(self._running)
@@ -157,14 +157,14 @@ class RayExecutor:
         with noted():  # for a second Ctrl-C as for the first, see `_begun`
             self._ray.shutdown()
 
-    def _ended(self, reference: Any) -> tuple[Work, WorkOutcome | Lost]:  # noqa: ANN401 - of Ray
+    def _ended(self, reference: Any) -> tuple[Work, WorkOutcome]:  # noqa: ANN401 - of Ray
         work, holder = self._running.pop(reference)
         try:
-            found: WorkOutcome | Lost = self._ray.get(reference)
+            found: WorkOutcome = self._ray.get(reference)
         except self._ray.exceptions.RayTaskError as error:  # before the work had begun: another version there, say
-            found = WorkOutcome(seconds=0.0, problem=f"a bug: {_last_line(error)}", code=1, trace=str(error))
+            found = WorkOutcome(problem=f"a bug: {_last_line(error)}", code=1, trace=str(error))
         except self._ray.exceptions.RayError as error:
-            found = Lost(why=type(error).__name__)
+            found = WorkOutcome(problem=type(error).__name__, lost=True)
         if holder is not None:
             self._ray.kill(holder)
         return work, found

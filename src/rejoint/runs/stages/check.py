@@ -15,15 +15,24 @@ from typing import TYPE_CHECKING
 from rejoint.arms import CATALOGUE, Arm, Array
 from rejoint.control.observer import Observer, pacing
 from rejoint.control.robot import Robot
-from rejoint.logs.history.index import CHECKS, find_rows
-from rejoint.logs.history.rows import SUMMARY, HistoryRow, hours_of, name_of, plain_name, setup_of, utc_now, write_rows
+from rejoint.logs.history import (
+    CHECKS,
+    SUMMARY,
+    HistoryRow,
+    find_rows,
+    hours_of,
+    name_of,
+    plain_name,
+    setup_of,
+    utc_now,
+    write_rows,
+)
 from rejoint.logs.journal import Journal, journal_path, recover
 from rejoint.logs.runlog import RunLog
 from rejoint.runs.history import MOVED, SET_UP, past_of, rows_of, with_outlook
 from rejoint.runs.run import RUNS
-from rejoint.session.inputs import FIRST_ROBOT, ArmLike, RobotLike, address_of, arm_of
+from rejoint.session.inputs import FIRST_ROBOT, ArmLike, RobotLike, Settings, address_of, arm_of
 from rejoint.session.session import ArmSession
-from rejoint.session.settings import Settings
 from rejoint.system.errors import AddressError, FileError, InputError
 from rejoint.system.files import require_space, saving
 from rejoint.system.progress import Progress
