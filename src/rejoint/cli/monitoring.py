@@ -24,7 +24,7 @@ from rejoint.system.errors import FileError, MissingExtraError
 from rejoint.system.extras import require
 
 if TYPE_CHECKING:
-    from rejoint.runs.fleet.call import Executor, FleetResult
+    from rejoint.runs.fleet.campaign import Executor, FleetResult
     from rejoint.runs.fleet.file import FleetArm
 
 DRIFTS, ALARM = 6, 7
@@ -132,8 +132,7 @@ def fleet(
     """Check or repair many arms, each within its hours and with its permissions, and show them, the worst first."""
     require(f"rejoint fleet {verb}", "fleet", "report", *(["train"] if verb == "repair" and address is None else []))
     from rejoint.cli.stages import rehearse
-    from rejoint.runs.fleet.call import run_fleet
-    from rejoint.runs.fleet.campaign import Rules
+    from rejoint.runs.fleet.campaign import Rules, run_fleet
     from rejoint.runs.fleet.file import read_fleet
     from rejoint.runs.fleet.rayexecutor import RayExecutor, has_token
 
@@ -178,7 +177,7 @@ def fleet(
 
 
 def _show_rows(call: Call, result: FleetResult) -> None:
-    from rejoint.runs.fleet.call import HEADERS
+    from rejoint.runs.fleet.campaign import HEADERS
 
     call.table("All arms, the worst first", HEADERS, [row.cells for row in result.rows])
     for row in result.rows:

@@ -82,12 +82,9 @@ def say_heavy(arm: Arm, twin: Twin | None, targets: Array, say: Say, turns: Orie
     if twin is None or not isinstance(arm, LoadedArm):
         return
     points = targets.reshape(-1, 3)
-    sure = heavy(arm, twin, points, turns and turns.flat)
-    perhaps = heavy(arm, twin, points, turns and turns.flat, seen=False) & ~sure.any(axis=1, keepdims=True)
-    if sure.any():
-        say(f"Too heavy for {_named(arm, points, sure)}. The arm tries, but may not come there.")
-    if perhaps.any():
-        say(f"Perhaps too heavy for {_named(arm, points, perhaps)}: what that can lift was never seen. The arm tries.")
+    over = heavy(arm, twin, points, turns and turns.flat)
+    if over.any():
+        say(f"Too heavy for {_named(arm, points, over)}. The arm tries, but may not come there.")
 
 
 def believed_motors(twin: Twin) -> Motors:
@@ -110,18 +107,15 @@ def _named(arm: Arm, points: Array, over: NDArray[Any]) -> str:
     return f"the motor of {joints} by the twin: {places}{more}"
 
 
-def heavy(arm: Arm, twin: Twin, targets: Array, turns: Orientation | None = None, *, seen: bool = True) -> NDArray[Any]:
-    """Which joints (K, n) are too weak at ``targets`` (K, 3) [m]; light joints do not count.
-
-    ``seen``: those whose torque limit the twin has seen, or the others.
-    """
+def heavy(arm: Arm, twin: Twin, targets: Array, turns: Orientation | None = None) -> NDArray[Any]:
+    """Which joints (K, n) of known torque limit are too weak at ``targets`` (K, 3) [m]; light joints do not count."""
     from rejoint.twin.parameters import Layout
 
     known = twin.identified[Layout(arm.joints).at("torque_limit")]
     start = np.broadcast_to(arm.rest, (len(targets), arm.joints))
     load = np.abs(gravity_torque(arm, find_postures(arm, targets, start, turns)))
     over = load > believed_motors(twin).usable
-    return over & (joint_weights(arm) <= 1.0) & (known == seen)
+    return over & (joint_weights(arm) <= 1.0) & known
 
 
 def noticed_load(arm: Arm, twin: Twin, log: RunLog) -> tuple[float, float]:
@@ -146,17 +140,6 @@ def noticed_load(arm: Arm, twin: Twin, log: RunLog) -> tuple[float, float]:
         return float("nan"), float("nan")
     doubtful = max(1.0 / np.sqrt(total), ALONE / len(rows))  # joints stick to one side, and share it in a posture
     return float((lever * weight**2 * missing).sum() / total), float(doubtful)
-
-
-def say_folded(arm: Arm, home: Array | None, say: Say) -> None:
-    """Report that a joint is kept turned where ``home`` (n,) [rad] is not rest."""
-    away = np.zeros(arm.joints) if home is None else home - arm.rest
-    joint = int(np.abs(away).argmax())
-    if away[joint] != 0.0:
-        say(
-            f"A motor of this arm hardly lifts what hangs on it: {arm.joint_names[joint]} is kept about "
-            f"{np.degrees(away[joint]):+.0f} deg from rest on the way, so that less does."
-        )
 
 
 def say_noticed(arm: Arm, twin: Twin | None, log: RunLog | None, say: Say) -> None:

@@ -37,7 +37,7 @@ from rejoint.control.observer import Observer
 from rejoint.control.recording import Cycle, Recording
 from rejoint.control.reference import TargetSequence
 from rejoint.control.targets import require_reachable
-from rejoint.session.context import require_correctable, say_folded, say_heavy, say_noticed
+from rejoint.session.context import require_correctable, say_heavy, say_noticed
 from rejoint.session.controllers import ControllerLike, make_factories, name_of
 from rejoint.session.driver import ArmMotion, EndedError
 from rejoint.session.eyes import opened_eye, watched, with_sightings
@@ -131,13 +131,10 @@ class TargetDrive:
     def work(self) -> Deployed:
         """Drive; a run keeps what is recorded also after ``kill -9``."""
         session, job = self.session, self.job
-        period = session.period
-        seconds = len(job.targets) * job.dwell + sum(way.duration for way in self.ways)
-        rows = 0 if period is None else int(seconds / min(period))
         given = session.settings.eye
         eyes = nullcontext() if given is None else opened_eye(given, session.robot, session.run, session.seed)
         with eyes as eye:
-            session.recorder.begin(session.robot, "deploy", f"deploy/{job.controller}", rows)
+            session.recorder.begin(session.robot, "deploy", f"deploy/{job.controller}")
             done = self._drive(eye)
         say_noticed(session.arm, session.twin, done.log, session.observer.message)
         return done
@@ -307,8 +304,6 @@ class PathDrive:
         elif self.controller == TRACKER:
             session.instead(TRACKER, "for paths, by the twin")
         self._follower = follower_of(self.controller, session, session.twin_now, posed=self.posed)
-        if not self.posed:
-            say_folded(session.arm, self._follower.home, session.observer.message)
         name = self.path.name if isinstance(self.path, Path) else "stream"
         self._label = f"follow/{self._follower.name}/{name}"
         session.recorder.begin(session.robot, "follow", self._label)

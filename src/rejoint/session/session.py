@@ -29,7 +29,7 @@ from rejoint.session.driver import ArmDriver, ArmMotion, GoalCheck, GoalStream
 from rejoint.session.inputs import is_virtual
 from rejoint.session.recorder import RunRecorder, StateRecord
 from rejoint.system.errors import InputError, NotReachedError, NotReadyError
-from rejoint.system.numbers import as_floats, as_place, as_seconds, as_within
+from rejoint.system.numbers import as_floats, as_place, as_positive, as_seconds, as_within
 from rejoint.system.progress import RateLimit
 from rejoint.system.stopping import noted, pause
 
@@ -49,6 +49,7 @@ EVERY_JOINT = PostureGains(weak=np.inf, close=1e-4, again=3e-4, lead=float(np.ra
 """Joint positions without a place: every joint is brought close (measured)"""
 TURNS = 2.0 * np.pi
 """[rad] beyond which a joint position is not in radians"""
+ANGLE = "a positive angle in radians"
 STARTING = 5.0
 """[s] for the first cycle of a stream (chosen)"""
 _LOOK = 0.01  # [s] between two looks at whether a motion has ended (chosen)
@@ -149,7 +150,7 @@ class ArmSession(ArmDriver):
         pose = target_m if isinstance(target_m, Pose) else None
         target = as_place("move_to", target_m if pose is None else pose.place_m)
         within = as_within("move_to", (self.settings.within or WITHIN) if within_m is None else within_m)
-        within_rad, timeout = _bounds("move_to", within_rad, timeout_s)
+        within_rad, timeout = as_positive("move_to", within_rad, ANGLE), as_seconds("move_to", timeout_s)
         turns = None if pose is None else placed(self.arm, [pose])[1]
         self._require_free()
         ways = self.ways(target[None], turns)
@@ -193,7 +194,7 @@ class ArmSession(ArmDriver):
                 f"move_joints: {self.arm.joint_names[j]} at {at:.0f} deg is outside its limits of {low:.0f} to "
                 f"{high:.0f} deg"
             )
-        within, timeout = _bounds("move_joints", within_rad, timeout_s)
+        within, timeout = as_positive("move_joints", within_rad, ANGLE), as_seconds("move_joints", timeout_s)
         self._require_free()
         self.open()
         if not self._clear(goal):
@@ -486,12 +487,3 @@ class ArmSession(ArmDriver):
             error_m=float(np.linalg.norm(cycle.aim[0] - tool)) if cycle is not None and aimed else None,
             turned_rad=None if cycle is None or np.isnan(cycle.turned[0]) else float(cycle.turned[0]),
         )
-
-
-def _bounds(who: str, within: float, timeout: float) -> tuple[float, float]:
-    """Return an angle [rad] and a time [s] that are positive."""
-    expected = "positive numbers as within_rad and timeout_s, the latter finite"
-    bounds = as_floats(who, (within, timeout), expected)
-    if bounds.shape != (2,) or not (bounds > 0.0).all() or np.isinf(bounds[1]):
-        raise InputError(f"{who}: expected {expected}, got {(within, timeout)}")
-    return float(bounds[0]), float(bounds[1])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
@@ -33,8 +32,7 @@ def installed(module: str) -> bool:
 
 def require(what: str, *needs: str) -> None:
     """Raise MissingExtraError unless all ``needs``, extras or modules, are installed for ``what``."""
-    modules = [module for need in needs for module in EXTRAS.get(need, (need,))]
-    missing = [module for module in modules if not installed(module)]
+    missing = {module: _extra(need) for need in needs for module in EXTRAS.get(need, (need,)) if not installed(module)}
     if missing:
         raise MissingExtraError(_line(what, missing))
 
@@ -45,19 +43,19 @@ def explain(error: Exception) -> str | None:
         return _explain_cache(error)
     module = (error.name or "").partition(".")[0]
     known = any(module in modules for modules in EXTRAS.values())
-    return _line("this", [module]) if known and not installed(module) else None
+    return _line("this", {module: _extra(module)}) if known and not installed(module) else None
 
 
-def _line(what: str, missing: Iterable[str]) -> str:
-    missing = list(missing)
-    named = ", ".join(missing[:_NAMED]) + (f" and {len(missing) - _NAMED} more" if len(missing) > _NAMED else "")
-    extras, left = set(), set(missing)
-    while left:  # the extra that brings most of it, until nothing is missing
-        extras.add(best := max(EXTRAS, key=lambda extra: len(left.intersection(EXTRAS[extra]))))
-        left.difference_update(EXTRAS[best])
+def _extra(need: str) -> str:
+    return need if need in EXTRAS else next(extra for extra, modules in EXTRAS.items() if need in modules)
+
+
+def _line(what: str, missing: dict[str, str]) -> str:
+    """Name ``missing`` modules with their extras."""
+    named = ", ".join([*missing][:_NAMED]) + (f" and {len(missing) - _NAMED} more" if len(missing) > _NAMED else "")
     return (
         f"{what} needs more than the base installation (missing: {named}); "
-        f"add it with: pip install 'rejoint[{','.join(filter(extras.__contains__, EXTRAS))}]'"
+        f"add it with: pip install 'rejoint[{','.join(dict.fromkeys(missing.values()))}]'"
     )
 
 

@@ -142,8 +142,8 @@ def write_json(path: Path, value: object) -> None:
 
 def read_json(path: Path, kind: type[T]) -> T:
     """Read JSON of `write_json` as ``kind``; FileError."""
-    remedy = "delete it and run its stage again"
-    try:
+    remedy = "delete what is left of it, and run its stage"
+    with reading(path, "damaged", remedy):
         data = read_bounded(path, JSON_MOST, remedy)
         found = _DIGEST.search(data)
         if found:
@@ -151,10 +151,6 @@ def read_json(path: Path, kind: type[T]) -> T:
             if digest(data) != found[1]:
                 raise FileError(path, CHANGED, remedy)
         return msgspec.json.decode(data, type=kind)
-    except FileNotFoundError as error:
-        raise FileError(path, "no such file", "run the stage that writes it first") from error
-    except (OSError, msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise FileError(path, f"damaged ({first_line(error)})", remedy) from error
 
 
 @contextmanager

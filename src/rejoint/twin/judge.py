@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from rejoint.arms import Arm, Array, tcp_position
+from rejoint.logs.consistency import PLAUSIBLE, find_lag
 from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
-from rejoint.logs.lag import PLAUSIBLE, find_lag
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import TOML_MOST, read_bounded

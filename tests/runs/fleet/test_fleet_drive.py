@@ -7,8 +7,7 @@ import pytest
 
 from rejoint.logs.history import SUMMARY, HistoryRow, utc_now, write_rows
 from rejoint.logs.runfolder import RunFolder
-from rejoint.runs.fleet.call import run_fleet
-from rejoint.runs.fleet.campaign import Rules, Work, WorkOutcome
+from rejoint.runs.fleet.campaign import Rules, Work, WorkOutcome, run_fleet
 from rejoint.runs.fleet.file import Fleet, FleetArm, read_hours
 from rejoint.runs.repair import STAGES, stages_of
 from rejoint.session.inputs import arm_of

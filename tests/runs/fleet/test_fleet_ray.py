@@ -17,8 +17,7 @@ import numpy as np
 import pytest
 
 from rejoint.logs.runlog import RunLog
-from rejoint.runs.fleet.call import run_fleet
-from rejoint.runs.fleet.campaign import Rules
+from rejoint.runs.fleet.campaign import Rules, run_fleet
 from rejoint.runs.fleet.file import Fleet, FleetArm, read_hours
 from rejoint.runs.fleet.rayexecutor import RayExecutor
 from rejoint.runs.stages.check import check

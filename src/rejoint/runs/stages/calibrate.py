@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 from rejoint.arms import Arm
 from rejoint.arms.camera.rig import write_rig
@@ -21,7 +23,7 @@ from rejoint.diagnosis.calibration.camera.fit import Filmed, fit_film
 from rejoint.diagnosis.calibration.fit import fit
 from rejoint.diagnosis.calibration.measurementfile import read_interrupted, read_measurements, write_measurements
 from rejoint.diagnosis.calibration.measurements import Measurements, MeasuringSession
-from rejoint.diagnosis.calibration.postures import Suggestion, suggest
+from rejoint.diagnosis.calibration.postures import suggest
 from rejoint.diagnosis.calibration.preload import Preload, preload
 from rejoint.diagnosis.calibration.procedure import EmulatedGauge, Gauge, measure, reversals
 from rejoint.runs.run import Run
@@ -32,13 +34,7 @@ from rejoint.session.session import ArmSession
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import saving, set_aside, write_whole
 from rejoint.system.progress import Progress, part
-from rejoint.system.shell import command
 from rejoint.system.stopping import noted
-
-if TYPE_CHECKING:
-    from rejoint.arms import Arm
-    from rejoint.diagnosis.calibration.camera.fit import Filmed
-
 
 _LOGGER = logging.getLogger("rejoint")
 
@@ -55,23 +51,26 @@ def measured_of(
     fresh: bool = False,
 ) -> tuple[Measurements, Calibration | None]:
     """Measure a session's open robot; resume unless ``fresh``. Also returns the ``prior``."""
-    run = session.run
-    begun = None if run is None or fresh else interrupted(run, gauge)
-    fresh = fresh or (begun is not None and begun[1].fresh)
+    run, begun = session.run, None
+    if run is not None and not fresh and run.folder.measurements.exists():
+        begun = read_interrupted(run.folder.measurements, run.arm)
+        fresh = begun is not None and begun[1].fresh
     prior = None if fresh else prior
     plan = suggest(robot.arm, count * visits, visits=visits, sigma=gauge.sigma, prior=prior)
-    if run is not None and begun is None:
+    if run is not None and begun is not None:
+        before, earlier = begun
+        if (earlier.plan, before.source, before.frame) != (plan.digest, gauge.source, gauge.frame):
+            raise _another(run.folder.measurements, "another number of postures or sides, gauge, --noise or --frame")
+        _log_resumed(run.folder.measurements, f"{earlier.answered} of {len(plan.posture)} postures are done")
+    elif run is not None:
         set_aside(run.folder.measurements)
-    elif run is not None and begun is not None:
-        _require_same(run, gauge, plan, *begun)
-        log_resumed(run.folder.measurements, f"{begun[1].answered} of {len(plan.posture)} postures are done")
 
     def keep(measured: Measurements, answered: int) -> None:
         if run is not None:
             session = MeasuringSession(plan=plan.digest, answered=answered, fresh=fresh)
             write_measurements(run.folder.measurements, robot.arm, measured, session)
 
-    try:
+    with _noting(None if run is None else run.folder.measurements, fresh=fresh):
         found = measure(
             robot,
             gauge,
@@ -82,47 +81,26 @@ def measured_of(
             limits=session.limits,
             stance=stance_of(session.twin_now, run),
         )
-    except BaseException as error:
-        if run is not None and run.folder.measurements.exists():
-            error.add_note(_kept(run, robot.address, gauge, fresh=fresh))
-        raise
     return found, prior
 
 
-def interrupted(run: Run, gauge: Gauge) -> tuple[Measurements, MeasuringSession] | None:
-    """Interrupted measurements and their progress, if any."""
-    if isinstance(gauge, EmulatedGauge) or not run.folder.measurements.exists():
-        return None
+@contextmanager
+def _noting(file: Path | None, *, fresh: bool) -> Iterator[None]:
+    """Let an error say where an interrupted session is kept, and what goes on with it."""
     try:
-        return read_interrupted(run.folder.measurements, run.arm)
-    except FileError as error:
-        error.add_note("To measure again in spite of it: --fresh")
+        yield
+    except BaseException as error:
+        if file is not None and file.exists():
+            again = "the same command" + " without --fresh" * fresh
+            error.add_note(f"What was measured until then is kept ({file}); {again} goes on there.")
         raise
 
 
-def _require_same(run: Run, gauge: Gauge, plan: Suggestion, measured: Measurements, session: MeasuringSession) -> None:
-    if (session.plan, measured.source, measured.frame) != (plan.digest, gauge.source, gauge.frame):
-        raise InputError(
-            f"{run.folder.measurements}: an interrupted session with another number of postures or sides, by something "
-            "else, or with another --noise or --frame; give the same again, or begin again with --fresh"
-        )
+def _another(file: Path, what: str) -> InputError:
+    return InputError(f"{file}: an interrupted session with {what}; give the same again, or begin again with --fresh")
 
 
-def _kept(run: Run, robot: str, gauge: Gauge, *, fresh: bool) -> str:
-    file = run.folder.measurements
-    fits = command("calibrate", robot, run.path, "--measure", f"points={file}", *(["--fresh"] if fresh else []))
-    if isinstance(gauge, EmulatedGauge):
-        return f"What was measured until then: {file}; what fits it: {fits}"
-    return f"What was measured until then is kept ({file}); {same(fresh=fresh)} goes on there, and this fits it: {fits}"
-
-
-def same(*, fresh: bool) -> str:
-    """Name the command that resumes a session."""
-    return "the same command without --fresh" if fresh else "the same command"
-
-
-def log_resumed(file: Path, done: str) -> None:
-    """Log that a session resumes, and how to restart it."""
+def _log_resumed(file: Path, done: str) -> None:
     written = datetime.fromtimestamp(file.stat().st_mtime)
     _LOGGER.warning(
         "Going on with what was interrupted at %s: %s (%s). Where arm or gauge were moved since, begin again: --fresh.",
@@ -148,19 +126,19 @@ def film_of(
 ) -> Film:
     """Take a session's image sequence; resume unless ``fresh``."""
     arm, run = robot.arm, session.run
-    begun = None if run is None else begun_film(run, gauge, fresh=fresh)
+    begun = None if run is None or fresh else _begun_film(run, gauge)
     film = begun or Film(board=gauge.board, carried=gauge.carried, fresh=fresh)
     if begun is None:
         _set_aside(run)
     elif run is not None:
-        log_resumed(run.folder.views, f"{len(film)} pictures are there")
+        _log_resumed(run.folder.views, f"{len(film)} pictures are there")
 
     def keep(film: Film, name: str, picture: Picture) -> None:
         if run is not None:
             write_picture(run.folder.pictures / name, picture)
             write_film(run.folder.views, arm, film)
 
-    with gauge.camera(robot) as camera:
+    with gauge.camera(robot) as camera, _noting(None if run is None else run.folder.views, fresh=film.fresh):
         drive = FilmDrive(
             robot=robot,
             camera=camera,
@@ -175,11 +153,6 @@ def film_of(
         except UnseenBoardError:  # camera or board will be moved, so nothing of this belongs to what comes
             _set_aside(run)
             raise
-        except BaseException as error:
-            if run is not None and run.folder.views.exists():
-                file, goes_on = run.folder.views, same(fresh=film.fresh)
-                error.add_note(f"What was seen until then is kept ({file}); {goes_on} goes on there")
-            raise
 
 
 def _set_aside(run: Run | None) -> None:
@@ -188,18 +161,15 @@ def _set_aside(run: Run | None) -> None:
         set_aside(run.folder.pictures)
 
 
-def begun_film(run: Run, gauge: CameraGauge, *, fresh: bool) -> Film | None:
+def _begun_film(run: Run, gauge: CameraGauge) -> Film | None:
     """Interrupted image sequence of a run, if any."""
-    if fresh or not run.folder.views.exists():
+    if not run.folder.views.exists():
         return None
     film, ended = read_film(run.folder.views, run.arm)
     if ended:
         return None
     if film.board != gauge.board or film.carried != gauge.carried:
-        raise InputError(
-            f"{run.folder.views}: an interrupted session with another board, or with the board elsewhere; give "
-            "the same again, or begin again with --fresh"
-        )
+        raise _another(run.folder.views, "another board, or with the board elsewhere")
     return film.again()
 
 
@@ -211,17 +181,6 @@ def write_picture(path: Path, picture: Picture) -> None:
     if not good:
         raise FileError(path, "this picture cannot be written as JPEG", "take another camera")
     write_whole(path, lambda temporary: temporary.write_bytes(data.tobytes()))
-
-
-def write_filmed(run: Run, arm: Arm, film: Film, found: Filmed, *, taken: bool) -> None:
-    """Write image sequence, postures (if ``taken``), and camera setup."""
-    if taken:
-        write_postures(run.folder.pictures / POSTURES_FILE, arm, film)
-    else:
-        set_aside(run.folder.views)
-    write_film(run.folder.views, arm, film, ended=True)
-    set_aside(run.folder.camera)
-    write_rig(run.folder.camera, arm, found.rig, found.rig_sigma, found.calibration.date)
 
 
 POINTS = 10
@@ -312,7 +271,7 @@ def calibrate(
     >>> found = rejoint.calibrate("emulated:worn")
     >>> print(found.before, found.after, found.calibration.used)  # metres
     """
-    chosen, before = settings or Settings(), _measured_before(gauge)
+    chosen, before = settings or Settings(), gauge if isinstance(gauge, Measurements | Film | Path | str) else None
     if (robot is None) == (before is None):
         raise InputError("calibration: give either a robot or points that were measured before")
     if run is None and robot is None and arm is None:
@@ -350,10 +309,6 @@ def calibrate(
         return result
 
 
-def _measured_before(given: object) -> Measurements | Film | Path | str | None:
-    return given if isinstance(given, Measurements | Film | Path | str) else None
-
-
 def _fitted(arm: Arm, measured: Measurements | Film, prior: Calibration | None, *, taken: bool) -> Calibrated:
     date = f"{datetime.now().astimezone():%Y-%m-%dT%H:%M:%S%z}"
     filmed = None
@@ -377,5 +332,12 @@ def _write(run: Run, measured: Measurements | Film, result: Calibrated, *, taken
     set_aside(run.folder.calibration)
     write_calibration(run.folder.calibration, result.calibration)
     write_measurements(run.folder.measurements, run.arm, result.measurements)  # from then on nothing goes on from them
-    if isinstance(measured, Film) and result.filmed is not None:
-        write_filmed(run, run.arm, measured, result.filmed, taken=taken)
+    found = result.filmed
+    if isinstance(measured, Film) and found is not None:
+        if taken:
+            write_postures(run.folder.pictures / POSTURES_FILE, run.arm, measured)
+        else:
+            set_aside(run.folder.views)
+        write_film(run.folder.views, run.arm, measured, ended=True)
+        set_aside(run.folder.camera)
+        write_rig(run.folder.camera, run.arm, found.rig, found.rig_sigma, found.calibration.date)

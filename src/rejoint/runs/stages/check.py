@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 import os
 from contextlib import ExitStack
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from rejoint.arms import CATALOGUE, Arm, Array
 from rejoint.control.observer import Observer, pacing
+from rejoint.control.recording import recording_of
 from rejoint.control.robot import Robot
 from rejoint.logs.history import (
     CHECKS,
@@ -27,13 +27,12 @@ from rejoint.logs.history import (
     utc_now,
     write_rows,
 )
-from rejoint.logs.journal import Journal, journal_path, recover
-from rejoint.logs.runlog import RunLog
+from rejoint.logs.runlog import RunLog, write_log
 from rejoint.runs.history import MOVED, SET_UP, past_of, rows_of, with_outlook
 from rejoint.runs.run import RUNS
 from rejoint.session.inputs import FIRST_ROBOT, ArmLike, RobotLike, Settings, address_of, arm_of
 from rejoint.session.session import ArmSession
-from rejoint.system.errors import AddressError, FileError, InputError
+from rejoint.system.errors import AddressError, InputError
 from rejoint.system.files import require_space, saving
 from rejoint.system.progress import Progress
 from rejoint.system.stopping import noted
@@ -46,10 +45,6 @@ BETWEEN = timedelta(minutes=4)
 """Between checks in a row with a given date; chosen"""
 LOG = "check.parquet"
 """Run log of a check"""
-QUIET = 30.0
-"""[s] without a row of a killed check's journal; chosen"""
-
-_LOGGER = logging.getLogger("rejoint")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -187,7 +182,6 @@ def _once(
             f"that check in {home / CHECKS / head.arm}"
         )
     tolerance = head.tolerance_mm if head.tolerance_mm is not None or not mine else mine[-1].tolerance_mm
-    _keep_killed(home / CHECKS / head.arm)
     chosen = settings if settings.seed is not None else replace(settings, seed=len(mine))
     with ExitStack() as stack:
         if settings.dry_run:  # what it finds in a simulation is no check of the arm
@@ -216,26 +210,19 @@ def _drive(robot: Robot, folder: Path, on_progress: Progress) -> tuple[RunLog, A
 
     folder.mkdir(parents=True, exist_ok=True)
     require_space(folder)
-    path, names = folder / LOG, robot.arm.joint_names
-    journal = Journal.begin(path, arm=robot.arm.name, joint_names=names, robot=robot.address, label=LABEL)
     try:
-        ((log, warm),) = record_check(robot, on_cycle=journal.see, on_progress=on_progress)
+        ((log, warm),) = record_check(robot, on_progress=on_progress)
     except BaseException as error:
-        error.add_note(journal.rescue())
-        _remove_if_empty(folder)
+        partial = recording_of(error)
+        if partial is None or not len(partial.time):
+            folder.rmdir()
+        else:
+            path = folder / f"stopped-{LOG}"
+            write_log(path, partial.log(0, f"{LABEL}/stopped"))
+            error.add_note(f"What was recorded until then: {path}")
         raise
-    journal.finish(log)
+    write_log(folder / LOG, log)
     return log, warm
-
-
-def _keep_killed(place: Path) -> None:
-    for folder in sorted(file.parent for file in place.glob(f"*/{journal_path(Path(LOG)).name}")):
-        try:
-            for log in recover(folder, quiet=QUIET):
-                _LOGGER.warning("A check that was cut short counts for nothing; what it recorded is kept: %s", log)
-            _remove_if_empty(folder)
-        except (FileError, OSError) as error:  # of somebody else, say: no reason to check nothing
-            _LOGGER.warning("A check was cut short, and nothing is made of what it recorded: %s", error)
 
 
 def _described(address: str, arm: Arm) -> str:
@@ -246,11 +233,6 @@ def _described(address: str, arm: Arm) -> str:
     if arm.name == usual:
         return ""
     return f" --arm {arm.name}" if arm.name in CATALOGUE else " with the same --arm"
-
-
-def _remove_if_empty(folder: Path) -> None:
-    if not any(folder.iterdir()):
-        folder.rmdir()
 
 
 def _utc(when: datetime) -> datetime:
