@@ -1,5 +1,6 @@
 """The check of an emulated arm, from motion to rows; one of them is driven for the whole file."""
 
+import logging
 from dataclasses import replace
 from datetime import datetime, timedelta
 
@@ -13,6 +14,7 @@ from rejoint.diagnosis.monitoring.measures import measure_check
 from rejoint.diagnosis.monitoring.routine import CYCLES, POSES, plan_check, record_check
 from rejoint.diagnosis.segments import attach_segments
 from rejoint.logs.history import SUMMARY, find_rows, read_rows, write_rows
+from rejoint.logs.journal import Journal
 from rejoint.logs.runlog import RunLog
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.lab.plant.wear import load_wear
@@ -143,6 +145,22 @@ def test_a_history_grows_and_begins_anew(tmp_path):
     assert changed.line.startswith("A new norm begins, as the arm is described otherwise")
     with pytest.raises(InputError, match=r"later date.*delete that check in .*checks.mycobot280-emulated-healthy"):
         once(3)
+
+
+@pytest.mark.usefixtures("stood_in")
+def test_what_a_killed_check_recorded_is_kept_by_the_next_one(tmp_path, caplog):
+    log = tmp_path / "checks" / "mine" / "1" / "check.parquet"
+    journal = Journal.begin(log, arm="a", joint_names=ARM.joint_names, robot="emulated:healthy", label="check")
+    for number in range(50):
+        journal.append(float(number), *(np.zeros(size) for size in (ARM.joints, ARM.joints, 3, 3)))
+    journal.close()
+    with caplog.at_level(logging.WARNING, logger="rejoint"):
+        rejoint.check("emulated:healthy", name="mine", history=tmp_path, notes=rejoint.CheckNotes(when=BEGIN))
+    kept = log.parent / "check-cut-short.parquet"
+    assert [record.getMessage().rpartition(": ")[2] for record in caplog.records] == [str(kept)]
+    assert len(RunLog.load(kept).time) == 50
+    assert not log.exists()
+    assert len(find_rows(tmp_path)[0]) == 1 + ARM.joints
 
 
 @pytest.mark.usefixtures("stood_in")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 from contextlib import ExitStack
@@ -13,7 +14,6 @@ from typing import TYPE_CHECKING
 
 from rejoint.arms import CATALOGUE, Arm, Array
 from rejoint.control.observer import Observer, pacing
-from rejoint.control.recording import recording_of
 from rejoint.control.robot import Robot
 from rejoint.logs.history import (
     CHECKS,
@@ -27,7 +27,8 @@ from rejoint.logs.history import (
     utc_now,
     write_rows,
 )
-from rejoint.logs.runlog import RunLog, write_log
+from rejoint.logs.journal import Journal, recover
+from rejoint.logs.runlog import RunLog
 from rejoint.runs.history import MOVED, SET_UP, past_of, rows_of, with_outlook
 from rejoint.runs.run import RUNS
 from rejoint.session.inputs import FIRST_ROBOT, ArmLike, RobotLike, Settings, address_of, arm_of
@@ -45,6 +46,9 @@ BETWEEN = timedelta(minutes=4)
 """Between checks in a row with a given date; chosen"""
 LOG = "check.parquet"
 """Run log of a check"""
+
+
+_LOGGER = logging.getLogger("rejoint")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -182,6 +186,9 @@ def _once(
             f"that check in {home / CHECKS / head.arm}"
         )
     tolerance = head.tolerance_mm if head.tolerance_mm is not None or not mine else mine[-1].tolerance_mm
+    for killed in sorted((home / CHECKS / head.arm).glob("*")):
+        for log in recover(killed):
+            _LOGGER.warning("A check that was cut short counts for nothing; what it recorded is kept: %s", log)
     chosen = settings if settings.seed is not None else replace(settings, seed=len(mine))
     with ExitStack() as stack:
         if settings.dry_run:  # what it finds in a simulation is no check of the arm
@@ -210,18 +217,16 @@ def _drive(robot: Robot, folder: Path, on_progress: Progress) -> tuple[RunLog, A
 
     folder.mkdir(parents=True, exist_ok=True)
     require_space(folder)
+    names = robot.arm.joint_names
+    journal = Journal.begin(folder / LOG, arm=robot.arm.name, joint_names=names, robot=robot.address, label=LABEL)
     try:
-        ((log, warm),) = record_check(robot, on_progress=on_progress)
+        ((log, warm),) = record_check(robot, on_cycle=journal.see, on_progress=on_progress)
     except BaseException as error:
-        partial = recording_of(error)
-        if partial is None or not len(partial.time):
+        error.add_note(journal.rescue())
+        if not any(folder.iterdir()):
             folder.rmdir()
-        else:
-            path = folder / f"stopped-{LOG}"
-            write_log(path, partial.log(0, f"{LABEL}/stopped"))
-            error.add_note(f"What was recorded until then: {path}")
         raise
-    write_log(folder / LOG, log)
+    journal.finish(log)
     return log, warm
 
 
