@@ -13,7 +13,7 @@ import rejoint
 from rejoint.arms import Arm, tcp_position
 from rejoint.cli import show
 from rejoint.cli.console import results_of
-from rejoint.cli.options import Call, takes
+from rejoint.cli.options import Call, listed, takes
 from rejoint.logs import ImportOptions, export_log, import_logs, read_map
 from rejoint.logs.consistency import forced_remarks
 from rejoint.logs.runlog import RunLog, read_log
@@ -189,12 +189,12 @@ def import_(
         time_unit=time_unit,
         rate=rate,
         columns=read_map(columns) if columns else None,
-        names=_names(order),
+        names=listed(order or "") or None,
         state_topic=state_topic,
         command_topic=command_topic,
         stamp=stamp,
         calibration=calibration,
-        torque_off=_names(torque_off),
+        torque_off=listed(torque_off or "") or None,
         force=force,
     )
     chosen = call.arm()
@@ -233,7 +233,3 @@ def export(
         export_log(read_log(source), out)
     call.result(str(out))
     return {"out": out}
-
-
-def _names(text: str | None) -> tuple[str, ...] | None:
-    return None if text is None else tuple(name.strip() for name in text.split(",") if name.strip())

@@ -107,9 +107,14 @@ def period_seconds(text: str | None) -> tuple[float, float] | None:
     return parts[0], parts[-1]
 
 
+def listed(text: str) -> tuple[str, ...]:
+    """Read a comma-separated list."""
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
 def controller_names(text: str) -> tuple[str, ...]:
     """Read a comma-separated list; empty for ``all``, InputError where it holds no name."""
-    names = tuple(name.strip() for name in text.split(",") if name.strip())
+    names = listed(text)
     if not names:
         raise InputError(f"{text!r}: expected names with commas between them, or all")
     return () if names == ("all",) else names

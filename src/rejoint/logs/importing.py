@@ -35,7 +35,7 @@ def parted(motion: RecordedMotion) -> Iterator[RecordedMotion]:
     """Split at pauses and corrupt numbers; FileError beyond `CORRUPT`."""
     time, notes, command = motion.state.time, list(motion.notes), motion.command
     bad = _corrupt(motion.state)
-    if command is not None:
+    if command is not None and len(command):
         wrong = _corrupt(command)
         held = np.searchsorted(command.time, time, side="right") - 1
         bad |= wrong[np.maximum(held, 0)] & (held >= 0)
@@ -102,10 +102,12 @@ def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = Non
     """
     options = options or ImportOptions()
     found = LogFindings(force=options.force, notes=list(motion.notes))
-    state, command = clean(motion.state, found), motion.command and clean(motion.command, found)
+    state = clean(motion.state, found)
+    command = None if motion.command is None else clean(motion.command, found)
     extra, origin = motion.extra, float(np.floor(state.time[0]))
     if origin >= _EPOCH:
-        state, command = state.shifted(origin), command and command.shifted(origin)
+        state = state.shifted(origin)
+        command = None if command is None else command.shifted(origin)
         extra = extra | {"clock_origin_s": f"{origin:.0f}"}
     motion = replace(motion, state=state, command=command)
     check_units(motion, arm, options, found)

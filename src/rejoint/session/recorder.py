@@ -74,8 +74,7 @@ class RunRecorder:
 
     def end(self, *, keep: bool = True, extra: Mapping[str, str] | None = None) -> None:
         """Write what was taken; FileError where that fails."""
-        journal, pieces, kind = self._journal, self._pieces, self._kind
-        self._journal, self._pieces, self._kind = None, [], None
+        journal, pieces, kind = self._ended()
         if journal is not None and kind is not None and keep and pieces:
             journal.finish(_joined(pieces).log(0, kind[1], extra))
         elif journal is not None:
@@ -83,8 +82,7 @@ class RunRecorder:
 
     def rescue(self, error: BaseException) -> None:
         """Write what was taken until ``error``; its note says where."""
-        journal, pieces, kind = self._journal, self._pieces, self._kind
-        self._journal, self._pieces, self._kind = None, [], None
+        journal, pieces, kind = self._ended()
         partial = recording_of(error)
         began = not pieces and partial is not None and partial.controller == Playback.name
         pieces += [partial] if partial is not None and len(partial.time) else []
@@ -97,6 +95,11 @@ class RunRecorder:
             error.add_note(journal.keep(_joined(pieces).log(0, f"{label}/stopped")))
         else:
             journal.discard()
+
+    def _ended(self) -> tuple[Journal | None, list[Recording], tuple[str, str] | None]:
+        ended = self._journal, self._pieces, self._kind
+        self._journal, self._pieces, self._kind = None, [], None
+        return ended
 
     def _start(self) -> Journal | None:
         if self._run is None or self._kind is None or self._robot is None:
