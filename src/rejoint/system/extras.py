@@ -37,7 +37,7 @@ def require(what: str, *needs: str) -> None:
         raise MissingExtraError(_line(what, missing))
 
 
-def explain(error: Exception) -> str | None:
+def explain(error: BaseException) -> str | None:
     """Name a missing module's extra, or what is wrong with Numba's cache, or None."""
     if not isinstance(error, ImportError):
         return _explain_cache(error)
