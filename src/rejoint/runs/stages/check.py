@@ -187,8 +187,8 @@ def _once(
         )
     tolerance = head.tolerance_mm if head.tolerance_mm is not None or not mine else mine[-1].tolerance_mm
     for killed in sorted((home / CHECKS / head.arm).glob("*")):
-        for log in recover(killed):
-            _LOGGER.warning("A check that was cut short counts for nothing; what it recorded is kept: %s", log)
+        for path in recover(killed):
+            _LOGGER.warning("A check that was cut short counts for nothing; what it recorded is kept: %s", path)
     chosen = settings if settings.seed is not None else replace(settings, seed=len(mine))
     with ExitStack() as stack:
         if settings.dry_run:  # what it finds in a simulation is no check of the arm
