@@ -20,7 +20,8 @@ from rejoint.logs.exclusions import UNPOWERED, unpowered_joints
 from rejoint.logs.joints import ImportOptions
 from rejoint.logs.readers import LEROBOT, SAGE, TABLE
 from rejoint.logs.runlog import TWO_TURNS, Array, RunLog, describe, write_log
-from rejoint.system.errors import FileError, InputError, first_line
+from rejoint.system.errors import FileError, InputError
+from rejoint.system.files import reading
 from rejoint.system.progress import Progress, no_progress
 
 PAUSE = 1.0
@@ -273,13 +274,11 @@ def detect(source: Path, options: ImportOptions | None = None) -> str:
     options = options or ImportOptions()
     if not source.exists():
         raise FileError(source, "no such file or folder", "check the path")
-    try:
+    with reading(source, "not readable", "check its permissions"):
         fitting = [name for name, reader in READERS.items() if reader.found(source, options)]
         if source.is_file() and len(fitting) > 1:  # the first bytes are surer than that it is text
             fitting.remove("table")
         found = "" if fitting else describe(source)
-    except OSError as error:
-        raise FileError(source, f"not readable ({first_line(error)})", "check its permissions") from error
     if not fitting:
         raise FileError(source, f"no log: {found}; expected {_EXPECTED}", "convert it to one of these")
     if len(fitting) > 1:
