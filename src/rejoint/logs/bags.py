@@ -186,8 +186,6 @@ def _read(store: Store, file: Path, arm: Arm, options: ImportOptions) -> Recorde
                 raise FileError(file, f"more than {MESSAGES_MOST} messages on {topic}", "cut it in parts")
     if silent := [topic for topic, found in samples.items() if not found]:
         raise FileError(file, f"no message on {silent[0]}", "record it again or name another topic")
-    if options.names and all(sample.names for found in samples.values() for sample in found):
-        raise FileError(file, "all messages name their joints", "use --map, not --order")
     stamp = options.stamp or _stamp(samples, held, file, notes)
     origin = min(found[0].begin(stamp) for found in samples.values()) // NANOSECONDS * NANOSECONDS
     origin = origin if origin > 10**17 else 0  # counted from 1970; smaller numbers a float64 resolves to 1e-8 s

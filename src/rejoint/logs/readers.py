@@ -219,9 +219,7 @@ def _names(feature: dict[str, object], options: ImportOptions, path: Path, key: 
     shape, held = feature["shape"], feature["names"]
     if isinstance(held, dict) and len(held) == 1:
         held = next(iter(held.values()))
-    if options.names is not None:
-        if isinstance(held, list):
-            raise FileError(path, f"{key} names its columns: {', '.join(map(str, held))}", "use --map, not --order")
+    if options.names is not None and not isinstance(held, list):
         held = list(options.names)
     if not isinstance(held, list) or shape != [len({*map(str, held)})]:
         raise FileError(path, f"{key} has the shape {shape} and the names {held}", "name all columns with --order")
