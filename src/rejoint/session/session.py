@@ -127,6 +127,10 @@ class ArmSession(ArmDriver):
         twin = self.twin_now
         return None if twin is None else believed_motors(twin)
 
+    @property
+    def _moving(self) -> bool:
+        return self._motion is not None and self._motion.under_way
+
     # --- motions ------------------------------------------------------------------------------
 
     def move_to(
@@ -249,7 +253,7 @@ class ArmSession(ArmDriver):
 
     def _stream(self) -> GoalStream:
         self._require_open()
-        if self._goals is not None and self._motion is not None and self._motion.under_way:
+        if self._goals is not None and self._moving:
             return self._goals
         self._require_free()
         goals = GoalStream(self.apparent, self.robot.read().position[0].copy())
@@ -327,7 +331,7 @@ class ArmSession(ArmDriver):
         """State of the last cycle of a motion, else read now."""
         with self._asking:
             self._require_open()
-            moving = self._motion is not None and self._motion.under_way
+            moving = self._moving
             if not moving or self._seen is None:  # else the robot is the motion's to ask
                 self._seen = self.robot.read()
                 if self.watching:
@@ -447,9 +451,9 @@ class ArmSession(ArmDriver):
 
     def _require_free(self) -> None:
         self._require_open()
-        if self._goals is not None and self._motion is not None and self._motion.under_way:
+        if self._goals is not None and self._moving:
             self.stop()  # a stream of joint positions gives way to any other motion
-        if self._motion is not None and self._motion.under_way:
+        if self._moving:
             raise NotReadyError("the arm is still on its way; wait() for it, or stop() it first")
         self._tell_last()
 
