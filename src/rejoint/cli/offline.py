@@ -21,37 +21,11 @@ from rejoint.runs.run import Run
 from rejoint.session.inputs import arm_of_twin, as_logs
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
-from rejoint.system.shell import command
 
 if TYPE_CHECKING:
     from rejoint.runs.stages.report import Replayed
     from rejoint.twin.judge import Candidate
     from rejoint.twin.judgement import Errors, Judgement
-
-
-def diagnose_from_logs(call: Call, job: Run, logs: Path, good: Path | None) -> object:
-    """Judge an arm by the run logs in a folder and write the diagnosis into the run folder of ``job``."""
-    with call.watched("diagnose") as observer:
-        found = rejoint.diagnose(logs, run=job, healthy=good, observer=observer).diagnosis
-    show.diagnosis(call, found)
-    call.next(command("identify", "--logs", logs, "--run", job.path))
-    return {"run": job.path, "diagnosis": found}
-
-
-def log_plan(
-    arm: Arm,
-    published: list[str] | None,
-    hold_out: list[str] | None,
-    gain: list[str] | None,
-    torque_off: list[str] | None,
-) -> rejoint.LogPlan:
-    """Read the options of a fit to logs."""
-    return rejoint.LogPlan(
-        beside=read_sets(published, arm),
-        hold_out=None if not hold_out else [name for name in hold_out if name != "none"],
-        gain=_by_motion(gain),
-        torque_off=_by_motion(torque_off),
-    )
 
 
 def identify_from_logs(call: Call, job: Run, logs: Path, plan: rejoint.LogPlan) -> object:
@@ -133,7 +107,8 @@ def show_followed(call: Call, arm: Arm, replayed: Replayed) -> object:
     return {"followed": found, "judgement": None, "page": None}
 
 
-def _by_motion(given: list[str] | None) -> dict[str, str]:
+def by_motion(given: list[str] | None) -> dict[str, str]:
+    """Read MOTION=VALUE; InputError for anything else."""
     found: dict[str, str] = {}
     for one in given or []:
         name, named, value = one.rpartition("=")

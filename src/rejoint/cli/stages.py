@@ -181,7 +181,12 @@ def diagnose(
     if logs is not None:
         if robot is not None or call.settings.dry_run or KeptSettings.of(call.settings).given():
             raise InputError("diagnose takes either a robot or --logs FOLDER, and --logs no settings of a motion")
-        return offline.diagnose_from_logs(call, call.run_of_logs(logs, run, seed), logs, healthy)
+        job = call.run_of_logs(logs, run, seed)
+        with call.watched("diagnose") as observer:
+            judged = rejoint.diagnose(logs, run=job, healthy=healthy, observer=observer).diagnosis
+        show.diagnosis(call, judged)
+        call.next(command("identify", "--logs", logs, "--run", job.path))
+        return {"run": job.path, "diagnosis": judged}
     robot = robot or "emulated:worn"
     chosen = call.arm(robot)
     path = run or newest_or_new(robot, chosen, seed)[0]
@@ -220,9 +225,13 @@ def identify(
     require("rejoint identify", "train", *(() if logs is None else ("report",)))  # logs end in a report at once
     if logs is not None and run is None:
         job = call.run_of_logs(logs, folder, seed or 0)
-        return offline.identify_from_logs(
-            call, job, logs, offline.log_plan(job.arm, published, hold_out, gain, torque_off)
+        plan = rejoint.LogPlan(
+            beside=offline.read_sets(published, job.arm),
+            hold_out=None if not hold_out else [name for name in hold_out if name != "none"],
+            gain=offline.by_motion(gain),
+            torque_off=offline.by_motion(torque_off),
         )
+        return offline.identify_from_logs(call, job, logs, plan)
     if run is None or logs is not None or folder is not None or published or hold_out or gain or torque_off:
         raise InputError(
             "identify takes either a run folder alone or --logs FOLDER, and with it --run, --published, --hold-out, "

@@ -53,22 +53,18 @@ def export_run(
         raise InputError(
             "--format lerobot takes --lerobot FILE, the calibration file of the arm, and no other format does"
         )
-    if kind in ("onnx", "ros2"):
-        path, told = _controller(about, kind, out, controller)
-    elif controller is not None:
+    if controller is not None and kind not in ("onnx", "ros2"):
         raise InputError(f"--controller is for --format onnx and ros2, not for {kind}")
-    else:
-        path, told = _exported(about, kind, out, lerobot)
-    return path, f"{told} {quick_note(about)}".rstrip()
-
-
-def _exported(about: Run, kind: str, out: Path | None, lerobot: Path | None) -> tuple[Path, str]:
     if kind == "datasheet":
         require("rejoint export --format datasheet", "report")
         from rejoint.pages.report.page import write_datasheet
 
-        return write_datasheet(about.path, out or about.path / "datasheet.html"), "One page; print it on A4."
-    return _urdf(about, out) if lerobot is None else _homing(about, lerobot, out)
+        path, told = write_datasheet(about.path, out or about.path / "datasheet.html"), "One page; print it on A4."
+    elif lerobot is not None:
+        path, told = _homing(about, lerobot, out)
+    else:
+        path, told = _urdf(about, out) if kind == "urdf" else _controller(about, kind, out, controller)
+    return path, f"{told} {quick_note(about)}".rstrip()
 
 
 def _rigid(run: Run) -> tuple[Calibration, Displacement]:
