@@ -194,20 +194,17 @@ SHARED = {
 """Options of several commands that become fields of `Settings`"""
 
 
-def _default(name: str) -> object:
-    return getattr(Settings, SHARED[name].field or name)
-
-
 def takes(*names: str) -> Callable[[Callable[..., object]], Callable[..., None]]:
     """Give a command shared options: ``arm``, ``part`` of it, ``live``, and of `SHARED`; all commands have ``json``.
 
     The command receives them as a `Call`, and returns its `Result` or that one's value; None prints no JSON.
     """
+    fields = {name: one.field or name for name, one in SHARED.items()}
     arm = [name for name in ArmPick._fields if name in names or (name != "arm" and "part" in names)]
     shared, known = [name for name in names if name in SHARED], TEXTS["all"]
     options = [
         *(keyword(name, str | None, known[name]) for name in arm),
-        *(keyword(name, SHARED[name].kind, TEXTS["shared"][name], _default(name)) for name in shared),
+        *(keyword(name, SHARED[name].kind, TEXTS["shared"][name], getattr(Settings, fields[name])) for name in shared),
         *(keyword(name, str | None, known[name]) for name in ("live",) if name in names),
         keyword("json", bool, known["json"], default=False),
     ]
@@ -215,12 +212,12 @@ def takes(*names: str) -> Callable[[Callable[..., object]], Callable[..., None]]
     def decorate(command: Callable[..., object]) -> Callable[..., None]:
         @wraps(command)
         def run(**words: Any) -> None:  # noqa: ANN401 - what the user wrote
-            fields = {SHARED[name].field or name: SHARED[name].read(words.pop(name)) for name in shared}
+            given = {fields[name]: SHARED[name].read(words.pop(name)) for name in shared}
             call = Call(
                 json=words.pop("json"),
                 live=words.pop("live", None),
                 pick=ArmPick(**{name: words.pop(name) for name in arm}),
-                settings=Settings(**fields),  # type: ignore[arg-type]
+                settings=Settings(**given),  # type: ignore[arg-type]
             )
             found = command(call, **words)
             result = found if isinstance(found, Result) else Result(found)

@@ -164,7 +164,7 @@ def read_journal(file: Path) -> RunLog | None:
         if magic != _MAGIC:
             return None
         n = len(about["joints"])
-        table = _whole_rows(rest, _row_size(n))
+        table = _whole_rows(rest, 8 * (1 + 2 * n + 6))
         return RunLog(
             arm=about["arm"],
             joint_names=tuple(about["joints"]),
@@ -191,10 +191,6 @@ def _whole_rows(data: bytes, size: int) -> Array:
     table = table[np.isfinite(table[:, :-6]).all(axis=-1)]
     earlier = np.concatenate([[-np.inf], np.maximum.accumulate(table[:, 0])[:-1]]) if len(table) else table[:, 0]
     return table[table[:, 0] > earlier]
-
-
-def _row_size(joints: int) -> int:
-    return 8 * (1 + 2 * joints + 6)
 
 
 def journal_path(path: Path) -> Path:

@@ -138,6 +138,8 @@ def check(
     """
     said = notes or CheckNotes()
     used_h, when = said.used_h, said.when
+    if when is not None and when.tzinfo is not None:
+        when = when.astimezone(UTC).replace(tzinfo=None)
     if tolerance_mm is not None and not 0.0 < tolerance_mm < math.inf:
         raise InputError(f"check: the tolerance is a positive number of millimetres, got {tolerance_mm}")
     if used_h is not None and not 0.0 <= used_h < math.inf:
@@ -146,7 +148,7 @@ def check(
         raise InputError(f"check: the name of an arm has letters or digits, got {name!r}; leave it out or give one")
     address, chosen = address_of(robot), arm_of(robot, arm)
     head = HistoryRow(
-        time=utc_now() if when is None else _utc(when),
+        time=utc_now() if when is None else when,
         kind="check",
         arm=name_of(address, chosen.name) if name is None else plain_name(name),
         robot=address,
@@ -238,7 +240,3 @@ def _described(address: str, arm: Arm) -> str:
     if arm.name == usual:
         return ""
     return f" --arm {arm.name}" if arm.name in CATALOGUE else " with the same --arm"
-
-
-def _utc(when: datetime) -> datetime:
-    return when if when.tzinfo is None else when.astimezone(UTC).replace(tzinfo=None)
