@@ -37,7 +37,7 @@ from rejoint.arms import mycobot280
 from rejoint.cli import main as command_line
 from rejoint.diagnosis.excitation import SHORT
 from rejoint.logs.journal import Journal
-from rejoint.logs.runfolder.folder import RunFolder, locked
+from rejoint.logs.runfolder import RunFolder, locked
 from rejoint.logs.runlog import read_log
 from rejoint.runs.run import Run
 

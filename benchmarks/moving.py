@@ -19,7 +19,7 @@ from rejoint.control.moving.posture import PathPostures, Servos, home_of
 from rejoint.control.moving.reference import LAG, LEAD_IN, STANDARD, Ahead, PathReference, Stream, played, standard_path
 from rejoint.control.moving.tracker import Tracker
 from rejoint.control.recording import Recording
-from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.logs.runfolder import RunFolder
 from rejoint.twin.parameters import TwinParameters, healthy_parameters
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear

@@ -34,9 +34,9 @@ from rejoint.control.moving.reference import LEAD_IN, Ahead, PathReference, stan
 from rejoint.control.moving.tracker import Tracker
 from rejoint.control.start import begin, move
 from rejoint.control.targets import draw_targets
-from rejoint.logs.runfolder.folder import RunFolder
-from rejoint.session.paths import servos_of
-from rejoint.session.payload import heavy, noticed_load
+from rejoint.logs.runfolder import RunFolder
+from rejoint.session.context import heavy, noticed_load
+from rejoint.session.motions import servos_of
 from rejoint.twin.twin import Twin
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear

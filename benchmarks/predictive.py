@@ -18,7 +18,7 @@ from rejoint.control.controller import ControlInput
 from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.goal import nearest_postures
 from rejoint.control.robot import JointState
-from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.logs.runfolder import RunFolder
 from rejoint.twin.predictive import PredictiveController
 from rejoint.twin.twin import Twin
 from rejoint_lab.research.evaluation.evaluate import planned

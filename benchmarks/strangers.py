@@ -27,7 +27,7 @@ import numpy as np
 import typer
 
 from rejoint.diagnosis.diagnosis import Diagnosis
-from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.logs.runfolder import RunFolder
 from rejoint.system.files import read_json
 
 

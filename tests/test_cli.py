@@ -16,7 +16,7 @@ import pytest
 import rejoint
 from commandline import python
 from rejoint.arms import mycobot280
-from rejoint.logs.runfolder.folder import RunInfo
+from rejoint.logs.runfolder import RunInfo
 from rejoint.logs.runlog import read_log
 from rejoint.runs.run import Run, newest_or_new
 from rejoint.system.errors import FileError

@@ -15,7 +15,7 @@ from rejoint.arms import load_arm
 from rejoint.cli import app
 from rejoint.cli.console import with_place
 from rejoint.control.contract import DIGEST_KEY, METADATA_KEY
-from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.logs.runfolder import RunFolder
 from rejoint.twin.parameters import PARAMETERS
 
 ROOT = Path(__file__).parent.parent

@@ -21,7 +21,7 @@ from rejoint.arms import Arm, mycobot280
 from rejoint.control.catalogue import make_controller
 from rejoint.control.loop import Schedule
 from rejoint.control.loop import run as drive
-from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.logs.runfolder import RunFolder
 from rejoint.logs.runlog import write_log
 from rejoint.robots import open_robot
 from rejoint.runs.run import Run

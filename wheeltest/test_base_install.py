@@ -12,7 +12,7 @@ import pytest
 
 from conftest import ROOT, Base
 from rejoint.control.comparison.result import Comparison
-from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.logs.runfolder import RunFolder
 from rejoint.logs.runlog import read_log
 from rejoint.system.extras import EXTRAS
 from rejoint.system.files import read_json

@@ -41,11 +41,10 @@ if TYPE_CHECKING:
     from rejoint.runs.stages.identify import LogPlan, identify
     from rejoint.runs.stages.report import Replayed, replay, report
     from rejoint.runs.stages.train import TrainedPolicy, TrainSettings, train
-    from rejoint.session.deploying import deploy
-    from rejoint.session.paths import follow
+    from rejoint.session.inputs import Settings
+    from rejoint.session.motions import deploy, follow
     from rejoint.session.serving import Serving, serve
     from rejoint.session.session import ArmState
-    from rejoint.session.settings import Settings
     from rejoint.system.errors import (
         AddressError,
         ConnectionLostError,
@@ -102,11 +101,10 @@ _HOMES = {
     "runs.stages.identify": ("LogPlan", "identify"),
     "runs.stages.report": ("Replayed", "replay", "report"),
     "runs.stages.train": ("TrainSettings", "TrainedPolicy", "train"),
-    "session.deploying": ("deploy",),
-    "session.paths": ("follow",),
+    "session.motions": ("deploy", "follow"),
     "session.serving": ("Serving", "serve"),
     "session.session": ("ArmState",),
-    "session.settings": ("Settings",),
+    "session.inputs": ("Settings",),
     "system.errors": (
         "AddressError", "ConnectionLostError", "ContractError", "FileError", "GuardTripError",
         "ImpossibleReplyError", "InputError", "MissingExtraError", "NoReplyError", "NotReachedError",

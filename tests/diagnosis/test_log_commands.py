@@ -10,7 +10,7 @@ from plant_logs import ARM, HEALTHY, record_motions, with_joint
 import rejoint
 from rejoint.arms import load_arm, write_arm_toml
 from rejoint.diagnosis.diagnosis import Diagnosis
-from rejoint.logs.runfolder.folder import LOGS, RunFolder, RunInfo
+from rejoint.logs.runfolder import LOGS, RunFolder, RunInfo
 from rejoint.logs.runlog import write_log
 from rejoint.runs.run import Run
 from rejoint.session.inputs import arm_of_twin, run_of_logs

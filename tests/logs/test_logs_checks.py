@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from log_samples import ARM, Sample, sample
 
+from rejoint.logs.columns import RecordedMotion, Track
 from rejoint.logs.importing import to_log
 from rejoint.logs.runlog import Array, RunLog
-from rejoint.logs.track import RecordedMotion, Track
 from rejoint.system.errors import FileError
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import load_arm
-from rejoint.logs.homing import corrected_homing, write_homing
+from rejoint.logs.joints import corrected_homing, write_homing
 from rejoint.system.errors import InputError
 
 ARM = load_arm("so101")

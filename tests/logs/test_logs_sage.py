@@ -11,6 +11,7 @@ from log_samples import ARM, sample, write_sage
 from real_so101 import FOLDER, NO_RECORDINGS, recorded
 from rejoint.logs import import_logs
 from rejoint.logs.runlog import read_log
+from rejoint.system.errors import FileError
 
 
 @pytest.mark.skipif(not recorded(), reason=NO_RECORDINGS)
@@ -55,3 +56,11 @@ def test_the_command_in_force_is_held(tmp_path: Path):
     assert log.position.tolist() == found.position[2:].tolist()
     notes = " ".join(imported.notes)
     assert "2 samples before the first command" in notes
+
+
+@pytest.mark.parametrize("file", ["control.csv", "state_motor.csv"])
+def test_a_file_without_samples_is_refused(tmp_path: Path, file: str):
+    folder = write_sage(tmp_path / "empty", sample())
+    (folder / file).write_text("type,timestamp,positions\n")
+    with pytest.raises(FileError, match=r"0 sample\(s\), a log needs at least 2"):
+        import_logs(folder, ARM, out=tmp_path / "logs")

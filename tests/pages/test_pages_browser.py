@@ -5,7 +5,7 @@ from datetime import datetime
 import pytest
 from browser import CHROMIUM, chromium
 
-from rejoint.runs.fleet.call import FleetResult, FleetRow, write_page
+from rejoint.runs.fleet.campaign import FleetResult, FleetRow, write_page
 
 pytestmark = [
     pytest.mark.realtime,

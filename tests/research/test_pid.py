@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from rejoint.research.rivals.pid import PidController, PidGains
 
 from rejoint.arms import mycobot280, solve_position
 from rejoint.control.goal import nearest_postures
+from rejoint_lab.research.rivals.pid import PidController, PidGains
 from standin import inputs_of, state_of
 
 ARM = mycobot280()

@@ -13,7 +13,7 @@ import pytest
 from madetwin import made_twin
 from rejoint.arms import mycobot280
 from rejoint.control.robot import Robot
-from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.logs.runfolder import RunFolder
 from rejoint.logs.runlog import read_log
 from rejoint.robots import open_robot
 from rejoint.training import presets

@@ -22,7 +22,7 @@ from rejoint.robots.mycobot import MyCobot280
 from rejoint.robots.serving.served import PATIENCE, MoveEnd, ServedArm
 from rejoint.robots.serving.server import REFUSED, Answering, OrderLog, Relay, tcp_wire
 from rejoint.runs.run import Run
-from rejoint.session.settings import Settings
+from rejoint.session.inputs import Settings
 from rejoint.system.errors import NoReplyError
 from rejoint.twin.parameters import nominal_parameters
 from rejoint_lab.plant.wear import load_wear

@@ -19,7 +19,7 @@ from rejoint.control.reference import Reference, Setpoint
 from rejoint.control.robot import JointState
 from rejoint.control.unloading import PlannedWay, UnloadedWay, Unloading
 from rejoint.runs.run import Run
-from rejoint.session.motions import GoalStream
+from rejoint.session.driver import GoalStream
 from rejoint.twin.parameters import nominal_parameters, prior
 from rejoint.twin.twin import HeldOut, PredictionError, Twin
 from rejoint_lab.plant.wear import load_wear

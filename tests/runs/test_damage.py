@@ -20,7 +20,7 @@ from rejoint.arms import load_arm, mycobot280, write_arm_toml
 from rejoint.control.policy import load_policy
 from rejoint.control.targets import read_targets
 from rejoint.logs import runlog
-from rejoint.logs.runfolder.folder import FORMAT, RunInfo, read_info
+from rejoint.logs.runfolder import FORMAT, RunInfo, read_info
 from rejoint.logs.runlog import RunLog, read_log, write_log
 from rejoint.pages.report.contents import read_curves
 from rejoint.runs.run import Run

@@ -10,7 +10,7 @@ import pytest
 import rejoint
 from hearing import Hears
 from rejoint.arms import mycobot280
-from rejoint.logs.runfolder.folder import locked
+from rejoint.logs.runfolder import locked
 from rejoint.logs.runlog import read_log
 from rejoint.runs.run import Run
 from rejoint.system.errors import UnsavedError

@@ -12,7 +12,7 @@ import rejoint
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.contract import decode_contract, encode_contract
 from rejoint.control.servogains import GainsFound, Round
-from rejoint.logs.runfolder.effort import read_effort
+from rejoint.logs.runfolder import read_effort
 from rejoint.robots import place_of
 from rejoint.robots.feetech.gains import for_all
 from rejoint.runs.run import Run

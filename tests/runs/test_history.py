@@ -9,8 +9,7 @@ import pytest
 
 from rejoint.diagnosis.monitoring.judge import Change, Due, Outlook, PastCheck, outlook, say
 from rejoint.diagnosis.monitoring.measures import CheckMeasures, JointCheck
-from rejoint.logs.history.index import find_rows
-from rejoint.logs.history.rows import SUMMARY, HistoryRow, name_of, read_rows, write_rows
+from rejoint.logs.history import SUMMARY, HistoryRow, find_rows, name_of, read_rows, write_rows
 from rejoint.runs.history import arms_of, cells, past_of, prometheus_text, rows_of, write_history
 from rejoint.system.errors import FileError
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280
-from rejoint.logs.runfolder.folder import LOGS, RunFolder, RunInfo, locked
+from rejoint.logs.runfolder import LOGS, RunFolder, RunInfo, locked
 from rejoint.logs.runlog import RunLog, write_log
 from rejoint.runs.run import Run, exclusive
 from rejoint.system.errors import FileError, InputError

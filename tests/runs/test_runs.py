@@ -13,7 +13,7 @@ import pytest
 import rejoint
 from rejoint.arms import mycobot280
 from rejoint.logs.journal import CUT_SHORT, recover
-from rejoint.logs.runfolder.folder import RunFolder, locked
+from rejoint.logs.runfolder import RunFolder, locked
 from rejoint.logs.runlog import RunLog, read_log, write_log
 from rejoint.robots import open_robot
 from rejoint.runs.run import Run
@@ -64,7 +64,7 @@ def test_json_of_the_wrong_shape_names_the_file(tmp_path):
 
 
 def test_nobody_else_works_in_a_run_folder_meanwhile(tmp_path):
-    code = "import sys\nfrom pathlib import Path\nfrom rejoint.logs.runfolder.folder import RunFolder, locked\n"
+    code = "import sys\nfrom pathlib import Path\nfrom rejoint.logs.runfolder import RunFolder, locked\n"
     code += "with locked(RunFolder(Path(sys.argv[1]))): print('in', flush=True); sys.stdin.read()\n"
     words = [sys.executable, "-c", code, str(tmp_path)]
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:

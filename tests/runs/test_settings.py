@@ -1,7 +1,5 @@
 """Settings: refused where they cannot be meant, kept by a run, and the same words at the command line."""
 
-from dataclasses import fields
-
 import numpy as np
 import pytest
 
@@ -9,9 +7,8 @@ import rejoint
 from hearing import Hears
 from rejoint.arms import Box, mycobot280
 from rejoint.arms.inertia import LoadedArm, Payload, loaded
-from rejoint.cli.options import meaning
 from rejoint.runs.run import Run, mark_quick
-from rejoint.session.settings import keep, settled
+from rejoint.session.inputs import keep, settled
 from runs.test_connect import a_twin
 
 ARM = mycobot280()
@@ -73,16 +70,6 @@ def test_kept_settings_drive_the_arm_and_are_named(run):
         assert any("quick" in line for line in said)
     with rejoint.connect("emulated:worn", run=run.path, settings=rejoint.Settings(payload=0.0)) as arm:
         np.testing.assert_array_equal(arm.arm.mass, ARM.mass)
-
-
-def test_every_field_says_what_it_means_without_units_and_python():
-    for field in fields(rejoint.Settings):
-        said = meaning(field.name)
-        assert said
-        assert "Python" not in said
-        assert not said.startswith("[")
-    assert "nothing" in meaning("dry_run")
-    assert "carries" in meaning("payload")
 
 
 def test_a_dry_comparison_moves_nothing():

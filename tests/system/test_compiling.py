@@ -67,7 +67,6 @@ def test_a_full_disk_for_compiled_loops_is_told_with_its_place(kept, monkeypatch
     with pytest.raises(OSError, match="No space") as failed:
         load()
     line = explain(failed.value)
-    assert (
-        line == f"{folder}: compiled loops cannot be kept there (No space left on device); free some space, or set "
-        "NUMBA_CACHE_DIR"
-    )
+    assert line.startswith(f"{folder}: compiled loops are damaged or cannot be kept there")
+    assert "No space left on device" in line
+    assert "NUMBA_CACHE_DIR" in line

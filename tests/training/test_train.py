@@ -9,7 +9,7 @@ import torch
 from rejoint.arms import mycobot280
 from rejoint.control.contract import INPUT, OUTPUT
 from rejoint.control.policy import load_policy
-from rejoint.logs.runfolder.folder import Outputs
+from rejoint.logs.runfolder import Outputs
 from rejoint.training.export import policy_graph
 from rejoint.training.learner import Learner
 from rejoint.training.ppo import Actor, Critic, Ppo, perceptron

@@ -30,7 +30,7 @@ from rejoint.diagnosis.calibration.measurements import (
     require_degrees,
     write_table,
 )
-from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.logs.runfolder import RunFolder
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import set_aside, write_whole
 from rejoint.system.textfile import ANGLES

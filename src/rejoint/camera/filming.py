@@ -21,7 +21,7 @@ from rejoint.camera.rig import Rig
 from rejoint.control.robot import Robot
 from rejoint.diagnosis.calibration.postures import BEFORE, narrowed
 from rejoint.diagnosis.calibration.procedure import StandingDrive, log_resumed, same
-from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.logs.runfolder import RunFolder
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import set_aside, write_whole
 from rejoint.system.progress import Progress

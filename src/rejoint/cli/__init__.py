@@ -154,32 +154,15 @@ def main() -> None:
     install()
     try:
         require_compiler()
-        result = app(
-            args=with_place(with_home(sys.argv[1:])), standalone_mode=False
-        )  # makes an exit code of every interruption, whichever signal it was
+        result = app(args=with_place(with_home(sys.argv[1:])), standalone_mode=False)
         code = result if isinstance(result, int) else 0
-        if code == 128 + signal.SIGINT:
-            code = _interrupted(interruption() or Interrupted(signal.SIGINT), json=json)
-    except Interrupted as error:  # before the framework had begun, or after its end
-        code = _interrupted(error, json=json)
-    except RejointError as error:
-        code = _fail(str(error), type(error).__name__, error.exit_code, json=json)
-        _say_notes(error)
-    except typer.TyperException as error:
-        code = _fail(_misused(error), "UsageError", 2, json=json)
+        if code == 128 + signal.SIGINT:  # so it ends every interruption, whichever signal it was
+            code = _ended(interruption() or Interrupted(signal.SIGINT), json=json)
     except BrokenPipeError:
         into_nothing(sys.stdout)
         code = 0  # the reader of our output has seen enough
-    except OSError as error:
-        where = f"{error.filename}: " if error.filename else ""
-        told = f"{where}{error.strerror or error}; check the path, its permissions and the space left"
-        code = _fail(explain(error) or told, "OSError", 2, json=json)
-    except MemoryError as error:
-        told = "not enough memory for this; close other programs, allow more, or ask for less"
-        code = _fail(told, "MemoryError", 2, json=json)
-        _say_notes(error)
-    except Exception as error:  # noqa: BLE001 - a bug, wherever it is, ends in one line
-        code = _unforeseen(error, json=json)
+    except (Exception, Interrupted) as error:  # noqa: BLE001 - a bug, wherever it is, ends in one line
+        code = _ended(error, json=json)
     sys.exit(code)
 
 
@@ -223,52 +206,59 @@ RESUMED = ("repair", "train", "compare", "fleet")
 """Commands that go on where they were interrupted"""
 
 
-def _interrupted(error: Interrupted, *, json: bool) -> int:
-    close()  # a signal that was swallowed is sent again, at a time of its own
-    command = sys.argv[1] if len(sys.argv) > 1 else ""
-    kept = f"; what is finished is kept: the same `rejoint {command}` goes on from there" if command in RESUMED else ""
-    code = _fail(f"{error}{kept}", "Interrupted", error.exit_code, json=json)
+def _ended(error: BaseException, *, json: bool) -> int:
+    """Say in a line, and the notes of an error, how a command ended early; return its exit code."""
+    if not isinstance(error, Interrupted | RejointError | typer.TyperException | OSError | MemoryError):
+        error = interruption() or error  # compiled code may have swallowed it, and failed for want of what it asked for
+    text, kind, code = _reason(error)
+    if isinstance(error, Interrupted):
+        close()  # a signal that was swallowed is sent again, at a time of its own
+    _say(f"error: {text}")
+    if json:
+        line = msgspec.json.encode({"error": kind, "message": text, "exit_code": code}).decode()
+        try:
+            sys.stdout.write(line + "\n")
+            sys.stdout.flush()
+        except OSError:  # no reader, or its disk is full: what is left in its buffer has nowhere to go either
+            into_nothing(sys.stdout)
     _say_notes(error)
     return code
 
 
-def _unforeseen(error: Exception, *, json: bool) -> int:
-    asked = interruption()  # compiled code may have swallowed it, and failed for want of what it asked for
-    if asked is not None:
-        return _interrupted(asked, json=json)
-    line, kind = explain(error), "MissingExtraError" if isinstance(error, ImportError) else "InputError"
-    return _bug(error, json=json) if line is None else _fail(line, kind, 2, json=json)
-
-
-def _bug(error: Exception, *, json: bool) -> int:
+def _reason(error: BaseException) -> tuple[str, str, int]:
+    """Return why a command ended, the kind of its error, and its exit code."""
+    match error:
+        case Interrupted():
+            command = sys.argv[1] if len(sys.argv) > 1 else ""
+            goes_on = f"; what is finished is kept: the same `rejoint {command}` goes on from there"
+            return f"{error}{goes_on * (command in RESUMED)}", "Interrupted", error.exit_code
+        case RejointError():
+            return str(error), type(error).__name__, error.exit_code
+        case typer.TyperException():
+            return _misused(error), "UsageError", 2
+        case MemoryError():
+            return "not enough memory for this; close other programs, allow more, or ask for less", "MemoryError", 2
+    line = explain(error)
+    if isinstance(error, OSError):
+        where = f"{error.filename}: " if error.filename else ""
+        told = f"{where}{error.strerror or error}; check the path, its permissions and the space left"
+        return line or told, "OSError", 2
+    if line is not None:
+        return line, "MissingExtraError" if isinstance(error, ImportError) else "InputError", 2
     from rejoint.robots.registry import driver_of
 
     with tempfile.NamedTemporaryFile(
         "w", prefix="rejoint-traceback-", suffix=".txt", encoding="utf-8", delete=False
     ) as file:
         file.writelines(traceback.format_exception(error))
-    what = f"{type(error).__name__}: {first_line(error)}"
     whose = driver_of(error) or "rejoint itself"
-    code = _fail(f"a bug in {whose}: {what}; where it is: {file.name}", "InternalError", BUG, json=json)
-    _say_notes(error)
-    return code
+    what = f"{type(error).__name__}: {first_line(error)}"
+    return f"a bug in {whose}: {what}; where it is: {file.name}", "InternalError", BUG
 
 
 def _say_notes(error: BaseException) -> None:
     for note in getattr(error, "__notes__", ()):
         _say(note)
-
-
-def _fail(message: str, kind: str, code: int, *, json: bool) -> int:
-    _say(f"error: {message}")
-    if json:
-        line = msgspec.json.encode({"error": kind, "message": message, "exit_code": code}).decode()
-        try:
-            sys.stdout.write(line + "\n")
-            sys.stdout.flush()
-        except OSError:  # no reader, or its disk is full: what is left in its buffer has nowhere to go either
-            into_nothing(sys.stdout)
-    return code
 
 
 def _say(text: str) -> None:

@@ -107,17 +107,15 @@ def _results() -> TextIO:
 
 
 class ConsoleObserver(Observer):
-    """Shows at the terminal what an arm does; ``partial`` and ``served`` take what a command shows in its own way."""
+    """Shows at the terminal what an arm does; ``partial`` prints a result cut short."""
 
     def __init__(
         self,
         terminal: Terminal,
         progress: Progress | None = None,
-        *,
-        partial: Callable[[Any], object] | None = None,
-        served: Callable[[str], object] | None = None,
+        partial: Callable[[Any], object] = lambda _: None,
     ) -> None:
-        self._terminal, self._progress, self._partial, self._served = terminal, progress, partial, served
+        self._terminal, self._progress, self._partial = terminal, progress, partial
 
     def message(self, line: str) -> None:
         """Print a sentence."""
@@ -130,13 +128,13 @@ class ConsoleObserver(Observer):
 
     def partial(self, result: object) -> None:
         """Print what was done until an error."""
-        if self._partial is not None:
-            self._partial(result)
+        self._partial(result)
 
     def served(self, address: str) -> None:
         """Print where a served arm is."""
-        if self._served is not None:
-            self._served(address)
+        self._terminal.say(f"The arm is served at {address}  (Ctrl-C brings it to a hold and ends)")
+        if address.startswith("tcp://") and not address.startswith("tcp://127."):
+            self._terminal.say("Other machines can drive it too, without a password.")
 
 
 class Terminal:
@@ -204,7 +202,7 @@ class Terminal:
     def watched(self, title: str, show: Callable[[Any], object] = lambda result: None) -> Iterator[Observer]:  # noqa: ARG005
         """Show what an arm does, and on the page where one is asked for; ``show`` prints a result cut short."""
         with self.unsaved(show), live_view(self, self.live, title) as view, self.progress(title) as update:
-            console = ConsoleObserver(self, update, partial=show)
+            console = ConsoleObserver(self, update, show)
             yield console if view is None else Observers(console, view)
 
     @contextmanager

@@ -71,7 +71,7 @@ def calibrate(
     else:
         gauge = gauge_by_word(call, robot, measure or "", job.seed, means)
         visits, scouts = 2 - once, getattr(gauge, "scouts", 0)
-        count = count or getattr(gauge, "postures", POINTS)
+        count = int(count or getattr(gauge, "postures", POINTS))
         total = scouts + count * visits
         call.say(
             f"{count} postures{', each from two sides' * (not once)}: {total} measurements, about "

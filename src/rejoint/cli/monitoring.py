@@ -24,8 +24,7 @@ from rejoint.system.errors import FileError, MissingExtraError
 from rejoint.system.extras import require
 
 if TYPE_CHECKING:
-    from rejoint.runs.fleet.call import Event, Executor, FleetResult
-    from rejoint.runs.fleet.campaign import Campaign
+    from rejoint.runs.fleet.campaign import Executor, FleetResult
     from rejoint.runs.fleet.file import FleetArm
 
 DRIFTS, ALARM = 6, 7
@@ -83,7 +82,7 @@ def history(
     page: Path | None = None,
 ) -> object:
     """Show all arms of a folder, the worst first, as a table and as a page."""
-    from rejoint.logs.history.index import find_rows
+    from rejoint.logs.history import find_rows
     from rejoint.runs.history import HEADERS, arms_of, cells, write_history
 
     if page is not None:
@@ -132,9 +131,8 @@ def fleet(
 ) -> Result:
     """Check or repair many arms, each within its hours and with its permissions, and show them, the worst first."""
     require(f"rejoint fleet {verb}", "fleet", "report", *(["train"] if verb == "repair" and address is None else []))
-    from rejoint.cli.chain import rehearse
-    from rejoint.runs.fleet.call import Rules, run_fleet
-    from rejoint.runs.fleet.campaign import RepairOptions
+    from rejoint.cli.stages import rehearse
+    from rejoint.runs.fleet.campaign import Rules, run_fleet
     from rejoint.runs.fleet.file import read_fleet
     from rejoint.runs.fleet.rayexecutor import RayExecutor, has_token
 
@@ -156,30 +154,20 @@ def fleet(
     def make_executor(arms: Sequence[FleetArm]) -> AbstractContextManager[Executor]:
         return closing(RayExecutor(arms, address=address, cpus=cpus, training_cpus=training_cpus))
 
-    options = RepairOptions(
-        plan=rejoint.RepairPlan(
-            preset=preset,
-            controllers=opt.controller_names(controllers),
-            trials=rejoint.TrialPlan(sets=sets, repetitions=repetitions),
-        ),
+    trials = rejoint.TrialPlan(sets=sets, repetitions=repetitions)
+    rules = Rules(
+        somebody=somebody,
+        stay=wait,
+        fresh=fresh,
+        needed=needed,
+        plan=rejoint.RepairPlan(preset=preset, controllers=opt.controller_names(controllers), trials=trials),
         seed=seed,
         quick=quick,
-        needed=needed,
     )
-    rules = Rules(somebody=somebody, stay=wait, fresh=fresh)
     if address is None:  # all control loops run here
         rules = replace(rules, at_once=cpus or os.cpu_count() or 1)
     with call.unsaved(partial(_show_rows, call)):
-        result = run_fleet(
-            found,
-            verb,
-            make_executor,
-            rules,
-            only=names,
-            options=options,
-            tell=partial(_say_event, call),
-            begins=partial(_say_begun, call),
-        )
+        result = run_fleet(found, verb, make_executor, rules, only=names, tell=call.say)
     _show_rows(call, result)
     if quick:
         call.say("A quick try: little of everything was done, so none of this is a result.")
@@ -188,19 +176,8 @@ def fleet(
     return Result({"verb": verb} | value, result.code)
 
 
-def _say_begun(call: Call, campaign: Campaign) -> None:
-    before = f", begun {campaign.info.begun:%Y-%m-%d %H:%M} UTC" if campaign.resumed else ""
-    start = "Going on with the" if campaign.resumed else "Starting the"
-    call.say(f"{start} {campaign.verb} of {len(campaign.info.runs)} arms in {campaign.fleet.folder}{before}")
-
-
-def _say_event(call: Call, event: Event) -> None:
-    took = f" in {event.seconds:.0f} s" if event.kind == "done" else ""
-    call.say(f"{event.arm.name}: {event.step} {event.kind}{took}{f': {event.text}' if event.text else ''}")
-
-
 def _show_rows(call: Call, result: FleetResult) -> None:
-    from rejoint.runs.fleet.call import HEADERS
+    from rejoint.runs.fleet.campaign import HEADERS
 
     call.table("All arms, the worst first", HEADERS, [row.cells for row in result.rows])
     for row in result.rows:

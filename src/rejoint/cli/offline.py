@@ -13,7 +13,7 @@ import rejoint
 from rejoint.arms import Arm, tcp_position
 from rejoint.cli import show
 from rejoint.cli.console import results_of
-from rejoint.cli.options import Call, takes
+from rejoint.cli.options import Call, listed, takes
 from rejoint.logs import ImportOptions, export_log, import_logs, read_map
 from rejoint.logs.consistency import forced_remarks
 from rejoint.logs.runlog import RunLog, read_log
@@ -21,37 +21,11 @@ from rejoint.runs.run import Run
 from rejoint.session.inputs import arm_of_twin, as_logs
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
-from rejoint.system.shell import command
 
 if TYPE_CHECKING:
     from rejoint.runs.stages.report import Replayed
     from rejoint.twin.judge import Candidate
     from rejoint.twin.judgement import Errors, Judgement
-
-
-def diagnose_from_logs(call: Call, job: Run, logs: Path, good: Path | None) -> object:
-    """Judge an arm by the run logs in a folder and write the diagnosis into the run folder of ``job``."""
-    with call.watched("diagnose") as observer:
-        found = rejoint.diagnose(logs, run=job, healthy=good, observer=observer).diagnosis
-    show.diagnosis(call, found)
-    call.next(command("identify", "--logs", logs, "--run", job.path))
-    return {"run": job.path, "diagnosis": found}
-
-
-def log_plan(
-    arm: Arm,
-    published: list[str] | None,
-    hold_out: list[str] | None,
-    gain: list[str] | None,
-    torque_off: list[str] | None,
-) -> rejoint.LogPlan:
-    """Read the options of a fit to logs."""
-    return rejoint.LogPlan(
-        beside=read_sets(published, arm),
-        hold_out=None if not hold_out else [name for name in hold_out if name != "none"],
-        gain=_by_motion(gain),
-        torque_off=_by_motion(torque_off),
-    )
 
 
 def identify_from_logs(call: Call, job: Run, logs: Path, plan: rejoint.LogPlan) -> object:
@@ -133,7 +107,8 @@ def show_followed(call: Call, arm: Arm, replayed: Replayed) -> object:
     return {"followed": found, "judgement": None, "page": None}
 
 
-def _by_motion(given: list[str] | None) -> dict[str, str]:
+def by_motion(given: list[str] | None) -> dict[str, str]:
+    """Read MOTION=VALUE; InputError for anything else."""
     found: dict[str, str] = {}
     for one in given or []:
         name, named, value = one.rpartition("=")
@@ -189,12 +164,12 @@ def import_(
         time_unit=time_unit,
         rate=rate,
         columns=read_map(columns) if columns else None,
-        names=_names(order),
+        names=listed(order or "") or None,
         state_topic=state_topic,
         command_topic=command_topic,
         stamp=stamp,
         calibration=calibration,
-        torque_off=_names(torque_off),
+        torque_off=listed(torque_off or "") or None,
         force=force,
     )
     chosen = call.arm()
@@ -233,7 +208,3 @@ def export(
         export_log(read_log(source), out)
     call.result(str(out))
     return {"out": out}
-
-
-def _names(text: str | None) -> tuple[str, ...] | None:
-    return None if text is None else tuple(name.strip() for name in text.split(",") if name.strip())

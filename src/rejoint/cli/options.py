@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import math
 import re
 from collections.abc import Callable, Mapping
@@ -19,22 +18,12 @@ from rejoint.arms.inertia import Payload as LoadedWith
 from rejoint.arms.loading import read_arm, write_unfinished
 from rejoint.cli import texts
 from rejoint.cli.console import Terminal
-from rejoint.logs.runfolder.folder import LOGS, RunFolder
+from rejoint.logs.runfolder import LOGS, RunFolder
 from rejoint.robots import DEFAULT_ARM, place_of
 from rejoint.runs.run import Run as OpenRun
 from rejoint.runs.run import newest_or_new
-from rejoint.session.settings import Settings
+from rejoint.session.inputs import Settings
 from rejoint.system.errors import InputError
-
-
-def meaning(field: str) -> str:
-    """Return what a field of `Settings` means, as its documentation says it: without the unit and what is Python's."""
-    source = inspect.getsource(Settings)
-    found = re.search(
-        rf'^    {field}: [^\n]*\n    """(?:\[\S+\] )?(.*?)(?:\. In\s+Python .*?)?"""', source, re.M | re.S
-    )
-    assert found is not None, field  # noqa: S101 - a test asks for each
-    return found[1][:1].upper() + re.sub(r"\s+", " ", found[1][1:])
 
 
 class ArmPick(NamedTuple):
@@ -118,9 +107,14 @@ def period_seconds(text: str | None) -> tuple[float, float] | None:
     return parts[0], parts[-1]
 
 
+def listed(text: str) -> tuple[str, ...]:
+    """Read a comma-separated list."""
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
 def controller_names(text: str) -> tuple[str, ...]:
     """Read a comma-separated list; empty for ``all``, InputError where it holds no name."""
-    names = tuple(name.strip() for name in text.split(",") if name.strip())
+    names = listed(text)
     if not names:
         raise InputError(f"{text!r}: expected names with commas between them, or all")
     return () if names == ("all",) else names
@@ -165,24 +159,14 @@ def point_of(x: float, y: float, z: float, option: str = "goto") -> tuple[float,
 
 
 class SharedOption(NamedTuple):
-    """An option that becomes a field of `Settings`, whose documentation is its help."""
+    """An option that becomes a field of `Settings`; its help is in the section ``shared`` of `texts`."""
 
     kind: object = str | None
     """type of the command's parameter"""
     read: Callable[[Any], object] = lambda given: given
     """makes the field of what the user wrote"""
-    form: str = ""
-    """unit, and how it is written"""
     field: str = ""
     """of `Settings`, where it is not called like the option"""
-    limits: Mapping[str, float] = {}
-
-    def parameter(self, name: str) -> Parameter:
-        """Return a command's parameter called ``name``."""
-        field = self.field or name
-        what, default, usual = meaning(field).partition("; by default")
-        text = f"{what}{self.form and f', {self.form}'}{default}{usual}."
-        return keyword(name, self.kind, {"help": text, **self.limits}, getattr(Settings, field))
 
 
 def keyword(name: str, kind: object, entry: str | Mapping[str, Any], default: object = None) -> Parameter:
@@ -197,16 +181,14 @@ def keyword(name: str, kind: object, entry: str | Mapping[str, Any], default: ob
 
 SHARED = {
     "controller": SharedOption(),
-    "dwell": SharedOption(float, form="in seconds", limits={"min": 0.1}),
-    "within": SharedOption(
-        float | None, lambda mm: None if mm is None else 1e-3 * mm, "in mm", limits={"min": 0.01, "max": 100.0}
-    ),
+    "dwell": SharedOption(float),
+    "within": SharedOption(float | None, lambda mm: None if mm is None else 1e-3 * mm),
     "calibration": SharedOption(),
-    "payload": SharedOption(str | None, payload_of, "in kg: 0.15, or 0.15@x,y,z with its centre in mm from there"),
-    "tool": SharedOption(str | None, tool_of, "in mm: x,y,z"),
+    "payload": SharedOption(str | None, payload_of),
+    "tool": SharedOption(str | None, tool_of),
     "camera": SharedOption(field="eye"),
-    "period": SharedOption(str | None, period_seconds, "in ms, such as 50 or 20-30"),
-    "seed": SharedOption(int | None, limits={"min": 0}),
+    "period": SharedOption(str | None, period_seconds),
+    "seed": SharedOption(int | None),
     "dry_run": SharedOption(bool),
 }
 """Options of several commands that become fields of `Settings`"""
@@ -217,11 +199,16 @@ def takes(*names: str) -> Callable[[Callable[..., object]], Callable[..., None]]
 
     The command receives them as a `Call`, and returns its `Result` or that one's value; None prints no JSON.
     """
+    fields = {name: one.field or name for name, one in SHARED.items()}
     arm = [name for name in ArmPick._fields if name in names or (name != "arm" and "part" in names)]
-    shared, known = [name for name in names if name in SHARED], texts("rejoint.cli")["all"]
+    own, shared = texts("rejoint.cli"), [name for name in names if name in SHARED]
+    known, help_of = own["all"], own["shared"]
     options = [
         *(keyword(name, str | None, known[name]) for name in arm),
-        *(SHARED[name].parameter(name) for name in shared),
+        *(
+            keyword(name, SHARED[name].kind, help_of[name], getattr(Settings, fields[name]))
+            for name in shared
+        ),
         *(keyword(name, str | None, known[name]) for name in ("live",) if name in names),
         keyword("json", bool, known["json"], default=False),
     ]
@@ -229,18 +216,18 @@ def takes(*names: str) -> Callable[[Callable[..., object]], Callable[..., None]]
     def decorate(command: Callable[..., object]) -> Callable[..., None]:
         @wraps(command)
         def run(**words: Any) -> None:  # noqa: ANN401 - what the user wrote
-            fields = {SHARED[name].field or name: SHARED[name].read(words.pop(name)) for name in shared}
+            given = {fields[name]: SHARED[name].read(words.pop(name)) for name in shared}
             call = Call(
                 json=words.pop("json"),
                 live=words.pop("live", None),
                 pick=ArmPick(**{name: words.pop(name) for name in arm}),
-                settings=Settings(**fields),  # type: ignore[arg-type]
+                settings=Settings(**given),  # type: ignore[arg-type]
             )
             found = command(call, **words)
             result = found if isinstance(found, Result) else Result(found)
             if result.value is not None:
                 call.finish(result.value)
-            if result.code:
+            if result.code and not call.settings.dry_run:
                 raise typer.Exit(result.code)
 
         ours = texts(command.__module__.rpartition(".")[0])

@@ -18,9 +18,8 @@ from rejoint.control.observer import Observer, Observers
 from rejoint.control.robot import Relaying, part_of
 from rejoint.robots import place_of
 from rejoint.robots.feetech.gains import FeetechAddress
-from rejoint.session.inputs import RunLike
+from rejoint.session.inputs import RunLike, Settings
 from rejoint.session.session import ArmSession
-from rejoint.session.settings import Settings
 from rejoint.system.errors import InputError
 from rejoint.system.stopping import check, noted
 
@@ -45,12 +44,6 @@ def serve(
         serve_lines(robot, run, settings, console)
         return None
 
-    def announce(address: str) -> None:
-        call.say(f"The arm at {robot} is served at {address}  (Ctrl-C brings it to a hold and ends)")
-        if address.startswith("tcp://") and not address.startswith("tcp://127."):
-            call.say("Other machines can drive it too, without a password.")
-
-    console = ConsoleObserver(call, served=announce)
     with live_view(call, call.live, "serve") as view:
         observer = console if view is None else Observers(console, view)
         done = rejoint.serve(robot, run, listen=listen, pty=pty, settings=settings, observer=observer)

@@ -12,7 +12,7 @@ from rejoint.control.comparison.recommend import Recommendation, failure
 from rejoint.control.comparison.result import Comparison
 from rejoint.control.servogains import in_words
 from rejoint.diagnosis.calibration.fit import DISTURBED, astray, disturbed
-from rejoint.logs.runfolder.effort import Effort, cost
+from rejoint.logs.runfolder import Effort, cost
 from rejoint.system.statistics import Spread
 
 _NAMED = 8  # pictures whose faults are printed line by line

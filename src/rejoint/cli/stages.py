@@ -1,11 +1,10 @@
-"""One command per stage.
-
-The servos' own gains: searched for, and kept if their owner says so.
-"""
+"""One command per stage, and the whole chain as one command."""
 
 from __future__ import annotations
 
 import math
+import os
+from contextlib import ExitStack
 from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -14,24 +13,156 @@ from typing import TYPE_CHECKING
 import typer
 
 import rejoint
-from rejoint.arms import load_arm
+from rejoint.arms import Arm, load_arm
 from rejoint.cli import offline, show
 from rejoint.cli import options as opt
-from rejoint.cli.console import results_of
+from rejoint.cli.console import ConsoleObserver, Terminal, live_view, results_of
 from rejoint.cli.options import Call, Result, takes
 from rejoint.control.deployment import REACHED
+from rejoint.control.observer import Observer, Observers
 from rejoint.control.servogains import in_words
-from rejoint.logs.runfolder.effort import read_effort
-from rejoint.logs.runfolder.folder import LOGS, RunFolder, locked
+from rejoint.logs.runfolder import LOGS, RunFolder, locked, read_effort
 from rejoint.runs.run import Run, newest_or_new
 from rejoint.runs.stages.gains import gains_to_keep, keep_gains
-from rejoint.session.settings import KeptSettings
-from rejoint.system.errors import InputError, NotReachedError
+from rejoint.session.inputs import KeptSettings, Settings
+from rejoint.system.errors import InputError, NotReachedError, UnsavedError
 from rejoint.system.extras import EXTRAS, installed, require
 from rejoint.system.shell import command
 
 if TYPE_CHECKING:
+    from rejoint.pages.live.view import LiveView
     from rejoint.training.train import Trainer
+
+TITLES = {
+    "diagnose": "Diagnosis: ten targets open loop, then an excitation of every joint",
+    "calibrate": "Calibration: where the tool really is, measured from outside",
+    "identify": "Twin: fitting a simulation to this arm",
+    "train": "Training: a policy on randomised copies of the twin",
+    "gains": "Gains: what the servos' own loops can do",
+    "compare": "Comparison: every controller on this arm, with the same targets",
+    "report": "Report",
+}
+"""Heading of each stage"""
+
+
+@takes("arm", "part", "live", "payload", "tool", "period", "dry_run")
+def repair(
+    call: Call,
+    robot: str = "emulated:worn",
+    run: Path | None = None,
+    preset: str = "default",
+    targets: Path | None = None,
+    controllers: str = "all",
+    measure: str | None = None,
+    sets: int | None = None,
+    repetitions: int | None = None,
+    full: bool = False,
+    seed: int = 0,
+    quick: bool = False,
+    fresh: bool = False,
+) -> object:
+    """Diagnose an arm, fit its twin, train a policy, compare every controller on the arm, and write the report."""
+    require("rejoint repair", "train", "report")
+    from rejoint.cli.measuring import gauge_by_word
+
+    chosen = call.arm(robot)
+    if call.settings.dry_run:
+        with call.watched("repair") as observer:
+            rehearse(robot, chosen, targets, call.settings, observer, quick=quick)
+        return {"robot": robot}
+    path, resumed = (run, run.exists()) if run else newest_or_new(robot, chosen, seed)
+    job = Run.plan(path, robot, chosen, seed)
+    call.say(f"{'Going on with' if resumed else 'Starting'} the repair of {robot} in {path}")
+    gauge = gauge_by_word(call, robot, measure, seed)
+    plan = rejoint.RepairPlan(
+        preset=preset,
+        controllers=opt.controller_names(controllers),
+        targets=targets,
+        gauge=gauge,
+        fresh=fresh or None,
+        trials=rejoint.TrialPlan(sets=sets, repetitions=repetitions, full=full),
+    )
+    with (
+        live_view(call, call.live, "repair") as view,
+        _Narrator(call, view, asking=measure == "touch") as narrator,
+    ):
+        observer = narrator if view is None else Observers(narrator, view)
+        found = rejoint.repair(robot, run=job, quick=quick, plan=plan, settings=call.settings, observer=observer)
+    page = Path(os.path.relpath(found.page))
+    if quick:
+        call.say("A quick try: little of everything was done, so none of this is a result.")
+    from rejoint.pages.report.contents import before_after, read_contents
+
+    errors = before_after(read_contents(path), found.recommendation.controller)
+    spent = read_effort(job.folder)
+    show.effort(call, spent)
+    show.verdict(call, errors)
+    call.result(str(page))
+    return {
+        "run": path,
+        "recommended": found.recommendation,
+        "policy": job.folder.policy,
+        "report": page,
+        "errors": errors,
+        "effort": spent,
+    }
+
+
+def rehearse(
+    robot: str,
+    arm: Arm | str | None,
+    targets: Path | None,
+    settings: Settings,
+    observer: Observer,
+    *,
+    quick: bool = False,
+) -> None:
+    """Do the motions of a repair in a simulation."""
+    rejoint.diagnose(robot, arm=arm, quick=quick, settings=settings, observer=observer)
+    trials = rejoint.TrialPlan(sets=1, repetitions=1)
+    rejoint.compare(robot, ["default"], targets, arm=arm, plan=trials, settings=settings, observer=observer)
+    observer.message("The first is the diagnosis, the second the comparison of one controller with ten targets.")
+
+
+class _Narrator(ConsoleObserver):
+    """Shows the stages of a repair; none has a bar where it is ``asking`` at the terminal."""
+
+    def __init__(self, terminal: Terminal, view: LiveView | None, *, asking: bool) -> None:
+        super().__init__(terminal)
+        self._view, self._asking, self._bar = view, asking, ExitStack()
+        self._stage: rejoint.Stage | None = None
+
+    def __enter__(self) -> _Narrator:
+        return self
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        self._bar.close()
+        if isinstance(error, UnsavedError) and self._stage is not None:
+            show.stage(self._terminal, self._stage.name, error.result)
+
+    def stage(self, stage: object) -> None:
+        """Show how a stage stands."""
+        assert isinstance(stage, rejoint.Stage)  # noqa: S101 - for the type checker
+        self._bar.close()
+        if stage.state != "done":
+            heading = f"{stage.number}/{stage.total}  {TITLES[stage.name]}"
+            self._terminal.stage(heading)
+            if self._view is not None:
+                self._view.begin(heading)
+        if stage.state == "kept":
+            self._terminal.say(stage.why or f"already done, as it was asked for then: {stage.file}")
+        if stage.state != "started":
+            show.stage(self._terminal, stage.name, stage.result)
+            return
+        self._stage, self._progress = stage, None
+        if not (self._asking and stage.name == "calibrate"):  # a bar would write over the questions
+            self._progress = self._bar.enter_context(self._terminal.progress(stage.name))
+
+    def progress(self, share: float, what: str) -> None:
+        """Show how far the stage is, given how far all of them are."""
+        if self._stage is not None:
+            super().progress(self._stage.total * share - (self._stage.number - 1), what)
+
 
 MISSED = 5
 """Exit code of a deployment that did not reach all of its targets, and of a path that was not followed"""
@@ -51,7 +182,12 @@ def diagnose(
     if logs is not None:
         if robot is not None or call.settings.dry_run or KeptSettings.of(call.settings).given():
             raise InputError("diagnose takes either a robot or --logs FOLDER, and --logs no settings of a motion")
-        return offline.diagnose_from_logs(call, call.run_of_logs(logs, run, seed), logs, healthy)
+        job = call.run_of_logs(logs, run, seed)
+        with call.watched("diagnose") as observer:
+            judged = rejoint.diagnose(logs, run=job, healthy=healthy, observer=observer).diagnosis
+        show.diagnosis(call, judged)
+        call.next(command("identify", "--logs", logs, "--run", job.path))
+        return {"run": job.path, "diagnosis": judged}
     robot = robot or "emulated:worn"
     chosen = call.arm(robot)
     path = run or newest_or_new(robot, chosen, seed)[0]
@@ -90,9 +226,13 @@ def identify(
     require("rejoint identify", "train", *(() if logs is None else ("report",)))  # logs end in a report at once
     if logs is not None and run is None:
         job = call.run_of_logs(logs, folder, seed or 0)
-        return offline.identify_from_logs(
-            call, job, logs, offline.log_plan(job.arm, published, hold_out, gain, torque_off)
+        plan = rejoint.LogPlan(
+            beside=offline.read_sets(published, job.arm),
+            hold_out=None if not hold_out else [name for name in hold_out if name != "none"],
+            gain=offline.by_motion(gain),
+            torque_off=offline.by_motion(torque_off),
         )
+        return offline.identify_from_logs(call, job, logs, plan)
     if run is None or logs is not None or folder is not None or published or hold_out or gain or torque_off:
         raise InputError(
             "identify takes either a run folder alone or --logs FOLDER, and with it --run, --published, --hold-out, "
@@ -209,7 +349,7 @@ def deploy(
         "period": done.period,
         "gaps": done.gaps,
     }
-    return Result(value, MISSED if done.missed and not call.settings.dry_run else 0)
+    return Result(value, MISSED if done.missed else 0)
 
 
 @takes("arm", "live", "controller", "within", "calibration", "payload", "tool", "period", "seed", "dry_run")
@@ -231,7 +371,7 @@ def goto(
         try:
             found = session.move_to(target, timeout_s=timeout)
         except NotReachedError as error:
-            found, code = session.state, 0 if call.settings.dry_run else MISSED
+            found, code = session.state, MISSED
             call.result(f"Not reached: {error}")
     error_mm = None if found is None or found.error_m is None else 1e3 * found.error_m
     if error_mm is not None and found is not None and not code:
@@ -250,13 +390,12 @@ def follow(
     rate: float | None = None,
 ) -> Result:
     """Drive an arm along a path, and say how well it followed."""
-    dry = call.settings.dry_run
     with call.watched("follow") as observer:
         done = rejoint.follow(
             robot, path, run=run, repeat=repeat, rate_hz=rate, settings=call.settings, observer=observer
         )
     show.followed(call, done)
-    if all(map(installed, EXTRAS["report"])) and not dry:
+    if all(map(installed, EXTRAS["report"])) and not call.settings.dry_run:
         from rejoint.pages.report.figures import draw_followed
 
         job = Run.open(run)
@@ -268,7 +407,7 @@ def follow(
         **{name: getattr(done, name) for name in ("path", "controller", "followed", "period", "gaps")},
         "passes": passes,
     }
-    return Result(value, 0 if done.followed or dry else MISSED)
+    return Result(value, 0 if done.followed else MISSED)
 
 
 @takes()

@@ -3,7 +3,7 @@
 from rejoint.logs.exclusions import unpowered_joints
 from rejoint.logs.exporting import export_log
 from rejoint.logs.importing import FORMATS, Imported, detect, import_logs
-from rejoint.logs.options import ANGLE_UNITS, STAMPS, TIME_UNITS, ImportOptions, read_map
+from rejoint.logs.joints import ANGLE_UNITS, STAMPS, TIME_UNITS, ImportOptions, read_map
 
 __all__ = [
     "ANGLE_UNITS",

@@ -4,25 +4,186 @@ A title is a group, a joint and a unit: ``position.elbow_deg``, ``act_m0``, ``ac
 `ImportOptions.columns` maps others: ``time_ms=t``, ``command.elbow=u3``, ``target.x_mm=gx``. ``elbow=q3`` or
 ``joint1=m0/6.33-0.184`` holds for all columns of a joint (torque is divided by the scale, current takes its sign).
 ``command=27..32`` names all joints from the base on.
+
+In radians or degrees, the readings of an encoder step by the same amount on every joint. LeRobot's normalised values
+step by 200 over the counts of a joint's calibrated range. All thresholds of these steps are chosen.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rejoint.arms import Arm
-from rejoint.logs.homing import half_ranges
-from rejoint.logs.joints import COUNTS_PER_TURN, joint_of, match_joints
-from rejoint.logs.options import TIME_UNITS, ImportOptions, Linear
+from rejoint.logs.joints import COUNTS_PER_TURN, TIME_UNITS, ImportOptions, Linear, half_ranges, joint_of, match_joints
 from rejoint.logs.runlog import AXES, Array
-from rejoint.logs.track import MEASURED, ColumnFrame, Points, RecordedMotion, Track
-from rejoint.logs.units import calibrated_ranges
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.textfile import ANGLES, LENGTHS, shown, split_unit
+
+FEWEST_VALUES = 20
+"""Different readings for a step"""
+FEWEST_STEPS = 10
+"""Steps spanned by readings"""
+ON, OFF = 0.9, 0.6
+"""on a grid, and off it (1: all readings)"""
+BITS = range(10, 22)
+"""of encoders"""
+SPANS = np.arange(1000, 4097)
+"""[counts] of calibrated ranges"""
+
+
+def on_grid(values: Array, *steps: float) -> float:
+    """Largest share of values on multiples of one of ``steps``; 0: few steps."""
+    counted = [step for step in steps if np.ptp(values) >= FEWEST_STEPS * step]
+    return max((float(np.abs(np.mean(np.exp(2j * np.pi * values / step)))) for step in counted), default=0.0)
+
+
+def readings(values: Array, decimals: int) -> list[Array]:
+    """Different readings of the joints (T, n) that have enough."""
+    return [one for joint in values.T if len(one := np.unique(np.round(joint, decimals))) >= FEWEST_VALUES]
+
+
+def turn_bits(values: Array) -> int | None:
+    """Return encoder bits of readings (T, n) [rad], or None."""
+    found = readings(values, 12)
+    return next((b for b in BITS if found and np.median([on_grid(one, 2 * np.pi / 2**b) for one in found]) > ON), None)
+
+
+def unit_by_steps(raw: Array) -> tuple[str | None, str]:
+    """Return unit of LeRobot's readings (T, n) by their steps, and why.
+
+    LeRobot counts 4095 steps per turn, others 4096.
+    """
+    turn = [360.0 / (COUNTS_PER_TURN - less) for less in (0, 1)]
+    joints = [(on_grid(values, *turn), *_best_grid(values)) for values in readings(raw, 4)]
+    degrees = sum(share > ON for share, *_ in joints)
+    steps = [step for share, step, fit in joints if fit > ON and share < OFF]
+    if degrees > len(joints) / 2:
+        return "deg", f"they come in steps of {turn[0]:.4f} on {degrees} joints, those of an encoder"
+    if len(steps) > len(joints) / 2 and len({round(step, 4) for step in steps}) > 1:  # joints differ in their ranges
+        return "normalised", f"they come in steps of {', '.join(f'{step:.4f}' for step in steps)}, no degrees do"
+    return None, ""
+
+
+def _best_grid(values: Array) -> tuple[float, float]:
+    """Step of normalised values and their share on it; 0 for round numbers."""
+    chosen = values[:: max(len(values) // 300, 1)]
+    fit = np.abs(np.mean(np.exp(2j * np.pi * chosen[:, None] * SPANS / 200.0), axis=0))
+    best = int(np.argmax(fit))
+    rounded = on_grid(values, 0.05, 0.1, 0.2, 0.25, 0.5, 1.0) > ON
+    return 200.0 / float(SPANS[best]), 0.0 if rounded else float(fit[best])
+
+
+def calibrated_ranges(raw: Array, arm: Arm, path: Path) -> Array:
+    """Calibrated range (n,) [counts] of joints from normalised readings (T, n); FileError without enough motion."""
+    kind, why = unit_by_steps(raw)
+    if kind == "deg":
+        raise FileError(
+            path, f"the states are degrees, but --angle-unit says normalised: {why}", "set --angle-unit deg"
+        )
+    counts = []
+    for joint, name in zip(raw.T, arm.joint_names, strict=True):
+        found = readings(joint[:, None], 4)
+        step, fit = _best_grid(found[0]) if found else (0.0, 0.0)
+        if fit < ON:
+            raise FileError(
+                path,
+                f"the readings of {name} do not show the steps of its encoder: its range is not known",
+                "give --calibration, or a recording in which it moves more",
+            )
+        counts.append(200.0 / step)
+    return np.array(counts)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ColumnFrame:
+    """Columns of a file on one clock, T rows."""
+
+    path: Path
+    titles: tuple[str, ...]
+    values: Callable[[Sequence[int]], Array]
+    """reads columns (T, k) in file units"""
+    number: NDArray[np.int64]
+    """(T,) row in the file"""
+    place: str = "row"
+    """``line``, ``message`` or ``row``"""
+    time: Array | None = None
+    """(T,) [s]; None: in a column"""
+    angle_unit: str | None = None
+    """default of angles"""
+    found: str = "a table"
+    """kind of the file"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Track:
+    """States or commands: T samples of n joints."""
+
+    path: Path
+    what: str
+    """``state`` or ``command``"""
+    time: Array
+    """(T,) [s]"""
+    value: Array
+    """(T, n) [rad] in the arm's order"""
+    columns: tuple[str, ...]
+    """(n,) names in the file"""
+    place: str
+    """``line``, ``message`` or ``row``"""
+    number: NDArray[np.int64]
+    """(T,) place in the file"""
+    more: Mapping[str, Array] = field(default_factory=dict)
+    """other data with T rows, as fields of `RunLog`"""
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def where(self, sample: int) -> str:
+        """Place of a sample in the file: ``line 17``."""
+        return f"{self.place} {self.number[sample]}"
+
+    def take(self, chosen: NDArray[np.bool_]) -> Track:
+        """Return samples where ``chosen`` (T,) holds."""
+        more = {name: values[chosen] for name, values in self.more.items()}
+        return replace(self, time=self.time[chosen], value=self.value[chosen], number=self.number[chosen], more=more)
+
+    def shifted(self, seconds: float) -> Track:
+        """Return samples on a clock that starts ``seconds`` later."""
+        return replace(self, time=self.time - seconds)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RecordedMotion:
+    """A recorded motion before the checks."""
+
+    name: str
+    state: Track
+    command: Track | None
+    angle_unit: str
+    """in the file"""
+    robot: str
+    """origin of the log"""
+    half: Array | None = None
+    """(n,) [rad] half ranges of normalised values"""
+    units: Mapping[str, str] = field(default_factory=dict)
+    """of `Track.more`"""
+    extra: dict[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    @property
+    def tracks(self) -> tuple[Track, ...]:
+        """States, and commands."""
+        return (self.state,) if self.command is None else (self.state, self.command)
+
+
+Pending = tuple[str, Callable[[], RecordedMotion]]
+"""Name of a motion, and its reader"""
 
 UNITS: dict[str, dict[str, float]] = {
     "time": {unit: 1.0 / ticks for unit, ticks in TIME_UNITS.items()},
@@ -39,6 +200,8 @@ UNITS: dict[str, dict[str, float]] = {
 SI = {"torque": "N m", "current": "A"}
 NORMALISED_MOST = 101.0
 """LeRobot clips to -100..100 (chosen: with rounding)"""
+POINTS = ("target", "true_tcp")
+"""Groups of places"""
 _TIMES = ("time", "t", "timestamp")
 _PREFIXES = {
     "position": "position", "pos": "position", "q": "position", "actual": "position", "act": "position",
@@ -79,13 +242,15 @@ def read_motion(
     arm: Arm,
     options: ImportOptions,
     *,
-    robot: str,
-    extra: dict[str, str],
+    source: Path,
+    kind: str,
     notes: Sequence[str] = (),
+    extra: Mapping[str, str] | None = None,
 ) -> RecordedMotion:
     """Make a motion of columns on one clock, or of states and commands on their own.
 
-    FileError for missing or double columns, or no unit; InputError for a wrong map.
+    ``source`` and ``kind`` are its file and format. FileError for missing or double columns, or no unit; InputError for
+    a wrong map.
     """
     tables = [_ForeignTable(frame, arm, options) for frame in frames]
     first = frames[0]
@@ -123,9 +288,8 @@ def read_motion(
         angle_unit="/".join(sorted(state.units)),
         half=half,
         units=state.measured_units,
-        points=state.points(),
-        robot=robot,
-        extra=extra,
+        robot=f"{kind}:{source.stem}",
+        extra={"source": source.name, "format": kind, **(extra or {})},
         notes=(*notes, *(note for table in tables for note in table.notes)),
     )
 
@@ -208,9 +372,11 @@ class _ForeignTable:
         return found
 
     def _unit(self, column: Column, default: str | None) -> str:
-        declared, option = self.options.angle_unit, "--angle-unit"
-        if column.group == "time":
-            declared, option = self.options.time_unit, "--time-unit"
+        options = {
+            "time": ("--time-unit", self.options.time_unit),
+            "position": ("--angle-unit", self.options.angle_unit),
+        }
+        option, declared = options.get("position" if column.group == "command" else column.group, ("", None))
         if column.unit and declared and column.unit != declared:
             raise FileError(
                 self.frame.path,
@@ -221,7 +387,9 @@ class _ForeignTable:
         if unit is None:
             endings = " or ".join(f"{column.title}_{unit}" for unit in UNITS[column.group])
             raise FileError(
-                self.frame.path, f"column {column.title} does not say its unit", f"rename it {endings} or set {option}"
+                self.frame.path,
+                f"column {column.title} does not say its unit",
+                f"rename it {endings}{option and f' or set {option}'}",
             )
         return str(unit)
 
@@ -290,8 +458,8 @@ class _ForeignTable:
         )
 
     def _measured(self) -> dict[str, Array]:
-        found: dict[str, Array] = {}
-        for group in (*MEASURED, "powered"):
+        found = {group: self._points(group) for group in POINTS if self.of(group)}
+        for group in ("torque", "current", "gain", "powered"):
             if not self.of(group):
                 continue
             try:
@@ -311,21 +479,14 @@ class _ForeignTable:
                 self.notes.append(f"{group}: {columns[0].title} says no unit; kept in the unit of the column")
         return found
 
-    def points(self) -> dict[str, Points]:
-        found = {}
-        for group in ("target", "true_tcp"):
-            axes = sorted(self.of(group), key=lambda column: column.name)
-            if not axes:
-                continue
-            if [column.name for column in axes] != [*AXES]:
-                said = f"columns of {group} are not x, y and z, once each"
-                raise FileError(self.frame.path, said, "name all three or none")
-            if unknown := [column.title for column in axes if column.unit is None]:
-                said = f"column {unknown[0]} does not say its unit"
-                raise FileError(self.frame.path, said, "name it ..._m or ..._mm")
-            scale = np.array([LENGTHS[column.unit or "m"] for column in axes])
-            found[group] = Points(time=self.time(), value=self._read(axes) * scale)
-        return found
+    def _points(self, group: str) -> Array:
+        """Places (T, 3) [m] of the tool."""
+        axes = sorted(self.of(group), key=lambda column: column.name)
+        if [column.name for column in axes] != [*AXES]:
+            raise FileError(
+                self.frame.path, f"columns of {group} are not x, y and z, once each", "name all three or none"
+            )
+        return self._read(axes) * np.array([LENGTHS[self._unit(column, None)] for column in axes])
 
 
 def _classified(title: str) -> tuple[str, str, str, str | None] | None:
@@ -341,6 +502,6 @@ def _classified(title: str) -> tuple[str, str, str, str | None] | None:
         rest, unit = split_unit(f"x{title[len(prefix) :]}", spelled)
         found = _JOINT.fullmatch(rest[1:])
         name = "" if found is None else found["number"] or found["name"] or ""
-        if found is not None and (group not in ("target", "true_tcp") or name in AXES):
+        if found is not None and (group not in POINTS or name in AXES):
             return prefix, group, name, spelled.get(unit or "")
     return None

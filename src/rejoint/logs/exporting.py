@@ -14,8 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pacsv
 
-from rejoint.logs.bags import COMMAND_TOPIC, STATE_TOPIC
-from rejoint.logs.messages import NANOSECONDS
+from rejoint.logs.bags import COMMAND_TOPIC, NANOSECONDS, STATE_TOPIC
 from rejoint.logs.runlog import AXES, RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require

@@ -5,24 +5,23 @@ from __future__ import annotations
 import re
 import shutil
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm
-from rejoint.logs import lerobot, sage, table
-from rejoint.logs.bags import MCAP, ROSBAG, BagReader
-from rejoint.logs.consistency import GAP_PERIODS, LogFindings, check_agreement, check_states, clean, copies
+from rejoint.logs.bags import MCAP, ROSBAG
+from rejoint.logs.columns import RecordedMotion, Track
+from rejoint.logs.consistency import GAP_PERIODS, LogFindings, check_agreement, check_states, check_units, clean, copies
 from rejoint.logs.exclusions import UNPOWERED, unpowered_joints
-from rejoint.logs.options import ImportOptions
+from rejoint.logs.joints import ImportOptions
+from rejoint.logs.readers import LEROBOT, SAGE, TABLE
 from rejoint.logs.runlog import TWO_TURNS, Array, RunLog, describe, write_log
-from rejoint.logs.track import Pending, Points, RecordedMotion, Track
-from rejoint.logs.units import check_units
-from rejoint.system.errors import FileError, InputError, first_line
+from rejoint.system.errors import FileError, InputError
+from rejoint.system.files import reading
 from rejoint.system.progress import Progress, no_progress
 
 PAUSE = 1.0
@@ -37,7 +36,7 @@ def parted(motion: RecordedMotion) -> Iterator[RecordedMotion]:
     """Split at pauses and corrupt numbers; FileError beyond `CORRUPT`."""
     time, notes, command = motion.state.time, list(motion.notes), motion.command
     bad = _corrupt(motion.state)
-    if command is not None:
+    if command is not None and len(command):
         wrong = _corrupt(command)
         held = np.searchsorted(command.time, time, side="right") - 1
         bad |= wrong[np.maximum(held, 0)] & (held >= 0)
@@ -106,8 +105,12 @@ def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = Non
     found = LogFindings(force=options.force, notes=list(motion.notes))
     state = clean(motion.state, found)
     command = None if motion.command is None else clean(motion.command, found)
-    motion = _near_zero(replace(motion, state=state, command=command))
-    state, command = motion.state, motion.command
+    extra, origin = motion.extra, float(np.floor(state.time[0]))
+    if origin >= _EPOCH:
+        state = state.shifted(origin)
+        command = None if command is None else command.shifted(origin)
+        extra = extra | {"clock_origin_s": f"{origin:.0f}"}
+    motion = replace(motion, state=state, command=command)
     check_units(motion, arm, options, found)
     check_states(motion, arm, found)
     commanded = np.full(state.value.shape, np.nan)
@@ -119,7 +122,7 @@ def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = Non
         check_agreement(state.take(powered), commanded[powered], found)
         if not powered.all():
             found.notes.append(f"state: {int((~powered).sum())} rows without torque")
-    off = options.torque_off or ()
+    off, unknown = options.torque_off or (), np.full((len(state), 3), np.nan)
     log = RunLog(
         arm=arm.name,
         joint_names=arm.joint_names,
@@ -128,11 +131,9 @@ def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = Non
         time=state.time,
         position=state.value,
         command=commanded,
-        target=_at(state.time, motion.points.get("target")),
-        true_tcp=_at(state.time, motion.points.get("true_tcp")),
-        extra=motion.extra | found.extra | ({UNPOWERED: ",".join(off)} if off else {}),
+        extra=extra | found.extra | ({UNPOWERED: ",".join(off)} if off else {}),
         units=dict(motion.units),
-        **state.more,
+        **{"target": unknown, "true_tcp": unknown, **state.more},
     )
     silent = [joint for joint in unpowered_joints(log) if joint not in off]
     return log, [
@@ -162,31 +163,6 @@ def _joined(state: Track, command: Track, found: LogFindings) -> tuple[Track, Ar
     return state.take(known), command.value[held[known]]
 
 
-def _near_zero(motion: RecordedMotion) -> RecordedMotion:
-    """Shift a clock that counts from 1970."""
-    origin = float(np.floor(motion.state.time[0]))
-    if origin < _EPOCH:
-        return motion
-    return replace(
-        motion,
-        state=motion.state.shifted(origin),
-        points={name: replace(points, time=points.time - origin) for name, points in motion.points.items()},
-        command=None if motion.command is None else motion.command.shifted(origin),
-        extra=motion.extra | {"clock_origin_s": f"{origin:.0f}"},
-    )
-
-
-def _at(time: Array, points: Points | None) -> Array:
-    """Points (T, 3) at these times, else NaN."""
-    values = np.full((len(time), 3), np.nan)
-    if points is not None and len(points.time):
-        order = np.argsort(points.time, kind="stable")
-        near = np.minimum(np.searchsorted(points.time[order], time), len(order) - 1)
-        same = points.time[order][near] == time
-        values[same] = points.value[order][near[same]]
-    return values
-
-
 @dataclass(frozen=True, kw_only=True)
 class Imported:
     """Result of an import."""
@@ -198,20 +174,8 @@ class Imported:
     """failed logs with reasons"""
 
 
-class _Reader(Protocol):
-    def found(self, source: Path, options: ImportOptions) -> list[Path]: ...
-
-    def motions(self, paths: Sequence[Path], arm: Arm, options: ImportOptions) -> list[Pending]: ...
-
-
-_READERS: dict[str, _Reader] = {
-    "sage": sage,
-    "table": table,
-    "mcap": BagReader(store=MCAP),
-    "rosbag": BagReader(store=ROSBAG),
-    "lerobot": lerobot,
-}
-FORMATS = tuple(_READERS)
+READERS = {"sage": SAGE, "table": TABLE, "mcap": MCAP, "rosbag": ROSBAG, "lerobot": LEROBOT}
+FORMATS = tuple(READERS)
 """Importable formats"""
 
 _EXPECTED = (
@@ -254,27 +218,26 @@ def import_logs(
     An error leaves nothing behind.
     """
     options = options or ImportOptions()
-    options.check_joints(arm)
+    if unknown := [joint for joint in options.torque_off or () if joint not in arm.joint_names]:
+        raise InputError(f"--torque-off {unknown[0]!r}: {arm.name} has the joints {', '.join(arm.joint_names)}")
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out} exists already; name a new folder for the imported logs")
     chosen = detect(source, options) if format is None else format
-    if chosen not in _READERS:
-        raise InputError(f"--format {format!r} is unknown; choose from {', '.join(_READERS)}")
-    reader = _READERS[chosen]
-    paths = reader.found(source, options) or [source] * source.is_file()
+    if chosen not in READERS:
+        raise InputError(f"--format {format!r} is unknown; choose from {', '.join(READERS)}")
+    paths = READERS[chosen].found(source, options) or [source] * source.is_file()
     if not paths:
         raise FileError(source, f"no log of format {chosen} here", "check the path or the format")
-    pending = reader.motions(paths, arm, options)
+    pending = READERS[chosen].motions(paths, arm, options)
     logs: dict[str, RunLog] = {}
     notes: dict[str, list[str]] = {}
     refused: list[tuple[str, FileError]] = []
     for done, (motion, read) in enumerate(pending, start=1):
-        name = _file_name(motion)
+        parts: list[RecordedMotion] = []
         try:
             parts = list(parted(read()))
         except FileError as error:
-            refused.append((name, error))
-            parts = []
+            refused.append((_file_name(motion), error))
         for part in parts:
             name = _file_name(part.name)
             try:
@@ -287,7 +250,7 @@ def import_logs(
             logs[name] = log
             for remark in remarks:
                 notes.setdefault(remark, []).append(name)
-        on_progress(done / len(pending), name)
+        on_progress(done / len(pending), _file_name(motion))
     for name, original in copies(logs.items()).items():
         del logs[name]
         notes.setdefault(f"left out, for it holds the same readings as {original}", []).append(name)
@@ -311,13 +274,11 @@ def detect(source: Path, options: ImportOptions | None = None) -> str:
     options = options or ImportOptions()
     if not source.exists():
         raise FileError(source, "no such file or folder", "check the path")
-    try:
-        fitting = [name for name, reader in _READERS.items() if reader.found(source, options)]
+    with reading(source, "not readable", "check its permissions"):
+        fitting = [name for name, reader in READERS.items() if reader.found(source, options)]
         if source.is_file() and len(fitting) > 1:  # the first bytes are surer than that it is text
             fitting.remove("table")
         found = "" if fitting else describe(source)
-    except OSError as error:
-        raise FileError(source, f"not readable ({first_line(error)})", "check its permissions") from error
     if not fitting:
         raise FileError(source, f"no log: {found}; expected {_EXPECTED}", "convert it to one of these")
     if len(fitting) > 1:

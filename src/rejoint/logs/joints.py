@@ -1,16 +1,119 @@
-"""Which joint a name means."""
+"""Which joint a name in a foreign file means, by the user's declarations and by LeRobot's calibration.
+
+Feetech servos report the raw position minus ``homing_offset`` [counts]; Dynamixel servos have the other sign. Ranges
+and degrees move with it.
+"""
 
 from __future__ import annotations
 
+import json
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from rejoint.arms import Arm
-from rejoint.logs.options import ImportOptions, Linear
-from rejoint.system.errors import FileError
+import msgspec
+import numpy as np
+
+from rejoint.arms import Arm, Array
+from rejoint.system.errors import FileError, InputError
+from rejoint.system.files import JSON_MOST, TOML_MOST, read_bounded, reading, write_text
 from rejoint.system.textfile import ANGLES, split_unit
+
+ANGLE_UNITS = ("rad", "deg", "normalised")
+TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
+"""Ticks per second"""
+STAMPS = ("header", "log")
+
+_N = r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_LINEAR = re.compile(
+    rf"\s*(?P<sign>[+-]?)\s*(?:(?P<scale>{_N})\s*\*\s*)?(?P<column>.+?)\s*"
+    rf"(?:(?P<op>[*/])\s*(?P<factor>{_N}))?\s*(?P<offset>[+-]\s*{_N})?\s*"
+)
+"""``6.33*m0-0.646``, ``-m0/6.33 + 0.1`` or ``m0``"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Linear:
+    """``scale`` times a column, plus ``offset`` in its unit."""
+
+    column: str
+    scale: float = 1.0
+    offset: float = 0.0
+
+    @classmethod
+    def of(cls, text: str, known: Collection[str]) -> Linear:
+        """Read ``6.33*m0-0.646``; ``known`` names stay names. InputError for a scale of 0."""
+        found = _LINEAR.fullmatch(text)
+        if text in known or found is None:
+            return cls(column=text)
+        scale = float(found["scale"] or 1.0) * (-1.0 if found["sign"] == "-" else 1.0)
+        factor = float(found["factor"] or 1.0)
+        if not scale or not factor:
+            raise InputError(f"--map: {text!r} has a scale of 0")
+        scale = scale / factor if found["op"] == "/" else scale * factor
+        return cls(column=found["column"], scale=scale, offset=float((found["offset"] or "0").replace(" ", "")))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportOptions:
+    """Declarations about imported files; None: as in the file."""
+
+    angle_unit: str | None = None
+    """``rad``, ``deg``, or ``normalised`` for LeRobot's -100..100"""
+    time_unit: str | None = None
+    """``s``, ``ms``, ``us`` or ``ns``"""
+    rate: float | None = None
+    """[Hz] of rows without a time"""
+    columns: Mapping[str, str] | None = None
+    """name in the log -> column: ``{"time": "t", "elbow": "-q3"}``; see `rejoint.logs.columns`"""
+    names: tuple[str, ...] | None = None
+    """of columns without names"""
+    state_topic: str | None = None
+    """bags: measured joint states; default ``/joint_states``"""
+    command_topic: str | None = None
+    """bags: commanded joint states; default ``/joint_commands``"""
+    stamp: str | None = None
+    """bags: ``header`` (messages) or ``log`` (recording times)"""
+    calibration: Path | None = None
+    """LeRobot: of normalised values; default: by encoder steps"""
+    torque_off: tuple[str, ...] | None = None
+    """joints without torque"""
+    force: bool = False
+    """import despite failed consistency checks, and store the reasons"""
+
+    def __post_init__(self) -> None:
+        for name, known in (("angle_unit", ANGLE_UNITS), ("time_unit", TIME_UNITS), ("stamp", STAMPS)):
+            value = getattr(self, name)
+            if value not in (None, *known):
+                option = f"--{name.replace('_', '-')}"
+                raise InputError(f"{option} {value!r} is unknown; choose from {', '.join(known)}")
+        if self.calibration is not None and self.angle_unit not in ("normalised", "deg"):
+            raise InputError("--calibration belongs together with --angle-unit normalised or deg; give one of these")
+        if self.rate is not None and not 0.0 < self.rate < float("inf"):
+            raise InputError(f"--rate {self.rate} is no rate; give rows in a second")
+
+
+def read_map(texts: Iterable[str]) -> dict[str, str]:
+    """Read ``ours=theirs`` pairs or a TOML file; InputError, FileError."""
+    pairs: list[tuple[str, str]] = []
+    for text in texts:
+        if text.endswith(".toml"):
+            path, remedy = Path(text), 'write lines such as joint1 = "6.33*m0-0.646"'
+            with reading(path, "no map", remedy):
+                pairs += msgspec.toml.decode(read_bounded(path, TOML_MOST, remedy), type=dict[str, str]).items()
+            continue
+        for part in text.split(","):
+            ours, _, theirs = (one.strip() for one in part.partition("="))
+            if not (ours and theirs) or "=" in theirs:
+                said = "expected OURS=THEIRS, OURS=SCALE*THEIRS+OFFSET or a TOML file of them"
+                raise InputError(f"--map {text!r}: {said}")
+            pairs.append((ours, theirs))
+    if len(dict(pairs)) != len(pairs):
+        raise InputError(f"--map: the same name twice among {', '.join(ours for ours, _ in pairs)}")
+    return dict(pairs)
+
 
 _SO101_NAMES = {
     "Rotation": "shoulder_pan",
@@ -52,16 +155,12 @@ def joint_of(name: str, arm: Arm) -> str | None:
 
 def meanings(names: Sequence[str], arm: Arm, options: ImportOptions | None = None) -> list[tuple[str, Linear] | None]:
     """Joint and scale of each name, by ``options.columns`` or its own."""
-    mapped = {}
+    found = {name: (joint, Linear(column=name)) for name in names if (joint := joint_of(name, arm))}
     for ours, theirs in ((options and options.columns) or {}).items():
-        joint, linear = joint_of(ours, arm), Linear.of(theirs, names)
-        if joint is not None:
-            mapped[linear.column] = joint, linear
-    own = [joint_of(name, arm) for name in names]
-    return [
-        mapped.get(name, None if joint is None else (joint, Linear(column=name)))
-        for name, joint in zip(names, own, strict=True)
-    ]
+        linear = Linear.of(theirs, names)
+        if joint := joint_of(ours, arm):
+            found[linear.column] = joint, linear
+    return [found.get(name) for name in names]
 
 
 def match_joints(
@@ -101,10 +200,64 @@ def _numbers(names: Sequence[str], arm: Arm) -> list[tuple[str, Linear] | None]:
     """Joints of plain numbers; m1 only if the arm's names end in numbers."""
     parts = [_NUMBERED.fullmatch(name) for name in names]
     counted = all(name[-1:].isdigit() for name in arm.joint_names)
-    for stem in {"": 0, **{part[1]: 0 for part in parts if part is not None and counted}}:
+    for stem in dict.fromkeys(["", *(part[1] for part in parts if part is not None and counted)]):
         own = {i: int(part[2]) for i, part in enumerate(parts) if part is not None and part[1] == stem}
         first = min(own.values(), default=-1)
         if first in (0, 1) and sorted(own.values()) == [*range(first, first + arm.joints)]:
             joints = {i: arm.joint_names[number - first] for i, number in own.items()}
             return [(joints[i], Linear(column=name)) if i in joints else None for i, name in enumerate(names)]
     return [None] * len(names)
+
+
+LARGEST = 2047
+"""[counts] of a homing offset: eleven bits and a sign"""
+
+_NUMBERS = ("homing_offset", "range_min", "range_max")
+
+
+def corrected_homing(source: Path, arm: Arm, offset: Array) -> tuple[dict[str, Any], dict[str, int]]:
+    """LeRobot's calibration with ``offset`` (n,) [rad] added, and changes in counts.
+
+    FileError: ``source`` is no calibration; InputError: offset out of range.
+    """
+    motors = read_homing(source)
+    columns = match_joints(list(motors), arm, source, "calibration").columns
+    names, changes = list(motors), {}
+    for joint, column, angle in zip(arm.joint_names, columns, offset, strict=True):
+        motor, change = motors[names[column]], -round(float(angle) * COUNTS_PER_TURN / (2 * np.pi))
+        if abs(motor["homing_offset"] + change) > LARGEST:
+            raise InputError(
+                f"{joint}: a homing offset of {motor['homing_offset'] + change} counts, expected at most {LARGEST}; "
+                "run lerobot-calibrate with the arm nearer to the middle of its range"
+            )
+        motor["homing_offset"] += change
+        changes[names[column]] = change
+    return motors, changes
+
+
+def write_homing(path: Path, motors: dict[str, Any]) -> None:
+    """Write a calibration as LeRobot does."""
+    write_text(path, json.dumps(motors, indent=4))
+
+
+def half_ranges(source: Path, arm: Arm, options: ImportOptions) -> Array:
+    """Half ranges (n,) [rad] of a calibration; negative: turned motor."""
+    motors = read_homing(source, turned=True)
+    chosen = [
+        [*motors.values()][column] for column in match_joints([*motors], arm, source, "calibration", options).columns
+    ]
+    counts = [(one["range_max"] - one["range_min"]) * (-1 if one.get("drive_mode") else 1) for one in chosen]
+    return np.array(counts) * np.pi / COUNTS_PER_TURN
+
+
+def read_homing(source: Path, *, turned: bool = False) -> dict[str, Any]:
+    """Read the motors of LeRobot's calibration, perhaps ``turned`` ones; FileError."""
+    remedy = "give the JSON file that lerobot-calibrate wrote"
+    with reading(source, "not a calibration of LeRobot", remedy):
+        motors = json.loads(read_bounded(source, JSON_MOST, remedy))
+        for name, motor in motors.items():
+            if not all(isinstance(motor[key], int) for key in _NUMBERS):
+                raise TypeError(f"{', '.join(_NUMBERS)} of {name} are not all whole numbers")
+            if motor.get("drive_mode") and not turned:
+                raise ValueError("a drive_mode other than 0, which turns a joint in some units and not in others")
+    return dict(motors)

@@ -7,11 +7,9 @@ all but the last `INTERVAL`; after a power loss Linux lacks about half a minute.
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import threading
-import time
 import zlib
 from collections import deque
 from pathlib import Path
@@ -21,7 +19,7 @@ import numpy as np
 
 from rejoint.logs.runlog import LOG_MOST, Array, RunLog, write_log
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.files import read_bounded, require_space, unused, unwritable
+from rejoint.system.files import read_bounded, unused, unwritable
 
 INTERVAL = 0.25
 """[s] between writes (chosen)"""
@@ -46,23 +44,18 @@ class Journal:
         self._thread = threading.Thread(target=self._write_on, name="journal", daemon=True)
 
     @classmethod
-    def begin(
-        cls, path: Path, *, arm: str, joint_names: tuple[str, ...], robot: str, label: str, rows: int = 0
-    ) -> Journal:
-        """Open the journal of ``path``, with space for ``rows``; FileError."""
+    def begin(cls, path: Path, *, arm: str, joint_names: tuple[str, ...], robot: str, label: str) -> Journal:
+        """Open the journal of ``path``; FileError."""
         about = {"arm": arm, "joints": list(joint_names), "robot": robot, "label": label}
         head = f"{_MAGIC} {json.dumps(about)}\n".encode()
-        size = len(head) + rows * (_row_size(len(joint_names)) + _CHECK)
         file = journal_path(path)
         try:
             file.parent.mkdir(parents=True, exist_ok=True)
-            require_space(file.parent, 2 * size)
             handle = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
         except OSError as error:
             raise unwritable(file, error) from error
         journal = cls(path, handle)
         try:
-            _reserve(handle, size)
             _write(handle, head)
         except OSError as error:
             os.close(handle)
@@ -132,15 +125,13 @@ class Journal:
                 self._rows.clear()
 
 
-def recover(folder: Path, *, quiet: float = 0.0) -> tuple[Path, ...]:
+def recover(folder: Path) -> tuple[Path, ...]:
     """Make run logs of killed processes' journals.
 
-    Journals in use look the same: call it alone, or with ``quiet`` [s] since the last write. FileError.
+    Journals in use look the same: call it alone. FileError.
     """
     found = []
     for file in sorted(folder.glob(f".*{_ENDING}")):
-        if quiet and time.time() - file.stat().st_mtime < quiet:
-            continue
         path = folder / f"{file.name[1 : -len(_ENDING)]}.parquet"
         made = None if path.exists() else _convert(file, path)  # where it exists, only the removal was missing
         file.unlink(missing_ok=True)
@@ -173,7 +164,7 @@ def read_journal(file: Path) -> RunLog | None:
         if magic != _MAGIC:
             return None
         n = len(about["joints"])
-        table = _whole_rows(rest, _row_size(n))
+        table = _whole_rows(rest, 8 * (1 + 2 * n + 6))
         return RunLog(
             arm=about["arm"],
             joint_names=tuple(about["joints"]),
@@ -202,10 +193,6 @@ def _whole_rows(data: bytes, size: int) -> Array:
     return table[table[:, 0] > earlier]
 
 
-def _row_size(joints: int) -> int:
-    return 8 * (1 + 2 * joints + 6)
-
-
 def journal_path(path: Path) -> Path:
     """Journal of the run log at ``path``."""
     return path.with_name(f".{path.stem}{_ENDING}")
@@ -214,12 +201,3 @@ def journal_path(path: Path) -> Path:
 def _write(handle: int, data: bytes) -> None:
     while data:
         data = data[os.write(handle, data) :]
-
-
-def _reserve(handle: int, size: int) -> None:
-    if hasattr(os, "posix_fallocate"):
-        try:
-            os.posix_fallocate(handle, 0, size)
-        except OSError as error:
-            if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
-                raise

@@ -20,11 +20,11 @@ import pyarrow.parquet as pq
 from numpy.typing import ArrayLike, NDArray
 
 from rejoint.arms import Arm, load_arm
-from rejoint.system.errors import FileError, InputError, first_line
-from rejoint.system.files import CHANGED, MEGABYTE, require_file, write_whole
+from rejoint.system.errors import FileError, InputError
+from rejoint.system.files import CHANGED, MEGABYTE, begins_with, reading, require_file, write_whole
 from rejoint.system.numbers import LONGEST_PERIOD, as_floats
 from rejoint.system.stopping import noted
-from rejoint.system.textfile import head, shown
+from rejoint.system.textfile import head
 
 Array = NDArray[np.float64]
 
@@ -239,17 +239,16 @@ def write_log(path: Path, log: RunLog) -> None:
 def read_log(path: Path) -> RunLog:
     """Read a run log; FileError."""
     remedy = "record it again or take another file"
-    try:
-        table = read_parquet(path, remedy)
-        if _METADATA_KEY not in (table.schema.metadata or {}):
+    with reading(path, "not a readable run log", remedy):
+        require_file(path, LOG_MOST, remedy)
+        table = read_parquet(path, remedy) if begins_with(path, b"PAR1") else None
+        if table is None or _METADATA_KEY not in (table.schema.metadata or {}):
             raise FileError(path, f"no run log, but {describe(path)}", "turn it into one with `rejoint import`")
         header = json.loads(table.schema.metadata[_METADATA_KEY])
         if header["format"] != FORMAT:
             raise FileError(path, f"run log of format {header['format']}, expected {FORMAT}", remedy)
-        names = tuple(header["joints"])
-        held = [
-            group for group in (*_ARRAYS[1:], *_OPTIONAL) if any(c.startswith(f"{group}.") for c in table.column_names)
-        ]
+        names, columns = tuple(header["joints"]), table.column_names
+        held = [group for group in (*_ARRAYS[1:], *_OPTIONAL) if any(c.startswith(f"{group}.") for c in columns)]
         log = RunLog(
             arm=header["arm"],
             joint_names=names,
@@ -265,16 +264,7 @@ def read_log(path: Path) -> RunLog:
         )
         if header.get("digest", _digest(log)) != _digest(log):
             raise FileError(path, CHANGED, remedy)
-    except FileNotFoundError as error:
-        raise FileError(path, "no such file", "check the path") from error
-    except pa.ArrowInvalid as error:
-        found = describe(path)
-        if "Parquet" in found:
-            raise FileError(path, f"not a readable run log ({first_line(error)})", remedy) from error
-        raise FileError(path, f"no run log, but {found}", "turn it into one with `rejoint import`") from error
-    except (OSError, pa.ArrowException, KeyError, TypeError, ValueError, RecursionError, InputError) as error:
-        raise FileError(path, f"not a readable run log ({first_line(error)})", remedy) from error
-    return log
+        return log
 
 
 def read_parquet(path: Path, remedy: str, columns: list[str] | None = None) -> pa.Table:
@@ -319,7 +309,7 @@ def describe(path: Path) -> str:
     if not start:
         return "an empty file"
     if start.startswith(b"PAR1"):
-        return f"a Parquet table{_columns(path)}"
+        return "a Parquet table"
     if start.startswith(_PACKED):
         return "a packed file or a spreadsheet: unpack it, or save it as CSV"
     sheet = head(path)
@@ -334,10 +324,3 @@ def _folder(path: Path) -> str:
         return "an empty folder"
     more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
     return f"a folder with {', '.join(names[:_SHOWN])}{more}"
-
-
-def _columns(path: Path) -> str:
-    try:
-        return f" with the columns {shown(tuple(pq.read_schema(path).names))}"
-    except (OSError, pa.ArrowException, ValueError):
-        return ", damaged"

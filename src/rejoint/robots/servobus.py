@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
 from rejoint.control.servogains import HEAVIEST, HOTTEST, ServoGains
-from rejoint.logs.homing import read_homing
-from rejoint.logs.joints import COUNTS_PER_TURN, match_joints
+from rejoint.logs.joints import COUNTS_PER_TURN, match_joints, read_homing
 from rejoint.robots.bus import Bus, persist
 from rejoint.system.errors import (
     ConnectionLostError,

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rejoint.session.inputs import ArmLike, RobotLike, RunLike, Targets
+from rejoint.session.inputs import ArmLike, RobotLike, RunLike, Settings, Targets
 from rejoint.session.session import ArmSession
-from rejoint.session.settings import Settings
 
 if TYPE_CHECKING:
     from rejoint.control.observer import Observer

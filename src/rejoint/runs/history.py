@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from rejoint.control.comparison.recommend import recommend
 from rejoint.diagnosis.monitoring.judge import Outlook, PastCheck, cause_of
 from rejoint.diagnosis.monitoring.measures import CheckMeasures, JointCheck
-from rejoint.logs.history.rows import SUMMARY, HistoryRow, name_of, read_rows, setup_of, utc_now, write_rows
+from rejoint.logs.history import SUMMARY, HistoryRow, name_of, read_rows, setup_of, utc_now, write_rows
 from rejoint.pages.html import write_page
 from rejoint.runs.run import Run, is_finished
 from rejoint.system.errors import FileError
@@ -42,8 +42,6 @@ def owners(rows: Sequence[HistoryRow]) -> Callable[[HistoryRow], str]:
 MOVED, SET_UP = "moved", "set up"
 """Reasons of a new baseline: a move, or another description"""
 
-# Bound of all that a check measures, in millimetres and degrees (chosen: a kilometre)
-_MOST = 1e6
 _JOINT = ("hysteresis_mm", "reversal_mm", "deviation_mm", "lever_mm")
 _TOOL = ("error_mm", "repeatability_mm", "approach_mm", "true_error_mm", "true_approach_mm", "temperature_c")
 
@@ -102,12 +100,11 @@ def _worst(found: Outlook, joint: str) -> str:
 
 
 def _measures(head: HistoryRow, joints: Sequence[HistoryRow]) -> CheckMeasures | None:
-    """Measures of a check; None where one is missing, or above `_MOST`."""
+    """Measures of a check; None where one is missing."""
     tool = {name: getattr(head, name) for name in _TOOL}
     found = [{name: getattr(row, name) for name in JointCheck.__annotations__} for row in joints]
     needed = [tool[name] for name in _TOOL[:3]] + [row[name] for row in found for name in _JOINT]
-    values = [value for one in (tool, *found) for name, value in one.items() if name != "joint" and value is not None]
-    if not joints or None in needed or max(map(abs, values)) > _MOST:
+    if not joints or None in needed:
         return None
     return CheckMeasures(joints=tuple(JointCheck(**row) for row in found), **tool)
 

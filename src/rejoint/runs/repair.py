@@ -17,10 +17,9 @@ import numpy as np
 from rejoint.arms import Arm
 from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import Comparison
-from rejoint.control.observer import Observer, Observers, StageObserver, pacing
+from rejoint.control.observer import Observer, StageObserver
 from rejoint.control.targets import draw_targets
-from rejoint.logs.runfolder.effort import StageCost, add
-from rejoint.logs.runfolder.folder import Kept, RunFolder
+from rejoint.logs.runfolder import Kept, RunFolder, StageCost, add
 from rejoint.logs.runlog import RunLog, read_log
 from rejoint.robots import place_of
 from rejoint.runs.history import summarise
@@ -32,6 +31,7 @@ from rejoint.runs.stages.gains import gains
 from rejoint.runs.stages.identify import identify
 from rejoint.runs.stages.report import report
 from rejoint.runs.stages.train import train
+from rejoint.session.context import equipped
 from rejoint.session.controllers import Controllers, any_geared, listed, require_possible
 from rejoint.session.inputs import (
     FIRST_ROBOT,
@@ -41,21 +41,21 @@ from rejoint.session.inputs import (
     Period,
     RobotLike,
     RunLike,
+    Settings,
     Targets,
     address_of,
     arm_of,
     as_targets,
     is_batchable,
+    laden,
     period_of,
     run_about,
+    settled,
 )
-from rejoint.session.payload import equipped
-from rejoint.session.settings import Settings, laden, settled
 from rejoint.system.errors import FileError
 from rejoint.system.extras import require
 from rejoint.system.files import read_json, write_json, write_whole
 from rejoint.system.numbers import as_seed
-from rejoint.system.progress import Progress
 from rejoint.system.shell import give_back
 
 if TYPE_CHECKING:
@@ -366,22 +366,14 @@ def repair(
     if told and observer is not None:
         observer.message(told)
     require_same_pace(about, quick=quick)
-    with pacing(observer) as update:
-        watching = _Paced(observer or Observer(), update)
-        files = stages_of(robot, built, about.folder, controllers=controllers, gauge=what.gauge, quick=quick)
-        chain = Chain(about.begin(), files, watching, only=only)
-        _do_stages(chain, robot, what, controllers, chosen, quick=quick)
-    found = chain.run
+    watching, found = observer or Observer(), about.begin()
+    files = stages_of(robot, built, found.folder, controllers=controllers, gauge=what.gauge, quick=quick)
+    _do_stages(Chain(found, files, watching, only=only), robot, what, controllers, chosen, quick=quick)
+    watching.progress(1.0, "done")
     if only in (None, "report"):
         finish(found)
         summarise(found)
     return Repaired(run=found)
-
-
-class _Paced(Observers):
-    def __init__(self, observer: Observer, update: Progress) -> None:
-        super().__init__(observer)
-        self.progress = update  # type: ignore[assignment, method-assign]
 
 
 def _do_stages(

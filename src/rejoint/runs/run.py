@@ -16,8 +16,7 @@ from rejoint.arms import CATALOGUE, Arm, Array, differing, load_arm, write_arm_t
 from rejoint.arms.inertia import bare
 from rejoint.control.comparison.result import Comparison
 from rejoint.control.robot import JointState, Mask, Robot
-from rejoint.logs.runfolder.effort import StageCost, add
-from rejoint.logs.runfolder.folder import FORMAT, LOGS, RunFolder, RunInfo, locked, read_info
+from rejoint.logs.runfolder import FORMAT, LOGS, RunFolder, RunInfo, StageCost, add, locked, read_info
 from rejoint.logs.runlog import RunLog, read_log
 from rejoint.robots.wrapper import RobotWrapper
 from rejoint.system.errors import FileError, InputError

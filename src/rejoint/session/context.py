@@ -1,4 +1,4 @@
-"""What a run knows of its arm and servos: limits, rest posture, twin, gains, correction."""
+"""What is known of an arm and its servos: limits, rest posture, twin, gains, correction, and what the hand carries."""
 
 from __future__ import annotations
 
@@ -6,29 +6,175 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, tcp_position
+from rejoint.arms import Arm, Array, Motors, clearance, gravity_torque, position_kinematics, tcp_position
+from rejoint.arms.inertia import LoadedArm, Payload, loaded
+from rejoint.arms.kinematics import GRAVITY
+from rejoint.arms.postures import find_postures
+from rejoint.arms.rotations import Orientation
 from rejoint.control.correction import Modelled
 from rejoint.control.guard import GuardLimits
 from rejoint.control.monitor import servo_lines, standing_bands
+from rejoint.control.moving.posture import joint_weights
 from rejoint.control.robot import Robot
 from rejoint.control.servogains import GainsFound, ServoGains, differing, gains_in_force, stiffness_under
 from rejoint.control.start import Stance
-from rejoint.logs.runlog import read_log
+from rejoint.logs.runlog import RunLog, read_log
 from rejoint.robots import place_of
 from rejoint.runs.run import Run
-from rejoint.session.inputs import CalibrationLike, as_calibration
-from rejoint.session.payload import Say, silent
-from rejoint.session.settings import laden
-from rejoint.system.errors import AddressError
+from rejoint.session.inputs import CalibrationLike, RobotLike, as_calibration, laden
+from rejoint.system.errors import AddressError, InputError
 from rejoint.system.files import read_json
 
 if TYPE_CHECKING:
     from rejoint.diagnosis.calibration.calibration import Calibration
+    from rejoint.session.inputs import Settings
     from rejoint.twin.twin import Twin
+
+PayloadLike: TypeAlias = "float | Payload"
+"""[kg] at the tool centre point, or with its centre of mass"""
+
+Say: TypeAlias = Callable[[str], object]
+"""Receives sentences for the user"""
+
+STILL = 0.4
+"""[s] of standing before a torque counts as load (chosen)"""
+SURE = 3.0
+"""Standard errors from which a load counts as noticed (chosen)"""
+ALONE = 0.08
+"""[kg] standard error of one posture's estimate (measured)"""
+LEAST = 0.04
+"""[kg] that counts as a load at least (chosen)"""
+UNSEEN = 3.0
+"""Factor on torque limits that a twin never saw (chosen)"""
+RUBBING, BELIEVED = 0.1, 0.85
+"""Friction over load, and usable share of a twin's torque limit (chosen)"""
+_NAMED = 5  # targets that a line names
+
+
+def silent(line: str) -> None:
+    """Report nothing."""
+
+
+def equipped(bare: Arm, robot: RobotLike | None, settings: Settings) -> Arm:
+    """Arm with payload, tool and boxes of the settings.
+
+    InputError for payload or tool of an open robot, and for a box that holds a part of the resting arm.
+    """
+    arm = loaded(bare, settings.payload, settings.tool)
+    if arm is not bare and not isinstance(robot, str):
+        raise InputError("give a payload or a tool with the address of a robot, not with an open one")
+    if not settings.keep_out:
+        return arm
+    found = replace(arm, keep_out=(*arm.keep_out, *settings.keep_out))
+    if clearance(found, arm.rest) < 0.0 <= clearance(arm, arm.rest):
+        raise InputError("keep_out: a part of the arm in its rest posture is inside a box; give boxes around the arm")
+    return found
+
+
+def say_heavy(arm: Arm, twin: Twin | None, targets: Array, say: Say, turns: Orientation | None = None) -> None:
+    """Report ``targets`` (..., 3) [m], turned by ``turns`` (...), where the load is too heavy by the twin."""
+    if twin is None or not isinstance(arm, LoadedArm):
+        return
+    points = targets.reshape(-1, 3)
+    over = heavy(arm, twin, points, turns and turns.flat)
+    if over.any():
+        say(f"Too heavy for {_named(arm, points, over)}. The arm tries, but may not come there.")
+
+
+def believed_motors(twin: Twin) -> Motors:
+    """Motors of a twin; unseen limits may be three times as high, friction at rest counts twice."""
+    from rejoint.twin.parameters import Layout
+
+    own = twin.parameters
+    seen = twin.identified[Layout(len(own.torque_limit)).at("torque_limit")]
+    limit = np.where(seen, own.torque_limit, UNSEEN * own.torque_limit)
+    usable = (BELIEVED * own.torque_limit - 2.0 * own.coulomb) / (1.0 + RUBBING)
+    return Motors(limit, np.maximum(usable, 0.1 * own.torque_limit))
+
+
+def _named(arm: Arm, points: Array, over: NDArray[Any]) -> str:
+    """Name too weak motors and ``points`` (K, 3) [m], by ``over`` (K, n)."""
+    which = np.flatnonzero(over.any(axis=1))
+    joints = ", ".join(arm.joint_names[j] for j in range(arm.joints) if over[:, j].any())
+    places = "; ".join(f"({', '.join(f'{1e3 * value:.0f}' for value in points[k])}) mm" for k in which[:_NAMED])
+    more = f" and {len(which) - _NAMED} more" if len(which) > _NAMED else ""
+    return f"the motor of {joints} by the twin: {places}{more}"
+
+
+def heavy(arm: Arm, twin: Twin, targets: Array, turns: Orientation | None = None) -> NDArray[Any]:
+    """Which joints (K, n) of known torque limit are too weak at ``targets`` (K, 3) [m]; light joints do not count."""
+    from rejoint.twin.parameters import Layout
+
+    known = twin.identified[Layout(arm.joints).at("torque_limit")]
+    start = np.broadcast_to(arm.rest, (len(targets), arm.joints))
+    load = np.abs(gravity_torque(arm, find_postures(arm, targets, start, turns)))
+    over = load > believed_motors(twin).usable
+    return over & (joint_weights(arm) <= 1.0) & known
+
+
+def noticed_load(arm: Arm, twin: Twin, log: RunLog) -> tuple[float, float]:
+    """Estimate an unreported mass [kg] at the tool and its standard error; NaN if the arm never stood.
+
+    Joints at their torque limit are left out, so it is rather too small.
+    """
+    rows = _standing(log)
+    if not len(rows):
+        return float("nan"), float("nan")
+    position, own = log.position[rows], twin.parameters
+    torque = own.stiffness * (log.command[rows] + own.offset - position)
+    missing = torque - gravity_torque(arm, position)
+    lever = -position_kinematics(arm, position)[1].swapaxes(-1, -2) @ GRAVITY  # [m^2/s^2]: torque per mass
+    free = np.abs(torque) < 0.9 * own.torque_limit  # at its limit a motor gives less than its stiffness says
+    # Friction holds anything between plus and minus its size, all equally likely.
+    least = 0.02 * np.abs(gravity_torque(arm, position)).max()
+    doubt = np.broadcast_to(np.maximum(own.coulomb, least) / np.sqrt(3.0), missing.shape)
+    weight = np.where(free, 1.0 / doubt, 0.0)
+    total = float(((lever * weight) ** 2).sum())
+    if total <= 0.0:
+        return float("nan"), float("nan")
+    doubtful = max(1.0 / np.sqrt(total), ALONE / len(rows))  # joints stick to one side, and share it in a posture
+    return float((lever * weight**2 * missing).sum() / total), float(doubtful)
+
+
+def say_noticed(arm: Arm, twin: Twin | None, log: RunLog | None, say: Say) -> None:
+    """Report an unexpected load that the sag of a ``log`` shows."""
+    if twin is None or log is None:
+        return
+    mass, doubt = noticed_load(arm, twin, log)
+    if not mass > max(LEAST, SURE * doubt):
+        return
+    more = " more than was told" if isinstance(arm, LoadedArm) else ""
+    say(
+        f"The joints sag as if the hand carried about {1e3 * mass:.0f} g{more}: tell it with --payload, or identify "
+        "again if the arm itself has changed."
+    )
+
+
+def _standing(log: RunLog) -> NDArray[Any]:
+    moved = np.abs(np.diff(log.position, axis=0)).max(axis=1) > 1.5 * _step(log)
+    sent = np.abs(np.diff(log.command, axis=0)).max(axis=1) > np.radians(0.5)
+    last, found, posture = log.time[0], [], None
+    for k in range(1, len(log.time)):
+        if moved[k - 1] or sent[k - 1]:
+            last = log.time[k]
+        elif log.time[k] - last >= STILL:
+            if posture is None or np.abs(log.position[k] - posture).max() > np.radians(2.0):
+                found.append(k)
+                posture = log.position[k]
+            else:
+                found[-1] = k  # the later one has settled more
+    return np.array(found, dtype=int)
+
+
+def _step(log: RunLog) -> float:
+    """Smallest motion [rad] that the encoders of a log show."""
+    steps = np.abs(np.diff(log.position, axis=0))
+    return float(steps[steps > 1e-9].min(initial=np.radians(0.1)))
 
 
 def guard_limits(run: Run | None, arm: Arm, robot: str) -> GuardLimits:

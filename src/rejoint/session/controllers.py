@@ -68,7 +68,8 @@ def choice(run: Run | None, arm: Arm, period: Period | None) -> tuple[str, str]:
     if run is not None and comparison is not None:
         return recommend(comparison).controller, f"{run.path} recommends it"
     if run is not None and run.folder.policy.exists():
-        return _own_policy(run), f"the policy of {run.path}, which has no comparison yet"
+        own = GEARED_POLICY if trained_for_tuned(run) else POLICY
+        return own, f"the policy of {run.path}, which has no comparison yet"
     lacks = "without a run" if run is None else f"{run.path} has no policy yet"
     if _on_shelf(arm, np.nan if period is None else sum(period) / 2):
         return SHELF, f"the policy that comes with rejoint; {lacks}"
@@ -78,10 +79,6 @@ def choice(run: Run | None, arm: Arm, period: Period | None) -> tuple[str, str]:
 def quick_note(run: Run | None) -> str:
     """Remark on a run of a quick try, or nothing."""
     return f"{run.path} is a quick try, which is no result." if run is not None and run.folder.quick.exists() else ""
-
-
-def _own_policy(run: Run) -> str:
-    return GEARED_POLICY if trained_for_tuned(run) else POLICY
 
 
 def make_factories(

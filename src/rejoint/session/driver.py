@@ -1,50 +1,55 @@
-"""What holds an arm; the only caller of the control loop."""
+"""What holds an arm, or a simulation in its place, and drives it; the only caller of the control loop."""
 
 from __future__ import annotations
 
+import shutil
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import cached_property
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, cast
 
-from rejoint.arms import Arm, Array
+import numpy as np
+
+from rejoint.arms import Arm, Array, tcp_position
 from rejoint.control.contract import check_controller_period
-from rejoint.control.controller import ControlInput, Controller, heeds_turn
+from rejoint.control.controller import ControlInput, Controller, heeds_turn, turned_off
 from rejoint.control.correction import Apparent, Modelled
 from rejoint.control.feedforward import FeedforwardController
-from rejoint.control.guard import GuardLimits
+from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.loop import Schedule, run
 from rejoint.control.observer import Observer
 from rejoint.control.posture import PostureController, PostureGains
 from rejoint.control.recording import Cycle, OnCycle, Recording, recording_of
-from rejoint.control.reference import Reference
-from rejoint.control.robot import Mask, Robot
-from rejoint.control.servogains import limits_under, under_gains
+from rejoint.control.reference import Reference, Setpoint
+from rejoint.control.robot import JointState, Mask, Robot, part_of
+from rejoint.control.servogains import Rung, ServoGains, Tunable, limits_under, under_gains
 from rejoint.control.start import begin, check_ready, move
+from rejoint.logs.runfolder import RunFolder
 from rejoint.robots import open_robot
-from rejoint.robots.wrapper import WallClock
-from rejoint.runs.run import exclusive
+from rejoint.robots.wrapper import RobotWrapper, WallClock
+from rejoint.runs.run import Run, exclusive
 from rejoint.runs.run import metered as meter_of
-from rejoint.session.context import calibration_of, corrected_by, guard_limits, stance_of, twin_in_force
+from rejoint.session.context import calibration_of, corrected_by, equipped, guard_limits, stance_of, twin_in_force
 from rejoint.session.controllers import ControllerLike, choice, make_factories, name_of, quick_note
 from rejoint.session.inputs import (
     ArmLike,
     RobotLike,
     RunLike,
+    Settings,
     address_of,
     arm_of,
     as_run,
     as_twin,
     is_virtual,
     period_of,
+    settled,
 )
-from rejoint.session.payload import equipped
 from rejoint.session.recorder import RunRecorder
-from rejoint.session.rehearsal import RehearsedRobot, copied
-from rejoint.session.settings import Settings, settled
-from rejoint.system.errors import InputError
+from rejoint.system.errors import InputError, NotReachedError
 from rejoint.system.files import require_space
 from rejoint.system.numbers import as_seed
 from rejoint.system.progress import RateLimit
@@ -52,7 +57,201 @@ from rejoint.system.stopping import noted
 
 if TYPE_CHECKING:
     from rejoint.diagnosis.calibration.calibration import Calibration
+    from rejoint.session.inputs import Period
     from rejoint.twin.twin import Twin
+
+PERIOD = (0.02, 0.03)
+"""[s] default control periods (chosen)"""
+
+
+@contextmanager
+def copied(run: Run) -> Iterator[Run]:
+    """Return a temporary copy of a run."""
+    with TemporaryDirectory(prefix="rejoint-dry-run-") as folder:
+        path = Path(folder) / "run"
+        if run.path.is_dir():
+            shutil.copytree(run.path, path, ignore=shutil.ignore_patterns(".lock", "pictures", "training", "figures"))
+        yield replace(run, folder=RunFolder(path))
+
+
+class RehearsedRobot(RobotWrapper):
+    """Simulates a robot at its present posture; with nominal servos without a twin."""
+
+    def __init__(self, robot: Robot, twin: Twin | None, period: Period | None) -> None:
+        """NotReadyError where the arm would not be moved either."""
+        from rejoint.twin.parameters import nominal_parameters
+        from rejoint.twin.simulation import Draw, TwinRobot
+
+        check_ready(robot)
+        arm, start = robot.arm, robot.read().position[0]
+        own = (nominal_parameters(arm) if twin is None else twin.parameters).repeat(1)
+        low, high = period or PERIOD
+        draw = replace(Draw.of(own), period=np.array([(low + high) / 2]))
+        jitter = (high - low) / (high + low)
+        super().__init__(TwinRobot(arm, draw, seed=0, jitter=jitter, posture=start, address=robot.address))
+        self._positions: list[Array] = [start.copy()]
+        servos = part_of(robot, Tunable)
+        self._gains, self._rungs = (None, ()) if servos is None else (servos.servo_gains(), servos.rungs())
+
+    def step(self, command: Array, active: Mask | None = None) -> JointState:
+        """See `rejoint.control.robot.Robot`."""
+        state = super().step(command, active)
+        self._positions.append(state.position[0].copy())
+        return state
+
+    def servo_gains(self) -> ServoGains | None:
+        """Gains that the arm has, or would have; the simulation ignores them."""
+        return self._gains
+
+    def tune(self, gains: ServoGains) -> None:
+        """Take ``gains``; the arm keeps its own."""
+        self._gains = dict(gains)
+
+    def keep(self, gains: ServoGains) -> None:
+        """Do as `tune`."""
+        self.tune(gains)
+
+    def rungs(self) -> tuple[Rung, ...]:
+        """Return the arm's search order."""
+        return self._rungs
+
+    def summary(self) -> str:
+        """Say how far, how long and how close to limits it moved."""
+        arm, seconds = self.arm, float(self.read().time[0])
+        way = np.array(self._positions)
+        tool = float(np.linalg.norm(np.diff(tcp_position(arm, way), axis=0), axis=-1).sum())
+        turned = np.abs(np.diff(way, axis=0)).sum(axis=0)
+        most = int(turned.argmax())
+        spare = np.minimum(way - arm.lower, arm.upper - way).min(axis=0)
+        near = int(spare.argmin())
+        clear = float(clear_by(GuardLimits.of(arm), way).min())
+        return (
+            f"Dry run, nothing moved. The arm would move for {seconds:.0f} s: the tool by {1e3 * tool:.0f} mm, joints "
+            f"by up to {np.degrees(turned[most]):.0f} deg ({arm.joint_names[most]}). Closest to a limit: "
+            f"{arm.joint_names[near]}, {np.degrees(spare[near]):.0f} deg; to the floor or itself: {1e3 * clear:.0f} mm."
+        )
+
+
+CALM = 0.3
+"""[s] at the goal (chosen)"""
+RESTS, JITTER = 0.8, float(np.radians(0.3))
+"""[s] from the last new joint goal to rest, and [rad] jitter of a resting hand (chosen)"""
+
+
+class EndedError(Exception):
+    """A motion was asked to end, and has ended: no error."""
+
+
+class ArmMotion:
+    """``work`` drives and returns its result; `ended` asks it to end."""
+
+    def __init__(self, goal: str, work: Callable[[ArmMotion], object]) -> None:
+        self.goal, self._work = goal, work
+        """where the arm is on its way to, in words"""
+        self.ended, self.over = threading.Event(), threading.Event()
+        self.result: object = None
+        self.error: BaseException | None = None
+        """what ended it early"""
+
+    def start(self) -> None:
+        """Drive in a thread of its own."""
+        threading.Thread(target=self.run, name="motion", daemon=True).start()
+
+    def run(self) -> None:
+        """Drive until the end."""
+        try:
+            self.result = self._work(self)
+        except EndedError:
+            pass
+        except BaseException as error:  # noqa: BLE001 - raised again where a caller waits
+            self.error = error
+        finally:
+            self.over.set()
+
+    @property
+    def under_way(self) -> bool:
+        """Whether the arm is still driven."""
+        return not self.over.is_set()
+
+    def give_up(self, _: ControlInput) -> Mask:
+        """Tell the control loop whether to end, see `rejoint.control.loop.Schedule`."""
+        return np.array([self.ended.is_set()])
+
+
+class GoalCheck:
+    """Decides whether the encoders stay at the goal for `CALM`."""
+
+    def __init__(self, motion: ArmMotion, arm: Arm, within: float, within_turn: float = np.inf) -> None:
+        """Take bounds: of the tool in metres and radians."""
+        self._motion, self._arm, self._within, self._within_turn = motion, arm, within, within_turn
+        self._since: float | None = None
+        self._reached, self._left = False, ""
+
+    def at_point(self, inputs: ControlInput) -> Mask:
+        """Whether the tool is at its target; for the loop."""
+        error = float(np.linalg.norm(inputs.target[0] - tcp_position(self._arm, inputs.state.position[0])))
+        turned = float(turned_off(self._arm, inputs)[0])
+        self._left = f"{1e3 * error:.1f} mm" + (f" and {np.degrees(turned):.1f} deg" if np.isfinite(turned) else "")
+        return self._judge(inputs, near=error < self._within and not turned > self._within_turn)
+
+    def at_joints(self, goal: Array) -> Callable[[ControlInput], Mask]:
+        """Return a check of joints at ``goal`` (n,) [rad]; for the loop."""
+
+        def at_goal(inputs: ControlInput) -> Mask:
+            away = np.abs(inputs.state.position[0] - goal)
+            worst = int(away.argmax())
+            self._left = f"{np.degrees(away[worst]):.1f} deg at {self._arm.joint_names[worst]}"
+            return self._judge(inputs, near=bool(away[worst] < self._within_turn))
+
+        return at_goal
+
+    def require(self, wanted: str, seconds: float) -> None:
+        """Raise NotReachedError unless it arrived or was asked to end."""
+        if not (self._reached or self._motion.ended.is_set()):
+            raise NotReachedError(
+                f"the arm did not come within {wanted} of {self._motion.goal} in {seconds:g} s, still {self._left} "
+                "off; it holds. Give it more time or room, or look whether something is in its way"
+            )
+
+    def _judge(self, inputs: ControlInput, *, near: bool) -> Mask:
+        now = float(inputs.state.time[0])
+        self._since = (now if self._since is None else self._since) if near else None
+        self._reached = self._since is not None and now - self._since >= CALM
+        return np.array([self._reached or self._motion.ended.is_set()])
+
+
+class GoalStream(Reference):
+    """Goes to the newest joint goal at full speed; rests after `RESTS` without a new one.
+
+    Goals are those of a perfect arm with its tool in the same place.
+    """
+
+    def __init__(self, apparent: Apparent, position: Array) -> None:
+        """Begin at ``position`` (n,) [rad]."""
+        self.apparent = replace(apparent, came=position)
+        self.goal: Array | None = None
+        """(n,) [rad]; None: stay"""
+        self._mean, self._posture = np.full_like(position, np.nan), position
+        self._time, self._changed = np.inf, -np.inf
+
+    def advance(self, state: JointState, since: Array, /) -> Setpoint:  # noqa: ARG002 - it goes by its own clock
+        """Return where the arm is to be: at first, where it is."""
+        now, goal = float(state.time[0]), self.goal
+        elapsed, self._time = max(now - self._time, 0.0), now
+        rested = now - self._changed > RESTS
+        if goal is None:
+            return Setpoint(self._posture[None])
+        if not np.abs(goal - self._mean).max() < JITTER:
+            if rested:
+                self.apparent.came = self._posture
+            self._mean, self._changed, rested = goal, now, False
+        # The mean over all the rest: one that goes on wandering with the hand moves joints that stick.
+        self._mean = self._mean + elapsed / (now - self._changed + RESTS) * (goal - self._mean)
+        aim = self.apparent.measured(self._mean if rested else goal)
+        reach = self.apparent.arm.max_speed * elapsed
+        self._posture = self._posture + np.clip(aim - self._posture, -reach, reach)
+        arrived = rested and bool((self._posture == aim).all())
+        return Setpoint(self._posture[None], arrived=np.array([arrived]))
 
 
 class ArmDriver:

@@ -1,137 +1,455 @@
-"""Motions of a session: one at a time, in any thread, ended from any thread."""
+"""Motions of a session: to targets in turn, and along paths and streams."""
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
-from dataclasses import replace
+from contextlib import nullcontext
+from dataclasses import dataclass, fields, replace
+from pathlib import Path as FilePath
+from typing import TYPE_CHECKING, TypeAlias, cast
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from rejoint.arms import Arm, Array, tcp_position
-from rejoint.control.controller import ControlInput, turned_off
-from rejoint.control.correction import Apparent
-from rejoint.control.reference import Reference, Setpoint
-from rejoint.control.robot import JointState, Mask
-from rejoint.system.errors import NotReachedError
+from rejoint.arms import Arm, Array
+from rejoint.arms.rotations import tool_axis
+from rejoint.control.controller import Controller
+from rejoint.control.deployment import REACHED, Deployed, Deployment, deployed_of, judge
+from rejoint.control.loop import Schedule
+from rejoint.control.moving.drive import Followed, Pass, Repetition, corrected_path, corrector, missed
+from rejoint.control.moving.drive import judge as judge_pass
+from rejoint.control.moving.posture import PathPostures, Servos, home_of
+from rejoint.control.moving.reference import (
+    LAG,
+    LEAD_IN,
+    Ahead,
+    Path,
+    PathReference,
+    Stream,
+    is_standard,
+    played,
+    read_path,
+    require_rate,
+    standard_path,
+)
+from rejoint.control.moving.tracker import Tracker
+from rejoint.control.observer import Observer
+from rejoint.control.recording import Cycle, Recording
+from rejoint.control.reference import TargetSequence
+from rejoint.control.targets import require_reachable
+from rejoint.session.context import require_correctable, say_heavy, say_noticed
+from rejoint.session.controllers import ControllerLike, make_factories, name_of
+from rejoint.session.driver import ArmMotion, EndedError
+from rejoint.session.eyes import opened_eye, watched, with_sightings
+from rejoint.session.inputs import ArmLike, RobotLike, RunLike, Settings, Targets, as_targets
+from rejoint.session.session import ArmSession
+from rejoint.system.errors import InputError
+from rejoint.system.files import saving
+from rejoint.system.numbers import as_floats, as_seconds, as_within
+from rejoint.system.stopping import noted
 
-CALM = 0.3
-"""[s] at the goal (chosen)"""
-RESTS, JITTER = 0.8, float(np.radians(0.3))
-"""[s] from the last new joint goal to rest, and [rad] jitter of a resting hand (chosen)"""
-
-
-class EndedError(Exception):
-    """A motion was asked to end, and has ended: no error."""
-
-
-class ArmMotion:
-    """``work`` drives and returns its result; `ended` asks it to end."""
-
-    def __init__(self, goal: str, work: Callable[[ArmMotion], object]) -> None:
-        self.goal, self._work = goal, work
-        """where the arm is on its way to, in words"""
-        self.ended, self.over = threading.Event(), threading.Event()
-        self.result: object = None
-        self.error: BaseException | None = None
-        """what ended it early"""
-
-    def start(self) -> None:
-        """Drive in a thread of its own."""
-        threading.Thread(target=self.run, name="motion", daemon=True).start()
-
-    def run(self) -> None:
-        """Drive until the end."""
-        try:
-            self.result = self._work(self)
-        except EndedError:
-            pass
-        except BaseException as error:  # noqa: BLE001 - raised again where a caller waits
-            self.error = error
-        finally:
-            self.over.set()
-
-    @property
-    def under_way(self) -> bool:
-        """Whether the arm is still driven."""
-        return not self.over.is_set()
-
-    def give_up(self, _: ControlInput) -> Mask:
-        """Tell the control loop whether to end, see `rejoint.control.loop.Schedule`."""
-        return np.array([self.ended.is_set()])
+if TYPE_CHECKING:
+    from rejoint.arms.rotations import Orientation
+    from rejoint.control.seeing import Eye, Seen
+    from rejoint.twin.twin import Twin
 
 
-class GoalCheck:
-    """Decides whether the encoders stay at the goal for `CALM`."""
+def deploy(
+    robot: RobotLike,
+    targets: Targets | None = None,
+    *,
+    run: RunLike | None = None,
+    arm: ArmLike | None = None,
+    settings: Settings | None = None,
+    observer: Observer | None = None,
+) -> Deployed:
+    """Drive an arm to targets, under the guard.
 
-    def __init__(self, motion: ArmMotion, arm: Arm, within: float, within_turn: float = np.inf) -> None:
-        """Take bounds: of the tool in metres and radians."""
-        self._motion, self._arm, self._within, self._within_turn = motion, arm, within, within_turn
-        self._since: float | None = None
-        self._reached, self._left = False, ""
+    The arm goes slowly to its rest posture, and then to one target after the other. Ctrl-C and SIGTERM bring it to a
+    hold; then `Interrupted` is raised, a KeyboardInterrupt. In other threads `rejoint.interrupt` does the same.
 
-    def at_point(self, inputs: ControlInput) -> Mask:
-        """Whether the tool is at its target; for the loop."""
-        error = float(np.linalg.norm(inputs.target[0] - tcp_position(self._arm, inputs.state.position[0])))
-        turned = float(turned_off(self._arm, inputs)[0])
-        self._left = f"{1e3 * error:.1f} mm" + (f" and {np.degrees(turned):.1f} deg" if np.isfinite(turned) else "")
-        return self._judge(inputs, near=error < self._within and not turned > self._within_turn)
+    Parameters
+    ----------
+    robot
+        robot or its address
+    targets
+        (K, 3) [m], `Pose` objects, or a CSV file in mm; default: ten random points
+    run
+        its controller, twin and calibration drive the arm, and it keeps the log; without one the generic policy drives,
+        and nothing is written
+    arm
+        needed where neither run nor address tells it
+    settings
+        controller, payload, time per target (``dwell``), accepted error (``within``) and the like
+    observer
+        receives messages, progress, and as ``partial`` what was done until an error
 
-    def at_joints(self, goal: Array) -> Callable[[ControlInput], Mask]:
-        """Return a check of joints at ``goal`` (n,) [rad]; for the loop."""
+    Returns
+    -------
+    Deployed
+        ``visits``, one for each target; ``missed``; the run log
 
-        def at_goal(inputs: ControlInput) -> Mask:
-            away = np.abs(inputs.state.position[0] - goal)
-            worst = int(away.argmax())
-            self._left = f"{np.degrees(away[worst]):.1f} deg at {self._arm.joint_names[worst]}"
-            return self._judge(inputs, near=bool(away[worst] < self._within_turn))
+    Raises
+    ------
+    InputError, ContractError
+        if controller, control period or targets do not fit; nothing has moved
+    NotReadyError
+        if it is unsafe to move the arm
+    GuardTripError, RobotError
+        if the motion had to be ended; the arm holds
+    UnsavedError
+        if the log could not be written; the error has the result
 
-        return at_goal
-
-    def require(self, wanted: str, seconds: float) -> None:
-        """Raise NotReachedError unless it arrived or was asked to end."""
-        if not (self._reached or self._motion.ended.is_set()):
-            raise NotReachedError(
-                f"the arm did not come within {wanted} of {self._motion.goal} in {seconds:g} s, still {self._left} "
-                "off; it holds. Give it more time or room, or look whether something is in its way"
-            )
-
-    def _judge(self, inputs: ControlInput, *, near: bool) -> Mask:
-        now = float(inputs.state.time[0])
-        self._since = (now if self._since is None else self._since) if near else None
-        self._reached = self._since is not None and now - self._since >= CALM
-        return np.array([self._reached or self._motion.ended.is_set()])
-
-
-class GoalStream(Reference):
-    """Goes to the newest joint goal at full speed; rests after `RESTS` without a new one.
-
-    Goals are those of a perfect arm with its tool in the same place.
+    Examples
+    --------
+    >>> done = rejoint.deploy("emulated:worn", [[0.17, 0.0, 0.2], [0.18, 0.03, 0.21]])
+    >>> for visit in done.visits:
+    ...     print(visit.target, visit.error, visit.reached, visit.remark)
     """
+    with noted(), ArmSession(robot, run=run, arm=arm, settings=settings, observer=observer) as session:
+        return session.deploy(targets)
 
-    def __init__(self, apparent: Apparent, position: Array) -> None:
-        """Begin at ``position`` (n,) [rad]."""
-        self.apparent = replace(apparent, came=position)
-        self.goal: Array | None = None
-        """(n,) [rad]; None: stay"""
-        self._mean, self._posture = np.full_like(position, np.nan), position
-        self._time, self._changed = np.inf, -np.inf
 
-    def advance(self, state: JointState, since: Array, /) -> Setpoint:  # noqa: ARG002 - it goes by its own clock
-        """Return where the arm is to be: at first, where it is."""
-        now, goal = float(state.time[0]), self.goal
-        elapsed, self._time = max(now - self._time, 0.0), now
-        rested = now - self._changed > RESTS
-        if goal is None:
-            return Setpoint(self._posture[None])
-        if not np.abs(goal - self._mean).max() < JITTER:
-            if rested:
-                self.apparent.came = self._posture
-            self._mean, self._changed, rested = goal, now, False
-        # The mean over all the rest: one that goes on wandering with the hand moves joints that stick.
-        self._mean = self._mean + elapsed / (now - self._changed + RESTS) * (goal - self._mean)
-        aim = self.apparent.measured(self._mean if rested else goal)
-        reach = self.apparent.arm.max_speed * elapsed
-        self._posture = self._posture + np.clip(aim - self._posture, -reach, reach)
-        arrived = rested and bool((self._posture == aim).all())
-        return Setpoint(self._posture[None], arrived=np.array([arrived]))
+class TargetDrive:
+    """A deployment in a session."""
+
+    def __init__(self, session: ArmSession, targets: Targets | None) -> None:
+        """Check the request before anything moves; InputError if impossible."""
+        arm, settings = session.arm, session.settings
+        points, turned = as_targets(targets, arm, sets=1, seed=session.seed, reachable=False)
+        if len(points) != 1:
+            raise InputError(f"deployment: {len(points)} sets of targets, expected one: (targets, 3) in metres")
+        if turned is not None and settings.eye is not None:
+            raise InputError("deploy: what a camera sees corrects places only; leave it out, or give points")
+        turns = None if turned is None else turned[0]
+        require_correctable(session.calibration, arm, points)
+        self.session, self.ways = session, session.ways(points[0], turns)
+        name, self.controller = session.driver(posed=turns is not None)
+        within = REACHED if settings.within is None else settings.within
+        self.job = Deployment(controller=name, targets=points[0], dwell=settings.dwell, within=within, turns=turns)
+
+    def work(self) -> Deployed:
+        """Drive; a run keeps what is recorded also after ``kill -9``."""
+        session, job = self.session, self.job
+        given = session.settings.eye
+        eyes = nullcontext() if given is None else opened_eye(given, session.robot, session.run, session.seed)
+        with eyes as eye:
+            session.recorder.begin(session.robot, "deploy", f"deploy/{job.controller}")
+            done = self._drive(eye)
+        say_noticed(session.arm, session.twin, done.log, session.observer.message)
+        return done
+
+    def _drive(self, eye: Eye | None) -> Deployed:
+        session, job = self.session, self.job
+        total = len(job.targets)
+
+        def watch(cycle: Cycle) -> None:
+            target, share = int(cycle.target_index[0]), float(cycle.since_target[0]) / job.dwell
+            session.progress((target + min(share, 1.0)) / total, f"target {target + 1} of {total}")
+
+        controller, correction = self.controller, session.correction
+        seen: Seen | None = None
+        if eye is not None:
+            controller, seen = watched(session.robot, controller, correction, eye)
+        try:
+            session.begin(self.controller)
+            reference = TargetSequence(
+                session.arm,
+                job.targets[None],
+                ways=[self.ways],
+                turns=job.turns and job.turns[None],
+                correction=seen or correction,
+            )
+            recording = session.drive(controller, Schedule(dwell=job.dwell), reference, watch)
+        except BaseException as error:
+            done = deployed_of(error, session.arm, job, session.calibration)
+            if done is not None:
+                session.observer.partial(with_sightings(done, seen))
+            raise
+        found = judge(session.arm, recording, job, session.calibration)
+        asked = {"orientations": "; ".join(visit.orientation for visit in found.visits)} if job.turns else None
+        found = replace(with_sightings(found, seen), log=recording.log(0, f"deploy/{job.controller}", asked))
+        with saving(found):
+            session.recorder.end(extra=asked)
+        session.progress(1.0, "done")
+        return found
+
+
+PathLike: TypeAlias = "Path | FilePath | ArrayLike"
+"""A path, its file or standard name, or (T, 4) times [s] and places [m]"""
+
+TRACKER = "tracker"
+"""Name of the controller by the twin"""
+
+WITHIN = 5e-3
+"""[m] accepted rms after the best lag (chosen)"""
+
+LOOKED_AT = 50
+"""Places of a path judged before it is driven (chosen)"""
+
+
+def follow(
+    robot: RobotLike,
+    path: PathLike,
+    *,
+    run: RunLike | None = None,
+    arm: ArmLike | None = None,
+    repeat: int = 1,
+    rate_hz: float | None = None,
+    settings: Settings | None = None,
+    observer: Observer | None = None,
+) -> Followed:
+    """Drive an arm along a path, under the guard, and say how well it followed.
+
+    The arm goes slowly to its rest posture and to the start of the path, waits two seconds, and moves. Ctrl-C and
+    SIGTERM bring it to a hold; then `Interrupted` is raised. `Session.follow` follows a `Stream`.
+
+    Parameters
+    ----------
+    robot
+        robot or its address
+    path
+        `Path`, CSV file ``time,x,y,z`` in seconds and millimetres, (T, 4) numbers in seconds and metres, or a standard
+        path such as ``circle-8s`` and ``random-0.2hz``
+    run
+        run with the twin; keeps the log
+    arm
+        needed where neither run nor address tells it
+    repeat
+        how often; each pass corrects the errors of those before
+    rate_hz
+        sends the path as a stream at this rate, not known ahead
+    settings
+        twin, payload, accepted error (``within``) and the like; ``controller``: by default ``tracker`` with a twin,
+        else what drives to points
+    observer
+        receives messages and progress
+
+    Returns
+    -------
+    Followed
+        for each of the ``passes``: encoder errors [m], true error, run log; ``followed``
+
+    Raises
+    ------
+    InputError, FileError
+        if the path is out of reach or too fast, or no twin is known; nothing has moved
+    NotReadyError
+        if it is unsafe to move the arm
+    GuardTripError, RobotError
+        if the motion had to be ended; the arm holds
+
+    Examples
+    --------
+    >>> done = rejoint.follow("emulated:worn", "circle-8s", run="runs/mine")
+    >>> print(done.passes[-1].encoder.rms)
+    """
+    with noted(), ArmSession(robot, run=run, arm=arm, settings=settings, observer=observer) as session:
+        return cast(Followed, session.follow(path, repeat=repeat, rate_hz=rate_hz))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Follower:
+    """What follows a path."""
+
+    name: str
+    """of the controller"""
+    make: Callable[[float], Controller]
+    """for a usual period [s], for each pass"""
+    home: Array | None = None
+    """(n,) [rad] preferred posture; None: rest"""
+
+
+class PathDrive:
+    """A path or stream to be followed by a session."""
+
+    def __init__(
+        self,
+        session: ArmSession,
+        path: PathLike | Stream,
+        *,
+        repeat: int,
+        rate: float | None,
+        duration: float | None,
+        within: float | None,
+    ) -> None:
+        """Check the request before anything moves; InputError if impossible.
+
+        ``rate`` [Hz] and ``duration`` [s] are of a stream; None: known ahead. ``within`` [m] is the accepted rms.
+        """
+        arm, settings = session.arm, session.settings
+        self.session, self.repeat, self.rate, self.duration = session, repeat, rate, duration or 0.0
+        self.within = within if within is not None else WITHIN if settings.within is None else settings.within
+        require_repeatable(path, repeat, rate, self.within)
+        self.path = followable(path, arm, session.seed, duration)
+        self.posed = turned(self.path)
+        if isinstance(self.path, Path):
+            few = slice(None, None, max(1, len(self.path.place) // LOOKED_AT))
+            places, turns = self.path.place[few], self.path.turn_at(self.path.time[few])
+            say_heavy(arm, session.twin, places, session.observer.message, turns)
+            require_correctable(session.calibration, arm, places)
+        wanted = settings.controller
+        if wanted is None:
+            wanted = TRACKER if session.twin is not None else session.driver(posed=self.posed)[0]
+        self.controller = wanted
+        follower_of(wanted, session, session.twin, posed=self.posed)
+
+    def work(self, motion: ArmMotion) -> Followed:
+        """Drive; `EndedError` where the motion is asked to end."""
+        session = self.session
+        session.take_up(None)
+        self._motion = motion
+        if session.settings.controller is not None:
+            session.announce(name_of(self.controller), "as asked for")
+        elif self.controller == TRACKER:
+            session.instead(TRACKER, "for paths, by the twin")
+        self._follower = follower_of(self.controller, session, session.twin_now, posed=self.posed)
+        name = self.path.name if isinstance(self.path, Path) else "stream"
+        self._label = f"follow/{self._follower.name}/{name}"
+        session.recorder.begin(session.robot, "follow", self._label)
+        _, self._usual = session.begin()
+        done = self._behind(self.path) if isinstance(self.path, Stream) else self._along(self.path)
+        session.followed = done
+        say_noticed(session.arm, session.twin_now, done.passes[-1].log, session.observer.message)
+        return done
+
+    def _along(self, path: Path) -> Followed:
+        session, arm, home = self.session, self.session.arm, self._follower.home
+        wanted = path if session.correction is None else corrected_path(arm, path, session.correction, home)
+        duration = LEAD_IN + path.duration + (0.0 if self.rate is None else LAG)
+        aim, passes, repetition = wanted, list[Pass](), Repetition(wanted)
+        last: Recording | None = None
+        for number in range(self.repeat):
+            self._approach(wanted.at(0.0), wanted.turn_at(0.0))
+            guide = Ahead(path=path, aim=aim)
+            told = guide if self.rate is None else played(wanted, self.rate)
+            last = self._carry(told, duration, number)
+            done = judge_pass(arm, last, Ahead(path=path, aim=wanted), model=session.calibration)
+            passes.append(replace(done, log=last.log(0, self._label)))
+            aim = repetition.learn(aim, *missed(arm, last, guide, wanted))
+        return self._followed(path.name, passes, last)
+
+    def _behind(self, stream: Stream) -> Followed:
+        session, arm, home = self.session, self.session.arm, self._follower.home
+        at_once = np.zeros(1)
+        start, turns = stream.place(0.0), stream.poses(0.0, at_once)[1]
+        turn = None if turns is None else turns[0]
+        if session.correction is not None and stream.corrected is None:
+            stream.corrected = corrector(arm, session.correction, start, turn, home)
+            turns = stream.poses(0.0, at_once)[1]
+            turn = None if turns is None else turns[0]
+        self._approach(start, turn)
+        last = self._carry(stream, self.duration, 0)
+        done = replace(judge_pass(arm, last, stream, model=session.calibration), log=last.log(0, self._label))
+        return self._followed("stream", [done], last)
+
+    def _approach(self, start: Array, turn: Orientation | None) -> None:
+        """Bring the arm to the place ``start`` (3,) [m] and ``turn`` ()."""
+        session = self.session
+        posture = PathPostures(session.arm, start[None], turn and turn[None], self._follower.home).last[0]
+        session.go(posture, self._motion.give_up)
+        if self._motion.ended.is_set():
+            raise EndedError
+
+    def _carry(self, guide: Ahead | Stream, duration: float, number: int) -> Recording:
+        """Drive behind a guide for ``duration`` [s]."""
+        session, total = self.session, self.repeat
+
+        def watch(cycle: Cycle) -> None:
+            share = min(float(cycle.since_target[0]) / duration, 1.0)
+            session.progress((number + share) / total, f"time {number + 1} of {total}" if total > 1 else "")
+
+        if total > 1:
+            session.recorder.begin(session.robot, f"follow-{number + 1:02d}", self._label)
+        controller = self._follower.make(self._usual)
+        schedule = Schedule(dwell=duration, give_up=self._motion.give_up)
+        recording = session.drive(controller, schedule, PathReference(session.arm, [guide], self._follower.home), watch)
+        if self._motion.ended.is_set():
+            raise EndedError
+        return recording
+
+    def _followed(self, path: str, passes: list[Pass], last: Recording | None) -> Followed:
+        period = float("nan") if last is None else last.usual_period()
+        gaps = () if last is None else tuple(float(gap) for gap in last.gaps() if gap > 0.0)
+        return Followed(
+            path=path,
+            controller=self._follower.name,
+            within=self.within,
+            passes=tuple(passes),
+            period=period if np.isfinite(period) else None,
+            gaps=gaps,
+        )
+
+
+def as_path(given: PathLike, arm: Arm, seed: int) -> Path:
+    """Path from an object, a file, numbers or a standard name."""
+    if isinstance(given, Path):
+        return given
+    if isinstance(given, str) and is_standard(given):
+        return standard_path(given, arm, seed)
+    if isinstance(given, str | FilePath):
+        return read_path(FilePath(given), arm)
+    expected = "a Path, a file, or points (K, 4) of time [s] and x, y, z [m]"
+    points = as_floats("path", given, expected)
+    if points.ndim != 2 or points.shape[-1] != 4:
+        raise InputError(f"path: an array of shape {points.shape}, expected (points, 4): time [s] and x, y, z [m]")
+    return Path(time=points[:, 0], place=points[:, 1:])
+
+
+def followable(given: PathLike | Stream, arm: Arm, seed: int, duration: float | None) -> Path | Stream:
+    """Stream or path that ``arm`` can follow; else InputError."""
+    if isinstance(given, Stream):
+        as_seconds("follow: a stream", duration)
+        if given.followed:
+            raise InputError(
+                "follow: this stream was followed already, up to its last target; put targets into another"
+            )
+        given.axis = tool_axis(arm)
+        turns = given.poses(0.0, np.zeros(1))[1]
+        require_reachable(arm, given.place(0.0)[None, None], turns and turns[None])
+        return given
+    if duration is not None:
+        raise InputError("follow: a duration is of a stream; a path takes as long as its times say")
+    path = as_path(given, arm, seed)
+    path.require_followable(arm)
+    return path
+
+
+def turned(given: Path | Stream) -> bool:
+    """Whether a path, or a stream's first target, has an orientation."""
+    start = np.zeros(1)
+    return (given.turn_at(start) if isinstance(given, Path) else given.poses(0.0, start)[1]) is not None
+
+
+def require_repeatable(path: PathLike | Stream, repeat: int, rate: float | None, within: float = WITHIN) -> None:
+    """Raise InputError for a bad number of repetitions, ``rate`` or ``within``."""
+    if rate is not None:
+        require_rate(rate)
+    as_within("follow", within)
+    if (
+        not isinstance(repeat, int | np.integer)
+        or repeat < 1
+        or (repeat > 1 and (rate is not None or isinstance(path, Stream)))
+    ):
+        raise InputError("follow: to be repeated at least once, and more often only where the path is known ahead")
+    if rate is not None and isinstance(path, Stream):
+        raise InputError("follow: a rate is for a path that is played as a stream; a stream has its own")
+
+
+def servos_of(twin: Twin) -> Servos:
+    """Return what a tracker takes from the twin of one arm."""
+    own = twin.parameters.repeat(1)
+    return Servos(**{item.name: getattr(own, item.name) for item in fields(Servos)})
+
+
+def follower_of(given: ControllerLike, session: ArmSession, twin: Twin | None, *, posed: bool) -> Follower:
+    """Return what follows under a name, or is given; else InputError."""
+    arm = session.arm
+    if given == TRACKER:
+        if twin is None:
+            raise InputError("follow: the tracker needs a twin; run `rejoint identify` first")
+        servos = servos_of(twin)
+        home = home_of(arm, servos)
+        return Follower(name=TRACKER, make=lambda period: Tracker(arm, servos, period=period), home=home[0])
+    ((name, make),) = make_factories([given], arm, session.period, run=session.run, twin=twin, posed=posed).items()
+    return Follower(name=name, make=lambda _: make(arm))

@@ -39,15 +39,15 @@ class RunRecorder:
         self._pieces: list[Recording] = []
         self._told = False
 
-    def begin(self, robot: Robot, name: str, label: str, rows: int = 0) -> None:
-        """Start or continue a log of this kind; ``rows`` reserves disk space."""
+    def begin(self, robot: Robot, name: str, label: str) -> None:
+        """Start or continue a log of this kind."""
         if self._kind == (name, label):
             if sum(float(np.ptp(piece.time)) for piece in self._pieces if len(piece.time)) > PIECE:
                 self.turn()
             return
         self.end()
         self._robot, self._kind = robot, (name, label)
-        self._journal = self._start(rows)
+        self._journal = self._start()
 
     def see(self, cycle: Cycle) -> None:
         """Take a control cycle."""
@@ -65,7 +65,7 @@ class RunRecorder:
         try:
             self.end(keep=keep)
             self._kind = kind
-            self._journal = self._start(0)
+            self._journal = self._start()
         except FileError as error:
             self._kind = kind
             if not self._told:
@@ -74,8 +74,7 @@ class RunRecorder:
 
     def end(self, *, keep: bool = True, extra: Mapping[str, str] | None = None) -> None:
         """Write what was taken; FileError where that fails."""
-        journal, pieces, kind = self._journal, self._pieces, self._kind
-        self._journal, self._pieces, self._kind = None, [], None
+        journal, pieces, kind = self._ended()
         if journal is not None and kind is not None and keep and pieces:
             journal.finish(_joined(pieces).log(0, kind[1], extra))
         elif journal is not None:
@@ -83,8 +82,7 @@ class RunRecorder:
 
     def rescue(self, error: BaseException) -> None:
         """Write what was taken until ``error``; its note says where."""
-        journal, pieces, kind = self._journal, self._pieces, self._kind
-        self._journal, self._pieces, self._kind = None, [], None
+        journal, pieces, kind = self._ended()
         partial = recording_of(error)
         began = not pieces and partial is not None and partial.controller == Playback.name
         pieces += [partial] if partial is not None and len(partial.time) else []
@@ -98,11 +96,16 @@ class RunRecorder:
         else:
             journal.discard()
 
-    def _start(self, rows: int) -> Journal | None:
+    def _ended(self) -> tuple[Journal | None, list[Recording], tuple[str, str] | None]:
+        ended = self._journal, self._pieces, self._kind
+        self._journal, self._pieces, self._kind = None, [], None
+        return ended
+
+    def _start(self) -> Journal | None:
         if self._run is None or self._kind is None or self._robot is None:
             return None
         require_space(self._run.path)  # some is left for other programs
-        return start_journal(self._run, self._kind[0], self._robot, self._kind[1], rows)
+        return start_journal(self._run, self._kind[0], self._robot, self._kind[1])
 
 
 class StateRecord:
@@ -161,12 +164,10 @@ class StateRecord:
             raise self._error
 
 
-def start_journal(run: Run, name: str, robot: Robot, label: str, rows: int = 0) -> Journal:
+def start_journal(run: Run, name: str, robot: Robot, label: str) -> Journal:
     """Start the journal of a dated run log."""
     arm = run.arm
-    return Journal.begin(
-        _dated(run, name), arm=arm.name, joint_names=arm.joint_names, robot=robot.address, label=label, rows=rows
-    )
+    return Journal.begin(_dated(run, name), arm=arm.name, joint_names=arm.joint_names, robot=robot.address, label=label)
 
 
 @contextmanager

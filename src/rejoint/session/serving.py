@@ -21,9 +21,8 @@ from rejoint.control.reference import Reference, ToolAtGoals
 from rejoint.control.robot import Mask, Relaying, part_of
 from rejoint.robots.serving.served import ServedArm
 from rejoint.robots.serving.server import Answering, OrderLog, Relay, WireServer, pty_wire, tcp_wire
-from rejoint.session.inputs import RobotLike, RunLike
+from rejoint.session.inputs import RobotLike, RunLike, Settings
 from rejoint.session.session import ArmSession
-from rejoint.session.settings import Settings
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.shell import listen_tcp
 from rejoint.system.stopping import Interrupted, noted

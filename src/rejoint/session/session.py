@@ -24,14 +24,12 @@ from rejoint.control.robot import JointState
 from rejoint.control.targets import Pose, in_mm, placed
 from rejoint.control.unloading import OFF, PlannedWay, UnloadedWay, Unloading
 from rejoint.runs.run import Run, exclusive
-from rejoint.session.context import guard_limits
-from rejoint.session.driver import ArmDriver
+from rejoint.session.context import believed_motors, guard_limits
+from rejoint.session.driver import ArmDriver, ArmMotion, GoalCheck, GoalStream
 from rejoint.session.inputs import is_virtual
-from rejoint.session.motions import ArmMotion, GoalCheck, GoalStream
-from rejoint.session.payload import believed_motors
 from rejoint.session.recorder import RunRecorder, StateRecord
 from rejoint.system.errors import InputError, NotReachedError, NotReadyError
-from rejoint.system.numbers import as_floats, as_place, as_seconds, as_within
+from rejoint.system.numbers import as_floats, as_place, as_positive, as_seconds, as_within
 from rejoint.system.progress import RateLimit
 from rejoint.system.stopping import noted, pause
 
@@ -41,7 +39,7 @@ if TYPE_CHECKING:
     from rejoint.control.moving.reference import Stream
     from rejoint.logs.runlog import RunLog
     from rejoint.session.inputs import Targets
-    from rejoint.session.paths import PathLike
+    from rejoint.session.motions import PathLike
 
 WITHIN, WITHIN_TURN = 0.002, float(np.radians(1.0))
 """[m] and [rad] within which poses are reached (chosen)"""
@@ -51,6 +49,7 @@ EVERY_JOINT = PostureGains(weak=np.inf, close=1e-4, again=3e-4, lead=float(np.ra
 """Joint positions without a place: every joint is brought close (measured)"""
 TURNS = 2.0 * np.pi
 """[rad] beyond which a joint position is not in radians"""
+ANGLE = "a positive angle in radians"
 STARTING = 5.0
 """[s] for the first cycle of a stream (chosen)"""
 _LOOK = 0.01  # [s] between two looks at whether a motion has ended (chosen)
@@ -128,6 +127,10 @@ class ArmSession(ArmDriver):
         twin = self.twin_now
         return None if twin is None else believed_motors(twin)
 
+    @property
+    def _moving(self) -> bool:
+        return self._motion is not None and self._motion.under_way
+
     # --- motions ------------------------------------------------------------------------------
 
     def move_to(
@@ -151,7 +154,7 @@ class ArmSession(ArmDriver):
         pose = target_m if isinstance(target_m, Pose) else None
         target = as_place("move_to", target_m if pose is None else pose.place_m)
         within = as_within("move_to", (self.settings.within or WITHIN) if within_m is None else within_m)
-        within_rad, timeout = _bounds("move_to", within_rad, timeout_s)
+        within_rad, timeout = as_positive("move_to", within_rad, ANGLE), as_seconds("move_to", timeout_s)
         turns = None if pose is None else placed(self.arm, [pose])[1]
         self._require_free()
         ways = self.ways(target[None], turns)
@@ -195,7 +198,7 @@ class ArmSession(ArmDriver):
                 f"move_joints: {self.arm.joint_names[j]} at {at:.0f} deg is outside its limits of {low:.0f} to "
                 f"{high:.0f} deg"
             )
-        within, timeout = _bounds("move_joints", within_rad, timeout_s)
+        within, timeout = as_positive("move_joints", within_rad, ANGLE), as_seconds("move_joints", timeout_s)
         self._require_free()
         self.open()
         if not self._clear(goal):
@@ -250,7 +253,7 @@ class ArmSession(ArmDriver):
 
     def _stream(self) -> GoalStream:
         self._require_open()
-        if self._goals is not None and self._motion is not None and self._motion.under_way:
+        if self._goals is not None and self._moving:
             return self._goals
         self._require_free()
         goals = GoalStream(self.apparent, self.robot.read().position[0].copy())
@@ -300,10 +303,10 @@ class ArmSession(ArmDriver):
         A `Stream` needs ``duration_s`` and a first target. NotReachedError after `stop`. InputError for a path out of
         reach or too fast, or without a twin.
         """
-        from rejoint.session.paths import PathDrive
+        from rejoint.session.motions import PathDrive
 
         self._require_free()
-        drive = PathDrive.of(self, path, repeat=repeat, rate=rate_hz, duration=duration_s, within=within_m)
+        drive = PathDrive(self, path, repeat=repeat, rate=rate_hz, duration=duration_s, within=within_m)
         self.followed = None
         self._start(ArmMotion("the end of its path", drive.work), wait=wait)
         if wait and self.followed is None:
@@ -312,10 +315,10 @@ class ArmSession(ArmDriver):
 
     def deploy(self, targets: Targets | None = None) -> Deployed:
         """Drive to targets in turn; see `rejoint.deploy`."""
-        from rejoint.session.deploying import TargetDrive
+        from rejoint.session.motions import TargetDrive
 
         self._require_free()
-        drive = TargetDrive.of(self, targets)
+        drive = TargetDrive(self, targets)
         motion = ArmMotion("its targets", lambda _: drive.work())
         self._start(motion, wait=True)
         done: Deployed = motion.result  # type: ignore[assignment]
@@ -328,7 +331,7 @@ class ArmSession(ArmDriver):
         """State of the last cycle of a motion, else read now."""
         with self._asking:
             self._require_open()
-            moving = self._motion is not None and self._motion.under_way
+            moving = self._moving
             if not moving or self._seen is None:  # else the robot is the motion's to ask
                 self._seen = self.robot.read()
                 if self.watching:
@@ -448,9 +451,9 @@ class ArmSession(ArmDriver):
 
     def _require_free(self) -> None:
         self._require_open()
-        if self._goals is not None and self._motion is not None and self._motion.under_way:
+        if self._goals is not None and self._moving:
             self.stop()  # a stream of joint positions gives way to any other motion
-        if self._motion is not None and self._motion.under_way:
+        if self._moving:
             raise NotReadyError("the arm is still on its way; wait() for it, or stop() it first")
         self._tell_last()
 
@@ -488,12 +491,3 @@ class ArmSession(ArmDriver):
             error_m=float(np.linalg.norm(cycle.aim[0] - tool)) if cycle is not None and aimed else None,
             turned_rad=None if cycle is None or np.isnan(cycle.turned[0]) else float(cycle.turned[0]),
         )
-
-
-def _bounds(who: str, within: float, timeout: float) -> tuple[float, float]:
-    """Return an angle [rad] and a time [s] that are positive."""
-    expected = "positive numbers as within_rad and timeout_s, the latter finite"
-    bounds = as_floats(who, (within, timeout), expected)
-    if bounds.shape != (2,) or not (bounds > 0.0).all() or np.isinf(bounds[1]):
-        raise InputError(f"{who}: expected {expected}, got {(within, timeout)}")
-    return float(bounds[0]), float(bounds[1])

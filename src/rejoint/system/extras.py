@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
+from traceback import walk_tb
 
 from rejoint.system.errors import InputError, MissingExtraError, first_line
 
@@ -32,31 +32,30 @@ def installed(module: str) -> bool:
 
 def require(what: str, *needs: str) -> None:
     """Raise MissingExtraError unless all ``needs``, extras or modules, are installed for ``what``."""
-    modules = [module for need in needs for module in EXTRAS.get(need, (need,))]
-    missing = [module for module in modules if not installed(module)]
+    missing = {module: _extra(need) for need in needs for module in EXTRAS.get(need, (need,)) if not installed(module)}
     if missing:
         raise MissingExtraError(_line(what, missing))
 
 
-def explain(error: Exception) -> str | None:
+def explain(error: BaseException) -> str | None:
     """Name a missing module's extra, or what is wrong with Numba's cache, or None."""
     if not isinstance(error, ImportError):
         return _explain_cache(error)
     module = (error.name or "").partition(".")[0]
     known = any(module in modules for modules in EXTRAS.values())
-    return _line("this", [module]) if known and not installed(module) else None
+    return _line("this", {module: _extra(module)}) if known and not installed(module) else None
 
 
-def _line(what: str, missing: Iterable[str]) -> str:
-    missing = list(missing)
-    named = ", ".join(missing[:_NAMED]) + (f" and {len(missing) - _NAMED} more" if len(missing) > _NAMED else "")
-    extras, left = set(), set(missing)
-    while left:  # the extra that brings most of it, until nothing is missing
-        extras.add(best := max(EXTRAS, key=lambda extra: len(left.intersection(EXTRAS[extra]))))
-        left.difference_update(EXTRAS[best])
+def _extra(need: str) -> str:
+    return need if need in EXTRAS else next(extra for extra, modules in EXTRAS.items() if need in modules)
+
+
+def _line(what: str, missing: dict[str, str]) -> str:
+    """Name ``missing`` modules with their extras."""
+    named = ", ".join([*missing][:_NAMED]) + (f" and {len(missing) - _NAMED} more" if len(missing) > _NAMED else "")
     return (
         f"{what} needs more than the base installation (missing: {named}); "
-        f"add it with: pip install 'rejoint[{','.join(filter(extras.__contains__, EXTRAS))}]'"
+        f"add it with: pip install 'rejoint[{','.join(dict.fromkeys(missing.values()))}]'"
     )
 
 
@@ -71,38 +70,19 @@ def require_compiler() -> None:
         raise InputError(f"{_OFF} is set: uncompiled, no arm can be driven or simulated in time; unset it")
 
 
-def _explain_cache(error: Exception) -> str | None:
-    """Explain a failure of Numba's cache, or None; remove a damaged index."""
+def _explain_cache(error: BaseException) -> str | None:
+    """Explain a failure of Numba's cache, or None; remove its index, which may be damaged."""
     if isinstance(error, RuntimeError) and _NO_PLACE in str(error):
-        return (
-            "compiled loops are kept beside the installed package or in the home folder, and neither can be written; "
-            f"set {_PLACE} to a folder that can"
-        )
-    folder = _kept_in(error)
-    if folder is None:
-        return None
-    if isinstance(error, OSError):
-        told = error.strerror or first_line(error)
-        return f"{folder}: compiled loops cannot be kept there ({told}); free some space, or set {_PLACE}"
-    with suppress(OSError):
-        for index in folder.glob("*.nbi"):
-            index.unlink()
-        return (
-            f"{folder}: compiled loops that were kept there were damaged, as by a loss of power, and are removed; "
-            "the same command compiles them again"
-        )
-    return f"{folder}: compiled loops that are kept there are damaged; delete the files *.nbi there"
-
-
-def _kept_in(error: BaseException | None) -> Path | None:
-    while error is not None:
-        trace = error.__traceback__
-        while trace is not None:
-            frame, trace = trace.tb_frame, trace.tb_next
-            if Path(frame.f_code.co_filename).parts[-3:] != _KEEPER:
-                continue  # what lies there may be a module that is imported when it is looked at
-            place = getattr(frame.f_locals.get("self"), "cache_path", None)
-            if place:
-                return Path(place)
-        error = error.__cause__ or error.__context__
+        return f"no place for compiled loops can be written; set {_PLACE} to a folder that can"
+    for one in filter(None, (error, error.__cause__, error.__context__)):
+        for frame, _ in walk_tb(one.__traceback__):
+            if Path(frame.f_code.co_filename).parts[-3:] == _KEEPER and "cache_path" in dir(frame.f_locals.get("self")):
+                folder = Path(frame.f_locals["self"].cache_path)
+                with suppress(OSError):
+                    for index in folder.glob("*.nbi"):
+                        index.unlink()
+                return (
+                    f"{folder}: compiled loops are damaged or cannot be kept there ({first_line(error)}); the same "
+                    f"command compiles them again; if this comes again, free some space or set {_PLACE}"
+                )
     return None

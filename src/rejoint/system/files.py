@@ -8,6 +8,7 @@ import re
 import shutil
 import stat
 import tempfile
+import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import datetime
@@ -40,6 +41,11 @@ UNFINISHED = ".partial"
 """Suffix of unfinished files"""
 
 UNWRITABLE = "free some space, allow writing there, or choose another folder"
+MALFORMED = (
+    *(ArithmeticError, AttributeError, EOFError, LookupError, OSError, RuntimeError, TypeError, ValueError),
+    *(msgspec.MsgspecError, zipfile.BadZipFile),
+)
+"""What decoders raise for data of another kind"""
 _DIGEST = re.compile(rb',\n  "digest": "([0-9a-f]{16})"\n}\Z')
 
 
@@ -81,6 +87,17 @@ def read_bounded(path: Path, most: int, remedy: str) -> bytes:
     if len(data) > most:
         raise FileError(path, f"grew beyond {_size(most)} while it was read", remedy)
     return data
+
+
+@contextmanager
+def reading(path: Path, problem: str, remedy: str) -> Iterator[None]:
+    """Turn what decoders raise into a FileError with this ``problem``."""
+    try:
+        yield
+    except FileNotFoundError as error:
+        raise FileError(path, "no such file", remedy) from error
+    except MALFORMED as error:
+        raise FileError(path, f"{problem} ({type(error).__name__}: {first_line(error)})", remedy) from error
 
 
 def require_file(path: Path, most: int, remedy: str) -> None:
@@ -125,8 +142,8 @@ def write_json(path: Path, value: object) -> None:
 
 def read_json(path: Path, kind: type[T]) -> T:
     """Read JSON of `write_json` as ``kind``; FileError."""
-    remedy = "delete it and run its stage again"
-    try:
+    remedy = "delete what is left of it, and run its stage"
+    with reading(path, "damaged", remedy):
         data = read_bounded(path, JSON_MOST, remedy)
         found = _DIGEST.search(data)
         if found:
@@ -134,10 +151,6 @@ def read_json(path: Path, kind: type[T]) -> T:
             if digest(data) != found[1]:
                 raise FileError(path, CHANGED, remedy)
         return msgspec.json.decode(data, type=kind)
-    except FileNotFoundError as error:
-        raise FileError(path, "no such file", "run the stage that writes it first") from error
-    except (OSError, msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise FileError(path, f"damaged ({first_line(error)})", remedy) from error
 
 
 @contextmanager

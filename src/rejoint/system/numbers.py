@@ -42,14 +42,22 @@ def as_period(period: ArrayLike | None) -> tuple[float, float] | None:
     )
 
 
+def as_positive(what: str, given: object, expected: str, most: float = np.inf) -> float:
+    """Return a positive number of at most ``most``; InputError."""
+    found = as_floats(what, np.nan if given is None else given, expected)
+    if found.shape == () and 0.0 < found <= most:
+        return float(found)
+    raise InputError(f"{what}: expected {expected}, got {given}")
+
+
 def as_within(what: str, given: object) -> float:
     """Distance [m] within which ``what`` counts as reached; InputError."""
-    found = as_floats(what, given, "a distance in metres")
-    if found.shape == () and 0.0 < found <= FARTHEST:
-        return float(found)
-    raise InputError(
-        f"{what}: to be reached within a positive distance in metres, at most {FARTHEST:g}, was expected, got {given}"
-    )
+    return as_positive(what, given, f"a positive distance in metres, at most {FARTHEST:g}", FARTHEST)
+
+
+def as_seconds(what: str, given: object) -> float:
+    """Return a positive, finite duration [s]; InputError."""
+    return as_positive(what, given, "a positive, finite duration in seconds", float(np.finfo(float).max))
 
 
 def as_place(what: str, given: object) -> NDArray[np.float64]:
@@ -61,15 +69,6 @@ def as_place(what: str, given: object) -> NDArray[np.float64]:
     if np.abs(place).max() > _FARTHEST:
         raise InputError(f"{what}: expected {expected}, got {place.tolist()}; that looks like millimetres")
     return place
-
-
-def as_seconds(what: str, given: object) -> float:
-    """Return a duration [s]; InputError unless it is positive and finite."""
-    expected = "a positive, finite duration in seconds"
-    found = as_floats(what, np.nan if given is None else given, expected)
-    if found.shape != () or not 0.0 < found < np.inf:
-        raise InputError(f"{what}: expected {expected}, got {given}")
-    return float(found)
 
 
 def as_floats(what: str, given: object, expected: str = "numbers") -> NDArray[np.float64]:

@@ -7,6 +7,7 @@ import csv
 import io
 import re
 from collections.abc import Collection, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -18,7 +19,7 @@ import pyarrow.csv as pacsv
 from numpy.typing import NDArray
 
 from rejoint.system.errors import FileError, first_line
-from rejoint.system.files import MEGABYTE, read_bounded
+from rejoint.system.files import MEGABYTE, read_bounded, reading
 
 TEXT_MOST = 200 * MEGABYTE
 """[bytes] (chosen)"""
@@ -29,6 +30,8 @@ LENGTHS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 25.4e-3}
 
 _SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
 _COMMENTS = ("#", "%", "//")
+# Encodings in the order of the attempts
+_CODECS = {"utf-8-sig": "UTF-8", "utf-16": "UTF-16", "utf-16-le": "UTF-16", "utf-16-be": "UTF-16", "latin-1": "Latin-1"}
 _CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f]")
 # First line by which a spreadsheet is told the separator
 _DECLARED = re.compile(r'\s*"?sep=(.)"?\s*')
@@ -146,18 +149,9 @@ def read_sheet(path: Path, *, names: Sequence[str] | None = None, whole: bool = 
 
     ``names``: titles of a file without them. ``whole``: keep an incomplete last line.
     """
-    try:
+    with reading(path, "not readable", "check the path and its permissions"):
         data = read_bounded(path, most, "cut it into several files")
-    except FileNotFoundError as error:
-        raise FileError(path, "no such file", "check the path") from error
-    except OSError as error:
-        raise FileError(path, f"not readable ({error.strerror or error})", "check its permissions") from error
     sheet = _parsed(*_decoded(data, path), path, names, whole=whole)
-    values = [title for title in sheet.titles if _is_number(title)]
-    if 1 < len(values) < sum(map(bool, sheet.titles)):
-        word = next(title for title in sheet.titles if title and not _is_number(title))
-        said = f"the first line has no titles, but values such as {values[0]} and words such as {word[:40]!r}"
-        raise FileError(path, said, "put titles first")
     if sheet.cells.num_rows != len(sheet):
         said = f"{len(sheet)} lines hold {sheet.cells.num_rows} rows: a quote does not end"
         raise FileError(path, said, _REMEDY)
@@ -180,27 +174,16 @@ def head(path: Path) -> Sheet | None:
 
 
 def _decoded(data: bytes, path: Path, *, cut: bool = False) -> tuple[str, str]:
+    """Return the text of ``data``, perhaps ``cut`` at its end, and its encoding: the first that gives mostly ASCII."""
     if not data.strip():
         raise FileError(path, "is empty", "record it again")
-    codec = "utf-8-sig"
-    zeros = [data[i:4096:2].count(0) for i in (0, 1)]
-    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        codec = "utf-16"
-    elif max(zeros) > 0.4 * len(data[:4096:2]):
-        codec = "utf-16-le" if zeros[1] > zeros[0] else "utf-16-be"
-    name = codec[:6].upper().rstrip("-") if codec.startswith("utf-16") else "UTF-8"
-    try:
-        text = codecs.getincrementaldecoder(codec)().decode(data, final=not cut)
-    except UnicodeDecodeError as error:
-        if name != "UTF-8":
-            raise FileError(path, f"text in {name} that is damaged at byte {error.start}", "save it again") from error
-        text, name = data.decode("latin-1"), "Latin-1"
-    found = _CONTROL.search(text)
-    if found:
-        line = text.count("\n", 0, found.start()) + 1
-        said = f"no text: read as {name}, line {line} holds the control character {ord(found[0])}"
-        raise FileError(path, said, "save it as text, or take another file")
-    return text.replace(_MINUS, "-"), name
+    for codec, name in _CODECS.items():
+        with suppress(UnicodeError):
+            text = codecs.getincrementaldecoder(codec)().decode(data, final=not cut)
+            start = text[:4096]
+            if not _CONTROL.search(text) and 2 * sum(map(str.isascii, start)) > len(start):
+                return text.replace(_MINUS, "-"), name
+    raise FileError(path, "no text: it holds control characters", "save it as text, or take another file")
 
 
 def _parsed(text: str, encoding: str, path: Path, names: Sequence[str] | None, *, whole: bool = True) -> Sheet:

@@ -11,8 +11,8 @@ from typing import Annotated, Any, TypeVar
 import msgspec
 import tomlkit
 
-from rejoint.system.errors import FileError, InputError, first_line
-from rejoint.system.files import CHANGED, TOML_MOST, digest, read_bounded, write_whole
+from rejoint.system.errors import FileError, first_line
+from rejoint.system.files import CHANGED, TOML_MOST, digest, read_bounded, reading, write_whole
 
 T = TypeVar("T")
 
@@ -51,18 +51,13 @@ def write_sealed(path: Path, document: tomlkit.TOMLDocument) -> None:
 
 def read_sealed(path: Path, build: Callable[[dict[str, Any]], T], *, name: str, version: int, again: str) -> T:
     """Read a ``name`` file of format ``version`` and ``build`` its content; FileError with the remedy ``again``."""
-    try:
-        text = read_bounded(path, TOML_MOST, f"{again} again")
+    remedy = f"{again} again"
+    with reading(path, f"no {name}", remedy):
+        text = read_bounded(path, TOML_MOST, remedy)
         sealed = _SEAL.search(text)
         if sealed and digest(text[sealed.end() :]) != sealed[1]:
-            raise FileError(path, CHANGED, f"{again} again")
+            raise FileError(path, CHANGED, remedy)
         data = tomllib.loads(text.decode())
         if data["format"] != version:
-            raise FileError(path, f"{name} of format {data['format']!r}, expected {version}", f"{again} again")
+            raise FileError(path, f"{name} of format {data['format']!r}, expected {version}", remedy)
         return build(data)
-    except FileNotFoundError as error:
-        raise FileError(path, "no such file", f"{again} first") from error
-    except (OSError, UnicodeDecodeError, RecursionError, tomllib.TOMLDecodeError) as error:
-        raise FileError(path, f"not a readable TOML file ({first_line(error)})", f"{again} again") from error
-    except (KeyError, TypeError, ValueError, AttributeError, InputError, msgspec.MsgspecError) as error:
-        raise FileError(path, f"no {name} ({type(error).__name__}: {first_line(error)})", f"{again} again") from error

@@ -117,7 +117,7 @@ DRAWN = 16
 
 
 def lifted(draw: Draw) -> Array:
-    """Torques (m, n) [N m] that the motors of arms lift, by the rule of `rejoint.session.payload.believed_motors`."""
+    """Torques (m, n) [N m] that the motors of arms lift, by the rule of `rejoint.session.context.believed_motors`."""
     limit = draw.twin.torque_limit
     usable = 0.9 * limit - 2.0 * draw.twin.coulomb
     return np.asarray(np.maximum(usable, 0.1 * limit) / draw.gravity_scale[:, None])

@@ -19,7 +19,7 @@ from rejoint.arms.inertia import bare
 from rejoint.arms.workspace import length_size
 from rejoint.control.contract import PolicyContract, arm_digest, law_digests
 from rejoint.control.observation import layout_slots
-from rejoint.logs.runfolder.folder import Outputs
+from rejoint.logs.runfolder import Outputs
 from rejoint.system.errors import FileError
 from rejoint.system.files import set_aside, unwritable, write_whole
 from rejoint.system.progress import Progress, no_progress
@@ -97,7 +97,7 @@ class TrainingResult:
 
 
 Trainer = Callable[[Arm, Twin | None, Path, Progress], TrainingResult]
-"""Trains a policy and writes `rejoint.logs.runfolder.folder.Outputs` into a folder"""
+"""Trains a policy and writes `rejoint.logs.runfolder.Outputs` into a folder"""
 
 
 def train(

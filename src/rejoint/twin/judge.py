@@ -18,8 +18,8 @@ import msgspec
 import numpy as np
 
 from rejoint.arms import Arm, Array, tcp_position
+from rejoint.logs.consistency import PLAUSIBLE, find_lag
 from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
-from rejoint.logs.lag import PLAUSIBLE, find_lag
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.tomltable import Number, Positive, Table, read_toml

@@ -24,7 +24,7 @@ from skrl.resources.noises.torch import GaussianNoise
 from torch import Tensor, nn
 
 from rejoint.arms import Arm
-from rejoint.logs.runfolder.folder import Outputs
+from rejoint.logs.runfolder import Outputs
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
 from rejoint.training.export import export_policy

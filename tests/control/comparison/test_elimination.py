@@ -15,7 +15,7 @@ from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
 from rejoint.control.start import Stance
 from rejoint.control.targets import draw_targets
-from rejoint.logs.runfolder.effort import read_effort
+from rejoint.logs.runfolder import read_effort
 from rejoint.logs.runlog import write_log
 from rejoint.pages.report.tables import columns, plain_table
 from rejoint.runs.run import Run

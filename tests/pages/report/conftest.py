@@ -26,7 +26,7 @@ from rejoint.diagnosis.healthy import load_healthy
 from rejoint.diagnosis.measurement import Measurement
 from rejoint.diagnosis.open_loop import OpenLoop, TargetError
 from rejoint.diagnosis.verdict import Finding
-from rejoint.logs.runfolder.folder import RunFolder, RunInfo
+from rejoint.logs.runfolder import RunFolder, RunInfo
 from rejoint.logs.runlog import write_log
 from rejoint.system.files import write_json
 from rejoint.system.statistics import Estimate

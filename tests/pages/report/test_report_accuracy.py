@@ -12,7 +12,7 @@ from rejoint.arms import load_arm, tcp_position
 from rejoint.arms.loading import at_targets
 from rejoint.diagnosis.calibration.calibration import read_calibration, write_calibration
 from rejoint.diagnosis.calibration.measurements import write_measurements
-from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.logs.runfolder import RunFolder
 from rejoint.runs.exporting.exports import export_run
 from rejoint.system.errors import FileError, InputError
 

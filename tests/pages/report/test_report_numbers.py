@@ -6,7 +6,7 @@ import numpy as np
 from report_samples import shown
 
 from readpage import rounds
-from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.logs.runfolder import RunFolder
 from rejoint.pages.report.tables import QUANTITIES
 from rejoint.pages.words import PARAMETERS_SHOWN, parameter_name
 from rejoint.system.files import write_json

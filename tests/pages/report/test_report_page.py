@@ -10,7 +10,7 @@ from report_samples import make_comparison
 
 from readpage import Page
 from rejoint.control.comparison.recommend import recommend
-from rejoint.logs.runfolder.folder import RunFolder, RunInfo
+from rejoint.logs.runfolder import RunFolder, RunInfo
 from rejoint.pages.report.page import write_report
 from rejoint.pages.report.tables import columns, plain_table
 from rejoint.system.errors import FileError

@@ -9,7 +9,7 @@ from report_samples import make_comparison
 
 from readpage import Page
 from rejoint.cli.options import controller_names, period_seconds
-from rejoint.logs.runfolder.folder import RunFolder, RunInfo
+from rejoint.logs.runfolder import RunFolder, RunInfo
 from rejoint.pages.report.contents import commands, read_contents
 from rejoint.pages.report.page import write_report
 from rejoint.system.files import write_json

@@ -22,7 +22,7 @@ from rejoint.control.robot import Robot
 from rejoint.control.start import Stance, begin, move
 from rejoint.diagnosis.calibration.measurements import NOISE, Measurements, MeasuringSession
 from rejoint.diagnosis.calibration.postures import Suggestion
-from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.logs.runfolder import RunFolder
 from rejoint.system.errors import FileError, InputError, NotReadyError
 from rejoint.system.files import MEGABYTE, require_file
 from rejoint.system.progress import Progress, no_progress

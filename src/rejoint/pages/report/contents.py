@@ -22,8 +22,7 @@ from rejoint.diagnosis.calibration.calibration import Calibration, read_calibrat
 from rejoint.diagnosis.calibration.measurements import Measurements, read_measurements
 from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.diagnosis.open_loop import modelled_errors
-from rejoint.logs.runfolder.effort import Effort
-from rejoint.logs.runfolder.folder import LOGS, Kept, RunFolder, RunInfo, read_info
+from rejoint.logs.runfolder import LOGS, Effort, Kept, RunFolder, RunInfo, read_info
 from rejoint.logs.runlog import RunLog, read_log, read_parquet
 from rejoint.pages.words import is_virtual, number
 from rejoint.robots import DEFAULT_ARM

@@ -27,7 +27,7 @@ from rejoint.control.servogains import own_policy
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.diagnosis import Diagnosis
-from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.logs.runfolder import RunFolder
 from rejoint.logs.runlog import RunLog
 from rejoint.pages import html as palette
 from rejoint.pages.html import GROUND, INK, LOOKS, Look, look_of

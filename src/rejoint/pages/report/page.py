@@ -17,8 +17,7 @@ from rejoint.diagnosis.calibration import calibration, fit
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.procedure import reversals
 from rejoint.diagnosis.diagnosis import Diagnosis, ringing_most
-from rejoint.logs.runfolder.effort import cost
-from rejoint.logs.runfolder.folder import LOGS, RunFolder
+from rejoint.logs.runfolder import LOGS, RunFolder, cost
 from rejoint.pages.html import colour_number, render, write_page
 from rejoint.pages.report import tables
 from rejoint.pages.report.contents import Contents, before_after, commands, found, read_contents, read_curves

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from rejoint.arms import Displacement
+from rejoint.arms import Arm, Displacement
 from rejoint.arms.loading import at_targets, unit_arm, write_urdf
 from rejoint.arms.workspace import torque_size
 from rejoint.control.catalogue import POLICY, SHELF, shelf_policy
@@ -21,7 +21,7 @@ from rejoint.control.law import STEP_LIMIT
 from rejoint.control.residual import CommandLaw
 from rejoint.control.servogains import in_words, inner_name
 from rejoint.diagnosis.calibration.calibration import Calibration
-from rejoint.logs.homing import corrected_homing, write_homing
+from rejoint.logs.joints import corrected_homing, write_homing
 from rejoint.runs.run import Run
 from rejoint.session.controllers import choice, quick_note
 from rejoint.session.inputs import RunLike, as_calibration, as_policy, as_run
@@ -31,8 +31,8 @@ from rejoint.system.files import write_text, write_whole
 from rejoint.system.shell import __version__
 
 if TYPE_CHECKING:
-    from rejoint.control.policy import Policy
     from rejoint.runs.exporting.controllergraph import Design
+    from rejoint.twin.twin import Twin
 
 
 Kind = Literal["urdf", "lerobot", "datasheet", "onnx", "ros2"]
@@ -53,22 +53,18 @@ def export_run(
         raise InputError(
             "--format lerobot takes --lerobot FILE, the calibration file of the arm, and no other format does"
         )
-    if kind in ("onnx", "ros2"):
-        path, told = _controller(about, kind, out, controller)
-    elif controller is not None:
+    if controller is not None and kind not in ("onnx", "ros2"):
         raise InputError(f"--controller is for --format onnx and ros2, not for {kind}")
-    else:
-        path, told = _exported(about, kind, out, lerobot)
-    return path, f"{told} {quick_note(about)}".rstrip()
-
-
-def _exported(about: Run, kind: str, out: Path | None, lerobot: Path | None) -> tuple[Path, str]:
     if kind == "datasheet":
         require("rejoint export --format datasheet", "report")
         from rejoint.pages.report.page import write_datasheet
 
-        return write_datasheet(about.path, out or about.path / "datasheet.html"), "One page; print it on A4."
-    return _urdf(about, out) if lerobot is None else _homing(about, lerobot, out)
+        path, told = write_datasheet(about.path, out or about.path / "datasheet.html"), "One page; print it on A4."
+    elif lerobot is not None:
+        path, told = _homing(about, lerobot, out)
+    else:
+        path, told = _urdf(about, out) if kind == "urdf" else _controller(about, kind, out, controller)
+    return path, f"{told} {quick_note(about)}".rstrip()
 
 
 def _rigid(run: Run) -> tuple[Calibration, Displacement]:
@@ -139,63 +135,44 @@ def design_of(run: Run, best: str) -> Design:
 
     InputError for policies by the paper's recipe.
     """
-    if best == SHELF:
-        return _of_policy(run, shelf_policy(run.arm), f"{SHELF} policy")
-    if best != FeedforwardController.name and run.folder.policy.exists():
-        design = _of_policy(run, as_policy(run.folder.policy), POLICY)
-    else:
-        design = _of_feedforward(run)
-    written = inner_name(best) if design.name == POLICY else best  # a policy says which gains it is for
-    if written == design.name:
-        return design
-    return replace(design, instead=f"{best} cannot be written so; this is the {design.name} of the run instead.")
-
-
-def _of_feedforward(run: Run) -> Design:
     from rejoint.runs.exporting.controllergraph import Design
 
-    arm, twin = run.arm, run.twin
-    stiffness = np.full(arm.joints, NOMINAL_STIFFNESS * torque_size(arm))
-    known = stiffness if twin is None else twin.parameters.stiffness
-    law = CommandLaw(
+    arm, twin, policy, name = run.arm, run.twin, None, FeedforwardController.name
+    if best == SHELF:
+        policy, name = shelf_policy(arm), f"{SHELF} policy"
+    elif best != name and run.folder.policy.exists():
+        policy, name = as_policy(run.folder.policy), POLICY
+    design = Design(arm=arm, law=_feedforward_law(arm, twin), network=None, name=name, periods=_PERIODS)
+    if policy is not None:
+        contract = policy.contract
+        check_contract(contract, arm)
+        if contract.law.anchor != "goal" or contract.layout != "residual":
+            raise InputError(
+                f"{run.folder.policy}: a law of the anchor {contract.law.anchor!r} and the layout {contract.layout!r}, "
+                "expected 'goal' and 'residual'; train with the default preset"
+            )
+        periods, gains = (contract.min_period, contract.max_period), contract.servo_gains
+        design = replace(design, law=contract.law, network=policy.content, periods=periods)
+        design = replace(design, gains="" if gains is None else in_words(gains))
+    if twin is not None:
+        design = replace(design, damping=tuple(float(value) for value in twin.parameters.damping))
+    written = inner_name(best) if name == POLICY else best  # a policy says which gains it is for
+    if written == name:
+        return design
+    return replace(design, instead=f"{best} cannot be written so; this is the {name} of the run instead.")
+
+
+def _feedforward_law(arm: Arm, twin: Twin | None) -> CommandLaw:
+    stiffness = np.full(arm.joints, NOMINAL_STIFFNESS * torque_size(arm)) if twin is None else twin.parameters.stiffness
+    return CommandLaw(
         anchor="goal",
-        stiffness=tuple(float(value) for value in known),
+        stiffness=tuple(float(value) for value in stiffness),
         step_limit=float(STEP_LIMIT),
         authority_floor=0.0,
         authority_slope=0.0,
         load_penalty=0.0,
         envelope_margin=2.0 * np.pi,
     )
-    return Design(
-        arm=arm, law=law, network=None, name=FeedforwardController.name, damping=_damping(run), periods=_PERIODS
-    )
-
-
-def _of_policy(run: Run, policy: Policy, name: str) -> Design:
-    from rejoint.runs.exporting.controllergraph import Design
-
-    contract = policy.contract
-    check_contract(contract, run.arm)
-    if contract.law.anchor != "goal" or contract.layout != "residual":
-        raise InputError(
-            f"{run.folder.policy}: a law of the anchor {contract.law.anchor!r} and the layout {contract.layout!r}, "
-            "expected 'goal' and 'residual'; train with the default preset"
-        )
-    periods = contract.min_period, contract.max_period
-    gains = "" if contract.servo_gains is None else in_words(contract.servo_gains)
-    return Design(
-        arm=run.arm,
-        law=contract.law,
-        network=policy.content,
-        name=name,
-        damping=_damping(run),
-        periods=periods,
-        gains=gains,
-    )
-
-
-def _damping(run: Run) -> tuple[float, ...]:
-    return () if run.twin is None else tuple(float(value) for value in run.twin.parameters.damping)
 
 
 def notice(design: Design) -> str:

@@ -14,7 +14,7 @@ import msgspec
 from msgspec.structs import asdict
 
 from rejoint.arms import CATALOGUE
-from rejoint.logs.history.rows import plain_name
+from rejoint.logs.history import plain_name
 from rejoint.robots import place_of
 from rejoint.session.inputs import arm_of
 from rejoint.system.errors import FileError, InputError

@@ -8,24 +8,20 @@ import secrets
 import signal
 import sys
 import threading
-import time
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from rejoint.runs.fleet.campaign import Lost, Work, WorkOutcome, do_work
+from rejoint.runs.fleet.campaign import Work, WorkOutcome, do_work
 from rejoint.runs.fleet.file import FleetArm
 from rejoint.system.errors import InputError, first_line
 from rejoint.system.extras import require
-from rejoint.system.stopping import check, install, noted, pause
+from rejoint.system.stopping import check, install, noted
 
-NAMESPACE = "rejoint"
 STORE = 80 * 2**20
 """[bytes] of Ray's object store; chosen: Ray's minimum"""
-GOING = 10.0
-"""[s] for the actor of an arm's last step to end; chosen"""
 
 PULSE = 0.5
 """[s] between questions whether to hold an arm; chosen"""
@@ -99,7 +95,6 @@ class RayExecutor:
         require("rejoint fleet", "fleet")
         real = [arm for arm in arms if not arm.virtual]
         self._training_cpus, self._running = training_cpus, {}  # type: float, dict[Any, tuple[Work, Any]]
-        self._refused: list[tuple[Work, WorkOutcome | Lost]] = []
         self._ray = _begun(address, cpus, {arm.resource: 1.0 for arm in real})
         try:
             self.cpus = int(self._ray.cluster_resources().get("CPU", 0))
@@ -119,30 +114,14 @@ class RayExecutor:
             task = self._work.options(num_cpus=cpus, name=f"{work.arm.name}:{work.step}")
             self._running[task.remote(work)] = work, None
             return
-        holder = self._holder(work.arm.resource)
-        if holder is None:
-            problem = "another call on this cluster moves this arm; wait until it is done"
-            self._refused.append((work, WorkOutcome(seconds=0.0, problem=problem, code=2)))
-            return
+        holder = self._arm.options(resources={work.arm.resource: 1.0}).remote()
         self._running[holder.do.remote(work, self._holds)] = work, holder
 
-    def _holder(self, resource: str) -> Any:  # noqa: ANN401 - of Ray
-        options = self._arm.options(name=resource, namespace=NAMESPACE, resources={resource: 1.0})
-        until = time.monotonic() + GOING
-        while True:
-            try:
-                return options.remote()
-            except ValueError:  # of that name
-                if time.monotonic() > until:
-                    return None
-                pause(0.1)
-
-    def wait(self, timeout: float) -> list[tuple[Work, WorkOutcome | Lost]]:
+    def wait(self, timeout: float) -> list[tuple[Work, WorkOutcome]]:
         """Return ended tasks within ``timeout`` [s]."""
-        refused, self._refused = self._refused, []
         references = list(self._running)
-        if refused or not references:
-            return refused
+        if not references:
+            return []
         ready, _ = self._ray.wait(references, num_returns=1, timeout=timeout)
         if ready:
             ready, _ = self._ray.wait(references, num_returns=len(references), timeout=0.0)
@@ -157,14 +136,14 @@ class RayExecutor:
         with noted():  # for a second Ctrl-C as for the first, see `_begun`
             self._ray.shutdown()
 
-    def _ended(self, reference: Any) -> tuple[Work, WorkOutcome | Lost]:  # noqa: ANN401 - of Ray
+    def _ended(self, reference: Any) -> tuple[Work, WorkOutcome]:  # noqa: ANN401 - of Ray
         work, holder = self._running.pop(reference)
         try:
-            found: WorkOutcome | Lost = self._ray.get(reference)
+            found: WorkOutcome = self._ray.get(reference)
         except self._ray.exceptions.RayTaskError as error:  # before the work had begun: another version there, say
-            found = WorkOutcome(seconds=0.0, problem=f"a bug: {_last_line(error)}", code=1, trace=str(error))
+            found = WorkOutcome(problem=f"a bug: {_last_line(error)}", code=1, trace=str(error))
         except self._ray.exceptions.RayError as error:
-            found = Lost(why=type(error).__name__)
+            found = WorkOutcome(problem=type(error).__name__, lost=True)
         if holder is not None:
             self._ray.kill(holder)
         return work, found
@@ -222,7 +201,7 @@ def _started(address: str | None, cpus: int | None, resources: dict[str, float])
         import ray
 
         try:
-            ray.init(**how, log_to_driver=False, logging_level=logging.ERROR, namespace=NAMESPACE)
+            ray.init(**how, log_to_driver=False, logging_level=logging.ERROR)
         except (ConnectionError, RuntimeError, ValueError, ray.exceptions.RayError) as error:
             where = "on this machine" if address is None else f"at {address}"
             raise InputError(f"Ray cannot be used {where}: {first_line(error)}") from error

@@ -33,10 +33,9 @@ from rejoint.diagnosis.calibration.procedure import (
 )
 from rejoint.runs.run import Run
 from rejoint.session.context import stance_of
-from rejoint.session.inputs import ArmLike, RobotLike, RunLike, as_calibration
+from rejoint.session.inputs import ArmLike, RobotLike, RunLike, Settings, as_calibration
 from rejoint.session.recorder import kept_if_stopped
 from rejoint.session.session import ArmSession
-from rejoint.session.settings import Settings
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import saving, set_aside
 from rejoint.system.progress import Progress, part

@@ -15,16 +15,25 @@ from typing import TYPE_CHECKING
 from rejoint.arms import CATALOGUE, Arm, Array
 from rejoint.control.observer import Observer, pacing
 from rejoint.control.robot import Robot
-from rejoint.logs.history.index import CHECKS, find_rows
-from rejoint.logs.history.rows import SUMMARY, HistoryRow, hours_of, name_of, plain_name, setup_of, utc_now, write_rows
-from rejoint.logs.journal import Journal, journal_path, recover
+from rejoint.logs.history import (
+    CHECKS,
+    SUMMARY,
+    HistoryRow,
+    find_rows,
+    hours_of,
+    name_of,
+    plain_name,
+    setup_of,
+    utc_now,
+    write_rows,
+)
+from rejoint.logs.journal import Journal, recover
 from rejoint.logs.runlog import RunLog
 from rejoint.runs.history import MOVED, SET_UP, past_of, rows_of, with_outlook
 from rejoint.runs.run import RUNS
-from rejoint.session.inputs import FIRST_ROBOT, ArmLike, RobotLike, address_of, arm_of
+from rejoint.session.inputs import FIRST_ROBOT, ArmLike, RobotLike, Settings, address_of, arm_of
 from rejoint.session.session import ArmSession
-from rejoint.session.settings import Settings
-from rejoint.system.errors import AddressError, FileError, InputError
+from rejoint.system.errors import AddressError, InputError
 from rejoint.system.files import require_space, saving
 from rejoint.system.progress import Progress
 from rejoint.system.stopping import noted
@@ -37,8 +46,7 @@ BETWEEN = timedelta(minutes=4)
 """Between checks in a row with a given date; chosen"""
 LOG = "check.parquet"
 """Run log of a check"""
-QUIET = 30.0
-"""[s] without a row of a killed check's journal; chosen"""
+
 
 _LOGGER = logging.getLogger("rejoint")
 
@@ -130,6 +138,8 @@ def check(
     """
     said = notes or CheckNotes()
     used_h, when = said.used_h, said.when
+    if when is not None and when.tzinfo is not None:
+        when = when.astimezone(UTC).replace(tzinfo=None)
     if tolerance_mm is not None and not 0.0 < tolerance_mm < math.inf:
         raise InputError(f"check: the tolerance is a positive number of millimetres, got {tolerance_mm}")
     if used_h is not None and not 0.0 <= used_h < math.inf:
@@ -138,7 +148,7 @@ def check(
         raise InputError(f"check: the name of an arm has letters or digits, got {name!r}; leave it out or give one")
     address, chosen = address_of(robot), arm_of(robot, arm)
     head = HistoryRow(
-        time=utc_now() if when is None else _utc(when),
+        time=utc_now() if when is None else when,
         kind="check",
         arm=name_of(address, chosen.name) if name is None else plain_name(name),
         robot=address,
@@ -178,7 +188,9 @@ def _once(
             f"that check in {home / CHECKS / head.arm}"
         )
     tolerance = head.tolerance_mm if head.tolerance_mm is not None or not mine else mine[-1].tolerance_mm
-    _keep_killed(home / CHECKS / head.arm)
+    for killed in sorted((home / CHECKS / head.arm).glob("*")):
+        for path in recover(killed):
+            _LOGGER.warning("A check that was cut short counts for nothing; what it recorded is kept: %s", path)
     chosen = settings if settings.seed is not None else replace(settings, seed=len(mine))
     with ExitStack() as stack:
         if settings.dry_run:  # what it finds in a simulation is no check of the arm
@@ -207,26 +219,17 @@ def _drive(robot: Robot, folder: Path, on_progress: Progress) -> tuple[RunLog, A
 
     folder.mkdir(parents=True, exist_ok=True)
     require_space(folder)
-    path, names = folder / LOG, robot.arm.joint_names
-    journal = Journal.begin(path, arm=robot.arm.name, joint_names=names, robot=robot.address, label=LABEL)
+    names = robot.arm.joint_names
+    journal = Journal.begin(folder / LOG, arm=robot.arm.name, joint_names=names, robot=robot.address, label=LABEL)
     try:
         ((log, warm),) = record_check(robot, on_cycle=journal.see, on_progress=on_progress)
     except BaseException as error:
         error.add_note(journal.rescue())
-        _remove_if_empty(folder)
+        if not any(folder.iterdir()):
+            folder.rmdir()
         raise
     journal.finish(log)
     return log, warm
-
-
-def _keep_killed(place: Path) -> None:
-    for folder in sorted(file.parent for file in place.glob(f"*/{journal_path(Path(LOG)).name}")):
-        try:
-            for log in recover(folder, quiet=QUIET):
-                _LOGGER.warning("A check that was cut short counts for nothing; what it recorded is kept: %s", log)
-            _remove_if_empty(folder)
-        except (FileError, OSError) as error:  # of somebody else, say: no reason to check nothing
-            _LOGGER.warning("A check was cut short, and nothing is made of what it recorded: %s", error)
 
 
 def _described(address: str, arm: Arm) -> str:
@@ -237,12 +240,3 @@ def _described(address: str, arm: Arm) -> str:
     if arm.name == usual:
         return ""
     return f" --arm {arm.name}" if arm.name in CATALOGUE else " with the same --arm"
-
-
-def _remove_if_empty(folder: Path) -> None:
-    if not any(folder.iterdir()):
-        folder.rmdir()
-
-
-def _utc(when: datetime) -> datetime:
-    return when if when.tzinfo is None else when.astimezone(UTC).replace(tzinfo=None)

@@ -40,7 +40,7 @@ from rejoint.logs.runlog import RunLog, read_log, write_log
 from rejoint.robots import open_robot
 from rejoint.runs.history import summarise
 from rejoint.runs.run import Run, metered
-from rejoint.session.context import calibration_of, correction_of, guard_limits, stance_of
+from rejoint.session.context import calibration_of, correction_of, guard_limits, say_heavy, stance_of
 from rejoint.session.controllers import Controllers, Factory, all_named, listed, make_factories
 from rejoint.session.inputs import (
     ArmLike,
@@ -48,6 +48,7 @@ from rejoint.session.inputs import (
     Period,
     RobotLike,
     RunLike,
+    Settings,
     Targets,
     address_of,
     as_targets,
@@ -55,10 +56,8 @@ from rejoint.session.inputs import (
     is_batchable,
     period_of,
 )
-from rejoint.session.payload import say_heavy
 from rejoint.session.recorder import kept_if_stopped
 from rejoint.session.session import ArmSession
-from rejoint.session.settings import Settings
 from rejoint.system.errors import GuardTripError
 from rejoint.system.files import digest, require_space, saving, set_aside, write_json
 from rejoint.system.numbers import as_seed

@@ -10,7 +10,7 @@ from rejoint.arms import Arm
 from rejoint.control.observer import Observer, pacing
 from rejoint.control.robot import Robot
 from rejoint.control.servogains import gains_in_force
-from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.logs.runfolder import RunFolder
 from rejoint.logs.runlog import RunLog, write_log
 from rejoint.runs.history import summarise
 from rejoint.runs.run import Run, exclusive, mark_quick, remove_if_empty
@@ -20,17 +20,19 @@ from rejoint.session.inputs import (
     LogsLike,
     RobotLike,
     RunLike,
+    Settings,
     address_of,
     arm_of,
     as_logs,
     is_robot,
+    keep,
     run_about,
     run_of_logs,
+    settled,
     source_of,
 )
 from rejoint.session.recorder import start_journal
 from rejoint.session.session import ArmSession
-from rejoint.session.settings import Settings, keep, settled
 from rejoint.system.errors import InputError
 from rejoint.system.files import read_json, saving, set_aside, write_json
 from rejoint.system.progress import Progress

@@ -7,10 +7,9 @@ from rejoint.control.servogains import GEARED, RIVALS, GainsFound, ServoGains, s
 from rejoint.control.targets import draw_targets
 from rejoint.runs.run import Run
 from rejoint.session.controllers import recommended
-from rejoint.session.inputs import RobotLike, RunLike
+from rejoint.session.inputs import RobotLike, RunLike, Settings
 from rejoint.session.recorder import kept_if_stopped
 from rejoint.session.session import ArmSession
-from rejoint.session.settings import Settings
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import read_json, saving, set_aside, write_json
 from rejoint.system.stopping import noted

@@ -10,11 +10,10 @@ from rejoint.arms import Arm
 from rejoint.control.observer import Observer, pacing
 from rejoint.diagnosis.segments import is_excitation
 from rejoint.logs.consistency import forced_remarks, require_commands
-from rejoint.logs.runfolder.folder import LOGS
+from rejoint.logs.runfolder import LOGS
 from rejoint.logs.runlog import RunLog, read_log
 from rejoint.runs.run import Run, exclusive, mark_quick
-from rejoint.session.inputs import ArmLike, LogsLike, RunLike, as_logs, as_run, run_of_logs
-from rejoint.session.settings import laden
+from rejoint.session.inputs import ArmLike, LogsLike, RunLike, as_logs, as_run, laden, run_of_logs
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import write_json
 from rejoint.system.numbers import as_seed

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from rejoint.arms import Array
 from rejoint.logs.consistency import states_alone
-from rejoint.logs.runfolder.folder import RunFolder, locked
+from rejoint.logs.runfolder import RunFolder, locked
 from rejoint.logs.runlog import RunLog
 from rejoint.runs.run import exclusive
 from rejoint.session.inputs import ArmLike, LogsLike, RunLike, TwinLike, arm_of_twin, as_arm, as_logs, as_run, as_twin

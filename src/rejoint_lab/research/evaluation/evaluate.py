@@ -26,7 +26,7 @@ from rejoint.control.controller import Controller
 from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.policy import load_policy
 from rejoint.control.targets import draw_targets
-from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.logs.runfolder import RunFolder
 from rejoint.system.errors import InputError
 from rejoint.system.files import write_json
 from rejoint.system.progress import Progress, part

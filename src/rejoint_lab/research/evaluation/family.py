@@ -18,7 +18,7 @@ from rejoint.arms.rotations import rotation_about
 from rejoint.arms.workspace import length_size
 from rejoint.control.goal import Ways, with_ways
 from rejoint.control.targets import draw_targets
-from rejoint.session.payload import believed_motors
+from rejoint.session.context import believed_motors
 from rejoint.system.errors import InputError
 from rejoint.twin.twin import Twin
 from rejoint_lab.emulated import EmulatedRobot

@@ -25,7 +25,7 @@ from rejoint.control.loop import run
 from rejoint.control.reference import TargetSequence
 from rejoint.control.robot import Mask, Robot
 from rejoint.diagnosis.calibration.calibration import Calibration
-from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.logs.runfolder import RunFolder
 from rejoint.logs.runlog import read_parquet
 from rejoint.system.errors import FileError
 from rejoint.system.files import write_whole

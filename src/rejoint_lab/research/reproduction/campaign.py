@@ -25,7 +25,7 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.targets import draw_targets
-from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.logs.runfolder import RunFolder
 from rejoint.pages.html import write_page as fill
 from rejoint.system.errors import InputError, RejointError
 from rejoint.system.files import read_json, write_json, write_whole

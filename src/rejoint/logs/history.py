@@ -1,19 +1,20 @@
 """Summary rows of runs and checks: one for the arm, one for each joint.
 
-Unique file names let several machines write into one folder.
+Unique file names let several machines write into one folder. ``.history.parquet`` caches the rows below a folder by
+name, size and time of each file, so that only new files are opened; it may be deleted.
 """
 
 from __future__ import annotations
 
 import hashlib
+import os
 import re
-import types
 import typing
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -22,8 +23,8 @@ import pyarrow.parquet as pq
 
 from rejoint.arms import Arm
 from rejoint.logs.runlog import read_parquet
-from rejoint.system.errors import FileError, first_line
-from rejoint.system.files import write_whole
+from rejoint.system.errors import FileError
+from rejoint.system.files import reading, write_whole
 from rejoint.system.shell import __version__
 
 _PASSING = re.compile(r"[?&](hours|ambient)=[^&]*")
@@ -64,8 +65,6 @@ FORMAT = 1
 """Version; later ones are skipped"""
 
 _FORMAT_KEY = b"rejoint.history"
-_TIME = pa.timestamp("us")
-_EARLIEST, _LATEST = (pa.scalar(end, _TIME).value for end in (datetime.min, datetime.max))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,13 +151,11 @@ class HistoryRow:
         return limit is not None and counts is not None and counts >= limit
 
 
-def _column(kind: Any) -> pa.DataType:  # noqa: ANN401
-    plain = next(one for one in (typing.get_args(kind) or (kind,)) if one is not types.NoneType)
-    return {str: pa.string(), float: pa.float64(), datetime: _TIME}[plain]
-
-
+_ARROW = {str: pa.string(), float: pa.float64(), datetime: pa.timestamp("us")}
 _KINDS = typing.get_type_hints(HistoryRow)
-SCHEMA = pa.schema([(item.name, _column(_KINDS[item.name])) for item in fields(HistoryRow)])
+SCHEMA = pa.schema(
+    [(item.name, _ARROW[(*typing.get_args(_KINDS[item.name]), _KINDS[item.name])[0]]) for item in fields(HistoryRow)]
+)
 """Columns"""
 
 
@@ -170,40 +167,26 @@ def utc_now() -> datetime:
 def write_rows(path: Path, rows: Sequence[HistoryRow]) -> None:
     """Write summary rows, whole or not at all; FileError."""
     table = pa.Table.from_pylist([asdict(row) for row in rows], schema=SCHEMA)
-    table = table.replace_schema_metadata({_FORMAT_KEY: str(FORMAT).encode()})
+    _write_table(path, table.replace_schema_metadata({_FORMAT_KEY: str(FORMAT).encode()}))
+
+
+def _write_table(path: Path, table: pa.Table) -> None:
     write_whole(path, lambda temporary: pq.write_table(table, temporary, write_page_checksum=True))
 
 
 def read_table(path: Path) -> pa.Table:
-    """Read a table of `SCHEMA`; FileError if damaged or of a later version."""
+    """Read a table of `SCHEMA`; FileError if damaged or of another version."""
     remedy = "delete it; the other files are not concerned"
-    try:
+    with reading(path, "damaged", remedy):
         table = read_parquet(path, remedy)
-        told = (table.schema.metadata or {}).get(_FORMAT_KEY)
-        if told is None:
-            raise FileError(path, "holds no summary rows", "move it elsewhere; the other files are not concerned")
-        version = int(told)
-        if not 1 <= version <= FORMAT:
-            raise FileError(path, f"summary rows of format {version}, expected {FORMAT}", "update rejoint")
-        count, found = len(table), table.column_names
-        columns = [table[item.name] if item.name in found else pa.nulls(count, item.type) for item in SCHEMA]
+        version = (table.schema.metadata or {}).get(_FORMAT_KEY, b"none").decode()
+        if version != str(FORMAT):
+            raise FileError(path, f"summary rows of format {version}, expected {FORMAT}", "update rejoint, or move it")
+        found = table.column_names
+        columns = [table[item.name] if item.name in found else pa.nulls(len(table), item.type) for item in SCHEMA]
         table = pa.table(columns, schema=SCHEMA)
-        _require_usable(table)
+        rows_from(table)  # what no row can hold fails here
         return table
-    except (OSError, pa.ArrowException, LookupError, TypeError, ValueError) as error:
-        raise FileError(path, f"damaged ({first_line(error)})", remedy) from error
-
-
-def _require_usable(table: pa.Table) -> None:
-    """Raise ValueError for rows without key columns, or impossible times."""
-    for name in ("time", "kind", "arm"):
-        if table[name].null_count:
-            raise ValueError(f"rows without {name}")
-    for item in SCHEMA:
-        if item.type == _TIME:
-            ends = pc.min_max(table[item.name].cast(pa.int64()))
-            if any(end is not None and not _EARLIEST <= end <= _LATEST for end in ends.as_py().values()):
-                raise ValueError(f"{item.name} is no date")
 
 
 def read_rows(path: Path) -> list[HistoryRow]:
@@ -212,10 +195,73 @@ def read_rows(path: Path) -> list[HistoryRow]:
 
 
 def rows_from(table: pa.Table) -> list[HistoryRow]:
-    """Rows of a table of `SCHEMA`."""
-    texts = {item.name for item in SCHEMA if item.type == pa.string()}
-    found = []
-    for row in table.to_pylist():
-        values: dict[str, Any] = {name: "" if value is None and name in texts else value for name, value in row.items()}
-        found.append(HistoryRow(**values))
+    """Rows of a table of `SCHEMA`; TypeError for rows without key columns."""
+    return [
+        HistoryRow(**{name: value for name, value in row.items() if value is not None}) for row in table.to_pylist()
+    ]
+
+
+INDEX = ".history.parquet"
+"""Name of the cache"""
+CHECKS = "checks"
+"""Folder of the checks, by arm"""
+
+_FILE = "file"
+_INDEXED = SCHEMA.append(pa.field(_FILE, pa.string()))
+
+
+def find_rows(folder: Path, arm: str | None = None) -> tuple[list[HistoryRow], tuple[str, ...]]:
+    """Summary rows below a folder, oldest first, and unreadable files; ``arm``: only its checks."""
+    paths = _files(folder)
+    if arm is not None:
+        paths = {key: path for key, path in paths.items() if _is_of(path.relative_to(folder), arm)}
+    known = _cached(folder)
+    known = known.filter(pc.is_in(known[_FILE], pa.array(list(paths), pa.string())))
+    seen = set(known[_FILE].to_pylist())
+    tables, problems = [known], list[str]()
+    for key, path in sorted(paths.items()):
+        if key not in seen:
+            try:
+                table = read_table(path)
+                tables.append(table.append_column(_FILE, pa.array([key] * len(table), pa.string())))
+            except FileError as error:
+                problems.append(_plain(str(error)))
+    table = pa.concat_tables(tables).combine_chunks()
+    if len(tables) > 1 and arm is None:
+        with suppress(FileError):  # a folder that may only be read is read again the next time
+            _write_table(folder / INDEX, table)
+    rows = rows_from(table.select(SCHEMA.names))
+    return sorted(rows, key=lambda row: (row.arm, row.time, row.kind)), tuple(problems)  # joints stay in their order
+
+
+def _cached(folder: Path) -> pa.Table:
+    with suppress(FileError), reading(folder / INDEX, "damaged", "delete it"):
+        table = read_parquet(folder / INDEX, "delete it")
+        if table.schema.equals(_INDEXED):
+            return table
+    return _INDEXED.empty_table()
+
+
+def _files(folder: Path) -> dict[str, Path]:
+    """Files of summary rows by name, size and time; links are followed, each folder counts once."""
+    found, seen = {}, set[str]()
+    for where, below, names in os.walk(folder, followlinks=True):
+        real = os.path.realpath(where)
+        if real in seen:
+            below.clear()
+        elif SUMMARY in names:
+            path = Path(where, SUMMARY)
+            with suppress(OSError):  # it went meanwhile
+                state = path.stat()
+                found[f"{_plain(str(path.relative_to(folder)))} {state.st_size} {state.st_mtime_ns}"] = path
+        seen.add(real)
     return found
+
+
+def _plain(text: str) -> str:
+    return text.encode(errors="backslashreplace").decode()
+
+
+def _is_of(path: Path, arm: str) -> bool:
+    parts = path.parts
+    return CHECKS not in parts or parts[parts.index(CHECKS) + 1] == arm

@@ -1,1 +1,0 @@
-"""Summary rows of runs and checks in Parquet."""

@@ -1,0 +1,280 @@
+"""Readers of files and folders with columns: SAGE, tables, and LeRobot's datasets.
+
+SAGE (github.com/isaac-sim2real/sage): a folder per motion. ``control.csv`` (type, timestamp, positions) holds commands,
+``state_motor.csv`` states, in the order of ``joint_list.txt``, in microseconds and radians. Tables: text, JSON records,
+NumPy archives. LeRobot, versions 2 and 3 (huggingface/lerobot, folder ``datasets``): ``observation.state`` was
+measured, ``action`` sent; the user declares the unit, and each episode becomes one log.
+"""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from rejoint.arms import Arm
+from rejoint.logs.columns import ColumnFrame, Pending, RecordedMotion, holds_positions, read_motion
+from rejoint.logs.joints import TIME_UNITS, ImportOptions
+from rejoint.logs.runlog import LOG_MOST, Array, read_parquet
+from rejoint.system.errors import FileError
+from rejoint.system.files import JSON_MOST, begins_with, read_bounded, reading, require_file
+from rejoint.system.textfile import TEXT_MOST, head, read_sheet
+
+
+class Reader(NamedTuple):
+    """Reads one format."""
+
+    found: Callable[[Path, ImportOptions], list[Path]]
+    """its files or folders at a path, sorted by name"""
+    motions: Callable[[Sequence[Path], Arm, ImportOptions], list[Pending]]
+    """the motions in these"""
+
+
+_CONTROL, _STATE, _JOINTS = "control.csv", "state_motor.csv", "joint_list.txt"
+_CUT = "cut it into several motions"
+
+
+def _sage_folders(source: Path, _: ImportOptions) -> list[Path]:
+    if not source.is_dir():
+        return []
+    return [source] if _is_sage(source) else sorted(filter(_is_sage, source.iterdir()))
+
+
+def _is_sage(folder: Path) -> bool:
+    return (folder / _STATE).is_file() or ((folder / _CONTROL).is_file() and (folder / _JOINTS).is_file())
+
+
+def _sage_motions(paths: Sequence[Path], arm: Arm, options: ImportOptions) -> list[Pending]:
+    return [(folder.resolve().name, partial(_read_sage, folder, arm, options)) for folder in paths]
+
+
+def _read_sage(folder: Path, arm: Arm, options: ImportOptions) -> RecordedMotion:
+    file = folder / _JOINTS
+    with reading(file, "a SAGE motion needs it, and it is no readable text", "copy it"):
+        text = read_bounded(file, TEXT_MOST, _CUT).decode("utf-8-sig")
+    names = [name.strip() for name in text.splitlines() if name.strip()]
+    ticks = TIME_UNITS[options.time_unit or "us"]
+    files = {_STATE: "position", _CONTROL: "command"}
+    frames = [_sage_frame(folder / file, names, group, ticks) for file, group in files.items()]
+    return read_motion(folder.resolve().name, frames, arm, options, source=folder.resolve(), kind="sage")
+
+
+def _sage_frame(path: Path, names: list[str], group: str, ticks: float) -> ColumnFrame:
+    sheet, remedy = read_sheet(path), f"mend the line or leave this motion out; {_JOINTS} names the joints"
+    if sheet.titles[1:3] != ("timestamp", "positions"):
+        raise FileError(path, f"line 1: columns {sheet.shown}, expected type, timestamp, positions", remedy)
+    values = np.empty((len(sheet), len(names)))
+    for row, text in enumerate(sheet.words(2)):
+        said = f"line {sheet.lines[row]}: positions {text[:40]!r} are no list of {len(names)} numbers"
+        with reading(path, said, remedy):
+            numbers = json.loads(text)
+            values[row] = numbers if len(numbers) == len(names) else "of another length"
+    return ColumnFrame(
+        path=path,
+        titles=tuple(f"{group}.{name}" for name in names),
+        values=lambda chosen: values[:, chosen],
+        number=sheet.lines,
+        place="line",
+        time=sheet.numbers([1])[:, 0] / ticks,
+        angle_unit="rad",
+    )
+
+
+_ENDINGS = (".csv", ".tsv", ".txt", ".dat", ".log", ".json", ".npz")
+_AGAIN = "record it again, or write its columns as text"
+
+
+def _tables(source: Path, options: ImportOptions) -> list[Path]:
+    if not source.is_dir():
+        return [source] * (source.is_file() and _titles(source) is not None)
+    held = {file: _titles(file) for file in sorted(source.iterdir()) if file.suffix.lower() in _ENDINGS}
+    known = options.names or ()
+    return [
+        file
+        for file, titles in held.items()
+        if titles == () or (titles and holds_positions([*titles, *known], options))
+    ]
+
+
+def _table_motions(paths: Sequence[Path], arm: Arm, options: ImportOptions) -> list[Pending]:
+    beside = paths[0].parent.glob("*.csv") if len(paths) > 1 else ()
+    others = sorted(file.name for file in beside if file not in paths)
+    left = [f"files without columns of a log left out: {', '.join(others)}"] * bool(others)
+    return [(file.stem, partial(_read_table, file, arm, options, left * (file == paths[0]))) for file in paths]
+
+
+def _titles(file: Path) -> tuple[str, ...] | None:
+    """Titles of a file; empty for JSON and archives, None for other files."""
+    kinds = {".npz": b"PK\x03\x04", ".json": b"{"}
+    kind = kinds.get(file.suffix.lower())
+    if kind is not None and begins_with(file, kind):
+        return ()
+    sheet = head(file)
+    return None if sheet is None else sheet.titles
+
+
+def _read_table(file: Path, arm: Arm, options: ImportOptions, notes: list[str]) -> RecordedMotion:
+    if _titles(file) == ():
+        columns, found = (_archive if file.suffix.lower() == ".npz" else _records)(file)
+        frame = _frame_of(file, columns, found=found)
+    else:
+        sheet = read_sheet(file, names=options.names, whole=False)
+        notes = [
+            *notes,
+            *[f"read as {sheet.found}"] * (not sheet.plain),
+            *["the last line does not end and may be cut: left out"] * (not sheet.ends),
+        ]
+        frame = ColumnFrame(
+            path=file, titles=sheet.titles, values=sheet.numbers, number=sheet.lines, place="line", found=sheet.found
+        )
+    return read_motion(file.stem, [frame], arm, options, source=file, kind="table", notes=notes)
+
+
+def _frame_of(file: Path, columns: dict[str, Array], **about: Any) -> ColumnFrame:  # noqa: ANN401
+    values = list(columns.values())
+    number = np.arange(1, len(values[0]) + 1 if values else 1)
+    about = {"number": number} | about
+    return ColumnFrame(
+        path=file, titles=tuple(columns), values=lambda chosen: np.stack([values[i] for i in chosen], axis=1), **about
+    )
+
+
+def _records(file: Path) -> tuple[dict[str, Array], str]:
+    """Return records of a JSON file; numbers beside them hold for every row."""
+    with reading(file, "JSON without one list of records of numbers", _AGAIN):
+        data = json.loads(read_bounded(file, TEXT_MOST, "cut it into several files"))
+        (rows,) = [one for one in data.values() if isinstance(one, list) and one and isinstance(one[0], dict)]
+        columns = {
+            key: [row.get(key) for row in rows] for key, value in rows[0].items() if isinstance(value, int | float)
+        }
+        beside = {key: [one] * len(rows) for key, one in data.items() if isinstance(one, int | float)}
+        return {key: np.array(one, dtype=float) for key, one in (beside | columns).items()}, "JSON with records"
+
+
+def _archive(file: Path) -> tuple[dict[str, Array], str]:
+    """Arrays of a NumPy archive; (T, n) become columns NAME_0 and so on."""
+    with reading(file, "no archive of NumPy arrays", _AGAIN):
+        require_file(file, LOG_MOST, "cut it into several files")
+        with zipfile.ZipFile(file) as archive:
+            if sum(member.file_size for member in archive.infolist()) > LOG_MOST:
+                raise FileError(file, f"unfolds to more than {LOG_MOST} bytes", "cut it into several files")
+        with np.load(file, allow_pickle=False) as arrays:
+            held = {name: arrays[name] for name in arrays.files}
+    numbers = {name: one for name, one in held.items() if one.ndim in (1, 2) and one.dtype.kind in "biuf"}
+    lengths = [len(one) for one in numbers.values()]
+    rows = max(lengths, key=lengths.count, default=0)
+    columns: dict[str, Array] = {}
+    for name, one in numbers.items():
+        if len(one) == rows:
+            parts = {name: one} if one.ndim == 1 else {f"{name}_{i}": part for i, part in enumerate(one.T)}
+            columns |= {title: part.astype(float) for title, part in parts.items()}
+    return columns, "a NumPy archive"
+
+
+_INFO = "meta/info.json"
+_GROUPS = {"observation.state": "position", "action": "command"}
+_SCALARS = ("timestamp", "frame_index", "episode_index")
+_TOLERANCE = 1e-4
+"""[s] ``tolerance_s`` of LeRobotDataset"""
+_REMEDY = "download or record the dataset again"
+
+
+def _datasets(source: Path, _: ImportOptions) -> list[Path]:
+    return [source] * (source / _INFO).is_file()
+
+
+def _episodes(paths: Sequence[Path], arm: Arm, options: ImportOptions) -> list[Pending]:
+    (source,) = paths
+    path = source / _INFO
+    with reading(path, "damaged", _REMEDY):
+        data = json.loads(read_bounded(path, JSON_MOST, _REMEDY))
+        version, fps, frames = str(data["codebase_version"]), float(data["fps"]), int(data["total_frames"])
+        if not version.startswith(("v2.", "v3.")):
+            said = f"dataset version {version}, expected v2 or v3"
+            raise FileError(path, said, "convert it with LeRobot's converter")
+        if not 0 < fps < np.inf:
+            raise FileError(path, f"fps is {fps}", _REMEDY)
+        names = {key: _names(data["features"][key], options, path, key) for key in _GROUPS}
+    if options.angle_unit is None:
+        said = f"a LeRobot dataset does not say the unit of {' and '.join(_GROUPS)}"
+        remedy = "set --angle-unit: deg or rad, or normalised, with the calibration file where you have it"
+        raise FileError(path, said, remedy)
+    columns = _read_frames(source, names)
+    if (rows := len(columns["timestamp"])) != frames:
+        raise FileError(source, f"{rows} frames in data, but {_INFO} promises {frames}", _REMEDY)
+    numbers = np.unique(columns["episode_index"]).astype(int).tolist()
+    return [
+        (f"episode_{number:06d}", partial(_episode, source, columns, number, fps, arm, options)) for number in numbers
+    ]
+
+
+def _names(feature: dict[str, object], options: ImportOptions, path: Path, key: str) -> tuple[str, ...]:
+    shape, held = feature["shape"], feature["names"]
+    if isinstance(held, dict) and len(held) == 1:
+        held = next(iter(held.values()))
+    if options.names is not None and not isinstance(held, list):
+        held = list(options.names)
+    if not isinstance(held, list) or shape != [len({*map(str, held)})]:
+        raise FileError(path, f"{key} has the shape {shape} and the names {held}", "name all columns with --order")
+    return tuple(f"{_GROUPS[key]}.{name}" for name in held)
+
+
+def _read_frames(source: Path, names: dict[str, tuple[str, ...]]) -> dict[str, Array]:
+    """Columns (T,) of all frames, by the ``names`` of state and action."""
+    files = sorted((source / "data").glob("*/*.parquet"))
+    if not files:
+        raise FileError(source / "data", "no Parquet file in it", _REMEDY)
+    found: dict[str, list[Array]] = {}
+    for file in files:
+        with reading(file, "not the frames of a dataset", _REMEDY):
+            table = read_parquet(file, _REMEDY, [*_GROUPS, *_SCALARS])
+            for key in (*_GROUPS, *_SCALARS):
+                titles = names.get(key, (key,))
+                values = _matrix(table[key], len(titles))
+                for title, column in zip(titles, values.T, strict=True):
+                    found.setdefault(title, []).append(column)
+    return {title: np.concatenate(parts) for title, parts in found.items()}
+
+
+def _matrix(column: pa.ChunkedArray, width: int) -> Array:
+    """Numbers (T, width) of a column of numbers or of lists; ValueError for missing ones or another width."""
+    values = column.combine_chunks()
+    lists = hasattr(values.type, "value_type")
+    if lists and not pc.all(pc.equal(pc.list_value_length(values), width)).as_py():
+        raise ValueError(f"lists of other lengths than {width}")
+    numbers = values.flatten() if lists else values
+    if values.null_count or numbers.null_count or len(numbers) != len(values) * width:
+        raise ValueError(f"rows without {width} value(s)")
+    return np.asarray(numbers.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)).reshape(-1, width)
+
+
+def _episode(
+    folder: Path, columns: dict[str, Array], number: int, fps: float, arm: Arm, options: ImportOptions
+) -> RecordedMotion:
+    rows = np.flatnonzero(columns["episode_index"] == number)
+    rows = rows[np.argsort(columns["frame_index"][rows], kind="stable")]
+    own = {name: column[rows] for name, column in columns.items()}
+    index, stamps = own.pop("frame_index"), own.pop("timestamp")
+    if (np.diff(index) == 0).any():
+        raise FileError(folder, f"episode {number} has frame {index[1:][np.diff(index) == 0][0]:g} twice", _REMEDY)
+    nominal = index / fps
+    even = bool((np.abs(stamps - nominal) < _TOLERANCE).all())
+    said = "are" if even else "differ from"
+    note = f"the stamps {said} frame numbers over {fps:g} Hz" + (", no measured times" if even else "")
+    del own["episode_index"]
+    name, time = f"episode_{number:06d}", nominal if even else stamps
+    frame = _frame_of(folder, own, number=rows + 1, place=f"{name}, row", time=time, found="a LeRobot dataset")
+    extra = {"episode": str(number)}
+    return read_motion(name, [frame], arm, options, source=folder, kind="lerobot", notes=[note], extra=extra)
+
+
+SAGE = Reader(_sage_folders, _sage_motions)
+TABLE = Reader(_tables, _table_motions)
+LEROBOT = Reader(_datasets, _episodes)
