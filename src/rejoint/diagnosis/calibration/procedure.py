@@ -71,8 +71,9 @@ class Gauge(Protocol):
 class FilmingGauge(Protocol):
     """A device that takes pictures of a stationary arm, as `rejoint.camera` does."""
 
-    postures: int
-    """that it takes if nobody says how many"""
+    @property
+    def postures(self) -> int:
+        """Number of postures that it takes if nobody says how many."""
 
     def film(
         self,
