@@ -8,7 +8,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -71,7 +71,7 @@ def calibrate(
     else:
         gauge = gauge_by_word(call, robot, measure or "", job.seed, means)
         visits, scouts = 2 - once, getattr(gauge, "scouts", 0)
-        count = int(count or getattr(gauge, "postures", POINTS))
+        count = count or cast("int", getattr(gauge, "postures", POINTS))
         total = scouts + count * visits
         call.say(
             f"{count} postures{', each from two sides' * (not once)}: {total} measurements, about "
