@@ -37,7 +37,7 @@ def helper():
 
 def test_it_drives_the_same_to_the_bit(helper):
     for task in (("integrator", "hold"), ("shelf", "crossing")):
-        runner = JOB.runner(task[0])
+        runner = JOB.runner_of(task[0])
         driven, recording = helper(task, PLACES).result()
         own, seen = runner.drive_batch(runner.open_batch(PLACES), *task, PLACES)
         assert (driven.key, driven.cycles, driven.reasons) == (own.key, own.cycles, own.reasons)

@@ -36,15 +36,15 @@ ONLY_WITH_OTHERS = {"markupsafe"}  # comes with jinja2, whose absence is told
 
 
 def imported():
-    """Return the modules of others that the package imports anywhere."""
+    """Return the modules of others that the packages import anywhere."""
     found = set()
-    for path in (ROOT / "src" / "rejoint").rglob("*.py"):
+    for path in (ROOT / "src").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Import):
                 found |= {name.name.partition(".")[0] for name in node.names}
             elif isinstance(node, ast.ImportFrom) and node.module:
                 found.add(node.module.partition(".")[0])
-    return found - set(sys.stdlib_module_names) - {"rejoint"}
+    return found - set(sys.stdlib_module_names) - {"rejoint", "rejoint_lab"}
 
 
 def declared(requirements):

@@ -155,10 +155,10 @@ def test_targets_end_as_time_outs_and_arms_are_exchanged_after_three():
     task.reset()
     exchanged = np.zeros(40, dtype=int)
     for _ in range(30):
-        stiffness = task.simulation.twins.row("stiffness")[:, 0].copy()
+        delay = task.simulation.latency.command_delay.copy()
         transition = task.step(np.zeros((40, 6)))
         assert not transition.terminated.any()
-        changed = task.simulation.twins.row("stiffness")[:, 0] != stiffness
+        changed = task.simulation.latency.command_delay != delay
         assert (transition.truncated | ~changed).all()
         exchanged += changed
     assert (exchanged == 2).all()  # 30 cycles are two episodes of 15, wherever an agent began

@@ -247,7 +247,7 @@ WORLD = 0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Body:
+class ModelBody:
     """A rigid body, or a named frame of one."""
 
     name: str
@@ -288,7 +288,7 @@ class Tree:
     """Bodies; body 0 is the world, parents first, sites last."""
 
     name: str
-    bodies: tuple[Body, ...]
+    bodies: tuple[ModelBody, ...]
     joints: tuple[Joint, ...]
     """in order per body"""
     notes: tuple[str, ...] = ()

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from rejoint.arms.arm import Array
-from rejoint.arms.chain import Body, Joint, Tree, unknown
+from rejoint.arms.chain import Joint, ModelBody, Tree, unknown
 from rejoint.arms.inertia import NOTHING, SpatialInertia, ball, ball_radius, inertia_matrix, usable
 from rejoint.arms.rotations import pose_of, rotation_of
 from rejoint.system.errors import FileError, InputError
@@ -161,7 +161,7 @@ def _bodies(
     model: Any,  # noqa: ANN401
     contents: dict[str, SpatialInertia | None],
     hold: Mapping[str, float],
-) -> tuple[tuple[Body, ...], Any]:
+) -> tuple[tuple[ModelBody, ...], Any]:
     data = mujoco.MjData(model)
     for j in range(model.njnt):
         if model.jnt_limited[j] and _KINDS[int(model.jnt_type[j])] in ("hinge", "slide"):
@@ -175,7 +175,7 @@ def _bodies(
         name = model.body(b).name
         content = contents.get(name)
         bodies.append(
-            Body(
+            ModelBody(
                 name=name,
                 parent=int(model.body_parentid[b]),
                 pose=pose_of(data.xmat[b].reshape(3, 3), data.xpos[b]),
@@ -204,11 +204,11 @@ def _place(joint: Joint) -> str:
     return f"{1e3 * joint.position:g} mm" if joint.kind == "slide" else f"{np.degrees(joint.position):.4g} deg"
 
 
-def _sites(model: Any, data: Any) -> tuple[Body, ...]:  # noqa: ANN401
+def _sites(model: Any, data: Any) -> tuple[ModelBody, ...]:  # noqa: ANN401
     found = []
     for s in range(model.nsite):
         pose = pose_of(data.site_xmat[s].reshape(3, 3), data.site_xpos[s])
-        found.append(Body(name=model.site(s).name, parent=int(model.site_bodyid[s]), pose=pose, site=True))
+        found.append(ModelBody(name=model.site(s).name, parent=int(model.site_bodyid[s]), pose=pose, site=True))
     return tuple(site for site in found if site.name)
 
 

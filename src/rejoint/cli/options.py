@@ -205,10 +205,7 @@ def takes(*names: str) -> Callable[[Callable[..., object]], Callable[..., None]]
     known, help_of = own["all"], own["shared"]
     options = [
         *(keyword(name, str | None, known[name]) for name in arm),
-        *(
-            keyword(name, SHARED[name].kind, help_of[name], getattr(Settings, fields[name]))
-            for name in shared
-        ),
+        *(keyword(name, SHARED[name].kind, help_of[name], getattr(Settings, fields[name])) for name in shared),
         *(keyword(name, str | None, known[name]) for name in ("live",) if name in names),
         keyword("json", bool, known["json"], default=False),
     ]

@@ -129,7 +129,7 @@ def stages_of(
     return found
 
 
-class Chain:
+class StageChain:
     """Does stages without a file; always writes the report."""
 
     def __init__(self, run: Run, files: dict[StageName, Path], observer: Observer, *, only: StageName | None) -> None:
@@ -368,7 +368,7 @@ def repair(
     require_same_pace(about, quick=quick)
     watching, found = observer or Observer(), about.begin()
     files = stages_of(robot, built, found.folder, controllers=controllers, gauge=what.gauge, quick=quick)
-    _do_stages(Chain(found, files, watching, only=only), robot, what, controllers, chosen, quick=quick)
+    _do_stages(StageChain(found, files, watching, only=only), robot, what, controllers, chosen, quick=quick)
     watching.progress(1.0, "done")
     if only in (None, "report"):
         finish(found)
@@ -377,7 +377,7 @@ def repair(
 
 
 def _do_stages(
-    chain: Chain,
+    chain: StageChain,
     robot: RobotLike,
     plan: RepairPlan,
     controllers: Controllers,

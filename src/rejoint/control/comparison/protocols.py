@@ -62,7 +62,7 @@ def encoder_tcp(arm: Arm, recording: Recording) -> Array:
     return tcp
 
 
-class _Visit(NamedTuple):
+class _TargetVisit(NamedTuple):
     """Signals of one arm at one target, T rows."""
 
     since: Array
@@ -102,7 +102,7 @@ def metrics_of(
     away, away_true = tcp - recording.aim, recording.true_tcp - recording.target
     for b, k, rows in _segments(recording, targets):
         signals = (recording.since_target, tcp, away, away_true, recording.turned)
-        visit, found = _Visit(*(signal[rows, b] for signal in signals)), dict[str, float]()
+        visit, found = _TargetVisit(*(signal[rows, b] for signal in signals)), dict[str, float]()
         if "crossing" in kinds:
             found |= _crossed(visit, protocol, within_hold="hold" in kinds)
         if "hold" in kinds and visit.since[-1] >= protocol.hold:
@@ -116,7 +116,7 @@ def metrics_of(
     return columns
 
 
-def _crossed(visit: _Visit, protocol: Protocol, *, within_hold: bool) -> dict[str, float]:
+def _crossed(visit: _TargetVisit, protocol: Protocol, *, within_hold: bool) -> dict[str, float]:
     error = np.linalg.norm(visit.away, axis=-1)
     askew = visit.turned > REACHED_TURN  # a pose is reached where the orientation is as well
     seen = np.where(askew, np.maximum(error, protocol.threshold), error)
@@ -128,7 +128,7 @@ def _crossed(visit: _Visit, protocol: Protocol, *, within_hold: bool) -> dict[st
     return dict(zip(CROSSING, values, strict=True))
 
 
-def _held(visit: _Visit, protocol: Protocol) -> dict[str, float]:
+def _held(visit: _TargetVisit, protocol: Protocol) -> dict[str, float]:
     since, window, last = visit.since, protocol.window, _last(visit, protocol)
     error = np.linalg.norm(visit.away, axis=-1)
     found = {
@@ -144,7 +144,7 @@ def _held(visit: _Visit, protocol: Protocol) -> dict[str, float]:
     return found
 
 
-def _last(visit: _Visit, protocol: Protocol) -> NDArray[np.bool_]:
+def _last(visit: _TargetVisit, protocol: Protocol) -> NDArray[np.bool_]:
     return np.asarray(visit.since > visit.since[-1] - protocol.window)
 
 

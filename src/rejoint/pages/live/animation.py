@@ -29,7 +29,7 @@ SLOTS = 512
 """(chosen: ten seconds at the shortest usual period)"""
 
 
-class Seen(NamedTuple):
+class SeenCycle(NamedTuple):
     """One cycle of an arm; NaN: unknown."""
 
     run: int
@@ -55,14 +55,14 @@ class Seen(NamedTuple):
     """(n,) share of torque"""
 
     @classmethod
-    def of(cls, run: int, cycle: Cycle, state: JointState, wanted: Array) -> Seen:
+    def of(cls, run: int, cycle: Cycle, state: JointState, wanted: Array) -> SeenCycle:
         """Newest arm of a cycle."""
         b = int(cycle.active.argmax())
         heat = np.full(wanted.shape[1], np.nan) if state.temperature is None else state.temperature[b]
         return cls(run, b, wanted[b], heat, *(getattr(cycle, name)[b] for name in cls._fields[4:]))
 
 
-def lately(seen: Sequence[Seen], seconds: float) -> list[Seen]:
+def lately(seen: Sequence[SeenCycle], seconds: float) -> list[SeenCycle]:
     """Return what was seen of the newest run and arm in the last ``seconds``."""
     if not seen:
         return []
@@ -84,13 +84,13 @@ class Ring:
         self._slots[count % len(self._slots)] = count, (run, cycle, state, wanted)
         self.count = count + 1
 
-    def since(self, count: int) -> tuple[list[Seen], int]:
+    def since(self, count: int) -> tuple[list[SeenCycle], int]:
         """Return cycles after the first ``count``, as far as kept, the oldest first, and the new count."""
         end, found = self.count, []
         for number in range(max(count, end - len(self._slots), 0), end):
             slot = self._slots[number % len(self._slots)]
             if slot is not None and slot[0] == number:  # not yet written over
-                found.append(Seen.of(*slot[1]))
+                found.append(SeenCycle.of(*slot[1]))
         return found, end
 
 
@@ -104,9 +104,9 @@ class Ghost:
     def __init__(self, arm: Arm, twin: Twin) -> None:
         self._draw = Draw.of(twin.parameters.repeat(1), twin.stiction, twin.acceleration)
         self._simulation = Simulation(arm, 1)
-        self._last: Seen | None = None
+        self._last: SeenCycle | None = None
 
-    def follow(self, seen: Sequence[Seen]) -> Array | None:
+    def follow(self, seen: Sequence[SeenCycle]) -> Array | None:
         """Position (n,) [rad] of the twin at the last cycle; None: none was seen."""
         for now in seen:
             last = self._last
@@ -167,7 +167,7 @@ _WORDS = {
 }
 
 
-def guard_words(seen: Sequence[Seen], limits: GuardLimits) -> tuple[str, ...]:
+def guard_words(seen: Sequence[SeenCycle], limits: GuardLimits) -> tuple[str, ...]:
     """Actions of the guard in the last `KEPT` seconds, trips first."""
     recent, said = lately(seen, KEPT)[::-1], []
     for reason in sorted(Reason, key=lambda one: one not in TRIPS):
@@ -344,7 +344,7 @@ def _points(trail: Collection[Array]) -> Array:
     return np.array(trail).reshape(-1, 3)
 
 
-def _legend(subject: Subject, recent: Sequence[Seen]) -> list[tuple[str, str]]:
+def _legend(subject: Subject, recent: Sequence[SeenCycle]) -> list[tuple[str, str]]:
     last = recent[-1] if recent else None
     entries = {
         "the arm": LINKS[1],
