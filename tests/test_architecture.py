@@ -2,9 +2,12 @@
 
 import ast
 import configparser
+import io
 import re
 import subprocess
 import sys
+import tokenize
+import tomllib
 from collections import Counter
 from pathlib import Path
 
@@ -102,3 +105,29 @@ def test_functions_and_classes_are_named_by_the_fields_words():
     private = re.compile(r"(?i)(^|_)(told|nobody|crew|seat|burden|patience|calm|lump|weightless|situation|forget)(_|$)")
     names = [*named(ast.ClassDef), *named(ast.FunctionDef)]
     assert [name for name in names if private.search(name[0])] == []
+
+
+def tokens(file):
+    """Count a file's tokens without comments, docstrings, line ends and indentation: packed lines count as much."""
+    text = file.read_text(encoding="utf-8")
+    bare = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
+    alone = {
+        (node.value.lineno, node.value.col_offset)
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+    }
+    found = tokenize.generate_tokens(io.StringIO(text).readline)
+    return sum(one.type not in bare and one.start not in alone for one in found)
+
+
+def test_every_room_keeps_its_budget():
+    """Whoever adds, deletes. A larger budget is a decision, with a sentence in the changelog."""
+    budgets = tomllib.loads((ROOT / "tests" / "budgets.toml").read_text(encoding="utf-8"))
+    used = Counter()
+    for file in (ROOT / "src").rglob("*.py"):
+        package, *rest = file.relative_to(ROOT / "src").parts
+        used[f"{package}/{rest[0]}" if len(rest) > 1 else package] += tokens(file)
+    over = {room: count for room, count in used.items() if count > budgets["tokens"].get(room, 0)}
+    assert over == {}, "more tokens than tests/budgets.toml allows"
+    assert set(budgets["tokens"]) == set(used)
+    assert len(list((ROOT / "src").rglob("*.py"))) <= budgets["files"]
