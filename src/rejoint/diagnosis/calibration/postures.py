@@ -114,7 +114,7 @@ def _candidates(arm: Arm, seed: int) -> tuple[Array, Array]:
     rng = np.random.default_rng(seed)
     solution = solve_position(arm, arm.targets.sample(rng, (CANDIDATES,)), arm.rest)
     inside, anywhere = solution.q[solution.converged], comfortable_postures(arm)
-    most = np.abs(gravity_torque(arm, inside)).max(axis=0, initial=0.0)
+    most = np.abs(gravity_torque(arm, inside)).max(axis=0, initial=FLOATING)
     light = anywhere[(np.abs(gravity_torque(arm, anywhere)) <= most).all(axis=1)]
     within = _approachable(arm, inside)[:WITHIN]
     return within, _approachable(arm, rng.permutation(light))[: CANDIDATES - len(within)]
