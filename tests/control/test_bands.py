@@ -9,12 +9,11 @@ from rejoint.arms import gravity_torque, mycobot280
 from rejoint.control.catalogue import make_controller
 from rejoint.control.guard import GuardLimits, Reason
 from rejoint.control.loop import Schedule, run
-from rejoint.control.monitor import Bands, Following, standing_bands
+from rejoint.control.monitor import Bands, Following, standing_bands, states_of
 from rejoint.diagnosis.excitation import SHORT, record
 from rejoint.logs.runlog import RunLog
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
-from standin import state_of
 
 ARM = mycobot280()
 DWELL = Schedule(dwell=2.0, keep_going=True)
@@ -79,11 +78,10 @@ def test_bands_of_emulated_arms_hold_their_friction_and_none_is_overdue_in_its_o
 
 def overdue(log, bands):
     """Joints (n,) that the monitor does not believe somewhere in a log."""
-    found, following = np.zeros(ARM.joints, dtype=bool), None
-    for position, command, time in zip(log.position, log.command, log.time, strict=True):
-        state = state_of(position[None], time)
-        following = following or Following(ARM, state, command[None], bands=bands)
-        bad = following.check(state, command[None], np.ones(1, dtype=bool))
+    states, found = states_of(log), np.zeros(ARM.joints, dtype=bool)
+    following = Following(ARM, next(states), log.command[:1], bands=bands)
+    for row, state in enumerate(states):
+        bad = following.check(state, log.command[row : row + 1], np.ones(1, dtype=bool))
         if bad is not None:
             found |= bad[0]
     return found

@@ -146,18 +146,18 @@ def take_speed(speed, command, last, elapsed, fastest):  # noqa: ANN001, ANN201
                 speed[i, j] = min(max((command[i, j] - last[i, j]) / time, -fastest[j]), fastest[j])
 
 
-@njit(void(bool_[:, ::1], *[IN2] * 5, IN1, float64), **OPTIONS)
-def find_faults(found, command, sent, speed, position, believed, age, oldest):  # noqa: ANN001, ANN201
-    """Fill ``found`` (3, B): numbers that are not finite, an old state, a position beyond ``believed`` (2, n)."""
+@njit(bool_(*[IN2] * 4, IN1, IN1, IN1, float64), **OPTIONS)
+def credible(command, sent, speed, position, lowest, highest, age, oldest):  # noqa: ANN001, ANN201
+    """Whether all numbers (B, n) are finite, positions in range and states (B,) young."""
     arms, joints = command.shape
     for i in range(arms):
-        found[1, i] = not age[i] <= oldest  # NaN counts as old
+        if not age[i] <= oldest:  # NaN counts as old
+            return False
         for j in range(joints):
-            seen = position[i, j]
-            if not np.isfinite(command[i, j] + sent[i, j] + speed[i, j] + seen):
-                found[0, i] = True
-            if np.isfinite(seen) and not believed[0, j] <= seen <= believed[1, j]:
-                found[2, i] = True
+            seen = lowest[j] <= position[i, j] <= highest[j]
+            if not (seen and np.isfinite(command[i, j] + sent[i, j] + speed[i, j])):
+                return False
+    return True
 
 
 HISTORY = 8
@@ -169,40 +169,63 @@ AFTER = 1
 STILL = 2
 """Equal readings of a stationary joint"""
 STRIKES = 2
-"""Cycles in a row with a load off its line, or with a push beyond the band"""
-SUM, PUSHED = 0.03, np.radians(0.3)
-"""Share of the largest torque by which such loads are off in sum; twice that below this travel [rad]"""
-MARGIN, NOISES, FLICKER = 0.002, 1.0, 0.3
-"""Share of the largest torque, multiple of the noise, and encoder steps by which a load may be off"""
+"""Cycles in a row with a load off by `MARGIN`"""
+PUSHED, UNPUSHED_STRIKES = np.radians(0.3), 4
+"""[rad] travel below which it takes more cycles"""
+MARGIN = 0.03
+"""Share of the largest torque"""
+SUDDEN, LIGHT = 0.08, np.radians(2.0)
+"""Share that is too much for one cycle, in joints that stick by less than this [rad]"""
 COUNTS = 1.1
 """Encoder steps between the servo's and the reported reading"""
+STEADY, STEADY_COUNTS = 12, 0.3
+"""Cycles that average encoder flicker, and its steps"""
+STEADY_MARGIN, STEADY_NOISE = 0.002, 2.0
+"""Share of the largest torque, and multiple of noise, for so long"""
+NOISE = 0.015
+"""Deviation of a learned load over the largest torque"""
 SURE = 1.5
 """Allowed deviations of the expected load"""
+KNOWN = 0.5
+"""relative error of an unusable gain"""
+FULL = 0.9
+"""Share of full torque"""
+FULL_CYCLES = 8
+"""Cycles of full torque of a stuck joint"""
 MOST, AND = 1.5, np.radians(0.2)
 """Allowed multiple of the largest push in the diagnosis, plus [rad]"""
+LATE = 2
+"""Readings in a row beyond it"""
 PATIENCE = 0.05
 """[s] The excess, integrated twice, may reach the band times its square"""
 LONGEST = 0.1
 """[s] longest counted cycle"""
+LEARN_SPREAD = np.radians(0.5)
+"""[rad] spread of commands when a load is learned"""
+LEARN_STILL = 4
+"""Stationary cycles before a load is learned"""
+LEARN_LAST = 200
+"""Stationary cycles after which none is learned"""
 TRACK = np.dtype(
     [
         ("position", "f8"), ("held", "f8"), ("since", "f8"), ("travel", "f8"), ("stuck", "f8"),
         ("home", "f8"), ("moved", "f8"),
-        ("gain", "f8"), ("offset", "f8"), ("spread", "f8"), ("noise", "f8"),
-        ("load", "f8"), ("expected", "f8"), ("excess", "f8"),
-        ("reach", "f8"), ("width", "f8"), ("push", "f8"), ("pushed", "f8"), ("due", "f8"),
-        ("still", "i8"), ("moves", "i8"), ("late", "i8"), ("given", "?"),
+        ("gain", "f8"), ("least", "f8"), ("offset", "f8"), ("p00", "f8"), ("p01", "f8"), ("p11", "f8"),
+        ("load", "f8"), ("load1", "f8"), ("load2", "f8"), ("expected", "f8"),
+        ("noise", "f8"), ("reach", "f8"), ("width", "f8"), ("push", "f8"), ("pushed", "f8"), ("due", "f8"),
+        ("still", "i8"), ("strikes", "i8"), ("steady", "i8"), ("moves", "i8"), ("full", "i8"), ("late", "i8"),
+        ("given", "?"),
     ]
 )  # fmt: skip
 """State of a joint. ``held`` [rad]: command at the last change of the reading, at ``since`` [s]. ``travel`` [rad]:
 command travel since then; ``stuck``: its largest value before a change. ``moves``: changes; ``moved`` [rad] from
-``home``. Load of a stationary joint, where ``given``: ``gain`` * (command - position) + ``offset``, with the ``spread``
-of the gain and ``noise``; ``excess``: sum of what it is off. Following errors beyond ``reach`` [rad] push no harder.
-``width`` and ``push`` [rad]: largest push in the diagnosis, and now. ``late``: readings off the line or band.
-``pushed`` [rad s], ``due`` [rad s^2]: integrals of the push beyond it."""
+``home``. Load of a stationary joint: ``gain`` * (command - position) + ``offset``, with covariance ``p`` and ``noise``.
+Only a ``given`` gain shows turning joints; ``least`` bounds a learned one. Following errors beyond ``reach`` [rad] push
+no harder. ``width`` and ``push`` [rad]: largest push in the diagnosis, and now. ``late``: readings beyond it;
+``pushed`` [rad s], ``due`` [rad s^2]: integrals of the excess."""
 
-FINE, UNKNOWN, TURNING, OVERDUE = range(4)
-"""Verdicts: reading changes, or its load explains why not; stationary; turning by load; overdue by push"""
+FINE, STANDING, UNKNOWN, TURNING, OVERDUE = range(5)
+"""Verdicts: reading changes; stationary by load; stationary, no load; turning by load; overdue by push"""
 
 _TRACKS = types.Array(from_dtype(TRACK), 2, "C")
 
@@ -217,27 +240,61 @@ def _follow(track, now, position, command):  # noqa: ANN001, ANN202
     track.moves += 1
     track.moved = max(track.moved, abs(position - track.home))
     track.position, track.held, track.since, track.travel = position, command, now, 0.0
-    track.still = track.late = 0
-    track.excess = track.pushed = track.due = 0.0
+    track.still = track.strikes = track.steady = track.full = 0
 
 
 @njit(cache=True)
-def _turns(track, load, low, high, step):  # noqa: ANN001, ANN202
-    """Whether the ``load`` of a constant reading is off its line, for following errors from ``low`` to ``high``."""
-    lead, reading = 0.5 * (low + high), step * track.gain
+def _learn(track, lead, spread):  # noqa: ANN001, ANN202
+    """Recursive least squares of load = gain * lead + offset; the lead is known within ``spread`` [rad]."""
+    a, b = track.p00 * lead + track.p01, track.p01 * lead + track.p11
+    wrong = track.load - track.gain * lead - track.offset
+    unsure = track.gain * spread
+    share = NOISE * NOISE + unsure * unsure / 12.0 + lead * a + b
+    track.gain = max(track.gain + a * wrong / share, track.least)
+    track.offset += b * wrong / share
+    track.p00 -= a * a / share
+    track.p01 -= a * b / share
+    track.p11 -= b * b / share
+
+
+@njit(cache=True)
+def _judge(track, told, low, high, step):  # noqa: ANN001, ANN202
+    lead = 0.5 * (low + high)
+    unsure = SURE * np.sqrt(track.p00 * lead * lead + 2.0 * track.p01 * lead + track.p11)
     least = min(max(track.gain * low + track.offset, -1.0), 1.0)
     most = min(max(track.gain * high + track.offset, -1.0), 1.0)
     if low < COUNTS * step:  # the dead zone of the servo
         least = min(least, 0.0)
     if high > -COUNTS * step:
         most = max(most, 0.0)
-    track.load, track.expected = load, 0.5 * (least + most)
-    unsure = SURE * np.sqrt((track.spread * lead) ** 2 + track.noise**2)
-    off = max(least - load, load - most) - unsure - MARGIN - NOISES * track.noise - FLICKER * reading
-    track.late = track.late + 1 if off > 0.0 else 0
-    track.excess = track.excess + off if off > 0.0 else 0.0
-    allowed = SUM + STRIKES * COUNTS * reading
-    return track.late >= STRIKES and track.excess > (allowed if abs(track.travel) > PUSHED else 2.0 * allowed)
+    track.expected = 0.5 * (least + most)
+    known = SURE * np.sqrt(track.p00) < KNOWN * track.gain
+    agrees = max(least - track.load, track.load - most) <= MARGIN + COUNTS * step * track.gain + unsure
+    telling = high - low < LEARN_SPREAD and abs(lead) > COUNTS * step and abs(track.load) < FULL
+    if (agrees or not known) and telling and LEARN_STILL <= track.still <= LEARN_LAST:
+        _learn(track, lead, high - low)
+    if track.given:
+        if _turns(track, max(least - told, told - most) - unsure, step):
+            return TURNING
+    else:
+        track.strikes = 0 if agrees else track.strikes + 1
+    if abs(track.load) >= FULL and track.load * lead > 0.0:
+        track.full += 1
+        return STANDING
+    explained = known and (track.given or track.strikes < STRIKES)  # one that breaks loose disagrees for a cycle
+    return STANDING if explained or track.full >= FULL_CYCLES else UNKNOWN
+
+
+@njit(cache=True)
+def _turns(track, off, step):  # noqa: ANN001, ANN202
+    reading = step * track.gain
+    track.strikes = track.strikes + 1 if off > MARGIN + COUNTS * reading else 0
+    steady = off > STEADY_MARGIN + STEADY_NOISE * track.noise + STEADY_COUNTS * reading
+    track.steady = track.steady + 1 if steady else 0
+    if abs(track.travel) > PUSHED:
+        sudden = off > SUDDEN + COUNTS * reading and track.stuck < LIGHT
+        return sudden or track.strikes >= STRIKES or track.steady >= STEADY
+    return track.strikes >= UNPUSHED_STRIKES or track.steady >= STEADY
 
 
 @njit(cache=True)
@@ -258,11 +315,43 @@ def _overdue(track, elapsed):  # noqa: ANN001, ANN202
     track.late += 1
     track.due += (track.pushed + 0.5 * beyond * elapsed) * elapsed
     track.pushed += beyond * elapsed
-    return track.late >= STRIKES and track.due > track.width * PATIENCE * PATIENCE
+    return track.late >= LATE and track.due > track.width * PATIENCE * PATIENCE
 
 
-@njit(void(_TRACKS, float64[:, ::1], OUT3, IN2, IN3, float64, int64[:, ::1]), **OPTIONS)
-def watch(tracks, sent_at, sent, clock, reading, step, verdict):  # noqa: ANN001, ANN201
+@njit(void(IN2, IN2, IN2, IN1, float64[:, ::1]), **OPTIONS)
+def fill_pushes(low, high, balance, reach, out):  # noqa: ANN001, ANN201
+    """Fill ``out`` (T, n) [rad] with pushes of leads from ``low`` to ``high`` (T, n); ``reach`` (n,)."""
+    for k in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[k, j] = _push(low[k, j], high[k, j], balance[k, j], reach[j])
+
+
+@njit(void(from_dtype(TRACK)[::1], IN1, IN2, IN2, bool_[::1]), **OPTIONS)
+def fill_overdue(tracks, time, position, push, out):  # noqa: ANN001, ANN201
+    """Set ``out`` (n,) for overdue joints in a log of ``time`` (T,) and ``position`` (T, n)."""
+    for j in range(len(tracks)):
+        track = tracks[j]
+        for k in range(1, len(time)):
+            track.still = track.still + 1 if position[k, j] == position[k - 1, j] else 0
+            track.push = push[k, j]
+            if _overdue(track, time[k] - time[k - 1]):
+                out[j] = True
+
+
+@njit(cache=True)
+def _by_load(track, load, loaded, unsettled, low, high, step):  # noqa: ANN001, ANN202
+    stands = track.still >= STILL
+    if not loaded:
+        return UNKNOWN if stands else FINE
+    if unsettled or np.isnan(load):
+        return UNKNOWN if stands and not track.given else STANDING if stands else FINE
+    median = max(min(load, track.load1), min(max(load, track.load1), track.load2))
+    track.load2, track.load1, track.load = track.load1, load, median
+    return _judge(track, load, low, high, step) if stands else FINE
+
+
+@njit(void(_TRACKS, float64[:, ::1], OUT3, IN2, IN3, bool_, float64, int64[:, ::1]), **OPTIONS)
+def watch(tracks, sent_at, sent, clock, reading, loaded, step, verdict):  # noqa: ANN001, ANN201
     """Take a reading and give a ``verdict`` (B, n).
 
     ``clock`` (2, B) [s]: now, and time of the command. ``reading`` (4, B, n): position and command [rad], load (NaN:
@@ -290,14 +379,8 @@ def watch(tracks, sent_at, sent, clock, reading, step, verdict):  # noqa: ANN001
             low, high = low - position[i, j], high - position[i, j]
             track = tracks[i, j]
             _follow(track, now[i], position[i, j], sent[i, reach, j])
-            by_load = track.given and not np.isnan(load[i, j])
-            stands = track.still >= STILL
-            verdict[i, j] = UNKNOWN if stands and not by_load else FINE
-            if unsettled:
-                continue
-            if by_load:
-                if stands and _turns(track, load[i, j], low, high, step):
-                    verdict[i, j] = TURNING
+            verdict[i, j] = _by_load(track, load[i, j], loaded, unsettled, low, high, step)
+            if unsettled or (loaded and track.given and not np.isnan(load[i, j])):
                 continue
             track.push = _push(low, high, balance[i, j], track.reach)
             if _overdue(track, now[i] - last[i]):

@@ -134,9 +134,9 @@ class GuardLimits:
         return np.arange(self.parts + 1)[:, None] / self.parts
 
     @cached_property
-    def believed(self) -> Array:
-        """(2, n) [rad] lowest and highest trusted positions."""
-        return np.array([self.arm.lower - self.range_margin, self.arm.upper + self.range_margin])
+    def believed(self) -> tuple[Array, Array]:
+        """(n,), (n,) [rad] lowest and highest trusted positions."""
+        return self.arm.lower - self.range_margin, self.arm.upper + self.range_margin
 
     @classmethod
     def of(cls, arm: Arm, *, margin: float = np.radians(0.5)) -> GuardLimits:
@@ -164,7 +164,7 @@ def reason_names(reasons: int) -> tuple[str, ...]:
 compiled = Late("rejoint.control.compiled")
 
 _TOLERANCE = 1e-9  # [m] rounding of the kinematics: a joint that cannot move must not look sinking
-_FAULT_BITS = np.array([Reason.NOT_FINITE, Reason.STALE, Reason.OUT_OF_RANGE], dtype=np.uint16)
+_TRIP_BITS = np.uint16(TRIPS.value)
 _LIMIT_BITS = np.array(  # as applied
     [Reason.LEAD, Reason.POSITION, Reason.STEP, Reason.ACCELERATION, Reason.FLOOR, Reason.COLLISION], dtype=np.uint16
 )
@@ -183,7 +183,7 @@ class Guarded(NamedTuple):
     @property
     def tripped(self) -> Mask:
         """(B,)."""
-        return (self.reasons & TRIPS) != 0
+        return (self.reasons & _TRIP_BITS) != 0
 
 
 def guard(
@@ -220,7 +220,7 @@ def guard(
 def guard_along(
     limits: GuardLimits,
     goal: Array,
-    moving: Mask,
+    moving: NDArray[np.bool_],
     command: Array,
     sent: Array,
     speed: Array,
@@ -232,7 +232,7 @@ def guard_along(
     Where the command would touch something, only the clear part of its difference from the goal remains.
     """
     guarded = guard(limits, command, sent, speed, state, period)
-    touched = guarded.reasons & np.uint16(Reason.COLLISION)
+    touched = guarded.reasons & np.uint16(Reason.COLLISION.value)
     cut = moving & (touched != 0)
     if not cut.any():
         return guarded
@@ -266,20 +266,24 @@ def _check_shapes(
 
 def _check(limits: GuardLimits, command: Array, sent: Array, speed: Array, state: JointState) -> tuple[Array, Reasons]:
     """Posture to hold (B, n) and trips (B,)."""
-    found, trips = np.zeros((3, len(sent)), dtype=bool), _servo_trips(limits, state)
-    numbers = (plain(command), plain(sent), plain(speed), plain(state.position))
-    compiled.find_faults(found, *numbers, limits.believed, plain(state.age), limits.max_age)
-    if not np.count_nonzero(found):
+    lowest, highest = limits.believed
+    if _nothing_wrong(limits, command, sent, speed, state):
+        return sent, np.zeros(len(sent), dtype=np.uint16)
+    unknown = ~np.isfinite(state.position)
+    not_finite = ~np.isfinite(command) | ~np.isfinite(sent) | ~np.isfinite(speed) | unknown
+    trips = (
+        _flag(not_finite, Reason.NOT_FINITE)
+        + _flag(~(state.age <= limits.max_age)[:, None], Reason.STALE)  # NaN counts as stale
+        + _flag(((state.position < lowest) | (state.position > highest)) & ~unknown, Reason.OUT_OF_RANGE)
+    )
+    trips = trips + _servo_trips(limits, state)
+    if not not_finite.any():
         return sent, trips
-    trips = trips + _FAULT_BITS @ found
-    if not found[0].any():
-        return sent, trips
-    position = state.position
-    known = np.where(np.isfinite(position), np.clip(position, limits.lower, limits.upper), limits.arm.rest)
+    known = np.where(unknown, limits.arm.rest, np.clip(state.position, limits.lower, limits.upper))
     return np.where(np.isfinite(sent), sent, known), trips
 
 
-def suffers(limits: GuardLimits, state: JointState) -> Mask:
+def suffers(limits: GuardLimits, state: JointState) -> NDArray[np.bool_]:
     """Arms (B,) with a hot or faulty servo."""
     return _servo_trips(limits, state) != 0
 
@@ -287,13 +291,25 @@ def suffers(limits: GuardLimits, state: JointState) -> Mask:
 def _servo_trips(limits: GuardLimits, state: JointState) -> Reasons:
     trips = np.zeros(len(state.position), dtype=np.uint16)
     if state.temperature is not None:
-        trips |= (state.temperature > limits.max_temperature).any(axis=-1) * np.uint16(Reason.TEMPERATURE)
+        trips = trips + _flag(state.temperature > limits.max_temperature, Reason.TEMPERATURE)
     if state.fault is not None:
-        trips |= state.fault.any(axis=-1) * np.uint16(Reason.SERVO_FAULT)
+        trips = trips + _flag(state.fault, Reason.SERVO_FAULT)
     return trips
 
 
-def _keep_clear(limits: GuardLimits, command: Array, sent: Array) -> tuple[Array, Mask]:
+def _nothing_wrong(limits: GuardLimits, command: Array, sent: Array, speed: Array, state: JointState) -> bool:
+    if state.temperature is not None or state.fault is not None:
+        return False
+    numbers = (plain(command), plain(sent), plain(speed), plain(state.position))
+    return bool(compiled.credible(*numbers, *limits.believed, plain(state.age), limits.max_age))
+
+
+def _flag(per_joint: NDArray[np.bool_], reason: Reason) -> Reasons:
+    flagged: Reasons = np.asarray(per_joint.any(axis=-1)) * np.uint16(reason.value)
+    return flagged
+
+
+def _keep_clear(limits: GuardLimits, command: Array, sent: Array) -> tuple[Array, NDArray[np.bool_]]:
     shortened = np.zeros((2, len(command)), dtype=bool)
     clear = clear_by(limits, command)
     if not np.count_nonzero(clear < 0.0):

@@ -5,14 +5,15 @@ Constants without a source are chosen.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
+from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, gravity_torque, position_kinematics
 from rejoint.arms.workspace import length_size
+from rejoint.control.law import plain
 from rejoint.control.robot import JointState, Mask
 from rejoint.logs.runlog import RunLog
 from rejoint.system.shell import Late
@@ -37,12 +38,16 @@ ARRIVED = np.radians(1.0)
 """[rad] following error at arrival"""
 SETTLED = 30
 """changes of a reading before its sticking is known"""
-KNOWN = 0.5
-"""relative error of an unusable gain"""
+GAIN, GAIN_SPREAD = 20.0, 2.0
+"""[1/rad] and relative deviation of unknown servos (measured)"""
+LEAST_GAIN = 3.0
+"""[1/rad]"""
+OFFSET_SPREAD, UNKNOWN_OFFSET = 0.02, 0.15
+"""deviations of the unloaded torque share"""
 PULL = 2.0
 """times the allowed push, to pull an overdue joint back"""
 _EARLIEST = np.radians(2.0)  # [rad] travel from which levers are computed (chosen: 10 mm at 0.28 m)
-_UNKNOWN, _TURNING, _OVERDUE = 1, 2, 3  # as in `compiled`, which is imported late
+_UNKNOWN, _TURNING, _OVERDUE = 2, 3, 4  # as in `watching`, which is imported late
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,8 +60,16 @@ class Knowledge:
     """(n,) [rad] unloaded joint minus command"""
     within: Array | float = 0.2
     """(n,) largest relative error of ``gain``; infinite: unknown"""
-    noise: Array | float = 0.02
+    noise: Array | float = OFFSET_SPREAD
     """(n,) deviation of loads from the line"""
+
+
+def states_of(log: RunLog) -> Iterator[JointState]:
+    """Yield the state in each row."""
+    for row in range(len(log)):
+        rows = slice(row, row + 1)
+        load = None if log.servo_load is None else log.servo_load[rows]
+        yield JointState(time=log.time[rows], position=log.position[rows], age=np.zeros(1), load=load)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -106,16 +119,24 @@ class Following:
         self._tracks["width"] = np.inf if bands is None else bands.width
         self._tracks["stuck"] = 0.0 if bands is None else 2.0 * bands.width  # from one end of the band to the other
         self._tracks["since"] = state.time[:, None]
-        known = knowledge or Knowledge(gain=np.ones(shape), within=np.inf)
-        self._tracks["given"] = np.isfinite(known.within)
-        self._tracks["gain"], self._tracks["offset"] = known.gain, known.gain * known.offset
-        self._tracks["spread"], self._tracks["noise"] = known.within * known.gain / compiled.SURE, known.noise
+        self._know(knowledge or Knowledge(gain=np.full(shape, GAIN), within=np.inf))
         self._sent_at = np.repeat(state.time[:, None], compiled.HISTORY, axis=1)
         self._sent = np.repeat(np.asarray(sent, dtype=float)[:, None], compiled.HISTORY, axis=1)
         self._verdict = np.zeros(shape, dtype=np.int64)
-        self._nothing, self._unknown = np.zeros(shape), np.full(shape, np.nan)
+        self._nothing = np.zeros(shape)
         self._excused_since, self._excused_last = np.full((2, len(state.time)), -np.inf)
         self._loaded = False
+
+    def _know(self, knowledge: Knowledge) -> None:
+        tracks, shape = self._tracks, self._tracks.shape
+        given = np.broadcast_to(np.isfinite(knowledge.within), shape)
+        gain = np.where(given, knowledge.gain, GAIN)
+        spread = np.where(given, knowledge.within, GAIN_SPREAD * compiled.SURE) / compiled.SURE
+        tracks["given"], tracks["noise"] = given, knowledge.noise
+        tracks["gain"], tracks["p00"] = gain, (spread * gain) ** 2
+        tracks["least"] = np.maximum((1.0 - 2.0 * spread) * gain, LEAST_GAIN)
+        tracks["offset"] = np.where(given, gain * knowledge.offset, 0.0)
+        tracks["p11"] = np.where(given, knowledge.noise, UNKNOWN_OFFSET) ** 2
 
     def check(self, state: JointState, sent: Array, aimed: Mask) -> Mask | None:
         """Joints (B, n) flagged after ``sent`` (B, n) [rad], or None.
@@ -123,7 +144,7 @@ class Following:
         Travel counts only for arms ``aimed`` (B,) at a target: a diagnosis must find stuck joints.
         """
         self._loaded = state.load is not None
-        load = self._unknown if state.load is None else state.load
+        load = self._nothing if state.load is None else state.load
         balance = self._nothing if self._bands is None else self._bands.balance(self._arm, state.position)
         compiled.watch(
             self._tracks,
@@ -131,6 +152,7 @@ class Following:
             self._sent,
             np.array([state.time, self._last]),
             np.array([state.position, sent, load, balance]),
+            self._loaded,
             self._arm.encoder_step,
             self._verdict,
         )
@@ -139,7 +161,7 @@ class Following:
         if worst < _UNKNOWN:
             return None
         bad: Mask = self._verdict >= _TURNING
-        late: Mask = self._tracks["late"] > 0
+        late: Mask = (self._tracks["late"] > 0) | (self._tracks["strikes"] > 0)
         if self._bands is None:
             travelled, more = self._travelled(state.position, sent)
             late = late | more
@@ -179,7 +201,7 @@ class Following:
         tracks["width"] = np.where(joints & ~weak, np.maximum(width, np.abs(push) / compiled.MOST), width)
         tracks["position"][where], tracks["held"][where] = state.position[where], sent[where]
         tracks["since"][where] = state.time[where, None]
-        for name in ("travel", "excess", "pushed", "due", "still", "late"):
+        for name in ("travel", "pushed", "due", "still", "strikes", "steady", "full", "late"):
             tracks[name][where] = 0
         self._verdict[where] = compiled.FINE
         self._last = np.where(where, state.time, self._last)
@@ -252,8 +274,6 @@ class Following:
         )
 
 
-FULL = 0.9
-"""Share of full torque"""
 FEWEST = 50
 """rows of a line (chosen: two seconds)"""
 STILL = 4
@@ -278,38 +298,33 @@ def servo_lines(arm: Arm, logs: Sequence[RunLog]) -> Knowledge | None:
 
     A servo's torque is proportional to its error: loads of stationary joints lie on a line over command minus reading.
     """
+    told = [log for log in logs if log.servo_load is not None]
     rows = [_standing(arm, log, log.servo_load) for log in logs if log.servo_load is not None]
     if not rows:
         return None
     lines = [_line(*(np.concatenate([part[k][:, j] for part in rows]) for k in range(3))) for j in range(arm.joints)]
     gain, offset, within, noise = np.array(lines).T
-    within = np.where(within < KNOWN, within, np.inf)
-    known = Knowledge(gain=gain, offset=offset / gain, within=within, noise=noise)
-    within = np.where(_flagged(arm, logs, known), np.inf, within)
-    return replace(known, within=within) if np.isfinite(within).any() else None
+    within = np.where(within < compiled.KNOWN, within, np.inf)
+    for log in told:
+        known = _knowledge(gain, offset, within, noise)
+        if known is not None:
+            within = np.where(_turns(arm, log, known), np.inf, within)
+    return _knowledge(gain, offset, within, noise)
 
 
-def _flagged(arm: Arm, logs: Sequence[RunLog], lines: Knowledge | None, bands: Bands | None = None) -> Mask:
-    """Joints (n,) that the monitor would flag in the ``logs`` of a healthy arm."""
-    found = np.zeros(arm.joints, dtype=bool)
-    for log in logs:
-        states = [
-            JointState(
-                time=log.time[row],
-                position=log.position[row],
-                age=np.zeros(1),
-                load=None if lines is None or log.servo_load is None else log.servo_load[row],
-            )
-            for row in np.arange(len(log))[:, None]
-        ]
-        following = Following(arm, states[0], log.command[:1], lines, bands=bands)
-        for state, command in zip(states, log.command, strict=True):
-            bad = following.check(state, command[None], np.zeros(1, dtype=bool))
-            found = found if bad is None else found | bad[0]
-    return found
+def _knowledge(gain: Array, offset: Array, within: Array, noise: Array) -> Knowledge | None:
+    known = np.isfinite(within)
+    if not known.any():
+        return None
+    return Knowledge(
+        gain=np.where(known, gain, 1.0),
+        offset=np.where(known, offset / gain, 0.0),
+        within=within,
+        noise=np.where(known, noise, 1.0),
+    )
 
 
-def _standing(arm: Arm, log: RunLog, load: Array) -> tuple[Array, Array, Mask]:
+def _standing(arm: Arm, log: RunLog, load: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Leads and loads (T, n) of a log, and where (T, n) they count."""
     low, high = commands_in_force(log)
     lead = 0.5 * (low + high) - log.position
@@ -317,7 +332,7 @@ def _standing(arm: Arm, log: RunLog, load: Array) -> tuple[Array, Array, Mask]:
     last = np.maximum.accumulate(np.where(moved, np.arange(len(log))[:, None], 0), axis=0)
     stands = np.arange(len(log))[:, None] - last >= STILL
     dead = compiled.COUNTS * arm.encoder_step
-    told = np.abs(load) < FULL  # not where it is NaN
+    told = np.abs(load) < compiled.FULL  # not where it is NaN
     return lead, load, stands & told & (high - low < AT_REST) & (np.abs(lead) > dead)
 
 
@@ -332,7 +347,7 @@ def commands_in_force(log: RunLog) -> tuple[Array, Array]:
     return low, high
 
 
-def _line(lead: Array, load: Array, use: Mask) -> tuple[float, float, float, float]:
+def _line(lead: Array, load: Array, use: NDArray[np.bool_]) -> tuple[float, float, float, float]:
     lead, load = lead[use], load[use]
     unknown = (1.0, 0.0, np.inf, 1.0)
     if len(lead) < FEWEST or np.ptp(lead) == 0.0:
@@ -353,6 +368,17 @@ def robust_fit(columns: Array, value: Array, least: float) -> tuple[Array, float
         noise = max(PER_MEDIAN * float(np.median(off)), least)
         weight = np.minimum(1.0, HUBER * noise / np.maximum(off, 1e-12))
     return np.asarray(found), noise
+
+
+def _turns(arm: Arm, log: RunLog, known: Knowledge) -> NDArray[np.bool_]:
+    """Joints (n,) flagged as turning in a healthy arm's log."""
+    states = states_of(log)
+    following, found = Following(arm, next(states), log.command[:1], known), np.zeros(arm.joints, dtype=bool)
+    for row, state in enumerate(states):
+        bad = following.check(state, log.command[row : row + 1], np.zeros(1, dtype=bool))
+        if bad is not None:
+            found |= bad[0]
+    return found
 
 
 HELD = 0.05
@@ -382,17 +408,36 @@ def standing_bands(arm: Arm, logs: Sequence[RunLog]) -> Bands:
     found = Bands(slope=slope, offset=offset, reach=endless, width=endless, lifted=lifted)
     if not known.any():
         return found
-    reach, width = _narrowest(arm, logs, found)
-    found = replace(found, reach=reach, width=np.where(known, width, np.inf))
+    leads = [_leads(log, found.balance(arm, log.position)) for log in logs]
+    reach, width = _narrowest(arm, logs, leads)
+    width = np.where(known, width, np.inf)
     for _ in range(_OFTEN):
-        late = _flagged(arm, logs, None, found)
+        late = np.zeros(arm.joints, dtype=bool)
+        for log, lead in zip(logs, leads, strict=True):
+            late |= _overdue(log, _push(lead, reach), width)
         if not late.any():
-            return found
-        found = replace(found, width=np.where(late, WIDER * found.width, found.width))
-    return replace(found, width=np.where(late, np.inf, found.width))
+            break
+        width = np.where(late, WIDER * width, width)
+    return replace(found, reach=reach, width=np.where(late, np.inf, width))
 
 
-def _balances(arm: Arm, logs: Sequence[RunLog]) -> tuple[Array, Array, Array, Mask]:
+Leads = tuple[Array, Array, Array]
+"""Lowest and highest lead (T, n) [rad], and the balance"""
+
+
+def _leads(log: RunLog, balance: Array) -> Leads:
+    low, high = commands_in_force(log)
+    return low - log.position, high - log.position, balance
+
+
+def _push(leads: Leads, reach: Array) -> Array:
+    low, high, balance = (plain(array) for array in leads)
+    push = np.empty_like(low)
+    compiled.fill_pushes(low, high, balance, reach, push)
+    return push
+
+
+def _balances(arm: Arm, logs: Sequence[RunLog]) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
     """Slope (n,) [rad/(N m)] and offset (n,) [rad] of the balance, what was lifted, and where (n,) they are known."""
     slope, offset, known = np.zeros(arm.joints), np.zeros(arm.joints), np.zeros(arm.joints, dtype=bool)
     if not logs:
@@ -417,19 +462,18 @@ def _in_motion(arm: Arm, log: RunLog) -> tuple[Array, Array, Array, Array]:
     if len(log) < AVERAGED:
         nothing = np.empty((0, arm.joints))
         return nothing, nothing, nothing, nothing
-    speed = uniform_filter1d(np.gradient(log.position, log.time, axis=0), AVERAGED, axis=0, mode="constant")
+    speed = np.gradient(log.position, log.time, axis=0)
+    mean = np.ones(AVERAGED) / AVERAGED
+    speed = np.stack([np.convolve(speed[:, j], mean, "same") for j in range(arm.joints)], axis=-1)
     slow = (np.abs(speed) > SLOWEST) & (np.abs(speed) < FASTEST)
     return 0.5 * (low + high) - log.position, gravity_torque(arm, log.position), speed, slow.astype(float)
 
 
-def _narrowest(arm: Arm, logs: Sequence[RunLog], bands: Bands) -> tuple[Array, Array]:
+def _narrowest(arm: Arm, logs: Sequence[RunLog], leads: Sequence[Leads]) -> tuple[Array, Array]:
     """Reach and width (n,) [rad] of the narrowest bands."""
-    width = np.full((len(REACHES), arm.joints), arm.encoder_step)
-    for log in logs:
-        balance, leads = bands.balance(arm, log.position), [one - log.position for one in commands_in_force(log)]
-        for k, reach in enumerate(REACHES):
-            least, most = (np.clip(lead, -reach, reach) - balance for lead in leads)
-            width[k] = np.maximum(width[k], _held(log, np.maximum(least, 0.0) + np.minimum(most, 0.0)))
+    pairs = list(zip(logs, leads, strict=True))
+    held = [[_held(log, _push(lead, np.full(arm.joints, tried))) for log, lead in pairs] for tried in REACHES]
+    width = np.maximum(np.max(held, axis=1), arm.encoder_step)
     best = np.argmax(REACHES[:, None] / width, axis=0)
     return REACHES[best], width[best, np.arange(arm.joints)]
 
@@ -442,3 +486,10 @@ def _held(log: RunLog, push: Array) -> Array:
     stands = np.vstack([np.zeros((1, push.shape[1]), dtype=bool), np.diff(log.position, axis=0) == 0.0])
     windows = np.lib.stride_tricks.sliding_window_view(np.where(stands, push, 0.0), readings, axis=0)
     return np.asarray(np.maximum(windows.min(axis=-1), -windows.max(axis=-1)).max(axis=0))
+
+
+def _overdue(log: RunLog, push: Array, width: Array) -> NDArray[np.bool_]:
+    tracks, found = np.zeros(len(width), compiled.TRACK), np.zeros(len(width), dtype=bool)
+    tracks["width"] = width
+    compiled.fill_overdue(tracks, plain(log.time), plain(log.position), plain(push), found)
+    return found
