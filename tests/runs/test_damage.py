@@ -38,7 +38,7 @@ ARM = mycobot280()
 OPTIONS = TrainingOptions(agents=8, iterations=4, threads=1)
 ROOT = Path(__file__).parents[2]
 PUBLISHED = ROOT / "docs" / "published" / "so-arm100-mjcf.toml"
-PROFILE = ROOT / "src" / "rejoint" / "robots" / "lab" / "plant" / "profiles" / "worn.toml"
+PROFILE = ROOT / "src" / "rejoint_lab" / "plant" / "profiles" / "worn.toml"
 INFO = RunInfo(robot="emulated:worn", arm="mycobot280", seed=3, version="1", created="now")
 IDENTITY = {"arm": "mine", "seed": 0}
 

@@ -57,7 +57,7 @@ def test_json_of_the_wrong_shape_names_the_file(tmp_path):
     path = tmp_path / "value.json"
     write_json(path, {"a": 1.5})
     assert read_json(path, dict[str, float]) == {"a": 1.5}
-    with pytest.raises(FileError, match=r"value\.json: damaged .* delete it"):
+    with pytest.raises(FileError, match=r"value\.json: damaged"):
         read_json(path, list[int])
     with pytest.raises(FileError, match="no such file"):
         read_json(tmp_path / "other.json", dict[str, float])

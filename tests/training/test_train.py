@@ -9,6 +9,7 @@ import torch
 from rejoint.arms import mycobot280
 from rejoint.control.contract import INPUT, OUTPUT
 from rejoint.control.policy import load_policy
+from rejoint.control.residual import CommandLaw
 from rejoint.logs.runfolder import Outputs
 from rejoint.training.export import policy_graph
 from rejoint.training.learner import Learner
@@ -221,8 +222,8 @@ def test_learning_improves_the_reward():
     # The same arms and targets before and after: what changes is the policy alone.
     preset = dataclasses.replace(
         DEFAULT,
-        task=TaskSettings(hold_steps=40),
-        ppo=PpoSettings(rollout=16, iterations=12, actor_layers=(64,), critic_layers=(64,)),
+        task=TaskSettings(hold_steps=40, law=CommandLaw(authority_floor=0.2, authority_limit=0.2)),
+        ppo=PpoSettings(rollout=16, iterations=20, actor_layers=(64,), critic_layers=(64,)),
     )
     learner = Learner([ReachTask(ARM, BroadRanges(arm=ARM), 128, preset.task, seed=0)], preset.ppo, seed=0)
 
@@ -239,6 +240,6 @@ def test_learning_improves_the_reward():
         return float(np.mean(rewards))
 
     before = mean_reward()
-    for _ in range(12):
+    for _ in range(20):
         learner.iterate()
     assert mean_reward() > before + 0.05

@@ -67,8 +67,8 @@ def test_cycles_on_one_arm_are_driven_one_after_the_other():
 class Beside:
     """A correction that aims 10 mm beside every target."""
 
-    def aim(self, target, start, where, near=None):  # noqa: ARG002 - the same beside each
-        return target + np.array([0.0, 0.01, 0.0])
+    def aim(self, target, start, where, near=None, turn=None):  # noqa: ARG002 - the same beside each
+        return target + np.array([0.0, 0.01, 0.0]), turn
 
     def again(self, target, inputs):  # noqa: ARG002 - once is enough
         return None

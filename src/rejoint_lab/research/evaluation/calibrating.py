@@ -163,9 +163,10 @@ def make_row(
     row = CalibratedRow(condition=condition, where=where, points=points, settled_true=spread(error.ravel(), arms))
     if not points:
         return row
+    modelled = tried[points]["modelled"][np.isfinite(tried[points]["modelled"])]  # no model, no expectation
     return replace(
         row,
-        expected=float(np.nanmean(tried[points]["modelled"])),
+        expected=float(modelled.mean()) if len(modelled) else None,
         inside=clustered_share(inside(tried[points]).ravel(), arms),
         used=float(np.mean([one.used for one in found])),
         harm=float(np.nanmax(np.nanmean(error, axis=1) - np.nanmean(before, axis=1))),
