@@ -121,7 +121,7 @@ def tokens(file):
 
 
 def test_every_room_keeps_its_budget():
-    """Whoever adds, deletes. A larger budget is a decision, with a sentence in the changelog."""
+    """A change that adds also deletes. A larger budget is a decision, with a sentence in the changelog."""
     budgets = tomllib.loads((ROOT / "tests" / "budgets.toml").read_text(encoding="utf-8"))
     used = Counter()
     for file in (ROOT / "src").rglob("*.py"):
