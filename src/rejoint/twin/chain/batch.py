@@ -80,7 +80,7 @@ class ChainBatch:
         given = np.ascontiguousarray(still[None] if steady else terms)
         motors, state = (self._parameters, given, steady), (self.qpos, self.qvel, self._impulse)
         gears = (self._gear, self._carried, bool(self._gear[0].any()))
-        arrays = (self._links, motors, gears, self._gravity, self.timestep, control, state, path)
+        arrays = (self._links, motors, gears, (self._gravity, self.timestep), control, state, path)
         if self._pool is None:
             advance(*arrays, self._parts[0])
         else:

@@ -122,10 +122,10 @@ def _compiled(sources):
     """Compile the loop over blocks of arms and steps; cached until this file or its ``sources`` change."""
 
     @njit(**OPTIONS)
-    def advance(links, motors, gears, gravity, timestep, control, state, path, part):
+    def advance(links, motors, gears, world, control, state, path, part):
         """Advance the arms of a ``part``; copies of the last arm fill the last group."""
         (parameters, terms, steady), (qpos, qvel, impulse), (first, last, work) = motors, state, part
-        gear, carried, geared = gears
+        (gear, carried, geared), (gravity, timestep) = gears, world
         joints = len(links)
         h = np.empty(LANES)
         servo = np.empty((len(parameters), joints, LANES))
