@@ -57,6 +57,8 @@ FAMILY = ArmFamily(arms=4, targets=30, seed=9)
 """Worn arms of each kind that are driven"""
 GROWN = 0.005
 """[m] by which the judge's capsules are thicker"""
+NEAR = 2e-3
+"""[m] of a target that is reached"""
 _FAR = 0.03  # [m] to which the judge measures
 SIDES = np.array([2.0, 1.0, 1.0])
 """How many of the two sides of a distance are capsules: of links, to the ground, to a box"""
@@ -226,11 +228,15 @@ def _driven(title: str, arm: Arm, twins: list[Twin]) -> None:
     controller = classical("feedforward").make(arm, twins)
     recording = run(open_family(arm, variant, FAMILY), controller, TargetSequence(arm, targets, ways=ways), plan_of)
     planned = [judge.nearest(_dense(way)) for row in ways for way in row]
-    driven = []
+    driven, late = [], []
     for b in range(FAMILY.arms):
         for k in range(FAMILY.targets):
             rows = recording.active[:, b] & (recording.target_index[:, b] == k)
-            driven.append(judge.nearest(_filled(recording.position[rows, b])))
+            position, time = recording.position[rows, b], recording.time[rows, b]
+            driven.append(judge.nearest(_filled(position)))
+            off = np.linalg.norm(tcp_position(arm, position) - targets[b, k], axis=-1) > NEAR
+            late.append(time[off].max(initial=time[0]) - time[0] - ways[b][k].duration)
+    print(f"  within 2 mm for good: {np.median(late):.2f} s (median) after the planned motion's own time")
     print(f"  driven, {title}: {FAMILY.arms} worn arms, {np.count_nonzero(recording.tripped)} stopped by the guard")
     _tell("planned", planned)
     _tell("driven", driven)
