@@ -19,14 +19,14 @@ import numpy as np
 
 import rejoint
 from rejoint.arms import mycobot280
-from rejoint.control.catalogue import contenders
-from rejoint.control.classical import DefaultController
 from rejoint.control.comparison.compare import Settings, Trial, TrialRunner
 from rejoint.control.comparison.elimination import Elimination
 from rejoint.control.comparison.ledger import Ledger
 from rejoint.control.comparison.protocols import measure
 from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import Comparison, Driven
+from rejoint.control.controllers.catalogue import contenders
+from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.robot import Robot
 from rejoint.control.targets import draw_targets
 from rejoint.robots import open_robot

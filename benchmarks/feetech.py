@@ -25,9 +25,9 @@ import numpy as np
 import typer
 
 from rejoint.arms import load_arm, solve_position, tcp_position
-from rejoint.control.classical import DefaultController, IntegratorController
 from rejoint.control.comparison.protocols import metrics_of
 from rejoint.control.comparison.result import Protocol
+from rejoint.control.controllers.classical import DefaultController, IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.logs import import_logs
 from rejoint.robots import place_of

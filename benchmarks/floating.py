@@ -20,8 +20,8 @@ from rejoint.arms import Arm, Array, gravity_torque, mycobot280, tcp_position
 from rejoint.arms.displacement import FLOATING, direction
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.rotations import rotation_about
-from rejoint.control.catalogue import make_controller
 from rejoint.control.comparison.result import Protocol
+from rejoint.control.controllers.catalogue import make_controller
 from rejoint.control.loop import Schedule, run
 from rejoint.control.targets import draw_targets
 from rejoint_lab.emulated import EmulatedRobot

@@ -22,11 +22,11 @@ from benchmarks.frame import NARROW
 from rejoint.arms import Arm, Array, gravity_torque, mycobot280
 from rejoint.arms.inertia import loaded
 from rejoint.arms.postures import find_postures
-from rejoint.control.catalogue import shelf_controller
 from rejoint.control.comparison.protocols import metrics_of
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.controller import Controller
-from rejoint.control.feedforward import FeedforwardController
+from rejoint.control.controllers.catalogue import shelf_controller
+from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.moving.drive import judge
 from rejoint.control.moving.posture import PathPostures, home_of

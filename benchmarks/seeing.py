@@ -15,8 +15,8 @@ import numpy as np
 import rejoint
 from benchmarks.frame import cell
 from rejoint.arms import Arm, Displacement, mycobot280
-from rejoint.control.catalogue import make_controller
 from rejoint.control.controller import Controller
+from rejoint.control.controllers.catalogue import make_controller
 from rejoint.control.correction import Modelled
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import Recording

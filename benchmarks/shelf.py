@@ -12,9 +12,9 @@ import numpy as np
 
 from benchmarks.frame import NARROW
 from rejoint.arms import load_arm
-from rejoint.control.catalogue import shelf_arms, shelf_path
 from rejoint.control.comparison.result import Columns, Protocol
-from rejoint.control.policy import load_policy
+from rejoint.control.controllers.catalogue import shelf_arms, shelf_path
+from rejoint.control.controllers.policy import load_policy
 from rejoint.training.shelf import make_shelf_policy
 from rejoint_lab.research.evaluation.family import ArmFamily, find_variant
 from rejoint_lab.research.evaluation.trials import TrialSettings, try_controller

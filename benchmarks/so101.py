@@ -7,11 +7,11 @@
 import numpy as np
 
 from rejoint.arms import load_arm
-from rejoint.control.catalogue import shelf_controller
-from rejoint.control.classical import DefaultController, IntegratorController
 from rejoint.control.comparison.protocols import metrics_of
 from rejoint.control.comparison.result import Protocol
-from rejoint.control.feedforward import FeedforwardController
+from rejoint.control.controllers.catalogue import shelf_controller
+from rejoint.control.controllers.classical import DefaultController, IntegratorController
+from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.servogains import search
 from rejoint.control.targets import draw_targets

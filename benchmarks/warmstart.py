@@ -16,9 +16,9 @@ import numpy as np
 
 from benchmarks.frame import held_columns, holds
 from benchmarks.predictive import ARM, TARGETS, know
-from rejoint.control.catalogue import shelf_path
 from rejoint.control.comparison.result import Protocol
-from rejoint.control.policy import load_policy
+from rejoint.control.controllers.catalogue import shelf_path
+from rejoint.control.controllers.policy import load_policy
 from rejoint.training.presets import DEFAULT, SCRATCH
 from rejoint.training.train import TrainingOptions, train
 from rejoint.twin.twin import Twin

@@ -15,8 +15,8 @@ import numpy as np
 
 from benchmarks.frame import corrected
 from rejoint.arms import mycobot280
-from rejoint.control.catalogue import make_controller
 from rejoint.control.comparison.result import Protocol
+from rejoint.control.controllers.catalogue import make_controller
 from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.calibration.postures import suggest
 from rejoint_lab.research.evaluation.calibrating import SIGMA, measure

@@ -4,7 +4,7 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from rejoint.control.contract import DIGEST_KEY, INPUT, METADATA_KEY, OUTPUT, content_digest
+from rejoint.control.controllers.contract import DIGEST_KEY, INPUT, METADATA_KEY, OUTPUT, content_digest
 
 
 def chained(layers):

@@ -10,7 +10,7 @@ import rejoint
 from commandline import python
 from hearing import Hears
 from rejoint.arms import mycobot280
-from rejoint.control.classical import IntegratorController
+from rejoint.control.controllers.classical import IntegratorController
 from rejoint.logs.runlog import write_log
 from rejoint.session.controllers import make_factories
 

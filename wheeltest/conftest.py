@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import Arm, mycobot280
-from rejoint.control.catalogue import make_controller
+from rejoint.control.controllers.catalogue import make_controller
 from rejoint.control.loop import Schedule
 from rejoint.control.loop import run as drive
 from rejoint.logs.runfolder import RunFolder

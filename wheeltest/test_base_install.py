@@ -37,7 +37,7 @@ def test_the_wheel_holds_every_file_of_the_package(wheel: Path) -> None:
     kept = {name.removeprefix("src/") for name in listed if (ROOT / name).exists()}
     packed = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
     assert packed == kept
-    assert "rejoint/control/policies/mycobot280.onnx" in packed
+    assert "rejoint/control/controllers/policies/mycobot280.onnx" in packed
 
 
 def test_no_extra_is_there(base: Base) -> None:

@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from rejoint.control.comparison.recommend import Recommendation
     from rejoint.control.comparison.result import Comparison
     from rejoint.control.controller import Controller
+    from rejoint.control.controllers.policy import Policy
     from rejoint.control.deployment import Deployed
     from rejoint.control.moving.drive import Followed
     from rejoint.control.moving.reference import Path, Stream
     from rejoint.control.observer import Observer
-    from rejoint.control.policy import Policy
     from rejoint.control.robot import Robot
     from rejoint.control.targets import Pose
     from rejoint.diagnosis.calibration.calibration import Calibration
@@ -78,7 +78,7 @@ _HOMES = {
     "control.moving.drive": ("Followed",),
     "control.moving.reference": ("Path", "Stream"),
     "control.observer": ("Observer",),
-    "control.policy": ("Policy",),
+    "control.controllers.policy": ("Policy",),
     "control.targets": ("Pose",),
     "control.robot": ("Robot",),
     "diagnosis.calibration.calibration": ("Calibration",),

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280
-from rejoint.control.classical import DefaultController
 from rejoint.control.comparison.compare import Settings, TrialRunner
 from rejoint.control.comparison.result import Protocol
+from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.correction import NOT_KNOWN, TrueError, mean_modelled, modelled
 from rejoint.control.deployment import Deployment
 from rejoint.robots import open_robot

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import gravity_torque, mycobot280
-from rejoint.control.catalogue import make_controller
+from rejoint.control.controllers.catalogue import make_controller
 from rejoint.control.guard import GuardLimits, Reason
 from rejoint.control.loop import Schedule, run
 from rejoint.control.monitor import Bands, Following, standing_bands, states_of

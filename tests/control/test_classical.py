@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from rejoint.arms import gravity_torque, mycobot280, position_kinematics, tcp_position
-from rejoint.control.catalogue import make_controller
-from rejoint.control.classical import IntegratorController, IntegratorGains
-from rejoint.control.feedforward import LOOSEN, FeedforwardController, FeedforwardGains
+from rejoint.control.controllers.catalogue import make_controller
+from rejoint.control.controllers.classical import IntegratorController, IntegratorGains
+from rejoint.control.controllers.feedforward import LOOSEN, FeedforwardController, FeedforwardGains
+from rejoint.control.controllers.law import dls_step, null_space
 from rejoint.control.goal import nearest_postures
-from rejoint.control.law import dls_step, null_space
 from rejoint.control.loop import Schedule, run
 from standin import StandIn, inputs_of, state_of
 

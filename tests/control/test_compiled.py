@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 
 from rejoint.arms import clip_norm
 from rejoint.control import compiled
-from rejoint.control.law import fade
-from rejoint.control.residual import CommandLaw
+from rejoint.control.controllers.law import fade
+from rejoint.control.controllers.residual import CommandLaw
 
 SEEDS = st.integers(0, 2**32 - 1)
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from rejoint.arms import Box, mycobot280
-from rejoint.control.contract import (
+from rejoint.control.controllers.contract import (
     arm_digest,
     check_contract,
 )
-from rejoint.control.policy import PolicyController
-from rejoint.control.residual import CommandLaw
+from rejoint.control.controllers.policy import PolicyController
+from rejoint.control.controllers.residual import CommandLaw
 from rejoint.system.errors import ContractError
 from rejoint.training.presets import DEFAULT, PAPER
 from rejoint.training.train import policy_contract

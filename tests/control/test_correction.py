@@ -7,7 +7,7 @@ import pytest
 from test_finishing import Watching
 
 from rejoint.arms import Displacement, mycobot280, solve_position, tcp_position
-from rejoint.control.classical import DefaultController, IntegratorController
+from rejoint.control.controllers.classical import DefaultController, IntegratorController
 from rejoint.control.correction import MOST, Modelled
 from rejoint.control.loop import Schedule, run
 from rejoint.control.reference import TargetSequence

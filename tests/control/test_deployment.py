@@ -8,8 +8,8 @@ import pytest
 
 import rejoint
 from rejoint.arms import mycobot280
-from rejoint.control.catalogue import make_controller
-from rejoint.control.classical import DefaultController
+from rejoint.control.controllers.catalogue import make_controller
+from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.deployment import Deployment, deployed_of, judge
 from rejoint.logs.runlog import write_log
 from rejoint.robots import open_robot

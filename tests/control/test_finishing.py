@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import Displacement, mycobot280
-from rejoint.control.classical import IntegratorController
+from rejoint.control.controllers.classical import IntegratorController
 from rejoint.control.guard import TRIPS
 from rejoint.control.loop import Schedule, run
 from rejoint.control.reference import TargetSequence

@@ -8,7 +8,7 @@ import pytest
 from modelfiles import resized
 from rejoint.arms import mycobot280, position_kinematics
 from rejoint.control import compiled
-from rejoint.control.catalogue import make_controller
+from rejoint.control.controllers.catalogue import make_controller
 from rejoint.control.guard import GuardLimits, Reason
 from rejoint.control.loop import RELEASE_CYCLES, Schedule, run
 from rejoint.control.monitor import EXCUSED, TRAVEL, Bands, Following, Knowledge

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rejoint.control.classical import DefaultController
-from rejoint.control.contract import PolicyContract
+from rejoint.control.controllers.classical import DefaultController
+from rejoint.control.controllers.contract import PolicyContract
 from rejoint.control.guard import GuardLimits
 from rejoint.control.monitor import Bands, Knowledge
 from rejoint.control.servogains import (

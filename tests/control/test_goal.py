@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import Box, gravity_torque, mycobot280, plan, tcp_position
-from rejoint.control.feedforward import FeedforwardController
+from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.goal import LEAD, beginning_at, pace, waiting, with_ways
 from rejoint.control.loop import Schedule, run
 from rejoint.control.reference import TargetSequence

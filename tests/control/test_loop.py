@@ -8,7 +8,7 @@ import pytest
 
 from commandline import python
 from rejoint.arms import mycobot280, tcp_position
-from rejoint.control.classical import IntegratorController
+from rejoint.control.controllers.classical import IntegratorController
 from rejoint.control.guard import RAMP, GuardLimits, Reason
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of

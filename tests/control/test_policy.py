@@ -7,14 +7,14 @@ import pytest
 from commandline import python
 from policyfiles import chained, sealed
 from rejoint.arms import mycobot280
-from rejoint.control.contract import (
+from rejoint.control.controllers.contract import (
     check_period,
     encode_contract,
     probe_observations,
 )
-from rejoint.control.observation import Observer, layout_slots
-from rejoint.control.policy import load_policy
-from rejoint.control.residual import CommandLaw
+from rejoint.control.controllers.observation import Observer, layout_slots
+from rejoint.control.controllers.policy import load_policy
+from rejoint.control.controllers.residual import CommandLaw
 from rejoint.system.errors import ContractError, FileError
 from rejoint.training.presets import DEFAULT
 from rejoint.training.train import policy_contract
@@ -119,7 +119,7 @@ def test_a_control_period_far_from_training_is_refused():
 def test_a_policy_is_run_without_a_word_to_anybody(tmp_path):
     code = (
         "from rejoint.arms import mycobot280\n"
-        "from rejoint.control.catalogue import shelf_policy\n"
+        "from rejoint.control.controllers.catalogue import shelf_policy\n"
         "import numpy as np\n"
         "policy = shelf_policy(mycobot280())\n"
         "assert policy(np.zeros(policy.contract.observation_size)).shape == (6,)\n"

@@ -10,9 +10,9 @@ from hearing import Hears
 from rejoint.arms import Displacement, frames, mycobot280, so101
 from rejoint.arms.postures import missed_pose
 from rejoint.arms.rotations import quaternion_of, rotation_of, tool_axis
+from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.correction import Modelled
 from rejoint.control.deployment import Deployment
-from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.targets import Pose, in_words, placed, read_targets
 from rejoint.robots import open_robot
 from rejoint.system.errors import InputError

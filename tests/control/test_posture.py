@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280, tcp_position
-from rejoint.control.feedforward import FeedforwardController
+from rejoint.control.controllers.feedforward import FeedforwardController
+from rejoint.control.controllers.posture import PostureController, PostureGains, _without
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import Schedule, run
-from rejoint.control.posture import PostureController, PostureGains, _without
 from rejoint.control.reference import Reference, Setpoint, ToolAtGoals
 from rejoint.control.start import move
 from rejoint.robots import open_robot

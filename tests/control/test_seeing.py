@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import Displacement, mycobot280, position_kinematics, tcp_position
-from rejoint.control.classical import IntegratorController
+from rejoint.control.controllers.classical import IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.reference import TargetSequence
 from rejoint.control.seeing import NOISE, Finishing, Seen, Sighting

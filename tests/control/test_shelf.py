@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from rejoint.arms import CATALOGUE, load_arm
-from rejoint.control.catalogue import SHELF, make_controller, shelf_arms, shelf_path, shelf_policy
 from rejoint.control.comparison.result import Protocol
-from rejoint.control.contract import check_period
+from rejoint.control.controllers.catalogue import SHELF, make_controller, shelf_arms, shelf_path, shelf_policy
+from rejoint.control.controllers.contract import check_period
 from rejoint.robots import place_of
 from rejoint.session.controllers import make_factories
 from rejoint.system.errors import ContractError

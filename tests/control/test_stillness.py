@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from rejoint.arms import gravity_torque, mycobot280
-from rejoint.control.classical import DefaultController
 from rejoint.control.comparison.protocols import STANDS_FOR, metrics_of, schedule
 from rejoint.control.comparison.result import Protocol
+from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.loop import Schedule, Stillness, run
 from standin import StandIn, state_of
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rejoint.arms import mycobot280
-from rejoint.control.classical import DefaultController, IntegratorController
+from rejoint.control.controllers.classical import DefaultController, IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import Cycle
 from rejoint.pages.live.animation import Ring

@@ -3,7 +3,7 @@ import pytest
 import torch
 
 from rejoint.arms import mycobot280
-from rejoint.control.policy import load_policy
+from rejoint.control.controllers.policy import load_policy
 from rejoint.training.export import policy_graph
 from rejoint_lab.research.offpolicy import ALGORITHMS, BoundedActor, OffPolicySettings, SquashedActor, train_offpolicy
 

@@ -15,7 +15,7 @@ import pytest
 from plainbus import PlainBus
 
 from rejoint.arms import mycobot280
-from rejoint.control.classical import IntegratorController
+from rejoint.control.controllers.classical import IntegratorController
 from rejoint.control.guard import Reason
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of

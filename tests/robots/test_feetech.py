@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rejoint.arms import load_arm
-from rejoint.control.classical import IntegratorController
+from rejoint.control.controllers.classical import IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
 from rejoint.robots import open_robot, place_of

@@ -15,7 +15,7 @@ import pytest
 from plainbus import SimulatedClock
 
 from rejoint.arms import mycobot280, tcp_position
-from rejoint.control.classical import IntegratorController
+from rejoint.control.controllers.classical import IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.robot import Robot
 from rejoint.robots import bus as link_module

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280
-from rejoint.control.classical import IntegratorController
+from rejoint.control.controllers.classical import IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
 from rejoint.robots import open_robot

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 import rejoint
-from rejoint.control.catalogue import shelf_path
+from rejoint.control.controllers.catalogue import shelf_path
 from rejoint.runs.repair import keep_what_holds
 from rejoint.runs.run import Run, finish
 

@@ -13,11 +13,11 @@ import pytest
 import rejoint
 from hearing import Hears
 from rejoint.arms import Array, Box, clearances, mycobot280, plan, tcp_position
+from rejoint.control.controllers.unloading import PlannedWay, UnloadedWay, Unloading
 from rejoint.control.correction import Apparent
 from rejoint.control.recording import Cycle
 from rejoint.control.reference import Reference, Setpoint
 from rejoint.control.robot import JointState
-from rejoint.control.unloading import PlannedWay, UnloadedWay, Unloading
 from rejoint.runs.run import Run
 from rejoint.session.driver import GoalStream
 from rejoint.twin.parameters import nominal_parameters, prior

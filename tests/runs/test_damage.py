@@ -17,7 +17,7 @@ from torch import nn
 
 from madetwin import made_twin
 from rejoint.arms import load_arm, mycobot280, write_arm_toml
-from rejoint.control.policy import load_policy
+from rejoint.control.controllers.policy import load_policy
 from rejoint.control.targets import read_targets
 from rejoint.logs import runlog
 from rejoint.logs.runfolder import FORMAT, RunInfo, read_info

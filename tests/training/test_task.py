@@ -5,9 +5,9 @@ import pytest
 
 from modelfiles import ur5e
 from rejoint.arms import gravity_torque, heights, mycobot280, tcp_position
+from rejoint.control.controllers.policy import PolicyController
+from rejoint.control.controllers.residual import CommandLaw
 from rejoint.control.guard import GuardLimits, guard
-from rejoint.control.policy import PolicyController
-from rejoint.control.residual import CommandLaw
 from rejoint.training.presets import DEFAULT, PAPER
 from rejoint.training.ranges import BroadRanges, PaperRanges
 from rejoint.training.task import ReachTask, TaskSettings, paper_reward, residual_reward

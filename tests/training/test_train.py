@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from rejoint.arms import mycobot280
-from rejoint.control.contract import INPUT, OUTPUT
-from rejoint.control.policy import load_policy
-from rejoint.control.residual import CommandLaw
+from rejoint.control.controllers.contract import INPUT, OUTPUT
+from rejoint.control.controllers.policy import load_policy
+from rejoint.control.controllers.residual import CommandLaw
 from rejoint.logs.runfolder import Outputs
 from rejoint.training.export import policy_graph
 from rejoint.training.learner import Learner

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280, tcp_position
-from rejoint.control.catalogue import shelf_path
-from rejoint.control.feedforward import FeedforwardController
+from rejoint.control.controllers.catalogue import shelf_path
+from rejoint.control.controllers.feedforward import FeedforwardController
+from rejoint.control.controllers.policy import load_policy
 from rejoint.control.loop import Schedule, run
-from rejoint.control.policy import load_policy
 from rejoint.training.ranges import BroadRanges
 from rejoint.twin.predictive import HandOver, Planner, PlanSettings, PredictiveController
 from rejoint.twin.simulation import Draw, TwinRobot

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array, clearances, heights
 from rejoint.arms.collision import JOINT_CLEARANCE
 from rejoint.arms.workspace import length_size
-from rejoint.control.law import plain
+from rejoint.control.controllers.law import plain
 from rejoint.control.monitor import Bands, Knowledge
 from rejoint.control.robot import JointState, Mask
 from rejoint.system.errors import InputError

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, gravity_torque, position_kinematics
 from rejoint.arms.workspace import length_size
-from rejoint.control.law import plain
+from rejoint.control.controllers.law import plain
 from rejoint.control.robot import JointState, Mask
 from rejoint.logs.runlog import RunLog
 from rejoint.system.shell import Late

@@ -17,8 +17,8 @@ from rejoint.arms import Arm, Array, clip_norm, position_kinematics, tcp_positio
 from rejoint.arms.displacement import FLOATING
 from rejoint.arms.rotations import Orientation
 from rejoint.control.controller import ControlInput, Controller
+from rejoint.control.controllers.law import limit_lead, limit_position
 from rejoint.control.correction import MOST, Modelled
-from rejoint.control.law import limit_lead, limit_position
 from rejoint.control.robot import Mask
 
 NOISE = 0.3e-3

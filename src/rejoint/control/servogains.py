@@ -15,10 +15,10 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 
 from rejoint.arms import Arm, Array, tcp_position
-from rejoint.control.catalogue import POLICY, PREDICTIVE
-from rejoint.control.classical import DefaultController
-from rejoint.control.contract import PolicyContract
 from rejoint.control.controller import ControlInput, Controller, heeds_turn
+from rejoint.control.controllers.catalogue import POLICY, PREDICTIVE
+from rejoint.control.controllers.classical import DefaultController
+from rejoint.control.controllers.contract import PolicyContract
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import Schedule, run
 from rejoint.control.robot import Mask, Robot, part_of

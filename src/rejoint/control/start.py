@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Arm, Array, gravity_torque
-from rejoint.control.classical import DefaultController
 from rejoint.control.controller import ControlInput
+from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.guard import GuardLimits, Reason
 from rejoint.control.loop import Schedule, in_force, run, say_faulty, say_hot
 from rejoint.control.recording import Cycle, OnCycle, Recording

@@ -28,7 +28,7 @@ from rejoint.arms.workspace import (
     torque_size,
     unsafe,
 )
-from rejoint.control.classical import DefaultController
+from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import Cycle, OnCycle
 from rejoint.control.robot import Robot

@@ -60,7 +60,7 @@ from rejoint.system.shell import give_back
 
 if TYPE_CHECKING:
     from rejoint.arms import Arm
-    from rejoint.control.policy import Policy
+    from rejoint.control.controllers.policy import Policy
     from rejoint.diagnosis.calibration.procedure import FilmingGauge, Gauge
     from rejoint.diagnosis.diagnosis import Diagnosis
     from rejoint.runs.stages.compare import HelperProcess

@@ -25,7 +25,7 @@ from rejoint.system.numbers import as_seed
 from rejoint.system.shell import __version__
 
 if TYPE_CHECKING:
-    from rejoint.control.policy import Policy
+    from rejoint.control.controllers.policy import Policy
     from rejoint.diagnosis.diagnosis import Diagnosis
     from rejoint.twin.twin import Twin
 
@@ -160,7 +160,7 @@ class Run:
     @property
     def policy(self) -> Policy | None:
         """The policy, if trained."""
-        from rejoint.control.policy import Policy
+        from rejoint.control.controllers.policy import Policy
 
         return Policy.load(self.folder.policy) if self.folder.policy.exists() else None
 

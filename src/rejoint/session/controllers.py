@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, TypeAlias, cast
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.control.catalogue import (
+from rejoint.control.comparison.recommend import recommend
+from rejoint.control.controller import Controller, heeds_turn
+from rejoint.control.controllers.catalogue import (
     POLICY,
     PREDICTIVE,
     SHELF,
@@ -19,10 +21,8 @@ from rejoint.control.catalogue import (
     shelf_controller,
     shelf_policy,
 )
-from rejoint.control.comparison.recommend import recommend
-from rejoint.control.contract import check_controller_period
-from rejoint.control.controller import Controller, heeds_turn
-from rejoint.control.feedforward import FeedforwardController
+from rejoint.control.controllers.contract import check_controller_period
+from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.servogains import (
     GEARED,
     GEARED_POLICY,
@@ -38,7 +38,7 @@ from rejoint.session.inputs import Period, as_policy, unfit
 from rejoint.system.errors import ContractError, FileError, InputError
 
 if TYPE_CHECKING:
-    from rejoint.control.policy import Policy
+    from rejoint.control.controllers.policy import Policy
     from rejoint.twin.twin import Twin
 
 ControllerLike: TypeAlias = "str | Path | Policy | Controller | Callable[[Arm], Controller]"

@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from rejoint.arms import Arm, Array, tcp_position
-from rejoint.control.contract import check_controller_period
 from rejoint.control.controller import ControlInput, Controller, heeds_turn, turned_off
+from rejoint.control.controllers.contract import check_controller_period
+from rejoint.control.controllers.feedforward import FeedforwardController
+from rejoint.control.controllers.posture import PostureController, PostureGains
 from rejoint.control.correction import Apparent, Modelled
-from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.loop import Schedule, run
 from rejoint.control.observer import Observer
-from rejoint.control.posture import PostureController, PostureGains
 from rejoint.control.recording import Cycle, OnCycle, Recording, recording_of
 from rejoint.control.reference import Reference, Setpoint
 from rejoint.control.robot import JointState, Mask, Robot, part_of

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from rejoint.arms.rotations import Orientation
-    from rejoint.control.policy import Policy
+    from rejoint.control.controllers.policy import Policy
     from rejoint.diagnosis.calibration.calibration import Calibration
     from rejoint.diagnosis.calibration.procedure import FilmingGauge, Gauge
     from rejoint.session.context import PayloadLike
@@ -167,7 +167,7 @@ def as_policy(given: PolicyLike) -> Policy:
     """Policy, or read it."""
     if not isinstance(given, Path | str):
         return given
-    from rejoint.control.policy import Policy
+    from rejoint.control.controllers.policy import Policy
 
     return Policy.load(given)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from rejoint.control.catalogue import shelf_path
+from rejoint.control.controllers.catalogue import shelf_path
 from rejoint.training.shelf import make_shelf_policy
 
 if __name__ == "__main__":

@@ -13,8 +13,8 @@ from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
 
 from rejoint.arms import Arm
-from rejoint.control.catalogue import shelf_policy
-from rejoint.control.contract import (
+from rejoint.control.controllers.catalogue import shelf_policy
+from rejoint.control.controllers.contract import (
     DIGEST_KEY,
     INPUT,
     METADATA_KEY,
@@ -24,7 +24,7 @@ from rejoint.control.contract import (
     encode_contract,
     probe_observations,
 )
-from rejoint.control.runtime import ort
+from rejoint.control.controllers.runtime import ort
 from rejoint.system.errors import ContractError
 from rejoint.system.files import digest, write_whole
 from rejoint.training.presets import Preset

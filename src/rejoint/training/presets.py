@@ -7,8 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from rejoint.control.feedforward import FeedforwardGains
-from rejoint.control.residual import CommandLaw
+from rejoint.control.controllers.feedforward import FeedforwardGains
+from rejoint.control.controllers.residual import CommandLaw
 from rejoint.system.errors import InputError
 from rejoint.training.task import TaskSettings
 

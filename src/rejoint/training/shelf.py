@@ -3,8 +3,8 @@
     python -m rejoint.training mycobot280
     python -m rejoint.training so101
 
-write `rejoint.control.catalogue.shelf_path` again: first with targets in the target region, then anywhere. Other
-processors give other files; compare by `python -m benchmarks shelf`.
+write `rejoint.control.controllers.catalogue.shelf_path` again: first with targets in the target region, then anywhere.
+Other processors give other files; compare by `python -m benchmarks shelf`.
 """
 
 from __future__ import annotations

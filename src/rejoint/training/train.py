@@ -17,8 +17,8 @@ from skrl.utils.tensorboard import SummaryWriter
 from rejoint.arms import Arm
 from rejoint.arms.inertia import bare
 from rejoint.arms.workspace import length_size
-from rejoint.control.contract import PolicyContract, arm_digest, law_digests
-from rejoint.control.observation import layout_slots
+from rejoint.control.controllers.contract import PolicyContract, arm_digest, law_digests
+from rejoint.control.controllers.observation import layout_slots
 from rejoint.logs.runfolder import Outputs
 from rejoint.system.errors import FileError
 from rejoint.system.files import set_aside, unwritable, write_whole

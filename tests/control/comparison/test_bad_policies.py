@@ -7,12 +7,12 @@ import pytest
 import rejoint
 from comparisons import picked
 from rejoint.arms import heights, mycobot280
-from rejoint.control.catalogue import make_controller
 from rejoint.control.comparison.compare import Settings, TrialRunner
 from rejoint.control.comparison.recommend import failure, recommend
 from rejoint.control.comparison.result import Protocol
+from rejoint.control.controllers.catalogue import make_controller
+from rejoint.control.controllers.policy import load_policy
 from rejoint.control.guard import GuardLimits
-from rejoint.control.policy import load_policy
 from rejoint.control.targets import draw_targets
 from rejoint.robots import open_robot
 from rejoint.runs.run import Run

@@ -5,12 +5,12 @@ import pytest
 
 from comparisons import refilled
 from rejoint.arms import gravity_torque, mycobot280, tcp_position
-from rejoint.control.catalogue import make_controller
-from rejoint.control.classical import IntegratorController
 from rejoint.control.comparison.compare import Settings, TrialRunner
 from rejoint.control.comparison.protocols import encoder_tcp, metrics_of, schedule
 from rejoint.control.comparison.recommend import difference, recommend
 from rejoint.control.comparison.result import Protocol
+from rejoint.control.controllers.catalogue import make_controller
+from rejoint.control.controllers.classical import IntegratorController
 from rejoint.control.loop import run
 from rejoint.control.targets import draw_targets
 from rejoint.system.errors import GuardTripError

@@ -5,9 +5,9 @@ import pytest
 
 from modelfiles import ur5e
 from rejoint.arms import so101
-from rejoint.control.catalogue import make_controller
 from rejoint.control.comparison.compare import Settings, TrialRunner
 from rejoint.control.comparison.result import Protocol
+from rejoint.control.controllers.catalogue import make_controller
 from rejoint.control.targets import draw_targets
 from rejoint.robots import open_robot
 from rejoint.twin.parameters import nominal_parameters

@@ -7,10 +7,10 @@ import pytest
 from test_compare import ARM, PROTOCOL, STIFFNESS, SaggingRobot, compared, factories
 
 import rejoint
-from rejoint.control.classical import DefaultController, IntegratorController
 from rejoint.control.comparison.elimination import Elimination, worse
 from rejoint.control.comparison.ledger import Ledger
 from rejoint.control.comparison.recommend import failure, recommend
+from rejoint.control.controllers.classical import DefaultController, IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
 from rejoint.control.start import Stance

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280
-from rejoint.control.classical import DefaultController
 from rejoint.control.comparison.compare import Settings, TrialRunner, vary_directions
 from rejoint.control.comparison.protocols import INSET, RISING_AHEAD, RISING_LEFT, iso_poses
 from rejoint.control.comparison.result import Protocol, TargetErrors
+from rejoint.control.controllers.classical import DefaultController
 from standin import StandIn
 
 ARM = mycobot280()

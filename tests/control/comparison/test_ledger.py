@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280
-from rejoint.control.catalogue import BASELINES
 from rejoint.control.comparison.compare import Settings, TrialRunner
 from rejoint.control.comparison.ledger import Ledger
 from rejoint.control.comparison.result import Protocol
+from rejoint.control.controllers.catalogue import BASELINES
 from rejoint.control.guard import Reason
 from rejoint.control.loop import run as drive
 from rejoint.robots import open_robot

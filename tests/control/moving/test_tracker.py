@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import gravity_torque, mycobot280
-from rejoint.control.classical import DefaultController
+from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.moving.drive import Repetition, along, judge
 from rejoint.control.moving.posture import Moment, PathPostures, Servos, command_for, home_of

@@ -8,7 +8,7 @@ from rejoint.arms import Displacement, mycobot280
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.loading import at_targets
 from rejoint.arms.rotations import rotation_about
-from rejoint.control.catalogue import make_controller
+from rejoint.control.controllers.catalogue import make_controller
 from rejoint.control.loop import Schedule, run
 from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.calibration.calibration import WEDGE, Calibration, preload

@@ -5,8 +5,8 @@ import numpy as np
 from evaluation_samples import outcome
 
 from rejoint.arms import mycobot280
-from rejoint.control.classical import IntegratorController
 from rejoint.control.comparison.result import Protocol
+from rejoint.control.controllers.classical import IntegratorController
 from rejoint_lab.research.evaluation.evaluate import Contestant, evaluate, outcome_path
 from rejoint_lab.research.evaluation.family import (
     ArmFamily,

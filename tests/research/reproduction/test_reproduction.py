@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from rejoint.arms import mycobot280
-from rejoint.control.policy import load_policy
+from rejoint.control.controllers.policy import load_policy
 from rejoint.system.errors import InputError
 from rejoint_lab.research.reproduction.campaign import (
     EXPERIMENTS,

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import gravity_torque, mycobot280, solve_position, tcp_position
-from rejoint.control.classical import IntegratorController
+from rejoint.control.controllers.classical import IntegratorController
 from rejoint.control.goal import nearest_postures
 from rejoint.system.errors import InputError
 from rejoint.training.ranges import BroadRanges

@@ -40,8 +40,8 @@ from rejoint.control.comparison.result import (
     comparison_of,
     row_of,
 )
-from rejoint.control.contract import check_controller_period
 from rejoint.control.controller import Controller
+from rejoint.control.controllers.contract import check_controller_period
 from rejoint.control.correction import Modelled, ToolModel
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import Schedule, run

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Array
-from rejoint.control.catalogue import CONTROLLERS
 from rejoint.control.comparison.result import Comparison, ControllerRow
+from rejoint.control.controllers.catalogue import CONTROLLERS
 from rejoint.control.servogains import inner_name
 from rejoint.system.statistics import FEWEST_CLUSTERS, Estimate, above_zero, cluster, paired_difference
 

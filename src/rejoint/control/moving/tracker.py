@@ -14,7 +14,7 @@ from scipy.linalg import solve_discrete_are
 
 from rejoint.arms import Arm, Array, dls, link_inertia, position_kinematics
 from rejoint.control.controller import ControlInput
-from rejoint.control.law import NOMINAL_PERIOD, Pace, limit_position
+from rejoint.control.controllers.law import NOMINAL_PERIOD, Pace, limit_position
 from rejoint.control.moving.posture import Moment, Servos, command_for, joint_weights
 from rejoint.control.robot import Mask
 

@@ -13,11 +13,11 @@ import numpy as np
 import pyarrow as pa
 
 from rejoint.arms import Arm, Array, load_arm
-from rejoint.control.classical import DefaultController
 from rejoint.control.comparison.result import Comparison
-from rejoint.control.contract import PolicyContract
+from rejoint.control.controllers.classical import DefaultController
+from rejoint.control.controllers.contract import PolicyContract
+from rejoint.control.controllers.policy import load_policy
 from rejoint.control.correction import NOT_KNOWN, TrueError
-from rejoint.control.policy import load_policy
 from rejoint.diagnosis.calibration.calibration import Calibration, read_calibration
 from rejoint.diagnosis.calibration.measurements import Measurements, read_measurements
 from rejoint.diagnosis.diagnosis import Diagnosis

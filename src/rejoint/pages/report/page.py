@@ -8,10 +8,10 @@ import numpy as np
 
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.workspace import reach
-from rejoint.control.classical import DefaultController
 from rejoint.control.comparison import protocols
 from rejoint.control.comparison import recommend as advising
 from rejoint.control.comparison.result import MODELLED, Comparison, TargetErrors
+from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.servogains import own_policy
 from rejoint.diagnosis.calibration import calibration, fit
 from rejoint.diagnosis.calibration.calibration import Calibration

@@ -18,10 +18,10 @@ from rejoint.arms import Arm
 from rejoint.arms.inverse import DAMPING, MOST_STEP, REST_GAIN, ROUNDS, TOLERANCE
 from rejoint.arms.kinematics import GRAVITY, joint_terms
 from rejoint.arms.workspace import heaviest_load, length_size, moves_tool, unloaded_joints
-from rejoint.control.feedforward import CALMER, CLOSE, HELD_BACK, SPEED_SMOOTHING, TAKEN_BACK
-from rejoint.control.law import LONGEST_PERIOD as PACE_LONGEST
-from rejoint.control.law import PROJECTION_DAMPING
-from rejoint.control.observation import (
+from rejoint.control.controllers.feedforward import CALMER, CLOSE, HELD_BACK, SPEED_SMOOTHING, TAKEN_BACK
+from rejoint.control.controllers.law import LONGEST_PERIOD as PACE_LONGEST
+from rejoint.control.controllers.law import PROJECTION_DAMPING
+from rejoint.control.controllers.observation import (
     HISTORY,
     LIMIT,
     LONGEST_PERIOD,
@@ -30,7 +30,7 @@ from rejoint.control.observation import (
     PERIOD_SMOOTHING,
     residual_factors,
 )
-from rejoint.control.residual import CommandLaw
+from rejoint.control.controllers.residual import CommandLaw
 from rejoint.system.errors import InputError
 
 F = TypeVar("F")
@@ -306,7 +306,7 @@ class _CycleGraph(nn.Module):
         return _answer(self.design.network, numbers.clamp(-LIMIT, LIMIT).float().reshape(1, -1)).reshape(-1).double()
 
     def _weigh(self, step: Tensor, distance: Tensor, since: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
-        """Integrated parts of step and action (n,) [rad] (`rejoint.control.residual.Commander`)."""
+        """Integrated parts of step and action (n,) [rad] (`rejoint.control.controllers.residual.Commander`)."""
         law, largest, ratio = self.law, step.abs().max(), distance / self.law.load_penalty_distance
         push = _clip_norm(step, float(law.step_limit)) * (distance / (distance + law.learning.fade))
         push = push * (1.0 - self.spared / (ratio * ratio + 1.0))

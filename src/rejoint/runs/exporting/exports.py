@@ -14,11 +14,11 @@ import numpy as np
 from rejoint.arms import Arm, Displacement
 from rejoint.arms.loading import at_targets, unit_arm, write_urdf
 from rejoint.arms.workspace import torque_size
-from rejoint.control.catalogue import POLICY, SHELF, shelf_policy
-from rejoint.control.contract import check_contract
-from rejoint.control.feedforward import NOMINAL_STIFFNESS, FeedforwardController
-from rejoint.control.law import STEP_LIMIT
-from rejoint.control.residual import CommandLaw
+from rejoint.control.controllers.catalogue import POLICY, SHELF, shelf_policy
+from rejoint.control.controllers.contract import check_contract
+from rejoint.control.controllers.feedforward import NOMINAL_STIFFNESS, FeedforwardController
+from rejoint.control.controllers.law import STEP_LIMIT
+from rejoint.control.controllers.residual import CommandLaw
 from rejoint.control.servogains import in_words, inner_name
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.logs.joints import corrected_homing, write_homing

@@ -23,7 +23,6 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.inertia import LoadedArm
-from rejoint.control.classical import DefaultController
 from rejoint.control.comparison.compare import Helper, OpenRobot, Result, Task, Trial, TrialRunner, vary_directions
 from rejoint.control.comparison.compare import Settings as TrialSettings
 from rejoint.control.comparison.elimination import Elimination
@@ -31,6 +30,7 @@ from rejoint.control.comparison.ledger import Ledger
 from rejoint.control.comparison.protocols import measure
 from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import KINDS, Comparison, Driven, Places, Protocol, TargetErrors
+from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.correction import ToolModel
 from rejoint.control.observer import Observer, pacing
 from rejoint.control.recording import Recording

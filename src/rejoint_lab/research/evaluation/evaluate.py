@@ -12,7 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from rejoint.arms import Arm
-from rejoint.control.catalogue import (
+from rejoint.control.comparison.result import Columns
+from rejoint.control.controller import Controller
+from rejoint.control.controllers.catalogue import (
     BASELINES,
     PREDICTIVE,
     SHELF,
@@ -21,10 +23,8 @@ from rejoint.control.catalogue import (
     shelf_controller,
     shelf_path,
 )
-from rejoint.control.comparison.result import Columns
-from rejoint.control.controller import Controller
-from rejoint.control.feedforward import FeedforwardController
-from rejoint.control.policy import load_policy
+from rejoint.control.controllers.feedforward import FeedforwardController
+from rejoint.control.controllers.policy import load_policy
 from rejoint.control.targets import draw_targets
 from rejoint.logs.runfolder import RunFolder
 from rejoint.system.errors import InputError

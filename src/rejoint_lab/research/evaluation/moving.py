@@ -10,8 +10,8 @@ from pathlib import Path as FilePath
 import numpy as np
 
 from rejoint.arms import Arm
-from rejoint.control.classical import DefaultController
 from rejoint.control.comparison.result import Columns
+from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.moving.drive import Along, Repetition, judge, missed
 from rejoint.control.moving.posture import PathPostures, Servos, home_of

@@ -7,8 +7,8 @@ import pyarrow.parquet as pq
 
 from rejoint.arms import Array
 from rejoint.control.comparison.result import Columns
-from rejoint.control.observation import POINT_SCALE, Observation, layout_slots
-from rejoint.control.policy import PolicyController, load_policy
+from rejoint.control.controllers.observation import POINT_SCALE, Observation, layout_slots
+from rejoint.control.controllers.policy import PolicyController, load_policy
 from rejoint.pages.html import BLUE, ORANGE, RED
 from rejoint.pages.report.figures import WIDE, Series, Ways, curves, ways
 from rejoint.system.errors import FileError

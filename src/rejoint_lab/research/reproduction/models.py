@@ -8,7 +8,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, mycobot280, solve_position, tcp_pose, tcp_position
 from rejoint.arms.arm import DhRow, dh_chain
-from rejoint.control.law import dls_step
+from rejoint.control.controllers.law import dls_step
 from rejoint.pages.html import BLUE, ORANGE, RED
 from rejoint.pages.report.figures import Ways, bounds, ways
 from rejoint.training.ranges import PaperRanges

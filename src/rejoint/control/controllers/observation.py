@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array, collides, position_kinematics
 from rejoint.arms.inverse import DAMPING
 from rejoint.control.controller import ControlInput
-from rejoint.control.law import plain
+from rejoint.control.controllers.law import plain
 from rejoint.control.robot import Mask
 from rejoint.system.errors import InputError
 from rejoint.system.shell import Late

@@ -11,7 +11,16 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, clip_norm
 from rejoint.control.controller import ControlInput
-from rejoint.control.law import GAIN, NOMINAL_PERIOD, Pace, dls_step, fade, limit_lead, limit_position, null_space
+from rejoint.control.controllers.law import (
+    GAIN,
+    NOMINAL_PERIOD,
+    Pace,
+    dls_step,
+    fade,
+    limit_lead,
+    limit_position,
+    null_space,
+)
 from rejoint.control.robot import Mask
 
 

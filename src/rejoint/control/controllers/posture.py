@@ -14,8 +14,8 @@ from rejoint.arms import Arm, Array, clip_norm, dls, frames, gravity_torque, pos
 from rejoint.arms.rotations import rotation_error
 from rejoint.arms.workspace import torque_size
 from rejoint.control.controller import ControlInput
-from rejoint.control.feedforward import NOMINAL_STIFFNESS
-from rejoint.control.law import between, limit_position
+from rejoint.control.controllers.feedforward import NOMINAL_STIFFNESS
+from rejoint.control.controllers.law import between, limit_position
 from rejoint.control.robot import JointState, Mask
 
 STILL = 1.5

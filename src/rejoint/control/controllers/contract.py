@@ -16,8 +16,8 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, Box
 from rejoint.arms.inertia import bare
-from rejoint.control.observation import Layout, Slot, layout_slots
-from rejoint.control.residual import CommandLaw
+from rejoint.control.controllers.observation import Layout, Slot, layout_slots
+from rejoint.control.controllers.residual import CommandLaw
 from rejoint.system.errors import ContractError, first_line
 
 FORMAT = 3

@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rejoint.arms import CATALOGUE, Arm, Array
-from rejoint.control.classical import DefaultController, IntegratorController
-from rejoint.control.contract import check_contract
 from rejoint.control.controller import Controller
-from rejoint.control.feedforward import FeedforwardController
+from rejoint.control.controllers.classical import DefaultController, IntegratorController
+from rejoint.control.controllers.contract import check_contract
+from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.system.errors import ContractError, InputError
 
 if TYPE_CHECKING:
-    from rejoint.control.policy import Policy, PolicyController
+    from rejoint.control.controllers.policy import Policy, PolicyController
 
 BASELINES: dict[str, Callable[[Arm], Controller]] = {
     "default": DefaultController,
@@ -53,7 +53,9 @@ def make_controller(
     if name == POLICY:
         if policy is None:
             raise InputError("the controller 'policy' needs a policy file; train one or name its path")
-        from rejoint.control.policy import load_policy  # ONNX Runtime is slow to import and not needed elsewhere
+        from rejoint.control.controllers.policy import (
+            load_policy,  # ONNX Runtime is slow to import and not needed elsewhere
+        )
 
         return load_policy(policy, arm)
     if name == PREDICTIVE:
@@ -69,7 +71,7 @@ def make_controller(
 
 def shelf_path(name: str) -> Path:
     """File of the generic policy for ``name``."""
-    return Path(str(files("rejoint.control"))) / "policies" / f"{name}.onnx"
+    return Path(str(files("rejoint.control.controllers"))) / "policies" / f"{name}.onnx"
 
 
 def shelf_arms() -> tuple[str, ...]:
@@ -85,7 +87,7 @@ def shelf_policy(arm: Arm) -> Policy:
             f"no policy comes with rejoint for the arm {arm.name!r}, only for {known}; train one with: "
             "rejoint repair, or take another controller, such as integrator"
         )
-    from rejoint.control.policy import Policy  # ONNX Runtime is slow to import and not needed elsewhere
+    from rejoint.control.controllers.policy import Policy  # ONNX Runtime is slow to import and not needed elsewhere
 
     policy = Policy.load(shelf_path(arm.name))
     check_contract(policy.contract, arm)

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.control.contract import (
+from rejoint.control.controller import ControlInput
+from rejoint.control.controllers.contract import (
     DIGEST_KEY,
     INPUT,
     METADATA_KEY,
@@ -23,11 +24,10 @@ from rejoint.control.contract import (
     read_metadata,
     shown,
 )
-from rejoint.control.controller import ControlInput
-from rejoint.control.observation import Observation, Observer
-from rejoint.control.residual import Commander
+from rejoint.control.controllers.observation import Observation, Observer
+from rejoint.control.controllers.residual import Commander
+from rejoint.control.controllers.runtime import ort
 from rejoint.control.robot import Mask
-from rejoint.control.runtime import ort
 from rejoint.system.errors import ContractError, FileError, InputError
 from rejoint.system.files import MEGABYTE, read_bounded, write_whole
 
