@@ -37,10 +37,10 @@ from benchmarks.joints import clear, prepare
 from benchmarks.virtual import endpoint, reset_at_end
 from rejoint.arms import Array, mycobot280, tcp_pose
 from rejoint.arms.rotations import difference, to_coords, to_pose
-from rejoint.arms.wire.orders import answer, flag
-from rejoint.arms.wire.values import Frame, encode, pack_angles, pack_coords
 from rejoint.robots import open_robot
-from rejoint.robots.mycobot import MyCobot280Socket
+from rejoint.robots.mycobot.bus import MyCobot280Socket
+from rejoint.robots.mycobot.frames import Frame, encode, pack_angles, pack_coords
+from rejoint.robots.mycobot.orders import answer, flag
 from rejoint.session.serving import Serving
 from rejoint_lab.emulator.firmware import build_firmware
 from rejoint_lab.emulator.servers import Timing, serve_tcp

@@ -61,7 +61,7 @@ def test_a_policy_runs_without_a_simulator():
     blocked = ["torch", "skrl", "mujoco", "matplotlib", "jinja2", "onnx"]
     code = (
         f"import sys\nfor name in {blocked!r}: sys.modules[name] = None\n"
-        "import rejoint.cli, rejoint.control.controllers.policy, rejoint.control.loop, rejoint.robots.mycobot\n"
+        "import rejoint.cli, rejoint.control.controllers.policy, rejoint.control.loop, rejoint.robots.mycobot.bus\n"
     )
     python("-c", code)
 

@@ -19,10 +19,10 @@ from rejoint.control.controllers.classical import IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.robot import Robot
 from rejoint.robots import bus as link_module
-from rejoint.robots import mycobot as mycobot_module
 from rejoint.robots import open_robot
 from rejoint.robots.family import SerialAddress, TcpAddress
-from rejoint.robots.mycobot import MyCobotBus
+from rejoint.robots.mycobot import bus as mycobot_module
+from rejoint.robots.mycobot.bus import MyCobotBus
 from rejoint.system.errors import (
     AddressError,
     ConnectionLostError,

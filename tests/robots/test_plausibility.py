@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from rejoint.arms import mycobot280
 from rejoint.robots.busrobot import Continuity, judge
-from rejoint.robots.mycobot import HIGHEST_DEG, LOWEST_DEG, read_angles, wire_angles
+from rejoint.robots.mycobot.bus import HIGHEST_DEG, LOWEST_DEG, read_angles, wire_angles
 from rejoint.system.errors import ImpossibleReplyError, StaleReplyError
 
 ARM = mycobot280()

@@ -14,11 +14,11 @@ from benchmarks.serve import ARM, attack, check_log, connected, holds, play, rea
 
 from madetwin import made_twin
 from rejoint.arms import Motors, gravity_torque, tcp_pose, tcp_position
-from rejoint.arms.wire.mover import COLLISION
-from rejoint.arms.wire.values import Decoder, Frame, encode, pack_angles, pack_coords
 from rejoint.control.correction import Apparent
 from rejoint.control.guard import GuardLimits
-from rejoint.robots.mycobot import MyCobot280
+from rejoint.robots.mycobot.bus import MyCobot280
+from rejoint.robots.mycobot.frames import Decoder, Frame, encode, pack_angles, pack_coords
+from rejoint.robots.mycobot.mover import COLLISION
 from rejoint.robots.serving.served import PATIENCE, MoveEnd, ServedArm
 from rejoint.robots.serving.server import REFUSED, Answering, OrderLog, Relay, tcp_wire
 from rejoint.runs.run import Run

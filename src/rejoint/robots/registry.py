@@ -20,7 +20,7 @@ from rejoint.system.extras import require
 FAMILIES: tuple[Family[Any], ...] = (
     # TCP port of the vendor's server, and the shortest cycle [s] that the vendor of the myCobot names (its FAQ)
     bus_family(
-        "rejoint.robots.mycobot:MyCobotBus",
+        "rejoint.robots.mycobot.bus:MyCobotBus",
         scheme="tcp",
         form="tcp://HOST:PORT",
         parse=lambda text: tcp_address(text, port=9000),
@@ -29,7 +29,7 @@ FAMILIES: tuple[Family[Any], ...] = (
     ),
     # [1/s] of the serial port on its Raspberry Pi (vendor's manual); the M5 version needs 115200
     bus_family(
-        "rejoint.robots.mycobot:MyCobotBus",
+        "rejoint.robots.mycobot.bus:MyCobotBus",
         scheme="serial",
         form="serial:///dev/DEVICE",
         parse=lambda text: serial_address(text, baud=1_000_000),

@@ -14,7 +14,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, Generic, Protocol, Self, TypeVar
 
-from rejoint.arms.wire.values import Finder
 from rejoint.system.shell import listen_tcp
 
 R = TypeVar("R")
@@ -30,6 +29,43 @@ QUIET_AFTER = 5
 BACKLOG = 1
 """Waiting clients, as in the vendor's server"""
 _CHUNK = 1024
+
+
+class Finder(Generic[R]):
+    """Finds frames in a stream by header and size."""
+
+    def __init__(self, header: bytes, size: Callable[[bytes], int | None], read: Callable[[bytes], R]) -> None:
+        self._header, self._size, self._read = header, size, read
+        self.rest = b""
+        """what may begin a frame"""
+
+    @property
+    def pending(self) -> bool:
+        """Whether bytes may begin a frame."""
+        return bool(self.rest)
+
+    def feed(self, data: bytes) -> list[R]:
+        """Take bytes; return completed frames."""
+        self.rest += data
+        frames: list[R] = []
+        while (start := self.rest.find(self._header)) >= 0:
+            self.rest = self.rest[start:]
+            size = self._size(self.rest)
+            if size is None:
+                return frames
+            if size:
+                frames.append(self._read(self.rest[:size]))
+            self.rest = self.rest[size or 1 :]
+        self.rest = self.rest[-1:] if self.rest.endswith(self._header[:1]) else b""
+        return frames
+
+    def expire(self) -> list[R]:
+        """Drop a half frame; return the frames behind its header."""
+        frames: list[R] = []
+        while self.rest:
+            held, self.rest = self.rest, b""
+            frames += self.feed(held[1:])
+        return frames
 
 
 class LinkGoneError(Exception):

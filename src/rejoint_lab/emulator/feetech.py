@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rejoint.arms import Arm
-from rejoint.arms.wire.values import Finder
-from rejoint.robots.wireserver import ByteStream
+from rejoint.robots.wireserver import ByteStream, Finder
 from rejoint_lab.emulator.faults import NONE, SUPPLY_VOLTAGE, EmulatedArm, Faults, in_force
 from rejoint_lab.emulator.servers import EmulatedConversation
 from rejoint_lab.plant.plant import StsPlant

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.arms.wire.mover import FULL_SPEED, Mask, Mover, Sensed
+from rejoint.robots.mycobot.mover import FULL_SPEED, Mask, Mover, Sensed
 from rejoint_lab.emulator.faults import OVER_TEMPERATURE_BIT, EmulatedArm
 
 if TYPE_CHECKING:

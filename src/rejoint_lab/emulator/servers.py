@@ -10,8 +10,8 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from rejoint.arms.wire.orders import answer
-from rejoint.arms.wire.values import Decoder, Frame, encode
+from rejoint.robots.mycobot.frames import Decoder, Frame, encode
+from rejoint.robots.mycobot.orders import answer
 from rejoint.robots.wireserver import (
     BACKLOG,
     ByteStream,

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rejoint.arms import mycobot280
-from rejoint.arms.wire.mover import FULL_SPEED, NO_LINE, NO_SOLUTION
-from rejoint.arms.wire.orders import ORDERS, QUESTIONS, answer
-from rejoint.arms.wire.values import Frame
+from rejoint.robots.mycobot.frames import Frame
+from rejoint.robots.mycobot.mover import FULL_SPEED, NO_LINE, NO_SOLUTION
+from rejoint.robots.mycobot.orders import ORDERS, QUESTIONS, answer
 from rejoint_lab.emulator.firmware import COMMAND_DELAY, Firmware
 
 ARM = mycobot280()

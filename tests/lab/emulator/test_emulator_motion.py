@@ -3,7 +3,7 @@
 import numpy as np
 
 from rejoint.arms import mycobot280, tcp_pose
-from rejoint.arms.wire.mover import CARTESIAN_SPEED, Motion, joint_path, line_path
+from rejoint.robots.mycobot.mover import CARTESIAN_SPEED, Motion, joint_path, line_path
 
 ARM = mycobot280()
 FULL = 2.0

@@ -7,7 +7,7 @@ import pytest
 from reaching import until
 
 from rejoint.arms import mycobot280, tcp_pose
-from rejoint.robots.mycobot import MyCobot280, MyCobot280Socket
+from rejoint.robots.mycobot.bus import MyCobot280, MyCobot280Socket
 from rejoint_lab.emulator.firmware import build_firmware
 from rejoint_lab.emulator.servers import Timing, serve_pty, serve_tcp
 

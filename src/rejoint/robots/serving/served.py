@@ -24,13 +24,13 @@ from rejoint.arms import (
 )
 from rejoint.arms.postures import too_heavy
 from rejoint.arms.rotations import WEIGHT, Orientation, tool_axis
-from rejoint.arms.wire.mover import ARRIVED_LENGTH, COLLISION, Mover, Sensed, at_angles, at_place
 from rejoint.control.controllers.posture import PostureGains
 from rejoint.control.controllers.unloading import OFF, Unloading
 from rejoint.control.correction import Apparent
 from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.reference import Reference, Setpoint
 from rejoint.control.robot import JointState, Mask
+from rejoint.robots.mycobot.mover import ARRIVED_LENGTH, COLLISION, Mover, Sensed, at_angles, at_place
 
 IN_PLACE = PostureGains.close
 """[m] of the tool at the end of a move: where the controller rests"""

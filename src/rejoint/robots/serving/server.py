@@ -16,10 +16,10 @@ from concurrent.futures import Future
 from datetime import datetime
 from pathlib import Path
 
-from rejoint.arms.wire.mover import ARRIVED_LENGTH, COLLISION, NO_LINE, NO_SOLUTION
-from rejoint.arms.wire.orders import COMMANDS, answer, flag
-from rejoint.arms.wire.values import Decoder, Frame, encode
-from rejoint.robots.mycobot import ORDERS as NAMES
+from rejoint.robots.mycobot.bus import ORDERS as NAMES
+from rejoint.robots.mycobot.frames import Decoder, Frame, encode
+from rejoint.robots.mycobot.mover import ARRIVED_LENGTH, COLLISION, NO_LINE, NO_SOLUTION
+from rejoint.robots.mycobot.orders import COMMANDS, answer, flag
 from rejoint.robots.serving.served import MoveEnd, ServedArm
 from rejoint.robots.wireserver import ByteStream, Conversation, Server, TcpServer, TerminalServer, await_data
 from rejoint.system.errors import RobotError

@@ -13,8 +13,7 @@ import numpy as np
 
 from rejoint.arms import Array, tcp_pose
 from rejoint.arms.rotations import moved, to_coords, to_pose
-from rejoint.arms.wire.mover import FULL_SPEED, Mover, solve_pose
-from rejoint.arms.wire.values import (
+from rejoint.robots.mycobot.frames import (
     LIMIT_SCALE,
     Frame,
     encoder_angle,
@@ -29,6 +28,7 @@ from rejoint.arms.wire.values import (
     unpack_int16,
     unpack_word,
 )
+from rejoint.robots.mycobot.mover import FULL_SPEED, Mover, solve_pose
 
 _JOG_LENGTH = 0.6
 """[m] beyond any reach"""

@@ -7,16 +7,14 @@ A frame is ``FE FE LEN ID payload FA``, LEN = payload bytes + 2. Angles x100 [de
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Generic, TypeVar
 
 import numpy as np
 
 from rejoint.arms import Array
 from rejoint.arms.rotations import to_coords
-
-R = TypeVar("R")
+from rejoint.robots.wireserver import Finder
 
 ANGLE_SCALE = 100.0
 LENGTH_SCALE = 10.0
@@ -122,43 +120,6 @@ def size_of(data: bytes) -> int | None:
     if not _OVERHEAD <= data[2] <= MAX_PAYLOAD + _OVERHEAD:
         return 0
     return None if len(data) < size else size * (data[size - 1] == FOOTER)
-
-
-class Finder(Generic[R]):
-    """Finds frames in a stream by header and size."""
-
-    def __init__(self, header: bytes, size: Callable[[bytes], int | None], read: Callable[[bytes], R]) -> None:
-        self._header, self._size, self._read = header, size, read
-        self.rest = b""
-        """what may begin a frame"""
-
-    @property
-    def pending(self) -> bool:
-        """Whether bytes may begin a frame."""
-        return bool(self.rest)
-
-    def feed(self, data: bytes) -> list[R]:
-        """Take bytes; return completed frames."""
-        self.rest += data
-        frames: list[R] = []
-        while (start := self.rest.find(self._header)) >= 0:
-            self.rest = self.rest[start:]
-            size = self._size(self.rest)
-            if size is None:
-                return frames
-            if size:
-                frames.append(self._read(self.rest[:size]))
-            self.rest = self.rest[size or 1 :]
-        self.rest = self.rest[-1:] if self.rest.endswith(self._header[:1]) else b""
-        return frames
-
-    def expire(self) -> list[R]:
-        """Drop a half frame; return the frames behind its header."""
-        frames: list[R] = []
-        while self.rest:
-            held, self.rest = self.rest, b""
-            frames += self.feed(held[1:])
-        return frames
 
 
 class Decoder(Finder[Frame]):
