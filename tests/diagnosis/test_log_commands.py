@@ -60,14 +60,12 @@ def test_logs_alone_become_diagnosis_twin_report_and_replay(cli, logs, tmp_path,
         assert " ".join(note.split()) in " ".join(done.err.split())
         assert note[1:] in html.unescape(page)
     assert f"rejoint diagnose --logs {logs} --arm so101 --run" in page
-    figures = {path.name for path in folder.figures.iterdir()}
-    assert "prediction-free.png" in figures
 
     done = cli("replay", folder.twin, "--logs", logs, "--out", "again", "--json")  # of the arm of the twin
     again = read_json(tmp_path / "again" / "replay.json", Judgement)
     assert done.last["page"] == "again/replay.html"
     assert len(again.motions) == 5
-    assert (tmp_path / "again" / "replay.html").read_text(encoding="utf-8").count("<svg") == 1
+    assert "fitted twin" in (tmp_path / "again" / "replay.html").read_text(encoding="utf-8")
 
 
 def test_logs_of_an_arm_of_ones_own_name_its_file_once(motions, tmp_path, monkeypatch):

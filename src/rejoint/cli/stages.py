@@ -258,20 +258,16 @@ def train(
     quick: bool = False,
 ) -> object:
     """Train a policy on randomised copies of the run's twin."""
-    require("rejoint train", "train", "report")
+    require("rejoint train", "train")
     if generic and RunFolder(run).twin.exists():
         raise InputError(f"{run} has a twin.toml, and --generic trains without one: choose another folder")
     if generic and not run.exists():
         Run.create(run, "emulated:worn", load_arm("mycobot280"), seed or 0)
     job = Run.open(run).seeded(seed)
     trainer = None if learner == "ppo" else _other_trainer(learner, preset, job.seed)
-    from rejoint.pages.report.page import draw_training
-
     how = rejoint.TrainSettings(generic=generic, resume=not fresh, trainer=trainer)
     with call.watched("train") as observer:
         result = rejoint.train(run=job, preset=preset, quick=quick, settings=how, observer=observer).training
-    with locked(job.folder):
-        call.say(f"Curves: {draw_training(job.folder)}")
     show.training(call, result)
     call.next(command("compare", "ROBOT" if job.robot.startswith(LOGS) else job.robot, run))  # logs cannot be driven
     return result

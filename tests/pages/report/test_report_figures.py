@@ -10,8 +10,8 @@ from rejoint.pages import html as palette
 from rejoint.pages.report.figures import (
     Gallery,
     Series,
+    curves,
     error_over_time,
-    error_per_target,
     inline_svg,
 )
 
@@ -33,7 +33,8 @@ def test_error_over_time_draws_every_line_on_a_log_axis():
 
 def make():
     value = np.arange(1.0, 11.0)
-    return error_per_target([Series(label='a <worn> & "old" arm', look=palette.GREY, value=value)])
+    series = Series(label='a <worn> & "old" arm', look=palette.GREY, value=value)
+    return curves({"": [series]}, value, "target", (10.4, 3.2))
 
 
 def test_svg_is_deterministic_wellformed_and_follows_the_theme():

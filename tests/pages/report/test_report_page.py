@@ -38,7 +38,7 @@ def test_full_report(run_folder, comparison):
     assert ("html", {"lang": "en"}) in page.tags
     assert len(page.ids) == len(set(page.ids))
     pictures = [attributes for tag, attributes in page.tags if tag == "svg"]
-    assert len(pictures) == 5
+    assert len(pictures) == 3
     assert all(picture["role"] == "img" and len(picture["aria-label"]) > 30 for picture in pictures)
     tables = sum(tag == "table" for tag, _ in page.tags)
     assert sum(tag == "caption" for tag, _ in page.tags) == tables
@@ -62,8 +62,7 @@ def test_full_report(run_folder, comparison):
 
     # PNG files beside the page, and curves under the promised name.
     names = {file.name for file in run_folder.figures.glob("*.png")}
-    assert {"training.png", "error-per-target.png", "error-over-time.png"} <= names
-    assert {"error-over-time.png", "error-per-target.png"} <= names
+    assert {"training.png", "tool-places.png", "error-over-time.png"} == names
     assert len(names) == len(pictures)
 
 
@@ -88,7 +87,7 @@ def test_hostile_text_stays_text(tmp_path, arm, diagnosis):
     page = Page(write_report(folder.path))
     assert {"script", "img", "i"} & {tag for tag, _ in page.tags} == set()
     assert page.words.count('<script>alert("x")</script>') >= 5
-    assert {file.parent for file in tmp_path.rglob("*.png")} == {folder.figures}
+    assert {file.parent for file in tmp_path.rglob("*.png")} <= {folder.figures}
 
 
 @pytest.mark.parametrize(

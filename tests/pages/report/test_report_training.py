@@ -8,7 +8,7 @@ import pytest
 from readpage import Page
 from rejoint.pages.html import render
 from rejoint.pages.report.contents import read_curves
-from rejoint.pages.report.figures import Gallery, Pictures
+from rejoint.pages.report.figures import Gallery
 from rejoint.training.presets import PAPER
 from rejoint.training.train import policy_contract
 
@@ -28,9 +28,7 @@ def contract(arm, digest):
 
 def section(curves, contract):
     """The words of the section, and its facts."""
-    html = render(
-        "report/training.html", it=SimpleNamespace(curves=curves, contract=contract), draw=Pictures(Gallery())
-    )
+    html = render("report/training.html", it=SimpleNamespace(curves=curves, contract=contract), draw=Gallery())
     page = Page(html)
     names = [text for place, text in page.places.items() if "/ dt" in place]
     return page.words, dict(zip(names, (text for place, text in page.places.items() if "/ dd" in place), strict=True))

@@ -91,7 +91,5 @@ def test_a_page_of_a_replay_is_self_contained_and_warns(tmp_path):
     path = write_replay(tmp_path / "out", found, twin="twin.toml", logs="logs")
     page = path.read_text(encoding="utf-8")
     assert CAVEAT in page
-    assert page.count("<svg") == 1
     assert "src=" not in page
     assert read_json(tmp_path / "out" / "replay.json", Judgement) == found
-    assert len(list((tmp_path / "out" / "figures").glob("*.png"))) == 1

@@ -17,11 +17,11 @@ from rejoint.diagnosis.calibration import calibration, fit
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.procedure import reversals
 from rejoint.diagnosis.diagnosis import Diagnosis, ringing_most
-from rejoint.logs.runfolder import LOGS, RunFolder, cost
+from rejoint.logs.runfolder import LOGS, cost
 from rejoint.pages.html import colour_number, render, write_page
 from rejoint.pages.report import tables
-from rejoint.pages.report.contents import Contents, before_after, commands, found, read_contents, read_curves
-from rejoint.pages.report.figures import Gallery, Pictures, in_base
+from rejoint.pages.report.contents import Contents, before_after, commands, found, read_contents
+from rejoint.pages.report.figures import Gallery, in_base
 from rejoint.pages.words import UNKNOWN, interval, number, plural
 from rejoint.system.files import write_json, write_text
 from rejoint.system.shell import __version__
@@ -44,10 +44,9 @@ def write_report(folder: Path) -> Path:
 
 
 def write_replay(folder: Path, judgement: Judgement, *, twin: str, logs: str) -> Path:
-    """Write ``replay.html``, ``replay.json`` and ``figures/*.png``; returns the page."""
-    gallery = Gallery()
+    """Write ``replay.html`` and ``replay.json``; returns the page."""
     write_json(folder / "replay.json", judgement)
-    path = write_page(
+    return write_page(
         folder / "replay.html",
         "replay.html",
         title=f"Replay: {judgement.arm}",
@@ -56,18 +55,8 @@ def write_replay(folder: Path, judgement: Judgement, *, twin: str, logs: str) ->
         verdict=(*tables.answer(judgement)[:2], CAVEAT),
         it={"judgement": judgement},
         tables=tables,
-        draw=Pictures(gallery),
         footer=f"Made by rejoint {__version__}.",
     )
-    gallery.save(folder / "figures")
-    return path
-
-
-def draw_training(folder: RunFolder) -> Path:
-    """Draw the training curves of a run as PNG; returns its path."""
-    gallery = Gallery()
-    Pictures(gallery).training(read_curves(folder.outputs.curves))
-    return gallery.save(folder.figures)[0]
 
 
 def report_html(contents: Contents, gallery: Gallery) -> str:
@@ -82,7 +71,7 @@ def report_html(contents: Contents, gallery: Gallery) -> str:
         source=f"From logs in {robot.removeprefix(LOGS)}" if robot.startswith(LOGS) else f"Robot {robot}",
         quick=it.folder.quick.exists(),
         commands=commands(it),
-        draw=Pictures(gallery),
+        draw=gallery,
         version=__version__,
         **_NAMES,
     )

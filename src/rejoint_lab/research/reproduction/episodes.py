@@ -101,7 +101,6 @@ def measure_paths(bench: Bench) -> Found:
             look=look,
             paths=list(np.moveaxis(played[key]["tcp"][:, :DRAWN], 1, 0)),
             targets=played[key]["target"][:DRAWN],
-            numbered=False,
             radius=0.005,
         )
         for title, look, key in (("first episode, exploring", RED, "first"), ("trained", BLUE, "last"))

@@ -18,7 +18,7 @@ from rejoint.control.loop import run
 from rejoint.control.robot import Robot
 from rejoint.pages.html import BLUE, RED, look_of
 from rejoint.pages.report.contents import read_curves
-from rejoint.pages.report.figures import Series, Ways, bounds, error_per_target, ways
+from rejoint.pages.report.figures import WIDE, Series, Ways, bounds, curves, ways
 from rejoint.pages.report.tables import plain_table, result_columns
 from rejoint.pages.words import measured
 from rejoint.robots import open_robot
@@ -100,7 +100,8 @@ def measure_wear(bench: Bench) -> Found:
         found |= {profile: _mm(row.settled, 1), f"{profile}_true": _mm(row.settled_true, 1)}
         label = f"{profile}, mean {sets[0].mean():.1f} mm (paper {paper:g} mm)"
         series.append(Series(label=label, look=look, value=sets[0]))
-    bench.draw(error_per_target(series), "fig-9")
+    numbers = np.arange(1.0, bench.scale.targets + 1)
+    bench.draw(curves({"error by the encoders [mm]": series}, numbers, "target", (WIDE, 3.2)), "fig-9")
     means, scale = sets.mean(axis=1), bench.scale
     return found | {
         "ratio": found["worn"].value / found["healthy"].value,
