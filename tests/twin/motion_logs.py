@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from benchmarks.mujocotwin import TableBatch
 
 from rejoint.arms import so101
 from rejoint.logs.runlog import RunLog
@@ -10,7 +11,6 @@ from rejoint.twin.chain.batch import ChainBatch
 from rejoint.twin.friction import friction_terms
 from rejoint.twin.parameters import TwinParameters
 from rejoint.twin.reference import ServoReference
-from rejoint.twin.table import TableBatch
 
 ARM = replace(so101(), servos=())  # its truths are drawn for each joint by itself
 STEP, PERIOD = 0.005, 0.02

@@ -2,6 +2,7 @@
 
 import mujoco
 import numpy as np
+from benchmarks.mujocotwin import TableBatch
 
 from rejoint.arms import gravity_torque
 from rejoint.twin.parameters import (
@@ -14,7 +15,6 @@ from rejoint.twin.parameters import (
     vector_names,
 )
 from rejoint.twin.simulation import Draw, Simulation
-from rejoint.twin.table import TableBatch
 from twinmodel import twin_model
 
 

@@ -5,7 +5,6 @@ One digest covers the parameters, another the whole text.
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from rejoint.arms import Arm, Array
 from rejoint.system.errors import InputError
 from rejoint.system.tomltable import read_sealed, write_sealed
 from rejoint.twin.parameters import PARAMETERS, STICTION, Layout, TwinParameters
-from rejoint.twin.twin import HeldOut, TablePlane, Twin
+from rejoint.twin.twin import HeldOut, Twin
 
 FORMAT = 1
 
@@ -83,8 +82,6 @@ def _document(twin: Twin) -> tomlkit.TOMLDocument:
     for i, row in enumerate(twin.covariance):
         rows.append(row[: i + 1].tolist())
     document.add("covariance", tomlkit.item({"order": list(twin.names), "lower_triangle": rows.multiline(True)}))
-    if twin.table is not None:
-        document.add("table", tomlkit.item(asdict(twin.table)))
     return document
 
 
@@ -114,5 +111,4 @@ def _twin(data: dict[str, Any]) -> Twin:
         notes=tuple(str(note) for note in data["notes"]),
         stiction=float(data.get("stiction", STICTION)),
         acceleration=float(data.get("acceleration", np.inf)),
-        table=msgspec.convert(data["table"], TablePlane) if "table" in data else None,
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,12 +29,6 @@ DRY = ("coulomb",)
 
 STRIBECK_SPEED = 0.1
 """[rad/s] at which friction has fallen to kinetic; chosen"""
-
-
-def friction_fields(twin: TwinParameters) -> Iterator[tuple[str, Array]]:
-    """Yield the MuJoCo model fields of friction, as (name, value (..., n))."""
-    yield "dof_damping", twin.damping
-    yield "dof_frictionloss", twin.coulomb
 
 
 def friction_terms(twin: TwinParameters, stiction: Array | float) -> Array:

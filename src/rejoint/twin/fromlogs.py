@@ -1,7 +1,7 @@
 """Identification from logs of several motions of a little-known arm.
 
 Only free motion counts, whole motions are held out, priors are wide. Part of the motion decides on the structure
-(`rejoint.twin.structure`). After the judgement all motions are fitted, the table last.
+(`rejoint.twin.structure`). After the judgement all motions are fitted.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ from rejoint.twin.judgement import NO_TWIN, Judgement, PredictionError
 from rejoint.twin.motionfit import (
     MOSTLY,
     SHORTEST_STRETCH,
-    contact_windows,
     durations,
     fastest,
     free_windows,
@@ -45,14 +44,10 @@ from rejoint.twin.structure import (
     rough_fit,
     simplest,
 )
-from rejoint.twin.twin import HeldOut, TablePlane, Twin
+from rejoint.twin.twin import HeldOut, Twin
 
 FITTED, HEALTHY = "fitted twin", "healthy twin"
 """Predictions besides `NO_TWIN`"""
-
-LEAST_CONTACT = 5.0
-"""[s] least contact for a table fit; chosen"""
-
 
 FOLLOWED = 0.4
 """Least weight of a motion's worst joint without report; chosen"""
@@ -95,8 +90,6 @@ class LogSettings:
     """[s] for the final fit"""
     fast_seconds: float = 40.0
     """[s] of the fastest motion, which shows a limited acceleration"""
-    contact_seconds: float = 240.0
-    """[s] of contact for the table; measured: 80 s are a fifth worse"""
     stictions: tuple[float, ...] = STICTIONS
     """to try"""
     timestep: float = TIMESTEP
@@ -127,13 +120,11 @@ def identify_logs(
     excluded = find_exclusions(arm, seen, height)
     on_progress(0.0, "search")
     problem, found, structure = fit_motions(arm, seen, excluded, settings, on_progress)
-    table = _fit_table(problem, found, excluded, height, settings)
     on_progress(0.7, "held-out motions")
     own = Candidate(
         name=FITTED,
         parameters=unpack(found.vector, arm.joints),
         stiction=structure.stiction,
-        table=table,
         acceleration=structure.acceleration,
     )
     healthy = [Candidate(name=HEALTHY, parameters=healthy_parameters(arm), stiction=1.0)] if is_hobby(arm) else []
@@ -147,9 +138,8 @@ def identify_logs(
         note, missing, seen = REFITTED, [*judgement.doubts, *[REPEATED] * alike], every
         excluded = find_exclusions(arm, every, height)
         problem, found = settle(arm, every, excluded, structure, found.vector, settings)
-    on_progress(0.9, "table and intervals")
-    table = _fit_table(problem, found, excluded, height, settings, table)
-    twin = fitted_twin(problem, found, independent(problem), _held_out(judgement), table)
+    on_progress(0.9, "intervals")
+    twin = fitted_twin(problem, found, independent(problem), _held_out(judgement))
     on_progress(1.0, "done")
     return replace(
         twin,
@@ -234,24 +224,6 @@ def _motions(problem: Problem) -> NDArray[np.integer]:
     """(rows,) number of each row's motion."""
     logs = np.array([w.log for w in problem.replay.windows])[problem.window]
     return np.unique(logs, return_inverse=True)[1].ravel()
-
-
-def _fit_table(
-    problem: Problem,
-    found: Fit,
-    excluded: Sequence[Exclusions],
-    height: float | None,
-    settings: LogSettings,
-    start: TablePlane | None = None,
-) -> TablePlane | None:
-    replay = problem.replay
-    windows = [] if height is None else contact_windows(replay.logs, excluded, settings.window)
-    if height is None or durations(windows, replay.logs).sum() < LEAST_CONTACT:
-        return None
-    from rejoint.twin.table import fit_table  # late: free arms need no MuJoCo
-
-    touching = replace(replay, windows=thin(windows, replay.logs, settings.contact_seconds))
-    return fit_table(touching, unpack(found.vector, problem.joints), height, start)
 
 
 def _unidentified(twin: Twin) -> list[str]:

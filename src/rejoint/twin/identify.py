@@ -30,7 +30,7 @@ from rejoint.twin.parameters import (
     unpack,
 )
 from rejoint.twin.replay import Replay, cut, divide, measured_velocity
-from rejoint.twin.twin import HeldOut, TablePlane, Twin
+from rejoint.twin.twin import HeldOut, Twin
 from rejoint.twin.uncertainty import CLUSTER, uncertainty
 
 
@@ -102,9 +102,7 @@ def identify(
     return twin
 
 
-def fitted_twin(
-    problem: Problem, found: Fit, clusters: NDArray[np.integer], held_out: HeldOut, table: TablePlane | None = None
-) -> Twin:
+def fitted_twin(problem: Problem, found: Fit, clusters: NDArray[np.integer], held_out: HeldOut) -> Twin:
     """Assemble a twin with its intervals by ``clusters`` (rows,); the torques seen bound it."""
     replay, belief, parameters = problem.replay, problem.prior, unpack(found.vector, problem.joints)
     covariance = uncertainty(problem, found, clusters)
@@ -128,7 +126,6 @@ def fitted_twin(
         fit_seconds=replay.seconds,
         stiction=replay.stiction,
         acceleration=replay.acceleration,
-        table=table,
     )
     return replace(twin, notes=tuple(_notes(twin, found, held)))
 

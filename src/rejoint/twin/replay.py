@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,10 +24,6 @@ from rejoint.twin.declaration import TIMESTEP
 from rejoint.twin.friction import friction_terms
 from rejoint.twin.parameters import STICTION, TwinParameters
 from rejoint.twin.reference import ServoReference
-
-if TYPE_CHECKING:
-    from rejoint.twin.table import TableBatch
-    from rejoint.twin.twin import TablePlane
 
 IN_STEP = 0.2
 """Regularity of command times, 0 to 1, that shifts the delay; chosen"""
@@ -110,26 +105,19 @@ class Replay:
     def _batches(self) -> dict[int, ChainBatch]:
         return {}
 
-    def predict(self, parameters: TwinParameters, tables: Sequence[TablePlane] = ()) -> list[Array]:
-        """Positions (m, rows, n) [rad] of twins (m,) in each window, with m ``tables``."""
+    def predict(self, parameters: TwinParameters) -> list[Array]:
+        """Positions (m, rows, n) [rad] of twins (m,) in each window."""
         m, count = parameters.shape[0], len(self.windows)
-        which = np.tile(np.arange(m), count)  # simulation = window * m + twin
         start = np.repeat(np.stack([self._log(w).position[w.first] for w in self.windows]), m, axis=0)
         velocity = np.repeat(np.stack([self._velocity[w.log][w.first] for w in self.windows]), m, axis=0)
-        arms = parameters[which]
+        arms = parameters[np.tile(np.arange(m), count)]  # simulation = window * m + twin
         arms = replace(
             arms, stiffness=arms.stiffness * np.repeat(self._gains[[w.log for w in self.windows]], m, axis=0)
         )
-        twins: ChainBatch | TableBatch
-        if tables:
-            from rejoint.twin.table import TableBatch  # late: free arms need no MuJoCo
-
-            twins = TableBatch(self.arm, arms, [tables[i] for i in which], self.timestep, self.threads)
-        else:
-            if m * count not in self._batches:
-                self._batches[m * count] = ChainBatch(self.arm, m * count, self.timestep, self.threads)
-            twins = self._batches[m * count]
-            twins.write(arms)
+        if m * count not in self._batches:
+            self._batches[m * count] = ChainBatch(self.arm, m * count, self.timestep, self.threads)
+        twins = self._batches[m * count]
+        twins.write(arms)
         twins.restart(start, velocity)
         passed = twins.rollout(self._control(parameters), friction_terms(arms, self.stiction))
         path = np.concatenate([start[:, None], passed], axis=1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import astuple, dataclass, field
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 
@@ -44,25 +44,6 @@ class HeldOut:
     """None where the arm's servos are unknown"""
 
 
-@dataclass(frozen=True, kw_only=True)
-class TablePlane:
-    """A plane under the tip."""
-
-    height: float
-    """[m] of the TCP in contact, below the base's origin"""
-    slope_x: float
-    """along the base's x"""
-    slope_y: float
-    stiffness: float
-    """[N/m] of tip, links and table together, vertical"""
-    friction: float
-    """Coulomb coefficient of the tip"""
-
-    def __post_init__(self) -> None:
-        if not np.isfinite(astuple(self)).all() or self.stiffness <= 0 or self.friction < 0:
-            raise InputError(f"table: needs finite values, a stiffness above 0 and no negative friction, got {self}")
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Twin:
     """Parameters of one arm with their covariance, over a vector of length k.
@@ -95,8 +76,6 @@ class Twin:
     """static over kinetic friction"""
     acceleration: float = np.inf
     """[rad/s^2] of references while commands change (`rejoint.twin.reference`)"""
-    table: TablePlane | None = None
-    """contact in the logs; not part of the arm"""
     judgement: Judgement | None = None
     """on held-out motions; not on file"""
     fitted: tuple[str, ...] = ()
@@ -196,8 +175,6 @@ class Twin:
             h.update(np.array(self.stiction, dtype="<f8").tobytes())
         if self.acceleration != np.inf:
             h.update(b"acceleration" + np.array(self.acceleration, dtype="<f8").tobytes())
-        if self.table is not None:
-            h.update(np.array(astuple(self.table), dtype="<f8").tobytes())
         return h.hexdigest()[:16]
 
 
