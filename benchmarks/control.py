@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from rejoint.arms import mycobot280
-from rejoint.control.controller import ControlInput
 from rejoint.control.controllers.policy import load_policy
 from rejoint.control.goal import nearest_postures
 from rejoint.control.guard import GuardLimits, guard
-from rejoint.control.robot import JointState
+from rejoint.control.robot import ControlInput, JointState
 from rejoint.training.train import TrainingOptions, train
 
 STEPS, WARM_UP = 5000, 100

@@ -23,12 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Array, mycobot280
-from rejoint.control.controller import ControlInput
 from rejoint.control.controllers.catalogue import SHELF, make_controller
 from rejoint.control.goal import nearest_postures
 from rejoint.control.guard import GuardLimits, guard, warm_up
 from rejoint.control.monitor import Bands, Following, Knowledge, servo_lines, standing_bands
-from rejoint.control.robot import Mask
+from rejoint.control.robot import ControlInput, Mask
 from rejoint.diagnosis.excitation import DiagnosisLogs, record
 from rejoint.system.errors import GuardTripError
 from rejoint_lab.emulated import EmulatedRobot

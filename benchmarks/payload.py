@@ -24,7 +24,6 @@ from rejoint.arms.inertia import loaded
 from rejoint.arms.postures import find_postures
 from rejoint.control.comparison.protocols import metrics_of
 from rejoint.control.comparison.result import Protocol
-from rejoint.control.controller import Controller
 from rejoint.control.controllers.catalogue import shelf_controller
 from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.loop import Schedule, run
@@ -32,6 +31,7 @@ from rejoint.control.moving.drive import judge
 from rejoint.control.moving.posture import PathPostures, home_of
 from rejoint.control.moving.reference import LEAD_IN, Ahead, PathReference, standard_path
 from rejoint.control.moving.tracker import Tracker
+from rejoint.control.robot import Controller
 from rejoint.control.start import begin, move
 from rejoint.control.targets import draw_targets
 from rejoint.logs.runfolder import RunFolder

@@ -13,11 +13,10 @@ import numpy as np
 from benchmarks.frame import held_columns, holds
 from rejoint.arms import mycobot280
 from rejoint.control.comparison.result import Protocol
-from rejoint.control.controller import ControlInput
 from rejoint.control.controllers.catalogue import make_controller, shelf_controller
 from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.goal import nearest_postures
-from rejoint.control.robot import JointState
+from rejoint.control.robot import ControlInput, JointState
 from rejoint.logs.runfolder import RunFolder
 from rejoint.twin.predictive import PredictiveController
 from rejoint.twin.twin import Twin

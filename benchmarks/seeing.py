@@ -15,12 +15,12 @@ import numpy as np
 import rejoint
 from benchmarks.frame import cell
 from rejoint.arms import Arm, Displacement, mycobot280
-from rejoint.control.controller import Controller
 from rejoint.control.controllers.catalogue import make_controller
 from rejoint.control.correction import Modelled
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import Recording
 from rejoint.control.reference import TargetSequence
+from rejoint.control.robot import Controller
 from rejoint.control.start import move
 from rejoint.session.eyes import watched
 from rejoint_lab.cameras.emulated import EmulatedEye

@@ -3,8 +3,7 @@
 import numpy as np
 
 from rejoint.arms import mycobot280, tcp_position
-from rejoint.control.controller import ControlInput
-from rejoint.control.robot import JointState
+from rejoint.control.robot import ControlInput, JointState
 
 
 def state_of(position, time=0.0, **told):

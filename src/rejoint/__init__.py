@@ -16,13 +16,12 @@ if TYPE_CHECKING:
     from rejoint.arms.loading import load_arm, read_arm
     from rejoint.control.comparison.recommend import Recommendation
     from rejoint.control.comparison.result import Comparison
-    from rejoint.control.controller import Controller
     from rejoint.control.controllers.policy import Policy
     from rejoint.control.deployment import Deployed
     from rejoint.control.moving.drive import Followed
     from rejoint.control.moving.reference import Path, Stream
-    from rejoint.control.observer import Observer
-    from rejoint.control.robot import Robot
+    from rejoint.control.recording import Observer
+    from rejoint.control.robot import Controller, Robot
     from rejoint.control.targets import Pose
     from rejoint.diagnosis.calibration.calibration import Calibration
     from rejoint.diagnosis.calibration.measurements import Measurements
@@ -74,13 +73,12 @@ _HOMES = {
     "arms.arm": ("Arm",),
     "arms.draft": ("Loaded",),
     "arms.loading": ("load_arm", "read_arm"),
-    "control.controller": ("Controller",),
+    "control.robot": ("Controller", "Robot"),
     "control.moving.drive": ("Followed",),
     "control.moving.reference": ("Path", "Stream"),
-    "control.observer": ("Observer",),
+    "control.recording": ("Observer",),
     "control.controllers.policy": ("Policy",),
     "control.targets": ("Pose",),
-    "control.robot": ("Robot",),
     "diagnosis.calibration.calibration": ("Calibration",),
     "diagnosis.calibration.measurements": ("Measurements",),
     "diagnosis.diagnosis": ("Diagnosis",),

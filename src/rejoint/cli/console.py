@@ -24,7 +24,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from rejoint.control.observer import Observer, Observers
+from rejoint.control.recording import Observer, Observers
 from rejoint.system.errors import InputError, UnsavedError
 from rejoint.system.extras import require
 from rejoint.system.progress import Progress

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Literal
 import rejoint
 from rejoint.cli import options as opt
 from rejoint.cli.options import Call, Result, takes
-from rejoint.control.observer import StageObserver
+from rejoint.control.recording import StageObserver
 from rejoint.runs.run import RUNS
 from rejoint.runs.stages.check import BETWEEN
 from rejoint.system.errors import FileError, MissingExtraError

@@ -14,7 +14,7 @@ import numpy as np
 import rejoint
 from rejoint.cli.console import ConsoleObserver, live_view
 from rejoint.cli.options import Call, takes
-from rejoint.control.observer import Observer, Observers
+from rejoint.control.recording import Observer, Observers
 from rejoint.control.robot import Relaying, part_of
 from rejoint.robots import place_of
 from rejoint.robots.feetech.gains import FeetechAddress

@@ -19,7 +19,7 @@ from rejoint.cli import options as opt
 from rejoint.cli.console import ConsoleObserver, Terminal, live_view, results_of
 from rejoint.cli.options import Call, Result, takes
 from rejoint.control.deployment import REACHED
-from rejoint.control.observer import Observer, Observers
+from rejoint.control.recording import Observer, Observers
 from rejoint.control.servogains import in_words
 from rejoint.logs.runfolder import LOGS, RunFolder, locked, read_effort
 from rejoint.runs.run import Run, newest_or_new

@@ -15,8 +15,7 @@ from rejoint.arms import Arm, Array, Displacement, clip_norm, dls, frames, posit
 from rejoint.arms.inverse import REST_GAIN
 from rejoint.arms.postures import find_postures
 from rejoint.arms.rotations import Orientation
-from rejoint.control.controller import ControlInput
-from rejoint.control.robot import Mask
+from rejoint.control.robot import ControlInput, Mask
 from rejoint.system.errors import InputError
 from rejoint.system.statistics import Estimate
 

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Array, tcp_position
 from rejoint.arms.rotations import REACHED_TURN
-from rejoint.control.controller import ControlInput, Controller, turned_off
 from rejoint.control.guard import (
     TRIPS,
     Guarded,
@@ -31,7 +30,7 @@ from rejoint.control.guard import (
 from rejoint.control.monitor import Following
 from rejoint.control.recording import GAP, Cycle, OnCycle, Recorder, Recording, attach, look_of
 from rejoint.control.reference import Reference, TargetSequence
-from rejoint.control.robot import JointState, Mask, Robot
+from rejoint.control.robot import ControlInput, Controller, JointState, Mask, Robot, turned_off
 from rejoint.system.errors import GuardTripError, InputError, PowerLostError, RejointError, first_line
 from rejoint.system.stopping import check, noted, shielded
 

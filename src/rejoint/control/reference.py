@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array, JointTrajectory, tcp_position
 from rejoint.arms.inverse import REST_GAIN
 from rejoint.arms.rotations import Orientation
-from rejoint.control.controller import ControlInput
 from rejoint.control.correction import Modelled
 from rejoint.control.goal import LAGS, LEAD, PATIENCE, Ways, beginning_at, nearest_postures, waiting
-from rejoint.control.robot import JointState, Mask
+from rejoint.control.robot import ControlInput, JointState, Mask
 from rejoint.system.errors import InputError
 
 Index = NDArray[np.intp]

@@ -16,10 +16,9 @@ import numpy as np
 from rejoint.arms import Arm, Array, clip_norm, position_kinematics, tcp_position
 from rejoint.arms.displacement import FLOATING
 from rejoint.arms.rotations import Orientation
-from rejoint.control.controller import ControlInput, Controller
 from rejoint.control.controllers.law import limit_lead, limit_position
 from rejoint.control.correction import MOST, Modelled
-from rejoint.control.robot import Mask
+from rejoint.control.robot import ControlInput, Controller, Mask
 
 NOISE = 0.3e-3
 """[m] least and default deviation of a coordinate"""

@@ -11,13 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Arm, Array, gravity_torque
-from rejoint.control.controller import ControlInput
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.guard import GuardLimits, Reason
 from rejoint.control.loop import Schedule, in_force, run, say_faulty, say_hot
 from rejoint.control.recording import Cycle, OnCycle, Recording
 from rejoint.control.reference import JointMotion
-from rejoint.control.robot import JointState, Mask, Robot
+from rejoint.control.robot import ControlInput, JointState, Mask, Robot
 from rejoint.system.errors import NotReadyError
 from rejoint.system.stopping import pause
 

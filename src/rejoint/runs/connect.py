@@ -8,7 +8,7 @@ from rejoint.session.inputs import ArmLike, RobotLike, RunLike, Settings, Target
 from rejoint.session.session import ArmSession
 
 if TYPE_CHECKING:
-    from rejoint.control.observer import Observer
+    from rejoint.control.recording import Observer
     from rejoint.runs.stages.calibrate import Calibrated
     from rejoint.runs.stages.compare import Compared, TrialPlan
     from rejoint.runs.stages.diagnose import Diagnosed

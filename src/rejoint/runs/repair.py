@@ -17,7 +17,7 @@ import numpy as np
 from rejoint.arms import Arm
 from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import Comparison
-from rejoint.control.observer import Observer, StageObserver
+from rejoint.control.recording import Observer, StageObserver
 from rejoint.control.targets import draw_targets
 from rejoint.logs.runfolder import Kept, RunFolder, StageCost, add
 from rejoint.logs.runlog import RunLog, read_log

@@ -11,7 +11,6 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.control.comparison.recommend import recommend
-from rejoint.control.controller import Controller, heeds_turn
 from rejoint.control.controllers.catalogue import (
     POLICY,
     PREDICTIVE,
@@ -23,6 +22,7 @@ from rejoint.control.controllers.catalogue import (
 )
 from rejoint.control.controllers.contract import check_controller_period
 from rejoint.control.controllers.feedforward import FeedforwardController
+from rejoint.control.robot import Controller, heeds_turn
 from rejoint.control.servogains import (
     GEARED,
     GEARED_POLICY,

@@ -15,17 +15,15 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from rejoint.arms import Arm, Array, tcp_position
-from rejoint.control.controller import ControlInput, Controller, heeds_turn, turned_off
 from rejoint.control.controllers.contract import check_controller_period
 from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.controllers.posture import PostureController, PostureGains
 from rejoint.control.correction import Apparent, Modelled
 from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.loop import Schedule, run
-from rejoint.control.observer import Observer
-from rejoint.control.recording import Cycle, OnCycle, Recording, recording_of
+from rejoint.control.recording import Cycle, Observer, OnCycle, Recording, recording_of
 from rejoint.control.reference import Reference, Setpoint
-from rejoint.control.robot import JointState, Mask, Robot, part_of
+from rejoint.control.robot import ControlInput, Controller, JointState, Mask, Robot, heeds_turn, part_of, turned_off
 from rejoint.control.servogains import Rung, ServoGains, Tunable, limits_under, under_gains
 from rejoint.control.start import begin, check_ready, move
 from rejoint.logs.runfolder import RunFolder

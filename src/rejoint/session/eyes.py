@@ -11,10 +11,9 @@ from typing import TypeAlias
 import numpy as np
 
 from rejoint.arms import Displacement
-from rejoint.control.controller import Controller
 from rejoint.control.correction import Modelled, TrueError
 from rejoint.control.deployment import Deployed, Visit
-from rejoint.control.robot import Robot
+from rejoint.control.robot import Controller, Robot
 from rejoint.control.seeing import Eye, Finishing, Seen
 from rejoint.runs.run import Run
 from rejoint.system.errors import InputError

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.rotations import tool_axis
-from rejoint.control.controller import Controller
 from rejoint.control.deployment import REACHED, Deployed, Deployment, deployed_of, judge
 from rejoint.control.loop import Schedule
 from rejoint.control.moving.drive import Followed, Pass, Repetition, corrected_path, corrector, missed
@@ -33,9 +32,9 @@ from rejoint.control.moving.reference import (
     standard_path,
 )
 from rejoint.control.moving.tracker import Tracker
-from rejoint.control.observer import Observer
-from rejoint.control.recording import Cycle, Recording
+from rejoint.control.recording import Cycle, Observer, Recording
 from rejoint.control.reference import TargetSequence
+from rejoint.control.robot import Controller
 from rejoint.control.targets import require_reachable
 from rejoint.session.context import require_correctable, say_heavy, say_noticed
 from rejoint.session.controllers import ControllerLike, make_factories, name_of

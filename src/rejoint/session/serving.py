@@ -12,13 +12,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rejoint.arms import choose_postures, tcp_position
-from rejoint.control.controller import ControlInput, Controller
 from rejoint.control.guard import Reason, reason_names
 from rejoint.control.loop import Schedule
-from rejoint.control.observer import Observer
-from rejoint.control.recording import PIECE, Cycle
+from rejoint.control.recording import PIECE, Cycle, Observer
 from rejoint.control.reference import Reference, ToolAtGoals
-from rejoint.control.robot import Mask, Relaying, part_of
+from rejoint.control.robot import ControlInput, Controller, Mask, Relaying, part_of
 from rejoint.robots.serving.served import ServedArm
 from rejoint.robots.serving.server import Answering, OrderLog, Relay, WireServer, pty_wire, tcp_wire
 from rejoint.session.inputs import RobotLike, RunLike, Settings

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 
 from rejoint.arms import Array, JointTrajectory, Motors, choose_postures, plan, tcp_position
 from rejoint.arms.rotations import Orientation
-from rejoint.control.controller import Controller
 from rejoint.control.controllers.posture import PostureController, PostureGains
 from rejoint.control.controllers.unloading import OFF, PlannedWay, UnloadedWay, Unloading
 from rejoint.control.goal import with_ways
@@ -21,7 +20,7 @@ from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.loop import Schedule
 from rejoint.control.recording import PIECE, Cycle, cycle_at_rest
 from rejoint.control.reference import Reference, TargetSequence
-from rejoint.control.robot import JointState
+from rejoint.control.robot import Controller, JointState
 from rejoint.control.targets import Pose, in_mm, placed
 from rejoint.runs.run import Run, exclusive
 from rejoint.session.context import believed_motors, guard_limits

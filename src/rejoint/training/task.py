@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, collides, gravity_torque, heights, solve_position, tcp_position
 from rejoint.arms.postures import comfortable_postures
-from rejoint.control.controller import ControlInput
 from rejoint.control.controllers.observation import ALL, SUCCESS_DISTANCE, Layout, Observation, Observer, Rows
 from rejoint.control.controllers.residual import Commander, CommandLaw
 from rejoint.control.guard import GuardLimits, guard
-from rejoint.control.robot import JointState, Mask
+from rejoint.control.robot import ControlInput, JointState, Mask
 from rejoint.training.ranges import Ranges
 from rejoint.twin.parameters import nominal_parameters
 from rejoint.twin.simulation import Draw, Simulation

@@ -40,14 +40,13 @@ from rejoint.control.comparison.result import (
     comparison_of,
     row_of,
 )
-from rejoint.control.controller import Controller
 from rejoint.control.controllers.contract import check_controller_period
 from rejoint.control.correction import Modelled, ToolModel
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import Cycle, OnCycle, Recording
 from rejoint.control.reference import TargetSequence
-from rejoint.control.robot import Robot
+from rejoint.control.robot import Controller, Robot
 from rejoint.control.servogains import limits_under, require_gains, under_gains
 from rejoint.control.start import Stance, begin, move
 from rejoint.control.targets import beyond_reach, in_words

@@ -13,10 +13,9 @@ import numpy as np
 
 from rejoint.arms import Array
 from rejoint.control.comparison.result import WAS_WORSE
-from rejoint.control.controller import ControlInput, Controller
 from rejoint.control.guard import Reason
 from rejoint.control.recording import Recording
-from rejoint.control.robot import Mask
+from rejoint.control.robot import ControlInput, Controller, Mask
 from rejoint.system.errors import InputError
 
 MISSES = 3

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rejoint.arms import CATALOGUE, Arm, Array
-from rejoint.control.controller import Controller
 from rejoint.control.controllers.classical import DefaultController, IntegratorController
 from rejoint.control.controllers.contract import check_contract
 from rejoint.control.controllers.feedforward import FeedforwardController
+from rejoint.control.robot import Controller
 from rejoint.system.errors import ContractError, InputError
 
 if TYPE_CHECKING:

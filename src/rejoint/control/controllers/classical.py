@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Arm, Array, clip_norm
-from rejoint.control.controller import ControlInput
 from rejoint.control.controllers.law import (
     GAIN,
     NOMINAL_PERIOD,
@@ -21,7 +20,7 @@ from rejoint.control.controllers.law import (
     limit_position,
     null_space,
 )
-from rejoint.control.robot import Mask
+from rejoint.control.robot import ControlInput, Mask
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,7 +15,6 @@ import numpy as np
 from rejoint.arms import Arm, Array, gravity_torque, tcp_position
 from rejoint.arms.rotations import task
 from rejoint.arms.workspace import length_size, torque_size
-from rejoint.control.controller import ControlInput
 from rejoint.control.controllers.classical import IntegratorGains
 from rejoint.control.controllers.law import (
     LONGEST_PERIOD,
@@ -27,7 +26,7 @@ from rejoint.control.controllers.law import (
     null_space,
     plain,
 )
-from rejoint.control.robot import Mask
+from rejoint.control.robot import ControlInput, Mask
 from rejoint.system.errors import InputError
 from rejoint.system.shell import Late
 

@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, collides, position_kinematics
 from rejoint.arms.inverse import DAMPING
-from rejoint.control.controller import ControlInput
 from rejoint.control.controllers.law import plain
-from rejoint.control.robot import Mask
+from rejoint.control.robot import ControlInput, Mask
 from rejoint.system.errors import InputError
 from rejoint.system.shell import Late
 

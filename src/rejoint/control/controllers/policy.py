@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.control.controller import ControlInput
 from rejoint.control.controllers.contract import (
     DIGEST_KEY,
     INPUT,
@@ -27,7 +26,7 @@ from rejoint.control.controllers.contract import (
 from rejoint.control.controllers.observation import Observation, Observer
 from rejoint.control.controllers.residual import Commander
 from rejoint.control.controllers.runtime import ort
-from rejoint.control.robot import Mask
+from rejoint.control.robot import ControlInput, Mask
 from rejoint.system.errors import ContractError, FileError, InputError
 from rejoint.system.files import MEGABYTE, read_bounded, write_whole
 

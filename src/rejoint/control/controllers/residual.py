@@ -17,11 +17,10 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, clip_norm
 from rejoint.arms.workspace import heaviest_load, moves_tool, unloaded_joints
-from rejoint.control.controller import ControlInput
 from rejoint.control.controllers.feedforward import LOOSEN, FeedforwardController, FeedforwardGains
 from rejoint.control.controllers.law import GAIN, STEP_LIMIT, between, limit_lead, limit_position, plain
 from rejoint.control.controllers.observation import View
-from rejoint.control.robot import Mask
+from rejoint.control.robot import ControlInput, Mask
 from rejoint.system.errors import InputError
 from rejoint.system.shell import Late
 

@@ -13,10 +13,9 @@ import numpy as np
 from scipy.linalg import solve_discrete_are
 
 from rejoint.arms import Arm, Array, dls, link_inertia, position_kinematics
-from rejoint.control.controller import ControlInput
 from rejoint.control.controllers.law import NOMINAL_PERIOD, Pace, limit_position
 from rejoint.control.moving.posture import Moment, Servos, command_for, joint_weights
-from rejoint.control.robot import Mask
+from rejoint.control.robot import ControlInput, Mask
 
 _PARTS = 5  # steps in which a control period, or a delay, is passed (chosen: 5 ms each)
 _KEPT = 12  # commands that are remembered (chosen: more than arrive late at the shortest period)

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Self, cast
 
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.guard import GuardLimits
-from rejoint.control.observer import Observer
-from rejoint.control.recording import Look
+from rejoint.control.recording import Look, Observer
 from rejoint.control.robot import Robot
 from rejoint.pages.live.animation import Animation, Begun, Doing, Ghost, Ring, Subject
 from rejoint.robots import place_of

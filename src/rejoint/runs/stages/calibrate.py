@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from rejoint.arms import Arm
-from rejoint.control.observer import Observer, pacing
+from rejoint.control.recording import Observer, pacing
 from rejoint.control.robot import Robot
 from rejoint.diagnosis.calibration.calibration import Calibration, Preload, preload, write_calibration
 from rejoint.diagnosis.calibration.fit import fit

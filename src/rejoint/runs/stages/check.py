@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from rejoint.arms import CATALOGUE, Arm, Array
-from rejoint.control.observer import Observer, pacing
+from rejoint.control.recording import Observer, pacing
 from rejoint.control.robot import Robot
 from rejoint.logs.history import (
     CHECKS,

@@ -32,8 +32,7 @@ from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import KINDS, Comparison, Driven, Places, Protocol, TargetErrors
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.correction import ToolModel
-from rejoint.control.observer import Observer, pacing
-from rejoint.control.recording import Recording
+from rejoint.control.recording import Observer, Recording, pacing
 from rejoint.control.robot import Robot
 from rejoint.diagnosis.open_loop import DWELL
 from rejoint.logs.runlog import RunLog, read_log, write_log

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from rejoint.arms import Arm
-from rejoint.control.observer import Observer, pacing
+from rejoint.control.recording import Observer, pacing
 from rejoint.control.robot import Robot
 from rejoint.control.servogains import gains_in_force
 from rejoint.logs.runfolder import RunFolder

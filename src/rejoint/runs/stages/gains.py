@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rejoint.control.observer import Observer, pacing
+from rejoint.control.recording import Observer, pacing
 from rejoint.control.servogains import GEARED, RIVALS, GainsFound, ServoGains, search, tunable
 from rejoint.control.targets import draw_targets
 from rejoint.runs.run import Run

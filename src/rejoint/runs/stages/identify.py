@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from rejoint.arms import Arm
-from rejoint.control.observer import Observer, pacing
+from rejoint.control.recording import Observer, pacing
 from rejoint.diagnosis.segments import is_excitation
 from rejoint.logs.consistency import forced_remarks, require_commands
 from rejoint.logs.runfolder import LOGS

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from rejoint.arms import Arm, load_arm
 from rejoint.control.controllers.policy import Policy
-from rejoint.control.observer import Observer, pacing
+from rejoint.control.recording import Observer, pacing
 from rejoint.runs.run import exclusive, mark_quick
 from rejoint.session.context import tuned_gains, twin_under
 from rejoint.session.inputs import ArmLike, RunLike, TwinLike, as_arm, as_run, as_twin

@@ -13,7 +13,6 @@ import numpy as np
 
 from rejoint.arms import Arm
 from rejoint.control.comparison.result import Columns
-from rejoint.control.controller import Controller
 from rejoint.control.controllers.catalogue import (
     BASELINES,
     PREDICTIVE,
@@ -25,6 +24,7 @@ from rejoint.control.controllers.catalogue import (
 )
 from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.controllers.policy import load_policy
+from rejoint.control.robot import Controller
 from rejoint.control.targets import draw_targets
 from rejoint.logs.runfolder import RunFolder
 from rejoint.system.errors import InputError

@@ -18,12 +18,11 @@ from rejoint.arms.rotations import Orientation
 from rejoint.control.comparison.compare import count_targets
 from rejoint.control.comparison.protocols import metrics_of, schedule
 from rejoint.control.comparison.result import METRICS, MODELLED, Columns, Kind, Protocol
-from rejoint.control.controller import ControlInput, Controller
 from rejoint.control.correction import Modelled
 from rejoint.control.goal import Ways
 from rejoint.control.loop import run
 from rejoint.control.reference import TargetSequence
-from rejoint.control.robot import Mask, Robot
+from rejoint.control.robot import ControlInput, Controller, Mask, Robot
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.logs.runfolder import RunFolder
 from rejoint.logs.runlog import read_parquet

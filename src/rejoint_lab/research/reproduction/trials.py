@@ -10,12 +10,11 @@ import numpy as np
 from rejoint.arms import Arm, Array, tcp_position
 from rejoint.control.comparison.protocols import schedule
 from rejoint.control.comparison.result import Columns, Protocol
-from rejoint.control.controller import Controller
 from rejoint.control.controllers.catalogue import make_controller
 from rejoint.control.controllers.observation import layout_size
 from rejoint.control.controllers.policy import load_policy
 from rejoint.control.loop import run
-from rejoint.control.robot import Robot
+from rejoint.control.robot import Controller, Robot
 from rejoint.pages.html import BLUE, RED, look_of
 from rejoint.pages.report.contents import read_curves
 from rejoint.pages.report.figures import WIDE, Series, Ways, bounds, curves, ways

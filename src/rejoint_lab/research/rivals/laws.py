@@ -22,10 +22,9 @@ import numpy as np
 from rejoint.arms import Arm, Array, clip_norm, gravity_torque, position_kinematics
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.workspace import torque_size
-from rejoint.control.controller import ControlInput, Controller
 from rejoint.control.controllers.feedforward import NOMINAL_STIFFNESS
 from rejoint.control.controllers.law import Pace, dls_step, limit_position, null_space
-from rejoint.control.robot import Mask
+from rejoint.control.robot import ControlInput, Controller, Mask
 from rejoint.system.errors import InputError
 from rejoint.system.files import read_json
 

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.control.controller import ControlInput, Controller
-from rejoint.control.robot import Mask
+from rejoint.control.robot import ControlInput, Controller, Mask
 
 
 @dataclass(frozen=True, kw_only=True)
