@@ -16,8 +16,7 @@ import numpy as np
 
 from benchmarks.virtual import START, VirtualClient, endpoint, reset_at_end
 from rejoint.arms import mycobot280
-from rejoint.robots.mycobot.frames import MAX_PAYLOAD, Decoder, Frame, encode, pack_angles
-from rejoint.robots.mycobot.orders import ORDERS, QUESTIONS, answer
+from rejoint.robots.mycobot.wire import MAX_PAYLOAD, ORDERS, QUESTIONS, Decoder, Frame, answer, encode, pack_angles
 from rejoint.robots.wireserver import Server
 from rejoint_lab.emulator.firmware import Firmware, build_firmware
 from rejoint_lab.emulator.servers import Timing, serve_tcp

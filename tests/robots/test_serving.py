@@ -17,10 +17,9 @@ from rejoint.arms import Motors, gravity_torque, tcp_pose, tcp_position
 from rejoint.control.correction import Apparent
 from rejoint.control.guard import GuardLimits
 from rejoint.robots.mycobot.bus import MyCobot280
-from rejoint.robots.mycobot.frames import Decoder, Frame, encode, pack_angles, pack_coords
 from rejoint.robots.mycobot.mover import COLLISION
-from rejoint.robots.serving.served import PATIENCE, MoveEnd, ServedArm
-from rejoint.robots.serving.server import REFUSED, Answering, OrderLog, Relay, tcp_wire
+from rejoint.robots.mycobot.wire import Decoder, Frame, encode, pack_angles, pack_coords
+from rejoint.robots.serving import PATIENCE, REFUSED, Answering, MoveEnd, OrderLog, Relay, ServedArm, tcp_wire
 from rejoint.runs.run import Run
 from rejoint.session.inputs import Settings
 from rejoint.system.errors import NoReplyError
@@ -250,7 +249,7 @@ def test_a_client_sees_the_angles_of_a_perfect_arm_where_its_tool_really_is():
 
 
 def test_a_gripper_is_passed_on_and_one_that_is_silent_asked_once(monkeypatch):
-    monkeypatch.setattr("rejoint.robots.serving.server.PATIENCE", 60.0)
+    monkeypatch.setattr("rejoint.robots.serving.RELAY_PATIENCE", 60.0)
     asked: list[tuple[int, bytes]] = []
 
     def gripper(command, payload):
@@ -304,7 +303,7 @@ def test_a_full_disk_ends_the_log_and_not_the_arm(tmp_path, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("rejoint.robots.serving.server.os.write", full)
+    monkeypatch.setattr("rejoint.robots.serving.os.write", full)
     assert [log.ordered(0x29, b"", done=True) for _ in range(3)] == [1, 2, 3]
     assert len(said) == 1
     assert "No space left on device" in said[0]

@@ -19,7 +19,7 @@ import pytest
 from rejoint.arms import mycobot280
 from rejoint.robots import open_robot
 from rejoint.robots.mycobot.bus import MyCobot280Socket
-from rejoint.robots.mycobot.frames import Decoder, encode
+from rejoint.robots.mycobot.wire import Decoder, encode
 from rejoint_lab.emulator.firmware import build_firmware
 from rejoint_lab.emulator.servers import serve_pty
 

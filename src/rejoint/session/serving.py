@@ -17,8 +17,7 @@ from rejoint.control.loop import Schedule
 from rejoint.control.recording import PIECE, Cycle, Observer
 from rejoint.control.reference import Reference, ToolAtGoals
 from rejoint.control.robot import ControlInput, Controller, Mask, Relaying, part_of
-from rejoint.robots.serving.served import ServedArm
-from rejoint.robots.serving.server import Answering, OrderLog, Relay, WireServer, pty_wire, tcp_wire
+from rejoint.robots.serving import Answering, OrderLog, Relay, ServedArm, WireServer, pty_wire, tcp_wire
 from rejoint.session.inputs import RobotLike, RunLike, Settings
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import FileError, InputError

@@ -10,8 +10,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from rejoint.robots.mycobot.frames import Decoder, Frame, encode
-from rejoint.robots.mycobot.orders import answer
+from rejoint.robots.mycobot.wire import Decoder, Frame, answer, encode
 from rejoint.robots.wireserver import (
     BACKLOG,
     ByteStream,

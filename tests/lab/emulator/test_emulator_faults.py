@@ -5,7 +5,7 @@ import pytest
 from benchmarks.virtual import START, VirtualClient
 
 from rejoint.arms import mycobot280
-from rejoint.robots.mycobot.frames import Frame, encode, pack_angles
+from rejoint.robots.mycobot.wire import Frame, encode, pack_angles
 from rejoint.robots.wireserver import DeathError, LinkGoneError
 from rejoint_lab.emulator.faults import Fault, WireFaults, parse_faults
 from rejoint_lab.emulator.servers import Timing

@@ -6,9 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rejoint.arms import mycobot280
-from rejoint.robots.mycobot.frames import Frame
 from rejoint.robots.mycobot.mover import FULL_SPEED, NO_LINE, NO_SOLUTION
-from rejoint.robots.mycobot.orders import ORDERS, QUESTIONS, answer
+from rejoint.robots.mycobot.wire import ORDERS, QUESTIONS, Frame, answer
 from rejoint_lab.emulator.firmware import COMMAND_DELAY, Firmware
 
 ARM = mycobot280()

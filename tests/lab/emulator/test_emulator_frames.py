@@ -4,7 +4,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from rejoint.robots.mycobot.frames import MAX_PAYLOAD, Decoder, Frame, encode
+from rejoint.robots.mycobot.wire import MAX_PAYLOAD, Decoder, Frame, encode
 
 frames = st.builds(Frame, st.integers(0, 255), st.binary(max_size=MAX_PAYLOAD))
 nasty = st.lists(st.sampled_from([0xFE, 0xFA, 0x00, 0x02, 0x0F, 0x1E, 0x20, 0xFF]), max_size=60).map(bytes)

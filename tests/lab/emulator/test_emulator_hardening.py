@@ -11,9 +11,8 @@ from benchmarks.emulator import GET_ANGLES, descriptors, drop_connections, fuzz
 from reaching import place, until
 
 from rejoint.arms import mycobot280
-from rejoint.robots.mycobot.frames import Frame, encode, pack_angles
 from rejoint.robots.mycobot.mover import MAX_QUEUE
-from rejoint.robots.mycobot.orders import answer
+from rejoint.robots.mycobot.wire import Frame, answer, encode, pack_angles
 from rejoint_lab.emulator.firmware import MAX_WRITES
 from rejoint_lab.emulator.servers import Timing, serve_tcp
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from rejoint.arms import mycobot280, tcp_pose
 from rejoint.arms.rotations import to_coords, to_pose
-from rejoint.robots.mycobot import frames as values
+from rejoint.robots.mycobot import wire as values
 
 ARM = mycobot280()
 STEP = ARM.encoder_step
