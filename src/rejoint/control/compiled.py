@@ -1,6 +1,6 @@
-"""Compiled loops of control step and joint monitor.
+"""Compiled loops of the joint monitor.
 
-Arrays are contiguous float64; results equal NumPy's to the bit. Constants without a source are chosen.
+Arrays are contiguous float64. Constants without a source are chosen.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
@@ -10,154 +10,9 @@ import numpy as np
 from numba import bool_, float64, from_dtype, int64, njit, types, void
 
 IN1, IN2, IN3 = (types.Array(float64, dimensions, "C", readonly=True) for dimensions in (1, 2, 3))
-ROWS = types.Array(int64, 1, "C", readonly=True)
 OUT1, OUT2, OUT3 = float64[::1], float64[:, ::1], float64[:, :, ::1]
 
 OPTIONS = {"cache": True, "nogil": True, "boundscheck": True}
-
-
-@njit(void(ROWS, IN1, IN2, OUT1, OUT2, OUT3, OUT1, IN1), **OPTIONS)
-def differentiate(rows, time, position, last_time, last_position, velocity, period, rules):  # noqa: ANN001, ANN201
-    """Update velocities of ``rows`` (m,) from ``time`` (m,) [s] and ``position`` (m, n) [rad].
-
-    In place: ``last_time`` (B,), ``last_position`` (B, n), ``velocity`` (B, h, n), newest first, mean ``period`` (B,).
-    """
-    joints, kept = position.shape[1], velocity.shape[1]
-    longest, smoothing = rules[0], rules[1]
-    for k in range(len(rows)):
-        i = rows[k]
-        elapsed = time[k] - last_time[i]
-        if elapsed > 0.0:
-            for h in range(kept - 1, 0, -1):
-                for j in range(joints):
-                    velocity[i, h, j] = velocity[i, h - 1, j]
-            for j in range(joints):
-                velocity[i, 0, j] = (position[k, j] - last_position[i, j]) / elapsed
-            period[i] += smoothing * (min(elapsed, longest) - period[i])
-        last_time[i] = time[k]
-        for j in range(joints):
-            last_position[i, j] = position[k, j]
-
-
-@njit(void(OUT3, IN2, IN2, IN1, IN2, IN1, IN1, IN1), **OPTIONS)
-def weigh(out, step, error, distance, action, moves, spared, rules):  # noqa: ANN001, ANN201
-    """Fill ``out`` (2, B, n): the part of ``step`` (B, n) to integrate, and that of ``action`` (B, n).
-
-    ``rules`` (6,): least, slope and most of the authority, step limit, fade, near. The limited step fades with
-    ``error`` (B, 3). It spares joints by ``spared`` (n,) at a ``distance`` (B,) within near. The action counts as in
-    `CommandLaw.authority`, on joints that ``moves`` (n,) the tool.
-    """
-    arms, joints = step.shape
-    floor, slope, most, step_limit, fade, near = rules[0], rules[1], rules[2], rules[3], rules[4], rules[5]
-    for i in range(arms):
-        largest, square = 0.0, 0.0
-        for j in range(joints):
-            largest = np.maximum(largest, abs(step[i, j]))
-        for axis in range(3):
-            square += error[i, axis] * error[i, axis]
-        size = np.sqrt(square)
-        faded, whole = size / (size + fade), np.minimum(1.0, step_limit / np.maximum(largest, 1e-12))
-        authority = np.minimum(floor + slope * largest, most)
-        ratio = distance[i] / near
-        close = 1.0 / (1.0 + ratio * ratio)
-        for j in range(joints):
-            out[0, i, j] = faded * (step[i, j] * whole) * (1.0 - close * spared[j])
-            out[1, i, j] = authority * moves[j] * np.minimum(np.maximum(action[i, j], -1.0), 1.0)
-
-
-@njit(void(OUT2, OUT2, OUT2, IN2, IN1, IN2, IN2, IN1), **OPTIONS)
-def integrate(correction, speed, last, position, elapsed, step, extra, rules):  # noqa: ANN001, ANN201
-    """Add ``rate * elapsed * step`` to ``correction`` of slow joints, and ``extra`` to all.
-
-    All (B, n) but ``elapsed`` (B,) and ``rules`` (4,): rate, limit, speed of a moving joint, smoothing. Updates
-    ``correction`` (within +-limit), ``speed`` and ``last``.
-    """
-    arms, joints = correction.shape
-    rate, limit, moving, smoothing = rules[0], rules[1], rules[2], rules[3]
-    for i in range(arms):
-        for j in range(joints):
-            newest = (position[i, j] - last[i, j]) / elapsed[i] if elapsed[i] > 0.0 else speed[i, j]
-            now = smoothing * newest + (1.0 - smoothing) * speed[i, j]
-            push = rate * elapsed[i] * step[i, j]
-            if abs(now) > moving and now * push > 0.0:
-                push = 0.0
-            speed[i, j], last[i, j] = now, position[i, j]
-            correction[i, j] = np.minimum(np.maximum(correction[i, j] + push + extra[i, j], -limit), limit)
-
-
-@njit(void(OUT3, *[IN2] * 3, IN1, IN2, float64), **OPTIONS)
-def limit(stages, measured, last, speed, elapsed, bounds, lead):  # noqa: ANN001, ANN201
-    """Fill ``stages`` (5, B, n): wanted command, then limited by lead, position, step and acceleration.
-
-    ``last`` (B, n) was sent at ``speed`` (B, n), ``elapsed`` (1 or B,) [s] ago; ``bounds`` (4, n) as
-    `GuardLimits.bounds`.
-    """
-    _, arms, joints = stages.shape
-    fastest, acceleration, lower, upper = bounds[0], bounds[1], bounds[2], bounds[3]
-    for i in range(arms):
-        time = elapsed[i % len(elapsed)]
-        for j in range(joints):
-            near = min(max(stages[0, i, j], measured[i, j] - lead), measured[i, j] + lead)
-            legal = min(max(near, lower[j]), upper[j])
-            reach = fastest[j] * time
-            step = min(max(legal, last[i, j] - reach), last[i, j] + reach)
-            gain = acceleration[j] * time * time if time > 0.0 else 0.0
-            way = speed[i, j] * time
-            stages[1, i, j], stages[2, i, j], stages[3, i, j] = near, legal, step
-            stages[4, i, j] = min(max(step, last[i, j] + min(way - gain, 0.0)), last[i, j] + max(way + gain, 0.0))
-
-
-@njit(void(OUT2, bool_[:, ::1], IN2, IN2, OUT3, float64), **OPTIONS)
-def shorten(command, why, start, way, clear, tolerance):  # noqa: ANN001, ANN201
-    """Shorten ``command`` (B, n), ``start`` (B, n) plus ``way`` (B, n), until it is clear.
-
-    ``clear`` (B, S, n + c): clearances at S shares of the way; none may become negative, or more so. ``why`` (2, B):
-    the first violation was among the first n, or the others.
-    """
-    arms, shares, kinds = clear.shape
-    joints = start.shape[1]
-    least = np.empty(kinds)
-    for i in range(arms):
-        worse = False
-        for c in range(kinds):
-            least[c] = clear[i, 0, c] - tolerance if clear[i, 0, c] < 0.0 else 0.0
-            worse = worse or clear[i, shares - 1, c] < least[c]
-        if not worse:
-            continue
-        k = 0
-        while not (why[0, i] or why[1, i]):
-            k += 1
-            for c in range(kinds):
-                if clear[i, k, c] < least[c]:
-                    why[int(c >= joints), i] = True
-        for j in range(joints):
-            command[i, j] = start[i, j] + (k - 1) / (shares - 1) * way[i, j]
-
-
-@njit(void(OUT2, *[IN2] * 2, *[IN1] * 2), **OPTIONS)
-def take_speed(speed, command, last, elapsed, fastest):  # noqa: ANN001, ANN201
-    """Fill ``speed`` (B, n) of ``command`` (B, n), ``elapsed`` (1 or B,) after ``last`` (B, n)."""
-    arms, joints = speed.shape
-    for i in range(arms):
-        time = elapsed[i % len(elapsed)]
-        for j in range(joints):
-            speed[i, j] = 0.0
-            if time > 0.0:
-                speed[i, j] = min(max((command[i, j] - last[i, j]) / time, -fastest[j]), fastest[j])
-
-
-@njit(bool_(*[IN2] * 4, IN1, IN1, IN1, float64), **OPTIONS)
-def credible(command, sent, speed, position, lowest, highest, age, oldest):  # noqa: ANN001, ANN201
-    """Whether all numbers (B, n) are finite, positions in range and states (B,) young."""
-    arms, joints = command.shape
-    for i in range(arms):
-        if not age[i] <= oldest:  # NaN counts as old
-            return False
-        for j in range(joints):
-            seen = lowest[j] <= position[i, j] <= highest[j]
-            if not (seen and np.isfinite(command[i, j] + sent[i, j] + speed[i, j])):
-                return False
-    return True
 
 
 HISTORY = 8

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import IntFlag
 from functools import cached_property
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -19,11 +20,10 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array, clearances, heights
 from rejoint.arms.collision import JOINT_CLEARANCE
 from rejoint.arms.workspace import length_size
-from rejoint.control.controllers.law import plain
-from rejoint.control.monitor import Bands, Knowledge
+from rejoint.control.controllers.law import between, limit_lead
+from rejoint.control.monitor import Bands, Following, Knowledge
 from rejoint.control.robot import JointState, Mask
 from rejoint.system.errors import InputError
-from rejoint.system.shell import Late
 
 Reasons = NDArray[np.uint16]
 
@@ -124,11 +124,6 @@ class GuardLimits:
         return np.append(np.full(self.arm.joints - 1, self.joint_floor), self.tcp_floor)
 
     @cached_property
-    def bounds(self) -> Array:
-        """(4, n) largest speed and acceleration, lowest and highest command."""
-        return np.array([self.max_speed, self.max_acceleration, self.lower, self.upper])
-
-    @cached_property
     def shares(self) -> Array:
         """(parts + 1, 1)."""
         return np.arange(self.parts + 1)[:, None] / self.parts
@@ -160,8 +155,6 @@ def reason_names(reasons: int) -> tuple[str, ...]:
     """Names of the flags."""
     return tuple(reason.name.lower().replace("_", " ") for reason in Reason(int(reasons)) if reason.name)
 
-
-compiled = Late("rejoint.control.compiled")
 
 _TOLERANCE = 1e-9  # [m] rounding of the kinematics: a joint that cannot move must not look sinking
 _TRIP_BITS = np.uint16(TRIPS.value)
@@ -196,25 +189,37 @@ def guard(
     """
     _check_shapes(limits.arm.joints, command, sent, speed, state, period)
     last, trips = _check(limits, command, sent, speed, state)
-    measured, wanted, hold = state.position, command, np.count_nonzero(trips) > 0
-    if hold:
-        measured, wanted = (np.where(trips[:, None] != 0, last, array) for array in (measured, wanted))
-    elapsed = np.minimum(np.fmax(period, 0.0), limits.max_period).reshape(-1)  # NaN counts as no time
-    stages = np.empty((5, *command.shape))
-    stages[0], stepped = wanted, stages[4]
-    last = plain(last)
-    compiled.limit(stages, plain(measured), last, plain(speed), elapsed, limits.bounds, limits.max_lead)
-    if hold:  # whatever the limits say of the posture
-        stepped[trips != 0] = last[trips != 0]
+    measured, wanted, hold = state.position, command, (trips != 0)[:, None]
+    if np.count_nonzero(trips):
+        measured, wanted, speed = (
+            np.where(hold, held, array) for held, array in ((last, measured), (last, command), (0.0, speed))
+        )
+    elapsed = np.minimum(np.fmax(period, 0.0), limits.max_period).reshape(-1, 1)  # NaN counts as no time
+    stages = _limited(limits, wanted, measured, last, speed, elapsed)
+    stepped = np.where(hold, last, stages[-1])  # whatever the limits say of the posture
     allowed, shortened = _keep_clear(limits, stepped, last)
-    now = np.empty_like(allowed)
-    compiled.take_speed(now, allowed, last, elapsed, limits.max_speed)
-    changed = allowed != wanted
+    now = np.divide(allowed - last, elapsed, out=np.zeros_like(allowed), where=elapsed > 0.0)
+    now = between(now, -limits.max_speed, limits.max_speed)
+    changed = np.logical_or.reduce(allowed != wanted, axis=-1)
     if not np.count_nonzero(changed):
         return Guarded(allowed, trips, now)
-    limited = np.logical_or.reduce(stages[1:] != stages[:-1], axis=-1)
-    reasons: Reasons = _LIMIT_BITS @ np.concatenate([limited, shortened])
-    return Guarded(allowed, trips + reasons * np.logical_or.reduce(changed, axis=-1), now)
+    limited = [np.logical_or.reduce(after != before, axis=-1) for before, after in pairwise((wanted, *stages))]
+    reasons: Reasons = _LIMIT_BITS @ np.array([*limited, *shortened])
+    return Guarded(allowed, trips + reasons * changed, now)
+
+
+def _limited(
+    limits: GuardLimits, wanted: Array, measured: Array, last: Array, speed: Array, elapsed: Array
+) -> tuple[Array, ...]:
+    """Commands (B, n) [rad] limited by lead, then also by position, step and acceleration; ``elapsed`` (1 or B, 1)."""
+    near = limit_lead(wanted, measured, limits.max_lead)
+    legal = between(near, limits.lower, limits.upper)
+    reach, way = limits.max_speed * elapsed, speed * elapsed
+    stepped = between(legal, last - reach, last + reach)
+    some = np.where(elapsed > 0.0, elapsed, 1.0)  # an endless acceleration in no time is no number
+    gain = np.where(elapsed > 0.0, limits.max_acceleration * some * some, 0.0)
+    smooth = between(stepped, last + np.minimum(way - gain, 0.0), last + np.maximum(way + gain, 0.0))
+    return near, legal, stepped, smooth
 
 
 def guard_along(
@@ -245,10 +250,11 @@ def guard_along(
 
 
 def warm_up(limits: GuardLimits) -> None:
-    """Compile the loops."""
+    """Compile the loops of guard and joint monitor."""
     rest = limits.arm.rest[None]
     state = JointState(time=np.zeros(1), position=rest, age=np.zeros(1))
     guard(limits, rest, rest, 0.0 * rest, state, 0.0)
+    Following(limits.arm, state, rest)
 
 
 def _check_shapes(
@@ -267,20 +273,18 @@ def _check_shapes(
 def _check(limits: GuardLimits, command: Array, sent: Array, speed: Array, state: JointState) -> tuple[Array, Reasons]:
     """Posture to hold (B, n) and trips (B,)."""
     lowest, highest = limits.believed
-    if _nothing_wrong(limits, command, sent, speed, state):
-        return sent, np.zeros(len(sent), dtype=np.uint16)
-    unknown = ~np.isfinite(state.position)
-    not_finite = ~np.isfinite(command) | ~np.isfinite(sent) | ~np.isfinite(speed) | unknown
+    finite = np.isfinite((command, sent, speed, state.position))
+    beyond = (state.position < lowest) | (state.position > highest)
     trips = (
-        _flag(not_finite, Reason.NOT_FINITE)
+        _flag(~np.logical_and.reduce(finite), Reason.NOT_FINITE)
         + _flag(~(state.age <= limits.max_age)[:, None], Reason.STALE)  # NaN counts as stale
-        + _flag(((state.position < lowest) | (state.position > highest)) & ~unknown, Reason.OUT_OF_RANGE)
+        + _flag(beyond & finite[3], Reason.OUT_OF_RANGE)
+        + _servo_trips(limits, state)
     )
-    trips = trips + _servo_trips(limits, state)
-    if not not_finite.any():
+    if not np.count_nonzero(trips):
         return sent, trips
-    known = np.where(unknown, limits.arm.rest, np.clip(state.position, limits.lower, limits.upper))
-    return np.where(np.isfinite(sent), sent, known), trips
+    known = np.where(finite[3], np.clip(state.position, limits.lower, limits.upper), limits.arm.rest)
+    return np.where(finite[1], sent, known), trips
 
 
 def suffers(limits: GuardLimits, state: JointState) -> NDArray[np.bool_]:
@@ -297,15 +301,8 @@ def _servo_trips(limits: GuardLimits, state: JointState) -> Reasons:
     return trips
 
 
-def _nothing_wrong(limits: GuardLimits, command: Array, sent: Array, speed: Array, state: JointState) -> bool:
-    if state.temperature is not None or state.fault is not None:
-        return False
-    numbers = (plain(command), plain(sent), plain(speed), plain(state.position))
-    return bool(compiled.credible(*numbers, *limits.believed, plain(state.age), limits.max_age))
-
-
 def _flag(per_joint: NDArray[np.bool_], reason: Reason) -> Reasons:
-    flagged: Reasons = np.asarray(per_joint.any(axis=-1)) * np.uint16(reason.value)
+    flagged: Reasons = np.logical_or.reduce(per_joint, axis=-1) * np.uint16(reason.value)
     return flagged
 
 
@@ -318,10 +315,14 @@ def _keep_clear(limits: GuardLimits, command: Array, sent: Array) -> tuple[Array
     start, way = sent[index], command[index] - sent[index]
     on_way = clear_by(limits, start[:, None] + limits.shares * way[:, None])
     on_way[:, -1] = clear[index]  # of the command itself, without rounding
-    nearer, why = command[index], np.zeros((2, len(index)), dtype=bool)
-    compiled.shorten(nearer, why, start, way, plain(on_way), _TOLERANCE)
-    result = command.copy()
-    result[index], shortened[:, index] = nearer, why
+    least = np.where(on_way[:, 0] < 0.0, on_way[:, 0] - _TOLERANCE, 0.0)  # none may become negative, or more so
+    touches = on_way < least[:, None]
+    worse = touches[:, -1].any(axis=-1)
+    index, touches = index[worse], touches[worse]
+    first = touches[:, 1:].any(axis=-1).argmax(axis=1)  # tried part before the first that touches
+    result, met, n = command.copy(), touches[np.arange(len(index)), first + 1], command.shape[1]
+    result[index] = start[worse] + limits.shares[first] * way[worse]
+    shortened[:, index] = met[:, :n].any(axis=-1), met[:, n:].any(axis=-1)
     return result, shortened
 
 

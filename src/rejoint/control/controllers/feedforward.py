@@ -24,13 +24,9 @@ from rejoint.control.controllers.law import (
     fade,
     limit_position,
     null_space,
-    plain,
 )
 from rejoint.control.robot import ControlInput, Mask
 from rejoint.system.errors import InputError
-from rejoint.system.shell import Late
-
-compiled = Late("rejoint.control.compiled")
 
 NOMINAL_STIFFNESS = 6.0
 """[N m/rad] of a worn myCobot's servos (chosen: twins have 3 to 12); other arms scale with load"""
@@ -79,8 +75,6 @@ class FeedforwardController:
     ) -> None:
         """``stiffness`` (n,) or (B, n) [N m/rad]; ``loosen`` as `LOOSEN`."""
         self._arm, self._gains, self._loosen = arm, gains or FeedforwardGains(), loosen
-        own = self._gains
-        self._rules = np.array([own.rate, own.learned_limit, own.moving, SPEED_SMOOTHING])
         self._close = CLOSE * length_size(arm)
         stiffness = NOMINAL_STIFFNESS * torque_size(arm) if stiffness is None else stiffness
         self._stiffness = np.atleast_2d(np.asarray(stiffness, dtype=float) + np.zeros(arm.joints))
@@ -156,7 +150,7 @@ class FeedforwardController:
 
         Call this or `command` once per cycle. ``distance`` as in `loosening`.
         """
-        position = plain(inputs.state.position)
+        position = inputs.state.position
         if not step.shape == extra.shape == position.shape == self._correction.shape:
             raise InputError(
                 f"feedforward: step {step.shape}, extra {extra.shape}, position {position.shape}; expected "
@@ -165,23 +159,22 @@ class FeedforwardController:
         moved = self.on_the_way(inputs)
         if np.count_nonzero(moved):
             self._take(inputs, moved)
-        step, extra = plain(step), plain(extra)
         gains, elapsed = self._gains, self._pace.tick(inputs.state.time)
         if np.count_nonzero(distance > gains.far[0]):
             forgotten = self._far(distance) * -np.expm1(-gains.forgetting * elapsed)
             self._correction -= forgotten[:, None] * self._unneeded()
         # Bounded by itself, not by the measured position: on the way the command leads by the whole distance.
-        compiled.integrate(
-            self._correction,
-            self._speed,
-            self._position,
-            position,
-            elapsed,
-            step,
-            extra,
-            self._rules,
-        )
+        self._integrate(position, elapsed[:, None], step, extra)
         return limit_position(self._arm, self._raised + self._correction)
+
+    def _integrate(self, position: Array, elapsed: Array, step: Array, extra: Array) -> None:
+        gains, speed = self._gains, self._speed
+        newest = np.divide(position - self._position, elapsed, out=speed.copy(), where=elapsed > 0.0)
+        speed[...] = SPEED_SMOOTHING * newest + (1.0 - SPEED_SMOOTHING) * speed
+        push = gains.rate * elapsed * step
+        push = np.where((np.abs(speed) > gains.moving) & (speed * push > 0.0), 0.0, push)
+        self._position[...], limit = position, gains.learned_limit
+        self._correction[...] = between(self._correction + push + extra, -limit, limit)
 
     def reset_learned(self, inputs: ControlInput, where: Mask) -> None:
         """Clear corrections of ``where`` (B,); call `reset` next."""

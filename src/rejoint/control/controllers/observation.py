@@ -16,10 +16,8 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, collides, position_kinematics
 from rejoint.arms.inverse import DAMPING
-from rejoint.control.controllers.law import plain
 from rejoint.control.robot import ControlInput, Mask
 from rejoint.system.errors import InputError
-from rejoint.system.shell import Late
 
 Layout = Literal["residual", "equation-16", "equation-16-action"]
 Rows = slice | NDArray[np.intp]
@@ -38,7 +36,6 @@ POINT_SCALE = 5.0
 HISTORY = 3
 """(chosen)"""
 
-compiled = Late("rejoint.control.compiled")
 
 _RIDGE = DAMPING**2 * np.eye(3)
 LONGEST_WAIT = 2.0
@@ -220,14 +217,18 @@ class Observer:
         }
 
     def _differentiate(self, time: Array, position: Array, rows: Rows) -> None:
-        chosen = np.ascontiguousarray(self._everyone[rows])
-        new = plain(time), plain(position)
-        if not (new[0].shape == chosen.shape and new[1].shape == (len(chosen), self.arm.joints)):
+        chosen = self._everyone[rows]
+        if not (time.shape == chosen.shape and position.shape == (len(chosen), self.arm.joints)):
             raise InputError(
-                f"observer: {new[0].shape} times and positions {new[1].shape}, expected those of {len(chosen)} arms"
+                f"observer: {time.shape} times and positions {position.shape}, expected those of {len(chosen)} arms"
             )
-        known = self._time, self._position, self._velocity, self._period
-        compiled.differentiate(chosen, *new, *known, np.array([LONGEST_PERIOD, PERIOD_SMOOTHING]))
+        elapsed = time - self._time[rows]
+        later = elapsed > 0.0  # not where nothing was seen before
+        chosen, elapsed = chosen[later], elapsed[later]
+        self._velocity[chosen, 1:] = self._velocity[chosen, :-1]
+        self._velocity[chosen, 0] = (position[later] - self._position[chosen]) / elapsed[:, None]
+        self._period[chosen] += PERIOD_SMOOTHING * (np.minimum(elapsed, LONGEST_PERIOD) - self._period[chosen])
+        self._time[rows], self._position[rows] = time, position
 
 
 def _residual(out: Observation, reading: ObservationInput) -> None:

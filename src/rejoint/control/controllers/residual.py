@@ -18,13 +18,10 @@ import numpy as np
 from rejoint.arms import Arm, Array, clip_norm
 from rejoint.arms.workspace import heaviest_load, moves_tool, unloaded_joints
 from rejoint.control.controllers.feedforward import LOOSEN, FeedforwardController, FeedforwardGains
-from rejoint.control.controllers.law import GAIN, STEP_LIMIT, between, limit_lead, limit_position, plain
+from rejoint.control.controllers.law import GAIN, STEP_LIMIT, between, fade, limit_lead, limit_position
 from rejoint.control.controllers.observation import View
 from rejoint.control.robot import ControlInput, Mask
 from rejoint.system.errors import InputError
-from rejoint.system.shell import Late
-
-compiled = Late("rejoint.control.compiled")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,8 +86,6 @@ class Commander:
         self._arm, self.law = arm, law
         self._base: FeedforwardController | None = None
         load = heaviest_load(arm)
-        authority = law.authority_floor, law.authority_slope, law.authority_limit
-        self._rules = np.array([*authority, law.step_limit, law.learning.fade, law.load_penalty_distance])
         self._moves = moves_tool(arm).astype(float)
         self._spared = 1.0 - 1.0 / (1.0 + law.load_penalty * load / max(load.max(), 1e-9))
         if law.anchor == "goal":
@@ -118,17 +113,10 @@ class Commander:
         law = self.law
         if self._base is None:
             return law.command(self._arm, view, inputs.state.position, action)
-        step, extra = out = np.empty((2, *view.step.shape))
-        compiled.weigh(
-            out,
-            plain(view.step),
-            plain(view.error),
-            plain(view.distance),
-            plain(action),
-            self._moves,
-            self._spared,
-            self._rules,
-        )
+        near = 1.0 / (1.0 + (view.distance / law.load_penalty_distance) ** 2)
+        step = fade(view.error, law.learning.fade) * clip_norm(view.step, law.step_limit)
+        step = step * (1.0 - near[:, None] * self._spared)
+        extra = law.authority(view.step) * self._moves * between(action, -1.0, 1.0)
         if law.decay_start > 0.0:
             factor = np.where(unloaded_joints(self._arm), law.decayed(inputs.since_target, view.step), 1.0)
             step, extra = factor * step, factor * extra
