@@ -51,6 +51,7 @@ class WebPage:
         scene.configure_default_lights(enabled=True, cast_shadow=True)
         scene.add_light_ambient("/light", intensity=0.8)
         self._parts: list[viser.SceneNodeHandle] = []
+        self._shows: tuple[Arm, float] | None = None
         self._texts = {"head": gui.add_html("")}
         self._bar = gui.add_progress_bar(0.0, color="teal")
         self._hold = gui.add_button("Hold the arm", color="red", hint="It stops and keeps its position, powered.")
@@ -69,8 +70,11 @@ class WebPage:
         return self._server.atomic()
 
     def show(self, arm: Arm, *, within: float, paced: bool) -> None:
-        """Draw an arm and the accepted error ``within`` [m], in place of the last ones."""
-        scene, size = self._server.scene, reach(arm)
+        """Draw an arm and the accepted error ``within`` [m], in place of other ones."""
+        self._pace.visible = paced
+        if self._shows is not None and self._shows[0] is arm and self._shows[1] == within:
+            return
+        self._shows, scene, size = (arm, within), self._server.scene, reach(arm)
         for part in self._parts:
             part.remove()
         middle = 0.5 * (arm.targets.lower + arm.targets.upper)
@@ -114,7 +118,7 @@ class WebPage:
             for k, box in enumerate(arm.keep_out)
         ]
         self._parts = [grid, *boxes, *self._limbs, *self._ghosts, self._target, self._true, self._trail, self._way]
-        self._pace.visible = paced
+        self.pose(arm.rest, arm.rest)
 
     def _add_limbs(
         self, root: str, colours: tuple[Colour, Colour], share: float, opacity: float | None

@@ -5,18 +5,18 @@ from __future__ import annotations
 import sys
 import threading
 import time
+from collections import deque
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING, Self, cast
 
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.guard import GuardLimits
 from rejoint.control.recording import Look, Observer
 from rejoint.control.robot import Robot
-from rejoint.pages.live.animation import Animation, Begun, Doing, Ghost, Ring, Subject
-from rejoint.robots import place_of
+from rejoint.pages.live.animation import SLOTS, Animation, Doing, Shown
+from rejoint.pages.words import is_virtual
 from rejoint.robots.wrapper import RobotWrapper, WallClock
-from rejoint.system.errors import AddressError, first_line
+from rejoint.system.errors import first_line
 from rejoint.system.extras import require
 from rejoint.system.stopping import ask
 
@@ -58,13 +58,12 @@ class LiveView(Observer):
         self._page: WebPage | None = None
         self._thread = threading.Thread(target=self._run, name="live view", daemon=True)
         self._over = threading.Event()
-        self._subject: Subject | None = None
-        self._begun = Begun()
+        self.shown: Shown | None = None
+        """the newest run"""
         self._doing = Doing()
         self._stopped = ""
         self._interval = sys.getswitchinterval()
         self._pace = 1.0
-        self.frames = 0
         self.failure = ""
         """why drawing ended, or empty"""
 
@@ -88,12 +87,12 @@ class LiveView(Observer):
             self._stopped = " ".join([f"{said[:1].upper()}{said[1:]}.", *getattr(error, "__notes__", ())])
         elif self._doing.title:
             self._doing = replace(self._doing, what="done", share=1.0)
-        if self._page is not None and self._page.watched:
+        page = cast("WebPage", self._page)
+        if page.watched:
             time.sleep(SEEN)
         self._over.set()
         self._thread.join()
-        if self._page is not None:
-            self._page.close()
+        page.close()
         sys.setswitchinterval(self._interval)
 
     @property
@@ -108,19 +107,10 @@ class LiveView(Observer):
 
         ``within`` [m]: accepted error; virtual time, or ``paced``, runs at the page's pace.
         """
-        slowed = _virtual(robot) if paced is None else paced
-        subject = Subject(
-            arm=robot.arm,
-            address=robot.address,
-            count=robot.count,
-            ring=Ring(),
-            ghost=None if twin is None else Ghost(robot.arm, cast("Twin", twin)),
-            within=Protocol.threshold if within is None else within,
-            paced=slowed,
-        )
-        self._subject = subject
-        shown = WallClock(robot, lambda: self._pace) if slowed else robot
-        return _LiveRobot(shown, self, subject)
+        slowed = is_virtual(robot.address) if paced is None else paced
+        accepted = Protocol.threshold if within is None else within
+        self.shown = Shown(robot=robot, twin=cast("Twin | None", twin), within=accepted, paced=slowed)
+        return _LiveRobot(WallClock(robot, lambda: self._pace) if slowed else robot, self, self.shown)
 
     def begin(self, title: str) -> None:
         """Begin a command, or a stage of a repair."""
@@ -130,15 +120,8 @@ class LiveView(Observer):
         """Show progress."""
         self._doing = replace(self._doing, share=min(max(share, 0.0), 1.0), what=what)
 
-    def look(self, subject: Subject, controller: str, limits: GuardLimits) -> Look:
-        """Return the writer of a run's cycles."""
-        number = self._begun.number + 1
-        self._begun, self._subject = Begun(number=number, controller=controller, limits=limits), subject
-        return partial(subject.ring.write, number)
-
     def _hold(self) -> None:
-        if self._page is not None:
-            self._page.held("Asked to hold")
+        cast("WebPage", self._page).held("Asked to hold")
         ask(BUTTON)
 
     def _set_pace(self, pace: float) -> None:
@@ -151,31 +134,27 @@ class LiveView(Observer):
             self.failure = f"{type(error).__name__}: {first_line(error)}"
 
     def _draw(self, page: WebPage) -> None:
-        animation: Animation | None = None
+        drawn: Animation | None = None
         while not self._over.is_set():
-            subject = self._subject
-            if not page.watched or subject is None:
-                animation = None
+            shown = self.shown
+            if not page.watched or shown is None:
+                drawn = None
                 self._over.wait(ASLEEP)
                 continue
-            animation, began = animation or Animation(page), time.monotonic()
-            animation.draw(subject, self._begun, self._doing, self._stopped)
-            self.frames += 1
+            began = time.monotonic()
+            if drawn is None or drawn.shown is not shown:
+                drawn = Animation(page, shown)
+            drawn.draw(self._doing, self._stopped)
             self._over.wait(max(1.0 / RATE - (time.monotonic() - began), 0.0))
 
 
 class _LiveRobot(RobotWrapper):
-    def __init__(self, robot: Robot, view: LiveView, subject: Subject) -> None:
+    def __init__(self, robot: Robot, view: LiveView, shown: Shown) -> None:
         super().__init__(robot)
-        self._view, self._subject = view, subject
+        self._view, self._shown = view, shown
 
-    def onlooker(self, controller: str, limits: GuardLimits) -> Look:
+    def onlooker(self, controller: str, limits: GuardLimits) -> Look:  # noqa: ARG002 - of the protocol
         """See `rejoint.control.recording.LookedAt`."""
-        return self._view.look(self._subject, controller, limits)
-
-
-def _virtual(robot: Robot) -> bool:
-    try:
-        return place_of(robot.address).virtual
-    except AddressError:  # a robot of the caller's own
-        return False
+        run = replace(self._shown, controller=controller, cycles=deque(maxlen=SLOTS))
+        self._view.shown = run
+        return lambda *seen: run.cycles.append(seen)
