@@ -19,14 +19,14 @@ import numpy as np
 
 import rejoint
 from rejoint.arms import mycobot280
-from rejoint.control.comparison.compare import Settings, Trial, TrialRunner
-from rejoint.control.comparison.elimination import Elimination
+from rejoint.control.comparison.compare import BLOCK, Settings, TrialRunner
 from rejoint.control.comparison.ledger import Ledger
 from rejoint.control.comparison.protocols import measure
 from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import Comparison, Driven
 from rejoint.control.controllers.catalogue import contenders
 from rejoint.control.controllers.classical import DefaultController
+from rejoint.control.recording import Recording
 from rejoint.control.robot import Robot
 from rejoint.control.targets import draw_targets
 from rejoint.robots import open_robot
@@ -90,24 +90,25 @@ def try_arm(number: int, policy: Path | None, sets: int) -> Outcome:
     targets, short = draw_targets(ARM, sets=SETS, seed=number), []
     targets[0] = before.targets
 
-    def keep(trial: Trial) -> None:
-        if trial.repetition == 1 and trial.kind == "hold":
-            short.append(_short(trial, targets))
+    def keep(driven: Driven, recording: Recording) -> None:
+        if driven.kind == "hold":
+            short.extend(_short(driven, recording, b, targets) for b, (_, r) in enumerate(driven.places) if r == 1)
 
     twice = TrialRunner(
         connect, factories, targets, Settings(seed=number, batched=True, repetitions=2), on_trial=keep
     ).compare()
     done, meter = _Asked({part.key: part for driven in short for part in _parts(driven)}), Meter()
-    settings = Settings(seed=number, batched=False, protocol=ONE_ARM_PROTOCOL, elimination=Elimination())
+    settings = Settings(seed=number, batched=False, protocol=ONE_ARM_PROTOCOL, block=BLOCK)
     everyone = {DEFAULT: DefaultController, **factories}
+    ledger = Ledger()
+    ledger.done = done
     raced = TrialRunner(
         lambda count, seed: meter.watch(connect(count, seed)),
         everyone,
         targets[:sets],
         settings,
-        measured=(before.driven,),
-        ledger=Ledger(None, done),
-        source="open loop",
+        measured=before.driven,
+        ledger=ledger,
     ).compare()
     best = recommend(raced)
     return Outcome(
@@ -119,18 +120,12 @@ def try_arm(number: int, policy: Path | None, sets: int) -> Outcome:
     )
 
 
-def _short(trial: Trial, targets: np.ndarray) -> Driven:
-    """Measure a trial as a comparison in blocks does."""
-    one = trial.recording.of(slice(trial.arm_index, trial.arm_index + 1))
+def _short(driven: Driven, recording: Recording, b: int, targets: np.ndarray) -> Driven:
+    """Measure the trial of arm ``b`` as a comparison in blocks does."""
+    one, target_set = recording.of(slice(b, b + 1)), driven.places[b][0]
     one = replace(one, active=one.active & (one.since_target < ONE_ARM_PROTOCOL.hold + PERIOD[1]))
-    return measure(
-        ARM,
-        one,
-        targets[trial.target_set][None],
-        ONE_ARM_PROTOCOL,
-        (trial.controller, trial.kind, ((trial.target_set, 0),), 0),
-        both=True,
-    )
+    key = (driven.controller, driven.kind, ((target_set, 0),), 0)
+    return measure(ARM, one, targets[target_set][None], ONE_ARM_PROTOCOL, key, both=True)
 
 
 def _once(twice: Comparison) -> Comparison:
@@ -146,10 +141,9 @@ def _once(twice: Comparison) -> Comparison:
 
 def _parts(driven: Driven) -> list[Driven]:
     """Cut the holds of a set into blocks."""
-    block = Elimination().block
     return [
-        replace(driven, first=k, columns={name: values[:, k : k + block] for name, values in driven.columns.items()})
-        for k in range(0, driven.targets, block)
+        replace(driven, first=k, columns={name: values[:, k : k + BLOCK] for name, values in driven.columns.items()})
+        for k in range(0, driven.targets, BLOCK)
     ]
 
 

@@ -36,10 +36,9 @@ def helper():
 
 
 def test_it_drives_the_same_to_the_bit(helper):
-    for task in (("integrator", "hold"), ("shelf", "crossing")):
-        runner = JOB.runner_of(task[0])
-        driven, recording = helper(task, PLACES).result()
-        own, seen = runner.drive_batch(runner.open_batch(PLACES), *task, PLACES)
+    for key in (("integrator", "hold", PLACES, 0), ("shelf", "crossing", PLACES, 0)):
+        driven, recording = helper(key).result()
+        own, seen = JOB.runner_of(key[0]).drive_batch(key)
         assert (driven.key, driven.cycles, driven.reasons) == (own.key, own.cycles, own.reasons)
         first = seen.of(slice(1))  # no other log is kept, and the rest is not sent
         assert first.position.shape[1] == 1 < seen.position.shape[1]
@@ -54,7 +53,7 @@ def test_what_it_does_not_drive_fails(lost, monkeypatch):
     helper = HelperProcess(JOB)
     if lost == "it is gone":
         helper._process.kill()
-    future = helper(("nobody" if lost == "a task fails" else "default", "hold"), PLACES)
+    future = helper(("nobody" if lost == "a task fails" else "default", "hold", PLACES, 0))
     assert future.exception(60) is not None
     helper.close()
 
@@ -103,7 +102,7 @@ def test_it_ends_with_the_process_that_started_it_however_that_ends():
         "import sys; sys.path[:0] = sys.argv[1:]",
         "from test_helper import JOB, PLACES, HelperProcess",
         "helper = HelperProcess(JOB)",
-        "helper(('default', 'hold'), PLACES).result()",
+        "helper(('default', 'hold', PLACES, 0)).result()",
         "print(helper._process.pid, flush=True)",
         "sys.stdin.read()",
     )

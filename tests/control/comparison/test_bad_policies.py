@@ -47,7 +47,7 @@ def tried(files, *, batched):
         controllers,
         TARGETS,
         Settings(batched=batched, repetitions=2 if batched else 1, protocol=PROTOCOL),
-        on_trial=trials.append,
+        on_trial=lambda *trial: trials.append(trial),
     ).compare()
     return found, trials
 
@@ -59,17 +59,17 @@ def comparison(request, files):
 
 def test_the_guard_keeps_every_law_on_the_whole_recording(comparison):
     _, trials = comparison
-    assert {trial.controller for trial in trials} == {"integrator", *NAMES}
-    for trial in trials:
-        rows = trial.recording.active[:, trial.arm_index]
-        time, command = (getattr(trial.recording, name)[rows, trial.arm_index] for name in ("time", "command"))
-        assert np.isfinite(command).all(), trial.label
-        assert ((command >= LIMITS.lower - 1e-9) & (command <= LIMITS.upper + 1e-9)).all(), trial.label
+    assert {driven.controller for driven, _ in trials} == {"integrator", *NAMES}
+    for driven, recording, b in ((*trial, b) for trial in trials for b in range(len(trial[0].places))):
+        rows = recording.active[:, b]
+        time, command = (getattr(recording, name)[rows, b] for name in ("time", "command"))
+        assert np.isfinite(command).all(), driven.label
+        assert ((command >= LIMITS.lower - 1e-9) & (command <= LIMITS.upper + 1e-9)).all(), driven.label
         period = np.minimum(np.diff(time), LIMITS.max_period)
         assert (period > 0).all()
-        assert (np.abs(np.diff(command, axis=0)) <= LIMITS.max_speed * period[:, None] + 1e-9).all(), trial.label
+        assert (np.abs(np.diff(command, axis=0)) <= LIMITS.max_speed * period[:, None] + 1e-9).all(), driven.label
         height = heights(ARM, command)[:, 1:] - LIMITS.floors
-        assert (height[1:] >= np.minimum(height[:-1], 0.0) - 1e-8).all(), trial.label
+        assert (height[1:] >= np.minimum(height[:-1], 0.0) - 1e-8).all(), driven.label
 
 
 def test_the_comparison_notices(comparison):

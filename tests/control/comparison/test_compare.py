@@ -69,7 +69,7 @@ def comparison():
         factories("default", "integrator"),
         repetitions=3,
         seed=7,
-        hooks={"on_trial": trials.append},
+        hooks={"on_trial": lambda *trial: trials.append(trial)},
     )
     return found, opened, trials
 
@@ -78,16 +78,13 @@ def test_batch_has_one_arm_per_trial_and_closes_it(comparison):
     found, opened, trials = comparison
     assert [robot.count for robot in opened] == [6] * 4  # 2 controllers x 2 protocols
     assert all(robot.closed == 1 for robot in opened)
-    assert {trial.label for trial in trials} == {
-        f"{kind}/{name}/{s}/{r}"
-        for kind in ("crossing", "hold")
-        for name in ("default", "integrator")
-        for s in range(2)
-        for r in range(3)
+    assert {(driven.kind, driven.controller) for driven, _ in trials} == {
+        (kind, name) for kind in ("crossing", "hold") for name in ("default", "integrator")
     }
-    for trial in trials:
-        seen = trial.recording.target[trial.recording.active[:, trial.arm_index], trial.arm_index]
-        assert (seen[0] == TARGETS[trial.target_set, 0]).all()
+    for driven, recording in trials:
+        assert set(driven.places) == {(s, r) for s in range(2) for r in range(3)}
+        for b, (s, _) in enumerate(driven.places):
+            assert (recording.target[recording.active[:, b], b][0] == TARGETS[s, 0]).all()
     assert found.clusters == "trials"
     assert found.true_known
 
@@ -95,8 +92,10 @@ def test_batch_has_one_arm_per_trial_and_closes_it(comparison):
 def test_results_per_target_are_those_of_single_trials(comparison):
     """Recompute one trial of the hold protocol from its run log alone."""
     found, _, trials = comparison
-    trial = next(trial for trial in trials if trial.label == "hold/integrator/1/2")
-    log = trial.log()
+    driven, recording = next(
+        (one, seen) for one, seen in trials if (one.kind, one.controller) == ("hold", "integrator")
+    )
+    log = recording.log(driven.places.index((1, 2)), "hold")
     error = np.linalg.norm(tcp_position(ARM, log.position) - log.target, axis=-1)
     true = np.linalg.norm(log.true_tcp - log.target, axis=-1)
     for k in range(2):
@@ -138,9 +137,9 @@ def test_same_seed_same_numbers_and_noise_shared_by_the_controllers():
 def test_one_arm_interleaves_and_returns_to_the_start():
     robot, starts, order = SaggingRobot(know_truth=False), [], []
 
-    def note(trial):
-        order.append((trial.repetition, trial.target_set, trial.controller, trial.kind))
-        starts.append(trial.recording.position[0, 0])
+    def note(driven, recording):
+        order.append((driven.places[0][1], driven.places[0][0], driven.controller, driven.kind))
+        starts.append(recording.position[0, 0])
 
     three = dict.fromkeys(("one", "two", "three"), IntegratorController)
     found = compared(robot, three, TARGETS[:1, :1], repetitions=4, seed=2, hooks={"on_trial": note})

@@ -7,7 +7,7 @@ import pytest
 from test_compare import ARM, PROTOCOL, STIFFNESS, SaggingRobot, compared, factories
 
 import rejoint
-from rejoint.control.comparison.elimination import Elimination, worse
+from rejoint.control.comparison.compare import BLOCK, LEVEL, worse
 from rejoint.control.comparison.ledger import Ledger
 from rejoint.control.comparison.recommend import failure, recommend
 from rejoint.control.controllers.classical import DefaultController, IntegratorController
@@ -39,7 +39,7 @@ class Breaks(IntegratorController):
 
 def on_one_arm(controllers, targets=TARGETS, repetitions=1, **robot):
     trials, progress, arm = [], [], SaggingRobot(**robot)
-    hooks = {"on_trial": trials.append, "on_progress": lambda *step: progress.append(step)}
+    hooks = {"on_trial": lambda *trial: trials.append(trial), "on_progress": lambda *step: progress.append(step)}
     found = compared(arm, controllers, targets, repetitions=repetitions, hooks=hooks)
     return found, trials, progress, arm
 
@@ -51,9 +51,8 @@ def one_arm():
 
 def test_three_misses_in_a_row_end_it(one_arm):
     found, trials, progress, _ = one_arm
-    driven = [trial for trial in trials if trial.controller == "default"]
-    assert [trial.kind for trial in driven] == ["crossing"], "no hold and no further trial"
-    rows = driven[0].recording
+    ((driven, rows),) = (trial for trial in trials if trial[0].controller == "default")
+    assert driven.kind == "crossing", "no hold and no further trial"
     assert rows.time[-1, 0] - rows.time[0, 0] < 5 * PROTOCOL.dwell, "an arm that stands is not waited for"
     row = found.row("default")
     assert row.out == "missed 3 targets in a row (set 1, repetition 1)"
@@ -73,7 +72,7 @@ def test_what_was_not_driven_counts_neither_way(one_arm):
 def test_the_others_are_driven_to_the_end(one_arm):
     found, trials, _, _ = one_arm
     row = found.row("integrator")
-    assert sum(trial.controller == "integrator" for trial in trials) == 2 * 2 * 2
+    assert sum(driven.controller == "integrator" for driven, _ in trials) == 2 * 2 * 2
     assert (row.out, row.success.value) == ("", 1.0)
     assert np.isfinite(found.array("settled", "integrator")).all()
     assert row.settled.mean.low < row.settled.mean.high
@@ -81,15 +80,15 @@ def test_the_others_are_driven_to_the_end(one_arm):
 
 def test_a_command_that_is_not_a_number_costs_the_trial_and_not_the_comparison(one_arm):
     found, trials, _, arm = one_arm
-    driven = [trial for trial in trials if trial.controller == "policy"]
+    driven = [recording for driven, recording in trials if driven.controller == "policy"]
     row = found.row("policy")
     assert len(driven) <= 2
     assert (row.failures, len(row.ended)) == (1, 1)
     assert row.ended[0].why == "not finite"
     assert row.out.startswith("gave a command that is not a number (")
-    last = driven[-1].recording
+    last = driven[-1]
     assert np.isfinite(last.command).all()
-    assert (last.command[-1] == last.command[-3]).all(), "the arm holds"
+    assert (last.command[-1] == last.command[-2]).all(), "the arm holds"
     assert list(row.guard)[-1] == "not finite"
     assert arm.closed == 1
 
@@ -142,7 +141,7 @@ def test_a_run_can_be_given_up_arm_by_arm():
 def test_an_arm_that_does_not_stand_as_its_twin_says_is_not_compared_on():
     def on(stiffness, trials):
         stance = Stance(stiffness=np.full(6, stiffness), offset=np.zeros(6))
-        hooks = {"on_trial": trials.append, "stance": stance}
+        hooks = {"on_trial": lambda *trial: trials.append(trial), "stance": stance}
         compared(SaggingRobot(), factories("integrator"), TARGETS[:1, :1], hooks=hooks)
 
     on(STIFFNESS, tried := [])
@@ -165,7 +164,8 @@ def trained_for(low, high):
 
 def test_a_policy_whose_period_does_not_suit_is_left_out_or_refused():
     def on(controllers, **settings):
-        return compared(SaggingRobot(), controllers, TARGETS[:1, :1], hooks={"on_trial": trials.append}, **settings)
+        hooks = {"on_trial": lambda driven, _: trials.append(driven)}
+        return compared(SaggingRobot(), controllers, TARGETS[:1, :1], hooks=hooks, **settings)
 
     trials, slow, quick = [], trained_for(0.040, 0.060), trained_for(0.020, 0.030)
     found = on(factories("integrator") | {"policy": slow}, leave_out=True)
@@ -199,16 +199,16 @@ class Beside(IntegratorController):
         return super().command(replace(inputs, target=inputs.target + np.array([0.0, 0.0, 0.003])))
 
 
-def in_blocks(controllers, targets=TWENTY, *, measured=(), ledger=None, on_trial=None, protocol=QUICK):
+def in_blocks(controllers, targets=TWENTY, *, measured=None, ledger=None, on_trial=None, protocol=QUICK):
     order = []
 
-    def note(trial):
-        order.append((trial.controller, trial.kind, trial.target_set, trial.first))
+    def note(driven, _):
+        order.append((driven.controller, driven.kind, driven.places[0][0], driven.first))
         if on_trial is not None:
-            on_trial(trial)
+            on_trial(driven)
 
-    hooks = {"on_trial": note, "ledger": ledger, "measured": measured, "source": "the diagnosis"}
-    rules = {"protocol": protocol, "elimination": Elimination()}
+    hooks = {"on_trial": note, "ledger": ledger or Ledger(), "measured": measured}
+    rules = {"protocol": protocol, "block": BLOCK}
     return compared(SaggingRobot(), controllers, targets, hooks=hooks, **rules), order
 
 
@@ -217,13 +217,13 @@ def results(rng, factor, count=10):
 
 
 def test_equal_controllers_hardly_ever_leave_and_a_factor_of_three_is_found():
-    rng, rules, left, found = np.random.default_rng(0), Elimination(), 0, 0
+    rng, left, found = np.random.default_rng(0), 0, 0
     for _ in range(300):
         equal = {name: results(rng, 1.0) for name in "abcd"}
-        left += bool(worse(equal, rules, 6))
+        left += bool(worse(equal, 6))
         clear = {"a": results(rng, 3.0, 5), "b": results(rng, 1.0, 5)}
-        found += "a" in worse(clear, rules, 2)
-    assert left / 300 < 2.0 * rules.level, "the best one is known by the same targets"
+        found += "a" in worse(clear, 2)
+    assert left / 300 < 2.0 * LEVEL, "the best one is known by the same targets"
     assert found / 300 > 0.9
 
 
@@ -260,7 +260,7 @@ def test_holds_tell_when_targets_are_crossed():
 def test_what_was_measured_open_loop_is_not_driven_again():
     log = run(SaggingRobot(1, 3), DefaultController(ARM), TWENTY[:1], Schedule(dwell=QUICK.hold)).log(0, "targets")
     before = open_loop_trials(ARM, log, QUICK)
-    found, order = in_blocks(factories("default", "integrator"), measured=(before.driven,))
+    found, order = in_blocks(factories("default", "integrator"), measured=before.driven)
     row = found.row("default")
     assert {entry[0] for entry in order} == {"integrator"}
     assert (row.source, row.held) == ("the diagnosis", 10)
@@ -299,7 +299,7 @@ def test_an_interrupted_comparison_in_blocks_goes_on_where_it_was(tmp_path):
             raise NoReplyError("gone")
 
     with pytest.raises(NoReplyError):
-        in_blocks(controllers, targets, ledger=Ledger.begin(tmp_path / "trials", "one"), on_trial=fail)
-    again, rest = in_blocks(controllers, targets, ledger=Ledger.begin(tmp_path / "trials", "one"))
+        in_blocks(controllers, targets, ledger=Ledger(tmp_path / "trials", "one"), on_trial=fail)
+    again, rest = in_blocks(controllers, targets, ledger=Ledger(tmp_path / "trials", "one"))
     assert rest == order[2:], "the same trials in the same order"
     assert [row.held for row in again.rows] == [row.held for row in whole.rows]

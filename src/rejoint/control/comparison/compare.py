@@ -1,14 +1,17 @@
 """Try every controller on one arm, with the same targets and start.
 
 Emulated arms run all trials of a controller as one batch with equal noise. A real arm runs them in random order: drift
-favours none.
+favours none. There, controllers that fail or are significantly worse leave: after three misses in a row, or by a paired
+t-test on logarithms of settled errors after each block (Maron and Moore, Hoeffding races, NIPS 1993; Bonferroni's
+level).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from dataclasses import KW_ONLY, dataclass, field, replace
+from contextlib import closing
+from dataclasses import KW_ONLY, dataclass, field
 from itertools import product
 
 import numpy as np
@@ -16,7 +19,6 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.arms.rotations import Orientation
 from rejoint.arms.workspace import length_size
-from rejoint.control.comparison.elimination import MISSES, Elimination, Watched, missed_in_a_row, worse
 from rejoint.control.comparison.ledger import Ledger
 from rejoint.control.comparison.protocols import (
     RISING_AHEAD,
@@ -28,13 +30,13 @@ from rejoint.control.comparison.protocols import (
 )
 from rejoint.control.comparison.result import (
     KINDS,
+    WAS_WORSE,
     Columns,
     Comparison,
     DirectionVariation,
     Driven,
+    Key,
     Kind,
-    Place,
-    Places,
     Protocol,
     collect,
     comparison_of,
@@ -42,16 +44,15 @@ from rejoint.control.comparison.result import (
 )
 from rejoint.control.controllers.contract import check_controller_period
 from rejoint.control.correction import Modelled, ToolModel
-from rejoint.control.guard import GuardLimits
-from rejoint.control.loop import Schedule, run
-from rejoint.control.recording import Cycle, OnCycle, Recording
+from rejoint.control.guard import GuardLimits, Reason
+from rejoint.control.loop import run
+from rejoint.control.recording import Cycle, OnCycle, Recording, recording_of
 from rejoint.control.reference import TargetSequence
 from rejoint.control.robot import Controller, Robot
 from rejoint.control.servogains import limits_under, require_gains, under_gains
 from rejoint.control.start import Stance, begin, move
 from rejoint.control.targets import beyond_reach, in_words
-from rejoint.logs.runlog import RunLog
-from rejoint.system.errors import ContractError, InputError
+from rejoint.system.errors import ContractError, GuardTripError, InputError
 from rejoint.system.progress import Progress, no_progress
 from rejoint.system.statistics import Spread, spread
 from rejoint.system.stopping import pause
@@ -76,41 +77,27 @@ def count_targets(report: Callable[[int], object]) -> OnCycle:
 OpenRobot = Callable[[int, int], Robot]
 """(arms, noise seed) to a robot"""
 ControllerFactory = Callable[[Arm], Controller]
-MakeCorrection = Callable[[Arm], Modelled]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Trial:
-    """One target set with one controller."""
-
-    controller: str
-    kind: Kind
-    target_set: int
-    repetition: int
-    recording: Recording
-    arm_index: int
-    first: int = 0
-
-    @property
-    def label(self) -> str:
-        """Such as ``hold/policy/0/2``: protocol, controller, target set, repetition."""
-        return f"{self.kind}/{self.controller}/{self.target_set}/{self.repetition}"
-
-    def log(self) -> RunLog:
-        """Run log."""
-        return self.recording.log(self.arm_index, self.label)
-
-
-OnTrial = Callable[[Trial], object]
-Task = tuple[str, Kind]
 Result = tuple[Driven, Recording]
-Helper = Callable[[Task, Places], Future[Result]]
-"""Drives the trials of a task elsewhere"""
+OnTrial = Callable[[Driven, Recording], object]
+Helper = Callable[[Key], Future[Result]]
+"""Drives trials elsewhere"""
 
 _LOOK = 0.02  # [s]
 
 MOST = 10_000
 """Target sets times repetitions (chosen)"""
+BLOCK = 5
+"""targets between eliminations (chosen)"""
+MISSES = 3
+"""in a row (chosen)"""
+LEVEL = 0.1
+"""of all tests together (chosen)"""
+NEAREST = 5e-5
+"""[m] least settled error of a test (chosen)"""
+LONG_GAP = 2.0
+"""[s] that repeats a trial (chosen)"""
+REPEATS = 2
+"""of such a trial (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,25 +107,16 @@ class Settings:
     repetitions: int = 1
     seed: int = 0
     batched: bool
-    """side by side on emulated arms"""
+    """side by side on emulated arms, all driven to the end"""
     protocol: Protocol = field(default_factory=Protocol)
     leave_out: bool = False
     """a policy of another period"""
-    elimination: Elimination | None = None
-    wait: bool = False
-    """wait for uncrossed targets of a stationary arm, as in the paper"""
+    block: int = 0
+    """targets between eliminations on one arm; 0: only failing controllers leave"""
 
     def __post_init__(self) -> None:
         if self.repetitions < 1:
             raise InputError(f"comparison: repetitions must be at least 1, got {self.repetitions}")
-        if self.batched and self.elimination is not None:
-            raise InputError("comparison: arms side by side are all driven to the end, none is eliminated")
-
-
-LONG_GAP = 2.0
-"""[s] that repeats a trial (chosen)"""
-REPEATS = 2
-"""of such a trial (chosen)"""
 
 
 @dataclass(eq=False)
@@ -159,148 +137,119 @@ class TrialRunner:
     """(S, K); None: any"""
     limits: GuardLimits | None = None
     stance: Stance | None = None
-    correction: MakeCorrection | None = None
+    correction: Callable[[Arm], Modelled] | None = None
     model: ToolModel | None = None
     """estimates unknown tool errors"""
-    ledger: Ledger | None = None
+    ledger: Ledger = field(default_factory=Ledger)
+    measured: Driven | None = None
+    """trials of one arm, driven before"""
     on_progress: Progress = no_progress
     on_trial: OnTrial | None = None
-    measured: Sequence[Driven] = ()
-    source: str = ""
     helper: Helper | None = None
 
     def __post_init__(self) -> None:
-        targets, settings = np.asarray(self.targets, dtype=float), self.settings
-        if targets.ndim != 3 or targets.shape[2] != 3 or 0 in targets.shape or not np.isfinite(targets).all():
-            raise InputError(f"comparison: targets have shape {targets.shape}, expected finite (sets, targets, 3)")
-        if not self.controllers:
-            raise InputError("comparison: no controllers given")
-        sets, count = targets.shape[:2]
+        settings, (sets, count) = self.settings, self.targets.shape[:2]
         if sets * settings.repetitions > MOST:
             raise InputError(
                 f"comparison: {sets} sets times {settings.repetitions} repetitions, at most {MOST} were expected"
             )
-        self.targets, self.shape = targets, (sets, settings.repetitions, count)
+        self.shape = sets, settings.repetitions, count
+        self._step = settings.block or count
         self._trials: dict[str, list[Driven]] = {name: [] for name in self.controllers}
         self._out: dict[str, str] = {}  # why a controller is not driven any further
         self._left_out: dict[str, str] = {}  # why it never took part
-        kinds = len(KINDS) if settings.elimination is None else 1
+        kinds = 1 if settings.block else len(KINDS)
         self._done, self._total, self._text = 0, len(self.controllers) * kinds * int(np.prod(self.shape)), ""
         self._sent: Array | None = None
-        self._ledger = self.ledger or Ledger.nowhere()
+        self._about: dict[str, str] = {}
         self._rng = np.random.default_rng(settings.seed)
 
     def compare(self) -> Comparison:
         """Drive all trials; NotReadyError if not in its stance."""
-        settings, turns, rules = self.settings, self.turns, self.settings.elimination
-        robot = self._side_by_side() if settings.batched else self._in_turns()
+        settings, turns, (sets, _, count) = self.settings, self.turns, self.shape
+        if settings.batched:
+            self._side_by_side()
+        else:
+            self._in_turns()
         parts = {name: self._columns(name) for name in self.controllers if name not in self._left_out}
         rows = tuple(
-            replace(
-                row_of(name, found, settings.protocol, self._trials[name]),
-                out=self._out.get(name, ""),
-                source=self.source if any(one.controller == name for one in self.measured) else "",
-            )
+            row_of(name, found, settings.protocol, self._trials[name], out=self._out.get(name, ""))
             for name, found in parts.items()
         )
-        words = (
-            ()
-            if turns is None
-            else [[in_words(turns[s, k]) for k in range(self.shape[2])] for s in range(self.shape[0])]
-        )
+        words = () if turns is None else (tuple(in_words(turns[s, k]) for k in range(count)) for s in range(sets))
         return comparison_of(
             parts,
             self.targets,
-            robot=robot.address,
-            arm=robot.arm.name,
+            **self._about,
             seed=settings.seed,
             batched=settings.batched,
             protocol=settings.protocol,
             rows=rows,
             left_out=tuple(self._left_out.values()),
-            block=0 if rules is None else rules.block,
-            orientations=tuple(map(tuple, words)),
+            block=settings.block,
+            orientations=tuple(words),
         )
 
     # --- side by side -------------------------------------------------------------------------
 
-    def _side_by_side(self) -> Robot:
+    def _side_by_side(self) -> None:
         places = tuple(product(range(self.shape[0]), range(self.shape[1])))
-        tasks = [task for task in product(self.controllers, KINDS) if not self._known(*task, places)]
-        beside = {task: self.helper(task, places) for task in tasks[::-1]} if self.helper and len(tasks) > 1 else {}
-        robot, waiting = None, []
-        for task in tasks:
-            if task in beside and not beside[task].cancel():
-                waiting.append(task)
+        asked: list[Key] = [(name, kind, places, 0) for name, kind in product(self.controllers, KINDS)]
+        for driven in filter(None, map(self.ledger.done.get, asked)):
+            self._take(driven)
+        keys, waiting = [key for key in asked if key not in self.ledger.done], list[Key]()
+        beside = {key: self.helper(key) for key in keys[::-1]} if self.helper and len(keys) > 1 else {}
+        for key in keys:
+            if key in beside and not beside[key].cancel():
+                waiting.append(key)
             else:
-                robot = self._drive_here(task, places)
-        for task in waiting:
-            if not self._take_over(beside[task]):
-                robot = self._drive_here(task, places)
-        if robot is None:
-            robot = self.open_batch(places)
-            robot.close()
+                self._take(self.drive_batch(key)[0])
+        for key in waiting:
+            self._take_over(key, beside[key])
+        if not self._about:
+            self._open(1).close()
+
+    def _open(self, count: int) -> Robot:
+        robot = self.open_robot(count, self.settings.seed)
+        self._about = {"robot": robot.address, "arm": robot.arm.name}
         return robot
 
-    def open_batch(self, places: Places) -> Robot:
-        """Open a robot with an arm per trial."""
-        return self.open_robot(len(places), self.settings.seed)
+    def drive_batch(self, key: Key) -> Result:
+        """Drive a controller's trials side by side, each on an arm."""
+        with closing(self._open(len(key[2]))) as robot:
+            return self._drive(robot, key)
 
-    def drive_batch(self, robot: Robot, name: str, kind: Kind, places: Places) -> Result:
-        """Drive a controller's trials side by side, and close ``robot``."""
-        try:
-            return self._drive(robot, self.controllers[name](robot.arm), (name, kind), places)
-        finally:
-            robot.close()
-
-    def _drive_here(self, task: Task, places: Places) -> Robot:
-        robot = self.open_batch(places)
-        self._take(self.drive_batch(robot, *task, places)[0])
-        return robot
-
-    def _take_over(self, future: Future[Result]) -> bool:
-        """Take what a helper drove; False if it was lost."""
+    def _take_over(self, key: Key, future: Future[Result]) -> None:
+        """Take what a helper drove, or drive what it lost."""
         while not future.done():
             pause(_LOOK)
-        if future.exception() is not None:
-            return False
-        driven, recording = future.result()
-        self._hand_on(driven.controller, driven.kind, driven.places[: recording.time.shape[1]], recording)
+        if future.exception() is None:
+            driven, recording = future.result()
+            self._hand_on(driven, recording)
+        else:
+            driven, _ = self.drive_batch(key)
         self._take(driven)
-        return True
 
     # --- in turns on one arm --------------------------------------------------------------------
 
-    def _in_turns(self) -> Robot:
-        robot, sets, repetitions, count = self.open_robot(1, self.settings.seed), *self.shape
-        places = [(s, r) for r in range(repetitions) for s in range(sets)]
-        try:
-            if self.settings.elimination is not None:
-                self._eliminate(robot, self.settings.elimination, places)
-                return robot
-            for place in places:
-                for name in map(str, self._rng.permutation(list(self.controllers))):
-                    for kind in KINDS:
-                        self._try(robot, name, kind, place, slice(0, count))
-        finally:
-            robot.close()
-        return robot
-
-    def _eliminate(self, robot: Robot, rules: Elimination, places: Sequence[Place]) -> None:
-        firsts = range(0, self.shape[2], rules.block)
-        tests = max(len(firsts) * len(places) * (len(self._left()) - 1), 1)
-        for driven in self.measured:
-            self._trials[driven.controller].append(driven)
-            self._judge(driven)
-        for place, first in product(places, firsts):
-            left = self._left()
-            if not left or (len(left) == 1 and np.isfinite(self._in_order("crossed", left[0])).any()):
-                break
-            for name in map(str, self._rng.permutation(left)):
-                self._try(robot, name, "hold", place, slice(first, min(first + rules.block, self.shape[2])))
-            self._out |= worse({name: self._in_order("settled", name) for name in self._left()}, rules, tests)
-        if self._done < self._total:
-            self._advance(self._total - self._done)
+    def _in_turns(self) -> None:
+        (sets, repetitions, count), block = self.shape, self.settings.block
+        places, firsts = [(s, r) for r in range(repetitions) for s in range(sets)], range(0, count, self._step)
+        kinds: tuple[Kind, ...] = ("hold",) if block else KINDS  # a hold tells of the crossing as well
+        tests = max(len(firsts) * len(places) * (len(self.controllers) - 1), 1)
+        with closing(self._open(1)) as robot:
+            if self.measured is not None:
+                self._trials[self.measured.controller].append(self.measured)
+                self._judge(self.measured)
+            for place, first in product(places, firsts):
+                left = self._left()
+                if not left or (block and len(left) == 1 and np.isfinite(self._in_order("crossed", left[0])).any()):
+                    break
+                for name, kind in product(map(str, self._rng.permutation(left)), kinds):
+                    self._try(robot, (name, kind, (place,), first))
+                if block:
+                    self._out |= worse({name: self._in_order("settled", name) for name in self._left()}, tests)
+        self._advance(self._total - self._done)
 
     def _left(self) -> list[str]:
         return [name for name in self.controllers if name not in self._out and name not in self._left_out]
@@ -312,19 +261,21 @@ class TrialRunner:
         """Results (N,) in the order of driving."""
         return np.swapaxes(self._columns(name)[metric], 0, 1).ravel()
 
-    def _try(self, robot: Robot, name: str, kind: Kind, place: Place, part: slice) -> None:
-        size, metric = part.stop - part.start, "held" if kind == "hold" else "crossed"
-        if name not in self._left() or np.isfinite(self._columns(name)[metric][place][part]).all():
-            self._advance(size)  # the diagnosis measured it
+    def _try(self, robot: Robot, key: Key) -> None:
+        name, kind, (place,), first = key
+        if name not in self._left():
             return
-        driven = self._known(name, kind, (place,), part.start)
+        known = self._columns(name)["held" if kind == "hold" else "crossed"][place][first : first + self._step]
+        if np.isfinite(known).all():
+            self._advance(len(known))
+            return
+        driven = self.ledger.done.get(key)
         if driven is None:
             self._to_rest(robot)
             if name in self._left_out:  # its period does not suit, as the first motion has shown
-                self._advance(size)
                 return
-            driven = self._insist(robot, (name, kind), place, part)
-            self._take(driven)
+            driven = self._insist(robot, key)
+        self._take(driven)
         self._judge(driven)
 
     def _judge(self, driven: Driven) -> None:
@@ -335,14 +286,13 @@ class TrialRunner:
         elif missed_in_a_row(self._in_order("crossed", name)):
             self._out[name] = f"missed {MISSES} targets in a row ({where})"
 
-    def _insist(self, robot: Robot, task: Task, place: Place, part: slice) -> Driven:
-        for repeat in range(REPEATS + 1):
-            controller = Watched(self.controllers[task[0]](robot.arm))
-            driven, recording = self._drive(robot, controller, task, (place,), part)
-            self._sent = recording.command[-1]
-            if recording.gaps().max(initial=0.0) < LONG_GAP or repeat == REPEATS:
+    def _insist(self, robot: Robot, key: Key) -> Driven:
+        driven, recording = self._drive(robot, key)
+        for _ in range(REPEATS):
+            if recording.gaps().max(initial=0.0) < LONG_GAP:
                 break
             self._to_rest(robot)
+            driven, recording = self._drive(robot, key)
         return driven
 
     def _to_rest(self, robot: Robot) -> None:
@@ -366,48 +316,35 @@ class TrialRunner:
 
     # --- a trial ------------------------------------------------------------------------------
 
-    def _known(self, name: str, kind: Kind, places: Places, first: int = 0) -> Driven | None:
-        driven = self._ledger.done.get((name, kind, places, first))
-        if driven is not None:
-            self._take(driven)
-        return driven
-
     def _take(self, driven: Driven) -> None:
         self._trials[driven.controller].append(driven)
-        if driven.key not in self._ledger.done:
-            self._ledger.add(driven)
+        if driven.key not in self.ledger.done:
+            self.ledger.add(driven)
         self._advance(len(driven.places) * driven.targets)
 
     def _advance(self, size: int) -> None:
         self._done += size
         self.on_progress(self._done / self._total, self._text)
 
-    def _drive(
-        self, robot: Robot, controller: Controller, task: Task, places: Places, part: slice = slice(None)
-    ) -> Result:
-        (name, kind), settings, sets, first = task, self.settings, [s for s, _ in places], part.start or 0
-        turns, targets = None if self.turns is None else self.turns[sets][:, part], self.targets[sets][:, part]
-        plan = schedule(kind, settings.protocol, keep_going=settings.batched, sent=self._sent, wait=settings.wait)
-        watched = controller if isinstance(controller, Watched) else None
-        if watched is not None:
-            plan = replace(plan, give_up=watched.give_up)
-        self._text = f"{name}: {kind} protocol"
+    def _drive(self, robot: Robot, key: Key) -> Result:
+        name, kind, places, first = key
+        sets, part = [s for s, _ in places], slice(first, first + self._step)
+        targets, turns = self.targets[sets, part], None if self.turns is None else self.turns[sets][:, part]
+        self._text, failed = f"{name}: {kind} protocol", False
         see = count_targets(lambda done: self.on_progress((self._done + done) / self._total, self._text))
         reference = TargetSequence(robot.arm, targets, turns=turns, correction=self._aiming(robot))
-        recording = self._run(robot, controller, reference, plan, see)
-        if watched is not None:
-            recording = watched.mark(recording)
-        self._hand_on(name, kind, places, recording, first)
-        driven = measure(
-            robot.arm,
-            recording,
-            targets,
-            settings.protocol,
-            (name, kind, places, first),
-            failed=watched is not None and watched.failed,
-            model=self.model,
-            both=settings.elimination is not None,
-        )
+        try:
+            recording = self._run(robot, self.controllers[name], reference, kind, self._sent, see)
+        except GuardTripError as error:
+            stopped = recording_of(error)
+            if stopped is None or not bad_command(stopped):
+                raise
+            recording, failed = stopped, True
+        if not self.settings.batched:
+            self._sent = recording.command[-1]
+        protocol, both = self.settings.protocol, self.settings.block > 0
+        driven = measure(robot.arm, recording, targets, protocol, key, failed=failed, model=self.model, both=both)
+        self._hand_on(driven, recording)
         return driven, recording
 
     def _aiming(self, robot: Robot) -> Modelled | None:
@@ -416,39 +353,68 @@ class TrialRunner:
     def _run(
         self,
         robot: Robot,
-        controller: Controller,
+        make: ControllerFactory,
         reference: TargetSequence,
-        plan: Schedule,
+        kind: Kind,
+        sent: Array | None,
         on_cycle: OnCycle | None = None,
     ) -> Recording:
+        controller = make(robot.arm)
+        plan = schedule(kind, self.settings.protocol, keep_going=self.settings.batched, sent=sent, wait=False)
         limits = limits_under(self.limits, robot, controller)
         with under_gains(robot, controller):
             return run(robot, controller, reference, plan, limits=limits, on_cycle=on_cycle)
 
-    def _hand_on(self, name: str, kind: Kind, places: Places, recording: Recording, first: int = 0) -> None:
-        if self.on_trial is None:
-            return
-        for b, (s, r) in enumerate(places):
-            trial = Trial(controller=name, kind=kind, target_set=s, repetition=r, recording=recording, arm_index=b)
-            self.on_trial(replace(trial, first=first))
+    def _hand_on(self, driven: Driven, recording: Recording) -> None:
+        if self.on_trial is not None:
+            self.on_trial(driven, recording)
 
     # --- beside the trials --------------------------------------------------------------------
 
     def hold(self, controller: ControllerFactory, targets: Array, *, corrected: bool = True) -> Columns:
         """Drive to ``targets`` (R, K, 3) [m], R cycles; raises as `run`."""
-        batched, protocol = self.settings.batched, self.settings.protocol
+        batched, found = self.settings.batched, []
         parts = [targets] if batched else np.split(targets, len(targets))
-        robot, found = self.open_robot(len(parts[0]), self.settings.seed), []
-        try:
+        with closing(self._open(len(parts[0]))) as robot:
             for part in parts:
                 sent = None if batched else begin(robot, self.limits, self.stance).command[-1]
-                plan = schedule("hold", protocol, keep_going=batched, sent=sent)
                 reference = TargetSequence(robot.arm, part, correction=self._aiming(robot) if corrected else None)
-                recording = self._run(robot, controller(robot.arm), reference, plan)
-                found.append(metrics_of(robot.arm, recording, part, protocol, model=self.model))
-        finally:
-            robot.close()
+                recording = self._run(robot, controller, reference, "hold", sent)
+                found.append(metrics_of(robot.arm, recording, part, self.settings.protocol, model=self.model))
         return {name: np.concatenate([one[name] for one in found]) for name in found[0]}
+
+
+def bad_command(recording: Recording) -> bool:
+    """Whether one arm tripped over a command alone that was not a number."""
+    alone = (recording.tripped == Reason.NOT_FINITE.value).all()
+    return bool(alone and np.isfinite(recording.position[-1]).all())
+
+
+def missed_in_a_row(crossed: Array) -> bool:
+    """Whether `MISSES` targets in a row of ``crossed`` (N,) were missed; NaN: not driven."""
+    known = crossed[np.isfinite(crossed)]
+    return bool((np.convolve(known == 0.0, np.ones(MISSES)) == MISSES).any())
+
+
+def worse(settled: Mapping[str, Array], tests: int) -> dict[str, str]:
+    """Significantly worse controllers with reasons, by settled errors (N,) [m]."""
+    from scipy import stats  # here, since it takes a second to load
+
+    logs = {name: np.log(np.maximum(errors, NEAREST)) for name, errors in settled.items()}
+    together = np.isfinite(list(logs.values())).all(axis=0)
+    if together.sum() < 2:
+        return {}
+    best = min(logs, key=lambda name: logs[name][together].mean())
+    out = {}
+    for name, values in logs.items():
+        both = np.isfinite(values) & np.isfinite(logs[best])
+        difference = values[both] - logs[best][both]
+        if name == best or not difference.any():
+            continue
+        if stats.ttest_1samp(difference, 0.0, alternative="greater").pvalue < LEVEL / tests:
+            factor = float(np.exp(difference.mean()))
+            out[name] = f"{WAS_WORSE}{best} (settles {factor:.1f} times as far off at {len(difference)} targets)"
+    return out
 
 
 AWAY = 0.03

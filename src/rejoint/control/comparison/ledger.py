@@ -1,66 +1,48 @@
-"""Finished trials on file: each line is JSON with its CRC-32; the first names the comparison."""
+"""Finished trials of an unfinished comparison on file, so that it resumes."""
 
 from __future__ import annotations
 
-import json
-import os
-import zlib
-from collections.abc import Iterator
-from dataclasses import asdict, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from rejoint.control.comparison.result import Driven, Ended, Key
-from rejoint.system.errors import FileError
-from rejoint.system.files import MEGABYTE, read_bounded, set_aside, unwritable
+from rejoint.control.comparison.result import Driven, Key
+from rejoint.system.files import read_json, set_aside, write_json
 
-LEDGER_MOST = 256 * MEGABYTE
-"""[bytes] (chosen)"""
+Numbers = list[list[float | None]]
+
+
+@dataclass(frozen=True)
+class _File:
+    """Content; columns stand beside their trials."""
+
+    name: str
+    trials: list[tuple[Driven, dict[str, Numbers]]]
 
 
 class Ledger:
-    """Finished trials."""
+    """Finished trials of the comparison ``name``; without a path in memory. Those of another one are set aside."""
 
-    def __init__(self, path: Path | None, done: dict[Key, Driven]) -> None:
-        self.path, self.done = path, done
-
-    @classmethod
-    def begin(cls, path: Path, name: str) -> Ledger:
-        """Open or make the ledger of ``name``; another one's is set aside."""
-        try:
-            lines = list(_lines(path))
-            if lines and lines[0] == name:
-                with path.open("ab") as file:
-                    file.write(b"\n")  # what comes next stands on a line of its own, whatever was cut before it
-                return cls(path, {driven.key: driven for driven in map(_decode, lines[1:])})
+    def __init__(self, path: Path | None = None, name: str = "") -> None:
+        self.path, self._name, self.done = path, name, dict[Key, Driven]()
+        if path is None or not path.exists():
+            return
+        found = read_json(path, _File)
+        if found.name != name:
             set_aside(path)
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(_line(name))
-        except OSError as error:
-            raise unwritable(path, error) from error
-        except (ValueError, KeyError, TypeError) as error:
-            raise FileError(path, "damaged", "delete it: the comparison then begins at its first trial") from error
-        return cls(path, {})
-
-    @classmethod
-    def nowhere(cls) -> Ledger:
-        """Keep trials in memory."""
-        return cls(None, {})
+            return
+        for driven, columns in found.trials:
+            arrays = {key: np.array(values, dtype=float) for key, values in columns.items()}
+            self.done[driven.key] = replace(driven, columns=arrays)
 
     def add(self, driven: Driven) -> None:
         """Store a trial; FileError."""
         self.done[driven.key] = driven
-        if self.path is None:
-            return
-        try:
-            with self.path.open("ab") as file:
-                file.write(_line(_encode(driven)))
-                file.flush()
-                os.fsync(file.fileno())
-        except OSError as error:
-            raise unwritable(self.path, error) from error
+        if self.path is not None:
+            trials = [(replace(one, columns={}), _plain(one)) for one in self.done.values()]
+            write_json(self.path, _File(self._name, trials))
 
     def close(self) -> None:
         """Remove the file."""
@@ -68,27 +50,5 @@ class Ledger:
             self.path.unlink(missing_ok=True)
 
 
-def _line(value: object) -> bytes:
-    text = json.dumps(value, separators=(",", ":"))  # writes NaN and Infinity, which trials hold
-    return f"{zlib.crc32(text.encode()):08x} {text}\n".encode()
-
-
-def _lines(path: Path) -> Iterator[Any]:
-    if not path.exists():
-        return
-    for line in read_bounded(path, LEDGER_MOST, "delete it").splitlines():
-        check, _, text = line.partition(b" ")
-        if len(check) == 8 and check == f"{zlib.crc32(text):08x}".encode():
-            yield json.loads(text)
-
-
-def _encode(driven: Driven) -> dict[str, Any]:
-    columns = {name: values.tolist() for name, values in driven.columns.items()}
-    return asdict(replace(driven, columns={})) | {"columns": columns}
-
-
-def _decode(entry: dict[str, Any]) -> Driven:
-    columns = {name: np.array(values, dtype=float) for name, values in entry.pop("columns").items()}
-    places = tuple((int(s), int(r)) for s, r in entry.pop("places"))
-    ended = tuple(Ended(**one) for one in entry.pop("ended"))
-    return Driven(**entry, places=places, ended=ended, columns=columns)
+def _plain(driven: Driven) -> dict[str, Any]:
+    return {name: values.tolist() for name, values in driven.columns.items()}

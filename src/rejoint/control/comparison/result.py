@@ -91,6 +91,13 @@ class Driven:
     failed: bool = False
     first: int = 0
     """index"""
+    source: str = ""
+    """who drove it before the comparison"""
+
+    @property
+    def label(self) -> str:
+        """Of the first trial, such as ``hold/policy/0/2``: protocol, controller, target set, repetition."""
+        return "/".join(map(str, (self.kind, self.controller, *self.places[0])))
 
     @property
     def key(self) -> Key:
@@ -370,7 +377,9 @@ def collect(driven: Iterable[Driven], shape: tuple[int, int, int], protocol: Pro
     return columns
 
 
-def row_of(controller: str, found: Columns, protocol: Protocol, driven: Sequence[Driven] = ()) -> ControllerRow:
+def row_of(
+    controller: str, found: Columns, protocol: Protocol, driven: Sequence[Driven] = (), *, out: str = ""
+) -> ControllerRow:
     """Statistics of results (S, R, K), and what the guard did while they were ``driven``."""
     cycles, reasons = sum(one.cycles for one in driven), Counter[str]()
     for one in driven:
@@ -387,6 +396,8 @@ def row_of(controller: str, found: Columns, protocol: Protocol, driven: Sequence
         **poses,
         guard={name: count / cycles for name, count in reasons.most_common()},
         ended=tuple(end for one in driven for end in one.ended),
+        out=out,
+        source=next((one.source for one in driven if one.source), ""),
     )
 
 

@@ -23,13 +23,12 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.inertia import LoadedArm
-from rejoint.control.comparison.compare import Helper, OpenRobot, Result, Task, Trial, TrialRunner, vary_directions
+from rejoint.control.comparison.compare import BLOCK, Helper, OpenRobot, Result, TrialRunner, vary_directions
 from rejoint.control.comparison.compare import Settings as TrialSettings
-from rejoint.control.comparison.elimination import Elimination
 from rejoint.control.comparison.ledger import Ledger
 from rejoint.control.comparison.protocols import measure
 from rejoint.control.comparison.recommend import Recommendation, recommend
-from rejoint.control.comparison.result import KINDS, Comparison, Driven, Places, Protocol, TargetErrors
+from rejoint.control.comparison.result import KINDS, Comparison, Driven, Key, Places, Protocol, TargetErrors
 from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.correction import ToolModel
 from rejoint.control.recording import Observer, Recording, pacing
@@ -100,7 +99,7 @@ def trials(arm: Arm, log: RunLog, protocol: Protocol, model: ToolModel | None = 
     found = measure(arm, recording, targets[None], protocol, (DEFAULT, "hold", ((0, 0),), 0), model=model, both=True)
     if not np.isfinite(found.columns["settled"]).all():
         return None
-    return OpenLoopTrials(targets=targets, driven=found, log=replace(log, label=f"hold/{DEFAULT}/0/0"))
+    return OpenLoopTrials(targets=targets, driven=replace(found, source=SOURCE), log=replace(log, label=found.label))
 
 
 def _recording(log: RunLog) -> tuple[Recording, Array]:
@@ -206,9 +205,9 @@ class ComparisonJob:
         """Compare; in a run, resume and write. The caller closes ``helper``."""
         run = self.run
         if run is None:
-            return self._drive(Ledger.nowhere(), [], on_progress, helper)
+            return self._drive(Ledger(), [], on_progress, helper)
         require_space(run.path)
-        ledger = Ledger.begin(run.folder.trials, self._digest(run))
+        ledger = Ledger(run.folder.trials, self._digest(run))
         try:
             found = self._drive(ledger, [] if ledger.done else list(run.folder.trial_logs()), on_progress, helper)
         except BaseException as error:
@@ -231,13 +230,16 @@ class ComparisonJob:
         logs: dict[str, RunLog] = {}
         before = self.before if DEFAULT in self.factories else None
 
-        def keep(trial: Trial) -> None:
+        def keep(label: str, log: RunLog) -> None:
+            logs[label] = log
+            if self.run is not None:
+                write_log(self.run.folder.log(label), log)
+
+        def see(driven: Driven, recording: Recording) -> None:
             while earlier:
                 set_aside(earlier.pop())
-            if (trial.target_set, trial.repetition, trial.first) == (0, 0, 0):  # one of each suffices for the figures
-                logs[trial.label] = trial.log()
-                if self.run is not None:
-                    write_log(self.run.folder.log(trial.label), logs[trial.label])
+            if (driven.places[0], driven.first) == ((0, 0), 0):  # one of each suffices for the figures
+                keep(driven.label, recording.log(0, driven.label))
 
         with (
             noted(),
@@ -253,16 +255,14 @@ class ComparisonJob:
                 self.factories,
                 watched,
                 on_progress=on_progress,
-                on_trial=keep,
+                on_trial=see,
                 ledger=ledger,
-                measured=() if before is None else (before.driven,),
-                source=SOURCE,
+                measured=None if before is None else before.driven,
                 helper=helper,
             )
             result = self._beside(runner, runner.compare(), before)
         if before is not None and self.run is not None:
-            logs[before.log.label] = before.log
-            write_log(self.run.folder.log(before.log.label), before.log)
+            keep(before.log.label, before.log)
         by = "" if self.model is None else self.model.date
         result = replace(result, targets_file=self.file, period=self.period, calibration=by)
         return Compared(comparison=result, recommendation=recommend(result), logs=logs)
@@ -287,8 +287,8 @@ class ComparisonJob:
         """Start a second process, if a core is free."""
         helper = self._help()
         if helper is not None:
-            for task in product(self.factories, KINDS):
-                helper(task, self.places)
+            for name, kind in product(self.factories, KINDS):
+                helper((name, kind, self.places, 0))
         return helper
 
     @contextmanager
@@ -444,9 +444,9 @@ def comparison_job(
     """Assemble and validate a comparison; ``arm`` includes load and tool."""
     controllers, wanted = listed(controllers), plan or TrialPlan()
     real = not is_batchable(robot)
-    elimination = Elimination() if real and not wanted.full else None
+    block = BLOCK if real and not wanted.full else 0
     seed = as_seed(settings.seed) if run is None else run.seed
-    sets = (SETS if elimination is None else ONE_ARM_SETS) if wanted.sets is None else wanted.sets
+    sets = (ONE_ARM_SETS if block else SETS) if wanted.sets is None else wanted.sets
     points, turns = as_targets(targets, arm, sets=sets, seed=seed)
     known = as_twin(settings.twin) if settings.twin is not None else None if run is None else run.twin
     say_heavy(arm, known, points, observer.message, turns)
@@ -454,17 +454,17 @@ def comparison_job(
         controllers, arm, period_of(robot, settings.period), run=run, twin=known, real=real, posed=turns is not None
     )
     trials = TrialSettings(
-        repetitions=(REPETITIONS if elimination is None else 1) if wanted.repetitions is None else wanted.repetitions,
+        repetitions=(1 if block else REPETITIONS) if wanted.repetitions is None else wanted.repetitions,
         seed=seed,
         batched=not real,
-        protocol=wanted.protocol or (Protocol() if elimination is None else ONE_ARM_PROTOCOL),
+        protocol=wanted.protocol or (ONE_ARM_PROTOCOL if block else Protocol()),
         leave_out=not controllers,
-        elimination=elimination,
+        block=block,
     )
     address = address_of(robot)
     model = calibration_of(settings.calibration, run, arm, address, observer.message)
     before = None
-    if elimination is not None and run is not None and not isinstance(arm, LoadedArm) and turns is None:
+    if block and run is not None and not isinstance(arm, LoadedArm) and turns is None:
         before = open_loop(run, address, trials.protocol, model)
     if before is not None and targets is None:
         points[0] = before.targets
@@ -516,19 +516,19 @@ class HelperProcess:
                 start_new_session=True,  # Ctrl-C is for the process that started it
             )
         self._asking = ThreadPoolExecutor(1)
-        self._futures: dict[tuple[Task, Places], Future[Result]] = {}
+        self._futures: dict[Key, Future[Result]] = {}
 
-    def __call__(self, task: Task, places: Places) -> Future[Result]:
-        """Have the trials of a task driven, once."""
-        if (task, places) not in self._futures:
-            self._futures[task, places] = self._asking.submit(self._ask, task, places)
-        return self._futures[task, places]
+    def __call__(self, key: Key) -> Future[Result]:
+        """Have trials driven, once."""
+        if key not in self._futures:
+            self._futures[key] = self._asking.submit(self._ask, key)
+        return self._futures[key]
 
-    def _ask(self, task: Task, places: Places) -> Result:
+    def _ask(self, key: Key) -> Result:
         if self._job is not None:
             self._line.send(self._job)
             self._job = None
-        self._line.send((task, places))
+        self._line.send(key)
         found: Result = self._line.recv()
         return found
 
@@ -547,9 +547,8 @@ def main(line: int) -> None:
     Thread(target=_listen, args=(asked, tasks), daemon=True).start()
     job: ComparisonJob = tasks.get()
     while True:
-        (name, kind), places = tasks.get()
-        runner = job.runner_of(name)
-        driven, recording = runner.drive_batch(runner.open_batch(places), name, kind, places)
+        key: Key = tasks.get()
+        driven, recording = job.runner_of(key[0]).drive_batch(key)
         asked.send((driven, recording.of(slice(1))))
         give_back()
 
