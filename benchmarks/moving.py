@@ -16,13 +16,14 @@ from rejoint.arms import mycobot280
 from rejoint.control.loop import Schedule, run
 from rejoint.control.moving.drive import judge
 from rejoint.control.moving.posture import PathPostures, Servos, home_of
-from rejoint.control.moving.reference import LAG, LEAD_IN, STANDARD, Ahead, PathReference, Stream, played, standard_path
+from rejoint.control.moving.reference import LAG, LEAD_IN, STANDARD, Ahead, PathReference, Stream, standard_path
 from rejoint.control.moving.tracker import Tracker
 from rejoint.control.recording import Recording
 from rejoint.logs.runfolder import RunFolder
 from rejoint.twin.parameters import TwinParameters, healthy_parameters
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
+from rejoint_lab.research.evaluation.moving import played
 from rejoint_lab.research.evaluation.trials import own_twin
 
 ARM = mycobot280()

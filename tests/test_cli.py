@@ -76,7 +76,7 @@ def test_follow_goes_along_a_path_and_logs_each_time(finished, tmp_path, cli):
     log = read_log(next(iter(logs.values())))
     assert np.allclose(log.target[0], [0.17, 0.0, 0.2])
     assert np.allclose(log.target[-1], [0.18, 0.03, 0.21], atol=2e-3)
-    words = ("follow", "emulated:worn", str(finished.path), str(points), "--controller", "default", "--rate", "30")
+    words = ("follow", "emulated:worn", str(finished.path), str(points), "--controller", "default")
     assert "Not followed" in cli(*words, code=5).out
 
 
@@ -85,7 +85,6 @@ def test_follow_goes_along_a_path_and_logs_each_time(finished, tmp_path, cli):
     [
         (("follow", "emulated:worn", "{run}", "oval"), "no standard path; standard are circle-8s"),
         (("follow", "emulated:worn", "{run}", "circle-0.5s"), "give the path more time there"),
-        (("follow", "emulated:worn", "{run}", "circle-8s", "--rate", "30", "--repeat", "2"), "known ahead"),
         (("diagnose", "tcp://nowhere"), "tcp://nowhere"),
         (("diagnose", "carrier-pigeon:1"), "emulated:PROFILE"),
         (("identify", "{empty}"), "no run folder"),

@@ -426,7 +426,7 @@ def test_a_path_is_stopped_on_its_way_and_what_cannot_be_followed_is_refused(run
         with pytest.raises(rejoint.InputError, match="duration in seconds"):
             arm.follow(rejoint.Stream())
         with pytest.raises(rejoint.InputError, match="repeated"):
-            arm.follow("circle-8s", repeat=2, rate_hz=30.0)
+            arm.follow("circle-8s", repeat=0)
         arm.follow("circle-20s", repeat=10, wait=False)
         arm.stop()
         assert not arm.state.moving

@@ -383,13 +383,10 @@ def follow(
     run: Path,
     path: str,
     repeat: int = 1,
-    rate: float | None = None,
 ) -> Result:
     """Drive an arm along a path, and say how well it followed."""
     with call.watched("follow") as observer:
-        done = rejoint.follow(
-            robot, path, run=run, repeat=repeat, rate_hz=rate, settings=call.settings, observer=observer
-        )
+        done = rejoint.follow(robot, path, run=run, repeat=repeat, settings=call.settings, observer=observer)
     show.followed(call, done)
     if all(map(installed, EXTRAS["report"])) and not call.settings.dry_run:
         from rejoint.pages.report.figures import draw_followed

@@ -19,16 +19,14 @@ from rejoint.control.moving.drive import Followed, Pass, Repetition, corrected_p
 from rejoint.control.moving.drive import judge as judge_pass
 from rejoint.control.moving.posture import PathPostures, Servos, home_of
 from rejoint.control.moving.reference import (
-    LAG,
     LEAD_IN,
     Ahead,
+    Guide,
     Path,
     PathReference,
     Stream,
     is_standard,
-    played,
     read_path,
-    require_rate,
     standard_path,
 )
 from rejoint.control.moving.tracker import Tracker
@@ -194,7 +192,6 @@ def follow(
     run: RunLike | None = None,
     arm: ArmLike | None = None,
     repeat: int = 1,
-    rate_hz: float | None = None,
     settings: Settings | None = None,
     observer: Observer | None = None,
 ) -> Followed:
@@ -216,8 +213,6 @@ def follow(
         needed where neither run nor address tells it
     repeat
         how often; each pass corrects the errors of those before
-    rate_hz
-        sends the path as a stream at this rate, not known ahead
     settings
         twin, payload, accepted error (``within``) and the like; ``controller``: by default ``tracker`` with a twin,
         else what drives to points
@@ -244,7 +239,7 @@ def follow(
     >>> print(done.passes[-1].encoder.rms)
     """
     with noted(), ArmSession(robot, run=run, arm=arm, settings=settings, observer=observer) as session:
-        return cast(Followed, session.follow(path, repeat=repeat, rate_hz=rate_hz))
+        return cast(Followed, session.follow(path, repeat=repeat))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -268,23 +263,25 @@ class PathDrive:
         path: PathLike | Stream,
         *,
         repeat: int,
-        rate: float | None,
         duration: float | None,
         within: float | None,
     ) -> None:
         """Check the request before anything moves; InputError if impossible.
 
-        ``rate`` [Hz] and ``duration`` [s] are of a stream; None: known ahead. ``within`` [m] is the accepted rms.
+        ``duration`` [s] is of a stream. ``within`` [m] is the accepted rms.
         """
         arm, settings = session.arm, session.settings
-        self.session, self.repeat, self.rate, self.duration = session, repeat, rate, duration or 0.0
+        self.session, self.repeat, self.duration = session, repeat, duration or 0.0
         self.within = within if within is not None else WITHIN if settings.within is None else settings.within
-        require_repeatable(path, repeat, rate, self.within)
+        as_within("follow", self.within)
+        if not isinstance(repeat, int | np.integer) or repeat < 1 or (repeat > 1 and isinstance(path, Stream)):
+            raise InputError("follow: to be repeated at least once, and more often only where the path is known ahead")
         self.path = followable(path, arm, session.seed, duration)
-        self.posed = turned(self.path)
-        if isinstance(self.path, Path):
-            few = slice(None, None, max(1, len(self.path.place) // LOOKED_AT))
-            places, turns = self.path.place[few], self.path.turn_at(self.path.time[few])
+        if isinstance(self.path, Stream):
+            self.posed = self.path.poses(0.0, np.zeros(1))[1] is not None
+        else:
+            self.posed = self.path.turn is not None
+            places, turns = self.path.poses(self.path.time[:: max(1, len(self.path.time) // LOOKED_AT)])
             say_heavy(arm, session.twin, places, session.observer.message, turns)
             require_correctable(session.calibration, arm, places)
         wanted = settings.controller
@@ -315,32 +312,28 @@ class PathDrive:
     def _along(self, path: Path) -> Followed:
         session, arm, home = self.session, self.session.arm, self._follower.home
         wanted = path if session.correction is None else corrected_path(arm, path, session.correction, home)
-        duration = LEAD_IN + path.duration + (0.0 if self.rate is None else LAG)
         aim, passes, repetition = wanted, list[Pass](), Repetition(wanted)
-        last: Recording | None = None
         for number in range(self.repeat):
-            self._approach(wanted.at(0.0), wanted.turn_at(0.0))
+            self._approach(*wanted.poses(0.0))
             guide = Ahead(path=path, aim=aim)
-            told = guide if self.rate is None else played(wanted, self.rate)
-            last = self._carry(told, duration, number)
-            done = judge_pass(arm, last, Ahead(path=path, aim=wanted), model=session.calibration)
-            passes.append(replace(done, log=last.log(0, self._label)))
+            last = self._carry(guide, LEAD_IN + path.duration, number)
+            passes.append(self._judged(last, Ahead(path=path, aim=wanted)))
             aim = repetition.learn(aim, *missed(arm, last, guide, wanted))
         return self._followed(path.name, passes, last)
 
     def _behind(self, stream: Stream) -> Followed:
-        session, arm, home = self.session, self.session.arm, self._follower.home
-        at_once = np.zeros(1)
-        start, turns = stream.place(0.0), stream.poses(0.0, at_once)[1]
-        turn = None if turns is None else turns[0]
+        session, start = self.session, stream.poses(0.0, np.zeros(1))
         if session.correction is not None and stream.corrected is None:
-            stream.corrected = corrector(arm, session.correction, start, turn, home)
-            turns = stream.poses(0.0, at_once)[1]
-            turn = None if turns is None else turns[0]
-        self._approach(start, turn)
+            place, turn = stream.place(0.0), start[1] and start[1][0]
+            stream.corrected = corrector(session.arm, session.correction, place, turn, self._follower.home)
+            start = stream.place(0.0)[None], stream.poses(0.0, np.zeros(1))[1]
+        self._approach(start[0][0], start[1] and start[1][0])
         last = self._carry(stream, self.duration, 0)
-        done = replace(judge_pass(arm, last, stream, model=session.calibration), log=last.log(0, self._label))
-        return self._followed("stream", [done], last)
+        return self._followed("stream", [self._judged(last, stream)], last)
+
+    def _judged(self, last: Recording, guide: Guide) -> Pass:
+        done = judge_pass(self.session.arm, last, guide, model=self.session.calibration)
+        return replace(done, log=last.log(0, self._label))
 
     def _approach(self, start: Array, turn: Orientation | None) -> None:
         """Bring the arm to the place ``start`` (3,) [m] and ``turn`` ()."""
@@ -350,7 +343,7 @@ class PathDrive:
         if self._motion.ended.is_set():
             raise EndedError
 
-    def _carry(self, guide: Ahead | Stream, duration: float, number: int) -> Recording:
+    def _carry(self, guide: Guide, duration: float, number: int) -> Recording:
         """Drive behind a guide for ``duration`` [s]."""
         session, total = self.session, self.repeat
 
@@ -367,16 +360,15 @@ class PathDrive:
             raise EndedError
         return recording
 
-    def _followed(self, path: str, passes: list[Pass], last: Recording | None) -> Followed:
-        period = float("nan") if last is None else last.usual_period()
-        gaps = () if last is None else tuple(float(gap) for gap in last.gaps() if gap > 0.0)
+    def _followed(self, path: str, passes: list[Pass], last: Recording) -> Followed:
+        period = last.usual_period()
         return Followed(
             path=path,
             controller=self._follower.name,
             within=self.within,
             passes=tuple(passes),
             period=period if np.isfinite(period) else None,
-            gaps=gaps,
+            gaps=tuple(float(gap) for gap in last.gaps() if gap > 0.0),
         )
 
 
@@ -404,35 +396,14 @@ def followable(given: PathLike | Stream, arm: Arm, seed: int, duration: float | 
                 "follow: this stream was followed already, up to its last target; put targets into another"
             )
         given.axis = tool_axis(arm)
-        turns = given.poses(0.0, np.zeros(1))[1]
-        require_reachable(arm, given.place(0.0)[None, None], turns and turns[None])
+        places, turns = given.poses(0.0, np.zeros(1))
+        require_reachable(arm, places[None], turns and turns[None])
         return given
     if duration is not None:
         raise InputError("follow: a duration is of a stream; a path takes as long as its times say")
     path = as_path(given, arm, seed)
     path.require_followable(arm)
     return path
-
-
-def turned(given: Path | Stream) -> bool:
-    """Whether a path, or a stream's first target, has an orientation."""
-    start = np.zeros(1)
-    return (given.turn_at(start) if isinstance(given, Path) else given.poses(0.0, start)[1]) is not None
-
-
-def require_repeatable(path: PathLike | Stream, repeat: int, rate: float | None, within: float = WITHIN) -> None:
-    """Raise InputError for a bad number of repetitions, ``rate`` or ``within``."""
-    if rate is not None:
-        require_rate(rate)
-    as_within("follow", within)
-    if (
-        not isinstance(repeat, int | np.integer)
-        or repeat < 1
-        or (repeat > 1 and (rate is not None or isinstance(path, Stream)))
-    ):
-        raise InputError("follow: to be repeated at least once, and more often only where the path is known ahead")
-    if rate is not None and isinstance(path, Stream):
-        raise InputError("follow: a rate is for a path that is played as a stream; a stream has its own")
 
 
 def servos_of(twin: Twin) -> Servos:

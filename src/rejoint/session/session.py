@@ -292,12 +292,11 @@ class ArmSession(ArmDriver):
         path: PathLike | Stream,
         *,
         repeat: int = 1,
-        rate_hz: float | None = None,
         duration_s: float | None = None,
         within_m: float | None = None,
         wait: bool = True,
     ) -> Followed | None:
-        """Drive the tool along ``path``; ``repeat`` and rate as in `rejoint.follow`, ``wait`` as in `move_to`.
+        """Drive the tool along ``path``; ``repeat`` as in `rejoint.follow`, ``wait`` as in `move_to`.
 
         A `Stream` needs ``duration_s`` and a first target. NotReachedError after `stop`. InputError for a path out of
         reach or too fast, or without a twin.
@@ -305,7 +304,7 @@ class ArmSession(ArmDriver):
         from rejoint.session.motions import PathDrive
 
         self._require_free()
-        drive = PathDrive(self, path, repeat=repeat, rate=rate_hz, duration=duration_s, within=within_m)
+        drive = PathDrive(self, path, repeat=repeat, duration=duration_s, within=within_m)
         self.followed = None
         self._start(ArmMotion("the end of its path", drive.work), wait=wait)
         if wait and self.followed is None:

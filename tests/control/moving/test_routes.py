@@ -12,11 +12,11 @@ from rejoint.control.moving.reference import (
     Path,
     PathReference,
     Stream,
-    played,
     standard_path,
 )
 from rejoint.control.targets import Pose
 from rejoint.system.errors import InputError
+from rejoint_lab.research.evaluation.moving import played
 from standin import state_of
 
 ARM = mycobot280()
@@ -41,7 +41,7 @@ def test_a_path_is_known_ahead():
 def test_a_stream_knows_nothing_of_what_has_not_come():
     stream = played(CIRCLE, 30.0)
     short = Stream()
-    for time, target in zip(stream.time, stream.targets, strict=True):
+    for time, target in zip(stream.time, stream.rows, strict=True):
         if time <= 5.0:
             short.put(target, time)
     later = np.linspace(0.0, 1.0, 7)
@@ -61,8 +61,8 @@ def test_a_gap_is_bridged_for_a_fifth_of_a_second_and_then_held():
     stream = going(np.arange(0.0, 1.01, 0.1))
     last = stream.time[-1]
     ahead = stream.poses(last + LAG, np.array([0.1, EXTRAPOLATED, 0.5, 5.0]))[0]
-    assert np.allclose(ahead[0], stream.targets[-1] + 0.1 * VELOCITY)
-    assert np.allclose(ahead[1:], stream.targets[-1] + EXTRAPOLATED * VELOCITY)
+    assert np.allclose(ahead[0], stream.rows[-1] + 0.1 * VELOCITY)
+    assert np.allclose(ahead[1:], stream.rows[-1] + EXTRAPOLATED * VELOCITY)
 
 
 def test_a_stream_of_poses_turns_the_tool_on_the_way_between_them_and_then_holds():

@@ -14,13 +14,12 @@ from rejoint.arms import Arm, Array, tcp_position
 from rejoint.arms.rotations import REACHED_TURN, Orientation
 from rejoint.control.correction import NOT_KNOWN, Modelled, ToolModel, TrueError, checked, modelled
 from rejoint.control.moving.posture import PathPostures
-from rejoint.control.moving.reference import LEAD_IN, Ahead, Corrected, Path, Stream, interpolated
+from rejoint.control.moving.reference import Corrected, Guide, Path, Poses, Route, interpolated
 from rejoint.control.recording import Recording
 from rejoint.logs.runlog import RunLog
 
 Rows = NDArray[np.intp]
 
-_STEP = 0.02  # [s] between the places of a path that is corrected or judged
 _JUDGED = 100  # places of a path at which a model is asked for the tool (chosen: it draws from its covariance at each)
 _APPROACH = 15  # of those back is where an arm came from: 0.3 s (chosen: longer than play takes to turn round)
 
@@ -61,10 +60,9 @@ class Followed:
 
 def corrected_path(arm: Arm, path: Path, correction: Modelled, home: Array | None = None) -> Path:
     """Corrected path for an arm near ``home`` (n,) [rad]."""
-    time = np.linspace(0.0, path.duration, max(2, round(path.duration / _STEP) + 1))
-    places = path.at(time)
-    aims = places
-    wanted = turns = path.turn_at(time)
+    time = path.grid
+    places, wanted = path.poses(time)
+    aims, turns = places, wanted
     postures = PathPostures(arm, places[:1], turns and turns[:1], home)
     for _ in range(2):  # the second changes it by less than 0.1 mm
         way = postures.along(aims[:, None], turns and turns[:, None])[:, 0]
@@ -81,7 +79,7 @@ def corrector(
     """Corrector of a stream's targets, from ``start`` (3,) [m] and ``turn`` () on."""
     postures = PathPostures(arm, start[None], turn and turn[None], home)
 
-    def correct(places: Array, turns: Orientation | None) -> tuple[Array, Orientation | None]:
+    def correct(places: Array, turns: Orientation | None) -> Poses:
         way = postures.at(places[:, None], turns and turns[:, None])[:, 0]
         aims = checked(places, places - correction.shift(way))
         return aims, None if turns is None else correction.untwisted(turns, way)
@@ -89,54 +87,45 @@ def corrector(
     return correct
 
 
-def judge(arm: Arm, recording: Recording, guide: Ahead | Stream, b: int = 0, model: ToolModel | None = None) -> Pass:
+def judge(arm: Arm, recording: Recording, guide: Guide, b: int = 0, model: ToolModel | None = None) -> Pass:
     """Errors of arm ``b``."""
-    rows, time = rows_on(recording, guide, b)
-    tool = tcp_position(arm, recording.position[rows, b])
-    at, places, aims = route_of(guide)
-    true = np.linalg.norm(recording.true_tcp[rows, b] - interpolated(time, at, places), axis=-1)
+    route = guide.route()
+    rows, time = rows_on(recording, route, b)
+    position, turned = recording.position[rows, b], recording.turned[rows, b]
+    true = np.linalg.norm(recording.true_tcp[rows, b] - interpolated(time, route.time, route.place), axis=-1)
     known = bool(np.isfinite(true).all()) and len(true) > 0
-    expected = NOT_KNOWN if model is None else _expected(model, recording.position[rows, b], time, at, places)
-    turned = recording.turned[rows, b]
+    expected = NOT_KNOWN if model is None else _expected(model, position, time, route)
     return Pass(
-        encoder=along(time, tool, at, aims),
-        true_error=TrueError(how="known", value=float(np.sqrt((true**2).mean()))) if known else expected,
-        turned=float(np.sqrt((turned**2).mean())) if len(turned) and np.isfinite(turned).all() else None,
+        encoder=along(time, tcp_position(arm, position), route.time, route.aim),
+        true_error=TrueError(how="known", value=_rms(true)) if known else expected,
+        turned=_rms(turned) if len(turned) and np.isfinite(turned).all() else None,
     )
 
 
-def _expected(model: ToolModel, position: Array, time: Array, at: Array, places: Array) -> TrueError:
+def _rms(values: Array) -> float:
+    return float(np.sqrt((values**2).mean()))
+
+
+def _expected(model: ToolModel, position: Array, time: Array, route: Route) -> TrueError:
     """Rms tool error by a model at ``position`` (T, n) [rad] and ``time`` (T,) [s]."""
     few = slice(None, None, max(1, len(time) // _JUDGED))
-    found = modelled(model, position[few], interpolated(time[few], at, places))
+    found = modelled(model, position[few], interpolated(time[few], route.time, route.place))
     if not np.isfinite(found).all() or not found.size:
         return NOT_KNOWN
-    value, low, high = (float(np.sqrt((part**2).mean())) for part in found)
+    value, low, high = map(_rms, found)
     return TrueError(how="modelled", value=value, low=low, high=high)
 
 
-def rows_on(recording: Recording, guide: Ahead | Stream, b: int = 0) -> tuple[Rows, Array]:
-    """Rows (T,) of arm ``b`` on its path, and their times (T,) [s]."""
-    begin = LEAD_IN if isinstance(guide, Ahead) else guide.time[0]
-    length = guide.path.duration if isinstance(guide, Ahead) else guide.time[-1] - begin
-    time = recording.since_target[:, b] - begin
-    rows = np.flatnonzero(recording.active[:, b] & (time >= 0.0) & (time <= length))
+def rows_on(recording: Recording, route: Route, b: int = 0) -> tuple[Rows, Array]:
+    """Rows (T,) of arm ``b`` on its route, and their times (T,) [s]."""
+    time = recording.since_target[:, b] - route.begin
+    rows = np.flatnonzero(recording.active[:, b] & (time >= 0.0) & (time <= route.time[-1]))
     return rows, time[rows]
 
 
-def route_of(guide: Ahead | Stream) -> tuple[Array, Array, Array]:
-    """Return times (K,) [s], targets and corrected targets (K, 3) [m]."""
-    if isinstance(guide, Ahead):
-        time = np.linspace(0.0, guide.path.duration, max(2, round(guide.path.duration / _STEP) + 1))
-        return time, guide.path.at(time), (guide.aim or guide.path).at(time)
-    targets, turns = guide.received()
-    aims = targets if guide.corrected is None else guide.corrected(targets, turns)[0]
-    return np.array(guide.time) - guide.time[0], targets, aims
-
-
-def missed(arm: Arm, recording: Recording, guide: Ahead, wanted: Path, b: int = 0) -> tuple[Array, Array]:
+def missed(arm: Arm, recording: Recording, guide: Guide, wanted: Path, b: int = 0) -> tuple[Array, Array]:
     """Return times (T,) [s] and encoder errors (T, 3) [m] of arm ``b`` from ``wanted``."""
-    rows, time = rows_on(recording, guide, b)
+    rows, time = rows_on(recording, guide.route(), b)
     return time, wanted.at(time) - tcp_position(arm, recording.position[rows, b])
 
 
@@ -162,7 +151,7 @@ class Along:
 def along(time: Array, tool: Array, at: Array, places: Array) -> Along:
     """Compare the ``tool`` (T, 3) [m] at ``time`` (T,) [s] with ``places`` (K, 3) [m] at ``at`` (K,) [s]."""
     errors = [np.linalg.norm(tool - interpolated(time - lag, at, places), axis=-1) for lag in _LAGS]
-    sizes = [float(np.sqrt((error**2).mean())) for error in errors]
+    sizes = [_rms(error) for error in errors]
     best = int(np.argmin(sizes))
     return Along(
         rms=sizes[0],
@@ -191,14 +180,13 @@ class Repetition:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._time = np.linspace(0.0, path.duration, max(2, round(path.duration / _STEP) + 1))
+        self._time = path.grid
         self._spectra: list[Array] = []  # (F, 3) of where to aim, less the path, for each time
 
     def learn(self, aim: Path, time: Array, error: Array) -> Path:
         """Next path after errors (T, 3) [m] of ``aim`` at ``time`` (T,) [s]."""
         place = self._path.at(self._time)
-        missed = np.stack([np.interp(self._time, time, column) for column in error.T], axis=-1)
-        self._spectra.append(_spectrum(aim.at(self._time) - place + missed))
+        self._spectra.append(_spectrum(aim.at(self._time) - place + interpolated(self._time, time, error)))
         shift = self._shift()
         size = np.linalg.norm(shift, axis=-1, keepdims=True)
         place = place + shift * np.minimum(1.0, MOST / np.maximum(size, MOST))

@@ -11,14 +11,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path as FilePath
 from threading import Lock
-from typing import Protocol
+from typing import NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.postures import NEAR, TURNED, missed_pose
-from rejoint.arms.rotations import Orientation, same_side, stacked
+from rejoint.arms.rotations import Orientation, stacked
 from rejoint.arms.workspace import length_size
 from rejoint.control.moving.posture import PathPostures
 from rejoint.control.reference import Index, Reference, Setpoint
@@ -52,6 +52,10 @@ _OPPOSITE = -0.5
 """Cosine of the largest turn between points"""
 SPEED_SHARE = 0.8
 """Largest share of joint speed"""
+_STEP = 0.02  # [s] between the points of a standard path, and of `Path.grid`
+
+Poses: TypeAlias = "tuple[Array, Orientation | None]"
+"""Places (..., 3) [m] and orientations (...); None: any"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -82,26 +86,38 @@ class Path:
         for name, value in (("time", time), ("place", place)):
             value.setflags(write=False)
             object.__setattr__(self, name, value)
-        knots = [] if self.turn is None else [knots_of(self.turn)]
-        if knots and ((knots[0][1:] * knots[0][:-1]).sum(axis=-1) < _OPPOSITE).any():
-            raise InputError("path: the tool would turn round between two points; give points between them")
-        object.__setattr__(self, "_values", _spline(time, np.concatenate([place, *knots], axis=-1)))
-
-    def turn_at(self, time: Array | float) -> Orientation | None:
-        """Orientations (...) at ``time`` (...) [s]; None: any."""
-        return self.turn and turned_as(self._at(time)[..., 3:], self.turn.axis, float(self.turn.weight[0]))
+        rows = place
+        if self.turn is not None:
+            knots = knots_of(self.turn)
+            if ((knots[1:] * knots[:-1]).sum(axis=-1) < _OPPOSITE).any():
+                raise InputError("path: the tool would turn round between two points; give points between them")
+            rows = np.concatenate([place, knots], axis=-1)
+        # Parabolic ends: the slopes of the parabolas through the outer three points.
+        slope = np.gradient(rows, time, axis=0, edge_order=1 if len(time) == 2 else 2)
+        object.__setattr__(self, "_values", CubicSpline(time, rows, bc_type=((1, slope[0]), (1, slope[-1]))))
 
     @property
     def duration(self) -> float:
         """Duration [s]."""
         return float(self.time[-1])
 
-    def at(self, time: Array | float) -> Array:
-        """Places (..., 3) [m] at ``time`` (...) [s]; constant outside."""
-        return self._at(time)[..., :3]
+    @property
+    def grid(self) -> Array:
+        """(K,) [s] times every 20 ms, at which the path is corrected or judged."""
+        return np.linspace(0.0, self.duration, max(2, round(self.duration / _STEP) + 1))
 
-    def _at(self, time: Array | float) -> Array:
-        return np.asarray(self._values(np.clip(time, 0.0, self.duration)))
+    def poses(self, time: Array | float) -> Poses:
+        """Places (..., 3) [m] and orientations (...) at ``time`` (...) [s]; constant outside."""
+        turn, rows = self.turn, np.asarray(self._values(np.clip(time, 0.0, self.duration)))
+        return rows[..., :3], turn and turned_as(rows[..., 3:], turn.axis, float(turn.weight[0]))
+
+    def at(self, time: Array | float) -> Array:
+        """Places (..., 3) [m] at ``time`` (...) [s]."""
+        return self.poses(time)[0]
+
+    def turn_at(self, time: Array | float) -> Orientation | None:
+        """Orientations (...) at ``time`` (...) [s]; None: any."""
+        return self.poses(time)[1]
 
     def require_followable(self, arm: Arm) -> None:
         """Raise InputError unless ``arm`` can follow."""
@@ -111,7 +127,7 @@ class Path:
                 "seconds, and what takes longer as paths one after the other"
             )
         times = np.union1d(np.linspace(0.0, self.duration, max(2, round(self.duration / _LOOK))), self.time[:1])
-        places = self.at(times)
+        places, turns = self.poses(times)
         beyond = beyond_reach(arm, places)
         if beyond.any():
             k = int(beyond.argmax())
@@ -125,7 +141,6 @@ class Path:
                 f"path: at {times[k]:.2f} s {in_mm(places[k])} is lower than {1e3 * arm.floor:g} mm, where the guard "
                 "keeps the tool from the ground; lead it higher"
             )
-        turns = self.turn_at(times)
         begin = PathPostures(arm, places[:1], turns and turns[:1])
         postures = begin.along(places[:, None], turns and turns[:, None])[:, 0]
         if turns is not None:
@@ -150,16 +165,6 @@ def _require_turned(arm: Arm, times: Array, places: Array, turns: Orientation, p
             f"path: at {times[k]:.2f} s {in_mm(places[k])} the tool cannot have {in_words(turns[k])}, at best "
             f"{1e3 * off[k]:.0f} mm and {np.degrees(angle[k]):.0f} deg off; give another orientation there"
         )
-
-
-def _spline(time: Array, values: Array) -> CubicSpline:
-    """Cubic spline of ``values`` (T, k) with parabolic ends."""
-    chord, h = np.diff(values, axis=0) / np.diff(time)[:, None], np.diff(time)
-    ends = [chord[0], chord[-1]]
-    if len(h) > 1:
-        ends[0] = chord[0] + (chord[0] - chord[1]) * (h[0] / (h[0] + h[1]))
-        ends[1] = chord[-1] + (chord[-1] - chord[-2]) * (h[-1] / (h[-1] + h[-2]))
-    return CubicSpline(time, values, bc_type=((1, ends[0]), (1, ends[1])))
 
 
 def read_path(file: FilePath, arm: Arm) -> Path:
@@ -189,7 +194,6 @@ LENGTH = 20.0
 """[s] of a standard path"""
 _SINES, _FILL = 5, 0.7
 """waves per coordinate, and their share of the region"""
-_STEP = 0.02  # [s] between the points
 _NAME = re.compile(r"(circle)-(\d+(?:\.\d+)?)s|(random)-(\d+(?:\.\d+)?)hz")
 
 
@@ -258,14 +262,30 @@ _MOST_TURN = float(np.radians(120.0))
 _RECENT = 2.0  # [s] of a stream that are looked at (chosen: more than the longest lag and what follows look back)
 
 
+class Route(NamedTuple):
+    """What an arm was to do, when it is over."""
+
+    begin: float
+    """[s] on the clock of the run"""
+    time: Array
+    """(K,) [s] from then on"""
+    place: Array
+    """(K, 3) [m]"""
+    aim: Array
+    """(K, 3) [m] the same, corrected"""
+
+
 class Guide(Protocol):
     """Target of one arm over time."""
 
     def place(self, now: float) -> Array:
         """Target (3,) [m] at ``now`` [s]."""
 
-    def poses(self, now: float, later: Array) -> tuple[Array, Orientation | None]:
-        """Corrected targets (k, 3) [m] and orientations (k,) in ``later`` (k,) [s]; None: any."""
+    def poses(self, now: float, later: Array) -> Poses:
+        """Corrected targets (k, 3) [m] and orientations (k,) in ``later`` (k,) [s]."""
+
+    def route(self) -> Route:
+        """Return all targets."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -280,13 +300,17 @@ class Ahead:
         """See `Guide`."""
         return self.path.at(now - LEAD_IN)
 
-    def poses(self, now: float, later: Array) -> tuple[Array, Orientation | None]:
+    def poses(self, now: float, later: Array) -> Poses:
         """See `Guide`."""
-        path, time = self.aim or self.path, now - LEAD_IN + later
-        return path.at(time), path.turn_at(time)
+        return (self.aim or self.path).poses(now - LEAD_IN + later)
+
+    def route(self) -> Route:
+        """See `Guide`."""
+        time = self.path.grid
+        return Route(LEAD_IN, time, self.path.at(time), (self.aim or self.path).at(time))
 
 
-Corrected = Callable[[Array, Orientation | None], tuple[Array, Orientation | None]]
+Corrected = Callable[[Array, Orientation | None], Poses]
 """Corrects targets (k, 3) [m] and orientations (k,)"""
 
 
@@ -303,11 +327,10 @@ class Stream:
     corrected: Corrected | None = None
     time: list[float] = field(default_factory=list)
     """[s] arrivals on the clock of the run"""
-    targets: list[Array] = field(default_factory=list)
-    """each (3,) [m]"""
+    rows: list[Array] = field(default_factory=list)
+    """places (3,) [m], followed by the unit direction (3,) or quaternion (4,) of poses"""
     axis: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]), repr=False)
     """(3,) tool axis in the tool frame"""
-    _knots: list[Array] = field(default_factory=list)  # (3,) directions or (4,) quaternions, unit; none of places
     _weight: float = 0.0
     _now: float = 0.0
     _lock: Lock = field(default_factory=Lock, repr=False)
@@ -322,23 +345,22 @@ class Stream:
         InputError for another kind than the first, a turn over 120 degrees, or an earlier time.
         """
         time = self._now if time is None else time
-        pose = target if isinstance(target, Pose) else None
-        place = as_place("stream", target if pose is None else pose.place_m)
         if not np.isfinite(time):
             raise InputError(f"stream: a target came at {time} s, expected a finite time")
+        pose = target if isinstance(target, Pose) else None
+        row = as_place("stream", target if pose is None else pose.place_m)
         turn = None if pose is None else oriented(self.axis, [pose])
-        knot = None if turn is None else knots_of(turn)[0]
+        if turn is not None:
+            row = np.concatenate([row, knots_of(turn)[0]])
         with self._lock:
             if self.time and time < self.time[-1]:
                 raise InputError(f"stream: a target of {time:g} s came after one of {self.time[-1]:g} s")
-            self._require_alike(knot)
+            row = self._after_last(row)
             if self.time and time == self.time[-1]:
-                del self.time[-1], self.targets[-1], self._knots[-1:]
+                del self.time[-1], self.rows[-1]
             self.time.append(time)
-            self.targets.append(place)
-            if turn is not None and knot is not None:
-                self._knots.append(same_side(np.stack([*self._knots[-1:], knot]))[-1] if len(knot) == 4 else knot)
-                self._weight = float(turn.weight[0])
+            self.rows.append(row)
+            self._weight = self._weight if turn is None else float(turn.weight[0])
 
     @property
     def followed(self) -> bool:
@@ -348,64 +370,58 @@ class Stream:
     def place(self, now: float) -> Array:
         """Target (3,) [m] in force."""
         self._now = now
-        return self._between(self.targets, np.array([now]), now)[0]
+        return self._between(np.array([now]), now)[0, :3]
 
-    def received(self) -> tuple[Array, Orientation | None]:
-        """All targets (K, 3) [m] and orientations (K,)."""
-        turns = turned_as(np.array(self._knots), self.axis, self._weight) if self._knots else None
-        return np.array(self.targets), turns
-
-    def poses(self, now: float, later: Array) -> tuple[Array, Orientation | None]:
+    def poses(self, now: float, later: Array) -> Poses:
         """See `Guide`."""
         self._now = now
-        time = now + later - self.lag
-        places, turns = self._between(self.targets, time, now), None
-        if self._knots:
-            turns = turned_as(self._between(self._knots, time, now), self.axis, self._weight)
+        return self._aims(self._between(now + later - self.lag, now))
+
+    def route(self) -> Route:
+        """See `Guide`."""
+        rows, time = np.array(self.rows), np.array(self.time)
+        return Route(self.time[0], time - time[0], rows[:, :3], self._aims(rows)[0])
+
+    def _aims(self, rows: Array) -> Poses:
+        """Corrected targets (k, 3) [m] and orientations (k,) of ``rows`` (k, m)."""
+        places, turns = rows[:, :3], None
+        if rows.shape[1] > 3:
+            turns = turned_as(rows[:, 3:], self.axis, self._weight)
         return (places, turns) if self.corrected is None else self.corrected(places, turns)
 
-    def _require_alike(self, knot: Array | None) -> None:
-        if not self.targets:
-            return
-        last = self._knots[-1] if self._knots else None
-        if knot is None or last is None or len(knot) != len(last):
-            if knot is not last:
-                raise InputError(
-                    "stream: the first target decides whether all have a direction, a whole orientation, or none; put "
-                    "targets of one kind, or take a stream for each"
-                )
-        elif _turn_between(knot, last) > _MOST_TURN:
+    def _after_last(self, row: Array) -> Array:
+        """Return a ``row`` (m,) whose quaternion is on the last one's side; InputError unless it is of its kind."""
+        if not self.rows:
+            return row
+        last = self.rows[-1]
+        if len(row) != len(last):
             raise InputError(
-                "stream: from one target to the next the tool would turn by "
-                f"{np.degrees(_turn_between(knot, last)):.0f} deg, at most 120 were expected; put targets between them"
+                "stream: the first target decides whether all have a direction, a whole orientation, or none; put "
+                "targets of one kind, or take a stream for each"
             )
+        whole, cosine = len(row) == 7, float(np.clip(row[3:] @ last[3:], -1.0, 1.0))
+        turned = 2.0 * np.arccos(abs(cosine)) if whole else np.arccos(cosine)
+        if len(row) > 3 and turned > _MOST_TURN:
+            raise InputError(
+                f"stream: from one target to the next the tool would turn by {np.degrees(turned):.0f} deg, at most 120 "
+                "were expected; put targets between them"
+            )
+        return np.concatenate([row[:3], -row[3:]]) if whole and cosine < 0.0 else row
 
-    def _between(self, values: list[Array], time: Array, now: float) -> Array:
-        """Values (k, m) at ``time`` (k,) [s] by what arrived until ``now``."""
+    def _between(self, time: Array, now: float) -> Array:
+        """Rows (k, m) at ``time`` (k,) [s] by what arrived until ``now``."""
         with self._lock:
             count = bisect_right(self.time, now)
             first = max(0, bisect_right(self.time, now - _RECENT, hi=count) - 2)
-            times, known = np.array(self.time[first:count]), np.array(values[first:count])
+            times, known = np.array(self.time[first:count]), np.array(self.rows[first:count])
         if not len(times):
             raise InputError("stream: nothing has come yet; put the first target before the arm moves")
         if len(times) == 1:
             return np.broadcast_to(known[0], (len(time), known.shape[1]))
-        found = interpolated(time, times, known)
+        recent = min(int(np.searchsorted(times, times[-1] - 0.1)), len(times) - 2)  # a line through 0.1 s, or two
+        velocity = np.polyfit(times[recent:], known[recent:], 1)[0]
         beyond = np.clip(time - times[-1], 0.0, EXTRAPOLATED)[:, None]
-        return found + beyond * _last_velocity(times, known)
-
-
-def _turn_between(one: Array, other: Array) -> float:
-    cosine = float(np.clip(one @ other, -1.0, 1.0))
-    return float(np.arccos(cosine)) if len(one) == 3 else 2.0 * float(np.arccos(abs(cosine)))
-
-
-def _last_velocity(times: Array, values: Array) -> Array:
-    """Last velocity (m,) [1/s] of values (K, m): a line through 0.1 s, or two."""
-    recent = np.flatnonzero(times >= times[-1] - 0.1)
-    recent = recent if len(recent) > 1 else np.arange(len(times) - 2, len(times))
-    since = times[recent] - times[recent].mean()
-    return np.asarray(since @ (values[recent] - values[recent].mean(axis=0)) / (since @ since))
+        return interpolated(time, times, known) + beyond * velocity
 
 
 class PathReference(Reference):
@@ -436,25 +452,9 @@ class PathReference(Reference):
             ahead=lambda later: self._later.at(*self.poses(since, later)),
         )
 
-    def poses(self, now: Array, later: Array) -> tuple[Array, Orientation | None]:
+    def poses(self, now: Array, later: Array) -> Poses:
         """Corrected targets (k, B, 3) [m] and orientations (k, B), ``later`` (k, B) [s] than ``now`` (B,)."""
         columns = zip(self._guides, now, later.T, strict=True)
         places, turns = zip(*(guide.poses(float(time), column) for guide, time, column in columns), strict=True)
         known = [turn for turn in turns if turn is not None]
         return np.stack(places, axis=1), stacked(known, axis=1) if len(known) == self.count else None
-
-
-def played(path: Path, rate: float) -> Stream:
-    """Play a path as a stream of ``rate`` [Hz], after a rest; InputError."""
-    require_rate(rate)
-    times = np.concatenate([[0.0], np.arange(LEAD_IN, LEAD_IN + path.duration + 1.0 / rate, 1.0 / rate)])
-    stream, turn = Stream(time=times.tolist(), targets=list(path.at(times - LEAD_IN))), path.turn_at(times - LEAD_IN)
-    if turn is not None:
-        stream.axis, stream._knots, stream._weight = turn.axis, list(knots_of(turn)), float(turn.weight[0])
-    return stream
-
-
-def require_rate(rate: float) -> None:
-    """Raise InputError beyond 1 to 1000 Hz."""
-    if not 1.0 <= rate <= 1000.0:
-        raise InputError(f"stream: the rate must be between 1 and 1000 Hz, got {rate}")

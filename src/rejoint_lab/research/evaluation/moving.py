@@ -21,8 +21,9 @@ from rejoint.control.moving.reference import (
     STANDARD,
     Ahead,
     Guide,
+    Path,
     PathReference,
-    played,
+    Stream,
     standard_path,
 )
 from rejoint.control.moving.tracker import Tracker
@@ -115,6 +116,12 @@ def _follow(
     drive(STREAM, worn, [played(path, RATE) for path in paths])
     names = (*(f.name for f in fields(Along)), "stopped")
     return dict(zip(names, np.array(columns).T, strict=True))
+
+
+def played(path: Path, rate: float) -> Stream:
+    """Play the places of a path as a stream of ``rate`` [Hz], after a rest."""
+    times = np.concatenate([[0.0], np.arange(LEAD_IN, LEAD_IN + path.duration + 1.0 / rate, 1.0 / rate)])
+    return Stream(time=times.tolist(), rows=list(path.at(times - LEAD_IN)))
 
 
 def _row(case: str, path: str, found: Columns) -> MovingRow:
