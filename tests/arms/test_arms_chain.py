@@ -17,7 +17,7 @@ from rejoint.arms import (
 )
 from rejoint.arms.chain import cut
 from rejoint.arms.draft import finish
-from rejoint.arms.inertia import SpatialInertia, combined
+from rejoint.arms.inertia import pseudo_inertia, rigid_body
 from rejoint.arms.modelfile import read_tree
 
 # Anchors off the body's origin, mixed axes, a joint reference, two joints on one body, a branch whose
@@ -55,9 +55,9 @@ def written(folder: Path, text: str, name: str = "arm.xml") -> str:
 
 def with_given_workspace(path: str, tip: str | None = None) -> Loaded:
     """Read an arm without deriving its workspace, which takes a second."""
-    draft = cut(read_tree(Path(path)), None, tip)
+    draft = cut(read_tree(Path(path)), None, tip).arm
     box = Box(lower=-np.ones(3), upper=np.ones(3))
-    return finish(replace(draft, rest=np.zeros(len(draft.joint_names)), targets=box))
+    return finish(Loaded(arm=replace(draft, rest=np.zeros(draft.joints), targets=box)))
 
 
 def test_an_awkward_chain_agrees_with_mujoco(tmp_path: Path) -> None:
@@ -101,17 +101,15 @@ def inertial(mass: float, moments: str = "0.001 0.001 0.001", xyz: str = "0 0 0.
 
 def test_lumping_two_balls_by_hand() -> None:
     # 1 kg at x = 0 and 3 kg at x = 4: centre at 3, 1*9 + 3*1 = 12 kg m^2 across, nothing along
-    pieces = [
-        SpatialInertia(mass=m, com=np.array([x, 0, 0]), inertia=np.zeros((3, 3))) for m, x in ((1.0, 0.0), (3.0, 4.0))
-    ]
-    whole = combined(pieces)
-    assert whole.mass == 4.0
-    np.testing.assert_allclose(whole.com, [3, 0, 0])
-    np.testing.assert_allclose(whole.inertia, np.diag([0, 12, 12]))
+    whole = sum(pseudo_inertia(m, [x, 0.0, 0.0], np.zeros((3, 3))) for m, x in ((1.0, 0.0), (3.0, 4.0)))
+    mass, com, inertia = rigid_body(whole)
+    assert mass == 4.0
+    np.testing.assert_allclose(com, [3, 0, 0])
+    np.testing.assert_allclose(inertia, np.diag([0, 12, 12]))
     quarter_turn = np.array([[0, -1, 0, 5], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
-    turned = combined([piece.seen_from(quarter_turn) for piece in pieces])
-    np.testing.assert_allclose(turned.com, [5, 3, 0], atol=1e-15)
-    np.testing.assert_allclose(turned.inertia, np.diag([12, 0, 12]), atol=1e-12)
+    _, com, inertia = rigid_body(quarter_turn @ whole @ quarter_turn.T)
+    np.testing.assert_allclose(com, [5, 3, 0], atol=1e-15)
+    np.testing.assert_allclose(inertia, np.diag([12, 0, 12]), atol=1e-12)
 
 
 def numbers(values: np.ndarray) -> str:

@@ -68,9 +68,9 @@ def arm_of(name: str) -> Arm:
 
 def arm_without_workspace(name: str) -> Arm:
     """Read an arm without deriving its workspace, which takes a second or more."""
-    draft = cut(read_tree(file_of(name)), *MORE[name][2:4])
-    middle = np.nan_to_num((draft.lower + draft.upper) / 2)
-    return finish(dataclasses.replace(draft, rest=middle, targets=Box(lower=-np.ones(3), upper=np.ones(3)))).arm
+    draft = cut(read_tree(file_of(name)), *MORE[name][2:4]).arm
+    middle, box = np.nan_to_num((draft.lower + draft.upper) / 2), Box(lower=-np.ones(3), upper=np.ones(3))
+    return finish(Loaded(arm=dataclasses.replace(draft, rest=middle, targets=box))).arm
 
 
 def stripped_model(path: Path) -> mujoco.MjModel:

@@ -52,7 +52,7 @@ def written(folder: Path, text: str, name: str = "arm.urdf") -> Path:
 
 def names_and_notes(path: Path, **choice: str) -> tuple[tuple[str, ...], str]:
     draft = cut(read_tree(path), choice.get("base"), choice.get("tip"))
-    return draft.joint_names, "\n".join(draft.notes)
+    return draft.arm.joint_names, "\n".join(draft.notes)
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +68,7 @@ def test_a_slide_is_held_and_its_place_can_be_given(tmp_path: Path) -> None:
     assert "fixed at 100 mm" in notes  # zero is outside of its limits
     assert "--hold j1=100mm" in notes
     low, high = (read_tree(path, {"j1": place}) for place in (0.1, 0.35))
-    first = [cut(tree, None, None).offset[0, :3, 3] for tree in (low, high)]
+    first = [cut(tree, None, None).arm.offset[0, :3, 3] for tree in (low, high)]
     np.testing.assert_allclose(first[0], [0.05, 0, 0.445], atol=1e-12)
     np.testing.assert_allclose(first[1] - first[0], [0, 0, 0.25], atol=1e-12)
 
@@ -76,11 +76,11 @@ def test_a_slide_is_held_and_its_place_can_be_given(tmp_path: Path) -> None:
 def test_a_held_hinge_turns_what_it_carries(tmp_path: Path) -> None:
     path = written(tmp_path, urdf(SIX))
     whole, held = cut(read_tree(path), None, None), cut(read_tree(path, {"j4": 0.7}), None, None)
-    assert held.joint_names == ("j1", "j2", "j3", "j5", "j6")
+    assert held.arm.joint_names == ("j1", "j2", "j3", "j5", "j6")
     assert any("joint j4: held at 40.11 deg" in note for note in held.notes)
-    assert held.links[2].mass == pytest.approx(whole.links[2].mass + whole.links[3].mass)
+    assert held.arm.mass[2] == pytest.approx(whole.arm.mass[2] + whole.arm.mass[3])
     q = np.array([0.3, -0.4, 0.9, 0.2, 0.5])
-    five, six = (chain_tcp(draft, angles) for draft, angles in ((held, q), (whole, np.insert(q, 3, 0.7))))
+    five, six = (chain_tcp(draft.arm, angles) for draft, angles in ((held, q), (whole, np.insert(q, 3, 0.7))))
     np.testing.assert_allclose(five, six, atol=1e-12)
 
 

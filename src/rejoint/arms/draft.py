@@ -1,4 +1,4 @@
-"""An arm as a file describes it, and its completion."""
+"""Completion of an arm that a file describes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms.arm import Arm, Array, Box
-from rejoint.arms.inertia import SpatialInertia, link_ends, plausible_links
+from rejoint.arms.inertia import plausible
 from rejoint.arms.kinematics import tcp_position
 from rejoint.arms.workspace import NoPostureError, derive_targets, derive_workspace, length_size, on_a_surface, reach
 from rejoint.system.errors import InputError
@@ -57,79 +57,41 @@ class UnfinishedArmError(NoPostureError):
         self.notes = tuple(notes)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Draft:
-    """Fields of an `Arm`; NaN or None: unknown."""
-
-    name: str
-    joint_names: tuple[str, ...]
-    offset: Array
-    axis: Array
-    tip: Array
-    lower: Array
-    upper: Array
-    max_speed: Array
-    links: tuple[SpatialInertia, ...]
-    """per joint, in its frame; zero mass: unknown"""
-    rest: Array | None = None
-    targets: Box | None = None
-    floor: float | None = None
-    encoder_step: float | None = None
-    servo_acceleration: float = np.inf
-    servos: tuple[str, ...] = ()
-    keep_out: tuple[Box, ...] = ()
-    notes: tuple[str, ...] = ()
+UNKNOWN = Box(lower=np.full(3, np.nan), upper=np.full(3, np.nan))
+"""Targets of an unfinished arm"""
 
 
-def finish(draft: Draft) -> Loaded:
-    """Complete a draft; UnfinishedArmError without rest posture or targets."""
-    notes = list(draft.notes)
-    lower, upper = _limits(draft, notes)
-    links, repairs = plausible_links(draft.joint_names, draft.links, link_ends(draft.offset, draft.tip))
-    notes += repairs
-    floor = draft.floor
-    arm = Arm(
-        name=draft.name,
-        joint_names=draft.joint_names,
-        offset=draft.offset,
-        axis=draft.axis,
-        tip=draft.tip,
-        lower=lower,
-        upper=upper,
-        max_speed=_speeds(draft, notes),
-        mass=np.array([link.mass for link in links]),
-        com=np.array([link.com for link in links]),
-        inertia=np.array([link.inertia for link in links]),
-        rest=(lower + upper) / 2 if draft.rest is None else draft.rest,
-        targets=draft.targets or Box(lower=-np.ones(3), upper=np.ones(3)),
-        floor=0.0 if floor is None else floor,
-        encoder_step=draft.encoder_step or 2 * np.pi / DEFAULT_COUNTS,
-        servo_acceleration=draft.servo_acceleration,
-        servos=draft.servos,
-        keep_out=draft.keep_out,
-    )
+def finish(draft: Loaded) -> Loaded:
+    """Complete an arm in which NaN is unknown, as are masses of zero; UnfinishedArmError without rest or targets."""
+    given, notes = draft.arm, list(draft.notes)
+    if np.isnan(given.rest).any() and not np.isnan(given.targets.lower).any():
+        raise InputError(f"arm {given.name}: targets are given without a rest posture; give rest_deg too, or neither")
+    lower, upper = _limits(given, notes)
+    rest = np.where(np.isnan(given.rest), (lower + upper) / 2, given.rest)
+    arm = plausible(replace(given, lower=lower, upper=upper, rest=rest), notes)
+    arm = replace(arm, max_speed=_speeds(given, notes))
     if reach(arm) > LONGEST:
         raise InputError(
             f"arm {arm.name}: its links add up to {reach(arm):.0f} m, at most {LONGEST:.0f} m were expected; "
             "are they in millimetres? give lengths in metres"
         )
-    if draft.encoder_step is None:
-        finer = 2 ** max(0, int(np.ceil(np.log2(length_size(arm)))))
-        arm = replace(arm, encoder_step=arm.encoder_step / finer)
-        notes.append(f"encoders: no resolution given; {DEFAULT_COUNTS * finer} steps a turn assumed")
-    if floor is None:
+    if np.isnan(arm.encoder_step):
+        counts = DEFAULT_COUNTS * 2 ** max(0, int(np.ceil(np.log2(length_size(arm)))))
+        arm = replace(arm, encoder_step=2 * np.pi / counts)
+        notes.append(f"encoders: no resolution given; {counts} steps a turn assumed")
+    if np.isnan(arm.floor):
         arm = replace(arm, floor=round(FLOOR_RATIO * reach(arm), 3))
         notes.append(f"floor: none given; {1e3 * arm.floor:.0f} mm above the base's origin assumed")
-    try:
-        arm = _with_workspace(arm, draft, notes)
-    except NoPostureError as error:
-        raise UnfinishedArmError(error, arm, notes) from error
+    if np.isnan(arm.targets.lower).any():
+        try:
+            arm = _with_workspace(arm, bool(np.isnan(given.rest).any()), notes)
+        except NoPostureError as error:
+            raise UnfinishedArmError(error, arm, notes) from error
     return Loaded(arm=arm, notes=tuple(notes))
 
 
-def _with_workspace(arm: Arm, draft: Draft, notes: list[str]) -> Arm:
-    if draft.rest is not None and draft.targets is not None:
-        return arm
+def _with_workspace(arm: Arm, derives: bool, notes: list[str]) -> Arm:
+    """Derive targets, and the rest posture too where it ``derives`` one."""
     if on_a_surface(arm):
         tcp = tcp_position(arm, arm.rest)
         notes.append(
@@ -137,34 +99,31 @@ def _with_workspace(arm: Arm, draft: Draft, notes: list[str]) -> Arm:
             "only, so there is no region to drive it to; its logs can be used as those of any arm"
         )
         return replace(arm, targets=Box(lower=tcp - POINT, upper=tcp + POINT))
-    if draft.rest is not None:
-        arm = replace(arm, targets=derive_targets(arm))
-    elif draft.targets is None:
+    if derives:
         rest, targets = derive_workspace(arm)
         arm = replace(arm, rest=rest, targets=targets)
-    else:
-        raise InputError(f"arm {arm.name}: targets are given without a rest posture; give rest_deg as well, or neither")
-    if draft.rest is None:
         notes.append(f"rest posture: none given; {_listed(np.degrees(arm.rest))} deg derived by sampling")
+    else:
+        arm = replace(arm, targets=derive_targets(arm))
     low, high = _listed(1e3 * arm.targets.lower), _listed(1e3 * arm.targets.upper)
     notes.append(f"targets: none given; the box from {low} to {high} mm derived by sampling")
     return arm
 
 
-def _limits(draft: Draft, notes: list[str]) -> tuple[Array, Array]:
+def _limits(draft: Arm, notes: list[str]) -> tuple[Array, Array]:
     wide = np.maximum(np.abs(draft.lower), np.abs(draft.upper)) > MOST_TURN
     known = np.isfinite(draft.lower) & np.isfinite(draft.upper) & (draft.lower < draft.upper)
     given = _believed(draft, "limits", known, wide, f"{MOST_TURN / (2 * np.pi):.0f} turns", "+-180 deg", notes)
     return np.where(given, draft.lower, -np.pi), np.where(given, draft.upper, np.pi)
 
 
-def _speeds(draft: Draft, notes: list[str]) -> Array:
+def _speeds(draft: Arm, notes: list[str]) -> Array:
     known, wide = np.isfinite(draft.max_speed) & (draft.max_speed > 0), draft.max_speed > FASTEST
     assumed, most = f"{np.degrees(DEFAULT_SPEED):.0f} deg/s", f"{FASTEST / (2 * np.pi):.0f} turns a second"
     return np.where(_believed(draft, "speed", known, wide, most, assumed, notes), draft.max_speed, DEFAULT_SPEED)
 
 
-def _believed(draft: Draft, what: str, known: Mask, wide: Mask, most: str, assumed: str, notes: list[str]) -> Mask:
+def _believed(draft: Arm, what: str, known: Mask, wide: Mask, most: str, assumed: str, notes: list[str]) -> Mask:
     """Joints (n,) whose values are ``known`` and not ``wide``; a note names the others."""
     wide = known & wide
     if wide.any():

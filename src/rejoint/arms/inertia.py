@@ -6,7 +6,8 @@ A solid cylinder along the link replaces impossible values, with a note.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,45 +32,24 @@ ROUNDING = 0.05
 """of the triangle inequality (chosen)"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SpatialInertia:
-    """Mass, centre and inertia of a rigid body."""
+def pseudo_inertia(mass: float, com: ArrayLike, inertia: Array) -> Array:
+    """Second moments (4, 4) of the mass at (x, y, z, 1), of a ``com`` (3,) [m] and ``inertia`` (3, 3) about it.
 
-    mass: float
-    """[kg]"""
-    com: Array
-    """(3,) [m]"""
-    inertia: Array
-    """(3, 3) [kg m^2] about the centre"""
-    doubtful: bool = False
-    """most of the mass has no usable inertia"""
-
-    def seen_from(self, pose: Array) -> SpatialInertia:
-        """Transform from the frame ``pose`` (4, 4) to its parent."""
-        turn = pose[:3, :3]
-        return SpatialInertia(
-            mass=self.mass,
-            com=turn @ self.com + pose[:3, 3],
-            inertia=turn @ self.inertia @ turn.T,
-            doubtful=self.doubtful,
-        )
+    Those of bodies add up; seen from the frame in which theirs has the pose T they are T J T' (Wensing, Kim and Slotine
+    2018, "Linear matrix inequalities for physically consistent inertial parameter identification").
+    """
+    moment = np.append(com, 1.0)
+    second = mass * np.outer(moment, moment)
+    second[:3, :3] += 0.5 * np.trace(inertia) * np.eye(3) - inertia
+    return second
 
 
-NOTHING = SpatialInertia(mass=0.0, com=np.zeros(3), inertia=np.zeros((3, 3)))
-
-
-def combined(pieces: Sequence[SpatialInertia]) -> SpatialInertia:
-    """Join bodies of one frame (parallel-axis theorem)."""
-    mass = sum(piece.mass for piece in pieces)
-    if mass <= 0.0:
-        return NOTHING
-    com = sum((piece.mass * piece.com for piece in pieces), np.zeros(3)) / mass
-    inertia = np.zeros((3, 3))
-    for piece in pieces:
-        arm = piece.com - com
-        inertia += piece.inertia + piece.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-    unknown = sum(piece.mass for piece in pieces if piece.doubtful)
-    return SpatialInertia(mass=mass, com=com, inertia=inertia, doubtful=unknown > mass / 2)
+def rigid_body(second: Array) -> tuple[float, Array, Array]:
+    """Mass [kg], centre (3,) [m], and inertia (3, 3) [kg m^2] about it, of a pseudo-inertia (4, 4)."""
+    mass = float(second[3, 3])
+    com = second[:3, 3] / (mass or 1.0)
+    about = second[:3, :3] - mass * np.outer(com, com)
+    return mass, com, np.trace(about) * np.eye(3) - about
 
 
 def cylinder(mass: float, end: Array, radius: float) -> Array:
@@ -91,14 +71,9 @@ def inertia_values(inertia: Array) -> Array:
     return inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
 
-def ball(mass: float) -> Array:
-    """Inertia (3, 3) [kg m^2] of a ball of `LINK_DENSITY`."""
-    return _ball_moment(mass, LINK_DENSITY) * np.eye(3)
-
-
-def ball_radius(mass: float) -> float:
-    """Its radius [m]."""
-    return float((3 * mass / (4 * np.pi * LINK_DENSITY)) ** (1 / 3))
+def ball_moment(mass: float, density: float = LINK_DENSITY) -> float:
+    """Moment of inertia [kg m^2] of a ball."""
+    return float(0.4 * mass * (3 * mass / (4 * np.pi * density)) ** (2 / 3))
 
 
 def usable(inertia: Array) -> bool:
@@ -114,70 +89,56 @@ def link_ends(offset: Array, tip: Array) -> Array:
     return np.concatenate([offset[1:, :3, 3], tip[None, :3, 3]])
 
 
-def plausible_links(
-    names: Sequence[str], links: Sequence[SpatialInertia], ends: Array
-) -> tuple[list[SpatialInertia], list[str]]:
-    """Replace impossible links, with a note each; ``ends`` (n, 3) [m]."""
-    reach = float(np.linalg.norm(ends, axis=1).sum())
+def plausible(arm: Arm, notes: list[str]) -> Arm:
+    """Replace impossible masses, with a note each; a mass of zero and an inertia of NaN are unknown."""
+    ends = link_ends(arm.offset, arm.tip)
+    lengths = np.linalg.norm(ends, axis=1)
+    reach = float(lengths.sum())
     if reach == 0.0:
         raise InputError(
-            f"the tool lies in the axis of {', '.join(names)}: an arm without reach; give the place of its tip "
-            "(tip.position_m in a TOML file, --tip for a model)"
+            f"the tool lies in the axis of {', '.join(arm.joint_names)}: an arm without reach; give the place of its "
+            "tip (tip.position_m in a TOML file, --tip for a model)"
         )
-    result, notes = [], []
-    mass, usual = sum(link.mass for link in links), sum(_estimate(_thick(end, reach), reach) for end in ends)
-    if 0.0 < mass < usual / IMPLAUSIBLE_MASS_RATIO:
+    radius = reach * LINK_RADIUS_RATIO
+    least = 2 * radius  # of a link that is a cylinder
+    pointed = np.where(lengths[:, None] > 1e-9, ends, [0.0, 0.0, least])
+    ends = pointed * np.maximum(1.0, least / np.linalg.norm(pointed, axis=1))[:, None]
+    solid = LINK_DENSITY * np.pi * radius**2 * np.linalg.norm(ends, axis=1)
+    whole, usual = float(arm.mass.sum()), float(solid.sum())
+    if 0.0 < whole < usual / IMPLAUSIBLE_MASS_RATIO:
         notes.append(
-            f"masses: {mass:.3g} kg in all, where solid links of that length have {usual:.3g} kg; is it kilograms? "
+            f"masses: {whole:.3g} kg in all, where solid links of that length have {usual:.3g} kg; is it kilograms? "
             "They decide what the twin's torques mean"
         )
-    for name, link, end in zip(names, links, ends, strict=True):
-        repaired, problem = _plausible(link, _thick(end, reach), reach)
-        result.append(repaired)
-        if problem:
-            notes.append(f"link after joint {name}: {problem}")
-    return result, notes
+    mass, com, inertia = arm.mass.copy(), arm.com.copy(), arm.inertia.copy()
+    for i, (name, end) in enumerate(zip(arm.joint_names, ends, strict=True)):
+        problems = []
+        if not solid[i] / IMPLAUSIBLE_MASS_RATIO**2 < mass[i] < solid[i] * IMPLAUSIBLE_MASS_RATIO:
+            found = f"a mass of {mass[i]:.3g} kg" if mass[i] else "no mass"
+            problems.append(f"{found}; estimated {solid[i]:.3g} kg from a solid cylinder along the link")
+            mass[i], com[i], inertia[i] = solid[i], end / 2, cylinder(solid[i], end, radius)
+        elif not np.linalg.norm(com[i]) < 2 * reach or (np.isnan(inertia[i]).any() and not com[i].any()):
+            problems.append("no usable centre of mass; put at the middle of the link")
+            com[i] = end / 2
+        wrong = _wrong_inertia(mass[i], inertia[i], reach)
+        if wrong:
+            problems.append(f"{wrong}; estimated from a solid cylinder along the link")
+            inertia[i] = cylinder(mass[i], end, radius)
+        inertia[i] = _balanced(inertia[i])
+        if problems:
+            notes.append(f"link after joint {name}: {', '.join(problems)}")
+    return replace(arm, mass=mass, com=com, inertia=inertia)
 
 
-def _plausible(link: SpatialInertia, end: Array, reach: float) -> tuple[SpatialInertia, str]:
-    radius = reach * LINK_RADIUS_RATIO
-    estimate = _estimate(end, reach)
-    mass, com = link.mass, link.com
-    if not estimate / IMPLAUSIBLE_MASS_RATIO**2 < mass < estimate * IMPLAUSIBLE_MASS_RATIO:
-        whole = SpatialInertia(mass=estimate, com=end / 2, inertia=cylinder(estimate, end, radius))
-        found = "no mass" if mass == 0.0 else f"a mass of {mass:.3g} kg"
-        return whole, f"{found}; estimated {estimate:.3g} kg from a solid cylinder along the link"
-    problems = []
-    if not np.linalg.norm(com) < 2 * reach or (link.doubtful and not com.any()):
-        problems.append("no usable centre of mass; put at the middle of the link")
-        com = end / 2
-    inertia = link.inertia
-    cause = "no usable inertia" if link.doubtful or not usable(inertia) else _wrong_size(mass, inertia, reach)
-    if cause:
-        problems.append(f"{cause}; estimated from a solid cylinder along the link")
-        inertia = cylinder(mass, end, radius)
-    return SpatialInertia(mass=mass, com=com, inertia=_balanced(inertia)), ", ".join(problems)
-
-
-def _estimate(end: Array, reach: float) -> float:
-    """Mass [kg] of a cylinder along a link; ``reach`` [m]."""
-    return float(LINK_DENSITY * np.pi * (reach * LINK_RADIUS_RATIO) ** 2 * np.linalg.norm(end))
-
-
-def _wrong_size(mass: float, inertia: Array, reach: float) -> str:
+def _wrong_inertia(mass: float, inertia: Array, reach: float) -> str:
+    if not usable(inertia):
+        return "no usable inertia"
     largest = float(np.linalg.eigvalsh(inertia)[-1])
-    if largest < _ball_moment(mass, DENSEST):
+    if largest < ball_moment(mass, DENSEST):
         return f"an inertia of {largest:.2g} kg m^2, less than {mass:.3g} kg of any metal can have"
     if largest > mass * (reach / 2) ** 2:
         return f"an inertia of {largest:.2g} kg m^2, more than {mass:.3g} kg within the arm's reach can have"
     return ""
-
-
-def _thick(end: Array, reach: float) -> Array:
-    length, least = float(np.linalg.norm(end)), 2 * reach * LINK_RADIUS_RATIO
-    if length >= least:
-        return end
-    return end * (least / length) if length > 1e-9 else np.array([0.0, 0.0, least])
 
 
 def _balanced(inertia: Array) -> Array:
@@ -186,10 +147,6 @@ def _balanced(inertia: Array) -> Array:
         return inertia
     moments[2] = (moments[0] + moments[1]) * (1 - 1e-9)
     return (axes * moments) @ axes.T
-
-
-def _ball_moment(mass: float, density: float) -> float:
-    return float(0.4 * mass * (3 * mass / (4 * np.pi * density)) ** (2 / 3))
 
 
 LONGEST_TOOL = 0.5
@@ -229,17 +186,18 @@ def loaded(arm: Arm, payload: Payload | float | None = None, tool: ArrayLike | N
     com = _lengths("payload: the centre of mass", carried.com)
     tip = arm.tip.copy()
     tip[:3, 3] += tip[:3, :3] @ _lengths("tool", np.zeros(3) if tool is None else tool)
-    link = SpatialInertia(mass=float(arm.mass[-1]), com=arm.com[-1], inertia=arm.inertia[-1])
-    place = arm.tip[:3, 3] + arm.tip[:3, :3] @ com
-    joined = combined([link, SpatialInertia(mass=carried.mass, com=place, inertia=np.zeros((3, 3)))])
     fields = {name: getattr(arm, name) for name in Arm.__dataclass_fields__}
-    fields |= {
-        "tip": tip,
-        "mass": np.append(arm.mass[:-1], joined.mass),
-        "com": np.vstack([arm.com[:-1], joined.com]),
-        "inertia": np.concatenate([arm.inertia[:-1], joined.inertia[None]]),
-    }
-    return LoadedArm(**fields, bare=bare(arm))
+    place = arm.tip[:3, 3] + arm.tip[:3, :3] @ com
+    return LoadedArm(**fields | {"tip": tip} | heavier(arm, carried.mass, place), bare=bare(arm))
+
+
+def heavier(arm: Arm, mass: float, place: Array) -> dict[str, Any]:
+    """Masses of an arm with one more at a ``place`` (3,) [m] of its last link."""
+    link = pseudo_inertia(arm.mass[-1], arm.com[-1], arm.inertia[-1])
+    joined = zip(
+        ("mass", "com", "inertia"), rigid_body(link + pseudo_inertia(mass, place, np.zeros((3, 3)))), strict=True
+    )
+    return {name: np.concatenate([getattr(arm, name)[:-1], np.array(value)[None]]) for name, value in joined}
 
 
 def _mass(given: ArrayLike) -> float:

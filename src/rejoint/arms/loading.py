@@ -21,10 +21,10 @@ from rejoint.arms.arm import Arm, Array, Box, DhRow, dh_chain
 from rejoint.arms.catalogue import mycobot280, so101
 from rejoint.arms.chain import cut
 from rejoint.arms.displacement import Displacement
-from rejoint.arms.draft import Draft, Loaded, finish
-from rejoint.arms.inertia import NOTHING, SpatialInertia, inertia_matrix, inertia_values
+from rejoint.arms.draft import UNKNOWN, Loaded, finish
+from rejoint.arms.inertia import inertia_matrix, inertia_values
 from rejoint.arms.modelfile import read_tree, xacro_error
-from rejoint.arms.rotations import pose_of, quaternion_of, roll_pitch_yaw, rotation_about, rotation_of
+from rejoint.arms.rotations import pose_of, quaternion_of, roll_pitch_yaw, rotation_of, turned
 from rejoint.arms.workspace import posture_grid
 from rejoint.system.errors import InputError
 from rejoint.system.files import write_whole
@@ -72,9 +72,9 @@ class _JointTable(_FrameTable, kw_only=True):
     upper_deg: Number = math.nan
     max_speed_deg_s: Positive = math.nan
     servo: str = ""
-    mass_kg: Positive | None = None
-    com_m: Triple | None = None
-    inertia_kg_m2: tuple[Number, Number, Number, Number, Number, Number] | None = None
+    mass_kg: Positive = 0.0
+    com_m: Triple = (0.0, 0.0, 0.0)
+    inertia_kg_m2: tuple[Number, Number, Number, Number, Number, Number] = (math.nan,) * 6
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -82,24 +82,15 @@ class _JointTable(_FrameTable, kw_only=True):
             raise ValueError("a joint with a DH row has no other frame")
         if self.axis and np.linalg.norm(self.axis) < 1e-6:
             raise ValueError("an axis needs a direction, found zero")
-        if self.mass_kg is None and (self.com_m or self.inertia_kg_m2):
+        if self.mass_kg == 0.0 and (any(self.com_m) or not math.isnan(self.inertia_kg_m2[0])):
             raise ValueError("com_m and inertia_kg_m2 need mass_kg beside them")
-
-    @property
-    def link(self) -> SpatialInertia:
-        """Of the link behind the joint, as far as it is known."""
-        if self.mass_kg is None:
-            return NOTHING
-        com, known = np.array(self.com_m or (0.0, 0.0, 0.0)), self.inertia_kg_m2
-        inertia = np.zeros((3, 3)) if known is None else inertia_matrix(known)
-        return SpatialInertia(mass=self.mass_kg, com=com, inertia=inertia, doubtful=known is None)
 
 
 class _ArmFile(Table):
     name: Text
     joint: Annotated[list[_JointTable], msgspec.Meta(min_length=1)]
-    floor_m: Number | None = None
-    encoder_counts_per_turn: Positive | None = None
+    floor_m: Number = math.nan
+    encoder_counts_per_turn: Positive = math.nan
     servo_acceleration_rad_s2: Positive = math.inf
     rest_deg: list[Number] | None = None
     targets: _Bounds | None = None
@@ -131,30 +122,33 @@ def write_unfinished(path: Path, arm: Arm, notes: Sequence[str] = ()) -> int:
     return "\n".join(lines).count("\n") + 1
 
 
-def read_draft(path: Path) -> Draft:
-    """Read an arm's TOML file; FileError."""
+def read_draft(path: Path) -> Loaded:
+    """Read an arm's TOML file, unfinished; FileError."""
     found = read_toml(path, _ArmFile, "check the path of the arm")
-    joints, rest, counts = found.joint, found.rest_deg, found.encoder_counts_per_turn
+    joints, servos = found.joint, tuple(joint.servo for joint in found.joint)
     offset, axis, end = _chain(joints)
-    servos = tuple(joint.servo for joint in joints)
-    return Draft(
+    low, high = np.radians([(joint.lower_deg, joint.upper_deg) for joint in joints]).T
+    arm = Arm(
         name=found.name,
         joint_names=tuple(joint.name for joint in joints),
         offset=offset,
         axis=axis,
         tip=end @ found.tip.pose,
-        lower=np.radians([joint.lower_deg for joint in joints]),
-        upper=np.radians([joint.upper_deg for joint in joints]),
+        lower=np.where(low < high, low, np.nan),
+        upper=np.where(low < high, high, np.nan),
         max_speed=np.radians([joint.max_speed_deg_s for joint in joints]),
-        links=tuple(joint.link for joint in joints),
-        rest=None if rest is None else np.radians(rest),
-        targets=None if found.targets is None else found.targets.box(),
+        mass=np.array([joint.mass_kg for joint in joints]),
+        com=np.array([joint.com_m for joint in joints]),
+        inertia=np.array([inertia_matrix(joint.inertia_kg_m2) for joint in joints]),
+        rest=np.radians([math.nan] * len(joints) if found.rest_deg is None else found.rest_deg),
+        targets=UNKNOWN if found.targets is None else found.targets.box(),
         floor=found.floor_m,
-        encoder_step=None if counts is None else 2 * np.pi / counts,
+        encoder_step=2 * np.pi / found.encoder_counts_per_turn,
         servo_acceleration=found.servo_acceleration_rad_s2,
         servos=servos if any(servos) else (),
         keep_out=tuple(bounds.box() for bounds in found.keep_out),
     )
+    return Loaded(arm=arm)
 
 
 def _write(path: Path, lines: Sequence[str], table: dict[str, Any]) -> None:
@@ -220,8 +214,7 @@ def unit_arm(arm: Arm, displacement: Displacement) -> Arm:
     """Arm with measured links and zeros, without compliance and play."""
     moved = displacement.moved(arm)
     offset = moved.offset.copy()
-    for i, (axis, angle) in enumerate(zip(arm.axis, displacement.offset, strict=True)):
-        offset[i, :3, :3] = offset[i, :3, :3] @ rotation_about(axis, float(angle))
+    offset[:, :3, :3] @= turned(arm.axis * displacement.offset[:, None])
     return replace(moved, offset=offset)
 
 

@@ -5,31 +5,97 @@ Only kinematics and masses are compiled: meshes may be missing.
 
 from __future__ import annotations
 
+import difflib
 import re
 import warnings
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from rejoint.arms.arm import Array
-from rejoint.arms.chain import Joint, ModelBody, Tree, unknown
-from rejoint.arms.inertia import NOTHING, SpatialInertia, ball, ball_radius, inertia_matrix, usable
+from rejoint.arms.inertia import ball_moment, inertia_matrix, pseudo_inertia, usable
 from rejoint.arms.rotations import pose_of, rotation_of
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.extras import require
 from rejoint.system.files import MODEL_MOST, read_bounded
 
-_KINDS = {0: "free", 1: "ball", 2: "slide", 3: "hinge"}
+_KINDS = ("free", "ball", "slide", "hinge")
 """mjtJoint"""
 
 LEAST_MOMENT = 1e-12
 """[kg m^2] MuJoCo takes less for none"""
+
+_NOTHING = 1e-9
+"""[kg] placeholder of bodies without mass, which MuJoCo refuses to move"""
+
+WORLD = 0
+"""First body"""
+
+
+class Tree(NamedTuple):
+    """A model in the posture of its file. Places: its bodies, the world first, then its named sites."""
+
+    name: str
+    model: Any
+    data: Any
+    names: list[str]
+    """of places"""
+    poses: list[Array]
+    """(4, 4) of places in the world"""
+    content: list[Array]
+    """pseudo-inertia (4, 4) of bodies in their frames"""
+    doubtful: list[bool]
+    """of bodies without a usable inertia"""
+    joint_names: list[str]
+    leaders: dict[str, str]
+    """of coupled joints"""
+    speeds: dict[str, float]
+    """[rad/s] of joints, where the file gives them"""
+    held: frozenset[str]
+    """joints that the user holds"""
+    notes: tuple[str, ...]
+
+    def find(self, name: str, kind: str) -> int:
+        """Return the place of a name; InputError."""
+        return _index(name, kind, self.names)
+
+    def parent(self, place: int) -> int:
+        """Body that carries a place."""
+        bodies = self.model.nbody
+        return int(self.model.body_parentid[place] if place < bodies else self.model.site_bodyid[place - bodies])
+
+    def path(self, place: int) -> list[int]:
+        """Places from a root to ``place``."""
+        return [] if place == WORLD else [*self.path(self.parent(place)), place]
+
+    def joints_of(self, places: Iterable[int]) -> list[int]:
+        """Joints in order."""
+        bodies = self.model.jnt_bodyid.tolist()
+        return [j for place in places for j, body in enumerate(bodies) if body == place]
+
+    def kind(self, j: int) -> str:
+        """``hinge``, ``slide``, ``ball``, ``free``, ``coupled`` (to another joint) or ``held`` (by the user)."""
+        kind = _KINDS[self.model.jnt_type[j]]
+        if self.joint_names[j] in self.held:
+            return "held"
+        return "coupled" if kind == "hinge" and self.leader(j) else kind
+
+    def leader(self, j: int) -> str:
+        """Joint that it follows, or empty."""
+        return self.leaders.get(self.joint_names[j], "")
+
+    def position(self, j: int) -> float:
+        """[rad] or [m]."""
+        return float(self.data.qpos[self.model.jnt_qposadr[j]])
+
+    def listed(self, places: Iterable[int]) -> str:
+        """Names."""
+        return ", ".join(self.names[place] for place in places)
 
 
 def read_tree(path: Path, hold: Mapping[str, float] | None = None) -> Tree:
@@ -44,22 +110,40 @@ def read_tree(path: Path, hold: Mapping[str, float] | None = None) -> Tree:
     with _warnings_noted(mujoco, notes):
         try:
             spec = mujoco.MjSpec.from_string(bare(root)) if urdf else mujoco.MjSpec.from_file(str(path))
-            coupled = _coupled(mujoco, spec)
+            joints = mujoco.mjtEq.mjEQ_JOINT
+            leaders = {one.name1: one.name2 for one in spec.equalities if one.type == joints}
             _strip(mujoco, spec, every_geom=urdf, notes=notes)
-            contents = _contents(spec, notes)
+            doubtful = _repair(spec, notes)
             model = spec.compile()
         except (ValueError, mujoco.FatalError) as error:
             raise FileError(
                 path, f"MuJoCo cannot use it: {' '.join(str(error).split())}", "correct the file"
             ) from error
-    bodies, data = _bodies(mujoco, model, contents, hold)
-    speeds = urdf_speeds(root) if urdf else {}
-    joints = tuple(_joint(model, data, j, speeds, coupled) for j in range(model.njnt))
-    notes += [f"joint {joint.name}: held at {_place(joint)}, as given" for joint in joints if joint.name in hold]
+    data, names = mujoco.MjData(model), [model.joint(j).name for j in range(model.njnt)]
+    for j in range(model.njnt):
+        if model.jnt_limited[j] and _KINDS[model.jnt_type[j]] in ("hinge", "slide"):
+            address = model.jnt_qposadr[j]
+            data.qpos[address] = np.clip(data.qpos[address], *model.jnt_range[j])
+    for name, position in hold.items():
+        j = _index(name, "joint", names)
+        data.qpos[model.jnt_qposadr[j]] = position
+        notes.append(f"joint {name}: held at {_holdable(model, j, name, position)}, as given")
+    mujoco.mj_kinematics(model, data)
+    sites = [s for s in range(model.nsite) if model.site(s).name]
+    bodies = [model.body(b).name for b in range(model.nbody)]
+    frames = [*zip(data.xmat, data.xpos, strict=True), *((data.site_xmat[s], data.site_xpos[s]) for s in sites)]
     return Tree(
         name=root.get("name") or root.get("model") or path.stem,
-        bodies=bodies + _sites(model, data),
-        joints=tuple(replace(joint, kind="held") if joint.name in hold else joint for joint in joints),
+        model=model,
+        data=data,
+        names=bodies + [model.site(s).name for s in sites],
+        poses=[pose_of(turn.reshape(3, 3), place) for turn, place in frames],
+        content=[_content(model, b) for b in range(model.nbody)],
+        doubtful=[name in doubtful for name in bodies],
+        joint_names=names,
+        leaders=leaders,
+        speeds=urdf_speeds(root) if urdf else {},
+        held=frozenset(hold),
         notes=tuple(notes),
     )
 
@@ -85,160 +169,82 @@ def _warnings_noted(mujoco: ModuleType, notes: list[str]) -> Iterator[None]:
 
 
 def _strip(mujoco: ModuleType, spec: Any, *, every_geom: bool, notes: list[str]) -> None:  # noqa: ANN401
-    for kind in ("keys", "sensors", "actuators", "tendons", "equalities", "pairs", "excludes", "skins", "flexes"):
-        for element in list(getattr(spec, kind)):
-            spec.delete(element)
-    from_files = (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mjtGeom.mjGEOM_SDF)
+    """Take away all but bodies, joints, sites and primitive shapes with masses; name bodies and joints."""
     for body in spec.bodies:
-        dropped = weighed = 0
+        dropped = False
         for geom in list(body.geoms):
-            if every_geom or geom.type in from_files or geom.meshname:
-                if not every_geom and geom.mass > 0.0:
-                    _as_ball(mujoco, geom)
-                    weighed += 1
-                else:
-                    spec.delete(geom)
-                    dropped += 1
-            else:
-                geom.material = ""
+            geom.material = ""
+            drawn = geom.type in (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mjtGeom.mjGEOM_SDF)
+            if every_geom or drawn or geom.meshname:
+                spec.delete(geom)
+                dropped = True
         for site in body.sites:
             site.material = ""
         if dropped and body.geoms and not body.explicitinertial:
             notes.append(f"body {body.name}: no inertial; its mass is that of its primitive shapes, without its meshes")
-        elif weighed and not body.explicitinertial:
-            notes.append(f"body {body.name}: no inertial; the masses of its meshes are taken as balls at their places")
-    for kind in ("meshes", "hfields", "materials", "textures"):
+    kinds = "keys sensors actuators tendons equalities pairs excludes skins flexes meshes hfields materials textures"
+    for kind in kinds.split():
         for element in list(getattr(spec, kind)):
             spec.delete(element)
+    for index, body in enumerate(spec.bodies):
+        body.name = body.name or f"body{index}"
+    for index, joint in enumerate(spec.joints, start=1):
+        joint.name = joint.name or f"joint{index}"
     spec.compiler.fusestatic = False
+    spec.compiler.balanceinertia = True
+    spec.compiler.boundmass, spec.compiler.boundinertia = _NOTHING, LEAST_MOMENT / 10
     spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
 
 
-def _as_ball(mujoco: ModuleType, geom: Any) -> None:  # noqa: ANN401
-    geom.type, geom.meshname, geom.material = mujoco.mjtGeom.mjGEOM_SPHERE, "", ""
-    geom.size = np.array([ball_radius(float(geom.mass)), 0.0, 0.0])
-
-
-def _massless(geom: Any) -> bool:  # noqa: ANN401
-    return bool(geom.mass == 0.0 or (not geom.mass > 0.0 and geom.density == 0.0))
-
-
-def _contents(spec: Any, notes: list[str]) -> dict[str, SpatialInertia | None]:  # noqa: ANN401
-    result: dict[str, SpatialInertia | None] = {}
-    for index, body in enumerate(spec.bodies):
-        body.name = body.name or f"body{index}"
-        result[body.name] = None
-        if body is spec.worldbody or body.name == "world":
+def _repair(spec: Any, notes: list[str]) -> set[str]:  # noqa: ANN401
+    """Replace what no rigid body has; returns the bodies without a usable inertia."""
+    doubtful = set()
+    for body in spec.bodies:
+        full, mass, com = np.array(body.fullinertia), float(body.mass), np.array(body.ipos)
+        inertia = inertia_matrix(full) if np.isfinite(full[0]) else np.diag(body.inertia)
+        if not body.explicitinertial or body.name == "world":
             continue
-        if not body.explicitinertial and not all(map(_massless, body.geoms)):
-            continue
-        full = np.array(body.fullinertia, dtype=float)
-        inertia = inertia_matrix(full) if np.isfinite(full[0]) else np.diag(np.array(body.inertia, dtype=float))
-        mass, com = float(body.mass), np.array(body.ipos, dtype=float)
-        if not body.explicitinertial or mass == 0.0:
-            result[body.name] = NOTHING
-        elif not (np.isfinite(mass) and mass > 0 and np.isfinite(com).all()):
-            result[body.name] = NOTHING
+        possible = np.isfinite(mass) and mass >= 0.0 and np.isfinite(com).all()
+        if not possible:
             notes.append(f"body {body.name}: a mass of {mass:g} kg at {com} m cannot be; left out")
-        elif not usable(inertia) or np.linalg.eigvalsh(inertia)[0] < LEAST_MOMENT:
-            result[body.name] = SpatialInertia(mass=mass, com=com, inertia=ball(mass), doubtful=True)
-            notes.append(f"body {body.name}: its inertia belongs to no rigid body (moments {_moments(inertia)} kg m^2)")
-        else:
+        elif mass > 0.0 and usable(inertia) and np.linalg.eigvalsh(inertia)[0] >= LEAST_MOMENT:
             continue
-        body.explicitinertial, body.mass, body.ipos = True, 1.0, np.zeros(3)
-        body.fullinertia, body.inertia = np.full(6, np.nan), np.ones(3)
+        elif mass > 0.0:
+            doubtful.add(body.name)
+            notes.append(f"body {body.name}: its inertia belongs to no rigid body (moments {_moments(inertia)} kg m^2)")
+        if not possible:
+            body.mass, body.ipos = 0.0, np.zeros(3)
+        body.fullinertia, body.inertia = np.full(6, np.nan), np.full(3, ball_moment(body.mass))
         body.iquat = (1.0, 0.0, 0.0, 0.0)
-    spec.compiler.balanceinertia = True
-    return result
+    return doubtful
 
 
-def _coupled(mujoco: ModuleType, spec: Any) -> dict[str, str]:  # noqa: ANN401
-    return {equality.name1: equality.name2 for equality in spec.equalities if equality.type == mujoco.mjtEq.mjEQ_JOINT}
+def _content(model: Any, b: int) -> Array:  # noqa: ANN401
+    """Pseudo-inertia (4, 4) of a body."""
+    turn = rotation_of(model.body_iquat[b])
+    if model.body_mass[b] <= _NOTHING:
+        return np.zeros((4, 4))
+    return pseudo_inertia(model.body_mass[b], model.body_ipos[b], (turn * model.body_inertia[b]) @ turn.T)
 
 
-def _bodies(
-    mujoco: ModuleType,
-    model: Any,  # noqa: ANN401
-    contents: dict[str, SpatialInertia | None],
-    hold: Mapping[str, float],
-) -> tuple[tuple[ModelBody, ...], Any]:
-    data = mujoco.MjData(model)
-    for j in range(model.njnt):
-        if model.jnt_limited[j] and _KINDS[int(model.jnt_type[j])] in ("hinge", "slide"):
-            address = model.jnt_qposadr[j]
-            data.qpos[address] = np.clip(data.qpos[address], *model.jnt_range[j])
-    for name, position in hold.items():
-        data.qpos[model.jnt_qposadr[_holdable(model, name, position)]] = position
-    mujoco.mj_kinematics(model, data)
-    bodies = []
-    for b in range(model.nbody):
-        name = model.body(b).name
-        content = contents.get(name)
-        bodies.append(
-            ModelBody(
-                name=name,
-                parent=int(model.body_parentid[b]),
-                pose=pose_of(data.xmat[b].reshape(3, 3), data.xpos[b]),
-                content=_compiled(model, b) if content is None else content,
-            )
-        )
-    return tuple(bodies), data
-
-
-def _holdable(model: Any, name: str, position: float) -> int:  # noqa: ANN401
-    """Index of a joint held at ``position`` [rad] or [m]."""
-    names = [model.joint(j).name for j in range(model.njnt)]
-    if name not in names:
-        raise InputError(unknown(name, "joint", names))
-    j = names.index(name)
-    kind, (low, high) = _KINDS[int(model.jnt_type[j])], model.jnt_range[j]
+def _holdable(model: Any, j: int, name: str, position: float) -> str:  # noqa: ANN401
+    """Text of a ``position`` [rad] or [m] of a joint that can be held there; InputError."""
+    kind, (low, high) = _KINDS[model.jnt_type[j]], model.jnt_range[j]
     if kind not in ("hinge", "slide"):
         raise InputError(f"joint {name} is a {kind} joint; only hinges and slides can be held")
     if model.jnt_limited[j] and not low - 1e-9 <= position <= high + 1e-9:
         unit = "m" if kind == "slide" else "rad"
         raise InputError(f"joint {name} cannot be held at {position:g} {unit}: it goes from {low:g} to {high:g}")
-    return j
+    return f"{1e3 * position:g} mm" if kind == "slide" else f"{np.degrees(position):.4g} deg"
 
 
-def _place(joint: Joint) -> str:
-    return f"{1e3 * joint.position:g} mm" if joint.kind == "slide" else f"{np.degrees(joint.position):.4g} deg"
-
-
-def _sites(model: Any, data: Any) -> tuple[ModelBody, ...]:  # noqa: ANN401
-    found = []
-    for s in range(model.nsite):
-        pose = pose_of(data.site_xmat[s].reshape(3, 3), data.site_xpos[s])
-        found.append(ModelBody(name=model.site(s).name, parent=int(model.site_bodyid[s]), pose=pose, site=True))
-    return tuple(site for site in found if site.name)
-
-
-def _joint(
-    model: Any,  # noqa: ANN401
-    data: Any,  # noqa: ANN401
-    j: int,
-    speeds: dict[str, float],
-    coupled: dict[str, str],
-) -> Joint:
-    name, kind = model.joint(j).name or f"joint{j + 1}", _KINDS[int(model.jnt_type[j])]
-    limited = bool(model.jnt_limited[j])
-    return Joint(
-        name=name,
-        kind="coupled" if kind == "hinge" and name in coupled else kind,
-        body=int(model.jnt_bodyid[j]),
-        anchor=data.xanchor[j].copy(),
-        axis=data.xaxis[j].copy(),
-        position=float(data.qpos[model.jnt_qposadr[j]]) if kind in ("hinge", "slide") else 0.0,
-        lower=float(model.jnt_range[j, 0]) if limited else np.nan,
-        upper=float(model.jnt_range[j, 1]) if limited else np.nan,
-        speed=speeds.get(name, np.nan),
-        follows=coupled.get(name, ""),
-    )
-
-
-def _compiled(model: Any, b: int) -> SpatialInertia:  # noqa: ANN401
-    turn = rotation_of(model.body_iquat[b])
-    inertia = (turn * model.body_inertia[b]) @ turn.T
-    return SpatialInertia(mass=float(model.body_mass[b]), com=model.body_ipos[b].copy(), inertia=inertia)
+def _index(name: str, kind: str, names: list[str]) -> int:
+    if name in names:
+        return names.index(name)
+    close = difflib.get_close_matches(name, names, n=1)
+    hint = f"did you mean {close[0]}? " if close else ""
+    shown = [known for known in names if known][:40]
+    raise InputError(f"the model has no {kind} called {name!r}; {hint}it has: {', '.join(shown)}")
 
 
 def _moments(inertia: Array) -> str:
@@ -270,14 +276,10 @@ def parse(path: Path) -> ET.Element:
         raise FileError(path, f"it is no XML in the encoding that it declares: {error}", "correct the file") from error
     if root.tag not in ("robot", "mujoco"):
         raise FileError(path, f"its root element is <{root.tag}>", "give a URDF (<robot>) or an MJCF (<mujoco>) file")
-    if _is_template(root):
+    tags = {element.tag for element in root.iter()} - {"xacro_property"}
+    if any(tag.startswith("xacro_") for tag in tags) or _EXPRESSION.search(bare(root)):
         raise xacro_error(path)
     return root
-
-
-def _is_template(root: ET.Element) -> bool:
-    used = {element.tag for element in root.iter() if element.tag.startswith("xacro_")}
-    return bool(used - {"xacro_property"}) or (bool(used) and _EXPRESSION.search(bare(root)) is not None)
 
 
 def xacro_error(path: Path) -> FileError:

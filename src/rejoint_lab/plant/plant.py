@@ -16,7 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, gravity_torque, tcp_pose
-from rejoint.arms.inertia import SpatialInertia, combined
+from rejoint.arms.inertia import heavier
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.system.errors import InputError
 from rejoint_lab.plant import servo, sts3215
@@ -26,6 +26,7 @@ from rejoint_lab.plant.wear import PARAMETERS, Wear, scale_of
 _DISABLED = "CONSTRAINT CONTACT ACTUATION SENSOR SPRING DAMPER WARMSTART AUTORESET"
 # [kg m^2] placeholders that keep the inertia matrix regular while MuJoCo compiles the chain.
 _ARMATURE = {"servo": 0.01, "gear": 0.001}
+_CONTENT = ("body_mass", "body_ipos", "body_inertia", "body_iquat")
 
 
 def build_model(arm: Arm, gravity: Array = GRAVITY) -> mujoco.MjModel:
@@ -281,24 +282,15 @@ class Plant:
         return load
 
     def _load_tools(self) -> None:
-        if not self._carried:
-            return
-        mass, com = self.batch.expand("body_mass"), self.batch.expand("body_ipos")
-        inertia, turn = self.batch.expand("body_inertia"), self.batch.expand("body_iquat")
+        """Put the bodies of arms that differ into the batch."""
+        names = ("body_pos", "body_quat") if self._bent else ()
+        fields = {name: self.batch.expand(name) for name in (*_CONTENT, *names) if self._carried}
         for i, arm in self._carried.items():
-            for link in range(0 if self._bent else self.arm.joints - 1, self.arm.joints):
-                body = link + 1  # after the world
-                moments, axes = np.linalg.eigh(arm.inertia[link])
-                axes[:, 0] *= np.sign(np.linalg.det(axes))
-                mass[i, body], com[i, body], inertia[i, body] = arm.mass[link], arm.com[link], moments
-                mujoco.mju_mat2Quat(turn[i, body], axes.flatten())
-        if self._bent:
-            place, angle = self.batch.expand("body_pos"), self.batch.expand("body_quat")
-            for i in self._bent:
-                for link, offset in enumerate(self._carried[i].offset):
-                    place[i, link + 1] = offset[:3, 3]
-                    mujoco.mju_mat2Quat(angle[i, link + 1], offset[:3, :3].flatten())
-        self.batch.set_const(np.array(list(self._carried), dtype=np.int32))  # the masses of whole branches
+            body = build_model(arm, self._pull)
+            for name, values in fields.items():
+                values[i] = getattr(body, name)
+        if self._carried:
+            self.batch.set_const(np.array(list(self._carried), dtype=np.int32))  # the masses of whole branches
 
     def _selected(self, where: Mask | None) -> Ids:
         return np.arange(self.count) if where is None else np.flatnonzero(where)
@@ -315,17 +307,10 @@ class Plant:
 
 def _loaded(arm: Arm, payload: Array, bodies: Sequence[Arm] | None) -> dict[int, Arm]:
     """Arms that differ: ``bodies``, and those with a ``payload`` (B,) [kg]."""
-    described, carried = arm, {} if bodies is None else dict(enumerate(bodies))
-    for i in np.flatnonzero(payload > 0.0):
-        arm = carried.get(int(i), described)
-        link = SpatialInertia(mass=float(arm.mass[-1]), com=arm.com[-1], inertia=arm.inertia[-1])
-        joined = combined([link, SpatialInertia(mass=float(payload[i]), com=arm.tip[:3, 3], inertia=np.zeros((3, 3)))])
-        carried[int(i)] = replace(
-            arm,
-            mass=np.append(arm.mass[:-1], joined.mass),
-            com=np.vstack([arm.com[:-1], joined.com]),
-            inertia=np.concatenate([arm.inertia[:-1], joined.inertia[None]]),
-        )
+    carried = {} if bodies is None else dict(enumerate(bodies))
+    for i in np.flatnonzero(payload > 0.0).tolist():
+        true = carried.get(i, arm)
+        carried[i] = replace(true, **heavier(true, float(payload[i]), true.tip[:3, 3]))
     return carried
 
 
