@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280
-from rejoint.diagnosis.diagnosis import Diagnosis, diagnose, judge
+from rejoint.diagnosis.diagnosis import Diagnosis, judge
 from rejoint.diagnosis.excitation import SHORT, DiagnosisLogs, record
 from rejoint.diagnosis.healthy import load_healthy, reference_from
 from rejoint.logs.runlog import read_log, write_log
@@ -160,9 +160,8 @@ def test_a_reference_from_healthy_logs_contains_them(logs):
 def test_one_arm_in_one_call(tmp_path):
     seen: list[tuple[str, float]] = []
     robot = EmulatedRobot(ARM, [HEALTHY], seed=5, address="emulated:healthy")
-    diagnosis, logs = diagnose(
-        robot, load_healthy(ARM), seed=3, plan=SHORT, on_progress=lambda share, what: seen.append((what, share))
-    )
+    (logs,) = record(robot, seed=3, plan=SHORT, on_progress=lambda share, what: seen.append((what, share)))
+    diagnosis = judge(ARM, logs, load_healthy(ARM))
     assert diagnosis.condition == "ok"
     assert diagnosis.robot == "emulated:healthy"
     assert logs.targets.extra["seed"] == "3"

@@ -11,9 +11,8 @@ from motion_logs import wandering as twin_wandering
 from plant_logs import ARM, HEALTHY, plain_reference, record_motions, with_joint
 
 from rejoint.arms import tcp_position
-from rejoint.diagnosis import fromlogs
-from rejoint.diagnosis.diagnosis import Diagnosis
-from rejoint.diagnosis.fromlogs import diagnose_logs
+from rejoint.diagnosis import diagnosis as diagnosing
+from rejoint.diagnosis.diagnosis import Diagnosis, diagnose_logs
 from rejoint.diagnosis.metrics import fit_law
 from rejoint.diagnosis.segments import FREE, join_logs, log_of
 from rejoint.logs.exclusions import Exclusions, find_exclusions
@@ -159,7 +158,7 @@ def test_an_arm_that_lies_on_its_table_is_not_called_worn(on_a_table, monkeypatc
         never = [np.zeros(len(log), dtype=bool) for log in logs]
         return [Exclusions(contact=none, stop=none, stale=none) for none in never]
 
-    monkeypatch.setattr(fromlogs, "find_exclusions", everything)
+    monkeypatch.setattr(diagnosing, "find_exclusions", everything)
     fooled = diagnose_logs(ARM, [*free, *press], own_reference())
     assert kinds(fooled)
 

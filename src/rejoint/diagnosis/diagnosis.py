@@ -1,19 +1,28 @@
-"""The diagnosis of an arm: measurements, findings and a verdict."""
+"""The diagnosis of an arm: measurements, findings and a verdict, from its excitation or from logs of any motion.
+
+In logs of any motion, stiffness needs a gravity load, friction motion in both directions.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from rejoint.arms import Arm
+import numpy as np
+
+from rejoint.arms import Arm, tcp_position
 from rejoint.arms.workspace import length_size
-from rejoint.control.recording import OnCycle
-from rejoint.control.robot import Robot
-from rejoint.diagnosis.excitation import FULL, DiagnosisLogs, Plan, record
+from rejoint.diagnosis.excitation import DiagnosisLogs
 from rejoint.diagnosis.healthy import HealthyReference
-from rejoint.diagnosis.measurement import JointMetrics, Measurement, measure
-from rejoint.diagnosis.open_loop import OpenLoop, open_loop_errors, settled_postures
+from rejoint.diagnosis.measurement import JointMetrics, Measurement, measure, measure_joint
+from rejoint.diagnosis.metrics import COARSEST
+from rejoint.diagnosis.open_loop import OpenLoop, Postures, open_loop_errors, resting_postures, settled_postures
+from rejoint.diagnosis.regression import mean_of
+from rejoint.diagnosis.segments import join_logs
 from rejoint.diagnosis.verdict import Finding, find
+from rejoint.logs.consistency import forced_remarks, refuse_copies, require_commands, states_alone
+from rejoint.logs.exclusions import Exclusions, answered, find_exclusions, table_height, unpowered_joints
+from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
 from rejoint.system.statistics import Estimate
@@ -37,9 +46,26 @@ class Evidence:
     rest_error_mm: Estimate | None
     """between target and rest, by encoders; None without rest"""
 
+    @property
+    def left_out(self) -> str:
+        """Time without free arm, to end a sentence."""
+        parts = {
+            "with the tool on a table": self.contact_seconds,
+            "at a stop": self.stop_seconds,
+            "of dead readings": self.dead_seconds,
+        }
+        named = [f"{seconds:.0f} s {what}" for what, seconds in parts.items() if seconds >= 0.5]
+        return f"; left out: {', '.join(named)}" if named else ""
+
 
 HIDDEN_MARGIN_MM = 1.0
 """Distance of tool and encoders, beyond the healthy range, by wear on a myCobot 280; goes with the reach; chosen"""
+
+MANY = 8
+"""Logs from which each is one observation; chosen"""
+
+SHORTEST = 10.0
+"""[s] least free motion; chosen"""
 
 KINDS = {
     "stuck": "stuck or without power",
@@ -54,6 +80,29 @@ KINDS = {
     "noise": "restless in its readings",
 }
 """What each kind of finding makes of a joint"""
+
+QUESTIONS: dict[str, Callable[[JointMetrics], bool]] = {
+    "The stiffness of {}, and so the torque that friction takes, cannot be told: gravity does not load it enough in "
+    "these motions, or they disagree too much.": lambda row: row.stiffness_nm_per_rad is None,
+    "Friction, lag and zero of {} cannot be told: too little slow motion, as of a joint that sticks or is too weak, in "
+    "one direction only, with readings too far apart or without commands.": lambda row: row.lag_s is None,
+    "Whether {} shoots over cannot be told: too few steps.": lambda row: row.overshoot is None,
+    "Noise and unrest of {} cannot be told: the arm hardly rests while no command moves.": (
+        lambda row: row.noise_rad is None
+    ),
+    "The torque limit of {} was not seen.": lambda row: row.torque_limit_nm is None and row.lag_s is not None,
+}
+"""What motions leave open, and of which joints"""
+
+BEHIND = "Play and flex behind the encoders, and so the true error of the tool, cannot be seen."
+LAG_ALONE = (
+    "Lag here holds the delay of commands and answers, and damping is part of it: `rejoint diagnose ROBOT` tells them "
+    "apart."
+)
+FLANK = (
+    "Play inside the servo loop shows only where the load on a joint changes its side; a joint that always carries "
+    "weight rests on one flank."
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,84 +129,95 @@ class Diagnosis:
     """one per joint (`rejoint.control.servogains`)"""
 
 
-def diagnose(
-    robot: Robot,
-    healthy: HealthyReference | None,
-    *,
-    seed: int,
-    plan: Plan = FULL,
-    on_progress: Progress = no_progress,
-    on_cycle: OnCycle | None = None,
-) -> tuple[Diagnosis, DiagnosisLogs]:
-    """Drive one arm through ten targets and the excitation; judge the logs."""
-    if robot.count != 1:
-        raise InputError(f"a diagnosis is of one arm, {robot.address} has {robot.count}; use `record` for a batch")
-    logs = record(robot, seed=seed, plan=plan, on_progress=on_progress, on_cycle=on_cycle)[0]
-    return judge(robot.arm, logs, healthy), logs
-
-
 def judge(arm: Arm, logs: DiagnosisLogs, healthy: HealthyReference | None) -> Diagnosis:
     """Judge an arm by its logs; InputError if unfit or too short."""
-    if healthy is not None and healthy.arm != arm.name:
-        raise InputError(f"the healthy reference is of arm {healthy.arm}, expected {arm.name}")
     measurement = measure(arm, logs.excitation, None if healthy is None else healthy.motors_kg_m2)
-    open_loop = open_loop_errors(arm, logs.targets)
+    loop = open_loop_errors(arm, logs.targets)
     findings = find(arm, measurement, settled_postures(logs.targets), healthy)
+    least, usual = loop.error_mm.low, None if healthy is None else healthy.error_mm
+    unexplained = not findings and bool(usual and usual.high and least is not None and least > usual.high)
+    nothing = "No joint shows wear that its encoder can see."
+    if unexplained:
+        nothing = (
+            "No joint shows why: look for a load at the tool, for something in its way, and for offsets too small to "
+            "name (a twin fits them)."
+        )
     return Diagnosis(
         arm=arm.name,
         robot=logs.targets.robot,
-        condition="worn" if _unexplained(open_loop, findings, healthy) else condition_of(findings),
-        verdict=_verdict(open_loop, findings, healthy),
+        condition="worn" if unexplained else _condition(findings),
+        verdict=(
+            f"This arm misses its targets by {loop.error_mm.value:.1f} mm (mean of {len(loop.targets)}, spread "
+            f"{loop.spread_mm:.1f} mm, by its own encoders{_usual(healthy)}). "
+            f"{_told(findings, loop.error_mm, healthy, nothing)}"
+        ),
         findings=findings,
-        unseen=_unseen(open_loop, measurement, healthy, HIDDEN_MARGIN_MM * length_size(arm)),
-        open_loop=open_loop,
+        unseen=(_hidden(loop, healthy, HIDDEN_MARGIN_MM * length_size(arm)), FLANK, *_untold(measurement)),
+        open_loop=loop,
         measurement=measurement,
         healthy=healthy,
     )
 
 
-def condition_of(findings: tuple[Finding, ...]) -> str:
-    """Return ``ok``, ``worn`` or ``bad``."""
-    return "bad" if any(f.severity == "bad" for f in findings) else "worn" if findings else "ok"
-
-
-def _verdict(open_loop: OpenLoop, findings: tuple[Finding, ...], healthy: HealthyReference | None) -> str:
-    error = open_loop.error_mm
-    reference = (
-        "" if healthy is None else f"; a healthy arm of this kind{healthy.setting}: {healthy.error_mm.value:.1f} mm"
-    )
-    first = (
-        f"This arm misses its targets by {error.value:.1f} mm (mean of {len(open_loop.targets)}, spread "
-        f"{open_loop.spread_mm:.1f} mm, by its own encoders{reference})."
-    )
-    if _unexplained(open_loop, findings, healthy):
-        return (
-            f"{first} No joint shows why: look for a load at the tool, for something in its way, and for offsets too "
-            "small to name (a twin fits them)."
+def diagnose_logs(
+    arm: Arm,
+    logs: Sequence[RunLog],
+    healthy: HealthyReference | None,
+    *,
+    source: str = "logs",
+    on_progress: Progress = no_progress,
+) -> Diagnosis:
+    """Judge an arm by logs of any motion; InputError for another arm or too little free motion."""
+    for log in logs:
+        log.require(arm.name, arm.joint_names)
+    refuse_copies(logs, "diagnosis")
+    bare = states_alone(logs, "diagnosis")
+    if any(log.torque is None and log.current is None for log in logs):
+        require_commands(logs, "diagnosis")
+    on_progress(0.0, "contacts and stops")
+    height = None if bare else table_height(arm, logs)
+    excluded = [_nowhere(log) for log in logs] if bare else find_exclusions(arm, logs, height)
+    evidence = _evidence(arm, logs, excluded, height)
+    if evidence.free_seconds < SHORTEST:
+        raise InputError(
+            f"diagnosis: {evidence.free_seconds:.0f} s of free motion, expected at least {SHORTEST:.0f} s"
+            f"{evidence.left_out}; record longer motions, off table and stops"
         )
-    if not findings:
-        return f"{first} No joint shows wear that its encoder can see."
-    felt = tuple(finding for finding in findings if finding.felt)
-    ringing = ringing_most(findings)
-    named, worst, more = causes(felt or findings, findings, ringing)
-    lead = "Because" if error.value > (healthy.error_mm.high or 0.0 if healthy else 0.0) else "What is worn"
-    return f"{first} {lead}: {named}.{'' if ringing in worst else _rings(ringing, findings)}{more}"
+    data = join_logs(arm, logs, excluded)
+    rows = []
+    for joint, name in enumerate(arm.joint_names):
+        on_progress(0.1 + 0.9 * joint / arm.joints, name)
+        rows.append(measure_joint(data, joint))
+    measurement = Measurement(joints=tuple(rows), delay_s=None, period_s=float(np.median(np.diff(data.log.time))))
+    findings = () if bare else find(arm, measurement, _rest(logs, excluded), healthy)
+    told = _by_effort(measurement, data.effort_unit or "")
+    if not bare:
+        told = _told(findings, evidence.rest_error_mm, healthy, _nothing(measurement))
+    unknown = not findings and all(row.lag_s is None for row in rows)
+    silent = {joint: log.label for log in logs for joint in unpowered_joints(log)}
+    return Diagnosis(
+        arm=arm.name,
+        robot=source,
+        condition="unknown" if unknown else _condition(findings),
+        verdict=f"{_resting(evidence, healthy)}{told} {_motions(evidence)}",
+        findings=findings,
+        unseen=(
+            *(f"{joint} does not answer in {label}: without power, or stuck." for joint, label in silent.items()),
+            *_untold(measurement),
+            LAG_ALONE,
+            BEHIND,
+            *(f"{remark}." for remark in forced_remarks(logs)),
+        ),
+        open_loop=None,
+        measurement=measurement,
+        healthy=healthy,
+        evidence=evidence,
+    )
 
 
-def causes(
-    shown: tuple[Finding, ...], all_of_them: tuple[Finding, ...], told: Finding | None = None
-) -> tuple[str, list[Finding], str]:
-    """Name the worst findings of the three worst joints, count the others."""
-    joints = {finding.joint: finding for finding in reversed(shown)}  # the worst finding of a joint wins
-    worst = sorted(joints.values(), key=lambda f: -f.tcp_mm)[:3]
-    named = "; ".join(f"{f.joint} is {KINDS[f.kind]} ({f.tcp_mm:.1f} mm)" for f in worst)
-    others = len({f.joint for f in all_of_them} - {f.joint for f in (*worst, *([told] if told else []))})
-    return named, worst, f" {others} more joint{'s show' if others > 1 else ' shows'} wear." if others else ""
-
-
-def _unexplained(open_loop: OpenLoop, findings: tuple[Finding, ...], healthy: HealthyReference | None) -> bool:
-    least, usual = open_loop.error_mm.low, None if healthy is None else healthy.error_mm.high
-    return not findings and least is not None and usual is not None and least > usual
+def _nowhere(log: RunLog) -> Exclusions:
+    rows = np.zeros(len(log), dtype=bool)
+    return Exclusions(contact=rows, stop=rows, stale=rows)
 
 
 def ringing_most(findings: tuple[Finding, ...]) -> Finding | None:
@@ -165,38 +225,37 @@ def ringing_most(findings: tuple[Finding, ...]) -> Finding | None:
     return min((f for f in findings if f.kind == "low_damping"), key=lambda f: f.measured.value, default=None)
 
 
-def _rings(ringing: Finding | None, findings: tuple[Finding, ...]) -> str:
-    if ringing is None:
+def _condition(findings: tuple[Finding, ...]) -> str:
+    return "bad" if any(f.severity == "bad" for f in findings) else "worn" if findings else "ok"
+
+
+def _told(findings: tuple[Finding, ...], error: Estimate | None, healthy: HealthyReference | None, nothing: str) -> str:
+    """Name the worst findings of the three worst joints, and count the others; ``nothing`` without findings."""
+    if not findings:
+        return nothing
+    felt = [finding for finding in findings if finding.felt] or findings
+    joints = {finding.joint: finding for finding in reversed(felt)}  # the worst finding of a joint wins
+    worst = sorted(joints.values(), key=lambda f: -f.tcp_mm)[:3]
+    named = "; ".join(f"{f.joint} is {KINDS[f.kind]} ({f.tcp_mm:.1f} mm)" for f in worst)
+    missed = error is not None and error.value > ((healthy and healthy.error_mm.high) or 0.0)
+    ringing, rings = ringing_most(findings), ""
+    if ringing is not None and ringing not in worst:
+        worst.append(ringing)
+        rings = f" {ringing.joint} rings (damping ratio {ringing.measured.value:.2f})."
+    others = len({f.joint for f in findings} - {f.joint for f in worst})
+    more = f" {others} more joint{'s show' if others > 1 else ' shows'} wear." if others else ""
+    return f"{'Because' if missed else 'What is worn'}: {named}.{rings}{more}"
+
+
+def _usual(healthy: HealthyReference | None) -> str:
+    if healthy is None:
         return ""
-    most = " most" if sum(f.kind == ringing.kind for f in findings) > 1 else ""
-    usual = "" if ringing.healthy is None else f", a healthy one {ringing.healthy.value:.2f}"
-    return f" {ringing.joint} rings{most} (damping ratio {ringing.measured.value:.2f}{usual})."
+    return f"; a healthy arm of this kind{healthy.setting}: {healthy.error_mm.value:.1f} mm"
 
 
-def _unseen(
-    open_loop: OpenLoop, measurement: Measurement, healthy: HealthyReference | None, margin_mm: float
-) -> tuple[str, ...]:
-    return (
-        _hidden(open_loop, healthy, margin_mm),
-        "Play inside the servo loop shows only where the load on a joint changes its side; a joint that always "
-        "carries weight rests on one flank.",
-        *untold(measurement, QUESTIONS),
-    )
-
-
-QUESTIONS: dict[str, Callable[[JointMetrics], bool]] = {
-    "The stiffness of {} cannot be told from this log.": lambda row: row.stiffness_source == "none",
-    "{} moved too little for friction, lag and torque limit to show, as a joint does that sticks or is too weak.": (
-        lambda row: row.lag_s is None
-    ),
-    "The torque limit of {} was not reached.": lambda row: row.torque_limit_nm is None and row.lag_s is not None,
-}
-"""What an excitation leaves open, and of which joints"""
-
-
-def untold(measurement: Measurement, questions: Mapping[str, Callable[[JointMetrics], bool]]) -> tuple[str, ...]:
+def _untold(measurement: Measurement) -> tuple[str, ...]:
     """Sentences about what is not known, with the joints that they hold for."""
-    named = {words: [row.joint for row in measurement.joints if asks(row)] for words, asks in questions.items()}
+    named = {words: [row.joint for row in measurement.joints if asks(row)] for words, asks in QUESTIONS.items()}
     whole = len(measurement.joints)
     return tuple(
         words.format("every joint" if len(joints) == whole else ", ".join(joints))
@@ -205,20 +264,97 @@ def untold(measurement: Measurement, questions: Mapping[str, Callable[[JointMetr
     )
 
 
-def _hidden(open_loop: OpenLoop, healthy: HealthyReference | None, margin_mm: float) -> str:
-    if open_loop.hidden_mm is None or open_loop.true_error_mm is None:
-        return (
-            "Play and flex behind the encoders, and so the true error of the tool, cannot be seen. A few measured "
-            "points of the tool would tell."
-        )
+def _hidden(loop: OpenLoop, healthy: HealthyReference | None, margin_mm: float) -> str:
+    if loop.hidden_mm is None or loop.true_error_mm is None:
+        return f"{BEHIND} A few measured points of the tool would tell."
     known = (
-        f"The emulator knows where the tool really is: {open_loop.hidden_mm:.1f} mm from where the encoders put it, "
-        f"and {open_loop.true_error_mm.value:.1f} mm from the targets"
+        f"The emulator knows where the tool really is: {loop.hidden_mm:.1f} mm from where the encoders put it, and "
+        f"{loop.true_error_mm.value:.1f} mm from the targets"
     )
     usual = healthy.hidden_mm.high if healthy is not None and healthy.hidden_mm is not None else None
-    if usual is not None and open_loop.hidden_mm > usual + margin_mm:
+    if usual is not None and loop.hidden_mm > usual + margin_mm:
         return (
             f"{known}. There is play or flex behind the encoders; on a real arm nothing in these logs would show it, "
             "and no controller that relies on the encoders can remove it."
         )
     return f"{known}: about as much as in a healthy arm."
+
+
+def _evidence(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions], height: float | None) -> Evidence:
+    def seconds(kind: str) -> float:
+        return sum(float(getattr(rows, kind)[1:] @ np.diff(log.time)) for log, rows in zip(logs, excluded, strict=True))
+
+    return Evidence(
+        motions=len(logs),
+        seconds=sum(float(log.time[-1] - log.time[0]) for log in logs),
+        free_seconds=seconds("free"),
+        contact_seconds=seconds("contact"),
+        stop_seconds=seconds("stop"),
+        dead_seconds=seconds("stale"),
+        table_height_m=height,
+        rest_error_mm=_rest_error(arm, logs, excluded),
+    )
+
+
+def _rest_error(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]) -> Estimate | None:
+    means: list[float] = []
+    for log, rows in zip(logs, excluded, strict=True):
+        position, command = resting_postures(answered(log), rows)
+        if not len(position):
+            continue
+        error = np.linalg.norm(tcp_position(arm, command) - tcp_position(arm, position), axis=-1) * 1e3
+        place = np.unique(np.round(command, 3), axis=0, return_inverse=True)[1].ravel()
+        of_place = np.bincount(place, weights=error) / np.bincount(place)
+        means += [float(error.mean())] if len(logs) >= MANY else of_place.tolist()
+    return mean_of(np.array(means)) if means else None
+
+
+def _rest(logs: Sequence[RunLog], excluded: Sequence[Exclusions]) -> Postures:
+    """Postures at rest; without any, some twenty of each log, without error."""
+    pairs = list(zip(logs, excluded, strict=True))
+    rest = np.concatenate([resting_postures(log, rows, stops=True) for log, rows in pairs], axis=1)
+    if rest.shape[1]:
+        return rest
+    passed = np.concatenate([log.position[rows.free][:: max(int(rows.free.sum()) // 20, 1)] for log, rows in pairs])
+    return np.stack([passed, passed])
+
+
+def _resting(evidence: Evidence, healthy: HealthyReference | None) -> str:
+    error = evidence.rest_error_mm
+    if error is None:
+        return ""
+    likely = "" if error.low is None else f" ({error.low:.1f} to {error.high:.1f})"
+    return (
+        f"Where it rests, the tool is {error.value:.1f} mm{likely} from where it was sent, by the arm's own "
+        f"encoders{_usual(healthy)}. "
+    )
+
+
+def _motions(evidence: Evidence) -> str:
+    motions = f"{evidence.motions} recorded motion{'s' * (evidence.motions != 1)}"
+    return f"From {motions}, {evidence.free_seconds:.0f} s in free space{evidence.left_out}."
+
+
+def _nothing(measurement: Measurement) -> str:
+    unmeasured = [row.joint for row in measurement.joints if row.lag_s is None]
+    if len(unmeasured) < len(measurement.joints):
+        left = f"; they do not tell about {', '.join(unmeasured)}" if unmeasured else ""
+        return f"No joint shows wear in these logs{left}."
+    why = "no joint moves slowly and in both directions for long enough"
+    if measurement.period_s > COARSEST:
+        why = f"readings are {measurement.period_s:.2f} s apart, expected at most {COARSEST:g} s"
+    return f"Whether the arm is worn cannot be told: {why}."
+
+
+def _by_effort(measurement: Measurement, unit: str) -> str:
+    def said(found: Estimate | None, unit: str) -> str:
+        return "" if found is None else f"{found.value:.3g} {unit} ({found.low:.3g} to {found.high:.3g})"
+
+    rows = [row for row in measurement.joints if row.coulomb_effort is not None]
+    named = "; ".join(
+        f"{row.joint} {said(row.coulomb_effort, unit)} and {said(row.viscous_effort, f'{unit} s/rad')}" for row in rows
+    )
+    return (
+        f"These logs hold no commands: whether the arm is worn cannot be told. Dry friction, and friction by speed, by "
+        f"what the motors give: {named or 'not known, as no joint moves in both directions for long enough'}."
+    )

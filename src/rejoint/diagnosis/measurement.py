@@ -256,12 +256,6 @@ def friction_torque(stiffness: Estimate, half_width: Estimate) -> Estimate:
     return Estimate(0.0, 0.0, high)
 
 
-def surely_offset(offset: Estimate, *, doubt: float = 0.0) -> bool:
-    """Whether the interval lies beyond a healthy joint's and ``doubt`` [rad]."""
-    low, high = offset.low, offset.high
-    return low is not None and high is not None and max(low, -high) > OFFSET_ALLOWED + doubt
-
-
 def scaled(estimate: Estimate, factor: float) -> Estimate:
     """Multiply a number and its interval."""
     low, high = (None if end is None else factor * end for end in (estimate.low, estimate.high))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,29 +69,29 @@ def settled_rows(log: RunLog) -> list[NDArray[np.intp]]:
 
 def open_loop_errors(arm: Arm, log: RunLog) -> OpenLoop:
     """Judge the log of an open-loop run."""
-    rows, hidden, found = settled_rows(log), [], []
-    for part in rows:
-        tcp = tcp_position(arm, log.position[part])
-        miss = log.target[part] - tcp
-        true = float(np.linalg.norm(log.target[part] - log.true_tcp[part], axis=1).mean()) * 1e3
-        hidden.append(float(np.linalg.norm(tcp - log.true_tcp[part], axis=1).mean()) * 1e3)
-        x, y, z = (float(value) * 1e3 for value in log.target[part[0]])
-        found.append(
-            TargetError(
-                target_mm=(x, y, z),
-                error_mm=float(np.linalg.norm(miss, axis=1).mean()) * 1e3,
-                sag_mm=float(miss[:, 2].mean()) * 1e3,
-                true_error_mm=true if np.isfinite(true) else None,
-            )
+    rows, tcp = settled_rows(log), tcp_position(arm, log.position)
+
+    def apart(one: Array, other: Array) -> Array:
+        """Mean distances [mm] at the targets."""
+        return 1e3 * np.array([np.linalg.norm(one[part] - other[part], axis=1).mean() for part in rows])
+
+    errors, truth = apart(log.target, tcp), apart(log.target, log.true_tcp)
+    known = bool(np.isfinite(truth).all())
+    found = [
+        TargetError(
+            target_mm=tuple((1e3 * log.target[part[0]]).tolist()),
+            error_mm=float(error),
+            sag_mm=1e3 * float((log.target[part] - tcp[part])[:, 2].mean()),
+            true_error_mm=float(true) if known else None,
         )
-    errors = np.array([target.error_mm for target in found])
-    truth = [target.true_error_mm for target in found if target.true_error_mm is not None]
+        for part, error, true in zip(rows, errors, truth, strict=True)
+    ]
     return OpenLoop(
         targets=tuple(found),
         error_mm=mean_of(errors),
         spread_mm=float(errors.std(ddof=1)) if len(errors) > 1 else 0.0,
-        true_error_mm=mean_of(np.array(truth)) if truth else None,
-        hidden_mm=float(np.mean(hidden)) if truth else None,
+        true_error_mm=mean_of(truth) if known else None,
+        hidden_mm=float(apart(tcp, log.true_tcp).mean()) if known else None,
     )
 
 
@@ -110,23 +109,14 @@ PER_LOG = 20
 """Postures taken from each log; chosen"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Postures:
-    """K postures of rest."""
-
-    position: Array
-    """(K, n) [rad] measured"""
-    command: Array
-    """(K, n) [rad]"""
+Postures = Array
+"""(2, K, n) [rad] K postures of rest: measured, and commanded"""
 
 
 def settled_postures(targets: RunLog) -> Postures:
     """Means over each target's settled end; InputError without targets."""
     rows = settled_rows(targets)
-    return Postures(
-        position=np.array([targets.position[part].mean(axis=0) for part in rows]),
-        command=np.array([targets.command[part].mean(axis=0) for part in rows]),
-    )
+    return np.array([[joints[part].mean(axis=0) for part in rows] for joints in (targets.position, targets.command)])
 
 
 def resting_postures(log: RunLog, excluded: Exclusions, *, stops: bool = False) -> Postures:
@@ -135,12 +125,4 @@ def resting_postures(log: RunLog, excluded: Exclusions, *, stops: bool = False) 
     usable = ~(excluded.contact | excluded.stale) if stops else excluded.free
     rows = np.flatnonzero(quiet & usable)
     rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(PER_LOG, len(rows))).astype(int))] if len(rows) else rows
-    return Postures(position=log.position[rows], command=log.command[rows])
-
-
-def joined(parts: Sequence[Postures]) -> Postures:
-    """Join the postures of several logs."""
-    return Postures(
-        position=np.concatenate([part.position for part in parts]),
-        command=np.concatenate([part.command for part in parts]),
-    )
+    return np.array([log.position[rows], log.command[rows]])

@@ -14,7 +14,7 @@ import numpy as np
 from rejoint.arms import Arm, Array, gravity_torque, position_kinematics
 from rejoint.arms.workspace import length_size
 from rejoint.diagnosis.healthy import OVERSHOOT_ALLOWED, HealthyReference
-from rejoint.diagnosis.measurement import JointMetrics, Measurement, surely_offset
+from rejoint.diagnosis.measurement import OFFSET_ALLOWED, JointMetrics, Measurement
 from rejoint.diagnosis.open_loop import Postures
 from rejoint.diagnosis.regression import mean_of
 from rejoint.system.statistics import Estimate
@@ -55,6 +55,9 @@ UNLOADED = 1e-6
 WORKING_SPEED = 0.5
 """[rad/s] at which a lag becomes millimetres; chosen"""
 
+NOT_KNOWN = Estimate(np.nan, np.nan, np.nan)
+"""Stands for numbers that are not known: no comparison with it holds"""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
@@ -62,7 +65,7 @@ class Finding:
 
     joint: str
     kind: str
-    """stuck, weak_gain, friction, hysteresis, play_in_loop, torque_limit, low_damping, lag, offset or noise"""
+    """one of `RULES`"""
     severity: str
     """worn or bad"""
     quantity: str
@@ -96,8 +99,6 @@ class _Case:
     """[rad]"""
     common_lag: float
     """[s] delay of all joints"""
-    bad_mm: float
-    """of a bad finding"""
 
     @property
     def lever(self) -> float:
@@ -110,43 +111,54 @@ class _Case:
 
     @property
     def hunts(self) -> bool:
-        swing = self.row.hunting_rad
-        return swing is not None and (swing.low or 0.0) > QUIET_COUNTS * self.encoder_step
+        return self.low("hunting_rad") > QUIET_COUNTS * self.encoder_step
 
-    def finding(self, kind: str, quantity: str, tcp: float, sentence: str, measured: Estimate | None = None) -> Finding:
-        cost = f"{tcp * 1e3:.1f} mm at the tool." if tcp * 1e3 >= FELT_MM else "nothing that the tip of the tool feels."
-        return Finding(
-            joint=self.row.joint,
-            kind=kind,
-            severity="bad" if tcp * 1e3 >= self.bad_mm else "worn",
-            quantity=quantity,
-            measured=measured or getattr(self.row, quantity),
-            healthy=getattr(self.healthy, quantity, None),
-            tcp_mm=tcp * 1e3,
-            sentence=f"{self.row.joint} {sentence} {cost}",
-        )
+    def value(self, quantity: str) -> float:
+        return _known(self.row, quantity).value
+
+    def low(self, quantity: str) -> float:
+        return _end(_known(self.row, quantity).low)
+
+    def high(self, quantity: str) -> float:
+        return _end(_known(self.row, quantity).high)
+
+    def usual(self, quantity: str) -> Estimate:
+        """Healthy value and range."""
+        return _known(self.healthy, quantity)
 
     def beyond(self, quantity: str) -> bool:
         """Whether the whole interval lies above the healthy range."""
-        measured, reference = self._pair(quantity)
-        return bool(measured and reference and measured.low is not None and measured.low > (reference.high or np.inf))
+        return self.low(quantity) > _end(self.usual(quantity).high)
 
     def below(self, quantity: str) -> bool:
-        measured, reference = self._pair(quantity)
-        return bool(measured and reference and measured.high is not None and measured.high < (reference.low or -np.inf))
+        return self.high(quantity) < _end(self.usual(quantity).low)
 
-    def _pair(self, quantity: str) -> tuple[Estimate | None, Estimate | None]:
-        return getattr(self.row, quantity), getattr(self.healthy, quantity) if self.healthy is not None else None
+    def against(self, quantity: str, digits: str, factor: float = 1.0) -> str:
+        """Name the healthy value, if any."""
+        value = factor * self.usual(quantity).value
+        return "" if np.isnan(value) else f", a healthy one {value:{digits}}"
+
+
+def _known(row: JointMetrics | None, quantity: str) -> Estimate:
+    return getattr(row, quantity, None) or NOT_KNOWN
+
+
+def _end(end: float | None) -> float:
+    return np.nan if end is None else end
+
+
+Found = tuple[float, str] | None
+"""Error [m] at the tool, and words between joint and cost; None: nothing found"""
 
 
 def find(
     arm: Arm, measurement: Measurement, postures: Postures, healthy: HealthyReference | None
 ) -> tuple[Finding, ...]:
     """Name everything that is wrong, largest tool error first."""
-    q, commands = postures.position, postures.command
-    levers = np.linalg.norm(position_kinematics(arm, q)[1], axis=-2)
-    loads, errors = np.abs(gravity_torque(arm, q)), np.abs(commands - q)
-    common = _common_lag(measurement, healthy)
+    position, command = postures
+    levers = np.linalg.norm(position_kinematics(arm, position)[1], axis=-2)
+    loads, errors = np.abs(gravity_torque(arm, position)), np.abs(command - position)
+    common, bad = _common_lag(measurement, healthy), BAD_MM * length_size(arm)
     found: list[Finding] = []
     for joint, row in enumerate(measurement.joints):
         case = _Case(
@@ -157,194 +169,157 @@ def find(
             errors=errors[:, joint],
             encoder_step=arm.encoder_step,
             common_lag=common,
-            bad_mm=BAD_MM * length_size(arm),
         )
-        found += [finding for rule in RULES if (finding := rule(case)) is not None]
+        found += [_finding(case, kind, told, bad) for kind, (_, rule) in RULES.items() if (told := rule(case))]
     return tuple(sorted(found, key=lambda f: (f.severity != "bad", -f.tcp_mm)))
 
 
-def stuck(case: _Case) -> Finding | None:
+def _finding(case: _Case, kind: str, told: tuple[float, str], bad_mm: float) -> Finding:
+    quantity, tcp = RULES[kind][0], 1e3 * told[0]
+    cost = f"{tcp:.1f} mm at the tool." if tcp >= FELT_MM else "nothing that the tip of the tool feels."
+    return Finding(
+        joint=case.row.joint,
+        kind=kind,
+        severity="bad" if tcp >= bad_mm else "worn",
+        quantity=quantity,
+        measured=getattr(case.row, quantity, None) or mean_of(case.errors),
+        healthy=getattr(case.healthy, quantity, None),
+        tcp_mm=tcp,
+        sentence=f"{case.row.joint} {told[1]} {cost}",
+    )
+
+
+def stuck(case: _Case) -> Found:
     """Report a joint that does not move when commanded, or is beyond measurement."""
     gain, far = case.row.sweep_gain, float(case.errors.max())
     if gain is not None:  # one that breaks loose on a long way may come near its targets, and stick elsewhere
         far = max(far, case.row.stuck_rad)
     if (gain is not None and gain > FOLLOWS) or far < STUCK_ERROR:
         return None
-    return case.finding(
-        "stuck",
-        "following_error_rad",
-        float((case.levers * case.errors).mean()),
+    return float((case.levers * case.errors).mean()), (
         f"does not follow: it stood up to {np.degrees(far):.0f} deg off where it was sent, so it has "
         "no power, is blocked or too weak to lift the arm, or its reading is another joint's or turned round; at its "
-        "targets this costs",
-        mean_of(case.errors),
+        "targets this costs"
     )
 
 
-def weak_gain(case: _Case) -> Finding | None:
+def weak_gain(case: _Case) -> Found:
     """Report a servo with too little torque per following error."""
-    k = case.row.stiffness_nm_per_rad
-    if k is None or not case.below("stiffness_nm_per_rad") or not case.moves:
+    if not case.below("stiffness_nm_per_rad") or not case.moves:
         return None
-    friction = case.row.coulomb_nm.value if case.row.coulomb_nm is not None else 0.0
-    weight = float((case.levers * case.loads).mean())
-    tcp = (weight + case.lever * friction) / k.value
-    sags = f"sags under the arm's own weight: it hangs {np.degrees(case.loads.mean() / k.value):.1f} deg low"
-    effect = sags if weight > case.lever * friction else "stops short of where it is sent"
-    return case.finding("weak_gain", "stiffness_nm_per_rad", tcp, f"is soft and {effect},")
+    k, weight = case.value("stiffness_nm_per_rad"), float((case.levers * case.loads).mean())
+    held = case.lever * float(np.nan_to_num(case.value("coulomb_nm")))
+    sags = f"sags under the arm's own weight: it hangs {np.degrees(case.loads.mean() / k):.1f} deg low"
+    return (weight + held) / k, f"is soft and {sags if weight > held else 'stops short of where it is sent'},"
 
 
-def friction(case: _Case) -> Finding | None:
+def friction(case: _Case) -> Found:
     """Report a joint that is hard to move."""
-    force = case.row.coulomb_nm
-    if force is None or not case.beyond("coulomb_nm") or not case.moves or case.hunts:
+    if not case.beyond("coulomb_nm") or not case.moves or case.hunts:
         return None
-    half = max(case.row.hysteresis_rad.value, 0.0) / 2 if case.row.hysteresis_rad is not None else 0.0
-    return case.finding(
-        "friction",
-        "coulomb_nm",
-        case.lever * half,
-        f"is stiff to turn: it stops up to {np.degrees(half):.2f} deg short on either side,",
-    )
+    half = max(case.value("hysteresis_rad"), 0.0) / 2
+    return case.lever * half, f"is stiff to turn: it stops up to {np.degrees(half):.2f} deg short on either side,"
 
 
-def hysteresis(case: _Case) -> Finding | None:
+def hysteresis(case: _Case) -> Found:
     """Report a joint that stops short for an unclear reason."""
-    width = case.row.hysteresis_rad
     explained = case.below("stiffness_nm_per_rad") or case.beyond("coulomb_nm")
-    if width is None or not case.beyond("hysteresis_rad") or explained or not case.moves or case.hunts:
+    if not case.beyond("hysteresis_rad") or explained or not case.moves or case.hunts:
         return None
-    return case.finding(
-        "hysteresis",
-        "hysteresis_rad",
-        case.lever * width.value / 2,
-        f"stops short: coming from below and from above it rests {np.degrees(width.value):.2f} deg apart"
-        f"{_against(case, 'hysteresis_rad', '.2f', np.degrees(1.0))}; whether it is stiff to turn or soft, or both, "
-        "cannot be told; on either side,",
+    width = case.value("hysteresis_rad")
+    return case.lever * width / 2, (
+        f"stops short: coming from below and from above it rests {np.degrees(width):.2f} deg apart"
+        f"{case.against('hysteresis_rad', '.2f', np.degrees(1.0))}; whether it is stiff to turn or soft, or both, "
+        "cannot be told; on either side,"
     )
 
 
-def play_in_loop(case: _Case) -> Finding | None:
+def play_in_loop(case: _Case) -> Found:
     """Report a joint that does not come to rest."""
-    swing = case.row.hunting_rad
-    if swing is None or not case.hunts or (case.healthy is not None and not case.beyond("hunting_rad")):
+    if not case.hunts or (case.healthy is not None and not case.beyond("hunting_rad")):
         return None
-    width = np.degrees(2 * 2**0.5 * swing.value)
-    return case.finding(
-        "play_in_loop",
-        "hunting_rad",
-        case.lever * swing.value * 2**0.5,
-        f"hunts: it swings to and fro over {width:.1f} deg while it should hold still, as a servo does "
-        "that has play between motor and encoder,",
+    swing = 2**0.5 * case.value("hunting_rad")
+    return case.lever * swing, (
+        f"hunts: it swings to and fro over {np.degrees(2 * swing):.1f} deg while it should hold still, as a servo does "
+        "that has play between motor and encoder,"
     )
 
 
-def torque_limit(case: _Case) -> Finding | None:
+def torque_limit(case: _Case) -> Found:
     """Report a motor at its limit that does not follow."""
-    limit, k, width = case.row.torque_limit_nm, case.row.stiffness_nm_per_rad, case.row.hysteresis_rad
-    if limit is None or k is None:
+    if case.row.torque_limit_nm is None:  # which no joint of unknown stiffness has
         return None
-    explained = case.loads / k.value + (0.0 if width is None else max(width.value, 0.0) / 2)
-    tcp = float((case.levers * np.maximum(case.errors - explained, 0.0)).mean())
+    explained = case.loads / case.value("stiffness_nm_per_rad") + max(case.value("hysteresis_rad"), 0.0) / 2
     off = case.row.stuck_rad > STUCK_COUNTS * case.encoder_step
-    stuck = f"; in some postures it stays {np.degrees(case.row.stuck_rad):.0f} deg off" if off else ""
-    return case.finding(
-        "torque_limit",
-        "torque_limit_nm",
-        tcp,
-        f"runs out of torque: it spent {case.row.saturated_share * 100:.0f} % of the excitation at its limit{stuck}; "
-        "at its targets this costs",
+    far = f"; in some postures it stays {np.degrees(case.row.stuck_rad):.0f} deg off" if off else ""
+    return float((case.levers * np.maximum(case.errors - explained, 0.0)).mean()), (
+        f"runs out of torque: it spent {case.row.saturated_share * 100:.0f} % of the excitation at its limit{far}; "
+        "at its targets this costs"
     )
 
 
-def low_damping(case: _Case) -> Finding | None:
+def low_damping(case: _Case) -> Found:
     """Report ringing after a move; at the torque limit, in every step."""
-    ratio, overshoot = case.row.damping_ratio, case.row.overshoot
-    if ratio is None or ratio.high is None or overshoot is None or not case.moves:
+    ratio, over = case.row.damping_ratio, case.value("overshoot")
+    rings = case.high("damping_ratio") < RINGING_RATIO if case.healthy is None else case.below("damping_ratio")
+    if ratio is None or not rings or not case.high("damping_ratio") < SWINGING_RATIO or not case.moves:
         return None
-    if ratio.high >= RINGING_RATIO if case.healthy is None else not case.below("damping_ratio"):
+    if not over >= OVERSHOOT_ALLOWED:  # friction stops it: nothing that an owner would see
         return None
-    if ratio.high >= SWINGING_RATIO:
+    if case.row.torque_limit_nm is not None and not case.low("overshoot") >= OVERSHOOT_ALLOWED:
         return None
-    over = overshoot.value
-    if over < OVERSHOOT_ALLOWED:  # friction stops it: nothing that an owner would see
-        return None
-    if case.row.torque_limit_nm is not None and (overshoot.low is None or overshoot.low < OVERSHOOT_ALLOWED):
-        return None
-    return case.finding(
-        "low_damping",
-        "damping_ratio",
-        case.lever * over * 0.2,
-        f"rings: its damping ratio is {ratio.value:.2f}{_interval(ratio)}"
-        f"{_against(case, 'damping_ratio', '.2f')}; after a step of 0.2 rad it shoots "
-        f"{over * 100:.0f} % too far before it settles,",
+    likely = "" if ratio.low is None else f" ({ratio.low:.2f} to {ratio.high:.2f})"
+    return case.lever * over * 0.2, (
+        f"rings: its damping ratio is {ratio.value:.2f}{likely}{case.against('damping_ratio', '.2f')}; after a step of "
+        f"0.2 rad it shoots {over * 100:.0f} % too far before it settles,"
     )
 
 
-def lag(case: _Case) -> Finding | None:
+def lag(case: _Case) -> Found:
     """Report a joint that is late, but not by a weak gain."""
-    late, reference = case.row.lag_s, case.healthy.lag_s if case.healthy is not None else None
-    if (
-        late is None
-        or late.low is None
-        or reference is None
-        or reference.high is None
-        or case.below("stiffness_nm_per_rad")
-    ):
+    usual, late = case.usual("lag_s"), case.value("lag_s")
+    if case.below("stiffness_nm_per_rad") or not case.low("lag_s") - case.common_lag > _end(usual.high):
         return None
-    if late.low - case.common_lag <= reference.high:
-        return None
-    tcp = case.lever * WORKING_SPEED * (late.value - case.common_lag - reference.value)
-    return case.finding(
-        "lag",
-        "lag_s",
-        tcp,
-        f"follows late: {late.value * 1e3:.0f} ms behind its command{_against(case, 'lag_s', '.0f', 1e3)}; "
-        f"in motion at {WORKING_SPEED} rad/s that is",
+    return case.lever * WORKING_SPEED * (late - case.common_lag - usual.value), (
+        f"follows late: {late * 1e3:.0f} ms behind its command{case.against('lag_s', '.0f', 1e3)}; "
+        f"in motion at {WORKING_SPEED} rad/s that is"
     )
 
 
-def offset(case: _Case) -> Finding | None:
+def offset(case: _Case) -> Found:
     """Report the same offset everywhere, with or without load."""
-    found, k, weight = case.row.offset_rad, case.row.stiffness_nm_per_rad, float(case.loads.mean())
-    if found is None or not case.moves or (k is None and weight > UNLOADED):
+    k, weight = case.row.stiffness_nm_per_rad, float(case.loads.mean())
+    if not case.moves or (k is None and weight > UNLOADED):
         return None
-    if not surely_offset(found, doubt=0.0 if k is None else GRAVITY_DOUBT * weight / k.value):
+    doubt = 0.0 if k is None else GRAVITY_DOUBT * weight / k.value
+    if not max(case.low("offset_rad"), -case.high("offset_rad")) > OFFSET_ALLOWED + doubt:
         return None
-    return case.finding(
-        "offset",
-        "offset_rad",
-        case.lever * abs(found.value),
-        "has an offset: it rests beside its command by the same angle everywhere, also where nothing loads it,",
+    return case.lever * abs(case.value("offset_rad")), (
+        "has an offset: it rests beside its command by the same angle everywhere, also where nothing loads it,"
     )
 
 
-def noise(case: _Case) -> Finding | None:
+def noise(case: _Case) -> Found:
     """Report readings that jump though the joint is stationary."""
-    level = case.row.noise_rad
-    if level is None or not case.beyond("noise_rad") or case.hunts:
+    if not case.beyond("noise_rad") or case.hunts:
         return None
-    return case.finding(
-        "noise",
-        "noise_rad",
-        case.lever * level.value,
-        f"has a restless encoder: readings scatter by {np.degrees(level.value):.2f} deg at rest,",
-    )
+    level = case.value("noise_rad")
+    return case.lever * level, f"has a restless encoder: readings scatter by {np.degrees(level):.2f} deg at rest,"
 
 
-RULES: tuple[Callable[[_Case], Finding | None], ...] = (
-    stuck,
-    weak_gain,
-    friction,
-    hysteresis,
-    play_in_loop,
-    torque_limit,
-    low_damping,
-    lag,
-    offset,
-    noise,
-)
-"""Rules for one joint"""
+RULES: dict[str, tuple[str, Callable[[_Case], Found]]] = {
+    "stuck": ("following_error_rad", stuck),
+    "weak_gain": ("stiffness_nm_per_rad", weak_gain),
+    "friction": ("coulomb_nm", friction),
+    "hysteresis": ("hysteresis_rad", hysteresis),
+    "play_in_loop": ("hunting_rad", play_in_loop),
+    "torque_limit": ("torque_limit_nm", torque_limit),
+    "low_damping": ("damping_ratio", low_damping),
+    "lag": ("lag_s", lag),
+    "offset": ("offset_rad", offset),
+    "noise": ("noise_rad", noise),
+}
+"""Judged quantity and rule for one joint, by the kind of finding"""
 
 
 def _common_lag(measurement: Measurement, healthy: HealthyReference | None) -> float:
@@ -354,12 +329,3 @@ def _common_lag(measurement: Measurement, healthy: HealthyReference | None) -> f
     pairs = [(row.lag_s, good.lag_s) for row, good in zip(measurement.joints, healthy.joints, strict=True)]
     excess = [late.value - usual.value for late, usual in pairs if late is not None and usual is not None]
     return max(float(np.median(excess)), 0.0) if excess else 0.0
-
-
-def _interval(estimate: Estimate) -> str:
-    return "" if estimate.low is None or estimate.high is None else f" ({estimate.low:.2f} to {estimate.high:.2f})"
-
-
-def _against(case: _Case, quantity: str, digits: str, factor: float = 1.0) -> str:
-    reference = getattr(case.healthy, quantity) if case.healthy is not None else None
-    return "" if reference is None else f", a healthy one {factor * reference.value:{digits}}"

@@ -40,7 +40,6 @@ from rejoint.system.stopping import noted
 
 if TYPE_CHECKING:  # these need the simulator, which a Raspberry Pi does not have
     from rejoint.diagnosis.diagnosis import Diagnosis
-    from rejoint.diagnosis.excitation import DiagnosisLogs
     from rejoint.diagnosis.healthy import HealthyReference
     from rejoint.diagnosis.verdict import Finding
 
@@ -152,21 +151,14 @@ def diagnose(
 def _drive(
     robot: Robot, run: Run | None, healthy: HealthyReference | None, seed: int, *, quick: bool, on_progress: Progress
 ) -> Diagnosed:
-    from rejoint.diagnosis.diagnosis import diagnose as drive_and_judge
-    from rejoint.diagnosis.excitation import FULL, SHORT
+    from rejoint.diagnosis.diagnosis import judge
+    from rejoint.diagnosis.excitation import FULL, SHORT, record
 
-    journal = None
-    if run is not None:
-        journal = start_journal(run, "diagnosis", robot, "diagnosis")
+    journal = None if run is None else start_journal(run, "diagnosis", robot, "diagnosis")
+    on_cycle = None if journal is None else journal.see
     try:
-        found, logs = drive_and_judge(
-            robot,
-            healthy,
-            seed=seed,
-            plan=SHORT if quick else FULL,
-            on_cycle=None if journal is None else journal.see,
-            on_progress=on_progress,
-        )
+        (logs,) = record(robot, seed=seed, plan=SHORT if quick else FULL, on_cycle=on_cycle, on_progress=on_progress)
+        found = judge(robot.arm, logs, healthy)
     except BaseException as error:
         if journal is not None:
             error.add_note(journal.rescue())
@@ -179,7 +171,7 @@ def _drive(
         with saving(result):
             run.begin()
             mark_quick(run, quick=quick)
-            _write(run.folder, found, logs)
+            _write(run.folder, result)
             summarise(run)
         journal.discard()
     return result
@@ -192,13 +184,12 @@ def _as_set(robot: Robot, reference: HealthyReference | None) -> HealthyReferenc
     return as_set(robot.arm, reference, gains_in_force(robot), None if voltage is None else voltage[0])
 
 
-def _write(folder: RunFolder, found: Diagnosis, logs: DiagnosisLogs) -> None:
-    targets, excitation = folder.log("targets"), folder.log("excitation")
-    for earlier in (targets, excitation, folder.diagnosis):
-        set_aside(earlier)
-    write_log(targets, logs.targets)
-    write_log(excitation, logs.excitation)
-    write_json(folder.diagnosis, found)
+def _write(folder: RunFolder, result: Diagnosed) -> None:
+    for name in ("targets", "excitation"):
+        set_aside(folder.log(name))
+        write_log(folder.log(name), getattr(result, name))
+    set_aside(folder.diagnosis)
+    write_json(folder.diagnosis, result.diagnosis)
 
 
 def _from_logs(
@@ -208,7 +199,7 @@ def _from_logs(
     healthy: RunLike | Diagnosis | None,
     on_progress: Progress,
 ) -> Diagnosis:
-    from rejoint.diagnosis.fromlogs import diagnose_logs
+    from rejoint.diagnosis.diagnosis import diagnose_logs
 
     run, chosen = run_of_logs(given, source, arm)
     with exclusive(run):
