@@ -1,6 +1,5 @@
-"""A true Ray on this machine, started once: an emulated arm in tasks, whose process is killed, and one behind TCP."""
+"""True processes, started once: those of an emulated arm, of which one is killed, and of one behind TCP."""
 
-import os
 import re
 import signal
 import subprocess
@@ -9,9 +8,6 @@ import time
 from contextlib import closing
 from dataclasses import replace
 from datetime import datetime, timedelta
-from importlib.machinery import ModuleSpec
-from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -19,14 +15,13 @@ import pytest
 from rejoint.logs.runlog import RunLog
 from rejoint.runs.fleet.campaign import Rules, run_fleet
 from rejoint.runs.fleet.file import Fleet, FleetArm, read_hours
-from rejoint.runs.fleet.rayexecutor import RayExecutor
+from rejoint.runs.fleet.processes import ProcessExecutor
 from rejoint.runs.stages.check import check
-from rejoint.system.errors import InputError
 
 pytestmark = pytest.mark.realtime
 
-VIRTUAL = f"virtual-{os.getpid()}"
-"""Name of the emulated arm; of all arms on this machine, its processes alone are killed"""
+VIRTUAL = "virtual"
+"""Name of the emulated arm"""
 MONDAY = datetime(2026, 11, 23, 8)
 STARTING, MOVING = 12.0, 1.0
 """[s] for which the real arm moves before its hours end"""
@@ -52,11 +47,7 @@ class World:
     def __init__(self, folder):
         self.folder, self.events = folder, list[str]()
         self.since: float | None = None
-        self.nice = set[int]()
-
-    def executor(self, arms):
-        """Start Ray."""
-        return closing(RayExecutor(arms, cpus=1))
+        self.executor = ProcessExecutor()
 
     def see(self, event):
         """Notice that the work on the real arm begins, which moves it within `STARTING`."""
@@ -67,39 +58,32 @@ class World:
     def now(self):
         """Kill what works on the emulated arm, once; it becomes evening when the real arm has moved."""
         if not any(" lost" in event for event in self.events):
-            for process in working_on(VIRTUAL):
-                self.nice.add(os.getpriority(os.PRIO_PROCESS, process))
-                os.kill(process, signal.SIGKILL)
+            for work, process in self.executor.running:
+                if work.arm.name == VIRTUAL:
+                    process.kill()
         late = self.since is not None and time.monotonic() - self.since > MOVING
         return MONDAY + timedelta(hours=12) if late else MONDAY
 
 
-def working_on(name):
-    """Return the processes that Ray has named after work on an arm."""
-    found = []
-    for entry in Path("/proc").glob("[0-9]*/cmdline"):
-        try:
-            if entry.read_bytes().startswith(f"ray::{name}:".encode()):
-                found.append(int(entry.parent.name))
-        except OSError:  # it has ended
-            continue
-    return found
-
-
 @pytest.fixture(scope="module")
 def called(address, tmp_path_factory):
-    allowed = FleetArm(name=VIRTUAL, address="emulated:worn?seed=3", may_move=True, needs_somebody=False)
+    allowed = FleetArm(
+        python=f"env {sys.executable}",
+        name=VIRTUAL,
+        address="emulated:worn?seed=3",
+        may_move=True,
+        needs_somebody=False,
+    )
     real = replace(allowed, name="real", address=address, hours=read_hours(["Mon-Fri 08:00-18:00"]))
     home = tmp_path_factory.mktemp("fleet")
     fleet, world = Fleet(path=home / "FLEET.toml", folder=home / "lab", arms=(real, allowed)), World(home / "lab")
     rules = Rules(now=world.now)
     before = [signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)]
-    found = run_fleet(fleet, "check", world.executor, rules, tell=world.see)
+    found = run_fleet(fleet, "check", closing(world.executor), rules, tell=world.see)
     assert [signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)] == before
     return found, world
 
 
-@pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for the process to kill in /proc")
 def test_work_whose_process_was_killed_is_done_again_to_the_same_bits(called, tmp_path):
     found, world = called
     row = next(row for row in found.rows if row.name == VIRTUAL)
@@ -109,7 +93,6 @@ def test_work_whose_process_was_killed_is_done_again_to_the_same_bits(called, tm
     np.testing.assert_array_equal(RunLog.load(log).position, RunLog.load(alone.folder / "check.parquet").position)
     assert row.error_mm == alone.measures.true_error_mm
     assert world.folder.joinpath("fleet", "check.html").exists()
-    assert world.nice == {os.getpriority(os.PRIO_PROCESS, 0)}  # else whatever else runs here delays control loops
 
 
 def test_a_real_arm_is_held_at_the_end_of_its_hours_and_its_motion_is_kept(called):
@@ -119,13 +102,3 @@ def test_a_real_arm_is_held_at_the_end_of_its_hours_and_its_motion_is_kept(calle
     assert "held during check; its hours begin Tue 2026-11-24 08:00" in row.found
     (log,) = world.folder.glob("checks/real/*/*.parquet")
     assert 0.5 < np.ptp(RunLog.load(log).time) < 30.0
-
-
-def test_ray_that_was_imported_without_its_token_is_refused_at_once(monkeypatch):
-    """Its own error comes after twenty seconds, and names a server."""
-    imported = ModuleType("ray")
-    imported.__spec__ = ModuleSpec("ray", None)
-    monkeypatch.setitem(sys.modules, "ray", imported)
-    monkeypatch.delenv("RAY_AUTH_MODE", raising=False)
-    with pytest.raises(InputError, match="begin a new Python"):
-        RayExecutor([])
