@@ -29,12 +29,13 @@ LENGTHS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 25.4e-3}
 """[m] units of lengths in titles"""
 
 _SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
-_COMMENTS = ("#", "%", "//")
 # Encodings in the order of the attempts
 _CODECS = {"utf-8-sig": "UTF-8", "utf-16": "UTF-16", "utf-16-le": "UTF-16", "utf-16-be": "UTF-16", "latin-1": "Latin-1"}
 _CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f]")
 # First line by which a spreadsheet is told the separator
 _DECLARED = re.compile(r'\s*"?sep=(.)"?\s*')
+# Comments, and the line above; a cell may be #N/A
+_ASIDE = re.compile(r'\s*(#(?!n/a)|%|//|"?sep=.)', re.IGNORECASE)
 # [bytes] of a file that are looked at to tell what it is (chosen)
 _HEAD = 65_536
 # Lines by which a separator is chosen (chosen)
@@ -189,44 +190,37 @@ def _decoded(data: bytes, path: Path, *, cut: bool = False) -> tuple[str, str]:
 def _parsed(text: str, encoding: str, path: Path, names: Sequence[str] | None, *, whole: bool = True) -> Sheet:
     lines = text.splitlines()
     ends = len(f"{text}.".splitlines()) > len(lines)
-    asides = [line.startswith(_COMMENTS) or bool(_DECLARED.fullmatch(line)) for line in map(str.lstrip, lines)]
-    top = next((i for i, line in enumerate(lines) if line.strip() and not asides[i]), None)
-    if top is None:
+    chosen = [i for i, line in enumerate(lines) if line.strip() and not _ASIDE.match(line)]
+    if not chosen:
         raise FileError(path, f"text in {encoding} without a table", "record it again")
-    declared = [found[1] for line in lines[:top] if (found := _DECLARED.fullmatch(line))]
-    separator = declared[-1] if declared else _separator([line for line in lines[top:] if line.strip()][:_LINES])
+    above = lines[: chosen[0]]
+    declared = [found[1] for line in above if (found := _DECLARED.fullmatch(line))]
+    separator = declared[-1] if declared else _separator([lines[i] for i in chosen[:_LINES]])
     if separator == " ":
         lines = [" ".join(line.split()) for line in lines]
+    chosen = [i for i in chosen if lines[i].strip(f"{separator} \t")]
     # headings and what a sketch prints fill one cell, rows of a table several
-    counts = [sum(map(bool, _split(line, separator))) for line in lines[top : top + _LINES]]
-    start = next((index for index, count in enumerate(counts) if count > 1), 0)
-    start *= max(counts[start:], default=0) > 2
-    first, prints = top + start, sum(count > 0 for count in counts[:start])
-    titles = tuple(_split(lines[first], separator))
-    above = [line.lstrip("#%/ \t") for line in lines[:top] if line.lstrip().startswith(_COMMENTS)]
+    counts = [sum(map(bool, _split(lines[i], separator))) for i in chosen[:_LINES]]
+    prints = next((k for k, count in enumerate(counts) if count > 1), 0) if max(counts, default=0) > 2 else 0
+    titles = _split(lines[chosen[prints]], separator) if chosen else []
     named = not all(map(_is_number, filter(None, titles)))
-    rows = range(first + named, len(lines))
+    rows = chosen[prints + named :]
     if not named:
         width = len(titles)
-        comment = _split(above[-1], separator) if above else []
+        comment = _split(above[-1].lstrip("#%/ \t"), separator) if above else []
         named = len(comment) == width
-        given = names if names and len(names) == width else [str(i) for i in range(1, width + 1)]
-        titles = tuple(comment if named else given)
-    chosen = [
-        i
-        for i in rows
-        if lines[i].strip(f"{separator} \t") and not (asides[i] and lines[i].count(separator) < len(titles) - 1)
-    ]
-    if not (whole or ends) and len(chosen) > 1:
-        chosen.pop()
+        numbered = [str(i) for i in range(1, width + 1)]
+        titles = comment if named else list(names) if names and len(names) == width else numbered
+    if not (whole or ends):
+        rows = rows[:-1] or rows
     # a text without columns has no separator; "one column" keeps an error about it true
     parted = f"columns parted by {_SEPARATORS.get(separator, repr(separator))}" if len(titles) > 1 else "one column"
     untitled = "" if named else ", without a line of titles"
     return Sheet(
         path=path,
-        titles=titles,
-        rows=tuple(lines[i] for i in chosen),
-        lines=np.array(chosen, dtype=np.int64) + 1,
+        titles=tuple(titles),
+        rows=tuple(lines[i] for i in rows),
+        lines=np.array(rows, dtype=np.int64) + 1,
         separator=separator,
         found=f"{encoding}, {parted}{untitled}" + f", after {prints} other line(s)" * bool(prints),
         plain=encoding == "UTF-8" and separator == "," and named and not prints,
