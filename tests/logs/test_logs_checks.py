@@ -6,32 +6,29 @@ import numpy as np
 import pytest
 from log_samples import ARM, Sample, sample
 
-from rejoint.logs.columns import RecordedMotion, Track
+from rejoint.logs.columns import RecordedMotion
 from rejoint.logs.importing import to_log
 from rejoint.logs.runlog import Array, RunLog
 from rejoint.system.errors import FileError
 
 
-def motion(found: Sample, command_time: Array | None = None, unit: str = "rad") -> RecordedMotion:
-    def track(what: str, time: Array, value: Array) -> Track:
-        number = np.arange(len(time)) + 2
-        columns = tuple(f"{what}.{name}" for name in ARM.joint_names)
-        return Track(
-            path=Path("log.csv"), what=what, time=time, value=value, columns=columns, place="line", number=number
-        )
-
-    commands = found.time if command_time is None else command_time
+def motion(found: Sample, unit: str = "rad") -> RecordedMotion:
     return RecordedMotion(
         name="motion",
-        state=track("state", found.time, found.position),
+        path=Path("log.csv"),
+        place="line",
+        number=np.arange(len(found.time)) + 2,
+        time=found.time,
+        position=found.position,
+        command=found.command,
+        columns=tuple(f"state.{name}" for name in ARM.joint_names),
         robot="csv:motion",
         angle_unit=unit,
-        command=track("command", commands, found.command),
     )
 
 
-def check(found: Sample, command_time: Array | None = None) -> tuple[RunLog, str]:
-    log, notes = to_log(motion(found, command_time), ARM)
+def check(found: Sample) -> tuple[RunLog, str]:
+    log, notes = to_log(motion(found), ARM)
     return log, " | ".join(notes)
 
 
@@ -66,11 +63,6 @@ def test_a_clock_that_goes_back_is_refused():
 def test_a_wrong_time_unit_shows_in_the_rate(factor: float):
     with pytest.raises(FileError, match=r"one sample in .* s, expected 1 to 10000 Hz; set the time unit"):
         check(changed(time=sample(rows=200).time * factor))
-
-
-def test_two_clocks_are_refused():
-    with pytest.raises(FileError, match="not one clock"):
-        check(changed(), command_time=sample(rows=200).time + 1.7e9)
 
 
 def test_swapped_columns_of_states_are_refused():

@@ -2,14 +2,16 @@
 
 import csv
 import json
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from log_samples import ARM, sample, write_sage
+from log_samples import ARM, sample, worn_sample, write_sage
 
 from real_so101 import FOLDER, NO_RECORDINGS, recorded
-from rejoint.logs import import_logs
+from rejoint.logs import ImportOptions, import_logs
 from rejoint.logs.runlog import read_log
 from rejoint.system.errors import FileError
 
@@ -64,3 +66,23 @@ def test_a_file_without_samples_is_refused(tmp_path: Path, file: str):
     (folder / file).write_text("type,timestamp,positions\n")
     with pytest.raises(FileError, match=r"0 sample\(s\), a log needs at least 2"):
         import_logs(folder, ARM, out=tmp_path / "logs")
+
+
+def test_two_clocks_are_refused(tmp_path: Path):
+    folder = write_sage(tmp_path / "clocks", sample())
+    later = replace(sample(), time=sample().time + 1.7e9)
+    shutil.copy(write_sage(tmp_path / "later", later) / "control.csv", folder)
+    with pytest.raises(FileError, match="not one clock"):
+        import_logs(folder, ARM, out=tmp_path / "logs")
+
+
+def test_the_command_that_holds_goes_with_each_part(tmp_path: Path):
+    found = worn_sample(seconds=20)
+    time = found.time + 60.0 * (np.arange(len(found.time)) >= 400)
+    folder = write_sage(tmp_path / "paused", replace(found, time=time))
+    title, *rows = (folder / "control.csv").read_text().splitlines()
+    (folder / "control.csv").write_text("\n".join([title, *rows[::7]]) + "\n")
+    parts = import_logs(folder, ARM, out=tmp_path / "logs", options=ImportOptions(force=True)).logs
+    assert [len(part) for part in parts] == [400, len(time) - 400]
+    for part, first in zip(parts, (0, 400), strict=True):
+        np.testing.assert_array_equal(part.command, found.command[(first + np.arange(len(part))) // 7 * 7])

@@ -11,7 +11,7 @@ from test_logs_checks import motion
 import rejoint
 from rejoint.logs import ImportOptions, import_logs
 from rejoint.logs.consistency import copies
-from rejoint.logs.importing import parted, to_log
+from rejoint.logs.importing import to_log
 from rejoint.system.errors import FileError, InputError
 
 FOUND = worn_sample(seconds=20)
@@ -42,18 +42,6 @@ def test_a_long_pause_parts_a_recording(tmp_path: Path):
     np.testing.assert_array_equal(np.concatenate([log.command for log in found.logs]), FOUND.command)
     (note,) = [note for note in found.notes if "pause" in note]
     assert "2 pause(s) longer than 1 s, the longest 3.6e+03 s before line 702; cut there into 3 log(s)" in note
-
-
-def test_the_command_that_holds_goes_with_each_part():
-    seldom = np.arange(0, ROWS, 7)
-    found = motion(paused((400, 60.0)))
-    assert found.command is not None
-    rows = np.isin(np.arange(ROWS), seldom)
-    parts = list(parted(replace(found, command=found.command.take(rows))))
-    for part, first in zip(parts, (0, 400), strict=True):
-        log, _ = to_log(part, ARM, ImportOptions(force=True))
-        expected = FOUND.command[(first + np.arange(len(log))) // 7 * 7]
-        np.testing.assert_array_equal(log.command, expected)
 
 
 def test_two_arms_that_take_turns_are_refused():

@@ -10,22 +10,22 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.logs.columns import ColumnFrame, Pending, RecordedMotion, Track, read_motion
+from rejoint.logs.columns import ColumnFrame, Pending, RecordedMotion, begun, read_motion
 from rejoint.logs.joints import ImportOptions, match_joints, meanings
 from rejoint.logs.readers import Reader
 from rejoint.logs.runlog import LOG_MOST
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.extras import require
 from rejoint.system.files import MEGABYTE, begins_with, reading, require_file
-from rejoint.system.textfile import ANGLES
+from rejoint.system.textfile import ANGLES, shown
 
 NANOSECONDS = 1_000_000_000
 REMEDY = "record it again, or save what is whole with `mcap recover` or `ros2 bag reindex`"
@@ -64,23 +64,8 @@ class Store:
         return [(file.stem, partial(_read, self, file, arm, options)) for file in paths]
 
 
-def _mcap_topics(file: Path) -> dict[str, str]:
-    with file.open("rb") as stream:
-        reader = _mcap_reader(stream)
-        summary = reader.get_summary()
-        if summary is None or summary.statistics is None:
-            return {
-                channel.topic: schema.name if schema else ""
-                for schema, channel, _ in reader.iter_messages(log_time_order=False)
-            }
-        largest = max((chunk.uncompressed_size for chunk in summary.chunk_indexes), default=0)
-        if largest > _CHUNK_MOST:
-            raise FileError(file, f"a chunk of {largest} bytes, expected at most {_CHUNK_MOST}", REMEDY)
-        schemas = {number: schema.name for number, schema in summary.schemas.items()}
-        return {channel.topic: schemas.get(channel.schema_id, "") for channel in summary.channels.values()}
-
-
-def _mcap_reader(stream: IO[bytes]) -> Any:  # noqa: ANN401
+@contextmanager
+def _mcap(file: Path) -> Iterator[Any]:
     from mcap.decoder import DecoderFactory
     from mcap.reader import SeekingReader
     from mcap_protobuf.decoder import DecoderFactory as ProtobufFactory
@@ -91,13 +76,26 @@ def _mcap_reader(stream: IO[bytes]) -> Any:  # noqa: ANN401
             return json.loads if message_encoding == "json" else None
 
     factories = [Ros2Factory(), ProtobufFactory(), JsonFactory()]
-    return SeekingReader(stream, validate_crcs=True, record_size_limit=_RECORD_LIMIT, decoder_factories=factories)
+    with file.open("rb") as stream:
+        yield SeekingReader(stream, validate_crcs=True, record_size_limit=_RECORD_LIMIT, decoder_factories=factories)
+
+
+def _mcap_topics(file: Path) -> dict[str, str]:
+    with _mcap(file) as reader:
+        summary = reader.get_summary()
+        if summary is None or summary.statistics is None:
+            messages = reader.iter_messages(log_time_order=False)
+            return {channel.topic: schema.name if schema else "" for schema, channel, _ in messages}
+        largest = max((chunk.uncompressed_size for chunk in summary.chunk_indexes), default=0)
+        if largest > _CHUNK_MOST:
+            raise FileError(file, f"a chunk of {largest} bytes, expected at most {_CHUNK_MOST}", REMEDY)
+        schemas = {number: schema.name for number, schema in summary.schemas.items()}
+        return {channel.topic: schemas.get(channel.schema_id, "") for channel in summary.channels.values()}
 
 
 def _mcap_messages(file: Path, topics: set[str]) -> Iterator[tuple[str, int, Any]]:
-    with file.open("rb") as stream:
-        decoded = _mcap_reader(stream).iter_decoded_messages(topics=sorted(topics), log_time_order=False)
-        for _, channel, message, content in decoded:
+    with _mcap(file) as reader:
+        for _, channel, message, content in reader.iter_decoded_messages(topics=[*topics], log_time_order=False):
             yield channel.topic, message.log_time, content
 
 
@@ -150,53 +148,65 @@ OTHER_INTERFACES = ("velocity", "effort", "gripper", "hand")
 """Topics without joint positions (chosen)"""
 
 
-class Sample(NamedTuple):
-    """Joints in one message: of states or commands, or a trajectory goal."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Message:
+    """Joints in one message of states or commands."""
 
     number: int
-    header_ns: int
-    log_ns: int
+    stamp: int
+    """[ns] of the message, or 0"""
+    logged: int
+    """[ns] of the recording"""
     names: tuple[str, ...]
-    groups: Mapping[str, Sequence[float]]
+    groups: Mapping[str, Sequence[float]] = field(default_factory=dict)
     """``position``, ``command`` or ``torque`` to numbers per joint"""
-    after: Array = np.zeros(0)
-    """(K,) [s] of the points of a goal"""
+    after: Array = field(default_factory=lambda: np.zeros(0))
+    """(K,) [s] of the points of a trajectory"""
     orders: Sequence[Array] = ()
     """(K, n) positions, velocities and accelerations of the points, as far as all have them"""
-
-    def begin(self, stamp: str) -> int:
-        """[ns] by the clock ``header`` or ``log``; an empty stamp of a goal asks for a start at once."""
-        return self.header_ns if stamp == "header" and (self.header_ns or not len(self.after)) else self.log_ns
 
 
 def _read(store: Store, file: Path, arm: Arm, options: ImportOptions) -> RecordedMotion:
     require(f"{file}: reading {store.name}", "logs")
+    notes: list[str] = []
     with _reporting(store, file):
         held = store.topics(file)
-    state, command, notes = _topics(held, options, file)
-    groups = {topic: group for topic, group in ((state, "position"), (command, "command")) if topic}
-    samples: dict[str, list[Sample]] = {topic: [] for topic in groups}
-    with _reporting(store, file):
+        groups = _topics(held, options, file, notes)
+        found: dict[str, list[Message]] = {topic: [] for topic in groups}
         for topic, time, content in store.messages(file, {*groups}):
-            number, kind = len(samples[topic]) + 1, held[topic].replace("/", ".").rpartition(".")[2]
+            number, kind = len(found[topic]) + 1, _kind(held[topic])
             said = f"topic {topic}, message {number}: no joint positions, but {held[topic] or 'of no named type'}"
             with reading(file, said, "name a topic with sensor_msgs/JointState, or record it again"):
-                samples[topic].append(Sample(number, *_joints(content, kind, groups[topic], time)))
+                found[topic].append(_message(content, kind, groups[topic], number=number, logged=time))
             if number > MESSAGES_MOST:
                 raise FileError(file, f"more than {MESSAGES_MOST} messages on {topic}", "cut it in parts")
-    if silent := [topic for topic, found in samples.items() if not found]:
+    if silent := [topic for topic, messages in found.items() if not messages]:
         raise FileError(file, f"no message on {silent[0]}", "record it again or name another topic")
-    stamp = options.stamp or _stamp(samples, held, file, notes)
-    origin = min(found[0].begin(stamp) for found in samples.values()) // NANOSECONDS * NANOSECONDS
+    # an empty stamp of a trajectory asks for a start at once
+    bare = [topic for topic, messages in found.items() if any(not (one.stamp or one.groups) for one in messages)]
+    bare += [topic for topic, messages in found.items() if not any(one.stamp for one in messages)]
+    stamped = options.stamp == "header" or (options.stamp is None and not bare)
+    if options.stamp is None and bare:
+        notes.append(f"times are those of the recording, messages on {bare[0]} have no stamps")
+    begin = {
+        one: one.stamp if stamped and (one.stamp or one.groups) else one.logged
+        for messages in found.values()
+        for one in messages
+    }
+    origin = min(begin.values()) // NANOSECONDS * NANOSECONDS
     origin = origin if origin > 10**17 else 0  # counted from 1970; smaller numbers a float64 resolves to 1e-8 s
-    goals = samples.pop(command) if command and len(samples[command][0].after) else []
-    frames = [_frame(found, (stamp, origin), (file, topic), arm, options, notes) for topic, found in samples.items()]
+    frames, plan = [], None
+    for topic, messages in found.items():
+        # whole nanoseconds are subtracted before they become float64, which keeps them exact
+        times = np.array([(begin[one] - origin) / NANOSECONDS for one in messages])
+        if len(messages[0].after):
+            plan = messages, times, f"command topic {topic}"
+        else:
+            frames.append(_frame(messages, times, (file, topic), arm, options))
     extra = {"clock_origin_s": f"{origin // NANOSECONDS}"} if origin else {}
-    motion = read_motion(file.stem, frames, arm, options, source=file, kind=store.name, notes=notes, extra=extra)
-    if goals:
-        asked = _planned(goals, motion.state, (stamp, origin), (file, command or ""), arm, options)
-        motion = replace(motion, command=asked)
-    return motion
+    motion = read_motion(file.stem, frames, arm, options, source=file, kind=store.name, extra=extra)
+    motion = replace(motion, notes=(*notes, *motion.notes))
+    return motion if plan is None else _planned(*plan, motion, arm, options)
 
 
 @contextmanager
@@ -217,80 +227,62 @@ def _reporting(store: Store, file: Path) -> Iterator[None]:
         raise FileError(file, f"damaged or not readable ({type(error).__name__}: {reason})", REMEDY) from error
 
 
-def _topics(held: dict[str, str], options: ImportOptions, file: Path) -> tuple[str, str | None, list[str]]:
-    """Choose topics of states and commands, with notes."""
-    shown = [f"{name} ({kind or 'no type'})" for name, kind in sorted(held.items())]
-    found = (", ".join(shown[:12]) or "none") + f" and {len(shown) - 12} more" * (len(shown) > 12)
-    kinds = {name: schema.replace("/", ".").rpartition(".")[2] for name, schema in held.items()}
-    controllers = [name for name, kind in kinds.items() if kind == CONTROLLER]
+def _kind(schema: str) -> str:
+    return schema.replace("/", ".").rpartition(".")[2]
+
+
+def _topics(held: dict[str, str], options: ImportOptions, file: Path, notes: list[str]) -> dict[str, str]:
+    """Choose the topics of states and commands, with their groups."""
+    found = shown([f"{name} ({kind or 'no type'})" for name, kind in sorted(held.items())])
     state, command = options.state_topic or STATE_TOPIC, options.command_topic or COMMAND_TOPIC
+    controllers = [name for name, kind in held.items() if _kind(kind) == CONTROLLER]
     if state in controllers:
-        return state, None, []
+        return {state: "position"}
     if options.state_topic is None and options.command_topic is None and command not in held and len(controllers) == 1:
-        return controllers[0], None, [f"states and commands from {controllers[0]} ({held[controllers[0]]})"]
+        notes.append(f"states and commands from {controllers[0]} ({held[controllers[0]]})")
+        return {controllers[0]: "position"}
     if state not in held:
         raise FileError(file, f"no topic {state}; found {found}", "name one with --state-topic")
     if command == state:
         raise FileError(file, f"states and commands cannot both come from {state}", "name two topics")
     if command in held:
-        return state, command, []
-    able = [name for name, kind in kinds.items() if kind in (*STATES, TRAJECTORY, ARRAY) and name != state]
-    ours = [name for name in able if kinds[name] not in STATES and not any(word in name for word in OTHER_INTERFACES)]
+        return {state: "position", command: "command"}
+    able = [name for name, kind in held.items() if _kind(kind) in (*STATES, TRAJECTORY, ARRAY) and name != state]
+    ours = [n for n in able if _kind(held[n]) not in STATES and not any(word in n for word in OTHER_INTERFACES)]
     if options.command_topic is None and len(ours) == 1:
-        return state, ours[0], [f"commands from {ours[0]} ({held[ours[0]]})"]
+        notes.append(f"commands from {ours[0]} ({held[ours[0]]})")
+        return {state: "position", ours[0]: "command"}
     if options.command_topic is not None or able:
         raise FileError(file, f"no topic {command}; found {found}", "name one with --command-topic")
-    return state, None, [f"no topic with commands; found {found}"]
+    notes.append(f"no topic with commands; found {found}")
+    return {state: "position"}
 
 
-def _stamp(samples: dict[str, list[Sample]], held: dict[str, str], file: Path, notes: list[str]) -> str:
-    """Whose stamps are the times: ``header`` or ``log``."""
-    bare = [topic for topic, found in samples.items() if not any(sample.header_ns for sample in found)]
-    goals = [topic for topic, found in samples.items() if len(found[0].after)]
-    # an empty stamp of a trajectory asks for a start at once
-    if not bare and all(goal.header_ns for topic in goals for goal in samples[topic]):
-        return "header"
-    if len(bare) == 1 < len(samples) and not goals and not held[bare[0]].endswith(ARRAY):  # an array has none
-        raise FileError(file, f"the messages on {bare[0]} have no stamps, the others do", "set stamp to log for both")
-    notes.append(f"times are those of the recording, messages on {', '.join(bare or goals)} have no stamps")
-    return "log"
-
-
-def _joints(
-    message: Any,  # noqa: ANN401
-    kind: str,
-    group: str,
-    time: int,
-) -> tuple[int, int, tuple[str, ...], dict[str, list[float]], Array, list[Array]]:
-    """Return fields of a `Sample` but its number."""
-    stamp, names, joints = (
-        _field(_field(message, "header"), "stamp"),
-        _field(message, "name"),
-        _field(message, "joints"),
-    )
-    effort, orders, after = None, list[Array](), np.zeros(0)
+def _message(content: Any, kind: str, group: str, **about: Any) -> Message:  # noqa: ANN401
+    """Joints of a decoded message; ValueError for one of another kind."""
+    stamp, names, effort = _field(content, "header", "stamp"), _field(content, "name"), _field(content, "effort")
+    goal: dict[str, Any] = {}
+    found: dict[str, Any] = {group: _field(content, "position")}
+    joints = _field(content, "joints")
     if kind == ARRAY:
-        found = {group: _field(message, "data")}
+        found = {group: _field(content, "data")}
     elif kind == TRAJECTORY and group == "command":
-        names, found = _field(message, "joint_names"), {}
-        after, orders = _points(_field(message, "points"), len(names))
+        names, found = _field(content, "joint_names"), {}
+        goal = _points(_field(content, "points"), len(names))
     elif kind == CONTROLLER:
-        feedback, reference = (_first(message, *both) for both in (("feedback", "actual"), ("reference", "desired")))
-        names, effort = _field(message, "joint_names"), _field(feedback, "effort")
+        feedback, reference = (_first(content, *both) for both in (("feedback", "actual"), ("reference", "desired")))
+        names, effort = _field(content, "joint_names"), _field(feedback, "effort")
         found = {"position": _field(feedback, "positions"), "command": _field(reference, "positions")}
     elif joints is not None:
-        stamp, names = _field(message, "timestamp"), [_field(joint, "name") for joint in joints]
-        position, effort = ([_field(joint, key) for joint in joints] for key in ("position", "effort"))
+        stamp = _field(content, "timestamp")
+        names, position, effort = ([_field(joint, key) for joint in joints] for key in ("name", "position", "effort"))
         found = {group: [np.nan if value is None else value for value in position]}
-        effort = None if None in effort else effort
-    else:
-        found, effort = {group: _field(message, "position")}, _field(message, "effort")
-        if found[group] is None:
-            raise ValueError("it has no positions")
-    if "position" in found and effort is not None and len(effort) == len(found["position"]) > 0 and np.any(effort):
+    if "position" in found and effort is not None and None not in list(effort) and np.any(effort):
         found["torque"] = effort
     numbers = {key: [float(value) for value in values] for key, values in found.items()}
-    return _nanoseconds(stamp), time, tuple(str(name) for name in names or ()), numbers, after, orders
+    if "torque" in numbers and len(numbers["torque"]) != len(numbers["position"]):
+        del numbers["torque"]
+    return Message(stamp=_nanoseconds(stamp), names=tuple(map(str, names or ())), groups=numbers, **goal, **about)
 
 
 def _first(message: Any, *names: str) -> Any:  # noqa: ANN401
@@ -298,8 +290,8 @@ def _first(message: Any, *names: str) -> Any:  # noqa: ANN401
     return next((point for point in points if point is not None and len(_field(point, "positions"))), points[0])
 
 
-def _points(points: Sequence[Any], joints: int) -> tuple[Array, list[Array]]:
-    """Return times (K,) [s] and orders of a goal's points; ValueError."""
+def _points(points: Sequence[Any], joints: int) -> dict[str, Any]:
+    """Return times (K,) [s] and orders of a trajectory's points; ValueError."""
     after = np.array([_nanoseconds(_field(point, "time_from_start")) / NANOSECONDS for point in points])
     if not len(after) or (np.diff(after) <= 0).any():
         raise ValueError("its points are not one after another in time")
@@ -311,19 +303,19 @@ def _points(points: Sequence[Any], joints: int) -> tuple[Array, list[Array]]:
         orders.append(np.array(values, dtype=float).reshape(len(points), joints))
     if not orders:
         raise ValueError("points without positions")
-    return after, orders
+    return {"after": after, "orders": orders}
 
 
-def _field(message: Any, name: str) -> Any:  # noqa: ANN401
-    """Field of a dict, an object or protobuf, or None."""
-    if message is None or isinstance(message, dict):
-        return (message or {}).get(name)
-    descriptor = getattr(message, "DESCRIPTOR", None)
-    if descriptor is not None and name in descriptor.fields_by_name:
-        found = descriptor.fields_by_name[name]
-        if found.has_presence and not message.HasField(name):
-            return None
-    return getattr(message, name, None)
+def _field(message: Any, *names: str) -> Any:  # noqa: ANN401
+    """Field of a field of a dict, an object or protobuf, or None."""
+    for name in names:
+        if isinstance(message, dict):
+            message = message.get(name)
+            continue
+        declared = getattr(getattr(message, "DESCRIPTOR", None), "fields_by_name", {}).get(name)
+        absent = declared is not None and declared.has_presence and not message.HasField(name)
+        message = None if absent else getattr(message, name, None)
+    return message
 
 
 def _nanoseconds(stamp: Any) -> int:  # noqa: ANN401
@@ -338,60 +330,44 @@ def _nanoseconds(stamp: Any) -> int:  # noqa: ANN401
 
 
 def _frame(
-    samples: list[Sample],
-    clock: tuple[str, int],
-    where: tuple[Path, str],
-    arm: Arm,
-    options: ImportOptions,
-    notes: list[str],
+    messages: list[Message], times: Array, where: tuple[Path, str], arm: Arm, options: ImportOptions
 ) -> ColumnFrame:
-    """Columns of messages; other joints are dropped with a note.
-
-    ``clock``: ``header`` or ``log``, and its origin [ns].
-    """
+    """Columns of messages at ``times`` (T,) [s]; messages about other joints are dropped with a note."""
     file, topic = where
-    columns: dict[str, int] = {}
-    rows: list[dict[int, float]] = []
-    own = {names: any(meanings(names, arm, options)) for names in {sample.names for sample in samples}}
-    foreign = [sample for sample in samples if sample.names and not own[sample.names]]
-    if len(foreign) < len(samples):  # else an error shows their names
-        notes += [f"topic {topic}: {len(foreign)} messages about other joints left out"] * bool(foreign)
-        samples = [sample for sample in samples if not sample.names or own[sample.names]]
-    for sample in samples:
-        names = sample.names or options.names or ()
-        row: dict[int, float] = {}
-        for group, given in sample.groups.items():
+    own = {names: not names or any(meanings(names, arm, options)) for names in {one.names for one in messages}}
+    ours = np.array([own[one.names] for one in messages])
+    if not ours.any():  # an error shows their names
+        ours[:] = True
+    rows: list[dict[str, float]] = []
+    kept = [one for one, mine in zip(messages, ours, strict=True) if mine]
+    for one in kept:
+        names = one.names or options.names or ()
+        row: dict[str, float] = {}
+        for group, given in one.groups.items():
             if len(names) != len(given):
-                said = f"topic {topic}, message {sample.number}: {len(names)} names for {len(given)} {group}s"
-                raise FileError(file, said, REMEDY if sample.names else "set --order if the messages hold no names")
-            for name, value in zip(names, given, strict=True):
-                row[columns.setdefault(f"{group}.{name}", len(columns))] = value
+                said = f"topic {topic}, message {one.number}: {len(names)} names for {len(given)} {group}s"
+                raise FileError(file, said, REMEDY if one.names else "set --order if the messages hold no names")
+            row |= {f"{group}.{name}": value for name, value in zip(names, given, strict=True)}
         rows.append(row)
-    values: Array = np.full((len(rows), len(columns)), np.nan)
-    for k, row in enumerate(rows):
-        values[k, [*row]] = [*row.values()]
+    titles = tuple(dict.fromkeys(title for row in rows for title in row))
+    values = np.array([[row.get(title, np.nan) for title in titles] for row in rows])
     return ColumnFrame(
         path=file,
-        titles=tuple(columns),
+        titles=titles,
         values=lambda chosen: values[:, chosen],
         place=f"topic {topic}, message",
-        number=np.array([sample.number for sample in samples], dtype=np.int64),
+        number=np.array([one.number for one in kept]),
         angle_unit="rad",
         found=f"topic {topic}",
-        # whole nanoseconds are subtracted before they become float64, which keeps them exact
-        time=np.array([(sample.begin(clock[0]) - clock[1]) / NANOSECONDS for sample in samples], dtype=float),
+        time=times[ours],
+        notes=[f"topic {topic}: {int((~ours).sum())} messages about other joints left out"] * (not ours.all()),
     )
 
 
 def _planned(
-    goals: list[Sample],
-    state: Track,
-    clock: tuple[str, int],
-    where: tuple[Path, str],
-    arm: Arm,
-    options: ImportOptions,
-) -> Track:
-    """Sample goals at the times of the states; ``clock`` as `_frame`.
+    goals: list[Message], starts: Array, what: str, motion: RecordedMotion, arm: Arm, options: ImportOptions
+) -> RecordedMotion:
+    """Sample goals that begin at ``starts`` [s] at the times of the states.
 
     As ``interpolate_between_points`` of joint_trajectory_controller: from the present state through the points, linear,
     cubic or quintic; the last point holds, a new goal replaces the old one. FileError for missing joints, or no goal
@@ -399,50 +375,31 @@ def _planned(
     """
     from scipy.interpolate import BPoly
 
-    file, topic = where
-    goals = sorted(goals, key=lambda goal: goal.begin(clock[0]))
-    starts = np.array([(goal.begin(clock[0]) - clock[1]) / NANOSECONDS for goal in goals])
-    command, number = np.full(state.value.shape, np.nan), np.zeros(len(state), dtype=np.int64)
-    active = np.searchsorted(starts, state.time, side="right") - 1
-    known = active >= 0
-    if not known.any():
-        raise FileError(file, f"no state after the first goal on {topic}", "record longer")
-    for index in np.unique(active[known]):
-        goal, rows = goals[index], np.flatnonzero(active == index)
-        knots, times = _knots(goal, arm, options, where), starts[index] + goal.after
-        if times[0] > starts[index]:  # a first point at the beginning leaves no way to it
-            present = _present(state, starts[index])[:, : knots.shape[1]]
-            knots, times = np.concatenate([present, knots]), np.concatenate([[starts[index]], times])
-        asked = np.clip(state.time[rows], times[0], times[-1])
-        command[rows] = BPoly.from_derivatives(times, knots)(asked) if len(times) > 1 else knots[0, 0]
-        number[rows] = goal.number
-    return Track(
-        path=file,
-        what="command",
-        time=state.time[known],
-        value=command[known],
-        columns=arm.joint_names,
-        place=f"topic {topic}, message",
-        number=number[known],
-    )
-
-
-def _knots(goal: Sample, arm: Arm, options: ImportOptions, where: tuple[Path, str]) -> Array:
-    """Positions, velocities, accelerations (K, orders, n) of the points, in radians."""
-    file, topic = where
-    match = match_joints(goal.names, arm, file, f"command topic {topic}, message {goal.number}", options)
-    scale, offset = (np.array([getattr(one, key) for one in match.linear]) for key in ("scale", "offset"))
     if options.angle_unit == "normalised":
-        raise FileError(file, "trajectories are in radians or degrees", "set another --angle-unit")
-    knots = scale * np.stack(goal.orders, axis=1)[..., match.columns]
-    knots[:, 0] += offset
-    return knots * ANGLES[options.angle_unit or "rad"]
+        raise FileError(motion.path, "trajectories are in radians or degrees", "set another --angle-unit")
+    order = np.argsort(starts, kind="stable")
+    command = np.full_like(motion.position, np.nan)
+    active = np.searchsorted(starts[order], motion.time, side="right") - 1
+    for index in np.unique(active[active >= 0]):
+        start, rows = starts[order[index]], np.flatnonzero(active == index)
+        goal = goals[order[index]]
+        match = match_joints(goal.names, arm, motion.path, f"{what}, message {goal.number}", options)
+        scale, offset = (np.array([getattr(one, key) for one in match.linear]) for key in ("scale", "offset"))
+        knots, times = scale * np.stack(goal.orders, axis=1)[..., match.columns], start + goal.after
+        knots[:, 0] += offset
+        knots *= ANGLES[options.angle_unit or "rad"]
+        if times[0] > start:  # a first point at the beginning leaves no way to it
+            present = _present(motion, start)[:, : knots.shape[1]]
+            knots, times = np.concatenate([present, knots]), np.concatenate([[start], times])
+        asked = np.clip(motion.time[rows], times[0], times[-1])
+        command[rows] = BPoly.from_derivatives(times, knots)(asked) if len(times) > 1 else knots[0, 0]
+    return begun(replace(motion, command=command), active)
 
 
-def _present(state: Track, time: float) -> Array:
+def _present(motion: RecordedMotion, time: float) -> Array:
     """Position, velocity and acceleration (1, 3, n) of the arm at a ``time``."""
-    row = int(np.clip(np.searchsorted(state.time, time), 1, len(state) - 1))
+    row = int(np.clip(np.searchsorted(motion.time, time), 1, len(motion) - 1))
     before = max(row - 3, 0)
-    speed = (state.value[row] - state.value[before]) / max(state.time[row] - state.time[before], 1e-9)
-    position = np.array([np.interp(time, state.time, one) for one in state.value.T])
+    speed = (motion.position[row] - motion.position[before]) / max(motion.time[row] - motion.time[before], 1e-9)
+    position = np.array([np.interp(time, motion.time, one) for one in motion.position.T])
     return np.stack([position, speed, np.zeros_like(position)])[None]

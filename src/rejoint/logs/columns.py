@@ -15,7 +15,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,67 +119,52 @@ class ColumnFrame:
     """default of angles"""
     found: str = "a table"
     """kind of the file"""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Track:
-    """States or commands: T samples of n joints."""
-
-    path: Path
-    what: str
-    """``state`` or ``command``"""
-    time: Array
-    """(T,) [s]"""
-    value: Array
-    """(T, n) [rad] in the arm's order"""
-    columns: tuple[str, ...]
-    """(n,) names in the file"""
-    place: str
-    """``line``, ``message`` or ``row``"""
-    number: NDArray[np.int64]
-    """(T,) place in the file"""
-    more: Mapping[str, Array] = field(default_factory=dict)
-    """other data with T rows, as fields of `RunLog`"""
-
-    def __len__(self) -> int:
-        return len(self.time)
-
-    def where(self, sample: int) -> str:
-        """Place of a sample in the file: ``line 17``."""
-        return f"{self.place} {self.number[sample]}"
-
-    def take(self, chosen: NDArray[np.bool_]) -> Track:
-        """Return samples where ``chosen`` (T,) holds."""
-        more = {name: values[chosen] for name, values in self.more.items()}
-        return replace(self, time=self.time[chosen], value=self.value[chosen], number=self.number[chosen], more=more)
-
-    def shifted(self, seconds: float) -> Track:
-        """Return samples on a clock that starts ``seconds`` later."""
-        return replace(self, time=self.time - seconds)
+    notes: Sequence[str] = ()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RecordedMotion:
-    """A recorded motion before the checks."""
+    """A recorded motion before the checks, T rows; row k holds state k and the command in force."""
 
     name: str
-    state: Track
-    command: Track | None
+    path: Path
+    place: str
+    """``line``, ``message`` or ``row``"""
+    number: NDArray[np.int64]
+    """(T,) place in the file"""
+    time: Array
+    """(T,) [s]"""
+    position: Array
+    """(T, n) [rad] in the arm's order"""
+    command: Array | None
+    """(T, n) [rad]"""
+    columns: tuple[str, ...]
+    """(n,) names of the positions in the file"""
     angle_unit: str
     """in the file"""
     robot: str
     """origin of the log"""
     half: Array | None = None
     """(n,) [rad] half ranges of normalised values"""
+    more: Mapping[str, Array] = field(default_factory=dict)
+    """other data with T rows, as fields of `RunLog`"""
     units: Mapping[str, str] = field(default_factory=dict)
-    """of `Track.more`"""
+    """of `more`"""
     extra: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
-    @property
-    def tracks(self) -> tuple[Track, ...]:
-        """States, and commands."""
-        return (self.state,) if self.command is None else (self.state, self.command)
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def where(self, row: int) -> str:
+        """Place of a row in the file: ``line 17``."""
+        return f"{self.place} {self.number[row]}"
+
+    def take(self, rows: NDArray[Any]) -> RecordedMotion:
+        """Return rows by a mask (T,) or by indices."""
+        arrays = {name: getattr(self, name)[rows] for name in ("number", "time", "position")}
+        command = None if self.command is None else self.command[rows]
+        return replace(self, **arrays, command=command, more={name: one[rows] for name, one in self.more.items()})
 
 
 Pending = tuple[str, Callable[[], RecordedMotion]]
@@ -202,6 +187,10 @@ NORMALISED_MOST = 101.0
 """LeRobot clips to -100..100 (chosen: with rounding)"""
 POINTS = ("target", "true_tcp")
 """Groups of places"""
+FEWEST = 2
+"""Rows of a log"""
+RECORD_AGAIN = "record it again"
+_MEASURED = ("torque", "current", "gain", "powered", *POINTS)
 _TIMES = ("time", "t", "timestamp")
 _PREFIXES = {
     "position": "position", "pos": "position", "q": "position", "actual": "position", "act": "position",
@@ -244,24 +233,20 @@ def read_motion(
     *,
     source: Path,
     kind: str,
-    notes: Sequence[str] = (),
     extra: Mapping[str, str] | None = None,
 ) -> RecordedMotion:
     """Make a motion of columns on one clock, or of states and commands on their own.
 
-    ``source`` and ``kind`` are its file and format. FileError for missing or double columns, or no unit; InputError for
-    a wrong map.
+    ``source`` and ``kind`` are its file and format. FileError for missing or double columns, no unit, or two clocks
+    without common time; InputError for a wrong map.
     """
-    tables = [_ForeignTable(frame, arm, options) for frame in frames]
+    tables = [_Table(frame, arm, options) for frame in frames]
     first = frames[0]
     for ours, theirs in (options.columns or {}).items():
         if not any(ours in table.mapped for table in tables):
-            raise FileError(
-                first.path,
-                f"--map {ours}={theirs}: no such column; found {first.found}: {shown(first.titles)}",
-                "name one of these",
-            )
-    state, command = (next((table for table in tables if table.of(group)), None) for group in ("position", "command"))
+            found = f"found {first.found}: {shown(first.titles)}"
+            raise FileError(first.path, f"--map {ours}={theirs}: no such column; {found}", "name one of these")
+    state, sent = (next((table for table in tables if table.of(group)), None) for group in ("position", "command"))
     if state is None:
         titles = ", ".join(shown(frame.titles) for frame in frames)
         raise FileError(
@@ -270,28 +255,31 @@ def read_motion(
             "name them position.JOINT and command.JOINT, or map yours: --map JOINT=THEIRS; a time, position.JOINT and "
             "command.JOINT are expected",
         )
-    half = None
-    if options.angle_unit == "normalised" and options.calibration is not None:
-        half = half_ranges(options.calibration, arm, options)
-    elif options.angle_unit == "normalised":
-        counts = calibrated_ranges(state.values("position")[0], arm, first.path)
-        half = counts * np.pi / COUNTS_PER_TURN
-        told = ", ".join(f"{joint} {count:.0f}" for joint, count in zip(arm.joint_names, counts, strict=True))
-        state.notes.append(
-            f"without a calibration the ranges follow from the steps of the encoders ({told} counts); "
-            "the middle of each range is unknown and taken as zero: offsets, sag and places of the tool are not known"
-        )
-    return RecordedMotion(
+    raw, columns = state.joints("position")
+    half = state.half_ranges(raw)
+    position, units = state.radians(raw, columns, half)
+    more, measured = state.measured()
+    motion = RecordedMotion(
         name=name,
-        state=state.track("position", half),
-        command=None if command is None else command.track("command", half),
-        angle_unit="/".join(sorted(state.units)),
+        path=state.frame.path,
+        place=state.frame.place,
+        number=state.frame.number,
+        time=state.clock(),
+        position=position,
+        command=None,
+        columns=tuple(column.title for column in columns),
+        angle_unit="/".join(sorted(units)),
         half=half,
-        units=state.measured_units,
+        more=more,
+        units=measured,
         robot=f"{kind}:{source.stem}",
         extra={"source": source.name, "format": kind, **(extra or {})},
-        notes=(*notes, *(note for table in tables for note in table.notes)),
     )
+    if sent is not None:
+        command = sent.radians(*sent.joints("command"), half)[0]
+        motion = replace(motion, command=command) if sent is state else sent.held(command, motion)
+    notes = (note for table in tables for note in (*table.frame.notes, *table.notes))
+    return replace(motion, notes=(*notes, *motion.notes))
 
 
 def holds_positions(titles: Sequence[str], options: ImportOptions) -> bool:
@@ -308,19 +296,25 @@ def holds_positions(titles: Sequence[str], options: ImportOptions) -> bool:
     )
 
 
-class _ForeignTable:
+def begun(motion: RecordedMotion, last: NDArray[np.int64]) -> RecordedMotion:
+    """Rows with a ``last`` command (T,) from 0 on, at least two; FileError."""
+    known = last >= 0
+    if known.sum() < FEWEST:
+        said = f"{int(known.sum())} state(s) after the first command, a log needs {FEWEST}"
+        raise FileError(motion.path, said, RECORD_AGAIN)
+    note = f"state: {int((~known).sum())} samples before the first command left out"
+    return replace(motion.take(known), notes=(*motion.notes, *[note] * (not known.all())))
+
+
+class _Table:
     """Columns of a frame with a meaning."""
 
     def __init__(self, frame: ColumnFrame, arm: Arm, options: ImportOptions) -> None:
         self.frame, self.arm, self.options = frame, arm, options
         self.notes: list[str] = []
-        self.units: set[str] = set()
-        self.measured_units: dict[str, str] = {}
-        classified = {i: found for i, title in enumerate(frame.titles) if (found := _classified(title))}
-        self.recorder = next((_RECORDERS[one[0]] for one in classified.values() if one[0] in _RECORDERS), None)
-        self.columns = {
-            i: Column(i, frame.titles[i], group, name, unit) for i, (_, group, name, unit) in classified.items()
-        }
+        known = {i: found for i, title in enumerate(frame.titles) if (found := _classified(title))}
+        self.recorder = next((_RECORDERS[one[0]] for one in known.values() if one[0] in _RECORDERS), (None, None))
+        self.columns = {i: Column(i, frame.titles[i], *found[1:]) for i, found in known.items()}
         mapped = [(ours, column) for pair in (options.columns or {}).items() for ours, column in self._mapped(*pair)]
         self.mapped = {ours for ours, _ in mapped}
         if len({column.place for _, column in mapped}) < len(mapped):
@@ -343,54 +337,42 @@ class _ForeignTable:
                 f"--map {ours}={theirs}: {ours} is nothing that a log has: time, JOINT, command.JOINT, torque.JOINT, "
                 f"target.x or true_tcp.x; the joints are {', '.join(self.arm.joint_names)}"
             )
-        first, dots, last = theirs.partition("..")
-        names: list[str] = []
-        linear = Linear(column=theirs)
-        if dots and first in titles and last in titles:
-            chosen = list(range(titles.index(first), titles.index(last) + 1))
-            names = list(self.arm.joint_names)
-            if joint is not None or len(chosen) != len(names):
-                raise InputError(f"--map {ours}={theirs}: {len(chosen)} columns for {len(names)} joints")
-        else:
-            linear = Linear.of(theirs, {*titles, *(column.name for column in self.columns.values())})
-            chosen = [titles.index(linear.column)] if linear.column in titles else []
-            if joint is not None and not chosen:
-                chosen = [i for i, column in self.columns.items() if column.name == linear.column]
+        linear = Linear.of(theirs, {*titles, *(column.name for column in self.columns.values())})
+        places = [titles.index(linear.column)] if linear.column in titles else []
+        names = [joint or (own and own[2]) or ""]
+        first, _, last = theirs.partition("..")
+        if first in titles and last in titles:
+            places, names = list(range(titles.index(first), titles.index(last) + 1)), [*self.arm.joint_names]
+            if joint is not None or len(places) != len(names):
+                raise InputError(f"--map {ours}={theirs}: {len(places)} columns for {len(names)} joints")
+        elif joint is not None and not places:
+            places = [i for i, column in self.columns.items() if column.name == linear.column]
+            names *= len(places)
         found = []
-        for place, i in enumerate(chosen):
-            before = self.columns.get(i)
-            said = (before and before.unit) or split_unit(titles[i], TIME_UNITS | ANGLES | LENGTHS)[1]
-            scale, offset = linear.scale, linear.offset
+        for place, name in zip(places, names, strict=False):
+            before = self.columns.get(place)
+            said = (before and before.unit) or split_unit(titles[place], TIME_UNITS | ANGLES | LENGTHS)[1]
+            group, unit, scale, offset = own[1] if own else "", own and own[3], linear.scale, linear.offset
             if joint is not None:
-                group, name, unit = before.group if before else "position", joint, split_unit(ours, ANGLES)[1]
+                group, unit = before.group if before else "position", split_unit(ours, ANGLES)[1]
                 if group not in ("position", "command"):  # the gear's torque, the motor's current, and what has no gear
                     scale = {"torque": 1.0 / scale, "current": np.sign(scale)}.get(group, 1.0)
                     offset, unit = 0.0, None
-            elif own is not None:
-                group, name, unit = own[1], names[place] if names else own[2], own[3]
-            found.append((ours, Column(i, titles[i], group, name, unit or said, scale, offset)))
+            found.append((ours, Column(place, titles[place], group, name, unit or said, scale, offset)))
         return found
 
     def _unit(self, column: Column, default: str | None) -> str:
-        options = {
-            "time": ("--time-unit", self.options.time_unit),
-            "position": ("--angle-unit", self.options.angle_unit),
-        }
-        option, declared = options.get("position" if column.group == "command" else column.group, ("", None))
+        declarable = {"time": "time", "position": "angle", "command": "angle"}.get(column.group)
+        option = declarable and f"--{declarable}-unit"
+        declared = getattr(self.options, f"{declarable}_unit", None)
         if column.unit and declared and column.unit != declared:
-            raise FileError(
-                self.frame.path,
-                f"column {column.title} is in {column.unit} by its name, but {option} says {declared}",
-                f"leave {option} out or rename the column",
-            )
+            said = f"column {column.title} is in {column.unit} by its name, but {option} says {declared}"
+            raise FileError(self.frame.path, said, f"leave {option} out or rename the column")
         unit = column.unit or declared or default
         if unit is None:
             endings = " or ".join(f"{column.title}_{unit}" for unit in UNITS[column.group])
-            raise FileError(
-                self.frame.path,
-                f"column {column.title} does not say its unit",
-                f"rename it {endings}{option and f' or set {option}'}",
-            )
+            remedy = f"rename it {endings}" + f" or set {option}" * bool(option)
+            raise FileError(self.frame.path, f"column {column.title} does not say its unit", remedy)
         return str(unit)
 
     def _read(self, columns: Sequence[Column]) -> Array:
@@ -398,7 +380,8 @@ class _ForeignTable:
         scale, offset = (np.array([getattr(column, key) for column in columns]) for key in ("scale", "offset"))
         return self.frame.values([column.place for column in columns]) * scale + offset
 
-    def time(self) -> Array:
+    def clock(self) -> Array:
+        """Return times (T,) [s]."""
         times = self.of("time")
         if self.frame.time is not None:
             return self.frame.time
@@ -413,10 +396,9 @@ class _ForeignTable:
                 f"name one {' or '.join(f'time_{unit}' for unit in TIME_UNITS)}, map yours (--map time_s=THEIRS), or "
                 "give the rows in a second (--rate)",
             )
-        unit = self._unit(times[0], self.recorder and self.recorder[1])
-        return self._read(times)[:, 0] / TIME_UNITS[unit]
+        return self._read(times)[:, 0] / TIME_UNITS[self._unit(times[0], self.recorder[1])]
 
-    def values(self, group: str) -> tuple[Array, list[Column]]:
+    def joints(self, group: str) -> tuple[Array, list[Column]]:
         """Return a group (T, n) in the arm's order and file units, and its columns."""
         columns = self.of(group)
         if len(columns) == 1 and not columns[0].name and (self.arm.joints == 1 or group in ("gain", "powered")):
@@ -432,61 +414,86 @@ class _ForeignTable:
                 self.notes.append(f"{group}: {told}")
         return self._read(columns), columns
 
-    def track(self, group: str, half: Array | None) -> Track:
-        """States with all measurements, or commands, in radians.
+    def half_ranges(self, raw: Array) -> Array | None:
+        """Half ranges (n,) [rad] of normalised values, by the calibration, or by the steps of ``raw`` (T, n)."""
+        if self.options.angle_unit != "normalised":
+            return None
+        if self.options.calibration is not None:
+            return half_ranges(self.options.calibration, self.arm, self.options)
+        counts = calibrated_ranges(raw, self.arm, self.frame.path)
+        told = ", ".join(f"{joint} {count:.0f}" for joint, count in zip(self.arm.joint_names, counts, strict=True))
+        self.notes.append(
+            f"without a calibration the ranges follow from the steps of the encoders ({told} counts); "
+            "the middle of each range is unknown and taken as zero: offsets, sag and places of the tool are not known"
+        )
+        return counts * np.pi / COUNTS_PER_TURN
+
+    def radians(self, raw: Array, columns: Sequence[Column], half: Array | None) -> tuple[Array, set[str]]:
+        """Angles (T, n) [rad] of ``raw`` ones, and their units.
 
         LeRobot's normalised -100 and 100 are ``half`` (n,) [rad] from the middle of the calibrated range
         (``MotorsBus._normalize`` in huggingface/lerobot).
         """
-        raw, columns = self.values(group)
-        units = [self._unit(column, self.recorder[0] if self.recorder else self.frame.angle_unit) for column in columns]
-        self.units |= {*units}
+        units = [self._unit(column, self.recorder[0] or self.frame.angle_unit) for column in columns]
         factor = np.array([ANGLES.get(unit, 1.0 if half is None else half[i] / 100.0) for i, unit in enumerate(units)])
         if half is not None and (np.abs(raw) > NORMALISED_MOST).any():
             worst = float(raw.flat[int(np.nanargmax(np.abs(raw)))])
             said = f"{worst:g} is no normalised value, which lie in -100..100"
             raise FileError(self.frame.path, said, "set another --angle-unit")
-        return Track(
-            path=self.frame.path,
-            what="state" if group == "position" else "command",
-            time=self.time(),
-            value=raw * factor,
-            columns=tuple(column.title for column in columns),
-            place=self.frame.place,
-            number=self.frame.number,
-            more=self._measured() if group == "position" else {},
-        )
+        return raw * factor, {*units}
 
-    def _measured(self) -> dict[str, Array]:
-        found = {group: self._points(group) for group in POINTS if self.of(group)}
-        for group in ("torque", "current", "gain", "powered"):
-            if not self.of(group):
-                continue
+    def held(self, command: Array, motion: RecordedMotion) -> RecordedMotion:
+        """Add ``command`` of this table's clock to a motion: of each state the last before it; FileError."""
+        times, path = self.clock(), self.frame.path
+        for what, clock, file in (("state", motion.time, motion.path), ("command", times, path)):
+            if len(clock) < FEWEST:
+                raise FileError(file, f"{what}: {len(clock)} sample(s), a log needs at least {FEWEST}", RECORD_AGAIN)
+        steps = np.diff(times)
+        if not (steps >= 0).all():
+            row = int(np.argmin(steps >= 0)) + 1
+            where = f"command, {self.frame.place} {self.frame.number[row]}"
+            raise FileError(path, f"{where}: the clock goes back, or is no number", "cut the file there")
+        common = min(motion.time[-1], times[-1]) - max(motion.time[0], times[0])
+        if common < 0.5 * min(np.ptp(motion.time), np.ptp(times)):
+            raise FileError(
+                motion.path,
+                f"states last from {motion.time[0]:.6f} to {motion.time[-1]:.6f} s, commands from "
+                f"{times[0]:.6f} to {times[-1]:.6f} s: not one clock",
+                "record both on one clock, or take the times of recording (--stamp log) of a bag",
+            )
+        last = np.searchsorted(times, motion.time, side="right") - 1
+        return begun(replace(motion, command=command[last]), last)
+
+    def measured(self) -> tuple[dict[str, Array], dict[str, str]]:
+        """Other measurements as fields of `RunLog`, and the units of those that have one."""
+        found: dict[str, Array] = {}
+        units: dict[str, str] = {}
+        for group in (group for group in _MEASURED if self.of(group)):
+            points, usual = group in POINTS, self.recorder[0] and next(iter(UNITS[group]), None)
             try:
-                raw, columns = self.values(group)
+                raw, columns = self._axes(group) if points else self.joints(group)
+                named = [self._unit(column, None) if points else column.unit or usual for column in columns]
             except FileError as error:
                 self.notes.append(f"{group} left out: {error.problem}")
                 continue
             if group == "powered":
                 found["gain"] = np.where(raw > 0, found.get("gain", np.nan), 0.0)
                 continue
-            known = next(iter(UNITS[group]), None) if self.recorder else None
-            units = {column.unit or known for column in columns}
-            unit = units.pop() if len(units) == 1 else None
-            found[group] = raw * UNITS[group].get(unit or "", 1.0)
-            self.measured_units[group] = SI[group] if unit in UNITS[group] else ""
-            if group in SI and unit is None:
-                self.notes.append(f"{group}: {columns[0].title} says no unit; kept in the unit of the column")
-        return found
+            one = points or len({*named}) == 1
+            found[group] = raw * np.array([UNITS[group].get(unit or "", 1.0) if one else 1.0 for unit in named])
+            if group in SI:
+                units[group] = SI[group] if one and named[0] else ""
+                if not units[group]:
+                    self.notes.append(f"{group}: {columns[0].title} says no unit; kept in the unit of the column")
+        return found, units
 
-    def _points(self, group: str) -> Array:
-        """Places (T, 3) [m] of the tool."""
+    def _axes(self, group: str) -> tuple[Array, list[Column]]:
+        """Places (T, 3) in file units."""
         axes = sorted(self.of(group), key=lambda column: column.name)
         if [column.name for column in axes] != [*AXES]:
-            raise FileError(
-                self.frame.path, f"columns of {group} are not x, y and z, once each", "name all three or none"
-            )
-        return self._read(axes) * np.array([LENGTHS[self._unit(column, None)] for column in axes])
+            said = f"columns of {group} are not x, y and z, once each"
+            raise FileError(self.frame.path, said, "name all three or none")
+        return self._read(axes), axes
 
 
 def _classified(title: str) -> tuple[str, str, str, str | None] | None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm
 from rejoint.logs.bags import MCAP, ROSBAG
-from rejoint.logs.columns import RecordedMotion, Track
+from rejoint.logs.columns import FEWEST, RecordedMotion
 from rejoint.logs.consistency import GAP_PERIODS, LogFindings, check_agreement, check_states, check_units, clean, copies
 from rejoint.logs.exclusions import UNPOWERED, unpowered_joints
 from rejoint.logs.joints import ImportOptions
@@ -26,24 +26,18 @@ from rejoint.system.progress import Progress, no_progress
 
 PAUSE = 1.0
 """[s] between motions (chosen: ten times a hobby servo's lag)"""
-FEWEST = 2
-"""Rows of a log"""
 CORRUPT = 0.02
 """Largest share of corrupt numbers (chosen)"""
 
 
 def parted(motion: RecordedMotion) -> Iterator[RecordedMotion]:
     """Split at pauses and corrupt numbers; FileError beyond `CORRUPT`."""
-    time, notes, command = motion.state.time, list(motion.notes), motion.command
-    bad = _corrupt(motion.state)
-    if command is not None and len(command):
-        wrong = _corrupt(command)
-        held = np.searchsorted(command.time, time, side="right") - 1
-        bad |= wrong[np.maximum(held, 0)] & (held >= 0)
-        command = command.take(~wrong)
+    notes, bad = list(motion.notes), _corrupt(motion, "state", motion.position)
+    if motion.command is not None:
+        bad |= _corrupt(motion, "command", motion.command)
     good = np.flatnonzero(~bad)
-    steps = np.diff(time[good])
-    if not len(steps) or not np.isfinite(steps).all() or (steps < 0).any():
+    steps = np.diff(motion.time[good])
+    if not len(steps) or not (steps >= 0).all():
         yield motion  # what `clean` will say
         return
     paused = steps > max(PAUSE, GAP_PERIODS * float(np.median(steps)))
@@ -54,36 +48,28 @@ def parted(motion: RecordedMotion) -> Iterator[RecordedMotion]:
         worst = int(np.argmax(steps))
         notes.append(
             f"state: {int(paused.sum())} pause(s) longer than {PAUSE:g} s, the longest {steps[worst]:.3g} s before "
-            f"{motion.state.where(good[worst + 1])}; {cut}"
+            f"{motion.where(good[worst + 1])}; {cut}"
         )
     if bad.any():
-        first = motion.state.where(int(np.argmax(bad)))
+        first = motion.where(int(np.argmax(bad)))
         notes.append(f"{int(bad.sum())} row(s) with corrupt numbers, first at {first}; {cut}")
     if lost := len(good) - sum(map(len, kept)):
         notes.append(f"{lost} lone sample(s) left out")
     for index, piece in enumerate(kept, start=1):
-        yield replace(
-            motion,
-            name=f"{motion.name}-{index}of{len(kept)}" if len(kept) > 1 else motion.name,
-            state=motion.state.take(np.isin(np.arange(len(time)), piece)),
-            notes=tuple(notes),
-            command=command,
-        )
+        name = f"{motion.name}-{index}of{len(kept)}" if len(kept) > 1 else motion.name
+        yield replace(motion.take(piece), name=name, notes=tuple(notes))
 
 
-def _corrupt(track: Track) -> NDArray[np.bool_]:
-    """Return samples (T,) with a corrupt number."""
-    finite = np.isfinite(track.value).all(axis=1)
-    if (~finite).sum() > CORRUPT * len(track):
-        row, joint = (int(i) for i in np.argwhere(~np.isfinite(track.value))[0])
-        raise FileError(
-            track.path,
-            f"{track.what}, {track.where(row)}: {track.columns[joint]} is {track.value[row, joint]}, one "
-            f"of {int((~finite).sum())} rows with values that are not finite",
-            "mend the values or cut the rows",
-        )
-    huge = ~(np.abs(track.value) <= TWO_TURNS).all(axis=1)
-    return np.asarray(huge if huge.sum() <= CORRUPT * len(track) else ~finite)
+def _corrupt(motion: RecordedMotion, what: str, values: Array) -> NDArray[np.bool_]:
+    """Return rows (T,) with a corrupt number."""
+    missing = ~np.isfinite(values).all(axis=1)
+    if missing.sum() > CORRUPT * len(values):
+        row, joint = (int(i) for i in np.argwhere(~np.isfinite(values))[0])
+        said = f"{what}, {motion.where(row)}: {motion.columns[joint]} is {values[row, joint]}, one "
+        said += f"of {int(missing.sum())} rows with values that are not finite"
+        raise FileError(motion.path, said, "mend the values or cut the rows")
+    huge = ~(np.abs(values) <= TWO_TURNS).all(axis=1)
+    return np.asarray(huge if huge.sum() <= CORRUPT * len(values) else missing)
 
 
 _EPOCH = 1e8
@@ -96,44 +82,36 @@ NO_COMMANDS = (
 
 
 def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = None) -> tuple[RunLog, list[str]]:
-    """Check a motion and put it on its states' clock.
-
-    Row k holds state k and the last command before it (zero-order hold). FileError where states and commands do not
-    match, or for a doubt in `LogFindings`.
-    """
+    """Check a motion; FileError for a doubt in `LogFindings`."""
     options = options or ImportOptions()
-    found = LogFindings(force=options.force, notes=list(motion.notes))
-    state = clean(motion.state, found)
-    command = None if motion.command is None else clean(motion.command, found)
-    extra, origin = motion.extra, float(np.floor(state.time[0]))
+    found = LogFindings(path=motion.path, force=options.force, notes=list(motion.notes))
+    motion = clean(motion, found)
+    extra, origin = motion.extra, float(np.floor(motion.time[0]))
     if origin >= _EPOCH:
-        state = state.shifted(origin)
-        command = None if command is None else command.shifted(origin)
+        motion = replace(motion, time=motion.time - origin)
         extra = extra | {"clock_origin_s": f"{origin:.0f}"}
-    motion = replace(motion, state=state, command=command)
     check_units(motion, arm, options, found)
     check_states(motion, arm, found)
-    commanded = np.full(state.value.shape, np.nan)
-    if command is None:
+    rows = len(motion)
+    if motion.command is None:
         found.notes.append(NO_COMMANDS)
     else:
-        state, commanded = _joined(state, command, found)
-        powered = (state.more.get("gain", np.ones((len(state), 1))) != 0).any(axis=-1)
-        check_agreement(state.take(powered), commanded[powered], found)
+        powered = (motion.more.get("gain", np.ones((rows, 1))) != 0).any(axis=-1)
+        check_agreement(motion.take(powered), found)
         if not powered.all():
             found.notes.append(f"state: {int((~powered).sum())} rows without torque")
-    off, unknown = options.torque_off or (), np.full((len(state), 3), np.nan)
+    off, unknown = options.torque_off or (), np.full((rows, 3), np.nan)
     log = RunLog(
         arm=arm.name,
         joint_names=arm.joint_names,
         robot=motion.robot,
         label=motion.name,
-        time=state.time,
-        position=state.value,
-        command=commanded,
+        time=motion.time,
+        position=motion.position,
+        command=np.full_like(motion.position, np.nan) if motion.command is None else motion.command,
         extra=extra | found.extra | ({UNPOWERED: ",".join(off)} if off else {}),
         units=dict(motion.units),
-        **{"target": unknown, "true_tcp": unknown, **state.more},
+        **{"target": unknown, "true_tcp": unknown, **motion.more},
     )
     silent = [joint for joint in unpowered_joints(log) if joint not in off]
     return log, [
@@ -141,26 +119,6 @@ def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = Non
         *(f"state: {one} never answers its command: without power, or stuck (--torque-off {one})" for one in silent),
         *(f"imported by force, although {reason}" for reason in found.reasons),
     ]
-
-
-def _joined(state: Track, command: Track, found: LogFindings) -> tuple[Track, Array]:
-    """States from the first command on, and commands (T, n) [rad] in force; FileError for two clocks."""
-    common = min(state.time[-1], command.time[-1]) - max(state.time[0], command.time[0])
-    if common < 0.5 * min(np.ptp(state.time), np.ptp(command.time)):
-        raise FileError(
-            state.path,
-            f"states last from {state.time[0]:.6f} to {state.time[-1]:.6f} s, commands from "
-            f"{command.time[0]:.6f} to {command.time[-1]:.6f} s: not one clock",
-            "record both on one clock, or take the times of recording (--stamp log) of a bag",
-        )
-    held = np.searchsorted(command.time, state.time, side="right") - 1
-    known = held >= 0
-    if not known.all():
-        found.notes.append(f"state: {int((~known).sum())} samples before the first command left out")
-    if known.sum() < FEWEST:
-        said = f"{int(known.sum())} state(s) after the first command, a log needs {FEWEST}"
-        raise FileError(state.path, said, "record it again")
-    return state.take(known), command.value[held[known]]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import zipfile
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -134,7 +135,7 @@ def _read_table(file: Path, arm: Arm, options: ImportOptions, notes: list[str]) 
         frame = ColumnFrame(
             path=file, titles=sheet.titles, values=sheet.numbers, number=sheet.lines, place="line", found=sheet.found
         )
-    return read_motion(file.stem, [frame], arm, options, source=file, kind="table", notes=notes)
+    return read_motion(file.stem, [replace(frame, notes=notes)], arm, options, source=file, kind="table")
 
 
 def _frame_of(file: Path, columns: dict[str, Array], **about: Any) -> ColumnFrame:  # noqa: ANN401
@@ -270,9 +271,9 @@ def _episode(
     note = f"the stamps {said} frame numbers over {fps:g} Hz" + (", no measured times" if even else "")
     del own["episode_index"]
     name, time = f"episode_{number:06d}", nominal if even else stamps
-    frame = _frame_of(folder, own, number=rows + 1, place=f"{name}, row", time=time, found="a LeRobot dataset")
-    extra = {"episode": str(number)}
-    return read_motion(name, [frame], arm, options, source=folder, kind="lerobot", notes=[note], extra=extra)
+    about = {"number": rows + 1, "place": f"{name}, row", "found": "a LeRobot dataset", "notes": [note]}
+    frame = _frame_of(folder, own, time=time, **about)
+    return read_motion(name, [frame], arm, options, source=folder, kind="lerobot", extra={"episode": str(number)})
 
 
 SAGE = Reader(_sage_folders, _sage_motions)
