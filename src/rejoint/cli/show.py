@@ -183,7 +183,7 @@ def effort(terminal: Terminal, spent: Effort | None) -> None:
     for stage in () if spent is None else spent.stages:
         terminal.say(f"  {stage.name}: {cost(stage)}")
     if spent is not None and spent.stages:
-        terminal.result(f"In all: {cost(spent)}.")
+        terminal.result(f"In all: {cost(spent.total)}.")
 
 
 def followed(terminal: Terminal, done: Followed) -> None:

@@ -52,15 +52,15 @@ class Journal:
         try:
             file.parent.mkdir(parents=True, exist_ok=True)
             handle = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
+            try:
+                _write(handle, head)
+            except OSError:
+                os.close(handle)
+                file.unlink(missing_ok=True)
+                raise
         except OSError as error:
             raise unwritable(file, error) from error
         journal = cls(path, handle)
-        try:
-            _write(handle, head)
-        except OSError as error:
-            os.close(handle)
-            file.unlink(missing_ok=True)
-            raise unwritable(file, error) from error
         journal._thread.start()
         return journal
 
@@ -164,33 +164,27 @@ def read_journal(file: Path) -> RunLog | None:
         if magic != _MAGIC:
             return None
         n = len(about["joints"])
-        table = _whole_rows(rest, 8 * (1 + 2 * n + 6))
+        table = _whole_rows(rest, 1 + 2 * n + 6)
+        time, *arrays = np.split(table, [1, 1 + n, 1 + 2 * n, 4 + 2 * n], axis=1)
         return RunLog(
             arm=about["arm"],
             joint_names=tuple(about["joints"]),
             robot=about["robot"],
             label=f"{about['label']}/{CUT_SHORT}",
-            time=table[:, 0],
-            position=table[:, 1 : 1 + n],
-            command=table[:, 1 + n : 1 + 2 * n],
-            target=table[:, -6:-3],
-            true_tcp=table[:, -3:],
+            time=time[:, 0],
+            **dict(zip(("position", "command", "target", "true_tcp"), arrays, strict=True)),
         )
     except (ValueError, KeyError, TypeError, RecursionError, InputError):
         return None
 
 
 def _whole_rows(data: bytes, size: int) -> Array:
-    """Rows (T, size / 8) with correct checksum and clock."""
-    step, rows = size + _CHECK, []
-    for start in range(0, len(data) - step + 1, step):
-        row, check = data[start : start + size], data[start + size : start + step]
-        if zlib.crc32(row) == int.from_bytes(check, "little"):
-            rows.append(row)
-    table = np.frombuffer(b"".join(rows), "<f8").reshape(-1, size // 8)
+    """Rows (T, size) with correct checksum and clock."""
+    row = np.dtype([("numbers", "<f8", size), ("check", "<u4")])
+    rows = np.frombuffer(data, row, len(data) // row.itemsize)
+    table = rows["numbers"][np.array([zlib.crc32(one["numbers"]) == one["check"] for one in rows], dtype=bool)]
     table = table[np.isfinite(table[:, :-6]).all(axis=-1)]
-    earlier = np.concatenate([[-np.inf], np.maximum.accumulate(table[:, 0])[:-1]]) if len(table) else table[:, 0]
-    return table[table[:, 0] > earlier]
+    return table[table[:, 0] > np.maximum.accumulate(np.append(-np.inf, table[:, 0]))[:-1]]
 
 
 def journal_path(path: Path) -> Path:

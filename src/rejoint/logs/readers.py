@@ -17,8 +17,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.compute as pc
 
 from rejoint.arms import Arm
 from rejoint.logs.columns import ColumnFrame, Pending, RecordedMotion, holds_positions, read_motion
@@ -238,22 +236,10 @@ def _read_frames(source: Path, names: dict[str, tuple[str, ...]]) -> dict[str, A
             table = read_parquet(file, _REMEDY, [*_GROUPS, *_SCALARS])
             for key in (*_GROUPS, *_SCALARS):
                 titles = names.get(key, (key,))
-                values = _matrix(table[key], len(titles))
+                values = np.array(table[key].to_pylist(), dtype=float).reshape(len(table), -1)
                 for title, column in zip(titles, values.T, strict=True):
                     found.setdefault(title, []).append(column)
     return {title: np.concatenate(parts) for title, parts in found.items()}
-
-
-def _matrix(column: pa.ChunkedArray, width: int) -> Array:
-    """Numbers (T, width) of a column of numbers or of lists; ValueError for missing ones or another width."""
-    values = column.combine_chunks()
-    lists = hasattr(values.type, "value_type")
-    if lists and not pc.all(pc.equal(pc.list_value_length(values), width)).as_py():
-        raise ValueError(f"lists of other lengths than {width}")
-    numbers = values.flatten() if lists else values
-    if values.null_count or numbers.null_count or len(numbers) != len(values) * width:
-        raise ValueError(f"rows without {width} value(s)")
-    return np.asarray(numbers.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)).reshape(-1, width)
 
 
 def _episode(
@@ -263,8 +249,6 @@ def _episode(
     rows = rows[np.argsort(columns["frame_index"][rows], kind="stable")]
     own = {name: column[rows] for name, column in columns.items()}
     index, stamps = own.pop("frame_index"), own.pop("timestamp")
-    if (np.diff(index) == 0).any():
-        raise FileError(folder, f"episode {number} has frame {index[1:][np.diff(index) == 0][0]:g} twice", _REMEDY)
     nominal = index / fps
     even = bool((np.abs(stamps - nominal) < _TOLERANCE).all())
     said = "are" if even else "differ from"

@@ -7,16 +7,15 @@ import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
-import msgspec
 import numpy as np
 
 from rejoint.logs.journal import recover
 from rejoint.system.errors import FileError
-from rejoint.system.files import JSON_MOST, UNFINISHED, UNWRITABLE, read_bounded, read_json, unwritable, write_json
+from rejoint.system.files import UNFINISHED, UNWRITABLE, read_json, unwritable, write_json
 
 
 class Located(Protocol):
@@ -178,21 +177,12 @@ class RunFolder:
 _TRIAL = re.compile(r"(crossing|hold)-\D+-\d{1,4}-\d{1,4}")
 
 
-class _Head(msgspec.Struct):
-    """Fields of run.json in every version."""
-
-    version: str = "of some other version"
-    format: int = FORMAT
-
-
 def read_info(path: Path) -> RunInfo:
     """Read run.json; FileError."""
-    try:
-        head = msgspec.json.decode(read_bounded(path, JSON_MOST, "choose another folder"), type=_Head)
-    except (OSError, msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
-        head = _Head()  # as `read_json` will say
-    if head.format != FORMAT:
-        problem = f"a run folder of format {head.format}, made by rejoint {head.version}; expected format {FORMAT}"
+    found = read_json(path, dict[str, Any])
+    if (version := found.get("format", FORMAT)) != FORMAT:
+        maker = found.get("version", "of some other version")
+        problem = f"a run folder of format {version}, made by rejoint {maker}; expected format {FORMAT}"
         raise FileError(path, problem, "use that version of rejoint, or choose another folder")
     return read_json(path, RunInfo)
 
@@ -235,11 +225,10 @@ def _lock(handle: int, folder: RunFolder) -> bool:
             return True
         except BlockingIOError as error:
             holder = (folder.path / ".lock").read_text(encoding="utf-8", errors="replace").strip() or "unknown"
+            who, remedy = f"another rejoint (process {holder}) is working there", "wait until it is done"
             if holder == str(os.getpid()):
-                own = "this program is working there already"
-                raise FileError(folder.path, own, "close what it has open there, or choose another folder") from error
-            other = f"another rejoint (process {holder}) is working there"
-            raise FileError(folder.path, other, "wait until it is done, or choose another folder") from error
+                who, remedy = "this program is working there already", "close what it has open there"
+            raise FileError(folder.path, who, f"{remedy}, or choose another folder") from error
         except OSError:
             pass  # a file system without locks
     return False
@@ -266,6 +255,14 @@ class StageCost:
     travel: float = 0.0
     """[rad] of all joints"""
 
+    def __add__(self, other: StageCost) -> StageCost:
+        return StageCost(
+            name=self.name,
+            wall=self.wall + other.wall,
+            moving=self.moving + other.moving,
+            travel=self.travel + other.travel,
+        )
+
 
 @dataclass(frozen=True, kw_only=True)
 class Effort:
@@ -274,22 +271,12 @@ class Effort:
     stages: tuple[StageCost, ...] = ()
 
     @property
-    def wall(self) -> float:
-        """[s] of all stages."""
-        return sum(stage.wall for stage in self.stages)
-
-    @property
-    def moving(self) -> float:
-        """[s] of all stages."""
-        return sum(stage.moving for stage in self.stages)
-
-    @property
-    def travel(self) -> float:
-        """[rad] of all stages."""
-        return sum(stage.travel for stage in self.stages)
+    def total(self) -> StageCost:
+        """All together."""
+        return sum(self.stages, StageCost(name="all"))
 
 
-def cost(one: StageCost | Effort) -> str:
+def cost(one: StageCost) -> str:
     """In words."""
     time = f"{one.wall / 60:.1f} min"
     if not one.moving:
@@ -299,20 +286,12 @@ def cost(one: StageCost | Effort) -> str:
 
 
 def add(folder: RunFolder, cost: StageCost) -> None:
-    """Add a stage's cost to the run's file, if there."""
-    if not folder.info.exists():
-        return
+    """Add a stage's cost to the run's file, if there is a readable one."""
     with suppress(FileError):
-        _add(folder, cost)
-
-
-def _add(folder: RunFolder, cost: StageCost) -> None:
-    stages = {stage.name: stage for stage in (read_effort(folder) or Effort()).stages}
-    sofar = stages.get(cost.name, StageCost(name=cost.name))
-    stages[cost.name] = replace(
-        sofar, wall=sofar.wall + cost.wall, moving=sofar.moving + cost.moving, travel=sofar.travel + cost.travel
-    )
-    write_json(folder.effort, Effort(stages=tuple(stages.values())))
+        if folder.info.exists():
+            stages = {stage.name: stage for stage in (read_effort(folder) or Effort()).stages}
+            stages[cost.name] = stages.get(cost.name, StageCost(name=cost.name)) + cost
+            write_json(folder.effort, Effort(stages=tuple(stages.values())))
 
 
 def read_effort(folder: RunFolder) -> Effort | None:

@@ -49,8 +49,7 @@ _METADATA_KEY = b"rejoint"
 AXES = ("x", "y", "z")
 """Column names of a place"""
 _ARRAYS = ("time", "position", "command", "target", "true_tcp")
-_MEASURED = ("servo_load", "torque", "current", "gain")
-_OPTIONAL = (*_MEASURED, "aim")
+_OPTIONAL = ("servo_load", "torque", "current", "gain", "aim")
 _POINTS = ("target", "true_tcp", "aim")
 
 
@@ -184,18 +183,17 @@ class RunLog:
         >>> print(rejoint.diagnose(log).verdict)
         """
         known = arm if isinstance(arm, Arm) else load_arm(arm)
-        times = as_floats(f"run log {label}: time", time)
-        unknown = np.full((times.size, 3), np.nan)
+        given = {"time": time, "command": command, "position": position, "target": target, "true_tcp": true_tcp}
+        unknown = np.full((np.size(time), 3), np.nan)
         return cls(
             arm=known.name,
             joint_names=known.joint_names,
             robot="memory",
             label=label,
-            time=times,
-            command=as_floats(f"run log {label}: command", command),
-            position=as_floats(f"run log {label}: position", position),
-            target=unknown if target is None else as_floats(f"run log {label}: target", target),
-            true_tcp=unknown if true_tcp is None else as_floats(f"run log {label}: true_tcp", true_tcp),
+            **{
+                name: unknown if one is None else as_floats(f"run log {label}: {name}", one)
+                for name, one in given.items()
+            },
         )
 
     @classmethod
@@ -227,10 +225,10 @@ class RunLog:
 
 def write_log(path: Path, log: RunLog) -> None:
     """Write a run log as Parquet."""
-    columns: dict[str, Array] = {"time": log.time}
-    for group in ("position", "command", *_MEASURED, "target", "true_tcp", "aim"):
-        if (values := getattr(log, group)) is not None:
-            columns |= {f"{group}.{name}": values[:, i] for i, name in enumerate(log.parts(group))}
+    columns = {"time": log.time}
+    for group in log.arrays[1:]:
+        named = zip(log.parts(group), getattr(log, group).T, strict=True)
+        columns |= {f"{group}.{name}": values for name, values in named}
     header = {"format": FORMAT, **_about(log), "digest": _digest(log)}
     table = pa.table(columns).replace_schema_metadata({_METADATA_KEY: json.dumps(header).encode()})
     write_whole(path, lambda temporary: pq.write_table(table, temporary, compression="zstd", write_page_checksum=True))
@@ -247,20 +245,19 @@ def read_log(path: Path) -> RunLog:
         header = json.loads(table.schema.metadata[_METADATA_KEY])
         if header["format"] != FORMAT:
             raise FileError(path, f"run log of format {header['format']}, expected {FORMAT}", remedy)
-        names, columns = tuple(header["joints"]), table.column_names
-        held = [group for group in (*_ARRAYS[1:], *_OPTIONAL) if any(c.startswith(f"{group}.") for c in columns)]
+        groups: dict[str, list[Array]] = {}
+        for column in table.column_names:
+            groups.setdefault(column.partition(".")[0], []).append(table[column].to_numpy())
+        (time,) = groups.pop("time")
         log = RunLog(
             arm=header["arm"],
-            joint_names=names,
+            joint_names=tuple(header["joints"]),
             robot=header["robot"],
             label=header["label"],
-            time=table["time"].to_numpy(),
+            time=time,
             extra=header["extra"],
             units=header.get("units", {}),
-            **{
-                g: np.stack([table[f"{g}.{part}"].to_numpy() for part in (AXES if g in _POINTS else names)], axis=-1)
-                for g in held
-            },
+            **{group: np.stack(parts, axis=-1) for group, parts in groups.items()},
         )
         if header.get("digest", _digest(log)) != _digest(log):
             raise FileError(path, CHANGED, remedy)

@@ -10,7 +10,7 @@ from contextlib import closing, nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypeVar, cast, get_args
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast, get_args
 
 import numpy as np
 
@@ -59,7 +59,6 @@ from rejoint.system.numbers import as_seed
 from rejoint.system.shell import give_back
 
 if TYPE_CHECKING:
-    from rejoint.arms import Arm
     from rejoint.control.controllers.policy import Policy
     from rejoint.diagnosis.calibration.procedure import FilmingGauge, Gauge
     from rejoint.diagnosis.diagnosis import Diagnosis
@@ -101,6 +100,9 @@ def there(found: Found | None) -> Found:
     return found
 
 
+_FILES = ("diagnosis", "calibration", "twin", "gains", "policy", "comparison", "report")
+
+
 def stages_of(
     robot: RobotLike,
     arm: Arm,
@@ -111,63 +113,17 @@ def stages_of(
     quick: bool = False,
 ) -> dict[StageName, Path]:
     """Name the stages of a repair in order, each with its file."""
-    places = (
-        files.diagnosis,
-        files.calibration,
-        files.twin,
-        files.gains,
-        files.policy,
-        files.comparison,
-        files.report,
-    )
-    found: dict[StageName, Path] = dict(zip(STAGES, places, strict=True))
+    found: dict[StageName, Path] = {name: getattr(files, file) for name, file in zip(STAGES, _FILES, strict=True)}
     if gauge == NO_GAUGE or (gauge is None and not is_batchable(robot)):
         del found["calibrate"]
     rivals = not controllers and not quick
-    if not (isinstance(robot, str) and place_of(robot).tunable(arm) and (rivals or any_geared(controllers))):
+    if not (_is_tunable(robot, arm) and (rivals or any_geared(controllers))):
         del found["gains"]
     return found
 
 
-class StageChain:
-    """Does stages without a file; always writes the report."""
-
-    def __init__(self, run: Run, files: dict[StageName, Path], observer: Observer, *, only: StageName | None) -> None:
-        self.run, self._files, self.observer = run, files, observer
-        self._only, self.why = only, ""
-        """a single stage; why twin and policy are kept"""
-
-    def does(self, *names: StageName) -> bool:
-        """Whether this call does all these stages."""
-        return self._only is None and not any(self._files[name].exists() for name in names)
-
-    def do(self, name: StageName, work: Callable[[Observer], object]) -> None:
-        """Do a stage, or report that it is done."""
-        if name not in self._files or self._only not in (None, name):
-            return
-        number, total = list(self._files).index(name), len(self._files)
-        stage = Stage(name=name, state="started", file=self._files[name], number=number + 1, total=total)
-        if name != "report" and stage.file.exists():
-            why = self.why if name in ("identify", "gains", "train") else ""
-            self.observer.stage(replace(stage, state="kept", result=self._kept(name), why=why))
-            return
-        self.observer.stage(stage)
-        begun = time.monotonic()
-        share = (number / total, (number + 1) / total) if self._only is None else (0.0, 1.0)
-        try:
-            result = work(StageObserver(self.observer, *share))
-        finally:
-            add(self.run.folder, StageCost(name=name, wall=time.monotonic() - begun))
-            give_back()
-        self.observer.stage(replace(stage, state="done", result=result))
-
-    def _kept(self, name: StageName) -> object:
-        if name == "diagnose":
-            return Diagnosed(diagnosis=there(self.run.diagnosis))
-        if name == "compare":
-            comparison = there(self.run.comparison)
-            return Compared(comparison=comparison, recommendation=recommend(comparison))
-        return None
+def _is_tunable(robot: RobotLike, arm: Arm) -> bool:
+    return isinstance(robot, str) and place_of(robot).tunable(arm)
 
 
 WORSE = 2.0
@@ -183,31 +139,30 @@ def keep_what_holds(run: Run, preset: str) -> Kept | None:
     if run.folder.twin.exists() or not run.folder.log("excitation").exists():
         return None
     try:
-        last = last_repair(run)
-        why = None if last is None else still_holds(run, last, preset)
+        last = _last_repair(run)
+        why = last and _still_holds(run, last, preset)
     except FileError as error:
         _LOGGER.warning("nothing is kept of the last repair: %s", error)
         return None
     if last is not None and why is not None:
-        _take_over(run, last, why)
+        shutil.copytree(last.folder.outputs.folder, run.folder.outputs.folder, dirs_exist_ok=True)
+        write_json(run.folder.kept, why)
+        for name in ("twin", "gains", "policy"):
+            if (source := getattr(last.folder, name)).exists():
+                write_whole(getattr(run.folder, name), partial(shutil.copyfile, source))
     return why
 
 
-def last_repair(run: Run) -> Run | None:
-    """Newest finished repair of the same arm beside ``run``."""
-    found = []
-    for path in run.path.parent.glob("*/run.json"):
-        folder = RunFolder(path.parent)
-        files = (folder.diagnosis, folder.twin, folder.policy, folder.outputs.curves)
-        if folder.path == run.path or folder.quick.exists() or not all(file.exists() for file in files):
-            continue
-        other = Run.open(folder.path)
-        if other.is_of(run.robot, run.arm) and is_finished(folder):
-            found.append(other)
-    return max(found, key=lambda other: other.info.created, default=None)
+def _last_repair(run: Run) -> Run | None:
+    """Newest finished repair of the same arm beside ``run``, with a training."""
+    folders = [RunFolder(path.parent) for path in run.path.parent.glob("*/run.json")]
+    trained = [one for one in folders if one.outputs.curves.exists() and not one.quick.exists() and is_finished(one)]
+    others = [Run.open(folder.path) for folder in trained if folder.path != run.path]
+    same = (other for other in others if other.is_of(run.robot, run.arm))
+    return max(same, key=lambda other: other.info.created, default=None)
 
 
-def still_holds(run: Run, last: Run, preset: str) -> Kept | None:
+def _still_holds(run: Run, last: Run, preset: str) -> Kept | None:
     """Test the twin of ``last`` on ``run``; None if gains or ``preset`` changed."""
     twin, policy, now, before = last.twin, last.policy, run.diagnosis, last.diagnosis
     if twin is None or policy is None or now is None or before is None:
@@ -229,14 +184,6 @@ def twin_error(arm: Arm, twin: Twin, log: RunLog) -> float:
     replay = Replay(arm, [log], cut([log], WINDOW), stiction=twin.stiction, acceleration=twin.acceleration)
     predicted = np.concatenate(replay.predict(twin.parameters.repeat(1)), axis=1)[0]
     return prediction_error(arm, predicted, np.concatenate(replay.measured())).tcp
-
-
-def _take_over(run: Run, last: Run, why: Kept) -> None:
-    shutil.copytree(last.folder.outputs.folder, run.folder.outputs.folder, dirs_exist_ok=True)
-    write_json(run.folder.kept, why)
-    for name in ("twin", "gains", "policy"):
-        if (source := getattr(last.folder, name)).exists():
-            write_whole(getattr(run.folder, name), partial(shutil.copyfile, source))
 
 
 QUICK_TARGETS = 3
@@ -357,18 +304,17 @@ def repair(
         require("rejoint repair", "train", "report")
     what, (chosen, _) = plan or RepairPlan(), settled(settings, None, robot)
     built = run.arm if isinstance(run, Run) else arm_of(robot, arm)
-    controllers = listed(what.controllers)
-    _require_possible(robot, built, what, controllers, chosen.period)
+    _require_possible(robot, built, what, chosen.period)
     folder = newest_or_new(address_of(robot), built, as_seed(chosen.seed))[0] if run is None else run
     about = run_about(folder, address_of(robot), built, chosen.seed)
     assert about is not None  # noqa: S101 - for the type checker; a folder was given
     chosen, told = settled(chosen, about, robot)
-    if told and observer is not None:
-        observer.message(told)
+    watching = observer or Observer()
+    if told:
+        watching.message(told)
     require_same_pace(about, quick=quick)
-    watching, found = observer or Observer(), about.begin()
-    files = stages_of(robot, built, found.folder, controllers=controllers, gauge=what.gauge, quick=quick)
-    _do_stages(StageChain(found, files, watching, only=only), robot, what, controllers, chosen, quick=quick)
+    found = about.begin()
+    _Chain(robot, found, what, chosen, watching, quick=quick, only=only).do_all()
     watching.progress(1.0, "done")
     if only in (None, "report"):
         finish(found)
@@ -376,68 +322,100 @@ def repair(
     return Repaired(run=found)
 
 
-def _do_stages(
-    chain: StageChain,
-    robot: RobotLike,
-    plan: RepairPlan,
-    controllers: Controllers,
-    settings: Settings,
-    *,
-    quick: bool,
-) -> None:
-    found, emulated, targets = chain.run, is_batchable(robot), plan.targets
-    no_gauge = plan.gauge == NO_GAUGE
-    meter = cast("Gauge | FilmingGauge | None", None if no_gauge else plan.gauge)
-    chain.do("diagnose", lambda watch: diagnose(robot, run=found, quick=quick, settings=settings, observer=watch))
-    chain.do("calibrate", lambda watch: calibrate(robot, run=found, gauge=meter, settings=settings, observer=watch))
-    fresh = quick or (emulated if plan.fresh is None else plan.fresh)
-    if not fresh and isinstance(plan.preset, str):
-        chain.why = str(keep_what_holds(found, plan.preset) or "")
-    chain.do("identify", lambda watch: identify(run=found, quick=quick, observer=watch))
-    chain.do("gains", lambda watch: gains(robot, found, settings=settings, observer=watch))
-    few = (1, 1) if quick else (3, 2) if emulated else (None, None)
-    trials = plan.trials or TrialPlan()
-    trials = replace(
-        trials,
-        sets=few[0] if trials.sets is None else trials.sets,
-        directions=emulated and not quick,
-        repetitions=few[1] if trials.repetitions is None else trials.repetitions,
-    )
-    if quick and targets is None:
-        targets = draw_targets(found.arm, sets=1, count=QUICK_TARGETS, seed=found.seed)
-    compared = replace(settings, calibration=NO_GAUGE) if no_gauge else settings
-
-    def job(watch: Observer) -> ComparisonJob:
-        return comparison_job(
-            robot,
-            controllers,
-            targets,
-            run=found,
-            arm=equipped(found.arm, robot, settings),
-            plan=trials,
-            settings=compared,
-            observer=watch,
-        )
-
-    ahead = job(Observer()).begin_ahead() if chain.does("train", "compare") and emulated and not controllers else None
-    with nullcontext() if ahead is None else closing(ahead):
-        chain.do("train", lambda watch: train(run=found, preset=plan.preset, quick=quick, observer=watch))
-        chain.do("compare", lambda watch: _compare(job(watch), found, watch, ahead))
-    chain.do("report", lambda _: report(found))
-
-
-def _require_possible(
-    robot: RobotLike, arm: Arm, plan: RepairPlan, controllers: Controllers, period: Period | None
-) -> None:
+def _require_possible(robot: RobotLike, arm: Arm, plan: RepairPlan, period: Period | None) -> None:
     if isinstance(plan.preset, str):
         from rejoint.training.presets import load_preset  # late: a process that only moves arms trains nothing
 
         load_preset(plan.preset)
     turns = None if plan.targets is None else as_targets(plan.targets, arm, sets=1, seed=0)[1]
-    tunable = isinstance(robot, str) and place_of(robot).tunable(arm)
-    require_possible(controllers, arm, period_of(robot, period), tunable=tunable, posed=turns is not None)
+    able = {"tunable": _is_tunable(robot, arm), "posed": turns is not None}
+    require_possible(listed(plan.controllers), arm, period_of(robot, period), **able)
 
 
-def _compare(job: ComparisonJob, run: Run, observer: Observer, ahead: HelperProcess | None) -> Compared:
-    with exclusive(run):
-        return job.drive(observer.progress, ahead)
+class _Chain:
+    """Does stages without a file; always writes the report."""
+
+    def __init__(
+        self,
+        robot: RobotLike,
+        run: Run,
+        plan: RepairPlan,
+        settings: Settings,
+        observer: Observer,
+        *,
+        quick: bool,
+        only: StageName | None,
+    ) -> None:
+        self.robot, self.run, self.plan, self.settings, self.observer = robot, run, plan, settings, observer
+        self.quick, self.only = quick, only
+        self.controllers = listed(plan.controllers)
+        self.files = stages_of(robot, run.arm, run.folder, controllers=self.controllers, gauge=plan.gauge, quick=quick)
+
+    def do_all(self) -> None:
+        """Do the stages in order; a comparison of an emulated arm begins during the training."""
+        robot, run, plan, quick, settings = self.robot, self.run, self.plan, self.quick, self.settings
+        emulated = is_batchable(robot)
+        gauge = cast("Gauge | FilmingGauge | None", None if plan.gauge == NO_GAUGE else plan.gauge)
+        self.do("diagnose", lambda watch: diagnose(robot, run=run, quick=quick, settings=settings, observer=watch))
+        self.do("calibrate", lambda watch: calibrate(robot, run=run, gauge=gauge, settings=settings, observer=watch))
+        fresh, why = quick or (emulated if plan.fresh is None else plan.fresh), None
+        if not fresh and isinstance(plan.preset, str):
+            why = keep_what_holds(run, plan.preset)
+        self.do("identify", lambda watch: identify(run=run, quick=quick, observer=watch), why)
+        self.do("gains", lambda watch: gains(robot, run, settings=settings, observer=watch), why)
+        early = emulated and self.only is None and not self.controllers
+        early = early and not (run.folder.policy.exists() or run.folder.comparison.exists())
+        ahead = self._comparison(Observer()).begin_ahead() if early else None
+        with nullcontext() if ahead is None else closing(ahead):
+            self.do("train", lambda watch: train(run=run, preset=plan.preset, quick=quick, observer=watch), why)
+            self.do("compare", lambda watch: self._compare(watch, ahead))
+        self.do("report", lambda _: report(run))
+
+    def _comparison(self, observer: Observer) -> ComparisonJob:
+        plan, run, quick, emulated = self.plan, self.run, self.quick, is_batchable(self.robot)
+        trials, targets = plan.trials or TrialPlan(), plan.targets
+        sets, repetitions = (1, 1) if quick else (3, 2) if emulated else (None, None)
+        trials = replace(
+            trials,
+            sets=sets if trials.sets is None else trials.sets,
+            directions=emulated and not quick,
+            repetitions=repetitions if trials.repetitions is None else trials.repetitions,
+        )
+        if quick and targets is None:
+            targets = draw_targets(run.arm, sets=1, count=QUICK_TARGETS, seed=run.seed)
+        settings = replace(self.settings, calibration=NO_GAUGE) if plan.gauge == NO_GAUGE else self.settings
+        arm = equipped(run.arm, self.robot, self.settings)
+        about: dict[str, Any] = {"run": run, "arm": arm, "plan": trials, "settings": settings, "observer": observer}
+        return comparison_job(self.robot, self.controllers, targets, **about)
+
+    def _compare(self, observer: Observer, ahead: HelperProcess | None) -> Compared:
+        with exclusive(self.run):
+            return self._comparison(observer).drive(observer.progress, ahead)
+
+    def do(self, name: StageName, work: Callable[[Observer], object], why: Kept | None = None) -> None:
+        """Do a stage, or report that it is done, and ``why`` it is kept."""
+        if name not in self.files or self.only not in (None, name):
+            return
+        number, total = list(self.files).index(name), len(self.files)
+        stage = Stage(name=name, state="started", file=self.files[name], number=number + 1, total=total)
+        if name != "report" and stage.file.exists():
+            result = self._kept(name)
+            self.observer.stage(replace(stage, state="kept", result=result, why=str(why or "")))
+            return
+        self.observer.stage(stage)
+        begun = time.monotonic()
+        share = (number / total, (number + 1) / total) if self.only is None else (0.0, 1.0)
+        try:
+            result = work(StageObserver(self.observer, *share))
+        finally:
+            add(self.run.folder, StageCost(name=name, wall=time.monotonic() - begun))
+            give_back()
+        self.observer.stage(replace(stage, state="done", result=result))
+
+    def _kept(self, name: StageName) -> object:
+        if name == "diagnose":
+            return Diagnosed(diagnosis=there(self.run.diagnosis))
+        if name == "compare":
+            comparison = there(self.run.comparison)
+            return Compared(comparison=comparison, recommendation=recommend(comparison))
+        return None

@@ -20,7 +20,7 @@ from rejoint.logs.runfolder import FORMAT, LOGS, RunFolder, RunInfo, StageCost, 
 from rejoint.logs.runlog import RunLog, read_log
 from rejoint.robots.wrapper import RobotWrapper
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.files import TOML_MOST, UNFINISHED, digest, read_bounded, read_json, write_json
+from rejoint.system.files import TOML_MOST, UNFINISHED, digest, read_bounded, read_json, reading, write_json
 from rejoint.system.numbers import as_seed
 from rejoint.system.shell import __version__
 
@@ -206,12 +206,10 @@ def is_finished(folder: RunFolder) -> bool:
         return True
     if not folder.info.exists():
         return False
-    info = read_info(folder.info)
-    driven = (folder.diagnosis, folder.twin, folder.policy, folder.comparison)
-    stages = (folder.twin, folder.judgement) if info.robot.startswith(LOGS) else driven
-    if not all(path.exists() for path in (*stages, folder.report)):
-        return False
-    return all(path.stat().st_mtime <= folder.report.stat().st_mtime for path in stages)
+    from_logs = read_info(folder.info).robot.startswith(LOGS)
+    results = (folder.judgement,) if from_logs else (folder.diagnosis, folder.policy, folder.comparison)
+    done = [path.stat().st_mtime for path in (folder.report, folder.twin, *results) if path.exists()]
+    return len(done) == len(results) + 2 and max(done) == done[0]
 
 
 def mark_quick(run: Run | None, *, quick: bool) -> None:
@@ -267,13 +265,9 @@ def _empty(path: Path) -> bool:
 
 
 def _digest(folder: RunFolder) -> str:
-    try:
-        data = read_bounded(folder.description, TOML_MOST, "take the arm's own description")
-    except FileNotFoundError as error:
-        raise FileError(folder.description, "no such file", "bring it back, or begin another run") from error
-    except OSError as error:
-        raise FileError(folder.description, f"cannot be read ({error.strerror})", "allow reading it") from error
-    return digest(data).decode()
+    remedy = "bring it back, or begin another run"
+    with reading(folder.description, "cannot be read", remedy):
+        return digest(read_bounded(folder.description, TOML_MOST, remedy)).decode()
 
 
 @dataclass(eq=False)
@@ -292,16 +286,16 @@ class _Metered(RobotWrapper):
     def __init__(self, robot: Robot, meter: Meter) -> None:
         super().__init__(robot)
         self._meter = meter
-        self._before: tuple[float, Array] | None = None
+        self._before: Array | None = None
 
     def step(self, command: Array, active: Mask | None = None) -> JointState:
         """Pass the command on."""
         state = super().step(command, active)
-        now = float(state.time[0]), state.position[0].copy()
+        now = np.append(state.time[0], state.position[0])
         if self._before is not None:
-            self._meter.moving += max(now[0] - self._before[0], 0.0)
-            turned = np.abs(now[1] - self._before[1])
-            self._meter.travel += float(turned[np.isfinite(turned)].sum())
+            passed, *turned = np.nan_to_num(now - self._before)
+            self._meter.moving += max(float(passed), 0.0)
+            self._meter.travel += float(np.abs(turned).sum())
         self._before = now
         return state
 
