@@ -10,7 +10,7 @@ from contextlib import closing, nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast, get_args
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args
 
 import numpy as np
 
@@ -60,7 +60,6 @@ from rejoint.system.shell import give_back
 
 if TYPE_CHECKING:
     from rejoint.control.controllers.policy import Policy
-    from rejoint.diagnosis.calibration.procedure import FilmingGauge, Gauge
     from rejoint.diagnosis.diagnosis import Diagnosis
     from rejoint.runs.stages.compare import HelperProcess
     from rejoint.training.presets import Preset
@@ -140,7 +139,7 @@ def keep_what_holds(run: Run, preset: str) -> Kept | None:
         return None
     try:
         last = _last_repair(run)
-        why = last and _still_holds(run, last, preset)
+        why = None if last is None else _still_holds(run, last, preset)
     except FileError as error:
         _LOGGER.warning("nothing is kept of the last repair: %s", error)
         return None
@@ -355,7 +354,7 @@ class _Chain:
         """Do the stages in order; a comparison of an emulated arm begins during the training."""
         robot, run, plan, quick, settings = self.robot, self.run, self.plan, self.quick, self.settings
         emulated = is_batchable(robot)
-        gauge = cast("Gauge | FilmingGauge | None", None if plan.gauge == NO_GAUGE else plan.gauge)
+        gauge = None if plan.gauge == NO_GAUGE else plan.gauge
         self.do("diagnose", lambda watch: diagnose(robot, run=run, quick=quick, settings=settings, observer=watch))
         self.do("calibrate", lambda watch: calibrate(robot, run=run, gauge=gauge, settings=settings, observer=watch))
         fresh, why = quick or (emulated if plan.fresh is None else plan.fresh), None
