@@ -185,15 +185,15 @@ class RunLog:
         known = arm if isinstance(arm, Arm) else load_arm(arm)
         given = {"time": time, "command": command, "position": position, "target": target, "true_tcp": true_tcp}
         unknown = np.full((np.size(time), 3), np.nan)
+        arrays: dict[str, Any] = {
+            name: unknown if one is None else as_floats(f"run log {label}: {name}", one) for name, one in given.items()
+        }
         return cls(
             arm=known.name,
             joint_names=known.joint_names,
             robot="memory",
             label=label,
-            **{
-                name: unknown if one is None else as_floats(f"run log {label}: {name}", one)
-                for name, one in given.items()
-            },
+            **arrays,
         )
 
     @classmethod
