@@ -32,7 +32,7 @@ from rejoint.control.targets import draw_targets
 from rejoint.robots import open_robot
 from rejoint.runs.run import Meter
 from rejoint.runs.stages.compare import DEFAULT, ONE_ARM_PROTOCOL, ONE_ARM_SETS, trials
-from rejoint.session.controllers import make_factories
+from rejoint.session.context import make_factories
 
 ARM = mycobot280()
 PERIOD = (0.045, 0.055)

@@ -22,7 +22,7 @@ from rejoint.control.recording import Recording
 from rejoint.control.reference import TargetSequence
 from rejoint.control.robot import Controller
 from rejoint.control.start import move
-from rejoint.session.eyes import watched
+from rejoint.session.motions import watched
 from rejoint_lab.cameras.emulated import EmulatedEye
 
 TIMES = (2.0, 3.0, 3.95)

@@ -20,7 +20,7 @@ from rejoint.camera.tracker import LiveEye
 from rejoint.diagnosis.calibration.calibration import read_calibration
 from rejoint.diagnosis.calibration.procedure import StandingDrive
 from rejoint.runs.run import Run
-from rejoint.session.eyes import opened_eye
+from rejoint.session.motions import opened_eye
 from rejoint.system.errors import InputError
 from rejoint_lab.cameras.emulated import EmulatedCamera
 from rejoint_lab.cameras.scene import beside

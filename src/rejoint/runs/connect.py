@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from rejoint.runs.stages.compare import Compared, TrialPlan
     from rejoint.runs.stages.diagnose import Diagnosed
     from rejoint.runs.stages.train import TrainedPolicy
-    from rejoint.session.controllers import Controllers
+    from rejoint.session.context import Controllers
     from rejoint.session.inputs import GaugeLike
     from rejoint.twin.twin import Twin
 

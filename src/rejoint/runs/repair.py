@@ -31,8 +31,7 @@ from rejoint.runs.stages.gains import gains
 from rejoint.runs.stages.identify import identify
 from rejoint.runs.stages.report import report
 from rejoint.runs.stages.train import train
-from rejoint.session.context import equipped
-from rejoint.session.controllers import Controllers, any_geared, listed, require_possible
+from rejoint.session.context import Controllers, any_geared, equipped, listed, require_possible
 from rejoint.session.inputs import (
     FIRST_ROBOT,
     NO_GAUGE,

@@ -31,8 +31,19 @@ from rejoint.robots import open_robot
 from rejoint.robots.wrapper import RobotWrapper, WallClock
 from rejoint.runs.run import Run, exclusive
 from rejoint.runs.run import metered as meter_of
-from rejoint.session.context import calibration_of, corrected_by, equipped, guard_limits, stance_of, twin_in_force
-from rejoint.session.controllers import ControllerLike, choice, make_factories, name_of, quick_note
+from rejoint.session.context import (
+    ControllerLike,
+    calibration_of,
+    choice,
+    correction_of,
+    equipped,
+    guard_limits,
+    make_factories,
+    name_of,
+    quick_note,
+    stance_of,
+    twin_in_force,
+)
 from rejoint.session.inputs import (
     ArmLike,
     RobotLike,
@@ -361,7 +372,8 @@ class ArmDriver:
     @cached_property
     def correction(self) -> Modelled | None:
         """Corrects where the tool is sent by the calibration."""
-        return corrected_by(self.calibration, self.arm)
+        correct = correction_of(self.calibration, self.arm)
+        return correct and correct(self.arm)
 
     @property
     def apparent(self) -> Apparent:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, cast
@@ -28,11 +28,10 @@ if TYPE_CHECKING:
 
     from rejoint.arms.rotations import Orientation
     from rejoint.control.controllers.policy import Policy
+    from rejoint.control.seeing import Eye
     from rejoint.diagnosis.calibration.calibration import Calibration
     from rejoint.diagnosis.calibration.procedure import FilmingGauge, Gauge
-    from rejoint.session.context import PayloadLike
-    from rejoint.session.controllers import ControllerLike
-    from rejoint.session.eyes import EyeLike
+    from rejoint.session.context import ControllerLike, PayloadLike
     from rejoint.twin.twin import Twin
 
 ArmLike: TypeAlias = "Arm | str | Path"
@@ -59,6 +58,9 @@ RunLike: TypeAlias = "Run | Path | str"
 Targets: TypeAlias = "ArrayLike | Sequence[Pose] | Path"
 """(K, 3) or (S, K, 3) [m], poses, or a CSV file in millimetres"""
 
+EyeLike: TypeAlias = "Eye | Callable[[Robot], Eye] | str"
+"""An eye, its factory, the number of a camera, or ``emulated``"""
+
 Period: TypeAlias = "tuple[float, float]"
 """[s] interval of the control periods"""
 
@@ -67,18 +69,9 @@ FIRST_ROBOT = "emulated:worn"
 """The default robot: a worn arm in this process"""
 
 
-def unfit(given: object, expected: str) -> InputError:
-    """Error for an object of a wrong type."""
-    return InputError(f"an object of type {type(given).__name__} was given, expected {expected}")
-
-
 def as_arm(given: ArmLike) -> Arm:
     """Arm, from the catalogue or its file."""
-    if isinstance(given, Arm):
-        return given
-    if not isinstance(given, str | Path):
-        raise unfit(given, "an arm, its name, or its TOML, URDF or MJCF file")
-    return load_arm(given)
+    return given if isinstance(given, Arm) else load_arm(given)
 
 
 def is_robot(given: RobotLike | LogsLike) -> bool:
@@ -96,8 +89,6 @@ def arm_of(robot: RobotLike | None, arm: ArmLike | None) -> Arm:
     if robot is None:
         return as_arm(DEFAULT_ARM if arm is None else arm)
     if not isinstance(robot, str):
-        if not hasattr(robot, "step"):
-            raise unfit(robot, "a robot, as rejoint.open_robot opens it, or its address")
         return robot.arm
     return as_arm(place_of(robot).default_arm if arm is None else arm)
 
@@ -131,10 +122,8 @@ def as_logs(given: LogsLike) -> list[RunLog]:
     """Run logs from objects, files or a folder; FileError without any."""
     if isinstance(given, RunLog):
         return [given]
-    if isinstance(given, Iterable) and not isinstance(given, str):
-        return [log for one in given for log in as_logs(one)]
     if not isinstance(given, Path | str):
-        raise unfit(given, "run logs (rejoint.RunLog.of makes one of arrays), files of them, or a folder of such files")
+        return [log for one in given for log in as_logs(one)]
     path = Path(given)
     if path.is_file():
         return [read_log(path)]
@@ -155,8 +144,6 @@ def source_of(logs: LogsLike) -> str:
 def as_twin(given: TwinLike) -> Twin:
     """Twin, or read it."""
     if not isinstance(given, Path | str):
-        if not hasattr(given, "parameters"):
-            raise unfit(given, "a twin, as rejoint.identify returns it, or its file")
         return given
     from rejoint.twin.file import read_twin
 
@@ -190,11 +177,7 @@ def as_calibration(given: CalibrationLike | None, run: Run | None, arm: Arm) -> 
 
 def as_run(given: RunLike) -> Run:
     """Run, or open its folder."""
-    if isinstance(given, Run):
-        return given
-    if not isinstance(given, str | Path):
-        raise unfit(given, "a run or its folder")
-    return Run.open(given)
+    return given if isinstance(given, Run) else Run.open(given)
 
 
 def run_about(run: RunLike | None, robot: str, arm: Arm, seed: int | None) -> Run | None:
@@ -314,9 +297,6 @@ class Settings:
         as_seconds("dwell", self.dwell)
         if self.within is not None:
             as_within("settings", self.within)
-        for box in self.keep_out:
-            if not isinstance(box, Box):
-                raise unfit(box, "a rejoint.Box in keep_out")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -375,12 +355,9 @@ def kept(run: Run | None) -> KeptSettings:
 def settled(given: Settings | None, run: Run | None, robot: RobotLike | None) -> tuple[Settings, str]:
     """Complete ``given`` settings by those that ``run`` keeps; return a sentence on the latter too.
 
-    An open robot has its own payload and tool. InputError for what are no settings.
+    An open robot has its own payload and tool.
     """
-    settings = Settings() if given is None else given
-    if not isinstance(settings, Settings):
-        raise unfit(settings, "rejoint.Settings")
-    mine = kept(run)
+    settings, mine = given or Settings(), kept(run)
     mine = mine if isinstance(robot, str) else replace(mine, payload=None, tool=None)
     told = {name: getattr(settings, name) for name in vars(mine)}
     used = replace(mine, **{name: None for name, value in told.items() if value is not None and np.size(value)})

@@ -1,9 +1,10 @@
-"""Motions of a session: to targets in turn, and along paths and streams."""
+"""Motions of a session: to targets in turn, perhaps seen by an eye, and along paths and streams."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import nullcontext
+import logging
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, TypeAlias, cast
@@ -11,9 +12,10 @@ from typing import TYPE_CHECKING, TypeAlias, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rejoint.arms import Arm, Array
+from rejoint.arms import Arm, Array, Displacement
 from rejoint.arms.rotations import tool_axis
-from rejoint.control.deployment import REACHED, Deployed, Deployment, deployed_of, judge
+from rejoint.control.correction import TrueError
+from rejoint.control.deployment import REACHED, Deployed, Deployment, Visit, deployed_of, judge
 from rejoint.control.loop import Schedule
 from rejoint.control.moving.drive import Followed, Pass, Repetition, corrected_path, corrector, missed
 from rejoint.control.moving.drive import judge as judge_pass
@@ -32,13 +34,13 @@ from rejoint.control.moving.reference import (
 from rejoint.control.moving.tracker import Tracker
 from rejoint.control.recording import Cycle, Observer, Recording
 from rejoint.control.reference import TargetSequence
-from rejoint.control.robot import Controller
+from rejoint.control.robot import Controller, Robot
+from rejoint.control.seeing import Finishing, Seen
 from rejoint.control.targets import require_reachable
-from rejoint.session.context import require_correctable, say_heavy, say_noticed
-from rejoint.session.controllers import ControllerLike, make_factories, name_of
+from rejoint.runs.run import Run
+from rejoint.session.context import ControllerLike, correction_of, make_factories, name_of, say_heavy, say_noticed
 from rejoint.session.driver import ArmMotion, EndedError
-from rejoint.session.eyes import opened_eye, watched, with_sightings
-from rejoint.session.inputs import ArmLike, RobotLike, RunLike, Settings, Targets, as_targets
+from rejoint.session.inputs import ArmLike, EyeLike, RobotLike, RunLike, Settings, Targets, as_targets
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import InputError
 from rejoint.system.files import saving
@@ -47,8 +49,10 @@ from rejoint.system.stopping import noted
 
 if TYPE_CHECKING:
     from rejoint.arms.rotations import Orientation
-    from rejoint.control.seeing import Eye, Seen
+    from rejoint.control.seeing import Eye
     from rejoint.twin.twin import Twin
+
+_LOGGER = logging.getLogger("rejoint")
 
 
 def deploy(
@@ -119,7 +123,7 @@ class TargetDrive:
         if turned is not None and settings.eye is not None:
             raise InputError("deploy: what a camera sees corrects places only; leave it out, or give points")
         turns = None if turned is None else turned[0]
-        require_correctable(session.calibration, arm, points)
+        correction_of(session.calibration, arm, points)
         self.session, self.ways = session, session.ways(points[0], turns)
         name, self.controller = session.driver(posed=turns is not None)
         within = REACHED if settings.within is None else settings.within
@@ -128,9 +132,7 @@ class TargetDrive:
     def work(self) -> Deployed:
         """Drive; a run keeps what is recorded also after ``kill -9``."""
         session, job = self.session, self.job
-        given = session.settings.eye
-        eyes = nullcontext() if given is None else opened_eye(given, session.robot, session.run, session.seed)
-        with eyes as eye:
+        with opened_eye(session.settings.eye, session.robot, session.run, session.seed) as eye:
             session.recorder.begin(session.robot, "deploy", f"deploy/{job.controller}")
             done = self._drive(eye)
         say_noticed(session.arm, session.twin, done.log, session.observer.message)
@@ -144,10 +146,11 @@ class TargetDrive:
             target, share = int(cycle.target_index[0]), float(cycle.since_target[0]) / job.dwell
             session.progress((target + min(share, 1.0)) / total, f"target {target + 1} of {total}")
 
-        controller, correction = self.controller, session.correction
+        arm, controller, correction = session.robot.arm, self.controller, session.correction
         seen: Seen | None = None
         if eye is not None:
-            controller, seen = watched(session.robot, controller, correction, eye)
+            seen = Seen(arm, Displacement.none(arm) if correction is None else correction.displacement, eye=eye)
+            controller = Finishing(arm, controller, seen)
         try:
             session.begin(self.controller)
             reference = TargetSequence(
@@ -170,6 +173,54 @@ class TargetDrive:
             session.recorder.end(extra=asked)
         session.progress(1.0, "done")
         return found
+
+
+@contextmanager
+def opened_eye(given: EyeLike | None, robot: Robot, run: Run | None, seed: int) -> Iterator[Eye | None]:
+    """Open the eye for ``robot``; InputError without one. A camera needs the ``camera.toml`` of ``run``."""
+    if given is None:
+        yield None
+    elif given == "emulated":
+        from rejoint.robots.cameras import simulated
+
+        yield simulated(robot).eye(seed)
+    elif not isinstance(given, str):
+        yield given if hasattr(given, "sighting") else given(robot)
+    elif given.isdecimal():
+        if np.isfinite(robot.true_tcp()).all():
+            raise InputError(f"camera {given} cannot see {robot.address}; watch an emulated arm with --camera emulated")
+        from rejoint.camera.tracker import opened_camera
+
+        with opened_camera(int(given), None if run is None else run.folder.camera, robot.arm) as eye:
+            yield eye
+    else:
+        raise InputError(f"no camera is called {given!r}; expected the number of a camera, or emulated")
+
+
+def with_sightings(done: Deployed, seen: Seen | None) -> Deployed:
+    """Add what was seen at each target."""
+    if seen is None:
+        return done
+    far = seen.shifted() if seen.displacement.play.any() else None  # without a calibration all of the sag is seen
+    if far is not None:
+        _LOGGER.warning(
+            "the camera sees the tool %.1f mm to one side of where the calibration has it, at all targets alike: were "
+            "camera or board moved? Then calibrate with the camera again, the arm went where it says",
+            1e3 * far,
+        )
+    seen_at = [*seen.visits, *[(0, None)] * len(done.visits)]
+    visits = [
+        replace(visit, sightings=count, seen_error=error, true_error=_measured(visit, error))
+        for visit, (count, error) in zip(done.visits, seen_at, strict=False)
+    ]
+    return replace(done, visits=tuple(visits))
+
+
+def _measured(visit: Visit, seen: float | None) -> TrueError:
+    """Take what was ``seen`` [m] as true error, unless it is known better."""
+    if seen is None or visit.true_error.how == "known":
+        return visit.true_error
+    return TrueError(how="measured", value=seen)
 
 
 PathLike: TypeAlias = "Path | FilePath | ArrayLike"
@@ -283,7 +334,7 @@ class PathDrive:
             self.posed = self.path.turn is not None
             places, turns = self.path.poses(self.path.time[:: max(1, len(self.path.time) // LOOKED_AT)])
             say_heavy(arm, session.twin, places, session.observer.message, turns)
-            require_correctable(session.calibration, arm, places)
+            correction_of(session.calibration, arm, places)
         wanted = settings.controller
         if wanted is None:
             wanted = TRACKER if session.twin is not None else session.driver(posed=self.posed)[0]

@@ -408,12 +408,12 @@ class ArmSession(ArmDriver):
 
     def close(self) -> None:
         """End the motion, keep the log and release the arm, which holds; raises what ended the last motion."""
-        motion = self._motion
-        self._let_go(None, None, None)
-        if motion is not None and motion.error is not None:
-            raise motion.error
+        self.__exit__(None, None, None)
 
-    def _let_go(
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         motion = self._motion
@@ -431,17 +431,8 @@ class ArmSession(ArmDriver):
                     self.observer.message(self.rehearsal.summary())
             finally:
                 self._stack.__exit__(kind, error, trace)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if error is None:
-            self.close()
-        else:
-            self._let_go(kind, error, trace)
+        if error is None and motion is not None and motion.error is not None:
+            raise motion.error
 
     def _require_open(self) -> None:
         if self._closed:

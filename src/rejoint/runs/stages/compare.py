@@ -38,8 +38,18 @@ from rejoint.logs.runlog import RunLog, read_log, write_log
 from rejoint.robots import open_robot
 from rejoint.runs.history import summarise
 from rejoint.runs.run import Run, metered
-from rejoint.session.context import calibration_of, correction_of, guard_limits, say_heavy, stance_of
-from rejoint.session.controllers import Controllers, Factory, all_named, listed, make_factories
+from rejoint.session.context import (
+    Controllers,
+    Factory,
+    all_named,
+    calibration_of,
+    correction_of,
+    guard_limits,
+    listed,
+    make_factories,
+    say_heavy,
+    stance_of,
+)
 from rejoint.session.inputs import (
     ArmLike,
     Borrowed,
@@ -477,7 +487,7 @@ def comparison_job(
         settings=trials,
         period=settings.period,
         twin=known,
-        correct=correction_of(settings.calibration, run, arm, address, points),
+        correct=correction_of(model, arm, points),
         model=model,
         observer=observer,
         by_name=all_named(controllers),
